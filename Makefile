@@ -1,0 +1,56 @@
+# Needs python3 (3.9 or newer), gcc and make; the rest goes below BUILD_DIR.
+#
+#   make test     prepare the hosts, lint, run all tests
+#   make demo     watch a calibration on a simulated printer
+#   make hosts    prepare and list the klippy hosts
+#   make lint     style and syntax only
+#   make format   bring the sources into shape
+#   make clean    remove all that was built
+#
+# KLIPPER_PATH         Klipper or Kalico checkouts to test on, a:b:c
+#                      (default ~/klipper where it exists; empty for none)
+# ALLOW_MISSING_HOSTS  1: do without hosts that cannot be downloaded
+# PYTEST_WORKERS       tests run at the same time (default 2)
+# PYTEST_ARGS          further arguments for pytest, such as -k or a file
+
+PYTHON ?= python3
+BUILD_DIR ?= build
+PYTEST_WORKERS ?= 2
+PYTEST_ARGS ?=
+export BUILD_DIR
+
+TOOLS = $(BUILD_DIR)/venv/bin
+MODULES = $(wildcard z_calibration.py auto_z_offset.py dockable_probe.py \
+	extra_probe.py)
+
+# Test files import each other as tests.*, from the root of the repository.
+.PHONY: test demo hosts lint format tools clean
+
+test: hosts lint
+	$(TOOLS)/python -m pytest -n $(PYTEST_WORKERS) $(PYTEST_ARGS)
+
+demo: tools
+	$(TOOLS)/python -m tests.demo
+
+hosts: tools
+	$(TOOLS)/python -m tests.hostkit.prepare
+
+lint: tools
+	$(TOOLS)/ruff check .
+	$(TOOLS)/ruff format --check .
+	$(if $(MODULES),$(TOOLS)/vermin --no-tips --violations \
+		--target=2.7- --target=3.7- $(MODULES))
+
+format: tools
+	$(TOOLS)/ruff check --fix .
+	$(TOOLS)/ruff format .
+
+# Quick when everything is there: it compares a stamp.
+tools:
+	@$(PYTHON) -m tests.hostkit.environment "$(BUILD_DIR)/venv" \
+		tests/requirements.txt
+
+# Only a directory that the build made itself is removed.
+clean:
+	test ! -e "$(BUILD_DIR)" || test -e "$(BUILD_DIR)/CACHEDIR.TAG"
+	rm -rf -- "$(BUILD_DIR)"

@@ -1,0 +1,1 @@
+"""Tests of the modules on real klippy hosts and a simulated printer."""
