@@ -1,0 +1,1 @@
+"""Klippy hosts for the tests: prepare them, install modules, run them."""

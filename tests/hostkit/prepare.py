@@ -1,0 +1,34 @@
+"""Prepare all hosts and print them: python -m tests.hostkit.prepare."""
+
+from __future__ import annotations
+
+import sys
+
+from tests.hostkit.hosts import HostError, find_hosts, missing_hosts
+from tests.hostkit.trees import python_version
+
+
+def main() -> int:
+    """Print one line for each host; return the exit code."""
+    missing_hosts(forget=True)
+    try:
+        hosts = find_hosts()
+    except HostError as error:
+        sys.stderr.write(f"error: {error}\n")
+        return 1
+    rows = [("host", "version", "Python", "prepared in")]
+    rows += [
+        (host.name, host.version, python_version(host.python), host.directory)
+        for host in hosts
+    ]
+    rows += [(name, "MISSING", "-", "-") for name in missing_hosts()]
+    lines = [[str(cell) for cell in row] for row in rows]
+    widths = [max(map(len, column)) for column in zip(*lines)]
+    for line in lines:
+        padded = (cell.ljust(width) for cell, width in zip(line, widths))
+        sys.stdout.write("  ".join(padded).rstrip() + "\n")
+    return 0
+
+
+if __name__ == "__main__":
+    sys.exit(main())
