@@ -1,0 +1,100 @@
+"""Motors to nozzle tip and back."""
+
+from __future__ import annotations
+
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from tests.simprinter.world import make_kinematics
+
+KINDS = ("cartesian", "corexy", "corexz", "hybrid_corexy", "hybrid_corexz")
+ONE = [("z", 10.0, 20.0)]
+TWO = [("z", 0.0, 100.0), ("z1", 200.0, 100.0)]
+THREE = [("z", 0.0, 0.0), ("z1", 100.0, 200.0), ("z2", 200.0, 0.0)]
+FOUR = [
+    ("z", -50.0, 0.0),
+    ("z1", -50.0, 300.0),
+    ("z2", 350.0, 300.0),
+    ("z3", 350.0, 0.0),
+]
+COORDINATE = st.floats(-500, 500)
+
+
+@pytest.mark.parametrize("kind", KINDS)
+@given(tip=st.tuples(COORDINATE, COORDINATE, COORDINATE))
+def test_motors_lead_back_to_the_tip(kind, tip):
+    kin = make_kinematics(kind, ONE)
+    assert kin.pose(kin.motors(tip)) == pytest.approx(tip, abs=1e-9)
+
+
+@pytest.mark.parametrize("z_motors", [ONE, TWO, THREE, FOUR])
+@given(tip=st.tuples(COORDINATE, COORDINATE, COORDINATE))
+def test_level_gantry_keeps_its_height_everywhere(z_motors, tip):
+    kin = make_kinematics("corexy", z_motors)
+    assert kin.pose(kin.motors(tip)) == pytest.approx(tip, abs=1e-8)
+
+
+@pytest.mark.parametrize(
+    ("kind", "expected"),
+    [
+        # As klippy's chelper/kin_*.c computes stepper positions
+        ("cartesian", {"x": 10, "y": 3, "z": 1}),
+        ("corexy", {"x": 13, "y": 7, "z": 1}),
+        ("corexz", {"x": 11, "y": 3, "z": 9}),
+        ("hybrid_corexy", {"x": 7, "y": 3, "z": 1}),
+        ("hybrid_corexz", {"x": 9, "y": 3, "z": 1}),
+    ],
+)
+def test_signs_are_those_of_klippy(kind, expected):
+    assert make_kinematics(kind).motors((10, 3, 1)) == expected
+
+
+@pytest.mark.parametrize("z_motors", [THREE, FOUR])
+def test_plane_through_the_motors(z_motors):
+    kin = make_kinematics("cartesian", z_motors)
+    motors = {"x": 70.0, "y": 40.0}
+    for name, x, y in z_motors:
+        motors[name] = 5.0 + 0.01 * x - 0.02 * y
+    assert kin.pose(motors).z == pytest.approx(5.0 + 0.7 - 0.8)
+
+
+def test_two_motors_tilt_along_their_line_only():
+    kin = make_kinematics("cartesian", TWO)
+    motors = {"x": 50.0, "y": 0.0, "z": 1.0, "z1": 3.0}
+    assert kin.pose(motors).z == pytest.approx(1.5)
+    assert kin.pose({**motors, "y": 300.0}).z == pytest.approx(1.5)
+
+
+def test_four_motors_off_one_plane_take_the_best_plane():
+    kin = make_kinematics("cartesian", FOUR)
+    motors = kin.motors((150, 150, 10), {"z": 1.0, "z2": 1.0})
+    # A twist: opposite corners up has no best tilt, half of it as height
+    assert kin.pose(motors) == pytest.approx((150, 150, 10.5))
+    assert kin.skew(motors) == pytest.approx(1.0)
+
+
+def test_motors_on_one_spot_give_their_mean():
+    kin = make_kinematics("cartesian", [("z", 1, 1), ("z1", 1, 1)])
+    assert kin.pose({"x": 9, "y": 9, "z": 1, "z1": 2}).z == pytest.approx(1.5)
+
+
+@pytest.mark.parametrize(
+    ("kind", "z_motors"),
+    [
+        ("delta", ONE),
+        ("corexz", TWO),
+        ("hybrid_corexz", TWO),
+        ("cartesian", []),
+        ("cartesian", [("z", 0, 0), ("z", 1, 1)]),
+        ("cartesian", [("z9", 0, 0)]),
+    ],
+)
+def test_impossible_machines_are_refused(kind, z_motors):
+    with pytest.raises(ValueError, match="kinematics|z_motors"):
+        make_kinematics(kind, z_motors)
+
+
+def test_offset_of_an_unknown_motor_is_refused():
+    with pytest.raises(ValueError, match="z7"):
+        make_kinematics("cartesian").motors((0, 0, 0), {"z7": 1.0})

@@ -1,0 +1,50 @@
+"""The simulated machine's physics: mm and seconds, nothing of any host.
+
+Not simulated: the sideways push of a pin or probe, elasticity of the frame,
+the plunger or the body resting on a membrane switch or on the pin's housing,
+nozzle ooze, lost steps, a bed that moves in XY, what lies outside the plate.
+"""
+
+from .bed import Bed
+from .kinematics import Kinematics, Pose, make_kinematics
+from .spec import (
+    AxisSwitchSpec,
+    BedSensorSpec,
+    BedSpec,
+    DockSpec,
+    DriftSpec,
+    InductiveSpec,
+    MagProbeSpec,
+    MembraneSpec,
+    MeshSpec,
+    NoiseSpec,
+    PinSpec,
+    WorldSpec,
+)
+from .truth import Crash, CrashError, ProbeEvent, Touch, Truth
+from .world import World
+
+__all__ = [
+    "AxisSwitchSpec",
+    "Bed",
+    "BedSensorSpec",
+    "BedSpec",
+    "Crash",
+    "CrashError",
+    "DockSpec",
+    "DriftSpec",
+    "InductiveSpec",
+    "Kinematics",
+    "MagProbeSpec",
+    "MembraneSpec",
+    "MeshSpec",
+    "NoiseSpec",
+    "PinSpec",
+    "Pose",
+    "ProbeEvent",
+    "Touch",
+    "Truth",
+    "World",
+    "WorldSpec",
+    "make_kinematics",
+]

@@ -1,0 +1,240 @@
+"""Where the detachable probe is, and the moves that change it.
+
+Times are printer seconds; positions world frame, mm.
+"""
+
+from __future__ import annotations
+
+import enum
+import math
+from typing import Callable, Optional, Sequence
+
+from ..faults import Faults
+from .spec import DockSpec, MagProbeSpec, Vector
+
+
+class ProbeState(enum.Enum):
+    """Where the probe is."""
+
+    ATTACHED = "attached"
+    DOCKED = "docked"
+    LOST = "lost"
+
+
+class Holder:
+    """The probe's state as a function of time, one change remembered.
+
+    A change may lie ahead (an attaching device needs time), and a level may
+    be asked for shortly before it, so both states are known.
+    unsettled: settled() has yet to tell of the change.
+    """
+
+    __slots__ = ("_before", "_since", "_state", "unsettled")
+
+    def __init__(self, state: ProbeState) -> None:
+        self._before = state
+        self._state = state
+        self._since = -math.inf
+        self.unsettled = False
+
+    def at(self, t: float) -> ProbeState:
+        """State at time t."""
+        return self._state if t >= self._since else self._before
+
+    def held(self, t: float) -> bool:
+        """Whether the probe is at the head at time t."""
+        state = self._state if t >= self._since else self._before
+        return state is ProbeState.ATTACHED
+
+    def change(self, t: float, state: ProbeState, delay: float = 0.0) -> None:
+        """From t + delay on the probe is elsewhere."""
+        self._before = self.at(t)
+        self._state = state
+        self._since = t + delay
+        self.unsettled = self._before is not state
+
+    def cancel(self, t: float) -> None:
+        """Call off a change that lies ahead of time t."""
+        if t < self._since:
+            self._state = self._before
+            self._since = -math.inf
+            self.unsettled = False
+
+    def settled(self, t: float) -> Optional[tuple[float, ProbeState]]:
+        """A change that has come true since the last call: (time, state)."""
+        if not self.unsettled or t < self._since:
+            return None
+        self.unsettled = False
+        return self._since, self._state
+
+
+class Dock:
+    """Watches the head pass through the dock's reach."""
+
+    __slots__ = (
+        "_approach",
+        "_cosine",
+        "_innermost",
+        "_middle",
+        "_reach",
+        "_release",
+    )
+
+    def __init__(self, spec: DockSpec) -> None:
+        self._middle: Vector = (spec.x, spec.y, spec.z)
+        self._reach = spec.reach
+        self._approach = _unit(spec.approach)
+        self._release = _unit(spec.release)
+        self._cosine = math.cos(math.radians(spec.cone))
+        # Nearest pose of the present visit, None while outside
+        self._innermost: Optional[Vector] = None
+
+    def reaches(self, pose: Sequence[float]) -> bool:
+        """Whether a head at `pose` is joined with a probe in the dock."""
+        dx = pose[0] - self._middle[0]
+        # Nearly always far away: spare the square root
+        if dx > self._reach or dx < -self._reach:
+            return False
+        return self._distance(pose) <= self._reach
+
+    def _distance(self, pose: Sequence[float]) -> float:
+        return math.dist(pose, self._middle)
+
+    def left_towards(self, pose: Sequence[float]) -> Optional[ProbeState]:
+        """Commit a pose; says what leaving the reach just now asks for.
+
+        ATTACHED: left in the approach direction, which takes the probe.
+        DOCKED: left in the release direction, which strips it off.
+        None: did not leave, or left another way.
+        The direction is that from the visit's innermost pose.
+        """
+        deepest = self._innermost
+        if self.reaches(pose):
+            if deepest is None or self._distance(pose) <= self._distance(
+                deepest
+            ):
+                self._innermost = (pose[0], pose[1], pose[2])
+            return None
+        self._innermost = None
+        if deepest is None:
+            return None
+        x, y, z = deepest
+        away = _unit((pose[0] - x, pose[1] - y, pose[2] - z))
+        if _dot(away, self._approach) >= self._cosine:
+            return ProbeState.ATTACHED
+        if _dot(away, self._release) >= self._cosine:
+            return ProbeState.DOCKED
+        return None
+
+
+class Keeper:
+    """The probe's fate: attaching, docking, falling, and their faults.
+
+    tell(t, kind) is called with each event (kinds: truth.ProbeEvent).
+    """
+
+    __slots__ = ("_dock", "_faults", "_falls_from", "_holder", "_tell")
+
+    def __init__(
+        self,
+        spec: MagProbeSpec,
+        dock: Optional[DockSpec],
+        faults: Faults,
+        tell: Callable[[float, str], None],
+    ) -> None:
+        self._holder = Holder(ProbeState(spec.initial))
+        self._dock = None if dock is None else Dock(dock)
+        self._faults = faults
+        self._tell = tell
+        self._falls_from: Optional[str] = None
+
+    def at(self, t: float) -> ProbeState:
+        """Where the probe is at time t."""
+        return self._holder.at(t)
+
+    def held(self, t: float) -> bool:
+        """Whether the head carries the probe at time t."""
+        return self._holder.held(t)
+
+    def connected(self, t: float, pose: Sequence[float]) -> bool:
+        """Whether probe and head are joined, carried or met in the dock."""
+        state = self._holder.at(t)
+        if state is ProbeState.DOCKED and self._dock is not None:
+            return self._dock.reaches(pose)
+        return state is ProbeState.ATTACHED
+
+    def in_dock(self, t: float, pose: Sequence[float]) -> bool:
+        """Whether the probe sits in the dock, joined with the head or not."""
+        state = self._holder.at(t)
+        if state is ProbeState.ATTACHED and self._dock is not None:
+            return self._dock.reaches(pose)
+        return state is ProbeState.DOCKED
+
+    def observe(self, t: float, pose: Sequence[float]) -> None:
+        """Commit a pose."""
+        if self._holder.unsettled:
+            self._settle(t)
+        if self._dock is not None:
+            wanted = self._dock.left_towards(pose)
+            if wanted is not None:
+                self.ask(t, wanted, 0.0)
+
+    def ask(self, t: float, wanted: ProbeState, delay: float) -> None:
+        """An attempt to attach or dock, done t + delay; may fail.
+
+        Calls off an attempt that is not done yet.
+        """
+        self._holder.cancel(t)
+        state = self._holder.at(t)
+        if wanted is ProbeState.ATTACHED:
+            origin, fault = ProbeState.DOCKED, "attach_fails"
+        else:
+            origin, fault = ProbeState.ATTACHED, "dock_fails"
+        if state is not origin:
+            return
+        if self._faults.fires(fault):
+            self._tell(t, fault.replace("fails", "failed"))
+            return
+        self._change(t, wanted, delay)
+
+    def touched(self, t: float, site: str) -> None:
+        """The probe touched something."""
+        fault = self._faults.fires("probe_falls", site)
+        if fault is None:
+            return
+        if fault.when == "touch":
+            self._change(t, ProbeState.LOST, 0.0)
+        else:
+            self._falls_from = site
+
+    def lifted(self, t: float, site: str) -> None:
+        """The probe left what it touched."""
+        if self._falls_from == site:
+            self._falls_from = None
+            self._change(t, ProbeState.LOST, 0.0)
+
+    def _change(self, t: float, state: ProbeState, delay: float) -> None:
+        self._holder.change(t, state, delay)
+        self._settle(t)
+
+    def _settle(self, t: float) -> None:
+        change = self._holder.settled(t)
+        if change is not None:
+            since, state = change
+            self._tell(since, _EVENTS[state])
+
+
+_EVENTS = {
+    ProbeState.ATTACHED: "attach",
+    ProbeState.DOCKED: "dock",
+    ProbeState.LOST: "lost",
+}
+
+
+def _unit(vector: Vector) -> Vector:
+    length = math.hypot(*vector)
+    return vector[0] / length, vector[1] / length, vector[2] / length
+
+
+def _dot(a: Vector, b: Vector) -> float:
+    return a[0] * b[0] + a[1] * b[1] + a[2] * b[2]

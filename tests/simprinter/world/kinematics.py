@@ -1,0 +1,227 @@
+"""From motor positions to the nozzle tip and back.
+
+Frame: world, mm, x right, y back, z up.  A motor's position is the belt or
+screw travel in mm, counted in the direction klippy counts it.  The signs are
+those of klippy's chelper/kin_*.c:
+
+    cartesian      x = x        y = y        z = z
+    corexy         x = x + y    y = x - y    z = z
+    corexz         x = x + z    y = y        z = x - z
+    hybrid_corexy  x = x - y    y = y        z = z
+    hybrid_corexz  x = x - z    y = y        z = z
+
+Several Z motors carry one stiff gantry: the head's z is the height, at the
+head's XY, of the least squares plane through the motors' heights (exact for
+three).  Motors on one line, two being the usual case, fix the tilt along that
+line only; across it the gantry stays level.
+"""
+
+from __future__ import annotations
+
+import math
+from typing import Mapping, NamedTuple, Sequence, Tuple
+
+# (name, x, y) of the place where a Z motor holds the gantry
+ZMotor = Tuple[str, float, float]
+# A motor's share in the head's height, as constant, per-x and per-y terms
+Weight = Tuple[str, float, float, float]
+
+
+class Pose(NamedTuple):
+    """Nozzle tip in the world frame, mm, as the motors have put it.
+
+    Thermal growth is not in it: the hot tip hangs below `z`.
+    """
+
+    x: float
+    y: float
+    z: float
+
+
+class Kinematics:
+    """Base: Z motors that hold a plane; a subclass mixes x, y and z."""
+
+    __slots__ = ("_weights", "z_names")
+
+    def __init__(self, z_motors: Sequence[ZMotor]) -> None:
+        self.z_names = tuple(name for name, _, _ in z_motors)
+        if not z_motors or len(set(self.z_names)) != len(z_motors):
+            raise ValueError("z_motors: need one or more, names not repeated")
+        unknown = set(self.z_names) - {"z", "z1", "z2", "z3"}
+        if unknown:
+            raise ValueError(f"z_motors: unknown names {sorted(unknown)}")
+        self._weights = plane_weights(z_motors)
+
+    def pose(self, motors: Mapping[str, float]) -> Pose:
+        """Nozzle tip (mm) for the motors' positions (mm)."""
+        raise NotImplementedError
+
+    def motors(
+        self,
+        tip: Sequence[float],
+        z_offsets: Mapping[str, float] | None = None,
+    ) -> dict[str, float]:
+        """Motor positions (mm) that put the nozzle tip at `tip`.
+
+        All Z motors stand level; `z_offsets` (mm, added to the named motors)
+        starts with a skewed gantry, which then moves the tip as well.
+        """
+        x, y, z = tip
+        motors = self._mix(x, y, z)
+        for name, offset in (z_offsets or {}).items():
+            if name not in self.z_names:
+                raise ValueError(f"z_offsets: no Z motor named {name!r}")
+            motors[name] += offset
+        return motors
+
+    def skew(self, motors: Mapping[str, float]) -> float:
+        """Highest minus lowest Z motor, mm."""
+        heights = [motors[name] for name in self.z_names]
+        return max(heights) - min(heights)
+
+    def _mix(self, x: float, y: float, z: float) -> dict[str, float]:
+        raise NotImplementedError
+
+    def _level(self, x: float, y: float, z: float) -> dict[str, float]:
+        motors = {"x": x, "y": y}
+        for name in self.z_names:
+            motors[name] = z
+        return motors
+
+    def _height(self, x: float, y: float, motors: Mapping[str, float]) -> float:
+        if len(self._weights) == 1:
+            return motors[self._weights[0][0]]
+        z = 0.0
+        for name, const, per_x, per_y in self._weights:
+            z += (const + per_x * x + per_y * y) * motors[name]
+        return z
+
+
+class Cartesian(Kinematics):
+    """Each motor moves its own axis."""
+
+    __slots__ = ()
+
+    def pose(self, motors: Mapping[str, float]) -> Pose:
+        x, y = motors["x"], motors["y"]
+        return Pose(x, y, self._height(x, y, motors))
+
+    def _mix(self, x: float, y: float, z: float) -> dict[str, float]:
+        return self._level(x, y, z)
+
+
+class CoreXY(Kinematics):
+    """Both belts move x and y."""
+
+    __slots__ = ()
+
+    def pose(self, motors: Mapping[str, float]) -> Pose:
+        a, b = motors["x"], motors["y"]
+        x, y = 0.5 * (a + b), 0.5 * (a - b)
+        return Pose(x, y, self._height(x, y, motors))
+
+    def _mix(self, x: float, y: float, z: float) -> dict[str, float]:
+        return self._level(x + y, x - y, z)
+
+
+class HybridCoreXY(Kinematics):
+    """The x belt is dragged along by y."""
+
+    __slots__ = ()
+
+    def pose(self, motors: Mapping[str, float]) -> Pose:
+        y = motors["y"]
+        x = motors["x"] + y
+        return Pose(x, y, self._height(x, y, motors))
+
+    def _mix(self, x: float, y: float, z: float) -> dict[str, float]:
+        return self._level(x - y, y, z)
+
+
+class CoreXZ(Kinematics):
+    """Both belts move x and z."""
+
+    __slots__ = ()
+
+    def pose(self, motors: Mapping[str, float]) -> Pose:
+        a, b = motors["x"], motors["z"]
+        return Pose(0.5 * (a + b), motors["y"], 0.5 * (a - b))
+
+    def _mix(self, x: float, y: float, z: float) -> dict[str, float]:
+        return {"x": x + z, "y": y, "z": x - z}
+
+
+class HybridCoreXZ(Kinematics):
+    """The x belt is dragged along by z."""
+
+    __slots__ = ()
+
+    def pose(self, motors: Mapping[str, float]) -> Pose:
+        z = motors["z"]
+        return Pose(motors["x"] + z, motors["y"], z)
+
+    def _mix(self, x: float, y: float, z: float) -> dict[str, float]:
+        return {"x": x - z, "y": y, "z": z}
+
+
+_KINDS = {
+    "cartesian": Cartesian,
+    "corexy": CoreXY,
+    "corexz": CoreXZ,
+    "hybrid_corexy": HybridCoreXY,
+    "hybrid_corexz": HybridCoreXZ,
+}
+
+
+def make_kinematics(
+    kind: str, z_motors: Sequence[ZMotor] = (("z", 0.0, 0.0),)
+) -> Kinematics:
+    """The kinematics klippy calls `kind`, with its Z motors' (name, x, y)."""
+    if kind not in _KINDS:
+        raise ValueError(
+            f"kinematics: unknown kind {kind!r}, know {sorted(_KINDS)}"
+        )
+    belt_z = kind in ("corexz", "hybrid_corexz")
+    if belt_z and [name for name, _, _ in z_motors] != ["z"]:
+        # The x belt is coupled to one z, so a tilted gantry has no meaning
+        raise ValueError(f"z_motors: {kind} takes a single motor named 'z'")
+    return _KINDS[kind](z_motors)
+
+
+def plane_weights(z_motors: Sequence[ZMotor]) -> tuple[Weight, ...]:
+    """Each motor's share in the height of the least squares plane.
+
+    height(x, y) = sum of (const + per_x * x + per_y * y) * motor height.
+    Directions in which the motors do not spread get no tilt.
+    """
+    count = len(z_motors)
+    mid_x = sum(x for _, x, _ in z_motors) / count
+    mid_y = sum(y for _, _, y in z_motors) / count
+    spread = [(name, x - mid_x, y - mid_y) for name, x, y in z_motors]
+    inverse_xx, inverse_xy, inverse_yy = _inverse_scatter(spread)
+    weights: list[Weight] = []
+    for name, dx, dy in spread:
+        per_x = inverse_xx * dx + inverse_xy * dy
+        per_y = inverse_xy * dx + inverse_yy * dy
+        const = 1.0 / count - per_x * mid_x - per_y * mid_y
+        weights.append((name, const, per_x, per_y))
+    return tuple(weights)
+
+
+def _inverse_scatter(
+    spread: Sequence[ZMotor],
+) -> tuple[float, float, float]:
+    """Pseudo-inverse (xx, xy, yy) of the 2x2 scatter matrix of the motors."""
+    xx = sum(dx * dx for _, dx, _ in spread)
+    xy = sum(dx * dy for _, dx, dy in spread)
+    yy = sum(dy * dy for _, _, dy in spread)
+    trace = xx + yy
+    if trace == 0.0:
+        return 0.0, 0.0, 0.0
+    determinant = xx * yy - xy * xy
+    if determinant > 1e-9 * trace * trace:
+        return yy / determinant, -xy / determinant, xx / determinant
+    # One line: the matrix is trace * (d d^T), d its unit direction
+    angle = 0.5 * math.atan2(2.0 * xy, xx - yy)
+    dx, dy = math.cos(angle), math.sin(angle)
+    return dx * dx / trace, dx * dy / trace, dy * dy / trace

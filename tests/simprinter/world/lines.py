@@ -1,0 +1,138 @@
+"""Signals to the board and outputs from it, with the faults of a signal.
+
+A level is True when the signal is asserted ("triggered", "present").
+"""
+
+from __future__ import annotations
+
+import math
+from typing import Callable, Optional, Sequence
+
+from ..faults import Faults
+from .dock import Keeper
+from .sensors import TouchState
+from .sites import AxisSwitch, ContactSensor
+
+PoseLevel = Callable[[float, Sequence[float]], bool]
+
+
+class Line:
+    """One signal: its true level unless it is stuck.
+
+    latency: seconds from the physical change to the board's pin.
+    """
+
+    __slots__ = ("_level", "_state", "_stuck", "_timed", "latency", "name")
+
+    def __init__(
+        self,
+        name: str,
+        level: PoseLevel,
+        state: Optional[TouchState] = None,
+        latency: float = 0.0,
+    ) -> None:
+        self.name = name
+        self.latency = latency
+        self._level = level
+        self._state = state
+        self._timed = (math.inf, False)
+        # (from time t on, at this level)
+        self._stuck = self._timed
+
+    def expect(self, faults: Faults) -> float:
+        """Learn of faults by time; seconds of the first, or infinity."""
+        low = faults.begins("stuck_open", self.name)
+        high = faults.begins("stuck_closed", self.name)
+        self._timed = self._stuck = min((low, False), (high, True))
+        return self._timed[0]
+
+    def level(self, t: float, pose: Sequence[float]) -> bool:
+        """Level at time t for a head at `pose`; changes nothing."""
+        if t >= self._stuck[0]:
+            return self._stuck[1]
+        return self._level(t, pose)
+
+    def arm(self, t: float, faults: Faults) -> None:
+        """A homing or probing operation starts on this signal."""
+        low = faults.fires("stuck_open", self.name)
+        high = faults.fires("stuck_closed", self.name)
+        early = faults.fires("trigger_early", self.name)
+        never = faults.fires("trigger_never", self.name)
+        self._stuck = self._timed
+        if low is not None or high is not None:
+            self._stuck = min(self._timed, (t, low is None))
+        if self._state is not None:
+            distance = 0.0 if early is None else early.mm
+            self._state.arm(distance, never is not None)
+
+
+class Output:
+    """A board output as the world sees it: on from half its range.
+
+    The value before the last edge is kept, as levels are asked for with a
+    latency.
+    """
+
+    __slots__ = ("_before", "_on", "_since")
+
+    def __init__(self) -> None:
+        self._on = False
+        self._before = False
+        self._since = -math.inf
+
+    def set(self, t: float, value: float) -> bool:
+        """Take over a value 0..1; returns whether this was an edge."""
+        on = value >= 0.5
+        if on == self._on:
+            return False
+        self._before, self._on, self._since = self._on, on, t
+        return True
+
+    def on(self, t: float) -> bool:
+        """Whether it is on at time t."""
+        return self._on if t >= self._since else self._before
+
+
+def contact_level(
+    sensor: ContactSensor, held: Callable[[float], bool]
+) -> PoseLevel:
+    """A switch pressed from above."""
+
+    def level(t: float, pose: Sequence[float]) -> bool:
+        return sensor.level(t, pose, held)
+
+    return level
+
+
+def probe_level(sensor: ContactSensor, keeper: Keeper) -> PoseLevel:
+    """A normally closed switch: asserted as well when it is not there."""
+
+    def level(t: float, pose: Sequence[float]) -> bool:
+        if not keeper.connected(t, pose):
+            return True
+        return sensor.level(t, pose, keeper.held)
+
+    return level
+
+
+def enabled_level(sensor: ContactSensor, enable: Output) -> PoseLevel:
+    """A sensor that answers only while its output is on."""
+
+    def level(t: float, pose: Sequence[float]) -> bool:
+        return enable.on(t) and sensor.level(t, pose, nothing_held)
+
+    return level
+
+
+def axis_level(switch: AxisSwitch) -> PoseLevel:
+    """A position switch."""
+
+    def level(t: float, pose: Sequence[float]) -> bool:
+        return switch.level(pose)
+
+    return level
+
+
+def nothing_held(t: float) -> bool:
+    """Whether a machine without detachable probe holds it at time t."""
+    return False

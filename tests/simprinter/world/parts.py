@@ -1,0 +1,203 @@
+"""Builds the parts of a world from its specification."""
+
+from __future__ import annotations
+
+import math
+import random
+from typing import Callable, NamedTuple, Optional
+
+from .bed import Bed
+from .dock import Keeper
+from .lines import (
+    Line,
+    Output,
+    axis_level,
+    contact_level,
+    enabled_level,
+    nothing_held,
+    probe_level,
+)
+from .sensors import TouchState
+from .sites import (
+    AxisSwitch,
+    ContactSensor,
+    Site,
+    body_on_pin,
+    hanging_on_bed,
+    nozzle_on_bed,
+    nozzle_on_membrane,
+    nozzle_on_pin,
+    sensed_bed,
+)
+from .spec import MagProbeSpec, NoiseSpec, PinSpec, WorldSpec
+from .thermal import Drift
+
+
+class Parts(NamedTuple):
+    """The moving parts; `sensors` includes contacts that drive no signal."""
+
+    lines: dict[str, Line]
+    outputs: dict[str, Output]
+    sensors: tuple[ContactSensor, ...]
+    switches: tuple[AxisSwitch, ...]
+
+
+class Builder:
+    """Collects parts while going through a WorldSpec."""
+
+    def __init__(
+        self,
+        spec: WorldSpec,
+        seed: int,
+        bed: Bed,
+        drift: Drift,
+        keeper: Optional[Keeper],
+    ) -> None:
+        self._spec = spec
+        self._seed = seed
+        self._bed = bed
+        self._drift = drift
+        self._keeper = keeper
+        self._lines: dict[str, Line] = {}
+        self._outputs: dict[str, Output] = {}
+        self._sensors: list[ContactSensor] = []
+        self._switches: list[AxisSwitch] = []
+
+    def build(self) -> Parts:
+        """All parts."""
+        spec = self._spec
+        self._axis_switches()
+        self._plate()
+        if spec.pin is not None:
+            self._pin(spec.pin)
+        if spec.mag_probe is not None and self._keeper is not None:
+            self._mag_probe(spec.mag_probe, self._keeper)
+        self._inductive()
+        self._membrane()
+        return Parts(
+            self._lines,
+            self._outputs,
+            tuple(self._sensors),
+            tuple(self._switches),
+        )
+
+    def _state(self, signal: str, noise: NoiseSpec) -> TouchState:
+        # A sequence of its own for each signal: more touches on one do not
+        # move the numbers of another.  A text seeds alike in every process.
+        return TouchState(noise, random.Random(f"{self._seed}/{signal}"))
+
+    def _sensor(
+        self, signal: str, noise: NoiseSpec, *sites: Site
+    ) -> ContactSensor:
+        sensor = ContactSensor(sites, self._state(signal, noise), self._drift)
+        self._sensors.append(sensor)
+        return sensor
+
+    def _line(
+        self,
+        signal: str,
+        level: Callable[..., bool],
+        state: Optional[TouchState] = None,
+        noise: Optional[NoiseSpec] = None,
+    ) -> None:
+        latency = 0.0 if noise is None else noise.latency
+        self._lines[signal] = Line(signal, level, state, latency)
+
+    def _held(self) -> Callable[[float], bool]:
+        return nothing_held if self._keeper is None else self._keeper.held
+
+    def _axis_switches(self) -> None:
+        for spec in self._spec.switches:
+            switch = AxisSwitch(spec, self._state(spec.signal, spec.noise))
+            self._switches.append(switch)
+            self._line(
+                spec.signal, axis_level(switch), switch.state, spec.noise
+            )
+
+    def _plate(self) -> None:
+        """The nozzle on the plate, with or without a sensor below."""
+        spec, bed = self._spec, self._bed
+        surface = nozzle_on_bed(bed, self._drift)
+        sensor_spec = spec.bed_sensor
+        if sensor_spec is None:
+            site = Site("nozzle_bed", surface, bed.highest)
+            site.limit(spec.bed.allowed_press, spec.allowed_drag)
+            self._sensor("", NoiseSpec(), site)
+            return
+        depth = sensor_spec.press_depth
+        site = Site("nozzle_bed", surface, bed.highest, depth)
+        site.limit(spec.overtravel, spec.allowed_drag)
+        noise = sensor_spec.noise
+        sensor = self._sensor("bed_sensor", noise, site)
+        level = contact_level(sensor, nothing_held)
+        if sensor_spec.enable_output:
+            enable = self._outputs["bed_sensor_enable"] = Output()
+            level = enabled_level(sensor, enable)
+        self._line("bed_sensor", level, sensor.state, noise)
+
+    def _pin(self, pin: PinSpec) -> None:
+        """Pressed by the tip or by the probe's body."""
+        top = pin.z + pin.pretravel
+        tip = nozzle_on_pin(pin, self._drift)
+        sites = [Site("nozzle_pin", tip, top, pin.pretravel)]
+        probe = self._spec.mag_probe
+        if probe is not None:
+            body = body_on_pin(pin, probe, self._drift)
+            top += probe.body_drop
+            sites.append(Site("body_pin", body, top, pin.pretravel, True))
+        for site in sites:
+            site.limit(
+                self._spec.overtravel, self._spec.allowed_drag, pin.pin_travel
+            )
+        sensor = self._sensor(pin.signal, pin.noise, *sites)
+        level = contact_level(sensor, self._held())
+        self._line(pin.signal, level, sensor.state, pin.noise)
+
+    def _mag_probe(self, probe: MagProbeSpec, keeper: Keeper) -> None:
+        """Plunger and body on the plate, senses, attaching output."""
+        bed, drag = self._bed, self._spec.allowed_drag
+        plunger = probe.switch_offset + probe.pretravel
+        body_top = bed.highest + probe.body_drop
+        contact = hanging_on_bed(bed, self._drift, probe, plunger)
+        tip = Site(
+            "probe_bed", contact, body_top + plunger, probe.pretravel, True
+        )
+        # How deep the plunger may go is what the body on the bed is about
+        tip.limit(math.inf, drag)
+        sensor = self._sensor("probe", probe.noise, tip)
+        contact = hanging_on_bed(bed, self._drift, probe, 0.0)
+        body = Site("body_bed", contact, body_top, carried=True)
+        body.limit(0.0, drag)
+        self._sensor("", NoiseSpec(), body)
+        level = probe_level(sensor, keeper)
+        self._line("probe", level, sensor.state, probe.noise)
+        if probe.mode == "output":
+            self._outputs["probe_attach"] = Output()
+        if self._spec.probe_sense:
+            self._line("probe_sense", keeper.connected)
+        if self._spec.dock_sense:
+            self._line("dock_sense", keeper.in_dock)
+
+    def _inductive(self) -> None:
+        spec, bed = self._spec.inductive, self._bed
+        if spec is None:
+            return
+        sensed = sensed_bed(bed, self._drift, spec)
+        # Nothing is touched: no limits
+        top = bed.highest + spec.sense_distance
+        site = Site("inductive_bed", sensed, top)
+        sensor = self._sensor("probe", spec.noise, site)
+        level = contact_level(sensor, nothing_held)
+        self._line("probe", level, sensor.state, spec.noise)
+
+    def _membrane(self) -> None:
+        spec, bed = self._spec.membrane, self._bed
+        if spec is None:
+            return
+        contact = nozzle_on_membrane(bed, self._drift, spec)
+        top = bed.highest + spec.thickness
+        site = Site("nozzle_membrane", contact, top, spec.press)
+        site.limit(self._spec.overtravel, self._spec.allowed_drag)
+        sensor = self._sensor("membrane", spec.noise, site)
+        level = contact_level(sensor, nothing_held)
+        self._line("membrane", level, sensor.state, spec.noise)

@@ -1,0 +1,97 @@
+"""How a switch answers, touch by touch; mm, positive is deeper.
+
+A switch is described by one number: how far its actuator is beyond the nominal
+trigger point (mm, negative before it).  Everything that differs from one touch
+to the next is in TouchState; geometry is elsewhere.
+"""
+
+from __future__ import annotations
+
+import random
+
+from .spec import NoiseSpec
+
+# A switch let go by this much (mm), and clear of what noise can add, gets a
+# new trigger point; less is the same touch still.
+REARM = 0.2
+# Gauss without end would leave no height above which nothing can trigger
+SIGMAS = 5.0
+
+
+class TouchState:
+    """Trigger point of the current or next touch.
+
+    shift: mm by which this touch triggers earlier than nominal (noise)
+    early: mm earlier because of a fault; mute: a fault hides the contact
+    pressed: committed state, for the hysteresis
+    spent: this trigger point has been used by a touch
+
+    One draw is made per touch: at the first of "let go for long enough" and
+    "armed again" after it.  So the draws depend on the sequence of touches
+    and not on how often anybody looked.
+    """
+
+    __slots__ = (
+        "_noise",
+        "_random",
+        "early",
+        "hysteresis",
+        "mute",
+        "pressed",
+        "rearm",
+        "shift",
+        "spent",
+    )
+
+    def __init__(self, noise: NoiseSpec, generator: random.Random) -> None:
+        self._noise = noise
+        self._random = generator
+        self.hysteresis = noise.hysteresis
+        outlier = max(0.0, noise.outlier_size) if noise.outlier_chance else 0.0
+        self.rearm = REARM + noise.hysteresis + SIGMAS * noise.sigma + outlier
+        self.early = 0.0
+        self.mute = False
+        self.pressed = False
+        self.spent = False
+        self.shift = self._draw()
+
+    def asserted(self, beyond: float) -> bool:
+        """Level for an actuator `beyond` mm past the nominal trigger."""
+        if self.mute:
+            return False
+        margin = self.shift + self.early
+        if self.pressed:
+            margin += self.hysteresis
+        return beyond + margin >= 0.0
+
+    def arm(self, early: float, mute: bool) -> None:
+        """A new homing or probing operation starts."""
+        self.early = early
+        self.mute = mute
+        self._renew()
+
+    def settle(self, pressed: bool, beyond: float) -> None:
+        """Commit the state of the actuator (`beyond` as in asserted)."""
+        self.pressed = pressed
+        if pressed:
+            self.spent = True
+        elif beyond < -self.rearm:
+            self._renew()
+
+    def _renew(self) -> None:
+        if self.spent:
+            self.spent = False
+            self.shift = self._draw()
+
+    def _draw(self) -> float:
+        noise = self._noise
+        if not noise.sigma and not noise.outlier_chance:
+            return 0.0
+        # Both numbers are always drawn, so that changing one setting leaves
+        # the other's sequence alone
+        spread = self._random.gauss(0.0, 1.0)
+        chance = self._random.random()
+        shift = noise.sigma * max(-SIGMAS, min(SIGMAS, spread))
+        if chance < noise.outlier_chance:
+            shift += noise.outlier_size
+        return shift

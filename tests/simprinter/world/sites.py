@@ -1,0 +1,310 @@
+"""Places where the head can meet something, each reduced to one height.
+
+A contact height is the Pose.z (mm, world frame) at which a presser first meets
+its counterpart, for a head at (x, y) at time t; None where there is nothing to
+meet.  It includes thermal growth, so it compares with motor positions.
+
+    nozzle tip     Pose.z - nozzle growth
+    body bottom    Pose.z - body_drop - body growth    (hangs on the carriage,
+                                                        not on the hot nozzle)
+"""
+
+from __future__ import annotations
+
+import math
+from typing import Callable, NamedTuple, Optional, Sequence
+
+from .bed import Bed
+from .sensors import TouchState
+from .spec import (
+    AxisSwitchSpec,
+    InductiveSpec,
+    MagProbeSpec,
+    MembraneSpec,
+    PinSpec,
+)
+from .thermal import Drift
+
+ContactZ = Callable[[float, float, float], Optional[float]]
+
+
+class Tracked:
+    """Something that can be pressed, its limits, and what it is doing now.
+
+    allowed: mm it may go beyond the trigger; allowed_drag: XY mm per contact
+    hard_stop: mm beyond the trigger where nothing gives way, or infinity
+    pressed, drag: committed state; drag is None while out of contact
+    """
+
+    __slots__ = (
+        "allowed",
+        "allowed_drag",
+        "drag",
+        "hard_stop",
+        "name",
+        "pressed",
+    )
+
+    def __init__(self, name: str) -> None:
+        self.name = name
+        self.allowed = math.inf
+        self.allowed_drag = math.inf
+        self.hard_stop = math.inf
+        self.pressed = False
+        self.drag: Optional[float] = None
+
+    def limit(
+        self, allowed: float, drag: float, hard_stop: float = math.inf
+    ) -> None:
+        """Set what is still no crash."""
+        self.allowed = allowed
+        self.allowed_drag = drag
+        self.hard_stop = hard_stop
+
+    def follow(self, touching: bool, moved: float) -> float:
+        """Commit contact; XY mm dragged in this contact so far."""
+        if not touching:
+            self.drag = None
+            return 0.0
+        self.drag = 0.0 if self.drag is None else self.drag + moved
+        return self.drag
+
+
+class Site(Tracked):
+    """One presser of the head meeting one counterpart from above.
+
+    contact_z: see the module; top: no contact above this Pose.z when cold
+    press: mm from first contact to the trigger
+    carried: needs the probe at the head
+    """
+
+    __slots__ = ("carried", "contact_z", "press", "top")
+
+    def __init__(
+        self,
+        name: str,
+        contact_z: ContactZ,
+        top: float,
+        press: float = 0.0,
+        carried: bool = False,
+    ) -> None:
+        super().__init__(name)
+        self.contact_z = contact_z
+        self.top = top
+        self.press = press
+        self.carried = carried
+
+
+class Finding(NamedTuple):
+    """What one commit found at a site.
+
+    depth: mm beyond the trigger of this touch, negative before it
+    trigger: Pose.z (axis switches: axis position) of that trigger
+    drag: XY mm dragged so far in this contact
+    """
+
+    site: Tracked
+    was_pressed: bool
+    pressed: bool
+    depth: float
+    trigger: float
+    drag: float
+
+
+class ContactSensor:
+    """Sites that press one switch (or none): a pin has two pressers."""
+
+    __slots__ = ("_busy", "_drift", "_top", "sites", "state")
+
+    def __init__(
+        self, sites: Sequence[Site], state: TouchState, drift: Drift
+    ) -> None:
+        self.sites = tuple(sites)
+        self.state = state
+        self._drift = drift
+        # First contact (site.top) is never below the trigger
+        self._top = max(site.top for site in sites)
+        # The last commit was low enough for a contact
+        self._busy = False
+
+    def ceiling(self) -> float:
+        """Cold Pose.z above which nothing is touched and all is let go."""
+        return self._top + self.state.rearm
+
+    def level(
+        self, t: float, pose: Sequence[float], held: Callable[[float], bool]
+    ) -> bool:
+        """Whether the switch would be asserted; changes nothing."""
+        x, y, z = pose
+        state = self.state
+        ceiling = self._top + state.rearm + state.early
+        if z > ceiling + self._drift.bound(t):
+            return False
+        for site in self.sites:
+            if site.carried and not held(t):
+                continue
+            contact = site.contact_z(x, y, t)
+            if contact is not None and state.asserted(contact - site.press - z):
+                return True
+        return False
+
+    def commit(
+        self, t: float, pose: Sequence[float], held: bool, moved: float
+    ) -> list[Finding]:
+        """Take over the new pose; returns what happened at each site.
+
+        held: the probe is at the head; moved: XY mm since the last commit.
+        Faults are not seen here: contact is physical.
+        """
+        x, y, z = pose
+        state = self.state
+        findings: list[Finding] = []
+        above = z > self.ceiling() + self._drift.bound(t)
+        if above and not state.spent and not self._busy:
+            return findings
+        deepest = -math.inf
+        for site in self.sites:
+            contact = None
+            if held or not site.carried:
+                contact = site.contact_z(x, y, t)
+            beyond = -math.inf
+            if contact is not None:
+                beyond = contact - site.press - z
+                deepest = max(deepest, beyond)
+            slack = state.hysteresis if site.pressed else 0.0
+            pressed = beyond + state.shift + slack >= 0.0
+            drag = site.follow(contact is not None and z <= contact, moved)
+            was, site.pressed = site.pressed, pressed
+            if pressed or was or drag:
+                depth = beyond + state.shift
+                findings.append(
+                    Finding(site, was, pressed, depth, z + depth, drag)
+                )
+        self._busy = not above
+        pressed = any(site.pressed for site in self.sites)
+        state.settle(pressed, deepest)
+        return findings
+
+
+class AxisSwitch:
+    """A position switch that one axis runs into."""
+
+    __slots__ = ("_direction", "_index", "_position", "site", "state")
+
+    def __init__(self, spec: AxisSwitchSpec, state: TouchState) -> None:
+        self._index = "xyz".index(spec.axis)
+        self._direction = spec.direction
+        self._position = spec.position
+        self.state = state
+        self.site = Tracked(spec.signal)
+        stop = math.inf if spec.hard_stop is None else spec.hard_stop
+        self.site.limit(stop, math.inf, stop)
+
+    def level(self, pose: Sequence[float]) -> bool:
+        """Whether the switch would be asserted; changes nothing."""
+        beyond = self._direction * (pose[self._index] - self._position)
+        return self.state.asserted(beyond)
+
+    def commit(self, pose: Sequence[float]) -> Optional[Finding]:
+        """Take over the new pose; returns what happened, if anything."""
+        place = pose[self._index]
+        beyond = self._direction * (place - self._position)
+        state, site = self.state, self.site
+        if beyond < -state.rearm and not state.spent and not state.pressed:
+            return None
+        slack = state.hysteresis if site.pressed else 0.0
+        depth = beyond + state.shift
+        was, site.pressed = site.pressed, depth + slack >= 0.0
+        state.settle(site.pressed, beyond)
+        if not (was or site.pressed):
+            return None
+        trigger = place - self._direction * depth
+        return Finding(site, was, site.pressed, depth, trigger, 0.0)
+
+
+def nozzle_on_bed(bed: Bed, drift: Drift) -> ContactZ:
+    """The tip meets the plate."""
+
+    def contact_z(x: float, y: float, t: float) -> Optional[float]:
+        if not bed.covers(x, y):
+            return None
+        return bed.height(x, y) + drift.bed(t) + drift.nozzle(t)
+
+    return contact_z
+
+
+def nozzle_on_pin(pin: PinSpec, drift: Drift) -> ContactZ:
+    """The tip meets the pin, within its radius."""
+    pin_x, pin_y, radius = pin.x, pin.y, pin.radius
+    top = pin.z + pin.pretravel
+
+    def contact_z(x: float, y: float, t: float) -> Optional[float]:
+        if math.hypot(x - pin_x, y - pin_y) > radius:
+            return None
+        return top + drift.pin(t) + drift.nozzle(t)
+
+    return contact_z
+
+
+def body_on_pin(pin: PinSpec, probe: MagProbeSpec, drift: Drift) -> ContactZ:
+    """The body's square bottom covers the pin's middle."""
+    nozzle_x = pin.x - probe.x_offset
+    nozzle_y = pin.y - probe.y_offset
+    half = probe.half_width
+    top = pin.z + pin.pretravel + probe.body_drop
+
+    def contact_z(x: float, y: float, t: float) -> Optional[float]:
+        if abs(x - nozzle_x) > half or abs(y - nozzle_y) > half:
+            return None
+        return top + drift.pin(t) + drift.body(t)
+
+    return contact_z
+
+
+def hanging_on_bed(
+    bed: Bed, drift: Drift, probe: MagProbeSpec, below: float
+) -> ContactZ:
+    """A point `below` mm under the body's bottom meets the plate."""
+    offset_x, offset_y = probe.x_offset, probe.y_offset
+    drop = probe.body_drop + below
+
+    def contact_z(x: float, y: float, t: float) -> Optional[float]:
+        x, y = x + offset_x, y + offset_y
+        if not bed.covers(x, y):
+            return None
+        return bed.height(x, y) + drop + drift.bed(t) + drift.body(t)
+
+    return contact_z
+
+
+def sensed_bed(bed: Bed, drift: Drift, probe: InductiveSpec) -> ContactZ:
+    """The plate comes within the coil's distance; the coil is not hot."""
+    offset_x, offset_y = probe.x_offset, probe.y_offset
+    distance = probe.sense_distance
+
+    def contact_z(x: float, y: float, t: float) -> Optional[float]:
+        x, y = x + offset_x, y + offset_y
+        if not bed.covers(x, y):
+            return None
+        return bed.height(x, y) + distance + drift.bed(t)
+
+    return contact_z
+
+
+def nozzle_on_membrane(bed: Bed, drift: Drift, spec: MembraneSpec) -> ContactZ:
+    """The tip meets the top of the membrane switch lying on the plate."""
+    surface = nozzle_on_bed(bed, drift)
+
+    def inside(x: float, y: float) -> bool:
+        if spec.radius is not None:
+            return math.hypot(x - spec.x, y - spec.y) <= spec.radius
+        half_x, half_y = spec.half_x or 0.0, spec.half_y or 0.0
+        return abs(x - spec.x) <= half_x and abs(y - spec.y) <= half_y
+
+    def contact_z(x: float, y: float, t: float) -> Optional[float]:
+        if not inside(x, y):
+            return None
+        plate = surface(x, y, t)
+        return None if plate is None else plate + spec.thickness
+
+    return contact_z

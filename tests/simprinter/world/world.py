@@ -1,0 +1,203 @@
+"""The physical machine behind the board's pins.
+
+World frame: mm, x right, y back, z up, origin arbitrary; time is printer
+seconds.  A pose is the nozzle tip as the motors have put it.  Nothing here
+knows of steps, ticks, bytes or of what a host believes.
+
+level() answers "what if" and changes nothing; observe() commits.  Between two
+commits the committed state (noise of the next touch, hysteresis, the probe's
+whereabouts) stands still, so a caller may search for the moment of a trigger
+by asking level() as often as it likes.
+"""
+
+from __future__ import annotations
+
+import math
+from typing import Optional, Sequence
+
+from ..faults import Faults
+from .bed import Bed
+from .dock import Keeper, ProbeState
+from .kinematics import Pose
+from .parts import Builder, Parts
+from .sites import Finding
+from .spec import WorldSpec
+from .thermal import Drift
+from .truth import Crash, ProbeEvent, Touch, Truth
+
+
+class World:
+    """One machine in one run.
+
+    seed: source of all noise; the same seed and the same sequence of touches
+    give the same numbers.  truth: see Truth; for tests only.
+    """
+
+    __slots__ = (
+        "_bed",
+        "_ceiling",
+        "_drift",
+        "_faults",
+        "_keeper",
+        "_last_t",
+        "_last_xy",
+        "_low",
+        "_next_fault",
+        "_parts",
+        "spec",
+        "truth",
+    )
+
+    def __init__(
+        self, spec: WorldSpec, seed: int, faults: Optional[Faults] = None
+    ) -> None:
+        self.spec = spec
+        self.truth = Truth(self._gap)
+        self._bed = Bed(spec.bed)
+        self._drift = Drift(spec.drift)
+        self._faults = Faults() if faults is None else faults
+        self._keeper: Optional[Keeper] = None
+        if spec.mag_probe is not None:
+            self._keeper = Keeper(
+                spec.mag_probe, spec.dock, self._faults, self._tell
+            )
+        builder = Builder(spec, seed, self._bed, self._drift, self._keeper)
+        self._parts: Parts = builder.build()
+        sensors = self._parts.sensors
+        self._ceiling = max(sensor.ceiling() for sensor in sensors)
+        self._last_xy: Optional[tuple[float, float]] = None
+        self._last_t = -math.inf
+        # Something near the plate has yet to be let go
+        self._low = False
+        self._next_fault = self._expect_faults()
+
+    @property
+    def signals(self) -> tuple[str, ...]:
+        """Names of the signals level() knows."""
+        return tuple(self._parts.lines)
+
+    @property
+    def outputs(self) -> tuple[str, ...]:
+        """Names of the outputs set_output() knows."""
+        return tuple(self._parts.outputs)
+
+    def level(self, signal: str, t: float, pose: Sequence[float]) -> bool:
+        """Whether the signal would be asserted at time t and pose.  Pure."""
+        return self._parts.lines[signal].level(t, pose)
+
+    def latency(self, signal: str) -> float:
+        """Seconds from the physical change to the level at the board."""
+        return self._parts.lines[signal].latency
+
+    def touch_armed(self, signal: str, t: float) -> None:
+        """A homing or probing operation on this signal starts at time t."""
+        self._parts.lines[signal].arm(t, self._faults)
+
+    def set_output(self, signal: str, t: float, value: float) -> None:
+        """The board sets an output to value (0..1) at time t."""
+        edge = self._parts.outputs[signal].set(t, value)
+        if not edge or signal != "probe_attach":
+            return
+        probe = self.spec.mag_probe
+        if self._keeper is not None and probe is not None:
+            on = self._parts.outputs[signal].on(t)
+            wanted = ProbeState.ATTACHED if on else ProbeState.DOCKED
+            self._keeper.ask(t, wanted, probe.attach_time)
+
+    def probe_state(self, t: float) -> str:
+        """Where the detachable probe is: attached, docked, lost or none."""
+        return "none" if self._keeper is None else self._keeper.at(t).value
+
+    def observe(self, t: float, pose: Sequence[float]) -> None:
+        """Commit that the head is at `pose` at time t, in order of time."""
+        if t < self._last_t:
+            raise ValueError(f"observe: t={t!r} is before {self._last_t!r}")
+        x, y, z = pose
+        if t >= self._next_fault:
+            self._next_fault = self._mark_due(t)
+        if self._keeper is not None:
+            self._keeper.observe(t, pose)
+        for switch in self._parts.switches:
+            finding = switch.commit(pose)
+            if finding is not None:
+                self._take(t, pose, finding, 0.0)
+        drift = self._drift
+        bound = drift.bound(t) if drift.active else 0.0
+        low = z <= self._ceiling + bound
+        if low or self._low:
+            self._commit_contacts(t, pose)
+            self._low = low
+        # Only a nozzle this low can come nearer to the plate than ever
+        nearest = z - self._bed.highest - bound
+        if nearest < self.truth.min_gap and self._bed.covers(x, y):
+            gap = self._gap(x, y, z, t)
+            self.truth.min_gap = min(self.truth.min_gap, gap)
+        self._last_xy = (x, y)
+        self._last_t = t
+
+    def _commit_contacts(self, t: float, pose: Sequence[float]) -> None:
+        held = self._keeper is not None and self._keeper.held(t)
+        x, y, _ = pose
+        last_x, last_y = (x, y) if self._last_xy is None else self._last_xy
+        moved = math.hypot(x - last_x, y - last_y)
+        for sensor in self._parts.sensors:
+            for finding in sensor.commit(t, pose, held, moved):
+                self._take(t, pose, finding, moved)
+
+    def _take(
+        self, t: float, pose: Sequence[float], finding: Finding, moved: float
+    ) -> None:
+        """Write down what was found, and let the probe fall if it must."""
+        site, truth = finding.site, self.truth
+        x, y, z = pose
+        keeper = self._keeper
+        if finding.pressed and not finding.was_pressed:
+            truth.touches.append(Touch(t, site.name, x, y, z, finding.trigger))
+            if keeper is not None:
+                keeper.touched(t, site.name)
+        lifted = finding.was_pressed and not finding.pressed
+        if lifted and keeper is not None:
+            keeper.lifted(t, site.name)
+        here = Pose(x, y, z)
+        if finding.pressed:
+            depth = finding.depth
+            past = max(0.0, depth - site.hard_stop)
+            truth.add_depth(site.name, depth)
+            truth.judge(
+                Crash(site.name, "depth", depth, site.allowed, t, here, past)
+            )
+        if finding.drag:
+            truth.add_drag(site.name, moved)
+            drag, allowed = finding.drag, site.allowed_drag
+            truth.judge(Crash(site.name, "drag", drag, allowed, t, here))
+
+    def _gap(self, x: float, y: float, z: float, t: float) -> float:
+        """Tip to plate, mm; positive above it."""
+        surface = self._bed.height(x, y) + self._drift.bed(t)
+        return z - self._drift.nozzle(t) - surface
+
+    def _tell(self, t: float, kind: str) -> None:
+        self.truth.events.append(ProbeEvent(t, kind))
+
+    def _expect_faults(self) -> float:
+        lines = self._parts.lines
+        for fault in self._faults:
+            about_signal = fault.name.startswith(("stuck_", "trigger_"))
+            if about_signal and fault.subject not in lines:
+                raise ValueError(
+                    f"{fault!r}: no such signal, have {sorted(lines)}"
+                )
+        times = [line.expect(self._faults) for line in lines.values()]
+        return min(times, default=math.inf)
+
+    def _mark_due(self, t: float) -> float:
+        """Let faults by time count as fired; time of the next, or infinity."""
+        for name in self._parts.lines:
+            for fault in ("stuck_open", "stuck_closed"):
+                self._faults.due(fault, t, name)
+        pending = [
+            fault.t
+            for fault in self._faults.unfired()
+            if fault.t is not None and fault.name.startswith("stuck_")
+        ]
+        return min(pending, default=math.inf)
