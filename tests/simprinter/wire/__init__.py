@@ -1,0 +1,1 @@
+"""The serial protocol between a host and a micro-controller: bytes only."""

@@ -1,0 +1,96 @@
+"""One serial line: a pseudo-terminal with a micro-controller at its end."""
+
+from __future__ import annotations
+
+import os
+import tempfile
+import tty
+from collections.abc import Callable
+
+from ..clock import set_nonblocking
+from .framing import CONTENT_MAX, Deframer, encode_block
+
+
+class Link:
+    """The micro-controller's end of the line.
+
+    on_content is called with the content of every block that arrives in
+    order; what it sends through `send` leaves before the acknowledgement, as
+    on real hardware.
+    """
+
+    def __init__(self, on_content: Callable[[bytes], None]):
+        self._on_content = on_content
+        self._deframer = Deframer()
+        self._next_seq = 0
+        self._pending = b""
+        self._master, self._slave = os.openpty()
+        # The slave end stays open here: a host that comes and goes must not
+        # hang up the line
+        tty.setraw(self._slave)
+        set_nonblocking(self._master)
+        self.device = os.ttyname(self._slave)
+        # Klippy takes such a path for the Linux-process micro-controller
+        self._dir = tempfile.mkdtemp(prefix="klipper_host_", dir="/tmp")
+        self.path = os.path.join(self._dir, "mcu")
+        os.symlink(self.device, self.path)
+        self.sent = 0
+        self.received = 0
+
+    def fileno(self) -> int:
+        """Readable when the host has sent something."""
+        return self._master
+
+    def pump(self) -> bool:
+        """Move what can be moved; whether anything was."""
+        moved = self._flush()
+        while True:
+            try:
+                data = os.read(self._master, 65536)
+            except BlockingIOError:
+                return moved
+            moved = True
+            self.received += len(data)
+            for block in self._deframer.feed(data):
+                self._receive(block)
+
+    def _receive(self, block: tuple[int, bytes] | None) -> None:
+        if block is not None and block[0] == self._next_seq:
+            self._next_seq = (self._next_seq + 1) & 0x0F
+            self._on_content(block[1])
+        # Otherwise the same short block asks for what is missing. A host that
+        # has just started learns the sequence number from it.
+        self._write(encode_block(self._next_seq, b""))
+
+    def send(self, content: bytes) -> None:
+        """Send one block. Raises ValueError where it does not fit."""
+        if len(content) > CONTENT_MAX:
+            raise ValueError("response too long for one block")
+        self._write(encode_block(self._next_seq, content))
+
+    def settled(self) -> bool:
+        """Whether everything to be sent has left."""
+        return not self._pending
+
+    def _write(self, data: bytes) -> None:
+        self._pending += data
+        self._flush()
+
+    def _flush(self) -> bool:
+        moved = False
+        while self._pending:
+            try:
+                count = os.write(self._master, self._pending)
+            except BlockingIOError:
+                break
+            self._pending = self._pending[count:]
+            self.sent += count
+            moved = True
+        return moved
+
+    def close(self) -> None:
+        """Hang up."""
+        os.close(self._master)
+        os.close(self._slave)
+        os.unlink(self.path)
+        os.rmdir(self._dir)
