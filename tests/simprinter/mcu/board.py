@@ -1,0 +1,296 @@
+"""The core of the simulated micro-controller: clock, events, commands.
+
+Peripherals declare the commands they understand with `command(...)` and the
+answers they give in RESPONSES; the board collects both into the dictionary
+that a host downloads. Clocks are ticks of the board, 64 bits wide inside and
+32 bits on the wire.
+"""
+
+from __future__ import annotations
+
+import heapq
+import itertools
+from collections.abc import Callable, Iterable
+from typing import Any
+
+from ..wire.messages import Dictionary
+
+TICK_NS = 20
+CLOCK_FREQ = 10**9 // TICK_NS
+# The 32-bit clock wraps this long after the start, so that every longer run
+# crosses the wrap
+_FIRST_WRAP_TICKS = 20 * CLOCK_FREQ
+_FIRST_CLOCK = (1 << 32) - _FIRST_WRAP_TICKS
+_STATS_TICKS = 5 * CLOCK_FREQ
+PORTS = "ABCDEFGHI"
+SHUTDOWN_REASONS = ("Command request", "Unknown oid", "Bad command")
+
+
+class BoardError(Exception):
+    """The host asked for what no correct host asks for."""
+
+
+def command(text: str, in_shutdown: bool = False) -> Callable:
+    """Mark a method as the handler of the command with this format."""
+
+    def mark(method: Callable) -> Callable:
+        method.command_text = text  # type: ignore[attr-defined]
+        method.in_shutdown = in_shutdown  # type: ignore[attr-defined]
+        return method
+
+    return mark
+
+
+class Peripheral:
+    """A part of the board; `board` is set when it is plugged in."""
+
+    RESPONSES: tuple[str, ...] = ()
+    board: Board
+
+    def handlers(self) -> Iterable[Callable]:
+        """Bound methods marked with `command`."""
+        for name in dir(type(self)):
+            if hasattr(getattr(type(self), name), "command_text"):
+                yield getattr(self, name)
+
+    def stop(self) -> None:
+        """The board shuts down."""
+
+    def reset(self) -> None:
+        """The board reboots: forget everything configured."""
+
+
+def pin_numbers() -> dict[str, Any]:
+    """The enumeration of the board's pins: PA0 to PI15."""
+    return {f"P{port}0": [16 * i, 16] for i, port in enumerate(PORTS)}
+
+
+def pin_name(number: int) -> str:
+    """Name of a pin as configurations spell it."""
+    return f"P{PORTS[number // 16]}{number % 16}"
+
+
+class Board(Peripheral):
+    """A micro-controller without its serial line.
+
+    now_ns tells the time; `send` (set by whoever connects the line) takes
+    encoded responses.
+    """
+
+    RESPONSES = (
+        "uptime high=%u clock=%u",
+        "clock clock=%u",
+        "config is_config=%c crc=%u is_shutdown=%c move_count=%hu",
+        "stats count=%u sum=%u sumsq=%u",
+        "shutdown clock=%u static_string_id=%hu",
+        "is_shutdown static_string_id=%hu",
+        "starting",
+    )
+
+    def __init__(
+        self,
+        now_ns: Callable[[], int],
+        peripherals: Iterable[Peripheral],
+        app: str,
+    ):
+        self._now_ns = now_ns
+        self._epoch_ns = now_ns() - _FIRST_CLOCK * TICK_NS
+        self._events: list = []
+        self._order = itertools.count()
+        self._parts: list[Peripheral] = [self, *peripherals]
+        self._handlers: dict[str, Callable] = {}
+        self.dictionary = self._collect(app)
+        self.send: Callable[[bytes], None] = lambda content: None
+        # A fault: while this is true the board neither listens nor answers
+        self.is_silent: Callable[[], bool] = lambda: False
+        self.state = ConfigState()
+        self.journal = Journal()
+        self._schedule_stats()
+
+    def _collect(self, app: str) -> Dictionary:
+        commands, responses = [], []
+        for part in self._parts:
+            part.board = self
+            responses += part.RESPONSES
+            for handler in part.handlers():
+                text = handler.command_text
+                self._handlers[text.split()[0]] = handler
+                if not text.startswith("identify "):
+                    commands.append(text)
+        constants = {
+            "CLOCK_FREQ": CLOCK_FREQ,
+            "STATS_SUMSQ_BASE": 256,
+            "ADC_MAX": 4095,
+            "PWM_MAX": 255,
+            "MCU": "simulated",
+        }
+        strings = {text: i + 1 for i, text in enumerate(SHUTDOWN_REASONS)}
+        enums = {"pin": pin_numbers(), "static_string_id": strings}
+        return Dictionary(commands, responses, constants, enums, app)
+
+    # Time
+
+    def clock(self) -> int:
+        """The board's clock now."""
+        return (self._now_ns() - self._epoch_ns) // TICK_NS
+
+    def ns(self, clock: int) -> int:
+        """When the board's clock shows this value, ns."""
+        return self._epoch_ns + clock * TICK_NS
+
+    def clock_at(self, ns: int) -> int:
+        """The board's clock at a time in ns."""
+        return (ns - self._epoch_ns) // TICK_NS
+
+    def widen(self, clock32: int) -> int:
+        """The clock nearest to now that has these low 32 bits."""
+        now = self.clock()
+        diff = (clock32 - now) & 0xFFFFFFFF
+        return now + (diff - (1 << 32) if diff & 0x80000000 else diff)
+
+    def schedule(self, clock: int, action: Callable[[int], None]) -> Event:
+        """Call action(clock) when the clock gets there."""
+        event = Event(action)
+        heapq.heappush(self._events, (clock, next(self._order), event))
+        return event
+
+    def next_event_ns(self) -> int | None:
+        """When something is due on the board, ns."""
+        while self._events and self._events[0][2].action is None:
+            heapq.heappop(self._events)
+        return self.ns(self._events[0][0]) if self._events else None
+
+    def run_due(self) -> bool:
+        """Run what is due by now; whether there was anything."""
+        ran = False
+        while self._events and self._events[0][0] <= self.clock():
+            clock, _, event = heapq.heappop(self._events)
+            if event.action is not None:
+                ran = True
+                event.action(clock)
+        return ran
+
+    # Messages
+
+    def receive(self, content: bytes) -> None:
+        """Run the commands of one block."""
+        for name, values in self.dictionary.parse(content):
+            if self.is_silent():
+                return
+            handler = self._handlers[name]
+            if self.state.is_shutdown and not handler.in_shutdown:
+                self.respond("is_shutdown", static_string_id=1)
+                continue
+            handler(*values)
+
+    def respond(self, name: str, **values: Any) -> None:
+        """Send a response."""
+        if not self.is_silent():
+            self.send(self.dictionary.response(name, values))
+
+    def shut_down(self) -> None:
+        """Stop everything, as for an emergency stop."""
+        if self.state.is_shutdown:
+            return
+        self.state.is_shutdown = True
+        self.journal.shutdowns += 1
+        for part in self._parts:
+            part.stop()
+        clock = self.clock() & 0xFFFFFFFF
+        self.respond("shutdown", clock=clock, static_string_id=1)
+
+    def _schedule_stats(self) -> None:
+        self.schedule(self.clock() + _STATS_TICKS, self._stats)
+
+    def _stats(self, clock: int) -> None:
+        if self.state.is_config:
+            self.respond("stats", count=1, sum=1, sumsq=1)
+        self._schedule_stats()
+
+    # Commands every board has
+
+    @command("identify offset=%u count=%c", in_shutdown=True)
+    def _identify(self, offset: int, count: int) -> None:
+        data = self.dictionary.identify_data[offset : offset + count]
+        self.respond("identify_response", offset=offset, data=data)
+
+    @command("get_uptime", in_shutdown=True)
+    def _get_uptime(self) -> None:
+        clock = self.clock()
+        self.respond("uptime", high=clock >> 32, clock=clock & 0xFFFFFFFF)
+
+    @command("get_clock", in_shutdown=True)
+    def _get_clock(self) -> None:
+        self.respond("clock", clock=self.clock() & 0xFFFFFFFF)
+
+    @command("get_config", in_shutdown=True)
+    def _get_config(self) -> None:
+        state = self.state
+        self.respond(
+            "config",
+            is_config=int(state.is_config),
+            crc=state.crc,
+            is_shutdown=int(state.is_shutdown),
+            move_count=1024,
+        )
+
+    @command("allocate_oids count=%c")
+    def _allocate_oids(self, count: int) -> None:
+        self.state.oid_count = count
+
+    @command("finalize_config crc=%u")
+    def _finalize_config(self, crc: int) -> None:
+        self.state.crc = crc
+        self.state.is_config = True
+
+    @command("emergency_stop", in_shutdown=True)
+    def _emergency_stop(self) -> None:
+        self.shut_down()
+
+    @command("clear_shutdown", in_shutdown=True)
+    def _clear_shutdown(self) -> None:
+        self.state.is_shutdown = False
+
+    @command("reset", in_shutdown=True)
+    def _reset(self) -> None:
+        """Reboot: motors stay where they are, everything else is forgotten."""
+        for part in self._parts:
+            part.stop()
+            part.reset()
+        self.state = ConfigState()
+        self._events.clear()
+        self._schedule_stats()
+        self.journal.resets += 1
+
+
+class Event:
+    """Something scheduled; cancel by taking its action away."""
+
+    __slots__ = ("action",)
+
+    def __init__(self, action: Callable[[int], None] | None):
+        self.action = action
+
+    def cancel(self) -> None:
+        """Never run the action."""
+        self.action = None
+
+
+class ConfigState:
+    """What a host has configured."""
+
+    def __init__(self) -> None:
+        self.is_config = False
+        self.is_shutdown = False
+        self.crc = 0
+        self.oid_count = 0
+
+
+class Journal:
+    """What happened to the board; tests read it."""
+
+    def __init__(self) -> None:
+        self.shutdowns = 0
+        self.resets = 0
+        # Ticks by which commands came too late for their time
+        self.late: list[int] = []

@@ -1,0 +1,201 @@
+"""Steppers: the exact count of steps at every tick."""
+
+from __future__ import annotations
+
+import bisect
+import math
+from typing import Protocol
+
+from .board import Peripheral, command
+
+_CLOCK = 0xFFFFFFFF
+
+
+class StepTrack:
+    """All steps of one motor as a function of the board's clock.
+
+    Each queued move is kept as (clock it is relative to, interval, count, add,
+    direction, position before): its n-th step falls n * interval + add * n *
+    (n - 1) / 2 ticks after that clock. A step counts from its own tick on.
+    """
+
+    def __init__(self) -> None:
+        self._starts: list[int] = []
+        self._moves: list[tuple[int, int, int, int, int]] = []
+        self._rest = 0  # position before the first move kept
+        self.last_clock = 0  # of the last step queued
+        self.position = 0  # after everything queued
+
+    def append(self, interval: int, count: int, add: int, sign: int) -> int:
+        """Queue a move; the clock it is relative to."""
+        start = self.last_clock
+        ticks = interval * count + add * count * (count - 1) // 2
+        self._starts.append(start)
+        self._moves.append((interval, count, add, sign, self.position))
+        self.position += sign * count
+        self.last_clock = start + ticks
+        return start
+
+    def at(self, clock: int) -> int:
+        """Position (steps) at a clock."""
+        if clock >= self.last_clock:
+            return self.position
+        i = bisect.bisect_right(self._starts, clock) - 1
+        if i < 0:
+            return self._rest
+        interval, count, add, sign, before = self._moves[i]
+        steps = steps_in(clock - self._starts[i], interval, count, add)
+        return before + sign * steps
+
+    def moving_between(self, first: int, last: int) -> bool:
+        """Whether a move overlaps the clocks from first to last."""
+        if first >= self.last_clock or not self._starts:
+            return False
+        return last >= self._starts[0]
+
+    def cut(self, clock: int) -> None:
+        """Forget all steps after a clock."""
+        self.position = self.at(clock)
+        while self._starts and self._starts[-1] >= clock:
+            self._starts.pop()
+            self._moves.pop()
+        if self._starts:
+            interval, _, add, sign, before = self._moves[-1]
+            count = abs(self.position - before)
+            if count:
+                self._moves[-1] = (interval, count, add, sign, before)
+            else:
+                self._starts.pop()
+                self._moves.pop()
+        if not self._starts:
+            self._rest = self.position
+        self.last_clock = min(self.last_clock, clock)
+
+    def forget(self, clock: int) -> None:
+        """Drop what nobody will ask for: positions before a clock."""
+        keep = bisect.bisect_right(self._starts, clock) - 1
+        if keep > 0:
+            self._rest = self._moves[keep][4]
+            del self._starts[:keep], self._moves[:keep]
+
+
+def steps_in(elapsed: int, interval: int, count: int, add: int) -> int:
+    """How many steps of a move have been made after elapsed ticks."""
+    if elapsed < interval:
+        return 0
+    if not add:
+        return min(elapsed // interval, count)
+    # Solve n * interval + add * n * (n - 1) / 2 = elapsed for n; a float gets
+    # within one step, whole numbers settle it
+    linear = interval - add / 2
+    root = linear * linear + 2.0 * add * elapsed
+    guess = count
+    if root >= 0.0:
+        guess = min(int((math.sqrt(root) - linear) / add), count)
+
+    def ticks(n: int) -> int:
+        return n * interval + add * n * (n - 1) // 2
+
+    while guess < count and ticks(guess + 1) <= elapsed:
+        guess += 1
+    while guess > 0 and ticks(guess) > elapsed:
+        guess -= 1
+    return guess
+
+
+class Stepper:
+    """One configured stepper."""
+
+    def __init__(self, track: StepTrack):
+        self.track = track
+        self.direction = 0
+        self.needs_reset = False
+        self.zero = 0  # track position that the host counts from
+        # What the next interval counts from; 32 bits (0 at the start), None
+        # while it counts from the last step
+        self.step_clock: int | None = 0
+
+
+class Drive(Protocol):
+    """Where motors report to: the mechanics behind the board."""
+
+    def track(self, step_pin: int, dir_pin: int) -> StepTrack:
+        """The track of the motor on these pins."""
+
+    def steps_queued(self, start_ns: int) -> None:
+        """New steps begin after start_ns."""
+
+    def settle(self, ns: int) -> None:
+        """Everything up to ns has happened."""
+
+
+class Steppers(Peripheral):
+    """All steppers of a board."""
+
+    RESPONSES = ("stepper_position oid=%c pos=%i",)
+
+    def __init__(self, drive: Drive):
+        self._drive = drive
+        self.by_oid: dict[int, Stepper] = {}
+
+    def stop(self) -> None:
+        """Halt all motors where they are."""
+        for stepper in self.by_oid.values():
+            self.halt(stepper, self.board.clock())
+
+    def reset(self) -> None:
+        """Forget the configuration."""
+        self.by_oid.clear()
+
+    def halt(self, stepper: Stepper, clock: int) -> None:
+        """Stop a motor at a clock; it then waits for a new step clock."""
+        self._drive.settle(self.board.ns(clock))
+        stepper.track.cut(clock)
+        stepper.direction = 0
+        stepper.needs_reset = True
+
+    @command(
+        "config_stepper oid=%c step_pin=%c dir_pin=%c invert_step=%c"
+        " step_pulse_ticks=%u"
+    )
+    def _config(
+        self, oid: int, step_pin: int, dir_pin: int, invert: int, pulse: int
+    ) -> None:
+        stepper = Stepper(self._drive.track(step_pin, dir_pin))
+        stepper.zero = stepper.track.position
+        self.by_oid[oid] = stepper
+
+    @command("queue_step oid=%c interval=%u count=%hu add=%hi")
+    def _queue_step(self, oid: int, interval: int, count: int, add: int):
+        stepper = self.by_oid[oid]
+        if stepper.needs_reset:
+            return
+        track = stepper.track
+        if stepper.step_clock is not None:
+            # Only the sum is near to now: hosts reset to 0 and give the first
+            # step's clock as the interval
+            first = self.board.widen((stepper.step_clock + interval) & _CLOCK)
+            track.last_clock = first - interval
+            stepper.step_clock = None
+        late = self.board.clock() - (track.last_clock + interval)
+        if late > 0:
+            self.board.journal.late.append(late)
+        sign = 1 if stepper.direction else -1
+        start = track.append(interval, count, add, sign)
+        self._drive.steps_queued(self.board.ns(start))
+
+    @command("set_next_step_dir oid=%c dir=%c")
+    def _set_dir(self, oid: int, direction: int) -> None:
+        self.by_oid[oid].direction = direction
+
+    @command("reset_step_clock oid=%c clock=%u")
+    def _reset_clock(self, oid: int, clock: int) -> None:
+        stepper = self.by_oid[oid]
+        stepper.step_clock = clock
+        stepper.needs_reset = False
+
+    @command("stepper_get_position oid=%c")
+    def _get_position(self, oid: int) -> None:
+        stepper = self.by_oid[oid]
+        position = stepper.track.at(self.board.clock()) - stepper.zero
+        self.board.respond("stepper_position", oid=oid, pos=position)
