@@ -1,0 +1,212 @@
+"""The clock all parts of a simulation share.
+
+`VirtualClock` stands still while klippy computes and jumps to the next thing
+anybody waits for when all of klippy is asleep (how this is known is told in
+vclock.c). `RealClock` is the same interface on the machine's own clock. Times
+are integer nanoseconds of the host's CLOCK_MONOTONIC.
+"""
+
+from __future__ import annotations
+
+import contextlib
+import ctypes
+import fcntl
+import hashlib
+import mmap
+import os
+import subprocess
+import tempfile
+import time
+from pathlib import Path
+
+NEVER = (1 << 63) - 1
+# Any date will do; a fixed one keeps logs the same from run to run
+WALL_START_NS = 1_767_225_600 * 10**9
+MONOTONIC_START_NS = 1_000 * 10**9
+_SOURCE = Path(__file__).with_name("vclock.c")
+
+
+class ClockError(Exception):
+    """The clock library cannot be built or used on this machine."""
+
+
+def build_library(directory: Path) -> Path:
+    """Compile vclock.c into directory unless that was done before.
+
+    Raises ClockError with the compiler's words.
+    """
+    source = _SOURCE.read_bytes()
+    key = hashlib.sha256(source).hexdigest()[:16]
+    target = directory / f"vclock-{key}.so"
+    if target.exists():
+        return target
+    directory.mkdir(parents=True, exist_ok=True)
+    with tempfile.TemporaryDirectory(dir=directory) as scratch:
+        made = Path(scratch) / "vclock.so"
+        command = ["gcc", "-O2", "-Wall", "-Wextra", "-shared", "-fPIC"]
+        command += ["-o", str(made), str(_SOURCE), "-ldl", "-lpthread"]
+        try:
+            run = subprocess.run(command, capture_output=True, text=True)
+        except FileNotFoundError as error:
+            raise ClockError("gcc is needed: install it") from error
+        if run.returncode:
+            raise ClockError(f"vclock.c does not compile:\n{run.stderr}")
+        made.rename(target)  # atomic: several test workers may build at once
+    return target
+
+
+def _load(library: Path) -> ctypes.CDLL:
+    lib = ctypes.CDLL(str(library))
+    page, number = ctypes.c_void_p, ctypes.c_int64
+    lib.vclock_page_size.restype = ctypes.c_size_t
+    lib.vclock_init.argtypes = [
+        page,
+        number,
+        number,
+        ctypes.c_int,
+        ctypes.POINTER(ctypes.c_int32),
+    ]
+    lib.vclock_init.restype = None
+    lib.vclock_add_tty.argtypes = [page, ctypes.c_int32, ctypes.c_int32]
+    lib.vclock_awake.argtypes = [page]
+    for name in ("now", "wakes", "next_deadline"):
+        getattr(lib, f"vclock_{name}").argtypes = [page]
+        getattr(lib, f"vclock_{name}").restype = number
+    for name in ("read", "written"):
+        getattr(lib, f"vclock_tty_{name}").argtypes = [page, ctypes.c_int]
+        getattr(lib, f"vclock_tty_{name}").restype = number
+    lib.vclock_tty_open.argtypes = [page, ctypes.c_int]
+    lib.vclock_advance.argtypes = [page, number, number]
+    return lib
+
+
+class VirtualClock:
+    """A clock that moves only when told, for one preloaded process."""
+
+    virtual = True
+
+    def __init__(self, directory: Path):
+        """Make a clock; its library is built or found in directory."""
+        self.library = build_library(directory)
+        self._lib = _load(self.library)
+        eventfd = ctypes.CDLL(None, use_errno=True).eventfd
+        count = self._lib.vclock_max_threads()
+        flags = os.O_NONBLOCK | os.O_CLOEXEC
+        self._fds = [eventfd(0, flags) for _ in range(count + 1)]
+        self.doorbell = self._fds[-1]
+        size = self._lib.vclock_page_size()
+        fd, self._path = tempfile.mkstemp(prefix="vclock-")
+        os.ftruncate(fd, size)
+        self._map = mmap.mmap(fd, size)
+        os.close(fd)
+        self._view = ctypes.c_char.from_buffer(self._map)
+        self._page = ctypes.addressof(self._view)
+        wake_fds = (ctypes.c_int32 * count)(*self._fds[:-1])
+        self._lib.vclock_init(
+            self._page,
+            MONOTONIC_START_NS,
+            WALL_START_NS,
+            self.doorbell,
+            wake_fds,
+        )
+
+    def environment(self) -> dict[str, str]:
+        """What the process needs in its environment to live on this clock."""
+        return {"LD_PRELOAD": str(self.library), "VCLOCK_PAGE": self._path}
+
+    def inherited_fds(self) -> list[int]:
+        """Descriptors the process must inherit under the same numbers."""
+        return list(self._fds)
+
+    def add_tty(self, path: str) -> int:
+        """Count the bytes the process moves over the tty at path."""
+        device = os.stat(path).st_rdev
+        index = self._lib.vclock_add_tty(
+            self._page, os.major(device), os.minor(device)
+        )
+        if index < 0:
+            raise ClockError("too many serial lines")
+        return index
+
+    def now(self) -> int:
+        """Current time, ns."""
+        return self._lib.vclock_now(self._page)
+
+    def everybody_sleeps(self) -> bool:
+        """Whether no thread of the process is doing anything."""
+        return self._lib.vclock_awake(self._page) == 0
+
+    def tty_settled(self, index: int, sent: int, received: int) -> bool:
+        """Whether all bytes of a line have arrived, counted at both ends.
+
+        sent and received are the simulator's totals.
+        """
+        lib, page = self._lib, self._page
+        if lib.vclock_tty_written(page, index) != received:
+            return False
+        # Nobody will read before the line is opened again
+        is_open = lib.vclock_tty_open(page, index)
+        return not is_open or lib.vclock_tty_read(page, index) == sent
+
+    def next_deadline(self) -> int:
+        """When the first sleeping thread wants to be woken, ns."""
+        return self._lib.vclock_next_deadline(self._page)
+
+    def wakes(self) -> int:
+        """How often threads have woken: changes whenever one does."""
+        return self._lib.vclock_wakes(self._page)
+
+    def advance(self, now: int, wakes: int) -> bool:
+        """Jump to now (ns, never backwards) and wake whoever is due.
+
+        Does nothing and returns False if a thread has been awake since wakes
+        was read: what was seen of the process is then out of date.
+        """
+        if now < self.now():
+            raise ValueError("time runs forwards only")
+        return bool(self._lib.vclock_advance(self._page, now, wakes))
+
+    def answer_doorbell(self) -> None:
+        """Silence the doorbell that the last sleeper rang."""
+        with contextlib.suppress(BlockingIOError):
+            os.read(self.doorbell, 8)
+
+    def close(self) -> None:
+        """Give everything back."""
+        for fd in self._fds:
+            os.close(fd)
+        self._fds = []
+        self._view = None
+        self._map.close()
+        os.unlink(self._path)
+
+
+class RealClock:
+    """The machine's own clock behind the same interface."""
+
+    virtual = False
+
+    def environment(self) -> dict[str, str]:
+        """Nothing special is needed."""
+        return {}
+
+    def inherited_fds(self) -> list[int]:
+        """None."""
+        return []
+
+    def add_tty(self, path: str) -> int:
+        """Nothing to count."""
+        return 0
+
+    def now(self) -> int:
+        """Current time, ns."""
+        return time.monotonic_ns()
+
+    def close(self) -> None:
+        """Nothing to give back."""
+
+
+def set_nonblocking(fd: int) -> None:
+    """Make reads and writes of fd return instead of waiting."""
+    flags = fcntl.fcntl(fd, fcntl.F_GETFL)
+    fcntl.fcntl(fd, fcntl.F_SETFL, flags | os.O_NONBLOCK)

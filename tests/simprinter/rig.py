@@ -1,0 +1,217 @@
+"""The mechanics between a board's pins and the world.
+
+Steps become the pose of the nozzle tip, the world's signals become electrical
+levels, outputs reach the world. Times are ns on the clock of the simulation.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping
+
+from .mcu.board import Board
+from .mcu.steppers import StepTrack
+from .wiring import HeaterState, Wiring, is_inverted, pin_number
+from .world import Kinematics, Pose, World
+
+# The world is told of a moving head this often; see LIMITS.md
+COMMIT_NS = 5_000_000
+# Positions older than this are asked for by nobody (the slowest sensor's
+# latency is far below)
+_MEMORY_NS = 2_000_000_000
+_ALWAYS_NS = 1 << 62
+
+
+class MotorAxis:
+    """A motor's travel in mm as a function of time."""
+
+    def __init__(self, step_dist: float, positive_dir: int, start: float):
+        self._scale = step_dist if positive_dir else -step_dist
+        self._start = start
+        self.track = StepTrack()
+        self.board: Board | None = None
+
+    def mm(self, ns: int) -> float:
+        """Travel at a time, mm in the frame of the world's kinematics."""
+        if self.board is None:
+            return self._start
+        steps = self.track.at(self.board.clock_at(ns))
+        return self._start + steps * self._scale
+
+    def moves_between(self, first: int, last: int) -> bool:
+        """Whether it may step between two times."""
+        if self.board is None:
+            return False
+        clock_at = self.board.clock_at
+        return self.track.moving_between(clock_at(first), clock_at(last))
+
+
+class Rig:
+    """All motors and the world they move."""
+
+    def __init__(
+        self,
+        world: World,
+        kinematics: Kinematics,
+        wiring: Wiring,
+        start: Pose,
+        now_ns: Callable[[], int],
+    ):
+        self.world = world
+        self.wiring = wiring
+        self._kinematics = kinematics
+        self._now_ns = now_ns
+        self._zero_ns = now_ns()
+        self._committed = self._zero_ns
+        begin = kinematics.motors(start)
+        self.axes = {
+            name: MotorAxis(
+                motor.step_dist, not is_inverted(motor.dir_pin), begin[name]
+            )
+            for name, motor in wiring.motors.items()
+        }
+        self.heaters = {
+            name: HeaterState(heater, self._zero_ns)
+            for name, heater in wiring.heaters.items()
+        }
+        world.observe(0.0, self.pose(self._zero_ns))
+
+    def seconds(self, ns: int) -> float:
+        """The world's time at ns."""
+        return (ns - self._zero_ns) * 1e-9
+
+    def pose(self, ns: int) -> Pose:
+        """Where the motors have put the nozzle tip, mm in the world frame."""
+        return self._kinematics.pose(self.travel(ns))
+
+    def travel(self, ns: int) -> Mapping[str, float]:
+        """Travel of every motor, mm."""
+        return {name: axis.mm(ns) for name, axis in self.axes.items()}
+
+    def settle(self, ns: int) -> None:
+        """Let the world live until ns."""
+        while self._committed < ns:
+            until = min(ns, self._committed + COMMIT_NS)
+            if not self._moving(self._committed, ns):
+                until = ns
+            self.world.observe(self.seconds(until), self.pose(until))
+            self._committed = until
+        for axis in self.axes.values():
+            if axis.board:
+                axis.track.forget(axis.board.clock_at(ns - _MEMORY_NS))
+
+    def _moving(self, first: int, last: int) -> bool:
+        return any(a.moves_between(first, last) for a in self.axes.values())
+
+    def asserted(self, signal: str, ns: int) -> bool:
+        """Whether the board sees a signal at ns (tracks must be known)."""
+        seen = ns - round(self.world.latency(signal) * 1e9)
+        return self.world.level(signal, self.seconds(seen), self.pose(seen))
+
+    def edge(self, signal: str, wanted: bool, first: int, last: int):
+        """First ns in (first, last] at which a signal is as wanted, or None.
+
+        A signal that comes and goes within COMMIT_NS may be missed.
+        """
+        before = first
+        while before < last:
+            after = min(before + COMMIT_NS, last)
+            if self.asserted(signal, after) == wanted:
+                return self._bisect(signal, wanted, before, after)
+            before = after
+        return None
+
+    def _bisect(self, signal: str, wanted: bool, before: int, after: int):
+        while after - before > 1:
+            middle = (before + after) // 2
+            if self.asserted(signal, middle) == wanted:
+                after = middle
+            else:
+                before = middle
+        return after
+
+
+class Port:
+    """One board's view of the rig: pin numbers instead of names."""
+
+    def __init__(self, rig: Rig):
+        self._rig = rig
+        wiring = rig.wiring
+        self._motors = {
+            (pin_number(m.step_pin), pin_number(m.dir_pin)): name
+            for name, m in wiring.motors.items()
+        }
+        self._inputs = {
+            pin_number(pin): (signal, is_inverted(pin))
+            for signal, pin in wiring.inputs.items()
+        }
+        self._outputs = {
+            pin_number(pin): (signal, is_inverted(pin))
+            for signal, pin in wiring.outputs.items()
+        }
+        self._heater_pins = {
+            pin_number(h.pin): name for name, h in wiring.heaters.items()
+        }
+        self._sensor_pins = {
+            pin_number(h.sensor_pin): name for name, h in wiring.heaters.items()
+        }
+        self.board: Board | None = None
+        self.on_steps: Callable[[int], None] = lambda start_ns: None
+
+    def track(self, step_pin: int, dir_pin: int) -> StepTrack:
+        """The track of the motor on these pins; a new one where none is."""
+        name = self._motors.get((step_pin, dir_pin))
+        if name is None:  # an extruder, say: it moves nothing in this world
+            return StepTrack()
+        axis = self._rig.axes[name]
+        axis.board = self.board
+        return axis.track
+
+    def steps_queued(self, start_ns: int) -> None:
+        """New steps may change what an endstop will see."""
+        self.on_steps(start_ns)
+
+    def settle(self, ns: int) -> None:
+        """Let the world live until ns."""
+        self._rig.settle(ns)
+
+    def level(self, pin: int, ns: int) -> bool:
+        """Electrical level of an input; one that is not wired reads low."""
+        signal, inverted = self._inputs.get(pin, ("", False))
+        if not signal:
+            return False
+        self._settle_to_now()
+        return self._rig.asserted(signal, ns) != inverted
+
+    def edge(self, pin: int, wanted: bool, first: int, last: int):
+        """First ns in (first, last] with the wanted level, or None."""
+        signal, inverted = self._inputs.get(pin, ("", False))
+        if not signal:
+            return None
+        return self._rig.edge(signal, wanted != inverted, first, last)
+
+    def armed(self, pin: int, ns: int) -> None:
+        """An endstop on this pin starts to look."""
+        signal, _ = self._inputs.get(pin, ("", False))
+        if signal:
+            self._settle_to_now()
+            self._rig.world.touch_armed(signal, self._rig.seconds(ns))
+
+    def set_output(self, pin: int, ns: int, duty: float) -> None:
+        """An output changed."""
+        if pin in self._heater_pins:
+            self._rig.heaters[self._heater_pins[pin]].set_duty(duty, ns)
+            return
+        signal, inverted = self._outputs.get(pin, ("", False))
+        if signal:
+            self._rig.settle(ns)
+            value = 1.0 - duty if inverted else duty
+            self._rig.world.set_output(signal, self._rig.seconds(ns), value)
+
+    def voltage(self, pin: int, ns: int) -> float:
+        """Analog level as a share of the reference; open inputs float."""
+        name = self._sensor_pins.get(pin)
+        return 0.5 if name is None else self._rig.heaters[name].voltage(ns)
+
+    def _settle_to_now(self) -> None:
+        assert self.board is not None
+        self._rig.settle(self.board.ns(self.board.clock()))

@@ -1,0 +1,363 @@
+"""Named machines: what they are made of and the printer.cfg that fits them.
+
+A scene's world is the truth; its configuration is what the owner believes.
+Both meet in the wiring: the same pin texts serve both.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, replace
+from typing import Optional
+
+from .wiring import Heater, Motor, Wiring
+from .world import (
+    AxisSwitchSpec,
+    BedSpec,
+    MagProbeSpec,
+    PinSpec,
+    Pose,
+    WorldSpec,
+)
+
+# Section name -> option -> value; a value of None leaves the option out
+Sections = Mapping[str, Optional[Mapping[str, Optional[str]]]]
+
+
+@dataclass(frozen=True)
+class Scene:
+    """A machine in its starting state.
+
+    z_motors: (name, x, y) of every Z motor. start: where the nozzle tip is,
+    world frame. Frame of the configuration: x and y are the world's; its z
+    comes from homing on the pin, whose height it gives as position_endstop.
+    """
+
+    name: str
+    kinematics: str
+    z_motors: Sequence[tuple[str, float, float]]
+    world: WorldSpec
+    wiring: Wiring
+    sections: Sections
+    start: Pose = Pose(120.0, 120.0, 40.0)
+
+    def config(self, serial: str, changes: Optional[Sections] = None) -> str:
+        """printer.cfg for a board on this serial device, with changes.
+
+        A change replaces or adds options; None as a value takes an option
+        away, None as a section the section.
+        """
+        merged: dict[str, dict[str, Optional[str]]] = {}
+        for part in (self.sections, {"mcu": {"serial": serial}}, changes or {}):
+            for name, options in part.items():
+                if options is None:
+                    merged.pop(name, None)
+                else:
+                    merged.setdefault(name, {}).update(options)
+        lines: list[str] = []
+        for name, options in merged.items():
+            lines.append(f"[{name}]")
+            lines += [
+                f"{key}: {value}"
+                for key, value in options.items()
+                if value is not None
+            ]
+            lines.append("")
+        return "\n".join(lines)
+
+    def with_world(self, **changes: object) -> Scene:
+        """The same machine with another world."""
+        return replace(self, world=replace(self.world, **changes))
+
+    def formula_gap(self) -> float:
+        """True gap at Z=0 that a perfect calibration leaves, mm.
+
+        z_calibration's formula is exact where switch_offset is; what it is
+        off shows up as gap: true minus configured.
+        """
+        probe = self.world.mag_probe
+        assert probe is not None
+        section = self.sections["z_calibration"]
+        assert section is not None
+        return probe.switch_offset - float(section["switch_offset"] or 0.0)
+
+
+_EXTRUDER = {
+    "step_pin": "PG0",
+    "dir_pin": "PG1",
+    "enable_pin": "!PG2",
+    "microsteps": "16",
+    "rotation_distance": "22.6",
+    "nozzle_diameter": "0.4",
+    "filament_diameter": "1.75",
+    "heater_pin": "PH0",
+    "sensor_type": "beta3950",
+    "sensor_pin": "PI0",
+    "control": "watermark",
+    "min_temp": "0",
+    "max_temp": "300",
+}
+_BED = {
+    "heater_pin": "PH1",
+    "sensor_type": "beta3950",
+    "sensor_pin": "PI1",
+    "control": "watermark",
+    "min_temp": "0",
+    "max_temp": "130",
+}
+_THERMISTOR = {
+    "temperature1": "25",
+    "resistance1": "100000",
+    "beta": "3950",
+}
+_HEATERS = {
+    "extruder": Heater("PH0", "PI0"),
+    "bed": Heater("PH1", "PI1", power=1.0, loss=0.005),
+}
+
+
+def _stepper(motor: Motor, **options: str) -> dict[str, Optional[str]]:
+    """A stepper section for a motor of 200 steps and 16 microsteps."""
+    return {
+        "step_pin": motor.step_pin,
+        "dir_pin": motor.dir_pin,
+        "enable_pin": motor.enable_pin,
+        "microsteps": "16",
+        **options,
+    }
+
+
+def _printer(kinematics: str) -> dict[str, Optional[str]]:
+    return {
+        "kinematics": kinematics,
+        "max_velocity": "300",
+        "max_accel": "3000",
+        "max_z_velocity": "15",
+        "max_z_accel": "350",
+    }
+
+
+def _voron() -> Scene:
+    """CoreXY, four belted Z motors, Klicky-like probe, pin behind the bed."""
+    belt = {"rotation_distance": "40", "gear_ratio": "80:16"}
+    motors = {
+        "x": Motor("PA0", "!PA1", 0.0125, enable_pin="!PA2"),
+        "y": Motor("PA3", "!PA4", 0.0125, enable_pin="!PA5"),
+        "z": Motor("PB0", "PB1", 0.0025, enable_pin="!PB2"),
+        "z1": Motor("PB3", "!PB4", 0.0025, enable_pin="!PB5"),
+        "z2": Motor("PB6", "PB7", 0.0025, enable_pin="!PB8"),
+        "z3": Motor("PB9", "!PB10", 0.0025, enable_pin="!PB11"),
+    }
+    inputs = {
+        "x_endstop": "^PC0",
+        "y_endstop": "^PC1",
+        "z_endstop": "^PC2",
+        "probe": "^PC3",
+    }
+    belts = {"rotation_distance": "40"}
+    return Scene(
+        name="voron",
+        kinematics="corexy",
+        z_motors=[
+            ("z", -60.0, -10.0),
+            ("z1", -60.0, 370.0),
+            ("z2", 360.0, 370.0),
+            ("z3", 360.0, -10.0),
+        ],
+        world=WorldSpec(
+            bed=BedSpec(x_max=300.0, y_max=300.0, z0=0.4),
+            pin=PinSpec(206.0, 306.0, 1.9012, radius=2.5),
+            switches=(
+                AxisSwitchSpec("x_endstop", "x", 300.003),
+                AxisSwitchSpec("y_endstop", "y", 310.003),
+            ),
+            mag_probe=MagProbeSpec(
+                x_offset=-2.0,
+                y_offset=24.75,
+                body_drop=6.415,
+                switch_offset=0.5,
+            ),
+        ),
+        wiring=Wiring(motors, inputs, heaters=_HEATERS),
+        sections={
+            "mcu": {},
+            "printer": _printer("corexy"),
+            "stepper_x": _stepper(
+                motors["x"],
+                endstop_pin=inputs["x_endstop"],
+                position_endstop="300",
+                position_max="300",
+                homing_speed="60",
+                **belts,
+            ),
+            "stepper_y": _stepper(
+                motors["y"],
+                endstop_pin=inputs["y_endstop"],
+                position_endstop="310",
+                position_max="310",
+                homing_speed="60",
+                **belts,
+            ),
+            "stepper_z": _stepper(
+                motors["z"],
+                endstop_pin=inputs["z_endstop"],
+                position_endstop="1.6",
+                position_max="280",
+                position_min="-5",
+                homing_speed="8",
+                second_homing_speed="3",
+                homing_retract_dist="3",
+                **belt,
+            ),
+            "stepper_z1": _stepper(motors["z1"], **belt),
+            "stepper_z2": _stepper(motors["z2"], **belt),
+            "stepper_z3": _stepper(motors["z3"], **belt),
+            "thermistor beta3950": _THERMISTOR,
+            "extruder": _EXTRUDER,
+            "heater_bed": _BED,
+            "probe": {
+                "pin": inputs["probe"],
+                "x_offset": "-2.0",
+                "y_offset": "24.75",
+                "z_offset": "6.9",
+                "speed": "5",
+                "samples": "3",
+                "samples_result": "median",
+                "sample_retract_dist": "2",
+                "samples_tolerance": "0.01",
+                "samples_tolerance_retries": "3",
+                "lift_speed": "10",
+            },
+            "safe_z_home": {
+                "home_xy_position": "206, 306",
+                "speed": "100",
+                "z_hop": "10",
+            },
+            "z_calibration": {
+                "nozzle_xy_position": "206, 306",
+                "switch_xy_position": "208, 281.25",
+                "bed_xy_position": "150, 150",
+                "switch_offset": "0.44",
+            },
+        },
+    )
+
+
+def _cartesian() -> Scene:
+    """Cartesian, one lead screw with a TMC2209, probe held by an output.
+
+    Its body would meet the bed while the nozzle is on the pin, so it is
+    attached after that.
+    """
+    motors = {
+        "x": Motor("PA0", "PA1", 0.0125, enable_pin="!PA2"),
+        "y": Motor("PA3", "PA4", 0.0125, enable_pin="!PA5"),
+        "z": Motor("PB0", "PB1", 0.0025, uart="PE0", enable_pin="!PB2"),
+    }
+    inputs = {
+        "x_endstop": "^!PC0",
+        "y_endstop": "^!PC1",
+        "z_endstop": "^!PC2",
+        "probe": "^PC3",
+    }
+    belt = {"rotation_distance": "40"}
+    return Scene(
+        name="cartesian",
+        kinematics="cartesian",
+        z_motors=[("z", 110.0, 110.0)],
+        world=WorldSpec(
+            bed=BedSpec(
+                x_max=220.0, y_max=220.0, z0=-0.15, slope_x=4e-4, slope_y=-3e-4
+            ),
+            pin=PinSpec(226.0, 20.0, 0.3512, radius=2.5, pretravel=0.2),
+            switches=(
+                AxisSwitchSpec("x_endstop", "x", -8.003, -1),
+                AxisSwitchSpec("y_endstop", "y", -4.003, -1),
+            ),
+            mag_probe=MagProbeSpec(
+                x_offset=-28.0,
+                y_offset=5.5,
+                body_drop=1.28,
+                switch_offset=0.7,
+                mode="output",
+                initial="docked",
+                attach_time=0.2,
+            ),
+        ),
+        wiring=Wiring(
+            motors, inputs, outputs={"probe_attach": "PD0"}, heaters=_HEATERS
+        ),
+        sections={
+            "mcu": {},
+            "printer": _printer("cartesian"),
+            "stepper_x": _stepper(
+                motors["x"],
+                endstop_pin=inputs["x_endstop"],
+                position_endstop="-8",
+                position_min="-8",
+                position_max="258",
+                homing_speed="50",
+                **belt,
+            ),
+            "stepper_y": _stepper(
+                motors["y"],
+                endstop_pin=inputs["y_endstop"],
+                position_endstop="-4",
+                position_min="-4",
+                position_max="225",
+                homing_speed="50",
+                **belt,
+            ),
+            "stepper_z": _stepper(
+                motors["z"],
+                endstop_pin=inputs["z_endstop"],
+                position_endstop="0.5",
+                position_max="250",
+                position_min="-3",
+                homing_speed="5",
+                rotation_distance="8",
+            ),
+            "tmc2209 stepper_z": {
+                "uart_pin": "PE0",
+                "run_current": "0.8",
+                "sense_resistor": "0.110",
+            },
+            "thermistor beta3950": _THERMISTOR,
+            "extruder": _EXTRUDER,
+            "heater_bed": _BED,
+            "output_pin probe_magnet": {
+                "pin": "PD0",
+                "value": "0",
+                "shutdown_value": "0",
+            },
+            "gcode_macro ATTACH_PROBE": {
+                "gcode": "\n  SET_PIN PIN=probe_magnet VALUE=1\n  G4 P500"
+            },
+            "gcode_macro DOCK_PROBE": {
+                "gcode": "\n  SET_PIN PIN=probe_magnet VALUE=0\n  G4 P500"
+            },
+            "probe": {
+                "pin": inputs["probe"],
+                "x_offset": "-28",
+                "y_offset": "5.5",
+                "z_offset": "2.0",
+                "speed": "5",
+                "samples": "2",
+                "samples_tolerance": "0.02",
+                "lift_speed": "8",
+            },
+            "safe_z_home": {"home_xy_position": "226, 20", "z_hop": "8"},
+            "z_calibration": {
+                "nozzle_xy_position": "226, 20",
+                "switch_xy_position": "254, 14.5",
+                "bed_xy_position": "110, 110",
+                "switch_offset": "0.65",
+                "before_switch_gcode": "ATTACH_PROBE",
+                "end_gcode": "DOCK_PROBE",
+            },
+        },
+        start=Pose(60.0, 60.0, 25.0),
+    )
+
+
+SCENES = {scene.name: scene for scene in (_voron(), _cartesian())}

@@ -1,0 +1,185 @@
+"""The loop that lets klippy and the simulated machine live on one clock."""
+
+from __future__ import annotations
+
+import os
+import select
+import time
+from collections.abc import Callable, Iterable
+from typing import Protocol
+
+from .clock import NEVER, RealClock, VirtualClock
+from .mcu.board import Board
+from .wire.link import Link
+
+# Klippy may compute this long (s, real) without falling asleep once; only a
+# dead end takes longer
+_STALL_LIMIT = 60.0
+
+
+class SimulationError(Exception):
+    """The simulation cannot go on."""
+
+
+class Peer(Protocol):
+    """Something else that talks to klippy, such as an API client."""
+
+    def fileno(self) -> int:
+        """Readable when klippy has said something; -1 while not connected."""
+
+    def pump(self) -> bool:
+        """Move what can be moved; whether anything was."""
+
+    def settled(self) -> bool:
+        """Whether all that was said has been received, on both sides."""
+
+
+class Simulation:
+    """Boards, their lines and peers around one klippy process.
+
+    Steps are counted so that tests can tell the speed: `jumps` of the clock,
+    `virtual_ns` passed.
+    """
+
+    def __init__(self, clock: VirtualClock | RealClock):
+        self.clock = clock
+        self._boards: list[Board] = []
+        self._links: list[tuple[Link, int]] = []
+        self.peers: list[Peer] = []
+        self.process_fd = -1  # readable when the process has ended
+        self.started_ns = clock.now()
+        self.jumps = 0
+
+    def add_board(self, board: Board) -> Link:
+        """Give a board its serial line."""
+        link = Link(board.receive)
+        board.send = link.send
+        self._links.append((link, self.clock.add_tty(link.device)))
+        self._boards.append(board)
+        return link
+
+    @property
+    def virtual_ns(self) -> int:
+        """Time passed on the clock of the simulation."""
+        return self.clock.now() - self.started_ns
+
+    def run_until(
+        self, done: Callable[[], bool], timeout: float, what: str
+    ) -> None:
+        """Let everybody live until done() or for timeout printer seconds.
+
+        Raises SimulationError naming `what` on timeout, when klippy ends, or
+        when nobody waits for anything any more.
+        """
+        end_ns = self.clock.now() + round(timeout * 1e9)
+        while True:
+            while self._pump():
+                pass
+            if done():
+                return
+            if self.process_ended():
+                if self._pump() or done():
+                    continue
+                raise SimulationError(f"{what}: klippy has ended")
+            if self.clock.now() >= end_ns:
+                raise SimulationError(f"{what}: {timeout:.0f} s have passed")
+            self._pass_time(end_ns, what)
+
+    def process_ended(self) -> bool:
+        """Whether klippy is gone."""
+        if self.process_fd < 0:
+            return False
+        return bool(select.select([self.process_fd], [], [], 0)[0])
+
+    def _pump(self) -> bool:
+        moved = False
+        for board in self._boards:
+            moved |= board.run_due()
+        for link, _ in self._links:
+            moved |= link.pump()
+        for peer in self.peers:
+            moved |= peer.pump()
+        return moved
+
+    def _next_event(self, end_ns: int) -> int:
+        times = [end_ns]
+        for board in self._boards:
+            due = board.next_event_ns()
+            if due is not None:
+                times.append(due)
+        return min(times)
+
+    def _pass_time(self, end_ns: int, what: str) -> None:
+        if isinstance(self.clock, RealClock):
+            wait = (self._next_event(end_ns) - self.clock.now()) * 1e-9
+            self._wait_for_klippy(self._descriptors(), max(0.0, wait))
+            return
+        # Bytes on their way may wake klippy while we look; advance() refuses
+        # to move the clock if they did
+        wakes = self.clock.wakes()
+        if self._quiet():
+            self._jump(end_ns, wakes, what)
+            return
+        descriptors = [*self._descriptors(), self.clock.doorbell]
+        if not self._wait_for_klippy(descriptors, _STALL_LIMIT):
+            raise SimulationError(
+                f"{what}: klippy is busy for {_STALL_LIMIT:.0f} s of real time"
+            )
+        self.clock.answer_doorbell()
+
+    def _quiet(self) -> bool:
+        """Whether nothing can happen before the clock moves."""
+        clock = self.clock
+        assert isinstance(clock, VirtualClock)
+        if not clock.everybody_sleeps():
+            return False
+        for link, index in self._links:
+            if not link.settled():
+                return False
+            if not clock.tty_settled(index, link.sent, link.received):
+                return False
+        return all(peer.settled() for peer in self.peers)
+
+    def _jump(self, end_ns: int, wakes: int, what: str) -> None:
+        clock = self.clock
+        assert isinstance(clock, VirtualClock)
+        target = min(clock.next_deadline(), self._next_event(end_ns))
+        if target >= NEVER:
+            raise SimulationError(f"{what}: nobody waits for anything")
+        self.jumps += clock.advance(max(target, clock.now()), wakes)
+
+    def _descriptors(self) -> list[int]:
+        found = [link.fileno() for link, _ in self._links]
+        found += [p.fileno() for p in self.peers if p.fileno() >= 0]
+        if self.process_fd >= 0:
+            found.append(self.process_fd)
+        return found
+
+    @staticmethod
+    def _wait_for_klippy(descriptors: Iterable[int], seconds: float) -> bool:
+        poller = select.poll()
+        for fd in descriptors:
+            poller.register(fd, select.POLLIN)
+        return bool(poller.poll(seconds * 1000.0))
+
+    def close(self) -> None:
+        """Hang up all lines and give the clock back."""
+        for link, _ in self._links:
+            link.close()
+        if self.process_fd >= 0:
+            os.close(self.process_fd)
+        self.clock.close()
+
+
+class Stopwatch:
+    """Real and printer seconds of a stretch of a simulation."""
+
+    def __init__(self, simulation: Simulation):
+        self._simulation = simulation
+        self._real = time.monotonic()
+        self._virtual = simulation.virtual_ns
+
+    def seconds(self) -> tuple[float, float]:
+        """(real, printer) seconds since it was made."""
+        virtual = (self._simulation.virtual_ns - self._virtual) * 1e-9
+        return time.monotonic() - self._real, virtual
