@@ -1,0 +1,36 @@
+"""Fixtures only: every host, and printers on it."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator
+from contextlib import ExitStack
+
+import pytest
+
+from tests.hostkit.hosts import Host, find_hosts, missing_hosts
+from tests.hostkit.printer import Printer
+
+HOSTS = find_hosts()
+
+
+def pytest_report_header() -> list[str]:
+    """Which hosts this run is on."""
+    lines = [f"hosts: {', '.join(host.name for host in HOSTS)}"]
+    if missing_hosts():
+        lines.append(f"HOSTS MISSING: {', '.join(missing_hosts())}")
+    return lines
+
+
+@pytest.fixture(params=HOSTS, ids=lambda host: host.name)
+def host(request: pytest.FixtureRequest) -> Host:
+    """Each host in turn."""
+    return request.param
+
+
+@pytest.fixture
+def start(host: Host) -> Iterator[Callable[..., Printer]]:
+    """start(scene, changes, faults, seed ...): a Printer on the host."""
+    with ExitStack() as stack:
+        yield lambda *args, **options: stack.enter_context(
+            Printer(host, *args, **options)
+        )

@@ -1,0 +1,110 @@
+"""A simulated printer with a live klippy on it: what most tests work with."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Mapping
+from contextlib import ExitStack
+from pathlib import Path
+from typing import Any, Optional, Union
+
+from tests.hostkit.hosts import Host
+from tests.hostkit.session import GcodeError, LiveSession
+from tests.simprinter import SCENES, Fault, Machine, RealClock, Scene
+from tests.simprinter.scenes import Sections
+
+_ROOT = Path(__file__).resolve().parents[2]
+MODULES = ("z_calibration", "auto_z_offset", "dockable_probe", "extra_probe")
+
+
+def module_files() -> dict[str, Path]:
+    """Every module this repository ships, by name."""
+    found = {name: _ROOT / f"{name}.py" for name in MODULES}
+    return {name: path for name, path in found.items() if path.exists()}
+
+
+def firmware_of(host: Host) -> str:
+    """The firmware a host insists on."""
+    plugins = host.layout.module_dir.endswith("plugins")
+    return "Kalico" if plugins else "Klipper"
+
+
+class Printer:
+    """Machine and klippy together; leaving it checks for crashes."""
+
+    def __init__(
+        self,
+        host: Host,
+        scene: Union[str, Scene] = "voron",
+        changes: Optional[Sections] = None,
+        faults: Iterable[Fault] = (),
+        seed: int = 0,
+        modules: Optional[Mapping[str, Path]] = None,
+        real_time: bool = False,
+    ):
+        """changes: to the scene's configuration, see Scene.config."""
+        self.scene = SCENES[scene] if isinstance(scene, str) else scene
+        self._stack = ExitStack()
+        installed = host.install(module_files() if modules is None else modules)
+        self.machine = self._stack.enter_context(
+            Machine(
+                self.scene,
+                seed,
+                faults,
+                RealClock() if real_time else None,
+                firmware_of(host),
+            )
+        )
+        config = self.scene.config(self.machine.link.path, changes)
+        self.session = self._stack.enter_context(
+            LiveSession(installed, self.machine, config)
+        )
+
+    def __enter__(self) -> Printer:
+        return self
+
+    def __exit__(self, *error: Any) -> Optional[bool]:
+        return self._stack.__exit__(*error)
+
+    def homed(self) -> Printer:
+        """The same printer, ready and homed."""
+        self.session.require_ready()
+        self.run("G28")
+        return self
+
+    def run(self, script: str) -> list[str]:
+        """Run G-code; its console lines. Raises GcodeError."""
+        return self.session.run(script)
+
+    def fail(self, script: str) -> str:
+        """Run G-code that must fail; the error's text."""
+        try:
+            lines = self.run(script)
+        except GcodeError as error:
+            return str(error)
+        raise AssertionError(f"{script!r} did not fail: {lines}")
+
+    def status(self, name: str) -> dict[str, Any]:
+        """Status fields of a printer object."""
+        return self.session.status(name)
+
+    def offset(self) -> float:
+        """The G-code Z offset in force, mm."""
+        return self.status("gcode_move")["homing_origin"][2]
+
+    def bed_point(self) -> tuple[float, float]:
+        """Where on the bed the scene's calibration measures, mm."""
+        x, y = self.scene.sections["z_calibration"]["bed_xy_position"].split(
+            ","
+        )
+        return float(x), float(y)
+
+    def gap(self, xy: Optional[tuple[float, float]] = None) -> float:
+        """True nozzle-to-bed gap that G-code Z=0 stands for, mm.
+
+        Moves the head above it, so the answer comes from steps alone. xy:
+        over which point (default: where the calibration measures).
+        """
+        x, y = self.bed_point() if xy is None else xy
+        self.run(f"G90\nG1 Z20 F900\nG1 X{x} Y{y} F6000\nG1 Z10 F900\nM400")
+        self.session.wait(0.5)
+        return self.machine.gap_at_zero(10.0, (x, y))

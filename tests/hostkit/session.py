@@ -1,0 +1,326 @@
+"""A running klippy: started, spoken to, and looked at."""
+
+from __future__ import annotations
+
+import os
+import shutil
+import subprocess
+import tempfile
+from pathlib import Path
+from typing import Any, Optional
+
+from tests.hostkit.api import ApiClient, ApiError
+from tests.hostkit.hosts import Installed
+from tests.simprinter import Machine
+from tests.simprinter.simulation import SimulationError
+
+_START_LIMIT = 120.0  # printer seconds
+_ASK_STATE_EVERY = 5.0
+
+
+class GcodeError(Exception):
+    """A command ended in an error; the text is what the user sees."""
+
+
+class SessionError(Exception):
+    """Klippy is not where the test needs it; carries the log's tail."""
+
+
+class _Process:
+    """Klippy's process with its files in a directory of its own."""
+
+    def __init__(
+        self, installed: Installed, machine: Machine, config: str
+    ) -> None:
+        self.directory = Path(tempfile.mkdtemp(prefix="klippy-"))
+        self.config = self.directory / "printer.cfg"
+        self.log = self.directory / "klippy.log"
+        self.config.write_text(installed.config + config)
+        self._installed = installed
+        self._machine = machine
+        self.popen: Optional[subprocess.Popen] = None
+
+    def start(self, options: list[str]) -> None:
+        """Start klippy on the simulation's clock."""
+        clock = self._machine.simulation.clock
+        environment = self._installed.environment()
+        environment.update(clock.environment())
+        command = [*self._installed.argv, str(self.config)]
+        command += ["-l", str(self.log), *options]
+        with open(self.directory / "output.txt", "wb") as output:
+            self.popen = subprocess.Popen(
+                command,
+                cwd=self._installed.cwd,
+                env=environment,
+                stdin=subprocess.DEVNULL,
+                stdout=output,
+                stderr=output,
+                pass_fds=clock.inherited_fds(),
+            )
+        self._machine.simulation.process_fd = os.pidfd_open(self.popen.pid)
+
+    def log_text(self) -> str:
+        """The log and whatever else klippy has printed."""
+        texts = []
+        for path in (self.log, self.directory / "output.txt"):
+            if path.exists():
+                texts.append(path.read_text(errors="replace"))
+        return "\n".join(texts)
+
+    def end(self) -> int:
+        """End klippy if it still runs; its exit status."""
+        assert self.popen is not None
+        if self.popen.poll() is None:
+            self.popen.kill()
+        return self.popen.wait()
+
+    def remove(self) -> None:
+        """Delete its files."""
+        shutil.rmtree(self.directory, ignore_errors=True)
+
+
+class LiveSession:
+    """Klippy with its API socket open, as a web interface would use it.
+
+    Use as a context manager; klippy is ended and its files are removed on
+    leaving.
+    """
+
+    def __init__(self, installed: Installed, machine: Machine, config: str):
+        """config: printer.cfg without what the host itself needs."""
+        self.machine = machine
+        self._process = _Process(installed, machine, config)
+        socket = self._process.directory / "api"
+        self._api = ApiClient(socket)
+        self._process.start(["-a", str(socket)])
+        machine.simulation.peers.append(self._api)
+
+    def __enter__(self) -> LiveSession:
+        return self
+
+    def __exit__(self, *unused: object) -> None:
+        self.close()
+
+    def close(self) -> None:
+        """End klippy."""
+        self._process.end()
+        self._api.close()
+        self._process.remove()
+
+    @property
+    def console(self) -> list[str]:
+        """All lines the console has shown so far."""
+        return self._api.console
+
+    def log(self) -> str:
+        """The log so far."""
+        return self._process.log_text()
+
+    def config_text(self) -> str:
+        """printer.cfg as it is now (SAVE_CONFIG rewrites it)."""
+        return self._process.config.read_text()
+
+    def start(self) -> tuple[str, str]:
+        """Wait until klippy is ready or has given up: (state, message)."""
+        while True:
+            info = self.call("info", {})
+            if info["state"] != "startup":
+                return info["state"], info["state_message"]
+            self.wait(0.1)
+
+    def require_ready(self) -> None:
+        """Wait for klippy. Raises SessionError if it does not get ready."""
+        state, message = self.start()
+        if state != "ready":
+            raise SessionError(f"{state}: {message}\n{self._tail()}")
+
+    def state(self) -> tuple[str, str]:
+        """(state, message), as web interfaces show it."""
+        info = self.call("info", {})
+        return info["state"], info["state_message"]
+
+    def restart(self, command: str) -> None:
+        """RESTART or FIRMWARE_RESTART, then wait until klippy is ready.
+
+        Raises SessionError if it does not get there.
+        """
+        api, simulation = self._api, self.machine.simulation
+        api.request("gcode/script", {"script": command})
+        before = api.connections
+        try:
+            simulation.run_until(
+                lambda: api.connections > before, _START_LIMIT, command
+            )
+        except SimulationError as error:
+            raise SessionError(f"{error}\n{self._tail()}") from error
+        self.require_ready()
+
+    def wait(self, seconds: float) -> None:
+        """Let printer seconds pass."""
+        simulation = self.machine.simulation
+        end = simulation.clock.now() + round(seconds * 1e9)
+        simulation.run_until(
+            lambda: simulation.clock.now() >= end, seconds + 1.0, "waiting"
+        )
+
+    def call(self, method: str, params: dict[str, Any]) -> Any:
+        """One API request. Raises ApiError with klippy's words."""
+        try:
+            number = self._ask(method, params)
+            while not self._api.answered(number):
+                # Klippy restarted before it could answer
+                number = self._ask(method, params)
+        except SimulationError as error:
+            raise SessionError(f"{error}\n{self._tail()}") from error
+        return self._api.answer(number)
+
+    def _ask(self, method: str, params: dict[str, Any]) -> int:
+        """Send a request and wait until it is answered or the line drops."""
+        api, simulation = self._api, self.machine.simulation
+        simulation.run_until(api.connected, _START_LIMIT, "connecting")
+        number = api.request(method, params)
+        before = api.connections
+        simulation.run_until(
+            lambda: api.answered(number) or api.connections > before,
+            _START_LIMIT,
+            method,
+        )
+        return number
+
+    def run(self, script: str, limit: float = 600.0) -> list[str]:
+        """Run G-code to its end; the console lines it has printed.
+
+        limit: printer seconds. Raises GcodeError with the text the user
+        sees, also when the printer shut down meanwhile.
+        """
+        before = len(self.console)
+        number = self._api.request("gcode/script", {"script": script})
+        simulation = self.machine.simulation
+        end = simulation.clock.now() + round(limit * 1e9)
+        while not self._api.answered(number):
+            self._live_until_answered(number, script)
+            if simulation.clock.now() >= end:
+                raise SessionError(f"{script!r} takes over {limit} s")
+            # A request that a shutdown overtakes is never answered
+            if not self._api.answered(number):
+                state, message = self.state()
+                if state != "ready" and not self._api.answered(number):
+                    raise GcodeError(message)
+        try:
+            self._api.answer(number)
+        except ApiError as error:
+            raise GcodeError(str(error)) from error
+        return self.console[before:]
+
+    def _live_until_answered(self, number: int, script: str) -> None:
+        simulation = self.machine.simulation
+        end = simulation.clock.now() + round(_ASK_STATE_EVERY * 1e9)
+        try:
+            simulation.run_until(
+                lambda: (
+                    self._api.answered(number) or simulation.clock.now() >= end
+                ),
+                _ASK_STATE_EVERY + 1.0,
+                script,
+            )
+        except SimulationError as error:
+            raise SessionError(f"{error}\n{self._tail()}") from error
+
+    def status(self, name: str) -> dict[str, Any]:
+        """All status fields of one printer object."""
+        reply = self.call("objects/query", {"objects": {name: None}})
+        return reply["status"].get(name, {})
+
+    def position(self) -> tuple[float, float, float]:
+        """Where klippy believes the toolhead is, mm."""
+        x, y, z = self.status("toolhead")["position"][:3]
+        return x, y, z
+
+    def _tail(self, lines: int = 40) -> str:
+        return "\n".join(self.log().splitlines()[-lines:])
+
+
+class BatchResult:
+    """How a batch run ended: exit status and everything it wrote."""
+
+    def __init__(self, status: int, log: str):
+        self.status = status
+        self.log = log
+        self.console = console_lines(log)
+
+    def errors(self) -> list[str]:
+        """Lines a console would show as errors."""
+        return [line for line in self.console if line.startswith("!!")]
+
+
+def console_lines(log: str) -> list[str]:
+    """Responses as a batch run leaves them in its log."""
+    return [
+        line for line in log.splitlines() if line.startswith(("//", "!!", "ok"))
+    ]
+
+
+def run_batch(
+    installed: Installed, machine: Machine, config: str, gcode: str
+) -> BatchResult:
+    """Run a G-code file to its end on the simulated machine (klippy -i)."""
+    process = _Process(installed, machine, config)
+    gcode_file = process.directory / "input.gcode"
+    gcode_file.write_text(gcode)
+    process.start(["-i", str(gcode_file), "-v"])
+    simulation = machine.simulation
+    try:
+        simulation.run_until(simulation.process_ended, 3600.0, "batch run")
+    finally:
+        status = process.end()
+        log = process.log_text()
+        process.remove()
+    return BatchResult(status, log)
+
+
+def run_file_output(
+    installed: Installed,
+    dictionary: bytes,
+    config: str,
+    gcode: str,
+    timeout: float = 120.0,
+) -> tuple[BatchResult, bytes]:
+    """Run a G-code file in klippy's own file-output mode, without a machine.
+
+    Returns the result and the messages klippy would have sent.
+    """
+    directory = Path(tempfile.mkdtemp(prefix="klippy-"))
+    try:
+        files = {
+            "printer.cfg": (installed.config + config).encode(),
+            "input.gcode": gcode.encode(),
+            "mcu.dict": dictionary,
+        }
+        for name, content in files.items():
+            (directory / name).write_bytes(content)
+        command = [*installed.argv, "printer.cfg", "-i", "input.gcode"]
+        command += ["-o", "output.bin", "-d", "mcu.dict", "-v"]
+        command += ["-l", "klippy.log"]
+        command = [
+            str(directory / word) if word in _FILES else word
+            for word in command
+        ]
+        run = subprocess.run(
+            command,
+            cwd=installed.cwd,
+            env=installed.environment(),
+            stdin=subprocess.DEVNULL,
+            capture_output=True,
+            timeout=timeout,
+        )
+        log = (directory / "klippy.log").read_text(errors="replace")
+        log += run.stdout.decode(errors="replace")
+        log += run.stderr.decode(errors="replace")
+        sent = directory / "output.bin"
+        content = sent.read_bytes() if sent.exists() else b""
+        return BatchResult(run.returncode, log), content
+    finally:
+        shutil.rmtree(directory, ignore_errors=True)
+
+
+_FILES = ("printer.cfg", "input.gcode", "output.bin", "mcu.dict", "klippy.log")

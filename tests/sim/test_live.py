@@ -1,0 +1,223 @@
+"""The simulated board as real klippy sees it."""
+
+from __future__ import annotations
+
+import pytest
+
+from tests.hostkit.printer import Printer, firmware_of, module_files
+from tests.hostkit.session import run_batch, run_file_output
+from tests.simprinter import SCENES, Fault, Machine, RealClock
+from tests.simprinter.mcu.steppers import StepTrack
+from tests.simprinter.wire.framing import Deframer, encode_block
+from tests.simprinter.wiring import pin_number
+
+MICROSTEP = 0.0025
+# Enough to see that touches happen at the same instants of printer time
+SCRIPT = "G28\nCALIBRATE_Z\nG1 X100 Y100 Z30 F6000\nM400"
+
+
+def touches(printer):
+    return [tuple(touch) for touch in printer.machine.truth.touches]
+
+
+def test_two_runs_are_equal_to_the_last_digit(host):
+    found = []
+    for _ in range(2):
+        with Printer(host, "cartesian") as printer:
+            printer.homed().run(SCRIPT)
+            found.append((touches(printer), printer.machine.tip()))
+    assert len(found[0][0]) > 15
+    assert found[0] == found[1]
+
+
+def test_no_command_is_late(start):
+    printer = start().homed()
+    printer.run(SCRIPT)
+    assert printer.machine.board.journal.late == []
+
+
+def test_real_time_gives_the_same_gap(host):
+    # Quick enough to be waited for
+    changes = {
+        "stepper_x": {"homing_speed": "150"},
+        "stepper_y": {"homing_speed": "150"},
+        "stepper_z": {"homing_speed": "15", "homing_retract_dist": "1"},
+        "safe_z_home": {"z_hop": "3", "speed": "200", "z_hop_speed": "15"},
+        "probe": {"samples": "1", "lift_speed": "15", "z_offset": "1.98"},
+    }
+    gaps = []
+    for real_time in (False, True):
+        options = {"changes": changes, "real_time": real_time}
+        with Printer(host, "cartesian", **options) as printer:
+            printer.homed().run("CALIBRATE_Z")
+            gaps.append(printer.gap())
+    assert gaps[1] == pytest.approx(gaps[0], abs=MICROSTEP)
+
+
+def step_counts(dictionary, blocks, wiring):
+    """Net and total steps per motor in what a host has sent."""
+    names = {pin_number(m.step_pin): n for n, m in wiring.motors.items()}
+    motors, tracks, signs, total = {}, {}, {}, {}
+    for _, content in filter(None, Deframer().feed(blocks)):
+        for name, values in dictionary.parse(content):
+            if name == "config_stepper" and values[1] in names:
+                motors[values[0]] = names[values[1]]
+                tracks[values[0]] = StepTrack()
+                total[values[0]] = 0
+            elif values and values[0] in motors:
+                oid = values[0]
+                if name == "set_next_step_dir":
+                    signs[oid] = 1 if values[1] else -1
+                elif name == "queue_step":
+                    tracks[oid].append(*values[1:], signs[oid])
+                    total[oid] += values[2]
+    return {n: (tracks[oid].position, total[oid]) for oid, n in motors.items()}
+
+
+class Totals:
+    """Counts every step a live board is told to make."""
+
+    def __init__(self, machine):
+        self._receive = machine.link._on_content  # noqa: SLF001
+        self._machine = machine
+        self.content = []
+        machine.link._on_content = self.take  # noqa: SLF001
+
+    def take(self, content):
+        self.content.append(content)
+        self._receive(content)
+
+
+@pytest.mark.parametrize("scene", ["voron", "cartesian"])
+def test_steps_equal_those_of_klippys_own_file_output(host, scene):
+    scene = SCENES[scene]
+    changes = {"force_move": {"enable_force_move": "True"}}
+    gcode = "\n".join(
+        [
+            "SET_KINEMATIC_POSITION X=120 Y=120 Z=40",
+            "G1 X20 Y35.5 Z12.345 F9000",
+            "G1 X21 Y170.25 F3000",
+            "G91",
+            *["G1 X1.5 Y-1.2 Z0.05 F12000", "G1 Z-0.13 F600"] * 20,
+            "G90",
+            "G1 X90 Y90 Z55 F18000",
+            "M400",
+            "G4 P500",
+            "",
+        ]
+    )
+    installed = host.install(module_files())
+    with Machine(scene, app=firmware_of(host)) as machine:
+        totals = Totals(machine)
+        live = run_batch(
+            installed, machine, scene.config(machine.link.path, changes), gcode
+        )
+        dictionary = machine.board.dictionary
+        ends = {n: a.track.position for n, a in machine.rig.axes.items()}
+    assert live.status == 0, live.log[-2000:]
+    written, blocks = run_file_output(
+        installed,
+        dictionary.json,
+        scene.config("/tmp/klipper_host_mcu", changes),
+        gcode,
+    )
+    assert written.status == 0, written.log[-2000:]
+    expected = step_counts(dictionary, blocks, scene.wiring)
+    assert set(expected) == set(scene.wiring.motors)
+    assert all(total > 1000 for _, total in expected.values())
+    sent = b"".join(encode_block(0, content) for content in totals.content)
+    assert step_counts(dictionary, sent, scene.wiring) == expected
+    assert ends == {name: net for name, (net, _) in expected.items()}
+
+
+def test_motor_current_is_what_was_asked_for(start):
+    printer = start("cartesian")
+    printer.session.require_ready()
+    driver = printer.machine.drivers["z"]
+    printer.run("SET_TMC_CURRENT STEPPER=stepper_z CURRENT=0.8")
+    before = driver.current().run
+    assert before == pytest.approx(0.8, abs=0.03)
+    printer.run("SET_TMC_CURRENT STEPPER=stepper_z CURRENT=0.4")
+    printer.session.wait(0.5)
+    status = printer.status("tmc2209 stepper_z")
+    assert driver.current().run == pytest.approx(0.4, abs=0.02)
+    assert status["run_current"] == pytest.approx(driver.current().run)
+    assert [c.run for c in driver.currents][-2:] == [
+        before,
+        driver.current().run,
+    ]
+
+
+def test_driver_that_does_not_answer_is_an_error(start):
+    faults = [Fault("tmc_read_error", driver="z", n=1, persistent=True)]
+    printer = start("cartesian", faults=faults)
+    printer.session.require_ready()
+    text = printer.fail("DUMP_TMC STEPPER=stepper_z")
+    assert "Unable to read tmc uart 'stepper_z'" in text
+    assert printer.machine.faults.unfired() == []
+
+
+def test_silent_board_shuts_the_printer_down(start):
+    printer = start("voron", faults=[Fault("mcu_silent", t=8.0)])
+    printer.session.require_ready()
+    printer.fail("G28\nG28")
+    state, message = printer.session.state()
+    assert state == "shutdown"
+    assert "Lost communication with MCU" in message
+    assert printer.machine.faults.unfired() == []
+
+
+def test_heater_heats_in_printer_time(start):
+    printer = start()
+    printer.session.require_ready()
+    began = printer.machine.simulation.virtual_ns
+    printer.run("M190 S60")
+    seconds = (printer.machine.simulation.virtual_ns - began) * 1e-9
+    # 1 C/s less the losses
+    assert 35.0 < seconds < 60.0
+    heater = printer.machine.rig.heaters["bed"]
+    assert heater.celsius == pytest.approx(60.0, abs=3.0)
+    assert printer.status("heater_bed")["temperature"] == pytest.approx(
+        heater.celsius, abs=1.0
+    )
+
+
+@pytest.mark.parametrize("command", ["RESTART", "FIRMWARE_RESTART"])
+def test_restart_keeps_the_motors_where_they_are(start, command):
+    printer = start().homed()
+    printer.run("G1 X100 Y90 Z33 F6000\nM400")
+    before = printer.machine.tip()
+    printer.session.restart(command)
+    assert printer.status("toolhead")["homed_axes"] == ""
+    assert printer.machine.tip() == before
+    resets = printer.machine.board.journal.resets
+    assert resets == (1 if command == "FIRMWARE_RESTART" else 0)
+    printer.run("G28\nG1 Z30 F600\nM400")
+    belief = printer.session.position()
+    printer.session.wait(0.5)
+    z_of_homing = printer.scene.world.pin.z - float(
+        printer.scene.sections["stepper_z"]["position_endstop"]
+    )
+    tip = printer.machine.tip()
+    assert tip.z - belief[2] == pytest.approx(z_of_homing, abs=MICROSTEP)
+
+
+def test_emergency_stop_and_recovery(start):
+    printer = start().homed()
+    printer.run("G1 X50 Y50 F1200")
+    printer.run("M112")
+    state, message = printer.session.state()
+    assert state == "shutdown"
+    assert "M112" in message
+    assert printer.machine.board.journal.shutdowns == 1
+    at = printer.machine.tip()
+    printer.session.wait(2.0)
+    assert printer.machine.tip() == at
+    printer.session.restart("FIRMWARE_RESTART")
+    printer.run("G28")
+
+
+def test_real_clock_needs_no_library():
+    clock = RealClock()
+    assert clock.environment() == {}
+    assert clock.inherited_fds() == []
