@@ -410,10 +410,14 @@ class Host(object):
             yield functools.partial(self._probe_once, session, gcmd)
 
     def _probe_once(self, session, gcmd):
-        result = session.run_probe(gcmd)
-        if hasattr(session, "pull_probed_results"):
-            # Since 2024-06-14 (1591a51f7)
-            result = session.pull_probed_results()[-1]
+        try:
+            result = session.run_probe(gcmd)
+            if hasattr(session, "pull_probed_results"):
+                # Since 2024-06-14 (1591a51f7)
+                result = session.pull_probed_results()[-1]
+        except self.printer.command_error as e:
+            text = "%s (stopped at z=%.3f); check with QUERY_PROBE and PROBE"
+            raise CalibrationError(text % (e, self.z()))
         if hasattr(result, "bed_z"):
             # A record since 2026-01-21 (2a1027ce4).  Not its test_z: the
             # position of earlier hosts has twist compensation in it, too.

@@ -28,6 +28,12 @@ def host(request: pytest.FixtureRequest) -> Host:
 
 
 @pytest.fixture
+def one_host() -> Host:
+    """Any host, for what takes long and does not depend on it."""
+    return HOSTS[-1]
+
+
+@pytest.fixture
 def start(host: Host) -> Iterator[Callable[..., Printer]]:
     """start(scene, changes, faults, seed ...): a Printer on the host."""
     with ExitStack() as stack:

@@ -2,9 +2,85 @@
 
 from __future__ import annotations
 
+import re
+from dataclasses import replace
+
 import pytest
 
+from tests.hostkit.printer import Printer
+from tests.simprinter import SCENES, Fault
+
 MICROSTEP = 0.0025
+RESULT = re.compile(
+    r"Z-CALIBRATION: probe=(\S+) - \(switch=(\S+) - nozzle=(\S+)"
+    r" \+ switch_offset=(\S+)\) --> new offset=(\S+)"
+)
+# Heights of the voron scene in klippy's frame, mm
+PIN = 1.6
+BED = PIN - (1.9012 - 0.4)
+BODY = 6.415
+TRIGGER = BODY + 0.5
+SWITCH_OFFSET = 0.44
+
+
+def section(**options):
+    """Changes to [z_calibration] only."""
+    return {"z_calibration": options}
+
+
+def result_of(lines):
+    """The numbers of the result line: probe, switch, nozzle, so, offset."""
+    found = [m for m in map(RESULT.search, lines) if m]
+    assert len(found) == 1, lines
+    return tuple(map(float, found[0].groups()))
+
+
+def touched_sites(printer, start=0):
+    """Sites touched in order, without the homing of X and Y."""
+    return [
+        touch.site
+        for touch in printer.machine.truth.touches[start:]
+        if not touch.site.endswith("endstop")
+    ]
+
+
+def calibration(printer, script="CALIBRATE_Z"):
+    """Run it; the result, and the sites touched by it."""
+    before = len(printer.machine.truth.touches)
+    lines = printer.run(script)
+    return result_of(lines), touched_sites(printer, before)
+
+
+def lowest_tip(printer):
+    """True height of the tip over the bed at its lowest, mm."""
+    return printer.machine.truth.min_gap
+
+
+def assert_unharmed(printer, offset=0.0):
+    """What holds after every failure."""
+    assert printer.session.state()[0] == "ready"
+    assert printer.offset() == pytest.approx(offset)
+    printer.session.wait(2.0)
+    assert printer.session.position()[2] >= 13.7
+
+
+def marker(name, body=""):
+    """A macro that leaves a line on the console."""
+    code = f"\n  RESPOND MSG={name}"
+    if body:
+        code += f"\n  {body}"
+    return {"gcode": code}
+
+
+def marked(*names, **bodies):
+    """Macros for the three templates, each leaving a line."""
+    changes = {"respond": {}}
+    for name in names:
+        changes[f"gcode_macro {name}"] = marker(name, bodies.get(name, ""))
+    return changes
+
+
+# The measurement
 
 
 @pytest.mark.parametrize("scene", ["voron", "cartesian"])
@@ -13,3 +89,595 @@ def test_gap_is_what_the_formula_predicts(start, scene):
     printer.run("CALIBRATE_Z")
     predicted = printer.scene.formula_gap()
     assert printer.gap() == pytest.approx(predicted, abs=2 * MICROSTEP)
+
+
+def test_result_line_and_status_hold_the_heights(start):
+    printer = start()
+    printer.session.require_ready()
+    status = printer.status("z_calibration")
+    assert status == {"last_query": {}, "last_z_offset": 0.0}
+    printer.run("G28")
+    (probe, switch, nozzle, switch_offset, offset), _ = calibration(printer)
+    assert nozzle == pytest.approx(PIN, abs=MICROSTEP)
+    assert switch == pytest.approx(PIN + BODY, abs=MICROSTEP)
+    assert probe == pytest.approx(BED + TRIGGER, abs=MICROSTEP)
+    assert switch_offset == SWITCH_OFFSET
+    assert offset == pytest.approx(
+        probe - (switch - nozzle + switch_offset), abs=0.002
+    )
+    status = printer.status("z_calibration")
+    assert status["last_z_offset"] == pytest.approx(offset, abs=1e-6)
+    parts = status["last_query"]
+    assert parts["offset"] == status["last_z_offset"]
+    assert [round(parts[k], 3) for k in ("probe", "switch", "nozzle")] == [
+        probe,
+        switch,
+        nozzle,
+    ]
+    assert printer.offset() == pytest.approx(offset, abs=1e-6)
+
+
+def test_each_site_is_touched_where_it_is_configured(start):
+    changes = section(
+        nozzle_xy_position="205.5, 306.5",
+        switch_xy_position="208.5, 281",
+        bed_xy_position="110, 90",
+    )
+    printer = start(changes=changes).homed()
+    homing = len(printer.machine.truth.touches)
+    printer.run("CALIBRATE_Z")
+    expected = {
+        "nozzle_pin": (205.5, 306.5),
+        "body_pin": (208.5, 281.0),
+        # The probe's point is asked for, not the nozzle's
+        "probe_bed": (112.0, 65.25),
+    }
+    touches = printer.machine.truth.touches[homing:]
+    assert {touch.site for touch in touches} == set(expected)
+    for touch in touches:
+        # X and Y are homed to a full microstep
+        at = pytest.approx(expected[touch.site], abs=0.02)
+        assert (touch.x, touch.y) == at
+
+
+def test_switch_offset_moves_the_nozzle_closer(start):
+    printer = start(changes=section(switch_offset="0.54")).homed()
+    printer.run("CALIBRATE_Z")
+    assert printer.gap() == pytest.approx(-0.04, abs=2 * MICROSTEP)
+
+
+def test_offset_replaces_an_earlier_one_and_a_second_run_agrees(start):
+    printer = start().homed()
+    first, _ = calibration(printer)
+    printer.run("SET_GCODE_OFFSET Z=0.7 MOVE=1")
+    second, _ = calibration(printer)
+    assert second == pytest.approx(first, abs=MICROSTEP)
+    assert printer.offset() == pytest.approx(second[-1], abs=1e-6)
+
+
+def test_samples_come_from_the_probe(start):
+    printer = start(changes={"probe": {"samples": "4"}}).homed()
+    _, sites = calibration(printer)
+    # One guarding touch before the probe's own samples
+    expected = ["nozzle_pin"] * 4 + ["body_pin"] * 4 + ["probe_bed"] * 5
+    assert sites == expected
+
+
+@pytest.mark.parametrize(
+    ("method", "share"), [("median", 0), ("average", 0.25)]
+)
+def test_samples_are_summarized_as_the_probe_says(start, method, share):
+    # One of four samples triggers 0.1 mm early, within the tolerance
+    changes = {
+        "probe": {
+            "samples": "4",
+            "samples_result": method,
+            "samples_tolerance": "0.2",
+        }
+    }
+    faults = [Fault("trigger_early", signal="z_endstop", mm=0.1, n=4)]
+    printer = start(changes=changes, faults=faults).homed()
+    (_, _, nozzle, _, _), _ = calibration(printer)
+    assert printer.machine.faults.unfired() == []
+    assert nozzle == pytest.approx(PIN + share * 0.1, abs=2 * MICROSTEP)
+
+
+def test_a_sample_that_disagrees_starts_the_site_again(start):
+    faults = [Fault("trigger_early", signal="z_endstop", mm=0.05, n=4)]
+    printer = start(faults=faults).homed()
+    lines = printer.run("CALIBRATE_Z")
+    assert result_of(lines)[2] == pytest.approx(PIN, abs=MICROSTEP)
+    retries = [line for line in lines if "samples_tolerance" in line]
+    assert len(retries) == 1
+    assert "nozzle" in retries[0]
+    assert "0.0500 mm" in retries[0]
+
+
+def test_retries_end(start):
+    changes = {"probe": {"samples_tolerance_retries": "1"}}
+    faults = [
+        Fault("trigger_early", signal="z_endstop", mm=0.05, n=n) for n in (4, 6)
+    ]
+    printer = start(changes=changes, faults=faults).homed()
+    text = printer.fail("CALIBRATE_Z")
+    assert "nozzle: samples differ by 0.05" in text
+    assert printer.machine.faults.unfired() == []
+    assert_unharmed(printer)
+
+
+def test_bed_is_sampled_with_the_probes_own_settings(start):
+    changes = {"probe": {"samples_tolerance_retries": "0"}}
+    # Homing and the two other sites arm the endstop, not the probe: the third
+    # arming of the probe is the second of its own samples
+    faults = [Fault("trigger_early", signal="probe", mm=0.05, n=3)]
+    printer = start(changes=changes, faults=faults).homed()
+    text = printer.fail("CALIBRATE_Z")
+    assert "samples exceed" in text.lower() or "tolerance" in text.lower()
+    assert printer.machine.faults.unfired() == []
+    assert_unharmed(printer)
+
+
+@pytest.mark.parametrize("deactivate", ["activate", "deactivate"])
+def test_probe_that_cannot_be_made_ready_ends_the_run(start, deactivate):
+    # With its own pin to be told apart: fails once, when told to
+    changes = {
+        "gcode_macro READY": {
+            "variable_broken": "0",
+            "gcode": "\n  {% if printer['gcode_macro READY'].broken %}"
+            "\n    { action_raise_error('not ready') }\n  {% endif %}",
+        },
+        "probe": {f"{deactivate}_gcode": "READY"},
+    }
+    printer = start(changes=changes).homed()
+    printer.run("SET_GCODE_VARIABLE MACRO=READY VARIABLE=broken VALUE=1")
+    assert "not ready" in printer.fail("CALIBRATE_Z")
+    assert printer.status("z_calibration")["last_query"] == {}
+    assert_unharmed(printer)
+    printer.run("SET_GCODE_VARIABLE MACRO=READY VARIABLE=broken VALUE=0")
+    calibration(printer)
+
+
+def test_noise_is_averaged_out(start):
+    scene = SCENES["voron"]
+    pin = scene.world.pin
+    noisy = scene.with_world(
+        pin=replace(pin, noise=replace(pin.noise, sigma=0.003))
+    )
+    changes = {"probe": {"samples": "5", "samples_tolerance": "0.05"}}
+    printer = start(noisy, changes, seed=7).homed()
+    printer.run("CALIBRATE_Z")
+    assert printer.gap() == pytest.approx(noisy.formula_gap(), abs=0.008)
+
+
+def test_retract_is_never_zero(start):
+    changes = {"stepper_z": {"homing_retract_dist": "0"}}
+    printer = start(changes=changes).homed()
+    _, sites = calibration(printer)
+    assert sites.count("nozzle_pin") == 3
+
+
+def test_head_travels_at_the_safe_height(start):
+    printer = start().homed()
+    printer.run("G1 Z3 F600\nM400")
+    machine = printer.machine
+    before = len(machine.truth.touches)
+    printer.run("CALIBRATE_Z")
+    printer.session.wait(2.0)
+    # Twice the probe's z_offset of 6.9
+    assert printer.session.position()[2] == pytest.approx(13.8, abs=0.01)
+    assert len(machine.truth.touches) > before
+    assert sum(machine.truth.drag(s) for s in ("body_pin", "probe_bed")) == 0
+
+
+# Templates
+
+
+def test_templates_run_in_order_and_once(start):
+    changes = marked("FIRST", "SECOND", "LAST")
+    changes.update(
+        section(
+            start_gcode="FIRST",
+            before_switch_gcode="ATTACH_PROBE\n  SECOND",
+            end_gcode="DOCK_PROBE\n  LAST",
+        )
+    )
+    printer = start("cartesian", changes=changes).homed()
+    lines = printer.run("CALIBRATE_Z")
+    order = [
+        word
+        for line in lines
+        for word in (
+            "FIRST",
+            "nozzle: touched",
+            "SECOND",
+            "switch: touched",
+            "bed: touched",
+            "LAST",
+            "Z-CALIBRATION:",
+        )
+        if word in line
+    ]
+    once = [word for i, word in enumerate(order) if word not in order[:i]]
+    assert once == [
+        "FIRST",
+        "nozzle: touched",
+        "SECOND",
+        "switch: touched",
+        "bed: touched",
+        "LAST",
+        "Z-CALIBRATION:",
+    ]
+    assert [order.count(w) for w in ("FIRST", "SECOND", "LAST")] == [1, 1, 1]
+    assert printer.machine.world.probe_state(0.0) == "docked"
+
+
+@pytest.mark.parametrize("broken", ["FIRST", "SECOND", "LAST"])
+def test_template_that_fails_ends_the_run(start, broken):
+    bodies = {broken: "{ action_raise_error('no luck') }"}
+    changes = marked("FIRST", "SECOND", "LAST", **bodies)
+    changes.update(
+        section(
+            start_gcode="FIRST",
+            before_switch_gcode="ATTACH_PROBE\n  SECOND",
+            end_gcode="LAST\n  DOCK_PROBE",
+        )
+    )
+    printer = start("cartesian", changes=changes).homed()
+    printer.run("SET_GCODE_OFFSET Z=0.2")
+    before = len(printer.session.console)
+    assert "no luck" in printer.fail("CALIBRATE_Z")
+    lines = printer.session.console[before:]
+    # A macro that raises has no time to leave its mark
+    assert lines.count("echo: LAST") == (0 if broken == "LAST" else 1)
+    assert printer.status("z_calibration")["last_query"] == {}
+    assert printer.session.state()[0] == "ready"
+    assert printer.offset() == pytest.approx(0.2)
+
+
+def test_template_that_turns_the_motors_off_ends_the_run(start):
+    changes = section(before_switch_gcode="ATTACH_PROBE\n  M84")
+    printer = start("cartesian", changes=changes).homed()
+    text = printer.fail("CALIBRATE_Z")
+    assert "not homed" in text
+    assert set(touched_sites(printer)) == {"nozzle_pin"}
+    assert printer.session.state()[0] == "ready"
+
+
+def test_start_gcode_may_home(start):
+    printer = start(changes=section(start_gcode="G28"))
+    printer.session.require_ready()
+    calibration(printer)
+
+
+def test_failing_end_gcode_does_not_hide_the_first_error(start):
+    changes = marked("LAST", LAST="{ action_raise_error('second error') }")
+    changes.update(section(end_gcode="LAST"))
+    faults = [Fault("trigger_never", signal="z_endstop", n=3)]
+    printer = start(changes=changes, faults=faults)
+    # A dead switch is pressed to the floor
+    printer.machine.may_crash = True
+    text = printer.homed().fail("CALIBRATE_Z")
+    assert "nozzle" in text
+    assert "second error" not in text
+    assert "second error" in printer.session.log()
+    assert_unharmed(printer)
+
+
+# What may go wrong on the way
+
+
+@pytest.mark.parametrize("homed", ["", "G28 X Y", "G28\nM84"])
+def test_unhomed_printer_does_not_move(start, homed):
+    printer = start(changes={"safe_z_home": None} if homed else None)
+    printer.session.require_ready()
+    if "M84" in homed:
+        homed = "G28 X Y\nM84"
+    printer.run(homed)
+    printer.session.wait(3.0)
+    before = printer.machine.tip()
+    text = printer.fail("CALIBRATE_Z")
+    assert re.search(r"not homed: .*Z; home all axes \(G28\) first", text)
+    printer.session.wait(3.0)
+    assert printer.machine.tip() == before
+    assert printer.session.state()[0] == "ready"
+
+
+def test_probe_that_is_not_attached_never_goes_down(start):
+    changes = section(before_switch_gcode=None)
+    printer = start("cartesian", changes=changes).homed()
+    before = len(printer.machine.truth.touches)
+    text = printer.fail("CALIBRATE_Z")
+    assert "switch" in text
+    assert "not attached" in text
+    assert touched_sites(printer, before) == ["nozzle_pin"] * 2
+    assert printer.session.state()[0] == "ready"
+
+
+def test_probe_that_fails_to_attach_never_goes_down(start):
+    printer = start("cartesian", faults=[Fault("attach_fails")]).homed()
+    before = len(printer.machine.truth.touches)
+    assert "not attached" in printer.fail("CALIBRATE_Z")
+    assert touched_sites(printer, before) == ["nozzle_pin"] * 2
+    assert printer.machine.faults.unfired() == []
+
+
+def test_probe_attached_too_early_is_refused(start):
+    changes = section(
+        start_gcode="ATTACH_PROBE", before_switch_gcode="ATTACH_PROBE"
+    )
+    printer = start("cartesian", changes=changes).homed()
+    before = len(printer.machine.truth.touches)
+    text = printer.fail("CALIBRATE_Z")
+    assert "before_switch_gcode" in text
+    assert touched_sites(printer, before) == []
+
+
+@pytest.mark.parametrize("k", range(1, 8))
+def test_probe_that_falls_off_at_touch_k_ends_the_run(start, k):
+    # 3 body touches, then 1 guarding touch and 3 samples on the bed
+    printer = start(faults=[Fault("probe_falls", n=k)]).homed()
+    text = printer.fail("CALIBRATE_Z")
+    # Noticed at the site where it happened, not at the next one
+    assert ("switch: " if k <= 3 else "bed: ") in text
+    assert "probe" in text.lower()
+    assert printer.machine.faults.unfired() == []
+    # The nozzle stays above the bed by the probe's own length
+    assert lowest_tip(printer) > 1.0
+    assert printer.status("z_calibration")["last_query"] == {}
+    assert_unharmed(printer)
+
+
+@pytest.mark.parametrize(
+    ("signal", "n", "site", "floor"),
+    [
+        # Two armings belong to G28
+        ("z_endstop", 3, "nozzle", PIN - 1.0),
+        ("z_endstop", 5, "nozzle", PIN - 1.0),
+        ("z_endstop", 6, "switch", PIN + 1.0),
+        ("z_endstop", 8, "switch", PIN + 1.0),
+        ("probe", 1, "bed", BODY + SWITCH_OFFSET - 1.0),
+    ],
+)
+def test_trigger_that_never_comes_ends_at_the_floor(
+    start, signal, n, site, floor
+):
+    printer = start(faults=[Fault("trigger_never", signal=signal, n=n)])
+    # A dead switch is pressed to its end: that is what the floor limits
+    printer.machine.may_crash = True
+    text = printer.homed().fail("CALIBRATE_Z")
+    assert printer.machine.faults.unfired() == []
+    assert f"{site}: " in text
+    assert f"z={floor:.3f}" in text
+    assert f"{site}_xy_position" in text
+    lowest = printer.machine.truth.min_gap
+    if site != "nozzle":
+        assert lowest > 1.0
+    assert_unharmed(printer)
+
+
+def test_endstop_that_is_pressed_already_is_not_touched(start):
+    printer = start(faults=[Fault("stuck_closed", signal="z_endstop", t=60.0)])
+    printer.homed()
+    printer.session.wait(60.0)
+    before = len(printer.machine.truth.touches)
+    text = printer.fail("CALIBRATE_Z")
+    assert "nozzle: " in text
+    assert "endstop reads triggered" in text
+    assert "QUERY_ENDSTOPS" in text
+    assert touched_sites(printer, before) == []
+    assert printer.session.state()[0] == "ready"
+
+
+@pytest.mark.parametrize(("n", "site"), [(3, "nozzle"), (6, "switch")])
+def test_endstop_that_closes_while_a_touch_begins(start, n, site):
+    # Too late for our own look at it: the host notices
+    fault = Fault("stuck_closed", signal="z_endstop", n=n)
+    printer = start(faults=[fault]).homed()
+    text = printer.fail("CALIBRATE_Z")
+    assert f"{site}: " in text
+    assert "triggered prior to movement" in text
+    assert_unharmed(printer)
+
+
+@pytest.mark.parametrize("site", ["nozzle", "switch"])
+def test_endstop_that_stays_pressed_after_the_last_touch(host, site):
+    where = {"nozzle": "nozzle_pin", "switch": "body_pin"}[site]
+    with Printer(host) as printer:
+        printer.homed().run("CALIBRATE_Z")
+        last = max(
+            touch.t
+            for touch in printer.machine.truth.touches
+            if touch.site == where
+        )
+    # The same run again: it sticks the moment it was pressed last
+    fault = Fault("stuck_closed", signal="z_endstop", t=last + 0.01)
+    with Printer(host, faults=[fault]) as printer:
+        text = printer.homed().fail("CALIBRATE_Z")
+        assert f"{site}: the Z endstop reads triggered" in text
+        assert touched_sites(printer)[-1] == where
+        assert_unharmed(printer)
+
+
+def test_result_outside_the_margins_is_not_applied(start):
+    # The owner moved the endstop by 1.5 mm
+    changes = {"stepper_z": {"position_endstop": "3.2"}}
+    printer = start(changes=changes).homed()
+    printer.run("SET_GCODE_OFFSET Z=0.1")
+    text = printer.fail("CALIBRATE_Z")
+    assert "offset 1.7" in text
+    assert "-1.000 to 1.000" in text
+    assert "home Z again" in text
+    assert_unharmed(printer, 0.1)
+
+
+def test_failure_keeps_the_last_result_and_offset(start):
+    # 2 for homing, 6 for a good run, then the second run's second sample
+    fault = Fault("trigger_never", signal="z_endstop", n=10)
+    printer = start(faults=[fault])
+    printer.machine.may_crash = True
+    printer.homed()
+    good, _ = calibration(printer)
+    status = printer.status("z_calibration")
+    printer.fail("CALIBRATE_Z")
+    assert printer.machine.faults.unfired() == []
+    assert printer.status("z_calibration") == status
+    assert_unharmed(printer, good[-1])
+
+
+def test_probe_is_usable_after_a_failure(start):
+    # The session must have been closed
+    fault = Fault("trigger_never", signal="probe", n=2)
+    printer = start(faults=[fault])
+    printer.machine.may_crash = True
+    printer.homed().fail("CALIBRATE_Z")
+    assert printer.machine.faults.unfired() == []
+    printer.run("G1 X150 Y120 Z15 F6000\nPROBE")
+
+
+# Set-ups that are refused when klippy connects
+
+
+def refusal(host, changes, scene="voron"):
+    """The message klippy stops with; it is not an internal error."""
+    with Printer(host, scene, changes=changes) as printer:
+        state, message = printer.session.start()
+        assert state == "error", message
+        assert "Internal error" not in message
+        assert printer.machine.truth.touches == []
+        return message
+
+
+@pytest.mark.parametrize(
+    "option",
+    [
+        "nozzle_xy_position",
+        "switch_xy_position",
+        "bed_xy_position",
+        "switch_offset",
+    ],
+)
+def test_option_that_is_missing(host, option):
+    message = refusal(host, section(**{option: None}))
+    assert f"Option '{option}' in section 'z_calibration'" in message
+
+
+@pytest.mark.parametrize(
+    ("option", "value"),
+    [
+        ("nozzle_xy_position", ""),
+        ("nozzle_xy_position", "206"),
+        ("switch_xy_position", "206, 306, 5"),
+        ("switch_xy_position", "here, there"),
+        ("bed_xy_position", "nan, 100"),
+        ("bed_xy_position", "100, inf"),
+        ("switch_offset", "much"),
+        ("switch_offset", "-0.1"),
+        ("switch_offset", "nan"),
+        ("switch_offset", "inf"),
+    ],
+)
+def test_option_that_makes_no_sense(host, option, value):
+    message = refusal(host, section(**{option: value}))
+    assert f"'{option}'" in message
+    assert "section 'z_calibration'" in message
+
+
+def test_option_that_does_not_exist(host):
+    message = refusal(host, section(swich_offset="0.4"))
+    assert "swich_offset" in message
+
+
+@pytest.mark.parametrize(
+    ("option", "value", "reason"),
+    [
+        ("nozzle_xy_position", "301, 100", "X=301.000"),
+        ("switch_xy_position", "100, -1", "Y=-1.000"),
+        # The probe hangs 24.75 mm behind the nozzle
+        ("bed_xy_position", "150, 20", "Y=-4.750"),
+        ("bed_xy_position", "299, 150", "X=301.000"),
+    ],
+)
+def test_point_that_the_head_cannot_reach(host, option, value, reason):
+    message = refusal(host, section(**{option: value}))
+    assert f"'{option}: " in message
+    assert reason in message
+
+
+def test_printer_without_a_probe(host):
+    message = refusal(host, {"probe": None})
+    assert "Section 'probe' is missing" in message
+
+
+def test_probe_without_a_switch_body(host):
+    changes = {
+        "probe": None,
+        "bltouch": {
+            "sensor_pin": "^PC3",
+            "control_pin": "PD1",
+            "z_offset": "2",
+        },
+    }
+    message = refusal(host, changes)
+    assert "Section 'bltouch'" in message
+
+
+def test_virtual_endstop(host):
+    changes = {
+        "stepper_z": {
+            "endstop_pin": "probe:z_virtual_endstop",
+            "position_endstop": None,
+        }
+    }
+    message = refusal(host, changes)
+    assert "'endstop_pin: probe:z_virtual_endstop'" in message
+    assert "section 'stepper_z'" in message
+
+
+def test_endstop_that_does_not_stop_every_z_motor(host):
+    changes = {"stepper_z1": {"endstop_pin": "^PC5"}}
+    message = refusal(host, changes)
+    assert "stepper_z1" in message
+    assert "does not stop these Z motors: stepper_z1;" in message
+
+
+def test_delta(host):
+    tower = {
+        "microsteps": "16",
+        "rotation_distance": "40",
+        "position_endstop": "300",
+        "arm_length": "330",
+    }
+    changes = {
+        "printer": {
+            "kinematics": "delta",
+            "max_z_velocity": "100",
+            "max_z_accel": None,
+        },
+        "safe_z_home": None,
+        **{f"stepper_{a}": None for a in ("x", "y", "z", "z1", "z2", "z3")},
+    }
+    for name, pins in (("a", 0), ("b", 3), ("c", 6)):
+        changes[f"stepper_{name}"] = {
+            "step_pin": f"PB{pins}",
+            "dir_pin": f"PB{pins + 1}",
+            "enable_pin": f"!PB{pins + 2}",
+            "endstop_pin": f"^PC{pins}",
+            **tower,
+        }
+    changes["probe"] = {"pin": "^PD3"}
+    message = refusal(host, changes)
+    assert "kinematics: delta" in message
+
+
+@pytest.mark.parametrize(
+    ("changes", "words"),
+    [
+        # Twice the z_offset is no height to travel at
+        ({"probe": {"z_offset": "150"}}, "z_offset"),
+        ({"stepper_z": {"position_endstop": "15"}}, "position_endstop"),
+    ],
+)
+def test_travel_height_that_makes_no_sense(host, changes, words):
+    message = refusal(host, changes)
+    assert words in message
+    assert "travel height" in message

@@ -46,7 +46,9 @@ class _Process:
         environment = self._installed.environment()
         environment.update(clock.environment())
         command = [*self._installed.argv, str(self.config)]
-        command += ["-l", str(self.log), *options]
+        # The terminal has a fixed name in /tmp otherwise
+        command += ["-l", str(self.log), "-I", str(self.directory / "tty")]
+        command += options
         with open(self.directory / "output.txt", "wb") as output:
             self.popen = subprocess.Popen(
                 command,

@@ -5,8 +5,14 @@ from __future__ import annotations
 import pytest
 
 from tests.hostkit.printer import Printer, firmware_of, module_files
-from tests.hostkit.session import run_batch, run_file_output
-from tests.simprinter import SCENES, Fault, Machine, RealClock
+from tests.hostkit.session import SessionError, run_batch, run_file_output
+from tests.simprinter import (
+    SCENES,
+    Fault,
+    Machine,
+    RealClock,
+    VirtualClock,
+)
 from tests.simprinter.mcu.steppers import StepTrack
 from tests.simprinter.wire.framing import Deframer, encode_block
 from tests.simprinter.wiring import pin_number
@@ -36,7 +42,24 @@ def test_no_command_is_late(start):
     assert printer.machine.board.journal.late == []
 
 
-def test_real_time_gives_the_same_gap(host):
+def test_motor_that_rested_longer_than_the_clock_wraps(start):
+    printer = start().homed()
+    before = printer.gap()
+    printer.session.wait(130.0)
+    assert printer.gap() == before
+    assert printer.machine.board.journal.late == []
+
+
+def test_klippy_that_is_not_on_the_clock_is_noticed(host, monkeypatch):
+    monkeypatch.setattr(VirtualClock, "environment", lambda clock: {})
+    with (
+        Printer(host) as printer,
+        pytest.raises(SessionError, match="runs in real time"),
+    ):
+        printer.session.require_ready()
+
+
+def test_real_time_gives_the_same_gap(one_host):
     # Quick enough to be waited for
     changes = {
         "stepper_x": {"homing_speed": "150"},
@@ -48,7 +71,7 @@ def test_real_time_gives_the_same_gap(host):
     gaps = []
     for real_time in (False, True):
         options = {"changes": changes, "real_time": real_time}
-        with Printer(host, "cartesian", **options) as printer:
+        with Printer(one_host, "cartesian", **options) as printer:
             printer.homed().run("CALIBRATE_Z")
             gaps.append(printer.gap())
     assert gaps[1] == pytest.approx(gaps[0], abs=MICROSTEP)

@@ -68,7 +68,8 @@ def _load(library: Path) -> ctypes.CDLL:
     ]
     lib.vclock_init.restype = None
     lib.vclock_add_tty.argtypes = [page, ctypes.c_int32, ctypes.c_int32]
-    lib.vclock_awake.argtypes = [page]
+    for name in ("awake", "joined"):
+        getattr(lib, f"vclock_{name}").argtypes = [page]
     for name in ("now", "wakes", "next_deadline"):
         getattr(lib, f"vclock_{name}").argtypes = [page]
         getattr(lib, f"vclock_{name}").restype = number
@@ -127,6 +128,10 @@ class VirtualClock:
         if index < 0:
             raise ClockError("too many serial lines")
         return index
+
+    def joined(self) -> bool:
+        """Whether the process lives on this clock: preloading may fail."""
+        return bool(self._lib.vclock_joined(self._page))
 
     def now(self) -> int:
         """Current time, ns."""

@@ -26,7 +26,8 @@ _REPO = Path(__file__).resolve().parents[2]
 
 def build_directory() -> Path:
     """Where compiled parts are kept."""
-    return Path(os.environ.get("BUILD_DIR") or _REPO / "build") / "simprinter"
+    # A relative one means the repository's, wherever klippy is started
+    return _REPO / (os.environ.get("BUILD_DIR") or "build") / "simprinter"
 
 
 class Machine:

@@ -68,22 +68,27 @@ class Simulation:
     ) -> None:
         """Let everybody live until done() or for timeout printer seconds.
 
-        Raises SimulationError naming `what` on timeout, when klippy ends, or
-        when nobody waits for anything any more.
+        On a virtual clock klippy has also dealt with everything that belongs
+        to the last instant. Raises SimulationError naming `what` on timeout,
+        when klippy ends, or when nobody waits for anything any more.
         """
         end_ns = self.clock.now() + round(timeout * 1e9)
         while True:
             while self._pump():
                 pass
-            if done():
+            finished = done()
+            if finished and (self.process_ended() or not self.clock.virtual):
                 return
             if self.process_ended():
                 if self._pump() or done():
                     continue
                 raise SimulationError(f"{what}: klippy has ended")
-            if self.clock.now() >= end_ns:
+            if self.clock.now() >= end_ns and not finished:
                 raise SimulationError(f"{what}: {timeout:.0f} s have passed")
-            self._pass_time(end_ns, what)
+            if isinstance(self.clock, RealClock):
+                self._wait_real(end_ns)
+            elif self._pass_time(end_ns, finished, what):
+                return
 
     def process_ended(self) -> bool:
         """Whether klippy is gone."""
@@ -109,23 +114,53 @@ class Simulation:
                 times.append(due)
         return min(times)
 
-    def _pass_time(self, end_ns: int, what: str) -> None:
-        if isinstance(self.clock, RealClock):
-            wait = (self._next_event(end_ns) - self.clock.now()) * 1e-9
-            self._wait_for_klippy(self._descriptors(), max(0.0, wait))
-            return
+    def _wait_real(self, end_ns: int) -> None:
+        wait = (self._next_event(end_ns) - self.clock.now()) * 1e-9
+        self._wait_for_klippy(self._descriptors(), max(0.0, wait))
+
+    def _pass_time(self, end_ns: int, finished: bool, what: str) -> bool:
+        """Move the clock, or wait for klippy where it is not at rest.
+
+        When finished the clock stands; returns whether klippy is at rest.
+        """
+        clock = self.clock
+        assert isinstance(clock, VirtualClock)
         # Bytes on their way may wake klippy while we look; advance() refuses
         # to move the clock if they did
-        wakes = self.clock.wakes()
+        wakes = clock.wakes()
         if self._quiet():
-            self._jump(end_ns, wakes, what)
-            return
-        descriptors = [*self._descriptors(), self.clock.doorbell]
+            now = clock.now()
+            target = now if finished else self._target(end_ns, what)
+            moved = clock.advance(max(target, now), wakes)
+            self.jumps += moved and not finished
+            return moved and finished
+        if any(link.received for link, _ in self._links):
+            self._require_joined(what)
+        descriptors = [*self._descriptors(), clock.doorbell]
         if not self._wait_for_klippy(descriptors, _STALL_LIMIT):
             raise SimulationError(
                 f"{what}: klippy is busy for {_STALL_LIMIT:.0f} s of real time"
             )
-        self.clock.answer_doorbell()
+        clock.answer_doorbell()
+        return False
+
+    def _target(self, end_ns: int, what: str) -> int:
+        """When the next thing happens."""
+        clock = self.clock
+        assert isinstance(clock, VirtualClock)
+        target = min(clock.next_deadline(), self._next_event(end_ns))
+        if target >= NEVER:
+            raise SimulationError(f"{what}: nobody waits for anything")
+        return target
+
+    def _require_joined(self, what: str) -> None:
+        """A klippy that speaks but never came to our clock never will."""
+        assert isinstance(self.clock, VirtualClock)
+        if not self.clock.joined():
+            raise SimulationError(
+                f"{what}: klippy runs in real time, {self.clock.library}"
+                " was not preloaded"
+            )
 
     def _quiet(self) -> bool:
         """Whether nothing can happen before the clock moves."""
@@ -139,14 +174,6 @@ class Simulation:
             if not clock.tty_settled(index, link.sent, link.received):
                 return False
         return all(peer.settled() for peer in self.peers)
-
-    def _jump(self, end_ns: int, wakes: int, what: str) -> None:
-        clock = self.clock
-        assert isinstance(clock, VirtualClock)
-        target = min(clock.next_deadline(), self._next_event(end_ns))
-        if target >= NEVER:
-            raise SimulationError(f"{what}: nobody waits for anything")
-        self.jumps += clock.advance(max(target, clock.now()), wakes)
 
     def _descriptors(self) -> list[int]:
         found = [link.fileno() for link, _ in self._links]

@@ -33,6 +33,7 @@
 #include <poll.h>
 #include <pthread.h>
 #include <semaphore.h>
+#include <signal.h>
 #include <stdarg.h>
 #include <stdatomic.h>
 #include <stdint.h>
@@ -41,6 +42,7 @@
 #include <string.h>
 #include <sys/epoll.h>
 #include <sys/mman.h>
+#include <sys/prctl.h>
 #include <sys/select.h>
 #include <sys/stat.h>
 #include <sys/time.h>
@@ -76,6 +78,7 @@ struct page {
     _Atomic int64_t wakes;      // how often a thread has woken, ever
     _Atomic int64_t now;        // virtual CLOCK_MONOTONIC, ns
     pthread_mutex_t lock;       // of the slots, shared with the simulator
+    _Atomic int32_t joined;     // the process lives on this clock
     int64_t wall_offset;        // virtual CLOCK_REALTIME - now, ns
     int32_t doorbell;           // rung when the last thread falls asleep
     int32_t num_ttys;
@@ -133,6 +136,12 @@ int32_t
 vclock_awake(struct page *p)
 {
     return p->awake;
+}
+
+int32_t
+vclock_joined(struct page *p)
+{
+    return p->joined;
 }
 
 int64_t
@@ -567,7 +576,10 @@ join_simulation(void)
     // Programs this one starts run in real time
     unsetenv("LD_PRELOAD");
     unsetenv("VCLOCK_PAGE");
+    // A simulator that is killed takes the process with it
+    prctl(PR_SET_PDEATHSIG, SIGKILL);
     page = map;
+    page->joined = 1;
     pthread_key_create(&exit_key, thread_exit);
     pthread_atfork(NULL, count_child, leave_simulation);
     my_slot = claim_slot();

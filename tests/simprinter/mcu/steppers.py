@@ -111,8 +111,8 @@ class Stepper:
         self.direction = 0
         self.needs_reset = False
         self.zero = 0  # track position that the host counts from
-        # What the next interval counts from; 32 bits (0 at the start), None
-        # while it counts from the last step
+        # What the next interval counts from instead of the last step; 32
+        # bits, 0 at the start
         self.step_clock: int | None = 0
 
 
@@ -171,12 +171,14 @@ class Steppers(Peripheral):
         if stepper.needs_reset:
             return
         track = stepper.track
-        if stepper.step_clock is not None:
-            # Only the sum is near to now: hosts reset to 0 and give the first
-            # step's clock as the interval
-            first = self.board.widen((stepper.step_clock + interval) & _CLOCK)
+        base, stepper.step_clock = stepper.step_clock, None
+        if base is None and track.last_clock < self.board.clock():
+            base = track.last_clock
+        if base is not None:
+            # Only the 32-bit sum is sure to be near to now: the base may be 0
+            # or so long ago that the interval has wrapped
+            first = self.board.widen((base + interval) & _CLOCK)
             track.last_clock = first - interval
-            stepper.step_clock = None
         late = self.board.clock() - (track.last_clock + interval)
         if late > 0:
             self.board.journal.late.append(late)

@@ -9,7 +9,7 @@ import enum
 import math
 from typing import Callable, Optional, Sequence
 
-from ..faults import Faults
+from ..faults import PROBE_SITES, Faults
 from .spec import DockSpec, MagProbeSpec, Vector
 
 
@@ -198,7 +198,9 @@ class Keeper:
         self._change(t, wanted, delay)
 
     def touched(self, t: float, site: str) -> None:
-        """The probe touched something."""
+        """Something touched something; only the probe's touches count."""
+        if site not in PROBE_SITES:
+            return
         fault = self._faults.fires("probe_falls", site)
         if fault is None:
             return
