@@ -3,6 +3,7 @@
 #   make test     prepare the hosts, lint, run all tests
 #   make demo     watch a calibration on a simulated printer
 #   make hosts    prepare and list the klippy hosts
+#   make speed    how much faster than a printer the simulation runs
 #   make lint     style and syntax only
 #   make format   bring the sources into shape
 #   make clean    remove all that was built
@@ -24,13 +25,16 @@ MODULES = $(wildcard z_calibration.py auto_z_offset.py dockable_probe.py \
 	extra_probe.py)
 
 # Test files import each other as tests.*, from the root of the repository.
-.PHONY: test demo hosts lint format tools clean
+.PHONY: test demo speed hosts lint format tools clean
 
 test: hosts lint
 	$(TOOLS)/python -m pytest -n $(PYTEST_WORKERS) $(PYTEST_ARGS)
 
 demo: tools
 	$(TOOLS)/python -m tests.demo
+
+speed: hosts
+	$(TOOLS)/python -m tests.bench_simulation
 
 hosts: tools
 	$(TOOLS)/python -m tests.hostkit.prepare
