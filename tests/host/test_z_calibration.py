@@ -7,8 +7,9 @@ from dataclasses import replace
 
 import pytest
 
-from tests.hostkit.printer import Printer
-from tests.simprinter import SCENES, Fault
+from tests.hostkit.printer import Printer, firmware_of, module_files
+from tests.hostkit.session import run_batch
+from tests.simprinter import SCENES, Fault, Machine
 
 MICROSTEP = 0.0025
 RESULT = re.compile(
@@ -138,6 +139,23 @@ def test_each_site_is_touched_where_it_is_configured(start):
         # X and Y are homed to a full microstep
         at = pytest.approx(expected[touch.site], abs=0.02)
         assert (touch.x, touch.y) == at
+
+
+def test_batch_run_gives_the_same_result(host):
+    with Printer(host) as printer:
+        live, _ = calibration(printer.homed())
+    scene = SCENES["voron"]
+    with Machine(scene, app=firmware_of(host)) as machine:
+        batch = run_batch(
+            host.install(module_files()),
+            machine,
+            scene.config(machine.link.path),
+            "G28\nCALIBRATE_Z\nG1 X150 Y150 Z10 F6000\nM400\n",
+        )
+        assert batch.status == 0, batch.tail()
+        assert result_of(batch.log.splitlines()) == live
+        gap = machine.gap_at_zero(10.0)
+    assert gap == pytest.approx(scene.formula_gap(), abs=2 * MICROSTEP)
 
 
 def test_switch_offset_moves_the_nozzle_closer(start):
@@ -354,8 +372,7 @@ def test_failing_end_gcode_does_not_hide_the_first_error(start):
     changes.update(section(end_gcode="LAST"))
     faults = [Fault("trigger_never", signal="z_endstop", n=3)]
     printer = start(changes=changes, faults=faults)
-    # A dead switch is pressed to the floor
-    printer.machine.may_crash = True
+    printer.machine.tolerate("nozzle_pin", 1.01)
     text = printer.homed().fail("CALIBRATE_Z")
     assert "nozzle" in text
     assert "second error" not in text
@@ -442,8 +459,10 @@ def test_trigger_that_never_comes_ends_at_the_floor(
     start, signal, n, site, floor
 ):
     printer = start(faults=[Fault("trigger_never", signal=signal, n=n)])
-    # A dead switch is pressed to its end: that is what the floor limits
-    printer.machine.may_crash = True
+    # A dead switch is pressed: how far, the floor limits
+    expected = {"nozzle": PIN, "switch": PIN + BODY, "bed": BED + BODY}[site]
+    crashed = {"nozzle": "nozzle_pin", "switch": "body_pin", "bed": "body_bed"}
+    printer.machine.tolerate(crashed[site], expected - floor + MICROSTEP)
     text = printer.homed().fail("CALIBRATE_Z")
     assert printer.machine.faults.unfired() == []
     assert f"{site}: " in text
@@ -514,7 +533,7 @@ def test_failure_keeps_the_last_result_and_offset(start):
     # 2 for homing, 6 for a good run, then the second run's second sample
     fault = Fault("trigger_never", signal="z_endstop", n=10)
     printer = start(faults=[fault])
-    printer.machine.may_crash = True
+    printer.machine.tolerate("nozzle_pin", 1.01)
     printer.homed()
     good, _ = calibration(printer)
     status = printer.status("z_calibration")
@@ -528,7 +547,9 @@ def test_probe_is_usable_after_a_failure(start):
     # The session must have been closed
     fault = Fault("trigger_never", signal="probe", n=2)
     printer = start(faults=[fault])
-    printer.machine.may_crash = True
+    # The probe's own samples go to position_min: see the floors
+    printer.machine.tolerate("body_bed", 12.0)
+    printer.machine.tolerate("nozzle_bed", 5.2)
     printer.homed().fail("CALIBRATE_Z")
     assert printer.machine.faults.unfired() == []
     printer.run("G1 X150 Y120 Z15 F6000\nPROBE")

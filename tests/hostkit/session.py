@@ -7,7 +7,7 @@ import shutil
 import subprocess
 import tempfile
 from pathlib import Path
-from typing import Any, Optional
+from typing import Any, NamedTuple, Optional
 
 from tests.hostkit.api import ApiClient, ApiError
 from tests.hostkit.hosts import Installed
@@ -242,24 +242,17 @@ class LiveSession:
         return "\n".join(self.log().splitlines()[-lines:])
 
 
-class BatchResult:
-    """How a batch run ended: exit status and everything it wrote."""
+class BatchResult(NamedTuple):
+    """How a batch run ended: exit status, and the log, which also holds what
+    a console would have shown (klippy writes it nowhere else in this mode).
+    """
 
-    def __init__(self, status: int, log: str):
-        self.status = status
-        self.log = log
-        self.console = console_lines(log)
+    status: int
+    log: str
 
-    def errors(self) -> list[str]:
-        """Lines a console would show as errors."""
-        return [line for line in self.console if line.startswith("!!")]
-
-
-def console_lines(log: str) -> list[str]:
-    """Responses as a batch run leaves them in its log."""
-    return [
-        line for line in log.splitlines() if line.startswith(("//", "!!", "ok"))
-    ]
+    def tail(self, lines: int = 40) -> str:
+        """The end of the log."""
+        return "\n".join(self.log.splitlines()[-lines:])
 
 
 def run_batch(

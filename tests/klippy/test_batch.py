@@ -78,8 +78,7 @@ def test_batch(host, test, config):
         config.read_text(),
         "\n".join([*test.gcode, ""]),
     )
-    tail = result.log[-3000:]
-    assert bool(result.status) == test.should_fail, tail
-    assert "Internal error" not in result.log, tail
+    assert bool(result.status) == test.should_fail, result.tail()
+    assert "Internal error" not in result.log, result.tail()
     for text in test.expected:
-        assert text in result.log, tail
+        assert text in result.log, result.tail()

@@ -137,14 +137,14 @@ def test_steps_equal_those_of_klippys_own_file_output(host, scene):
         )
         dictionary = machine.board.dictionary
         ends = {n: a.track.position for n, a in machine.rig.axes.items()}
-    assert live.status == 0, live.log[-2000:]
+    assert live.status == 0, live.tail()
     written, blocks = run_file_output(
         installed,
         dictionary.json,
         scene.config("/tmp/klipper_host_mcu", changes),
         gcode,
     )
-    assert written.status == 0, written.log[-2000:]
+    assert written.status == 0, written.tail()
     expected = step_counts(dictionary, blocks, scene.wiring)
     assert set(expected) == set(scene.wiring.motors)
     assert all(total > 1000 for _, total in expected.values())

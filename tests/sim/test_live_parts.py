@@ -138,8 +138,10 @@ def test_bed_sensor_works_only_while_enabled(start):
     printer.run("SET_PIN PIN=enable VALUE=1\nG4 P200")
     assert probed_z(printer) == pytest.approx(BED_Z - 0.03, abs=MICROSTEP)
     printer.run("G1 Z10 F600\nSET_PIN PIN=enable VALUE=0\nG4 P200")
-    printer.machine.may_crash = True
+    # Down to position_min
+    printer.machine.tolerate("nozzle_bed", 5.0 + BED_Z)
     assert "No trigger on probe" in printer.fail("PROBE")
+    assert printer.machine.truth.min_gap == pytest.approx(-5.0 - BED_Z)
 
 
 def test_membrane_switch(start):

@@ -148,10 +148,10 @@ class Simulation:
         """When the next thing happens."""
         clock = self.clock
         assert isinstance(clock, VirtualClock)
-        target = min(clock.next_deadline(), self._next_event(end_ns))
+        target = min(clock.next_deadline(), self._next_event(NEVER))
         if target >= NEVER:
             raise SimulationError(f"{what}: nobody waits for anything")
-        return target
+        return min(target, end_ns)
 
     def _require_joined(self, what: str) -> None:
         """A klippy that speaks but never came to our clock never will."""

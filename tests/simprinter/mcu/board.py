@@ -173,7 +173,8 @@ class Board(Peripheral):
     # Messages
 
     def receive(self, content: bytes) -> None:
-        """Run the commands of one block."""
+        """Run the commands of one block, after what was due before it."""
+        self.run_due()
         for name, values in self.dictionary.parse(content):
             if self.is_silent():
                 return

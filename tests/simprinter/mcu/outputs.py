@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable
 
-from .board import Peripheral, command
+from .board import Event, Peripheral, command
 
 # (pin, time in ns, duty 0..1): where outputs report their changes
 OutputSink = Callable[[int, int, float], None]
@@ -25,9 +25,13 @@ class Outputs(Peripheral):
     def __init__(self, sink: OutputSink):
         self._sink = sink
         self.by_oid: dict[int, Output] = {}
+        self._queued: set[Event] = set()
 
     def stop(self) -> None:
         """Every output goes to what was configured for a shutdown."""
+        for event in self._queued:
+            event.cancel()
+        self._queued.clear()
         now = self.board.ns(self.board.clock())
         for output in self.by_oid.values():
             self._sink(output.pin, now, output.shutdown_duty)
@@ -40,10 +44,13 @@ class Outputs(Peripheral):
         late = self.board.clock() - clock
         if late > 0:
             self.board.journal.late.append(late)
-        self.board.schedule(
-            max(clock, self.board.clock()),
-            lambda now: self._sink(output.pin, self.board.ns(now), duty),
-        )
+
+        def change(now: int) -> None:
+            self._queued.discard(event)
+            self._sink(output.pin, self.board.ns(now), duty)
+
+        event = self.board.schedule(max(clock, self.board.clock()), change)
+        self._queued.add(event)
 
     def _add(self, oid: int, output: Output, duty: float) -> None:
         self.by_oid[oid] = output

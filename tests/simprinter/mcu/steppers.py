@@ -20,63 +20,78 @@ class StepTrack:
     """
 
     def __init__(self) -> None:
-        self._starts: list[int] = []
-        self._moves: list[tuple[int, int, int, int, int]] = []
+        # When each move takes over from the one before. That is not the clock
+        # it is relative to: hosts reset that to 0, long before older moves
+        self._begins: list[int] = []
+        self._moves: list[tuple[int, int, int, int, int, int]] = []
         self._rest = 0  # position before the first move kept
         self.last_clock = 0  # of the last step queued
         self.position = 0  # after everything queued
 
-    def append(self, interval: int, count: int, add: int, sign: int) -> int:
-        """Queue a move; the clock it is relative to."""
-        start = self.last_clock
+    def append(
+        self,
+        interval: int,
+        count: int,
+        add: int,
+        sign: int,
+        start: int | None = None,
+    ) -> int:
+        """Queue a move; the clock after which positions change.
+
+        start: the clock it is relative to, that of the last step if None.
+        """
+        begin = self.last_clock
+        if start is None:
+            start = begin
         ticks = interval * count + add * count * (count - 1) // 2
-        self._starts.append(start)
-        self._moves.append((interval, count, add, sign, self.position))
+        begin = max(begin, start)
+        self._begins.append(begin)
+        self._moves.append((start, interval, count, add, sign, self.position))
         self.position += sign * count
         self.last_clock = start + ticks
-        return start
+        return begin
 
     def at(self, clock: int) -> int:
         """Position (steps) at a clock."""
         if clock >= self.last_clock:
             return self.position
-        i = bisect.bisect_right(self._starts, clock) - 1
+        i = bisect.bisect_right(self._begins, clock) - 1
         if i < 0:
             return self._rest
-        interval, count, add, sign, before = self._moves[i]
-        steps = steps_in(clock - self._starts[i], interval, count, add)
+        start, interval, count, add, sign, before = self._moves[i]
+        steps = steps_in(clock - start, interval, count, add)
         return before + sign * steps
 
     def moving_between(self, first: int, last: int) -> bool:
         """Whether a move overlaps the clocks from first to last."""
-        if first >= self.last_clock or not self._starts:
+        if first >= self.last_clock or not self._begins:
             return False
-        return last >= self._starts[0]
+        return last >= self._begins[0]
 
     def cut(self, clock: int) -> None:
         """Forget all steps after a clock."""
         self.position = self.at(clock)
-        while self._starts and self._starts[-1] >= clock:
-            self._starts.pop()
+        while self._begins and self._begins[-1] >= clock:
+            self._begins.pop()
             self._moves.pop()
-        if self._starts:
-            interval, _, add, sign, before = self._moves[-1]
+        if self._begins:
+            start, interval, _, add, sign, before = self._moves[-1]
             count = abs(self.position - before)
             if count:
-                self._moves[-1] = (interval, count, add, sign, before)
+                self._moves[-1] = (start, interval, count, add, sign, before)
             else:
-                self._starts.pop()
+                self._begins.pop()
                 self._moves.pop()
-        if not self._starts:
+        if not self._begins:
             self._rest = self.position
         self.last_clock = min(self.last_clock, clock)
 
     def forget(self, clock: int) -> None:
         """Drop what nobody will ask for: positions before a clock."""
-        keep = bisect.bisect_right(self._starts, clock) - 1
+        keep = bisect.bisect_right(self._begins, clock) - 1
         if keep > 0:
-            self._rest = self._moves[keep][4]
-            del self._starts[:keep], self._moves[:keep]
+            self._rest = self._moves[keep][5]
+            del self._begins[:keep], self._moves[:keep]
 
 
 def steps_in(elapsed: int, interval: int, count: int, add: int) -> int:
@@ -171,20 +186,21 @@ class Steppers(Peripheral):
         if stepper.needs_reset:
             return
         track = stepper.track
+        start = track.last_clock
         base, stepper.step_clock = stepper.step_clock, None
-        if base is None and track.last_clock < self.board.clock():
-            base = track.last_clock
+        if base is None and start < self.board.clock():
+            base = start
         if base is not None:
             # Only the 32-bit sum is sure to be near to now: the base may be 0
             # or so long ago that the interval has wrapped
             first = self.board.widen((base + interval) & _CLOCK)
-            track.last_clock = first - interval
-        late = self.board.clock() - (track.last_clock + interval)
+            start = first - interval
+        late = self.board.clock() - (start + interval)
         if late > 0:
             self.board.journal.late.append(late)
         sign = 1 if stepper.direction else -1
-        start = track.append(interval, count, add, sign)
-        self._drive.steps_queued(self.board.ns(start))
+        begin = track.append(interval, count, add, sign, start)
+        self._drive.steps_queued(self.board.ns(begin))
 
     @command("set_next_step_dir oid=%c dir=%c")
     def _set_dir(self, oid: int, direction: int) -> None:

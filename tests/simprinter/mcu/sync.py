@@ -44,7 +44,13 @@ class Trsync:
         self._expire = self._board.schedule(clock, self._expired)
 
     def trigger(self, reason: int, clock: int) -> None:
-        """Stop everything that listens, once, as of clock."""
+        """Stop everything that listens, once, as of clock, and report it."""
+        if self.can_trigger:
+            self.fire(reason, clock)
+            self.report(clock)
+
+    def fire(self, reason: int, clock: int) -> None:
+        """The same without the report."""
         if not self.can_trigger:
             return
         self.can_trigger = False
@@ -52,7 +58,6 @@ class Trsync:
         signals, self.signals = self.signals, []
         for signal in signals:
             signal(clock)
-        self.report(clock)
 
     def clear(self) -> None:
         """Disarm and forget who listens."""
@@ -126,8 +131,7 @@ class TrsyncTable(Peripheral):
     @command("trsync_trigger oid=%c reason=%c")
     def _trigger(self, oid: int, reason: int) -> None:
         trsync = self.by_oid[oid]
-        if trsync.can_trigger:
-            trsync.trigger(reason, self.board.clock())
+        trsync.fire(reason, self.board.clock())
         trsync.silence()
         # Always answered: the host waits for it
         trsync.report(0)
@@ -174,7 +178,9 @@ class Search:
         self.wanted = False
         self.fire: Callable[[int], None] = lambda clock: None
         self.event: Event | None = None
-        self.looked_until = start  # clock up to which no edge is expected
+        # New steps before this clock may change what was found; 0 once a
+        # sample has matched, as the others are taken one by one
+        self.looked_until = start
 
     def grid(self, clock: int) -> int:
         """The first sampling clock at or after a clock."""
@@ -209,12 +215,15 @@ class Endstops(Peripheral):
         self.by_oid.clear()
 
     def steps_queued(self, start_ns: int) -> None:
-        """New steps: look again where they can matter."""
+        """New steps: look again where they can matter.
+
+        From now on, as an edge found before they begin is still to come.
+        """
         start = self.board.clock_at(start_ns)
         for endstop in self.by_oid.values():
             search = endstop.search
             if search and start < search.looked_until:
-                self._look_at(endstop, max(start, self.board.clock()))
+                self._look_at(endstop, max(search.start, self.board.clock()))
 
     def _end(self, endstop: Endstop) -> None:
         if endstop.search and endstop.search.event:
@@ -240,7 +249,9 @@ class Endstops(Peripheral):
         board = self.board
         first = board.ns(clock)
         if self._sense.level(endstop.pin, first) == search.wanted:
-            self._match(endstop, clock)
+            endstop.next_clock = clock + search.rest
+            search.looked_until = 0
+            self._sample(endstop, clock, 1)
             return
         last = first + _LOOK_AHEAD_NS
         found = self._sense.edge(endstop.pin, search.wanted, first, last)
@@ -254,19 +265,21 @@ class Endstops(Peripheral):
             tick, lambda now: self._look(endstop, now)
         )
 
-    def _match(self, endstop: Endstop, clock: int) -> None:
-        """The first sample matched; check the others and trigger."""
+    def _sample(self, endstop: Endstop, first: int, taken: int) -> None:
+        """Take the samples that follow the first match; the last triggers."""
         search = endstop.search
         assert search is not None
-        endstop.next_clock = clock + search.rest
-        for n in range(1, search.count):
-            sample = self.board.ns(clock + n * search.sample)
-            if self._sense.level(endstop.pin, sample) != search.wanted:
-                self._look_at(endstop, clock + search.rest)
-                return
-        last = clock + (search.count - 1) * search.sample
-        search.looked_until = last
-        search.event = self.board.schedule(last, search.fire)
+        clock = first + (taken - 1) * search.sample
+        level = self._sense.level(endstop.pin, self.board.ns(clock))
+        if level != search.wanted:
+            self._look_at(endstop, first + search.rest)
+        elif taken == search.count:
+            search.fire(clock)
+        else:
+            search.event = self.board.schedule(
+                clock + search.sample,
+                lambda now: self._sample(endstop, first, taken + 1),
+            )
 
     @command("config_endstop oid=%c pin=%c pull_up=%c")
     def _config(self, oid: int, pin: int, pull_up: int) -> None:

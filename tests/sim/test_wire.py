@@ -1,0 +1,396 @@
+"""The serial protocol: numbers, messages, blocks, and the line itself."""
+
+from __future__ import annotations
+
+import json
+import os
+import tty
+import zlib
+from collections.abc import Iterator
+
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from tests.simprinter.wire.framing import (
+    BLOCK_MAX,
+    CONTENT_MAX,
+    SYNC,
+    Deframer,
+    crc16,
+    encode_block,
+)
+from tests.simprinter.wire.link import Link
+from tests.simprinter.wire.messages import (
+    Dictionary,
+    Message,
+    decode_int,
+    encode_int,
+)
+
+CONTENTS = st.binary(max_size=CONTENT_MAX)
+
+# Checksum
+
+
+def slow_crc(data: bytes) -> int:
+    """The division itself, bit by bit, on unreflected numbers."""
+    bits = [int(b) for byte in data for b in f"{byte:08b}"[::-1]]
+    rest = 0xFFFF
+    for bit in bits:
+        out = (rest >> 15) ^ bit
+        rest = (rest << 1) & 0xFFFF
+        if out:
+            rest ^= 0x1021
+    return int(f"{rest:016b}"[::-1], 2)
+
+
+@pytest.mark.parametrize(
+    ("data", "crc"),
+    # The check value of CRC-16/MCRF4XX; Klipper's smallest block (an
+    # acknowledgement of nothing) worked out by hand with it
+    [(b"123456789", 0x6F91), (b"", 0xFFFF), (b"\x00", 0x0F87)],
+)
+def test_crc_of_known_text(data, crc):
+    assert slow_crc(data) == crc
+    assert crc16(data) == crc
+
+
+@given(st.binary(max_size=80))
+def test_crc_is_the_division(data):
+    assert crc16(data) == slow_crc(data)
+
+
+# Numbers
+
+
+def groups(value: int, size: int) -> bytes:
+    """A 32-bit number as `size` groups of 7 bits, highest first."""
+    parts = [(value >> (7 * i)) & 0x7F for i in reversed(range(size))]
+    return bytes([part | 0x80 for part in parts[:-1]] + parts[-1:])
+
+
+# The table in Klipper's Protocol.md; what is above 2**31 - 1 is the same 32
+# bits as a negative number and may be sent as that
+@pytest.mark.parametrize(
+    ("low", "high", "size"),
+    [
+        (-32, 95, 1),
+        (-4096, 12287, 2),
+        (-524288, 1572863, 3),
+        (-67108864, 201326591, 4),
+        (-(1 << 31), (1 << 31) - 1, 5),
+    ],
+)
+def test_documented_sizes(low, high, size):
+    for value in (low, high):
+        data = encode_int(value)
+        assert data == groups(value, size)
+        assert decode_int(data, 0) == (value, size)
+    if size < 5:
+        for value in (low - 1, high + 1):
+            assert len(encode_int(value)) == size + 1
+            assert decode_int(encode_int(value), 0) == (value, size + 1)
+
+
+@given(st.integers(-(1 << 31), (1 << 32) - 1))
+def test_numbers_come_back(value):
+    data = encode_int(value)
+    decoded, end = decode_int(b"\xff" + data + b"\x00", 1)
+    assert end == 1 + len(data)
+    assert (decoded - value) % (1 << 32) == 0
+    assert -(1 << 31) <= decoded < 1 << 31
+
+
+@given(st.integers(0, (1 << 32) - 1))
+def test_hosts_may_use_more_bytes_than_needed(value):
+    message = Message(3, "uptime high=%u")
+    # Klippy's Python side sends large unsigned numbers in 5 bytes
+    assert message.decode(b"\x03" + groups(value, 5), 1) == ([value], 6)
+
+
+def test_unsigned_and_signed_reading_of_the_same_bytes():
+    data = encode_int(-3)
+    assert Message(0, "a v=%u").decode(data, 0)[0] == [0xFFFFFFFD]
+    for kind in ("%i", "%hi"):
+        assert Message(0, f"a v={kind}").decode(data, 0)[0] == [-3]
+
+
+# Messages
+
+
+@given(
+    st.integers(0, (1 << 32) - 1),
+    st.integers(-(1 << 15), (1 << 15) - 1),
+    st.binary(max_size=40),
+    st.integers(0, 255),
+)
+def test_message_round_trip(number, small, data, byte):
+    message = Message(77, "all a=%u b=%hi c=%*s d=%c")
+    sent = {"a": number, "b": small, "c": data, "d": byte}
+    content = message.encode(sent)
+    ident, pos = decode_int(content, 0)
+    assert ident == 77
+    assert message.decode(content, pos) == (list(sent.values()), len(content))
+
+
+def test_unknown_parameter_type_is_refused():
+    with pytest.raises(ValueError, match="speed=%f"):
+        Message(0, "fly speed=%f")
+
+
+def make_dictionary() -> Dictionary:
+    commands = [f"command_{i} oid=%c" for i in range(120)]
+    responses = [f"response_{i} value=%u" for i in range(30)]
+    enums = {"pin": {"PA0": [0, 16]}}
+    return Dictionary(commands, responses, {"CLOCK_FREQ": 5}, enums, "Kalico")
+
+
+def test_dictionary_travels_as_compressed_json():
+    dictionary = make_dictionary()
+    told = json.loads(zlib.decompress(dictionary.identify_data))
+    assert told["app"] == "Kalico"
+    assert told["config"] == {"CLOCK_FREQ": 5}
+    assert told["enumerations"] == {"pin": {"PA0": [0, 16]}}
+    assert {"version", "build_versions"} <= told.keys()
+    # Known before the dictionary is: klippy's msgproto.DefaultMessages
+    assert told["commands"]["identify offset=%u count=%c"] == 1
+    assert told["responses"]["identify_response offset=%u data=%.*s"] == 0
+    numbers = [*told["commands"].values(), *told["responses"].values()]
+    assert len(numbers) == 152
+    assert len(set(numbers)) == len(numbers)
+
+
+def test_several_commands_in_one_block():
+    dictionary = make_dictionary()
+    by_name = {m.name: m for m in dictionary.commands.values()}
+    names = ["command_0", "command_119", "command_0"]
+    content = b"".join(
+        by_name[name].encode({"oid": oid}) for oid, name in enumerate(names)
+    )
+    assert dictionary.parse(content) == [
+        ("command_0", [0]),
+        ("command_119", [1]),
+        ("command_0", [2]),
+    ]
+    assert dictionary.parse(b"") == []
+
+
+def test_undeclared_command_number():
+    with pytest.raises(ValueError, match="unknown command number 5000"):
+        make_dictionary().parse(encode_int(5000))
+
+
+def test_response_by_name():
+    dictionary = make_dictionary()
+    content = dictionary.response("response_3", {"value": 300})
+    ident = dictionary.responses["response_3"].ident
+    assert content == encode_int(ident) + encode_int(300)
+
+
+# Blocks
+
+
+def test_block_layout():
+    block = encode_block(0x13, b"\x01\x02")
+    crc = slow_crc(b"\x07\x13\x01\x02")
+    assert block == bytes((7, 0x13, 1, 2, crc >> 8, crc & 0xFF, 0x7E))
+
+
+def test_block_length_limit():
+    block = encode_block(0, bytes(CONTENT_MAX))
+    assert len(block) == block[0] == BLOCK_MAX == 64
+    with pytest.raises(ValueError, match="60 bytes"):
+        encode_block(0, bytes(CONTENT_MAX + 1))
+
+
+@given(st.lists(st.tuples(st.integers(0, 15), CONTENTS)), st.data())
+def test_blocks_come_back_however_they_are_split(blocks, data):
+    stream = b"".join(encode_block(*block) for block in blocks)
+    found, deframer = [], Deframer()
+    while stream:
+        size = data.draw(st.integers(1, len(stream)))
+        found += deframer.feed(stream[:size])
+        stream = stream[size:]
+    assert found == blocks
+
+
+@given(st.integers(0, 10), CONTENTS)
+def test_idle_sync_bytes_are_nothing(count, content):
+    idle = bytes([SYNC]) * count
+    stream = idle + encode_block(1, content) + idle + encode_block(2, content)
+    assert Deframer().feed(stream + idle) == [(1, content), (2, content)]
+
+
+@given(CONTENTS, st.data())
+def test_damaged_byte_is_noticed(content, data):
+    block = bytearray(encode_block(3, content))
+    where = data.draw(st.integers(0, len(block) - 1))
+    block[where] ^= data.draw(st.integers(1, 255))
+    good = encode_block(4, b"good")
+    # A wrong length may swallow some of what follows, never all
+    found = Deframer().feed(bytes(block) + good * 10)
+    assert (3, content) not in found
+    assert found[-1] == (4, b"good")
+    if block[0] != SYNC:
+        assert None in found
+
+
+@given(st.binary(max_size=100))
+def test_blocks_are_found_again_after_garbage(garbage):
+    blocks = [(i % 16, bytes([i]) * 4) for i in range(1, 30)]
+    stream = garbage + b"".join(encode_block(*block) for block in blocks)
+    found = [block for block in Deframer().feed(stream) if block]
+    # The garbage can pretend to be one long block, but not more
+    assert found[-15:] == blocks[-15:]
+
+
+def test_wrong_destination_bits_are_damage():
+    bad = bytes((5, 0x23))
+    crc = slow_crc(bad)
+    bad += bytes((crc >> 8, crc & 0xFF, SYNC))
+    assert Deframer().feed(bad) == [None]
+
+
+# The line
+
+
+class HostEnd:
+    """The host's side of a line, and all that the board's side received."""
+
+    def __init__(self) -> None:
+        self.contents: list[bytes] = []
+        self.answers: list[bytes] = []
+        self.link = Link(self._take)
+        self.open()
+
+    def open(self) -> None:
+        self._fd = os.open(self.link.path, os.O_RDWR | os.O_NOCTTY)
+        tty.setraw(self._fd)
+        os.set_blocking(self._fd, False)
+        self._deframer = Deframer()
+
+    def close(self) -> None:
+        os.close(self._fd)
+
+    def _take(self, content: bytes) -> None:
+        self.contents.append(content)
+        for answer in self.answers:
+            self.link.send(answer)
+
+    def send(self, data: bytes) -> list[tuple[int, bytes] | None]:
+        """Send, let the board's side work; what comes back."""
+        while data:
+            data = data[os.write(self._fd, data) :]
+            self.link.pump()
+        return self.receive()
+
+    def receive(self) -> list[tuple[int, bytes] | None]:
+        found = []
+        while True:
+            try:
+                found += self._deframer.feed(os.read(self._fd, 4096))
+            except BlockingIOError:
+                return found
+
+
+@pytest.fixture
+def host_end() -> Iterator[HostEnd]:
+    end = HostEnd()
+    yield end
+    end.close()
+    end.link.close()
+
+
+def test_hosts_take_the_path_for_a_linux_process(host_end):
+    assert host_end.link.path.startswith("/tmp/klipper_host_")
+    assert os.path.realpath(host_end.link.path) == host_end.link.device
+
+
+def test_board_waits_for_0x10_and_host_starts_at_0x11(host_end):
+    # The answer to the wrong number is "again from 0x10"
+    assert host_end.send(encode_block(1, b"hello")) == [(0, b"")]
+    assert host_end.contents == []
+    assert host_end.send(encode_block(0, b"hello")) == [(1, b"")]
+    assert host_end.contents == [b"hello"]
+
+
+def test_block_sent_twice_is_run_once(host_end):
+    host_end.send(encode_block(0, b"once"))
+    assert host_end.send(encode_block(0, b"once")) == [(1, b"")]
+    assert host_end.contents == [b"once"]
+
+
+def test_damaged_block_is_asked_for_again(host_end):
+    block = encode_block(0, b"text")
+    damaged = block[:3] + b"?" + block[4:]
+    assert host_end.send(damaged) == [(0, b"")]
+    assert host_end.contents == []
+    assert host_end.send(block) == [(1, b"")]
+    assert host_end.contents == [b"text"]
+
+
+def test_blocks_behind_a_lost_one_wait_for_it(host_end):
+    blocks = [encode_block(i, bytes([i])) for i in range(3)]
+    assert host_end.send(blocks[1] + blocks[2]) == [(0, b""), (0, b"")]
+    answers = host_end.send(b"".join(blocks))
+    assert answers == [(1, b""), (2, b""), (3, b"")]
+    assert host_end.contents == [b"\x00", b"\x01", b"\x02"]
+
+
+def test_answers_leave_before_the_acknowledgement(host_end):
+    host_end.answers = [b"a", b"b"]
+    found = host_end.send(encode_block(0, b"question"))
+    assert found == [(1, b"a"), (1, b"b"), (1, b"")]
+
+
+def test_sequence_numbers_wrap(host_end):
+    for i in range(40):
+        assert host_end.send(encode_block(i, bytes([i]))) == [
+            ((i + 1) % 16, b"")
+        ]
+    assert host_end.contents == [bytes([i]) for i in range(40)]
+
+
+def test_host_that_restarts_learns_the_number(host_end):
+    for i in range(5):
+        host_end.send(encode_block(i, b"x"))
+    host_end.close()
+    host_end.open()
+    assert host_end.send(encode_block(1, b"again")) == [(5, b"")]
+    assert host_end.send(encode_block(5, b"again")) == [(6, b"")]
+    assert host_end.contents[5:] == [b"again"]
+
+
+def test_what_the_host_does_not_read_is_kept(host_end):
+    link = host_end.link
+    for i in range(10_000):
+        link.send(i.to_bytes(2, "big"))
+    assert not link.settled()
+    found = host_end.receive()
+    while not link.settled():
+        assert link.pump()
+        found += host_end.receive()
+    assert found == [(0, i.to_bytes(2, "big")) for i in range(10_000)]
+    assert link.sent == 10_000 * 7
+    assert not link.pump()
+
+
+def test_bytes_are_counted_in_both_directions(host_end):
+    host_end.send(b"\x01" * 3)
+    assert (host_end.link.received, host_end.link.sent) == (3, 0)
+    host_end.send(encode_block(0, b"") + bytes([SYNC]))
+    assert host_end.link.received == 9
+
+
+def test_response_that_is_too_long(host_end):
+    with pytest.raises(ValueError, match="too long"):
+        host_end.link.send(bytes(CONTENT_MAX + 1))
+
+
+def test_closing_leaves_nothing_behind():
+    link = Link(lambda content: None)
+    directory = os.path.dirname(link.path)
+    assert os.path.islink(link.path)
+    link.close()
+    assert not os.path.exists(directory)
