@@ -165,8 +165,11 @@ def find_python2():
     """(interpreter, "") or (None, what was tried)."""
     on_path = shutil.which("python2.7")
     candidates = [Path(on_path)] if on_path else []
-    versions = Path.home() / ".pyenv" / "versions"
-    candidates += sorted(versions.glob("2.7*/bin/python2.7"))
+    # Version managers leave a stub that only says it is not installed; the
+    # versions stand beside the folder of the stubs
+    roots = [Path.home() / ".pyenv", *(c.parents[1] for c in candidates)]
+    for root in dict.fromkeys(roots):
+        candidates += sorted(root.glob("versions/2.7*/bin/python2.7"))
     program = "import sys; print('%d.%d' % sys.version_info[:2])"
     for candidate in candidates:
         done = subprocess.run(
@@ -175,7 +178,6 @@ def find_python2():
             text=True,
             check=False,
         )
-        # Version managers leave a stub that only says it is not installed.
         if done.returncode == 0 and done.stdout.strip() == "2.7":
             return candidate, ""
     tried = ", ".join(map(str, candidates)) or "none on PATH"
