@@ -6,11 +6,18 @@ from collections.abc import Callable, Iterator
 from contextlib import ExitStack
 
 import pytest
+from hypothesis import HealthCheck, settings
 
 from tests.hostkit.hosts import Host, find_hosts, missing_hosts
 from tests.hostkit.printer import Printer
 
 HOSTS = find_hosts()
+
+# A machine that is busy is no failure
+settings.register_profile(
+    "untimed", deadline=None, suppress_health_check=[HealthCheck.too_slow]
+)
+settings.load_profile("untimed")
 
 
 def pytest_report_header() -> list[str]:

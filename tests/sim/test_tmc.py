@@ -135,7 +135,7 @@ def test_values_after_power_up(bench):
 def test_every_write_counts(bench):
     for n in range(300):
         assert bench.read(IFCNT) == n % 256
-        bench.write(GCONF, n)
+        bench.write(GCONF, n // 3)  # the same value counts as well
     assert bench.read(IFCNT, address=3) == 0
 
 

@@ -34,6 +34,7 @@
 #include <pthread.h>
 #include <semaphore.h>
 #include <signal.h>
+#include <spawn.h>
 #include <stdarg.h>
 #include <stdatomic.h>
 #include <stdint.h>
@@ -274,6 +275,14 @@ static int (*real_cond_broadcast)(pthread_cond_t *);
 static int (*real_create)(pthread_t *, const pthread_attr_t *
                           , void *(*)(void *), void *);
 static ssize_t (*real_read)(int, void *, size_t);
+static int (*real_spawn)(pid_t *, const char *
+                         , const posix_spawn_file_actions_t *
+                         , const posix_spawnattr_t *, char *const *
+                         , char *const *);
+static int (*real_spawnp)(pid_t *, const char *
+                          , const posix_spawn_file_actions_t *
+                          , const posix_spawnattr_t *, char *const *
+                          , char *const *);
 static pid_t (*real_waitpid)(pid_t, int *, int);
 static int (*real_close)(int);
 
@@ -309,6 +318,8 @@ find_symbols(void)
     real_create = dlsym(RTLD_NEXT, "pthread_create");
     real_read = dlsym(RTLD_NEXT, "read");
     real_write = dlsym(RTLD_NEXT, "write");
+    real_spawn = dlsym(RTLD_NEXT, "posix_spawn");
+    real_spawnp = dlsym(RTLD_NEXT, "posix_spawnp");
     real_waitpid = dlsym(RTLD_NEXT, "waitpid");
     real_close = dlsym(RTLD_NEXT, "close");
 }
@@ -521,16 +532,24 @@ leave_simulation(void)
     my_slot = -1;
 }
 
+static _Atomic int children; // started and not waited for
+
 static void
 count_child(void)
 {
-    if (page)
-        atomic_fetch_add(&page->awake, 1);
+    if (!page)
+        return;
+    atomic_fetch_add(&children, 1);
+    atomic_fetch_add(&page->awake, 1);
 }
 
 static void
 child_ended(void)
 {
+    // system() starts children that are not counted
+    if (!page || !children)
+        return;
+    atomic_fetch_sub(&children, 1);
     lock_slots(page);
     drop_awake();
     unlock_slots(page);
@@ -544,12 +563,38 @@ vfork(void)
     return fork();
 }
 
+int
+posix_spawn(pid_t *restrict pid, const char *restrict path
+            , const posix_spawn_file_actions_t *restrict actions
+            , const posix_spawnattr_t *restrict attr
+            , char *const argv[restrict], char *const envp[restrict])
+{
+    find_symbols();
+    int ret = real_spawn(pid, path, actions, attr, argv, envp);
+    if (!ret)
+        count_child();
+    return ret;
+}
+
+int
+posix_spawnp(pid_t *restrict pid, const char *restrict file
+             , const posix_spawn_file_actions_t *restrict actions
+             , const posix_spawnattr_t *restrict attr
+             , char *const argv[restrict], char *const envp[restrict])
+{
+    find_symbols();
+    int ret = real_spawnp(pid, file, actions, attr, argv, envp);
+    if (!ret)
+        count_child();
+    return ret;
+}
+
 pid_t
 waitpid(pid_t pid, int *status, int options)
 {
     find_symbols();
     pid_t ret = real_waitpid(pid, status, options);
-    if (ret > 0 && page)
+    if (ret > 0)
         child_ended();
     return ret;
 }
