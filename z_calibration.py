@@ -795,11 +795,14 @@ class ZCalibration(object):
     def measure(self, say):
         host, settings = self.host, self.settings
         nozzle = NozzleMeasurement(host, settings, settings.nozzle, say)
+        switch = SwitchMeasurement(host, settings, settings.switch, say)
+        if not settings.attach_after_nozzle:
+            # Nobody will attach it later: say so before anything moves
+            switch.check_probe_attached()
         nozzle_z = nozzle.measure(nozzle_floor(settings)).z
         if settings.attach_after_nozzle:
             self.lift()
             self.run_user_gcode(self.before_switch_gcode)
-        switch = SwitchMeasurement(host, settings, settings.switch, say)
         switch_z = switch.measure(switch_floor(settings, nozzle_z)).z
         bed = BedMeasurement(host, settings, self.head_site(settings.bed), say)
         probe_z = bed.measure(bed_floor(settings, nozzle_z, switch_z)).z

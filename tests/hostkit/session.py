@@ -6,16 +6,19 @@ import os
 import shutil
 import subprocess
 import tempfile
+from collections.abc import Mapping
 from pathlib import Path
 from typing import Any, NamedTuple, Optional
 
 from tests.hostkit.api import ApiClient, ApiError
-from tests.hostkit.hosts import Installed
-from tests.simprinter import Machine
-from tests.simprinter.simulation import SimulationError
+from tests.hostkit.hosts import Host, Installed
+from tests.simprinter import Machine, VirtualClock, build_directory
+from tests.simprinter.simulation import Simulation, SimulationError
 
 _START_LIMIT = 120.0  # printer seconds
 _ASK_STATE_EVERY = 5.0
+_BATCH_LIMIT = 3600.0
+_REST = Path(__file__).with_name("extras") / "rest.py"
 
 
 class GcodeError(Exception):
@@ -265,7 +268,9 @@ def run_batch(
     process.start(["-i", str(gcode_file), "-v"])
     simulation = machine.simulation
     try:
-        simulation.run_until(simulation.process_ended, 3600.0, "batch run")
+        simulation.run_until(
+            simulation.process_ended, _BATCH_LIMIT, "batch run"
+        )
     finally:
         status = process.end()
         log = process.log_text()
@@ -274,48 +279,55 @@ def run_batch(
 
 
 def run_file_output(
-    installed: Installed,
+    host: Host,
+    modules: Mapping[str, Path],
     dictionary: bytes,
     config: str,
     gcode: str,
-    timeout: float = 120.0,
 ) -> tuple[BatchResult, bytes]:
     """Run a G-code file in klippy's own file-output mode, without a machine.
 
-    Returns the result and the messages klippy would have sent.
+    Returns the result and the messages klippy would have sent. On a virtual
+    clock, so that all of them have been written.
     """
+    installed = host.install({**modules, "rest": _REST})
+    simulation = Simulation(VirtualClock(build_directory()))
     directory = Path(tempfile.mkdtemp(prefix="klippy-"))
-    try:
-        files = {
-            "printer.cfg": (installed.config + config).encode(),
-            "input.gcode": gcode.encode(),
-            "mcu.dict": dictionary,
-        }
-        for name, content in files.items():
-            (directory / name).write_bytes(content)
-        command = [*installed.argv, "printer.cfg", "-i", "input.gcode"]
-        command += ["-o", "output.bin", "-d", "mcu.dict", "-v"]
-        command += ["-l", "klippy.log"]
-        command = [
-            str(directory / word) if word in _FILES else word
-            for word in command
-        ]
-        run = subprocess.run(
-            command,
+    files = {
+        "printer.cfg": (installed.config + "[rest]\n" + config).encode(),
+        "input.gcode": (gcode.rstrip("\n") + "\nREST\n").encode(),
+        "mcu.dict": dictionary,
+        "output.bin": b"",
+        "klippy.log": b"",
+    }
+    for name, content in files.items():
+        (directory / name).write_bytes(content)
+    options = ["printer.cfg", "-i", "input.gcode", "-o", "output.bin"]
+    options += ["-d", "mcu.dict", "-v", "-l", "klippy.log"]
+    words = [str(directory / w) if w in files else w for w in options]
+    environment = installed.environment()
+    environment.update(simulation.clock.environment())
+    with open(directory / "said.txt", "wb") as said:
+        process = subprocess.Popen(
+            [*installed.argv, *words],
             cwd=installed.cwd,
-            env=installed.environment(),
+            env=environment,
             stdin=subprocess.DEVNULL,
-            capture_output=True,
-            timeout=timeout,
+            stdout=said,
+            stderr=said,
+            pass_fds=simulation.clock.inherited_fds(),
+        )
+    simulation.process_fd = os.pidfd_open(process.pid)
+    try:
+        simulation.run_until(
+            simulation.process_ended, _BATCH_LIMIT, "file-output run"
         )
         log = (directory / "klippy.log").read_text(errors="replace")
-        log += run.stdout.decode(errors="replace")
-        log += run.stderr.decode(errors="replace")
-        sent = directory / "output.bin"
-        content = sent.read_bytes() if sent.exists() else b""
-        return BatchResult(run.returncode, log), content
+        log += (directory / "said.txt").read_text(errors="replace")
+        result = BatchResult(process.wait(), log)
+        return result, (directory / "output.bin").read_bytes()
     finally:
+        process.kill()
+        process.wait()
+        simulation.close()
         shutil.rmtree(directory, ignore_errors=True)
-
-
-_FILES = ("printer.cfg", "input.gcode", "output.bin", "mcu.dict", "klippy.log")

@@ -73,7 +73,8 @@ def test_batch(host, test, config):
     ) as machine:
         dictionary = machine.board.dictionary.json
     result, _ = run_file_output(
-        host.install(module_files()),
+        host,
+        module_files(),
         dictionary,
         config.read_text(),
         "\n".join([*test.gcode, ""]),

@@ -5,7 +5,12 @@ from __future__ import annotations
 import pytest
 
 from tests.hostkit.printer import Printer, firmware_of, module_files
-from tests.hostkit.session import SessionError, run_batch, run_file_output
+from tests.hostkit.session import (
+    GcodeError,
+    SessionError,
+    run_batch,
+    run_file_output,
+)
 from tests.simprinter import (
     SCENES,
     Fault,
@@ -68,13 +73,22 @@ def test_real_time_gives_the_same_gap(one_host):
         "safe_z_home": {"z_hop": "3", "speed": "200", "z_hop_speed": "15"},
         "probe": {"samples": "1", "lift_speed": "15", "z_offset": "1.98"},
     }
-    gaps = []
-    for real_time in (False, True):
+
+    def gap(real_time):
         options = {"changes": changes, "real_time": real_time}
         with Printer(one_host, "cartesian", **options) as printer:
             printer.homed().run("CALIBRATE_Z")
-            gaps.append(printer.gap())
-    assert gaps[1] == pytest.approx(gaps[0], abs=MICROSTEP)
+            return printer.gap()
+
+    expected = gap(False)
+    for attempt in range(4):
+        try:
+            assert gap(True) == pytest.approx(expected, abs=MICROSTEP)
+            break
+        except GcodeError as error:
+            # In real time a busy machine may be late; only that is forgiven
+            if "ommunication" not in str(error) or attempt == 3:
+                raise
 
 
 def step_counts(dictionary, blocks, wiring):
@@ -139,7 +153,8 @@ def test_steps_equal_those_of_klippys_own_file_output(host, scene):
         ends = {n: a.track.position for n, a in machine.rig.axes.items()}
     assert live.status == 0, live.tail()
     written, blocks = run_file_output(
-        installed,
+        host,
+        module_files(),
         dictionary.json,
         scene.config("/tmp/klipper_host_mcu", changes),
         gcode,

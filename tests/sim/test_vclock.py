@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import os
 import time
 
 import pytest
@@ -548,6 +549,32 @@ def test_lines_are_limited():
             the_clock.add_tty("/dev/null")
     finally:
         the_clock.close()
+
+
+def test_line_is_settled_when_both_ends_count_the_same():
+    source = """
+fd = os.open(sys.argv[1], os.O_RDWR | os.O_NOCTTY)
+os.write(fd, b"hello")
+time.sleep(3600)
+"""
+    master, slave = os.openpty()
+    command, indexes = [], []
+
+    def prepare(simulation):
+        path = os.ttyname(slave)
+        indexes.append(simulation.clock.add_tty(path))
+        command.extend(python(source, path))
+        # Before the line is open nobody reads what is sent
+        assert simulation.clock.tty_settled(indexes[0], 7, 0)
+
+    with Program(command, prepare) as program:
+        the_clock, (index,) = program.simulation.clock, indexes
+        wait_until(the_clock.everybody_sleeps)
+        assert the_clock.tty_settled(index, 0, 5)
+        assert not the_clock.tty_settled(index, 0, 4)  # still on its way here
+        assert not the_clock.tty_settled(index, 1, 5)  # on its way there
+    os.close(master)
+    os.close(slave)
 
 
 def test_library_is_built_once(tmp_path):

@@ -56,7 +56,7 @@
 #define MAX_TTYS 8
 #define NEVER INT64_MAX
 // A thread that has read the same instant this often is spinning until the
-// clock moves; each further read then costs SPIN_NS.
+// clock moves: it then moves by SPIN_NS.
 #define SPIN_READS 1000
 #define SPIN_NS 1000
 
