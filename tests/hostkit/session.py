@@ -33,19 +33,19 @@ class _Process:
     """Klippy's process with its files in a directory of its own."""
 
     def __init__(
-        self, installed: Installed, machine: Machine, config: str
+        self, installed: Installed, simulation: Simulation, config: str
     ) -> None:
         self.directory = Path(tempfile.mkdtemp(prefix="klippy-"))
         self.config = self.directory / "printer.cfg"
         self.log = self.directory / "klippy.log"
         self.config.write_text(installed.config + config)
         self._installed = installed
-        self._machine = machine
+        self._simulation = simulation
         self.popen: Optional[subprocess.Popen] = None
 
     def start(self, options: list[str]) -> None:
         """Start klippy on the simulation's clock."""
-        clock = self._machine.simulation.clock
+        clock = self._simulation.clock
         environment = self._installed.environment()
         environment.update(clock.environment())
         command = [*self._installed.argv, str(self.config)]
@@ -62,7 +62,7 @@ class _Process:
                 stderr=output,
                 pass_fds=clock.inherited_fds(),
             )
-        self._machine.simulation.process_fd = os.pidfd_open(self.popen.pid)
+        self._simulation.process_fd = os.pidfd_open(self.popen.pid)
 
     def log_text(self) -> str:
         """The log and whatever else klippy has printed."""
@@ -94,7 +94,7 @@ class LiveSession:
     def __init__(self, installed: Installed, machine: Machine, config: str):
         """config: printer.cfg without what the host itself needs."""
         self.machine = machine
-        self._process = _Process(installed, machine, config)
+        self._process = _Process(installed, machine.simulation, config)
         socket = self._process.directory / "api"
         self._api = ApiClient(socket)
         self._process.start(["-a", str(socket)])
@@ -262,20 +262,11 @@ def run_batch(
     installed: Installed, machine: Machine, config: str, gcode: str
 ) -> BatchResult:
     """Run a G-code file to its end on the simulated machine (klippy -i)."""
-    process = _Process(installed, machine, config)
-    gcode_file = process.directory / "input.gcode"
-    gcode_file.write_text(gcode)
-    process.start(["-i", str(gcode_file), "-v"])
-    simulation = machine.simulation
+    process = _Process(installed, machine.simulation, config)
     try:
-        simulation.run_until(
-            simulation.process_ended, _BATCH_LIMIT, "batch run"
-        )
+        return _run_to_end(process, machine.simulation, gcode, [])
     finally:
-        status = process.end()
-        log = process.log_text()
         process.remove()
-    return BatchResult(status, log)
 
 
 def run_file_output(
@@ -292,42 +283,29 @@ def run_file_output(
     """
     installed = host.install({**modules, "rest": _REST})
     simulation = Simulation(VirtualClock(build_directory()))
-    directory = Path(tempfile.mkdtemp(prefix="klippy-"))
-    files = {
-        "printer.cfg": (installed.config + "[rest]\n" + config).encode(),
-        "input.gcode": (gcode.rstrip("\n") + "\nREST\n").encode(),
-        "mcu.dict": dictionary,
-        "output.bin": b"",
-        "klippy.log": b"",
-    }
-    for name, content in files.items():
-        (directory / name).write_bytes(content)
-    options = ["printer.cfg", "-i", "input.gcode", "-o", "output.bin"]
-    options += ["-d", "mcu.dict", "-v", "-l", "klippy.log"]
-    words = [str(directory / w) if w in files else w for w in options]
-    environment = installed.environment()
-    environment.update(simulation.clock.environment())
-    with open(directory / "said.txt", "wb") as said:
-        process = subprocess.Popen(
-            [*installed.argv, *words],
-            cwd=installed.cwd,
-            env=environment,
-            stdin=subprocess.DEVNULL,
-            stdout=said,
-            stderr=said,
-            pass_fds=simulation.clock.inherited_fds(),
-        )
-    simulation.process_fd = os.pidfd_open(process.pid)
+    process = _Process(installed, simulation, "[rest]\n" + config)
+    sent, known = process.directory / "sent.bin", process.directory / "mcu.dict"
+    known.write_bytes(dictionary)
+    options = ["-o", str(sent), "-d", str(known)]
+    try:
+        result = _run_to_end(process, simulation, gcode + "\nREST\n", options)
+        return result, sent.read_bytes() if sent.exists() else b""
+    finally:
+        simulation.close()
+        process.remove()
+
+
+def _run_to_end(
+    process: _Process, simulation: Simulation, gcode: str, options: list[str]
+) -> BatchResult:
+    """Start klippy on a G-code file and wait until it has ended."""
+    file = process.directory / "input.gcode"
+    file.write_text(gcode)
+    process.start(["-i", str(file), "-v", *options])
     try:
         simulation.run_until(
-            simulation.process_ended, _BATCH_LIMIT, "file-output run"
+            simulation.process_ended, _BATCH_LIMIT, "batch run"
         )
-        log = (directory / "klippy.log").read_text(errors="replace")
-        log += (directory / "said.txt").read_text(errors="replace")
-        result = BatchResult(process.wait(), log)
-        return result, (directory / "output.bin").read_bytes()
     finally:
-        process.kill()
-        process.wait()
-        simulation.close()
-        shutil.rmtree(directory, ignore_errors=True)
+        status = process.end()
+    return BatchResult(status, process.log_text())
