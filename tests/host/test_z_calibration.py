@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 import re
 from dataclasses import replace
 
@@ -10,6 +11,7 @@ import pytest
 from tests.hostkit.printer import Printer, firmware_of, module_files
 from tests.hostkit.session import run_batch
 from tests.simprinter import SCENES, Fault, Machine
+from tests.simprinter.world import Pose
 
 MICROSTEP = 0.0025
 RESULT = re.compile(
@@ -287,6 +289,185 @@ def test_head_travels_at_the_safe_height(start):
     assert sum(machine.truth.drag(s) for s in ("body_pin", "probe_bed")) == 0
 
 
+def seconds_between_samples(host, changes):
+    """From the first touch of a site to the second one, by site."""
+    with Printer(host, changes=changes) as printer:
+        printer.homed()
+        homing = len(printer.machine.truth.touches)
+        printer.run("CALIBRATE_Z")
+        times = {
+            site: [
+                t.t
+                for t in printer.machine.truth.touches[homing:]
+                if t.site == site
+            ]
+            for site in ("nozzle_pin", "body_pin")
+        }
+    return {site: t[1] - t[0] for site, t in times.items()}
+
+
+@pytest.mark.parametrize(
+    ("changes", "more"),
+    [
+        # Up by the retract of 3 mm at the probe's 10 mm/s, down at 3 mm/s
+        ({"stepper_z": {"second_homing_speed": "1"}}, 3 / 1 - 3 / 3),
+        # Half the homing speed of 8 where there is no second one
+        ({"stepper_z": {"second_homing_speed": None}}, 3 / 4 - 3 / 3),
+        ({"stepper_z": {"homing_retract_dist": "6"}}, 3 / 10 + 3 / 3),
+        # Klipper's own default of 5
+        ({"stepper_z": {"homing_retract_dist": None}}, 2 / 10 + 2 / 3),
+        ({"probe": {"lift_speed": "1"}}, 3 / 1 - 3 / 10),
+    ],
+)
+def test_samples_are_taken_at_the_configured_speeds(host, changes, more):
+    usual = seconds_between_samples(host, None)
+    changed = seconds_between_samples(host, changes)
+    for site in ("nozzle_pin", "body_pin"):
+        assert changed[site] - usual[site] == pytest.approx(more, abs=0.2)
+
+
+def test_way_to_the_bed_is_taken_at_the_configured_speeds(start):
+    printer = start().homed()
+    printer.run("CALIBRATE_Z")
+    touches = printer.machine.truth.touches
+    body = max(t.t for t in touches if t.site == "body_pin")
+    bed = min(t.t for t in touches if t.site == "probe_bed")
+    # Lift to 13.8, 50 mm/s in XY, down with the probe's own 5 mm/s
+    travel = math.hypot(208 - 152, 281.25 - 125.25)
+    seconds = (13.8 - 8.0) / 10 + travel / 50 + (13.8 - 7.0) / 5
+    # The rest is what starting and stopping takes
+    assert 0.6 < bed - body - seconds < 2.2
+
+
+def test_lift_at_the_end_is_taken_at_the_configured_speed(start):
+    printer = start(changes=section(end_gcode="M400")).homed()
+    printer.run("M400")
+    clock, touches = printer.machine.simulation.clock, printer.machine.truth
+    homing, began = len(touches.touches), clock.now()
+    printer.run("CALIBRATE_Z")
+    measuring = touches.touches[-1].t - touches.touches[homing].t
+    # Up to 13.8 at 10 mm/s, down to the pin at 3 mm/s, and after the last
+    # touch up again: what is left is starting and stopping
+    seconds = (13.8 - 10) / 10 + (13.8 - 1.6) / 3 + (13.8 - 7.0) / 10
+    rest = (clock.now() - began) / 1e9 - measuring - seconds
+    assert 0.0 < rest < 3.0
+
+
+def test_nothing_is_searched_above_the_safe_height(start):
+    printer = start().homed()
+    homed = printer.machine.truth.touches[-1]
+    printer.run("G1 Z100 F900\nM400\nCALIBRATE_Z")
+    touches = printer.machine.truth.touches
+    first = touches[touches.index(homed) + 1]
+    assert first.site == "nozzle_pin"
+    # Up at 15 mm/s, down at the probe's 10 and, from 13.8 on, at 3 mm/s; down
+    # at 3 mm/s all the way would take 26 s more
+    seconds = 100 / 15 + (100 - 13.8) / 10 + (13.8 - 1.6) / 3
+    assert first.t - homed.t < seconds + 6.0
+
+
+def test_head_that_is_higher_does_not_come_down_on_the_way(start):
+    # It ends over the nozzle's site, which lies behind the bed
+    fault = Fault("stuck_closed", signal="z_endstop", t=60.0)
+    printer = start(faults=[fault]).homed()
+    printer.run("G1 Z60 F900\nG1 X20 Y20 F6000\nM400")
+    printer.session.wait(60.0)
+    above_bed = lowest_tip(printer)
+    assert above_bed > 20.0
+    assert "endstop reads triggered" in printer.fail("CALIBRATE_Z")
+    assert lowest_tip(printer) == above_bed
+
+
+AXIS_OPTIONS = (
+    "endstop_pin",
+    "position_endstop",
+    "position_min",
+    "position_max",
+    "homing_speed",
+)
+
+
+@pytest.mark.parametrize("name", ["z", "lift"])
+def test_axis_of_generic_cartesian(host, name):
+    changes = {
+        "printer": {"kinematics": "generic_cartesian"},
+        "tmc2209 stepper_z": None,
+    }
+    for axis, carriage in (("x", "x"), ("y", "y"), ("z", name)):
+        stepper = dict(SCENES["cartesian"].sections[f"stepper_{axis}"])
+        own = {k: stepper.pop(k) for k in AXIS_OPTIONS if k in stepper}
+        changes[f"stepper_{axis}"] = None
+        changes[f"carriage {carriage}"] = {**own, "axis": axis}
+        changes[f"stepper my_{axis}"] = {**stepper, "carriages": carriage}
+    with Printer(host, "cartesian", changes=changes) as printer:
+        state, message = printer.session.start()
+        if state != "ready":
+            # Not every host has these kinematics
+            assert "z_calibration" not in message
+            return
+        printer.homed().run("CALIBRATE_Z")
+        predicted = printer.scene.formula_gap()
+        assert printer.gap() == pytest.approx(predicted, abs=2 * MICROSTEP)
+
+
+def test_twist_compensation_counts_as_the_probe_counts_it(host):
+    twist = {
+        "calibrate_start_x": "20",
+        "calibrate_end_x": "280",
+        "calibrate_y": "150",
+        "z_compensations": "0.1, 0.1, 0.1",
+    }
+    # Needed by newer hosts, refused by older ones
+    limits = {"compensation_start_x": "20", "compensation_end_x": "280"}
+    for options in ({**twist, **limits}, twist):
+        changes = {"axis_twist_compensation": options}
+        with Printer(host, changes=changes) as printer:
+            if printer.session.start()[0] != "ready":
+                continue
+            printer.homed()
+            (probe, *_), _ = calibration(printer)
+            printer.run("G1 X152 Y125.25 Z15 F6000\nPROBE")
+            seen = printer.status("probe")["last_z_result"]
+        assert abs(probe - (BED + TRIGGER)) == pytest.approx(0.1, abs=0.005)
+        assert probe == pytest.approx(seen, abs=0.005)
+        return
+    raise AssertionError("no host takes this section")
+
+
+def test_macro_named_like_the_offset_command_is_left_alone(start):
+    changes = marked("SET_GCODE_OFFSET")
+    changes["gcode_macro SET_GCODE_OFFSET"]["rename_existing"] = "PLAIN_OFFSET"
+    printer = start(changes=changes).homed()
+    lines = printer.run("CALIBRATE_Z")
+    assert not any("SET_GCODE_OFFSET" in line for line in lines)
+    assert printer.offset() == pytest.approx(result_of(lines)[-1], abs=1e-6)
+
+
+def test_head_does_not_move_with_the_new_offset(start):
+    printer = start().homed()
+    printer.run("SET_GCODE_OFFSET Z=0.9\nCALIBRATE_Z\nM400")
+    assert printer.session.position()[2] == pytest.approx(13.8, abs=1e-6)
+
+
+def test_offset_is_given_to_the_micrometre(start):
+    printer = start(changes=section(switch_offset="0.441234")).homed()
+    lines = printer.run("CALIBRATE_Z")
+    offset = next(m for m in map(RESULT.search, lines) if m).group(5)
+    assert re.fullmatch(r"0\.\d{6}", offset)
+    assert not offset.endswith("000")
+    assert printer.offset() == pytest.approx(float(offset), abs=1e-7)
+
+
+def test_klippy_knows_version_help_and_settings(start):
+    printer = start()
+    printer.session.require_ready()
+    assert re.search(r"z_calibration \d+\.\d+\.\d+", printer.session.log())
+    helped = [line for line in printer.run("HELP") if "CALIBRATE_Z" in line]
+    assert "set the Z offset" in " ".join(helped)
+    settings = printer.status("configfile")["settings"]["z_calibration"]
+    assert settings["switch_offset"] == SWITCH_OFFSET
+
+
 # Templates
 
 
@@ -378,6 +559,67 @@ def test_failing_end_gcode_does_not_hide_the_first_error(start):
     assert "second error" not in text
     assert "second error" in printer.session.log()
     assert_unharmed(printer)
+
+
+@pytest.mark.parametrize("faults", [0, 1])
+def test_head_is_safe_when_user_gcode_runs(start, faults):
+    where = "{printer.toolhead.position.z|round(2)}"
+    changes = {
+        "respond": {},
+        "gcode_macro SECOND": {"gcode": f"\n  RESPOND MSG=second:{where}"},
+        "gcode_macro LAST": {"gcode": f"\n  RESPOND MSG=last:{where}"},
+        # Lower than the safe height after each touch
+        "stepper_z": {"homing_retract_dist": "1"},
+    }
+    changes.update(
+        section(
+            before_switch_gcode="SECOND\n  ATTACH_PROBE",
+            end_gcode="LAST\n  DOCK_PROBE",
+        )
+    )
+    printer = start(
+        "cartesian",
+        changes=changes,
+        faults=[Fault("probe_falls", n=1)] * faults,
+    ).homed()
+    printer.run("G1 Z2 F600")
+    before = len(printer.session.console)
+    if faults:
+        printer.fail("CALIBRATE_Z")
+    else:
+        printer.run("CALIBRATE_Z")
+    lines = "\n".join(printer.session.console[before:])
+    # Twice the probe's z_offset of 2.0
+    assert float(re.search(r"second:(\S+)", lines)[1]) >= 4.0
+    assert float(re.search(r"last:(\S+)", lines)[1]) >= 4.0
+
+
+def test_empty_template_is_no_template(start):
+    # This probe is attached all the time
+    changes = section(start_gcode="", before_switch_gcode="", end_gcode="")
+    calibration(start(changes=changes).homed())
+
+
+def test_end_gcode_that_turns_the_motors_off_voids_the_result(start):
+    printer = start(changes=section(end_gcode="M84")).homed()
+    printer.run("SET_GCODE_OFFSET Z=0.2")
+    text = printer.fail("CALIBRATE_Z")
+    assert "z_calibration: not homed: X, Y, Z" in text
+    assert printer.status("z_calibration")["last_query"] == {}
+    assert printer.offset() == pytest.approx(0.2)
+
+
+def test_template_that_stops_the_printer_is_the_last_thing_run(start):
+    changes = marked("LAST")
+    stop = "\n  { action_emergency_stop('enough') }"
+    changes.update(section(before_switch_gcode=stop, end_gcode="LAST"))
+    printer = start("cartesian", changes=changes).homed()
+    before = len(printer.session.console)
+    assert "enough" in printer.fail("CALIBRATE_Z")
+    printer.session.wait(2.0)
+    assert "echo: LAST" not in printer.session.console[before:]
+    assert "failed, too" not in printer.session.log()
+    assert printer.session.state()[0] == "shutdown"
 
 
 # What may go wrong on the way
@@ -562,6 +804,52 @@ def test_probe_is_usable_after_a_failure(start):
     printer.run("G1 X150 Y120 Z15 F6000\nPROBE")
 
 
+def test_failure_says_who_and_where(start):
+    fault = Fault("stuck_closed", signal="z_endstop", n=3)
+    printer = start(faults=[fault]).homed()
+    text = printer.fail("CALIBRATE_Z")
+    assert text.startswith("z_calibration: nozzle: ")
+    # Stopped where it began: at the travel height
+    assert "stopped at z=13.800, expected to trigger above z=0.600" in text
+
+
+def test_floor_without_position_min_is_zero(start):
+    changes = {"stepper_z": {"position_min": None}}
+    fault = Fault("trigger_never", signal="z_endstop", n=3)
+    printer = start("cartesian", changes=changes, faults=[fault])
+    printer.machine.tolerate("nozzle_pin", 0.5 + MICROSTEP)
+    text = printer.homed().fail("CALIBRATE_Z")
+    assert "stopped at z=0.000, expected to trigger above z=0.000" in text
+
+
+def test_axes_that_are_not_homed_are_named(start):
+    # It stands over the pin already
+    scene = replace(SCENES["cartesian"], start=Pose(226.0, 20.0, 25.0))
+    printer = start(scene, changes={"safe_z_home": None})
+    printer.session.require_ready()
+    printer.run("G28 Z")
+    homing = len(printer.machine.truth.touches)
+    text = printer.fail("CALIBRATE_Z")
+    assert "z_calibration: not homed: X, Y; home all axes (G28)" in text
+    assert touched_sites(printer, homing) == []
+    assert printer.session.state()[0] == "ready"
+
+
+def test_unhomed_printer_is_not_lifted(start):
+    printer = start()
+    printer.session.require_ready()
+    printer.fail("CALIBRATE_Z")
+    assert "failed, too" not in printer.session.log()
+
+
+def test_switch_offset_beyond_the_travel_height(start):
+    printer = start(changes=section(switch_offset="20")).homed()
+    text = printer.fail("CALIBRATE_Z")
+    assert "bed: the head is at z=13.800, this touch ends at z=25.4" in text
+    assert "probe_bed" not in touched_sites(printer)
+    assert_unharmed(printer)
+
+
 # Set-ups that are refused when klippy connects
 
 
@@ -709,3 +997,86 @@ def test_travel_height_that_makes_no_sense(host, changes, words):
     message = refusal(host, changes)
     assert words in message
     assert "travel height" in message
+
+
+@pytest.mark.parametrize("edge", ["300, 100", "100, 310", "0, 0"])
+def test_point_on_the_edge_of_the_axes(start, edge):
+    changes = section(nozzle_xy_position=edge, switch_xy_position=edge)
+    start(changes=changes).session.require_ready()
+
+
+@pytest.mark.parametrize(
+    "option", ["start_gcode", "before_switch_gcode", "end_gcode"]
+)
+def test_template_with_a_syntax_error(host, option):
+    message = refusal(host, section(**{option: "{% if %}"}))
+    assert f"z_calibration:{option}" in message
+
+
+def test_smart_effector(host):
+    changes = {
+        "probe": None,
+        "smart_effector": {
+            "pin": "^PC3",
+            "control_pin": "PD1",
+            "z_offset": "2",
+        },
+    }
+    assert "Section 'smart_effector'" in refusal(host, changes)
+
+
+STRANGE = '''
+class Strange:
+    """Changes a part of the printer, as extras of others do: QIDI's, for one,
+    exchange what belongs to mcu_probe."""
+
+    def __init__(self, config):
+        self.printer = config.get_printer()
+        self.part = config.get("part")
+        if self.part == "samples_result":
+            # On QIDI's hosts
+            probe = self.printer.load_object(config, "probe")
+            for name in ("param_helper", "probe_session"):
+                helper = getattr(probe, name, probe)
+                if hasattr(helper, "samples_result"):
+                    helper.samples_result = "submaxmin"
+        self.printer.register_event_handler("klippy:mcu_identify", self.change)
+
+    def change(self):
+        probe = self.printer.lookup_object("probe")
+        if self.part == "endstop":
+            query = self.printer.lookup_object("query_endstops")
+            query.endstops = [e for e in query.endstops if "z" not in e[1]]
+        elif self.part == "probe":
+            probe.mcu_probe = None
+        elif self.part == "steppers":
+            raw = getattr(probe.mcu_probe, "mcu_endstop", None)
+            for endstop in (raw, probe.mcu_probe):
+                if endstop is not None:
+                    endstop.get_steppers = lambda: []
+
+
+def load_config(config):
+    return Strange(config)
+'''
+
+
+@pytest.mark.parametrize(
+    ("part", "words"),
+    [
+        ("endstop", "knows no endstop of the name stepper_z or z"),
+        ("probe", "Section 'probe' (PrinterProbe) is not a switch"),
+        ("steppers", "Section 'probe' (PrinterProbe) is not a switch"),
+        ("samples_result", "set it to median or average"),
+    ],
+)
+def test_host_that_is_not_as_expected(host, tmp_path, part, words):
+    source = tmp_path / "strange.py"
+    source.write_text(STRANGE)
+    modules = {**module_files(), "strange": source}
+    changes = {"strange": {"part": part}}
+    with Printer(host, changes=changes, modules=modules) as printer:
+        state, message = printer.session.start()
+        assert state == "error"
+        assert words in message
+        assert "Internal error" not in message
