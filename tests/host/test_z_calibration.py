@@ -946,6 +946,7 @@ def test_virtual_endstop(host):
     }
     message = refusal(host, changes)
     assert "'endstop_pin: probe:z_virtual_endstop'" in message
+    assert "is the probe: z_calibration needs a Z endstop" in message
     assert "section 'stepper_z'" in message
 
 
