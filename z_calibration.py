@@ -797,7 +797,9 @@ class ZCalibration(object):
         nozzle = NozzleMeasurement(host, settings, settings.nozzle, say)
         switch = SwitchMeasurement(host, settings, settings.switch, say)
         if not settings.attach_after_nozzle:
-            # Nobody will attach it later: say so before anything moves
+            # Nobody will attach it later: say so before anything is touched,
+            # but clear of the bed, on which a PROBE leaves it pressed
+            self.lift()
             switch.check_probe_attached()
         nozzle_z = nozzle.measure(nozzle_floor(settings)).z
         if settings.attach_after_nozzle:

@@ -659,6 +659,12 @@ def test_probe_that_is_not_attached_never_goes_down(start):
     assert printer.session.state()[0] == "ready"
 
 
+def test_probe_may_stand_on_the_bed_before(start):
+    printer = start().homed()
+    printer.run("G1 X150 Y120 Z15 F6000\nPROBE")
+    calibration(printer)
+
+
 def test_probe_that_fails_to_attach_never_goes_down(start):
     printer = start("cartesian", faults=[Fault("attach_fails")]).homed()
     before = len(printer.machine.truth.touches)
@@ -1043,7 +1049,21 @@ class Strange:
                     helper.samples_result = "submaxmin"
         self.printer.register_event_handler("klippy:mcu_identify", self.change)
 
+    def trigger_above_halt(self):
+        # As with endstop and motors on boards of their own, only more so
+        homing = self.printer.lookup_object("homing")
+        probing_move = homing.probing_move
+
+        def changed(*args, **options):
+            position = list(probing_move(*args, **options))
+            position[2] += 0.25
+            return position
+
+        homing.probing_move = changed
+
     def change(self):
+        if self.part == "halt":
+            return self.trigger_above_halt()
         probe = self.printer.lookup_object("probe")
         if self.part == "endstop":
             query = self.printer.lookup_object("query_endstops")
@@ -1081,3 +1101,22 @@ def test_host_that_is_not_as_expected(host, tmp_path, part, words):
         assert state == "error"
         assert words in message
         assert "Internal error" not in message
+
+
+def test_heights_are_those_of_the_trigger_not_of_the_halt(start, tmp_path):
+    source = tmp_path / "strange.py"
+    source.write_text(STRANGE)
+    modules = {**module_files(), "strange": source}
+    changes = {"strange": {"part": "halt"}}
+    printer = start(changes=changes, modules=modules).homed()
+    (probe, switch, nozzle, _, _), _ = calibration(printer)
+    assert nozzle == pytest.approx(PIN + 0.25, abs=MICROSTEP)
+    assert switch == pytest.approx(PIN + BODY + 0.25, abs=MICROSTEP)
+    assert probe == pytest.approx(BED + TRIGGER + 0.25, abs=MICROSTEP)
+
+
+def test_bed_point_out_of_reach_speaks_of_the_probes_offset(host):
+    bed = refusal(host, section(bed_xy_position="150, 20"))
+    assert "Y=-4.750, the probe's offset included, outside" in bed
+    nozzle = refusal(host, section(nozzle_xy_position="301, 100"))
+    assert "X=301.000, outside" in nozzle
