@@ -207,7 +207,11 @@ def default_safe_z(probe_z_offset):
 def complete(settings, probe_params, probe_z_offset):
     defaults = dict(probe_params)
     defaults["bed_speed"] = probe_params["probe_speed"]
-    defaults["safe_z_height"] = default_safe_z(probe_z_offset)
+    # Also over a pin that stands high the probe has to pass
+    clear_of_pin = settings.position_endstop + probe_z_offset
+    defaults["safe_z_height"] = max(
+        default_safe_z(probe_z_offset), clear_of_pin + settings.travel_margin
+    )
     left_open = [n for n in settings._fields if getattr(settings, n) is None]
     return settings._replace(**{name: defaults[name] for name in left_open})
 

@@ -269,6 +269,16 @@ def test_noise_is_averaged_out(start):
     assert printer.gap() == pytest.approx(noisy.formula_gap(), abs=0.008)
 
 
+def test_probe_passes_over_a_pin_that_stands_high(start):
+    # Twice the z_offset would drag the body across the pin
+    scene = SCENES["voron"]
+    high = scene.with_world(pin=replace(scene.world.pin, z=8.9012))
+    changes = {"stepper_z": {"position_endstop": "8.6"}}
+    printer = start(high, changes=changes).homed()
+    printer.run("CALIBRATE_Z")
+    assert printer.gap() == pytest.approx(high.formula_gap(), abs=2 * MICROSTEP)
+
+
 def test_retract_is_never_zero(start):
     changes = {"stepper_z": {"homing_retract_dist": "0"}}
     printer = start(changes=changes).homed()
@@ -997,7 +1007,7 @@ def test_delta(host):
     [
         # Twice the z_offset is no height to travel at
         ({"probe": {"z_offset": "150"}}, "z_offset"),
-        ({"stepper_z": {"position_endstop": "15"}}, "position_endstop"),
+        ({"stepper_z": {"position_endstop": "275"}}, "position_endstop"),
     ],
 )
 def test_travel_height_that_makes_no_sense(host, changes, words):
