@@ -18,7 +18,6 @@ COMMIT_NS = 5_000_000
 # Positions older than this are asked for by nobody (the slowest sensor's
 # latency is far below)
 _MEMORY_NS = 2_000_000_000
-_ALWAYS_NS = 1 << 62
 
 
 class MotorAxis:
@@ -59,7 +58,6 @@ class Rig:
         self.world = world
         self.wiring = wiring
         self._kinematics = kinematics
-        self._now_ns = now_ns
         self._zero_ns = now_ns()
         self._committed = self._zero_ns
         begin = kinematics.motors(start)
