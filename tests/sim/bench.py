@@ -4,7 +4,12 @@ from __future__ import annotations
 
 from typing import Any
 
-from tests.simprinter.mcu.board import Board, Peripheral
+from tests.simprinter.mcu.board import (
+    USUAL_CRYSTAL,
+    Board,
+    Crystal,
+    Peripheral,
+)
 
 LOW32 = 0xFFFFFFFF
 
@@ -15,9 +20,9 @@ class Bench:
     answers: (name, values by parameter name) in the order of sending.
     """
 
-    def __init__(self, *parts: Peripheral):
+    def __init__(self, *parts: Peripheral, crystal: Crystal = USUAL_CRYSTAL):
         self.ns = 5_000_000_000
-        self.board = Board(lambda: self.ns, parts, "Klipper")
+        self.board = Board(lambda: self.ns, parts, "Klipper", crystal)
         self.board.send = self._take
         self.answers: list[tuple[str, dict[str, Any]]] = []
         dictionary = self.board.dictionary

@@ -14,6 +14,7 @@ from tests.simprinter.mcu.board import (
     CLOCK_FREQ,
     PORTS,
     TICK_NS,
+    Crystal,
     Peripheral,
     command,
     pin_name,
@@ -106,6 +107,26 @@ def test_clock_on_the_wire_wraps_and_uptime_does_not(bench):
     bench.run_to((1 << 32) + 7)
     assert bench.ask("get_clock") == {"clock": 7}
     assert bench.ask("get_uptime") == {"high": 1, "clock": 7}
+
+
+def test_board_with_a_crystal_of_its_own():
+    # It says 40.004 MHz and ticks 100 ppm slower
+    bench = Bench(crystal=Crystal(tick_ns=25, ppm=100, first_wrap=7))
+    told = json.loads(bench.board.dictionary.json)
+    assert told["config"]["CLOCK_FREQ"] == 40_004_000
+    start = bench.now()
+    assert start == (1 << 32) - 7 * 40_000_000
+    assert bench.board.ns(start) == bench.ns
+    assert bench.board.clock_at(bench.ns + 99) == start + 3
+    bench.ns += 7 * 10**9
+    assert bench.ask("get_uptime") == {"high": 1, "clock": 0}
+
+
+def test_stats_come_every_five_seconds_on_any_crystal():
+    bench = Bench(crystal=Crystal(tick_ns=40))
+    bench.tell("finalize_config", crc=1)
+    bench.run_to(bench.now() + 12 * 25_000_000)
+    assert len(bench.said("stats")) == 2
 
 
 @given(st.integers(0, 1 << 34), st.integers(-(1 << 31) + 1, (1 << 31) - 1))

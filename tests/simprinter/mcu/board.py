@@ -11,17 +11,16 @@ from __future__ import annotations
 import heapq
 import itertools
 from collections.abc import Callable, Iterable
-from typing import Any
+from typing import Any, NamedTuple
 
 from ..wire.messages import Dictionary
 
 TICK_NS = 20
 CLOCK_FREQ = 10**9 // TICK_NS
-# The 32-bit clock wraps this long after the start, so that every longer run
-# crosses the wrap
-_FIRST_WRAP_TICKS = 20 * CLOCK_FREQ
-_FIRST_CLOCK = (1 << 32) - _FIRST_WRAP_TICKS
-_STATS_TICKS = 5 * CLOCK_FREQ
+# The 32-bit clock wraps this long (s) after the start, so that every longer
+# run crosses the wrap
+_FIRST_WRAP = 20
+_STATS_NS = 5 * 10**9
 PORTS = "ABCDEFGHI"
 SHUTDOWN_REASONS = ("Command request", "Unknown oid", "Bad command")
 
@@ -70,6 +69,26 @@ def pin_name(number: int) -> str:
     return f"P{PORTS[number // 16]}{number % 16}"
 
 
+class Crystal(NamedTuple):
+    """What makes a board's clock tick.
+
+    tick_ns: how long a tick really takes; ppm: by how much it ticks slower
+    than its CLOCK_FREQ says; first_wrap: s from the start until the 32-bit
+    clock wraps
+    """
+
+    tick_ns: int = TICK_NS
+    ppm: int = 0
+    first_wrap: int = _FIRST_WRAP
+
+    def nominal_freq(self) -> int:
+        """What the board says of its clock, Hz."""
+        return 10**9 * (10**6 + self.ppm) // (self.tick_ns * 10**6)
+
+
+USUAL_CRYSTAL = Crystal()
+
+
 class Board(Peripheral):
     """A micro-controller without its serial line.
 
@@ -92,14 +111,17 @@ class Board(Peripheral):
         now_ns: Callable[[], int],
         peripherals: Iterable[Peripheral],
         app: str,
+        crystal: Crystal = USUAL_CRYSTAL,
     ):
         self._now_ns = now_ns
-        self._epoch_ns = now_ns() - _FIRST_CLOCK * TICK_NS
+        self._tick_ns = crystal.tick_ns
+        first_clock = (1 << 32) - crystal.first_wrap * 10**9 // self._tick_ns
+        self._epoch_ns = now_ns() - first_clock * self._tick_ns
         self._events: list = []
         self._order = itertools.count()
         self._parts: list[Peripheral] = [self, *peripherals]
         self._handlers: dict[str, Callable] = {}
-        self.dictionary = self._collect(app)
+        self.dictionary = self._collect(app, crystal.nominal_freq())
         self.send: Callable[[bytes], None] = lambda content: None
         # A fault: while this is true the board neither listens nor answers
         self.is_silent: Callable[[], bool] = lambda: False
@@ -107,7 +129,7 @@ class Board(Peripheral):
         self.journal = Journal()
         self._schedule_stats()
 
-    def _collect(self, app: str) -> Dictionary:
+    def _collect(self, app: str, clock_freq: int) -> Dictionary:
         commands, responses = [], []
         for part in self._parts:
             part.board = self
@@ -118,7 +140,7 @@ class Board(Peripheral):
                 if not text.startswith("identify "):
                     commands.append(text)
         constants = {
-            "CLOCK_FREQ": CLOCK_FREQ,
+            "CLOCK_FREQ": clock_freq,
             "STATS_SUMSQ_BASE": 256,
             "ADC_MAX": 4095,
             "PWM_MAX": 255,
@@ -132,15 +154,15 @@ class Board(Peripheral):
 
     def clock(self) -> int:
         """The board's clock now."""
-        return (self._now_ns() - self._epoch_ns) // TICK_NS
+        return (self._now_ns() - self._epoch_ns) // self._tick_ns
 
     def ns(self, clock: int) -> int:
         """When the board's clock shows this value, ns."""
-        return self._epoch_ns + clock * TICK_NS
+        return self._epoch_ns + clock * self._tick_ns
 
     def clock_at(self, ns: int) -> int:
         """The board's clock at a time in ns."""
-        return (ns - self._epoch_ns) // TICK_NS
+        return (ns - self._epoch_ns) // self._tick_ns
 
     def widen(self, clock32: int) -> int:
         """The clock nearest to now that has these low 32 bits."""
@@ -201,7 +223,8 @@ class Board(Peripheral):
         self.respond("shutdown", clock=clock, static_string_id=1)
 
     def _schedule_stats(self) -> None:
-        self.schedule(self.clock() + _STATS_TICKS, self._stats)
+        ticks = _STATS_NS // self._tick_ns
+        self.schedule(self.clock() + ticks, self._stats)
 
     def _stats(self, clock: int) -> None:
         if self.state.is_config:
