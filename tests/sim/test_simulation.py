@@ -81,6 +81,22 @@ def test_boards_live_though_the_process_sleeps():
         assert ran == [start + ticks for ticks in (100, 200, 300)]
 
 
+def test_slow_line_is_an_event_like_others():
+    boards, links = [], []
+
+    def prepare(simulation):
+        board = Board(simulation.clock.now, [], "Klipper")
+        boards.append(board)
+        links.append(simulation.add_board(board, latency_ns=3_000_000))
+
+    with Program(python(WAIT), prepare) as program:
+        simulation, link = program.simulation, links[0]
+        boards[0].shut_down()
+        assert link.sent == 0
+        simulation.run_until(lambda: link.sent > 0, 1.0, "answer")
+        assert simulation.virtual_ns == 3_000_000
+
+
 class Peer:
     """Not settled the first `delay` times; readable always."""
 

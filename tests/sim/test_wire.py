@@ -258,10 +258,11 @@ def test_wrong_destination_bits_are_damage():
 class HostEnd:
     """The host's side of a line, and all that the board's side received."""
 
-    def __init__(self) -> None:
+    def __init__(self, latency_ns: int = 0) -> None:
         self.contents: list[bytes] = []
         self.answers: list[bytes] = []
-        self.link = Link(self._take)
+        self.ns = 5000
+        self.link = Link(self._take, latency_ns, lambda: self.ns)
         self.open()
 
     def open(self) -> None:
@@ -386,6 +387,57 @@ def test_bytes_are_counted_in_both_directions(host_end):
 def test_response_that_is_too_long(host_end):
     with pytest.raises(ValueError, match="too long"):
         host_end.link.send(bytes(CONTENT_MAX + 1))
+
+
+@pytest.fixture
+def slow_end() -> Iterator[HostEnd]:
+    """On a line that takes 1000 ns, at 5000 ns."""
+    end = HostEnd(latency_ns=1000)
+    yield end
+    end.close()
+    end.link.close()
+
+
+def test_bytes_are_under_way_in_both_directions(slow_end):
+    link = slow_end.link
+    slow_end.answers = [b"a"]
+    assert slow_end.send(encode_block(0, b"question")) == []
+    # The line is empty as far as counting goes, and knows when it goes on
+    assert link.received == 5 + len(b"question")
+    assert link.settled()
+    assert link.next_event_ns() == 6000
+    slow_end.ns = 5999
+    assert not link.pump()
+    assert slow_end.contents == []
+    slow_end.ns = 6000
+    assert link.pump()
+    assert slow_end.contents == [b"question"]
+    assert (link.sent, link.next_event_ns()) == (0, 7000)
+    slow_end.ns = 6999
+    assert not link.pump()
+    slow_end.ns = 7000
+    assert link.pump()
+    assert slow_end.receive() == [(1, b"a"), (1, b"")]
+    assert link.next_event_ns() is None
+
+
+def test_slow_line_keeps_the_order(slow_end):
+    for i in range(3):
+        slow_end.send(encode_block(i, bytes([i])))
+        slow_end.ns += 300
+    assert slow_end.link.next_event_ns() == 6000
+    slow_end.ns = 6599
+    slow_end.link.pump()
+    assert slow_end.contents == [b"\x00", b"\x01"]
+    slow_end.ns = 9000
+    slow_end.link.pump()
+    assert slow_end.contents == [b"\x00", b"\x01", b"\x02"]
+
+
+def test_fast_line_has_nothing_under_way(host_end):
+    host_end.send(encode_block(0, b"x"))
+    host_end.link.send(b"y")
+    assert host_end.link.next_event_ns() is None
 
 
 def test_closing_leaves_nothing_behind():

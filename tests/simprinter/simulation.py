@@ -50,9 +50,9 @@ class Simulation:
         self.started_ns = clock.now()
         self.jumps = 0
 
-    def add_board(self, board: Board) -> Link:
-        """Give a board its serial line."""
-        link = Link(board.receive)
+    def add_board(self, board: Board, latency_ns: int = 0) -> Link:
+        """Give a board its serial line, with its latency."""
+        link = Link(board.receive, latency_ns, self.clock.now)
         board.send = link.send
         self._links.append((link, self.clock.add_tty(link.device)))
         self._boards.append(board)
@@ -107,12 +107,9 @@ class Simulation:
         return moved
 
     def _next_event(self, end_ns: int) -> int:
-        times = [end_ns]
-        for board in self._boards:
-            due = board.next_event_ns()
-            if due is not None:
-                times.append(due)
-        return min(times)
+        links = (link for link, _ in self._links)
+        times = [part.next_event_ns() for part in (*self._boards, *links)]
+        return min([end_ns, *(due for due in times if due is not None)])
 
     def _wait_real(self, end_ns: int) -> None:
         wait = (self._next_event(end_ns) - self.clock.now()) * 1e-9

@@ -5,6 +5,7 @@ from __future__ import annotations
 import os
 import tempfile
 import tty
+from collections import deque
 from collections.abc import Callable
 
 from ..clock import set_nonblocking
@@ -16,11 +17,23 @@ class Link:
 
     on_content is called with the content of every block that arrives in
     order; what it sends through `send` leaves before the acknowledgement, as
-    on real hardware.
+    on real hardware. Every byte is under way for latency_ns, in either
+    direction.
     """
 
-    def __init__(self, on_content: Callable[[bytes], None]):
+    def __init__(
+        self,
+        on_content: Callable[[bytes], None],
+        latency_ns: int = 0,
+        now_ns: Callable[[], int] = lambda: 0,
+    ):
+        """now_ns is needed where there is a latency."""
         self._on_content = on_content
+        self._latency_ns = latency_ns
+        self._now_ns = now_ns
+        # (when it arrives, what), oldest first
+        self._to_board: deque[tuple[int, bytes]] = deque()
+        self._to_host: deque[tuple[int, bytes]] = deque()
         self._deframer = Deframer()
         self._next_seq = 0
         self._pending = b""
@@ -48,11 +61,33 @@ class Link:
             try:
                 data = os.read(self._master, 65536)
             except BlockingIOError:
-                return moved
+                return self._arrived() or moved
             moved = True
             self.received += len(data)
-            for block in self._deframer.feed(data):
-                self._receive(block)
+            if self._latency_ns:
+                self._to_board.append((self._arrival(), data))
+            else:
+                self._feed(data)
+
+    def next_event_ns(self) -> int | None:
+        """When something that is under way arrives, ns."""
+        queues = (self._to_board, self._to_host)
+        return min((queue[0][0] for queue in queues if queue), default=None)
+
+    def _arrival(self) -> int:
+        return self._now_ns() + self._latency_ns
+
+    def _arrived(self) -> bool:
+        """Hand the board what has arrived; whether anything has."""
+        moved = False
+        while self._to_board and self._to_board[0][0] <= self._now_ns():
+            self._feed(self._to_board.popleft()[1])
+            moved = True
+        return moved
+
+    def _feed(self, data: bytes) -> None:
+        for block in self._deframer.feed(data):
+            self._receive(block)
 
     def _receive(self, block: tuple[int, bytes] | None) -> None:
         if block is not None and block[0] == self._next_seq:
@@ -69,15 +104,20 @@ class Link:
         self._write(encode_block(self._next_seq, content))
 
     def settled(self) -> bool:
-        """Whether everything to be sent has left."""
+        """Whether everything has been sent whose time has come."""
         return not self._pending
 
     def _write(self, data: bytes) -> None:
+        if self._latency_ns:
+            self._to_host.append((self._arrival(), data))
+            return
         self._pending += data
         self._flush()
 
     def _flush(self) -> bool:
         moved = False
+        while self._to_host and self._to_host[0][0] <= self._now_ns():
+            self._pending += self._to_host.popleft()[1]
         while self._pending:
             try:
                 count = os.write(self._master, self._pending)
