@@ -54,7 +54,7 @@ class Printer:
                 firmware_of(host),
             )
         )
-        config = self.scene.config(self.machine.link.path, changes)
+        config = self.scene.config(self.machine.serials, changes)
         self.session = self._stack.enter_context(
             LiveSession(installed, self.machine, config)
         )

@@ -70,6 +70,16 @@ def test_faults_by_time():
         faults.fires("mcu_silent")
 
 
+def test_one_board_or_every_board_falls_silent():
+    one = Faults([Fault("mcu_silent", t=2.5, board="zboard")])
+    assert not one.due("mcu_silent", 3.0, "mcu")
+    assert len(one.unfired()) == 1
+    assert one.due("mcu_silent", 3.0, "zboard")
+    every = Faults([Fault("mcu_silent", t=2.5)])
+    assert every.due("mcu_silent", 3.0, "mcu")
+    assert every.due("mcu_silent", 3.0, "zboard")
+
+
 def test_unfired_lists_what_never_struck():
     fault = Fault("attach_fails", n=2)
     faults = Faults([fault])

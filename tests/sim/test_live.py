@@ -31,20 +31,23 @@ def touches(printer):
     return [tuple(touch) for touch in printer.machine.truth.touches]
 
 
-def test_two_runs_are_equal_to_the_last_digit(host):
+@pytest.mark.parametrize("scene", ["cartesian", "voron_two_boards"])
+def test_two_runs_are_equal_to_the_last_digit(host, scene):
     found = []
     for _ in range(2):
-        with Printer(host, "cartesian") as printer:
+        with Printer(host, scene) as printer:
             printer.homed().run(SCRIPT)
             found.append((touches(printer), printer.machine.tip()))
     assert len(found[0][0]) > 15
     assert found[0] == found[1]
 
 
-def test_no_command_is_late(start):
-    printer = start().homed()
+@pytest.mark.parametrize("scene", ["voron", "voron_two_boards"])
+def test_no_command_is_late(start, scene):
+    printer = start(scene).homed()
     printer.run(SCRIPT)
-    assert printer.machine.board.journal.late == []
+    for board in printer.machine.boards.values():
+        assert board.journal.late == []
 
 
 def test_motor_that_rested_longer_than_the_clock_wraps(start):
@@ -203,6 +206,74 @@ def test_silent_board_shuts_the_printer_down(start):
     assert state == "shutdown"
     assert "Lost communication with MCU" in message
     assert printer.machine.faults.unfired() == []
+
+
+# Several boards
+
+
+def test_relayed_trigger_stops_the_motors_late(host):
+    """But Z is where the endstop has seen it."""
+    # The line's 2 ms at 8 mm/s, and the far board's four samples
+    late = 0.002 * 8.0
+    found = {}
+    for scene in ("voron", "voron_two_boards"):
+        with Printer(host, scene) as printer:
+            printer.homed()
+            depth = printer.machine.truth.depth("nozzle_pin")
+            found[scene] = depth, printer.gap()
+    depths, gaps = zip(*found.values())
+    assert depths[1] - depths[0] == pytest.approx(late, abs=MICROSTEP)
+    assert gaps[1] == pytest.approx(gaps[0], abs=MICROSTEP)
+
+
+def test_other_board_has_nothing_but_the_endstop(start):
+    printer = start("voron_two_boards").homed()
+    printer.session.wait(5.0)
+    clocks = {
+        name: printer.status(name)["mcu_constants"]["CLOCK_FREQ"]
+        for name in ("mcu", "mcu zboard")
+    }
+    assert clocks == {"mcu": 50_000_000, "mcu zboard": 40_002_400}
+    # What klippy finds out is how fast it really is
+    freq = printer.status("mcu zboard")["last_stats"]["freq"]
+    assert freq == pytest.approx(40_000_000, abs=100)
+
+
+def test_silent_other_board_shuts_the_printer_down(start):
+    faults = [Fault("mcu_silent", t=8.0, board="zboard")]
+    printer = start("voron_two_boards", faults=faults)
+    printer.session.require_ready()
+    printer.fail("G28\nG28")
+    printer.session.wait(10.0)
+    state, message = printer.session.state()
+    assert state == "shutdown"
+    assert "Lost communication with MCU 'zboard'" in message
+    assert printer.machine.faults.unfired() == []
+
+
+def test_other_board_silent_while_homing_stops_the_motors(start):
+    """Their own board does so when the host hears nothing to pass on."""
+    printer = start("voron_two_boards").homed()
+    printer.run("G1 Z30 F900\nM400")
+    machine = printer.machine
+    machine.boards["zboard"].is_silent = lambda: machine.tip().z < 25.0
+    assert "Unable to obtain 'trsync_state'" in printer.fail("G28 Z")
+    # 25 ms from the last report on, at 8 mm/s
+    assert 25.0 - machine.tip().z == pytest.approx(0.2, abs=0.1)
+
+
+def test_fault_of_an_unknown_board_is_refused(one_host):
+    with pytest.raises(ValueError, match="have boards .*'mcu'"):
+        Printer(one_host, faults=[Fault("mcu_silent", t=8.0, board="zbord")])
+
+
+def test_all_boards_restart(start):
+    printer = start("voron_two_boards").homed()
+    before = printer.gap()
+    printer.session.restart("FIRMWARE_RESTART")
+    for board in printer.machine.boards.values():
+        assert board.journal.resets == 1
+    assert printer.homed().gap() == pytest.approx(before, abs=MICROSTEP)
 
 
 def test_heater_heats_in_printer_time(start):

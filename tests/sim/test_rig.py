@@ -10,10 +10,17 @@ from hypothesis import strategies as st
 
 from tests.sim.bench import Bench
 from tests.sim.world_scenes import OUTPUT, PIEZO
-from tests.simprinter.mcu.board import TICK_NS
+from tests.simprinter.mcu.board import TICK_NS, Board, Crystal
 from tests.simprinter.mcu.steppers import Steppers
+from tests.simprinter.mcu.sync import Endstops, TrsyncTable
 from tests.simprinter.rig import COMMIT_NS, MotorAxis, Port, Rig
-from tests.simprinter.wiring import Heater, Motor, Wiring, pin_number
+from tests.simprinter.wiring import (
+    BoardSpec,
+    Heater,
+    Motor,
+    Wiring,
+    pin_number,
+)
 from tests.simprinter.world import Pose, World, make_kinematics
 
 STEP = 0.0125
@@ -240,3 +247,98 @@ def test_old_steps_are_forgotten_and_new_ones_kept():
     assert bench.rig.pose(now).x == pytest.approx(290.0)
     assert bench.rig.pose(start).x == pytest.approx(291.0)
     assert bench.rig.pose(now - 1_000_000_000).x < 291.0
+
+
+class TwoBoards(RigBench):
+    """Motors on the one board; the x endstop on another, with 40 MHz.
+
+    The other board reads PB0; nothing is wired there on the main one.
+    """
+
+    def __init__(self) -> None:
+        crystal = Crystal(tick_ns=25, first_wrap=3)
+        super().__init__(
+            inputs={**INPUTS, "x_endstop": "^zboard:PB0"},
+            heaters={"bed": Heater("zboard:PH1", "zboard:PI1")},
+            boards={"zboard": BoardSpec(crystal)},
+        )
+        self.far_port = Port(self.rig, "zboard")
+        trsyncs = TrsyncTable(Steppers(self.far_port))
+        self.endstops = Endstops(self.far_port, trsyncs)
+        parts = [trsyncs, self.endstops]
+        self.far = Board(lambda: self.ns, parts, "Klipper", crystal)
+        self.far_port.board = self.far
+        self.rig.on_steps.append(self.endstops.steps_queued)
+        self.commands = {
+            m.name: m for m in self.far.dictionary.commands.values()
+        }
+
+    def tell_far(self, name, **values) -> None:
+        """Send the other board a command."""
+        self.far.receive(self.commands[name].encode(values))
+
+    def home(self) -> None:
+        """Arm the endstop: 4 samples 600 ticks apart, every 1200 ticks."""
+        self.tell_far("config_trsync", oid=0)
+        self.tell_far("config_endstop", oid=1, pin=16, pull_up=1)
+        now = self.far.clock() & 0xFFFFFFFF
+        self.tell_far(
+            "trsync_start",
+            oid=0,
+            report_clock=now,
+            report_ticks=0,
+            expire_reason=2,
+        )
+        self.tell_far(
+            "endstop_home",
+            oid=1,
+            clock=now,
+            sample_ticks=600,
+            sample_count=4,
+            rest_ticks=1200,
+            pin_value=1,
+            trsync_oid=0,
+            trigger_reason=1,
+        )
+
+    def far_runs_to(self, ns: int) -> None:
+        """Let the other board live until ns, event by event."""
+        while (due := self.far.next_event_ns()) is not None and due <= ns:
+            self.ns = max(self.ns, due)
+            self.far.run_due()
+        self.ns = ns
+
+
+def test_pins_of_two_boards_do_not_meet():
+    bench = TwoBoards()
+    pin = pin_number("PB0")
+    start = bench.move("x", 1000, 1000)
+    reached = bench.board.ns(start + 800 * 1000)
+    last = reached + MILLISECOND
+    assert bench.port.edge(pin, True, bench.ns, last) is None
+    assert bench.far_port.edge(pin, True, bench.ns, last) == reached
+    heater, sensor = pin_number("PH1"), pin_number("PI1")
+    assert bench.port.voltage(sensor, bench.ns) == 0.5
+    bench.port.set_output(heater, bench.ns, 1.0)
+    bench.far_port.set_output(heater, bench.ns, 0.25)
+    bench.far_port.voltage(sensor, bench.ns + 10**9)
+    assert bench.rig.heaters["bed"].celsius == pytest.approx(26.0, abs=0.05)
+    # No motor is on the far board
+    far_track = bench.far_port.track(pin_number("PA0"), pin_number("PA1"))
+    assert far_track is not bench.rig.axes["x"].track
+
+
+def test_endstop_sees_steps_that_another_board_makes():
+    bench = TwoBoards()
+    bench.home()
+    # It has looked ahead 20 ms, at motors that stand still, when they start
+    bench.far_runs_to(bench.ns + MILLISECOND)
+    start = bench.move("x", 1000, 1000)
+    reached = bench.board.ns(start + 800 * 1000)
+    bench.far_runs_to(reached + 3 * MILLISECOND)
+    endstop = bench.endstops.by_oid[1]
+    first_match = bench.far.ns(endstop.next_clock - 1200)
+    # Sampled every 30 us
+    assert 0 <= first_match - reached < 30_000
+    # It stops nothing: the motor's own board must be told
+    assert bench.rig.axes["x"].track.position == 1000

@@ -6,9 +6,14 @@ import math
 
 import pytest
 
+from tests.simprinter.mcu.board import Crystal
 from tests.simprinter.wiring import (
+    BoardSpec,
     Heater,
     HeaterState,
+    Motor,
+    Wiring,
+    board_of,
     is_inverted,
     pin_number,
 )
@@ -25,6 +30,7 @@ SECOND = 10**9
         ("^PC3", 35, False),
         ("^!PI15", 143, True),
         ("~!PD2", 50, True),
+        ("^!zboard:PC2", 34, True),
     ],
 )
 def test_pins(text, number, inverted):
@@ -32,10 +38,78 @@ def test_pins(text, number, inverted):
     assert is_inverted(text) is inverted
 
 
-@pytest.mark.parametrize("text", ["", "!", "A0", "PA", "PZ0", "PAx", "gpio3"])
+@pytest.mark.parametrize(
+    ("text", "board"),
+    [
+        ("PC2", "mcu"),
+        ("^!PC2", "mcu"),
+        ("mcu:PC2", "mcu"),
+        ("zboard:PC2", "zboard"),
+        ("^!zboard:PC2", "zboard"),
+    ],
+)
+def test_boards_of_pins(text, board):
+    assert board_of(text) == board
+
+
+@pytest.mark.parametrize(
+    "text", ["", "!", "A0", "PA", "PZ0", "PAx", "gpio3", "z:", "z:^PC2"]
+)
 def test_what_is_no_pin(text):
     with pytest.raises(ValueError, match="no pin"):
         pin_number(text)
+
+
+ZBOARD = {"zboard": BoardSpec(Crystal(tick_ns=25), latency=0.002)}
+NEAR, FAR = Motor("PA0", "PA1", 0.01), Motor("zboard:PA0", "!zboard:PA1", 0.01)
+
+
+def test_what_is_wired_to_one_board():
+    wiring = Wiring(
+        motors={"x": NEAR, "z": FAR},
+        inputs={"probe": "^PC3", "z_endstop": "^!zboard:PC3"},
+        outputs={"probe_attach": "zboard:PD0"},
+        heaters={"bed": Heater("PH0", "PI0")},
+        boards=ZBOARD,
+    )
+    near, far = wiring.on_board("mcu"), wiring.on_board("zboard")
+    assert near.motors == {"x": NEAR}
+    assert near.inputs == {"probe": "^PC3"}
+    assert near.outputs == {}
+    assert near.heaters == wiring.heaters
+    assert far.motors == {"z": FAR}
+    assert far.inputs == {"z_endstop": "^!zboard:PC3"}
+    assert far.outputs == {"probe_attach": "zboard:PD0"}
+    assert far.heaters == {}
+
+
+def test_boards_with_the_main_one_first():
+    plain, two = Wiring({}, {}), Wiring({}, {}, boards=ZBOARD)
+    assert plain.all_boards() == {"mcu": BoardSpec()}
+    assert list(two.all_boards().items()) == [
+        ("mcu", BoardSpec()),
+        ("zboard", ZBOARD["zboard"]),
+    ]
+
+
+@pytest.mark.parametrize(
+    ("wired", "message"),
+    [
+        ({"inputs": {"probe": "^zbord:PC3"}}, "no such board.*zbord:PC3"),
+        ({"outputs": {"magnet": "zbord:PC3"}}, "no such board"),
+        ({"heaters": {"bed": Heater("PH0", "zbord:PI0")}}, "no such board"),
+        ({"heaters": {"bed": Heater("PH0", "zboard:PI0")}}, "one board"),
+        ({"motors": {"z": Motor("PA0", "zboard:PA1", 0.01)}}, "one board"),
+        (
+            {"motors": {"z": Motor("PA0", "PA1", 0.01, uart="zboard:PE0")}},
+            "one board",
+        ),
+    ],
+)
+def test_impossible_wiring_is_refused(wired, message):
+    parts = {"motors": {}, "inputs": {}, "boards": ZBOARD, **wired}
+    with pytest.raises(ValueError, match=message):
+        Wiring(**parts)
 
 
 def test_heater_approaches_its_end_exponentially():

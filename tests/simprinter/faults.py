@@ -13,7 +13,8 @@ probe_falls      site, when             touches of body_pin or probe_bed (site
                                         "lift" (the default)
 attach_fails                            attempts to attach the probe
 dock_fails                              attempts to dock it
-mcu_silent       t                      none: from time t on
+mcu_silent       t, board               none: from time t on (every board if
+                                        left out)
 tmc_read_error   driver                 reads of the driver (all if left out)
 tmc_write_error  driver                 writes to the driver
 
@@ -55,7 +56,7 @@ _KINDS = {
     "probe_falls": _Kind("site", False, ("when",)),
     "attach_fails": _Kind(),
     "dock_fails": _Kind(),
-    "mcu_silent": _Kind(None, False, ("t",), ("t",), False, True),
+    "mcu_silent": _Kind("board", False, ("t",), ("t",), False, True),
     "tmc_read_error": _Kind("driver"),
     "tmc_write_error": _Kind("driver"),
 }

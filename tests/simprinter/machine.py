@@ -18,7 +18,8 @@ from .mcu.tmc import Tmc2209, TmcUarts
 from .rig import Port, Rig
 from .scenes import Scene
 from .simulation import Simulation
-from .wiring import pin_number
+from .wire.link import Link
+from .wiring import MAIN, BoardSpec, Wiring, pin_number
 from .world import Pose, Truth, World, make_kinematics
 
 _REPO = Path(__file__).resolve().parents[2]
@@ -31,10 +32,11 @@ def build_directory() -> Path:
 
 
 class Machine:
-    """A printer with its board, waiting for a klippy.
+    """A printer with its boards, waiting for a klippy.
 
-    Everything random comes from one seed. Use as a context manager: on
-    leaving without another error, the crash detector has its say.
+    boards and links (their serial lines) go by name; board and link are the
+    main one's. Everything random comes from one seed. Use as a context
+    manager: on leaving without another error, the crash detector has its say.
     """
 
     def __init__(
@@ -45,13 +47,14 @@ class Machine:
         clock: Optional[Union[VirtualClock, RealClock]] = None,
         app: str = "Klipper",
     ):
-        """app: the host the board's firmware was made for.
+        """app: the host the boards' firmware was made for.
 
         clock defaults to a virtual one.
         """
         self.scene = scene
         self.seed = seed
         self.faults = Faults(faults)
+        self._require_known_boards()
         self._tolerated: dict[str, float] = {}
         self.simulation = Simulation(clock or VirtualClock(build_directory()))
         now_ns = self.simulation.clock.now
@@ -60,12 +63,25 @@ class Machine:
         start = scene.start
         self.rig = Rig(self.world, kinematics, scene.wiring, start, now_ns)
         self.drivers: dict[str, Tmc2209] = {}
-        self.board = self._make_board(app)
-        self.link = self.simulation.add_board(self.board)
-        self.board.is_silent = self._is_silent
+        self.boards: dict[str, Board] = {}
+        self.links: dict[str, Link] = {}
+        for name, spec in scene.wiring.all_boards().items():
+            board = self.boards[name] = self._make_board(name, spec, app)
+            latency_ns = round(spec.latency * 1e9)
+            self.links[name] = self.simulation.add_board(board, latency_ns)
+        self.board, self.link = self.boards[MAIN], self.links[MAIN]
 
-    def _make_board(self, app: str) -> Board:
-        port = Port(self.rig)
+    def _require_known_boards(self) -> None:
+        known = self.scene.wiring.all_boards()
+        for fault in self.faults:
+            if fault.name == "mcu_silent" and fault.subject not in (
+                None,
+                *known,
+            ):
+                raise ValueError(f"{fault!r}: have boards {sorted(known)}")
+
+    def _make_board(self, name: str, spec: BoardSpec, app: str) -> Board:
+        port = Port(self.rig, name)
         steppers = Steppers(port)
         trsyncs = TrsyncTable(steppers)
         endstops = Endstops(port, trsyncs)
@@ -75,16 +91,20 @@ class Machine:
             endstops,
             Outputs(port.set_output),
             AnalogInputs(port.voltage),
-            TmcUarts(self._make_drivers(), self._spoiled),
+            TmcUarts(
+                self._make_drivers(self.scene.wiring.on_board(name)),
+                self._spoiled,
+            ),
         ]
-        board = Board(self.simulation.clock.now, parts, app)
+        board = Board(self.simulation.clock.now, parts, app, spec.crystal)
+        board.is_silent = lambda: self._is_silent(name)
         port.board = board
-        port.on_steps = endstops.steps_queued
+        self.rig.on_steps.append(endstops.steps_queued)
         return board
 
-    def _make_drivers(self) -> dict[tuple[int, int], Tmc2209]:
+    def _make_drivers(self, wiring: Wiring) -> dict[tuple[int, int], Tmc2209]:
         by_pin = {}
-        for name, motor in self.scene.wiring.motors.items():
+        for name, motor in wiring.motors.items():
             if motor.uart:
                 self.drivers[name] = Tmc2209()
                 pin = pin_number(motor.uart)
@@ -96,9 +116,9 @@ class Machine:
         kind = "tmc_write_error" if is_write else "tmc_read_error"
         return self.faults.fires(kind, name) is not None
 
-    def _is_silent(self) -> bool:
+    def _is_silent(self, board: str) -> bool:
         now = self.rig.seconds(self.simulation.clock.now())
-        return self.faults.due("mcu_silent", now)
+        return self.faults.due("mcu_silent", now, board)
 
     def __enter__(self) -> Machine:
         return self
@@ -109,6 +129,11 @@ class Machine:
                 self.truth.require_no_crash(self._tolerated)
         finally:
             self.close()
+
+    @property
+    def serials(self) -> dict[str, str]:
+        """The serial device of each board."""
+        return {name: link.path for name, link in self.links.items()}
 
     def tolerate(self, site: str, depth: float) -> None:
         """Let the crash detector accept this depth (mm) at a site.

@@ -10,7 +10,7 @@ from collections.abc import Callable, Mapping
 
 from .mcu.board import Board
 from .mcu.steppers import StepTrack
-from .wiring import HeaterState, Wiring, is_inverted, pin_number
+from .wiring import MAIN, HeaterState, Wiring, is_inverted, pin_number
 from .world import Kinematics, Pose, World
 
 # The world is told of a moving head this often; see LIMITS.md
@@ -71,6 +71,8 @@ class Rig:
             name: HeaterState(heater, self._zero_ns)
             for name, heater in wiring.heaters.items()
         }
+        # Told of new steps: those of one board change what another sees
+        self.on_steps: list[Callable[[int], None]] = []
         world.observe(0.0, self.pose(self._zero_ns))
 
     def seconds(self, ns: int) -> float:
@@ -80,6 +82,11 @@ class Rig:
     def pose(self, ns: int) -> Pose:
         """Where the motors have put the nozzle tip, mm in the world frame."""
         return self._kinematics.pose(self.travel(ns))
+
+    def steps_queued(self, start_ns: int) -> None:
+        """Some motor's steps beginning after start_ns have changed."""
+        for listener in self.on_steps:
+            listener(start_ns)
 
     def travel(self, ns: int) -> Mapping[str, float]:
         """Travel of every motor, mm."""
@@ -131,9 +138,10 @@ class Rig:
 class Port:
     """One board's view of the rig: pin numbers instead of names."""
 
-    def __init__(self, rig: Rig):
+    def __init__(self, rig: Rig, name: str = MAIN):
+        """name: the board's."""
         self._rig = rig
-        wiring = rig.wiring
+        wiring = rig.wiring.on_board(name)
         self._motors = {
             (pin_number(m.step_pin), pin_number(m.dir_pin)): name
             for name, m in wiring.motors.items()
@@ -153,7 +161,6 @@ class Port:
             pin_number(h.sensor_pin): name for name, h in wiring.heaters.items()
         }
         self.board: Board | None = None
-        self.on_steps: Callable[[int], None] = lambda start_ns: None
 
     def track(self, step_pin: int, dir_pin: int) -> StepTrack:
         """The track of the motor on these pins; a new one where none is."""
@@ -166,7 +173,7 @@ class Port:
 
     def steps_queued(self, start_ns: int) -> None:
         """New steps may change what an endstop will see."""
-        self.on_steps(start_ns)
+        self._rig.steps_queued(start_ns)
 
     def settle(self, ns: int) -> None:
         """Let the world live until ns."""

@@ -8,9 +8,10 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
-from typing import Optional
+from typing import Optional, Union
 
-from .wiring import Heater, Motor, Wiring
+from .mcu.board import Crystal
+from .wiring import MAIN, BoardSpec, Heater, Motor, Wiring
 from .world import (
     AxisSwitchSpec,
     BedSpec,
@@ -41,14 +42,24 @@ class Scene:
     sections: Sections
     start: Pose = Pose(120.0, 120.0, 40.0)
 
-    def config(self, serial: str, changes: Optional[Sections] = None) -> str:
-        """printer.cfg for a board on this serial device, with changes.
+    def config(
+        self,
+        serial: Union[str, Mapping[str, str]],
+        changes: Optional[Sections] = None,
+    ) -> str:
+        """printer.cfg for boards on these serial devices, with changes.
 
-        A change replaces or adds options; None as a value takes an option
-        away, None as a section the section.
+        serial: the main board's, or each one's by its name. A change replaces
+        or adds options; None as a value takes an option away, None as a
+        section the section.
         """
+        serials = {MAIN: serial} if isinstance(serial, str) else serial
+        boards = {
+            MAIN if name == MAIN else f"mcu {name}": {"serial": device}
+            for name, device in serials.items()
+        }
         merged: dict[str, dict[str, Optional[str]]] = {}
-        for part in (self.sections, {"mcu": {"serial": serial}}, changes or {}):
+        for part in (self.sections, boards, changes or {}):
             for name, options in part.items():
                 if options is None:
                     merged.pop(name, None)
@@ -125,6 +136,11 @@ def _stepper(motor: Motor, **options: str) -> dict[str, Optional[str]]:
         "microsteps": "16",
         **options,
     }
+
+
+def _with(sections: Sections, name: str, **options: str) -> Sections:
+    """The same with other options in one section."""
+    return {**sections, name: {**(sections.get(name) or {}), **options}}
 
 
 def _printer(kinematics: str) -> dict[str, Optional[str]]:
@@ -360,4 +376,27 @@ def _cartesian() -> Scene:
     )
 
 
-SCENES = {scene.name: scene for scene in (_voron(), _cartesian())}
+def _voron_two_boards() -> Scene:
+    """The voron with its Z endstop on a board of its own, Z motors not.
+
+    The other board has another clock, 60 ppm slow, and its line takes as long
+    as a USB line does: what it sees stops the motors late.
+    """
+    voron = _voron()
+    crystal = Crystal(tick_ns=25, ppm=60, first_wrap=37)
+    z_endstop = "^zboard:PC2"
+    return replace(
+        voron,
+        name="voron_two_boards",
+        wiring=replace(
+            voron.wiring,
+            inputs={**voron.wiring.inputs, "z_endstop": z_endstop},
+            boards={"zboard": BoardSpec(crystal, latency=0.002)},
+        ),
+        sections=_with(voron.sections, "stepper_z", endstop_pin=z_endstop),
+    )
+
+
+SCENES = {
+    scene.name: scene for scene in (_voron(), _voron_two_boards(), _cartesian())
+}

@@ -1,21 +1,41 @@
 """How a machine is wired: which pin is which motor, switch or heater.
 
 Pins are spelled as in a printer configuration; a `!` there says that the
-wire's sense is reversed, and the same text goes into the configuration.
+wire's sense is reversed, and the same text goes into the configuration. A pin
+of another board than the main one has that board's name before it, behind the
+modifiers: `^!zboard:PC2`.
 """
 
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping
-from dataclasses import dataclass, field
+from collections.abc import Callable, Iterator, Mapping
+from dataclasses import dataclass, field, replace
+from typing import Any
 
-from .mcu.board import PORTS
+from .mcu.board import PORTS, USUAL_CRYSTAL, Crystal
+
+# The board that klippy takes pins without a board's name to be on
+MAIN = "mcu"
+
+
+def _split(text: str) -> tuple[str, str]:
+    """(board, pin) without modifiers."""
+    board, colon, name = text.lstrip("^~!").rpartition(":")
+    return (board if colon else MAIN), name
+
+
+def board_of(text: str) -> str:
+    """Name of the board that a pin is on."""
+    return _split(text)[0]
 
 
 def pin_number(text: str) -> int:
-    """Number of a pin such as `^!PA3`. ValueError where there is none."""
-    name = text.lstrip("^~!")
+    """Number on its board of a pin such as `^!PA3` or `^zboard:PC2`.
+
+    ValueError where there is none.
+    """
+    _, name = _split(text)
     if name[:1] != "P" or name[1:2] not in PORTS or not name[2:].isdigit():
         raise ValueError(f"no pin {text!r} on the board")
     return PORTS.index(name[1]) * 16 + int(name[2:])
@@ -40,6 +60,11 @@ class Motor:
     address: int = 0
     enable_pin: str = ""
 
+    def pins(self) -> tuple[str, ...]:
+        """Those that have to be on one board."""
+        pins = (self.step_pin, self.dir_pin, self.uart, self.enable_pin)
+        return tuple(pin for pin in pins if pin)
+
 
 @dataclass(frozen=True)
 class Heater:
@@ -56,16 +81,69 @@ class Heater:
 
 
 @dataclass(frozen=True)
-class Wiring:
-    """Everything on the board's pins.
+class BoardSpec:
+    """What makes one board differ from another.
 
-    inputs and outputs map the world's signals to pins.
+    latency: seconds that a byte is under way to or from the host
+    """
+
+    crystal: Crystal = USUAL_CRYSTAL
+    latency: float = 0.0
+
+
+@dataclass(frozen=True)
+class Wiring:
+    """Everything on the boards' pins.
+
+    inputs and outputs map the world's signals to pins. boards: all boards
+    there are beside the main one, by name.
     """
 
     motors: Mapping[str, Motor]
     inputs: Mapping[str, str]
     outputs: Mapping[str, str] = field(default_factory=dict)
     heaters: Mapping[str, Heater] = field(default_factory=dict)
+    boards: Mapping[str, BoardSpec] = field(default_factory=dict)
+
+    def __post_init__(self) -> None:
+        known = {MAIN, *self.boards}
+        for pins in self._together():
+            boards = {board_of(pin) for pin in pins}
+            if not boards <= known:
+                raise ValueError(f"no such board, have {sorted(known)}: {pins}")
+            if len(boards) > 1:
+                raise ValueError(f"these belong on one board: {pins}")
+
+    def _together(self) -> Iterator[tuple[str, ...]]:
+        """Pins that have to be on one board, group by group."""
+        for motor in self.motors.values():
+            yield motor.pins()
+        for heater in self.heaters.values():
+            yield heater.pin, heater.sensor_pin
+        for pin in (*self.inputs.values(), *self.outputs.values()):
+            yield (pin,)
+
+    def all_boards(self) -> dict[str, BoardSpec]:
+        """Every board by its name, the main one first."""
+        return {MAIN: BoardSpec(), **self.boards}
+
+    def on_board(self, name: str) -> Wiring:
+        """What is wired to one board."""
+
+        def here(parts: Mapping, pin: Callable[[Any], str]) -> dict:
+            return {
+                key: part
+                for key, part in parts.items()
+                if board_of(pin(part)) == name
+            }
+
+        return replace(
+            self,
+            motors=here(self.motors, lambda motor: motor.step_pin),
+            inputs=here(self.inputs, str),
+            outputs=here(self.outputs, str),
+            heaters=here(self.heaters, lambda heater: heater.pin),
+        )
 
 
 class HeaterState:
