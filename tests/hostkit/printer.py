@@ -28,6 +28,13 @@ def firmware_of(host: Host) -> str:
     return "Kalico" if plugins else "Klipper"
 
 
+def has_kinematics(host: Host, scene: Scene) -> bool:
+    """Whether a host knows the kinematics that a scene is configured with."""
+    name = (scene.sections["printer"] or {})["kinematics"]
+    klippy = (host.directory / "base" / host.layout.module_dir).parent
+    return (klippy / "kinematics" / f"{name}.py").is_file()
+
+
 class Printer:
     """Machine and klippy together; leaving it checks for crashes."""
 

@@ -138,7 +138,7 @@ def _stepper(motor: Motor, **options: str) -> dict[str, Optional[str]]:
     }
 
 
-def _with(sections: Sections, name: str, **options: str) -> Sections:
+def _with(sections: Sections, name: str, **options: Optional[str]) -> Sections:
     """The same with other options in one section."""
     return {**sections, name: {**(sections.get(name) or {}), **options}}
 
@@ -397,6 +397,90 @@ def _voron_two_boards() -> Scene:
     )
 
 
+def _hybrid() -> Scene:
+    """The voron as a hybrid CoreXY with two Z motors."""
+    voron = _voron()
+    motors = dict(voron.wiring.motors)
+    sections = {**voron.sections, "printer": _printer("hybrid_corexy")}
+    for name in ("z2", "z3"):
+        del motors[name], sections[f"stepper_{name}"]
+    return replace(
+        voron,
+        name="hybrid",
+        kinematics="hybrid_corexy",
+        z_motors=[("z", -60.0, 150.0), ("z1", 360.0, 150.0)],
+        wiring=replace(voron.wiring, motors=motors),
+        sections=sections,
+    )
+
+
+def _corexz() -> Scene:
+    """The voron with a CoreXZ gantry: Z is moved by both belts.
+
+    Finer microsteps, as the belts have no gears.
+    """
+    voron = _voron()
+    step_dist = 40.0 / (200 * 64)
+    motors = {name: voron.wiring.motors[name] for name in ("x", "y", "z")}
+    sections = {**voron.sections, "printer": _printer("corexz")}
+    for name in ("z1", "z2", "z3"):
+        del sections[f"stepper_{name}"]
+    for name in ("x", "z"):
+        motors[name] = replace(motors[name], step_dist=step_dist)
+        belt = {"rotation_distance": "40", "gear_ratio": None}
+        sections = _with(sections, f"stepper_{name}", microsteps="64", **belt)
+    return replace(
+        voron,
+        name="corexz",
+        kinematics="corexz",
+        z_motors=[("z", 150.0, 150.0)],
+        wiring=replace(voron.wiring, motors=motors),
+        sections=sections,
+    )
+
+
+_CARRIAGE_OPTIONS = (
+    "endstop_pin",
+    "position_endstop",
+    "position_min",
+    "position_max",
+    "homing_speed",
+    "second_homing_speed",
+    "homing_retract_dist",
+)
+
+
+def _generic() -> Scene:
+    """The voron as a generic cartesian: four Z motors on one carriage.
+
+    The world calls the same machine cartesian.
+    """
+    voron = _voron()
+    sections = {**voron.sections, "printer": _printer("generic_cartesian")}
+    for name in voron.wiring.motors:
+        axis = name[0]
+        stepper = dict(sections.pop(f"stepper_{name}") or {})
+        carriage = {
+            option: stepper.pop(option)
+            for option in _CARRIAGE_OPTIONS
+            if option in stepper
+        }
+        if carriage:
+            sections[f"carriage {axis}"] = carriage
+        sections[f"stepper my_{name}"] = {**stepper, "carriages": axis}
+    return replace(
+        voron, name="generic", kinematics="cartesian", sections=sections
+    )
+
+
 SCENES = {
-    scene.name: scene for scene in (_voron(), _voron_two_boards(), _cartesian())
+    scene.name: scene
+    for scene in (
+        _voron(),
+        _voron_two_boards(),
+        _hybrid(),
+        _corexz(),
+        _generic(),
+        _cartesian(),
+    )
 }

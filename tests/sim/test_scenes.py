@@ -1,0 +1,89 @@
+"""Every scene is a whole machine on which real klippy homes and calibrates."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import pytest
+
+from tests.hostkit.printer import has_kinematics
+from tests.simprinter import SCENES
+
+
+def ready(start, host, name, **options):
+    """A printer, or a skipped test where the host cannot have it."""
+    scene = SCENES[name]
+    if not has_kinematics(host, scene):
+        kinematics = scene.sections["printer"]["kinematics"]
+        pytest.skip(f"{host.name} has no {kinematics}")
+    return start(scene, **options)
+
+
+def microstep(printer):
+    """What one microstep of a Z motor moves, mm."""
+    return printer.scene.wiring.motors["z"].step_dist
+
+
+@pytest.mark.parametrize("name", SCENES)
+def test_calibration_ends_at_the_gap_of_the_formula(start, host, name):
+    printer = ready(start, host, name).homed()
+    wanted = printer.scene.formula_gap()
+    # It would be no wonder otherwise
+    assert abs(printer.gap() - wanted) > 10 * microstep(printer)
+    printer.run("CALIBRATE_Z")
+    assert printer.gap() == pytest.approx(wanted, abs=2 * microstep(printer))
+    samples = int(printer.scene.sections["probe"]["samples"])
+    for site in ("nozzle_pin", "body_pin", "probe_bed"):
+        assert printer.machine.truth.touch_count(site) >= samples
+
+
+@pytest.mark.parametrize("name", SCENES)
+def test_wiring_and_configuration_name_the_same_pins(name):
+    scene = SCENES[name]
+    written = [
+        value
+        for options in scene.sections.values()
+        for key, value in (options or {}).items()
+        if key.endswith("pin") or key == "pin"
+    ]
+    wired = [
+        *scene.wiring.inputs.values(),
+        *scene.wiring.outputs.values(),
+        *(heater.pin for heater in scene.wiring.heaters.values()),
+        *(pin for m in scene.wiring.motors.values() for pin in m.pins()),
+    ]
+    assert set(wired) <= set(written)
+    assert len(set(written)) == len(written)
+
+
+@pytest.mark.parametrize("name", ["voron", "hybrid", "generic"])
+def test_homing_stops_all_z_motors_at_once(start, host, name):
+    printer = ready(start, host, name).homed()
+    assert len(printer.scene.z_motors) in (2, 4)
+    printer.session.wait(0.5)
+    travel = printer.machine.rig.travel(printer.machine.simulation.clock.now())
+    heights = [travel[motor] for motor, _, _ in printer.scene.z_motors]
+    assert max(heights) - min(heights) == pytest.approx(0.0, abs=1e-9)
+    assert max(heights) < printer.scene.start.z
+
+
+def test_corexz_stops_both_belts(start):
+    printer = start("corexz").homed()
+    printer.session.wait(0.5)
+    belief, tip = printer.session.position(), printer.machine.tip()
+    # Half a belt that ran on would carry the head aside as well as down
+    assert tip.x == pytest.approx(belief[0], abs=0.02)
+    printer.run("CALIBRATE_Z\nG1 X150 Y150 Z20 F3000\nM400")
+    printer.session.wait(0.5)
+    assert printer.machine.tip().x == pytest.approx(150.0, abs=0.02)
+
+
+def test_kinematics_that_a_host_does_not_have(start, host):
+    assert has_kinematics(host, SCENES["voron"])
+    assert has_kinematics(host, SCENES["corexz"])
+    sections = {**SCENES["voron"].sections, "printer": {"kinematics": "spiral"}}
+    unknown = replace(SCENES["voron"], sections=sections)
+    assert not has_kinematics(host, unknown)
+    state, _ = start("generic").session.start()
+    expected = has_kinematics(host, SCENES["generic"])
+    assert state == ("ready" if expected else "error")
