@@ -9,6 +9,9 @@ import pytest
 from tests.hostkit.printer import has_kinematics
 from tests.simprinter import SCENES
 
+# Its Z is homed with the probe, which z_calibration has to know about
+CALIBRATING = [name for name in SCENES if name != "separate_pin"]
+
 
 def ready(start, host, name, **options):
     """A printer, or a skipped test where the host cannot have it."""
@@ -24,7 +27,7 @@ def microstep(printer):
     return printer.scene.wiring.motors["z"].step_dist
 
 
-@pytest.mark.parametrize("name", SCENES)
+@pytest.mark.parametrize("name", CALIBRATING)
 def test_calibration_ends_at_the_gap_of_the_formula(start, host, name):
     printer = ready(start, host, name).homed()
     wanted = printer.scene.formula_gap()
@@ -76,6 +79,43 @@ def test_corexz_stops_both_belts(start):
     printer.run("CALIBRATE_Z\nG1 X150 Y150 Z20 F3000\nM400")
     printer.session.wait(0.5)
     assert printer.machine.tip().x == pytest.approx(150.0, abs=0.02)
+
+
+# z_calibration is left out where it cannot know the machine yet
+WITHOUT_CALIBRATION = {"modules": {}, "changes": {"z_calibration": None}}
+
+
+def test_separate_pin_homes_with_its_probe(start):
+    printer = start("separate_pin", **WITHOUT_CALIBRATION).homed()
+    probe = printer.scene.world.mag_probe
+    z_offset = float(printer.scene.sections["probe"]["z_offset"])
+    # What its owner is wrong about
+    wanted = probe.body_drop + probe.switch_offset - z_offset
+    assert printer.gap() == pytest.approx(wanted, abs=microstep(printer))
+    assert printer.machine.truth.touch_count("probe_bed") >= 2
+    assert printer.machine.truth.touch_count("nozzle_pin") == 0
+
+
+def test_separate_pin_reads_its_own_input(start):
+    """Another section takes z_calibration's place."""
+    section = SCENES["separate_pin"].sections["z_calibration"]
+    anything = {
+        "step_pin": "PD0",
+        "dir_pin": "PD1",
+        "rotation_distance": "40",
+        "microsteps": "16",
+        "endstop_pin": section["endstop_pin"],
+    }
+    changes = {"z_calibration": None, "manual_stepper reader": anything}
+    printer = start("separate_pin", modules={}, changes=changes).homed()
+    pin = printer.scene.world.pin
+    trigger = pin.z - printer.scene.world.bed.z0 - printer.gap()
+    seen = []
+    for height in (trigger + 0.02, trigger - 0.02, trigger + 0.02):
+        printer.run(f"G1 X{pin.x} Y{pin.y} F6000\nG1 Z{height} F300\nM400")
+        line = printer.run("QUERY_ENDSTOPS")[-1]
+        seen.append("reader:TRIGGERED" in line)
+    assert seen == [False, True, False]
 
 
 def test_kinematics_that_a_host_does_not_have(start, host):

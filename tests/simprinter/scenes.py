@@ -473,6 +473,35 @@ def _generic() -> Scene:
     )
 
 
+def _separate_pin() -> Scene:
+    """The voron homing Z with its probe; the pin has an input of its own.
+
+    No section but z_calibration's knows that input.
+    """
+    voron = _voron()
+    assert voron.world.pin is not None
+    inputs = dict(voron.wiring.inputs)
+    pin_input = inputs["nozzle_endstop"] = inputs.pop("z_endstop")
+    sections = _with(
+        voron.sections,
+        "stepper_z",
+        endstop_pin="probe:z_virtual_endstop",
+        position_endstop=None,
+    )
+    # The probe over the middle of the bed
+    sections = _with(sections, "safe_z_home", home_xy_position="152, 125.25")
+    sections = _with(sections, "z_calibration", endstop_pin=pin_input)
+    scene = replace(
+        voron,
+        name="separate_pin",
+        wiring=replace(voron.wiring, inputs=inputs),
+        sections=sections,
+    )
+    return scene.with_world(
+        pin=replace(voron.world.pin, signal="nozzle_endstop")
+    )
+
+
 SCENES = {
     scene.name: scene
     for scene in (
@@ -481,6 +510,7 @@ SCENES = {
         _hybrid(),
         _corexz(),
         _generic(),
+        _separate_pin(),
         _cartesian(),
     )
 }
