@@ -2,6 +2,9 @@
 
 from __future__ import annotations
 
+import re
+from dataclasses import replace
+
 import pytest
 
 from tests.hostkit.printer import Printer, firmware_of, module_files
@@ -224,6 +227,33 @@ def test_relayed_trigger_stops_the_motors_late(host):
     depths, gaps = zip(*found.values())
     assert depths[1] - depths[0] == pytest.approx(late, abs=MICROSTEP)
     assert gaps[1] == pytest.approx(gaps[0], abs=MICROSTEP)
+
+
+def with_z_motors_on_the_other_board():
+    """The scene of two boards the other way round."""
+    scene, voron = SCENES["voron_two_boards"], SCENES["voron"]
+    motors, sections = dict(voron.wiring.motors), dict(voron.sections)
+    for name, _, _ in voron.z_motors:
+        pins = {
+            key: re.sub("P", "zboard:P", getattr(motors[name], key))
+            for key in ("step_pin", "dir_pin", "enable_pin")
+        }
+        motors[name] = replace(motors[name], **pins)
+        section = f"stepper_{name}"
+        sections[section] = {**sections[section], **pins}
+    wiring = replace(scene.wiring, motors=motors, inputs=voron.wiring.inputs)
+    return replace(scene, wiring=wiring, sections=sections)
+
+
+def test_motors_may_be_on_the_other_board(start):
+    printer = start(with_z_motors_on_the_other_board()).homed()
+    depth = printer.machine.truth.depth("nozzle_pin")
+    assert depth == pytest.approx(0.002 * 8.0, abs=1.5 * MICROSTEP)
+    printer.run("CALIBRATE_Z")
+    wanted = printer.scene.formula_gap()
+    assert printer.gap() == pytest.approx(wanted, abs=2 * MICROSTEP)
+    for board in printer.machine.boards.values():
+        assert board.journal.late == []
 
 
 def test_other_board_has_nothing_but_the_endstop(start):
