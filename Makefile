@@ -4,6 +4,7 @@
 #   make demo     watch a calibration on a simulated printer
 #   make hosts    prepare and list the klippy hosts
 #   make speed    how much faster than a printer the simulation runs
+#   make bench    how long a calibration takes, and the least it could take
 #   make lint     style and syntax only
 #   make format   bring the sources into shape
 #   make clean    remove all that was built
@@ -13,11 +14,13 @@
 # ALLOW_MISSING_HOSTS  1: do without hosts that cannot be downloaded
 # PYTEST_WORKERS       tests run at the same time (default 2)
 # PYTEST_ARGS          further arguments for pytest, such as -k or a file
+# BENCH_ARGS           arguments for make bench, such as --builtin
 
 PYTHON ?= python3
 BUILD_DIR ?= build
 PYTEST_WORKERS ?= 2
 PYTEST_ARGS ?=
+BENCH_ARGS ?=
 export BUILD_DIR
 
 TOOLS = $(BUILD_DIR)/venv/bin
@@ -25,7 +28,7 @@ MODULES = $(wildcard z_calibration.py auto_z_offset.py dockable_probe.py \
 	extra_probe.py)
 
 # Test files import each other as tests.*, from the root of the repository.
-.PHONY: test demo speed hosts lint format tools clean
+.PHONY: test demo speed bench hosts lint format tools clean
 
 test: hosts lint
 	$(TOOLS)/python -m pytest -n $(PYTEST_WORKERS) $(PYTEST_ARGS)
@@ -35,6 +38,9 @@ demo: tools
 
 speed: hosts
 	$(TOOLS)/python -m tests.bench_simulation
+
+bench: hosts
+	$(TOOLS)/python -m tests.bench_calibration $(BENCH_ARGS)
 
 hosts: tools
 	$(TOOLS)/python -m tests.hostkit.prepare
