@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import zlib
 from collections.abc import Callable, Iterator
 from contextlib import ExitStack
 
@@ -38,6 +39,12 @@ def host(request: pytest.FixtureRequest) -> Host:
 def one_host() -> Host:
     """Any host, for what takes long and does not depend on it."""
     return HOSTS[-1]
+
+
+@pytest.fixture
+def some_host(request: pytest.FixtureRequest) -> Host:
+    """One of the hosts, another for another test: for long tables."""
+    return HOSTS[zlib.crc32(request.node.nodeid.encode()) % len(HOSTS)]
 
 
 @pytest.fixture

@@ -93,7 +93,7 @@ class ShownPrinter(Printer):
 class Outcome:
     """What one run has shown, mm and printer seconds.
 
-    result: z_calibration's last_query; touches: of CALIBRATE_Z alone
+    result: z_calibration's last_result; touches: of CALIBRATE_Z alone
     """
 
     result: dict[str, float]
@@ -120,7 +120,7 @@ def rehearse(printer: ShownPrinter) -> Outcome:
     print("--- and how far is it now?", flush=True)
     gap_after = printer.gap()
     return Outcome(
-        result=printer.status("z_calibration")["last_query"],
+        result=printer.status("z_calibration")["last_result"],
         gap_before=gap_before,
         gap_after=gap_after,
         touches=touches,

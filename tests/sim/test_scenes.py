@@ -9,8 +9,7 @@ import pytest
 from tests.hostkit.printer import has_kinematics
 from tests.simprinter import SCENES
 
-# Its Z is homed with the probe, which z_calibration has to know about
-CALIBRATING = [name for name in SCENES if name != "separate_pin"]
+CALIBRATING = list(SCENES)
 
 
 def ready(start, host, name, **options):

@@ -28,6 +28,7 @@ IMPORTABLE = {
     "bisect",
     "collections",
     "contextlib",
+    "difflib",
     "copy",
     "functools",
     "heapq",
