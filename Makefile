@@ -12,6 +12,8 @@
 # KLIPPER_PATH         Klipper or Kalico checkouts to test on, a:b:c
 #                      (default ~/klipper where it exists; empty for none)
 # ALLOW_MISSING_HOSTS  1: do without hosts that cannot be downloaded
+# EVERY_HOST, CORPUS   1 and all: long tables and the configurations of real
+#                      printers on every host, not each on one of them
 # PYTEST_WORKERS       tests run at the same time (default 2)
 # PYTEST_ARGS          further arguments for pytest, such as -k or a file
 # BENCH_ARGS           arguments for make bench, such as --builtin

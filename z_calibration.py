@@ -321,14 +321,14 @@ def expect_bed(settings, nozzle_z, switch_z, last):
 # Lowest useful toolhead Z of each touch.  The nozzle meets the pin where Z
 # was homed, give or take what the margins allow.
 def nozzle_floor(settings, expected):
-    if settings.position_endstop is not None:
-        reach = max(settings.travel_margin, -settings.offset_margins[0])
-        return max(settings.position_min, settings.position_endstop - reach)
-    if expected.sure:
-        floor = expected.z - settings.travel_margin
-        return max(settings.position_min, floor)
-    # Nobody knows how high a separate pin is until it was touched
-    return settings.position_min
+    reach = max(settings.travel_margin, -settings.offset_margins[0])
+    homed_z = settings.position_endstop
+    if homed_z is None:
+        # A separate pin: nobody knows how high it is until it was touched
+        homed_z = expected.z
+    if homed_z is None:
+        return settings.position_min
+    return max(settings.position_min, homed_z - reach)
 
 
 # The body hangs below the nozzle, in any case
@@ -347,8 +347,11 @@ def bed_floor(settings, nozzle_z, switch_z):
 
 # Where the bed may be looked for with a probe of unknown length: the nozzle
 # meets it below the upper margin.
-def unmeasured_bed_floor(settings):
+def unmeasured_bed_floor(settings, nozzle_z):
     floor = settings.offset_margins[1] + BODY_BELOW_NOZZLE
+    if settings.position_endstop is not None:
+        # Higher where levelling has lifted the bed, and the pin with it
+        floor += max(0.0, nozzle_z - settings.position_endstop)
     return max(settings.position_min, floor)
 
 
@@ -402,7 +405,7 @@ def complete(settings, probe, z_offset, position_max):
 
 # Not so: nothing at all, plain moves, or what start_gcode has done already.
 def attaches_probe(before_switch_gcode, start_gcode):
-    code = re.sub(r"\{%.*?%\}", "", before_switch_gcode)
+    code = re.sub(r"(?s)\{%.*?%\}", "", before_switch_gcode)
     lines = [line.split(";")[0] for line in code.splitlines()]
     lines = [line.strip() for line in lines if line.strip()]
     if all(PLAIN.match(line) for line in lines):
@@ -469,6 +472,11 @@ def is_endstop(candidate):
     return all(callable(m) for m in methods) and bool(candidate.get_steppers())
 
 
+def bare_pin(pin):
+    pin = pin.replace(" ", "").lstrip("^~!")
+    return pin[len("mcu:") :] if pin.startswith("mcu:") else pin
+
+
 # Everything the module wants from the printer.  The only place that knows in
 # which respects hosts differ; the difference is always asked of the object,
 # never of a version number.
@@ -508,9 +516,19 @@ class Host(object):
                 " that the nozzle can press; give the pin of that switch, or"
                 " leave the option out to use the Z endstop" % (pin,)
             )
+        probe_pin = ""
+        if config.has_section("probe"):
+            section = config.getsection("probe")
+            probe_pin = section.get("pin", "", note_valid=False)
+        if bare_pin(pin) == bare_pin(probe_pin):
+            raise config.error(
+                "Option 'endstop_pin: %s' in section 'z_calibration' is the pin"
+                " of section 'probe'; give the pin of the switch that the"
+                " nozzle presses" % (pin,)
+            )
         pins = self.printer.lookup_object("pins")
         # QUERY_ENDSTOPS and macros may know this pin by another section
-        pins.allow_multi_use_pin(pin.replace(" ", "").lstrip("^~!"))
+        pins.allow_multi_use_pin(bare_pin(pin))
         endstop = pins.setup_pin("endstop", pin)
         self.query_endstops.register_endstop(endstop, "z_calibration")
         self.printer.register_event_handler(
@@ -603,6 +621,16 @@ class Host(object):
     def probe_offsets(self):
         return self.probe.get_offsets()
 
+    # Kalico's dockable_probe may fetch and dock it by itself, at any session
+    def check_probe_stays(self):
+        dockable = self.printer.lookup_object("dockable_probe", None)
+        if getattr(dockable, "auto_attach_detach", False):
+            raise CalibrationError(
+                "auto_attach_detach of section 'dockable_probe' docks the probe"
+                " between the touches; set it to False and attach the probe in"
+                " start_gcode or before_switch_gcode"
+            )
+
     # The probe's own settings
     def probe_sampling(self):
         probe = self.probe
@@ -686,12 +714,15 @@ class Host(object):
     # the lower end of its probing move.
     def _probe_floors(self):
         probe = self.probe
-        helper = getattr(probe.mcu_probe, "homing_helper", None)
+        session = getattr(probe, "probe_session", None)
         return (
             # Since 2026-05-25 (43baf9b83)
-            (helper, "z_min_position"),
+            (getattr(probe.mcu_probe, "homing_helper", None), "z_min_position"),
+            # Since 2025-04-18 (1f5783a25; its parent f3a1c914a)
+            (getattr(probe, "homing_helper", None), "z_min_position"),
+            (getattr(session, "homing_helper", None), "z_min_position"),
             # Since 2024-06-10 (6ea5b94d1)
-            (getattr(probe, "probe_session", None), "z_position"),
+            (session, "z_position"),
             # Before, Kalico, QIDI
             (probe, "z_position"),
         )
@@ -789,10 +820,6 @@ class Host(object):
         if self.z() < z:
             self.toolhead.manual_move([None, None, z], speed)
 
-    def lower_to(self, z, speed):
-        if self.z() > z:
-            self.toolhead.manual_move([None, None, z], speed)
-
     def move_xy(self, x, y, speed):
         if tuple(self.toolhead.get_position()[:2]) != (x, y):
             self.toolhead.manual_move([x, y], speed)
@@ -873,13 +900,20 @@ class Host(object):
                 logging.exception("z_calibration: %s failed, too", what)
 
 
+HOMED_OR_SET = "Z was homed again or set"
+LEVELLED = "the Z motors were levelled"
+
+
 # What moved the frame that heights are measured in, since a mark was set.
 class Frame(object):
     def __init__(self, host):
         self.host = host
         self.count = 0
         self.latest = ""
+        # Of the last time Z was set
+        self.datum = []
         register = host.printer.register_event_handler
+        register("toolhead:set_position", self._set)
         register("homing:home_rails_end", self._homed)
         register("stepper_enable:motor_off", self._off)
 
@@ -889,7 +923,19 @@ class Frame(object):
     # Empty: nothing did
     def moved_since(self, mark):
         count, datum = mark
-        return self.latest if count != self.count else self._motors(datum)
+        motors = self._motors(datum)
+        if count == self.count or motors == LEVELLED:
+            return motors
+        return self.latest
+
+    # Homing sets Z somewhere else at first, on every host; it may come back
+    # to where it was.
+    def _set(self):
+        if self.host.toolhead is None:
+            return
+        before, self.datum = self.datum, self.host.z_datum()
+        if self._motors(before) == HOMED_OR_SET:
+            self._note(HOMED_OR_SET)
 
     # Not sent where Z is homed with the probe since 2026-05-25 (5cbebdc3c)
     def _homed(self, homing_state, rails):
@@ -909,8 +955,8 @@ class Frame(object):
         if not shifts or max(map(abs, shifts)) <= DATUM_NOISE:
             return ""
         if max(shifts) - min(shifts) > DATUM_NOISE:
-            return "the Z motors were levelled"
-        return "Z was homed again or set"
+            return LEVELLED
+        return HOMED_OR_SET
 
 
 ######################################################################
@@ -928,6 +974,7 @@ class Measurement(object):
         self.sampling = sampling
         self.watch = watch
         self.expected_z = None
+        self.taken = 0
         # Where the last touch triggered; None: the head was lifted since
         self.pressed_z = None
 
@@ -941,7 +988,7 @@ class Measurement(object):
 
     def run(self, travel_z, expected_z, floor):
         self.go_there(travel_z)
-        self.come_down(expected_z, floor)
+        self.come_down(travel_z, expected_z, floor)
         return self.collect(floor)
 
     # What is to be pressed at this site
@@ -968,16 +1015,19 @@ class Measurement(object):
         self.host.move_xy(self.site.x, self.site.y, settings.speed)
         self.check_arrived()
 
-    # Down to where every sample begins.  'expected_z' None: slowly, then.
-    def come_down(self, expected_z, floor):
+    # Down to where every sample begins.  'expected_z' None: slowly from the
+    # travel height on, then.
+    def come_down(self, travel_z, expected_z, floor):
         speed = self.settings.probing_speed
         if self.settings.first_fast:
             self.first_touch(floor)
-        elif expected_z is not None:
+            return
+        top = travel_z
+        if expected_z is not None:
             top = max(expected_z, floor) + self.sampling.retract_dist
-            self.pressed_z = self.touching(
-                self.host.come_down, self.endstop(), top, speed
-            )
+        self.pressed_z = self.touching(
+            self.host.come_down, self.endstop(), top, speed
+        )
 
     # The first touch gets the head down; it is no sample
     def first_touch(self, floor):
@@ -994,6 +1044,7 @@ class Measurement(object):
         self.retract()
         self.pressed_z = self.touching(self.touch_once, floor)
         self.check_pressed()
+        self.taken += 1
         self.watch.touched()
         self.report("touched at z=%.6f" % (self.pressed_z,))
         return self.pressed_z
@@ -1040,17 +1091,15 @@ class Measurement(object):
             )
 
 
+AFTER_EXCHANGE = "home Z again (G28 Z) or add ACCEPT_CHANGE=1"
+
+
 # The nozzle tip on the pin
 class NozzleMeasurement(Measurement):
     remedy = (
         "home Z again (G28 Z) after any levelling; check nozzle_xy_position"
-        " and the switch there"
+        " and the switch there; add ACCEPT_CHANGE=1 if the nozzle was exchanged"
     )
-
-    def go_there(self, travel_z):
-        Measurement.go_there(self, travel_z)
-        # Blind only above the travel height, which is above the pin
-        self.host.lower_to(travel_z, self.sampling.lift_speed)
 
     def run(self, travel_z, expected_z, floor):
         samples = Measurement.run(self, travel_z, expected_z, floor)
@@ -1096,7 +1145,14 @@ class SwitchMeasurement(Measurement):
         self.check_probe_attached(self.host.after_moves())
 
     def explain(self):
-        self.check_probe_attached(self.host.now())
+        if self.host.probe_triggered(self.host.now()):
+            top = self.host.z() + self.sampling.retract_dist
+            self.host.raise_to(top, self.sampling.lift_speed)
+            self.check_probe_attached(self.host.after_moves())
+            raise CalibrationError(
+                "the plunger of the probe was pressed where only its body"
+                " should meet the pin; check switch_xy_position"
+            )
         Measurement.explain(self)
 
     # Where the pin presses the plunger, too, it looks lost until lifted
@@ -1113,17 +1169,25 @@ class SwitchMeasurement(Measurement):
 class BedMeasurement(Measurement):
     remedy = "check bed_xy_position, switch_offset and the probe"
 
+    def __init__(self, host, settings, site, sampling, watch):
+        Measurement.__init__(self, host, settings, site, sampling, watch)
+        # The host's own probing while a session lasts, and whether it ends
+        # at the floor
+        self.probe_once = None
+        self.limited = False
+
     def run(self, travel_z, expected_z, floor):
         self.go_there(travel_z)
+        lift_speed = self.sampling.lift_speed
         session = self.host.probe_session()
         limit = self.host.probe_floor(floor)
-        with session as self.touch_once_by_host, limit as limited:
-            if limited:
-                self.come_down(expected_z, floor)
-            else:
-                # Shows that the probe triggers where geometry says, before
-                # the host looks for it down to position_min
-                self.first_touch(floor)
+        # Up before the session ends: the host may deactivate or dock then
+        lift = self.host.always(
+            functools.partial(self.host.raise_to, travel_z, lift_speed),
+            "lifting",
+        )
+        with session as self.probe_once, limit as self.limited, lift:
+            self.come_down(travel_z, expected_z, floor)
             samples = self.collect(floor)
         self.leave(travel_z)
         return samples
@@ -1151,7 +1215,10 @@ class BedMeasurement(Measurement):
 
     def touch_once(self, floor):
         self.host.check_above(floor)
-        return self.touch_once_by_host()
+        if self.limited:
+            return self.probe_once()
+        # A host unknown to us: its probing would go on to position_min
+        return Measurement.touch_once(self, floor)
 
     def explain(self):
         self.check_probe_attached(self.host.now())
@@ -1183,6 +1250,7 @@ class Calibration(object):
 
     def measure(self, attach_probe):
         settings = self.settings
+        self.host.check_probe_stays()
         if not settings.attach_after_nozzle:
             # Nobody will attach it later: say so before anything is touched
             self.check_probe_attached()
@@ -1254,10 +1322,15 @@ class Calibration(object):
         settings, switch = self.settings, self.site_of_switch()
         expected = expect_switch(settings, nozzle_z, self.last, self.sure)
         floor = switch_floor(settings, nozzle_z, expected)
+        if expected.z is None:
+            floor = self.floor_from_bed(nozzle_z, floor)
         try:
             samples = switch.measure(self.travel_z, expected.z, floor)
         except NoTrigger as e:
-            if expected.sure or expected.z is None:
+            if expected.sure:
+                exchanged = "%s; if nozzle or probe was exchanged: %s"
+                raise NoTrigger(exchanged % (e, AFTER_EXCHANGE))
+            if expected.z is None or switch.taken:
                 raise
             floor = self.find_lower_floor(nozzle_z, floor, e)
             samples = switch.measure(self.travel_z, None, floor)
@@ -1267,16 +1340,31 @@ class Calibration(object):
     # have been exchanged: the bed tells whether that was wrong, or the switch
     # is dead.
     def find_lower_floor(self, nozzle_z, floor, error):
-        settings = self.settings
         self.watch.say("%s; looking at the bed how long the probe is" % error)
-        bed_z = self.site_of_bed().look(
-            self.travel_z, unmeasured_bed_floor(settings)
-        )
-        lowest = lowest_switch(settings, nozzle_z, bed_z)
-        hard = switch_floor(settings, nozzle_z, Expected(None, False))
+        hard = switch_floor(self.settings, nozzle_z, Expected(None, False))
+        try:
+            lowest = self.lowest_switch(nozzle_z)
+        except CalibrationError as e:
+            self.watch.say("%s" % (e,))
+            raise error
         if max(lowest, hard) >= floor:
             raise error
         return max(lowest, hard)
+
+    # Nothing known of the probe: the bed tells how long it is before its body
+    # goes down where it may meet something else than the pin.
+    def floor_from_bed(self, nozzle_z, hard):
+        try:
+            return max(hard, self.lowest_switch(nozzle_z))
+        except NoTrigger as e:
+            self.watch.say("%s; searching for the switch down to it" % (e,))
+            return hard
+
+    def lowest_switch(self, nozzle_z):
+        settings = self.settings
+        floor = unmeasured_bed_floor(settings, nozzle_z)
+        bed_z = self.site_of_bed().look(self.travel_z, floor)
+        return lowest_switch(settings, nozzle_z, bed_z)
 
     # Only against a run with nothing exchanged and Z homed no more
     def check_geometry(self, body):
@@ -1284,9 +1372,8 @@ class Calibration(object):
             return
         raise CalibrationError(
             "switch - nozzle is %.3f mm and was %.3f mm in the last good run;"
-            " check how the probe is seated and that the nozzle is tight. If"
-            " one was exchanged: home Z again (G28 Z) or add ACCEPT_CHANGE=1"
-            % (body, self.body())
+            " check how the probe is seated and that the nozzle is tight; if"
+            " one was exchanged: %s" % (body, self.body(), AFTER_EXCHANGE)
         )
 
     def measure_bed(self, nozzle_z, switch_z):
@@ -1890,11 +1977,22 @@ class ZCalibration(object):
             )
         return value
 
+    # From a template of its own it would never end
+    def check_idle(self, gcmd):
+        if self.watch.phase != "idle":
+            raise gcmd.error(
+                "z_calibration: a measurement is under way (%s) and cannot"
+                " start another; put a retry into a macro around CALIBRATE_Z"
+                % (self.watch.phase,)
+            )
+
     # CALIBRATE_Z
     cmd_CALIBRATE_Z_help = "Measure nozzle, switch and bed, set the Z offset"
 
     def cmd_CALIBRATE_Z(self, gcmd):
+        self.check_idle(gcmd)
         self.watch.begin(gcmd.respond_info, self.settings)
+        self.watch.enter("start_gcode")
         self.measured = None
         before = self.host.gcode_offset()
         try:
@@ -1925,7 +2023,6 @@ class ZCalibration(object):
         run = Calibration(host, settings, sites, self.watch)
         dock = host.always(self.dock, "end_gcode")
         with dock, host.always(run.lift, "lifting"):
-            self.watch.enter("start_gcode")
             self.run_user_gcode(self.templates.start)
             if not accept:
                 run.know(self.last_result, not self.why_not())
@@ -1935,6 +2032,11 @@ class ZCalibration(object):
             check_offset(result, settings.offset_margins)
             self.measured = result
         host.check_homed()
+        if self.frame.moved_since(measured_in) == LEVELLED:
+            raise CalibrationError(
+                "%s in end_gcode: the offset does not hold then; do it before"
+                " CALIBRATE_Z" % (LEVELLED,)
+            )
         return measured_in
 
     def attach_probe(self, mark):
@@ -2012,7 +2114,9 @@ class ZCalibration(object):
     cmd_PROBE_Z_ACCURACY_help = "Touch the Z endstop with the nozzle repeatedly"
 
     def cmd_PROBE_Z_ACCURACY(self, gcmd):
+        self.check_idle(gcmd)
         self.watch.begin(gcmd.respond_info, self.settings)
+        self.watch.enter("nozzle")
         try:
             self.measure_accuracy(gcmd)
         except CalibrationError as e:
@@ -2055,7 +2159,6 @@ class ZCalibration(object):
         )
         with host.always(run.lift, "lifting"):
             self.watch.wanted = pin.samples
-            self.watch.enter("nozzle")
             samples = run.sample_nozzle()
         gcmd.respond_info(
             "probe z accuracy results: maximum %.6f, minimum %.6f, range"

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import os
 import zlib
 from collections.abc import Callable, Iterator
 from contextlib import ExitStack
@@ -39,6 +40,13 @@ def host(request: pytest.FixtureRequest) -> Host:
 def one_host() -> Host:
     """Any host, for what takes long and does not depend on it."""
     return HOSTS[-1]
+
+
+def pytest_generate_tests(metafunc: pytest.Metafunc) -> None:
+    """EVERY_HOST=1: long tables run on each host, too."""
+    if "some_host" in metafunc.fixturenames and os.environ.get("EVERY_HOST"):
+        names = [host.name for host in HOSTS]
+        metafunc.parametrize("some_host", HOSTS, ids=names)
 
 
 @pytest.fixture

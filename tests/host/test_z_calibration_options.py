@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 import re
+from contextlib import ExitStack
 from dataclasses import replace
 
 import pytest
@@ -25,6 +26,16 @@ from tests.hostkit.calibration import (
 )
 from tests.hostkit.printer import Printer
 from tests.simprinter import SCENES, Fault
+
+
+@pytest.fixture
+def start(some_host):
+    """start() of all tests, on one host a test: there are many tables here."""
+    with ExitStack() as stack:
+        yield lambda *args, **options: stack.enter_context(
+            Printer(some_host, *args, **options)
+        )
+
 
 # Of the voron scene, but the nozzle's, on which Z is homed
 PLACES = ([208.0, 281.25], [208.5, 281.25], [152.0, 125.25])
@@ -735,15 +746,40 @@ def test_pin_of_its_own_is_looked_for_down_to_position_min_once(start):
     assert_unharmed(printer)
 
 
-def test_pin_of_its_own_is_known_after_a_good_run(start):
-    # A good run: 3 samples, a way down and 3 samples; then a way down
-    fault = Fault("trigger_never", signal="nozzle_endstop", n=9)
+@pytest.mark.parametrize(
+    ("between", "n"), [("", 9), ("G28\n", 9), ("M84\nG28\n", 9)]
+)
+def test_pin_of_its_own_is_known_after_a_good_run(start, between, n):
+    # A good run: a way down (none is known), 3 + 3 samples with a way down
+    # to the switch; then again
+    fault = Fault("trigger_never", signal="nozzle_endstop", n=n + 1)
     printer = start("separate_pin", faults=[fault])
     printer.machine.tolerate("nozzle_pin", 1.01)
     printer.homed()
     result, _ = calibration(printer)
-    text = printer.fail("CALIBRATE_Z")
+    text = printer.fail(between + "CALIBRATE_Z")
     assert f"(stopped at z={result[2] - 1.0:.3f})" in text
+    assert "add ACCEPT_CHANGE=1 if the nozzle was exchanged" in text
+
+
+def test_pin_of_its_own_that_stands_high_is_met_ready_to_stop(start):
+    # Nobody knows its height, and the head comes from above
+    scene = SCENES["separate_pin"]
+    high = replace(scene.world.pin, z=15.4)
+    printer = start(scene.with_world(pin=high)).homed()
+    printer.run("G1 Z60 F900")
+    before = len(printer.machine.truth.touches)
+    printer.run("PROBE_Z_ACCURACY")
+    assert {t.site for t in printer.machine.truth.touches[before:]} == {
+        "nozzle_pin"
+    }
+
+
+@pytest.mark.parametrize("pin", ["^PC3", "!mcu:PC3"])
+def test_pin_of_its_own_is_not_the_probes(host, pin):
+    message = refusal(host, section(endstop_pin=pin), "separate_pin")
+    assert f"Option 'endstop_pin: {pin}' in section 'z_calibration'" in message
+    assert "is the pin of section 'probe'" in message
 
 
 # Old names

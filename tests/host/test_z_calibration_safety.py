@@ -7,10 +7,12 @@ from dataclasses import replace
 import pytest
 
 from tests.hostkit.calibration import (
+    BED,
     BODY,
     MICROSTEP,
     PIN,
     SWITCH_OFFSET,
+    TRIGGER,
     assert_unharmed,
     calibration,
     result_of,
@@ -20,6 +22,7 @@ from tests.hostkit.calibration import (
 from tests.hostkit.printer import Printer, has_kinematics, module_files
 from tests.hostkit.session import GcodeError
 from tests.simprinter import SCENES, Fault
+from tests.simprinter.world import DriftSpec
 
 
 def voron(**mag_probe):
@@ -87,25 +90,69 @@ def test_dead_switch_with_a_z_offset_that_is_right(start):
 
 
 def test_dead_switch_with_a_z_offset_nobody_knows(start):
-    # The floor is the nozzle's height and a little more
+    # The bed is looked at first
     fault = Fault("stuck_open", signal="z_endstop", n=7)
     changes = {"probe": {"z_offset": "0"}}
     printer = start(changes=changes, faults=[fault])
-    printer.machine.tolerate("body_pin", BODY - 1.0 + MICROSTEP)
+    printer.machine.tolerate("body_pin", 1.0)
     text = printer.homed().fail("CALIBRATE_Z")
-    assert f"(stopped at z={PIN + 1.0:.3f})" in text
+    floor = PIN + BED + TRIGGER - 1.0 - SWITCH_OFFSET
+    assert "switch: No trigger on probe after full movement" in text
+    stopped = float(text.split("(stopped at z=")[1].split(")")[0])
+    assert stopped == pytest.approx(floor, abs=MICROSTEP)
+    assert touched_sites(printer)[5] == "probe_bed"
     assert printer.machine.truth.min_gap > 1.0
     assert_unharmed(printer)
 
 
-def test_lost_body_at_the_switch_ends_above_the_pin(start):
-    # It falls off unseen (a normally open probe would look like that)
-    scene = SCENES["voron"]
-    beside = section(switch_xy_position="150, 281.25")
-    printer = start(scene, changes=beside).homed()
-    text = printer.fail("CALIBRATE_Z")
+def test_bed_that_says_nothing_about_the_probe(start):
+    # With these margins the nozzle might be on the bed before the probe
+    changes = {
+        "probe": {"z_offset": "0"},
+        **section(offset_margins="-7,7"),
+    }
+    lines = start(changes=changes).homed().run("CALIBRATE_Z")
+    told = [line for line in lines if "searching for the switch down" in line]
+    assert len(told) == 1
+    assert "bed: No trigger" in told[0]
+    assert result_of(lines)[1] == pytest.approx(PIN + BODY, abs=0.005)
+
+
+@pytest.mark.parametrize("z_offset", ["0", "6.9"])
+def test_switch_position_over_the_bed(start, z_offset):
+    changes = {
+        "probe": {"z_offset": z_offset},
+        **section(switch_xy_position="150, 200"),
+    }
+    printer = start(changes=changes)
+    printer.machine.tolerate("body_bed", 1.0)
+    text = printer.homed().fail("CALIBRATE_Z")
     assert "switch: " in text
+    assert "check switch_xy_position" in text
     assert printer.machine.truth.min_gap > 5.0
+    assert_unharmed(printer)
+
+
+def test_plunger_pressed_at_the_switch_is_told(start):
+    # The bed lies higher than the floor there
+    changes = {
+        "probe": {"z_offset": "5.5"},
+        **section(switch_xy_position="150, 200"),
+    }
+    printer = start(changes=changes)
+    printer.machine.tolerate("body_bed", 1.5)
+    text = printer.homed().fail("CALIBRATE_Z")
+    assert "switch: the plunger of the probe was pressed" in text
+    assert "check switch_xy_position" in text
+    assert printer.session.state()[0] == "ready"
+
+
+def test_switch_position_beside_everything(start):
+    printer = start(changes=section(switch_xy_position="260, 281.25")).homed()
+    text = printer.fail("CALIBRATE_Z")
+    assert "switch: No trigger" in text
+    assert "check switch_xy_position" in text
+    assert printer.machine.truth.min_gap > 1.0
     assert_unharmed(printer)
 
 
@@ -168,6 +215,21 @@ def test_start_gcode_may_home_between_two_runs(start):
     calibration(printer)
     lines = printer.run("CALIBRATE_Z")
     assert result_of(lines)[1] == pytest.approx(PIN + BODY + 0.7, abs=0.01)
+
+
+def test_longer_nozzle_without_homing(start):
+    # It grows by 1.5 mm between the runs: the body is that much lower
+    scene = SCENES["voron"]
+    drift = DriftSpec(nozzle=0.1, start=100.0, stop=115.0)
+    changes = section(offset_margins="-2,2")
+    printer = start(scene.with_world(drift=drift), changes=changes)
+    printer.machine.tolerate("body_pin", 1.0)
+    calibration(printer.homed())
+    printer.session.wait(120.0)
+    text = printer.fail("CALIBRATE_Z")
+    assert "switch: No trigger" in text
+    assert "if nozzle or probe was exchanged: home Z again (G28 Z)" in text
+    calibration(printer, "CALIBRATE_Z ACCEPT_CHANGE=1")
 
 
 def test_small_change_is_none(start):
@@ -284,23 +346,37 @@ def test_result_is_valid_until_z_moves(start, script, reason):
         assert validity(printer) == (True, "")
 
 
+LEVEL = {
+    "quad_gantry_level": {
+        "gantry_corners": "\n  -60,-10\n  360,370",
+        "points": "\n  50,25\n  50,225\n  250,225\n  250,25",
+        "speed": "100",
+        "horizontal_move_z": "15",
+        "retries": "5",
+        "retry_tolerance": "0.02",
+        "max_adjust": "10",
+    }
+}
+
+
+def test_levelling_in_end_gcode_is_an_error(start):
+    bed = replace(SCENES["voron"].world.bed, slope_x=0.001, slope_y=-0.0008)
+    changes = {**LEVEL, **section(end_gcode="QUAD_GANTRY_LEVEL")}
+    tilted = SCENES["voron"].with_world(bed=bed)
+    printer = start(tilted, changes=changes).homed()
+    printer.run("SET_GCODE_OFFSET Z=0.3")
+    text = printer.fail("CALIBRATE_Z")
+    assert "the Z motors were levelled in end_gcode" in text
+    assert "do it before CALIBRATE_Z" in text
+    assert printer.offset() == pytest.approx(0.3)
+
+
 def test_levelling_ends_validity(start):
     # One Z motor alone, as levelling moves it
     changes = {"force_move": {"enable_force_move": "true"}}
-    level = {
-        "quad_gantry_level": {
-            "gantry_corners": "\n  -60,-10\n  360,370",
-            "points": "\n  50,25\n  50,225\n  250,225\n  250,25",
-            "speed": "100",
-            "horizontal_move_z": "15",
-            "retries": "5",
-            "retry_tolerance": "0.02",
-            "max_adjust": "10",
-        }
-    }
     tilted = replace(SCENES["voron"].world.bed, slope_x=0.001, slope_y=-0.0008)
     scene = SCENES["voron"].with_world(bed=tilted)
-    printer = start(scene, changes={**changes, **level}).homed()
+    printer = start(scene, changes={**changes, **LEVEL}).homed()
     calibration(printer)
     printer.run("QUAD_GANTRY_LEVEL")
     assert validity(printer) == (False, "the Z motors were levelled")
@@ -320,11 +396,8 @@ def test_homing_with_the_probe_ends_validity(start):
         ),
     )
     scene = SCENES["separate_pin"].with_world(mag_probe=noisy)
-    # The second homing triggers early: Z is really another one then
-    fault = [
-        Fault("trigger_early", signal="probe", mm=0.1, n=n) for n in (7, 8)
-    ]
-    printer = start(scene, faults=fault).homed()
+    # It comes back to exactly where it was
+    printer = start(scene).homed()
     calibration(printer)
     assert validity(printer) == (True, "")
     printer.run("G28 Z")
@@ -402,8 +475,8 @@ def load_config(config):
 '''
 
 
-@pytest.mark.parametrize("n", [None, 1])
-def test_probe_that_takes_no_floor_is_guarded(start, tmp_path, n):
+@pytest.mark.parametrize("n", [None, 2, 4])
+def test_probe_that_takes_no_floor_is_touched_by_us(start, tmp_path, n):
     source = tmp_path / "others.py"
     source.write_text(OTHERS)
     modules = {**module_files(), "others": source}
@@ -413,12 +486,67 @@ def test_probe_that_takes_no_floor_is_guarded(start, tmp_path, n):
     printer.homed()
     if n is None:
         _, sites = calibration(printer)
-        # One touch shows that it triggers before the host looks for it
-        assert sites.count("probe_bed") == 4
+        assert sites.count("probe_bed") == 3
+        assert printer.gap() == pytest.approx(0.06, abs=2 * MICROSTEP)
         return
     text = printer.fail("CALIBRATE_Z")
     assert f"(stopped at z={BODY + SWITCH_OFFSET - 1.0:.3f})" in text
     assert_unharmed(printer)
+
+
+def test_probe_that_docks_itself_is_refused(start, tmp_path):
+    source = tmp_path / "docks.py"
+    source.write_text(
+        "class Dockable:\n"
+        "    auto_attach_detach = True\n"
+        "def load_config(config):\n"
+        "    printer = config.get_printer()\n"
+        "    printer.add_object('dockable_probe', Dockable())\n"
+    )
+    modules = {**module_files(), "docks": source}
+    printer = start(changes={"docks": {}}, modules=modules).homed()
+    before = len(printer.machine.truth.touches)
+    text = printer.fail("CALIBRATE_Z")
+    assert "auto_attach_detach of section 'dockable_probe'" in text
+    assert "set it to False" in text
+    assert touched_sites(printer, before) == []
+
+
+def test_head_is_up_when_the_session_ends(start):
+    # deactivate_gcode may dock or stow
+    where = "{printer.toolhead.position.z|round(2)}"
+    changes = {
+        "respond": {},
+        "gcode_macro STOW": {"gcode": f"\n  RESPOND MSG='stow {where}'"},
+        "probe": {
+            "deactivate_gcode": "STOW",
+            "deactivate_on_each_sample": "False",
+        },
+    }
+    printer = start(changes=changes).homed()
+    lines = printer.run("CALIBRATE_Z")
+    stowed = [line for line in lines if line.startswith("echo: stow")]
+    assert float(stowed[-1].split()[-1]) == pytest.approx(13.8, abs=0.01)
+
+
+@pytest.mark.parametrize(
+    "template", ["start_gcode", "end_gcode", "error_gcode", "offset_gcode"]
+)
+@pytest.mark.parametrize("command", ["CALIBRATE_Z", "PROBE_Z_ACCURACY"])
+def test_measurement_inside_a_measurement(some_host, template, command):
+    changes = section(**{template: command})
+    with Printer(some_host, changes=changes) as printer:
+        printer.homed()
+        if template == "error_gcode":
+            printer.fail("CALIBRATE_Z SWITCH_OFFSET=x")
+            text = "\n".join(printer.session.console)
+            assert "error_gcode failed, too" in text
+        else:
+            text = printer.fail("CALIBRATE_Z")
+        assert "a measurement is under way" in text
+        assert "put a retry into a macro around CALIBRATE_Z" in text
+        assert printer.session.state()[0] == "ready"
+        assert printer.status("z_calibration")["phase"] == "idle"
 
 
 def test_host_probes_to_its_own_floor_again_afterwards(start):

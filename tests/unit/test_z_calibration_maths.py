@@ -738,9 +738,9 @@ class TestFloors:
         ("expected", "position_min", "floor"),
         [
             ((None, False), -5.0, -5.0),
-            ((2.0, False), -5.0, -5.0),  # may stand elsewhere by now
-            ((2.0, True), -5.0, 1.5),
-            ((0.0, True), -5.0, -0.5),
+            ((2.0, False), -5.0, -1.0),  # homed again: within the margins
+            ((2.0, True), -5.0, -1.0),
+            ((0.0, True), -5.0, -3.0),
             ((2.0, True), 1.75, 1.75),
         ],
     )
@@ -792,19 +792,24 @@ class TestFloors:
         assert zc.bed_floor(settings, nozzle, switch) == floor
 
     @pytest.mark.parametrize(
-        ("high", "position_min", "floor"),
+        ("high", "position_min", "endstop", "nozzle", "floor"),
         [
-            (1.0, -5.0, 2.0),
-            (0.0, -5.0, 1.0),
-            (3.0, -5.0, 4.0),
-            (1.0, 2.25, 2.25),
+            (1.0, -5.0, 0.5, 0.5, 2.0),
+            (0.0, -5.0, 0.5, 0.5, 1.0),
+            (3.0, -5.0, 0.5, 0.5, 4.0),
+            (1.0, 2.25, 0.5, 0.5, 2.25),
+            (1.0, -5.0, 0.5, 2.0, 3.5),  # the bed has risen with the pin
+            (1.0, -5.0, 0.5, -2.0, 2.0),
+            (1.0, -5.0, None, 9.0, 2.0),
         ],
     )
-    def test_unmeasured_bed(self, high, position_min, floor):
+    def test_unmeasured_bed(self, high, position_min, endstop, nozzle, floor):
         settings = make_settings(
-            offset_margins=(-2.0, high), position_min=position_min
+            offset_margins=(-2.0, high),
+            position_min=position_min,
+            position_endstop=endstop,
         )
-        assert zc.unmeasured_bed_floor(settings) == floor
+        assert zc.unmeasured_bed_floor(settings, nozzle) == floor
 
     @given(
         heights,
@@ -826,7 +831,7 @@ class TestFloors:
             zc.nozzle_floor(settings, expected),
             zc.switch_floor(settings, nozzle, expected),
             zc.bed_floor(settings, nozzle, switch),
-            zc.unmeasured_bed_floor(settings),
+            zc.unmeasured_bed_floor(settings, nozzle),
         ):
             assert floor >= position_min
 
@@ -900,10 +905,11 @@ class TestFloors:
         floor = zc.bed_floor(settings, machine.pin, machine.switch_trigger)
         assert floor > machine.bed
 
-    @given(margin_pairs)
-    def test_so_does_one_of_unknown_length(self, margins):
+    @given(margin_pairs, heights)
+    def test_so_does_one_of_unknown_length(self, margins, nozzle):
         settings = make_settings(offset_margins=margins)
-        assert zc.unmeasured_bed_floor(settings) >= margins[1] + 1.0
+        floor = zc.unmeasured_bed_floor(settings, nozzle)
+        assert floor >= margins[1] + 1.0
 
     @given(machines, margin_pairs)
     def test_a_long_probe_of_unknown_length_finds_the_bed(
@@ -913,7 +919,8 @@ class TestFloors:
         assume(machine.body + machine.travel > high - low + 1.0)
         machine = machine._replace(bed=low)
         settings = settings_of(machine, offset_margins=margins)
-        assert zc.unmeasured_bed_floor(settings) < machine.bed_trigger
+        floor = zc.unmeasured_bed_floor(settings, machine.pin)
+        assert floor < machine.bed_trigger
 
     @given(heights, expected_heights)
     def test_a_dead_switch_stops_with_the_nozzle_above_the_pin(
