@@ -715,8 +715,8 @@ def wrong_floors(code: str, text: str) -> list[str]:
     last = example_result(source)
     nozzle, switch = EXAMPLE.nozzle, EXAMPLE.switch
 
-    def of_nozzle(chosen: Any, last: Any) -> float:
-        expected = zc.expect_nozzle(chosen, last, last is not None)
+    def of_nozzle(chosen: Any, last: Any, sure: bool = True) -> float:
+        expected = zc.expect_nozzle(chosen, last, sure and last is not None)
         return zc.nozzle_floor(chosen, expected)
 
     def of_switch(last: Any) -> float:
@@ -725,7 +725,7 @@ def wrong_floors(code: str, text: str) -> list[str]:
         return zc.switch_floor(settings, nozzle, expected)
 
     bed = zc.bed_floor(settings, nozzle, switch)
-    look = zc.unmeasured_bed_floor(settings)
+    look = zc.unmeasured_bed_floor(settings, nozzle)
     expected = [
         [of_nozzle(settings, None), of_nozzle(settings, last)],
         [of_nozzle(apart, None), of_nozzle(apart, last)],
@@ -735,11 +735,21 @@ def wrong_floors(code: str, text: str) -> list[str]:
     ]
     table = rows(part(text, "How low can a touch go?"))
     written = [[float(row[2]), float(row[4])] for row in table]
-    return [
+    found = [
         f"row {number + 1}: {real}, not {shown}"
         for number, (real, shown) in enumerate(zip(expected, written))
         if real != pytest.approx(shown, abs=1e-9)
     ] + ["number of rows"] * (len(expected) != len(written))
+    # What the table says in words
+    wide = {"offset_margins": (-1.5, 1.0)}
+    known = of_nozzle(apart._replace(**wide), last, False)
+    if known != pytest.approx(nozzle - 1.5):
+        found.append(f"pin of its own after homing again: {known}")
+    for above, raised in ((0.3, 0.3), (-0.3, 0.0)):
+        real = zc.unmeasured_bed_floor(settings, nozzle + above)
+        if real != pytest.approx(look + raised):
+            found.append(f"look with a nozzle {above} higher: {real}")
+    return found
 
 
 def wrong_example(code: str, text: str) -> list[str]:
@@ -1065,6 +1075,21 @@ CHANGES_OF_CODE = {
         wrong_floors,
         "gap \\+ settings.offset_margins\\[0\\]\\)",
         "gap)",
+    ),
+    "floor of a pin of its own": (
+        wrong_floors,
+        "homed_z = expected.z",
+        r"\g<0> if expected.sure else None",
+    ),
+    "floor of a pin of its own, margins": (
+        wrong_floors,
+        "homed_z - reach",
+        "homed_z - settings.travel_margin",
+    ),
+    "look with a nozzle that touched higher": (
+        wrong_floors,
+        "floor \\+= max",
+        "floor -= max",
     ),
     "formula": (
         wrong_example,
