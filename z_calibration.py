@@ -1006,7 +1006,7 @@ class Measurement(object):
 
     # Raises what is known of a touch that failed
     def explain(self):
-        self.check_pin_open(self.host.now())
+        self.check_pin_open(self.host.after_moves())
 
     # Up first, so that nothing is hit on the way; never down to get there.
     def go_there(self, travel_z):
@@ -1145,7 +1145,7 @@ class SwitchMeasurement(Measurement):
         self.check_probe_attached(self.host.after_moves())
 
     def explain(self):
-        if self.host.probe_triggered(self.host.now()):
+        if self.host.probe_triggered(self.host.after_moves()):
             top = self.host.z() + self.sampling.retract_dist
             self.host.raise_to(top, self.sampling.lift_speed)
             self.check_probe_attached(self.host.after_moves())
@@ -1196,6 +1196,7 @@ class BedMeasurement(Measurement):
     def look(self, travel_z, floor):
         try:
             self.go_there(travel_z)
+            self.check_probe_attached(self.host.after_moves())
             self.first_touch(floor)
             z = self.pressed_z
             self.leave(travel_z)
@@ -1221,7 +1222,7 @@ class BedMeasurement(Measurement):
         return Measurement.touch_once(self, floor)
 
     def explain(self):
-        self.check_probe_attached(self.host.now())
+        self.check_probe_attached(self.host.after_moves())
 
 
 # One run: nozzle, switch, bed.
@@ -1363,6 +1364,11 @@ class Calibration(object):
     def lowest_switch(self, nozzle_z):
         settings = self.settings
         floor = unmeasured_bed_floor(settings, nozzle_z)
+        if floor >= self.travel_z:
+            raise NoTrigger(
+                "bed: with offset_margins this wide it could be anywhere below"
+                " z=%.3f" % (floor,)
+            )
         bed_z = self.site_of_bed().look(self.travel_z, floor)
         return lowest_switch(settings, nozzle_z, bed_z)
 
@@ -1981,9 +1987,8 @@ class ZCalibration(object):
     def check_idle(self, gcmd):
         if self.watch.phase != "idle":
             raise gcmd.error(
-                "z_calibration: a measurement is under way (%s) and cannot"
-                " start another; put a retry into a macro around CALIBRATE_Z"
-                % (self.watch.phase,)
+                "z_calibration: a measurement is under way (%s); start another"
+                " one when it has ended" % (self.watch.phase,)
             )
 
     # CALIBRATE_Z
