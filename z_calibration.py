@@ -840,9 +840,10 @@ class Host(object):
         try:
             trigger_z = self._probing_move(endstop, z, speed)
         except self.printer.command_error as e:
-            if self.printer.is_shutdown() or not self.is_at(z):
-                raise CalibrationError("%s (stopped at z=%.3f)" % (e, self.z()))
-            return None
+            # In these words on every host since 2021-08-17 (1dc2ab048)
+            if self.is_at(z) and "No trigger" in str(e):
+                return None
+            raise CalibrationError("%s (stopped at z=%.3f)" % (e, self.z()))
         self._check_travel(start_z, trigger_z)
         return trigger_z
 
@@ -1178,16 +1179,18 @@ class BedMeasurement(Measurement):
 
     def run(self, travel_z, expected_z, floor):
         self.go_there(travel_z)
-        lift_speed = self.sampling.lift_speed
+        # Before the session: some hosts run deactivate_gcode after this, too,
+        # and an error in it would end the session unseen
+        self.come_down(travel_z, expected_z, floor)
         session = self.host.probe_session()
         limit = self.host.probe_floor(floor)
         # Up before the session ends: the host may deactivate or dock then
+        lift_speed = self.sampling.lift_speed
         lift = self.host.always(
             functools.partial(self.host.raise_to, travel_z, lift_speed),
             "lifting",
         )
         with session as self.probe_once, limit as self.limited, lift:
-            self.come_down(travel_z, expected_z, floor)
             samples = self.collect(floor)
         self.leave(travel_z)
         return samples

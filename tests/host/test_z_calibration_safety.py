@@ -503,6 +503,7 @@ def test_probe_that_docks_itself_is_refused(start, tmp_path):
     source.write_text(
         "class Dockable:\n"
         "    auto_attach_detach = True\n"
+        "    detach_dockable_before_z_home = False\n"
         "def load_config(config):\n"
         "    printer = config.get_printer()\n"
         "    printer.add_object('dockable_probe', Dockable())\n"
