@@ -463,6 +463,9 @@ def read_z_axis(config):
     )
 
 
+# How every host since 2021-08-17 (1dc2ab048) begins this error.
+NO_TRIGGER = "No trigger"
+
 # What probing_move() and a state query need from an endstop object.
 ENDSTOP_METHODS = ("get_steppers", "home_start", "home_wait", "query_endstop")
 
@@ -840,8 +843,7 @@ class Host(object):
         try:
             trigger_z = self._probing_move(endstop, z, speed)
         except self.printer.command_error as e:
-            # In these words on every host since 2021-08-17 (1dc2ab048)
-            if self.is_at(z) and "No trigger" in str(e):
+            if self.is_at(z) and NO_TRIGGER in str(e):
                 return None
             raise CalibrationError("%s (stopped at z=%.3f)" % (e, self.z()))
         self._check_travel(start_z, trigger_z)

@@ -658,11 +658,15 @@ def test_probe_may_stand_on_the_bed_before(start):
 
 
 def test_probe_that_fails_to_attach_never_goes_down(start):
-    printer = start("cartesian", faults=[Fault("attach_fails")]).homed()
+    # Two armings for homing, one down to the nozzle's samples and two of them:
+    # the sixth would be the way down to the switch
+    down = Fault("trigger_early", signal="z_endstop", mm=0.1, n=6)
+    faults = [Fault("attach_fails"), down]
+    printer = start("cartesian", faults=faults).homed()
     before = len(printer.machine.truth.touches)
     assert "not attached" in printer.fail("CALIBRATE_Z")
     assert touched_sites(printer, before) == ["nozzle_pin"] * 2
-    assert printer.machine.faults.unfired() == []
+    assert printer.machine.faults.unfired() == [down]
 
 
 def test_probe_attached_too_early_is_refused(start):
