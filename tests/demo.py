@@ -37,6 +37,12 @@ from tests.simprinter.world import CrashError
 # How far (Z microsteps) the true gap may be off what the formula predicts
 ALLOWED_MICROSTEPS = 2
 
+# It is z_calibration that is shown
+SHOWN = {
+    name: scene
+    for name, scene in SCENES.items()
+    if "z_calibration" in scene.sections
+}
 TOUCHES = {
     "nozzle_pin": "nozzle on the pin",
     "body_pin": "switch body on the pin",
@@ -276,9 +282,9 @@ def _arguments(words: Optional[Sequence[str]]) -> argparse.Namespace:
     parser.add_argument(
         "--scene",
         metavar="NAME",
-        choices=sorted(SCENES),
+        choices=sorted(SHOWN),
         default="voron",
-        help=f"simulated machine: {', '.join(sorted(SCENES))}",
+        help=f"simulated machine: {', '.join(sorted(SHOWN))}",
     )
     parser.add_argument(
         "--svg",
@@ -296,7 +302,7 @@ def _list() -> int:
     os.environ.setdefault("ALLOW_MISSING_HOSTS", "1")
     for host in find_hosts():
         print(f"host   {host.name}: {firmware_of(host)} {host.version}")
-    for scene in SCENES.values():
+    for scene in SHOWN.values():
         print(f"scene  {scene.name}: {scene.kinematics}")
     return 0
 
@@ -310,7 +316,7 @@ def main(words: Optional[Sequence[str]] = None) -> int:
             return _list()
         svg = arguments.svg or build_dir() / "demo" / "calibration.svg"
         host = choose_host(arguments.host)
-        return demonstrate(host, SCENES[arguments.scene], svg)
+        return demonstrate(host, SHOWN[arguments.scene], svg)
     except GcodeError as error:
         print(f"!! {error}")
     except CrashError as error:

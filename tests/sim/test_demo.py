@@ -13,7 +13,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from tests.demo import demonstrate, verdict
+from tests.demo import SHOWN, demonstrate, verdict
 from tests.demo_picture import Heights, draw, mm, scale_for, spread, tick_step
 from tests.hostkit.environment import build_dir
 from tests.simprinter import SCENES
@@ -103,10 +103,11 @@ def test_unknown_host_is_an_error_with_the_names(host):
 def test_list_names_hosts_and_scenes(host):
     run = demo("--list")
     assert run.returncode == 0
-    for name in (host.name, *SCENES):
+    for name in (host.name, *SHOWN):
         assert re.search(
             rf"^(host|scene) +{re.escape(name)}:", run.stdout, re.M
         )
+    assert "qidi" not in run.stdout
 
 
 @pytest.mark.parametrize(

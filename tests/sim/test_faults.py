@@ -15,13 +15,15 @@ from tests.sim.world_scenes import (
     MIDDLE,
     OUTPUT,
     OVER_PIN,
+    PIEZO,
     Driver,
     make,
 )
 from tests.simprinter.faults import Fault, Faults
-from tests.simprinter.world import Pose, World
+from tests.simprinter.world import Bed, NoiseSpec, Pose, World
 
 FAR = Pose(*MIDDLE, HIGH)
+BED_AT_MIDDLE = Bed(PIEZO.bed).height(*MIDDLE)
 
 
 @pytest.mark.parametrize(
@@ -109,6 +111,9 @@ def test_a_fault_may_serve_two_runs():
         ({"name": "trigger_early", "signal": "probe"}, r"missing \['mm'\]"),
         ({"name": "trigger_early", "signal": "p", "mm": 0}, "above zero"),
         ({"name": "trigger_early", "signal": "p", "mm": "1"}, "a number"),
+        ({"name": "trigger_late", "mm": 1}, r"missing \['signal'\]"),
+        ({"name": "trigger_late", "signal": "probe"}, r"missing \['mm'\]"),
+        ({"name": "trigger_late", "signal": "p", "mm": -1}, "negative"),
         ({"name": "probe_falls", "site": "nozzle_bed"}, "body_pin"),
         ({"name": "probe_falls", "when": "later"}, "touch or lift"),
         ({"name": "attach_fails", "n": 0}, "integer"),
@@ -184,6 +189,65 @@ def test_trigger_early_once():
     assert heights == pytest.approx([3.0, 12.5, 3.0])
     # Nothing was there to be touched
     assert driver.world.truth.touch_count("nozzle_pin") == 2
+
+
+@pytest.mark.parametrize("persistent", [False, True])
+def test_trigger_late_once_or_from_then_on(persistent):
+    options = {"n": 2, "persistent": persistent, "mm": 0.7}
+    driver = over_pin(Fault("trigger_late", signal="z_endstop", **options))
+    heights = [driver.touch("z_endstop", lift=12) for _ in range(3)]
+    third = 2.3 if persistent else 3.0
+    assert heights == pytest.approx([3.0, 2.3, third])
+    # It is reported late: the pin is pressed as far as that takes
+    truth = driver.world.truth
+    assert truth.touch_count("nozzle_pin") == 3
+    assert truth.depth("nozzle_pin") == pytest.approx(0.7)
+    (crash,) = truth.crashes()
+    assert (crash.site, crash.kind) == ("nozzle_pin", "depth")
+
+
+def test_trigger_late_releases_as_late():
+    fault = Fault("trigger_late", signal="probe", mm=0.5)
+    noise = NoiseSpec(hysteresis=0.1)
+    inductive = replace(PIEZO.inductive, noise=noise)
+    driver = Driver(make(replace(PIEZO, inductive=inductive), fault))
+    driver.world.touch_armed("probe", driver.t)
+    trigger = driver.find("probe")
+    driver.go(z=trigger - 0.1)
+    seen = [
+        driver.world.level("probe", driver.t, Pose(*MIDDLE, trigger + above))
+        for above in (0.09, 0.11)
+    ]
+    assert seen == [True, False]
+    driver.world.touch_armed("probe", driver.t)
+    driver.go(z=HIGH)
+    assert driver.find("probe") == pytest.approx(trigger + 0.5)
+
+
+def test_faults_of_a_switched_bed_sensor():
+    """Only a stuck one says anything while it is off."""
+
+    def level(z, on, *faults):
+        world = make(PIEZO, *faults)
+        world.set_output("bed_sensor_enable", 0.0, float(on))
+        world.touch_armed("bed_sensor", 1.0)
+        return world.level("bed_sensor", 2.0, Pose(*MIDDLE, z))
+
+    surface = -0.04 + BED_AT_MIDDLE
+    low, high = surface - 0.02, surface + 0.02
+    assert level(low, True)
+    assert not level(low, False)
+    assert not level(high, True)
+    for on in (False, True):
+        fault = {"signal": "bed_sensor"}
+        assert level(high, on, Fault("stuck_closed", **fault))
+        assert not level(low, on, Fault("stuck_open", **fault))
+        assert not level(low, on, Fault("trigger_never", **fault))
+        early = Fault("trigger_early", mm=0.03, **fault)
+        late = Fault("trigger_late", mm=0.03, **fault)
+        assert level(high, on, early) == on
+        assert not level(low, on, late)
+        assert level(low - 0.02, on, late) == on
 
 
 def test_trigger_never_hides_the_contact_but_not_from_the_truth():

@@ -1,4 +1,7 @@
-"""Every scene is a whole machine on which real klippy homes and calibrates."""
+"""Every scene is a whole machine on which real klippy homes and calibrates.
+
+Those with a piezo bed are in test_piezo_scenes.
+"""
 
 from __future__ import annotations
 
@@ -9,7 +12,7 @@ import pytest
 from tests.hostkit.printer import has_kinematics
 from tests.simprinter import SCENES
 
-CALIBRATING = list(SCENES)
+CALIBRATING = [n for n in SCENES if "z_calibration" in SCENES[n].sections]
 
 
 def ready(start, host, name, **options):

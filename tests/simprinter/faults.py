@@ -7,6 +7,7 @@ name             arguments              the operation that is counted
 stuck_open       signal, n or t         armings of the signal; never asserted
 stuck_closed     signal, n or t         armings of the signal; always asserted
 trigger_early    signal, mm             armings; triggers mm before contact
+trigger_late     signal, mm             armings; triggers mm deeper than contact
 trigger_never    signal                 armings; contact is not reported
 probe_falls      site, when             touches of body_pin or probe_bed (site
                                         left out: of both); when: "touch" or
@@ -52,6 +53,7 @@ _KINDS = {
     "stuck_open": _Kind("signal", True, ("t",), persistent=True),
     "stuck_closed": _Kind("signal", True, ("t",), persistent=True),
     "trigger_early": _Kind("signal", True, ("mm",), ("mm",)),
+    "trigger_late": _Kind("signal", True, ("mm",), ("mm",)),
     "trigger_never": _Kind("signal", True),
     "probe_falls": _Kind("site", False, ("when",)),
     "attach_fails": _Kind(),
@@ -72,7 +74,7 @@ class Fault:
     """One fault; immutable, so one scene may serve several runs.
 
     t: seconds from which it applies, None if it is counted instead
-    mm: trigger_early's distance, 0 for others
+    mm: distance of trigger_early and trigger_late, 0 for others
     when: probe_falls' moment
     """
 

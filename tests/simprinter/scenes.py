@@ -14,8 +14,11 @@ from .mcu.board import Crystal
 from .wiring import MAIN, BoardSpec, Heater, Motor, Wiring
 from .world import (
     AxisSwitchSpec,
+    BedSensorSpec,
     BedSpec,
+    InductiveSpec,
     MagProbeSpec,
+    NoiseSpec,
     PinSpec,
     Pose,
     WorldSpec,
@@ -91,6 +94,30 @@ class Scene:
         section = self.sections["z_calibration"]
         assert section is not None
         return probe.switch_offset - float(section["switch_offset"] or 0.0)
+
+    def piezo_depth(self, speed: Optional[float] = None) -> float:
+        """Mm below the plate at which a nozzle going down is reported.
+
+        The sensor's latency makes it deeper the faster it goes: speed in
+        mm/s at that moment (default: [auto_z_offset]'s).
+        """
+        sensor = self.world.bed_sensor
+        assert sensor is not None
+        if speed is None:
+            section = self.sections["auto_z_offset"]
+            assert section is not None
+            speed = float(section["speed"] or 0.0)
+        return sensor.press_depth + speed * sensor.noise.latency
+
+    def piezo_gap(self) -> float:
+        """True gap at Z=0 that a perfect AUTO_Z_CALIBRATE leaves, mm.
+
+        The air gap that [auto_z_offset] asks for as z_offset is counted from
+        where the sensor triggers.
+        """
+        section = self.sections["auto_z_offset"]
+        assert section is not None
+        return float(section["z_offset"] or 0.0) - self.piezo_depth()
 
 
 _EXTRUDER = {
@@ -450,6 +477,23 @@ _CARRIAGE_OPTIONS = (
 )
 
 
+def _on_carriages(sections: Sections, names: Mapping[str, str]) -> Sections:
+    """The sections for a generic cartesian; names of the motors' steppers."""
+    made = dict(sections)
+    for motor, name in names.items():
+        axis = motor[0]
+        stepper = dict(made.pop(f"stepper_{motor}") or {})
+        carriage = {
+            option: stepper.pop(option)
+            for option in _CARRIAGE_OPTIONS
+            if option in stepper
+        }
+        if carriage:
+            made[f"carriage {axis}"] = carriage
+        made[f"stepper {name}"] = {**stepper, "carriages": axis}
+    return made
+
+
 def _generic() -> Scene:
     """The voron as a generic cartesian: four Z motors on one carriage.
 
@@ -457,19 +501,12 @@ def _generic() -> Scene:
     """
     voron = _voron()
     sections = {**voron.sections, "printer": _printer("generic_cartesian")}
-    for name in voron.wiring.motors:
-        axis = name[0]
-        stepper = dict(sections.pop(f"stepper_{name}") or {})
-        carriage = {
-            option: stepper.pop(option)
-            for option in _CARRIAGE_OPTIONS
-            if option in stepper
-        }
-        if carriage:
-            sections[f"carriage {axis}"] = carriage
-        sections[f"stepper my_{name}"] = {**stepper, "carriages": axis}
+    names = {name: f"my_{name}" for name in voron.wiring.motors}
     return replace(
-        voron, name="generic", kinematics="cartesian", sections=sections
+        voron,
+        name="generic",
+        kinematics="cartesian",
+        sections=_on_carriages(sections, names),
     )
 
 
@@ -502,6 +539,257 @@ def _separate_pin() -> Scene:
     )
 
 
+_PIEZO_PREPARE = """
+  G90
+  G0 Z3
+  G91
+  {off}M400
+  {{% set i = 4 %}}
+  {{% for iteration in range(i|int) %}}
+    G1 Z0.6 F7000
+    G1 Z-0.6 F7000
+  {{% endfor %}}
+  G1 Z3
+  M400
+  G90{on}"""
+_SWITCHED_PREPARE = _PIEZO_PREPARE.format(
+    off="SET_PIN PIN=bed_sensor VALUE=0\n  ",
+    on="\n  SET_PIN PIN=bed_sensor VALUE=1",
+)
+_UNSWITCHED_PREPARE = _PIEZO_PREPARE.format(off="", on="")
+
+
+def _qidi_printer(kinematics: str) -> dict[str, Optional[str]]:
+    return {
+        **_printer(kinematics),
+        "max_z_velocity": "20",
+        "max_z_accel": "500",
+    }
+
+
+def _elsewhere(board: str, pin: str) -> str:
+    """The pin as it is called on another board; "" is the main one."""
+    name = pin.lstrip("^~!")
+    modifiers = pin[: len(pin) - len(name)]
+    return f"{modifiers}{board}:{name}" if board and pin else pin
+
+
+def _qidi(boards: Optional[Mapping[str, BoardSpec]] = None) -> Scene:
+    """CoreXY, two Z lead screws with TMC2209, inductive probe, piezo bed.
+
+    What a QIDI Q1 Pro is. Its owner has left the probe's z_offset at zero:
+    it really senses the plate 1.2713 mm below the nozzle. The piezo bed
+    triggers 0.04 mm below its surface and tells so 2 ms late, which at a
+    steady 5 mm/s is another 0.01 mm: a touch at that speed reads 0.05 mm
+    below the surface (see Scene.piezo_depth).
+
+    boards: at most one, which then has everything but probe and heaters.
+    """
+    board = next(iter(boards or {}), "")
+
+    def pin(text: str) -> str:
+        return _elsewhere(board, text)
+
+    def motor(
+        step: str, direction: str, step_dist: float, enable: str, uart: str = ""
+    ) -> Motor:
+        return Motor(
+            pin(step),
+            pin(direction),
+            step_dist,
+            uart=pin(uart),
+            enable_pin=pin(enable),
+        )
+
+    screw = {"rotation_distance": "8"}
+    motors = {
+        "x": motor("PA0", "!PA1", 0.0125, "!PA2"),
+        "y": motor("PA3", "!PA4", 0.0125, "!PA5"),
+        "z": motor("PB0", "PB1", 0.0025, "!PB2", uart="PE0"),
+        "z1": motor("PB3", "!PB4", 0.0025, "!PB5", uart="PE1"),
+    }
+    inputs = {
+        "x_endstop": pin("^PC2"),
+        "y_endstop": pin("^PC3"),
+        "probe": "^!PF0",
+        "bed_sensor": pin("PC1"),
+    }
+    outputs = {"bed_sensor_enable": pin("!PA14")}
+    belt = {"rotation_distance": "40"}
+    return Scene(
+        name="qidi",
+        kinematics="corexy",
+        z_motors=[("z", -30.0, 122.0), ("z1", 275.0, 122.0)],
+        world=WorldSpec(
+            bed=BedSpec(
+                x_max=245.0, y_max=245.0, z0=0.3137, slope_x=1e-4, slope_y=-1e-4
+            ),
+            switches=(
+                AxisSwitchSpec("x_endstop", "x", -5.503, -1),
+                AxisSwitchSpec("y_endstop", "y", -4.503, -1),
+            ),
+            inductive=InductiveSpec(17.6, 4.4, sense_distance=1.2713),
+            bed_sensor=BedSensorSpec(
+                press_depth=0.04,
+                enable_output=True,
+                noise=NoiseSpec(latency=0.002),
+            ),
+        ),
+        wiring=Wiring(
+            motors,
+            inputs,
+            outputs,
+            heaters=_HEATERS,
+            boards=boards or {},
+        ),
+        sections={
+            "mcu": {},
+            "printer": _qidi_printer("corexy"),
+            "stepper_x": _stepper(
+                motors["x"],
+                endstop_pin=inputs["x_endstop"],
+                position_endstop="-5.5",
+                position_min="-5.5",
+                position_max="245",
+                homing_speed="60",
+                **belt,
+            ),
+            "stepper_y": _stepper(
+                motors["y"],
+                endstop_pin=inputs["y_endstop"],
+                position_endstop="-4.5",
+                position_min="-4.5",
+                position_max="258",
+                homing_speed="60",
+                **belt,
+            ),
+            "stepper_z": _stepper(
+                motors["z"],
+                endstop_pin="probe:z_virtual_endstop",
+                position_max="248",
+                position_min="-4",
+                homing_speed="8",
+                second_homing_speed="5",
+                homing_retract_dist="5",
+                **screw,
+            ),
+            "stepper_z1": _stepper(motors["z1"], **screw),
+            "tmc2209 stepper_z": {
+                "uart_pin": motors["z"].uart,
+                "run_current": "0.8",
+                "sense_resistor": "0.110",
+            },
+            "tmc2209 stepper_z1": {
+                "uart_pin": motors["z1"].uart,
+                "run_current": "1.07",
+                "sense_resistor": "0.110",
+            },
+            "thermistor beta3950": _THERMISTOR,
+            "extruder": _EXTRUDER,
+            "heater_bed": _BED,
+            "output_pin bed_sensor": {
+                "pin": outputs["bed_sensor_enable"],
+                "value": "0",
+                "shutdown_value": "0",
+            },
+            "probe": {
+                "pin": inputs["probe"],
+                "x_offset": "17.6",
+                "y_offset": "4.4",
+                "z_offset": "0.0",
+                "speed": "10",
+                "samples": "3",
+                "sample_retract_dist": "4",
+                "samples_tolerance": "0.05",
+                "samples_tolerance_retries": "5",
+            },
+            # The probe over the middle of the axes
+            "safe_z_home": {
+                "home_xy_position": "102.15, 122.35",
+                "speed": "100",
+                "z_hop": "10",
+            },
+            "auto_z_offset": {
+                "pin": inputs["bed_sensor"],
+                "z_offset": "0.2",
+                "speed": "5",
+                "lift_speed": "20",
+                "probe_accel": "50",
+                "probe_hop": "5",
+                "offset_samples": "3",
+                "samples": "1",
+                "sample_retract_dist": "3",
+                "samples_tolerance": "0.025",
+                "samples_tolerance_retries": "1",
+                "prepare_gcode": _SWITCHED_PREPARE,
+            },
+        },
+    )
+
+
+def _qidi_two_boards() -> Scene:
+    """The qidi as it is wired: all but tool head and heaters on "U_1".
+
+    That board has another clock, 60 ppm slow, and its line takes as long as
+    a USB line does: the inductive probe, on the main board, stops the Z
+    motors late, the piezo bed at once.
+    """
+    crystal = Crystal(tick_ns=25, ppm=60, first_wrap=37)
+    boards = {"U_1": BoardSpec(crystal, latency=0.002)}
+    return replace(_qidi(boards), name="qidi_two_boards")
+
+
+def _piezo_cartesian() -> Scene:
+    """The qidi as a cartesian without TMC drivers: one lead screw.
+
+    The piezo bed is always on. The owner believes in a z_offset of 1 mm for
+    the probe, 0.2713 mm too little.
+    """
+    qidi = _qidi()
+    names = ("x", "y", "z")
+    motors = {
+        name: replace(qidi.wiring.motors[name], uart="") for name in names
+    }
+    sections = {**qidi.sections, "printer": _qidi_printer("cartesian")}
+    for name in ("stepper_z1", "tmc2209 stepper_z", "tmc2209 stepper_z1"):
+        del sections[name]
+    del sections["output_pin bed_sensor"]
+    sections = _with(sections, "probe", z_offset="1.0")
+    sections = _with(
+        sections, "auto_z_offset", prepare_gcode=_UNSWITCHED_PREPARE
+    )
+    assert qidi.world.bed_sensor is not None
+    sensor = replace(qidi.world.bed_sensor, enable_output=False)
+    return replace(
+        qidi,
+        name="piezo_cartesian",
+        kinematics="cartesian",
+        z_motors=[("z", 122.0, 122.0)],
+        wiring=replace(qidi.wiring, motors=motors, outputs={}),
+        sections=sections,
+    ).with_world(bed_sensor=sensor)
+
+
+def _piezo_generic() -> Scene:
+    """The qidi as a generic cartesian: two Z motors on one carriage.
+
+    Their sections are [stepper left_z] and [stepper right_z], and so are
+    those of their drivers. The world calls the same machine cartesian.
+    """
+    qidi = _qidi()
+    names = {"x": "my_x", "y": "my_y", "z": "left_z", "z1": "right_z"}
+    sections = {**qidi.sections, "printer": _qidi_printer("generic_cartesian")}
+    for motor in ("z", "z1"):
+        driver = sections.pop(f"tmc2209 stepper_{motor}")
+        sections[f"tmc2209 stepper {names[motor]}"] = driver
+    return replace(
+        qidi,
+        name="piezo_generic",
+        kinematics="cartesian",
+        sections=_on_carriages(sections, names),
+    )
+
+
 SCENES = {
     scene.name: scene
     for scene in (
@@ -512,5 +800,9 @@ SCENES = {
         _generic(),
         _separate_pin(),
         _cartesian(),
+        _qidi(),
+        _qidi_two_boards(),
+        _piezo_cartesian(),
+        _piezo_generic(),
     )
 }

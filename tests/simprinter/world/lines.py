@@ -57,12 +57,14 @@ class Line:
         low = faults.fires("stuck_open", self.name)
         high = faults.fires("stuck_closed", self.name)
         early = faults.fires("trigger_early", self.name)
+        late = faults.fires("trigger_late", self.name)
         never = faults.fires("trigger_never", self.name)
         self._stuck = self._timed
         if low is not None or high is not None:
             self._stuck = min(self._timed, (t, low is None))
         if self._state is not None:
             distance = 0.0 if early is None else early.mm
+            distance -= 0.0 if late is None else late.mm
             self._state.arm(distance, never is not None)
 
 

@@ -22,7 +22,8 @@ class TouchState:
     """Trigger point of the current or next touch.
 
     shift: mm by which this touch triggers earlier than nominal (noise)
-    early: mm earlier because of a fault; mute: a fault hides the contact
+    early: mm earlier because of a fault, negative for later
+    mute: a fault hides the contact
     pressed: committed state, for the hysteresis
     spent: this trigger point has been used by a touch
 
