@@ -51,6 +51,9 @@ import re
 
 __version__ = "0.2.0"
 
+# Of the section, and in front of every line the user is shown
+NAME = "z_calibration"
+
 # Results outside these limits (mm) are refused: the homing is outdated or
 # something was touched that should not have been.
 OFFSET_MARGINS = (-1.0, 1.0)
@@ -117,6 +120,7 @@ PLAIN = re.compile(
 ######################################################################
 
 
+# --- shared: errors ---
 # A condition that ends the run; section 5 shows it to the user.
 class CalibrationError(Exception):
     pass
@@ -127,6 +131,9 @@ class NoTrigger(CalibrationError):
     pass
 
 
+# --- end ---
+
+
 # Something to touch (mm): where the head stands for it, and the word used in
 # messages.  'origin' is where the user has said so.
 Site = collections.namedtuple("Site", "name x y origin")
@@ -134,11 +141,13 @@ Site = collections.namedtuple("Site", "name x y origin")
 # The places of one run.
 Sites = collections.namedtuple("Sites", "nozzle switch bed")
 
+# --- shared: sampling ---
 # How heights are sampled: count, mm, count, "median" or "average", mm/s, mm,
 # mm/s.
 Sampling = collections.namedtuple(
     "Sampling", "samples tolerance retries result speed retract_dist lift_speed"
 )
+# --- end ---
 
 # The parts and the outcome of one calibration (mm); see the header.
 Result = collections.namedtuple(
@@ -165,6 +174,7 @@ Settings = collections.namedtuple(
 # Parsers: text of an option or a parameter to its value.
 
 
+# --- shared: parsers ---
 def parse_number(text):
     try:
         value = float(text)
@@ -207,17 +217,6 @@ def parse_pair(text):
     return parse_number(parts[0]), parse_number(parts[1])
 
 
-# "low, high", or one value for both directions
-def parse_margins(text):
-    if "," not in text:
-        size = parse_positive(text)
-        return -size, size
-    low, high = parse_pair(text)
-    if not low <= 0.0 <= high or low == high:
-        raise CalibrationError("'%s' leaves no room around 0" % (text,))
-    return low, high
-
-
 def parse_result(text):
     if text not in ("median", "average"):
         raise CalibrationError("'%s' is not known" % (text,))
@@ -232,9 +231,24 @@ def parse_switch(text):
     return words[text.lower()]
 
 
+# --- end ---
+
+
+# "low, high", or one value for both directions
+def parse_margins(text):
+    if "," not in text:
+        size = parse_positive(text)
+        return -size, size
+    low, high = parse_pair(text)
+    if not low <= 0.0 <= high or low == high:
+        raise CalibrationError("'%s' leaves no room around 0" % (text,))
+    return low, high
+
+
 # Sampling
 
 
+# --- shared: summary ---
 def summarize(samples, method):
     ordered = sorted(samples)
     middle = len(ordered) // 2
@@ -245,6 +259,9 @@ def summarize(samples, method):
     return (ordered[middle - 1] + ordered[middle]) / 2.0
 
 
+# --- end ---
+
+
 # Population standard deviation, as PROBE_ACCURACY has it
 def deviation(samples):
     average = summarize(samples, "average")
@@ -252,6 +269,11 @@ def deviation(samples):
     return math.sqrt(math.fsum(squares) / len(samples))
 
 
+# What to do about samples that differ
+DIFFER = "clean the nozzle and check the switch for play"
+
+
+# --- shared: collecting ---
 # Call touch(), which returns a height, until the wanted number of samples
 # agrees.  A sample that does not agree starts the series again.
 def collect(touch, sampling, say):
@@ -264,12 +286,14 @@ def collect(touch, sampling, say):
             continue
         text = "samples differ by %.4f mm, samples_tolerance is %.4f mm; %s"
         if not retries_left:
-            remedy = "clean the nozzle and check the switch for play"
-            raise CalibrationError(text % (spread, sampling.tolerance, remedy))
+            raise CalibrationError(text % (spread, sampling.tolerance, DIFFER))
         say(text % (spread, sampling.tolerance, "trying again"))
         retries_left -= 1
         samples = []
     return samples
+
+
+# --- end ---
 
 
 def offset(probe, switch, nozzle, switch_offset):
@@ -425,6 +449,7 @@ ZAxis = collections.namedtuple(
 )
 
 
+# --- shared: z section ---
 # [stepper_z], or with "kinematics: generic_cartesian" (since 2025-05-06,
 # cc6736c3e) the [carriage ...] whose axis is z.  None: there is no Z axis
 # of its own, as on a delta.
@@ -436,6 +461,9 @@ def find_z_section(config):
         if carriage.get("axis", name, note_valid=False) == "z":
             return carriage
     return None
+
+
+# --- end ---
 
 
 # Read with the defaults that every host documents; note_valid=False leaves
@@ -463,6 +491,7 @@ def read_z_axis(config):
     )
 
 
+# --- shared: endstops ---
 # How every host since 2021-08-17 (1dc2ab048) begins this error.
 NO_TRIGGER = "No trigger"
 
@@ -478,6 +507,9 @@ def is_endstop(candidate):
 def bare_pin(pin):
     pin = pin.replace(" ", "").lstrip("^~!")
     return pin[len("mcu:") :] if pin.startswith("mcu:") else pin
+
+
+# --- end ---
 
 
 # Everything the module wants from the printer.  The only place that knows in
@@ -545,9 +577,12 @@ class Host(object):
         for stepper in self._z_steppers(toolhead):
             self.pin_endstop.add_stepper(stepper)
 
+    # --- shared: z steppers ---
     def _z_steppers(self, toolhead):
         steppers = toolhead.get_kinematics().get_steppers()
         return [s for s in steppers if s.is_active_axis("z")]
+
+    # --- end ---
 
     def _find_z_endstop(self):
         # Registered as "z" until 2025-05-06 (cc6736c3e) and on Kalico, since
@@ -608,6 +643,7 @@ class Host(object):
             )
         return probe
 
+    # --- shared: probe endstop ---
     def _endstop_of(self, probe):
         # 'mcu_probe' is an endstop itself (moving it runs activate_gcode)
         # until 2026-05-25 (43baf9b83); since then the endstop is inside it.
@@ -623,6 +659,8 @@ class Host(object):
 
     def probe_offsets(self):
         return self.probe.get_offsets()
+
+    # --- end ---
 
     # Kalico's dockable_probe may fetch and dock it by itself, at any session
     def check_probe_stays(self):
@@ -659,12 +697,14 @@ class Host(object):
             lift_speed=probe.lift_speed,
         )
 
+    # --- shared: probing ---
     # Gives a function that probes once, with the probe's own activation, and
-    # returns the toolhead Z of the trigger.
+    # returns the toolhead Z of the trigger.  'params' as PROBE takes them.
     @contextlib.contextmanager
-    def probe_session(self):
+    def probe_session(self, **params):
         # One by one: what is wanted of several is looked at between them
-        gcmd = self.gcode.create_gcode_command("", "", {"SAMPLES": "1"})
+        params["SAMPLES"] = "1"
+        gcmd = self.gcode.create_gcode_command("", "", params)
         if hasattr(self.probe, "start_probe_session"):
             # Since 2024-06-10 (bec47e049)
             session = self.probe.start_probe_session(gcmd)
@@ -718,9 +758,12 @@ class Host(object):
     def _probe_floors(self):
         probe = self.probe
         session = getattr(probe, "probe_session", None)
+        device = getattr(probe, "mcu_probe", None)
+        inner = getattr(device, "probe_wrapper", None)
         return (
-            # Since 2026-05-25 (43baf9b83)
-            (getattr(probe.mcu_probe, "homing_helper", None), "z_min_position"),
+            # Since 2026-05-25 (43baf9b83); 'inner' of a smart_effector
+            (getattr(device, "homing_helper", None), "z_min_position"),
+            (getattr(inner, "homing_helper", None), "z_min_position"),
             # Since 2025-04-18 (1f5783a25; its parent f3a1c914a)
             (getattr(probe, "homing_helper", None), "z_min_position"),
             (getattr(session, "homing_helper", None), "z_min_position"),
@@ -729,6 +772,8 @@ class Host(object):
             # Before, Kalico, QIDI
             (probe, "z_position"),
         )
+
+    # --- end ---
 
     def pin_name(self):
         if self.endstop_pin is None:
@@ -743,6 +788,7 @@ class Host(object):
     def probe_triggered(self, print_time):
         return bool(self.probe_endstop().query_endstop(print_time))
 
+    # --- shared: waiting ---
     # The end of the last queued move
     def after_moves(self):
         eventtime = self.printer.get_reactor().monotonic()
@@ -751,11 +797,14 @@ class Host(object):
             return now
         return self.toolhead.get_last_move_time()
 
+    # --- end ---
+
     # Right after a touch, when nothing moves: spares the wait
     def now(self):
         eventtime = self.printer.get_reactor().monotonic()
         return self.mcu.estimated_print_time(eventtime)
 
+    # --- shared: state ---
     # Where the motors of Z stand, apart from where the host believes Z is:
     # the difference (mm) changes only when Z is homed, set or levelled.
     # Empty where X or Y share these motors.
@@ -794,6 +843,9 @@ class Host(object):
         gcode_move = self.printer.lookup_object("gcode_move")
         return gcode_move.get_status(eventtime)["homing_origin"][2]
 
+    # --- end ---
+
+    # --- shared: offset ---
     # Absolute, so that it replaces any earlier offset.  The command's own
     # method: a macro of that name may add to it, store it or move.
     def set_gcode_offset(self, z_offset):
@@ -801,6 +853,8 @@ class Host(object):
         line = "SET_GCODE_OFFSET Z=%s MOVE=0" % (params["Z"],)
         gcmd = self.gcode.create_gcode_command("SET_GCODE_OFFSET", line, params)
         self.printer.lookup_object("gcode_move").cmd_SET_GCODE_OFFSET(gcmd)
+
+    # --- end ---
 
     # The point of the bed mesh that is its zero, or None
     def mesh_zero(self):
@@ -816,6 +870,7 @@ class Host(object):
             return tuple(calibrate.points[index])[:2]
         return None
 
+    # --- shared: moving ---
     def z(self):
         return self.toolhead.get_position()[2]
 
@@ -834,6 +889,8 @@ class Host(object):
         homing = self.printer.lookup_object("homing")
         return homing.probing_move(endstop, target, speed)[2]
 
+    # --- end ---
+
     # Down to z where nothing should be yet.  None, or the toolhead Z where
     # the endstop triggered nevertheless.
     def come_down(self, endstop, z, speed):
@@ -849,6 +906,7 @@ class Host(object):
         self._check_travel(start_z, trigger_z)
         return trigger_z
 
+    # --- shared: touching ---
     # Move down until the endstop triggers; returns the toolhead Z of the
     # trigger.  The head stops a little lower and stays there.
     def touch(self, endstop, floor, speed):
@@ -862,6 +920,8 @@ class Host(object):
         self._check_travel(start_z, trigger_z)
         return trigger_z
 
+    # --- end ---
+
     # A touch goes down, whatever it is told
     def check_above(self, floor):
         if self.z() <= floor:
@@ -871,6 +931,7 @@ class Host(object):
                 " it, or position_max of the Z axis" % (self.z(), floor)
             )
 
+    # --- shared: after touching ---
     # Motors stop on whole steps, so not exactly there
     def is_at(self, z):
         steppers = self._z_steppers(self.toolhead)
@@ -900,9 +961,12 @@ class Host(object):
             except self.printer.command_error:
                 if not failed:
                     raise
-                logging.exception("z_calibration: %s failed, too", what)
+                logging.exception("%s: %s failed, too", NAME, what)
+
+    # --- end ---
 
 
+# --- shared: frame ---
 HOMED_OR_SET = "Z was homed again or set"
 LEVELLED = "the Z motors were levelled"
 
@@ -960,6 +1024,9 @@ class Frame(object):
         if max(shifts) - min(shifts) > DATUM_NOISE:
             return LEVELLED
         return HOMED_OR_SET
+
+
+# --- end ---
 
 
 ######################################################################
@@ -1363,7 +1430,8 @@ class Calibration(object):
         try:
             return max(hard, self.lowest_switch(nozzle_z))
         except NoTrigger as e:
-            self.watch.say("%s; searching for the switch down to it" % (e,))
+            text = "%s; searching for the switch down to z=%.3f"
+            self.watch.say(text % (e, hard))
             return hard
 
     def lowest_switch(self, nozzle_z):
@@ -1371,8 +1439,8 @@ class Calibration(object):
         floor = unmeasured_bed_floor(settings, nozzle_z)
         if floor >= self.travel_z:
             raise NoTrigger(
-                "bed: with offset_margins this wide it could be anywhere below"
-                " z=%.3f" % (floor,)
+                "bed: with offset_margins this wide the nozzle may meet it"
+                " first, below z=%.3f" % (floor,)
             )
         bed_z = self.site_of_bed().look(self.travel_z, floor)
         return lowest_switch(settings, nozzle_z, bed_z)
@@ -1406,6 +1474,7 @@ X_Y = "write X and Y in mm, such as 100,100"
 X_Y_OFFSETS = "write the distances in X and Y in mm, such as -2,-24.5"
 
 
+# --- shared: reading options ---
 # Runs a parser of section 2 on an option; its complaint becomes a config
 # error that names section, option and remedy.
 def read_option(config, name, parse, remedy, default=None):
@@ -1427,10 +1496,13 @@ def read_number(config, name, parse, remedy, default=None):
     return value
 
 
-def read_count(config, name, smallest):
+def read_count(config, name, smallest, default=None):
     parse = functools.partial(parse_count, smallest=smallest)
     remedy = "write a whole number of %d or more" % (smallest,)
-    return read_option(config, name, parse, remedy)
+    return read_option(config, name, parse, remedy, default)
+
+
+# --- end ---
 
 
 # In any order; what else is in the section was meant for something else.
@@ -1735,6 +1807,7 @@ def run_with_params(template, **params):
     template.run_gcode_from_command(context)
 
 
+# --- shared: watch ---
 # What a run is doing, for get_status() and the console.
 class Watch(object):
     def __init__(self, respond_info):
@@ -1742,10 +1815,10 @@ class Watch(object):
         self.phase = "idle"
         self.done = self.wanted = 0
 
-    def begin(self, respond_info, settings):
+    def begin(self, respond_info, wanted):
         self.respond_info = respond_info
         self.done = 0
-        self.wanted = 2 * settings.pin.samples + settings.probe.samples
+        self.wanted = wanted
 
     def enter(self, phase):
         self.phase = phase
@@ -1759,11 +1832,14 @@ class Watch(object):
         self.done = min(self.done + 1, self.wanted)
 
     def say(self, msg):
-        self.respond_info("z_calibration: %s" % (msg,))
+        self.respond_info("%s: %s" % (NAME, msg))
 
     def status(self):
         progress = self.done / self.wanted if self.wanted else 0.0
         return {"phase": self.phase, "progress": progress}
+
+
+# --- end ---
 
 
 # The object behind [z_calibration]
@@ -1996,15 +2072,20 @@ class ZCalibration(object):
                 " one when it has ended" % (self.watch.phase,)
             )
 
+    def begin(self, gcmd):
+        settings = self.settings
+        wanted = 2 * settings.pin.samples + settings.probe.samples
+        self.watch.begin(gcmd.respond_info, wanted)
+
     # CALIBRATE_Z
     cmd_CALIBRATE_Z_help = "Measure nozzle, switch and bed, set the Z offset"
 
     def cmd_CALIBRATE_Z(self, gcmd):
         self.check_idle(gcmd)
-        self.watch.begin(gcmd.respond_info, self.settings)
+        before = self.host.gcode_offset()
+        self.begin(gcmd)
         self.watch.enter("start_gcode")
         self.measured = None
-        before = self.host.gcode_offset()
         try:
             mark = self.calibrate(gcmd)
             self.use_offset(self.measured.offset)
@@ -2125,7 +2206,7 @@ class ZCalibration(object):
 
     def cmd_PROBE_Z_ACCURACY(self, gcmd):
         self.check_idle(gcmd)
-        self.watch.begin(gcmd.respond_info, self.settings)
+        self.begin(gcmd)
         self.watch.enter("nozzle")
         try:
             self.measure_accuracy(gcmd)

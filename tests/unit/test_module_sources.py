@@ -323,3 +323,42 @@ def test_python2_finds_syntax_of_python3(tmp_path, python2):
     path = tmp_path / "sample.py"
     path.write_text(BAD["f-string"], encoding="ascii")
     assert re.search("SyntaxError", import_on_python2(python2, path))
+
+
+SHARED = re.compile(
+    r"^ *# --- shared: ([\w ]+) ---\n(.*?)^ *# --- end ---\n", re.M | re.S
+)
+
+
+def shared_blocks(text):
+    """Code that modules have in common, by name."""
+    blocks = SHARED.findall(text)
+    names = [name for name, _ in blocks]
+    assert len(set(names)) == len(names) == text.count("# --- shared"), names
+    assert text.count("# --- end ---") == len(names)
+    return dict(blocks)
+
+
+def different_blocks(texts):
+    """Names of the blocks that are not the same wherever they are."""
+    found = {}
+    for text in texts:
+        for name, block in shared_blocks(text).items():
+            found.setdefault(name, []).append(block)
+    return sorted(n for n, copies in found.items() if len(set(copies)) > 1)
+
+
+def test_shared_code_is_the_same_in_every_module():
+    assert not different_blocks(path.read_text() for path in MODULES)
+
+
+def test_shared_code_is_in_more_than_one_module():
+    found = [n for p in MODULES for n in shared_blocks(p.read_text())]
+    assert len(found) > 20
+    assert [name for name in found if found.count(name) < 2] == []
+
+
+def test_difference_in_shared_code_is_found():
+    a = "# --- shared: a ---\nx = 1\n# --- end ---\n"
+    assert different_blocks([a, a.replace("1", "2")]) == ["a"]
+    assert different_blocks([a, "y = 2\n" + a]) == []
