@@ -1741,7 +1741,7 @@ class AutoZOffset(object):
         )
         if abs(z_offset - before) > CORRECTION_MARGIN:
             gcmd.respond_info(
-                "%s: that is %.3f mm more than before; was AUTO_Z_LOAD_OFFSET"
+                "%s: that is %.3f mm away from before; was AUTO_Z_LOAD_OFFSET"
                 " run, and Z homed with the probe?"
                 % (NAME, abs(z_offset - before))
             )
