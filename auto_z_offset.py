@@ -56,11 +56,11 @@ NAME = "auto_z_offset"
 LOWEST_FLOOR = -10.0
 
 # How far (mm) below the expected height a touch may still look, and how far
-# above it a trigger is believed: the expected height comes from a saved
-# correction, or from a touch since Z was homed.  A sensor that is later than
-# this is no sensor.
-CORRECTION_MARGIN = 1.0
-TOUCH_MARGIN = 0.5
+# above it a trigger is believed.  Expected from a saved correction, or from a
+# touch anywhere since Z was homed; and, beyond samples_tolerance, from the
+# touch before at the same place: a sensor that is later than this is dead.
+KNOWN_MARGIN = 1.0
+TOUCH_MARGIN = 0.3
 
 # From here on (mm) the probe does not see the bed where Z was homed with it.
 STALE_Z = 0.5
@@ -278,7 +278,15 @@ def correction(sensor, probe, probe_z_offset, z_offset):
 # The sensor's trigger that a correction stands for, where Z was homed with
 # the probe.
 def expect_sensor(correction, z_offset):
-    return Expected(correction - z_offset, CORRECTION_MARGIN)
+    return Expected(correction - z_offset, KNOWN_MARGIN)
+
+
+# The same after a touch at z; of several the lowest counts: what triggers
+# higher up was shaken.
+def expect_again(z, before, sampling):
+    if before is not None:
+        z = min(z, before)
+    return Expected(z, TOUCH_MARGIN + sampling.tolerance)
 
 
 def sensor_floor(floor, expected):
@@ -954,11 +962,13 @@ class Frame(object):
 
 # The nozzle on the bed, where the head is.  'watch' is told of every touch.
 class SensorMeasurement(object):
-    def __init__(self, host, settings, watch, expected):
+    def __init__(self, host, settings, watch, expected, touched_z):
         self.host = host
         self.settings = settings
         self.watch = watch
+        # What is known of the bed; the lowest trigger at this place, or None
         self.expected = expected
+        self.touched_z = touched_z
         # Where the last touch triggered; None: the head was lifted since
         self.pressed_z = None
 
@@ -980,17 +990,29 @@ class SensorMeasurement(object):
         except CalibrationError as e:
             raise e.__class__("bed sensor: %s" % (e,))
 
+    # A trigger far above the bed is none: shaking makes them.
     def sample(self):
-        self.retract()
-        self.check_open()
-        z = self.touch()
-        check_expected(z, self.expected)
-        # From now on it is known better
-        self.expected = Expected(z, TOUCH_MARGIN)
-        self.pressed_z = z
+        retries_left = self.settings.sampling.retries
+        while True:
+            z = self.pressed_z = self.touch_again()
+            try:
+                check_expected(z, self.expected)
+                break
+            except CalibrationError as e:
+                if not retries_left:
+                    raise
+                self.report("%s; trying again" % (e,))
+                retries_left -= 1
+        self.expected = expect_again(z, self.touched_z, self.settings.sampling)
+        self.touched_z = self.expected.z
         self.watch.touched()
         self.report("triggered at z=%.6f" % (z,))
         return z
+
+    def touch_again(self):
+        self.retract()
+        self.check_open()
+        return self.touch()
 
     def retract(self):
         if self.pressed_z is None:
@@ -1103,8 +1125,9 @@ class Run(object):
         self.settings = settings
         self.watch = watch
         self.run_prepare = prepare
-        # Follows what the run learns; so does the height the head is lifted to
+        # Both follow what the run learns, as the height the head is lifted to
         self.expected = expected
+        self.touched_z = None
         offsets = host.probe.get_offsets()
         self.probe_offsets = offsets
         self.travel_z = travel_height(offsets[2], settings.probe_hop)
@@ -1131,10 +1154,14 @@ class Run(object):
     def measure_sensor(self):
         self.watch.enter("bed sensor")
         sensor = SensorMeasurement(
-            self.host, self.settings, self.watch, self.expected
+            self.host,
+            self.settings,
+            self.watch,
+            self.expected,
+            self.touched_z,
         )
         z = sensor.measure()
-        self.expected = Expected(z, TOUCH_MARGIN)
+        self.expected, self.touched_z = sensor.expected, sensor.touched_z
         self.travel_z = z + self.settings.probe_hop
         sensor.leave(self.travel_z)
         return z
@@ -1525,7 +1552,7 @@ class AutoZOffset(object):
     # What is known of the bed: a touch since Z was homed, or the correction
     def expected(self):
         if self.mark is not None and not self.frame.moved_since(self.mark):
-            return Expected(self.sensor_z, TOUCH_MARGIN)
+            return Expected(self.sensor_z, KNOWN_MARGIN)
         if self.host.homes_with_probe and self.correction is not None:
             return expect_sensor(self.correction, self.settings.z_offset)
         return None
@@ -1561,7 +1588,7 @@ class AutoZOffset(object):
         run = Run(self.host, self.settings, self.watch, self.prepare, expected)
         with self.host.always(run.lift, "lifting"):
             value = work(run)
-        self.sensor_z = run.expected.z
+        self.sensor_z = run.touched_z
         self.mark = self.frame.mark()
         return value
 
@@ -1618,7 +1645,7 @@ class AutoZOffset(object):
         z_offset = self.settings.z_offset
         # Last, so that nothing can fail in a frame that is another one
         self.host.set_z(self.host.z() - z + z_offset)
-        run.expected = Expected(z_offset, TOUCH_MARGIN)
+        run.touched_z = z_offset
         run.travel_z = z_offset + self.settings.probe_hop
         return z
 
@@ -1739,7 +1766,7 @@ class AutoZOffset(object):
             "AUTO_Z_SAVE_GCODE_OFFSET: probe_z_correction: %.6f (was %.6f)\n%s"
             % (z_offset, before, SAVE_HINT)
         )
-        if abs(z_offset - before) > CORRECTION_MARGIN:
+        if abs(z_offset - before) > KNOWN_MARGIN:
             gcmd.respond_info(
                 "%s: that is %.3f mm away from before; was AUTO_Z_LOAD_OFFSET"
                 " run, and Z homed with the probe?"
