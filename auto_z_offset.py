@@ -62,6 +62,10 @@ LOWEST_FLOOR = -10.0
 KNOWN_MARGIN = 1.0
 TOUCH_MARGIN = 0.3
 
+# A sensor is later the faster it is touched; so none is touched braking, also
+# when it triggers this much (mm) lower than expected.
+BRAKING_RESERVE = 0.1
+
 # From here on (mm) the probe does not see the bed where Z was homed with it.
 STALE_Z = 0.5
 
@@ -106,6 +110,11 @@ class NoTrigger(CalibrationError):
     pass
 
 
+# No series of samples agreed.
+class SamplesDiffer(CalibrationError):
+    pass
+
+
 # --- end ---
 
 
@@ -125,8 +134,11 @@ Result = collections.namedtuple(
     "Result", "sensor probe probe_z_offset z_offset correction"
 )
 
-# Where the sensor should trigger: toolhead Z and how far off it may be (mm).
-Expected = collections.namedtuple("Expected", "z margin")
+# Where the sensor should trigger: toolhead Z (mm, None: no idea), and between
+# which heights a trigger is believed.
+Expected = collections.namedtuple("Expected", "z low high")
+
+IF_CHANGED = "ACCEPT_CHANGE=1 if nozzle, probe or bed was changed"
 
 # Lowest toolhead Z (mm) of a touch, and who says so.
 Floor = collections.namedtuple("Floor", "z why")
@@ -258,7 +270,7 @@ def collect(touch, sampling, say):
             continue
         text = "samples differ by %.4f mm, samples_tolerance is %.4f mm; %s"
         if not retries_left:
-            raise CalibrationError(text % (spread, sampling.tolerance, DIFFER))
+            raise SamplesDiffer(text % (spread, sampling.tolerance, DIFFER))
         say(text % (spread, sampling.tolerance, "trying again"))
         retries_left -= 1
         samples = []
@@ -275,10 +287,30 @@ def correction(sensor, probe, probe_z_offset, z_offset):
     return sensor - (probe - probe_z_offset) + z_offset
 
 
+def check_correction(z):
+    if abs(z) > LARGEST_OFFSET:
+        raise CalibrationError(
+            "a correction of %.3f mm is none, %g mm is the limit; check"
+            " z_offset, and home Z again (G28)" % (z, LARGEST_OFFSET)
+        )
+
+
+NOTHING_EXPECTED = Expected(None, float("-inf"), float("inf"))
+
+
+def expect_near(z, margin):
+    return Expected(z, z - margin, z + margin)
+
+
 # The sensor's trigger that a correction stands for, where Z was homed with
 # the probe.
-def expect_sensor(correction, z_offset):
-    return Expected(correction - z_offset, KNOWN_MARGIN)
+def expect_corrected(correction, z_offset, bed_z):
+    return expect_near(bed_z + correction - z_offset, KNOWN_MARGIN)
+
+
+# All that is known without one: the probe triggers above the bed.
+def expect_below_probe(probe_z):
+    return NOTHING_EXPECTED._replace(high=probe_z + STALE_Z)
 
 
 # The same after a touch at z; of several the lowest counts: what triggers
@@ -286,33 +318,39 @@ def expect_sensor(correction, z_offset):
 def expect_again(z, before, sampling):
     if before is not None:
         z = min(z, before)
-    return Expected(z, TOUCH_MARGIN + sampling.tolerance)
+    return expect_near(z, TOUCH_MARGIN + sampling.tolerance)
 
 
-def sensor_floor(floor, expected):
-    if expected is None or expected.z - expected.margin <= floor.z:
+# 'braking' (mm) is what the head needs to stop at the floor: where it is
+# expected it has its full speed still, as every other touch.
+def sensor_floor(floor, expected, braking):
+    if expected.z is None:
+        return floor
+    low = min(expected.low, expected.z - braking - BRAKING_RESERVE)
+    if low <= floor.z:
         return floor
     why = "%.3f mm below the expected trigger at z=%.3f"
-    return Floor(
-        expected.z - expected.margin, why % (expected.margin, expected.z)
-    )
+    return Floor(low, why % (expected.z - low, expected.z))
 
 
 def check_expected(z, expected):
-    if expected is None or z <= expected.z + expected.margin:
+    if z <= expected.high:
         return
+    where = "above z=%.3f, where the probe sees the bed"
+    where %= (expected.high,)
+    if expected.z is not None:
+        where = "%.3f mm above the expected z=%.3f"
+        where %= (z - expected.z, expected.z)
     raise CalibrationError(
-        "triggered at z=%.3f, %.3f mm above the expected z=%.3f; clean the"
-        " nozzle and the bed, see prepare_gcode and probe_accel, or add"
-        " ACCEPT_CHANGE=1 if nozzle or probe was exchanged"
-        % (z, z - expected.z, expected.z)
+        "triggered at z=%.3f, %s; clean the nozzle and the bed, see"
+        " prepare_gcode and probe_accel, or add %s" % (z, where, IF_CHANGED)
     )
 
 
 # Travel height (mm) before the bed was touched: where the probe does not
 # trigger, wherever it says that the bed is.
-def travel_height(probe_z_offset, probe_hop):
-    return max(probe_z_offset, 0.0) + probe_hop
+def travel_height(probe_z, probe_hop):
+    return max(probe_z, 0.0) + probe_hop
 
 
 # What a z_offset below zero means, in plain words; empty: it is not.
@@ -342,7 +380,9 @@ def inside_bed_after_homing(z_offset):
 ######################################################################
 
 # The section that configures the Z axis, and its options that matter here.
-ZAxis = collections.namedtuple("ZAxis", "section endstop_pin position_min")
+ZAxis = collections.namedtuple(
+    "ZAxis", "section endstop_pin position_min position_endstop max_accel"
+)
 
 
 # --- shared: z section ---
@@ -378,6 +418,12 @@ def read_z_axis(config):
         section=section.get_name(),
         endstop_pin=section.get("endstop_pin", "", note_valid=False),
         position_min=section.getfloat("position_min", 0.0, note_valid=False),
+        position_endstop=section.getfloat(
+            "position_endstop", None, note_valid=False
+        ),
+        max_accel=config.getsection("printer").getfloat(
+            "max_z_accel", float("inf"), note_valid=False
+        ),
     )
     if chip_of(axis.endstop_pin) == NAME:
         raise config.error(
@@ -389,9 +435,6 @@ def read_z_axis(config):
 
 
 # --- shared: endstops ---
-# How every host since 2021-08-17 (1dc2ab048) begins this error.
-NO_TRIGGER = "No trigger"
-
 # What probing_move() and a state query need from an endstop object.
 ENDSTOP_METHODS = ("get_steppers", "home_start", "home_wait", "query_endstop")
 
@@ -708,6 +751,26 @@ class Host(object):
         gcmd.respond_info = lambda *unused, **unused_too: None
         handlers[name](gcmd)
 
+    # How long (mm) the head brakes in Z from a speed (mm/s)
+    def braking_distance(self, speed, accel):
+        limits = [self.toolhead_status()["max_accel"], self.z_axis.max_accel]
+        if accel:
+            limits.append(accel)
+        return speed * speed / (2.0 * min(limits))
+
+    # Where the probe sees the bed once Z was homed with it: at 0, except where
+    # position_endstop counts.  Until 2024-07-04 (34732f857) and on Kalico Z is
+    # homed to that with a smart_effector; elsewhere hosts do not accept it.
+    def homed_bed_z(self):
+        homed_z = self.z_axis.position_endstop
+        if homed_z is None or not self.homes_with_probe:
+            return 0.0
+        return homed_z - self.probe_offsets()[2]
+
+    # and where it triggers
+    def homed_probe_z(self):
+        return self.homed_bed_z() + self.probe_offsets()[2]
+
     # The same for max_accel (mm/s^2); 0: as it is
     @contextlib.contextmanager
     def limited_accel(self, accel):
@@ -978,7 +1041,7 @@ class SensorMeasurement(object):
         try:
             samples = collect(self.sample, sampling, self.report)
         except CalibrationError as e:
-            raise e.__class__("bed sensor: %s" % (e,))
+            raise CalibrationError("bed sensor: %s" % (e,))
         return summarize(samples, sampling.result)
 
     # Up again.  A sensor that stays triggered has not seen the bed.
@@ -988,7 +1051,7 @@ class SensorMeasurement(object):
         try:
             self.check_open()
         except CalibrationError as e:
-            raise e.__class__("bed sensor: %s" % (e,))
+            raise CalibrationError("bed sensor: %s" % (e,))
 
     # A trigger far above the bed is none: shaking makes them.
     def sample(self):
@@ -1026,11 +1089,14 @@ class SensorMeasurement(object):
     # a step on the way up would take Z along.
     def touch(self):
         host, settings = self.host, self.settings
-        floor = sensor_floor(settings.floor, self.expected)
+        speed, accel = settings.sampling.speed, settings.probe_accel
+        braking = host.braking_distance(speed, accel)
+        floor = sensor_floor(settings.floor, self.expected, braking)
         less_accel = host.limited_accel(settings.probe_accel)
+        start_z = host.z()
         try:
             with less_accel, host.reduced_current(settings.current_factor):
-                return host.touch(host.sensor, floor.z, settings.sampling.speed)
+                return host.touch(host.sensor, floor.z, speed)
         except NoTrigger as e:
             raise NoTrigger(
                 "%s; check that prepare_gcode turns the sensor on, that 'pin:"
@@ -1038,12 +1104,15 @@ class SensorMeasurement(object):
                 " and that the bed is not below the floor of this touch, which"
                 " is %s" % (e, host.pin, self.reason(floor))
             )
+        except CalibrationError:
+            if host.is_at(start_z):
+                self.check_open()
+            raise
 
     def reason(self, floor):
         if floor == self.settings.floor:
             return floor.why
-        exchanged = "%s; add ACCEPT_CHANGE=1 if nozzle or probe was exchanged"
-        return exchanged % (floor.why,)
+        return "%s; add %s" % (floor.why, IF_CHANGED)
 
     def check_open(self):
         if self.host.sensor_triggered(self.host.after_moves()):
@@ -1075,8 +1144,20 @@ class ProbeMeasurement(object):
         try:
             samples = self.collect(floor)
         except CalibrationError as e:
-            raise e.__class__("probe: %s" % (e,))
+            raise CalibrationError("probe: %s" % (e,))
         return summarize(samples, sampling.result)
+
+    # One that goes down to the bed is dead, or that was not the bed
+    def touch(self, touch, floor):
+        try:
+            return touch()
+        except CalibrationError as e:
+            if not self.host.is_at(floor):
+                raise
+            raise NoTrigger(
+                "%s; it ends where the bed sensor triggered, z=%.3f: that was"
+                " not the bed, or the probe does not see it" % (e, floor)
+            )
 
     def collect(self, floor):
         host, sampling = self.host, self.settings.sampling
@@ -1108,7 +1189,7 @@ class ProbeMeasurement(object):
             top = self.pressed_z + sampling.retract_dist
             self.host.raise_to(top, sampling.lift_speed)
         self.host.check_above(floor)
-        self.pressed_z = touch()
+        self.pressed_z = self.touch(touch, floor)
         self.watch.touched()
         self.report("triggered at z=%.6f" % (self.pressed_z,))
         return self.pressed_z
@@ -1128,9 +1209,8 @@ class Run(object):
         # Both follow what the run learns, as the height the head is lifted to
         self.expected = expected
         self.touched_z = None
-        offsets = host.probe.get_offsets()
-        self.probe_offsets = offsets
-        self.travel_z = travel_height(offsets[2], settings.probe_hop)
+        probe_z = host.homed_probe_z()
+        self.travel_z = travel_height(probe_z, settings.probe_hop)
 
     def lift(self):
         if self.host.is_homed("z"):
@@ -1175,7 +1255,8 @@ class Run(object):
         probe = ProbeMeasurement(self.host, settings, self.watch, probe_site)
         probe_z = probe.measure(sensor_z)
         self.lift()
-        parts = (sensor_z, probe_z, self.probe_offsets[2], settings.z_offset)
+        probe_z_offset = self.host.probe_offsets()[2]
+        parts = (sensor_z, probe_z, probe_z_offset, settings.z_offset)
         return Result(*parts + (correction(*parts),))
 
 
@@ -1254,7 +1335,10 @@ OLD_OPTIONS = (
     ("x_offset", "is ignored: the nozzle itself presses the bed"),
     ("y_offset", "is ignored: the nozzle itself presses the bed"),
     ("activate_gcode", "is not run: move it into prepare_gcode"),
-    ("deactivate_gcode", "is not run: move it into prepare_gcode"),
+    (
+        "deactivate_gcode",
+        "is not run: move it into a macro that runs after AUTO_Z_CALIBRATE",
+    ),
     ("deactivate_on_each_sample", "is ignored"),
     ("stow_on_each_sample", "is ignored"),
     ("recovery_time", "is ignored: end prepare_gcode with G4 instead"),
@@ -1267,8 +1351,10 @@ def check_options(config):
     for option in config.get_prefix_options(""):
         if option in known:
             continue
-        similar = "".join(difflib.get_close_matches(option, OPTIONS, 1, 0.8))
-        remedy = "is '%s' meant?" % (similar,) if similar else "remove it"
+        similar = "".join(difflib.get_close_matches(option, known, 1, 0.8))
+        remedy = "is '%s' meant?" % (similar,)
+        if similar not in OPTIONS:
+            remedy = "remove it"
         raise config.error(
             "Option '%s' in section '%s' is not known; %s"
             % (option, config.get_name(), remedy)
@@ -1436,6 +1522,8 @@ class AutoZOffset(object):
         self.watch = Watch(self.gcode.respond_info)
         # Toolhead Z of the last trigger, and the frame it was seen in
         self.sensor_z = self.mark = None
+        # The frame that AUTO_Z_HOME_Z has made
+        self.home_mark = None
         # Of the last command that measured both heights
         self.results = ()
         self._register()
@@ -1470,6 +1558,11 @@ class AutoZOffset(object):
                 "no Z motor has a TMC driver of its own, z_current_factor has"
                 " no effect"
             )
+        if not self.host.homes_with_probe:
+            self.notes.append(
+                "Z is not homed with the probe, so the correction holds with a"
+                " bed mesh of this probe only"
+            )
 
     def tell_notes(self):
         for note in self.notes:
@@ -1478,8 +1571,7 @@ class AutoZOffset(object):
     def check_heights(self):
         low, high = self.host.axis_limits()[2]
         settings, section = self.settings, self.host.z_axis.section
-        probe_z_offset = self.host.probe.get_offsets()[2]
-        top = travel_height(probe_z_offset, settings.probe_hop)
+        top = travel_height(self.host.homed_probe_z(), settings.probe_hop)
         if top > high:
             raise CalibrationError(
                 "Option 'probe_hop' in section '%s': the head would travel at"
@@ -1515,7 +1607,7 @@ class AutoZOffset(object):
         return Site(middle[0], middle[1], "The middle of the axes")
 
     def probe_site(self, bed):
-        x_offset, y_offset = self.host.probe.get_offsets()[:2]
+        x_offset, y_offset = self.host.probe_offsets()[:2]
         origin = "%s, with the probe above it," % (bed.origin,)
         return Site(bed.x - x_offset, bed.y - y_offset, origin)
 
@@ -1547,15 +1639,31 @@ class AutoZOffset(object):
         try:
             return parse_switch(text.strip())
         except CalibrationError as e:
-            raise CalibrationError("ACCEPT_CHANGE: %s" % (e,))
+            raise CalibrationError("ACCEPT_CHANGE: %s; write 1 or 0" % (e,))
 
-    # What is known of the bed: a touch since Z was homed, or the correction
+    # What is known of the bed: a touch since Z was set, or what the probe
+    # said when Z was homed with it
     def expected(self):
-        if self.mark is not None and not self.frame.moved_since(self.mark):
-            return Expected(self.sensor_z, KNOWN_MARGIN)
-        if self.host.homes_with_probe and self.correction is not None:
-            return expect_sensor(self.correction, self.settings.z_offset)
-        return None
+        if self.holds(self.mark):
+            return expect_near(self.sensor_z, KNOWN_MARGIN)
+        if not self.host.homes_with_probe:
+            return NOTHING_EXPECTED
+        if self.correction is not None:
+            z_offset, bed_z = self.settings.z_offset, self.host.homed_bed_z()
+            return expect_corrected(self.correction, z_offset, bed_z)
+        return expect_below_probe(self.host.homed_probe_z())
+
+    # Whether Z is still what it was when the frame was marked
+    def holds(self, mark):
+        return mark is not None and not self.frame.moved_since(mark)
+
+    # Where Z is the bed sensor's, the correction of the probe means nothing.
+    def check_frame(self, gcmd):
+        if self.holds(self.home_mark):
+            raise gcmd.error(
+                "%s: Z was set by AUTO_Z_HOME_Z, a correction of the probe does"
+                " not hold there; home Z with the probe (G28) first" % (NAME,)
+            )
 
     # Runs what a command does with the machine: 'work' gets a Run and returns
     # what the command stores or says.  On any failure the head is lifted, and
@@ -1584,7 +1692,7 @@ class AutoZOffset(object):
                 " into prepare_gcode"
             )
         self.host.check_homed()
-        expected = None if accepted else self.expected()
+        expected = NOTHING_EXPECTED if accepted else self.expected()
         run = Run(self.host, self.settings, self.watch, self.prepare, expected)
         with self.host.always(run.lift, "lifting"):
             value = work(run)
@@ -1628,6 +1736,7 @@ class AutoZOffset(object):
     def cmd_AUTO_Z_HOME_Z(self, gcmd):
         touches = self.settings.sampling.samples
         z = self.measuring(gcmd, touches, self.home_z)
+        self.home_mark = self.mark
         z_offset = self.settings.z_offset
         gcmd.respond_info(
             "AUTO_Z_HOME_Z: the bed sensor triggered at z=%.6f, which is"
@@ -1671,13 +1780,14 @@ class AutoZOffset(object):
     # at about 0.
     def stale(self, result):
         bed_z = result.probe - result.probe_z_offset
-        if abs(bed_z) <= STALE_Z:
+        homed_bed_z = self.host.homed_bed_z()
+        if abs(bed_z - homed_bed_z) <= STALE_Z:
             return ""
-        text = "the probe sees the bed at z=%.3f instead of 0; %s"
+        text = "the probe sees the bed at z=%.3f instead of %.3f; %s"
         remedy = "home Z again (G28) after any levelling"
         if not self.host.homes_with_probe:
             remedy = "the correction holds with a bed mesh of this probe only"
-        return text % (bed_z, remedy)
+        return text % (bed_z, homed_bed_z, remedy)
 
     def formula(self, name, result):
         return (
@@ -1725,26 +1835,42 @@ class AutoZOffset(object):
             return result.correction
 
         cycles = sampling._replace(samples=self.settings.offset_samples)
-        corrections = collect(cycle, cycles, self.watch.say)
+        try:
+            corrections = collect(cycle, cycles, self.say_of_cycles)
+        except SamplesDiffer as e:
+            raise CalibrationError("cycles: %s" % (e,))
         run.lift()
         z_offset = summarize(corrections, sampling.result)
-        self.host.apply_offset(z_offset)
+        check_correction(z_offset)
+        self.host.apply_offset(z_offset + self.host.homed_bed_z())
         return tuple(results[-len(corrections) :]), z_offset
 
+    def say_of_cycles(self, msg):
+        self.watch.say("cycles: %s" % (msg,))
+
     def save(self, z_offset):
-        self.correction = z_offset
+        # As it will be read after a restart
+        self.correction = z_offset or None
         self.host.save_option("probe_z_correction", z_offset)
 
     # AUTO_Z_LOAD_OFFSET
     cmd_AUTO_Z_LOAD_OFFSET_help = "Apply the probe's correction"
 
     def cmd_AUTO_Z_LOAD_OFFSET(self, gcmd):
+        self.check_frame(gcmd)
         z_offset = self.correction or 0.0
-        self.host.apply_offset(z_offset)
+        bed_z = self.host.homed_bed_z()
+        self.host.apply_offset(z_offset + bed_z)
         gcmd.respond_info(
             "AUTO_Z_LOAD_OFFSET: probe_z_correction: %.6f is the G-code Z"
             " offset now" % (z_offset,)
         )
+        if bed_z:
+            self.tell(
+                "%.6f with what position_endstop of section '%s' and the"
+                " probe's z_offset differ by"
+                % (z_offset + bed_z, self.host.z_axis.section)
+            )
         if self.correction is None:
             gcmd.respond_info(
                 "%s: there is no probe_z_correction yet; run AUTO_Z_CALIBRATE,"
@@ -1755,7 +1881,9 @@ class AutoZOffset(object):
     cmd_AUTO_Z_SAVE_GCODE_OFFSET_help = "Save the G-code Z offset in force"
 
     def cmd_AUTO_Z_SAVE_GCODE_OFFSET(self, gcmd):
-        before, z_offset = self.correction or 0.0, self.host.gcode_offset()
+        self.check_frame(gcmd)
+        before = self.correction or 0.0
+        z_offset = self.host.gcode_offset() - self.host.homed_bed_z()
         if abs(z_offset) > LARGEST_OFFSET:
             raise gcmd.error(
                 "%s: a G-code Z offset of %.3f is no correction of a probe; up"

@@ -131,6 +131,11 @@ class NoTrigger(CalibrationError):
     pass
 
 
+# No series of samples agreed.
+class SamplesDiffer(CalibrationError):
+    pass
+
+
 # --- end ---
 
 
@@ -286,7 +291,7 @@ def collect(touch, sampling, say):
             continue
         text = "samples differ by %.4f mm, samples_tolerance is %.4f mm; %s"
         if not retries_left:
-            raise CalibrationError(text % (spread, sampling.tolerance, DIFFER))
+            raise SamplesDiffer(text % (spread, sampling.tolerance, DIFFER))
         say(text % (spread, sampling.tolerance, "trying again"))
         retries_left -= 1
         samples = []
@@ -491,10 +496,10 @@ def read_z_axis(config):
     )
 
 
-# --- shared: endstops ---
 # How every host since 2021-08-17 (1dc2ab048) begins this error.
 NO_TRIGGER = "No trigger"
 
+# --- shared: endstops ---
 # What probing_move() and a state query need from an endstop object.
 ENDSTOP_METHODS = ("get_steppers", "home_start", "home_wait", "query_endstop")
 

@@ -248,6 +248,43 @@ def test_speed_of_the_nozzle(start):
         assert z == pytest.approx(SENSOR - deeper, abs=STEPS)
 
 
+@pytest.mark.parametrize("saved", [None, "-1.12"])
+def test_every_touch_has_the_same_speed(start, saved):
+    # 1 mm to stop: further than the floor would be below the bed.  (From
+    # sample_retract_dist the newer hosts reach 11 mm/s at most.)
+    printer = moving(
+        start,
+        speed="10",
+        probe_accel="50",
+        samples="3",
+        samples_tolerance="0.003",
+        samples_tolerance_retries="0",
+        probe_z_correction=saved,
+    )
+    printer.run("AUTO_Z_CALIBRATE")
+    z = printer.status("auto_z_offset")["last_z"]
+    assert z == pytest.approx(SENSOR - 0.002 * 5.0, abs=STEPS)
+
+
+def test_floor_leaves_room_to_brake(start):
+    # 1 mm from 10 mm/s, and a reserve
+    fault = Fault("trigger_never", signal="bed_sensor", n=2)
+    printer = moving(start, [fault], speed="10", probe_accel="50")
+    printer.machine.tolerate("nozzle_bed", 1.2)
+    text = printer.fail("AUTO_Z_CALIBRATE")
+    assert "1.100 mm below the expected trigger at z=-1.3" in text
+
+
+def test_acceleration_of_the_z_axis_counts(start):
+    # Slower than what the axes together are allowed
+    fault = Fault("trigger_never", signal="bed_sensor", n=2)
+    changes = {"printer": {"max_z_accel": "25"}, **section(speed="5")}
+    printer = start("qidi", changes=changes, faults=[fault])
+    printer.machine.tolerate("nozzle_bed", 1.0)
+    text = printer.homed().fail("AUTO_Z_CALIBRATE")
+    assert "0.600 mm below the expected trigger at z=-1.3" in text
+
+
 def test_speed_of_the_probe(start):
     # A probe that is 20 ms late
     inductive = SCENES["qidi"].world.inductive
@@ -369,10 +406,11 @@ def test_cycles_that_differ(start, retries, good):
     if not good:
         before = state(printer)
         text = printer.fail("AUTO_Z_CALIBRATE")
-        assert "auto_z_offset: samples differ by 0.0300 mm" in text
+        assert "auto_z_offset: cycles: samples differ by 0.0300 mm" in text
         assert state(printer) == before
         return
     lines = printer.run("AUTO_Z_CALIBRATE")
+    assert told(lines, "auto_z_offset: cycles: samples differ by 0.03")
     assert len(formulas(lines)) == 2 + 3
     assert len(printer.status("auto_z_offset")["corrections"]) == 3
     gap = printer.scene.piezo_gap()
@@ -419,7 +457,7 @@ def test_saved_correction_is_the_floor(start):
     text = printer.homed().fail("AUTO_Z_CALIBRATE")
     assert "(stopped at z=-2.320)" in text
     assert "1.000 mm below the expected trigger at z=-1.320" in text
-    assert "add ACCEPT_CHANGE=1 if nozzle or probe was exchanged" in text
+    assert "add ACCEPT_CHANGE=1 if nozzle, probe or bed was changed" in text
 
 
 @pytest.mark.parametrize("command", ["PROBE", "HOME_Z", "MEASURE_OFFSET"])
@@ -467,6 +505,8 @@ def test_saved_correction_says_nothing_where_a_switch_homes_z(start):
     printer.session.require_ready()
     x, y, z = scene.start
     printer.run(f"SET_KINEMATIC_POSITION X={x} Y={y} Z={z + 0.3}\nG90")
+    at_start = told(printer.session.console, "Z is not homed with the probe")
+    assert len(at_start) == 1
     lines = printer.run("AUTO_Z_MEASURE_OFFSET")
     assert told(lines, "the correction holds with a bed mesh of this probe")
     bed_z = formulas(lines)[0].probe - 1.0
@@ -571,6 +611,7 @@ def test_ends_of_the_ranges_are_fine(start, option, value):
         ),
         (section(prepare_gcode="{% if %}"), ["prepare_gcode"]),
         (section(probe_hops="5"), ["'probe_hops'", "is 'probe_hop' meant?"]),
+        (section(x_offset_="1"), ["'x_offset_'", "is not known; remove it"]),
         (section(colour="red"), ["'colour'", "is not known; remove it"]),
         ({"probe": None}, ["'probe"]),
         (section(probe_hop="300"), ["probe_hop", "position_max (248.000)"]),
@@ -636,7 +677,7 @@ def test_machine_without_a_z_axis_is_refused(some_host):
         ("calibrated_z_offset", "-1.24", "AUTO_Z_CALIBRATE again"),
         ("x_offset", "17.6", "is ignored"),
         ("y_offset", "4.4", "is ignored"),
-        ("deactivate_gcode", "M118 off", "move it into prepare_gcode"),
+        ("deactivate_gcode", "M118 off", "that runs after AUTO_Z_CALIBRATE"),
         ("deactivate_on_each_sample", "False", "is ignored"),
         ("stow_on_each_sample", "False", "is ignored"),
         ("recovery_time", "0.4", "G4"),

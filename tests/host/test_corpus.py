@@ -6,9 +6,6 @@ environment on every host.
 
 from __future__ import annotations
 
-import os
-from collections.abc import Iterable
-
 import pytest
 
 from tests.hostkit.corpus import (
@@ -18,6 +15,8 @@ from tests.hostkit.corpus import (
     Entry,
     build,
     load,
+    refusal,
+    spread,
 )
 from tests.hostkit.hosts import Host, find_hosts
 from tests.hostkit.printer import Printer
@@ -85,30 +84,10 @@ TEXTS = {
 }
 
 
-def spread(entries: Iterable[Entry]) -> list:
-    """Each entry with its host, or with every host."""
-    everywhere = os.environ.get("CORPUS") == "all"
-    return [
-        pytest.param(entry, host, id=f"{entry.index:03d}-{host.name}")
-        for entry in entries
-        for number, host in enumerate(HOSTS)
-        if everywhere or entry.index % len(HOSTS) == number
-    ]
-
-
 def other_length(entry: Entry) -> float:
     """A body (mm) that is far from what the file says of the probe."""
     z_offset = float(entry.probe["z_offset"])
     return max(OTHER_BODIES, key=lambda body: abs(body - z_offset))
-
-
-def refusal(host: Host, machine: CorpusMachine) -> str:
-    """What a klippy that does not start says."""
-    with Printer(host, machine.scene) as printer:
-        state, message = printer.session.start()
-        assert "Internal error" not in message
-    assert state == "error", (state, message)
-    return message
 
 
 def check_touches(printer: Printer, machine: CorpusMachine, first: int) -> None:
@@ -182,20 +161,20 @@ def looks_right(name: str, text: str) -> bool:
         return False
 
 
-@pytest.mark.parametrize(("entry", "host"), spread(WORKING))
+@pytest.mark.parametrize(("entry", "host"), spread(WORKING, HOSTS))
 def test_entry_calibrates(entry, host):
     check_calibration(host, build(entry, host))
 
 
-@pytest.mark.parametrize(("entry", "host"), spread(MEASURED))
+@pytest.mark.parametrize(("entry", "host"), spread(MEASURED, HOSTS))
 def test_z_offset_need_not_be_right(entry, host):
     check_calibration(host, build(entry, host, other_length(entry)))
 
 
-@pytest.mark.parametrize(("entry", "host"), spread(VIRTUAL))
+@pytest.mark.parametrize(("entry", "host"), spread(VIRTUAL, HOSTS))
 def test_probe_as_z_endstop_is_refused(entry, host):
     machine = build(entry, host).with_virtual_endstop()
-    message = refusal(host, machine)
+    message = refusal(host, machine.scene)
     assert f"Option 'endstop_pin: {VIRTUAL_ENDSTOP}'" in message
     assert "in section 'stepper_z' is the probe" in message
     assert "set it to the pin of that switch, or give the pin as" in message
@@ -203,10 +182,11 @@ def test_probe_as_z_endstop_is_refused(entry, host):
 
 
 @pytest.mark.parametrize(
-    ("entry", "host"), spread(ENTRIES[index] for index in sorted(BROKEN))
+    ("entry", "host"),
+    spread((ENTRIES[index] for index in sorted(BROKEN)), HOSTS),
 )
 def test_broken_entry_is_refused(entry, host):
-    message = refusal(host, build(entry, host))
+    message = refusal(host, build(entry, host).scene)
     option, remedy = BROKEN[entry.index]
     assert f"'{option}' " in message
     assert "section 'z_calibration'" in message

@@ -10,13 +10,17 @@ from __future__ import annotations
 
 import json
 import math
+import os
 import re
-from collections.abc import Mapping
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Optional
 
+import pytest
+
 from tests.hostkit.hosts import Host
+from tests.hostkit.printer import Printer
 from tests.simprinter import SCENES, Scene
 from tests.simprinter.world import (
     AxisSwitchSpec,
@@ -176,6 +180,26 @@ def load(name: str = "z_calibration") -> list[Entry]:
     ]
 
 
+def spread(entries: Iterable[Entry], hosts: Sequence[Host]) -> list:
+    """Each entry with its host; with CORPUS=all with every host."""
+    everywhere = os.environ.get("CORPUS") == "all"
+    return [
+        pytest.param(entry, host, id=f"{entry.index:03d}-{host.name}")
+        for entry in entries
+        for number, host in enumerate(hosts)
+        if everywhere or entry.index % len(hosts) == number
+    ]
+
+
+def refusal(host: Host, scene: Scene) -> str:
+    """What a klippy that does not start says."""
+    with Printer(host, scene) as printer:
+        state, message = printer.session.start()
+        assert "Internal error" not in message
+    assert state == "error", (state, message)
+    return message
+
+
 @dataclass(frozen=True)
 class Axis:
     """What the file says of X or Y, mm."""
@@ -277,12 +301,14 @@ def _same_form(text: str, values: Point) -> str:
     return re.sub(r"[-+.\d]+", lambda match: f"{next(numbers):g}", text)
 
 
-def _chosen(options: Mapping[str, str], names: tuple[str, ...]) -> Options:
+def chosen(options: Mapping[str, str], names: tuple[str, ...]) -> Options:
     """Some of the options, as values for a file."""
-    return {name: _value(options[name]) for name in names if options.get(name)}
+    return {
+        name: indented(options[name]) for name in names if options.get(name)
+    }
 
 
-def _value(text: str) -> str:
+def indented(text: str) -> str:
     """A value with its further lines indented."""
     return text.replace("\n", "\n  ")
 
@@ -459,7 +485,7 @@ class _Builder:
             if not self.place(options, name, place) and not self.known(name):
                 self.params[f"{name.upper()}_POSITION"] = "%g,%g" % place
         return {
-            name: _value(text)
+            name: indented(text)
             for name, text in options.items()
             # What is left of a conflict's mark is no line of a file
             if "=" not in name
@@ -525,12 +551,12 @@ class _Builder:
         return {
             "printer": {
                 **(voron["printer"] or {}),
-                **_chosen(context("printer"), PRINTER_OPTIONS),
+                **chosen(context("printer"), PRINTER_OPTIONS),
             },
             "probe": {
                 **(voron["probe"] or {}),
                 "z_offset": f"{self.body + switch_offset:.3f}",
-                **_chosen(self.entry.probe, PROBE_OPTIONS),
+                **chosen(self.entry.probe, PROBE_OPTIONS),
             },
             **{f"stepper_{name}": self.stepper(name) for name in "xyz"},
             **self.homing(),
@@ -548,7 +574,7 @@ class _Builder:
         scene = dict(SCENES["voron"].sections[section] or {})
         options = self.entry.section(section)
         if name == "z":
-            return {**scene, **_chosen(options, Z_OPTIONS)}
+            return {**scene, **chosen(options, Z_OPTIONS)}
         axis = self.axes["xy".index(name)]
         return {
             **scene,
@@ -562,7 +588,7 @@ class _Builder:
         x, y = self.places.pin
         home = self.entry.section("safe_z_home")
         if home:
-            options = _chosen(home, HOME_OPTIONS)
+            options = chosen(home, HOME_OPTIONS)
             options["home_xy_position"] = _same_form(
                 home["home_xy_position"], (x, y)
             )
@@ -580,7 +606,7 @@ class _Builder:
         if not mesh:
             return {}
         names = [name for name in mesh if name not in MESH_OPTIONS_LEFT_OUT]
-        options = _chosen(mesh, tuple(names))
+        options = chosen(mesh, tuple(names))
         index = "relative_reference_index"
         if index in options and not knows_index(self.host):
             # What its owner has to do on an update
