@@ -66,8 +66,12 @@ TOUCH_MARGIN = 0.3
 # when it triggers this much (mm) lower than expected.
 BRAKING_RESERVE = 0.1
 
-# From here on (mm) the probe does not see the bed where Z was homed with it.
-STALE_Z = 0.5
+# From here on (mm) the probe does not see the bed where Z was homed with it:
+# the nozzle would be wrong by as much until the next homing.
+STALE_Z = 0.1
+
+# A trigger of the bed sensor this far (mm) above the probe's is not the bed.
+ABOVE_PROBE = 0.5
 
 # A smaller hop (mm) leaves an inductive probe triggered.
 SMALLEST_HOP = 4.0
@@ -310,7 +314,7 @@ def expect_corrected(correction, z_offset, bed_z):
 
 # All that is known without one: the probe triggers above the bed.
 def expect_below_probe(probe_z):
-    return NOTHING_EXPECTED._replace(high=probe_z + STALE_Z)
+    return NOTHING_EXPECTED._replace(high=probe_z + ABOVE_PROBE)
 
 
 # The same after a touch at z; of several the lowest counts: what triggers
@@ -336,7 +340,7 @@ def sensor_floor(floor, expected, braking):
 def check_expected(z, expected):
     if z <= expected.high:
         return
-    where = "above z=%.3f, where the probe sees the bed"
+    where = "which is above z=%.3f, the highest that the probe leaves for it"
     where %= (expected.high,)
     if expected.z is not None:
         where = "%.3f mm above the expected z=%.3f"
@@ -1163,10 +1167,7 @@ class ProbeMeasurement(object):
         host, sampling = self.host, self.settings.sampling
         host.move_xy(self.site.x, self.site.y, TRAVEL_SPEED)
         top = host.z()
-        session = host.probe_session(
-            PROBE_SPEED="%.6f" % (sampling.speed,),
-            LIFT_SPEED="%.6f" % (sampling.lift_speed,),
-        )
+        session = host.probe_session(PROBE_SPEED="%.6f" % (sampling.speed,))
         limit = host.probe_floor(floor)
         # Up before the session ends: the host may stow the probe then
         lift = host.always(
@@ -1784,7 +1785,7 @@ class AutoZOffset(object):
         if abs(bed_z - homed_bed_z) <= STALE_Z:
             return ""
         text = "the probe sees the bed at z=%.3f instead of %.3f; %s"
-        remedy = "home Z again (G28) after any levelling"
+        remedy = "home Z again (G28) after any levelling, over this point"
         if not self.host.homes_with_probe:
             remedy = "the correction holds with a bed mesh of this probe only"
         return text % (bed_z, homed_bed_z, remedy)
@@ -1799,6 +1800,7 @@ class AutoZOffset(object):
     cmd_AUTO_Z_CALIBRATE_help = "Measure, apply and save the probe's correction"
 
     def cmd_AUTO_Z_CALIBRATE(self, gcmd):
+        self.check_frame(gcmd)
         settings = self.settings
         touches = 2 * settings.sampling.samples * settings.offset_samples
         results, z_offset = self.measuring(gcmd, touches, self.calibrate)
@@ -1862,14 +1864,13 @@ class AutoZOffset(object):
         bed_z = self.host.homed_bed_z()
         self.host.apply_offset(z_offset + bed_z)
         gcmd.respond_info(
-            "AUTO_Z_LOAD_OFFSET: probe_z_correction: %.6f is the G-code Z"
-            " offset now" % (z_offset,)
+            "AUTO_Z_LOAD_OFFSET: probe_z_correction: %.6f, the G-code Z offset"
+            " is %.6f now" % (z_offset, z_offset + bed_z)
         )
         if bed_z:
             self.tell(
-                "%.6f with what position_endstop of section '%s' and the"
-                " probe's z_offset differ by"
-                % (z_offset + bed_z, self.host.z_axis.section)
+                "%.6f more, as position_endstop of section '%s' and the"
+                " probe's z_offset differ" % (bed_z, self.host.z_axis.section)
             )
         if self.correction is None:
             gcmd.respond_info(

@@ -70,7 +70,7 @@ def test_correction_holds_after_a_restart(start):
     status = printer.status("auto_z_offset")
     assert status["probe_z_correction"] == pytest.approx(offset, abs=1e-6)
     lines = printer.run("AUTO_Z_LOAD_OFFSET")
-    assert told(lines, f"probe_z_correction: {offset:.6f} is the G-code Z")
+    assert told(lines, f"{offset:.6f}, the G-code Z offset is {offset:.6f}")
     assert not told(lines, "there is no probe_z_correction yet")
     assert printer.offset() == pytest.approx(offset, abs=1e-6)
     assert true_gap(printer) == pytest.approx(gap, abs=STEPS)

@@ -25,7 +25,7 @@ from tests.hostkit.piezo import (
     with_extras,
     world,
 )
-from tests.hostkit.printer import Printer
+from tests.hostkit.printer import Printer, module_files
 from tests.simprinter import SCENES, Fault
 
 STEPS = 2 * MICROSTEP
@@ -312,6 +312,22 @@ def test_lift_speed(start, samples):
     assert took[2.0] - took[20.0] == pytest.approx(
         lifted * (1 / 2.0 - 1 / 20.0), abs=0.35
     )
+
+
+def test_driver_gets_time_to_settle(start, tmp_path):
+    # After either change of the current
+    text = module_files()["auto_z_offset"].read_text()
+    took = []
+    for settle in ("0.2", "1.2"):
+        source = tmp_path / f"auto_{settle}.py"
+        changed = text.replace("SETTLE_TIME = 0.2", f"SETTLE_TIME = {settle}")
+        source.write_text(changed)
+        changes = section(prepare_gcode=JUST_ON)
+        modules = {"auto_z_offset": source}
+        printer = start("qidi", changes=changes, modules=modules).homed()
+        printer.run("AUTO_Z_PROBE")
+        took.append(seconds(printer, "AUTO_Z_PROBE"))
+    assert took[1] - took[0] == pytest.approx(2.0, abs=0.1)
 
 
 # Samples

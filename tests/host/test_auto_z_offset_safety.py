@@ -176,7 +176,7 @@ def test_first_touch_in_mid_air_on_a_machine_nobody_knows(start):
     changes = section(samples_tolerance_retries="0")
     printer = start("qidi", changes=changes, faults=[fault]).homed()
     text, before, after = before_and_after(printer)
-    assert "bed sensor: triggered at z=0.680, above z=0.500, where" in text
+    assert "bed sensor: triggered at z=0.680, which is above z=0.500," in text
     assert after == before
     assert lowest(printer) == 0.0
     printer.run("AUTO_Z_CALIBRATE")
@@ -212,8 +212,12 @@ def test_sensor_that_is_triggered_from_the_start(start):
         "qidi", faults=[Fault("stuck_closed", signal="bed_sensor", t=0.0)]
     ).homed()
     first = len(printer.machine.truth.touches)
+    currents = [len(d.currents) for d in printer.machine.drivers.values()]
     text, before, after = before_and_after(printer, "AUTO_Z_PROBE")
     assert "bed sensor: reads triggered at z=" in text
+    # Found before anything was changed for a touch
+    drivers = printer.machine.drivers.values()
+    assert [len(d.currents) for d in drivers] == currents
     assert "a '!' in front of it turns the meaning" in text
     assert sites(printer, first) == []
     assert after == before
@@ -272,20 +276,23 @@ def test_probe_that_sees_the_bed_elsewhere(start):
     # Z was set by somebody else
     changes = {"force_move": {"enable_force_move": "true"}}
     printer = start("qidi", changes=changes).homed()
-    printer.run("AUTO_Z_HOME_Z")
+    z = printer.status("toolhead")["position"][2]
+    printer.run(f"SET_KINEMATIC_POSITION Z={z + 0.3}")
     text, before, after = before_and_after(printer)
-    assert "the probe sees the bed at z=1.52" in text
-    assert "instead of 0; home Z again (G28) after any levelling" in text
+    assert "the probe sees the bed at z=0.300" in text
+    assert "instead of 0.000; home Z again (G28) after any level" in text
     assert after == before
     # Nothing is applied by this one
     lines = printer.run("AUTO_Z_MEASURE_OFFSET")
-    assert told(lines, "the probe sees the bed at z=1.52")
+    assert told(lines, "the probe sees the bed at z=0.300")
     printer.run("G28 Z\nAUTO_Z_CALIBRATE")
     gap = printer.scene.piezo_gap()
     assert true_gap(printer) == pytest.approx(gap, abs=STEPS)
 
 
-@pytest.mark.parametrize("command", ["LOAD_OFFSET", "SAVE_GCODE_OFFSET"])
+@pytest.mark.parametrize(
+    "command", ["LOAD_OFFSET", "SAVE_GCODE_OFFSET", "CALIBRATE"]
+)
 def test_correction_means_nothing_after_home_z(start, command):
     # Loaded there, Z=0 would be 1.4 mm inside the bed
     printer = start("qidi", changes=section(probe_z_correction="-1.12"))
@@ -305,7 +312,9 @@ def test_absurd_correction_is_not_saved(start):
     assert after == before
 
 
-@pytest.mark.parametrize(("shift", "good"), [(0.4, True), (0.6, False)])
+@pytest.mark.parametrize(
+    ("shift", "good"), [(0.08, True), (0.12, False), (-0.12, False)]
+)
 def test_small_shift_of_z_is_none(start, shift, good):
     changes = {"force_move": {"enable_force_move": "true"}}
     printer = start("qidi", changes=changes).homed()
@@ -373,11 +382,13 @@ def test_prepare_gcode_that_turns_the_motors_off(start):
     assert printer.session.state()[0] == "ready"
 
 
-def test_prepare_gcode_that_moves_the_head_away(start):
+@pytest.mark.parametrize("command", MEASURING)
+def test_prepare_gcode_that_moves_the_head_away(start, command):
     code = f"{PREPARE}\n  G90\n  G1 X30 Y40 Z8 F6000"
     printer = start("qidi", changes=section(prepare_gcode=code)).homed()
+    printer.run(f"G90\nG1 X{POINT[0]} Y{POINT[1]} F6000")
     first = len(printer.machine.truth.touches)
-    printer.run("AUTO_Z_CALIBRATE")
+    printer.run(f"AUTO_Z_{command}")
     nozzle = [t for t in touches(printer, first) if t.site == "nozzle_bed"]
     for touch in nozzle:
         assert (touch.x, touch.y) == pytest.approx(POINT, abs=0.02)
@@ -588,7 +599,9 @@ def test_smart_effector_that_homes_to_something_else(start):
     printer.run("SET_GCODE_OFFSET Z_ADJUST=0.05\nAUTO_Z_SAVE_GCODE_OFFSET")
     printer.session.restart("SAVE_CONFIG")
     lines = printer.run("G28\nAUTO_Z_LOAD_OFFSET")
-    assert told(lines, "with what position_endstop of section 'stepper_z'")
+    assert told(
+        lines, "-0.800000 more, as position_endstop of section 'stepper_z'"
+    )
     assert true_gap(printer) == pytest.approx(gap + 0.05, abs=STEPS)
     printer.run("AUTO_Z_CALIBRATE")
     assert true_gap(printer) == pytest.approx(gap, abs=STEPS)
@@ -702,6 +715,23 @@ def test_error_of_the_probe_names_what_to_do(start):
     assert text.startswith("auto_z_offset: probe: ")
     assert "check with QUERY_PROBE and PROBE" in text
     assert after == before
+
+
+def test_head_is_up_when_the_session_ends(start):
+    # deactivate_gcode may stow
+    where = "{printer.toolhead.position.z|round(2)}"
+    changes = {
+        "respond": {},
+        "gcode_macro STOW": {"gcode": f"\n  RESPOND MSG='stow {where}'"},
+        "probe": {
+            "deactivate_gcode": "STOW",
+            "deactivate_on_each_sample": "False",
+        },
+    }
+    printer = start("qidi", changes=changes).homed()
+    lines = told(printer.run("AUTO_Z_MEASURE_OFFSET"), "echo: stow")
+    top = SENSOR + 5.0
+    assert float(lines[-1].split()[-1]) == pytest.approx(top, abs=0.02)
 
 
 def test_status_is_idle_after_a_failure(start):
