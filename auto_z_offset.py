@@ -93,6 +93,9 @@ RESTORE_ATTEMPTS = 2
 # up to less than this (mm) is neither homing nor levelling.
 DATUM_NOISE = 0.02
 
+# What is saved is rounded to that (mm).
+SAVED_DIGIT = 0.000001
+
 # A trigger this close (mm) to the start is none: the sensor was pressed.
 # Less than any microstep is long, more than rounding.
 NO_TRAVEL = 0.0001
@@ -325,11 +328,19 @@ def expect_again(z, before, sampling):
     return expect_near(z, TOUCH_MARGIN + sampling.tolerance)
 
 
-# 'braking' (mm) is what the head needs to stop at the floor: where it is
-# expected it has its full speed still, as every other touch.
-def sensor_floor(floor, expected, braking):
+# The speed (mm/s) from which the head can stop within KNOWN_MARGIN: a touch
+# must not need more room below the bed than that.
+def fastest_touch(speed, accel):
+    room = KNOWN_MARGIN - BRAKING_RESERVE
+    return min(speed, math.sqrt(2.0 * accel * room))
+
+
+# The head needs room (mm) to stop at the floor: where the trigger is expected
+# it has its full speed still, as in every other touch.
+def sensor_floor(floor, expected, speed, accel):
     if expected.z is None:
         return floor
+    braking = speed * speed / (2.0 * accel)
     low = min(expected.low, expected.z - braking - BRAKING_RESERVE)
     if low <= floor.z:
         return floor
@@ -518,8 +529,6 @@ class Host(object):
 
     def _make_sensor(self):
         pins = self.printer.lookup_object("pins")
-        # Macros or the Z axis may know this pin by another section
-        pins.allow_multi_use_pin(bare_pin(self.pin))
         sensor = pins.setup_pin("endstop", self.pin)
         self.query_endstops.register_endstop(sensor, NAME)
         self.printer.register_event_handler(
@@ -682,9 +691,27 @@ class Host(object):
             for name, driver in self.printer.lookup_objects()
             if name.startswith("tmc")
             and name.partition(" ")[2] in pure
-            # Since 2021-10-11 (64e464987)
-            and "run_current" in driver.get_status(self._eventtime())
+            and self._may_be_reduced(name.split()[-1], driver)
         ]
+
+    def _may_be_reduced(self, name, driver):
+        key, handlers = self.gcode.mux_commands.get("SET_TMC_CURRENT", ("", ()))
+        if name not in handlers:
+            return False
+        # Kalico's drivers have a current of their own for homing.  Where they
+        # scale it globally as well (TMC5160, TMC2240) a small one shuts the
+        # printer down there, and writing it back makes it smaller.
+        owner = getattr(driver.get_status, "__self__", None)
+        helper = getattr(owner, "current_helper", None)
+        fields = getattr(driver, "fields", None)
+        if (
+            hasattr(helper, "req_home_current")
+            and fields is not None
+            and fields.lookup_register("globalscaler") is not None
+        ):
+            return False
+        # Since 2021-10-11 (64e464987)
+        return "run_current" in driver.get_status(self._eventtime())
 
     def _eventtime(self):
         return self.printer.get_reactor().monotonic()
@@ -755,12 +782,20 @@ class Host(object):
         gcmd.respond_info = lambda *unused, **unused_too: None
         handlers[name](gcmd)
 
-    # How long (mm) the head brakes in Z from a speed (mm/s)
-    def braking_distance(self, speed, accel):
+    # With what (mm/s^2) the head brakes in Z if 'accel' limits it, too
+    def braking_accel(self, accel):
         limits = [self.toolhead_status()["max_accel"], self.z_axis.max_accel]
         if accel:
             limits.append(accel)
-        return speed * speed / (2.0 * min(limits))
+        return min(limits)
+
+    # Somebody else measures; its next step starts where it left the head
+    def check_manual_probe(self):
+        manual = self.printer.lookup_object("manual_probe", None)
+        if manual is not None and manual.get_status(None)["is_active"]:
+            raise CalibrationError(
+                "a manual probe is under way; end it with ACCEPT or ABORT first"
+            )
 
     # Where the probe sees the bed once Z was homed with it: at 0, except where
     # position_endstop counts.  Until 2024-07-04 (34732f857) and on Kalico Z is
@@ -1093,9 +1128,9 @@ class SensorMeasurement(object):
     # a step on the way up would take Z along.
     def touch(self):
         host, settings = self.host, self.settings
-        speed, accel = settings.sampling.speed, settings.probe_accel
-        braking = host.braking_distance(speed, accel)
-        floor = sensor_floor(settings.floor, self.expected, braking)
+        accel = host.braking_accel(settings.probe_accel)
+        speed = fastest_touch(settings.sampling.speed, accel)
+        floor = sensor_floor(settings.floor, self.expected, speed, accel)
         less_accel = host.limited_accel(settings.probe_accel)
         start_z = host.z()
         try:
@@ -1200,16 +1235,18 @@ class ProbeMeasurement(object):
 
 
 # One command: goes to the bed, prepares the sensor, measures, lifts.
-# 'prepare' runs the user's G-code, 'expected' is what is known of the bed.
+# 'prepare' runs the user's G-code; 'expect' says what is known of the bed then.
 class Run(object):
-    def __init__(self, host, settings, watch, prepare, expected):
+    def __init__(self, host, settings, watch, prepare, expect):
         self.host = host
         self.settings = settings
         self.watch = watch
         self.run_prepare = prepare
-        # Both follow what the run learns, as the height the head is lifted to
-        self.expected = expected
-        self.touched_z = None
+        self.expect = expect
+        # They follow what the run learns, as the height the head is lifted to:
+        # what is known of the bed, its lowest trigger, its last height
+        self.expected = NOTHING_EXPECTED
+        self.touched_z = self.sensor_z = None
         probe_z = host.homed_probe_z()
         self.travel_z = travel_height(probe_z, settings.probe_hop)
 
@@ -1228,6 +1265,8 @@ class Run(object):
         self.watch.enter("prepare_gcode")
         self.run_prepare()
         self.host.check_homed()
+        # It may have homed, too
+        self.expected = self.expect()
         self.go_to(site)
 
     # Toolhead Z (mm) of the bed sensor's trigger, where the head is.  The
@@ -1241,7 +1280,7 @@ class Run(object):
             self.expected,
             self.touched_z,
         )
-        z = sensor.measure()
+        z = self.sensor_z = sensor.measure()
         self.expected, self.touched_z = sensor.expected, sensor.touched_z
         self.travel_z = z + self.settings.probe_hop
         sensor.leave(self.travel_z)
@@ -1323,6 +1362,7 @@ OPTIONS = (
     "samples_tolerance_retries",
     "z_current_factor",
     "probe_z_correction",
+    "corrected_probe_z_offset",
     "bed_xy_position",
 )
 
@@ -1519,6 +1559,10 @@ class AutoZOffset(object):
             config, "probe_z_correction", within_offset(), "write mm"
         )
         self.correction = self.correction or None
+        # z_offset of the probe that it was measured with; None: not known
+        self.corrected_z_offset = read_number(
+            config, "corrected_probe_z_offset", parse_number, MM
+        )
         self.prepare_gcode = load_prepare_gcode(config)
         self.watch = Watch(self.gcode.respond_info)
         # Toolhead Z of the last trigger, and the frame it was seen in
@@ -1548,6 +1592,7 @@ class AutoZOffset(object):
     # Set-up
     def connect(self):
         self.host.connect()
+        self.follow_probe()
         try:
             self.check_heights()
             self.check_reach(self.bed_site())
@@ -1559,10 +1604,39 @@ class AutoZOffset(object):
                 "no Z motor has a TMC driver of its own, z_current_factor has"
                 " no effect"
             )
+        self.note_speed()
         if not self.host.homes_with_probe:
             self.notes.append(
                 "Z is not homed with the probe, so the correction holds with a"
                 " bed mesh of this probe only"
+            )
+
+    # Z_OFFSET_APPLY_PROBE and PROBE_CALIBRATE move the probe's Z=0, and the
+    # correction is counted from there.
+    def follow_probe(self):
+        if self.correction is None or self.corrected_z_offset is None:
+            return
+        z_offset = self.host.probe_offsets()[2]
+        moved = z_offset - self.corrected_z_offset
+        if abs(moved) < SAVED_DIGIT:
+            return
+        before = self.correction
+        self.correction = before + moved or None
+        self.notes.append(
+            "the probe's z_offset is %.3f and was %.3f when the correction was"
+            " saved: probe_z_correction %.6f is taken as %.6f"
+            % (z_offset, self.corrected_z_offset, before, before + moved)
+        )
+
+    def note_speed(self):
+        settings = self.settings
+        accel = self.host.braking_accel(settings.probe_accel)
+        speed = fastest_touch(settings.sampling.speed, accel)
+        if speed < settings.sampling.speed:
+            self.notes.append(
+                "speed %g is limited to %.2f mm/s on the bed sensor: with %g"
+                " mm/s^2 the head could not stop soon enough below the bed"
+                % (settings.sampling.speed, speed, accel)
             )
 
     def tell_notes(self):
@@ -1654,17 +1728,27 @@ class AutoZOffset(object):
             return expect_corrected(self.correction, z_offset, bed_z)
         return expect_below_probe(self.host.homed_probe_z())
 
-    # Whether Z is still what it was when the frame was marked
+    # Whether Z is still what it was when the frame was marked.  Where the
+    # motors do not tell (empty datum), nobody knows.
     def holds(self, mark):
-        return mark is not None and not self.frame.moved_since(mark)
+        known = mark is not None and bool(mark[1])
+        return known and not self.frame.moved_since(mark)
 
     # Where Z is the bed sensor's, the correction of the probe means nothing.
-    def check_frame(self, gcmd):
-        if self.holds(self.home_mark):
-            raise gcmd.error(
-                "%s: Z was set by AUTO_Z_HOME_Z, a correction of the probe does"
-                " not hold there; home Z with the probe (G28) first" % (NAME,)
+    # Levelling does not change that: only what sets Z does.
+    def check_frame(self):
+        mark = self.home_mark
+        if mark is not None and bool(mark[1]) and mark[0] == self.frame.count:
+            raise CalibrationError(
+                "Z was set by AUTO_Z_HOME_Z, a correction of the probe does not"
+                " hold there; home Z with the probe (G28) first"
             )
+
+    def check_probe_frame(self, gcmd):
+        try:
+            self.check_frame()
+        except CalibrationError as e:
+            raise gcmd.error("%s: %s" % (NAME, e))
 
     # Runs what a command does with the machine: 'work' gets a Run and returns
     # what the command stores or says.  On any failure the head is lifted, and
@@ -1692,12 +1776,13 @@ class AutoZOffset(object):
                 "activate_gcode is not run, the bed sensor may be off; move it"
                 " into prepare_gcode"
             )
+        self.host.check_manual_probe()
         self.host.check_homed()
-        expected = NOTHING_EXPECTED if accepted else self.expected()
-        run = Run(self.host, self.settings, self.watch, self.prepare, expected)
+        expect = self.expected if not accepted else lambda: NOTHING_EXPECTED
+        run = Run(self.host, self.settings, self.watch, self.prepare, expect)
         with self.host.always(run.lift, "lifting"):
             value = work(run)
-        self.sensor_z = run.touched_z
+        self.sensor_z = run.sensor_z
         self.mark = self.frame.mark()
         return value
 
@@ -1749,13 +1834,24 @@ class AutoZOffset(object):
             text = "the G-code Z offset of %.3f stays, on top of this"
             self.tell(text % (offset,))
 
+    # One that was meant for the probe's Z, a correction above all
+    def check_offset(self):
+        offset, z_offset = self.host.gcode_offset(), self.settings.z_offset
+        if offset < 0.0:
+            raise CalibrationError(
+                "with the G-code Z offset of %.3f in force the nozzle would be"
+                " %.3f mm inside the bed at Z=0; run SET_GCODE_OFFSET Z=0 first"
+                % (offset, z_offset - offset)
+            )
+
     def home_z(self, run):
         run.prepare(self.bed_site())
+        self.check_offset()
         z = run.measure_sensor()
         z_offset = self.settings.z_offset
         # Last, so that nothing can fail in a frame that is another one
         self.host.set_z(self.host.z() - z + z_offset)
-        run.touched_z = z_offset
+        run.sensor_z = z_offset
         run.travel_z = z_offset + self.settings.probe_hop
         return z
 
@@ -1800,7 +1896,6 @@ class AutoZOffset(object):
     cmd_AUTO_Z_CALIBRATE_help = "Measure, apply and save the probe's correction"
 
     def cmd_AUTO_Z_CALIBRATE(self, gcmd):
-        self.check_frame(gcmd)
         settings = self.settings
         touches = 2 * settings.sampling.samples * settings.offset_samples
         results, z_offset = self.measuring(gcmd, touches, self.calibrate)
@@ -1823,6 +1918,7 @@ class AutoZOffset(object):
     def calibrate(self, run):
         bed = self.bed_site()
         run.prepare(bed)
+        self.check_frame()
         sampling = self.settings.sampling
         results = []
 
@@ -1854,12 +1950,14 @@ class AutoZOffset(object):
         # As it will be read after a restart
         self.correction = z_offset or None
         self.host.save_option("probe_z_correction", z_offset)
+        probe_z_offset = self.host.probe_offsets()[2]
+        self.host.save_option("corrected_probe_z_offset", probe_z_offset)
 
     # AUTO_Z_LOAD_OFFSET
     cmd_AUTO_Z_LOAD_OFFSET_help = "Apply the probe's correction"
 
     def cmd_AUTO_Z_LOAD_OFFSET(self, gcmd):
-        self.check_frame(gcmd)
+        self.check_probe_frame(gcmd)
         z_offset = self.correction or 0.0
         bed_z = self.host.homed_bed_z()
         self.host.apply_offset(z_offset + bed_z)
@@ -1882,7 +1980,7 @@ class AutoZOffset(object):
     cmd_AUTO_Z_SAVE_GCODE_OFFSET_help = "Save the G-code Z offset in force"
 
     def cmd_AUTO_Z_SAVE_GCODE_OFFSET(self, gcmd):
-        self.check_frame(gcmd)
+        self.check_probe_frame(gcmd)
         before = self.correction or 0.0
         z_offset = self.host.gcode_offset() - self.host.homed_bed_z()
         if abs(z_offset) > LARGEST_OFFSET:

@@ -61,7 +61,10 @@ def test_correction_holds_after_a_restart(start):
     printer.run("AUTO_Z_CALIBRATE")
     offset, gap = printer.offset(), true_gap(printer)
     assert pending(printer) == {
-        "auto_z_offset": {"probe_z_correction": f"{offset:.6f}"}
+        "auto_z_offset": {
+            "probe_z_correction": f"{offset:.6f}",
+            "corrected_probe_z_offset": "0.000000",
+        }
     }
     printer.session.restart("SAVE_CONFIG")
     assert f"probe_z_correction = {offset:.6f}" in printer.session.config_text()
@@ -242,7 +245,10 @@ def test_babysteps_are_saved(start):
     status = printer.status("auto_z_offset")
     assert status["probe_z_correction"] == pytest.approx(offset)
     assert pending(printer) == {
-        "auto_z_offset": {"probe_z_correction": f"{offset:.6f}"}
+        "auto_z_offset": {
+            "probe_z_correction": f"{offset:.6f}",
+            "corrected_probe_z_offset": "0.000000",
+        }
     }
     printer.run("SET_GCODE_OFFSET Z=0\nAUTO_Z_LOAD_OFFSET")
     assert printer.offset() == pytest.approx(offset, abs=1e-6)

@@ -241,7 +241,7 @@ def test_floor_is_never_below_ten_mm(start, own):
 
 def test_speed_of_the_nozzle(start):
     # The sensor's latency makes it deeper the faster it is
-    for speed in (2.0, 5.0, 10.0):
+    for speed in (2.0, 5.0, 9.0):
         printer = moving(start, speed=str(speed))
         deeper = 0.002 * (speed - 5.0)
         z = measured(printer).sensor
@@ -250,8 +250,7 @@ def test_speed_of_the_nozzle(start):
 
 @pytest.mark.parametrize("saved", [None, "-1.12"])
 def test_every_touch_has_the_same_speed(start, saved):
-    # 1 mm to stop: further than the floor would be below the bed.  (From
-    # sample_retract_dist the newer hosts reach 11 mm/s at most.)
+    # 0.9 mm to stop: further than the floor would be below the bed
     printer = moving(
         start,
         speed="10",
@@ -263,16 +262,30 @@ def test_every_touch_has_the_same_speed(start, saved):
     )
     printer.run("AUTO_Z_CALIBRATE")
     z = printer.status("auto_z_offset")["last_z"]
-    assert z == pytest.approx(SENSOR - 0.002 * 5.0, abs=STEPS)
+    # 9.49 mm/s
+    assert z == pytest.approx(SENSOR - 0.002 * 4.5, abs=STEPS)
 
 
 def test_floor_leaves_room_to_brake(start):
-    # 1 mm from 10 mm/s, and a reserve
+    # 0.64 mm from 8 mm/s, and a reserve
     fault = Fault("trigger_never", signal="bed_sensor", n=2)
-    printer = moving(start, [fault], speed="10", probe_accel="50")
+    printer = moving(start, [fault], speed="8", probe_accel="50")
     printer.machine.tolerate("nozzle_bed", 1.2)
     text = printer.fail("AUTO_Z_CALIBRATE")
-    assert "1.100 mm below the expected trigger at z=-1.3" in text
+    assert "0.740 mm below the expected trigger at z=-1.3" in text
+    assert told(printer.session.console, "is limited to") == []
+
+
+@pytest.mark.parametrize("speed", ["13", "30"])
+def test_speed_is_limited_by_the_room_below_the_bed(start, speed):
+    fault = Fault("trigger_never", signal="bed_sensor", n=2)
+    printer = moving(start, [fault], speed=speed, probe_accel="50")
+    printer.machine.tolerate("nozzle_bed", 1.1)
+    (line,) = told(printer.session.console, "is limited to")
+    assert f"speed {speed} is limited to 9.49 mm/s on the bed sensor" in line
+    assert "with 50 mm/s^2 the head could not stop" in line
+    text = printer.fail("AUTO_Z_CALIBRATE")
+    assert "1.000 mm below the expected trigger at z=-1.3" in text
 
 
 def test_acceleration_of_the_z_axis_counts(start):
@@ -499,6 +512,48 @@ def test_trigger_far_above_the_expected_one(start):
     printer.run("G28\nAUTO_Z_CALIBRATE")
 
 
+def test_correction_follows_the_probe(start):
+    # As Z_OFFSET_APPLY_PROBE leaves it: z_offset took over what was measured
+    printer = start(
+        "qidi",
+        changes={
+            "probe": {"z_offset": "1.12"},
+            **section(
+                probe_z_correction="-1.12", corrected_probe_z_offset="0.0"
+            ),
+        },
+    ).homed()
+    (line,) = told(printer.session.console, "the probe's z_offset is 1.120")
+    assert "and was 0.000 when the correction was saved" in line
+    assert "probe_z_correction -1.120000 is taken as 0.000000" in line
+    printer.run("AUTO_Z_LOAD_OFFSET")
+    gap = printer.scene.piezo_gap()
+    assert true_gap(printer) == pytest.approx(gap, abs=STEPS)
+    printer.run("AUTO_Z_CALIBRATE")
+    assert true_gap(printer) == pytest.approx(gap, abs=STEPS)
+
+
+def test_correction_of_the_same_probe_stays(start):
+    changes = section(
+        probe_z_correction="-1.12", corrected_probe_z_offset="0.0000004"
+    )
+    printer = start("qidi", changes=changes)
+    printer.session.require_ready()
+    assert told(printer.session.console, "is taken as") == []
+    status = printer.status("auto_z_offset")
+    assert status["probe_z_correction"] == -1.12
+
+
+def test_probe_calibrated_by_its_host(start):
+    # The whole way, with the host's own command
+    printer = start("qidi").homed()
+    printer.run("AUTO_Z_CALIBRATE\nZ_OFFSET_APPLY_PROBE")
+    printer.session.restart("SAVE_CONFIG")
+    printer.run("G28\nAUTO_Z_LOAD_OFFSET")
+    gap = printer.scene.piezo_gap()
+    assert true_gap(printer) == pytest.approx(gap, abs=STEPS)
+
+
 @pytest.mark.parametrize("value", ["0", "0.0"])
 def test_documented_default_of_the_correction_means_none(start, value):
     printer = start("qidi", changes=section(probe_z_correction=value)).homed()
@@ -562,6 +617,7 @@ NUMBERS = {
     "samples_tolerance_retries": "whole number of 0 or more",
     "z_current_factor": "a factor",
     "probe_z_correction": "write mm",
+    "corrected_probe_z_offset": "mm",
     "bed_xy_position": "100,100",
 }
 MORE = [
@@ -628,6 +684,7 @@ def test_ends_of_the_ranges_are_fine(start, option, value):
         (section(prepare_gcode="{% if %}"), ["prepare_gcode"]),
         (section(probe_hops="5"), ["'probe_hops'", "is 'probe_hop' meant?"]),
         (section(x_offset_="1"), ["'x_offset_'", "is not known; remove it"]),
+        (section(pin="PC2"), ["pin PC2 used multiple times in config"]),
         (section(colour="red"), ["'colour'", "is not known; remove it"]),
         ({"probe": None}, ["'probe"]),
         (section(probe_hop="300"), ["probe_hop", "position_max (248.000)"]),

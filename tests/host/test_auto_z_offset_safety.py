@@ -304,6 +304,45 @@ def test_correction_means_nothing_after_home_z(start, command):
     printer.run(f"AUTO_Z_PROBE\nG28 Z\nAUTO_Z_{command}")
 
 
+def test_levelling_does_not_end_what_home_z_has_set(start):
+    changes = {
+        "force_move": {"enable_force_move": "true"},
+        **section(probe_z_correction="-1.12"),
+    }
+    printer = start("qidi", changes=changes).homed()
+    printer.run("AUTO_Z_HOME_Z")
+    printer.run("FORCE_MOVE STEPPER=stepper_z1 DISTANCE=0.1 VELOCITY=5")
+    assert "Z was set by AUTO_Z_HOME_Z" in printer.fail("AUTO_Z_LOAD_OFFSET")
+    printer.run("G28 Z\nAUTO_Z_LOAD_OFFSET")
+
+
+def test_homing_in_prepare_gcode_is_the_frame(start):
+    code = f"G28 Z\n  {PREPARE}"
+    printer = start("qidi", changes=section(prepare_gcode=code)).homed()
+    printer.run("AUTO_Z_HOME_Z\nAUTO_Z_CALIBRATE")
+    gap = printer.scene.piezo_gap()
+    assert true_gap(printer) == pytest.approx(gap, abs=STEPS)
+
+
+def test_home_z_with_a_correction_in_force(start):
+    # Z=0 would be 1.3 mm inside the bed
+    printer = start("qidi").homed()
+    printer.run("SET_GCODE_OFFSET Z=-1.12")
+    text, before, after = before_and_after(printer, "AUTO_Z_HOME_Z")
+    assert "with the G-code Z offset of -1.120 in force" in text
+    assert "1.320 mm inside the bed at Z=0; run SET_GCODE_OFFSET" in text
+    assert after == before
+    printer.run("SET_GCODE_OFFSET Z=0\nAUTO_Z_HOME_Z")
+
+
+def test_manual_probe_is_not_disturbed(start):
+    printer = start("qidi").homed()
+    printer.run("PROBE_CALIBRATE")
+    text = printer.fail("AUTO_Z_PROBE")
+    assert "a manual probe is under way; end it with ACCEPT or ABORT" in text
+    printer.run("ABORT\nAUTO_Z_PROBE")
+
+
 def test_absurd_correction_is_not_saved(start):
     # It could not be read again
     printer = start("qidi", changes=section(z_offset="-9.5")).homed()
@@ -529,6 +568,70 @@ def test_first_error_stays_the_first(start):
     assert told(printer.session.console, "stepper_z could not be set back")
     printer.session.wait(1.0)
     assert_lifted(printer)
+
+
+DRIVER = """
+class Fields:
+    def lookup_register(self, name, default=None):
+        return name if name == "globalscaler" else default
+
+
+class Commands:
+    def get_status(self, eventtime):
+        return {"run_current": 1.0}
+
+
+class Driver:
+    def __init__(self, config):
+        commands = Commands()
+        if config.getboolean("own_home_current"):
+            commands.current_helper = self
+            self.req_home_current = 1.0
+        self.fields = Fields()
+        self.get_status = commands.get_status
+        self.calls = []
+        gcode = config.get_printer().lookup_object("gcode")
+        if config.getboolean("has_command"):
+            gcode.register_mux_command(
+                "SET_TMC_CURRENT", "STEPPER", "stepper_z", self.set_current
+            )
+        gcode.register_command("CALLS", self.tell)
+
+    def set_current(self, gcmd):
+        self.calls.append(gcmd.get_float("CURRENT"))
+
+    def tell(self, gcmd):
+        gcmd.respond_info("calls %s" % (self.calls,))
+
+
+def load_config(config):
+    driver = Driver(config)
+    config.get_printer().add_object("tmc5160 stepper_z", driver)
+    return driver
+"""
+
+
+@pytest.mark.parametrize(
+    ("own", "command", "calls"),
+    [(False, True, "[0.33, 1.0]"), (True, True, "[]"), (False, False, "[]")],
+)
+def test_driver_that_is_better_left_alone(start, tmp_path, own, command, calls):
+    # A stand-in, as the simulated board has no SPI: Kalico's TMC5160 shuts the
+    # printer down at small currents
+    source = tmp_path / "stand_in.py"
+    source.write_text(DRIVER)
+    changes = {
+        "stand_in": {
+            "own_home_current": str(own),
+            "has_command": str(command),
+        }
+    }
+    modules = {**module_files(), "stand_in": source}
+    printer = start("piezo_cartesian", changes=changes, modules=modules)
+    printer.homed().run("AUTO_Z_PROBE")
+    assert told(printer.run("CALLS"), f"calls {calls}")
+    notes = told(printer.session.console, "z_current_factor has no effect")
+    assert len(notes) == (1 if calls == "[]" else 0)
 
 
 # The connection

@@ -107,6 +107,16 @@ class AutoMachine:
     speeds: tuple[float, float]
 
     @property
+    def is_limited(self) -> bool:
+        """Whether the module says so of the speed."""
+        printer = self.scene.sections["printer"] or {}
+        ceiling = min(
+            self.entry.number("speed", 5.0),
+            float(printer["max_z_velocity"] or 0.0),
+        )
+        return self.speeds[1] < ceiling
+
+    @property
     def gaps(self) -> tuple[float, float]:
         """True gap (mm) at Z=0 over `bed` that a right calibration leaves.
 
@@ -154,6 +164,8 @@ def touch_speeds(
     asked = min(entry.number("speed", 5.0), float(printer["max_z_velocity"]))
     accel = float(printer["max_z_accel"])
     accel = min(accel, entry.number("probe_accel", 0.0) or accel)
+    # It has to stop within a millimetre below the bed
+    asked = min(asked, (2.0 * accel * (1.0 - RESERVE)) ** 0.5)
     retract = entry.number("sample_retract_dist", 3.0)
     way = retract + asked * asked / (2.0 * accel) + RESERVE
     return min(asked, (RATIO * accel * way) ** 0.5), asked

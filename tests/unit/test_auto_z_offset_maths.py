@@ -92,7 +92,8 @@ def test_probe_alone_tells_how_high_the_bed_can_be():
     assert expected.z is None
     assert expected.high == 2.0
     assert math.isinf(expected.low)
-    assert az.sensor_floor(az.Floor(-4.0, "why"), expected, 9.0).z == -4.0
+    floor = az.sensor_floor(az.Floor(-4.0, "why"), expected, 9.0, 1.0)
+    assert floor.z == -4.0
 
 
 @pytest.mark.parametrize(
@@ -119,7 +120,9 @@ FLOOR = az.Floor(-4.0, "position_min")
     [(0.0, -1.3), (0.19, -1.3), (0.25, -1.35), (1.0, -2.1), (3.0, -4.0)],
 )
 def test_floor_leaves_room_to_brake(braking, z):
-    found = az.sensor_floor(FLOOR, az.expect_near(-1.0, 0.3), braking)
+    expected = az.expect_near(-1.0, 0.3)
+    # v * v = 2 a s
+    found = az.sensor_floor(FLOOR, expected, math.sqrt(100 * braking), 50.0)
     assert found.z == pytest.approx(z)
     if z > -4.0:
         assert f"{-1.0 - z:.3f} mm below the expected" in found.why
@@ -130,11 +133,21 @@ def test_floor_leaves_room_to_brake(braking, z):
 @given(heights, exact(0, 3), exact(0, 4), exact(-10, 0))
 def test_floor_is_never_below_the_configured_one(z, margin, braking, lowest):
     floor = az.Floor(lowest, "")
-    found = az.sensor_floor(floor, az.expect_near(z, margin), braking)
+    speed = math.sqrt(100 * braking)
+    found = az.sensor_floor(floor, az.expect_near(z, margin), speed, 50.0)
     assert found.z >= lowest
     assert found.z == lowest or found.z <= z - margin
-    free = az.sensor_floor(floor, az.NOTHING_EXPECTED, braking)
+    free = az.sensor_floor(floor, az.NOTHING_EXPECTED, speed, 50.0)
     assert free == floor
+
+
+@given(st.floats(0.1, 100.0), st.floats(1.0, 1e5))
+def test_touch_can_stop_within_a_millimetre(speed, accel):
+    found = az.fastest_touch(speed, accel)
+    assert 0.0 < found <= speed
+    room = found * found / (2.0 * accel) + az.BRAKING_RESERVE
+    assert room <= az.KNOWN_MARGIN + 1e-9
+    assert found == speed or room == pytest.approx(az.KNOWN_MARGIN)
 
 
 @pytest.mark.parametrize(("z", "good"), [(-0.7, True), (-0.69, False)])
