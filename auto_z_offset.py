@@ -495,11 +495,19 @@ class Host(object):
         # The others exist from klippy:connect on.
         self.toolhead = self.probe = None
         self.motors = []
+        # Z motors whose current stays
+        self.left_alone = []
 
     def connect(self):
         self.toolhead = self.printer.lookup_object("toolhead")
         self.probe = self._find_probe()
         self.motors = self._find_motors()
+        reduced = [name for name, unused in self.motors]
+        self.left_alone = [
+            s.get_name()
+            for s in self._z_steppers(self.toolhead)
+            if s.get_name().split()[-1] not in reduced
+        ]
 
     # Bed sensor
     def _read_pin(self, config):
@@ -1558,11 +1566,12 @@ class AutoZOffset(object):
         self.correction = read_number(
             config, "probe_z_correction", within_offset(), "write mm"
         )
-        self.correction = self.correction or None
         # z_offset of the probe that it was measured with; None: not known
         self.corrected_z_offset = read_number(
             config, "corrected_probe_z_offset", parse_number, MM
         )
+        if self.corrected_z_offset is None:
+            self.correction = self.correction or None
         self.prepare_gcode = load_prepare_gcode(config)
         self.watch = Watch(self.gcode.respond_info)
         # Toolhead Z of the last trigger, and the frame it was seen in
@@ -1599,10 +1608,11 @@ class AutoZOffset(object):
             self.check_reach(self.probe_site(self.bed_site()))
         except CalibrationError as e:
             raise self.printer.config_error(str(e))
-        if self.settings.current_factor < 1.0 and not self.host.motors:
+        if self.settings.current_factor < 1.0 and self.host.left_alone:
             self.notes.append(
-                "no Z motor has a TMC driver of its own, z_current_factor has"
-                " no effect"
+                "z_current_factor has no effect on %s: no TMC driver of its own"
+                " whose current may be changed"
+                % (", ".join(self.host.left_alone),)
             )
         self.note_speed()
         if not self.host.homes_with_probe:
@@ -1621,7 +1631,7 @@ class AutoZOffset(object):
         if abs(moved) < SAVED_DIGIT:
             return
         before = self.correction
-        self.correction = before + moved or None
+        self.correction = before + moved
         self.notes.append(
             "the probe's z_offset is %.3f and was %.3f when the correction was"
             " saved: probe_z_correction %.6f is taken as %.6f"
@@ -1721,7 +1731,7 @@ class AutoZOffset(object):
     def expected(self):
         if self.holds(self.mark):
             return expect_near(self.sensor_z, KNOWN_MARGIN)
-        if not self.host.homes_with_probe:
+        if self.is_sensor_frame() or not self.host.homes_with_probe:
             return NOTHING_EXPECTED
         if self.correction is not None:
             z_offset, bed_z = self.settings.z_offset, self.host.homed_bed_z()
@@ -1734,11 +1744,15 @@ class AutoZOffset(object):
         known = mark is not None and bool(mark[1])
         return known and not self.frame.moved_since(mark)
 
-    # Where Z is the bed sensor's, the correction of the probe means nothing.
-    # Levelling does not change that: only what sets Z does.
-    def check_frame(self):
+    # Whether Z is the bed sensor's.  Levelling does not change that: only what
+    # sets Z does.
+    def is_sensor_frame(self):
         mark = self.home_mark
-        if mark is not None and bool(mark[1]) and mark[0] == self.frame.count:
+        return mark is not None and mark[0] == self.frame.count
+
+    # The correction of the probe means nothing there.
+    def check_frame(self):
+        if self.is_sensor_frame():
             raise CalibrationError(
                 "Z was set by AUTO_Z_HOME_Z, a correction of the probe does not"
                 " hold there; home Z with the probe (G28) first"
@@ -1837,7 +1851,7 @@ class AutoZOffset(object):
     # One that was meant for the probe's Z, a correction above all
     def check_offset(self):
         offset, z_offset = self.host.gcode_offset(), self.settings.z_offset
-        if offset < 0.0:
+        if offset < 0.0 < z_offset - offset:
             raise CalibrationError(
                 "with the G-code Z offset of %.3f in force the nozzle would be"
                 " %.3f mm inside the bed at Z=0; run SET_GCODE_OFFSET Z=0 first"
@@ -1845,6 +1859,11 @@ class AutoZOffset(object):
             )
 
     def home_z(self, run):
+        if not self.host.z_datum():
+            raise CalibrationError(
+                "the motors of Z move X or Y, too: on such a machine nobody"
+                " would know later what Z was set to; home it with G28"
+            )
         run.prepare(self.bed_site())
         self.check_offset()
         z = run.measure_sensor()
@@ -1947,8 +1966,7 @@ class AutoZOffset(object):
         self.watch.say("cycles: %s" % (msg,))
 
     def save(self, z_offset):
-        # As it will be read after a restart
-        self.correction = z_offset or None
+        self.correction = z_offset
         self.host.save_option("probe_z_correction", z_offset)
         probe_z_offset = self.host.probe_offsets()[2]
         self.host.save_option("corrected_probe_z_offset", probe_z_offset)

@@ -113,7 +113,7 @@ def test_prepare_gcode_runs_once_a_calibration(start):
     printer = start("qidi", changes=changes).homed()
     assert len(told(printer.run("AUTO_Z_CALIBRATE"), "echo: prepared")) == 1
     for command in ("PROBE", "HOME_Z", "MEASURE_OFFSET"):
-        lines = printer.run(f"G28 Z\nAUTO_Z_{command}")
+        lines = printer.run(f"G28 Z\nSET_GCODE_OFFSET Z=0\nAUTO_Z_{command}")
         assert len(told(lines, "echo: prepared")) == 1
 
 
@@ -323,7 +323,7 @@ def test_machine_without_drivers_says_so_once(start):
     printer.run("AUTO_Z_MEASURE_OFFSET\nAUTO_Z_MEASURE_OFFSET")
     lines = told(printer.session.console, "z_current_factor has no effect")
     assert len(lines) == 1
-    assert "no Z motor has a TMC driver of its own" in lines[0]
+    assert "no effect on stepper_z: no TMC driver of its own" in lines[0]
 
 
 def test_motors_that_move_x_too_keep_their_current(start):
@@ -342,7 +342,22 @@ def test_motors_that_move_x_too_keep_their_current(start):
     }
     printer = start(scene, changes=changes)
     printer.session.require_ready()
-    assert told(printer.session.console, "z_current_factor has no effect")
+    (line,) = told(printer.session.console, "z_current_factor has no effect")
+    # Both belts move Z
+    assert "on stepper_x, stepper_z: no TMC driver of its own" in line
+    # Nobody could tell later whether Z was homed again
+    text = printer.fail("G28\nAUTO_Z_HOME_Z")
+    assert "the motors of Z move X or Y, too" in text
+
+
+def test_one_of_two_motors_without_a_driver(start):
+    changes = {"tmc2209 stepper_z1": None}
+    printer = start("qidi", changes=changes).homed()
+    (line,) = told(printer.session.console, "z_current_factor has no effect")
+    assert "on stepper_z1: no TMC driver" in line
+    printer.run("AUTO_Z_PROBE")
+    assert len(printer.machine.drivers["z"].currents) > 2
+    assert printer.machine.drivers["z1"].currents == []
 
 
 def test_current_that_the_user_has_set_comes_back(start):

@@ -526,7 +526,8 @@ def test_correction_follows_the_probe(start):
     (line,) = told(printer.session.console, "the probe's z_offset is 1.120")
     assert "and was 0.000 when the correction was saved" in line
     assert "probe_z_correction -1.120000 is taken as 0.000000" in line
-    printer.run("AUTO_Z_LOAD_OFFSET")
+    lines = printer.run("AUTO_Z_LOAD_OFFSET")
+    assert not told(lines, "there is no probe_z_correction yet")
     gap = printer.scene.piezo_gap()
     assert true_gap(printer) == pytest.approx(gap, abs=STEPS)
     printer.run("AUTO_Z_CALIBRATE")

@@ -313,7 +313,8 @@ def test_levelling_does_not_end_what_home_z_has_set(start):
     printer.run("AUTO_Z_HOME_Z")
     printer.run("FORCE_MOVE STEPPER=stepper_z1 DISTANCE=0.1 VELOCITY=5")
     assert "Z was set by AUTO_Z_HOME_Z" in printer.fail("AUTO_Z_LOAD_OFFSET")
-    printer.run("G28 Z\nAUTO_Z_LOAD_OFFSET")
+    # Nor is the bed where the correction says
+    printer.run("AUTO_Z_PROBE\nG28 Z\nAUTO_Z_LOAD_OFFSET")
 
 
 def test_homing_in_prepare_gcode_is_the_frame(start):
@@ -333,6 +334,13 @@ def test_home_z_with_a_correction_in_force(start):
     assert "1.320 mm inside the bed at Z=0; run SET_GCODE_OFFSET" in text
     assert after == before
     printer.run("SET_GCODE_OFFSET Z=0\nAUTO_Z_HOME_Z")
+
+
+def test_home_z_with_an_offset_that_does_no_harm(start):
+    # Z=0 stays above where the sensor triggers
+    printer = start("qidi", changes=section(z_offset="-0.3")).homed()
+    printer.run("SET_GCODE_OFFSET Z=-0.1\nAUTO_Z_HOME_Z")
+    assert printer.offset() == pytest.approx(-0.1)
 
 
 def test_manual_probe_is_not_disturbed(start):
