@@ -1,91 +1,64 @@
 """docs/z_calibration.md says what z_calibration.py does, no more, no less.
 
-Every check is a function from the two texts to a list of complaints, so that
-the tests at the end can show that it finds what is wrong in changed copies.
+The tests at the end show that every check finds what is wrong in changed
+copies of the two texts.
 """
 
 from __future__ import annotations
 
-import ast
 import configparser
-import importlib.util
 import re
-from collections.abc import Callable, Iterator
-from functools import lru_cache
+from functools import partial
 from pathlib import Path
 from typing import Any, NamedTuple, Optional
 
 import pytest
 
+from tests.docs.documents import (
+    OPTIONS,
+    Anything,
+    Change,
+    Option,
+    Section,
+    Source,
+    command_problems,
+    constant_problems,
+    ini_blocks,
+    known_option_problems,
+    link_problems,
+    literal_problem,
+    message_problems,
+    messages,
+    normal,
+    option_name_problems,
+    options_of,
+    parameters,
+    part,
+    phases,
+    range_problems,
+    rows,
+    spans,
+    status_problems,
+    template,
+    told_by_module,
+)
+from tests.docs.documents import load as load_module
 from tests.docs.z_calibration_picture import EXAMPLE, PICTURE, draw
 from tests.hostkit.printer import Printer
 
 ROOT = Path(__file__).resolve().parents[2]
 MODULE = ROOT / "z_calibration.py"
 DOCUMENT = ROOT / "docs" / "z_calibration.md"
-COMMANDS = ("CALIBRATE_Z", "PROBE_Z_ACCURACY", "CALCULATE_SWITCH_OFFSET")
+OLD_NAMES = "Old names"
 
+load = partial(load_module, "z_calibration")
 
 # The document
 
 
-def headings(text: str) -> list[tuple[int, str, str]]:
-    """(level, title, what stands below it up to a heading as high)."""
-    block = re.compile(r"```.*?```", re.DOTALL)
-    plain = block.sub(lambda match: "\n" * match[0].count("\n"), text)
-    lines, plain_lines = text.splitlines(), plain.splitlines()
-    found = [
-        (number, len(match[1]), match[2])
-        for number, line in enumerate(plain_lines)
-        if (match := re.match(r"(#+) (.*)", line))
-    ]
-    result = []
-    for number, level, title in found:
-        ends = [n for n, other, _ in found if n > number and other <= level]
-        end = ends[0] if ends else len(lines)
-        result.append((level, title, "\n".join(lines[number + 1 : end])))
-    return result
-
-
-def part(text: str, title: str) -> str:
-    """What stands below a heading."""
-    (body,) = [body for _, name, body in headings(text) if name == title]
-    return body
-
-
-def rows(text: str) -> Iterator[list[str]]:
-    """The cells of every row of every table, without the table's heading."""
-    lines = text.splitlines()
-    for number, line in enumerate(lines):
-        after = lines[number + 1] if number + 1 < len(lines) else ""
-        if line.startswith("|") and not (
-            line.startswith("|---") or after.startswith("|---")
-        ):
-            yield [cell.strip() for cell in line.strip("|").split("|")]
-
-
-def spans(text: str) -> list[str]:
-    """What is written as code."""
-    return re.findall(r"`([^`]+)`", text)
-
-
-OPTIONS = "Which options are there?"
-OLD_NAMES = "Old names"
-MESSAGES = "What does this message mean?"
-
-
-class Option(NamedTuple):
-    """A row of a table of options."""
-
-    name: str
-    default: str
-    range: str
-
-
 def documented_options(text: str) -> list[Option]:
     """Options that are not old names."""
-    new = part(text, OPTIONS).replace(part(text, OLD_NAMES), "")
-    return [Option(*spans(r[0]), *r[1:3]) for r in rows(new)]
+    return options_of(part(text, OPTIONS).replace(part(text, OLD_NAMES), ""))
 
 
 def documented_old_names(text: str) -> dict[str, str]:
@@ -94,25 +67,6 @@ def documented_old_names(text: str) -> dict[str, str]:
 
 
 # The module
-
-
-class Source(NamedTuple):
-    """z_calibration.py, parsed and loaded."""
-
-    tree: ast.Module
-    module: Any
-
-
-@lru_cache(maxsize=None)
-def load(code: str) -> Source:
-    """A module from its text."""
-    spec = importlib.util.spec_from_loader("z_calibration", loader=None)
-    assert spec is not None
-    module = importlib.util.module_from_spec(spec)
-    tree = ast.parse(code)
-    exec(compile(tree, "z_calibration.py", "exec"), module.__dict__)
-    return Source(tree, module)
-
 
 AXIS = {
     "endstop_pin": "PA1",
@@ -132,85 +86,6 @@ PROBE = {
     "lift_speed": 9.5,
     "z_offset": 6.9,
 }
-
-
-class Section:
-    """As much of the host's configuration as the module uses; records it."""
-
-    error = configparser.Error
-
-    def __init__(self, name: str, sections: dict[str, dict[str, str]]):
-        self.name = name
-        self.sections = sections
-        self.read: set[str] = set()
-        self.templates: set[str] = set()
-        self.commands: set[str] = set()
-
-    def get_name(self) -> str:
-        return self.name
-
-    def get(self, name: str, *default: Any, **_: Any) -> Any:
-        self.read.add(name)
-        options = self.sections.get(self.name, {})
-        if name not in options and not default:
-            raise self.error(f"{name} is missing")
-        return options.get(name, *default)
-
-    def getfloat(self, name: str, *default: Any, **_: Any) -> float:
-        return float(self.get(name, *default))
-
-    def getboolean(self, name: str, *default: Any) -> bool:
-        return self.get(name, *default) == "true"
-
-    def get_prefix_options(self, prefix: str) -> list[str]:
-        given = self.sections.get(self.name, {})
-        return [name for name in given if name.startswith(prefix)]
-
-    def has_section(self, name: str) -> bool:
-        return name in self.sections
-
-    def getsection(self, name: str) -> Section:
-        return Section(name, self.sections)
-
-    def get_printer(self) -> Any:
-        return FakePrinter(self)
-
-
-class FakePrinter:
-    """Every object of the printer at once, as far as loading needs it."""
-
-    command_error = RuntimeError
-
-    def __init__(self, section: Section):
-        self.section = section
-
-    def lookup_object(self, *_: Any) -> FakePrinter:
-        return self
-
-    def load_object(self, *_: Any) -> FakePrinter:
-        return self
-
-    def register_event_handler(self, *_: Any) -> None:
-        pass
-
-    def register_command(self, name: str, *_: Any, **__: Any) -> None:
-        self.section.commands.add(name)
-
-    def register_endstop(self, *_: Any) -> None:
-        pass
-
-    def allow_multi_use_pin(self, *_: Any) -> None:
-        pass
-
-    def setup_pin(self, *_: Any) -> FakePrinter:
-        return self
-
-    def respond_info(self, *_: Any) -> None:
-        pass
-
-    def load_template(self, config: Section, name: str, *default: Any) -> str:
-        self.section.templates.add(name)
-        return config.get(name, *default)
 
 
 class Loaded(NamedTuple):
@@ -298,41 +173,20 @@ CHANGED = {
 
 
 def wrong_option_names(code: str, text: str) -> list[str]:
-    source = load(code)
-    read = configure(source).section.read
     written = [option.name for option in documented_options(text)]
     written += documented_old_names(text)
-    return (
-        [f"not in the document: {name}" for name in sorted(read - set(written))]
-        + [f"not in the code: {name}" for name in set(written) - read]
-        + [f"twice: {name}" for name in written if written.count(name) > 1]
-    )
+    return option_name_problems(configure(load(code)).section.read, written)
 
 
 def wrong_known_options(code: str, _: str) -> list[str]:
-    """What the module takes for an option is what it reads, and no more."""
     source = load(code)
-    known, read = source.module.OPTIONS, configure(source).section.read
-    found = [f"read, but refused: {name}" for name in sorted(read - set(known))]
-    found += [f"known, not read: {name}" for name in set(known) - read]
-    found += [f"twice: {name}" for name in known if known.count(name) > 1]
-    remedies = {f"{name}_": f"is '{name}' meant?" for name in known}
-    remedies["zzz"] = "remove it"
-    for option, remedy in remedies.items():
-        message = refusal(source, {option: "1"})
-        where = f"Option '{option}' in section 'z_calibration'"
-        if message != f"{where} is not known; {remedy}":
-            found.append(f"{option}: {message or 'is taken'}")
-    return found
-
-
-def refusal(source: Source, own: dict[str, str]) -> str:
-    """Why a configuration is not taken; empty: it is."""
-    try:
-        configure(source, own)
-    except configparser.Error as error:
-        return str(error)
-    return ""
+    read = configure(source).section.read
+    return known_option_problems(
+        "z_calibration",
+        source.module.OPTIONS,
+        read,
+        partial(configure, source),
+    )
 
 
 def wrong_defaults(code: str, text: str) -> list[str]:
@@ -389,57 +243,17 @@ def default_problem(source: Source, option: Option) -> str:
     return "" if new == changed else f"is {new} with {changed} there"
 
 
-def literal_problem(default: str, value: Any) -> str:
-    words = spans(default)[0]
-    if words in ("true", "false"):
-        return "" if value is (words == "true") else f"is {value}"
-    numbers = tuple(float(word) for word in words.split(","))
-    is_value = value if isinstance(value, tuple) else (value,)
-    return "" if numbers == is_value else f"is {value}"
-
-
-# Range -> (texts that are taken, texts that are not)
-def samples_of(words: str) -> tuple[list[str], list[str]]:
-    match = re.match(r"(?:mm/s|mm|count), ([>≥]) (\d+)", words)
-    if match is not None:
-        limit = int(match[2])
-        if words.startswith("count"):
-            return [str(limit)], [str(limit - 1), "2.5"]
-        below = ["-0.001"] if match[1] == "≥" else ["0", "-1"]
-        return ["0"] if match[1] == "≥" else ["0.5"], [*below, "x", "nan"]
-    if words == "X, Y in mm":
-        return ["5, -5"], ["5", "5, x", "1, 2, 3"]
-    if words == "low, high in mm":
-        return ["-0.5, 0.7", "0.5", "0, 1"], ["0.1, 1", "0, 0", "0", "1, -1"]
-    if words == "mm":
-        return ["-1"], ["x", "inf"]
-    choices = spans(words)
-    return choices, ["x"] if choices else []
-
-
 def wrong_ranges(code: str, text: str) -> list[str]:
-    source = load(code)
-    found = []
     ranges = {o.name: o.range for o in documented_options(text)}
     for row in rows(part(text, OLD_NAMES)):
         ranges[spans(row[0])[0]] = row[2]
-    for name, words in ranges.items():
-        taken, refused = samples_of(words)
-        if not taken and words not in ("G-code", "pin"):
-            found.append(f"{name}: a range of no known kind: {words}")
-        options = {}
+
+    def besides(name: str) -> dict[str, str]:
         if match := re.fullmatch("(probe_.*_)([xy])", name):
-            options = {match[1] + "yx"["xy".index(match[2])]: "1"}
-        for value in taken + refused:
-            try:
-                configure(source, {**options, name: value})
-            except configparser.Error as error:
-                if value in taken:
-                    found.append(f"{name}: {value} is refused: {error}")
-            else:
-                if value in refused:
-                    found.append(f"{name}: {value} is taken")
-    return found
+            return {match[1] + "yx"["xy".index(match[2])]: "1"}
+        return {}
+
+    return range_problems(ranges, partial(configure, load(code)), besides)
 
 
 def wrong_old_names(code: str, text: str) -> list[str]:
@@ -464,64 +278,23 @@ def wrong_old_names(code: str, text: str) -> list[str]:
 # (b) Commands
 
 
-def methods(source: Source, name: str) -> dict[str, ast.FunctionDef]:
-    (found,) = [
-        node
-        for node in source.tree.body
-        if isinstance(node, ast.ClassDef) and node.name == name
-    ]
-    return {n.name: n for n in found.body if isinstance(n, ast.FunctionDef)}
-
-
-def parameters(source: Source, command: str) -> set[str]:
-    """What the methods that a command calls ask the command for."""
-    own = methods(source, "ZCalibration")
-    pending, seen, found = ["cmd_" + command], set(), set()
-    while pending:
-        name = pending.pop()
-        if name in seen or name not in own:
-            continue
-        seen.add(name)
-        for node in ast.walk(own[name]):
-            if isinstance(node, ast.Attribute):
-                pending.append(node.attr)
-            if not isinstance(node, ast.Call):
-                continue
-            texts = [
-                argument.value
-                for argument in node.args
-                if isinstance(argument, ast.Constant)
-                and isinstance(argument.value, str)
-            ]
-            called = ast.unparse(node.func)
-            if called == "self.site_param":
-                found.add(texts[0].upper() + "_POSITION")
-            elif called in ("self.param", "number", "gcmd.get"):
-                found.update(texts[:1])
-    return found
+def asking(called: str, text: str) -> str:
+    """The parameter that a call asks the command for."""
+    if called == "self.site_param":
+        return text.upper() + "_POSITION"
+    return text if called in ("self.param", "number", "gcmd.get") else ""
 
 
 def wrong_commands(code: str, text: str) -> list[str]:
     source = load(code)
-    section = part(text, "Which commands are there?")
-    documented = {title for _, title, _ in headings(section)}
-    registered = configure(source).section.commands
-    found = [f"command: {name}" for name in documented ^ registered]
-    for name in sorted(documented & registered):
-        written = {spans(r[0])[0] for r in rows(part(text, name))}
-        for word in sorted(written ^ parameters(source, name)):
-            found.append(f"{name}: {word}")
-    return found
+    return command_problems(
+        text,
+        configure(source).section.commands,
+        lambda name: parameters(source, "ZCalibration", name, asking),
+    )
 
 
 # (c) Status
-
-
-class Anything:
-    """Has every attribute and answers every call with nothing."""
-
-    def __getattr__(self, name: str) -> Callable[..., str]:
-        return lambda *_: ""
 
 
 def status(source: Source) -> dict[str, Any]:
@@ -534,143 +307,29 @@ def status(source: Source) -> dict[str, Any]:
     return plugin.get_status(0.0)
 
 
-def phases(source: Source) -> set[str]:
-    return {"idle"} | {
-        argument.value
-        for node in ast.walk(source.tree)
-        if isinstance(node, ast.Call)
-        and ast.unparse(node.func) == "self.watch.enter"
-        for argument in node.args
-        if isinstance(argument, ast.Constant)
-    }
-
-
 def wrong_status(code: str, text: str) -> list[str]:
     source = load(code)
-    section = part(text, "What can macros read?")
-    table = {spans(r[0])[0]: r[1] for r in rows(section)}
     fields = status(source)
-    found = [f"field: {name}" for name in set(table) ^ set(fields)]
-    inner = set(spans(table.get("last_result", ""))) ^ set(
-        fields.get("last_result", ())
-    )
-    found += [f"last_result: {name}" for name in inner]
-    found += [
-        f"phase: {name}"
-        for name in set(spans(table.get("phase", ""))) ^ phases(source)
-    ]
-    (macro,) = re.findall(r"```ini\n(.*?)```", section, re.DOTALL)
-    used = re.findall(r"\bz\.(\w+)(?:\.(\w+))?", macro)
-    for name, below in used:
-        if name not in fields or (below and below not in fields[name]):
-            found.append(f"the macro uses {name}.{below}")
-    return found
+    words = {
+        "last_result": set(fields.get("last_result", ())),
+        "phase": phases(source),
+    }
+    return status_problems(text, fields, words)
 
 
 # (d) Messages
 
-# Their texts are not shown, or by the host under another heading
-SILENT = ("collections.namedtuple", "logging.info", "logging.exception")
-VALUE = "\0"
-
-
-def messages(source: Source) -> set[str]:
-    """Every text of more than one word that a user may see, in pieces."""
-    silent: set[int] = set()
-    for node in ast.walk(source.tree):
-        quiet = isinstance(node, ast.Call) and (
-            ast.unparse(node.func) in SILENT
-            or ast.unparse(node.func).endswith(".always")
-        )
-        quiet = quiet or (
-            isinstance(node, ast.Assign)
-            and ast.unparse(node.targets[0]).endswith("_help")
-        )
-        if quiet:
-            silent |= {id(inner) for inner in ast.walk(node)}
-    texts = {
-        normal(re.sub(r"%(?:\.\d+)?[sdfg]", VALUE, node.value))
-        for node in ast.walk(source.tree)
-        if isinstance(node, ast.Constant)
-        and isinstance(node.value, str)
-        and id(node) not in silent
-        and " " in node.value.strip()
-    }
-    return {
-        text
-        for text in texts
-        if re.search("[a-zA-Z]{2}", text) and "MOVE=0" not in text
-    }
-
-
-def normal(text: str) -> str:
-    return " ".join(text.split())
-
 
 def wrong_messages(code: str, text: str) -> list[str]:
-    source = load(code)
-    section = part(text, MESSAGES)
-    first = {
-        normal(re.sub(r"<[^<>]+>", VALUE, span))
-        for row in rows(section)
-        for span in spans(row[0])
-    }
-    # A message may be explained in the row of the one it is a part of
-    everywhere = {
-        normal(re.sub(r"<[^<>]+>", VALUE, span))
-        for row in rows(section)
-        for cell in row
-        for span in spans(cell)
-    }
-    known = messages(source)
-    return [
-        f"not in the document: {message.replace(VALUE, '<...>')}"
-        for message in sorted(known - everywhere)
-    ] + [
-        f"not in the code: {message.replace(VALUE, '<...>')}"
-        for message in sorted(first - known)
-    ]
+    return message_problems(text, messages(load(code)))
 
 
 # (e) Numbers
 
 
-def constants(source: Source) -> dict[str, Any]:
-    return {
-        name: value
-        for name, value in vars(source.module).items()
-        if re.fullmatch("[A-Z][A-Z_]+", name)
-        and (
-            isinstance(value, float)
-            or (
-                isinstance(value, tuple)
-                and all(isinstance(item, float) for item in value)
-            )
-        )
-    }
-
-
 def wrong_constants(code: str, text: str) -> list[str]:
     source = load(code)
-    table = {
-        spans(r[0])[0]: tuple(float(word) for word in r[1].split(","))
-        for r in rows(part(text, "Built-in numbers"))
-    }
-    real = {
-        name: value if isinstance(value, tuple) else (value,)
-        for name, value in constants(source).items()
-    }
-    found = [f"only in one: {name}" for name in set(table) ^ set(real)]
-    found += [
-        f"{name} is {real[name]}"
-        for name in set(table) & set(real)
-        if table[name] != real[name]
-    ]
-    for name, number in re.findall(r"`([A-Z_]+)`\s+\((-?[\d.]+) mm\)", text):
-        if real.get(name) != (float(number),):
-            found.append(f"{name} is not {number}")
-    for name in set(re.findall(r"`([A-Z]+_[A-Z_]+)` \(", text)) - set(real):
-        found.append(f"there is no {name}")
+    found = constant_problems(source, text)
     least = source.module.UNMEASURED_PROBE + source.module.TRAVEL_MARGIN
     if f"at least {least:g} mm above the pin" not in normal(text):
         found.append("height of the first run over the pin")
@@ -780,15 +439,9 @@ def wrong_example(code: str, text: str) -> list[str]:
         ("HINT:", hint),
         ("switch_offset=", calculation),
     ):
-        (template,) = [
-            node.value
-            for node in ast.walk(source.tree)
-            if isinstance(node, ast.Constant)
-            and isinstance(node.value, str)
-            and node.value.startswith(start)
-        ]
-        if template % values not in text:
-            found.append(f"console: {template % values}")
+        shown = template(source, start) % values
+        if shown not in text:
+            found.append(f"console: {shown}")
     formula = "{:.3f} = {:.3f} - ({:.3f} - {:.3f} + {:.3f})"
     if formula.format(offset, *result[:4]) not in normal(text):
         found.append("formula")
@@ -798,31 +451,8 @@ def wrong_example(code: str, text: str) -> list[str]:
 # (f) Picture, (g) links
 
 
-def anchors(text: str) -> set[str]:
-    """What GitHub makes of the headings."""
-    return {
-        re.sub(r"[^\w\- ]", "", title.lower()).replace(" ", "-")
-        for _, title, _ in headings(text)
-    }
-
-
 def wrong_links(_: str, text: str) -> list[str]:
-    found = []
-    for target in re.findall(r"\]\(([^)]+)\)", text):
-        path, _, anchor = target.partition("#")
-        if target.startswith("http"):
-            continue
-        if path and not (DOCUMENT.parent / path).is_file():
-            found.append(f"no file: {target}")
-        elif anchor:
-            other = text
-            if path:
-                other = (DOCUMENT.parent / path).read_text(encoding="utf-8")
-            if anchor not in anchors(other):
-                found.append(f"no heading: {target}")
-    if f"]({PICTURE.name})" not in text:
-        found.append("the picture is not shown")
-    return found
+    return link_problems(text, DOCUMENT, PICTURE)
 
 
 CHECKS = (
@@ -875,21 +505,6 @@ def test_complete_configuration_of_the_document_is_read(code, text):
     assert loaded.lines == []
 
 
-def ini_blocks(text: str) -> dict[str, dict[str, str]]:
-    """Every section that the document shows."""
-    parser = configparser.ConfigParser(delimiters=":", interpolation=None)
-    # Values keep their indentation; in a template it does not matter
-    for block in re.findall(r"```ini\n(.*?)```", text, re.DOTALL):
-        parser.read_string(block)
-    return {
-        name: {
-            option: value.replace("\n", "\n  ")
-            for option, value in parser[name].items()
-        }
-        for name in parser.sections()
-    }
-
-
 # What the sections of the document take for granted
 SURROUNDINGS: dict[str, dict[str, str]] = {
     "respond": {},
@@ -905,12 +520,6 @@ SURROUNDINGS: dict[str, dict[str, str]] = {
         )
     },
 }
-
-
-def told_by_module(lines: list[str]) -> list[str]:
-    """Without the lines of the host's own probing, which differ."""
-    own = [line for line in lines if not re.match("// probe(:| at) ", line)]
-    return [line for line in own if line]
 
 
 def test_examples_are_those_of_a_run(one_host, text):
@@ -1015,10 +624,8 @@ CHANGES_OF_TEXT = {
 
 @pytest.mark.parametrize("name", CHANGES_OF_TEXT)
 def test_change_of_the_document_is_noticed(name, code, text):
-    check, old, new = CHANGES_OF_TEXT[name]
-    changed, count = re.subn(old, new, text)
-    assert count
-    assert check(code, changed)
+    change = Change(*CHANGES_OF_TEXT[name])
+    assert change.check(code, change.of(text))
 
 
 # And what is changed in the module
@@ -1101,7 +708,5 @@ CHANGES_OF_CODE = {
 
 @pytest.mark.parametrize("name", CHANGES_OF_CODE)
 def test_change_of_the_module_is_noticed(name, code, text):
-    check, old, new = CHANGES_OF_CODE[name]
-    changed, count = re.subn(old, new, code)
-    assert count
-    assert check(changed, text)
+    change = Change(*CHANGES_OF_CODE[name])
+    assert change.check(change.of(code), text)

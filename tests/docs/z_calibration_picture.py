@@ -7,11 +7,19 @@ writes it anew. Its numbers are those of the console example in the document.
 
 from __future__ import annotations
 
-import xml.etree.ElementTree as ET
 from pathlib import Path
 from typing import NamedTuple
 
 from tests.demo_picture import Drawing, Scale, mm, spread
+from tests.docs.pictures import (
+    MINUS,
+    begin,
+    direction,
+    formula,
+    heading,
+    level,
+    nozzle,
+)
 
 PICTURE = Path(__file__).resolve().parents[2] / "docs" / "z_calibration.svg"
 
@@ -27,7 +35,6 @@ COLUMNS_END = 872
 # the body, and how far the body hangs down
 HEIGHT_X, TIP_X, BODY_X, PIN_X, BELOW_X = 30, 98, 164, 148, 224
 HEAD_HEIGHT = 64  # from the nozzle's tip to the carriage
-MINUS = "\N{MINUS SIGN}"
 
 
 class Touches(NamedTuple):
@@ -54,19 +61,15 @@ EXAMPLE = Touches(nozzle=1.9, switch=8.315, probe=7.315, switch_offset=0.44)
 
 def draw(touches: Touches) -> str:
     """The picture as the text of an SVG file."""
-    drawing = Drawing("What CALIBRATE_Z measures", describe(touches))
-    drawing.root.set("viewBox", f"0 0 {WIDTH} {HEIGHT}")
-    drawing.root.set("width", str(WIDTH))
-    drawing.root.set("height", str(HEIGHT))
-    drawing.box("page", (0, 0, WIDTH, HEIGHT), 14)
-    drawing.text(
-        "ink",
-        (PANEL[0] + 4, 40),
-        "What CALIBRATE_Z measures: three toolhead heights, in mm, to scale",
-        font_size=20,
-        font_weight=700,
+    drawing = begin(
+        (
+            "What CALIBRATE_Z measures",
+            "What CALIBRATE_Z measures: three toolhead heights, in mm, to scale",
+        ),
+        describe(touches),
+        (WIDTH, HEIGHT),
+        PANEL,
     )
-    drawing.box("panel", PANEL, 12)
     draw_axis(drawing)
     draw_nozzle_touch(drawing, touches)
     draw_switch_touch(drawing, touches)
@@ -92,63 +95,20 @@ def describe(touches: Touches) -> str:
 def draw_axis(drawing: Drawing) -> None:
     """Millimetres of toolhead Z, its zero and its sign."""
     for z in range(10):
-        y = SCALE.y(float(z))
-        role, width = ("muted", 1.4) if z == 0 else ("grid", 1)
-        drawing.line(role, (COLUMNS[0] - 12, y, COLUMNS_END, y), width)
-        drawing.text(
-            "ink" if z == 0 else "muted",
-            (COLUMNS[0] - 18, y + 4.6),
-            str(z),
-            text_anchor="end",
-            font_weight=700 if z == 0 else 400,
-        )
+        ends = (COLUMNS[0], COLUMNS_END)
+        level(drawing, ends, SCALE.y(float(z)), str(z), z == 0)
     drawing.text(
         "ink", (COLUMNS[0] + 132, ZERO - 7), "Z=0 as homed", font_weight=600
     )
-    x, top, bottom = PANEL[0] + 18, SCALE.y(8.6), SCALE.y(6.6)
-    drawing.line("ink", (x, bottom, x, top + 8), 2)
-    drawing.add(
-        "polygon",
-        class_="f-ink",
-        points=f"{x},{top:.2f} {x - 5},{top + 10:.2f} {x + 5},{top + 10:.2f}",
-    )
-    upward = {"text_anchor": "end", "font_weight": 600}
-    turn = f"translate({x + 22} {top:.0f}) rotate(-90)"
-    drawing.text("ink", (0, 0), "up is positive", transform=turn, **upward)
-    drawing.text(
-        "muted",
-        (0, 0),
-        "toolhead Z, mm",
-        text_anchor="middle",
-        transform=f"translate({x + 4} {SCALE.y(3.0):.0f}) rotate(-90)",
-    )
+    arrow = SCALE.y(8.6), SCALE.y(6.6)
+    direction(drawing, PANEL[0] + 18, arrow, SCALE.y(3.0))
 
 
 def draw_heading(drawing: Drawing, number: int, role: str, words: str) -> None:
     """Above a column: what touches what."""
-    x, y = COLUMNS[number - 1], PANEL[1] + 32
-    drawing.add("circle", class_=f"f-{role}", cx=x + 10, cy=y - 5, r=11)
-    drawing.text(
-        "panel",
-        (x + 10, y - 0.4),
-        str(number),
-        text_anchor="middle",
-        font_weight=700,
-    )
     name = ("nozzle", "switch", "probe")[number - 1]
-    drawing.text(role, (x + 28, y), name, font_size=17, font_weight=700)
-    drawing.text("muted", (x, y + 24), words)
-
-
-def draw_nozzle(drawing: Drawing, x: float, y: float, role: str) -> None:
-    """A nozzle with its heater block, tip at x, y."""
-    drawing.add(
-        "path",
-        class_="f-metal",
-        d=f"M{x - 5:.2f} {y:.2f}h10l10 -18h3v-16h-36v16h3z",
-    )
-    drawing.box(role, (x - 30, y - 60, x + 30, y - 34), 4)
-    drawing.line(role, (x - 5, y, x + 5, y), 2.5)
+    at = COLUMNS[number - 1], PANEL[1] + 32
+    heading(drawing, at, number, role, (name, words))
 
 
 def draw_head(
@@ -167,7 +127,7 @@ def draw_head(
         font_weight=600,
     )
     drawing.box("metal", (column + TIP_X - 34, top - 14, x + 32, top + 6), 5)
-    draw_nozzle(drawing, column + TIP_X, tip, role)
+    nozzle(drawing, column + TIP_X, tip, role)
 
 
 def draw_pin(drawing: Drawing, x: float, y: float) -> None:
@@ -203,7 +163,7 @@ def draw_nozzle_touch(drawing: Drawing, touches: Touches) -> None:
     column, tip = COLUMNS[0], SCALE.y(touches.nozzle)
     draw_heading(drawing, 1, "nozzle", "the nozzle tip presses the pin")
     draw_pin(drawing, column + TIP_X, tip)
-    draw_nozzle(drawing, column + TIP_X, tip, "nozzle")
+    nozzle(drawing, column + TIP_X, tip, "nozzle")
     draw_height(drawing, column, touches.nozzle, "nozzle")
 
 
@@ -283,22 +243,17 @@ def draw_formula(drawing: Drawing, touches: Touches) -> None:
         ("ink", ") = "),
         ("offset", f"{mm(touches.offset)} mm"),
     )
-    y = float(PANEL[3] + 36)
-    line = drawing.add(
-        "text", x=float(PANEL[0] + 4), y=y, font_size=19, font_weight=600
-    )
-    line.set("{http://www.w3.org/XML/1998/namespace}space", "preserve")
-    for role, words in parts:
-        ET.SubElement(line, "tspan", {"class": f"f-{role}"}).text = words
-    for number, words in enumerate(
+    formula(
+        drawing,
+        (float(PANEL[0] + 4), float(PANEL[3] + 36)),
+        parts,
         (
             "nozzle, switch and probe: where the head stands when the touch"
             " triggers. offset: where it stands when the nozzle meets the bed.",
             "switch_offset: how far the pressed plunger still sticks out of"
             " the body when the switch triggers.",
-        )
-    ):
-        drawing.text("muted", (PANEL[0] + 4, y + 28 + 22 * number), words)
+        ),
+    )
 
 
 if __name__ == "__main__":
