@@ -48,6 +48,16 @@ def test_only_the_subject_meant_is_counted():
     assert faults.fires("tmc_read_error", "z")
 
 
+def test_added_fault_counts_from_then_on():
+    faults = Faults([Fault("attach_fails", n=4)])
+    assert not faults.fires("attach_fails")
+    faults.add(Fault("attach_fails", n=2))
+    assert [fault.n for fault in faults] == [4, 2]
+    struck = [faults.fires("attach_fails") for _ in range(3)]
+    assert [fault and fault.n for fault in struck] == [None, 2, 4]
+    assert faults.unfired() == []
+
+
 def test_without_a_subject_all_are_counted():
     faults = Faults([Fault("tmc_write_error", n=2)])
     assert not faults.fires("tmc_write_error", "x")

@@ -18,11 +18,16 @@ mcu_silent       t, board               none: from time t on (every board if
                                         left out)
 tmc_read_error   driver                 reads of the driver (all if left out)
 tmc_write_error  driver                 writes to the driver
+tmc_change_lost  driver                 writes other than the one before; each
+                                        repeat of a lost one is lost, too
 
 "Open" and "closed" speak of the signal, not of the contact: a normally closed
 probe with a broken wire reads asserted and is therefore stuck_closed.  What is
 stuck stays stuck (persistent unless told otherwise); with persistent=False,
 and for trigger_*, the fault lasts until the signal is armed again.
+
+A busy host may send a datagram twice, so a count of writes from one run need
+not fit the next: count from Faults.add() on, and changes, not writes.
 """
 
 from __future__ import annotations
@@ -61,6 +66,7 @@ _KINDS = {
     "mcu_silent": _Kind("board", False, ("t",), ("t",), False, True),
     "tmc_read_error": _Kind("driver"),
     "tmc_write_error": _Kind("driver"),
+    "tmc_change_lost": _Kind("driver"),
 }
 
 
@@ -158,12 +164,20 @@ class Faults:
     __slots__ = ("_counts", "_faults", "_fired")
 
     def __init__(self, faults: Iterable[Fault] = ()) -> None:
-        self._faults = tuple(faults)
-        self._counts = [0] * len(self._faults)
-        self._fired = [False] * len(self._faults)
+        self._faults: list[Fault] = []
+        self._counts: list[int] = []
+        self._fired: list[bool] = []
+        for fault in faults:
+            self.add(fault)
+
+    def add(self, fault: Fault) -> None:
+        """Add one; its operations are counted from now on."""
+        self._counts.append(0)
+        self._fired.append(False)
+        self._faults.append(fault)
 
     def __iter__(self) -> Iterator[Fault]:
-        return iter(self._faults)
+        return iter(tuple(self._faults))
 
     def fires(
         self, name: str, subject: Optional[str] = None

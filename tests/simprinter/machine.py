@@ -63,6 +63,7 @@ class Machine:
         start = scene.start
         self.rig = Rig(self.world, kinematics, scene.wiring, start, now_ns)
         self.drivers: dict[str, Tmc2209] = {}
+        self._last_change: dict[str, tuple[bytes, bool]] = {}
         self.boards: dict[str, Board] = {}
         self.links: dict[str, Link] = {}
         for name, spec in scene.wiring.all_boards().items():
@@ -111,10 +112,15 @@ class Machine:
                 by_pin[pin, motor.address] = self.drivers[name]
         return by_pin
 
-    def _spoiled(self, driver: Tmc2209, is_write: bool) -> bool:
+    def _spoiled(self, driver: Tmc2209, written: Optional[bytes]) -> bool:
         name = next(n for n, d in self.drivers.items() if d is driver)
-        kind = "tmc_write_error" if is_write else "tmc_read_error"
-        return self.faults.fires(kind, name) is not None
+        if written is None:
+            return self.faults.fires("tmc_read_error", name) is not None
+        if self._last_change.get(name, (b"", False))[0] != written:
+            lost = self.faults.fires("tmc_change_lost", name) is not None
+            self._last_change[name] = (written, lost)
+        lost = self._last_change[name][1]
+        return self.faults.fires("tmc_write_error", name) is not None or lost
 
     def _is_silent(self, board: str) -> bool:
         now = self.rig.seconds(self.simulation.clock.now())

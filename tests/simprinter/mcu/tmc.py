@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable
-from typing import NamedTuple
+from typing import NamedTuple, Optional
 
 from .board import Peripheral, command
 
@@ -114,8 +114,9 @@ class Tmc2209:
 class TmcUarts(Peripheral):
     """The UART pins of a board and the drivers behind them.
 
-    drivers maps (pin number, address) to the driver. `spoiled(driver, write)`
-    decides for each datagram whether the line eats it (a fault).
+    drivers maps (pin number, address) to the driver. `spoiled(driver,
+    written)` decides for each datagram whether the line eats it (a fault);
+    written is the register and its value, None for a read.
     """
 
     RESPONSES = ("tmcuart_response oid=%c read=%*s",)
@@ -123,7 +124,7 @@ class TmcUarts(Peripheral):
     def __init__(
         self,
         drivers: dict[tuple[int, int], Tmc2209],
-        spoiled: Callable[[Tmc2209, bool], bool],
+        spoiled: Callable[[Tmc2209, Optional[bytes]], bool],
     ):
         self._drivers = drivers
         self._spoiled = spoiled
@@ -155,7 +156,7 @@ class TmcUarts(Peripheral):
         if driver is None:
             return b""
         is_write = bool(register & _WRITE)
-        if self._spoiled(driver, is_write):
+        if self._spoiled(driver, data[2:7] if is_write else None):
             return b""
         if is_write:
             value = int.from_bytes(data[3:7], "big")
