@@ -52,6 +52,7 @@ lint: tools
 	$(TOOLS)/ruff format --check .
 	$(if $(MODULES),$(TOOLS)/vermin --no-tips --violations \
 		--target=2.7- --target=3.7- $(MODULES))
+	$(TOOLS)/shellcheck install.sh .ci/run
 
 format: tools
 	$(TOOLS)/ruff check --fix .

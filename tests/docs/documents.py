@@ -501,7 +501,9 @@ def anchors(text: str) -> set[str]:
     }
 
 
-def link_problems(text: str, document: Path, picture: Path) -> list[str]:
+def link_problems(
+    text: str, document: Path, picture: Optional[Path] = None
+) -> list[str]:
     """Links to files and headings, and whether the picture is shown."""
     found = []
     for target in re.findall(r"\]\(([^)]+)\)", text):
@@ -516,7 +518,7 @@ def link_problems(text: str, document: Path, picture: Path) -> list[str]:
                 other = (document.parent / path).read_text(encoding="utf-8")
             if anchor not in anchors(other):
                 found.append(f"no heading: {target}")
-    if f"]({picture.name})" not in text:
+    if picture is not None and f"]({picture.name})" not in text:
         found.append("the picture is not shown")
     return found
 

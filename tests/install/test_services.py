@@ -1,0 +1,250 @@
+"""install.sh: which services are restarted, and when."""
+
+from __future__ import annotations
+
+import pytest
+
+NAMES = ("printer_1", "printer_2")
+STANDBY = '{"result": {"status": {"print_stats": {"state": "standby"}}}}'
+
+
+def test_what_changed_is_restarted(machine):
+    out = machine.installed()
+    assert machine.restarted() == ["klipper", "moonraker"]
+    assert "Restarting klipper... [OK]" in out
+    assert "Restarting moonraker... [OK]" in out
+    # There is no terminal, so sudo must not ask
+    assert "sudo -n systemctl restart klipper" in machine.calls()
+
+
+def test_only_what_changed(machine):
+    machine.installed()
+    (machine.home / "klipper/klippy/extras/z_calibration.py").unlink()
+    machine.forget_calls()
+    machine.installed()
+    assert machine.restarted() == ["klipper"]
+    machine.conf()
+    machine.forget_calls()
+    machine.installed()
+    assert machine.restarted() == ["moonraker"]
+
+
+UNITS = [
+    *("klipper", "klipper-1", "klipper-big", "klipper-mcu", "klipper_mcu"),
+    *("klipper-obico", "klipper-a_b", "klipperscreen", "KlipperScreen"),
+    *("moonraker", "moonraker-1", "moonraker-big", "moonraker-obico"),
+    "moonraker-telegram-bot",
+]
+
+
+def test_every_instance(machine):
+    machine.systemd(UNITS)
+    machine.installed()
+    assert machine.restarted() == [
+        *("klipper", "klipper-1", "klipper-big"),
+        *("moonraker", "moonraker-1", "moonraker-big"),
+    ]
+
+
+@pytest.mark.parametrize(
+    ("options", "expected"),
+    [
+        (["-s", "klipper-1"], ["klipper-1", "moonraker-1"]),
+        (
+            ["-s", "klipper-big.service", "--service=klipper"],
+            ["klipper-big", "klipper", "moonraker-big", "moonraker"],
+        ),
+        (["-s", "klipper-a_b"], ["klipper-a_b"]),
+        (["-n", "1"], ["klipper-1", "moonraker-1"]),
+    ],
+)
+def test_chosen_services(machine, options, expected):
+    machine.systemd(UNITS)
+    out = machine.installed(*options)
+    assert machine.restarted() == expected
+    without = "moonraker" not in " ".join(expected)
+    assert ("No moonraker service found" in out) is without
+
+
+def test_numbered_services(machine):
+    machine.systemd(["klipper-1", "klipper-2", "klipper-3"])
+    machine.installed("-n", "2")
+    assert machine.restarted() == ["klipper-1", "klipper-2"]
+
+
+@pytest.mark.parametrize("options", [["-s", "klipper-9"], ["-n", "2"]])
+def test_unknown_service(machine, options):
+    machine.systemd(["klipper", "klipper-1", "moonraker"])
+    assert "there is no service klipper-" in machine.refused(3, *options)
+
+
+def test_no_restart(machine):
+    out = machine.installed("--no-restart")
+    assert machine.restarted() == []
+    assert "Services not restarted. Restart Klipper and Moonraker yourself" in (
+        out
+    )
+
+
+def test_no_restart_needs_no_service(machine):
+    machine.installed("--no-restart", "-s", "klipper-9")
+
+
+@pytest.mark.parametrize("state", ["offline", "unknown", ""])
+def test_systemd_that_does_not_run(machine, state):
+    machine.systemd(state=state)
+    out = machine.installed()
+    assert machine.restarted() == []
+    assert "Services not restarted. Restart Klipper and Moonraker" in out
+
+
+@pytest.mark.parametrize("state", ["degraded", "starting"])
+def test_systemd_that_runs(machine, state):
+    machine.systemd(state=state)
+    machine.installed()
+    assert machine.restarted() == ["klipper", "moonraker"]
+
+
+def test_no_service_of_that_kind(machine):
+    machine.systemd(["octoprint"])
+    out = machine.installed()
+    assert machine.restarted() == []
+    assert "No klipper service found. Restart Klipper yourself" in out
+    assert "No moonraker service found. Restart Moonraker yourself" in out
+
+
+# Prints
+
+
+@pytest.mark.parametrize(
+    "answer",
+    [
+        '{"print_stats": {"state": "printing"}}',
+        '{"print_stats":{"state":"paused"}}',
+        '{"idle_timeout": {"state": "Printing"}, "print_stats": {}}',
+        '{"print_stats": {\n  "state": "printing"\n}}',
+    ],
+)
+@pytest.mark.parametrize("option", [[], ["-u"]])
+def test_nothing_is_restarted_during_a_print(machine, answer, option):
+    if option:
+        machine.installed()
+        machine.forget_calls()
+    machine.systemd(answer=answer)
+    out = machine.installed(*option)
+    assert machine.restarted() == []
+    assert "a print is running: nothing restarted. Afterwards: sudo" in out
+    assert "systemctl restart klipper moonraker\n" in out
+
+
+def test_one_of_two_printers_prints(machine):
+    machine.conf("printer_2_data/config", "[server]\nport: 7126\n")
+    script = (
+        '#!/usr/bin/env bash\nif [[ "$*" == *7126* ]]; then state=printing;'
+        ' else state=standby; fi\necho "{\\"print_stats\\": {\\"state\\":'
+        ' \\"$state\\"}}"\n'
+    )
+    machine.fake("curl", script)
+    assert "a print is running" in machine.installed()
+    assert machine.restarted() == []
+
+
+def test_klippy_that_is_down_prints_nothing(machine):
+    text = '{"error": {"code": 503, "message": "Klippy Host not connected"}}'
+    machine.systemd(answer=text)
+    machine.installed()
+    assert machine.restarted() == ["klipper", "moonraker"]
+
+
+@pytest.mark.parametrize("answer", [None, '{"error": {"code": 401}}'])
+@pytest.mark.parametrize("active", [True, False])
+def test_moonraker_that_does_not_tell(machine, answer, active):
+    machine.systemd(answer=answer)
+    if active:
+        (machine.directory / "active").write_text("klipper\n")
+    out = machine.installed()
+    text = "klipper not restarted: no Moonraker tells whether a print is"
+    assert (text in out) is active
+    rest = [] if active else ["klipper"]
+    assert machine.restarted() == [*rest, "moonraker"]
+
+
+def test_no_moonraker_to_ask(box):
+    box.klipper()
+    box.systemd()
+    (box.directory / "active").write_text("klipper\n")
+    out = box.installed()
+    assert "When it is not: sudo systemctl restart klipper" in out
+    assert box.restarted() == []
+
+
+@pytest.mark.parametrize(
+    ("server", "address"),
+    [
+        ("", "127.0.0.1:7125"),
+        ("port: 7999  # mine", "127.0.0.1:7999"),
+        ("host: 0.0.0.0\nport = 80", "127.0.0.1:80"),
+        ("host: 192.168.1.5", "192.168.1.5:7125"),
+        ("\n[other]\nport: 1\n", "127.0.0.1:7125"),
+    ],
+)
+def test_where_moonraker_is_asked(machine, server, address):
+    machine.conf(text=f"[server]\n{server}\n[mqtt]\nport: 1883\n")
+    machine.installed()
+    asked = [call for call in machine.calls() if call.startswith("curl ")]
+    assert len(asked) == 1
+    assert f"http://{address}/printer/objects/query?print_stats" in asked[0]
+    assert "-m 3" in asked[0]
+
+
+def test_wget_where_there_is_no_curl(machine):
+    machine.fake("wget", (machine.bin / "curl").read_text())
+    (machine.bin / "curl").unlink()
+    (machine.directory / "active").write_text("klipper\n")
+    machine.installed()
+    assert machine.restarted() == ["klipper", "moonraker"]
+    assert any(call.startswith("wget ") for call in machine.calls())
+
+
+def test_neither_curl_nor_wget(machine):
+    (machine.bin / "curl").unlink()
+    (machine.directory / "active").write_text("klipper\n")
+    assert "klipper not restarted" in machine.installed()
+
+
+# Failures
+
+
+@pytest.mark.parametrize("broken", ["klipper", "moonraker"])
+def test_restart_that_fails(machine, broken):
+    (machine.directory / "broken").write_text(f"{broken}\n")
+    outcome = machine.run()
+    assert outcome.code == 6
+    assert f"Restarting {broken}... [FAILED]" in outcome.out
+    assert f"run: sudo systemctl restart {broken}" in outcome.err
+    # The other one is tried all the same
+    assert machine.restarted() == ["klipper", "moonraker"]
+    assert (machine.home / "klipper/klippy/extras/z_calibration.py").exists()
+
+
+def test_sudo_that_wants_a_password(machine):
+    machine.fake("sudo", "#!/usr/bin/env bash\nexit 1\n")
+    outcome = machine.run()
+    assert outcome.code == 6
+    assert "run: sudo systemctl restart klipper" in outcome.err
+
+
+def test_no_sudo_at_all(machine):
+    (machine.bin / "sudo").unlink()
+    assert machine.run().code == 6
+
+
+@pytest.mark.parametrize(
+    "unit", ["z_calibration.service", "klipper_z_calibration.service"]
+)
+def test_hint_at_units_of_old_releases(machine, unit):
+    machine.systemd(["klipper", "moonraker", unit.partition(".")[0]])
+    out = machine.installed()
+    assert f"Note: {unit} is not needed any more" in out
+    assert f"sudo systemctl disable --now {unit}; sudo rm" in out
+    assert machine.restarted() == ["klipper", "moonraker"]
