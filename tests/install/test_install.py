@@ -112,8 +112,10 @@ def test_uninstall_restores_the_exclude_file(machine, text):
     klipper = machine.home / "klipper"
     assert machine.git(klipper, "status", "--porcelain") == ""
     assert f"/{FILE}" in file.read_text().splitlines()
-    machine.installed("-u")
+    out = machine.installed("-u")
     assert snapshot(machine.home) == before
+    assert (f"Removing {file}... [OK, it was" in out) is (text is None)
+    assert (f"Removing the links from {file}" in out) is (text is not None)
 
 
 def test_what_was_added_later_stays(machine):
@@ -647,6 +649,7 @@ def test_uninstall_without_klipper(box):
     (box.home / "klipper").rename(box.home / "elsewhere")
     out = box.installed("-u")
     assert "Note: no Klipper in ~/klipper or ~/kalico" in out
+    assert "Removing z_calibration.py" not in out
     assert conf.read_text() == "[server]\n"
 
 
@@ -666,6 +669,14 @@ def test_uninstall_with_the_section_still_there(machine, header):
     assert "Klipper will not start with it. Remove it, then restart" in out
     # Moonraker's part is done
     assert machine.restarted() == ["moonraker"]
+
+
+def test_section_is_no_obstacle_to_installing(machine):
+    config = machine.home / "printer_data/config/printer.cfg"
+    config.write_text("[z_calibration]\n")
+    out = machine.installed()
+    assert "Klipper will not start" not in out
+    assert machine.restarted() == ["klipper", "moonraker"]
 
 
 def test_section_of_another_name_is_no_obstacle(machine):

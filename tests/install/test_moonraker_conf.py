@@ -98,8 +98,9 @@ def test_one_file_under_two_names_gets_one_section(box):
     other = box.home / "old_data/config"
     other.mkdir(parents=True)
     (other / "moonraker.conf").symlink_to(conf)
-    box.installed()
+    out = box.installed()
     assert conf.read_text().count(HEADER) == 1
+    assert out.count(f"{HEADER} to ") == 1
 
 
 def test_named_files_only(box):
@@ -311,6 +312,13 @@ def test_file_that_cannot_be_written(machine):
     machine.installed()
     machine.forget_calls()
     assert "cannot write" in machine.refused(5, "-u")
+
+
+def test_file_without_a_section_need_not_be_writable(machine):
+    conf = machine.home / "printer_data/config/moonraker.conf"
+    conf.chmod(0o444)
+    machine.installed("-u")
+    assert conf.read_text() == "[server]\n"
 
 
 def test_other_peoples_file_need_not_be_writable(machine):
