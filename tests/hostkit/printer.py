@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Mapping
+from collections.abc import Callable, Iterable, Mapping
 from contextlib import ExitStack
 from pathlib import Path
 from typing import Any, Optional, Union
@@ -35,44 +35,26 @@ def has_kinematics(host: Host, scene: Scene) -> bool:
     return (klippy / "kinematics" / f"{name}.py").is_file()
 
 
-class Printer:
-    """Machine and klippy together; leaving it checks for crashes."""
+class RunningPrinter:
+    """A machine with klippy on it; leaving it checks for crashes."""
 
     def __init__(
-        self,
-        host: Host,
-        scene: Union[str, Scene] = "voron",
-        changes: Optional[Sections] = None,
-        faults: Iterable[Fault] = (),
-        seed: int = 0,
-        modules: Optional[Mapping[str, Path]] = None,
-        real_time: bool = False,
+        self, machine: Machine, begin: Callable[[Machine], LiveSession]
     ):
-        """changes: to the scene's configuration, see Scene.config."""
-        self.scene = SCENES[scene] if isinstance(scene, str) else scene
-        self._stack = ExitStack()
-        installed = host.install(module_files() if modules is None else modules)
-        self.machine = self._stack.enter_context(
-            Machine(
-                self.scene,
-                seed,
-                faults,
-                RealClock() if real_time else None,
-                firmware_of(host),
-            )
-        )
-        config = self.scene.config(self.machine.serials, changes)
-        self.session = self._stack.enter_context(
-            LiveSession(installed, self.machine, config)
-        )
+        """begin: starts klippy on the machine."""
+        with ExitStack() as stack:
+            self.machine = stack.enter_context(machine)
+            self.session = stack.enter_context(begin(machine))
+            self._stack = stack.pop_all()
+        self.scene = machine.scene
 
-    def __enter__(self) -> Printer:
+    def __enter__(self) -> RunningPrinter:
         return self
 
     def __exit__(self, *error: Any) -> Optional[bool]:
         return self._stack.__exit__(*error)
 
-    def homed(self) -> Printer:
+    def homed(self) -> RunningPrinter:
         """The same printer, ready and homed."""
         self.session.require_ready()
         self.run("G28")
@@ -115,3 +97,27 @@ class Printer:
         self.run(f"G90\nG1 Z20 F900\nG1 X{x} Y{y} F6000\nG1 Z10 F900\nM400")
         self.session.wait(0.5)
         return self.machine.gap_at_zero(10.0, (x, y))
+
+
+class Printer(RunningPrinter):
+    """A scene's machine with a host and modules on it."""
+
+    def __init__(
+        self,
+        host: Host,
+        scene: Union[str, Scene] = "voron",
+        changes: Optional[Sections] = None,
+        faults: Iterable[Fault] = (),
+        seed: int = 0,
+        modules: Optional[Mapping[str, Path]] = None,
+        real_time: bool = False,
+    ):
+        """changes: to the scene's configuration, see Scene.config."""
+        scene = SCENES[scene] if isinstance(scene, str) else scene
+        installed = host.install(module_files() if modules is None else modules)
+        clock = RealClock() if real_time else None
+        machine = Machine(scene, seed, faults, clock, firmware_of(host))
+        config = scene.config(machine.serials, changes)
+        super().__init__(
+            machine, lambda machine: LiveSession(installed, machine, config)
+        )

@@ -6,18 +6,22 @@ import os
 import shutil
 import subprocess
 import tempfile
-from collections.abc import Mapping
+import threading
+from collections.abc import Iterator, Mapping
+from concurrent.futures import ThreadPoolExecutor
+from contextlib import contextmanager
 from pathlib import Path
 from typing import Any, NamedTuple, Optional
 
 from tests.hostkit.api import ApiClient, ApiError
 from tests.hostkit.hosts import Host, Installed
 from tests.simprinter import Machine, VirtualClock, build_directory
-from tests.simprinter.simulation import Simulation, SimulationError
+from tests.simprinter.simulation import Pace, Simulation, SimulationError
 
 _START_LIMIT = 120.0  # printer seconds
 _ASK_STATE_EVERY = 5.0
 _BATCH_LIMIT = 3600.0
+_LIFETIME = 1e6
 _REST = Path(__file__).with_name("extras") / "rest.py"
 
 
@@ -30,14 +34,23 @@ class SessionError(Exception):
 
 
 class _Process:
-    """Klippy's process with its files in a directory of its own."""
+    """Klippy's process with its files, laid out as installers do it."""
 
     def __init__(
-        self, installed: Installed, simulation: Simulation, config: str
+        self,
+        installed: Installed,
+        simulation: Simulation,
+        config: str,
+        data: Optional[Path] = None,
     ) -> None:
-        self.directory = Path(tempfile.mkdtemp(prefix="klippy-"))
-        self.config = self.directory / "printer.cfg"
-        self.log = self.directory / "klippy.log"
+        """data: where the files are and stay (default: they do not stay)."""
+        self._is_kept = data is not None
+        self.directory = data or Path(tempfile.mkdtemp(prefix="klippy-"))
+        self.config = self.directory / "config" / "printer.cfg"
+        self.log = self.directory / "logs" / "klippy.log"
+        self.socket = self.directory / "comms" / "klippy.sock"
+        for path in (self.config, self.log, self.socket):
+            path.parent.mkdir(exist_ok=True)
         self.config.write_text(installed.config + config)
         self._installed = installed
         self._simulation = simulation
@@ -50,9 +63,10 @@ class _Process:
         environment.update(clock.environment())
         command = [*self._installed.argv, str(self.config)]
         # The terminal has a fixed name in /tmp otherwise
-        command += ["-l", str(self.log), "-I", str(self.directory / "tty")]
+        terminal = self.socket.with_name("klippy.serial")
+        command += ["-l", str(self.log), "-I", str(terminal)]
         command += options
-        with open(self.directory / "output.txt", "wb") as output:
+        with open(self.log.with_name("output.txt"), "wb") as output:
             self.popen = subprocess.Popen(
                 command,
                 cwd=self._installed.cwd,
@@ -67,7 +81,7 @@ class _Process:
     def log_text(self) -> str:
         """The log and whatever else klippy has printed."""
         texts = []
-        for path in (self.log, self.directory / "output.txt"):
+        for path in (self.log, self.log.with_name("output.txt")):
             if path.exists():
                 texts.append(path.read_text(errors="replace"))
         return "\n".join(texts)
@@ -80,8 +94,9 @@ class _Process:
         return self.popen.wait()
 
     def remove(self) -> None:
-        """Delete its files."""
-        shutil.rmtree(self.directory, ignore_errors=True)
+        """Delete its files unless they are to stay."""
+        if not self._is_kept:
+            shutil.rmtree(self.directory, ignore_errors=True)
 
 
 class LiveSession:
@@ -91,13 +106,23 @@ class LiveSession:
     leaving.
     """
 
-    def __init__(self, installed: Installed, machine: Machine, config: str):
-        """config: printer.cfg without what the host itself needs."""
+    def __init__(
+        self,
+        installed: Installed,
+        machine: Machine,
+        config: str,
+        data: Optional[Path] = None,
+    ):
+        """config: printer.cfg without what the host itself needs.
+
+        data: directory for klippy's files (default: a new one, removed at the
+        end).
+        """
         self.machine = machine
-        self._process = _Process(installed, machine.simulation, config)
-        socket = self._process.directory / "api"
-        self._api = ApiClient(socket)
-        self._process.start(["-a", str(socket)])
+        self._process = _Process(installed, machine.simulation, config, data)
+        self._api = ApiClient(self._process.socket)
+        self._is_living = False
+        self._process.start(["-a", str(self._process.socket)])
         machine.simulation.peers.append(self._api)
 
     def __enter__(self) -> LiveSession:
@@ -111,6 +136,48 @@ class LiveSession:
         self._process.end()
         self._api.close()
         self._process.remove()
+
+    @contextmanager
+    def living(self, speed: float) -> Iterator[None]:
+        """Let the printer live by itself, in real time but so much faster.
+
+        For those who talk to klippy over its socket. Until this is left, a
+        thread runs the simulation, and neither the session nor the machine is
+        for others. Raises SessionError on leaving if the printer could not
+        live that long.
+        """
+        simulation = self._simulation
+        simulation.pace = Pace(simulation.clock, speed)
+        leaving = threading.Event()
+        with ThreadPoolExecutor(1) as pool:
+            life = pool.submit(
+                simulation.run_until, leaving.is_set, _LIFETIME, "living"
+            )
+            self._is_living = True
+            try:
+                yield
+            finally:
+                leaving.set()
+                failure = life.exception()
+                self._is_living = False
+                simulation.pace = None
+                self._require_well(failure)
+
+    @property
+    def _simulation(self) -> Simulation:
+        """The simulation, for the one who runs it."""
+        if self._is_living:
+            raise SessionError("the printer lives by itself: end that first")
+        return self.machine.simulation
+
+    @property
+    def data(self) -> Path:
+        """Klippy's files: config/printer.cfg, logs/, comms/klippy.sock."""
+        return self._process.directory
+
+    def kill(self) -> None:
+        """End klippy as a power cut would; the rest goes on."""
+        self._process.end()
 
     @property
     def console(self) -> list[str]:
@@ -149,7 +216,7 @@ class LiveSession:
 
         Raises SessionError if it does not get there.
         """
-        api, simulation = self._api, self.machine.simulation
+        api, simulation = self._api, self._simulation
         api.request("gcode/script", {"script": command})
         before = api.connections
         try:
@@ -162,7 +229,7 @@ class LiveSession:
 
     def wait(self, seconds: float) -> None:
         """Let printer seconds pass."""
-        simulation = self.machine.simulation
+        simulation = self._simulation
         end = simulation.clock.now() + round(seconds * 1e9)
         simulation.run_until(
             lambda: simulation.clock.now() >= end, seconds + 1.0, "waiting"
@@ -181,7 +248,7 @@ class LiveSession:
 
     def _ask(self, method: str, params: dict[str, Any]) -> int:
         """Send a request and wait until it is answered or the line drops."""
-        api, simulation = self._api, self.machine.simulation
+        api, simulation = self._api, self._simulation
         simulation.run_until(api.connected, _START_LIMIT, "connecting")
         number = api.request(method, params)
         before = api.connections
@@ -198,9 +265,8 @@ class LiveSession:
         limit: printer seconds. Raises GcodeError with the text the user
         sees, also when the printer shut down meanwhile.
         """
-        before = len(self.console)
+        before, simulation = len(self.console), self._simulation
         number = self._api.request("gcode/script", {"script": script})
-        simulation = self.machine.simulation
         end = simulation.clock.now() + round(limit * 1e9)
         while not self._api.answered(number):
             self._live_until_answered(number, script)
@@ -218,7 +284,7 @@ class LiveSession:
         return self.console[before:]
 
     def _live_until_answered(self, number: int, script: str) -> None:
-        simulation = self.machine.simulation
+        simulation = self._simulation
         end = simulation.clock.now() + round(_ASK_STATE_EVERY * 1e9)
         try:
             simulation.run_until(
@@ -240,6 +306,12 @@ class LiveSession:
         """Where klippy believes the toolhead is, mm."""
         x, y, z = self.status("toolhead")["position"][:3]
         return x, y, z
+
+    def _require_well(self, failure: Optional[BaseException]) -> None:
+        if isinstance(failure, SimulationError):
+            raise SessionError(f"{failure}\n{self._tail()}") from failure
+        if failure is not None:
+            raise failure
 
     def _tail(self, lines: int = 40) -> str:
         return "\n".join(self.log().splitlines()[-lines:])

@@ -22,8 +22,12 @@ class Program:
         self,
         command: list[str],
         prepare: Callable[[Simulation], Any] = lambda simulation: None,
+        reads: bool = False,
     ):
-        """prepare is called before the process starts."""
+        """prepare is called before the process starts.
+
+        reads: its standard input is what is given to write().
+        """
         clock = VirtualClock(build_directory())
         self.simulation = Simulation(clock)
         prepare(self.simulation)
@@ -31,7 +35,7 @@ class Program:
         self._popen = subprocess.Popen(
             command,
             env={**os.environ, **clock.environment()},
-            stdin=subprocess.DEVNULL,
+            stdin=subprocess.PIPE if reads else subprocess.DEVNULL,
             stdout=self._output,
             stderr=subprocess.STDOUT,
             pass_fds=clock.inherited_fds(),
@@ -44,8 +48,16 @@ class Program:
     def __exit__(self, *unused: object) -> None:
         self._popen.kill()
         self._popen.wait()
+        if self._popen.stdin is not None:
+            self._popen.stdin.close()
         os.close(self._output)
         self.simulation.close()
+
+    def write(self, data: bytes) -> None:
+        """Give it something to read."""
+        assert self._popen.stdin is not None
+        self._popen.stdin.write(data)
+        self._popen.stdin.flush()
 
     def finish(self, timeout: float = 1e6) -> list[str]:
         """Let it run to its end; the lines it has printed."""

@@ -15,6 +15,9 @@ from .wire.link import Link
 # Klippy may compute this long (s, real) without falling asleep once; only a
 # dead end takes longer
 _STALL_LIMIT = 60.0
+# How long (s, real) a paced clock stands before it is asked again whether it
+# should go on at all
+_LOOK_EVERY = 0.05
 
 
 class SimulationError(Exception):
@@ -34,6 +37,23 @@ class Peer(Protocol):
         """Whether all that was said has been received, on both sides."""
 
 
+class Pace:
+    """Keeps a clock from running ahead of real time, `speed` times as fast.
+
+    It may fall behind, as it stands while klippy computes; it catches up then.
+    """
+
+    def __init__(self, clock: VirtualClock | RealClock, speed: float):
+        self._start_ns = clock.now()
+        self._began = time.monotonic()
+        self._speed = speed
+
+    def seconds_until(self, target_ns: int) -> float:
+        """Real seconds before the clock may show this; negative: it may."""
+        passed = (target_ns - self._start_ns) * 1e-9 / self._speed
+        return self._began + passed - time.monotonic()
+
+
 class Simulation:
     """Boards, their lines and peers around one klippy process.
 
@@ -46,6 +66,7 @@ class Simulation:
         self._boards: list[Board] = []
         self._links: list[tuple[Link, int]] = []
         self.peers: list[Peer] = []
+        self.pace: Pace | None = None  # a virtual clock jumps freely without
         self.process_fd = -1  # readable when the process has ended
         self.started_ns = clock.now()
         self.jumps = 0
@@ -128,18 +149,39 @@ class Simulation:
         if self._quiet():
             now = clock.now()
             target = now if finished else self._target(end_ns, what)
+            if self._is_held_back(target):
+                return False
             moved = clock.advance(max(target, now), wakes)
             self.jumps += moved and not finished
             return moved and finished
         if any(link.received for link, _ in self._links):
             self._require_joined(what)
-        descriptors = [*self._descriptors(), clock.doorbell]
-        if not self._wait_for_klippy(descriptors, _STALL_LIMIT):
+        if not self._wait_for_doorbell(_STALL_LIMIT):
             raise SimulationError(
                 f"{what}: klippy is busy for {_STALL_LIMIT:.0f} s of real time"
             )
-        clock.answer_doorbell()
         return False
+
+    def _is_held_back(self, target_ns: int) -> bool:
+        """Whether the pace forbids this time; if so, some time has passed.
+
+        Less than needed where others speak to klippy meanwhile: it may want
+        to be woken earlier then.
+        """
+        wait = self.pace.seconds_until(target_ns) if self.pace else 0.0
+        if wait <= 0.0:
+            return False
+        self._wait_for_doorbell(min(wait, _LOOK_EVERY))
+        return True
+
+    def _wait_for_doorbell(self, seconds: float) -> bool:
+        """Wait until klippy speaks or falls asleep; whether it did."""
+        clock = self.clock
+        assert isinstance(clock, VirtualClock)
+        descriptors = [*self._descriptors(), clock.doorbell]
+        rang = self._wait_for_klippy(descriptors, seconds)
+        clock.answer_doorbell()
+        return rang
 
     def _target(self, end_ns: int, what: str) -> int:
         """When the next thing happens."""
