@@ -2,7 +2,7 @@
 #
 #   make test     prepare the hosts, lint, run all tests
 #   make demo     watch a calibration on a simulated printer
-#   make hosts    prepare and list the klippy hosts
+#   make hosts    prepare and list the klippy hosts, and Moonraker
 #   make speed    how much faster than a printer the simulation runs
 #   make bench    how long a calibration takes, and the least it could take
 #   make lint     style and syntax only
@@ -11,7 +11,8 @@
 #
 # KLIPPER_PATH         Klipper or Kalico checkouts to test on, a:b:c
 #                      (default ~/klipper where it exists; empty for none)
-# ALLOW_MISSING_HOSTS  1: do without hosts that cannot be downloaded
+# ALLOW_MISSING_HOSTS  1: do without hosts, or Moonraker, that cannot be
+#                      downloaded
 # EVERY_HOST, CORPUS   1 and all: long tables and the configurations of real
 #                      printers on every host, not each on one of them
 # PYTEST_WORKERS       tests run at the same time (default 2)
@@ -52,7 +53,7 @@ lint: tools
 	$(TOOLS)/ruff format --check .
 	$(if $(MODULES),$(TOOLS)/vermin --no-tips --violations \
 		--target=2.7- --target=3.7- $(MODULES))
-	$(TOOLS)/shellcheck install.sh .ci/run
+	$(TOOLS)/shellcheck install.sh .ci/run tests/hostkit/services/*
 
 format: tools
 	$(TOOLS)/ruff check --fix .

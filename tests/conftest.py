@@ -26,7 +26,7 @@ def pytest_report_header() -> list[str]:
     """Which hosts this run is on."""
     lines = [f"hosts: {', '.join(host.name for host in HOSTS)}"]
     if missing_hosts():
-        lines.append(f"HOSTS MISSING: {', '.join(missing_hosts())}")
+        lines.append(f"MISSING: {', '.join(missing_hosts())}")
     return lines
 
 

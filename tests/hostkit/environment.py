@@ -99,17 +99,18 @@ def run(
     purpose: str,
     cwd: Path | None = None,
     additions: Mapping[str, str] | None = None,
+    env: Mapping[str, str] | None = None,
 ) -> str:
     """Run a command and return what it printed.
 
-    Raises HostError with `purpose` and the end of the output if the command
-    is missing or fails.
+    additions: to the environment; env: all of it.  Raises HostError with
+    `purpose` and the end of the output if the command is missing or fails.
     """
     try:
         done = subprocess.run(
             [str(word) for word in argv],
             cwd=cwd,
-            env=clean_environment(additions),
+            env=clean_environment(additions) if env is None else env,
             stdin=subprocess.DEVNULL,
             stdout=subprocess.PIPE,
             stderr=subprocess.STDOUT,

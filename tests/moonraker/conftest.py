@@ -1,0 +1,44 @@
+"""Fixtures only: Moonraker, and a lab on each kind of host."""
+
+from __future__ import annotations
+
+import os
+from collections.abc import Iterator
+from pathlib import Path
+
+import pytest
+
+from tests.hostkit.hosts import find_hosts, missing_hosts
+from tests.hostkit.lab import Lab
+from tests.hostkit.moonraker import find_moonraker
+from tests.hostkit.printer import firmware_of
+
+# One host for each place where modules belong, or each of them
+HOSTS = find_hosts()
+if not os.environ.get("EVERY_HOST"):
+    HOSTS = list({firmware_of(host): host for host in HOSTS}.values())
+
+
+@pytest.fixture(scope="session")
+def moonraker_python() -> Path:
+    """The Python that has Moonraker; a visible skip where it may be missing."""
+    python = find_moonraker()
+    if python is None:
+        pytest.skip(f"NOT TESTED: {missing_hosts()['moonraker']}")
+    return python
+
+
+# As wide as the folder, since making one takes seconds; not wider, since its
+# printer lives on meanwhile
+@pytest.fixture(scope="package", params=HOSTS, ids=lambda host: host.name)
+def lab(
+    request: pytest.FixtureRequest,
+    moonraker_python: Path,
+    tmp_path_factory: pytest.TempPathFactory,
+) -> Iterator[Lab]:
+    """A printer on which install.sh was run, with Moonraker in front of it."""
+    directory = tmp_path_factory.mktemp("lab")
+    with Lab(request.param, moonraker_python, directory) as lab:
+        lab.install()
+        assert lab.obey() == ["klipper", "moonraker"]
+        yield lab

@@ -1,0 +1,60 @@
+"""What Moonraker and klippy say of an installation by install.sh."""
+
+from __future__ import annotations
+
+from tests.moonraker.updates import refreshed
+
+
+def test_klippy_has_the_modules_of_the_checkout(lab):
+    for name in ("z_calibration", "auto_z_offset"):
+        link = lab.module_dir / f"{name}.py"
+        assert link.is_symlink()
+        assert link.resolve() == (lab.checkout / link.name).resolve()
+    objects = lab.moonraker.get("/printer/objects/list")["objects"]
+    assert "z_calibration" in objects
+    assert lab.moonraker.status("z_calibration")["phase"] == "idle"
+
+
+def test_moonraker_has_nothing_to_complain_of(lab):
+    info = lab.moonraker.get("/server/info")
+    assert info["klippy_state"] == "ready"
+    assert info["warnings"] == []
+    assert info["failed_components"] == []
+    assert info["missing_klippy_requirements"] == []
+    assert "update_manager" in info["components"]
+
+
+def test_checkout_is_valid_and_pristine(lab):
+    status = refreshed(lab)
+    assert status["remote_url"] == f"file://{lab.directory}/origin.git"
+    assert status["branch"] == "main"
+    assert status["is_valid"] and status["pristine"]
+    assert not status["is_dirty"] and not status["corrupt"]
+    assert status["anomalies"] == status["warnings"] == []
+
+
+def test_checkout_of_klipper_stays_clean(lab):
+    assert lab.git(lab.klipper, "status", "--porcelain") == ""
+    status = refreshed(lab, "klipper")
+    assert status["is_valid"] and status["pristine"]
+    # Only because it is not where Klipper comes from
+    (anomaly,) = status["anomalies"]
+    assert anomaly.startswith("Unofficial remote url")
+
+
+def test_bytecode_in_the_checkout_is_nothing_new(lab):
+    command = [str(lab.host.python), "-m", "compileall", "-q", "."]
+    lab.run(command, lab.checkout)
+    assert list(lab.checkout.glob("__pycache__/*.pyc"))
+    assert refreshed(lab)["pristine"]
+
+
+def test_change_in_the_checkout_is_noticed(lab):
+    script = lab.checkout / "install.sh"
+    script.chmod(0o644)
+    try:
+        status = refreshed(lab)
+        assert status["is_dirty"] and not status["is_valid"]
+    finally:
+        script.chmod(0o755)
+    assert refreshed(lab)["is_valid"]
