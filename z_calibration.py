@@ -93,6 +93,9 @@ TRAVEL_SPEED = 50.0
 # option holds a position instead of an offset.
 LARGEST_SWITCH_DISTANCE = 100.0
 
+# Within this distance (mm) of its zero a bed mesh is as good as zero.
+MESH_ZERO_NEAR = 1.0
+
 # From here on (mm) a difference is not noise or heat: of the nozzle against
 # the height Z was homed at, or of switch minus nozzle against the last run.
 STALE_Z = 0.5
@@ -517,6 +520,11 @@ def bare_pin(pin):
 # --- end ---
 
 
+# Such as probe:z_virtual_endstop
+def is_of_probe(pin):
+    return pin.split(":")[0].strip("^~! ") == "probe"
+
+
 # Everything the module wants from the printer.  The only place that knows in
 # which respects hosts differ; the difference is always asked of the object,
 # never of a version number.
@@ -550,7 +558,7 @@ class Host(object):
     # The pin that nozzle and body press
     def _make_pin_endstop(self, config):
         pin = self.endstop_pin
-        if not pin.strip() or pin.split(":")[0].strip("^~! ") == "probe":
+        if not pin.strip() or is_of_probe(pin):
             raise config.error(
                 "Option 'endstop_pin: %s' in section 'z_calibration' is no pin"
                 " that the nozzle can press; give the pin of that switch, or"
@@ -1697,7 +1705,11 @@ def read_position_min(config, host, old_names):
     own = read_number(config, "position_min", parse_number, MM)
     if own is None:
         return axis.position_min
-    if host.endstop_pin is None and own > axis.position_endstop:
+    # Where the probe homes Z there is no such height; that is refused later
+    homed_by_pin = host.endstop_pin is None and not is_of_probe(
+        axis.endstop_pin
+    )
+    if homed_by_pin and own > axis.position_endstop:
         raise config.error(
             "Option 'position_min' in section 'z_calibration': %.3f is above"
             " position_endstop (%.3f) of section '%s', no touch could reach"
@@ -1867,6 +1879,7 @@ class ZCalibration(object):
         register = self.printer.register_event_handler
         register("klippy:connect", self.connect)
         register("klippy:ready", self.tell_old_names)
+        register("klippy:ready", self.tell_mesh_zero)
         for name in (
             "CALIBRATE_Z",
             "PROBE_Z_ACCURACY",
@@ -1896,6 +1909,20 @@ class ZCalibration(object):
     def tell_old_names(self):
         for line in self.old_names.lines:
             self.gcode.respond_info(line)
+
+    # With a mesh loaded, Z=0 is right where the mesh is zero.
+    def tell_mesh_zero(self):
+        bed, zero = self.settings.bed, self.host.mesh_zero()
+        if bed is None or zero is None:
+            return
+        if math.hypot(bed.x - zero[0], bed.y - zero[1]) > MESH_ZERO_NEAR:
+            self.gcode.respond_info(
+                "z_calibration: bed_xy_position (%.3f, %.3f) is not where the"
+                " bed mesh is zero (%.3f, %.3f): with a mesh loaded, the gap is"
+                " wrong by its height there; leave bed_xy_position out, or set"
+                " zero_reference_position of section 'bed_mesh' to it"
+                % (bed.x, bed.y, zero[0], zero[1])
+            )
 
     def check_probe_settings(self):
         result = self.settings.probe.result

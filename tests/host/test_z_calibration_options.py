@@ -194,6 +194,29 @@ def test_the_meshs_point_is_read_at_every_run(host, tmp_path):
         assert bed_place(printer, before) == pytest.approx((100, 110), abs=0.05)
 
 
+@pytest.mark.parametrize(
+    ("bed", "zero", "is_told"),
+    [
+        ("150, 150", "120, 130", True),
+        ("150, 150", "150, 151.1", True),
+        ("150, 150", "150.6, 150.7", False),
+        ("150, 150", None, False),
+        (None, "120, 130", False),
+    ],
+)
+def test_bed_position_away_from_the_meshs_zero_is_told(
+    start, bed, zero, is_told
+):
+    options = {} if zero is None else {"zero_reference_position": zero}
+    changes = {**section(bed_xy_position=bed), **mesh(**options)}
+    printer = start(changes=changes).homed()
+    text = "z_calibration: bed_xy_position (150.000, 150.000) is not where"
+    told = [line for line in printer.session.console if text in line]
+    assert len(told) == is_told
+    x, y = (float(part) for part in (zero or "0, 0").split(","))
+    assert all(f"zero ({x:.3f}, {y:.3f})" in line for line in told)
+
+
 def test_mesh_point_out_of_reach_is_named(host):
     changes = {
         **section(bed_xy_position=None),
@@ -395,6 +418,12 @@ def test_position_min_above_the_endstop(host):
     message = refusal(host, section(position_min="1.7"))
     assert "Option 'position_min' in section 'z_calibration'" in message
     assert "above position_endstop (1.600) of section 'stepper_z'" in message
+
+
+def test_position_min_is_not_the_matter_where_the_probe_homes(host):
+    changes = section(position_min="0.5", endstop_pin=None)
+    message = refusal(host, changes, "separate_pin")
+    assert "is the probe: z_calibration needs a Z endstop" in message
 
 
 @pytest.mark.parametrize(
