@@ -37,8 +37,11 @@ uninstall=""
 # What was found
 here=""        # this checkout
 folder=""      # klippy/extras, or klippy/plugins on Kalico
+terminal=""    # set if somebody can be asked for a password
 git_of_klipper="none"
-confs=""
+git_prefix=""  # of Klipper in its repository
+confs=""       # the moonraker.conf files to change
+every_conf=""  # and all others, as their printers may be printing
 origin=""
 unregistrable="" # why Moonraker cannot update this checkout
 first_problem=0
@@ -238,27 +241,34 @@ locate_klipper() {
 
 # Whether git tells us what belongs to Klipper itself: none, ok or refuses
 look_at_git() {
-    [ -e "$klipper/.git" ] || return 0
-    git_of_klipper="ok"
-    git -C "$klipper" rev-parse --git-dir >"$scratch/git" 2>&1 ||
+    if git -C "$klipper" ls-files -- klippy/extras >/dev/null \
+        2>"$scratch/git"; then
+        git_of_klipper="ok"
+        git_prefix=$(git -C "$klipper" rev-parse --show-prefix)
+    elif [ -e "$klipper/.git" ]; then
         git_of_klipper="refuses"
+    fi
 }
 
 locate_confs() {
     local file
-    [ -n "$use_moonraker" ] || return 0
     while IFS= read -r file; do
         [ -z "$file" ] || [ -f "$file" ] ||
             fail "$ENVIRONMENT" "there is no $file; give a moonraker.conf" \
                 "with -m"
-        add_conf "$file"
+        case $file in
+            /* | "") add_conf "$file" ;;
+            *) add_conf "$PWD/$file" ;;
+        esac
     done <<<"$given_confs"
-    [ -z "$given_confs" ] || return 0
+    confs=$every_conf
     for file in "$HOME"/*_data/config/moonraker.conf \
         "$HOME"/klipper_config/moonraker.conf \
         "$HOME"/klipper_config/*/moonraker.conf; do
         add_conf "$file"
     done
+    [ -n "$given_confs" ] || confs=$every_conf
+    [ -n "$use_moonraker" ] || confs=""
 }
 
 add_conf() {
@@ -266,8 +276,8 @@ add_conf() {
     [ -f "$1" ] || return 0
     while IFS= read -r known; do
         [ -z "$known" ] || [ ! "$known" -ef "$1" ] || return 0
-    done <<<"$confs"
-    confs+="$1"$'\n'
+    done <<<"$every_conf"
+    every_conf+="$1"$'\n'
 }
 
 # The directories with the configurations of the printers
@@ -275,15 +285,18 @@ config_folders() {
     local file
     while IFS= read -r file; do
         [ -z "$file" ] || dirname -- "$file"
-    done <<<"$confs"
+    done <<<"$every_conf"
     for file in "$HOME"/*_data/config "$HOME"/klipper_config; do
         [ ! -d "$file" ] || printf '%s\n' "$file"
     done
 }
 
-# grep_configs FOLDER PATTERN: the *.cfg below it that match
+# grep_configs FOLDER PATTERN: the *.cfg below it that match, but for what
+# SAVE_CONFIG keeps as printer-20261121_174500.cfg
 grep_configs() {
+    local day='[0-9][0-9][0-9][0-9][0-9][0-9][0-9][0-9]'
     find -L "$1" -maxdepth 5 -name '*.cfg' -type f \
+        ! -name "*-${day}_[0-9][0-9][0-9][0-9][0-9][0-9].cfg" \
         -exec grep -liE -e "$2" {} + 2>/dev/null || true
 }
 
@@ -351,7 +364,7 @@ check_module() {
 
 # Kalico does not start with two modules of one name, unless it is told to.
 check_kalico() {
-    local extra="klippy/extras/$1" dir missing="" allowed=""
+    local extra="klippy/extras/$1" folders dir missing="" allowed=""
     if is_ours "$klipper/$extra.py" && ! is_tracked "$extra.py"; then
         return 0 # is taken away
     fi
@@ -361,6 +374,7 @@ check_kalico() {
         note "$extra.py of Kalico was replaced by a link, which blocks its" \
             "updates. To restore it: git -C '$klipper' checkout -- '$extra.py'"
     [ -z "$kalico_override" ] || return 0
+    folders=$(config_folders | sort -u)
     while IFS= read -r dir; do
         if [ -z "$dir" ]; then
             continue
@@ -369,7 +383,7 @@ check_kalico() {
         elif [ -f "$dir/printer.cfg" ]; then
             missing+="$dir/printer.cfg"$'\n'
         fi
-    done <<<"$(config_folders | sort -u)"
+    done <<<"$folders"
     if [ -z "$allowed" ]; then
         problem "$CONFLICT" "Kalico ships its own $1. Add to printer.cfg" \
             "first, or Kalico will not start:"
@@ -391,7 +405,7 @@ allows_override() {
 
 link_module() {
     local file="$klipper/$folder/$1.py" action="Linking $1.py into $folder"
-    local state kept=""
+    local state kept detail=""
     state=$(occupant "$1")
     leave_extras "$1"
     case $state in
@@ -399,16 +413,17 @@ link_module() {
             say "$action... [OK, already linked]"
             return 0
             ;;
-        nothing) report "$action" ;;
-        link) report "$action" "pointed to $(readlink -- "$file") before" ;;
-        equal) report "$action" "replaced an equal copy" ;;
+        nothing) ;;
+        link) detail="pointed to $(readlink -- "$file") before" ;;
+        equal) detail="replaced an equal copy" ;;
         other)
             kept=$(free_name "$file.bak-$(date +%Y%m%d%H%M%S)")
-            report "$action" "old copy kept as $(basename -- "$kept")"
+            detail="old copy kept as $(basename -- "$kept")"
             change mv -- "$file" "$kept"
             ;;
     esac
     change ln -sfn -- "$here/$1.py" "$file"
+    report "$action" "$detail"
     links_changed=1
 }
 
@@ -417,8 +432,8 @@ leave_extras() {
     local path="klippy/extras/$1.py"
     [ "$folder" != "klippy/extras" ] && is_ours "$klipper/$path" &&
         ! is_tracked "$path" || return 0
-    report "Removing the old link $path"
     change rm -- "$klipper/$path"
+    report "Removing the old link $path"
     links_changed=1
 }
 
@@ -428,8 +443,11 @@ unlink_module() {
         file="$klipper/$dir/$1.py"
         action="Removing $1.py from $dir"
         if is_ours "$file"; then
-            report "$action"
             change rm -- "$file"
+            report "$action"
+            ! is_tracked "$dir/$1.py" ||
+                note "$dir/$1.py is part of this Klipper. To restore it:" \
+                    "git -C '$klipper' checkout -- '$dir/$1.py'"
             links_changed=1
             state=""
         elif [ -L "$file" ]; then
@@ -476,10 +494,12 @@ exclude_links() {
         if git -C "$klipper" check-ignore -q -- "$path" 2>/dev/null; then
             continue
         fi
-        report "Excluding $path from git status"
-        [ -n "$dry_run" ] || exclude "/$path" "$file" ||
-            note "could not write to $file; Klipper's version will end in" \
-                "-dirty or list the file as untracked, which is harmless"
+        if [ -n "$dry_run" ] || exclude "/$git_prefix$path" "$file"; then
+            report "Excluding $path from git status"
+        else
+            note "could not write to $file; git and Moonraker will list" \
+                "$path as a new file, which is harmless"
+        fi
     done
 }
 
@@ -503,9 +523,14 @@ include_links() {
     [ "$git_of_klipper" = ok ] || return 0
     file=$(exclude_file)
     [ -f "$file" ] && grep -qF -e "# $MARK" -- "$file" || return 0
+    if [ ! -w "$file" ]; then
+        note "could not write to $file; the lines for the links stay there," \
+            "which is harmless"
+        return 0
+    fi
     names=${modules// /|}
     awk -v mark="# $MARK" -v no_end="$NO_END" -v new_file="$NEW_FILE" \
-        -v ours="^/klippy/(extras|plugins)/($names)[.]py\$" \
+        -v ours="^/(.*/)?klippy/(extras|plugins)/($names)[.]py\$" \
         -v open="$(is_open "$file")" '
         { line[NR] = $0 }
         END {
@@ -521,29 +546,33 @@ include_links() {
             if (!count && new) exit 9
             for (i = 1; i <= count; i++)
                 printf "%s%s", kept[i],
-                    i < count || !(open || end == count) ? "\n" : ""
+                    ((i < count || !(open || end == count)) ? "\n" : "")
         }' "$file" >"$scratch/exclude" || {
         [ $? -eq 9 ] || return 1
-        report "Removing $file" "it was made for the links"
         change rm -- "$file"
+        report "Removing $file" "it was made for the links"
         return 0
     }
     cmp -s -- "$scratch/exclude" "$file" && return 0
-    report "Removing the links from $file"
     change write_over "$scratch/exclude" "$file"
+    report "Removing the links from $file"
 }
 
 ends_with_newline() { [ -z "$(tail -c 1 -- "$1")" ]; }
 
 is_open() { ends_with_newline "$1" || echo 1; }
 
-# In place: a link stays a link, and owner and mode stay.
+# write_over NEW FILE: in place, as a link stays a link then, and owner and
+# mode stay. Until all is written the old text is kept beside it.
 write_over() {
-    if ! cat -- "$1" >"$2"; then
-        cp -- "$1" "$HOME/$(basename -- "$2").rescued"
-        fail "$UNEXPECTED" "could not write all of $2; its new text is in" \
-            "$HOME/$(basename -- "$2").rescued"
+    local kept
+    kept=$(free_name "$2.bak-$(date +%Y%m%d%H%M%S)")
+    cp -p -- "$2" "$kept" ||
+        fail "$UNEXPECTED" "could not keep a copy of $2, so it was left alone"
+    if ! cat -- "$1" >"$2" || ! cmp -s -- "$1" "$2"; then
+        fail "$UNEXPECTED" "could not write all of $2; its old text is in $kept"
     fi
+    rm -- "$kept"
 }
 
 # Moonraker
@@ -563,6 +592,9 @@ look_at_checkout() {
     then
         unregistrable="git does not tell where $here is from:"
         unregistrable+=" $(head -n 1 "$scratch/remote")"
+    elif ! git -C "$here" symbolic-ref -q HEAD >/dev/null; then
+        note "$here is on no branch, and Moonraker will not update it. To" \
+            "change that: git -C '$here' checkout $BRANCH"
     fi
 }
 
@@ -585,40 +617,42 @@ updater_text() {
     [ -z "$channel" ] || printf 'channel: %s\n' "$channel"
 }
 
+# For grep and for every awk: some take a backslash in a string away
 header_pattern() {
-    printf '^\\[update_manager +(client +)?%s\\]' "$SECTION"
+    printf '^[[]update_manager +(client +)?%s[]]' "$SECTION"
 }
 
 # A configuration and the files it includes
 with_includes() {
-    local conf=$1 depth=${2:-0} pattern file
+    local conf=$1 depth=${2:-0} patterns pattern folder file
     printf '%s\n' "$conf"
     [ "$depth" -lt 8 ] || return 0
+    patterns=$(sed -nE 's/^\[include +([^]]+)\].*/\1/p' "$conf")
     while IFS= read -r pattern; do
-        [ -n "$pattern" ] || continue
         case $pattern in
-            \~/*) pattern="$HOME/${pattern#??}" ;;
-            /*) ;;
-            *) pattern="$(dirname -- "$conf")/$pattern" ;;
+            "") continue ;;
+            /*) folder="" ;;
+            *) folder="$(dirname -- "$conf")/" ;;
         esac
         # Spaces belong to the path, the rest is for the shell to expand
         local IFS=
         # shellcheck disable=SC2086
-        for file in $pattern; do
+        for file in "$folder"$pattern; do
             [ ! -f "$file" ] || with_includes "$file" $((depth + 1))
         done
-    done <<<"$(sed -nE 's/^\[include +([^]]+)\].*/\1/p' "$conf")"
+    done <<<"$patterns"
 }
 
 # The file, of a configuration and what it includes, that has our section
 section_file() {
-    local file
+    local files file
+    files=$(with_includes "$1")
     while IFS= read -r file; do
         if grep -qE -e "$(header_pattern)" -- "$file"; then
             printf '%s\n' "$file"
             return 0
         fi
-    done <<<"$(with_includes "$1")"
+    done <<<"$files"
 }
 
 # section_value FILE KEY: what the last line of the section says
@@ -648,17 +682,25 @@ is_current() {
     updates_this "$1" || return 1
     [ "$(bare_origin "$(section_value "$1" origin)")" = \
         "$(bare_origin "$origin")" ] || return 1
+    [ "$(section_value "$1" primary_branch)" = "$BRANCH" ] || return 1
     [ -z "$channel" ] || [ "$(section_value "$1" channel)" = "$channel" ]
 }
 
 bare_origin() {
     local bare
-    bare=$(printf '%s' "${1%/}" | tr '[:upper:]' '[:lower:]')
+    bare=$(printf '%s' "$1" | tr '[:upper:]' '[:lower:]')
     printf '%s\n' "${bare%.git}"
 }
 
 check_conf() {
-    local file
+    local files file
+    files=$(with_includes "$1" 2>/dev/null) || true
+    while IFS= read -r file; do
+        if [ ! -r "$file" ]; then
+            problem "$NOT_WRITABLE" "cannot read $file"
+            return 0
+        fi
+    done <<<"$files"
     file=$(section_file "$1")
     if [ -n "$file" ]; then
         if [ -n "$uninstall" ]; then
@@ -678,9 +720,9 @@ register() {
     file=$(section_file "$conf")
     action="Adding [update_manager $SECTION] to $conf"
     if [ -z "$file" ]; then
+        change append_updater "$conf"
         report "$action"
         [ -z "$dry_run" ] || updater_text
-        change append_updater "$conf"
     elif is_current "$file"; then
         say "$action... [SKIPPED, already there]"
         return 0
@@ -690,12 +732,12 @@ register() {
         return 0
     else
         kept=$(free_name "$file.bak-$(date +%Y%m%d%H%M%S)")
-        report "Replacing [update_manager $SECTION] in $file" \
-            "old file kept as $(basename -- "$kept")"
-        [ -z "$dry_run" ] || updater_text
         change cp -p -- "$file" "$kept"
         change remove_updater "$file"
         change append_updater "$file"
+        report "Replacing [update_manager $SECTION] in $file" \
+            "old file kept as $(basename -- "$kept")"
+        [ -z "$dry_run" ] || updater_text
     fi
     confs_changed=1
 }
@@ -705,8 +747,8 @@ describe_difference() {
         note "the section in $1 updates '$(section_value "$1" path)', not" \
             "this checkout; use --force to replace it"
     else
-        note "the section in $1 has another origin or channel; use --force" \
-            "to replace it"
+        note "the section in $1 has another origin, branch or channel; use" \
+            "--force to replace it"
     fi
 }
 
@@ -714,12 +756,13 @@ append_updater() {
     local state=""
     ends_with_newline "$1" || state=$NO_END
     {
+        cat -- "$1"
         [ -z "$state" ] || echo
         [ ! -s "$1" ] || echo
         printf '# %s%s\n' "$MARK" "$state"
         updater_text
     } >"$scratch/updater"
-    cat -- "$scratch/updater" >>"$1"
+    write_over "$scratch/updater" "$1"
 }
 
 # The section with our mark, and the empty line before it. What stands after
@@ -759,8 +802,8 @@ unregister() {
     elif ! updates_this "$file"; then
         say "$action... [SKIPPED, updates $(section_value "$file" path)]"
     else
-        report "$action"
         change remove_updater "$file"
+        report "$action"
         confs_changed=1
     fi
 }
@@ -817,6 +860,8 @@ known_units() {
         "$1*.service" 2>/dev/null | awk '{ print $1 }' || true
 }
 
+is_active() { systemctl is-active --quiet "$1"; }
+
 is_unit() { known_units "$1" | grep -qxF -e "$1.service"; }
 
 # The services of a kind (klipper, moonraker), those asked for or all
@@ -830,11 +875,17 @@ services_of() {
             ! is_unit "$unit" || printf '%s\n' "$unit"
         done <<<"$wanted"
     else
-        while IFS= read -r unit; do
-            unit=${unit%.service}
-            ! is_service "$1" "$unit" || printf '%s\n' "$unit"
-        done <<<"$(known_units "$1")"
+        found_services "$1"
     fi
+}
+
+found_services() {
+    local unit units
+    units=$(known_units "$1")
+    while IFS= read -r unit; do
+        unit=${unit%.service}
+        ! is_service "$1" "$unit" || printf '%s\n' "$unit"
+    done <<<"$units"
 }
 
 check_services() {
@@ -846,9 +897,10 @@ check_services() {
     done <<<"${services%$'\n'}"
 }
 
-# busy, idle or unknown, from what the Moonrakers say
+# print_state UNITS: busy, idle or unknown, from what the Moonrakers say of
+# the printers that these services of Klipper run
 print_state() {
-    local conf answer state=unknown
+    local conf answer unit idle=0 running=0
     while IFS= read -r conf; do
         [ -n "$conf" ] || continue
         answer=$(ask_moonraker "$conf" | tr -d '[:space:]')
@@ -858,14 +910,15 @@ print_state() {
                 echo busy
                 return 0
                 ;;
-            *'"print_stats":'* | *'KlippyHostnotconnected'*) state=idle ;;
-            *)
-                echo unknown
-                return 0
+            *'"print_stats":'* | *'KlippyHostnotconnected'*)
+                idle=$((idle + 1))
                 ;;
         esac
-    done <<<"$confs"
-    echo "$state"
+    done <<<"$every_conf"
+    while IFS= read -r unit; do
+        [ -z "$unit" ] || ! is_active "$unit" || running=$((running + 1))
+    done <<<"$1"
+    if [ "$idle" -ge "$running" ]; then echo idle; else echo unknown; fi
 }
 
 ask_moonraker() {
@@ -884,16 +937,22 @@ ask_moonraker() {
     fi
 }
 
+# server_value CONF KEY: also from what it includes
 server_value() {
-    awk -v key="$2" '
+    local files file
+    files=$(with_includes "$1" 2>/dev/null) || true
+    while IFS= read -r file; do
+        [ ! -r "$file" ] || cat -- "$file"
+        echo
+    done <<<"$files" | awk -v key="$2" '
         { sub(/\r$/, "") }
         /^\[/ { inside = /^\[server\]/ }
         inside && $0 ~ "^" key "[ \t]*[:=]" {
             sub(/^[^:=]*[:=][ \t]*/, "")
             sub(/([ \t]+[#;].*)?[ \t]*$/, "")
-            print
-            exit
-        }' "$1"
+            value = $0
+        }
+        END { print value }'
 }
 
 restart_services() {
@@ -920,7 +979,10 @@ restart_services() {
     [ -z "$confs_changed" ] || units=$(services_of moonraker)
     [ -z "$confs_changed" ] || [ -n "$units" ] ||
         say "No moonraker service found. Restart Moonraker yourself"
-    state=$(print_state)
+    state=$(print_state "$({
+        found_services klipper
+        printf '%s' "$services"
+    } | sort -u)")
     if [ "$state" = busy ]; then
         say "a print is running: nothing restarted. Afterwards:" \
             "sudo systemctl restart $(in_a_row "$wanted"$'\n'"$units")"
@@ -941,12 +1003,14 @@ restart_units() {
     while IFS= read -r unit; do
         if [ -z "$unit" ]; then
             continue
-        elif [ "$2" = unknown ] && systemctl is-active --quiet "$unit"; then
+        elif ! is_active "$unit" && [ -z "$services" ]; then
+            say "$unit not restarted: it does not run"
+        elif [ "$2" = unknown ] && is_active "$unit"; then
             say "$unit not restarted: no Moonraker tells whether a print is" \
                 "running. When it is not: sudo systemctl restart $unit"
         elif [ -n "$dry_run" ]; then
             report "Restarting $unit"
-        elif as_root systemctl restart "$unit"; then
+        elif as_root systemctl restart "$unit" </dev/null; then
             report "Restarting $unit"
         else
             say "Restarting $unit... [FAILED]"
@@ -959,7 +1023,7 @@ restart_units() {
 as_root() {
     if [ "$(id -u)" -eq 0 ]; then
         "$@"
-    elif [ -t 0 ]; then
+    elif [ -n "$terminal" ]; then
         sudo "$@"
     else
         sudo -n "$@"
@@ -968,7 +1032,8 @@ as_root() {
 
 # Units that made older releases of the plugin look like a service
 hint_at_old_units() {
-    local unit
+    local unit units
+    units=$(known_units z_calibration && known_units klipper_z_calibration)
     while IFS= read -r unit; do
         case $unit in
             z_calibration.service | klipper_z_calibration.service)
@@ -977,8 +1042,7 @@ hint_at_old_units() {
                     "/etc/systemd/system/$unit"
                 ;;
         esac
-    done <<<"$(known_units z_calibration)
-$(known_units klipper_z_calibration)"
+    done <<<"$units"
 }
 
 # remains MODULE: one that is not ours
@@ -993,16 +1057,17 @@ remains() {
 
 # Whether Klipper would start without the modules that were removed
 is_startable() {
-    local name folders dir file found=""
+    local name folders dir files file found=""
     [ -n "$uninstall" ] || return 0
     folders=$(config_folders | sort -u)
     for name in $modules; do
         ! remains "$name" || continue
         while IFS= read -r dir; do
             [ -n "$dir" ] || continue
+            files=$(grep_configs "$dir" "^\\[$name( [^]]*)?\\]")
             while IFS= read -r file; do
                 [ -z "$file" ] || found+="[$name] is still in $file"$'\n'
-            done <<<"$(grep_configs "$dir" "^\\[$name( [^]]*)?\\]")"
+            done <<<"$files"
         done <<<"$folders"
     done
     [ -n "$found" ] || return 0
@@ -1060,7 +1125,10 @@ say_what_next() {
 }
 
 main() {
-    trap 'fail "$UNEXPECTED" "unexpected failure in line $LINENO"' ERR
+    # What fails in $( ) is told by who wanted its output
+    trap '[ "$BASH_SUBSHELL" -gt 0 ] ||
+        fail "$UNEXPECTED" "unexpected failure in line $LINENO"' ERR
+    [ ! -t 0 ] || terminal=1
     parse "$@"
     require_home
     locate_self

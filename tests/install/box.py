@@ -8,7 +8,7 @@ import subprocess
 import tempfile
 from collections.abc import Iterable, Mapping
 from pathlib import Path
-from typing import NamedTuple, Optional
+from typing import NamedTuple, Optional, Union
 
 from tests.hostkit.printer import module_files
 
@@ -152,10 +152,19 @@ class Box:
         units: Iterable[str] = ("klipper", "moonraker"),
         state: str = "running",
         answer: Optional[str] = '{"print_stats": {"state": "standby"}}',
+        stopped: Iterable[str] = (),
     ) -> None:
-        """Services and what Moonraker says; answer None: it is silent."""
-        names = [f"{unit}.service\n" for unit in units]
-        (self.directory / "units").write_text("".join(names))
+        """Services and what Moonraker says; answer None: it is silent.
+
+        stopped: those of the services that do not run.
+        """
+        names = list(units)
+        (self.directory / "units").write_text(
+            "".join(f"{name}.service\n" for name in names)
+        )
+        (self.directory / "active").write_text(
+            "".join(f"{name}\n" for name in names if name not in stopped)
+        )
         (self.directory / "state").write_text(f"{state}\n")
         (self.directory / "answer").write_text(answer or "")
         self.fake("systemctl", SYSTEMCTL)
@@ -188,9 +197,9 @@ class Box:
         self,
         command: list[str],
         more: Optional[Mapping[str, str]] = None,
-        stdin: Optional[bytes] = None,
+        stdin: Union[bytes, int] = subprocess.DEVNULL,
     ) -> Outcome:
-        """Run any command in the box."""
+        """Run any command in the box; stdin: its text or a descriptor."""
         user: dict = {}
         if os.getuid() == 0:
             give_away(self.directory)
@@ -199,11 +208,10 @@ class Box:
             command,
             env={**self._environment(), **(more or {})},
             cwd=self.directory,
-            input=stdin,
-            stdin=subprocess.DEVNULL if stdin is None else None,
             capture_output=True,
             timeout=60,
             check=False,
+            **{"input" if isinstance(stdin, bytes) else "stdin": stdin},
             **user,
         )
         out, err = done.stdout.decode(), done.stderr.decode()

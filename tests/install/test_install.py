@@ -380,7 +380,51 @@ def test_exclude_file_that_cannot_be_written(machine):
     file.chmod(0o444)
     out = machine.installed()
     assert links(machine.home / "klipper") == all_linked(machine)
-    assert f"Note: could not write to {file}; Klipper's version will" in out
+    assert f"Note: could not write to {file}; git and Moonraker will" in out
+    assert "Excluding" not in out
+    file.chmod(0o644)
+    machine.installed()
+    file.chmod(0o444)
+    text = file.read_text()
+    out = machine.installed("-u")
+    assert f"Note: could not write to {file}; the lines for the links" in out
+    assert file.read_text() == text
+    assert links(machine.home / "klipper") == {}
+    conf = machine.home / "printer_data/config/moonraker.conf"
+    assert conf.read_text() == "[server]\n"
+
+
+def test_index_that_git_cannot_read(machine):
+    klipper = machine.home / "klipper"
+    (klipper / FILE).write_text("vendor = 1\n")
+    machine.commit(klipper)
+    (klipper / ".git/index").write_bytes(b"nonsense")
+    err = machine.refused(4)
+    assert f"{FILE} may be part of this Klipper, and git does not" in err
+
+
+def test_klipper_in_a_bigger_repository(box):
+    klipper = box.klipper("firmware/klipper")
+    shutil.rmtree(klipper / ".git")
+    (klipper / FILE).write_text("vendor = 1\n")
+    box.commit(box.home / "firmware")
+    words = ("-k", str(klipper))
+    assert "is part of this Klipper" in box.refused(4, *words)
+    box.installed(*words, "--modules", "auto_z_offset")
+    assert box.git(box.home / "firmware", "status", "--porcelain") == ""
+    box.installed(*words, "-u")
+    text = exclude(box.home / "firmware").read_text()
+    assert "auto_z_offset" not in text
+
+
+def test_uninstall_tells_how_to_restore(machine):
+    klipper = machine.home / "klipper"
+    (klipper / FILE).write_text("vendor = 1\n")
+    machine.commit(klipper)
+    (klipper / FILE).unlink()
+    (klipper / FILE).symlink_to(machine.checkout / f"{NAME}.py")
+    out = machine.installed("-u")
+    assert f"git -C '{klipper}' checkout -- '{FILE}'" in out
 
 
 # Kalico
@@ -404,13 +448,16 @@ def test_kalico_needs_the_override(box):
         ("allow_plugin_override: False", False),
         ("#allow_plugin_override: True", False),
         ("allow_plugin_override: Trueish", False),
+        ("allow_plugin_override: True", None),
     ],
 )
 def test_override_is_read_from_the_configuration(box, line, allowed):
     kalico = box.kalico()
     config = box.conf().parent / "more"
     config.mkdir()
-    (config / "danger.cfg").write_text(f"[danger_options]\n{line}\n")
+    # None: in a copy that SAVE_CONFIG has left
+    name = "printer-20261121_174500" if allowed is None else "danger"
+    (config / f"{name}.cfg").write_text(f"[danger_options]\n{line}\n")
     if not allowed:
         box.refused(4)
         return
@@ -676,6 +723,16 @@ def test_section_is_no_obstacle_to_installing(machine):
     config.write_text("[z_calibration]\n")
     out = machine.installed()
     assert "Klipper will not start" not in out
+    assert machine.restarted() == ["klipper", "moonraker"]
+
+
+def test_copies_of_save_config_are_no_configuration(machine):
+    machine.installed()
+    folder = machine.home / "printer_data/config"
+    (folder / "printer-20261121_174500.cfg").write_text("[z_calibration]\n")
+    machine.forget_calls()
+    out = machine.installed("-u")
+    assert "is still in" not in out
     assert machine.restarted() == ["klipper", "moonraker"]
 
 

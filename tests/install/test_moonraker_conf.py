@@ -5,10 +5,12 @@ from __future__ import annotations
 import configparser
 import os
 import re
+import shutil
+from pathlib import Path
 
 import pytest
 
-from tests.install.box import ORIGIN, snapshot
+from tests.install.box import ORIGIN, REPO, new_box, snapshot
 
 HEADER = "[update_manager z_calibration]"
 MARK = "# Added by install.sh of z_calibration\n"
@@ -163,7 +165,6 @@ def test_what_only_looks_like_it_does_not_count(machine, line):
     [
         "more.conf",
         "conf.d/*.conf",
-        "~/printer_data/config/conf.d/*.conf",
         "ABSOLUTE/conf.d/updates.conf",
         "first.conf",
     ],
@@ -198,7 +199,16 @@ def test_file_that_includes_itself_ends(machine):
         (OTHER, "updates '~/old', not this checkout"),
         (
             SECTION.replace(ORIGIN, "https://example.com/else.git"),
-            "has another origin or channel",
+            "has another origin, branch or channel",
+        ),
+        # Moonraker wants exactly that address
+        (
+            SECTION.replace(ORIGIN, ORIGIN + "/"),
+            "has another origin, branch or channel",
+        ),
+        (
+            SECTION.replace("primary_branch: main\n", ""),
+            "has another origin, branch or channel",
         ),
     ],
 )
@@ -228,7 +238,6 @@ def test_section_of_somebody_else(machine, section, words):
         ("~/klipper_z_calibration/", ORIGIN),
         ("HOME/klipper_z_calibration  # here", ORIGIN[:-4]),
         ("~/link", ORIGIN.upper()),
-        ("~/klipper_z_calibration", ORIGIN + "/"),
     ],
 )
 def test_other_words_for_the_same(machine, path, origin):
@@ -261,7 +270,7 @@ def test_channel(machine, channel):
     assert SKIPPED in machine.installed(f"--channel={channel}")
     other = "beta" if channel != "beta" else "stable"
     out = machine.installed("--channel", other)
-    assert "has another origin or channel" in out
+    assert "has another origin, branch or channel" in out
     machine.installed("--channel", other, "--force")
     assert f"channel: {other}\n" in conf.read_text()
     assert conf.read_text().count(HEADER) == 1
@@ -352,3 +361,128 @@ def test_uninstall_takes_our_options_only(machine):
     conf = machine.conf(text=f"[server]\n\n{MARK}{section}\n# b\n\n[next]\n")
     machine.installed("-u")
     assert conf.read_text() == "[server]\n\n# b\n\n[next]\n"
+
+
+def failing(program, when):
+    """A stand-in for a program that fails when its last word fits."""
+    real = shutil.which(program)
+    return f'#!/usr/bin/env bash\n[[ "$*" != {when} ]] || exit 1\nexec {real} "$@"\n'
+
+
+@pytest.mark.parametrize("option", [[], ["-u"]])
+def test_full_disk_loses_nothing(machine, option):
+    conf = machine.home / "printer_data/config/moonraker.conf"
+    if option:
+        machine.installed()
+    text = conf.read_text()
+    # What is written over the file ends too early
+    machine.fake("cmp", failing("cmp", f"*{conf}"))
+    outcome = machine.run(*option)
+    assert outcome.code == 1
+    kept = re.search(r"its old text is in (.*)", outcome.err).group(1)
+    assert Path(kept).read_text() == text
+    assert Path(kept).parent == conf.parent
+
+
+def test_no_room_for_a_copy(machine):
+    conf = machine.home / "printer_data/config/moonraker.conf"
+    machine.fake("cp", failing("cp", f"*{conf}.bak-*"))
+    outcome = machine.run()
+    assert outcome.code == 1
+    assert f"could not keep a copy of {conf}, so it was left" in outcome.err
+    assert conf.read_text() == "[server]\n"
+
+
+@pytest.mark.parametrize("name", ["moonraker.conf", "more.conf"])
+@pytest.mark.parametrize("option", [[], ["-u"]])
+def test_file_that_cannot_be_read(machine, name, option):
+    conf = machine.conf(text="[include more.conf]\n")
+    conf.with_name("more.conf").write_text("[server]\n")
+    file = conf.with_name(name)
+    machine.installed("--help")
+    file.chmod(0o000)
+    outcome = machine.run(*option)
+    file.chmod(0o644)
+    assert outcome.code == 5
+    assert f"cannot read {file}" in outcome.err
+    assert conf.read_text() == "[include more.conf]\n"
+
+
+@pytest.mark.parametrize("name", ["-x.conf", "a=b.conf", "a b.conf"])
+def test_name_that_is_no_option(machine, name):
+    conf = machine.directory / name
+    conf.write_text("[server]\nport: 1\n" + OTHER)
+    machine.installed("-m", name, "--force")
+    assert conf.read_text() == f"[server]\nport: 1\n\n{MARK}{SECTION}"
+    machine.installed("-u", "-m", name)
+    assert conf.read_text() == "[server]\nport: 1\n"
+
+
+def test_home_with_brackets():
+    box = new_box("home[1]")
+    box.klipper()
+    conf = box.conf(text="[include conf.d/*.conf]\n")
+    (conf.parent / "conf.d").mkdir()
+    (conf.parent / "conf.d" / "a.conf").write_text(SECTION)
+    assert SKIPPED in box.installed()
+    shutil.rmtree(box.directory)
+
+
+def test_clone_on_no_branch(machine):
+    machine.installed("--help")
+    machine.git(machine.checkout, "checkout", "-q", "--detach")
+    out = machine.installed()
+    assert "is on no branch, and Moonraker will not update it" in out
+    assert f"git -C '{machine.checkout}' checkout main" in out
+
+
+AWKS = {
+    "mawk": ["mawk"],
+    "gawk": ["gawk"],
+    "original-awk": ["original-awk"],
+    "busybox": ["busybox", "awk"],
+}
+FOUND = [name for name in AWKS if shutil.which(AWKS[name][0])]
+
+
+def test_there_is_an_awk():
+    assert FOUND
+
+
+@pytest.mark.parametrize("name", FOUND)
+def test_every_awk_does_the_same(machine, name):
+    program, *applet = AWKS[name]
+    words = " ".join([shutil.which(program), *applet])
+    machine.fake("awk", f'#!/usr/bin/env bash\nexec {words} "$@"\n')
+    conf = machine.conf(text=f"[server]\nport: 1\n\n{OTHER}\n[next]\n")
+    exclude = machine.home / "klipper/.git/info/exclude"
+    exclude.write_text("*.bak")
+    machine.installed("--help")
+    out = machine.installed("--force")
+    assert conf.read_text() == (
+        f"[server]\nport: 1\n\n[next]\n\n{MARK}{SECTION}"
+    )
+    assert SKIPPED in machine.installed()
+    assert "http://127.0.0.1:1/" in "".join(machine.calls())
+    machine.installed("-u")
+    assert conf.read_text() == "[server]\nport: 1\n\n[next]\n"
+    assert exclude.read_text() == "*.bak"
+    assert "warning" not in out
+
+
+def test_awk_gets_no_backslash_in_a_variable():
+    """Only some take it away: `awk -v x='\\['` is not portable."""
+    script = (REPO / "install.sh").read_text()
+    values = re.findall(r'-v \w+=("[^"]*"|\S+)', script)
+    assert len(values) >= 10
+    assert [v for v in values if "\\" in v.replace("\\$", "")] == []
+    pattern = re.search(r"header_pattern\(\) \{\n(.*)\n", script).group(1)
+    assert "\\" not in pattern
+
+
+def test_it_is_told_after_it_was_done(machine):
+    machine.fake("ln", "#!/usr/bin/env bash\nexit 1\n")
+    outcome = machine.run()
+    assert outcome.code == 1
+    assert "Linking" not in outcome.out
+    assert outcome.err.count("unexpected failure") == 1

@@ -2,6 +2,9 @@
 
 from __future__ import annotations
 
+import os
+import pty
+
 import pytest
 
 NAMES = ("printer_1", "printer_2")
@@ -37,8 +40,15 @@ UNITS = [
 ]
 
 
+def several(box, count):
+    """As many printers with a Moonraker each."""
+    for n in range(2, count + 1):
+        box.conf(f"printer_{n}_data/config")
+
+
 def test_every_instance(machine):
     machine.systemd(UNITS)
+    several(machine, 3)
     machine.installed()
     assert machine.restarted() == [
         *("klipper", "klipper-1", "klipper-big"),
@@ -60,6 +70,7 @@ def test_every_instance(machine):
 )
 def test_chosen_services(machine, options, expected):
     machine.systemd(UNITS)
+    several(machine, 4)
     out = machine.installed(*options)
     assert machine.restarted() == expected
     without = "moonraker" not in " ".join(expected)
@@ -68,6 +79,7 @@ def test_chosen_services(machine, options, expected):
 
 def test_numbered_services(machine):
     machine.systemd(["klipper-1", "klipper-2", "klipper-3"])
+    several(machine, 3)
     machine.installed("-n", "2")
     assert machine.restarted() == ["klipper-1", "klipper-2"]
 
@@ -157,22 +169,58 @@ def test_klippy_that_is_down_prints_nothing(machine):
 
 
 @pytest.mark.parametrize("answer", [None, '{"error": {"code": 401}}'])
-@pytest.mark.parametrize("active", [True, False])
-def test_moonraker_that_does_not_tell(machine, answer, active):
-    machine.systemd(answer=answer)
-    if active:
-        (machine.directory / "active").write_text("klipper\n")
-    out = machine.installed()
+@pytest.mark.parametrize("options", [[], ["-s", "klipper"]])
+@pytest.mark.parametrize("stopped", [["klipper"], []])
+def test_moonraker_that_does_not_tell(machine, answer, options, stopped):
+    machine.systemd(answer=answer, stopped=stopped)
+    out = machine.installed(*options)
     text = "klipper not restarted: no Moonraker tells whether a print is"
-    assert (text in out) is active
-    rest = [] if active else ["klipper"]
-    assert machine.restarted() == [*rest, "moonraker"]
+    assert (text in out) is not stopped
+    # A service that was named is started
+    klipper = ["klipper"] if stopped and options else []
+    assert machine.restarted() == [*klipper, "moonraker"]
+
+
+@pytest.mark.parametrize("first", ["printing", "silent"])
+@pytest.mark.parametrize("options", [[], ["-m", "CONF"], ["--no-moonraker"]])
+def test_every_moonraker_is_asked(machine, first, options):
+    """Also one that is not to be changed, and after one that is silent."""
+    conf = machine.conf("printer_2_data/config", "[server]\nport: 7126\n")
+    states = {"printing": ("printing", "standby"), "silent": ("", "printing")}
+    one, two = states[first]
+    machine.systemd(["klipper-1", "klipper-2", "moonraker-1", "moonraker-2"])
+    machine.fake(
+        "curl",
+        '#!/usr/bin/env bash\ncase "$*" in\n'
+        f'*7125*) echo "{{\\"print_stats\\":{{\\"state\\":\\"{one}\\"}}}}" ;;\n'
+        f'*7126*) echo "{{\\"print_stats\\":{{\\"state\\":\\"{two}\\"}}}}" ;;\n'
+        "esac\n",
+    )
+    options = [word.replace("CONF", str(conf)) for word in options]
+    assert "a print is running" in machine.installed(*options)
+    assert machine.restarted() == []
+
+
+def test_more_printers_than_moonrakers_that_answer(machine):
+    machine.systemd(["klipper-1", "klipper-2", "klipper-mcu", "moonraker-1"])
+    out = machine.installed()
+    assert "klipper-1 not restarted: no Moonraker tells" in out
+    assert "klipper-2 not restarted: no Moonraker tells" in out
+    assert machine.restarted() == ["moonraker-1"]
+
+
+def test_stopped_service_needs_no_moonraker(machine):
+    machine.systemd(
+        ["klipper", "klipper-2", "moonraker"], stopped=["klipper-2"]
+    )
+    out = machine.installed()
+    assert "klipper-2 not restarted: it does not run" in out
+    assert machine.restarted() == ["klipper", "moonraker"]
 
 
 def test_no_moonraker_to_ask(box):
     box.klipper()
     box.systemd()
-    (box.directory / "active").write_text("klipper\n")
     out = box.installed()
     assert "When it is not: sudo systemctl restart klipper" in out
     assert box.restarted() == []
@@ -186,10 +234,12 @@ def test_no_moonraker_to_ask(box):
         ("host: 0.0.0.0\nport = 80", "127.0.0.1:80"),
         ("host: 192.168.1.5", "192.168.1.5:7125"),
         ("\n[other]\nport: 1\n", "127.0.0.1:7125"),
+        ("port: 1\n[include more.conf]", "127.0.0.1:7130"),
     ],
 )
 def test_where_moonraker_is_asked(machine, server, address):
-    machine.conf(text=f"[server]\n{server}\n[mqtt]\nport: 1883\n")
+    conf = machine.conf(text=f"[server]\n{server}\n[mqtt]\nport: 1883\n")
+    conf.with_name("more.conf").write_text("[server]\nport: 7130\n")
     machine.installed()
     asked = [call for call in machine.calls() if call.startswith("curl ")]
     assert len(asked) == 1
@@ -200,7 +250,6 @@ def test_where_moonraker_is_asked(machine, server, address):
 def test_wget_where_there_is_no_curl(machine):
     machine.fake("wget", (machine.bin / "curl").read_text())
     (machine.bin / "curl").unlink()
-    (machine.directory / "active").write_text("klipper\n")
     machine.installed()
     assert machine.restarted() == ["klipper", "moonraker"]
     assert any(call.startswith("wget ") for call in machine.calls())
@@ -208,7 +257,6 @@ def test_wget_where_there_is_no_curl(machine):
 
 def test_neither_curl_nor_wget(machine):
     (machine.bin / "curl").unlink()
-    (machine.directory / "active").write_text("klipper\n")
     assert "klipper not restarted" in machine.installed()
 
 
@@ -247,4 +295,17 @@ def test_hint_at_units_of_old_releases(machine, unit):
     out = machine.installed()
     assert f"Note: {unit} is not needed any more" in out
     assert f"sudo systemctl disable --now {unit}; sudo rm" in out
+    assert machine.restarted() == ["klipper", "moonraker"]
+
+
+def test_sudo_may_ask_where_there_is_a_terminal(machine):
+    master, terminal = pty.openpty()
+    try:
+        script = str(machine.checkout / "install.sh")
+        outcome = machine.command([script], stdin=terminal)
+    finally:
+        os.close(master)
+        os.close(terminal)
+    assert outcome.code == 0, outcome
+    assert "sudo systemctl restart klipper" in machine.calls()
     assert machine.restarted() == ["klipper", "moonraker"]
