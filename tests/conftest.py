@@ -49,6 +49,28 @@ def pytest_generate_tests(metafunc: pytest.Metafunc) -> None:
         metafunc.parametrize("some_host", HOSTS, ids=names)
 
 
+def pytest_collection_modifyitems(
+    config: pytest.Config, items: list[pytest.Item]
+) -> None:
+    """Of a test marked `spread`, each case runs on one of the hosts.
+
+    On another one for another case. EVERY_HOST=1: on each.
+    """
+    if os.environ.get("EVERY_HOST"):
+        return
+    left_out = [item for item in items if not _is_its_turn(item)]
+    config.hook.pytest_deselected(items=left_out)
+    items[:] = [item for item in items if _is_its_turn(item)]
+
+
+def _is_its_turn(item: pytest.Item) -> bool:
+    host = getattr(item, "callspec", None) and item.callspec.params.get("host")
+    if host is None or item.get_closest_marker("spread") is None:
+        return True
+    case = item.nodeid.replace(host.name, "")
+    return HOSTS[zlib.crc32(case.encode()) % len(HOSTS)] is host
+
+
 @pytest.fixture
 def some_host(request: pytest.FixtureRequest) -> Host:
     """One of the hosts, another for another test: for long tables."""

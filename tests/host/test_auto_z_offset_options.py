@@ -28,6 +28,8 @@ from tests.hostkit.piezo import (
 from tests.hostkit.printer import Printer, module_files
 from tests.simprinter import SCENES, Fault
 
+pytestmark = pytest.mark.spread
+
 STEPS = 2 * MICROSTEP
 PREPARE = SCENES["qidi"].sections["auto_z_offset"]["prepare_gcode"]
 # Takes no time and moves nothing

@@ -26,6 +26,8 @@ from tests.hostkit.session import GcodeError
 from tests.simprinter import SCENES, Fault
 from tests.simprinter.mcu.tmc import IFCNT
 
+pytestmark = pytest.mark.spread
+
 STEPS = 2 * MICROSTEP
 MEASURING = ("PROBE", "HOME_Z", "MEASURE_OFFSET", "CALIBRATE")
 PREPARE = SCENES["qidi"].sections["auto_z_offset"]["prepare_gcode"]

@@ -19,6 +19,8 @@ from tests.hostkit.calibration import (
 )
 from tests.simprinter import SCENES, Fault
 
+pytestmark = pytest.mark.spread
+
 # Behind the bed, where the probe has nothing to stand on
 BESIDE = "G1 Z20 F900\nG1 X20 Y305 F6000\nG1 Z5 F900"
 

@@ -27,6 +27,8 @@ from tests.hostkit.calibration import (
 from tests.hostkit.printer import Printer
 from tests.simprinter import SCENES, Fault
 
+pytestmark = pytest.mark.spread
+
 
 @pytest.fixture
 def start(some_host):

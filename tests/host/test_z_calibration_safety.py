@@ -24,6 +24,8 @@ from tests.hostkit.session import GcodeError
 from tests.simprinter import SCENES, Fault
 from tests.simprinter.world import DriftSpec
 
+pytestmark = pytest.mark.spread
+
 
 def voron(**mag_probe):
     """The voron scene with another probe on it."""

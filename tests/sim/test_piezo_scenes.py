@@ -11,6 +11,8 @@ from tests.sim.test_live_parts import probed_z
 from tests.simprinter import SCENES, Fault, Scene
 from tests.simprinter.world import Bed, NoiseSpec
 
+pytestmark = pytest.mark.spread
+
 PIEZO = [name for name in SCENES if SCENES[name].world.bed_sensor]
 SWITCHED = [name for name in PIEZO if SCENES[name].wiring.outputs]
 # Names of the Z motors' steppers
