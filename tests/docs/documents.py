@@ -510,7 +510,7 @@ def link_problems(
         path, _, anchor = target.partition("#")
         if target.startswith("http"):
             continue
-        if path and not (document.parent / path).is_file():
+        if path and not (document.parent / path).exists():
             found.append(f"no file: {target}")
         elif anchor:
             other = text
