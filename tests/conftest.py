@@ -10,6 +10,7 @@ from contextlib import ExitStack
 import pytest
 from hypothesis import HealthCheck, settings
 
+from tests.hostkit import loader
 from tests.hostkit.hosts import Host, find_hosts, missing_hosts
 from tests.hostkit.printer import Printer
 
@@ -28,6 +29,11 @@ def pytest_report_header() -> list[str]:
     if missing_hosts():
         lines.append(f"MISSING: {', '.join(missing_hosts())}")
     return lines
+
+
+def pytest_sessionfinish() -> None:
+    """End the printers that were kept for the next configuration."""
+    loader.close()
 
 
 @pytest.fixture(params=HOSTS, ids=lambda host: host.name)

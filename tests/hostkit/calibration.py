@@ -9,6 +9,7 @@ from typing import Any, Optional, Union
 import pytest
 
 from tests.hostkit.hosts import Host
+from tests.hostkit.loader import load
 from tests.hostkit.printer import Printer, module_files
 from tests.simprinter import Scene
 
@@ -94,9 +95,7 @@ def refusal(
     host: Host, changes: dict[str, Any], scene: Union[str, Scene] = "voron"
 ) -> str:
     """The message klippy stops with; it is not an internal error."""
-    with Printer(host, scene, changes=changes) as printer:
-        state, message = printer.session.start()
-        assert state == "error", message
-        assert "Internal error" not in message
-        assert printer.machine.truth.touches == []
-        return message
+    state, message = load(host, changes, scene)
+    assert state == "error", message
+    assert "Internal error" not in message
+    return message

@@ -51,10 +51,14 @@ class _Process:
         self.socket = self.directory / "comms" / "klippy.sock"
         for path in (self.config, self.log, self.socket):
             path.parent.mkdir(exist_ok=True)
-        self.config.write_text(installed.config + config)
         self._installed = installed
+        self.write_config(config)
         self._simulation = simulation
         self.popen: Optional[subprocess.Popen] = None
+
+    def write_config(self, config: str) -> None:
+        """Make printer.cfg anew."""
+        self.config.write_text(self._installed.config + config)
 
     def start(self, options: list[str]) -> None:
         """Start klippy on the simulation's clock."""
@@ -216,6 +220,16 @@ class LiveSession:
 
         Raises SessionError if it does not get there.
         """
+        self._begin_anew(command)
+        self.require_ready()
+
+    def reload(self, config: str) -> tuple[str, str]:
+        """Give klippy and its boards another printer.cfg; (state, message)."""
+        self._process.write_config(config)
+        self._begin_anew("FIRMWARE_RESTART")
+        return self.start()
+
+    def _begin_anew(self, command: str) -> None:
         api, simulation = self._api, self._simulation
         api.request("gcode/script", {"script": command})
         before = api.connections
@@ -225,7 +239,6 @@ class LiveSession:
             )
         except SimulationError as error:
             raise SessionError(f"{error}\n{self._tail()}") from error
-        self.require_ready()
 
     def wait(self, seconds: float) -> None:
         """Let printer seconds pass."""
