@@ -42,6 +42,7 @@ import difflib
 import functools
 import logging
 import math
+import re
 
 ######################################################################
 # Constants
@@ -163,6 +164,12 @@ Settings = collections.namedtuple(
 
 
 # --- shared: parsers ---
+# No length, speed or acceleration of a printer is larger (mm, mm/s, mm/s^2),
+# and nobody waits for more touches.  What is, would fail in a print.
+LARGEST_NUMBER = 100000.0
+LARGEST_COUNT = 1000
+
+
 def parse_number(text):
     try:
         value = float(text)
@@ -170,6 +177,13 @@ def parse_number(text):
         raise CalibrationError("'%s' is not a number" % (text,))
     if math.isnan(value) or math.isinf(value):
         raise CalibrationError("'%s' is not a finite number" % (text,))
+    # Python 3 takes 1_0 and the digits of all scripts
+    if not re.match(r"[-+.eE0-9\s]+$", text):
+        raise CalibrationError("'%s' is not a number" % (text,))
+    if abs(value) > LARGEST_NUMBER:
+        raise CalibrationError(
+            "'%s' is larger than %g" % (text, LARGEST_NUMBER)
+        )
     return value
 
 
@@ -188,12 +202,13 @@ def parse_positive(text):
 
 
 def parse_count(text, smallest):
-    try:
-        value = int(text)
-    except ValueError:
+    if not re.match(r"\s*[-+]?[0-9]+\s*$", text):
         raise CalibrationError("'%s' is not a whole number" % (text,))
+    value = int(text)
     if value < smallest:
         raise CalibrationError("'%s' is less than %d" % (text, smallest))
+    if value > LARGEST_COUNT:
+        raise CalibrationError("'%s' is more than %d" % (text, LARGEST_COUNT))
     return value
 
 
@@ -518,7 +533,7 @@ class Host(object):
                 "Option 'pin' in section '%s' is missing; %s"
                 % (config.get_name(), remedy)
             )
-        if not pin.strip() or chip_of(pin) in ("probe", NAME):
+        if not pin.strip("^~! ") or chip_of(pin) in ("probe", NAME):
             raise config.error(
                 "Option 'pin: %s' in section '%s' is no pin; %s"
                 % (pin, config.get_name(), remedy)
@@ -537,7 +552,13 @@ class Host(object):
 
     def _make_sensor(self):
         pins = self.printer.lookup_object("pins")
-        sensor = pins.setup_pin("endstop", self.pin)
+        try:
+            sensor = pins.setup_pin("endstop", self.pin)
+        except pins.error as e:
+            raise self.printer.config_error(
+                "Option 'pin: %s' in section 'auto_z_offset': %s"
+                % (self.pin, e)
+            )
         self.query_endstops.register_endstop(sensor, NAME)
         self.printer.register_event_handler(
             "klippy:mcu_identify", self._add_z_steppers

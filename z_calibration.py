@@ -183,6 +183,12 @@ Settings = collections.namedtuple(
 
 
 # --- shared: parsers ---
+# No length, speed or acceleration of a printer is larger (mm, mm/s, mm/s^2),
+# and nobody waits for more touches.  What is, would fail in a print.
+LARGEST_NUMBER = 100000.0
+LARGEST_COUNT = 1000
+
+
 def parse_number(text):
     try:
         value = float(text)
@@ -190,6 +196,13 @@ def parse_number(text):
         raise CalibrationError("'%s' is not a number" % (text,))
     if math.isnan(value) or math.isinf(value):
         raise CalibrationError("'%s' is not a finite number" % (text,))
+    # Python 3 takes 1_0 and the digits of all scripts
+    if not re.match(r"[-+.eE0-9\s]+$", text):
+        raise CalibrationError("'%s' is not a number" % (text,))
+    if abs(value) > LARGEST_NUMBER:
+        raise CalibrationError(
+            "'%s' is larger than %g" % (text, LARGEST_NUMBER)
+        )
     return value
 
 
@@ -208,12 +221,13 @@ def parse_positive(text):
 
 
 def parse_count(text, smallest):
-    try:
-        value = int(text)
-    except ValueError:
+    if not re.match(r"\s*[-+]?[0-9]+\s*$", text):
         raise CalibrationError("'%s' is not a whole number" % (text,))
+    value = int(text)
     if value < smallest:
         raise CalibrationError("'%s' is less than %d" % (text, smallest))
+    if value > LARGEST_COUNT:
+        raise CalibrationError("'%s' is more than %d" % (text, LARGEST_COUNT))
     return value
 
 
@@ -558,7 +572,7 @@ class Host(object):
     # The pin that nozzle and body press
     def _make_pin_endstop(self, config):
         pin = self.endstop_pin
-        if not pin.strip() or is_of_probe(pin):
+        if not pin.strip("^~! ") or is_of_probe(pin):
             raise config.error(
                 "Option 'endstop_pin: %s' in section 'z_calibration' is no pin"
                 " that the nozzle can press; give the pin of that switch, or"
@@ -575,9 +589,15 @@ class Host(object):
                 " nozzle presses" % (pin,)
             )
         pins = self.printer.lookup_object("pins")
-        # QUERY_ENDSTOPS and macros may know this pin by another section
-        pins.allow_multi_use_pin(bare_pin(pin))
-        endstop = pins.setup_pin("endstop", pin)
+        try:
+            # QUERY_ENDSTOPS and macros may know this pin by another section
+            pins.allow_multi_use_pin(bare_pin(pin))
+            endstop = pins.setup_pin("endstop", pin)
+        except pins.error as e:
+            raise config.error(
+                "Option 'endstop_pin: %s' in section 'z_calibration': %s"
+                % (pin, e)
+            )
         self.query_endstops.register_endstop(endstop, "z_calibration")
         self.printer.register_event_handler(
             "klippy:mcu_identify", self._add_z_steppers

@@ -164,9 +164,21 @@ class TestParseNumber:
         shown = f"'{text}' is not a finite number"
         assert complaint(zc.parse_number, text) == shown
 
-    @given(st.floats(allow_nan=False, allow_infinity=False))
+    @given(st.floats(-zc.LARGEST_NUMBER, zc.LARGEST_NUMBER))
     def test_reads_back_what_was_written(self, value):
         assert zc.parse_number(repr(value)) == value
+
+    @pytest.mark.parametrize("text", ["100001", "-1e12", "1e300"])
+    def test_refuses_what_no_printer_has(self, text):
+        shown = f"'{text}' is larger than 100000"
+        assert complaint(zc.parse_number, text) == shown
+
+    @pytest.mark.parametrize("text", ["1_0", "\uff11", "1\u0660"])
+    def test_takes_no_other_ways_to_write_digits(self, text):
+        shown = f"'{text}' is not a number"
+        assert complaint(zc.parse_number, text) == shown
+        shown = f"'{text}' is not a whole number"
+        assert complaint(zc.parse_count, text, 0) == shown
 
 
 class TestParseNotNegative:
@@ -221,6 +233,12 @@ class TestParseCount:
     def test_refuses_less(self, text, smallest):
         shown = f"'{text}' is less than {smallest}"
         assert complaint(zc.parse_count, text, smallest) == shown
+
+    def test_refuses_more_than_anybody_waits_for(self):
+        assert zc.parse_count("1000", 1) == 1000
+        for text in ("1001", "9" * 30):
+            shown = f"'{text}' is more than 1000"
+            assert complaint(zc.parse_count, text, 1) == shown
 
     @pytest.mark.parametrize(
         "text", [*NOT_NUMBERS, *NOT_FINITE, "1.0", "2.5", "1e3"]
