@@ -20,6 +20,17 @@ readonly NEW_FILE=" (the file is new)"
 
 readonly UNEXPECTED=1 USAGE=2 ENVIRONMENT=3 CONFLICT=4 NOT_WRITABLE=5 RESTART=6
 
+readonly PRINT_STATUS="/printer/objects/query?print_stats&idle_timeout"
+# For machines with neither curl nor wget
+readonly PYTHON_GET='
+import sys, urllib.error, urllib.request as r
+opener = r.build_opener(r.ProxyHandler({}))
+try:
+    answer = opener.open(sys.argv[1], timeout=3)
+except urllib.error.HTTPError as error:
+    answer = error
+print(answer.read().decode())'
+
 # Options
 klipper=""
 given_confs="" # lists have one entry in a line, as paths may contain spaces
@@ -903,14 +914,19 @@ print_state() {
     local conf answer unit idle=0 running=0
     while IFS= read -r conf; do
         [ -n "$conf" ] || continue
-        answer=$(ask_moonraker "$conf" | tr -d '[:space:]')
+        # Without a klippy, Moonraker knows no printer to ask
+        answer=$(ask_moonraker "$conf" "/server/info")
+        case $answer in
+            *'"klippy_connected":false'*) ;;
+            *) answer=$(ask_moonraker "$conf" "$PRINT_STATUS") ;;
+        esac
         case $answer in
             *'"state":"printing"'* | *'"state":"Printing"'* | \
                 *'"state":"paused"'*)
                 echo busy
                 return 0
                 ;;
-            *'"print_stats":'* | *'KlippyHostnotconnected'*)
+            *'"print_stats":'* | *'"klippy_connected":false'*)
                 idle=$((idle + 1))
                 ;;
         esac
@@ -921,6 +937,7 @@ print_state() {
     if [ "$idle" -ge "$running" ]; then echo idle; else echo unknown; fi
 }
 
+# ask_moonraker CONF PATH: its answer without any white space
 ask_moonraker() {
     local host port url
     host=$(server_value "$1" host)
@@ -928,12 +945,18 @@ ask_moonraker() {
     case $host in
         "" | 0.0.0.0 | all | ::) host=127.0.0.1 ;;
     esac
-    url="http://$host:${port:-7125}/printer/objects/query"
-    url+="?print_stats=state&idle_timeout=state"
+    url="http://$host:${port:-7125}$2"
+    get "$url" | tr -d '[:space:]'
+}
+
+get() {
     if command -v curl >/dev/null 2>&1; then
-        curl -s -m 3 "$url" 2>/dev/null || true
+        curl -s -m 3 --noproxy '*' "$1" 2>/dev/null || true
     elif command -v wget >/dev/null 2>&1; then
-        wget -q -T 3 -t 1 -O - "$url" 2>/dev/null || true
+        wget -q -T 3 -t 1 --no-proxy --content-on-error -O - "$1" \
+            2>/dev/null || true
+    elif command -v python3 >/dev/null 2>&1; then
+        python3 -c "$PYTHON_GET" "$1" 2>/dev/null || true
     fi
 }
 

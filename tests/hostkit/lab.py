@@ -71,8 +71,8 @@ enable_system_updates: False
 class Lab:
     """One such printer; use as a context manager.
 
-    As on a new machine nothing runs at first: install() asks for restarts of
-    what it has set up, and obey() does them.
+    At first only Moonraker runs, and klippy does for systemd: install() asks
+    for restarts of what it has set up, and obey() does them.
     """
 
     def __init__(self, host: Host, python: Path, directory: Path):
@@ -97,6 +97,9 @@ class Lab:
         self.moonraker = Moonraker(python, self.data, self._port, self._env)
 
     def __enter__(self) -> Lab:
+        for name in ("klipper", "moonraker"):
+            (self.directory / "running" / name).touch()
+        self.moonraker.start()
         return self
 
     def __exit__(self, *unused: object) -> None:

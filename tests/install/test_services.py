@@ -2,10 +2,18 @@
 
 from __future__ import annotations
 
+import json
 import os
 import pty
+import shutil
+import subprocess
+import sys
+import threading
+from http.server import BaseHTTPRequestHandler, HTTPServer
 
 import pytest
+
+from tests.install.box import REPO
 
 NAMES = ("printer_1", "printer_2")
 STANDBY = '{"result": {"status": {"print_stats": {"state": "standby"}}}}'
@@ -162,8 +170,7 @@ def test_one_of_two_printers_prints(machine):
 
 
 def test_klippy_that_is_down_prints_nothing(machine):
-    text = '{"error": {"code": 503, "message": "Klippy Host not connected"}}'
-    machine.systemd(answer=text)
+    machine.systemd(answer='{"result": {"klippy_connected": false}}')
     machine.installed()
     assert machine.restarted() == ["klipper", "moonraker"]
 
@@ -242,22 +249,78 @@ def test_where_moonraker_is_asked(machine, server, address):
     conf.with_name("more.conf").write_text("[server]\nport: 7130\n")
     machine.installed()
     asked = [call for call in machine.calls() if call.startswith("curl ")]
-    assert len(asked) == 1
-    assert f"http://{address}/printer/objects/query?print_stats" in asked[0]
-    assert "-m 3" in asked[0]
+    assert len(asked) == 2
+    assert f"http://{address}/server/info" in asked[0]
+    assert f"http://{address}/printer/objects/query?print_stats" in asked[1]
+    assert all("-m 3" in call for call in asked)
 
 
-def test_wget_where_there_is_no_curl(machine):
-    machine.fake("wget", (machine.bin / "curl").read_text())
+@pytest.mark.parametrize("program", ["curl", "wget", "python3"])
+def test_first_of_these_that_is_there_asks(machine, program):
+    script = (machine.bin / "curl").read_text()
     (machine.bin / "curl").unlink()
+    machine.fake(program, script)
     machine.installed()
     assert machine.restarted() == ["klipper", "moonraker"]
-    assert any(call.startswith("wget ") for call in machine.calls())
+    assert any(call.startswith(f"{program} ") for call in machine.calls())
 
 
-def test_neither_curl_nor_wget(machine):
+def test_none_of_these(machine):
     (machine.bin / "curl").unlink()
     assert "klipper not restarted" in machine.installed()
+
+
+class Answer(BaseHTTPRequestHandler):
+    """A Moonraker whose klippy prints, or is not connected."""
+
+    def do_GET(self):
+        asks_server = self.path == "/server/info"
+        connected = self.server.is_busy
+        if asks_server:
+            answer = {"klippy_connected": connected}
+        else:
+            answer = {"status": {"print_stats": {"state": "printing"}}}
+        self.send_response(200 if asks_server or connected else 404)
+        self.end_headers()
+        self.wfile.write(json.dumps({"result": answer}, indent=1).encode())
+
+    def log_message(self, *_words):
+        """Say nothing."""
+
+
+@pytest.mark.parametrize("is_busy", [True, False])
+@pytest.mark.parametrize("program", ["curl", "wget", "python3"])
+def test_real_programs_get_the_answer(tmp_path, program, is_busy):
+    found = shutil.which(program)
+    if program == "python3":
+        # Not one that needs the PATH of the tests to find itself
+        found = os.path.realpath(sys.executable)
+    if found is None:
+        pytest.skip(f"there is no {program} on this machine")
+    tools = tmp_path / "bin"
+    tools.mkdir()
+    (tools / program).symlink_to(found)
+    for tool in ("bash", "awk", "sed", "dirname", "cat", "tr"):
+        (tools / tool).symlink_to(shutil.which(tool))
+    server = HTTPServer(("127.0.0.1", 0), Answer)
+    server.is_busy = is_busy
+    conf = tmp_path / "moonraker.conf"
+    conf.write_text(f"[server]\nport: {server.server_port}\n")
+    functions = f". {REPO / 'install.sh'}; every_conf='{conf}'\n"
+    functions += "is_active() { true; }\nprint_state klipper"
+    thread = threading.Thread(target=server.serve_forever)
+    thread.start()
+    done = subprocess.run(
+        ["bash", "-c", functions],
+        env={"PATH": str(tools), "http_proxy": "http://127.0.0.1:1"},
+        capture_output=True,
+        text=True,
+        timeout=20,
+    )
+    server.shutdown()
+    thread.join(timeout=20)
+    server.server_close()
+    assert done.stdout == ("busy\n" if is_busy else "idle\n"), done.stderr
 
 
 # Failures
