@@ -98,23 +98,23 @@ INSTALLING = {
     "git clone ADDRESS ~/klipper_z_calibration",
     "~/klipper_z_calibration/install.sh",
 }
+# By test_the_way_to_the_demo
+TRYING = {"cd ~/klipper_z_calibration", "make demo"}
 # What follows the command, so that it does not run this test again
 ADDED = {
     "make test": " PYTEST_ARGS=tests/unit/test_module_sources.py",
     "KLIPPER_PATH=~/klipper:~/kalico make test": " PYTEST_ARGS=--version",
-    "make demo": "",
     "build/venv/bin/python -m tests.demo --help": "",
 }
 EXPECTED = {
     "make test": r"\d+ passed",
     "KLIPPER_PATH=~/klipper:~/kalico make test": r"klipper@klipper.*\nkalico@",
-    "make demo": r"new offset=",
     "build/venv/bin/python -m tests.demo --help": r"--scene",
 }
 
 
 def test_every_command_is_known():
-    assert set(commands()) == {*INSTALLING, *ADDED}
+    assert set(commands()) == {*INSTALLING, *TRYING, *ADDED}
 
 
 @pytest.fixture
@@ -143,6 +143,22 @@ def test_command_works(home, command):
     )
     assert done.returncode == 0, done.stdout + done.stderr
     assert re.search(EXPECTED[command], done.stdout), done.stdout
+
+
+@pytest.mark.timeout(300)
+def test_the_way_to_the_demo(home):
+    """From the clone to the true gap; make test is above."""
+    lines = blocks(part(README.read_text(), "Try it without a printer"))[0]
+    lines = lines.replace("ADDRESS", str(ROOT)).replace("make test", "true")
+    env = {**os.environ, "HOME": str(home), "KLIPPER_PATH": ""}
+    env["BUILD_DIR"] = str(build_dir())
+    env["GIT_CONFIG_COUNT"] = "1"
+    env["GIT_CONFIG_KEY_0"], env["GIT_CONFIG_VALUE_0"] = "safe.directory", "*"
+    done = subprocess.run(
+        ["bash", "-ec", lines], env=env, capture_output=True, text=True
+    )
+    assert done.returncode == 0, done.stdout + done.stderr
+    assert "new offset=" in done.stdout
 
 
 # Words of Klipper, of web interfaces and of others' macros
