@@ -12,6 +12,7 @@ import shutil
 from collections.abc import Iterator, Mapping
 from contextlib import ExitStack, contextmanager
 from dataclasses import replace
+from fnmatch import fnmatch
 from pathlib import Path
 from typing import Optional
 
@@ -147,10 +148,7 @@ class Lab:
 
     def _make_checkout(self) -> None:
         """The origin with what is in this repository now, and a clone."""
-        for name in _own_files():
-            target = self._sources / name
-            target.parent.mkdir(parents=True, exist_ok=True)
-            shutil.copy2(REPO_ROOT / name, target)
+        copy_own_files(self._sources)
         url = self._publish(self._sources, "origin.git", "main")
         self.git(self.home, "clone", "--quiet", url, self.checkout.name)
 
@@ -273,8 +271,17 @@ class Lab:
             self._life.close()
 
 
+def copy_own_files(folder: Path) -> None:
+    """Copy this repository as it is now, but for what git would ignore."""
+    for name in _own_files():
+        target = folder / name
+        target.parent.mkdir(parents=True, exist_ok=True)
+        shutil.copy2(REPO_ROOT / name, target)
+
+
 def _own_files() -> list[str]:
-    """Files of this repository as they are now, but for ignored ones."""
+    if not (REPO_ROOT / ".git").exists():
+        return _files_but_ignored_ones()
     # In a container it may belong to somebody else
     git = ["git", "-c", "safe.directory=*", "-C", REPO_ROOT]
     names = run(
@@ -283,3 +290,20 @@ def _own_files() -> list[str]:
         additions={"GIT_OPTIONAL_LOCKS": "0"},
     ).split("\0")
     return [name for name in names if (REPO_ROOT / name).is_file()]
+
+
+def _files_but_ignored_ones() -> list[str]:
+    """The same where there are only the files, such as from an archive."""
+    ignored = (REPO_ROOT / ".gitignore").read_text("utf-8").split()
+    patterns = [name.rstrip("/") for name in ignored]
+    found = []
+    for folder, folders, files in os.walk(REPO_ROOT):
+        for names in (folders, files):
+            names[:] = [
+                name
+                for name in names
+                if not any(fnmatch(name, pattern) for pattern in patterns)
+            ]
+        inner = Path(folder).relative_to(REPO_ROOT)
+        found += [str(inner / name) for name in files]
+    return found

@@ -800,13 +800,15 @@ def test_shellcheck():
 
 def test_script_can_be_run():
     assert os.access(REPO / "install.sh", os.X_OK)
-    listed = subprocess.run(
-        ["git", "-C", str(REPO), "ls-files", "-s", "install.sh"],
-        capture_output=True,
-        text=True,
-        check=True,
-    )
-    assert listed.stdout.startswith("100755 ")
+    if (REPO / ".git").exists():
+        git = ["git", "-c", "safe.directory=*", "-C", str(REPO)]
+        listed = subprocess.run(
+            [*git, "ls-files", "-s", "install.sh"],
+            capture_output=True,
+            text=True,
+            check=True,
+        )
+        assert listed.stdout.startswith("100755 ")
 
 
 def test_sourced_script_does_nothing(machine):
