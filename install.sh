@@ -534,7 +534,7 @@ include_links() {
     [ "$git_of_klipper" = ok ] || return 0
     file=$(exclude_file)
     [ -f "$file" ] && grep -qF -e "# $MARK" -- "$file" || return 0
-    if [ ! -w "$file" ]; then
+    if ! can_write_over "$file"; then
         note "could not write to $file; the lines for the links stay there," \
             "which is harmless"
         return 0
@@ -572,6 +572,9 @@ include_links() {
 ends_with_newline() { [ -z "$(tail -c 1 -- "$1")" ]; }
 
 is_open() { ends_with_newline "$1" || echo 1; }
+
+# Its old text has to fit beside it, too
+can_write_over() { [ -w "$1" ] && [ -w "$(dirname -- "$1")" ]; }
 
 # write_over NEW FILE: in place, as a link stays a link then, and owner and
 # mode stay. Until all is written the old text is kept beside it.
@@ -723,7 +726,8 @@ check_conf() {
         file=$1
         [ -z "$uninstall" ] || return 0
     fi
-    [ -w "$file" ] || problem "$NOT_WRITABLE" "cannot write to $file"
+    can_write_over "$file" ||
+        problem "$NOT_WRITABLE" "cannot write to $file, or not beside it"
 }
 
 register() {
@@ -992,7 +996,7 @@ restart_services() {
     [ -z "$confs_changed" ] || what+="${what:+ and }Moonraker"
     if [ -z "$use_restart" ] || ! has_systemd; then
         say "Services not restarted. Restart $what yourself (the service; a" \
-            "RESTART in the console does not load a module)"
+            "RESTART in the console does not load a changed module)"
         return 0
     fi
     hint_at_old_units

@@ -323,6 +323,32 @@ def test_file_that_cannot_be_written(machine):
     assert "cannot write" in machine.refused(5, "-u")
 
 
+@pytest.mark.parametrize("option", [[], ["-u"]])
+def test_folder_that_cannot_be_written(machine, option):
+    """The old text would have no place while the new one is written."""
+    conf = machine.home / "printer_data/config/moonraker.conf"
+    if option:
+        machine.installed()
+        machine.forget_calls()
+    conf.parent.chmod(0o555)
+    err = machine.refused(5, *option)
+    conf.parent.chmod(0o755)
+    assert f"cannot write to {conf}, or not beside it" in err
+
+
+def test_folder_of_the_exclude_file_that_cannot_be_written(machine):
+    machine.installed()
+    folder = machine.home / "klipper/.git/info"
+    text = (folder / "exclude").read_text()
+    folder.chmod(0o555)
+    out = machine.installed("-u")
+    folder.chmod(0o755)
+    assert "the lines for the links stay there" in out
+    assert (folder / "exclude").read_text() == text
+    conf = machine.home / "printer_data/config/moonraker.conf"
+    assert conf.read_text() == "[server]\n"
+
+
 def test_file_without_a_section_need_not_be_writable(machine):
     conf = machine.home / "printer_data/config/moonraker.conf"
     conf.chmod(0o444)
