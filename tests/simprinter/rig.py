@@ -21,7 +21,9 @@ _MEMORY_NS = 2_000_000_000
 
 
 class MotorAxis:
-    """A motor's travel in mm as a function of time."""
+    """A motor's travel in mm as a function of its board's clock."""
+
+    __slots__ = ("_scale", "_start", "board", "track")
 
     def __init__(self, step_dist: float, positive_dir: int, start: float):
         self._scale = step_dist if positive_dir else -step_dist
@@ -29,19 +31,13 @@ class MotorAxis:
         self.track = StepTrack()
         self.board: Board | None = None
 
-    def mm(self, ns: int) -> float:
-        """Travel at a time, mm in the frame of the world's kinematics."""
-        if self.board is None:
-            return self._start
-        steps = self.track.at(self.board.clock_at(ns))
-        return self._start + steps * self._scale
-
-    def moves_between(self, first: int, last: int) -> bool:
-        """Whether it may step between two times."""
-        if self.board is None:
-            return False
-        clock_at = self.board.clock_at
-        return self.track.moving_between(clock_at(first), clock_at(last))
+    def mm(self, clock: int) -> float:
+        """Travel at a clock, mm in the frame of the world's kinematics."""
+        track = self.track
+        # Most motors stand still most of the time
+        if clock >= track.last_clock:
+            return self._start + track.position * self._scale
+        return self._start + track.at(clock) * self._scale
 
 
 class Rig:
@@ -71,6 +67,7 @@ class Rig:
             name: HeaterState(heater, self._zero_ns)
             for name, heater in wiring.heaters.items()
         }
+        self.boards: set[Board] = set()  # that have motors
         # Told of new steps: those of one board change what another sees
         self.on_steps: list[Callable[[int], None]] = []
         world.observe(0.0, self.pose(self._zero_ns))
@@ -90,7 +87,11 @@ class Rig:
 
     def travel(self, ns: int) -> Mapping[str, float]:
         """Travel of every motor, mm."""
-        return {name: axis.mm(ns) for name, axis in self.axes.items()}
+        clocks = self._clocks(ns)
+        return {
+            name: axis.mm(clocks[axis.board])
+            for name, axis in self.axes.items()
+        }
 
     def settle(self, ns: int) -> None:
         """Let the world live until ns."""
@@ -100,12 +101,23 @@ class Rig:
                 until = ns
             self.world.observe(self.seconds(until), self.pose(until))
             self._committed = until
+        clocks = self._clocks(ns - _MEMORY_NS)
         for axis in self.axes.values():
-            if axis.board:
-                axis.track.forget(axis.board.clock_at(ns - _MEMORY_NS))
+            axis.track.forget(clocks[axis.board])
 
     def _moving(self, first: int, last: int) -> bool:
-        return any(a.moves_between(first, last) for a in self.axes.values())
+        """Whether any motor may step between two times."""
+        begins, ends = self._clocks(first), self._clocks(last)
+        for axis in self.axes.values():
+            if axis.track.moving_between(begins[axis.board], ends[axis.board]):
+                return True
+        return False
+
+    def _clocks(self, ns: int) -> Mapping[Board | None, int]:
+        """What the boards' clocks show; a motor that has none stands still."""
+        clocks = {board: board.clock_at(ns) for board in self.boards}
+        clocks[None] = 0
+        return clocks
 
     def asserted(self, signal: str, ns: int) -> bool:
         """Whether the board sees a signal at ns (tracks must be known)."""
@@ -168,7 +180,9 @@ class Port:
         if name is None:  # an extruder, say: it moves nothing in this world
             return StepTrack()
         axis = self._rig.axes[name]
-        axis.board = self.board
+        axis.board = board = self.board
+        if board is not None:
+            self._rig.boards.add(board)
         return axis.track
 
     def steps_queued(self, start_ns: int) -> None:
