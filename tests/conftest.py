@@ -10,7 +10,7 @@ from contextlib import ExitStack
 import pytest
 from hypothesis import HealthCheck, settings
 
-from tests.hostkit import loader
+from tests.hostkit import loader, starting
 from tests.hostkit.hosts import Host, find_hosts, missing_hosts
 from tests.hostkit.printer import Printer
 
@@ -32,8 +32,9 @@ def pytest_report_header() -> list[str]:
 
 
 def pytest_sessionfinish() -> None:
-    """End the printers that were kept for the next configuration."""
+    """End what was kept for the next configuration, and the next start."""
     loader.close()
+    starting.close()
 
 
 @pytest.fixture(params=HOSTS, ids=lambda host: host.name)

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import os
 import shutil
-import subprocess
 import tempfile
 import threading
 from collections.abc import Iterator, Mapping
@@ -15,7 +14,9 @@ from typing import Any, NamedTuple, Optional
 
 from tests.hostkit.api import ApiClient, ApiError
 from tests.hostkit.hosts import Host, Installed
+from tests.hostkit.starting import Klippy, fork, start
 from tests.simprinter import Machine, VirtualClock, build_directory
+from tests.simprinter.clock import RealClock
 from tests.simprinter.simulation import Pace, Simulation, SimulationError
 
 _START_LIMIT = 120.0  # printer seconds
@@ -54,33 +55,29 @@ class _Process:
         self._installed = installed
         self.write_config(config)
         self._simulation = simulation
-        self.popen: Optional[subprocess.Popen] = None
+        self._klippy: Optional[Klippy] = None
 
     def write_config(self, config: str) -> None:
         """Make printer.cfg anew."""
         self.config.write_text(self._installed.config + config)
 
-    def start(self, options: list[str]) -> None:
-        """Start klippy on the simulation's clock."""
+    def start(self, options: list[str], as_service: bool = False) -> None:
+        """Start klippy on the simulation's clock.
+
+        as_service: from its program file, not forked; slower.
+        """
         clock = self._simulation.clock
-        environment = self._installed.environment()
-        environment.update(clock.environment())
-        command = [*self._installed.argv, str(self.config)]
         # The terminal has a fixed name in /tmp otherwise
         terminal = self.socket.with_name("klippy.serial")
-        command += ["-l", str(self.log), "-I", str(terminal)]
+        command = [str(self.config), "-l", str(self.log), "-I", str(terminal)]
         command += options
-        with open(self.log.with_name("output.txt"), "wb") as output:
-            self.popen = subprocess.Popen(
-                command,
-                cwd=self._installed.cwd,
-                env=environment,
-                stdin=subprocess.DEVNULL,
-                stdout=output,
-                stderr=output,
-                pass_fds=clock.inherited_fds(),
-            )
-        self._simulation.process_fd = os.pidfd_open(self.popen.pid)
+        output = self.log.with_name("output.txt")
+        if as_service or isinstance(clock, RealClock):
+            self._klippy = start(self._installed, command, clock, output)
+        else:
+            config = self.config.read_text()
+            self._klippy = fork(self._installed, command, clock, output, config)
+        self._simulation.process_fd = os.dup(self._klippy.pidfd)
 
     def log_text(self) -> str:
         """The log and whatever else klippy has printed."""
@@ -90,15 +87,15 @@ class _Process:
                 texts.append(path.read_text(errors="replace"))
         return "\n".join(texts)
 
-    def end(self) -> int:
-        """End klippy if it still runs; its exit status."""
-        assert self.popen is not None
-        if self.popen.poll() is None:
-            self.popen.kill()
-        return self.popen.wait()
+    def end(self) -> Optional[int]:
+        """End klippy if it still runs; its exit status where it is known."""
+        assert self._klippy is not None
+        return self._klippy.end()
 
     def remove(self) -> None:
-        """Delete its files unless they are to stay."""
+        """Forget it, and delete its files unless they are to stay."""
+        if self._klippy is not None:
+            self._klippy.close()
         if not self._is_kept:
             shutil.rmtree(self.directory, ignore_errors=True)
 
@@ -386,11 +383,12 @@ def _run_to_end(
     """Start klippy on a G-code file and wait until it has ended."""
     file = process.directory / "input.gcode"
     file.write_text(gcode)
-    process.start(["-i", str(file), "-v", *options])
+    process.start(["-i", str(file), "-v", *options], as_service=True)
     try:
         simulation.run_until(
             simulation.process_ended, _BATCH_LIMIT, "batch run"
         )
     finally:
         status = process.end()
+    assert status is not None
     return BatchResult(status, process.log_text())

@@ -47,22 +47,27 @@ class Layout:
     module: Optional[str]
     module_dir: str
     config: str  # what printer.cfg needs before an own module may replace one
+    imports: str  # module behind the program, and what its others begin with
+    prefix: str
     build_helper: tuple[str, ...] = BUILD_HELPER
 
 
-KLIPPER = Layout("klippy/klippy.py", None, "klippy/extras", "")
+KLIPPER = Layout("klippy/klippy.py", None, "klippy/extras", "", "klippy", "")
 KLIPPY_L = Layout(
     None,
     "klippy.klippy",
     "klippy/extras",
     "",
+    "klippy.klippy",
+    "klippy.",
     # This package compiles at installation, in a module of its own.  The rest
     # of its installation also compiles a USB tool, which needs more headers.
     ("-c", "import klippy.chelper.builder as b; b.build_chelper()"),
 )
 ALLOW_OVERRIDE = "[danger_options]\nallow_plugin_override: True\n"
-KALICO = Layout("klippy/klippy.py", None, "klippy/plugins", ALLOW_OVERRIDE)
-KALICO_PACKAGE = Layout(None, "klippy", "klippy/plugins", ALLOW_OVERRIDE)
+_PLUGINS = ("klippy/plugins", ALLOW_OVERRIDE, "klippy", "klippy.")
+KALICO = Layout("klippy/klippy.py", None, *_PLUGINS)
+KALICO_PACKAGE = Layout(None, "klippy", *_PLUGINS)
 
 
 def checkout_layout(path: Path) -> Layout:

@@ -7,6 +7,7 @@ from dataclasses import replace
 
 import pytest
 
+from tests.hostkit import session, starting
 from tests.hostkit.printer import Printer, firmware_of, module_files
 from tests.hostkit.session import (
     GcodeError,
@@ -77,6 +78,9 @@ def test_motor_that_rested_longer_than_the_clock_wraps(start):
 
 def test_klippy_that_is_not_on_the_clock_is_noticed(host, monkeypatch):
     monkeypatch.setattr(VirtualClock, "environment", lambda clock: {})
+    monkeypatch.setattr(
+        session, "fork", lambda *args: starting.start(*args[:4])
+    )
     with (
         Printer(host) as printer,
         pytest.raises(SessionError, match="runs in real time"),

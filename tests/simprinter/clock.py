@@ -96,7 +96,7 @@ class VirtualClock:
         self._fds = [eventfd(0, flags) for _ in range(count + 1)]
         self.doorbell = self._fds[-1]
         size = self._lib.vclock_page_size()
-        fd, self._path = tempfile.mkstemp(prefix="vclock-")
+        fd, self.page = tempfile.mkstemp(prefix="vclock-")
         os.ftruncate(fd, size)
         self._map = mmap.mmap(fd, size)
         os.close(fd)
@@ -113,7 +113,7 @@ class VirtualClock:
 
     def environment(self) -> dict[str, str]:
         """What the process needs in its environment to live on this clock."""
-        return {"LD_PRELOAD": str(self.library), "VCLOCK_PAGE": self._path}
+        return {"LD_PRELOAD": str(self.library), "VCLOCK_PAGE": self.page}
 
     def inherited_fds(self) -> list[int]:
         """Descriptors the process must inherit under the same numbers."""
@@ -183,7 +183,7 @@ class VirtualClock:
         self._fds = []
         self._view = None
         self._map.close()
-        os.unlink(self._path)
+        os.unlink(self.page)
 
 
 class RealClock:

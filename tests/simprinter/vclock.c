@@ -599,13 +599,11 @@ waitpid(pid_t pid, int *status, int options)
     return ret;
 }
 
-__attribute__((constructor)) static void
-join_simulation(void)
+// Live on the clock at this path from now on. Called when the library is
+// loaded, or later by a process that was forked to become part of a simulation
+void
+vclock_join(const char *path)
 {
-    find_symbols();
-    const char *path = getenv("VCLOCK_PAGE");
-    if (!path)
-        return;
     int fd = open(path, O_RDWR | O_CLOEXEC);
     if (fd < 0) {
         perror("vclock: VCLOCK_PAGE");
@@ -628,6 +626,15 @@ join_simulation(void)
     pthread_key_create(&exit_key, thread_exit);
     pthread_atfork(NULL, count_child, leave_simulation);
     my_slot = claim_slot();
+}
+
+__attribute__((constructor)) static void
+join_at_start(void)
+{
+    find_symbols();
+    const char *path = getenv("VCLOCK_PAGE");
+    if (path)
+        vclock_join(path);
 }
 
 // Whether this thread takes part

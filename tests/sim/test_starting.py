@@ -1,0 +1,126 @@
+"""A klippy that is forked is one that was started."""
+
+from __future__ import annotations
+
+import json
+import os
+import signal
+from dataclasses import replace
+
+import pytest
+
+from tests.hostkit import session, starting
+from tests.hostkit.hosts import HostError
+from tests.hostkit.printer import Printer, module_files
+from tests.simprinter import VirtualClock, build_directory
+from tests.simprinter.simulation import SimulationError
+
+# What a module finds of the process that it is in
+LOOK = """
+import gc, json, os, random, signal, sys, threading
+
+def load_config(config):
+    main = sys.modules["__main__"]
+    with open(config.get("file"), "w") as out:
+        json.dump({
+            "main": (main.__file__, main.__package__ or "", main.__name__),
+            "cwd": os.getcwd(),
+            "path": [os.path.abspath(entry) for entry in sys.path],
+            "environment": dict(os.environ),
+            "threads": [type(t).__name__ for t in threading.enumerate()],
+            "argv": sys.argv[:1],
+            "stdin": os.fstat(0).st_rdev,
+            "output": os.readlink("/proc/self/fd/1").split("/")[-1],
+            "errors": os.readlink("/proc/self/fd/2").split("/")[-1],
+            "child": signal.getsignal(signal.SIGCHLD),
+            "collects": gc.isenabled(),
+            "pid": os.getpid(),
+            "parent": os.getppid(),
+            "random": random.random(),
+        }, out)
+    return object()
+"""
+# Differs from one start to the next
+OWN = ("pid", "parent", "random")
+
+
+@pytest.fixture
+def started(monkeypatch):
+    """After a call klippies are started as on a printer."""
+
+    def begin(installed, options, clock, output, config):
+        return starting.start(installed, options, clock, output)
+
+    return lambda: monkeypatch.setattr(session, "fork", begin)
+
+
+@pytest.fixture
+def look(tmp_path, host):
+    """look(): what a module sees of its process."""
+    source, found = tmp_path / "look.py", tmp_path / "found.json"
+    source.write_text(LOOK)
+    modules = {**module_files(), "look": source}
+
+    def look():
+        changes = {"look": {"file": str(found)}}
+        with Printer(host, changes=changes, modules=modules) as printer:
+            printer.session.require_ready()
+            text = found.read_text()
+            data = str(printer.session.data)
+            page = printer.machine.simulation.clock.page
+        return json.loads(text.replace(data, "DATA").replace(page, "PAGE"))
+
+    look.modules = modules
+    return look
+
+
+def test_forked_klippy_finds_itself_as_if_started(look, started):
+    forked, again = look(), look()
+    started()
+    plain = look()
+    assert plain["parent"] == os.getpid()
+    assert forked["parent"] == again["parent"] != os.getpid()
+    assert forked["pid"] != again["pid"]
+    assert forked["random"] != again["random"]
+    for name in OWN:
+        del plain[name], forked[name]
+    assert forked == plain
+
+
+def test_forked_klippy_does_the_same(host, started):
+    def heights(printer):
+        printer.homed().run("CALIBRATE_Z")
+        touches = printer.machine.truth.touches
+        return [(t.site, t.x, t.y, t.trigger_z) for t in touches]
+
+    with Printer(host) as printer:
+        forked = heights(printer)
+    started()
+    with Printer(host) as printer:
+        assert heights(printer) == forked
+
+
+def test_server_that_is_gone_is_replaced(look):
+    gone = look()["parent"]
+    os.kill(gone, signal.SIGKILL)
+    assert look()["parent"] != gone
+
+
+def test_killed_server_takes_its_klippies_along(look, host):
+    server = look()["parent"]
+    with Printer(host, modules=look.modules) as printer:
+        printer.session.require_ready()
+        os.kill(server, signal.SIGKILL)
+        with pytest.raises(SimulationError, match="klippy has ended"):
+            printer.session.wait(60.0)
+
+
+def test_program_that_cannot_be_imported_is_told(host, tmp_path):
+    installed = host.install(module_files())
+    installed = replace(installed, cwd=tmp_path, env={})
+    clock = VirtualClock(build_directory())
+    try:
+        with pytest.raises(HostError, match="ModuleNotFoundError"):
+            starting.fork(installed, [], clock, tmp_path / "output", "")
+    finally:
+        clock.close()
