@@ -6,7 +6,7 @@ import os
 import shutil
 import tempfile
 import threading
-from collections.abc import Iterator, Mapping
+from collections.abc import Callable, Iterator, Mapping
 from concurrent.futures import ThreadPoolExecutor
 from contextlib import contextmanager
 from pathlib import Path
@@ -32,6 +32,14 @@ class GcodeError(Exception):
 
 class SessionError(Exception):
     """Klippy is not where the test needs it; carries the log's tail."""
+
+
+class Command(NamedTuple):
+    """G-code that was sent; lines: on the console before."""
+
+    script: str
+    number: int
+    lines: int
 
 
 class _Process:
@@ -275,8 +283,30 @@ class LiveSession:
         limit: printer seconds. Raises GcodeError with the text the user
         sees, also when the printer shut down meanwhile.
         """
-        before, simulation = len(self.console), self._simulation
+        return self.finish(self.begin(script), limit)
+
+    def begin(self, script: str) -> Command:
+        """Send G-code; it has not begun to run."""
         number = self._api.request("gcode/script", {"script": script})
+        return Command(script, number, len(self.console))
+
+    def run_until(self, command: Command, done: Callable[[], bool]) -> None:
+        """Let a command run until done() or to its end."""
+        simulation, number = self._simulation, command.number
+        simulation.run_until(
+            lambda: self._api.answered(number) or done(),
+            _START_LIMIT * 10,
+            command.script,
+        )
+
+    def stop(self) -> None:
+        """What the emergency stop button of an interface does."""
+        self._api.request("emergency_stop", {})
+
+    def finish(self, command: Command, limit: float = 600.0) -> list[str]:
+        """Let a command run to its end, as run() does."""
+        script, number, before = command
+        simulation = self._simulation
         end = simulation.clock.now() + round(limit * 1e9)
         while not self._api.answered(number):
             self._live_until_answered(number, script)

@@ -126,6 +126,9 @@ class Parts:
     def armed(self, pin: int, ns: int) -> None:
         self.armed_at.append((pin, ns))
 
+    def queried(self, pin: int, ns: int) -> None:
+        assert pin == PIN
+
 
 class HomingBench(Bench):
     """A bench with a stepper, a trsync and an endstop."""

@@ -176,6 +176,11 @@ class Faults:
         self._fired.append(False)
         self._faults.append(fault)
 
+    def clear(self) -> None:
+        """Take all away."""
+        for kept in (self._faults, self._counts, self._fired):
+            kept.clear()
+
     def __iter__(self) -> Iterator[Fault]:
         return iter(tuple(self._faults))
 

@@ -117,6 +117,7 @@ class Machine:
         if written is None:
             return self.faults.fires("tmc_read_error", name) is not None
         if self._last_change.get(name, (b"", False))[0] != written:
+            self.rig.operation("write", name, self.simulation.clock.now())
             lost = self.faults.fires("tmc_change_lost", name) is not None
             self._last_change[name] = (written, lost)
         lost = self._last_change[name][1]
@@ -148,6 +149,16 @@ class Machine:
         the touch allows; anything deeper, or elsewhere, stays a crash.
         """
         self._tolerated[site] = depth
+
+    def break_down(self, fault: Fault) -> None:
+        """Add a fault now; its operations are counted from now on."""
+        self.faults.add(fault)
+        self.world.expect_faults()
+
+    def repair(self) -> None:
+        """Take all faults away; what they have done stays done."""
+        self.faults.clear()
+        self.world.mend()
 
     def close(self) -> None:
         """Give everything back."""

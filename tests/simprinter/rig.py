@@ -70,6 +70,9 @@ class Rig:
         self.boards: set[Board] = set()  # that have motors
         # Told of new steps: those of one board change what another sees
         self.on_steps: list[Callable[[int], None]] = []
+        # Told of what the host has a board do, just before: kind, what with
+        # and when (ns). "touch" and "query" of a signal, "write" to a driver
+        self.on_operation: list[Callable[[str, str, int], None]] = []
         world.observe(0.0, self.pose(self._zero_ns))
 
     def seconds(self, ns: int) -> float:
@@ -84,6 +87,11 @@ class Rig:
         """Some motor's steps beginning after start_ns have changed."""
         for listener in self.on_steps:
             listener(start_ns)
+
+    def operation(self, kind: str, subject: str, ns: int) -> None:
+        """The host has a board do something now or at ns."""
+        for listener in self.on_operation:
+            listener(kind, subject, ns)
 
     def travel(self, ns: int) -> Mapping[str, float]:
         """Travel of every motor, mm."""
@@ -213,7 +221,14 @@ class Port:
         signal, _ = self._inputs.get(pin, ("", False))
         if signal:
             self._settle_to_now()
+            self._rig.operation("touch", signal, ns)
             self._rig.world.touch_armed(signal, self._rig.seconds(ns))
+
+    def queried(self, pin: int, ns: int) -> None:
+        """The host asks for the level of this pin."""
+        signal, _ = self._inputs.get(pin, ("", False))
+        if signal:
+            self._rig.operation("query", signal, ns)
 
     def set_output(self, pin: int, ns: int, duty: float) -> None:
         """An output changed."""

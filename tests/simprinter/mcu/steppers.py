@@ -51,6 +51,11 @@ class StepTrack:
         self.last_clock = start + ticks
         return begin
 
+    def newest(self) -> int:
+        """Clock of the first step of what was queued last."""
+        start, interval, *_ = self._moves[-1]
+        return start + interval
+
     def at(self, clock: int) -> int:
         """Position (steps) at a clock."""
         if clock >= self.last_clock:

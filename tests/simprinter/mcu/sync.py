@@ -156,6 +156,9 @@ class Sense(Protocol):
     def armed(self, pin: int, ns: int) -> None:
         """An endstop on this pin starts to look."""
 
+    def queried(self, pin: int, ns: int) -> None:
+        """The host asks for the level of this pin."""
+
 
 class Endstop:
     """One endstop input and its current search."""
@@ -316,6 +319,7 @@ class Endstops(Peripheral):
     def _query(self, oid: int) -> None:
         endstop = self.by_oid[oid]
         now = self.board.ns(self.board.clock())
+        self._sense.queried(endstop.pin, now)
         self.board.respond(
             "endstop_state",
             oid=oid,

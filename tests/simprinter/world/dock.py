@@ -215,6 +215,11 @@ class Keeper:
             self._falls_from = None
             self._change(t, ProbeState.LOST, 0.0)
 
+    def lose(self, t: float) -> None:
+        """It falls off at time t, not before now, if the head has it then."""
+        if self._holder.held(t):
+            self._holder.change(t, ProbeState.LOST, 0.0)
+
     def _change(self, t: float, state: ProbeState, delay: float) -> None:
         self._holder.change(t, state, delay)
         self._settle(t)

@@ -46,6 +46,11 @@ class Line:
         self._timed = self._stuck = min((low, False), (high, True))
         return self._timed[0]
 
+    def mend(self) -> None:
+        """What faults have done to a touch is over."""
+        if self._state is not None:
+            self._state.mend()
+
     def level(self, t: float, pose: Sequence[float]) -> bool:
         """Level at time t for a head at `pose`; changes nothing."""
         if t >= self._stuck[0]:

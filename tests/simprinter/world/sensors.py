@@ -71,6 +71,11 @@ class TouchState:
         self.mute = mute
         self._renew()
 
+    def mend(self) -> None:
+        """It triggers where it should again."""
+        self.early = 0.0
+        self.mute = False
+
     def settle(self, pressed: bool, beyond: float) -> None:
         """Commit the state of the actuator (`beyond` as in asserted)."""
         self.pressed = pressed

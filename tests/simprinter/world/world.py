@@ -108,6 +108,21 @@ class World:
         """Where the detachable probe is: attached, docked, lost or none."""
         return "none" if self._keeper is None else self._keeper.at(t).value
 
+    def lose_probe(self, t: float) -> None:
+        """The probe falls off the head at time t, where it is carried."""
+        if self._keeper is not None:
+            self._keeper.lose(t)
+
+    def expect_faults(self) -> None:
+        """Look at the faults again, as there are others now."""
+        self._next_fault = self._expect_faults()
+
+    def mend(self) -> None:
+        """There are no faults any more."""
+        self.expect_faults()
+        for line in self._parts.lines.values():
+            line.mend()
+
     def observe(self, t: float, pose: Sequence[float]) -> None:
         """Commit that the head is at `pose` at time t, in order of time."""
         if t < self._last_t:
