@@ -759,6 +759,7 @@ class Host(object):
                 # Since 2024-06-14 (1591a51f7)
                 result = session.pull_probed_results()[-1]
         except self.printer.command_error as e:
+            self._pass_on_shutdown(e)
             text = "%s (stopped at z=%.3f); check with QUERY_PROBE and PROBE"
             raise CalibrationError(text % (e, self.z()))
         # QIDI's hosts answer a probe that is pressed already with a result
@@ -915,6 +916,11 @@ class Host(object):
         if tuple(self.toolhead.get_position()[:2]) != (x, y):
             self.toolhead.manual_move([x, y], speed)
 
+    # The end of the printer is nothing that a hint of ours would mend
+    def _pass_on_shutdown(self, error):
+        if self.printer.is_shutdown():
+            raise error
+
     def _probing_move(self, endstop, z, speed):
         target = self.toolhead.get_position()
         target[2] = z
@@ -933,6 +939,7 @@ class Host(object):
         try:
             trigger_z = self._probing_move(endstop, z, speed)
         except self.printer.command_error as e:
+            self._pass_on_shutdown(e)
             if self.is_at(z) and NO_TRIGGER in str(e):
                 return None
             raise CalibrationError("%s (stopped at z=%.3f)" % (e, self.z()))
@@ -948,6 +955,7 @@ class Host(object):
         try:
             trigger_z = self._probing_move(endstop, floor, speed)
         except self.printer.command_error as e:
+            self._pass_on_shutdown(e)
             kind = NoTrigger if self.is_at(floor) else CalibrationError
             raise kind("%s (stopped at z=%.3f)" % (e, self.z()))
         self._check_travel(start_z, trigger_z)
@@ -995,6 +1003,14 @@ class Host(object):
                 if not failed:
                     raise
                 logging.exception("%s: %s failed, too", NAME, what)
+            except Exception as e:
+                # Of the host, such as moving after a board was lost: the
+                # printer has to end, but the first error is what is told
+                if not failed:
+                    raise
+                logging.exception("%s: %s failed, too", NAME, what)
+                text = "%s: %s failed after another error: %s"
+                self.printer.invoke_shutdown(text % (NAME, what, e))
 
     # --- end ---
 

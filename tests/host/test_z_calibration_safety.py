@@ -641,6 +641,22 @@ def test_lost_connection_is_the_only_end_of_the_printer(start):
     assert silent.machine.truth.min_gap > 1.0
 
 
+def test_emergency_stop_is_told_without_hints(start):
+    # Whoever has pressed the button does not need them
+    printer = start().homed()
+    machine = printer.machine
+    command = printer.session.begin("CALIBRATE_Z")
+    touches = machine.truth.touches
+    before = len(touches)
+    # On its way to the first sample after the fast one
+    printer.session.run_until(command, lambda: len(touches) > before)
+    printer.session.wait(1.6)
+    printer.session.stop()
+    with pytest.raises(GcodeError) as error:
+        printer.session.finish(command)
+    assert str(error.value) == "Probing failed due to printer shutdown"
+
+
 def test_pin_of_its_own_has_no_place_to_fall_back_to(start):
     # [safe_z_home] is where the probe homes, over the bed
     printer = start("separate_pin", changes=section(nozzle_xy_position=None))
