@@ -2,6 +2,7 @@
 #
 #   make test     prepare the hosts, lint, run all tests
 #   make demo     watch a calibration on a simulated printer
+#   make faults   break something at every operation, draw printers at random
 #   make hosts    prepare and list the klippy hosts, and Moonraker
 #   make speed    how much faster than a printer the simulation runs
 #   make bench    how long a calibration takes, and the least it could take
@@ -18,12 +19,14 @@
 # PYTEST_WORKERS       tests run at the same time (default 2)
 # PYTEST_ARGS          further arguments for pytest, such as -k or a file
 # BENCH_ARGS           arguments for make bench, such as --builtin
+# FAULTS_ARGS          arguments for make faults, such as --seed 7
 
 PYTHON ?= python3
 BUILD_DIR ?= build
 PYTEST_WORKERS ?= 2
 PYTEST_ARGS ?=
 BENCH_ARGS ?=
+FAULTS_ARGS ?=
 export BUILD_DIR
 
 TOOLS = $(BUILD_DIR)/venv/bin
@@ -31,7 +34,7 @@ MODULES = $(wildcard z_calibration.py auto_z_offset.py dockable_probe.py \
 	extra_probe.py)
 
 # Test files import each other as tests.*, from the root of the repository.
-.PHONY: test demo speed bench hosts lint format tools clean
+.PHONY: test demo speed bench faults hosts lint format tools clean
 
 test: hosts lint
 	$(TOOLS)/python -m pytest -n $(PYTEST_WORKERS) $(PYTEST_ARGS)
@@ -44,6 +47,9 @@ speed: hosts
 
 bench: hosts
 	$(TOOLS)/python -m tests.bench_calibration $(BENCH_ARGS)
+
+faults: hosts
+	$(TOOLS)/python -m tests.campaign $(FAULTS_ARGS)
 
 hosts: tools
 	$(TOOLS)/python -m tests.hostkit.prepare

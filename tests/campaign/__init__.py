@@ -1,0 +1,1 @@
+"""Long runs over many faults and many printers."""

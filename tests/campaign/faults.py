@@ -1,0 +1,431 @@
+"""Every fault at every operation of every command.
+
+A good run tells which operations a command has; then, for each of them and
+each fault, a new printer is homed, the fault strikes once, at that operation,
+and what the command has done is judged.
+"""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Iterator, Mapping
+from pathlib import Path
+from typing import Any, NamedTuple, Optional
+
+from tests.campaign.jobs import (
+    JOBS,
+    LEAVES,
+    OFFSET,
+    RAISES,
+    TEMPLATE,
+    Job,
+)
+from tests.campaign.operations import Operation, Watch
+from tests.hostkit.hosts import Host
+from tests.hostkit.printer import Printer
+from tests.hostkit.session import GcodeError, SessionError
+from tests.simprinter import Fault, Machine
+from tests.simprinter.simulation import SimulationError
+from tests.simprinter.world.truth import CrashError
+
+# A fault of a move strikes when it is under way, s
+_INTO_A_MOVE = 0.05
+# Triggers are so much (mm) too early or late
+_OFF = 0.3
+# A right gap: two microsteps
+_GAP_ERROR = 0.0051
+_STEP = 0.0026
+
+_TOUCH_FAULTS = ("trigger_never", "trigger_early", "trigger_late")
+_WRITE_FAULTS = ("tmc_change_lost", "tmc_write_error", "tmc_read_error")
+_SENSOR_FAULTS = ("stuck_open", "stuck_closed")
+# What the message of a command has to say, by fault (and subject); a switch
+# that is dead or triggers in the wrong place looks like one that is not met
+_DEAD = r"No trigger|did not trigger"
+_TRIGGERED = r"reads triggered|prior to movement|still triggered"
+_HEIGHTS = r"above the expected|differ|No trigger|is above z="
+_CAUSES = {
+    "stuck_open": _DEAD,
+    "stuck_closed": _TRIGGERED,
+    "trigger_never": _DEAD,
+    "trigger_early": _HEIGHTS,
+    "trigger_late": _HEIGHTS,
+    "probe_falls": r"not attached|No trigger",
+    "template raises": r"template \d+ fails",
+    "template leaves": r"Move out of range|out of range",
+    "tmc_change_lost": r"Unable to write tmc uart '\w+' register",
+    "tmc_write_error": r"Unable to write tmc uart '\w+' register",
+    "tmc_read_error": r"Unable to read tmc uart '\w+' register",
+    "mcu_silent": r"shutdown|Unable to obtain|Timeout on wait|Lost communic",
+    "cancel": r"shutdown|webhooks request|Unable to obtain|Timeout on wait",
+}
+_SHUT_DOWN_CAUSES = {
+    # A host may stumble over its own moves before it misses the board
+    "mcu_silent": r"Lost communication with MCU|Internal error on command",
+    "cancel": r"webhooks request",
+}
+# How a command may end
+RIGHT, REFUSED, SHUT_DOWN = "right", "refused", "shut down"
+
+
+class Case(NamedTuple):
+    """One fault at one operation.
+
+    at: number of the operation, 0 before the first; of the template for its
+    faults. subject: signal, board or driver where there are several.
+    """
+
+    job: str
+    at: int
+    fault: str
+    subject: str = ""
+
+    def __str__(self) -> str:
+        subject = f" {self.subject}" if self.subject else ""
+        return f"{self.job} @{self.at}: {self.fault}{subject}"
+
+
+class Setting(NamedTuple):
+    """What all cases have in common: seed of all noise, modules installed."""
+
+    seed: int = 0
+    modules: Optional[Mapping[str, Path]] = None
+
+
+PLAIN = Setting()
+
+
+class GoodRun(NamedTuple):
+    """What a command does when nothing is wrong.
+
+    depths: mm beyond the trigger by site, of homing and command. gap: true one
+    at G-code Z=0 afterwards, mm.
+    """
+
+    operations: tuple[Operation, ...]
+    templates: int
+    depths: Mapping[str, float]
+    gap: float
+
+
+class Outcome(NamedTuple):
+    """How a case went.
+
+    struck: whether there was such an operation; hosts may need one more or
+    less than in the good run. depths: mm by which each site was pressed deeper than in a good run.
+    problems: what must not be; empty if it was survived.
+    """
+
+    case: Case
+    ended: str
+    struck: bool
+    message: str
+    depths: Mapping[str, float]
+    problems: tuple[str, ...]
+
+
+class Saboteur:
+    """Breaks something at one operation."""
+
+    def __init__(self, machine: Machine, case: Case, good: GoodRun):
+        self._machine = machine
+        self._case = case
+        # Counted by its kind: one write more or less does not matter then
+        before = good.operations[: case.at]
+        self._what = before[-1][:2] if before else None
+        self._left = sum(one[:2] == self._what for one in before)
+        self._struck = False
+        self._stop_ns: Optional[int] = None
+
+    def begin(self) -> None:
+        """The command is about to be sent."""
+        if self._case.at == 0:
+            now = self._machine.simulation.clock.now()
+            self._strike(Operation("begin", "", now))
+
+    def tell(self, operation: Operation) -> None:
+        """Told of each operation, before it happens."""
+        if operation[:2] != self._what or self._is_template():
+            return
+        self._left -= 1
+        if self._left == 0:
+            self._strike(operation)
+
+    def end(self) -> bool:
+        """The command has ended; whether anything was broken."""
+        self._what = None
+        return self._struck or self._is_template()
+
+    def stop_is_due(self) -> bool:
+        """Whether the printer is to be stopped now."""
+        now = self._machine.simulation.clock.now()
+        return self._stop_ns is not None and now >= self._stop_ns
+
+    def _is_template(self) -> bool:
+        return self._case.fault.startswith("template")
+
+    def _strike(self, operation: Operation) -> None:
+        machine, fault = self._machine, self._case.fault
+        self._struck = True
+        moment = max(operation.ns, machine.simulation.clock.now())
+        if operation.kind == "move":
+            moment += round(_INTO_A_MOVE * 1e9)
+        t = machine.rig.seconds(moment)
+        if fault == "cancel":
+            self._stop_ns = moment
+        elif fault == "probe_falls":
+            machine.world.lose_probe(t)
+        elif not self._is_template():
+            machine.break_down(self._fault(t))
+
+    def _fault(self, t: float) -> Fault:
+        _, _, fault, subject = self._case
+        if fault in _SENSOR_FAULTS:
+            return Fault(fault, signal=subject, t=t)
+        if fault == "mcu_silent":
+            return Fault(fault, board=subject, t=t)
+        if fault in _WRITE_FAULTS:
+            return Fault(fault, driver=subject)
+        if fault == "trigger_never":
+            return Fault(fault, signal=subject)
+        return Fault(fault, signal=subject, mm=_OFF)
+
+
+def cases(job: Job, good: GoodRun) -> Iterator[Case]:
+    """All faults of a job."""
+    for number in range(1, good.templates + 1):
+        yield Case(job.name, number, "template raises")
+        yield Case(job.name, number, "template leaves")
+    anywhere = [(f, s) for f in _SENSOR_FAULTS for s in job.signals]
+    anywhere += [("mcu_silent", b) for b in job.scene.wiring.all_boards()]
+    anywhere.append(("cancel", ""))
+    if job.scene.world.mag_probe is not None:
+        anywhere.append(("probe_falls", ""))
+    begin = Operation("begin", "", 0)
+    for at, operation in enumerate((begin, *good.operations)):
+        for fault, subject in anywhere:
+            yield Case(job.name, at, fault, subject)
+        own = {"touch": _TOUCH_FAULTS, "write": _WRITE_FAULTS}
+        for fault in own.get(operation.kind, ()):
+            yield Case(job.name, at, fault, operation.subject)
+
+
+def _printer(host: Host, job: Job, setting: Setting) -> Printer:
+    seed, modules = setting
+    options = {"seed": seed, "modules": modules}
+    return Printer(host, job.scene, job.changes, **options)
+
+
+def _prepare(printer: Printer, job: Job) -> None:
+    printer.homed()
+    printer.run(f"{job.before}\nSET_GCODE_OFFSET Z={OFFSET}\nM400")
+
+
+def good_run(host: Host, job: Job, setting: Setting = PLAIN) -> GoodRun:
+    """The command with nothing wrong.
+
+    Raises AssertionError if its gap is not the ideal one.
+    """
+    operations: list[Operation] = []
+    with _printer(host, job, setting) as printer:
+        _prepare(printer, job)
+        before = job.gap(printer)
+        first = _templates(printer)
+        Watch(printer.machine, operations.append)
+        printer.run(f"{job.script}\nM400")
+        gap, ideal = job.gap(printer), job.ideal
+        assert abs(gap - (before if ideal is None else ideal)) < _GAP_ERROR, gap
+        truth = printer.machine.truth
+        depths = {site: truth.depth(site) for site in job.margins}
+        templates = _templates(printer) - first
+    return GoodRun(tuple(operations), templates, depths, gap)
+
+
+def _templates(printer: Printer) -> int:
+    """How many templates have run."""
+    return int(printer.status(f"gcode_macro {TEMPLATE}").get("n", 0))
+
+
+def attempt(
+    host: Host, case: Case, good: GoodRun, setting: Setting = PLAIN
+) -> Outcome:
+    """Let one fault strike and judge what happens."""
+    job = JOBS[case.job]
+    trial = Trial(job, case, good)
+    try:
+        with _printer(host, job, setting) as printer:
+            for site, margin in job.margins.items():
+                printer.machine.tolerate(
+                    site, good.depths[site] + margin + _STEP
+                )
+            _prepare(printer, job)
+            trial.run(printer)
+    except (CrashError, SessionError, SimulationError) as error:
+        trial.problems.append(f"{type(error).__name__}: {error}")
+    return trial.outcome()
+
+
+class Trial:
+    """One command with one fault, and its judgement."""
+
+    def __init__(self, job: Job, case: Case, good: GoodRun):
+        self._job = job
+        self._case = case
+        self._good = good
+        self._ended = ""
+        self._struck = False
+        self._message = ""
+        self._state_message = ""
+        self._depths: dict[str, float] = {}
+        self.problems: list[str] = []
+
+    def outcome(self) -> Outcome:
+        """What there is to say."""
+        return Outcome(
+            self._case,
+            self._ended,
+            self._struck,
+            self._message,
+            self._depths,
+            tuple(self.problems),
+        )
+
+    def run(self, printer: Printer) -> None:
+        """Run it on a printer that is homed."""
+        job = self._job
+        before, gap = job.state(printer), job.gap(printer)
+        self._run_command(printer)
+        truth = printer.machine.truth
+        self._depths = {
+            site: max(0.0, truth.depth(site) - self._good.depths[site])
+            for site in job.margins
+        }
+        if self._ended == SHUT_DOWN:
+            self._judge_shut_down(printer, before)
+            return
+        if self._ended == REFUSED:
+            self._judge_refused(printer, before, gap)
+        else:
+            self._judge_right(printer)
+        if not self._is_lost(printer):
+            self._judge_next_run(printer)
+
+    def _run_command(self, printer: Printer) -> None:
+        case, session = self._case, printer.session
+        saboteur = Saboteur(printer.machine, case, self._good)
+        Watch(printer.machine, saboteur.tell)
+        self._set_template(printer)
+        saboteur.begin()
+        command = session.begin(f"{self._job.script}\nM400")
+        try:
+            if case.fault == "cancel":
+                session.run_until(command, saboteur.stop_is_due)
+                session.stop()
+            session.finish(command)
+            self._ended = RIGHT
+        except GcodeError as error:
+            self._message = str(error)
+            self._ended = REFUSED
+        self._struck = saboteur.end()
+        # A host takes seconds to miss a board
+        session.wait(15.0 if case.fault == "mcu_silent" else 1.0)
+        state, self._state_message = session.state()
+        if state != "ready":
+            self._ended = SHUT_DOWN
+
+    def _set_template(self, printer: Printer) -> None:
+        if not self._case.fault.startswith("template"):
+            return
+        fail_at = _templates(printer) + self._case.at
+        how = RAISES if self._case.fault.endswith("raises") else LEAVES
+        for name, value in (("fail_at", fail_at), ("how", how)):
+            printer.run(
+                f"SET_GCODE_VARIABLE MACRO={TEMPLATE} VARIABLE={name}"
+                f" VALUE={value}"
+            )
+
+    # Judgement
+
+    def _require(self, holds: bool, otherwise: str) -> None:
+        if not holds:
+            self.problems.append(otherwise)
+
+    def _judge_shut_down(
+        self, printer: Printer, before: Mapping[str, Any]
+    ) -> None:
+        case, session = self._case, printer.session
+        words = _SHUT_DOWN_CAUSES.get(case.fault)
+        self._require(words is not None, "the printer is shut down")
+        self._require_words(self._state_message, words or "")
+        if self._message:
+            self._require("Internal error" not in self._message, "is hidden")
+            self._judge_words()
+        self._require(
+            session.config_text() == before["printer.cfg"],
+            "printer.cfg has changed",
+        )
+        if case.fault == "cancel":
+            session.restart("FIRMWARE_RESTART")
+            self._require(printer.offset() == 0.0, "an offset is in force")
+
+    def _judge_refused(
+        self, printer: Printer, before: Mapping[str, Any], gap: float
+    ) -> None:
+        job = self._job
+        self._require("Internal error" not in self._message, "internal error")
+        self._judge_words()
+        after = job.state(printer)
+        for name, value in before.items():
+            self._require(
+                after[name] == value,
+                f"{name} was {value} and is {after[name]}",
+            )
+        now = job.gap(printer)
+        self._require(
+            abs(now - gap) < _STEP, f"gap was {gap:.4f} and is {now:.4f}"
+        )
+        z = printer.session.position()[2]
+        self._require(z >= job.lift, f"the head is at z={z:.3f}")
+
+    def _judge_right(self, printer: Printer) -> None:
+        gap, good = self._job.gap(printer), self._good.gap
+        self._require(
+            abs(gap - good) < _GAP_ERROR,
+            f"the gap is {gap:.4f}, which should be {good:.4f}",
+        )
+
+    def _judge_words(self) -> None:
+        case = self._case
+        self._require_words(self._message, _CAUSES[case.fault])
+
+    def _require_words(self, message: str, words: str) -> None:
+        self._require(
+            re.search(words, message) is not None,
+            f"{message!r} does not name the cause ({words})",
+        )
+
+    def _is_lost(self, printer: Printer) -> bool:
+        machine = printer.machine
+        if machine.scene.world.mag_probe is None:
+            return False
+        t = machine.rig.seconds(machine.simulation.clock.now())
+        return machine.world.probe_state(t) == "lost"
+
+    def _judge_next_run(self, printer: Printer) -> None:
+        """Everything works again when the fault is gone."""
+        printer.machine.repair()
+        if self._case.fault.startswith("template"):
+            printer.run(
+                f"SET_GCODE_VARIABLE MACRO={TEMPLATE} VARIABLE=fail_at VALUE=-1"
+            )
+        printer.run(f"{self._job.again}\nSET_GCODE_OFFSET Z={OFFSET}\nM400")
+        try:
+            printer.run(f"{self._job.script}\nM400")
+        except GcodeError as error:
+            self.problems.append(f"the next run: {error}")
+            return
+        gap, good = self._job.gap(printer), self._good.gap
+        self._require(
+            abs(gap - good) < _GAP_ERROR,
+            f"the next run: gap {gap:.4f}, which should be {good:.4f}",
+        )

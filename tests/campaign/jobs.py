@@ -1,0 +1,236 @@
+"""The commands that are put to the test, each on a machine that suits it."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass, field, replace
+from typing import Any, Optional
+
+from tests.hostkit import piezo
+from tests.hostkit.printer import Printer
+from tests.simprinter import SCENES, Scene
+from tests.simprinter.scenes import Sections
+from tests.simprinter.world import Pose
+
+# Runs wherever the modules run G-code of their owner's
+TEMPLATE = "_OPERATION"
+RAISES, LEAVES = 1, 2
+_TEMPLATE_MACRO = """
+  SET_GCODE_VARIABLE MACRO=_OPERATION VARIABLE=n VALUE={n + 1}
+  {% if n + 1 == fail_at and how == 1 %}
+    {action_raise_error("template %d fails" % (n + 1))}
+  {% elif n + 1 == fail_at %}
+    G90
+    G1 X9999
+  {% endif %}"""
+
+# The floor of a touch is so far (mm) below where a trigger is expected
+FLOOR_MARGIN = 1.0
+# ... below another touch of the same run, with the way to stop
+AGAIN_MARGIN = 0.35
+OFFSET = 0.123
+
+
+@dataclass(frozen=True)
+class Job:
+    """One command; as good as it gets, and what a failure may do.
+
+    before: G-code after G28, such as an earlier run; again: before the next
+    run, when the fault is gone. signals: the sensors it
+    uses. margins: by site, mm that a touch may be deeper than in a good run.
+    ideal: true gap at G-code Z=0 afterwards, None: it does not change.
+    point: of the bed where the gap is looked at. lift: toolhead Z after a
+    failure, at least.
+    """
+
+    name: str
+    module: str
+    script: str
+    scene: Scene
+    signals: tuple[str, ...]
+    point: tuple[float, float]
+    margins: Mapping[str, float]
+    lift: float
+    ideal: Optional[float] = None
+    changes: Sections = field(default_factory=dict)
+    before: str = ""
+    again: str = ""
+
+    def state(self, printer: Printer) -> dict[str, Any]:
+        """All that a failure must leave as it was."""
+        session = printer.session
+        drivers = printer.machine.drivers
+        return {
+            "offset": printer.offset(),
+            "max_accel": printer.status("toolhead")["max_accel"],
+            "homed": printer.status("toolhead")["homed_axes"],
+            "currents": {n: d.current()[1:] for n, d in drivers.items()},
+            "absolute": printer.status("gcode_move")["absolute_coordinates"],
+            "status": printer.status(self.module),
+            "pending": piezo.pending(printer),
+            "printer.cfg": session.config_text(),
+        }
+
+    def gap(self, printer: Printer) -> float:
+        """True gap (mm) that G-code Z=0 stands for; the head stands."""
+        z = printer.status("gcode_move")["gcode_position"][2]
+        return printer.machine.gap_at_zero(z, self.point)
+
+
+def _with_templates(scene: Scene, **templates: str) -> Sections:
+    """Changes that let every template of a scene be counted.
+
+    templates: option of the module, and what it does already.
+    """
+    module = "z_calibration" if scene.world.pin else "auto_z_offset"
+    own = {
+        option: f"\n  {TEMPLATE}" + "".join(f"\n  {line}" for line in lines)
+        for option, lines in (
+            (option, text.strip().splitlines())
+            for option, text in templates.items()
+        )
+    }
+    return {
+        "respond": {},
+        f"gcode_macro {TEMPLATE}": {
+            "variable_n": "0",
+            "variable_fail_at": "-1",
+            "variable_how": "1",
+            "gcode": _TEMPLATE_MACRO,
+        },
+        module: own,
+    }
+
+
+def _near(scene: Scene, x: float, y: float, z: float) -> Scene:
+    """The same, where homing is short."""
+    return replace(scene, start=Pose(x, y, z))
+
+
+_VORON = _near(SCENES["voron"], 285.0, 295.0, 12.0)
+_CARTESIAN = _near(SCENES["cartesian"], 5.0, 8.0, 12.0)
+_QIDI = _near(SCENES["qidi"], 5.0, 8.0, 12.0)
+
+_PIN = {
+    "nozzle_pin": FLOOR_MARGIN,
+    "body_pin": FLOOR_MARGIN,
+    "body_bed": FLOOR_MARGIN,
+    "probe_bed": FLOOR_MARGIN,
+}
+_SWITCH = ("z_endstop", "probe")
+_PIEZO = ("bed_sensor", "probe")
+
+
+def _z_jobs() -> list[Job]:
+    voron = {
+        "module": "z_calibration",
+        "scene": _VORON,
+        "signals": _SWITCH,
+        "point": (150.0, 150.0),
+        "margins": _PIN,
+        "lift": 13.7,
+    }
+    cartesian = {
+        **voron,
+        "scene": _CARTESIAN,
+        "point": (110.0, 110.0),
+        "lift": 3.9,
+        "again": "DOCK_PROBE",
+        "changes": _with_templates(
+            _CARTESIAN,
+            start_gcode="",
+            before_switch_gcode="ATTACH_PROBE",
+            end_gcode="DOCK_PROBE",
+            offset_gcode="SET_GCODE_OFFSET Z={params.Z} MOVE=0",
+        ),
+    }
+    return [
+        Job(
+            name="CALIBRATE_Z",
+            script="CALIBRATE_Z",
+            ideal=_VORON.formula_gap(),
+            **voron,
+        ),
+        Job(
+            name="CALIBRATE_Z, attaching",
+            script="CALIBRATE_Z",
+            ideal=_CARTESIAN.formula_gap(),
+            **cartesian,
+        ),
+        Job(
+            name="PROBE_Z_ACCURACY",
+            script="PROBE_Z_ACCURACY SAMPLES=3",
+            **voron,
+        ),
+        Job(
+            name="CALCULATE_SWITCH_OFFSET",
+            script="CALCULATE_SWITCH_OFFSET",
+            before="CALIBRATE_Z\nG90\nG1 X110 Y110 F9000\nG1 Z0.3 F600",
+            **{**cartesian, "lift": 0.2},
+        ),
+    ]
+
+
+def _piezo_jobs() -> list[Job]:
+    section = _QIDI.sections["auto_z_offset"] or {}
+    changes = _with_templates(_QIDI, prepare_gcode=section["prepare_gcode"])
+    changes["auto_z_offset"]["offset_samples"] = "2"
+    position_min = float((_QIDI.sections["stepper_z"] or {})["position_min"])
+    shared = {
+        "module": "auto_z_offset",
+        "scene": _QIDI,
+        "signals": _PIEZO,
+        "point": piezo.POINT,
+        "lift": 3.6,
+        "changes": changes,
+    }
+    # The first touch of all has no floor but the axis's
+    fresh = {"nozzle_bed": piezo.SENSOR - position_min}
+    known = {"nozzle_bed": FLOOR_MARGIN}
+    gap = _QIDI.piezo_gap()
+    commands = [
+        ("PROBE", None),
+        # Z=0 is z_offset below where the sensor has triggered
+        ("HOME_Z", OFFSET - piezo.DEPTH - piezo.AIR_GAP),
+        ("MEASURE_OFFSET", None),
+        ("CALIBRATE", gap),
+    ]
+    jobs = [
+        Job(
+            name=f"AUTO_Z_{command}",
+            script=f"AUTO_Z_{command}",
+            before="AUTO_Z_PROBE",
+            margins=known,
+            ideal=ideal,
+            **shared,
+        )
+        for command, ideal in commands
+    ]
+    jobs += [
+        Job(
+            name="AUTO_Z_CALIBRATE, first of all",
+            script="AUTO_Z_CALIBRATE",
+            margins=fresh,
+            ideal=gap,
+            **shared,
+        ),
+        Job(
+            name="AUTO_Z_LOAD_OFFSET",
+            script="AUTO_Z_LOAD_OFFSET",
+            before="AUTO_Z_CALIBRATE\nSET_GCODE_OFFSET Z=0",
+            margins=known,
+            ideal=gap,
+            **shared,
+        ),
+        Job(
+            name="AUTO_Z_SAVE_GCODE_OFFSET",
+            script="AUTO_Z_SAVE_GCODE_OFFSET",
+            before="AUTO_Z_CALIBRATE\nSET_GCODE_OFFSET Z_ADJUST=0.01",
+            margins=known,
+            **shared,
+        ),
+    ]
+    return jobs
+
+
+JOBS = {job.name: job for job in (*_z_jobs(), *_piezo_jobs())}

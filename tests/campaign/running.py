@@ -1,0 +1,94 @@
+"""Running many cases, on all cores."""
+
+from __future__ import annotations
+
+import zlib
+from collections import Counter
+from collections.abc import Iterable, Sequence
+from concurrent.futures import Executor
+from typing import Any, NamedTuple
+
+from tests.campaign import faults
+from tests.campaign.faults import Case, Outcome, Setting
+from tests.campaign.jobs import JOBS
+from tests.hostkit.hosts import Host
+
+
+class Plan(NamedTuple):
+    """What a command is given on a host."""
+
+    host: Host
+    job: str
+    seed: int
+    good: faults.GoodRun
+    cases: tuple[Case, ...]
+
+
+class Done(NamedTuple):
+    """A case that was run."""
+
+    host: str
+    seed: int
+    outcome: Outcome
+
+    def text(self) -> str:
+        """What was wrong, and the command that shows it again."""
+        case, ended, _, message, _, problems = self.outcome
+        repeat = (
+            f"python -m tests.campaign --only faults --host '{self.host}'"
+            f" --seed {self.seed} --job '{case.job}' --case '{case}'"
+        )
+        lines = [f"{case} on {self.host}: {ended}", message, *problems]
+        return "\n    ".join([*lines, f"EVERY_HOST=1 {repeat}"])
+
+
+def plan(
+    seed: int, text: str, job: str, host: Host, share: tuple[int, int]
+) -> Plan:
+    """The cases of a command with the text that are a host's turn.
+
+    share: which of how many parts of all.
+    """
+    good = faults.good_run(host, JOBS[job], Setting(seed))
+    part, parts = share
+    chosen = [
+        case
+        for case in faults.cases(JOBS[job], good)
+        if text in str(case) and zlib.crc32(str(case).encode()) % parts == part
+    ]
+    return Plan(host, job, seed, good, tuple(chosen))
+
+
+def attempt(task: tuple[Plan, Case]) -> Done:
+    """Run one case."""
+    whole, case = task
+    outcome = faults.attempt(whole.host, case, whole.good, Setting(whole.seed))
+    return Done(whole.host.name, whole.seed, outcome)
+
+
+def attempt_all(pool: Executor, plans: Iterable[Plan]) -> list[Done]:
+    """Run all cases of some plans."""
+    # The cases travel with what they need, not with each other
+    tasks = [
+        (one._replace(cases=()), case) for one in plans for case in one.cases
+    ]
+    return list(pool.map(attempt, tasks, chunksize=4))
+
+
+def figures(job: str, done: Sequence[Done]) -> dict[str, Any]:
+    """What came of a command's cases."""
+    outcomes = [one.outcome for one in done]
+    sites = JOBS[job].margins
+    return {
+        "job": job,
+        "hosts": sorted({one.host for one in done}),
+        "runs": len(outcomes),
+        "survived": sum(not o.problems for o in outcomes),
+        "missed": sum(not o.struck for o in outcomes),
+        "faults": Counter(o.case.fault for o in outcomes),
+        "ended": Counter(o.ended for o in outcomes),
+        "worst": {
+            site: max((o.depths.get(site, 0.0) for o in outcomes), default=0.0)
+            for site in sites
+        },
+    }
