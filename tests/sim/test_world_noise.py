@@ -89,6 +89,19 @@ def test_arming_starts_a_new_touch_without_a_lift():
     assert driver.find("z_endstop") != pytest.approx(first, abs=1e-6)
 
 
+def test_arming_while_pressed_does_not_move_the_trigger_of_the_touch():
+    """As klippy does, before the lift that comes first."""
+    driver = Driver(make(noisy(outlier_chance=0.5, outlier_size=0.3)))
+    driver.go(*OVER_PIN)
+    for _ in range(30):
+        trigger = driver.find("z_endstop")
+        driver.go(z=trigger - 0.01)
+        driver.world.touch_armed("z_endstop", driver.t)
+        driver.go(z=trigger - 0.02)
+        driver.go(z=trigger + 2.0)
+    assert driver.world.truth.depth("nozzle_pin") == pytest.approx(0.02)
+
+
 def test_outliers():
     heights = series(noisy(outlier_chance=0.25, outlier_size=0.3), 400)
     early = [z for z in heights if z == pytest.approx(3.3)]

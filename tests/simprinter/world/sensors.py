@@ -28,7 +28,7 @@ class TouchState:
     spent: this trigger point has been used by a touch
 
     One draw is made per touch: at the first of "let go for long enough" and
-    "armed again" after it.  So the draws depend on the sequence of touches
+    "armed again while let go" after it.  So the draws depend on the sequence of touches
     and not on how often anybody looked.
     """
 
@@ -69,7 +69,10 @@ class TouchState:
         """A new homing or probing operation starts."""
         self.early = early
         self.mute = mute
-        self._renew()
+        # Klippy may say so while the lift before it has yet to begin: the
+        # touch of now keeps its trigger point
+        if not self.pressed:
+            self._renew()
 
     def mend(self) -> None:
         """It triggers where it should again."""
