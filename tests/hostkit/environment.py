@@ -168,7 +168,14 @@ def environment_key(requirements: Sequence[str], startup: str = "") -> str:
 
 def klippy_environment(requirements: Sequence[str]) -> Path:
     """The interpreter of the klippy environment with these requirements."""
-    startup = klippy_startup()
+    return cached_environment(requirements, klippy_startup())
+
+
+def cached_environment(requirements: Sequence[str], startup: str = "") -> Path:
+    """The interpreter of the environment with these requirements.
+
+    It is made where it is missing.  For `startup` and errors see `ensure`.
+    """
     key = environment_key(requirements, startup)
     return ensure(build_dir() / "envs" / key, requirements, startup)
 
