@@ -1,0 +1,1 @@
+"""What a calibration costs: time, accuracy, computing; see __main__."""

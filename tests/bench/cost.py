@@ -1,0 +1,110 @@
+"""What a module costs the host: CPU time, time of loading, memory."""
+
+from __future__ import annotations
+
+import re
+import statistics
+from pathlib import Path
+from typing import Any, NamedTuple
+
+from tests.hostkit.environment import run
+from tests.hostkit.hosts import Host, Installed
+from tests.hostkit.printer import module_files
+from tests.simprinter.simulation import Simulation
+
+LOADINGS = 11
+# Of the host, loaded the same way for scale
+STOCK = "bed_mesh"
+_LOADING = Path(__file__).with_name("loading.py")
+
+
+def cpu_seconds(simulation: Simulation) -> float:
+    """CPU time of klippy's process up to now, all threads together, s."""
+    info = Path(f"/proc/self/fdinfo/{simulation.process_fd}").read_text()
+    match = re.search(r"^Pid:\s*(\d+)$", info, re.MULTILINE)
+    assert match is not None
+    tasks = Path(f"/proc/{match[1]}/task").glob("*/schedstat")
+    # Its first number; in /proc/PID/stat there are hundredths only
+    return sum(int(task.read_text().split()[0]) for task in tasks) * 1e-9
+
+
+class Loading(NamedTuple):
+    """Of a module, on a host: seconds (median) and bytes."""
+
+    host: str
+    module: str
+    seconds: float
+    size: float
+
+    def figures(self) -> dict[str, Any]:
+        """All of it, for a file."""
+        return {
+            "host": self.host,
+            "module": self.module,
+            "import_ms": round(self.seconds * 1e3, 2),
+            "memory_kib": round(self.size / 1024.0, 1),
+        }
+
+
+class Names(NamedTuple):
+    """How klippy's parts are imported: from where, its program, packages."""
+
+    path: Path
+    main: str
+    extras: str
+    own: str
+
+
+def names(installed: Installed) -> Names:
+    """As the host does it itself."""
+    tree, folder = installed.cwd, installed.host.layout.module_dir
+    own = folder.replace("/", ".")
+    if (tree / "klippy" / "printer.py").exists():
+        return Names(tree, "klippy.printer", "klippy.extras", own)
+    if installed.host.layout.script is None:
+        return Names(tree, "klippy.klippy", "klippy.extras", own)
+    return Names(tree / "klippy", "klippy", "extras", "extras")
+
+
+def load(installed: Installed, what: str, module: str) -> float:
+    """Load it in a new process; what: "time" or "memory"."""
+    found = names(installed)
+    environment = installed.environment()
+    environment["PYTHONPATH"] = str(found.path)
+    before = [found.main, f"{found.extras}.probe"]
+    return float(
+        run(
+            [installed.argv[0], _LOADING, what, *before, module],
+            f"loading {module}",
+            cwd=installed.cwd,
+            env=environment,
+        )
+    )
+
+
+def loading(installed: Installed, name: str, module: str) -> Loading:
+    """Measured several times, after one that compiles.
+
+    name: what it is called in the figures.
+    """
+    load(installed, "time", module)
+    times = [load(installed, "time", module) for _ in range(LOADINGS)]
+    size = load(installed, "memory", module)
+    return Loading(installed.host.name, name, statistics.median(times), size)
+
+
+def loadings(host: Host) -> list[Loading]:
+    """Our modules on a host, and one of its own for scale."""
+    files = module_files()
+    installed = host.install(files)
+    found = names(installed)
+    wanted = {name: f"{found.own}.{name}" for name in files}
+    wanted[f"{STOCK} of the host"] = f"{found.extras}.{STOCK}"
+    return [loading(installed, *item) for item in wanted.items()]
+
+
+def other_loading(host: Host, name: str, file: Path) -> Loading:
+    """Another z_calibration.py. Raises HostError if it cannot be loaded."""
+    installed = host.install({"z_calibration": file})
+    module = f"{names(installed).own}.z_calibration"
+    return loading(installed, name, module)
