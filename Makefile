@@ -5,7 +5,7 @@
 #   make faults   break something at every operation, draw printers at random
 #   make hosts    prepare and list the klippy hosts, and Moonraker
 #   make speed    how much faster than a printer the simulation runs
-#   make bench    how long a calibration takes, and the least it could take
+#   make bench    time, error and cost of calibrations, as text and as a chart
 #   make lint     style and syntax only
 #   make format   bring the sources into shape
 #   make clean    remove all that was built
@@ -18,7 +18,7 @@
 #                      printers on every host, not each on one of them
 # PYTEST_WORKERS       tests run at the same time (default 2)
 # PYTEST_ARGS          further arguments for pytest, such as -k or a file
-# BENCH_ARGS           arguments for make bench, such as --builtin
+# BENCH_ARGS           arguments for make bench, such as --seeds 10 or --builtin
 # FAULTS_ARGS          arguments for make faults, such as --seed 7
 
 PYTHON ?= python3
@@ -46,7 +46,7 @@ speed: hosts
 	$(TOOLS)/python -m tests.bench_simulation
 
 bench: hosts
-	$(TOOLS)/python -m tests.bench_calibration $(BENCH_ARGS)
+	$(TOOLS)/python -m tests.bench $(BENCH_ARGS)
 
 faults: hosts
 	$(TOOLS)/python -m tests.campaign $(FAULTS_ARGS)

@@ -1,0 +1,226 @@
+"""The program of the benchmark, with modules that do not run."""
+
+from __future__ import annotations
+
+import contextlib
+import io
+import json
+import re
+import shutil
+from types import SimpleNamespace
+
+import pytest
+
+from tests.bench import __main__ as bench
+from tests.bench import cost
+from tests.bench.commands import CALIBRATE_Z, COMMANDS
+from tests.bench.timing import RUNS, Subject, attempt
+from tests.hostkit.hosts import find_hosts
+from tests.hostkit.printer import module_files
+
+# One run of the program is behind most of them
+pytestmark = pytest.mark.timeout(300)
+
+CELL = re.compile(r"(\d+\.\d\d)/(\d+\.\d\d)=(\d+\.\d\d)")
+
+MODULES = {
+    "same": None,
+    "no_python": "this is no module\n",
+    "no_start": "def load_config(config):\n    raise config.error('not me')\n",
+    # Klippy insists on somebody reading every option
+    "no_command": (
+        "def load_config(config):\n"
+        "    for option in config.get_prefix_options(''):\n"
+        "        config.get(option)\n"
+    ),
+    "dead": "import os\ndef load_config(config):\n    os._exit(3)\n",
+}
+REASONS = {
+    "no_python": "z_calibration",
+    "no_start": "not me",
+    "dead": "klippy has ended",
+    "missing": "there is no file",
+}
+
+
+@pytest.fixture(scope="module")
+def program(tmp_path_factory):
+    """One run of it with many modules: files by name, output, figures."""
+    folder = tmp_path_factory.mktemp("bench")
+    files = {"missing": folder / "missing.py"}
+    for name, text in MODULES.items():
+        files[name] = folder / f"{name}.py"
+        if text is None:
+            shutil.copy(module_files()["z_calibration"], files[name])
+        else:
+            files[name].write_text(text)
+    host = find_hosts()[-1].name
+    # The one that works comes last, after all that do not
+    order = sorted(files, key=lambda name: name == "same")
+    options = [word for name in order for word in ("--module", files[name])]
+    written = folder / "figures.json"
+    options += ["--builtin", "--host", host, "--json", written]
+    options += ["--seeds", 0, "--no-chart"]
+    output = io.StringIO()
+    with contextlib.redirect_stdout(output), in_folder(folder):
+        status = bench.main([str(option) for option in options])
+    figures = json.loads(written.read_text())
+    timings = {
+        entry["module"]: entry
+        for entry in figures["timings"]
+        if entry["host"] == host and entry["command"] == "CALIBRATE_Z"
+    }
+    return SimpleNamespace(
+        host=host,
+        status=status,
+        files=files,
+        lines=output.getvalue().splitlines(),
+        all_figures=figures,
+        figures=timings,
+        kept=(folder / "performance.json").read_text(),
+    )
+
+
+@contextlib.contextmanager
+def in_folder(folder):
+    """Let the program write there, not over an owner's figures, and hurry."""
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(bench, "folder", lambda: folder)
+        patch.setattr(cost, "LOADINGS", 1)
+        yield
+
+
+def line_of(program, name):
+    """The line of a module on the program's host, about CALIBRATE_Z."""
+    begin = next(
+        number
+        for number, line in enumerate(program.lines)
+        if line.startswith("CALIBRATE_Z: ")
+    )
+    found = [
+        line for line in program.lines[begin:] if line.startswith(f"  {name}  ")
+    ]
+    return found[0]
+
+
+def test_only_chosen_hosts_are_measured(program):
+    names = {host.name for host in find_hosts()}
+    shown = {line for line in program.lines if line in names}
+    assert shown == {name for name in names if program.host in name}
+
+
+def test_module_that_does_not_run_is_reported_with_the_reason(program):
+    assert program.status == 0
+    for name, words in REASONS.items():
+        file = str(program.files[name])
+        assert words in program.figures[file]["failure"]
+        assert program.figures[file]["runs"] == []
+        assert words in line_of(program, file)
+        assert not CELL.search(line_of(program, file))
+
+
+def test_module_without_calibration_is_reported(program):
+    entry = program.figures[str(program.files["no_command"])]
+    # Klippy says so on the console only
+    assert "has not touched nozzle_pin, body_pin, probe_bed" in entry["failure"]
+
+
+def test_own_module_of_the_host(program):
+    entry = program.figures["the host's own"]
+    if program.host.startswith("klipper"):
+        assert "z_calibration" in entry["failure"]
+    else:
+        assert len(entry["runs"]) == len(RUNS)
+
+
+def test_printed_ratios_are_measured_by_bound(program):
+    for name in ("ours", str(program.files["same"])):
+        runs = program.figures[name]["runs"]
+        cells = CELL.findall(line_of(program, name))
+        assert len(cells) == len(runs) == 3
+        for cell, run in zip(cells, runs):
+            seconds, bound, ratio = map(float, cell)
+            assert bound == pytest.approx(run["bound"], abs=0.006)
+            assert seconds == pytest.approx(run["seconds"], abs=0.006)
+            wanted = run["seconds"] / run["bound"]
+            assert run["ratio"] == pytest.approx(wanted, abs=0.001)
+            assert ratio == pytest.approx(wanted, abs=0.006)
+        assert re.search(r" 9  3\+3\+3  CPU ", line_of(program, name))
+
+
+def test_ours_is_compared_with_theirs(program):
+    file = str(program.files["same"])
+    times, _, cpu = line_of(program, f"ours / {file}").partition("  CPU ")
+    assert float(cpu) > 0.0
+    printed = times.split()[-3:]
+    runs = zip(program.figures["ours"]["runs"], program.figures[file]["runs"])
+    for text, (first, other) in zip(printed, runs):
+        wanted = first["seconds"] / other["seconds"]
+        assert float(text) == pytest.approx(wanted, abs=0.006)
+        assert wanted == pytest.approx(1.0, abs=0.1)
+    compared = [line for line in program.lines if "  CPU " in line]
+    for name in REASONS:
+        words = f"ours / {program.files[name]}"
+        assert not any(words in line for line in compared)
+
+
+def test_every_command_is_timed(program):
+    commands = {
+        entry["command"]: len(entry["runs"])
+        for entry in program.all_figures["timings"]
+        if entry["module"] == "ours" and entry["host"] == program.host
+    }
+    assert commands == {command.name: 3 for command in COMMANDS}
+
+
+def test_every_start_has_its_lower_bound(program):
+    tables = [line for line in program.lines if "lower bound of" in line]
+    starts = {
+        (entry["command"], *(round(p, 1) for p in run["start"]))
+        for entry in program.all_figures["timings"]
+        for run in entry["runs"]
+    }
+    assert len(tables) == len(starts)
+
+
+def test_loading_is_measured(program):
+    costs = {c["module"]: c for c in program.all_figures["costs"]}
+    same = costs[str(program.files["same"])]
+    own = costs["z_calibration"]
+    assert own["memory_kib"] == pytest.approx(same["memory_kib"], rel=0.05)
+    assert 100.0 < own["memory_kib"] < 2000.0
+    assert min(cost["import_ms"] for cost in costs.values()) > 0.0
+    # It has no code at all
+    assert str(program.files["no_python"]) not in costs
+    assert same["other"]
+    assert not own["other"]
+
+
+def test_figures_are_kept_from_the_first_phases_on(program):
+    assert json.loads(program.kept) == program.all_figures
+
+
+def test_unknown_host_is_said(capsys):
+    assert bench.main(["--host", "no such host"]) == 1
+    assert "no such host" in capsys.readouterr().out
+
+
+def test_own_failure_is_the_programs(monkeypatch, capsys, one_host, tmp_path):
+    missing = Subject("ours", {"z_calibration": tmp_path / "missing.py"})
+    assert "there is no file" in attempt(one_host, missing, CALIBRATE_Z)
+    monkeypatch.setattr(bench, "ours", lambda module: missing)
+    monkeypatch.setattr(bench, "COMMANDS", (CALIBRATE_Z,))
+    options = ["--host", one_host.name, "--seeds", "0", "--no-chart"]
+    with in_folder(tmp_path):
+        assert bench.main(options) == 1
+    assert "there is no file" in capsys.readouterr().out
+
+
+def test_command_line():
+    options = bench.parse(
+        ["--module", "a.py", "--module", "b.py", "--seeds", "7"]
+    )
+    assert [str(file) for file in options.module] == ["a.py", "b.py"]
+    assert options.seeds == 7
+    assert bench.parse([]).seeds == 50
+    assert bench.parse([]).errors_on is None
