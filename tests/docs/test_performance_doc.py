@@ -1,0 +1,54 @@
+"""docs/performance.md and its chart show the figures beside them."""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path
+
+import pytest
+
+from tests.bench import chart, markdown
+from tests.bench.commands import COMMANDS
+from tests.bench.errors import OUTLIER, OUTLIER_CHANCE, UM
+
+DOCS = Path(__file__).resolve().parents[2] / "docs"
+
+
+@pytest.fixture(scope="module")
+def figures():
+    return json.loads((DOCS / "performance.json").read_text(encoding="utf-8"))
+
+
+@pytest.fixture(scope="module")
+def document():
+    return (DOCS / "performance.md").read_text(encoding="utf-8")
+
+
+def test_tables_are_those_of_the_figures(figures, document, tmp_path):
+    copy = tmp_path / "performance.md"
+    copy.write_text(document, encoding="utf-8")
+    markdown.update(copy, figures)
+    assert copy.read_text(encoding="utf-8") == document
+
+
+def test_chart_is_that_of_the_figures(figures):
+    svg = (DOCS / "performance.svg").read_text(encoding="utf-8")
+    content = chart.content(figures)
+    assert f"figures {content['digest']}<" in svg
+    for bar in content["bars"]:
+        assert f">{bar['label']}<" in svg
+    assert "prefers-color-scheme: dark" in svg
+
+
+def test_figures_are_complete(figures):
+    """All commands on all hosts, without a failure, and over fifty seeds."""
+    hosts = figures["about"]["hosts"]
+    timed = {(t["command"], t["host"]) for t in figures["timings"]}
+    assert timed == {(c.name, host) for c in COMMANDS for host in hosts}
+    assert not any(timing["failure"] for timing in figures["timings"])
+    assert {error["seeds"] for error in figures["errors"]} == {50}
+    assert {error["command"] for error in figures["errors"]} >= {
+        command.name for command in COMMANDS
+    }
+    assert figures["about"]["outlier_um"] == OUTLIER * UM
+    assert figures["about"]["outlier_chance"] == OUTLIER_CHANCE
