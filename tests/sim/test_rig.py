@@ -45,8 +45,8 @@ class RigBench(Bench):
         wiring = Wiring(MOTORS, inputs, **wired)
         self.world = World(spec, 1)
         kinematics = make_kinematics("cartesian", [("z", 150.0, 150.0)])
-        start = Pose(290.0, 100.0, 20.0)
-        self.rig = Rig(self.world, kinematics, wiring, start, lambda: self.ns)
+        begin = kinematics.motors(Pose(290.0, 100.0, 20.0))
+        self.rig = Rig(self.world, kinematics, wiring, begin, lambda: self.ns)
         self.port = Port(self.rig)
         super().__init__(Steppers(self.port))
         self.port.board = self.board

@@ -60,8 +60,8 @@ class Machine:
         now_ns = self.simulation.clock.now
         self.world = World(scene.world, seed, self.faults)
         kinematics = make_kinematics(scene.kinematics, scene.z_motors)
-        start = scene.start
-        self.rig = Rig(self.world, kinematics, scene.wiring, start, now_ns)
+        begin = kinematics.motors(scene.start, scene.z_skew)
+        self.rig = Rig(self.world, kinematics, scene.wiring, begin, now_ns)
         self.drivers: dict[str, Tmc2209] = {}
         self._last_change: dict[str, tuple[bytes, bool]] = {}
         self.boards: dict[str, Board] = {}

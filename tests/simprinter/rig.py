@@ -48,15 +48,15 @@ class Rig:
         world: World,
         kinematics: Kinematics,
         wiring: Wiring,
-        start: Pose,
+        begin: Mapping[str, float],
         now_ns: Callable[[], int],
     ):
+        """begin: travel of every motor at first, mm."""
         self.world = world
         self.wiring = wiring
         self._kinematics = kinematics
         self._zero_ns = now_ns()
         self._committed = self._zero_ns
-        begin = kinematics.motors(start)
         self.axes = {
             name: MotorAxis(
                 motor.step_dist, not is_inverted(motor.dir_pin), begin[name]

@@ -7,7 +7,7 @@ Both meet in the wiring: the same pin texts serve both.
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from typing import Optional, Union
 
 from .mcu.board import Crystal
@@ -33,7 +33,7 @@ class Scene:
     """A machine in its starting state.
 
     z_motors: (name, x, y) of every Z motor. start: where the nozzle tip is,
-    world frame. Frame of the configuration: x and y are the world's; its z
+    world frame. z_skew: mm by which Z motors stand higher. Frame of the configuration: x and y are the world's; its z
     comes from homing on the pin, whose height it gives as position_endstop.
     """
 
@@ -44,6 +44,7 @@ class Scene:
     wiring: Wiring
     sections: Sections
     start: Pose = Pose(120.0, 120.0, 40.0)
+    z_skew: Mapping[str, float] = field(default_factory=dict)
 
     def config(
         self,
@@ -477,7 +478,7 @@ _CARRIAGE_OPTIONS = (
 )
 
 
-def _on_carriages(sections: Sections, names: Mapping[str, str]) -> Sections:
+def on_carriages(sections: Sections, names: Mapping[str, str]) -> Sections:
     """The sections for a generic cartesian; names of the motors' steppers."""
     made = dict(sections)
     for motor, name in names.items():
@@ -506,7 +507,7 @@ def _generic() -> Scene:
         voron,
         name="generic",
         kinematics="cartesian",
-        sections=_on_carriages(sections, names),
+        sections=on_carriages(sections, names),
     )
 
 
@@ -786,7 +787,7 @@ def _piezo_generic() -> Scene:
         qidi,
         name="piezo_generic",
         kinematics="cartesian",
-        sections=_on_carriages(sections, names),
+        sections=on_carriages(sections, names),
     )
 
 
