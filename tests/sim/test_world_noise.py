@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import random
 import statistics
 from dataclasses import replace
 
@@ -9,6 +10,7 @@ import pytest
 
 from tests.sim.world_scenes import HIGH, MAG, OVER_PIN, PIEZO, Driver, make
 from tests.simprinter.world import NoiseSpec, Pose, WorldSpec
+from tests.simprinter.world.sensors import TouchState
 
 
 def noisy(**noise: float) -> WorldSpec:
@@ -147,3 +149,15 @@ def test_axis_switch_noise():
     assert len(triggers) == 200
     assert statistics.mean(triggers) == pytest.approx(300, abs=0.03)
     assert statistics.stdev(triggers) == pytest.approx(0.1, rel=0.15)
+
+
+def test_arming_before_the_lift_makes_the_next_touch_another():
+    state = TouchState(NoiseSpec(sigma=0.01), random.Random(1))
+    shift = state.shift
+    state.settle(True, 0.0)
+    state.arm(0.0, False)
+    assert state.shift == shift
+    state.settle(False, -0.04)
+    assert state.shift == shift
+    state.settle(False, -0.06)
+    assert state.shift != shift

@@ -26,15 +26,17 @@ class TouchState:
     mute: a fault hides the contact
     pressed: committed state, for the hysteresis
     spent: this trigger point has been used by a touch
+    armed: for the next touch, while this one still presses
 
     One draw is made per touch: at the first of "let go for long enough" and
-    "armed again while let go" after it.  So the draws depend on the sequence of touches
-    and not on how often anybody looked.
+    "armed again and let go" after it.  So the draws depend on the sequence of
+    touches and not on how often anybody looked.
     """
 
     __slots__ = (
         "_noise",
         "_random",
+        "armed",
         "early",
         "hysteresis",
         "mute",
@@ -54,6 +56,7 @@ class TouchState:
         self.mute = False
         self.pressed = False
         self.spent = False
+        self.armed = False
         self.shift = self._draw()
 
     def asserted(self, beyond: float) -> bool:
@@ -71,6 +74,7 @@ class TouchState:
         self.mute = mute
         # Klippy may say so while the lift before it has yet to begin: the
         # touch of now keeps its trigger point
+        self.armed = self.pressed
         if not self.pressed:
             self._renew()
 
@@ -84,10 +88,11 @@ class TouchState:
         self.pressed = pressed
         if pressed:
             self.spent = True
-        elif beyond < -self.rearm:
+        elif beyond < -(self.rearm - REARM if self.armed else self.rearm):
             self._renew()
 
     def _renew(self) -> None:
+        self.armed = False
         if self.spent:
             self.spent = False
             self.shift = self._draw()
