@@ -98,15 +98,23 @@ def render(figures: Figures) -> str:
     return "\n\n".join("\n".join(part) for part in parts)
 
 
-def update(file: Path, figures: Figures) -> None:
-    """Replace what stands between the markers of a document.
+def put(file: Path, begin: str, end: str, middle: str) -> None:
+    """Replace what stands between two markers of a document.
 
     Raises ValueError if they are missing.
     """
     text = file.read_text(encoding="utf-8")
-    before, found, rest = text.partition(BEGIN)
-    after = rest.partition(END)
+    before, found, rest = text.partition(begin)
+    after = rest.partition(end)
     if not found or not after[1]:
-        raise ValueError(f"{file}: the markers {BEGIN} and {END} are missing")
-    middle = f"{BEGIN}\n\n{render(figures)}\n\n{END}"
-    file.write_text(before + middle + after[2], encoding="utf-8")
+        raise ValueError(f"{file}: the markers {begin} and {end} are missing")
+    whole = f"{before}{begin}\n\n{middle}\n\n{end}{after[2]}"
+    file.write_text(whole, encoding="utf-8")
+
+
+def update(file: Path, figures: Figures) -> None:
+    """Replace the figures of a document.
+
+    Raises ValueError if the markers are missing.
+    """
+    put(file, BEGIN, END, render(figures))

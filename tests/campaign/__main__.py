@@ -1,7 +1,8 @@
 """Every fault at every operation, then printers at random: make faults.
 
     python -m tests.campaign [--host NAME] [--job NAME] [--case TEXT]
-        [--seed N] [--only faults|printers] [--json FILE]
+        [--seed N] [--only faults|printers] [--printers N]
+        [--json FILE] [--markdown FILE]
 
 Each case runs on one of the hosts, another for another case; EVERY_HOST=1: on
 all of them. For each command it prints how many faults it was given, how the
@@ -17,16 +18,18 @@ import json
 import os
 import sys
 import time
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from concurrent.futures import Executor, ProcessPoolExecutor
 from functools import partial
 from multiprocessing import get_context
 from pathlib import Path
 from typing import Any, Optional
 
+from tests.campaign import markdown
 from tests.campaign.faults import REFUSED, RIGHT, SHUT_DOWN
 from tests.campaign.jobs import JOBS
-from tests.campaign.running import attempt_all, figures, plan
+from tests.campaign.random_printers import MODULES, Report
+from tests.campaign.running import attempt_all, draw_all, figures, plan
 from tests.hostkit.hosts import Host, find_hosts
 
 _ENDS = (RIGHT, REFUSED, SHUT_DOWN)
@@ -74,6 +77,19 @@ def run_faults(
     return table
 
 
+def run_printers(
+    pool: Executor, hosts: Sequence[Host], options: argparse.Namespace
+) -> dict[str, Report]:
+    """Random printers for all modules; prints as it goes."""
+    reports = {}
+    for module in MODULES:
+        # Hypothesis' seeds, none of them 0
+        first = options.seed * options.printers + 1
+        reports[module] = draw_all(pool, module, hosts, options.printers, first)
+        say(f"\n{module}\n{reports[module].text()}")
+    return reports
+
+
 def parse(arguments: Optional[Sequence[str]]) -> argparse.Namespace:
     """The command line."""
     parser = argparse.ArgumentParser(
@@ -85,8 +101,14 @@ def parse(arguments: Optional[Sequence[str]]) -> argparse.Namespace:
     parser.add_argument("--case", default="", help="part of a case's text")
     parser.add_argument("--seed", type=int, default=0, help="of all noise")
     parser.add_argument("--only", choices=("faults", "printers"))
+    parser.add_argument(
+        "--printers", type=int, default=300, help="random ones for each module"
+    )
     parser.add_argument("--workers", type=int, default=2)
     parser.add_argument("--json", type=Path, help="write the figures there")
+    parser.add_argument(
+        "--markdown", type=Path, help="put the tables into this document"
+    )
     return parser.parse_args(arguments)
 
 
@@ -94,21 +116,59 @@ def main(arguments: Optional[Sequence[str]] = None) -> int:
     """Run it all; the exit code is 0 if everything was survived."""
     options = parse(arguments)
     hosts = [host for host in find_hosts() if options.host in host.name]
-    began = time.monotonic()
     say(f"hosts: {', '.join(host.name for host in hosts)}")
-    good, report = True, {}
+    began = time.monotonic()
+    table, reports = [], {}
+    # What a worker has imported must not be forked
     context = get_context("spawn")
     with ProcessPoolExecutor(options.workers, context) as pool:
         if options.only != "printers":
-            table = report["faults"] = run_faults(pool, hosts, options)
-            runs = sum(found["runs"] for found in table)
-            survived = sum(found["survived"] for found in table)
-            say(f"{survived} of {runs} faults survived, seed {options.seed}")
-            good = good and runs > 0 and survived == runs
-    say(f"{(time.monotonic() - began) / 60.0:.1f} min")
+            table = run_faults(pool, hosts, options)
+        if options.only != "faults":
+            reports = run_printers(pool, hosts, options)
+    about = {
+        "hosts": [host.name for host in hosts],
+        "seed": options.seed,
+        "minutes": (time.monotonic() - began) / 60.0,
+    }
+    write(options, about, table, reports)
+    return 0 if is_well(about, table, reports) else 1
+
+
+def is_well(
+    about: dict[str, Any],
+    table: Sequence[dict[str, Any]],
+    reports: Mapping[str, Report],
+) -> bool:
+    """Say and return whether everything is as it must be."""
+    runs = sum(found["runs"] for found in table)
+    survived = sum(found["survived"] for found in table)
+    problems = sum(len(report.problems()) for report in reports.values())
+    drawn = sum(report.runs for report in reports.values())
+    say(
+        f"\n{survived} of {runs} faults survived; {drawn} random printers,"
+        f" {problems} problems; seed {about['seed']},"
+        f" {about['minutes']:.1f} min"
+    )
+    return runs + drawn > 0 and survived == runs and not problems
+
+
+def write(
+    options: argparse.Namespace,
+    about: dict[str, Any],
+    table: Sequence[dict[str, Any]],
+    reports: Mapping[str, Report],
+) -> None:
+    """Write the figures where they are wanted."""
+    report = {
+        "about": about,
+        "faults": list(table),
+        "printers": {name: r._asdict() for name, r in reports.items()},
+    }
     if options.json is not None:
-        options.json.write_text(json.dumps(report, indent=2) + "\n")
-    return 0 if good else 1
+        options.json.write_text(json.dumps(report, indent=1) + "\n")
+    if options.markdown is not None:
+        markdown.update(options.markdown, report)
 
 
 if __name__ == "__main__":

@@ -8,9 +8,10 @@ from collections.abc import Iterable, Sequence
 from concurrent.futures import Executor
 from typing import Any, NamedTuple
 
-from tests.campaign import faults
+from tests.campaign import faults, random_printers
 from tests.campaign.faults import Case, Outcome, Setting
 from tests.campaign.jobs import JOBS
+from tests.campaign.random_printers import Report
 from tests.hostkit.hosts import Host
 
 
@@ -92,3 +93,29 @@ def figures(job: str, done: Sequence[Done]) -> dict[str, Any]:
             for site in sites
         },
     }
+
+
+# As many printers are one task
+_PRINTERS = 10
+
+
+def draw(task: tuple[str, Host, int, int]) -> Report:
+    """Try random printers: module, host, how many and from which seed on."""
+    module, host, count, seed = task
+    return random_printers.run(module, host, count, seed)
+
+
+def draw_all(
+    pool: Executor, module: str, hosts: Sequence[Host], count: int, seed: int
+) -> Report:
+    """Try random printers of a module, the hosts in turn."""
+    tasks = [
+        (
+            module,
+            hosts[first // _PRINTERS % len(hosts)],
+            min(_PRINTERS, count - first),
+            seed + first,
+        )
+        for first in range(0, count, _PRINTERS)
+    ]
+    return random_printers.merged(list(pool.map(draw, tasks)))
