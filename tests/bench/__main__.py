@@ -329,9 +329,10 @@ def write_files(
         except HostError as error:
             output.say(f"no chart: {error}")
             return False
-    (folder() / "performance.txt").write_text(
-        "\n".join(output.lines) + "\n", encoding="utf-8"
-    )
+    if output.lines:
+        (folder() / "performance.txt").write_text(
+            "\n".join(output.lines) + "\n", encoding="utf-8"
+        )
     print(f"also in {folder()}: performance.txt, .json, .svg")  # noqa: T201
     return True
 
