@@ -61,7 +61,8 @@ def pytest_collection_modifyitems(
 ) -> None:
     """Of a test marked `spread`, each case runs on one of the hosts.
 
-    On another one for another case. EVERY_HOST=1: on each.
+    On another one for another case. EVERY_HOST=1: on each; so do those marked
+    `each_host`, where all others in their file are spread.
     """
     if os.environ.get("EVERY_HOST"):
         return
@@ -73,6 +74,8 @@ def pytest_collection_modifyitems(
 def _is_its_turn(item: pytest.Item) -> bool:
     host = getattr(item, "callspec", None) and item.callspec.params.get("host")
     if host is None or item.get_closest_marker("spread") is None:
+        return True
+    if item.get_closest_marker("each_host") is not None:
         return True
     case = item.nodeid.replace(host.name, "")
     return HOSTS[zlib.crc32(case.encode()) % len(HOSTS)] is host

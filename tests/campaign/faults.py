@@ -61,7 +61,8 @@ _CAUSES = {
 }
 _SHUT_DOWN_CAUSES = {
     # A host may stumble over its own moves before it misses the board
-    "mcu_silent": r"Lost communication with MCU|Internal error on command",
+    "mcu_silent": r"Lost communication with MCU|Internal error on command"
+    r"|Exception in flush_handler",
     "cancel": r"webhooks request",
 }
 # How a command may end
@@ -192,7 +193,13 @@ class Saboteur:
 
 
 def cases(job: Job, good: GoodRun) -> Iterator[Case]:
-    """All faults of a job."""
+    """All faults of a job, at all its operations."""
+    for case in _all_cases(job, good):
+        if not job.only or case.fault in job.only:
+            yield case
+
+
+def _all_cases(job: Job, good: GoodRun) -> Iterator[Case]:
     for number in range(1, good.templates + 1):
         yield Case(job.name, number, "template raises")
         yield Case(job.name, number, "template leaves")

@@ -39,7 +39,7 @@ class Job:
     run, when the fault is gone. signals: the sensors it
     uses. margins: by site, mm that a touch may be deeper than in a good run.
     ideal: true gap at G-code Z=0 afterwards, None: it does not change.
-    point: of the bed where the gap is looked at. lift: toolhead Z after a
+    only: these faults, if it is there for some. point: of the bed where the gap is looked at. lift: toolhead Z after a
     failure, at least.
     """
 
@@ -55,6 +55,7 @@ class Job:
     changes: Sections = field(default_factory=dict)
     before: str = ""
     again: str = ""
+    only: tuple[str, ...] = ()
 
     def state(self, printer: Printer) -> dict[str, Any]:
         """All that a failure must leave as it was."""
@@ -115,7 +116,8 @@ _PIN = {
     "nozzle_pin": FLOOR_MARGIN,
     "body_pin": FLOOR_MARGIN,
     "body_bed": FLOOR_MARGIN,
-    "probe_bed": FLOOR_MARGIN,
+    # The plunger's trigger is expected from z_offset, which may be a bit off
+    "probe_bed": FLOOR_MARGIN + 0.2,
 }
 _SWITCH = ("z_endstop", "probe")
 _PIEZO = ("bed_sensor", "probe")
@@ -207,11 +209,13 @@ def _piezo_jobs() -> list[Job]:
         for command, ideal in commands
     ]
     jobs += [
+        # What differs from the other one is the dead sensor
         Job(
             name="AUTO_Z_CALIBRATE, first of all",
             script="AUTO_Z_CALIBRATE",
             margins=fresh,
             ideal=gap,
+            only=("stuck_open", "trigger_never", "trigger_late"),
             **shared,
         ),
         Job(

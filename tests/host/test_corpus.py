@@ -16,6 +16,7 @@ from tests.hostkit.corpus import (
     build,
     load,
     refusal,
+    some,
     spread,
 )
 from tests.hostkit.hosts import Host, find_hosts
@@ -166,7 +167,7 @@ def test_entry_calibrates(entry, host):
     check_calibration(host, build(entry, host))
 
 
-@pytest.mark.parametrize(("entry", "host"), spread(MEASURED, HOSTS))
+@pytest.mark.parametrize(("entry", "host"), spread(some(MEASURED, 3), HOSTS))
 def test_z_offset_need_not_be_right(entry, host):
     check_calibration(host, build(entry, host, other_length(entry)))
 

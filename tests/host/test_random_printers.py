@@ -20,12 +20,16 @@ ENOUGH = 60
 
 
 class Planted(NamedTuple):
-    """A fault in a module, and words of what the judge says of it."""
+    """A fault in a module, and words of what the judge says of it.
+
+    seed: from which printer on it is looked for; from 1 on it takes long.
+    """
 
     module: str
     right: str
     wrong: str
     words: str
+    seed: int = 1
 
 
 PLANTED = {
@@ -34,12 +38,14 @@ PLANTED = {
         "return probe - (switch - nozzle + switch_offset)",
         "return probe - (switch - nozzle - switch_offset)",
         "",
+        3,
     ),
     "z-halt": Planted(
         "z_calibration",
         "        self._check_travel(start_z, self.z())\n",
         "        return self.z()\n",
         "the true gap is",
+        7,
     ),
     "z-one-sample": Planted(
         "z_calibration",
@@ -52,18 +58,21 @@ PLANTED = {
         'with dock, host.always(run.lift, "lifting"):',
         "with dock:",
         "not lifted",
+        18,
     ),
     "auto-sign": Planted(
         "auto_z_offset",
         "return sensor - (probe - probe_z_offset) + z_offset",
         "return sensor - (probe - probe_z_offset) - z_offset",
         "the true gap is",
+        2,
     ),
     "auto-halt": Planted(
         "auto_z_offset",
         "        self._check_travel(start_z, self.z())\n",
         "        return self.z()\n",
         "the true gap is",
+        24,
     ),
     "auto-one-sample": Planted(
         "auto_z_offset",
@@ -76,6 +85,7 @@ PLANTED = {
         "restore = functools.partial(self._set_accel, found)",
         "restore = functools.partial(self._set_accel, accel)",
         "max_accel is",
+        2,
     ),
 }
 
@@ -99,7 +109,7 @@ def test_planted_fault_is_found(some_host, tmp_path: Path, name: str):
         planted.module,
         some_host,
         ENOUGH,
-        seed=1,
+        seed=planted.seed,
         modules={planted.module: path},
         simpler=0,
         most_failures=1,

@@ -30,9 +30,12 @@ from tests.hostkit.session import run_batch
 from tests.simprinter import SCENES, Fault, Machine
 from tests.simprinter.world import Pose
 
+pytestmark = pytest.mark.spread
+
 # The measurement
 
 
+@pytest.mark.each_host
 @pytest.mark.parametrize("scene", ["voron", "cartesian"])
 def test_gap_is_what_the_formula_predicts(start, scene):
     printer = start(scene).homed()
@@ -41,6 +44,7 @@ def test_gap_is_what_the_formula_predicts(start, scene):
     assert printer.gap() == pytest.approx(predicted, abs=2 * MICROSTEP)
 
 
+@pytest.mark.each_host
 def test_result_line_and_status_hold_the_heights(start):
     printer = start()
     printer.session.require_ready()
@@ -102,6 +106,7 @@ def test_each_site_is_touched_where_it_is_configured(start):
         assert (touch.x, touch.y) == at
 
 
+@pytest.mark.each_host
 def test_batch_run_gives_the_same_result(host):
     with Printer(host) as printer:
         live, _ = calibration(printer.homed())
@@ -134,6 +139,7 @@ def test_offset_replaces_an_earlier_one_and_a_second_run_agrees(start):
     assert printer.offset() == pytest.approx(second[-1], abs=1e-6)
 
 
+@pytest.mark.each_host
 def test_samples_come_from_the_probe(start):
     printer = start(changes={"probe": {"samples": "4"}}).homed()
     _, sites = calibration(printer)
@@ -171,6 +177,7 @@ def test_a_sample_that_disagrees_starts_the_site_again(start):
     assert "0.0500 mm" in retries[0]
 
 
+@pytest.mark.each_host
 def test_retries_end(start):
     changes = {"probe": {"samples_tolerance_retries": "1"}}
     faults = [
@@ -183,6 +190,7 @@ def test_retries_end(start):
     assert_unharmed(printer)
 
 
+@pytest.mark.each_host
 def test_bed_is_sampled_with_the_probes_own_settings(start):
     changes = {"probe": {"samples_tolerance_retries": "0"}}
     # Homing and the two other sites arm the endstop, not the probe: its first
@@ -196,6 +204,7 @@ def test_bed_is_sampled_with_the_probes_own_settings(start):
     assert_unharmed(printer)
 
 
+@pytest.mark.each_host
 @pytest.mark.parametrize("deactivate", ["activate", "deactivate"])
 def test_probe_that_cannot_be_made_ready_ends_the_run(start, deactivate):
     # With its own pin to be told apart: fails once, when told to
@@ -275,6 +284,7 @@ def seconds_between_samples(host, changes):
     return {site: t[1] - t[0] for site, t in times.items()}
 
 
+@pytest.mark.each_host
 @pytest.mark.parametrize(
     ("changes", "more"),
     [
@@ -359,6 +369,7 @@ AXIS_OPTIONS = (
 )
 
 
+@pytest.mark.each_host
 @pytest.mark.parametrize("name", ["z", "lift"])
 def test_axis_of_generic_cartesian(host, name):
     changes = {
@@ -382,6 +393,7 @@ def test_axis_of_generic_cartesian(host, name):
         assert printer.gap() == pytest.approx(predicted, abs=2 * MICROSTEP)
 
 
+@pytest.mark.each_host
 def test_twist_compensation_counts_as_the_probe_counts_it(host):
     twist = {
         "calibrate_start_x": "20",
@@ -430,6 +442,7 @@ def test_offset_is_given_to_the_micrometre(start):
     assert printer.offset() == pytest.approx(float(offset), abs=1e-7)
 
 
+@pytest.mark.each_host
 def test_klippy_knows_version_help_and_settings(start):
     printer = start()
     printer.session.require_ready()
@@ -443,6 +456,7 @@ def test_klippy_knows_version_help_and_settings(start):
 # Templates
 
 
+@pytest.mark.each_host
 def test_templates_run_in_order_and_once(start):
     changes = marked("FIRST", "SECOND", "LAST")
     changes.update(
@@ -505,6 +519,7 @@ def test_template_that_fails_ends_the_run(start, broken):
     assert printer.offset() == pytest.approx(0.2)
 
 
+@pytest.mark.each_host
 def test_template_that_turns_the_motors_off_ends_the_run(start):
     changes = section(before_switch_gcode="ATTACH_PROBE\n  M84")
     printer = start("cartesian", changes=changes).homed()
@@ -601,6 +616,7 @@ def test_end_gcode_that_turns_the_motors_off_voids_the_result(start):
     assert printer.offset() == pytest.approx(0.2)
 
 
+@pytest.mark.each_host
 def test_template_that_stops_the_printer_is_the_last_thing_run(start):
     changes = marked("LAST")
     stop = "\n  { action_emergency_stop('enough') }"
@@ -617,6 +633,7 @@ def test_template_that_stops_the_printer_is_the_last_thing_run(start):
 # What may go wrong on the way
 
 
+@pytest.mark.each_host
 @pytest.mark.parametrize("homed", ["", "G28 X Y", "G28\nM84"])
 def test_unhomed_printer_does_not_move(start, homed):
     printer = start(changes={"safe_z_home": None} if homed else None)
@@ -633,6 +650,7 @@ def test_unhomed_printer_does_not_move(start, homed):
     assert printer.session.state()[0] == "ready"
 
 
+@pytest.mark.each_host
 def test_probe_that_is_not_attached_never_goes_down(start):
     changes = section(before_switch_gcode=None)
     printer = start("cartesian", changes=changes).homed()
@@ -753,6 +771,7 @@ def test_endstop_that_closes_while_a_touch_begins(start, n, site):
     assert_unharmed(printer)
 
 
+@pytest.mark.each_host
 @pytest.mark.parametrize(
     ("site", "noticed"), [("nozzle", "switch"), ("switch", "bed")]
 )
@@ -806,6 +825,7 @@ def test_failure_keeps_the_last_result_and_offset(start):
     assert_unharmed(printer, good[-1])
 
 
+@pytest.mark.each_host
 def test_probe_is_usable_after_a_failure(start):
     # The session must have been closed
     fault = Fault("trigger_never", signal="probe", n=3)
@@ -816,6 +836,7 @@ def test_probe_is_usable_after_a_failure(start):
     printer.run("G1 X150 Y120 Z15 F6000\nPROBE")
 
 
+@pytest.mark.each_host
 def test_failure_says_who_and_where(start):
     fault = Fault("trigger_never", signal="z_endstop", n=4)
     printer = start(faults=[fault])
@@ -948,11 +969,13 @@ def test_point_that_the_head_cannot_reach(host, option, value, reason):
     assert reason in message
 
 
+@pytest.mark.each_host
 def test_printer_without_a_probe(host):
     message = refusal(host, {"probe": None})
     assert "Section 'probe' is missing" in message
 
 
+@pytest.mark.each_host
 def test_probe_without_a_switch_body(host):
     changes = {
         "probe": None,
@@ -966,6 +989,7 @@ def test_probe_without_a_switch_body(host):
     assert "Section 'bltouch'" in message
 
 
+@pytest.mark.each_host
 def test_virtual_endstop(host):
     changes = {
         "stepper_z": {
@@ -979,6 +1003,7 @@ def test_virtual_endstop(host):
     assert "section 'stepper_z'" in message
 
 
+@pytest.mark.each_host
 def test_endstop_that_does_not_stop_every_z_motor(host):
     changes = {"stepper_z1": {"endstop_pin": "^PC5"}}
     message = refusal(host, changes)
@@ -986,6 +1011,7 @@ def test_endstop_that_does_not_stop_every_z_motor(host):
     assert "does not stop these Z motors: stepper_z1;" in message
 
 
+@pytest.mark.each_host
 def test_delta(host):
     tower = {
         "microsteps": "16",
@@ -1043,6 +1069,7 @@ def test_template_with_a_syntax_error(host, option):
     assert f"z_calibration:{option}" in message
 
 
+@pytest.mark.each_host
 def test_smart_effector(host):
     changes = {
         "probe": None,
@@ -1105,6 +1132,7 @@ def load_config(config):
 '''
 
 
+@pytest.mark.each_host
 @pytest.mark.parametrize(
     ("part", "words"),
     [
@@ -1126,6 +1154,7 @@ def test_host_that_is_not_as_expected(host, tmp_path, part, words):
         assert "Internal error" not in message
 
 
+@pytest.mark.each_host
 def test_heights_are_those_of_the_trigger_not_of_the_halt(start, tmp_path):
     source = tmp_path / "strange.py"
     source.write_text(STRANGE)
