@@ -29,11 +29,11 @@ from tests.simprinter.simulation import SimulationError
 from tests.simprinter.world.truth import CrashError
 
 # A fault of a move strikes when it is under way, s
-_INTO_A_MOVE = 0.05
+INTO_A_MOVE = 0.05
 # Triggers are so much (mm) too early or late
 _OFF = 0.3
 # A right gap: two microsteps
-_GAP_ERROR = 0.0051
+GAP_ERROR = 0.0051
 _STEP = 0.0026
 
 _TOUCH_FAULTS = ("trigger_never", "trigger_early", "trigger_late")
@@ -170,7 +170,7 @@ class Saboteur:
         self._struck = True
         moment = max(operation.ns, machine.simulation.clock.now())
         if operation.kind == "move":
-            moment += round(_INTO_A_MOVE * 1e9)
+            moment += round(INTO_A_MOVE * 1e9)
         t = machine.rig.seconds(moment)
         if fault == "cancel":
             self._stop_ns = moment
@@ -241,7 +241,7 @@ def good_run(host: Host, job: Job, setting: Setting = PLAIN) -> GoodRun:
         Watch(printer.machine, operations.append)
         printer.run(f"{job.script}\nM400")
         gap, ideal = job.gap(printer), job.ideal
-        assert abs(gap - (before if ideal is None else ideal)) < _GAP_ERROR, gap
+        assert abs(gap - (before if ideal is None else ideal)) < GAP_ERROR, gap
         truth = printer.machine.truth
         depths = {site: truth.depth(site) for site in job.margins}
         templates = _templates(printer) - first
@@ -397,7 +397,7 @@ class Trial:
     def _judge_right(self, printer: Printer) -> None:
         gap, good = self._job.gap(printer), self._good.gap
         self._require(
-            abs(gap - good) < _GAP_ERROR,
+            abs(gap - good) < GAP_ERROR,
             f"the gap is {gap:.4f}, which should be {good:.4f}",
         )
 
@@ -433,6 +433,6 @@ class Trial:
             return
         gap, good = self._job.gap(printer), self._good.gap
         self._require(
-            abs(gap - good) < _GAP_ERROR,
+            abs(gap - good) < GAP_ERROR,
             f"the next run: gap {gap:.4f}, which should be {good:.4f}",
         )

@@ -26,8 +26,6 @@ _TEMPLATE_MACRO = """
 
 # The floor of a touch is so far (mm) below where a trigger is expected
 FLOOR_MARGIN = 1.0
-# ... below another touch of the same run, with the way to stop
-AGAIN_MARGIN = 0.35
 OFFSET = 0.123
 
 

@@ -70,11 +70,11 @@ def kinds_table(figures: Figures) -> list[str]:
     for found in figures["faults"]:
         for kind, count in found["faults"].items():
             counts[kind] = counts.get(kind, 0) + count
-    rows = [[kind, _KINDS[kind], str(n)] for kind, n in sorted(counts.items())]
+    rows = [[kind, KINDS[kind], str(n)] for kind, n in sorted(counts.items())]
     return table(["fault", "what happens", "runs"], rows)
 
 
-_KINDS = {
+KINDS = {
     "stuck_open": "a sensor reads open from then on",
     "stuck_closed": "a sensor reads triggered from then on",
     "trigger_early": "a touch triggers 0.3 mm too high",

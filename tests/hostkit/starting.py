@@ -101,9 +101,11 @@ def fork(
 
 
 def close() -> None:
-    """End all servers; each waits for its klippies."""
+    """End all servers; their klippies must have ended."""
     while _servers:
         _servers.popitem()[1].close()
+    while _ending:
+        _ending.pop().wait()
 
 
 def _server(installed: Installed, clock: VirtualClock) -> _Server:
@@ -172,10 +174,11 @@ class _Server:
         return self._popen.poll() is not None
 
     def close(self) -> None:
-        """Let it end, when its klippies have."""
+        """Let it end, when its klippies have; some may go on for long."""
         self._channel.close()
         os.close(self._output)
-        self._popen.wait()
+        _ending[:] = [popen for popen in _ending if popen.poll() is None]
+        _ending.append(self._popen)
 
     def _told(self) -> str:
         size = os.fstat(self._output).st_size
@@ -184,3 +187,5 @@ class _Server:
 
 
 _servers: OrderedDict[Path, _Server] = OrderedDict()
+# Servers that have been told to end
+_ending: list[subprocess.Popen] = []

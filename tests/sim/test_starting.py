@@ -124,3 +124,16 @@ def test_program_that_cannot_be_imported_is_told(host, tmp_path):
             starting.fork(installed, [], clock, tmp_path / "output", "")
     finally:
         clock.close()
+
+
+def test_klippy_outlives_its_place_among_the_servers(host, tmp_path):
+    # As many other sets of modules as there are servers, and one more
+    with Printer(host) as printer:
+        printer.session.require_ready()
+        for number in range(7):
+            source = tmp_path / f"other{number}.py"
+            source.write_text(f"NUMBER = {number}\n")
+            modules = {**module_files(), source.stem: source}
+            with Printer(host, modules=modules) as other:
+                other.session.require_ready()
+        printer.run("G28 X")

@@ -1,0 +1,62 @@
+"""docs/reliability.md shows the figures beside it, and they are complete."""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path
+
+import pytest
+
+from tests.campaign import faults, jobs, markdown
+from tests.campaign.random_printers import MODULES, MOST_REFUSED
+
+DOCS = Path(__file__).resolve().parents[2] / "docs"
+# Of each module
+LEAST_PRINTERS = 300
+
+
+@pytest.fixture(scope="module")
+def figures():
+    return json.loads((DOCS / "reliability.json").read_text(encoding="utf-8"))
+
+
+@pytest.fixture(scope="module")
+def document():
+    return (DOCS / "reliability.md").read_text(encoding="utf-8")
+
+
+def test_tables_are_those_of_the_figures(figures, document, tmp_path):
+    copy = tmp_path / "reliability.md"
+    copy.write_text(document, encoding="utf-8")
+    markdown.update(copy, figures)
+    assert copy.read_text(encoding="utf-8") == document
+
+
+def test_every_command_was_tried_with_every_fault(figures):
+    assert [found["job"] for found in figures["faults"]] == list(jobs.JOBS)
+    hosts = figures["about"]["hosts"]
+    kinds = set()
+    for found in figures["faults"]:
+        assert found["hosts"] == sorted(hosts)
+        assert found["runs"] == found["survived"] > 0
+        kinds |= set(found["faults"])
+    assert kinds == set(markdown.KINDS)
+
+
+def test_random_printers_are_enough(figures):
+    assert set(figures["printers"]) == set(MODULES)
+    for found in figures["printers"].values():
+        assert found["runs"] >= LEAST_PRINTERS
+        assert found["failures"] == []
+        assert found["healthy_refused"] <= MOST_REFUSED * found["healthy"]
+
+
+def test_document_says_what_is_judged(document):
+    text = " ".join(document.split())
+    for words in (
+        f"{jobs.FLOOR_MARGIN:g} mm below where a trigger is expected",
+        f"within {faults.GAP_ERROR:.3f} mm of that of a run without",
+        f"strikes {faults.INTO_A_MOVE * 1e3:g} ms into it",
+        "at most half may be refused",
+    ):
+        assert words in text, words
