@@ -45,7 +45,8 @@ _DEAD = r"No trigger|did not trigger"
 _TRIGGERED = r"reads triggered|prior to movement|still triggered"
 _HEIGHTS = r"above the expected|differ|No trigger|is above z="
 _CAUSES = {
-    "stuck_open": _DEAD,
+    # Before before_switch_gcode a probe has to read triggered
+    "stuck_open": _DEAD + r"|is attached already",
     "stuck_closed": _TRIGGERED,
     "trigger_never": _DEAD,
     "trigger_early": _HEIGHTS,

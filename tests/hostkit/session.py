@@ -80,7 +80,8 @@ class _Process:
         command = [str(self.config), "-l", str(self.log), "-I", str(terminal)]
         command += options
         output = self.log.with_name("output.txt")
-        if as_service or isinstance(clock, RealClock):
+        # Where files stay, an update may have changed the modules
+        if as_service or self._is_kept or isinstance(clock, RealClock):
             self._klippy = start(self._installed, command, clock, output)
         else:
             config = self.config.read_text()
