@@ -172,8 +172,8 @@ def _z_jobs() -> list[Job]:
 
 
 def _piezo_jobs() -> list[Job]:
-    section = _QIDI.sections["auto_z_offset"] or {}
-    changes = _with_templates(_QIDI, prepare_gcode=section["prepare_gcode"])
+    own = _QIDI.sections["auto_z_offset"] or {}
+    changes = _with_templates(_QIDI, prepare_gcode=own["prepare_gcode"])
     changes["auto_z_offset"]["offset_samples"] = "2"
     position_min = float((_QIDI.sections["stepper_z"] or {})["position_min"])
     shared = {
@@ -195,6 +195,9 @@ def _piezo_jobs() -> list[Job]:
         ("MEASURE_OFFSET", None),
         ("CALIBRATE", gap),
     ]
+    # A single touch that sets Z has nothing to be compared with
+    section = {**changes["auto_z_offset"], "samples": "2"}
+    twice = {**changes, "auto_z_offset": section}
     jobs = [
         Job(
             name=f"AUTO_Z_{command}",
@@ -202,7 +205,7 @@ def _piezo_jobs() -> list[Job]:
             before="AUTO_Z_PROBE",
             margins=known,
             ideal=ideal,
-            **shared,
+            **{**shared, "changes": twice if command == "HOME_Z" else changes},
         )
         for command, ideal in commands
     ]
