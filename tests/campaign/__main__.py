@@ -163,7 +163,10 @@ def write(
     report = {
         "about": about,
         "faults": list(table),
-        "printers": {name: r._asdict() for name, r in reports.items()},
+        "printers": {
+            name: {"hosts": about["hosts"], **r._asdict()}
+            for name, r in reports.items()
+        },
     }
     if options.json is not None:
         options.json.write_text(json.dumps(report, indent=1) + "\n")

@@ -43,7 +43,7 @@ _SENSOR_FAULTS = ("stuck_open", "stuck_closed")
 # that is dead or triggers in the wrong place looks like one that is not met
 _DEAD = r"No trigger|did not trigger"
 _TRIGGERED = r"reads triggered|prior to movement|still triggered"
-_HEIGHTS = r"above the expected|differ|No trigger|is above z="
+_HEIGHTS = r"above the expected|differ|No trigger|is above z=|sees the bed at"
 _CAUSES = {
     # Before before_switch_gcode a probe has to read triggered
     "stuck_open": _DEAD + r"|is attached already",

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Iterable, Mapping
 from pathlib import Path
 from typing import Any
 
@@ -91,16 +91,23 @@ KINDS = {
 }
 
 
+def hosts_text(parts: Iterable[Figures]) -> str:
+    """The hosts of these parts."""
+    hosts = sorted({host for part in parts for host in part["hosts"]})
+    return f"Each on one of these hosts: {', '.join(hosts)}."
+
+
 def render(figures: Figures) -> str:
     """All that stands between the markers."""
     about = figures["about"]
-    hosts = ", ".join(about["hosts"])
-    text = f"Hosts: {hosts}. Seed {about['seed']}, {about['minutes']:.0f} min."
+    text = f"Seed {about['seed']}, {about['minutes']:.0f} min on two cores."
     parts = [
         [text],
-        ["### Faults", "", *faults_table(figures)],
-        [*kinds_table(figures)],
-        ["### Random printers", "", *printers_table(figures)],
+        ["### Faults", "", hosts_text(figures["faults"])],
+        faults_table(figures),
+        kinds_table(figures),
+        ["### Random printers", "", hosts_text(figures["printers"].values())],
+        printers_table(figures),
     ]
     return "\n\n".join("\n".join(part) for part in parts)
 

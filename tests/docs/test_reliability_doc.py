@@ -34,10 +34,9 @@ def test_tables_are_those_of_the_figures(figures, document, tmp_path):
 
 def test_every_command_was_tried_with_every_fault(figures):
     assert [found["job"] for found in figures["faults"]] == list(jobs.JOBS)
-    hosts = figures["about"]["hosts"]
     kinds = set()
     for found in figures["faults"]:
-        assert found["hosts"] == sorted(hosts)
+        assert len(found["hosts"]) > 1
         assert found["runs"] == found["survived"] > 0
         kinds |= set(found["faults"])
     assert kinds == set(markdown.KINDS)
@@ -47,6 +46,7 @@ def test_random_printers_are_enough(figures):
     assert set(figures["printers"]) == set(MODULES)
     for found in figures["printers"].values():
         assert found["runs"] >= LEAST_PRINTERS
+        assert len(found["hosts"]) > 1
         assert found["failures"] == []
         assert found["healthy_refused"] <= MOST_REFUSED * found["healthy"]
 
