@@ -1,4 +1,4 @@
-"""The commands of [auto_z_offset] on the simulated QIDI, on every host."""
+"""The commands of [auto_z_offset] on the simulated QIDI."""
 
 from __future__ import annotations
 
@@ -27,6 +27,8 @@ from tests.hostkit.piezo import (
 from tests.hostkit.printer import Printer, has_kinematics
 from tests.simprinter import SCENES
 
+pytestmark = pytest.mark.spread
+
 MACHINES = ("qidi", "qidi_two_boards", "piezo_cartesian", "piezo_generic")
 STEPS = 2 * MICROSTEP
 
@@ -34,6 +36,7 @@ STEPS = 2 * MICROSTEP
 # AUTO_Z_CALIBRATE
 
 
+@pytest.mark.each_host
 @pytest.mark.parametrize("scene", MACHINES)
 def test_calibration_leaves_the_air_gap(host, scene):
     if not has_kinematics(host, SCENES[scene]):
@@ -56,6 +59,7 @@ def test_calibration_leaves_the_air_gap(host, scene):
             assert after[name] == before[name]
 
 
+@pytest.mark.each_host
 def test_correction_holds_after_a_restart(start):
     printer = start("qidi").homed()
     printer.run("AUTO_Z_CALIBRATE")
@@ -163,6 +167,7 @@ def test_probe_where_the_head_is(start):
 # AUTO_Z_HOME_Z
 
 
+@pytest.mark.each_host
 @pytest.mark.parametrize("z_offset", [0.2, -0.1])
 def test_home_z_sets_z_only(start, z_offset):
     changes = section(z_offset=str(z_offset))
@@ -234,6 +239,7 @@ def test_users_macro_takes_part_in_applying(start):
     assert printer.offset() == pytest.approx(CORRECTION, abs=STEPS)
 
 
+@pytest.mark.each_host
 def test_babysteps_are_saved(start):
     printer = start("qidi").homed()
     printer.run("AUTO_Z_CALIBRATE\nSET_GCODE_OFFSET Z_ADJUST=-0.05")
@@ -275,6 +281,7 @@ def test_offset_that_is_none_is_not_saved(start):
 # Motor current and acceleration
 
 
+@pytest.mark.each_host
 @pytest.mark.parametrize(
     ("scene", "motors"),
     [
@@ -368,6 +375,7 @@ def test_current_that_the_user_has_set_comes_back(start):
     assert state(printer)["currents"] == before
 
 
+@pytest.mark.each_host
 def test_acceleration_is_low_while_the_nozzle_goes_down(host):
     changes = {"touches": {}, **section(probe_accel="50")}
     modules = with_extras("touches")
@@ -397,6 +405,7 @@ def test_lower_acceleration_is_left_alone(host):
 # Status while it runs
 
 
+@pytest.mark.each_host
 def test_phase_and_progress(start):
     where = "{printer.auto_z_offset.phase}:{printer.auto_z_offset.progress}"
     code = SCENES["qidi"].sections["auto_z_offset"]["prepare_gcode"]
@@ -414,6 +423,7 @@ def test_phase_and_progress(start):
     assert (status["phase"], status["progress"]) == ("idle", 0.0)
 
 
+@pytest.mark.each_host
 def test_status_of_a_calibration(start):
     printer = start("qidi").homed()
     printer.run("AUTO_Z_CALIBRATE")

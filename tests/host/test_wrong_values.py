@@ -81,6 +81,7 @@ def message_of(host, case, value):
         ) from None
 
 
+@pytest.mark.spread
 @pytest.mark.parametrize(
     "case", CASES, ids=lambda c: f"{c.module}-{c.option.name}"
 )
