@@ -114,8 +114,8 @@ class Outcome(NamedTuple):
     """How a case went.
 
     struck: whether there was such an operation; hosts may need one more or
-    less than in the good run. depths: mm by which each site was pressed deeper than in a good run.
-    problems: what must not be; empty if it was survived.
+    less than in the good run. depths: mm by which each site was pressed deeper
+    than in a good run. problems: what must not be; empty if it was survived.
     """
 
     case: Case
@@ -372,9 +372,6 @@ class Trial:
             session.config_text() == before["printer.cfg"],
             "printer.cfg has changed",
         )
-        if case.fault == "cancel":
-            session.restart("FIRMWARE_RESTART")
-            self._require(printer.offset() == 0.0, "an offset is in force")
 
     def _judge_refused(
         self, printer: Printer, before: Mapping[str, Any], gap: float

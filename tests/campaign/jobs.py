@@ -34,11 +34,11 @@ class Job:
     """One command; as good as it gets, and what a failure may do.
 
     before: G-code after G28, such as an earlier run; again: before the next
-    run, when the fault is gone. signals: the sensors it
-    uses. margins: by site, mm that a touch may be deeper than in a good run.
-    ideal: true gap at G-code Z=0 afterwards, None: it does not change.
-    only: these faults, if it is there for some. point: of the bed where the gap is looked at. lift: toolhead Z after a
-    failure, at least.
+    run, when the fault is gone. signals: the sensors it uses. margins: by
+    site, mm that a touch may be deeper than in a good run. ideal: true gap at
+    G-code Z=0 afterwards, None: it does not change. only: these faults, if it
+    is there for some. point: of the bed where the gap is looked at. lift:
+    toolhead Z after a failure, at least.
     """
 
     name: str
