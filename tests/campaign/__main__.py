@@ -71,6 +71,8 @@ def run_faults(
         done = attempt_all(pool, list(pool.map(make, hosts, shares)))
         table.append(figures(job, done))
         say(row(table[-1]))
+        # A run that is broken off leaves what it has found
+        write_json(options, {"seed": options.seed}, table, {})
         for one in done:
             if one.outcome.problems:
                 say(one.text())
@@ -131,7 +133,9 @@ def main(arguments: Optional[Sequence[str]] = None) -> int:
         "seed": options.seed,
         "minutes": (time.monotonic() - began) / 60.0,
     }
-    write(options, about, table, reports)
+    report = write_json(options, about, table, reports)
+    if options.markdown is not None:
+        markdown.update(options.markdown, report)
     return 0 if is_well(about, table, reports) else 1
 
 
@@ -153,13 +157,13 @@ def is_well(
     return runs + drawn > 0 and survived == runs and not problems
 
 
-def write(
+def write_json(
     options: argparse.Namespace,
     about: dict[str, Any],
     table: Sequence[dict[str, Any]],
     reports: Mapping[str, Report],
-) -> None:
-    """Write the figures where they are wanted."""
+) -> dict[str, Any]:
+    """All figures, written to a file where that is wanted."""
     report = {
         "about": about,
         "faults": list(table),
@@ -170,8 +174,7 @@ def write(
     }
     if options.json is not None:
         options.json.write_text(json.dumps(report, indent=1) + "\n")
-    if options.markdown is not None:
-        markdown.update(options.markdown, report)
+    return report
 
 
 if __name__ == "__main__":
