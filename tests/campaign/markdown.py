@@ -99,10 +99,8 @@ def hosts_text(parts: Iterable[Figures]) -> str:
 
 def render(figures: Figures) -> str:
     """All that stands between the markers."""
-    about = figures["about"]
-    text = f"Seed {about['seed']}, {about['minutes']:.0f} min on two cores."
     parts = [
-        [text],
+        [f"Seed {figures['about']['seed']}."],
         ["### Faults", "", hosts_text(figures["faults"])],
         faults_table(figures),
         kinds_table(figures),

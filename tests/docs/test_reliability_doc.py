@@ -8,11 +8,13 @@ from pathlib import Path
 import pytest
 
 from tests.campaign import faults, jobs, markdown
+from tests.campaign.__main__ import parse
 from tests.campaign.random_printers import MODULES, MOST_REFUSED
 
 DOCS = Path(__file__).resolve().parents[2] / "docs"
-# Of each module
-LEAST_PRINTERS = 300
+# Of each module, in the figures and in a run of one's own
+LEAST_PRINTERS = 100
+USUAL_PRINTERS = 300
 
 
 @pytest.fixture(scope="module")
@@ -49,6 +51,11 @@ def test_random_printers_are_enough(figures):
         assert len(found["hosts"]) > 1
         assert found["failures"] == []
         assert found["healthy_refused"] <= MOST_REFUSED * found["healthy"]
+
+
+def test_own_run_tries_as_many_as_it_says(document):
+    assert parse([]).printers == USUAL_PRINTERS
+    assert f"{USUAL_PRINTERS} random printers for each module" in document
 
 
 def test_document_says_what_is_judged(document):
