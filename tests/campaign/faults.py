@@ -372,6 +372,9 @@ class Trial:
             session.config_text() == before["printer.cfg"],
             "printer.cfg has changed",
         )
+        if case.fault == "cancel":
+            session.restart("FIRMWARE_RESTART")
+            self._require(printer.offset() == 0.0, "an offset is in force")
 
     def _judge_refused(
         self, printer: Printer, before: Mapping[str, Any], gap: float
