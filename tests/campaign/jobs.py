@@ -3,14 +3,13 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, field
 from typing import Any, Optional
 
 from tests.hostkit import piezo
 from tests.hostkit.printer import Printer
 from tests.simprinter import SCENES, Scene
 from tests.simprinter.scenes import Sections
-from tests.simprinter.world import Pose
 
 # Runs wherever the modules run G-code of their owner's
 TEMPLATE = "_OPERATION"
@@ -101,14 +100,9 @@ def _with_templates(scene: Scene, **templates: str) -> Sections:
     }
 
 
-def _near(scene: Scene, x: float, y: float, z: float) -> Scene:
-    """The same, where homing is short."""
-    return replace(scene, start=Pose(x, y, z))
-
-
-_VORON = _near(SCENES["voron"], 285.0, 295.0, 12.0)
-_CARTESIAN = _near(SCENES["cartesian"], 5.0, 8.0, 12.0)
-_QIDI = _near(SCENES["qidi"], 5.0, 8.0, 12.0)
+_VORON = SCENES["voron"]
+_CARTESIAN = SCENES["cartesian"]
+_QIDI = SCENES["qidi"]
 
 _PIN = {
     "nozzle_pin": FLOOR_MARGIN,

@@ -67,7 +67,10 @@ class Rig:
             name: HeaterState(heater, self._zero_ns)
             for name, heater in wiring.heaters.items()
         }
-        self.boards: set[Board] = set()  # that have motors
+        # Whose clock each motor follows
+        self._motors: dict[Board | None, dict[str, MotorAxis]] = {
+            None: dict(self.axes)
+        }
         # Told of new steps: those of one board change what another sees
         self.on_steps: list[Callable[[int], None]] = []
         # Told of what the host has a board do, just before: kind, what with
@@ -93,39 +96,49 @@ class Rig:
         for listener in self.on_operation:
             listener(kind, subject, ns)
 
+    def connect(self, name: str, board: Board) -> StepTrack:
+        """A board drives this motor from now on; its track."""
+        axis = self.axes[name]
+        del self._motors[axis.board][name]
+        self._motors.setdefault(board, {})[name] = axis
+        axis.board = board
+        return axis.track
+
     def travel(self, ns: int) -> Mapping[str, float]:
         """Travel of every motor, mm."""
-        clocks = self._clocks(ns)
-        return {
-            name: axis.mm(clocks[axis.board])
-            for name, axis in self.axes.items()
-        }
+        travel = {}
+        for board, motors in self._motors.items():
+            # A motor that has no board stands still
+            clock = 0 if board is None else board.clock_at(ns)
+            for name, axis in motors.items():
+                travel[name] = axis.mm(clock)
+        return travel
 
     def settle(self, ns: int) -> None:
         """Let the world live until ns."""
+        busy_until = self._busy_until(ns)
         while self._committed < ns:
-            until = min(ns, self._committed + COMMIT_NS)
-            if not self._moving(self._committed, ns):
-                until = ns
+            until = ns
+            if self._committed < busy_until:
+                until = min(ns, self._committed + COMMIT_NS)
             self.world.observe(self.seconds(until), self.pose(until))
             self._committed = until
-        clocks = self._clocks(ns - _MEMORY_NS)
-        for axis in self.axes.values():
-            axis.track.forget(clocks[axis.board])
+        for board, motors in self._motors.items():
+            if board is not None:
+                clock = board.clock_at(ns - _MEMORY_NS)
+                for axis in motors.values():
+                    axis.track.forget(clock)
 
-    def _moving(self, first: int, last: int) -> bool:
-        """Whether any motor may step between two times."""
-        begins, ends = self._clocks(first), self._clocks(last)
-        for axis in self.axes.values():
-            if axis.track.moving_between(begins[axis.board], ends[axis.board]):
-                return True
-        return False
-
-    def _clocks(self, ns: int) -> Mapping[Board | None, int]:
-        """What the boards' clocks show; a motor that has none stands still."""
-        clocks = {board: board.clock_at(ns) for board in self.boards}
-        clocks[None] = 0
-        return clocks
+    def _busy_until(self, ns: int) -> int:
+        """Until when (ns) those motors step that begin to before ns."""
+        ends = [
+            board.ns(axis.track.last_clock)
+            for board, motors in self._motors.items()
+            if board is not None
+            for axis in motors.values()
+            if axis.track.begins_by(board.clock_at(ns))
+        ]
+        return max(ends, default=0)
 
     def asserted(self, signal: str, ns: int) -> bool:
         """Whether the board sees a signal at ns (tracks must be known)."""
@@ -187,11 +200,9 @@ class Port:
         name = self._motors.get((step_pin, dir_pin))
         if name is None:  # an extruder, say: it moves nothing in this world
             return StepTrack()
-        axis = self._rig.axes[name]
-        axis.board = board = self.board
-        if board is not None:
-            self._rig.boards.add(board)
-        return axis.track
+        if self.board is None:
+            return self._rig.axes[name].track
+        return self._rig.connect(name, self.board)
 
     def steps_queued(self, start_ns: int) -> None:
         """New steps may change what an endstop will see."""

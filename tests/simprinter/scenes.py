@@ -33,8 +33,10 @@ class Scene:
     """A machine in its starting state.
 
     z_motors: (name, x, y) of every Z motor. start: where the nozzle tip is,
-    world frame. z_skew: mm by which Z motors stand higher. Frame of the configuration: x and y are the world's; its z
-    comes from homing on the pin, whose height it gives as position_endstop.
+    world frame; near the endstops, as the way there proves nothing and takes
+    time. z_skew: mm by which Z motors stand higher. Frame of the
+    configuration: x and y are the world's; its z comes from
+    homing on the pin, whose height it gives as position_endstop.
     """
 
     name: str
@@ -43,7 +45,7 @@ class Scene:
     world: WorldSpec
     wiring: Wiring
     sections: Sections
-    start: Pose = Pose(120.0, 120.0, 40.0)
+    start: Pose
     z_skew: Mapping[str, float] = field(default_factory=dict)
 
     def config(
@@ -284,6 +286,7 @@ def _voron() -> Scene:
                 "switch_offset": "0.44",
             },
         },
+        start=Pose(285.0, 295.0, 12.0),
     )
 
 
@@ -400,7 +403,7 @@ def _cartesian() -> Scene:
                 "end_gcode": "DOCK_PROBE",
             },
         },
-        start=Pose(60.0, 60.0, 25.0),
+        start=Pose(5.0, 8.0, 12.0),
     )
 
 
@@ -725,6 +728,7 @@ def _qidi(boards: Optional[Mapping[str, BoardSpec]] = None) -> Scene:
                 "prepare_gcode": _SWITCHED_PREPARE,
             },
         },
+        start=Pose(5.0, 8.0, 12.0),
     )
 
 

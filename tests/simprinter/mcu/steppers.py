@@ -67,11 +67,9 @@ class StepTrack:
         steps = steps_in(clock - start, interval, count, add)
         return before + sign * steps
 
-    def moving_between(self, first: int, last: int) -> bool:
-        """Whether a move overlaps the clocks from first to last."""
-        if first >= self.last_clock or not self._begins:
-            return False
-        return last >= self._begins[0]
+    def begins_by(self, clock: int) -> bool:
+        """Whether any move that is known begins by a clock."""
+        return bool(self._begins) and clock >= self._begins[0]
 
     def cut(self, clock: int) -> None:
         """Forget all steps after a clock."""
