@@ -653,6 +653,7 @@ class Host(object):
     def _probe_once(self, session, gcmd):
         start_z = self.z()
         try:
+            self._require_running()
             result = session.run_probe(gcmd)
             if hasattr(session, "pull_probed_results"):
                 # Since 2024-06-14 (1591a51f7)
@@ -960,7 +961,18 @@ class Host(object):
         if self.printer.is_shutdown():
             raise error
 
+    # A probing move first waits for the moves before it, and hosts may wait for
+    # ever for its trigger where the printer was shut down meanwhile; whoever
+    # sends FIRMWARE_RESTART then waits with them.  So wait here, and look.
+    def _require_running(self):
+        self.toolhead.flush_step_generation()
+        if self.printer.is_shutdown():
+            raise self.printer.command_error(
+                "Touch not begun due to printer shutdown"
+            )
+
     def _probing_move(self, endstop, z, speed):
+        self._require_running()
         target = self.toolhead.get_position()
         target[2] = z
         # A method of the host since 2021-03-29 (862d3f963)

@@ -237,6 +237,20 @@ def test_sensor_that_stays_triggered_after_the_touch(start):
     assert state(printer) == before
 
 
+@pytest.mark.each_host
+@pytest.mark.parametrize(
+    ("site", "after"), [("nozzle_bed", 1.4), ("inductive_bed", 1.6)]
+)
+def test_emergency_stop_before_a_touch_hangs_no_host(start, site, after):
+    # Klipper of 2026 waits there for a trigger that never comes, and
+    # FIRMWARE_RESTART with it, unless the module looks first
+    printer = start("qidi").homed()
+    printer.stopped("AUTO_Z_CALIBRATE", site, after)  # on the way
+    printer.session.wait(10.0)
+    printer.session.restart("FIRMWARE_RESTART")
+    printer.homed()
+
+
 # What is known of the bed
 
 

@@ -72,6 +72,27 @@ class RunningPrinter:
             return str(error)
         raise AssertionError(f"{script!r} did not fail: {lines}")
 
+    def stopped(self, script: str, site: str, after: float) -> str:
+        """Run G-code and stop the printer as a user's button does.
+
+        That long (s) after the script's first touch of a site. The error's
+        text.
+        """
+        touches, session = self.machine.truth.touches, self.session
+        before = len(touches)
+        command = session.begin(script)
+        session.run_until(
+            command,
+            lambda: any(touch.site == site for touch in touches[before:]),
+        )
+        session.wait(after)
+        session.stop()
+        try:
+            lines = session.finish(command)
+        except GcodeError as error:
+            return str(error)
+        raise AssertionError(f"{script!r} did not stop: {lines}")
+
     def status(self, name: str) -> dict[str, Any]:
         """Status fields of a printer object."""
         return self.session.status(name)
