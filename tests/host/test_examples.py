@@ -111,6 +111,7 @@ def assert_ready_to_print(printer: Printer, owner: Owner) -> None:
 # As they are
 
 
+@pytest.mark.spread
 @pytest.mark.parametrize("name", sorted(OWNERS))
 def test_print_start_ends_at_the_right_height(start, name):
     owner = OWNERS[name]

@@ -351,7 +351,8 @@ def test_nothing_is_searched_above_the_safe_height(start):
 def test_head_that_is_higher_does_not_come_down_on_the_way(start):
     # It ends over the nozzle's site, which lies behind the bed
     fault = Fault("stuck_closed", signal="z_endstop", t=60.0)
-    printer = start(faults=[fault]).homed()
+    high = replace(SCENES["voron"], start=Pose(285.0, 295.0, 40.0))
+    printer = start(high, faults=[fault]).homed()
     printer.run("G1 Z60 F900\nG1 X20 Y20 F6000\nM400")
     printer.session.wait(60.0)
     above_bed = lowest_tip(printer)

@@ -218,6 +218,10 @@ class Axis:
         """Of homing, as Klipper finds it out by itself."""
         return 1 if self.endstop > (self.low + self.high) / 2.0 else -1
 
+    def near_endstop(self) -> float:
+        """Where homing is short."""
+        return self.endstop - self.direction * 12.0
+
     def shared(self, offset: float) -> tuple[float, float]:
         """What nozzle and probe can both reach."""
         return max(self.low, self.low + offset), min(
@@ -349,7 +353,7 @@ class _Builder:
                 **self.macros(),
                 "z_calibration": calibration,
             },
-            start=Pose(*self.middle(), 40.0),
+            start=Pose(*(axis.near_endstop() for axis in self.axes), 12.0),
         )
         return CorpusMachine(
             self.entry,
@@ -376,11 +380,6 @@ class _Builder:
             high=high,
             endstop=float(options.get("position_endstop", high)),
         )
-
-    def middle(self) -> Point:
-        """Of what the head can reach."""
-        x, y = self.axes
-        return (x.low + x.high) / 2.0, (y.low + y.high) / 2.0
 
     def find_places(self) -> Places:
         """The pin beside the bed, where the body does not meet the bed while

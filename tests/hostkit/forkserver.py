@@ -69,6 +69,12 @@ class Program:
             with contextlib.suppress(Exception):
                 importlib.import_module(f"{self._prefix}{name}")
 
+    def import_found(self, names: Sequence[str]) -> None:
+        """Import what an earlier klippy did, where that works."""
+        for name in names:
+            with contextlib.suppress(Exception):
+                importlib.import_module(name)
+
     def run(self, arguments: Sequence[str]) -> None:
         """Be klippy."""
         sys.argv = [self._script or self._module, *arguments]
@@ -79,6 +85,42 @@ class Program:
             runpy.run_path(self._script, run_name="__main__")
         else:
             runpy.run_module(self._module, run_name="__main__", alter_sys=True)
+
+
+class Found:
+    """What klippies import by themselves, so that the next ones need not.
+
+    Hosts differ in it, and a third of a start is spent with it.
+    """
+
+    def __init__(self) -> None:
+        self._reading, writing = os.pipe2(os.O_NONBLOCK)
+        self._writing = fcntl.fcntl(writing, fcntl.F_DUPFD_CLOEXEC, _ASIDE)
+        os.close(writing)
+        self._known: set[str] = set()
+
+    def watch(self) -> None:
+        """In a klippy: tell of each import from now on."""
+        os.close(self._reading)
+        # Asked before all other finders, and finds nothing
+        sys.meta_path.insert(0, self)  # type: ignore[arg-type]
+
+    def find_spec(self, name: str, *_unused: Any) -> None:
+        """Tell of a module that somebody is about to import."""
+        with contextlib.suppress(OSError):
+            os.write(self._writing, f"{name}\n".encode())
+
+    def names(self) -> list[str]:
+        """New ones since the last call."""
+        told = b""
+        with contextlib.suppress(BlockingIOError):
+            while True:
+                told += os.read(self._reading, 1 << 16)
+        names = dict.fromkeys(told.decode().split())
+        new = [name for name in names if name not in self._known]
+        self._known.update(new)
+        # A program is to be run, not imported
+        return [name for name in new if not name.endswith("__main__")]
 
 
 def receive(channel: socket.socket) -> tuple[dict[str, Any], list[int]]:
@@ -129,16 +171,18 @@ def main() -> None:
     # Whoever is killed takes the server with it, and that its klippies
     ctypes.CDLL(None).prctl(_PR_SET_PDEATHSIG, signal.SIGKILL)
     channel = socket.socket(fileno=int(sys.argv[1]))
-    program = Program(*sys.argv[2:])
+    program, found = Program(*sys.argv[2:]), Found()
     program.import_itself()
     while True:
         request, fds = receive(channel)
         if not request:
             break
         program.import_wanted(request["wanted"])
+        program.import_found(found.names())
         pid = os.fork()
         if not pid:
             channel.close()
+            found.watch()
             become(program, request, fds)
             return
         for fd in fds:

@@ -27,6 +27,7 @@ from tests.simprinter.wire.framing import Deframer, encode_block
 from tests.simprinter.wiring import pin_number
 from tests.simprinter.world import CrashError, Pose
 
+pytestmark = pytest.mark.spread
 MICROSTEP = 0.0025
 # Enough to see that touches happen at the same instants of printer time
 SCRIPT = "G28\nCALIBRATE_Z\nG1 X100 Y100 Z30 F6000\nM400"
@@ -157,6 +158,7 @@ class Totals:
         self._receive(content)
 
 
+@pytest.mark.each_host
 @pytest.mark.parametrize("scene", ["voron", "cartesian"])
 def test_steps_equal_those_of_klippys_own_file_output(host, scene):
     scene = replace(SCENES[scene], start=Pose(120.0, 120.0, 40.0))

@@ -29,6 +29,7 @@ def microstep(printer):
     return printer.scene.wiring.motors["z"].step_dist
 
 
+@pytest.mark.spread
 @pytest.mark.parametrize("name", CALIBRATING)
 def test_calibration_ends_at_the_gap_of_the_formula(start, host, name):
     printer = ready(start, host, name).homed()

@@ -103,6 +103,7 @@ def test_forked_klippy_does_the_same(host, started):
 def test_server_that_is_gone_is_replaced(look):
     gone = look()["parent"]
     os.kill(gone, signal.SIGKILL)
+    os.waitid(os.P_PID, gone, os.WEXITED | os.WNOWAIT)
     assert look()["parent"] != gone
 
 
