@@ -15,15 +15,15 @@
 # ALLOW_MISSING_HOSTS  1: do without hosts, or Moonraker, that cannot be
 #                      downloaded
 # EVERY_HOST, CORPUS   1 and all: long tables and the configurations of real
-#                      printers on every host, not each on one of them
-# PYTEST_WORKERS       tests run at the same time (default 2)
+#                      printers whole and on every host, not some on one each
+# PYTEST_WORKERS       tests run at the same time (default 3)
 # PYTEST_ARGS          further arguments for pytest, such as -k or a file
 # BENCH_ARGS           arguments for make bench, such as --seeds 10 or --builtin
 # FAULTS_ARGS          arguments for make faults, such as --seed 7
 
 PYTHON ?= python3
 BUILD_DIR ?= build
-PYTEST_WORKERS ?= 2
+PYTEST_WORKERS ?= 3
 PYTEST_ARGS ?=
 BENCH_ARGS ?=
 FAULTS_ARGS ?=

@@ -62,13 +62,37 @@ def pytest_collection_modifyitems(
     """Of a test marked `spread`, each case runs on one of the hosts.
 
     On another one for another case. EVERY_HOST=1: on each; so do those marked
-    `each_host`, where all others in their file are spread.
+    `each_host`, where all others in their file are spread. Of one marked
+    `half`, every second case runs without it.
     """
     if os.environ.get("EVERY_HOST"):
         return
-    left_out = [item for item in items if not _is_its_turn(item)]
-    config.hook.pytest_deselected(items=left_out)
-    items[:] = [item for item in items if _is_its_turn(item)]
+    halved = _halved(items)
+    chosen = {i for i in items if i not in halved and _is_its_turn(i)}
+    config.hook.pytest_deselected(items=[i for i in items if i not in chosen])
+    items[:] = [item for item in items if item in chosen]
+
+
+def _halved(items: list[pytest.Item]) -> set[pytest.Item]:
+    """Every second case, on whichever host, of each test marked `half`."""
+    cases: dict[str, list[str]] = {}
+    left_out = set()
+    for item in items:
+        if item.get_closest_marker("half") is None:
+            continue
+        case = _case(item)
+        table = cases.setdefault(case.partition("[")[0], [])
+        if case not in table:
+            table.append(case)
+        if table.index(case) % 2:
+            left_out.add(item)
+    return left_out
+
+
+def _case(item: pytest.Item) -> str:
+    """Its name without that of its host."""
+    host = getattr(item, "callspec", None) and item.callspec.params.get("host")
+    return item.nodeid.replace(host.name, "") if host else item.nodeid
 
 
 def _is_its_turn(item: pytest.Item) -> bool:
@@ -77,8 +101,7 @@ def _is_its_turn(item: pytest.Item) -> bool:
         return True
     if item.get_closest_marker("each_host") is not None:
         return True
-    case = item.nodeid.replace(host.name, "")
-    return HOSTS[zlib.crc32(case.encode()) % len(HOSTS)] is host
+    return HOSTS[zlib.crc32(_case(item).encode()) % len(HOSTS)] is host
 
 
 @pytest.fixture

@@ -1,7 +1,7 @@
 """[auto_z_offset] sections of real printers, see tests/corpus.
 
-Every second entry runs, on one of the hosts, evenly spread; with CORPUS=all in
-the environment all do, on every host.
+Some entries run, each on one of the hosts; with CORPUS=all in the environment
+all do, on every host.
 """
 
 from __future__ import annotations
@@ -199,6 +199,7 @@ def test_broken_entry_is_refused(entry, host):
         added[option] = MENDED[option]
 
 
+@pytest.mark.half
 @pytest.mark.parametrize(
     ("entry", "host"),
     spread((ENTRIES[index] for index in sorted(BROKEN)), HOSTS),

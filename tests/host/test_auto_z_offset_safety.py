@@ -97,6 +97,7 @@ def failures():
         yield "stuck_closed", "probe", n, {}
 
 
+@pytest.mark.half
 @pytest.mark.parametrize("saved", [None, "-1.12"])
 @pytest.mark.parametrize(("kind", "signal", "n", "more"), list(failures()))
 def test_single_fault_of_a_sensor(some_host, kind, signal, n, more, saved):
@@ -151,6 +152,7 @@ def test_trigger_a_little_above_the_bed_is_not_the_bed(start):
     assert after == before
 
 
+@pytest.mark.half
 @pytest.mark.parametrize("n", [1, 2, 3])
 @pytest.mark.parametrize("retries", [0, 1])
 def test_trigger_in_mid_air(some_host, n, retries):
@@ -186,6 +188,7 @@ def test_first_touch_in_mid_air_on_a_machine_nobody_knows(start):
     assert true_gap(printer) == pytest.approx(gap, abs=STEPS)
 
 
+@pytest.mark.half
 @pytest.mark.parametrize("n", [1, 2, 3])
 @pytest.mark.parametrize(("late", "retries"), [(0.1, 0), (0.1, 1), (0.5, 1)])
 def test_trigger_that_is_late(some_host, n, late, retries):

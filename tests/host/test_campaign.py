@@ -66,6 +66,7 @@ CASES = [
 ]
 
 
+@pytest.mark.half
 @pytest.mark.parametrize("which", CASES, ids=lambda w: "-".join(map(str, w)))
 def test_fault_is_survived(some_host, which):
     outcome = attempt(some_host, *which[:5])

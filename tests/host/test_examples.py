@@ -339,6 +339,7 @@ SEEN = {
 }
 
 
+@pytest.mark.half
 @pytest.mark.parametrize("mistake", TOLD.values(), ids=TOLD.keys())
 def test_mistake_is_told(some_host, tmp_path, mistake):
     owner = OWNERS[mistake.example]
@@ -347,6 +348,7 @@ def test_mistake_is_told(some_host, tmp_path, mistake):
         assert mistake.message in told(printer)
 
 
+@pytest.mark.half
 @pytest.mark.parametrize("mistake", SEEN.values(), ids=SEEN.keys())
 def test_mistake_is_seen_on_the_machine(some_host, tmp_path, mistake):
     owner = OWNERS[mistake.example]

@@ -90,6 +90,7 @@ PLANTED = {
 }
 
 
+@pytest.mark.spread
 @pytest.mark.timeout(600)
 @pytest.mark.parametrize("module", MODULES)
 def test_random_printers_are_right_or_refused(host, module):
@@ -97,6 +98,7 @@ def test_random_printers_are_right_or_refused(host, module):
     assert not problems, "\n".join(problems)
 
 
+@pytest.mark.half
 @pytest.mark.timeout(600)
 @pytest.mark.parametrize("name", PLANTED)
 def test_planted_fault_is_found(some_host, tmp_path: Path, name: str):

@@ -3,7 +3,9 @@
 from __future__ import annotations
 
 import os
+import signal
 import time
+from threading import Timer
 
 import pytest
 
@@ -59,6 +61,20 @@ def test_nobody_waits_for_anything():
     failure = pytest.raises(SimulationError, match="^tea: nobody waits")
     with Program(python(WAIT)) as program, failure:
         program.simulation.run_until(never, 5.0, "tea")
+
+
+def test_process_on_its_way_out_is_given_time():
+    # A process that ends has left the clock some milliseconds before
+    with Program(python(WAIT)) as program:
+        pidfd = program.simulation.process_fd
+        kill = Timer(0.5, signal.pidfd_send_signal, (pidfd, signal.SIGKILL))
+        program.simulation.run_until(
+            program.simulation.clock.everybody_sleeps, 5.0, "falling asleep"
+        )
+        kill.start()
+        with pytest.raises(SimulationError, match="^tea: klippy has ended$"):
+            program.simulation.run_until(never, 5.0, "tea")
+        kill.join()
 
 
 def test_process_that_never_sleeps(monkeypatch):

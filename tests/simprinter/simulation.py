@@ -15,6 +15,9 @@ from .wire.link import Link
 # Klippy may compute this long (s, real) without falling asleep once; only a
 # dead end takes longer
 _STALL_LIMIT = 60.0
+# And this long (s, real) nobody may seem to wait for anything: one that is on
+# its way to wake another, or to its end
+_DEAD_END = 2.0
 # How long (s, real) a paced clock stands before it is asked again whether it
 # should go on at all
 _LOOK_EVERY = 0.05
@@ -148,7 +151,11 @@ class Simulation:
         wakes = clock.wakes()
         if self._quiet():
             now = clock.now()
-            target = now if finished else self._target(end_ns, what)
+            target = now if finished else self._target(end_ns)
+            if target >= NEVER:
+                if self._wait_for_doorbell(_DEAD_END):
+                    return False
+                raise SimulationError(f"{what}: nobody waits for anything")
             if self._is_held_back(target):
                 return False
             moved = clock.advance(max(target, now), wakes)
@@ -183,14 +190,12 @@ class Simulation:
         clock.answer_doorbell()
         return rang
 
-    def _target(self, end_ns: int, what: str) -> int:
-        """When the next thing happens."""
+    def _target(self, end_ns: int) -> int:
+        """When the next thing happens; NEVER if nothing will."""
         clock = self.clock
         assert isinstance(clock, VirtualClock)
         target = min(clock.next_deadline(), self._next_event(NEVER))
-        if target >= NEVER:
-            raise SimulationError(f"{what}: nobody waits for anything")
-        return min(target, end_ns)
+        return target if target >= NEVER else min(target, end_ns)
 
     def _require_joined(self, what: str) -> None:
         """A klippy that speaks but never came to our clock never will."""
