@@ -68,15 +68,18 @@ def _load(library: Path) -> ctypes.CDLL:
     ]
     lib.vclock_init.restype = None
     lib.vclock_add_tty.argtypes = [page, ctypes.c_int32, ctypes.c_int32]
-    for name in ("awake", "joined"):
-        getattr(lib, f"vclock_{name}").argtypes = [page]
-    for name in ("now", "wakes", "next_deadline"):
+    lib.vclock_awake.argtypes = [page]
+    lib.vclock_joined_field.argtypes = [page]
+    lib.vclock_joined_field.restype = ctypes.POINTER(ctypes.c_int32)
+    for name in ("wakes", "next_deadline"):
         getattr(lib, f"vclock_{name}").argtypes = [page]
         getattr(lib, f"vclock_{name}").restype = number
-    for name in ("read", "written"):
-        getattr(lib, f"vclock_tty_{name}").argtypes = [page, ctypes.c_int]
-        getattr(lib, f"vclock_tty_{name}").restype = number
-    lib.vclock_tty_open.argtypes = [page, ctypes.c_int]
+    field = ctypes.POINTER(number)
+    lib.vclock_now_field.argtypes = [page]
+    lib.vclock_now_field.restype = field
+    lib.vclock_written_field.argtypes = [page, ctypes.c_int]
+    lib.vclock_written_field.restype = field
+    lib.vclock_tty_settled.argtypes = [page, ctypes.c_int, number, number]
     lib.vclock_advance.argtypes = [page, number, number]
     return lib
 
@@ -110,6 +113,10 @@ class VirtualClock:
             self.doorbell,
             wake_fds,
         )
+        # The clock is read more often than anything else
+        self._now = self._lib.vclock_now_field(self._page).contents
+        self._joined = self._lib.vclock_joined_field(self._page).contents
+        self._written: list[ctypes.c_int64] = []
 
     def environment(self) -> dict[str, str]:
         """What the process needs in its environment to live on this clock."""
@@ -127,31 +134,36 @@ class VirtualClock:
         )
         if index < 0:
             raise ClockError("too many serial lines")
+        field = self._lib.vclock_written_field(self._page, index)
+        self._written.append(field.contents)
         return index
 
     def joined(self) -> bool:
         """Whether the process lives on this clock: preloading may fail."""
-        return bool(self._lib.vclock_joined(self._page))
+        return bool(self._joined.value)
 
     def now(self) -> int:
         """Current time, ns."""
-        return self._lib.vclock_now(self._page)
+        return self._now.value
 
     def everybody_sleeps(self) -> bool:
         """Whether no thread of the process is doing anything."""
         return self._lib.vclock_awake(self._page) == 0
+
+    def may_have_written(self, index: int, received: int) -> bool:
+        """Whether the process has written more to a line than was received.
+
+        One that does not live on this clock may have at any time.
+        """
+        return self._written[index].value != received or not self._joined.value
 
     def tty_settled(self, index: int, sent: int, received: int) -> bool:
         """Whether all bytes of a line have arrived, counted at both ends.
 
         sent and received are the simulator's totals.
         """
-        lib, page = self._lib, self._page
-        if lib.vclock_tty_written(page, index) != received:
-            return False
-        # Nobody will read before the line is opened again
-        is_open = lib.vclock_tty_open(page, index)
-        return not is_open or lib.vclock_tty_read(page, index) == sent
+        settled = self._lib.vclock_tty_settled
+        return bool(settled(self._page, index, sent, received))
 
     def next_deadline(self) -> int:
         """When the first sleeping thread wants to be woken, ns."""
@@ -181,6 +193,10 @@ class VirtualClock:
         for fd in self._fds:
             os.close(fd)
         self._fds = []
+        # The time it showed last stays readable
+        self._now = ctypes.c_int64(self._now.value)
+        self._joined = ctypes.c_int32(self._joined.value)
+        self._written = []
         self._view = None
         self._map.close()
         os.unlink(self.page)

@@ -14,7 +14,7 @@ from .wiring import MAIN, HeaterState, Wiring, is_inverted, pin_number
 from .world import Kinematics, Pose, World
 
 # The world is told of a moving head this often; see LIMITS.md
-COMMIT_NS = 5_000_000
+COMMIT_NS = 10_000_000
 # Positions older than this are asked for by nobody (the slowest sensor's
 # latency is far below)
 _MEMORY_NS = 2_000_000_000

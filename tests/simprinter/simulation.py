@@ -18,6 +18,9 @@ _STALL_LIMIT = 60.0
 # And this long (s, real) nobody may seem to wait for anything: one that is on
 # its way to wake another, or to its end
 _DEAD_END = 2.0
+# How long (s, real) klippy may speak before it is answered: it may wait for
+# the answer without falling asleep, where a line is full
+_SPEECH = 0.01
 # How long (s, real) a paced clock stands before it is asked again whether it
 # should go on at all
 _LOOK_EVERY = 0.05
@@ -71,14 +74,23 @@ class Simulation:
         self.peers: list[Peer] = []
         self.pace: Pace | None = None  # a virtual clock jumps freely without
         self.process_fd = -1  # readable when the process has ended
+        # Klippy has run since its end and what it may have said were looked at
+        self._has_run = True
         self.started_ns = clock.now()
         self.jumps = 0
 
     def add_board(self, board: Board, latency_ns: int = 0) -> Link:
         """Give a board its serial line, with its latency."""
-        link = Link(board.receive, latency_ns, self.clock.now)
+        clock = self.clock
+        link = Link(board.receive, latency_ns, clock.now)
+        index = clock.add_tty(link.device)
+        if isinstance(clock, VirtualClock):
+            # Most of the time nobody has spoken, and reading costs more
+            link.is_spoken_to = lambda: clock.may_have_written(
+                index, link.received
+            )
         board.send = link.send
-        self._links.append((link, self.clock.add_tty(link.device)))
+        self._links.append((link, index))
         self._boards.append(board)
         return link
 
@@ -97,13 +109,16 @@ class Simulation:
         when klippy ends, or when nobody waits for anything any more.
         """
         end_ns = self.clock.now() + round(timeout * 1e9)
+        self._has_run = True
         while True:
             while self._pump():
                 pass
+            ended = self._has_run and self.process_ended()
+            self._has_run = ended
             finished = done()
-            if finished and (self.process_ended() or not self.clock.virtual):
+            if finished and (ended or not self.clock.virtual):
                 return
-            if self.process_ended():
+            if ended:
                 if self._pump() or done():
                     continue
                 raise SimulationError(f"{what}: klippy has ended")
@@ -126,8 +141,9 @@ class Simulation:
             moved |= board.run_due()
         for link, _ in self._links:
             moved |= link.pump()
-        for peer in self.peers:
-            moved |= peer.pump()
+        if self._has_run:
+            for peer in self.peers:
+                moved |= peer.pump()
         return moved
 
     def _next_event(self, end_ns: int) -> int:
@@ -185,8 +201,14 @@ class Simulation:
         """Wait until klippy speaks or falls asleep; whether it did."""
         clock = self.clock
         assert isinstance(clock, VirtualClock)
-        descriptors = [*self._descriptors(), clock.doorbell]
-        rang = self._wait_for_klippy(descriptors, seconds)
+        rang = False
+        if not clock.everybody_sleeps():
+            # It mostly speaks several times before it falls asleep
+            few = [clock.doorbell, *self._process()]
+            rang = self._wait_for_klippy(few, min(seconds, _SPEECH))
+        if not rang:
+            descriptors = [*self._descriptors(), clock.doorbell]
+            rang = self._wait_for_klippy(descriptors, seconds)
         clock.answer_doorbell()
         return rang
 
@@ -222,12 +244,15 @@ class Simulation:
     def _descriptors(self) -> list[int]:
         found = [link.fileno() for link, _ in self._links]
         found += [p.fileno() for p in self.peers if p.fileno() >= 0]
-        if self.process_fd >= 0:
-            found.append(self.process_fd)
-        return found
+        return found + self._process()
 
-    @staticmethod
-    def _wait_for_klippy(descriptors: Iterable[int], seconds: float) -> bool:
+    def _process(self) -> list[int]:
+        return [] if self.process_fd < 0 else [self.process_fd]
+
+    def _wait_for_klippy(
+        self, descriptors: Iterable[int], seconds: float
+    ) -> bool:
+        self._has_run = True
         poller = select.poll()
         for fd in descriptors:
             poller.register(fd, select.POLLIN)

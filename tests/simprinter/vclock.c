@@ -139,34 +139,35 @@ vclock_awake(struct page *p)
     return p->awake;
 }
 
-int32_t
-vclock_joined(struct page *p)
+// 0 until the process lives on this clock
+_Atomic int32_t *
+vclock_joined_field(struct page *p)
 {
-    return p->joined;
+    return &p->joined;
 }
 
-int64_t
-vclock_now(struct page *p)
+// Where the clock stands, to be read without a call
+_Atomic int64_t *
+vclock_now_field(struct page *p)
 {
-    return p->now;
+    return &p->now;
 }
 
-int64_t
-vclock_tty_read(struct page *p, int tty)
+// Where the bytes are counted that the process has written to a line
+int64_t *
+vclock_written_field(struct page *p, int tty)
 {
-    return p->ttys[tty].bytes_read;
+    return &p->ttys[tty].bytes_written;
 }
 
-int64_t
-vclock_tty_written(struct page *p, int tty)
+// Whether all bytes of a line have arrived. Nobody reads a line that is closed
+// before it is opened again
+int
+vclock_tty_settled(struct page *p, int tty, int64_t sent, int64_t received)
 {
-    return p->ttys[tty].bytes_written;
-}
-
-int32_t
-vclock_tty_open(struct page *p, int tty)
-{
-    return p->ttys[tty].is_open;
+    struct tty *t = &p->ttys[tty];
+    return (t->bytes_written == received
+            && (!t->is_open || t->bytes_read == sent));
 }
 
 // Earliest deadline of a sleeping thread (only meaningful while awake is 0)

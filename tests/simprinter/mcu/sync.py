@@ -9,7 +9,7 @@ from .board import Board, Event, Peripheral, command
 from .steppers import Steppers
 
 # How far ahead an armed endstop looks for its edge in one go
-_LOOK_AHEAD_NS = 20_000_000
+_LOOK_AHEAD_NS = 50_000_000
 
 
 class Trsync:
