@@ -106,7 +106,7 @@ def parse(arguments: Optional[Sequence[str]]) -> argparse.Namespace:
     parser.add_argument(
         "--printers", type=int, default=300, help="random ones for each module"
     )
-    parser.add_argument("--workers", type=int, default=2)
+    parser.add_argument("--workers", type=int, default=3)
     parser.add_argument("--json", type=Path, help="write the figures there")
     parser.add_argument(
         "--markdown", type=Path, help="put the tables into this document"

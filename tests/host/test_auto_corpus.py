@@ -177,7 +177,7 @@ def test_every_touch_reaches_the_speed_that_the_entry_asks_for():
     assert found == set()
 
 
-@pytest.mark.parametrize(("entry", "host"), spread(some(WORKING, 2), HOSTS))
+@pytest.mark.parametrize(("entry", "host"), spread(some(WORKING, 4), HOSTS))
 def test_entry_calibrates(entry, host):
     check_calibration(host, build(entry, host))
 
