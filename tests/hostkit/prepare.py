@@ -6,6 +6,7 @@ python -m tests.hostkit.prepare
 from __future__ import annotations
 
 import sys
+from concurrent.futures import ThreadPoolExecutor
 
 from tests.hostkit.hosts import HostError, find_hosts, missing_hosts
 from tests.hostkit.moonraker import find_moonraker, moonraker_version
@@ -16,8 +17,10 @@ def main() -> int:
     """Print one line for each host; return the exit code."""
     missing_hosts(forget=True)
     try:
-        hosts = find_hosts()
-        moonraker = find_moonraker()
+        with ThreadPoolExecutor() as pool:
+            found = pool.submit(find_moonraker)
+            hosts = find_hosts()
+            moonraker = found.result()
     except HostError as error:
         sys.stderr.write(f"error: {error}\n")
         return 1

@@ -234,6 +234,7 @@ def _voron() -> Scene:
                 position_endstop="300",
                 position_max="300",
                 homing_speed="60",
+                homing_retract_dist="0",
                 **belts,
             ),
             "stepper_y": _stepper(
@@ -242,6 +243,7 @@ def _voron() -> Scene:
                 position_endstop="310",
                 position_max="310",
                 homing_speed="60",
+                homing_retract_dist="0",
                 **belts,
             ),
             "stepper_z": _stepper(
@@ -344,6 +346,7 @@ def _cartesian() -> Scene:
                 position_min="-8",
                 position_max="258",
                 homing_speed="50",
+                homing_retract_dist="0",
                 **belt,
             ),
             "stepper_y": _stepper(
@@ -353,6 +356,7 @@ def _cartesian() -> Scene:
                 position_min="-4",
                 position_max="225",
                 homing_speed="50",
+                homing_retract_dist="0",
                 **belt,
             ),
             "stepper_z": _stepper(
@@ -656,6 +660,7 @@ def _qidi(boards: Optional[Mapping[str, BoardSpec]] = None) -> Scene:
                 position_min="-5.5",
                 position_max="245",
                 homing_speed="60",
+                homing_retract_dist="0",
                 **belt,
             ),
             "stepper_y": _stepper(
@@ -665,6 +670,7 @@ def _qidi(boards: Optional[Mapping[str, BoardSpec]] = None) -> Scene:
                 position_min="-4.5",
                 position_max="258",
                 homing_speed="60",
+                homing_retract_dist="0",
                 **belt,
             ),
             "stepper_z": _stepper(
