@@ -63,7 +63,7 @@ def pytest_collection_modifyitems(
 
     On another one for another case. EVERY_HOST=1: on each; so do those marked
     `each_host`, where all others in their file are spread. Of one marked
-    `half`, every second case runs without it.
+    `half`, half of the cases run without it.
     """
     if os.environ.get("EVERY_HOST"):
         return
@@ -74,7 +74,7 @@ def pytest_collection_modifyitems(
 
 
 def _halved(items: list[pytest.Item]) -> set[pytest.Item]:
-    """Every second case, on whichever host, of each test marked `half`."""
+    """Half of the cases, on whichever host, of each test marked `half`."""
     cases: dict[str, list[str]] = {}
     left_out = set()
     for item in items:
@@ -84,7 +84,9 @@ def _halved(items: list[pytest.Item]) -> set[pytest.Item]:
         table = cases.setdefault(case.partition("[")[0], [])
         if case not in table:
             table.append(case)
-        if table.index(case) % 2:
+        number = table.index(case)
+        # By pairs, as every second one would be one value of the last option
+        if (number + number // 2) % 2:
             left_out.add(item)
     return left_out
 
