@@ -93,6 +93,10 @@ TRAVEL_SPEED = 50.0
 # option holds a position instead of an offset.
 LARGEST_SWITCH_DISTANCE = 100.0
 
+# Nearer (mm) to where its body is on the Z endstop the probe cannot touch the
+# bed: half the length of a usual micro switch.
+SWITCH_NEAR = 7.0
+
 # Within this distance (mm) of its zero a bed mesh is as good as zero.
 MESH_ZERO_NEAR = 1.0
 
@@ -2016,6 +2020,21 @@ class ZCalibration(object):
         bed = self.bed_site(settings.bed)
         if bed is not None:
             self.check_reach(bed)
+            self.check_apart(switch, bed)
+
+    # The floor of the bed lies below the pin: a body that is still on it
+    # would be pressed down to there.
+    def check_apart(self, switch, bed):
+        if switch is None:
+            return
+        apart = math.hypot(bed.x - switch.x, bed.y - switch.y)
+        if apart < SWITCH_NEAR:
+            raise CalibrationError(
+                "%s puts the head %.1f mm from where it touches the switch, so"
+                " that the probe's body would press the Z endstop again; choose"
+                " a point of the bed at least %g mm away"
+                % (bed.origin, apart, SWITCH_NEAR)
+            )
 
     def check_reach(self, site, wiggle=(0.0, 0.0)):
         limits = self.host.axis_limits()
@@ -2116,6 +2135,7 @@ class ZCalibration(object):
             raise CalibrationError(self.no_place("bed", where))
         self.check_reach(switch)
         self.check_reach(bed)
+        self.check_apart(switch, bed)
         return Sites(nozzle, switch, bed)
 
     def nozzle_site(self, gcmd):

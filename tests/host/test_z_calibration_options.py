@@ -109,6 +109,28 @@ def test_a_switch_position_comes_before_offsets(start):
 
 
 @pytest.mark.parametrize(
+    ("bed", "distance"), [("206, 306", "0.0 mm"), ("211, 301.5", "6.7 mm")]
+)
+def test_bed_that_is_on_the_endstop(host, bed, distance):
+    # The head is at 208, 281.25 for the switch
+    message = refusal(host, section(bed_xy_position=bed))
+    place = f"Option 'bed_xy_position: {bed.replace(' ', '')}' in section"
+    assert message.startswith(f"{place} 'z_calibration' puts the head")
+    assert f"{distance} from where it touches the switch" in message
+    assert "at least 7 mm away" in message
+
+
+def test_bed_beside_the_endstop(start):
+    printer = start(changes=section(bed_xy_position="211, 301")).homed()
+    at = printer.session.position()
+    # Both places may come with the command
+    for params in ("BED_POSITION=206,306", "SWITCH_POSITION=213,276.25"):
+        message = printer.fail(f"CALIBRATE_Z {params}")
+        assert "from where it touches the switch" in message
+        assert printer.session.position() == at
+
+
+@pytest.mark.parametrize(
     ("offsets", "words"),
     [
         ("208, 281.25", "208 mm in X is no distance from the nozzle"),
