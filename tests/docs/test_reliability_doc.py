@@ -13,7 +13,7 @@ from tests.campaign.random_printers import MODULES, MOST_REFUSED
 
 DOCS = Path(__file__).resolve().parents[2] / "docs"
 # Of each module, in the figures and in a run of one's own
-LEAST_PRINTERS = 100
+LEAST_PRINTERS = 300
 USUAL_PRINTERS = 300
 
 
