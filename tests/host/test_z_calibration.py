@@ -284,7 +284,6 @@ def seconds_between_samples(host, changes):
     return {site: t[1] - t[0] for site, t in times.items()}
 
 
-@pytest.mark.each_host
 @pytest.mark.parametrize(
     ("changes", "more"),
     [

@@ -114,7 +114,7 @@ def test_real_time_gives_the_same_gap(one_host):
 
     expected = gap(False)
     late = ""
-    for _ in range(3):
+    for _ in range(2):
         try:
             assert gap(True) == pytest.approx(expected, abs=MICROSTEP)
             return
