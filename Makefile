@@ -16,14 +16,14 @@
 #                      downloaded
 # EVERY_HOST, CORPUS   1 and all: long tables and the configurations of real
 #                      printers whole and on every host, not some on one each
-# PYTEST_WORKERS       tests run at the same time (default 4)
+# PYTEST_WORKERS       tests run at the same time (default 3)
 # PYTEST_ARGS          further arguments for pytest, such as -k or a file
 # BENCH_ARGS           arguments for make bench, such as --seeds 10 or --builtin
 # FAULTS_ARGS          arguments for make faults, such as --seed 7
 
 PYTHON ?= python3
 BUILD_DIR ?= build
-PYTEST_WORKERS ?= 4
+PYTEST_WORKERS ?= 3
 PYTEST_ARGS ?=
 BENCH_ARGS ?=
 FAULTS_ARGS ?=

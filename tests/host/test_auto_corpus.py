@@ -177,7 +177,7 @@ def test_every_touch_reaches_the_speed_that_the_entry_asks_for():
     assert found == set()
 
 
-@pytest.mark.parametrize(("entry", "host"), spread(some(WORKING, 6), HOSTS))
+@pytest.mark.parametrize(("entry", "host"), spread(some(WORKING, 8), HOSTS))
 def test_entry_calibrates(entry, host):
     check_calibration(host, build(entry, host))
 
@@ -201,7 +201,7 @@ def test_broken_entry_is_refused(entry, host):
 
 @pytest.mark.parametrize(
     ("entry", "host"),
-    spread(some([ENTRIES[index] for index in sorted(BROKEN)], 4), HOSTS),
+    spread(some([ENTRIES[index] for index in sorted(BROKEN)], 5), HOSTS),
 )
 def test_mended_entry_calibrates(entry, host):
     added = {name: MENDED[name] for name in BROKEN[entry.index]}

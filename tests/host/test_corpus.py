@@ -162,7 +162,7 @@ def looks_right(name: str, text: str) -> bool:
         return False
 
 
-@pytest.mark.parametrize(("entry", "host"), spread(some(WORKING, 6), HOSTS))
+@pytest.mark.parametrize(("entry", "host"), spread(some(WORKING, 8), HOSTS))
 def test_entry_calibrates(entry, host):
     check_calibration(host, build(entry, host))
 
