@@ -29,8 +29,10 @@ def collected(**environment):
         check=True,
     )
     lines = [line for line in done.stdout.splitlines() if "::" in line]
-    for host in find_hosts():
-        lines = [line.replace(host.name, "HOST") for line in lines]
+    # The name of one may begin with that of another
+    names = [host.name for host in find_hosts()]
+    for name in sorted(names, key=len, reverse=True):
+        lines = [line.replace(name, "HOST") for line in lines]
     return [line.partition("::")[2] for line in lines]
 
 
