@@ -8,7 +8,7 @@ from typing import NamedTuple
 
 from tests.bench.bounds import Limits, Plan, Stop
 from tests.hostkit.piezo import POINT
-from tests.simprinter import SCENES, Scene
+from tests.simprinter import SCENES, Scene, heated
 from tests.simprinter.scenes import Sections
 from tests.simprinter.world.bed import Bed
 
@@ -204,7 +204,7 @@ CALIBRATE_Z = Command(
     "CALIBRATE_Z",
     "CALIBRATE_Z",
     "z_calibration",
-    SCENES["voron"],
+    heated(SCENES["voron"]),
     STANDARD,
     ("nozzle_pin", "body_pin", "probe_bed"),
     calibrate_plan,
@@ -213,7 +213,7 @@ PROBE_Z_ACCURACY = Command(
     "PROBE_Z_ACCURACY",
     f"PROBE_Z_ACCURACY SAMPLES={ACCURACY_SAMPLES}",
     "z_calibration",
-    SCENES["voron"],
+    heated(SCENES["voron"]),
     STANDARD,
     ("nozzle_pin",),
     accuracy_plan,
@@ -222,7 +222,7 @@ AUTO_Z_CALIBRATE = Command(
     "AUTO_Z_CALIBRATE",
     "AUTO_Z_CALIBRATE",
     "auto_z_offset",
-    SCENES["qidi"],
+    heated(SCENES["qidi"]),
     PREPARED,
     ("nozzle_bed", "inductive_bed"),
     cycles_plan,

@@ -10,7 +10,7 @@ from __future__ import annotations
 from dataclasses import dataclass, replace
 from typing import Any, Optional
 
-from tests.simprinter import SCENES, Scene
+from tests.simprinter import SCENES, Scene, heated
 from tests.simprinter.world import (
     AxisSwitchSpec,
     BedSpec,
@@ -194,7 +194,7 @@ def _machine(
 
     z_motors: those that it keeps (default: all).
     """
-    scene = SCENES[base]
+    scene = heated(SCENES[base])
     merged = dict(scene.sections)
     for name in BROUGHT:
         del merged[name]

@@ -644,6 +644,7 @@ MORE = [
 ]
 
 
+@pytest.mark.half
 @pytest.mark.parametrize(
     ("option", "value"),
     [(o, v) for o in NUMBERS for v in ("", "much", "nan", "inf")] + MORE,

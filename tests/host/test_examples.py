@@ -28,7 +28,7 @@ from tests.host.example_owners import CLEAN_NOZZLE, OWNERS, Owner
 from tests.hostkit.calibration import MICROSTEP, touched_sites
 from tests.hostkit.printer import Printer
 from tests.hostkit.session import GcodeError
-from tests.simprinter import Fault
+from tests.simprinter import SCENES, Fault, heated
 
 ROOT = Path(__file__).resolve().parents[2]
 EXAMPLES = ROOT / "examples" / "z_calibration"
@@ -392,7 +392,7 @@ def with_macros(**sections: Any) -> dict[str, Any]:
 @pytest.fixture
 def macros(start):
     """The voron with the macros, homed."""
-    return start(changes=with_macros()).homed()
+    return start(heated(SCENES["voron"]), with_macros()).homed()
 
 
 def measured(printer: Printer, script: str) -> bool:
@@ -465,7 +465,8 @@ def test_plates_have_a_switch_offset_each(macros):
 
 def test_nothing_stays_hot_after_a_failure(start):
     faults = [Fault("trigger_never", signal="z_endstop", n=4)]
-    printer = start(changes=with_macros(), faults=faults).homed()
+    scene = heated(SCENES["voron"])
+    printer = start(scene, with_macros(), faults).homed()
     printer.machine.tolerate("nozzle_pin", 1.01)
     printer.run("M140 S40\nM104 S150")
     before = len(printer.session.console)

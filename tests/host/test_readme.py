@@ -103,7 +103,7 @@ INSTALLING = {
 TRYING = {"cd ~/klipper_z_calibration", "make demo"}
 # What follows the command, so that it does not run this test again
 ADDED = {
-    "make test": " PYTEST_ARGS=tests/unit/test_module_sources.py",
+    "make test": " PYTEST_ARGS=tests/sim/test_wiring.py PYTEST_WORKERS=1",
     "KLIPPER_PATH=~/klipper:~/kalico make test": " PYTEST_ARGS=--version",
     "build/venv/bin/python -m tests.demo --help": "",
 }

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import functools
 import math
 import re
 from dataclasses import replace
@@ -284,6 +285,12 @@ def seconds_between_samples(host, changes):
     return {site: t[1] - t[0] for site, t in times.items()}
 
 
+@functools.cache
+def usual_seconds_between_samples(host):
+    """The same without any change."""
+    return seconds_between_samples(host, None)
+
+
 @pytest.mark.parametrize(
     ("changes", "more"),
     [
@@ -298,7 +305,7 @@ def seconds_between_samples(host, changes):
     ],
 )
 def test_samples_are_taken_at_the_configured_speeds(host, changes, more):
-    usual = seconds_between_samples(host, None)
+    usual = usual_seconds_between_samples(host)
     changed = seconds_between_samples(host, changes)
     for site in ("nozzle_pin", "body_pin"):
         assert changed[site] - usual[site] == pytest.approx(more, abs=0.2)

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import functools
 import math
 import re
 from contextlib import ExitStack
@@ -548,45 +549,58 @@ def spans(host, changes):
     }
 
 
+@functools.cache
+def usual_spans(host):
+    """The same without any change."""
+    return spans(host, None)
+
+
 @pytest.mark.parametrize(
-    ("option", "value", "part", "more"),
+    ("option", "value", "more"),
     [
-        # 3 mm up at 10 and down at 3 mm/s, as it is without the option
-        ("probing_second_speed", "1", "nozzle", 3 / 1 - 3 / 3),
-        ("probing_second_speed", "1", "switch", 3 / 1 - 3 / 3),
-        ("probing_retract_dist", "5", "nozzle", 2 / 10 + 2 / 3),
-        ("probing_retract_dist", "5", "switch", 2 / 10 + 2 / 3),
-        ("lift_speed", "2", "nozzle", 3 / 2 - 3 / 10),
-        ("lift_speed", "2", "switch", 3 / 2 - 3 / 10),
-        # The bed is the probe's
-        ("probing_second_speed", "1", "bed", 0.0),
-        ("probing_retract_dist", "5", "bed", 0.0),
-        ("lift_speed", "2", "bed", 0.0),
+        # 3 mm up at 10 and down at 3 mm/s, as it is without the option; the
+        # bed is the probe's
+        (
+            "probing_second_speed",
+            "1",
+            {"nozzle": 3 / 1 - 3 / 3, "switch": 3 / 1 - 3 / 3, "bed": 0.0},
+        ),
+        (
+            "probing_retract_dist",
+            "5",
+            {"nozzle": 2 / 10 + 2 / 3, "switch": 2 / 10 + 2 / 3, "bed": 0.0},
+        ),
+        (
+            "lift_speed",
+            "2",
+            {"nozzle": 3 / 2 - 3 / 10, "switch": 3 / 2 - 3 / 10, "bed": 0.0},
+        ),
         # Down from 13.8 to the retract over what is expected
         (
             "probing_speed",
             "2",
-            "nozzle to switch",
-            (13.8 - (PIN + 6.9 - SWITCH_OFFSET + 3.0)) * (1 / 2 - 1 / 8),
-        ),
-        (
-            "probing_speed",
-            "2",
-            "switch to bed",
-            (13.8 - (BODY + SWITCH_OFFSET + 2.0)) * (1 / 2 - 1 / 8),
+            {
+                "nozzle to switch": (13.8 - (PIN + 6.9 - SWITCH_OFFSET + 3.0))
+                * (1 / 2 - 1 / 8),
+                "switch to bed": (13.8 - (BODY + SWITCH_OFFSET + 2.0))
+                * (1 / 2 - 1 / 8),
+            },
         ),
         (
             "speed",
             "20",
-            "switch to bed",
-            math.hypot(208 - 152, 281.25 - 125.25) * (1 / 20 - 1 / 50),
+            {
+                "switch to bed": math.hypot(208 - 152, 281.25 - 125.25)
+                * (1 / 20 - 1 / 50)
+            },
         ),
     ],
 )
-def test_speeds(some_host, option, value, part, more):
-    usual = spans(some_host, None)[part]
-    changed = spans(some_host, section(**{option: value}))[part]
-    assert changed - usual == pytest.approx(more, abs=0.25)
+def test_speeds(some_host, option, value, more):
+    usual = usual_spans(some_host)
+    changed = spans(some_host, section(**{option: value}))
+    found = {part: changed[part] - usual[part] for part in more}
+    assert found == pytest.approx(more, abs=0.25)
 
 
 def test_first_fast_touch_is_no_sample(start):
@@ -984,6 +998,7 @@ def nonsense():
     yield "samples", "2.5"
 
 
+@pytest.mark.half
 @pytest.mark.parametrize(("option", "value"), list(nonsense()))
 def test_nonsense_is_refused(some_host, option, value):
     changes = section(**{option: value})

@@ -21,7 +21,7 @@ import pytest
 
 from tests.hostkit.hosts import Host
 from tests.hostkit.printer import Printer
-from tests.simprinter import SCENES, Scene
+from tests.simprinter import SCENES, Scene, heated
 from tests.simprinter.world import (
     AxisSwitchSpec,
     BedSpec,
@@ -342,7 +342,7 @@ class _Builder:
         calibration = self.calibration()
         configured = self.configured_switch_offset()
         true = self.true_switch_offset(configured)
-        voron = SCENES["voron"]
+        voron = heated(SCENES["voron"])
         scene = replace(
             voron,
             name=f"corpus_{self.entry.index:03d}",

@@ -22,7 +22,7 @@ from tests.hostkit.moonraker import Moonraker, free_port
 from tests.hostkit.printer import RunningPrinter, firmware_of
 from tests.hostkit.session import LiveSession
 from tests.hostkit.trees import link_tree
-from tests.simprinter import SCENES, Machine
+from tests.simprinter import SCENES, Machine, heated
 
 # How much faster than a real printer the simulated one lives
 SPEED = 20.0
@@ -86,7 +86,7 @@ class Lab:
         self.klipper = self.home / firmware_of(host).lower()
         self.module_dir = self.klipper / host.layout.module_dir
         self.printer: Optional[RunningPrinter] = None
-        self._scene = SCENES["voron"]
+        self._scene = heated(SCENES["voron"])
         self._sources = directory / "sources"
         self._releases = 0
         self._life = ExitStack()

@@ -3,10 +3,13 @@
 from __future__ import annotations
 
 import contextlib
+import fcntl
 import io
 import json
+import os
 import re
 import shutil
+from pathlib import Path
 from types import SimpleNamespace
 
 import pytest
@@ -45,8 +48,26 @@ REASONS = {
 
 @pytest.fixture(scope="module")
 def program(tmp_path_factory):
-    """One run of it with many modules: files by name, output, figures."""
-    folder = tmp_path_factory.mktemp("bench")
+    """One run of it with many modules: files by name, output, figures.
+
+    The first process of the tests that needs it runs it, for all of them.
+    """
+    folder = tmp_path_factory.getbasetemp()
+    if "PYTEST_XDIST_WORKER" in os.environ:
+        folder = folder.parent
+    told = folder / "bench_program.json"
+    with open(folder / "bench_program.lock", "w") as lock:
+        fcntl.flock(lock, fcntl.LOCK_EX)
+        if not told.exists():
+            told.write_text(json.dumps(run_program(folder / "bench")))
+    found = json.loads(told.read_text())
+    found["files"] = {name: Path(file) for name, file in found["files"].items()}
+    return SimpleNamespace(**found)
+
+
+def run_program(folder):
+    """Run it there; all that the tests look at."""
+    folder.mkdir()
     files = {"missing": folder / "missing.py"}
     for name, text in MODULES.items():
         files[name] = folder / f"{name}.py"
@@ -76,15 +97,15 @@ def program(tmp_path_factory):
         for entry in figures["timings"]
         if entry["host"] == host and entry["command"] == "CALIBRATE_Z"
     }
-    return SimpleNamespace(
-        host=host,
-        status=status,
-        files=files,
-        lines=output.getvalue().splitlines(),
-        all_figures=figures,
-        figures=timings,
-        kept=(folder / "performance.json").read_text(),
-    )
+    return {
+        "host": host,
+        "status": status,
+        "files": {name: str(file) for name, file in files.items()},
+        "lines": output.getvalue().splitlines(),
+        "all_figures": figures,
+        "figures": timings,
+        "kept": (folder / "performance.json").read_text(),
+    }
 
 
 @contextlib.contextmanager

@@ -21,6 +21,7 @@ from tests.simprinter import (
     Machine,
     RealClock,
     VirtualClock,
+    heated,
 )
 from tests.simprinter.mcu.steppers import StepTrack
 from tests.simprinter.wire.framing import Deframer, encode_block
@@ -337,7 +338,7 @@ def test_all_boards_restart(start):
 
 
 def test_heater_heats_in_printer_time(start):
-    printer = start()
+    printer = start(heated(SCENES["voron"]))
     printer.session.require_ready()
     began = printer.machine.simulation.virtual_ns
     printer.run("M190 S60")

@@ -10,7 +10,7 @@ from dataclasses import replace
 import pytest
 
 from tests.hostkit.printer import has_kinematics
-from tests.simprinter import SCENES
+from tests.simprinter import SCENES, heated
 
 CALIBRATING = [n for n in SCENES if "z_calibration" in SCENES[n].sections]
 
@@ -45,7 +45,7 @@ def test_calibration_ends_at_the_gap_of_the_formula(start, host, name):
 
 @pytest.mark.parametrize("name", SCENES)
 def test_wiring_and_configuration_name_the_same_pins(name):
-    scene = SCENES[name]
+    scene = heated(SCENES[name])
     written = [
         value
         for options in scene.sections.values()

@@ -3,7 +3,7 @@
 from .clock import RealClock, VirtualClock
 from .faults import Fault, Faults
 from .machine import Machine, build_directory
-from .scenes import SCENES, Scene
+from .scenes import SCENES, Scene, heated
 
 __all__ = [
     "SCENES",
@@ -14,4 +14,5 @@ __all__ = [
     "Scene",
     "VirtualClock",
     "build_directory",
+    "heated",
 ]

@@ -157,6 +157,20 @@ _HEATERS = {
 }
 
 
+def heated(scene: Scene) -> Scene:
+    """The same with sections for its hotend and its bed.
+
+    The scenes are wired for them and do without: two thermometers make a fifth
+    of all that happens while a printer calibrates.
+    """
+    heaters: Sections = {
+        "thermistor beta3950": _THERMISTOR,
+        "extruder": _EXTRUDER,
+        "heater_bed": _BED,
+    }
+    return replace(scene, sections={**scene.sections, **heaters})
+
+
 def _stepper(motor: Motor, **options: str) -> dict[str, Optional[str]]:
     """A stepper section for a motor of 200 steps and 16 microsteps."""
     return {
@@ -260,9 +274,6 @@ def _voron() -> Scene:
             "stepper_z1": _stepper(motors["z1"], **belt),
             "stepper_z2": _stepper(motors["z2"], **belt),
             "stepper_z3": _stepper(motors["z3"], **belt),
-            "thermistor beta3950": _THERMISTOR,
-            "extruder": _EXTRUDER,
-            "heater_bed": _BED,
             "probe": {
                 "pin": inputs["probe"],
                 "x_offset": "-2.0",
@@ -373,9 +384,6 @@ def _cartesian() -> Scene:
                 "run_current": "0.8",
                 "sense_resistor": "0.110",
             },
-            "thermistor beta3950": _THERMISTOR,
-            "extruder": _EXTRUDER,
-            "heater_bed": _BED,
             "output_pin probe_magnet": {
                 "pin": "PD0",
                 "value": "0",
@@ -694,9 +702,6 @@ def _qidi(boards: Optional[Mapping[str, BoardSpec]] = None) -> Scene:
                 "run_current": "1.07",
                 "sense_resistor": "0.110",
             },
-            "thermistor beta3950": _THERMISTOR,
-            "extruder": _EXTRUDER,
-            "heater_bed": _BED,
             "output_pin bed_sensor": {
                 "pin": outputs["bed_sensor_enable"],
                 "value": "0",
