@@ -30,6 +30,7 @@ from tests.hostkit.printer import Printer
 from tests.hostkit.session import GcodeError
 from tests.simprinter import SCENES, Fault, heated
 
+pytestmark = pytest.mark.spread
 ROOT = Path(__file__).resolve().parents[2]
 EXAMPLES = ROOT / "examples" / "z_calibration"
 DOCUMENT = (ROOT / "docs" / "z_calibration.md").read_text(encoding="utf-8")
@@ -111,7 +112,6 @@ def assert_ready_to_print(printer: Printer, owner: Owner) -> None:
 # As they are
 
 
-@pytest.mark.spread
 @pytest.mark.parametrize("name", sorted(OWNERS))
 def test_print_start_ends_at_the_right_height(start, name):
     owner = OWNERS[name]

@@ -59,6 +59,7 @@ def settings(document: Path) -> str:
     return "\n".join(found)
 
 
+@pytest.mark.spread
 @pytest.mark.parametrize("document", SETUP, ids=lambda path: path.name)
 def test_shortest_way_ends_at_the_right_height(start, tmp_path, document):
     owner = OWNERS["voron24_klicky"]
