@@ -34,25 +34,29 @@ MODULES = $(wildcard z_calibration.py auto_z_offset.py dockable_probe.py \
 	extra_probe.py)
 
 # Test files import each other as tests.*, from the root of the repository.
-.PHONY: test demo speed bench faults hosts lint format tools clean
+.PHONY: test demo speed bench faults hosts prepared lint format tools clean
 
-test: hosts lint
+test: prepared lint
 	$(TOOLS)/python -m pytest -n $(PYTEST_WORKERS) $(PYTEST_ARGS)
 
 demo: tools
 	$(TOOLS)/python -m tests.demo
 
-speed: hosts
+speed: prepared
 	$(TOOLS)/python -m tests.bench_simulation
 
-bench: hosts
+bench: prepared
 	$(TOOLS)/python -m tests.bench $(BENCH_ARGS)
 
-faults: hosts
+faults: prepared
 	$(TOOLS)/python -m tests.campaign $(FAULTS_ARGS)
 
-hosts: tools
-	$(TOOLS)/python -m tests.hostkit.prepare
+hosts:
+	@$(PYTHON) -m tests.hostkit.prepare
+
+# Most of it is waiting for downloads and for one compiler at a time
+prepared:
+	@$(MAKE) --no-print-directory -j2 tools hosts
 
 lint: tools
 	$(TOOLS)/ruff check .

@@ -260,9 +260,14 @@ def read_requirements(path: Path) -> list[str]:
     return [line for line in stripped if line]
 
 
-def main() -> int:
+def check_python() -> None:
+    """Raises SystemExit where this Python is too old for the tests."""
     if sys.version_info < (3, 9):
         sys.exit("the tests need Python 3.9 or newer; set PYTHON to one")
+
+
+def main() -> int:
+    check_python()
     if len(sys.argv) != 3:
         sys.exit("usage: python -m tests.hostkit.environment DIR REQUIREMENTS")
     try:

@@ -1,6 +1,8 @@
 """Prepare and print all hosts and Moonraker.
 
-python -m tests.hostkit.prepare
+    python -m tests.hostkit.prepare
+
+Needs the standard library only, as it runs while the tools are installed.
 """
 
 from __future__ import annotations
@@ -8,13 +10,18 @@ from __future__ import annotations
 import sys
 from concurrent.futures import ThreadPoolExecutor
 
-from tests.hostkit.hosts import HostError, find_hosts, missing_hosts
-from tests.hostkit.moonraker import find_moonraker, moonraker_version
+from tests.hostkit.environment import HostError, check_python
+from tests.hostkit.hosts import find_hosts, missing_hosts
+from tests.hostkit.moonraker_package import (
+    find_moonraker,
+    moonraker_version,
+)
 from tests.hostkit.trees import python_version
 
 
 def main() -> int:
     """Print one line for each host; return the exit code."""
+    check_python()
     missing_hosts(forget=True)
     try:
         with ThreadPoolExecutor() as pool:

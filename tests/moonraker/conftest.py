@@ -10,7 +10,7 @@ import pytest
 
 from tests.hostkit.hosts import find_hosts, missing_hosts
 from tests.hostkit.lab import Lab
-from tests.hostkit.moonraker import find_moonraker
+from tests.hostkit.moonraker_package import find_moonraker
 from tests.hostkit.printer import firmware_of
 
 # One host for each place where modules belong, or each of them

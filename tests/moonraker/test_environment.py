@@ -6,7 +6,7 @@ from pathlib import Path
 
 import pytest
 
-from tests.hostkit import moonraker
+from tests.hostkit import moonraker_package
 from tests.hostkit.environment import HostError, UnavailableError, run
 from tests.hostkit.hosts import missing_hosts
 
@@ -42,17 +42,17 @@ def no_network(tmp_path, monkeypatch):
 
     monkeypatch.setenv("BUILD_DIR", str(tmp_path))
     monkeypatch.delenv("ALLOW_MISSING_HOSTS", raising=False)
-    monkeypatch.setattr(moonraker, "ensure", refuse)
+    monkeypatch.setattr(moonraker_package, "ensure", refuse)
 
 
 def test_missing_moonraker_is_an_error(no_network):
     with pytest.raises(UnavailableError, match="^moonraker cannot be had: no"):
-        moonraker.find_moonraker()
+        moonraker_package.find_moonraker()
 
 
 def test_missing_moonraker_may_be_left_out(no_network, monkeypatch, capsys):
     monkeypatch.setenv("ALLOW_MISSING_HOSTS", "1")
-    assert moonraker.find_moonraker() is None
+    assert moonraker_package.find_moonraker() is None
     reason = "moonraker cannot be had: no network"
     assert f"NOT TESTED: {reason}" in capsys.readouterr().err
     assert missing_hosts() == {"moonraker": reason}
@@ -60,12 +60,14 @@ def test_missing_moonraker_may_be_left_out(no_network, monkeypatch, capsys):
 
 def test_moonraker_without_libsodium_is_missing(no_network, monkeypatch):
     python = Path("python")
-    monkeypatch.setattr(moonraker, "ensure", lambda *_arguments: python)
-    monkeypatch.setattr(moonraker, "lend_libsodium", lambda _python: None)
+    monkeypatch.setattr(moonraker_package, "ensure", lambda *_arguments: python)
+    monkeypatch.setattr(
+        moonraker_package, "lend_libsodium", lambda _python: None
+    )
 
     def run_in_vain(*_arguments):
         raise HostError("Could not locate nacl lib")
 
-    monkeypatch.setattr(moonraker, "run", run_in_vain)
+    monkeypatch.setattr(moonraker_package, "run", run_in_vain)
     with pytest.raises(UnavailableError, match="libsodium23\\)\nCould not"):
-        moonraker.find_moonraker()
+        moonraker_package.find_moonraker()
