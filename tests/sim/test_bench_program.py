@@ -83,13 +83,7 @@ def run_program(folder):
     options += ["--builtin", "--host", host, "--json", written]
     options += ["--seeds", 0, "--no-chart"]
     output = io.StringIO()
-    with (
-        contextlib.redirect_stdout(output),
-        in_folder(folder),
-        pytest.MonkeyPatch.context() as patch,
-    ):
-        # Each takes as long as a start of klippy
-        patch.setattr(cost, "LOADINGS", 1)
+    with contextlib.redirect_stdout(output), in_folder(folder):
         status = bench.main([str(option) for option in options])
     figures = json.loads(written.read_text())
     timings = {
@@ -113,6 +107,7 @@ def in_folder(folder):
     """Let the program write there, not over an owner's figures, and hurry."""
     with pytest.MonkeyPatch.context() as patch:
         patch.setattr(bench, "folder", lambda: folder)
+        # Each takes as long as a start of klippy
         patch.setattr(cost, "LOADINGS", 1)
         yield
 
