@@ -43,7 +43,7 @@ demo: tools
 	$(TOOLS)/python -m tests.demo
 
 speed: prepared
-	$(TOOLS)/python -m tests.bench_simulation
+	$(TOOLS)/python -m tests.bench.speed
 
 bench: prepared
 	$(TOOLS)/python -m tests.bench $(BENCH_ARGS)

@@ -10,7 +10,7 @@ from contextlib import ExitStack
 import pytest
 from hypothesis import HealthCheck, settings
 
-from tests.hostkit import loader, starting
+from tests.hostkit import load_errors, starting
 from tests.hostkit.hosts import Host, find_hosts, missing_hosts
 from tests.hostkit.printer import Printer
 
@@ -33,7 +33,7 @@ def pytest_report_header() -> list[str]:
 
 def pytest_sessionfinish() -> None:
     """End what was kept for the next configuration, and the next start."""
-    loader.close()
+    load_errors.close()
     starting.close()
 
 

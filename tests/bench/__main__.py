@@ -34,7 +34,7 @@ from concurrent.futures import ProcessPoolExecutor
 from pathlib import Path
 from typing import Any, Optional
 
-from tests.bench import chart, markdown, text
+from tests.bench import chart, performance_tables, text
 from tests.bench.commands import CALIBRATE_Z, COMMANDS, Command
 from tests.bench.cost import loadings, other_loading
 from tests.bench.errors import (
@@ -321,7 +321,7 @@ def write_files(
     for file in filter(None, (folder() / "performance.json", options.json)):
         write_json(figures, file)
     if options.markdown is not None:
-        markdown.update(options.markdown, figures)
+        performance_tables.update(options.markdown, figures)
     if not options.no_chart:
         try:
             drawn = (folder() / "performance.svg", options.chart)

@@ -6,8 +6,8 @@ import configparser
 from collections.abc import Callable
 from typing import NamedTuple
 
-from tests.bench.bounds import Limits, Plan, Stop
-from tests.hostkit.piezo import POINT
+from tests.bench.lower_bounds import Limits, Plan, Stop
+from tests.hostkit.auto_z_offset import POINT
 from tests.simprinter import SCENES, Scene, heated
 from tests.simprinter.scenes import Sections
 from tests.simprinter.world.bed import Bed

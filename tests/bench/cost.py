@@ -15,7 +15,7 @@ from tests.simprinter.simulation import Simulation
 LOADINGS = 11
 # Of the host, loaded the same way for scale
 STOCK = "bed_mesh"
-_LOADING = Path(__file__).with_name("loading.py")
+_LOADING = Path(__file__).with_name("module_cost.py")
 
 
 def cpu_seconds(simulation: Simulation) -> float:

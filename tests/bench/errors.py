@@ -22,8 +22,8 @@ from tests.bench.commands import (
     Command,
 )
 from tests.bench.timing import FAILURES, OURS, Subject, reason
+from tests.hostkit.auto_z_offset import POINT
 from tests.hostkit.hosts import Host
-from tests.hostkit.piezo import POINT
 from tests.hostkit.printer import Printer
 from tests.hostkit.session import GcodeError
 from tests.simprinter import Scene

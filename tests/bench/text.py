@@ -7,8 +7,8 @@ import statistics
 from collections.abc import Iterable, Mapping, Sequence
 from typing import Any, Optional
 
-from tests.bench.bounds import PURPOSES, Part
 from tests.bench.commands import Command
+from tests.bench.lower_bounds import PURPOSES, Part
 from tests.bench.timing import OURS, RUNS, Outcome, Run
 
 Figures = Mapping[str, Any]

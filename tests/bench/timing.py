@@ -13,9 +13,9 @@ from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any, NamedTuple, Optional, Union
 
-from tests.bench.bounds import Part, Plan, lower_bound
 from tests.bench.commands import Command
 from tests.bench.cost import cpu_seconds
+from tests.bench.lower_bounds import Part, Plan, lower_bound
 from tests.hostkit.api import ApiError
 from tests.hostkit.hosts import Host, HostError
 from tests.hostkit.printer import Printer, module_files

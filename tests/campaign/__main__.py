@@ -25,10 +25,10 @@ from multiprocessing import get_context
 from pathlib import Path
 from typing import Any, Optional
 
-from tests.campaign import markdown
-from tests.campaign.faults import REFUSED, RIGHT, SHUT_DOWN
+from tests.campaign import reliability_tables
+from tests.campaign.drawn_printers import MODULES, Report
+from tests.campaign.fault_cases import REFUSED, RIGHT, SHUT_DOWN
 from tests.campaign.jobs import JOBS
-from tests.campaign.random_printers import MODULES, Report
 from tests.campaign.running import attempt_all, draw_all, figures, plan
 from tests.hostkit.hosts import Host, find_hosts
 
@@ -135,7 +135,7 @@ def main(arguments: Optional[Sequence[str]] = None) -> int:
     }
     report = write_json(options, about, table, reports)
     if options.markdown is not None:
-        markdown.update(options.markdown, report)
+        reliability_tables.update(options.markdown, report)
     return 0 if is_well(about, table, reports) else 1
 
 

@@ -12,7 +12,7 @@ from typing import Any
 
 from hypothesis import strategies as st
 
-from tests.campaign.machines import HOLDERS, Gantry, Plate, Sampling
+from tests.campaign.drawn_machines import HOLDERS, Gantry, Plate, Sampling
 from tests.simprinter.world import DriftSpec, NoiseSpec
 
 

@@ -6,7 +6,7 @@ from collections.abc import Mapping
 from dataclasses import dataclass, field
 from typing import Any, Optional
 
-from tests.hostkit import piezo
+from tests.hostkit import auto_z_offset
 from tests.hostkit.printer import Printer
 from tests.simprinter import SCENES, Scene
 from tests.simprinter.scenes import Sections
@@ -65,7 +65,7 @@ class Job:
             "currents": {n: d.current()[1:] for n, d in drivers.items()},
             "absolute": printer.status("gcode_move")["absolute_coordinates"],
             "status": printer.status(self.module),
-            "pending": piezo.pending(printer),
+            "pending": auto_z_offset.pending(printer),
             "printer.cfg": session.config_text(),
         }
 
@@ -174,18 +174,18 @@ def _piezo_jobs() -> list[Job]:
         "module": "auto_z_offset",
         "scene": _QIDI,
         "signals": _PIEZO,
-        "point": piezo.POINT,
+        "point": auto_z_offset.POINT,
         "lift": 3.6,
         "changes": changes,
     }
     # The first touch of all has no floor but the axis's
-    fresh = {"nozzle_bed": piezo.SENSOR - position_min}
+    fresh = {"nozzle_bed": auto_z_offset.SENSOR - position_min}
     known = {"nozzle_bed": FLOOR_MARGIN}
     gap = _QIDI.piezo_gap()
     commands = [
         ("PROBE", None),
         # Z=0 is z_offset below where the sensor has triggered
-        ("HOME_Z", OFFSET - piezo.DEPTH - piezo.AIR_GAP),
+        ("HOME_Z", OFFSET - auto_z_offset.DEPTH - auto_z_offset.AIR_GAP),
         ("MEASURE_OFFSET", None),
         ("CALIBRATE", gap),
     ]

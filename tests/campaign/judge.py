@@ -9,10 +9,10 @@ from itertools import groupby
 from pathlib import Path
 from typing import NamedTuple, Optional, Union
 
-from tests.campaign.piezo_case import PiezoCase
-from tests.campaign.piezo_printer import PiezoPrinter
-from tests.campaign.z_case import ZCase
-from tests.campaign.z_printer import ZPrinter
+from tests.campaign.auto_z_offset_case import PiezoCase
+from tests.campaign.auto_z_offset_printer import PiezoPrinter
+from tests.campaign.z_calibration_case import ZCase
+from tests.campaign.z_calibration_printer import ZPrinter
 from tests.hostkit.hosts import Host
 from tests.hostkit.printer import Printer
 from tests.hostkit.session import GcodeError

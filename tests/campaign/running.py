@@ -8,10 +8,10 @@ from collections.abc import Iterable, Sequence
 from concurrent.futures import Executor
 from typing import Any, NamedTuple
 
-from tests.campaign import faults, random_printers
-from tests.campaign.faults import Case, Outcome, Setting
+from tests.campaign import drawn_printers, fault_cases
+from tests.campaign.drawn_printers import Report
+from tests.campaign.fault_cases import Case, Outcome, Setting
 from tests.campaign.jobs import JOBS
-from tests.campaign.random_printers import Report
 from tests.hostkit.hosts import Host
 
 
@@ -21,7 +21,7 @@ class Plan(NamedTuple):
     host: Host
     job: str
     seed: int
-    good: faults.GoodRun
+    good: fault_cases.GoodRun
     cases: tuple[Case, ...]
 
 
@@ -50,11 +50,11 @@ def plan(
 
     share: which of how many parts of all.
     """
-    good = faults.good_run(host, JOBS[job], Setting(seed))
+    good = fault_cases.good_run(host, JOBS[job], Setting(seed))
     part, parts = share
     chosen = [
         case
-        for case in faults.cases(JOBS[job], good)
+        for case in fault_cases.cases(JOBS[job], good)
         if text in str(case) and zlib.crc32(str(case).encode()) % parts == part
     ]
     return Plan(host, job, seed, good, tuple(chosen))
@@ -63,7 +63,9 @@ def plan(
 def attempt(task: tuple[Plan, Case]) -> Done:
     """Run one case."""
     whole, case = task
-    outcome = faults.attempt(whole.host, case, whole.good, Setting(whole.seed))
+    outcome = fault_cases.attempt(
+        whole.host, case, whole.good, Setting(whole.seed)
+    )
     return Done(whole.host.name, whole.seed, outcome)
 
 
@@ -102,7 +104,7 @@ _PRINTERS = 10
 def draw(task: tuple[str, Host, int, int]) -> Report:
     """Try random printers: module, host, how many and from which seed on."""
     module, host, count, seed = task
-    return random_printers.run(module, host, count, seed)
+    return drawn_printers.run(module, host, count, seed)
 
 
 def draw_all(
@@ -118,4 +120,4 @@ def draw_all(
         )
         for first in range(0, count, _PRINTERS)
     ]
-    return random_printers.merged(list(pool.map(draw, tasks)))
+    return drawn_printers.merged(list(pool.map(draw, tasks)))

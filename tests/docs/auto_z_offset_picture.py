@@ -10,7 +10,7 @@ from __future__ import annotations
 from pathlib import Path
 from typing import NamedTuple
 
-from tests.demo_picture import Drawing, Scale, mm
+from tests.demo.picture import Drawing, Scale, mm
 from tests.docs.pictures import (
     MINUS,
     begin,

@@ -8,7 +8,7 @@ from __future__ import annotations
 import xml.etree.ElementTree as ET
 from collections.abc import Sequence
 
-from tests.demo_picture import Drawing
+from tests.demo.picture import Drawing
 
 MINUS = "\N{MINUS SIGN}"
 

@@ -7,7 +7,7 @@ from pathlib import Path
 
 import pytest
 
-from tests.bench import chart, markdown
+from tests.bench import chart, performance_tables
 from tests.bench.commands import COMMANDS
 from tests.bench.errors import OUTLIER, OUTLIER_CHANCE, UM
 
@@ -27,7 +27,7 @@ def document():
 def test_tables_are_those_of_the_figures(figures, document, tmp_path):
     copy = tmp_path / "performance.md"
     copy.write_text(document, encoding="utf-8")
-    markdown.update(copy, figures)
+    performance_tables.update(copy, figures)
     assert copy.read_text(encoding="utf-8") == document
 
 

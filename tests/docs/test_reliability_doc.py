@@ -7,9 +7,9 @@ from pathlib import Path
 
 import pytest
 
-from tests.campaign import faults, jobs, markdown
+from tests.campaign import fault_cases, jobs, reliability_tables
 from tests.campaign.__main__ import parse
-from tests.campaign.random_printers import MODULES, MOST_REFUSED
+from tests.campaign.drawn_printers import MODULES, MOST_REFUSED
 
 DOCS = Path(__file__).resolve().parents[2] / "docs"
 # Of each module, in the figures and in a run of one's own
@@ -30,7 +30,7 @@ def document():
 def test_tables_are_those_of_the_figures(figures, document, tmp_path):
     copy = tmp_path / "reliability.md"
     copy.write_text(document, encoding="utf-8")
-    markdown.update(copy, figures)
+    reliability_tables.update(copy, figures)
     assert copy.read_text(encoding="utf-8") == document
 
 
@@ -41,7 +41,7 @@ def test_every_command_was_tried_with_every_fault(figures):
         assert len(found["hosts"]) > 1
         assert found["runs"] == found["survived"] > 0
         kinds |= set(found["faults"])
-    assert kinds == set(markdown.KINDS)
+    assert kinds == set(reliability_tables.KINDS)
 
 
 def test_random_printers_are_enough(figures):
@@ -62,8 +62,8 @@ def test_document_says_what_is_judged(document):
     text = " ".join(document.split())
     for words in (
         f"{jobs.FLOOR_MARGIN:g} mm below where a trigger is expected",
-        f"within {faults.GAP_ERROR:.3f} mm of that of a run without",
-        f"strikes {faults.INTO_A_MOVE * 1e3:g} ms into it",
+        f"within {fault_cases.GAP_ERROR:.3f} mm of that of a run without",
+        f"strikes {fault_cases.INTO_A_MOVE * 1e3:g} ms into it",
         "at most half may be refused",
     ):
         assert words in text, words

@@ -1,0 +1,289 @@
+"""Random printers: each calibration leaves the right gap, or is refused.
+
+    python -m tests.campaign.drawn_printers --module z_calibration \\
+        --host klippy-l --seed 1 --count 300
+
+Hypothesis draws the printers, one for each seed from the given one on. So a
+printer that fails is drawn again by its own seed and a count of 1.
+"""
+
+from __future__ import annotations
+
+import argparse
+import sys
+from collections import Counter
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import NamedTuple, Optional
+
+import hypothesis
+from hypothesis import HealthCheck, Phase
+from hypothesis import strategies as st
+
+from tests.campaign import auto_z_offset_drawing, z_calibration_drawing
+from tests.campaign.auto_z_offset_printer import PiezoPrinter
+from tests.campaign.drawing import deviations, differences
+from tests.campaign.drawn_machines import KINEMATICS
+from tests.campaign.judge import Drawn, Verdict, shape, try_out
+from tests.campaign.z_calibration_printer import ZPrinter
+from tests.hostkit.hosts import Host, find_hosts
+
+MODULES = {
+    "z_calibration": z_calibration_drawing,
+    "auto_z_offset": auto_z_offset_drawing,
+}
+_STANDARD: dict[str, Drawn] = {
+    "z_calibration": ZPrinter(),
+    "auto_z_offset": PiezoPrinter(),
+}
+
+# So many printers are tried to find the simplest one that fails
+SIMPLER = 60
+# If more of the healthy printers are refused, a right gap proves little
+MOST_REFUSED = 0.5
+# Fewer than that are no share
+_SHARE = 20
+MOST_FAILURES = 5
+
+
+class Report(NamedTuple):
+    """How a campaign went.
+
+    right, refused: runs, the latter by the shape of its reason. healthy:
+    printers without a mistake, and refused ones of them. worst_um, worst:
+    largest error of a gap in um, and as a share of its bound. penetration: of
+    the nozzle into the bed at most, mm. drawn: how often what was not
+    standard. failures: what was wrong, and how to see it again.
+    """
+
+    runs: int
+    right: int
+    refused: Mapping[str, int]
+    healthy: int
+    healthy_refused: int
+    worst_um: float
+    worst: float
+    penetration: float
+    drawn: Mapping[str, int]
+    failures: tuple[str, ...]
+
+    def problems(self) -> tuple[str, ...]:
+        """Failures, and a campaign that says nothing; empty: all is well."""
+        found = self.failures
+        share = self.healthy_refused / max(1, self.healthy)
+        if self.healthy >= _SHARE and share > MOST_REFUSED:
+            text = f"{share:.0%} of the healthy printers were refused"
+            found += (text,)
+        return found
+
+    def text(self) -> str:
+        """For people."""
+        refused = sum(self.refused.values())
+        lines = [
+            f"{self.runs} printers: {self.right} right, {refused} refused,"
+            f" {len(self.failures)} wrong",
+            f"healthy: {self.healthy}, refused of them: {self.healthy_refused}",
+            f"worst gap: {self.worst_um:.1f} um off,"
+            f" and {self.worst:.0%} of its bound",
+            f"deepest in the bed: {self.penetration:.3f} mm",
+        ]
+        lines += [f"  {n:4} refused: {r}" for r, n in _most(self.refused)]
+        lines += [f"  {n:4} drawn: {name}" for name, n in _most(self.drawn)]
+        lines += [f"WRONG: {problem}" for problem in self.problems()]
+        return "\n".join(lines)
+
+
+def _most(counts: Mapping[str, int]) -> list[tuple[str, int]]:
+    return sorted(counts.items(), key=lambda item: (-item[1], item[0]))
+
+
+def merged(reports: list[Report]) -> Report:
+    """One report of several."""
+    return Report(
+        runs=sum(r.runs for r in reports),
+        right=sum(r.right for r in reports),
+        refused=sum((Counter(r.refused) for r in reports), Counter()),
+        healthy=sum(r.healthy for r in reports),
+        healthy_refused=sum(r.healthy_refused for r in reports),
+        worst_um=max(r.worst_um for r in reports),
+        worst=max(r.worst for r in reports),
+        penetration=max(r.penetration for r in reports),
+        drawn=sum((Counter(r.drawn) for r in reports), Counter()),
+        failures=sum((r.failures for r in reports), ()),
+    )
+
+
+def printers_for(module: str, host: Host) -> st.SearchStrategy:
+    """Printers that a host can drive."""
+    klippy = (host.directory / "base" / host.layout.module_dir).parent
+    known = tuple(
+        name
+        for name in KINEMATICS
+        if (klippy / "kinematics" / f"{name}.py").is_file()
+    )
+    return MODULES[module].printers(known)
+
+
+@dataclass
+class _Attempts:
+    """Tries printers of one seed, each of them once.
+
+    simpler: how many more after one has failed.
+    """
+
+    module: str
+    host: Host
+    modules: Optional[Mapping[str, Path]]
+    simpler: int
+    found: dict[Drawn, Optional[Exception]] = field(default_factory=dict)
+    first: Optional[tuple[Drawn, Optional[Verdict]]] = None
+    last_failed: Optional[Drawn] = None
+
+    def check(self, drawn: Drawn) -> None:
+        """The body of hypothesis' test."""
+        # Its first draw is always the simplest one, whatever the seed
+        if drawn == _STANDARD[self.module]:
+            return
+        if drawn not in self.found:
+            if self.last_failed is not None:
+                self.simpler -= 1
+            if self.simpler < 0:
+                return
+            self._try(drawn)
+        error = self.found[drawn]
+        if error is not None:
+            self.last_failed = drawn
+            raise error
+
+    def _try(self, drawn: Drawn) -> None:
+        verdict = None
+        try:
+            verdict = try_out(drawn, self.host, self.modules)
+            self.found[drawn] = None
+        except Exception as error:  # noqa: BLE001 - whatever it is, it is shown
+            self.found[drawn] = error
+        if self.first is None:
+            self.first = drawn, verdict
+
+    def failure(self, seed: int) -> str:
+        """What was wrong with the simplest, and how to see it again."""
+        assert self.last_failed is not None and self.first is not None
+        error = self.found[self.last_failed]
+        assert error is not None
+        return (
+            f"{type(error).__name__}: {error}\n"
+            f"  simplest: {differences(self.last_failed)}\n"
+            f"  drawn:    {differences(self.first[0])}\n"
+            f"  again:    python -m tests.campaign.drawn_printers"
+            f" --module {self.module} --host {self.host.name} --seed {seed}"
+            " --count 1"
+        )
+
+
+def _attempt(attempts: _Attempts, seed: int) -> bool:
+    """Draw and try the printer of a seed; whether it was right or refused."""
+    phases = [Phase.generate]
+    if attempts.simpler:
+        phases.append(Phase.shrink)
+    test = hypothesis.given(printers_for(attempts.module, attempts.host))(
+        attempts.check
+    )
+    test = hypothesis.settings(
+        max_examples=2,
+        database=None,
+        deadline=None,
+        phases=phases,
+        suppress_health_check=list(HealthCheck),
+        report_multiple_bugs=False,
+        print_blob=False,
+    )(test)
+    try:
+        hypothesis.seed(seed)(test)()
+    except Exception:  # noqa: BLE001 - kept with the printer that it is of
+        return False
+    return True
+
+
+class _Campaign:
+    """Counts what comes out."""
+
+    def __init__(self) -> None:
+        self.runs = self.right = self.healthy = self.healthy_refused = 0
+        self.refused: Counter[str] = Counter()
+        self.drawn: Counter[str] = Counter()
+        self.worst_um = self.worst = self.penetration = 0.0
+        self.failures: list[str] = []
+
+    def count(self, drawn: Drawn, verdict: Optional[Verdict]) -> None:
+        """One run; verdict: None if it was wrong."""
+        self.runs += 1
+        self.healthy += not drawn.mistake
+        self.drawn.update(deviations(drawn))
+        if verdict is None:
+            return
+        self.penetration = max(self.penetration, verdict.penetration)
+        if verdict.refused:
+            self.refused[shape(verdict.refused)] += 1
+            self.healthy_refused += not drawn.mistake
+            return
+        self.right += 1
+        self.worst_um = max(self.worst_um, 1000.0 * abs(verdict.error))
+        self.worst = max(self.worst, abs(verdict.error) / verdict.bound)
+
+    def report(self) -> Report:
+        """All there is to say."""
+        fields = {name: getattr(self, name) for name in Report._fields}
+        return Report(**{**fields, "failures": tuple(self.failures)})
+
+
+def run(
+    module: str,
+    host: Host,
+    count: int,
+    seed: int,
+    modules: Optional[Mapping[str, Path]] = None,
+    simpler: int = SIMPLER,
+    most_failures: int = MOST_FAILURES,
+) -> Report:
+    """Try the printers of count seeds from seed on, or until too many fail.
+
+    modules: by their name (default: the repository's). simpler: how many
+    printers may be tried to make a failing one simpler.
+    """
+    campaign = _Campaign()
+    for number in range(seed, seed + count):
+        attempts = _Attempts(module, host, modules, simpler)
+        is_well = _attempt(attempts, number)
+        assert attempts.first is not None, f"seed {number} draws nothing"
+        campaign.count(*attempts.first)
+        if not is_well:
+            campaign.failures.append(attempts.failure(number))
+            if len(campaign.failures) >= most_failures:
+                break
+    return campaign.report()
+
+
+def main() -> int:
+    """From the command line; 1 if something was wrong."""
+    hosts = {host.name: host for host in find_hosts()}
+    parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
+    parser.add_argument("--module", choices=MODULES, required=True)
+    parser.add_argument("--host", choices=hosts, required=True)
+    parser.add_argument("--seed", type=int, default=1)
+    parser.add_argument("--count", type=int, default=1)
+    parser.add_argument("--simpler", type=int, default=SIMPLER)
+    wanted = parser.parse_args()
+    report = run(
+        wanted.module,
+        hosts[wanted.host],
+        wanted.count,
+        wanted.seed,
+        simpler=wanted.simpler,
+    )
+    print(report.text())
+    return 1 if report.problems() else 0
+
+
+if __name__ == "__main__":
+    sys.exit(main())

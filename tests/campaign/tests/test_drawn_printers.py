@@ -1,0 +1,225 @@
+"""How random printers are drawn, bounded and counted, without a host."""
+
+from __future__ import annotations
+
+import re
+from dataclasses import replace
+
+import pytest
+
+from tests.campaign import (
+    auto_z_offset_mistakes,
+    drawn_printers,
+    z_calibration_mistakes,
+)
+from tests.campaign.auto_z_offset_printer import PiezoPrinter
+from tests.campaign.drawing import deviations
+from tests.campaign.drawn_machines import KINEMATICS, Gantry, Sampling, inverted
+from tests.campaign.drawn_printers import MODULES, merged, run
+from tests.campaign.gap_bounds import (
+    Interval,
+    frame_bound,
+    has_outlier,
+    hidden_outlier,
+    may_differ,
+    rest,
+)
+from tests.campaign.judge import Verdict, WrongError, case_of, shape
+from tests.campaign.z_calibration_printer import ZPrinter
+from tests.simprinter.world import NoiseSpec, Touch
+
+MODULE = "z_calibration"
+MISTAKES = {
+    "z_calibration": z_calibration_mistakes.MISTAKES,
+    "auto_z_offset": auto_z_offset_mistakes.MISTAKES,
+}
+STANDARD = (ZPrinter(), PiezoPrinter())
+RIGHT = Verdict(error=-0.002, bound=0.004, penetration=0.1)
+
+
+class AnyHost:
+    """What a host has that draws of printers ask for."""
+
+    name = "any"
+
+    class Layout:
+        module_dir = "extras"
+
+    layout = Layout()
+
+    def __init__(self, path):
+        self.directory = path
+
+
+@pytest.fixture
+def any_host(tmp_path):
+    """A host with all kinematics."""
+    folder = tmp_path / "base" / "kinematics"
+    folder.mkdir(parents=True)
+    for name in KINEMATICS:
+        (folder / f"{name}.py").touch()
+    return AnyHost(tmp_path)
+
+
+@pytest.fixture
+def judged(monkeypatch):
+    """judged(judge): printers are judged by that; all that were."""
+    seen = []
+
+    def install(judge):
+        def try_out(drawn, host, modules):
+            seen.append(drawn)
+            return judge(drawn)
+
+        monkeypatch.setattr(drawn_printers, "try_out", try_out)
+        return seen
+
+    return install
+
+
+def no_mistake(drawn):
+    """A judge whom only a mistake annoys."""
+    if drawn.mistake:
+        raise WrongError("a mistake")
+    return RIGHT
+
+
+def refuse_healthy(drawn):
+    """A judge for whom every healthy printer was refused."""
+    return RIGHT if drawn.mistake else Verdict(refused="not today at z=1.5")
+
+
+def touch(site, x=0.0):
+    """A touch of a site."""
+    return Touch(0.0, site, x, 0.0, 0.0, 0.0)
+
+
+@pytest.mark.parametrize("module", MODULES)
+def test_same_seed_draws_the_same_printers(any_host, judged, module):
+    seen = judged(lambda drawn: RIGHT)
+    run(module, any_host, 5, seed=7)
+    run(module, any_host, 5, seed=7)
+    assert seen[:5] == seen[5:]
+    assert len(set(seen)) == 5
+
+
+@pytest.mark.parametrize("module", MODULES)
+def test_draws_are_of_all_kinds(any_host, judged, module):
+    seen = judged(lambda drawn: case_of(drawn).scene and RIGHT)
+    assert not run(module, any_host, 60, seed=1).failures
+    kinematics = {printer.gantry.kinematics for printer in seen}
+    assert kinematics == set(KINEMATICS)
+    assert {len(printer.gantry.names) for printer in seen} == {1, 2, 3, 4}
+    mistaken = [printer for printer in seen if printer.mistake]
+    assert 10 < len(mistaken) < 30
+
+
+@pytest.mark.parametrize("board", ["", "probe"])
+@pytest.mark.parametrize("standard", STANDARD, ids=lambda drawn: "")
+def test_every_mistake_changes_the_scene(standard, board):
+    standard = replace(standard, other_board=board)
+    healthy = case_of(standard).scene
+    for mistake in MISTAKES[case_of(standard).module]:
+        assert case_of(replace(standard, mistake=mistake)).scene != healthy
+
+
+def test_standard_printers_are_the_simplest():
+    for standard in STANDARD:
+        assert list(deviations(standard)) == []
+        assert not standard.mistake
+
+
+def test_failure_is_made_simpler_and_drawn_again_by_its_seed(any_host, judged):
+    seen = judged(no_mistake)
+    report = run(MODULE, any_host, 30, seed=1, most_failures=1)
+    (failure,) = report.failures
+    simplest = re.search(r"simplest: (.*)", failure).group(1)
+    assert simplest.startswith("mistake=")
+    number = re.search(r"--seed (\d+) --count 1", failure).group(1)
+    first = next(printer for printer in seen if printer.mistake)
+    seen.clear()
+    run(MODULE, any_host, 1, seed=int(number), simpler=0)
+    assert seen == [first]
+
+
+def test_campaign_that_refuses_healthy_printers_fails(any_host, judged):
+    judged(refuse_healthy)
+    report = run(MODULE, any_host, 40, seed=1)
+    assert not report.failures
+    assert report.healthy == report.healthy_refused > 20
+    assert "100% of the healthy printers were refused" in report.text()
+    assert set(report.refused) == {"not today at z=#"}
+
+
+def test_reports_are_added(any_host, judged):
+    judged(lambda drawn: RIGHT)
+    reports = [run(MODULE, any_host, 4, seed=seed) for seed in (1, 5)]
+    both = merged(reports)
+    assert both == run(MODULE, any_host, 8, seed=1)
+    assert (both.runs, both.right) == (8, 8)
+    assert (both.worst_um, both.worst) == (2.0, 0.5)
+
+
+@pytest.mark.parametrize(
+    ("gap", "error"),
+    [(0.0, -0.1), (0.1, 0.0), (0.15, 0.0), (0.2, 0.0), (0.25, 0.05)],
+)
+def test_error_counts_from_the_nearest_right_gap(gap, error):
+    assert Interval(0.1, 0.2, 0.0).error(gap) == pytest.approx(error)
+
+
+def test_way_of_whole_steps_costs_nothing():
+    assert rest(2.0, 0.0025) == pytest.approx(0.0)
+    assert rest(2.001, 0.0025) == pytest.approx(0.001)
+    assert rest(2.0015, 0.0025) == pytest.approx(0.001)
+
+
+def test_frame_moves_with_every_way_that_is_no_whole_step():
+    gantry, retracts = Gantry(), {"a": 2.001, "b": 2.0}
+
+    def bound(sites):
+        return frame_bound(gantry, [touch(site) for site in sites], retracts)
+
+    assert bound("ab") == pytest.approx(2.0 * gantry.step)
+    assert bound("aab") == pytest.approx(2.0 * gantry.step + 0.001)
+    assert bound("abb") == pytest.approx(2.0 * gantry.step)
+    assert bound("aba") == pytest.approx(2.5 * gantry.step)
+
+
+@pytest.mark.parametrize(
+    ("samples", "tolerance", "hidden"),
+    [(1, 0.01, 0.1), (2, 0.01, 0.1), (3, 0.01, 0.0), (3, 0.2, 0.1)],
+)
+def test_outlier_hides_where_samples_cannot_tell_it(samples, tolerance, hidden):
+    noise = NoiseSpec(outlier_chance=0.02, outlier_size=-0.1)
+    sampling = Sampling(tolerance=tolerance)
+    assert hidden_outlier(noise, sampling, samples, 0.0025) == hidden
+
+
+@pytest.mark.parametrize(
+    ("chance", "far", "found"),
+    [(0.02, 0.06, True), (0.02, 0.04, False), (0.0, 0.06, False)],
+)
+def test_outlier_is_known_by_its_height(chance, far, found):
+    noise = NoiseSpec(outlier_chance=chance, outlier_size=0.1)
+    assert has_outlier([touch("a")], noise, lambda touch: far) is found
+
+
+def test_samples_may_differ_by_their_noise():
+    sampling = Sampling(tolerance=0.02)
+    assert not may_differ(NoiseSpec(sigma=0.001), sampling, 0.0025)
+    assert may_differ(NoiseSpec(sigma=0.002), sampling, 0.0025)
+
+
+def test_shape_of_a_reason_has_no_numbers():
+    assert shape("stopped at z=-1.25 (2 mm)\nRestart") == (
+        "stopped at z=# (# mm)"
+    )
+
+
+@pytest.mark.parametrize(
+    ("pin", "other"),
+    [("^PC2", "^!PC2"), ("^!PC2", "^PC2"), ("PC1", "!PC1"), ("!PC1", "PC1")],
+)
+def test_inverted_pin(pin, other):
+    assert inverted(pin) == other

@@ -1,0 +1,107 @@
+"""examples/auto_z_offset: each is loaded and used, on every host.
+
+As an owner would: the file's sections in printer.cfg, its macro to calibrate,
+a bed mesh, SAVE_CONFIG, and its PRINT_START.  Only pins, and where the probe
+hangs, are the simulated machine's.
+"""
+
+from __future__ import annotations
+
+import configparser
+from dataclasses import replace
+from pathlib import Path
+
+import pytest
+
+from tests.hostkit.auto_z_offset import MICROSTEP, POINT, told
+from tests.hostkit.z_calibration_corpus import indented
+from tests.simprinter import SCENES
+
+EXAMPLES = Path(__file__).resolve().parents[2] / "examples" / "auto_z_offset"
+# Scene, and the file's pins with those of the scene
+MACHINES = {
+    "q1_pro": ("qidi_two_boards", {"!gpio21": "^!PF0"}),
+    "plus4": ("qidi", {"^!Toolhead:PA10": "^!PF0"}),
+    "x_max3": ("qidi", {"^!MKS_THR:gpio21": "^!PF0", "^PC3": "PC1"}),
+}
+MESH = {
+    "speed": "150",
+    "horizontal_move_z": "5",
+    "mesh_min": "40,40",
+    "mesh_max": "200,200",
+    "probe_count": "3,3",
+}
+LEVELLING = {
+    "z_positions": "\n  -30,122\n  275,122",
+    "points": "\n  40,122\n  190,122",
+    "speed": "150",
+    "horizontal_move_z": "5",
+}
+
+
+def sections_of(path):
+    """The sections of a file, as Klipper reads them."""
+    parser = configparser.RawConfigParser(
+        strict=False, inline_comment_prefixes=(";", "#")
+    )
+    parser.read_string(path.read_text(encoding="utf-8"))
+    return {
+        name: {key: indented(value) for key, value in parser.items(name)}
+        for name in parser.sections()
+    }
+
+
+def machine_of(name):
+    """The scene that the file is for, and the changes that it makes."""
+    scene_name, pins = MACHINES[name]
+    scene = SCENES[scene_name]
+    sections = sections_of(EXAMPLES / f"{name}.cfg")
+    for section in sections.values():
+        if section.get("pin") in pins:
+            section["pin"] = pins[section["pin"]]
+    probe = sections["probe"]
+    offsets = float(probe["x_offset"]), float(probe["y_offset"])
+    home = f"{POINT[0] - offsets[0]}, {POINT[1] - offsets[1]}"
+    switched = "output_pin bed_sensor" in sections
+    world = scene.world
+    scene = scene.with_world(
+        inductive=replace(
+            world.inductive, x_offset=offsets[0], y_offset=offsets[1]
+        ),
+        bed_sensor=replace(world.bed_sensor, enable_output=switched),
+    )
+    if not switched:
+        wiring = replace(scene.wiring, outputs={})
+        scene = replace(scene, wiring=wiring)
+    gone = ("probe", "output_pin bed_sensor", "auto_z_offset")
+    kept = {n: s for n, s in scene.sections.items() if n not in gone}
+    changes = {
+        **sections,
+        "bed_mesh": MESH,
+        "z_tilt": LEVELLING,
+        "safe_z_home": {"home_xy_position": home},
+    }
+    return replace(scene, sections=kept), changes
+
+
+@pytest.mark.spread
+@pytest.mark.parametrize("name", sorted(MACHINES))
+def test_example_prints_at_the_right_height(start, name):
+    scene, changes = machine_of(name)
+    own = changes["auto_z_offset"]
+    speed = float(own["speed"])
+    gap = float(own["z_offset"]) - scene.piezo_depth(speed)
+    printer = start(scene, changes=changes)
+    printer.session.require_ready()
+    lines = printer.run("CALIBRATE_OFFSET BED=40")
+    assert told(lines, "AUTO_Z_CALIBRATE: average of 3")
+    assert printer.gap(POINT) == pytest.approx(gap, abs=2 * MICROSTEP)
+    printer.run("BED_MESH_CALIBRATE")
+    printer.session.restart("SAVE_CONFIG")
+    printer.run("PRINT_START BED=40 EXTRUDER=180")
+    # The mesh is between its points over there
+    assert printer.gap(POINT) == pytest.approx(gap, abs=4 * MICROSTEP)
+
+
+def test_every_example_is_run():
+    assert {path.stem for path in EXAMPLES.glob("*.cfg")} == set(MACHINES)

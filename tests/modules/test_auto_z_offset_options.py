@@ -1,0 +1,802 @@
+"""Every option of [auto_z_offset]: that it does something, and what."""
+
+from __future__ import annotations
+
+from contextlib import ExitStack
+from dataclasses import replace
+
+import pytest
+
+from tests.hostkit.auto_z_offset import (
+    AIR_GAP,
+    DEPTH,
+    MICROSTEP,
+    POINT,
+    PROBE_PLACE,
+    SENSOR,
+    formulas,
+    section,
+    sites,
+    state,
+    told,
+    touches,
+    true_gap,
+    with_extras,
+    world,
+)
+from tests.hostkit.printer import Printer, module_files
+from tests.hostkit.z_calibration import refusal
+from tests.simprinter import SCENES, Fault
+
+pytestmark = pytest.mark.spread
+
+STEPS = 2 * MICROSTEP
+PREPARE = SCENES["qidi"].sections["auto_z_offset"]["prepare_gcode"]
+# Takes no time and moves nothing
+JUST_ON = "SET_PIN PIN=bed_sensor VALUE=1"
+
+
+@pytest.fixture
+def start(some_host):
+    """start() of all tests, on one host a test: there are many tables here."""
+    with ExitStack() as stack:
+        yield lambda *args, **options: stack.enter_context(
+            Printer(some_host, *args, **options)
+        )
+
+
+def measured(printer, command="AUTO_Z_MEASURE_OFFSET"):
+    """The numbers of one measurement."""
+    return formulas(printer.run(command))[-1]
+
+
+def ends(printer):
+    """Where moves of the module have ended: x, y, z in mm."""
+    return printer.status("moves")["ends"]
+
+
+def moving(start, faults=(), **options):
+    """A printer that notes moves, homed, with nothing in prepare_gcode."""
+    changes = {"moves": {}, **section(prepare_gcode=JUST_ON, **options)}
+    printer = start(
+        "qidi", changes=changes, modules=with_extras("moves"), faults=faults
+    )
+    return printer.homed()
+
+
+def seconds(printer, script):
+    """Printer seconds that a script takes."""
+    clock = printer.machine.simulation.clock
+    before = clock.now()
+    printer.run(f"{script}\nM400")
+    return (clock.now() - before) / 1e9
+
+
+# What a file need not say
+
+
+def test_defaults(start):
+    own = SCENES["qidi"].sections["auto_z_offset"]
+    left_out = {
+        name: None for name in own if name not in ("pin", "prepare_gcode")
+    }
+    changes = {
+        "moves": {},
+        "touches": {},
+        "stepper_z": {"position_min": "-1.4"},
+        "auto_z_offset": {**left_out, "prepare_gcode": JUST_ON},
+    }
+    modules = with_extras("moves", "touches")
+    printer = start("qidi", changes=changes, modules=modules).homed()
+    first = len(printer.machine.truth.touches)
+    homing = len(printer.status("touches")["seen"])
+    before = len(ends(printer))
+    lines = printer.run("AUTO_Z_CALIBRATE")
+    found = formulas(lines)
+    # offset_samples 3, samples 1, z_offset 0.2, speed 5
+    assert len(found) == 3
+    assert sites(printer, first).count("nozzle_bed") == 3
+    assert found[0].z_offset == AIR_GAP
+    assert found[0].sensor == pytest.approx(SENSOR, abs=STEPS)
+    assert told(lines, "AUTO_Z_CALIBRATE: average of 3")
+    # probe_hop 4
+    heights = {round(end[2] - SENSOR) for end in ends(printer)[before + 1 :]}
+    assert 4 in heights
+    # z_current_factor 0.33, no probe_accel
+    seen = printer.status("touches")["seen"][homing]
+    assert seen["currents"]["stepper_z"] == pytest.approx(0.264, abs=0.02)
+    assert seen["max_accel"] == printer.status("toolhead")["max_accel"]
+
+
+def test_defaults_of_several_samples(start):
+    # 0.08 mm apart is fine, 0.12 is not; nothing is tried again
+    for early, good in ((0.08, True), (0.12, False)):
+        fault = Fault("trigger_early", signal="bed_sensor", mm=early, n=2)
+        printer = moving(
+            start,
+            [fault],
+            samples="2",
+            samples_tolerance=None,
+            samples_tolerance_retries=None,
+            sample_retract_dist=None,
+            samples_result=None,
+        )
+        if good:
+            parts = measured(printer)
+            average = SENSOR + early / 2.0
+            assert parts.sensor == pytest.approx(average, abs=STEPS)
+            tops = [end[2] - SENSOR for end in ends(printer)]
+            assert min(abs(top - 3.0) for top in tops) < 0.01
+        else:
+            text = printer.fail("AUTO_Z_MEASURE_OFFSET")
+            assert "samples_tolerance is 0.1000 mm" in text
+
+
+# Heights
+
+
+@pytest.mark.parametrize("z_offset", ["0", "0.05", "0.2", "-0.1"])
+def test_air_gap(start, z_offset):
+    changes = section(z_offset=z_offset)
+    printer = start("qidi", changes=changes).homed()
+    # A nozzle inside the bed is what the user asked for
+    printer.machine.tolerate("nozzle_bed", 0.2)
+    lines = printer.run("AUTO_Z_CALIBRATE")
+    gap = float(z_offset) - DEPTH
+    assert true_gap(printer) == pytest.approx(gap, abs=STEPS)
+    at_start = told(printer.session.console, "mm inside the bed")
+    inside = told(lines, "at Z=0 the nozzle is 0.100 mm inside the bed")
+    if float(z_offset) < 0:
+        # At the start and with the result
+        assert (len(inside), len(at_start)) == (1, 2)
+        assert "z_offset -0.100" in inside[0]
+        assert "write it without the minus sign" in inside[0]
+        lines = printer.run("AUTO_Z_MEASURE_OFFSET")
+        assert len(told(lines, "mm inside the bed")) == 1
+    else:
+        assert at_start == []
+
+
+@pytest.mark.parametrize("hop", ["4.0", "12.5"])
+def test_probe_hop(start, hop):
+    printer = moving(start, probe_hop=hop)
+    before = len(ends(printer))
+    z = measured(printer).sensor
+    moves = ends(printer)[before:]
+    # Travel before anything is known, then above the trigger, twice
+    assert moves[0][2] == pytest.approx(max(10.0, float(hop)), abs=1e-3)
+    over_bed = [m[:2] == list(POINT) for m in moves].index(True)
+    to_probe = [m for m in moves[over_bed:] if m[:2] == list(PROBE_PLACE)]
+    assert to_probe[0][2] == pytest.approx(z + float(hop), abs=0.01)
+    assert moves[-1][2] == pytest.approx(z + float(hop), abs=0.01)
+
+
+def test_first_travel_is_a_hop_above_what_the_probe_says(start):
+    changes = {"probe": {"z_offset": "2.2"}}
+    modules = with_extras("moves")
+    changes.update({"moves": {}, **section(probe_hop="9")})
+    printer = start("qidi", changes=changes, modules=modules).homed()
+    before = len(ends(printer))
+    printer.run("AUTO_Z_MEASURE_OFFSET")
+    assert ends(printer)[before][2] == pytest.approx(11.2, abs=1e-3)
+
+
+def test_bed_position(start):
+    printer = start("qidi", changes=section(bed_xy_position="60, 180")).homed()
+    first = len(printer.machine.truth.touches)
+    printer.run("AUTO_Z_MEASURE_OFFSET")
+    unused, nozzle, probe = touches(printer, first)
+    assert (nozzle.x, nozzle.y) == pytest.approx((60.0, 180.0), abs=0.02)
+    there = (60.0 - 17.6, 180.0 - 4.4)
+    assert (probe.x, probe.y) == pytest.approx(there, abs=0.02)
+
+
+def test_middle_is_between_both_ends_of_the_axes(start):
+    changes = {"stepper_x": {"position_max": "205"}}
+    changes["safe_z_home"] = {"home_xy_position": "100, 122"}
+    printer = start("qidi", changes=changes).homed()
+    first = len(printer.machine.truth.touches)
+    printer.run("AUTO_Z_MEASURE_OFFSET")
+    nozzle = touches(printer, first)[1]
+    middle = ((205 - 5.5) / 2.0, POINT[1])
+    assert (nozzle.x, nozzle.y) == pytest.approx(middle, abs=0.02)
+
+
+@pytest.mark.parametrize(
+    ("options", "z", "why"),
+    [
+        ({"probe_z_min": "-1.1"}, -1.1, "probe_z_min"),
+        ({}, -4.0, "position_min of section 'stepper_z'"),
+        ({"probe_z_min": "-7"}, -4.0, "position_min of section 'stepper_z'"),
+    ],
+)
+def test_floor(start, options, z, why):
+    changes = section(**options)
+    fault = Fault("stuck_open", signal="bed_sensor", n=1)
+    printer = start("qidi", changes=changes, faults=[fault])
+    printer.machine.tolerate("nozzle_bed", max(0.0, SENSOR - z) + 0.02)
+    text = printer.homed().fail("AUTO_Z_MEASURE_OFFSET")
+    assert "bed sensor: No trigger" in text
+    assert f"(stopped at z={z:.3f})" in text
+    assert f"the floor of this touch, which is {why}" in text
+    assert printer.machine.truth.min_gap == pytest.approx(1.2695 + z, abs=STEPS)
+    told_so = told(printer.session.console, "'probe_z_min: -7' is ignored")
+    assert len(told_so) == (1 if options.get("probe_z_min") == "-7" else 0)
+
+
+@pytest.mark.parametrize("own", ["-50", None])
+def test_floor_is_never_below_ten_mm(start, own):
+    changes = {
+        "stepper_z": {"position_min": "-60"},
+        **section(probe_z_min=own),
+    }
+    fault = Fault("stuck_open", signal="bed_sensor", n=1)
+    printer = start("qidi", changes=changes, faults=[fault])
+    printer.machine.tolerate("nozzle_bed", 10.0)
+    text = printer.homed().fail("AUTO_Z_PROBE")
+    assert "(stopped at z=-10.000)" in text
+    assert "which is the limit of auto_z_offset" in text
+
+
+# Speeds
+
+
+def test_speed_of_the_nozzle(start):
+    # The sensor's latency makes it deeper the faster it is
+    for speed in (2.0, 5.0, 9.0):
+        printer = moving(start, speed=str(speed))
+        deeper = 0.002 * (speed - 5.0)
+        z = measured(printer).sensor
+        assert z == pytest.approx(SENSOR - deeper, abs=STEPS)
+
+
+@pytest.mark.parametrize("saved", [None, "-1.12"])
+def test_every_touch_has_the_same_speed(start, saved):
+    # 0.9 mm to stop: further than the floor would be below the bed
+    printer = moving(
+        start,
+        speed="10",
+        probe_accel="50",
+        samples="3",
+        samples_tolerance="0.003",
+        samples_tolerance_retries="0",
+        probe_z_correction=saved,
+    )
+    printer.run("AUTO_Z_CALIBRATE")
+    z = printer.status("auto_z_offset")["last_z"]
+    # 9.49 mm/s
+    assert z == pytest.approx(SENSOR - 0.002 * 4.5, abs=STEPS)
+
+
+def test_floor_leaves_room_to_brake(start):
+    # 0.64 mm from 8 mm/s, and a reserve
+    fault = Fault("trigger_never", signal="bed_sensor", n=2)
+    printer = moving(start, [fault], speed="8", probe_accel="50")
+    printer.machine.tolerate("nozzle_bed", 1.2)
+    text = printer.fail("AUTO_Z_CALIBRATE")
+    assert "0.740 mm below the expected trigger at z=-1.3" in text
+    assert told(printer.session.console, "is limited to") == []
+
+
+@pytest.mark.parametrize("speed", ["13", "30"])
+def test_speed_is_limited_by_the_room_below_the_bed(start, speed):
+    fault = Fault("trigger_never", signal="bed_sensor", n=2)
+    printer = moving(start, [fault], speed=speed, probe_accel="50")
+    printer.machine.tolerate("nozzle_bed", 1.1)
+    (line,) = told(printer.session.console, "is limited to")
+    assert f"speed {speed} is limited to 9.49 mm/s on the bed sensor" in line
+    assert "with 50 mm/s^2 the head could not stop" in line
+    text = printer.fail("AUTO_Z_CALIBRATE")
+    assert "1.000 mm below the expected trigger at z=-1.3" in text
+
+
+def test_acceleration_of_the_z_axis_counts(start):
+    # Slower than what the axes together are allowed
+    fault = Fault("trigger_never", signal="bed_sensor", n=2)
+    changes = {"printer": {"max_z_accel": "25"}, **section(speed="5")}
+    printer = start("qidi", changes=changes, faults=[fault])
+    printer.machine.tolerate("nozzle_bed", 1.0)
+    text = printer.homed().fail("AUTO_Z_CALIBRATE")
+    assert "0.600 mm below the expected trigger at z=-1.3" in text
+
+
+def test_speed_of_the_probe(start):
+    # A probe that is 20 ms late
+    inductive = SCENES["qidi"].world.inductive
+    late = replace(inductive.noise, latency=0.02)
+    scene = world(inductive=replace(inductive, noise=late))
+    found = {}
+    for speed in (2.0, 10.0):
+        changes = section(speed=str(speed), samples_tolerance="0.1")
+        printer = start(scene, changes=changes).homed()
+        found[speed] = measured(printer).probe
+    assert found[2.0] - found[10.0] == pytest.approx(0.02 * 8.0, abs=STEPS)
+
+
+@pytest.mark.parametrize("samples", [1, 2])
+def test_lift_speed(start, samples):
+    # Five mm of hop each, counted from the bed, and three of retract
+    took = {}
+    for speed in (2.0, 20.0):
+        printer = moving(
+            start, lift_speed=str(speed), samples=str(samples), probe_accel="0"
+        )
+        printer.run("AUTO_Z_PROBE")
+        took[speed] = seconds(printer, "AUTO_Z_MEASURE_OFFSET")
+    lifted = 5.0 + 5.0 + 2 * 3.0 * (samples - 1)
+    assert took[2.0] - took[20.0] == pytest.approx(
+        lifted * (1 / 2.0 - 1 / 20.0), abs=0.35
+    )
+
+
+def test_driver_gets_time_to_settle(start, tmp_path):
+    # After either change of the current
+    text = module_files()["auto_z_offset"].read_text()
+    took = []
+    for settle in ("0.2", "1.2"):
+        source = tmp_path / f"auto_{settle}.py"
+        changed = text.replace("SETTLE_TIME = 0.2", f"SETTLE_TIME = {settle}")
+        source.write_text(changed)
+        changes = section(prepare_gcode=JUST_ON)
+        modules = {"auto_z_offset": source}
+        printer = start("qidi", changes=changes, modules=modules).homed()
+        printer.run("AUTO_Z_PROBE")
+        took.append(seconds(printer, "AUTO_Z_PROBE"))
+    assert took[1] - took[0] == pytest.approx(2.0, abs=0.1)
+
+
+# Samples
+
+
+def test_samples_are_taken_of_both_sensors(start):
+    printer = moving(start, samples="4")
+    first = len(printer.machine.truth.touches)
+    lines = printer.run("AUTO_Z_MEASURE_OFFSET")
+    assert len(told(lines, "bed sensor: triggered at z=")) == 4
+    assert len(told(lines, "auto_z_offset: probe: triggered at z=")) == 4
+    at_probe = [
+        touch
+        for touch in touches(printer, first)
+        if (touch.x, touch.y) == pytest.approx(PROBE_PLACE, abs=0.02)
+    ]
+    assert len(at_probe) == 4
+    assert sites(printer, first).count("nozzle_bed") == 4
+
+
+@pytest.mark.parametrize("retract", ["2.5", "6"])
+def test_sample_retract_dist(start, retract):
+    printer = moving(start, samples="2", sample_retract_dist=retract)
+    before = len(ends(printer))
+    parts = measured(printer)
+    tops = [end[2] for end in ends(printer)[before:]]
+    for z in (parts.sensor, parts.probe):
+        top = z + float(retract)
+        assert min(abs(top - each) for each in tops) < 0.01
+
+
+@pytest.mark.parametrize(
+    ("result", "share"),
+    [("average", 1 / 3), ("AVERAGE", 1 / 3), ("median", 0.0), ("Median", 0.0)],
+)
+@pytest.mark.parametrize("signal", ["bed_sensor", "probe"])
+def test_samples_result(start, result, share, signal):
+    # The second of three is 0.06 mm early
+    n = 2 if signal == "bed_sensor" else 4
+    fault = Fault("trigger_early", signal=signal, mm=0.06, n=n)
+    printer = moving(
+        start,
+        [fault],
+        samples="3",
+        samples_result=result,
+        samples_tolerance="0.1",
+    )
+    parts = measured(printer)
+    found = {"bed_sensor": parts.sensor - SENSOR, "probe": parts.probe}[signal]
+    assert found == pytest.approx(0.06 * share, abs=STEPS)
+
+
+@pytest.mark.parametrize(("retries", "good"), [("0", False), ("1", True)])
+@pytest.mark.parametrize("signal", ["bed_sensor", "probe"])
+def test_tolerance_and_retries(start, signal, retries, good):
+    n = 2 if signal == "bed_sensor" else 4
+    fault = Fault("trigger_early", signal=signal, mm=0.06, n=n)
+    printer = moving(
+        start,
+        [fault],
+        samples="2",
+        samples_tolerance="0.05",
+        samples_tolerance_retries=retries,
+    )
+    name = "bed sensor" if signal == "bed_sensor" else "probe"
+    if not good:
+        text = printer.fail("AUTO_Z_MEASURE_OFFSET")
+        assert f"auto_z_offset: {name}: samples differ by 0.0" in text
+        assert "samples_tolerance is 0.0500 mm; clean the nozzle" in text
+        return
+    lines = printer.run("AUTO_Z_MEASURE_OFFSET")
+    again = told(lines, "trying again")
+    assert len(again) == 1
+    assert f"{name}: samples differ by" in again[0]
+    parts = formulas(lines)[0]
+    # The odd pair is not in the result
+    assert parts.sensor == pytest.approx(SENSOR, abs=STEPS)
+    assert parts.probe == pytest.approx(0.0, abs=STEPS)
+
+
+@pytest.mark.parametrize(("retries", "good"), [("0", False), ("1", True)])
+def test_cycles_that_differ(start, retries, good):
+    # One touch each: only the cycles can disagree
+    fault = Fault("trigger_late", signal="bed_sensor", mm=0.03, n=2)
+    printer = moving(
+        start,
+        [fault],
+        samples_tolerance="0.02",
+        samples_tolerance_retries=retries,
+    )
+    printer.machine.tolerate("nozzle_bed", 0.06)
+    if not good:
+        before = state(printer)
+        text = printer.fail("AUTO_Z_CALIBRATE")
+        assert "auto_z_offset: cycles: samples differ by 0.0300 mm" in text
+        assert state(printer) == before
+        return
+    lines = printer.run("AUTO_Z_CALIBRATE")
+    assert told(lines, "auto_z_offset: cycles: samples differ by 0.03")
+    assert len(formulas(lines)) == 2 + 3
+    assert len(printer.status("auto_z_offset")["corrections"]) == 3
+    gap = printer.scene.piezo_gap()
+    assert true_gap(printer) == pytest.approx(gap, abs=STEPS)
+
+
+@pytest.mark.parametrize("count", [1, 5])
+def test_offset_samples(start, count):
+    printer = moving(start, offset_samples=str(count))
+    lines = printer.run("AUTO_Z_CALIBRATE")
+    assert len(formulas(lines)) == count
+    assert told(lines, f"AUTO_Z_CALIBRATE: average of {count}, range")
+
+
+def test_median_of_the_cycles(start):
+    fault = Fault("trigger_early", signal="bed_sensor", mm=0.06, n=2)
+    printer = moving(
+        start, [fault], samples_result="median", samples_tolerance="0.1"
+    )
+    lines = printer.run("AUTO_Z_CALIBRATE")
+    assert told(lines, "AUTO_Z_CALIBRATE: median of 3, range 0.06")
+    assert printer.offset() == pytest.approx(SENSOR + AIR_GAP, abs=STEPS)
+    spread = printer.status("auto_z_offset")["spread"]
+    assert spread == pytest.approx(0.06, abs=STEPS)
+
+
+# What was saved
+
+
+def test_saved_correction_is_loaded(start):
+    changes = section(probe_z_correction="-1.234")
+    printer = start("qidi", changes=changes).homed()
+    assert printer.offset() == 0.0
+    printer.run("AUTO_Z_LOAD_OFFSET")
+    assert printer.offset() == pytest.approx(-1.234)
+
+
+def test_saved_correction_is_the_floor(start):
+    # 1 mm below the trigger that it stands for
+    fault = Fault("stuck_open", signal="bed_sensor", n=1)
+    changes = section(probe_z_correction="-1.12")
+    printer = start("qidi", changes=changes, faults=[fault])
+    printer.machine.tolerate("nozzle_bed", 1.02)
+    text = printer.homed().fail("AUTO_Z_CALIBRATE")
+    assert "(stopped at z=-2.320)" in text
+    assert "1.000 mm below the expected trigger at z=-1.320" in text
+    assert "add ACCEPT_CHANGE=1 if nozzle, probe or bed was changed" in text
+
+
+@pytest.mark.parametrize("command", ["PROBE", "HOME_Z", "MEASURE_OFFSET"])
+def test_change_is_accepted(start, command):
+    # Saved with another probe
+    changes = section(probe_z_correction="0.5")
+    printer = start("qidi", changes=changes).homed()
+    text = printer.fail(f"AUTO_Z_{command}")
+    assert "bed sensor: No trigger" in text
+    assert printer.machine.truth.touch_count("nozzle_bed") == 0
+    printer.run(f"AUTO_Z_{command} ACCEPT_CHANGE=1")
+    assert printer.machine.truth.touch_count("nozzle_bed") == 1
+
+
+def test_trigger_far_above_the_expected_one(start):
+    changes = section(probe_z_correction="-2.6")
+    printer = start("qidi", changes=changes).homed()
+    text = printer.fail("AUTO_Z_CALIBRATE")
+    assert "bed sensor: triggered at z=-1.320, 1.480 mm above the" in text
+    printer.run("AUTO_Z_CALIBRATE ACCEPT_CHANGE=1")
+    assert printer.offset() == pytest.approx(SENSOR + AIR_GAP, abs=STEPS)
+    # It is known now
+    printer.run("G28\nAUTO_Z_CALIBRATE")
+
+
+def test_correction_follows_the_probe(start):
+    # As Z_OFFSET_APPLY_PROBE leaves it: z_offset took over what was measured
+    printer = start(
+        "qidi",
+        changes={
+            "probe": {"z_offset": "1.12"},
+            **section(
+                probe_z_correction="-1.12", corrected_probe_z_offset="0.0"
+            ),
+        },
+    ).homed()
+    (line,) = told(printer.session.console, "the probe's z_offset is 1.120")
+    assert "and was 0.000 when the correction was saved" in line
+    assert "probe_z_correction -1.120000 is taken as 0.000000" in line
+    lines = printer.run("AUTO_Z_LOAD_OFFSET")
+    assert not told(lines, "there is no probe_z_correction yet")
+    gap = printer.scene.piezo_gap()
+    assert true_gap(printer) == pytest.approx(gap, abs=STEPS)
+    printer.run("AUTO_Z_CALIBRATE")
+    assert true_gap(printer) == pytest.approx(gap, abs=STEPS)
+
+
+def test_correction_of_the_same_probe_stays(start):
+    changes = section(
+        probe_z_correction="-1.12", corrected_probe_z_offset="0.0000004"
+    )
+    printer = start("qidi", changes=changes)
+    printer.session.require_ready()
+    assert told(printer.session.console, "is taken as") == []
+    status = printer.status("auto_z_offset")
+    assert status["probe_z_correction"] == -1.12
+
+
+def test_probe_calibrated_by_its_host(start):
+    # The whole way, with the host's own command
+    printer = start("qidi").homed()
+    printer.run("AUTO_Z_CALIBRATE\nZ_OFFSET_APPLY_PROBE")
+    printer.session.restart("SAVE_CONFIG")
+    printer.run("G28\nAUTO_Z_LOAD_OFFSET")
+    gap = printer.scene.piezo_gap()
+    assert true_gap(printer) == pytest.approx(gap, abs=STEPS)
+
+
+@pytest.mark.parametrize("value", ["0", "0.0"])
+def test_documented_default_of_the_correction_means_none(start, value):
+    printer = start("qidi", changes=section(probe_z_correction=value)).homed()
+    printer.run("AUTO_Z_CALIBRATE")
+    assert printer.offset() == pytest.approx(SENSOR + AIR_GAP, abs=STEPS)
+
+
+def test_saved_correction_says_nothing_where_a_switch_homes_z(start):
+    # The frame is the switch's
+    scene = SCENES["piezo_cartesian"]
+    changes = section(probe_z_correction="3.0")
+    changes["stepper_z"] = {
+        "endstop_pin": "^PC8",
+        "position_endstop": "0",
+        "position_min": "-4",
+    }
+    changes["safe_z_home"] = None
+    changes["force_move"] = {"enable_force_move": "true"}
+    printer = start(scene, changes=changes)
+    printer.session.require_ready()
+    x, y, z = scene.start
+    printer.run(f"SET_KINEMATIC_POSITION X={x} Y={y} Z={z + 0.3}\nG90")
+    at_start = told(printer.session.console, "Z is not homed with the probe")
+    assert len(at_start) == 1
+    lines = printer.run("AUTO_Z_MEASURE_OFFSET")
+    assert told(lines, "the correction holds with a bed mesh of this probe")
+    bed_z = formulas(lines)[0].probe - 1.0
+    assert bed_z == pytest.approx(0.3130 + 1.2713 + 0.3 - 1.0, abs=STEPS)
+
+
+# prepare_gcode
+
+
+def test_empty_prepare_gcode(start):
+    printer = start("piezo_cartesian", changes=section(prepare_gcode=""))
+    printer.homed().run("AUTO_Z_MEASURE_OFFSET")
+
+
+def test_sensor_that_is_not_prepared(start):
+    printer = start("qidi", changes=section(prepare_gcode=""))
+    printer.machine.tolerate("nozzle_bed", 4.0)
+    text = printer.homed().fail("AUTO_Z_PROBE")
+    assert "check that prepare_gcode turns the sensor on, that 'pin: " in text
+
+
+# Wrong set-ups
+
+
+NUMBERS = {
+    "z_offset": "write mm",
+    "speed": "mm/s",
+    "lift_speed": "mm/s",
+    "probe_hop": "mm",
+    "probe_accel": "mm/s^2",
+    "probe_z_min": "mm",
+    "offset_samples": "whole number of 1 or more",
+    "samples": "whole number of 1 or more",
+    "sample_retract_dist": "mm",
+    "samples_result": "average or median",
+    "samples_tolerance": "mm",
+    "samples_tolerance_retries": "whole number of 0 or more",
+    "z_current_factor": "a factor",
+    "probe_z_correction": "write mm",
+    "corrected_probe_z_offset": "mm",
+    "bed_xy_position": "100,100",
+}
+MORE = [
+    ("probe_hop", "3.9"),
+    ("z_current_factor", "0.09"),
+    ("z_current_factor", "1.01"),
+    ("offset_samples", "0"),
+    ("offset_samples", "1.5"),
+    ("samples", "0"),
+    ("samples_tolerance_retries", "-1"),
+    ("samples_tolerance", "-0.1"),
+    ("sample_retract_dist", "0"),
+    ("speed", "0"),
+    ("lift_speed", "-2"),
+    ("probe_accel", "-1"),
+    ("z_offset", "10.1"),
+    ("z_offset", "-11"),
+    ("probe_z_correction", "1e9"),
+    ("samples_result", "submaxmin"),
+    ("bed_xy_position", "100"),
+]
+
+
+@pytest.mark.half
+@pytest.mark.parametrize(
+    ("option", "value"),
+    [(o, v) for o in NUMBERS for v in ("", "much", "nan", "inf")] + MORE,
+)
+def test_nonsense_is_refused(some_host, option, value):
+    message = refusal(some_host, section(**{option: value}), "qidi")
+    assert f"Option '{option}' in section 'auto_z_offset': " in message
+    assert NUMBERS[option] in message
+
+
+@pytest.mark.parametrize(
+    ("option", "value"),
+    [
+        ("probe_hop", "4"),
+        ("z_current_factor", "0.1"),
+        ("z_current_factor", "1"),
+        ("z_offset", "10"),
+        ("z_offset", "-10"),
+        ("samples_tolerance", "0"),
+    ],
+)
+def test_ends_of_the_ranges_are_fine(start, option, value):
+    printer = start("qidi", changes=section(**{option: value}))
+    printer.session.require_ready()
+
+
+@pytest.mark.parametrize(
+    ("changes", "words"),
+    [
+        (section(pin=None), ["Option 'pin'", "is missing", "U_1:PC1"]),
+        (section(pin=""), ["Option 'pin: '", "is no pin"]),
+        (
+            section(pin="probe:z_virtual_endstop"),
+            ["Option 'pin: probe:z_virtual_endstop'", "is no pin"],
+        ),
+        (section(pin="^!PF0"), ["is the pin of section 'probe'"]),
+        (
+            section(prepare_gcode=None),
+            ["Option 'prepare_gcode'", "is missing", "nothing behind the"],
+        ),
+        (section(prepare_gcode="{% if %}"), ["prepare_gcode"]),
+        (section(probe_hops="5"), ["'probe_hops'", "is 'probe_hop' meant?"]),
+        (section(x_offset_="1"), ["'x_offset_'", "is not known; remove it"]),
+        (section(pin="PC2"), ["pin PC2 used multiple times in config"]),
+        (section(colour="red"), ["'colour'", "is not known; remove it"]),
+        ({"probe": None}, ["'probe"]),
+        (section(probe_hop="300"), ["probe_hop", "position_max (248.000)"]),
+        (section(probe_z_min="0.5"), ["probe_z_min", "below 0"]),
+        (
+            section(bed_xy_position="246, 100"),
+            ["bed_xy_position: 246,100", "X=246.000, outside its -5.500"],
+        ),
+        (
+            section(bed_xy_position="10, 100"),
+            ["with the probe above it, needs the head at X=-7.600"],
+        ),
+        (
+            section(bed_xy_position="100, -1"),
+            ["with the probe above it, needs the head at Y=-5.400"],
+        ),
+        (
+            {"stepper_z": {"endstop_pin": "auto_z_offset:z_virtual_endstop"}},
+            ["set it to probe:z_virtual_endstop", "section 'stepper_z'"],
+        ),
+    ],
+)
+def test_wrong_set_up_is_refused(some_host, changes, words):
+    message = refusal(some_host, changes, "qidi")
+    for word in words:
+        assert word in message
+
+
+def test_missing_probe_is_refused(some_host):
+    changes = {
+        "probe": None,
+        "safe_z_home": None,
+        "stepper_z": {"endstop_pin": "^PC8", "position_endstop": "0"},
+    }
+    message = refusal(some_host, changes, "qidi")
+    assert "Section 'probe' is missing: auto_z_offset corrects" in message
+
+
+def test_machine_without_a_z_axis_is_refused(some_host):
+    changes = {
+        "printer": {
+            "kinematics": "none",
+            "max_velocity": "1",
+            "max_accel": "1",
+            "max_z_velocity": None,
+            "max_z_accel": None,
+        },
+        **{f"stepper_{name}": None for name in ("x", "y", "z", "z1")},
+        **{f"tmc2209 stepper_{name}": None for name in ("z", "z1")},
+        **{name: None for name in ("probe", "safe_z_home", "extruder")},
+    }
+    message = refusal(some_host, changes, "qidi")
+    assert "'kinematics: none'" in message
+    assert "remove section 'auto_z_offset'" in message
+
+
+# Options of the original module
+
+
+@pytest.mark.parametrize(
+    ("option", "value", "words"),
+    [
+        ("calibrated_z_offset", "-1.24", "AUTO_Z_CALIBRATE again"),
+        ("x_offset", "17.6", "is ignored"),
+        ("y_offset", "4.4", "is ignored"),
+        ("deactivate_gcode", "M118 off", "that runs after AUTO_Z_CALIBRATE"),
+        ("deactivate_on_each_sample", "False", "is ignored"),
+        ("stow_on_each_sample", "False", "is ignored"),
+        ("recovery_time", "0.4", "G4"),
+    ],
+)
+def test_old_option_is_told_and_not_used(start, option, value, words):
+    changes = section(**{option: value})
+    printer = start("qidi", changes=changes).homed()
+    (line,) = told(printer.session.console, f"option '{option}' ")
+    assert words in line
+    assert printer.status("auto_z_offset")["probe_z_correction"] == 0.0
+    printer.run("AUTO_Z_LOAD_OFFSET")
+    assert printer.offset() == 0.0
+    printer.run("AUTO_Z_CALIBRATE")
+    gap = printer.scene.piezo_gap()
+    assert true_gap(printer) == pytest.approx(gap, abs=STEPS)
+
+
+@pytest.mark.parametrize(
+    "command", ["PROBE", "HOME_Z", "MEASURE_OFFSET", "CALIBRATE"]
+)
+def test_gcode_that_would_be_missed_is_asked_for(start, command):
+    # The sensor may be powered by it
+    changes = section(activate_gcode="SET_PIN PIN=bed_sensor VALUE=1")
+    printer = start("qidi", changes=changes).homed()
+    first = len(printer.machine.truth.touches)
+    text = printer.fail(f"AUTO_Z_{command}")
+    assert "activate_gcode is not run" in text
+    assert "move it into prepare_gcode" in text
+    assert sites(printer, first) == []
+    printer.run("AUTO_Z_LOAD_OFFSET\nAUTO_Z_SAVE_GCODE_OFFSET")
+
+
+def test_empty_activate_gcode_is_fine(start):
+    changes = section(activate_gcode="")
+    start("qidi", changes=changes).homed().run("AUTO_Z_MEASURE_OFFSET")
+
+
+def test_numbers_are_numbers_to_macros(start):
+    changes = section(probe_z_correction="-1.25")
+    printer = start("qidi", changes=changes)
+    printer.session.require_ready()
+    settings = printer.status("configfile")["settings"]["auto_z_offset"]
+    assert settings["z_offset"] == 0.2
+    assert settings["probe_z_correction"] == -1.25

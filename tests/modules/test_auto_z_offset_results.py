@@ -1,0 +1,438 @@
+"""The commands of [auto_z_offset] on the simulated QIDI."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import pytest
+
+from tests.hostkit.auto_z_offset import (
+    AIR_GAP,
+    CORRECTION,
+    DEPTH,
+    MICROSTEP,
+    POINT,
+    PROBE_PLACE,
+    SENSOR,
+    formulas,
+    pending,
+    section,
+    sites,
+    state,
+    told,
+    touches,
+    true_gap,
+    with_extras,
+)
+from tests.hostkit.printer import Printer, has_kinematics
+from tests.simprinter import SCENES
+
+pytestmark = pytest.mark.spread
+
+MACHINES = ("qidi", "qidi_two_boards", "piezo_cartesian", "piezo_generic")
+STEPS = 2 * MICROSTEP
+
+
+# AUTO_Z_CALIBRATE
+
+
+@pytest.mark.each_host
+@pytest.mark.parametrize("scene", MACHINES)
+def test_calibration_leaves_the_air_gap(host, scene):
+    if not has_kinematics(host, SCENES[scene]):
+        pytest.skip(f"{host.name} has no {scene}")
+    with Printer(host, scene) as printer:
+        printer.homed()
+        before, first = state(printer), len(printer.machine.truth.touches)
+        lines = printer.run("AUTO_Z_CALIBRATE")
+        assert len(told(lines, "AUTO_Z_CALIBRATE: average of 3")) == 1
+        # The probe sees the bed also when the nozzle comes down
+        cycle = ["inductive_bed", "nozzle_bed", "inductive_bed"]
+        assert sites(printer, first) == cycle * 3
+        for n, touch in enumerate(touches(printer, first)):
+            over = PROBE_PLACE if n % 3 == 2 else POINT
+            assert (touch.x, touch.y) == pytest.approx(over, abs=0.02)
+        gap = printer.scene.piezo_gap()
+        assert true_gap(printer) == pytest.approx(gap, abs=STEPS)
+        after = state(printer)
+        for name in ("max_accel", "homed", "currents", "absolute"):
+            assert after[name] == before[name]
+
+
+@pytest.mark.each_host
+def test_correction_holds_after_a_restart(start):
+    printer = start("qidi").homed()
+    printer.run("AUTO_Z_CALIBRATE")
+    offset, gap = printer.offset(), true_gap(printer)
+    assert pending(printer) == {
+        "auto_z_offset": {
+            "probe_z_correction": f"{offset:.6f}",
+            "corrected_probe_z_offset": "0.000000",
+        }
+    }
+    printer.session.restart("SAVE_CONFIG")
+    assert f"probe_z_correction = {offset:.6f}" in printer.session.config_text()
+    printer.run("G28")
+    assert printer.offset() == 0.0
+    status = printer.status("auto_z_offset")
+    assert status["probe_z_correction"] == pytest.approx(offset, abs=1e-6)
+    lines = printer.run("AUTO_Z_LOAD_OFFSET")
+    assert told(lines, f"{offset:.6f}, the G-code Z offset is {offset:.6f}")
+    assert not told(lines, "there is no probe_z_correction yet")
+    assert printer.offset() == pytest.approx(offset, abs=1e-6)
+    assert true_gap(printer) == pytest.approx(gap, abs=STEPS)
+
+
+def test_correction_belongs_to_the_probe(start):
+    # Another homing of Z, a shift of it, a calibration on top of the offset
+    printer = start("qidi").homed()
+    printer.run("AUTO_Z_CALIBRATE\nG28 Z\nAUTO_Z_CALIBRATE")
+    gap = printer.scene.piezo_gap()
+    assert true_gap(printer) == pytest.approx(gap, abs=STEPS)
+    printer.run("G28\nAUTO_Z_LOAD_OFFSET")
+    assert true_gap(printer) == pytest.approx(gap, abs=STEPS)
+
+
+def test_result_line_is_the_formula(start):
+    lines = start("qidi").homed().run("AUTO_Z_CALIBRATE")
+    found = formulas(lines)
+    assert len(found) == 3
+    for parts in found:
+        assert parts.sensor == pytest.approx(SENSOR, abs=STEPS)
+        assert parts.probe == pytest.approx(0.0, abs=STEPS)
+        assert (parts.probe_z_offset, parts.z_offset) == (0.0, AIR_GAP)
+        assert parts.correction == pytest.approx(
+            parts.sensor - (parts.probe - parts.probe_z_offset) + AIR_GAP,
+            abs=0.002,
+        )
+
+
+def test_prepare_gcode_runs_once_a_calibration(start):
+    code = SCENES["qidi"].sections["auto_z_offset"]["prepare_gcode"]
+    changes = {
+        "respond": {},
+        "gcode_macro PREPARED": {"gcode": "\n  RESPOND MSG=prepared"},
+        **section(prepare_gcode=f"{code}\n  PREPARED", samples="2"),
+    }
+    printer = start("qidi", changes=changes).homed()
+    assert len(told(printer.run("AUTO_Z_CALIBRATE"), "echo: prepared")) == 1
+    for command in ("PROBE", "HOME_Z", "MEASURE_OFFSET"):
+        lines = printer.run(f"G28 Z\nSET_GCODE_OFFSET Z=0\nAUTO_Z_{command}")
+        assert len(told(lines, "echo: prepared")) == 1
+
+
+# AUTO_Z_MEASURE_OFFSET
+
+
+def test_measuring_applies_nothing(start):
+    printer = start("qidi").homed()
+    printer.run("SET_GCODE_OFFSET Z=0.3")
+    lines = printer.run("AUTO_Z_MEASURE_OFFSET")
+    (parts,) = formulas(told(lines, "AUTO_Z_MEASURE_OFFSET: "))
+    assert parts.correction == pytest.approx(CORRECTION, abs=STEPS)
+    assert printer.offset() == pytest.approx(0.3)
+    assert pending(printer) == {}
+    status = printer.status("auto_z_offset")
+    assert status["probe_z_correction"] == 0.0
+    assert status["corrections"] == [status["last_result"]["correction"]]
+    assert status["spread"] == 0.0
+    exact = status["last_result"]
+    assert exact["correction"] == pytest.approx(parts.correction, abs=1e-5)
+    assert set(exact) == set(parts._fields)
+
+
+# AUTO_Z_PROBE
+
+
+def test_probe_where_the_head_is(start):
+    printer = start("qidi").homed()
+    assert printer.status("auto_z_offset")["last_z"] is None
+    printer.run("G90\nG1 X60 Y180 F6000")
+    first = len(printer.machine.truth.touches)
+    lines = printer.run("AUTO_Z_PROBE")
+    unused, touch = touches(printer, first)
+    assert touch.site == "nozzle_bed"
+    assert (touch.x, touch.y) == pytest.approx((60.0, 180.0), abs=0.02)
+    # The bed is 1.2e-4 mm a mm lower there
+    there = SENSOR + 1e-4 * ((60 - POINT[0]) - (180 - POINT[1]))
+    (line,) = told(lines, "AUTO_Z_PROBE: at X:60.000 Y:180.000")
+    z = float(line.split("z=")[1])
+    assert z == pytest.approx(there, abs=STEPS)
+    # The trigger, not the halt position below it; the head is up again
+    assert printer.status("auto_z_offset")["last_z"] == pytest.approx(z)
+    position = printer.status("toolhead")["position"]
+    assert position[2] == pytest.approx(z + 5.0, abs=1e-6)
+
+
+# AUTO_Z_HOME_Z
+
+
+@pytest.mark.each_host
+@pytest.mark.parametrize("z_offset", [0.2, -0.1])
+def test_home_z_sets_z_only(start, z_offset):
+    changes = section(z_offset=str(z_offset))
+    printer = start("qidi", changes=changes).homed()
+    before = printer.status("toolhead")
+    lines = printer.run("AUTO_Z_HOME_Z")
+    (line,) = told(lines, "AUTO_Z_HOME_Z: the bed sensor triggered at z=")
+    assert f"which is z={z_offset:.6f} now" in line
+    after = printer.status("toolhead")
+    assert after["homed_axes"] == before["homed_axes"] == "xyz"
+    assert after["axis_minimum"] == before["axis_minimum"]
+    assert after["axis_maximum"] == before["axis_maximum"]
+    assert after["position"][:2] == pytest.approx(list(POINT))
+    assert after["position"][2] == pytest.approx(z_offset + 5.0, abs=1e-6)
+    # As the trigger is z_offset, Z=0 lies as much below it
+    expected = -DEPTH - z_offset
+    assert true_gap(printer) == pytest.approx(expected, abs=STEPS)
+    inside = told(lines, "mm inside the bed; home with G28")
+    assert len(inside) == (1 if z_offset > 0 else 0)
+    # X and Y are where they were
+    printer.run("G28 X Y")
+    assert printer.session.state()[0] == "ready"
+
+
+def test_home_z_keeps_the_gcode_offset_and_says_so(start):
+    printer = start("qidi").homed()
+    assert not told(printer.run("AUTO_Z_HOME_Z"), "stays, on top of this")
+    printer.run("SET_GCODE_OFFSET Z=0.25")
+    lines = printer.run("AUTO_Z_HOME_Z")
+    assert len(told(lines, "the G-code Z offset of 0.250 stays")) == 1
+    assert printer.offset() == pytest.approx(0.25)
+
+
+def test_probe_after_home_z_is_in_the_new_frame(start):
+    printer = start("qidi").homed()
+    printer.run("AUTO_Z_HOME_Z\nAUTO_Z_PROBE")
+    last = printer.status("auto_z_offset")["last_z"]
+    assert last == pytest.approx(AIR_GAP, abs=STEPS)
+
+
+# AUTO_Z_LOAD_OFFSET, AUTO_Z_SAVE_GCODE_OFFSET
+
+
+def test_loading_what_was_never_measured_says_so(start):
+    printer = start("qidi").homed()
+    printer.run("SET_GCODE_OFFSET Z=0.3")
+    lines = printer.run("AUTO_Z_LOAD_OFFSET")
+    assert told(lines, "there is no probe_z_correction yet; run AUTO_Z_CAL")
+    assert printer.offset() == 0.0
+
+
+def test_loading_after_a_calibration_needs_no_restart(start):
+    printer = start("qidi").homed()
+    printer.run("AUTO_Z_CALIBRATE")
+    offset = printer.offset()
+    printer.run("SET_GCODE_OFFSET Z=0\nAUTO_Z_LOAD_OFFSET")
+    assert printer.offset() == pytest.approx(offset, abs=1e-6)
+
+
+def test_users_macro_takes_part_in_applying(start):
+    macro = {
+        "rename_existing": "SET_GCODE_OFFSET_BASE",
+        "gcode": "\n  RESPOND MSG=mine\n  SET_GCODE_OFFSET_BASE {rawparams}",
+    }
+    changes = {"respond": {}, "gcode_macro SET_GCODE_OFFSET": macro}
+    printer = start("qidi", changes=changes).homed()
+    for command in ("AUTO_Z_CALIBRATE", "AUTO_Z_LOAD_OFFSET"):
+        assert told(printer.run(command), "echo: mine")
+    assert printer.offset() == pytest.approx(CORRECTION, abs=STEPS)
+
+
+@pytest.mark.each_host
+def test_babysteps_are_saved(start):
+    printer = start("qidi").homed()
+    printer.run("AUTO_Z_CALIBRATE\nSET_GCODE_OFFSET Z_ADJUST=-0.05")
+    offset = printer.offset()
+    lines = printer.run("AUTO_Z_SAVE_GCODE_OFFSET")
+    assert told(lines, f"probe_z_correction: {offset:.6f} (was ")
+    assert told(lines, "The SAVE_CONFIG command will update")
+    assert not told(lines, "more than before")
+    status = printer.status("auto_z_offset")
+    assert status["probe_z_correction"] == pytest.approx(offset)
+    assert pending(printer) == {
+        "auto_z_offset": {
+            "probe_z_correction": f"{offset:.6f}",
+            "corrected_probe_z_offset": "0.000000",
+        }
+    }
+    printer.run("SET_GCODE_OFFSET Z=0\nAUTO_Z_LOAD_OFFSET")
+    assert printer.offset() == pytest.approx(offset, abs=1e-6)
+
+
+def test_saving_an_offset_that_was_lost_is_told(start):
+    printer = start("qidi").homed()
+    printer.run("AUTO_Z_CALIBRATE\nSET_GCODE_OFFSET Z=0")
+    lines = printer.run("AUTO_Z_SAVE_GCODE_OFFSET")
+    assert told(lines, "1.120 mm away from before; was AUTO_Z_LOAD_OFFSET")
+
+
+def test_offset_that_is_none_is_not_saved(start):
+    printer = start("qidi").homed()
+    printer.run("AUTO_Z_CALIBRATE")
+    before = state(printer)
+    printer.run("SET_GCODE_OFFSET Z=10.5")
+    text = printer.fail("AUTO_Z_SAVE_GCODE_OFFSET")
+    assert "a G-code Z offset of 10.500 is no correction of a probe" in text
+    assert pending(printer) == before["pending"]
+    assert printer.status("auto_z_offset") == before["status"]
+
+
+# Motor current and acceleration
+
+
+@pytest.mark.each_host
+@pytest.mark.parametrize(
+    ("scene", "motors"),
+    [
+        ("qidi", {"stepper_z": 0.8, "stepper_z1": 1.07}),
+        ("piezo_generic", {"left_z": 0.8, "right_z": 1.07}),
+    ],
+)
+def test_current_is_low_while_the_nozzle_goes_down(host, scene, motors):
+    if not has_kinematics(host, SCENES[scene]):
+        pytest.skip(f"{host.name} has no {scene}")
+    changes = {"touches": {}, **section(z_current_factor="0.5")}
+    modules = with_extras("touches")
+    with Printer(host, scene, changes=changes, modules=modules) as printer:
+        printer.homed()
+        drivers = printer.machine.drivers
+        before = {n: d.current() for n, d in drivers.items()}
+        homing = len(printer.status("touches")["seen"])
+        lines = printer.run("AUTO_Z_MEASURE_OFFSET")
+        assert not told(lines, "Run Current")
+        seen = printer.status("touches")["seen"][homing:]
+        # One move down on the bed, one of the probe
+        assert [s["moment"] for s in seen] == ["begin", "end"] * 2
+        for name, current in motors.items():
+            found = [s["currents"][name] for s in seen]
+            full = pytest.approx(current, abs=0.03)
+            half = pytest.approx(current / 2.0, abs=0.03)
+            assert found == [half, half, full, full]
+        for name, driver in drivers.items():
+            assert driver.current()[1:] == before[name][1:]
+            # Low, and only once
+            changes_of = [c.run for c in driver.currents if c.ns > 0]
+            assert min(changes_of) < 0.6 * before[name].run
+
+
+def test_current_stays_with_a_factor_of_one(start):
+    printer = start("qidi", changes=section(z_current_factor="1.0")).homed()
+    drivers = printer.machine.drivers
+    before = {name: list(d.currents) for name, d in drivers.items()}
+    printer.run("AUTO_Z_MEASURE_OFFSET")
+    assert {n: d.currents for n, d in drivers.items()} == before
+    assert not told(printer.session.console, "z_current_factor")
+
+
+def test_machine_without_drivers_says_so_once(start):
+    printer = start("piezo_cartesian").homed()
+    printer.run("AUTO_Z_MEASURE_OFFSET\nAUTO_Z_MEASURE_OFFSET")
+    lines = told(printer.session.console, "z_current_factor has no effect")
+    assert len(lines) == 1
+    assert "no effect on stepper_z: no TMC driver of its own" in lines[0]
+
+
+def test_motors_that_move_x_too_keep_their_current(start):
+    scene = SCENES["corexz"]
+    motors = dict(scene.wiring.motors)
+    motors["z"] = replace(motors["z"], uart="PE0")
+    scene = replace(scene, wiring=replace(scene.wiring, motors=motors))
+    changes = {
+        "z_calibration": None,
+        "tmc2209 stepper_z": {
+            "uart_pin": "PE0",
+            "run_current": "0.8",
+            "sense_resistor": "0.110",
+        },
+        **section(pin="PC9", prepare_gcode=""),
+    }
+    printer = start(scene, changes=changes)
+    printer.session.require_ready()
+    (line,) = told(printer.session.console, "z_current_factor has no effect")
+    # Both belts move Z
+    assert "on stepper_x, stepper_z: no TMC driver of its own" in line
+    # Nobody could tell later whether Z was homed again
+    text = printer.fail("G28\nAUTO_Z_HOME_Z")
+    assert "the motors of Z move X or Y, too" in text
+
+
+def test_one_of_two_motors_without_a_driver(start):
+    changes = {"tmc2209 stepper_z1": None}
+    printer = start("qidi", changes=changes).homed()
+    (line,) = told(printer.session.console, "z_current_factor has no effect")
+    assert "on stepper_z1: no TMC driver" in line
+    printer.run("AUTO_Z_PROBE")
+    assert len(printer.machine.drivers["z"].currents) > 2
+    assert printer.machine.drivers["z1"].currents == []
+
+
+def test_current_that_the_user_has_set_comes_back(start):
+    printer = start("qidi").homed()
+    printer.run("SET_TMC_CURRENT STEPPER=stepper_z CURRENT=0.62")
+    before = state(printer)["currents"]
+    printer.run("AUTO_Z_MEASURE_OFFSET")
+    assert state(printer)["currents"] == before
+
+
+@pytest.mark.each_host
+def test_acceleration_is_low_while_the_nozzle_goes_down(host):
+    changes = {"touches": {}, **section(probe_accel="50")}
+    modules = with_extras("touches")
+    with Printer(host, "qidi", changes=changes, modules=modules) as printer:
+        printer.homed()
+        printer.run("SET_VELOCITY_LIMIT ACCEL=1234.5")
+        homing = len(printer.status("touches")["seen"])
+        printer.run("AUTO_Z_MEASURE_OFFSET")
+        seen = printer.status("touches")["seen"][homing:]
+        accels = [s["max_accel"] for s in seen]
+        assert accels == [50.0, 50.0, 1234.5, 1234.5]
+        assert printer.status("toolhead")["max_accel"] == 1234.5
+
+
+def test_lower_acceleration_is_left_alone(host):
+    changes = {"touches": {}, **section(probe_accel="500")}
+    modules = with_extras("touches")
+    with Printer(host, "qidi", changes=changes, modules=modules) as printer:
+        printer.homed()
+        printer.run("SET_VELOCITY_LIMIT ACCEL=300")
+        homing = len(printer.status("touches")["seen"])
+        printer.run("AUTO_Z_MEASURE_OFFSET")
+        seen = printer.status("touches")["seen"][homing:]
+        assert {s["max_accel"] for s in seen} == {300.0}
+
+
+# Status while it runs
+
+
+@pytest.mark.each_host
+def test_phase_and_progress(start):
+    where = "{printer.auto_z_offset.phase}:{printer.auto_z_offset.progress}"
+    code = SCENES["qidi"].sections["auto_z_offset"]["prepare_gcode"]
+    changes = {
+        "respond": {},
+        "gcode_macro WHERE": {"gcode": f"\n  RESPOND MSG='at {where}'"},
+        "probe": {"activate_gcode": "WHERE"},
+        **section(prepare_gcode=f"{code}\n  WHERE", samples="2"),
+    }
+    printer = start("qidi", changes=changes).homed()
+    lines = told(printer.run("AUTO_Z_MEASURE_OFFSET"), "echo: at")
+    assert lines[0] == "echo: at prepare_gcode:0.0"
+    assert "echo: at probe:0.5" in lines
+    status = printer.status("auto_z_offset")
+    assert (status["phase"], status["progress"]) == ("idle", 0.0)
+
+
+@pytest.mark.each_host
+def test_status_of_a_calibration(start):
+    printer = start("qidi").homed()
+    printer.run("AUTO_Z_CALIBRATE")
+    status = printer.status("auto_z_offset")
+    assert len(status["corrections"]) == 3
+    assert status["spread"] == pytest.approx(
+        max(status["corrections"]) - min(status["corrections"])
+    )
+    assert status["probe_z_correction"] == pytest.approx(
+        sum(status["corrections"]) / 3.0
+    )
+    assert status["last_z"] == pytest.approx(SENSOR, abs=STEPS)

@@ -1,0 +1,876 @@
+"""What [auto_z_offset] does when something is wrong: nothing gets hurt."""
+
+from __future__ import annotations
+
+import pytest
+
+from tests.hostkit.auto_z_offset import (
+    AIR_GAP,
+    DEPTH,
+    HOMING_ARMS,
+    MICROSTEP,
+    POINT,
+    SENSOR,
+    lowest,
+    pending,
+    section,
+    sites,
+    state,
+    told,
+    touches,
+    true_gap,
+)
+from tests.hostkit.printer import Printer, module_files
+from tests.hostkit.session import GcodeError
+from tests.hostkit.z_calibration import refusal
+from tests.simprinter import SCENES, Fault
+from tests.simprinter.mcu.tmc import IFCNT
+
+pytestmark = pytest.mark.spread
+
+STEPS = 2 * MICROSTEP
+MEASURING = ("PROBE", "HOME_Z", "MEASURE_OFFSET", "CALIBRATE")
+PREPARE = SCENES["qidi"].sections["auto_z_offset"]["prepare_gcode"]
+# Depth of the nozzle (mm) that one touch at 5 mm/s takes, with its overshoot
+ONE_TOUCH = DEPTH + 0.01
+# and how much deeper a dead sensor lets it go: after a touch of the same run,
+# where the bed is known, and down to position_min
+# (0.25 mm to stop from 5 mm/s, and a reserve: more than 0.3 and the tolerance)
+AGAIN = 0.25 + 0.1
+KNOWN = 1.0
+UNKNOWN = SENSOR + 4.0
+
+
+def before_and_after(printer, script="AUTO_Z_CALIBRATE"):
+    """Run what must fail; its text, and both states."""
+    before = state(printer)
+    text = printer.fail(script)
+    assert printer.session.state()[0] == "ready"
+    printer.session.wait(1.0)
+    return text, before, state(printer)
+
+
+def assert_lifted(printer):
+    """The head is well above the bed."""
+    tip = printer.machine.tip()
+    gap = printer.machine.truth.true_gap(tip.x, tip.y, tip.z)
+    assert gap > 3.6
+
+
+def probed_at(printer, seconds):
+    """The printer after AUTO_Z_PROBE at this time, homed before."""
+    rig, clock = printer.machine.rig, printer.machine.simulation.clock
+    printer.session.wait(seconds - rig.seconds(clock.now()))
+    printer.run("AUTO_Z_PROBE")
+    return printer
+
+
+# Not homed
+
+
+@pytest.mark.parametrize("command", MEASURING)
+@pytest.mark.parametrize("script", ["", "G28 X", "G28\nM84"])
+def test_axes_must_be_homed(some_host, command, script):
+    with Printer(some_host, "qidi") as printer:
+        printer.session.require_ready()
+        printer.run(script)
+        first = len(printer.machine.truth.touches)
+        text = printer.fail(f"AUTO_Z_{command}")
+        missing = "Y, Z" if script == "G28 X" else "X, Y, Z"
+        assert text == (
+            f"auto_z_offset: not homed: {missing}; home all axes (G28) first"
+        )
+        assert sites(printer, first) == []
+
+
+# One fault of a sensor, at every touch
+
+
+def failures():
+    """(kind, signal, n-th arming in AUTO_Z_CALIBRATE, more of the fault)."""
+    for n in range(1, 4):
+        yield "trigger_never", "bed_sensor", n, {}
+        yield "stuck_open", "bed_sensor", n, {}
+        yield "stuck_closed", "bed_sensor", n, {}
+        yield "trigger_never", "probe", n, {}
+        yield "stuck_open", "probe", n, {}
+        yield "stuck_closed", "probe", n, {}
+
+
+@pytest.mark.half
+@pytest.mark.parametrize("saved", [None, "-1.12"])
+@pytest.mark.parametrize(("kind", "signal", "n", "more"), list(failures()))
+def test_single_fault_of_a_sensor(some_host, kind, signal, n, more, saved):
+    arms = n if signal == "bed_sensor" else n + HOMING_ARMS
+    fault = Fault(kind, signal=signal, n=arms, **more)
+    changes = section(probe_z_correction=saved, probe_accel="50")
+    with Printer(some_host, "qidi", changes=changes, faults=[fault]) as printer:
+        printer.machine.tolerate("nozzle_bed", UNKNOWN + 0.02)
+        printer.homed()
+        printer.run("SET_GCODE_OFFSET Z=0.123")
+        text, before, after = before_and_after(printer)
+        assert after == before
+        assert_lifted(printer)
+        dead = kind != "stuck_closed" and signal == "bed_sensor"
+        deepest = ONE_TOUCH
+        if dead and n > 1:
+            deepest += AGAIN
+        elif dead:
+            deepest += UNKNOWN if saved is None else KNOWN
+        assert lowest(printer) <= deepest + STEPS
+        if signal == "bed_sensor":
+            assert text.startswith("auto_z_offset: bed sensor: ")
+        else:
+            assert text.startswith("auto_z_offset: probe: ")
+        if dead:
+            assert "No trigger" in text
+            for cause in ("prepare_gcode", "'pin: PC1'", "floor of this"):
+                assert cause in text
+        elif signal == "bed_sensor":
+            assert "reads triggered at z=" in text
+            assert "QUERY_ENDSTOPS" in text
+
+
+@pytest.mark.parametrize("n", [1, 2, 3])
+def test_dead_probe_does_not_press_the_nozzle(start, n):
+    # It may go down to where the nozzle meets the bed, which is known by then
+    fault = Fault("trigger_never", signal="probe", n=n + HOMING_ARMS)
+    printer = start("qidi", faults=[fault]).homed()
+    text = printer.fail("AUTO_Z_CALIBRATE")
+    assert "auto_z_offset: probe: No trigger" in text
+    assert f"(stopped at z={SENSOR:.2f}" in text
+    assert lowest(printer) <= ONE_TOUCH + STEPS
+
+
+def test_trigger_a_little_above_the_bed_is_not_the_bed(start):
+    # 1.6 mm early: lower than the probe's z_offset, but the probe sees nothing
+    fault = Fault("trigger_early", signal="bed_sensor", mm=1.6, n=1)
+    printer = start("qidi", faults=[fault]).homed()
+    text, before, after = before_and_after(printer)
+    assert "probe: No trigger" in text
+    assert "it ends where the bed sensor triggered, z=0.28" in text
+    assert after == before
+
+
+@pytest.mark.half
+@pytest.mark.parametrize("n", [1, 2, 3])
+@pytest.mark.parametrize("retries", [0, 1])
+def test_trigger_in_mid_air(some_host, n, retries):
+    # Shaken: 2 mm above the bed
+    fault = Fault("trigger_early", signal="bed_sensor", mm=2.0, n=n)
+    changes = section(
+        probe_z_correction="-1.12", samples_tolerance_retries=str(retries)
+    )
+    with Printer(some_host, "qidi", changes=changes, faults=[fault]) as printer:
+        printer.homed()
+        if not retries:
+            text, before, after = before_and_after(printer)
+            assert "mm above the expected z=-1.3" in text
+            assert after == before
+            return
+        lines = printer.run("AUTO_Z_CALIBRATE")
+        assert len(told(lines, "trying again")) == 1
+        gap = printer.scene.piezo_gap()
+        assert true_gap(printer) == pytest.approx(gap, abs=STEPS)
+
+
+def test_first_touch_in_mid_air_on_a_machine_nobody_knows(start):
+    # Higher than the probe can see the bed
+    fault = Fault("trigger_early", signal="bed_sensor", mm=2.0, n=1)
+    changes = section(samples_tolerance_retries="0")
+    printer = start("qidi", changes=changes, faults=[fault]).homed()
+    text, before, after = before_and_after(printer)
+    assert "bed sensor: triggered at z=0.680, which is above z=0.500," in text
+    assert after == before
+    assert lowest(printer) == 0.0
+    printer.run("AUTO_Z_CALIBRATE")
+    gap = printer.scene.piezo_gap()
+    assert true_gap(printer) == pytest.approx(gap, abs=STEPS)
+
+
+@pytest.mark.half
+@pytest.mark.parametrize("n", [1, 2, 3])
+@pytest.mark.parametrize(("late", "retries"), [(0.1, 0), (0.1, 1), (0.5, 1)])
+def test_trigger_that_is_late(some_host, n, late, retries):
+    fault = Fault("trigger_late", signal="bed_sensor", mm=late, n=n)
+    changes = section(samples_tolerance_retries=str(retries))
+    with Printer(some_host, "qidi", changes=changes, faults=[fault]) as printer:
+        printer.machine.tolerate("nozzle_bed", late + 0.02)
+        printer.homed()
+        # Far too late is dead; at the first touch of all it makes those that
+        # follow look wrong
+        if retries and late < 0.3:
+            printer.run("AUTO_Z_CALIBRATE")
+            gap = printer.scene.piezo_gap()
+            assert true_gap(printer) == pytest.approx(gap, abs=STEPS)
+        else:
+            text, before, after = before_and_after(printer)
+            words = "No trigger" if n > 1 else "mm above the expected z=-1.82"
+            assert ("samples differ" if late < 0.3 else words) in text
+            assert after == before
+        deeper = late if n == 1 else min(late, AGAIN)
+        assert lowest(printer) <= ONE_TOUCH + deeper + STEPS
+
+
+def test_sensor_that_is_triggered_from_the_start(start):
+    printer = start(
+        "qidi", faults=[Fault("stuck_closed", signal="bed_sensor", t=0.0)]
+    ).homed()
+    first = len(printer.machine.truth.touches)
+    currents = [len(d.currents) for d in printer.machine.drivers.values()]
+    text, before, after = before_and_after(printer, "AUTO_Z_PROBE")
+    assert "bed sensor: reads triggered at z=" in text
+    # Found before anything was changed for a touch
+    drivers = printer.machine.drivers.values()
+    assert [len(d.currents) for d in drivers] == currents
+    assert "a '!' in front of it turns the meaning" in text
+    assert sites(printer, first) == []
+    assert after == before
+
+
+def test_sensor_that_stays_triggered_after_the_touch(start):
+    # One touch only: nobody would look at it again
+    touch = touches(probed_at(start("qidi").homed(), 60.0))[-1]
+    fault = Fault("stuck_closed", signal="bed_sensor", t=touch.t + 0.1)
+    printer = start("qidi", faults=[fault]).homed()
+    before = state(printer)
+    with pytest.raises(GcodeError) as error:
+        probed_at(printer, 60.0)
+    assert "bed sensor: reads triggered at z=3.6" in str(error.value)
+    assert state(printer) == before
+
+
+@pytest.mark.each_host
+@pytest.mark.parametrize(
+    ("site", "after"), [("nozzle_bed", 1.4), ("inductive_bed", 1.6)]
+)
+def test_emergency_stop_before_a_touch_hangs_no_host(start, site, after):
+    # Klipper of 2026 waits there for a trigger that never comes, and
+    # FIRMWARE_RESTART with it, unless the module looks first
+    printer = start("qidi").homed()
+    printer.stopped("AUTO_Z_CALIBRATE", site, after)  # on the way
+    printer.session.wait(10.0)
+    printer.session.restart("FIRMWARE_RESTART")
+    printer.homed()
+
+
+# What is known of the bed
+
+
+def test_touch_in_this_frame_is_the_floor_of_the_next_one(start):
+    # The second arming is the next command's
+    fault = Fault("trigger_never", signal="bed_sensor", n=2)
+    printer = start("qidi", faults=[fault])
+    printer.machine.tolerate("nozzle_bed", KNOWN + 0.02)
+    printer.homed().run("AUTO_Z_PROBE")
+    text = printer.fail("AUTO_Z_PROBE")
+    assert "1.000 mm below the expected trigger at z=-1.3" in text
+    assert lowest(printer) <= ONE_TOUCH + KNOWN + STEPS
+
+
+@pytest.mark.parametrize("script", ["G28 Z", "SET_KINEMATIC_POSITION Z=10"])
+def test_touch_in_another_frame_says_nothing(start, script):
+    fault = Fault("trigger_never", signal="bed_sensor", n=2)
+    changes = {"force_move": {"enable_force_move": "true"}}
+    printer = start("qidi", faults=[fault], changes=changes)
+    printer.machine.tolerate("nozzle_bed", 10.0)
+    printer.homed().run(f"AUTO_Z_PROBE\n{script}")
+    text = printer.fail("AUTO_Z_PROBE")
+    assert "which is position_min of section 'stepper_z'" in text
+
+
+def test_failed_command_teaches_nothing(start):
+    # Early by 1 mm, so the second touch of it finds no bed
+    fault = Fault("trigger_early", signal="bed_sensor", mm=1.0, n=1)
+    changes = section(samples="2")
+    printer = start("qidi", faults=[fault], changes=changes).homed()
+    printer.fail("AUTO_Z_PROBE")
+    assert printer.status("auto_z_offset")["last_z"] is None
+    printer.run("AUTO_Z_PROBE")
+    last = printer.status("auto_z_offset")["last_z"]
+    assert last == pytest.approx(SENSOR, abs=STEPS)
+
+
+def test_probe_that_sees_the_bed_elsewhere(start):
+    # Z was set by somebody else
+    changes = {"force_move": {"enable_force_move": "true"}}
+    printer = start("qidi", changes=changes).homed()
+    z = printer.status("toolhead")["position"][2]
+    printer.run(f"SET_KINEMATIC_POSITION Z={z + 0.3}")
+    text, before, after = before_and_after(printer)
+    assert "the probe sees the bed at z=0.300" in text
+    assert "instead of 0.000; home Z again (G28) after any level" in text
+    assert after == before
+    # Nothing is applied by this one
+    lines = printer.run("AUTO_Z_MEASURE_OFFSET")
+    assert told(lines, "the probe sees the bed at z=0.300")
+    printer.run("G28 Z\nAUTO_Z_CALIBRATE")
+    gap = printer.scene.piezo_gap()
+    assert true_gap(printer) == pytest.approx(gap, abs=STEPS)
+
+
+@pytest.mark.parametrize(
+    "command", ["LOAD_OFFSET", "SAVE_GCODE_OFFSET", "CALIBRATE"]
+)
+def test_correction_means_nothing_after_home_z(start, command):
+    # Loaded there, Z=0 would be 1.4 mm inside the bed
+    printer = start("qidi", changes=section(probe_z_correction="-1.12"))
+    printer.homed().run("AUTO_Z_HOME_Z")
+    text, before, after = before_and_after(printer, f"AUTO_Z_{command}")
+    assert "Z was set by AUTO_Z_HOME_Z" in text
+    assert "home Z with the probe (G28) first" in text
+    assert after == before
+    printer.run(f"AUTO_Z_PROBE\nG28 Z\nAUTO_Z_{command}")
+
+
+def test_levelling_does_not_end_what_home_z_has_set(start):
+    changes = {
+        "force_move": {"enable_force_move": "true"},
+        **section(probe_z_correction="-1.12"),
+    }
+    printer = start("qidi", changes=changes).homed()
+    printer.run("AUTO_Z_HOME_Z")
+    printer.run("FORCE_MOVE STEPPER=stepper_z1 DISTANCE=0.1 VELOCITY=5")
+    assert "Z was set by AUTO_Z_HOME_Z" in printer.fail("AUTO_Z_LOAD_OFFSET")
+    # Nor is the bed where the correction says
+    printer.run("AUTO_Z_PROBE\nG28 Z\nAUTO_Z_LOAD_OFFSET")
+
+
+def test_homing_in_prepare_gcode_is_the_frame(start):
+    code = f"G28 Z\n  {PREPARE}"
+    printer = start("qidi", changes=section(prepare_gcode=code)).homed()
+    printer.run("AUTO_Z_HOME_Z\nAUTO_Z_CALIBRATE")
+    gap = printer.scene.piezo_gap()
+    assert true_gap(printer) == pytest.approx(gap, abs=STEPS)
+
+
+def test_home_z_with_a_correction_in_force(start):
+    # Z=0 would be 1.3 mm inside the bed
+    printer = start("qidi").homed()
+    printer.run("SET_GCODE_OFFSET Z=-1.12")
+    text, before, after = before_and_after(printer, "AUTO_Z_HOME_Z")
+    assert "with the G-code Z offset of -1.120 in force" in text
+    assert "1.320 mm inside the bed at Z=0; run SET_GCODE_OFFSET" in text
+    assert after == before
+    printer.run("SET_GCODE_OFFSET Z=0\nAUTO_Z_HOME_Z")
+
+
+def test_home_z_with_an_offset_that_does_no_harm(start):
+    # Z=0 stays above where the sensor triggers
+    printer = start("qidi", changes=section(z_offset="-0.3")).homed()
+    printer.run("SET_GCODE_OFFSET Z=-0.1\nAUTO_Z_HOME_Z")
+    assert printer.offset() == pytest.approx(-0.1)
+
+
+def test_manual_probe_is_not_disturbed(start):
+    printer = start("qidi").homed()
+    printer.run("PROBE_CALIBRATE")
+    text = printer.fail("AUTO_Z_PROBE")
+    assert "a manual probe is under way; end it with ACCEPT or ABORT" in text
+    printer.run("ABORT\nAUTO_Z_PROBE")
+
+
+def test_absurd_correction_is_not_saved(start):
+    # It could not be read again
+    printer = start("qidi", changes=section(z_offset="-9.5")).homed()
+    text, before, after = before_and_after(printer)
+    assert "a correction of -10.820 mm is none, 10 mm is the limit" in text
+    assert after == before
+
+
+@pytest.mark.parametrize(
+    ("shift", "good"), [(0.08, True), (0.12, False), (-0.12, False)]
+)
+def test_small_shift_of_z_is_none(start, shift, good):
+    changes = {"force_move": {"enable_force_move": "true"}}
+    printer = start("qidi", changes=changes).homed()
+    z = printer.status("toolhead")["position"][2]
+    printer.run(f"SET_KINEMATIC_POSITION Z={z + shift}")
+    if good:
+        printer.run("AUTO_Z_CALIBRATE")
+    else:
+        assert "home Z again" in printer.fail("AUTO_Z_CALIBRATE")
+
+
+# prepare_gcode
+
+
+@pytest.mark.parametrize("command", MEASURING)
+def test_prepare_gcode_that_fails(start, command):
+    code = f"{PREPARE}\n  G91\n  SET_GCODE_OFFSET Z=1\n  NO_SUCH {{x.y.z}}"
+    printer = start("qidi", changes=section(prepare_gcode=code)).homed()
+    printer.run("SET_GCODE_OFFSET Z=0.123")
+    before = state(printer)
+    printer.fail(f"AUTO_Z_{command}")
+    assert state(printer) == before
+    printer.session.wait(1.0)
+    assert_lifted(printer)
+
+
+@pytest.mark.parametrize("mode", ["G90", "G91"])
+def test_relative_moves_do_not_outlive_prepare_gcode(start, mode):
+    changes = {
+        "gcode_macro COLD": {"gcode": "\n  {action_raise_error('too cold')}"},
+        **section(prepare_gcode=f"{PREPARE}\n  G91\n  COLD"),
+    }
+    printer = start("qidi", changes=changes).homed()
+    printer.run(mode)
+    text, before, after = before_and_after(printer, "AUTO_Z_PROBE")
+    assert "too cold" in text
+    assert after == before
+    assert after["absolute"] is (mode == "G90")
+
+
+def test_forgotten_g90_is_put_right(start):
+    changes = section(prepare_gcode=f"{PREPARE}\n  G91")
+    printer = start("qidi", changes=changes).homed()
+    printer.run("G90\nAUTO_Z_PROBE")
+    assert state(printer)["absolute"] is True
+
+
+def test_prepare_gcode_that_changes_the_offset(start):
+    # A failed run puts it back
+    code = f"{PREPARE}\n  SET_GCODE_OFFSET Z=1"
+    fault = Fault("stuck_closed", signal="bed_sensor", n=1)
+    printer = start(
+        "qidi", changes=section(prepare_gcode=code), faults=[fault]
+    ).homed()
+    printer.run("SET_GCODE_OFFSET Z=0.123")
+    text, before, after = before_and_after(printer)
+    assert after == before
+
+
+def test_prepare_gcode_that_turns_the_motors_off(start):
+    changes = section(prepare_gcode=f"{PREPARE}\n  M84")
+    printer = start("qidi", changes=changes).homed()
+    text = printer.fail("AUTO_Z_CALIBRATE")
+    assert "not homed: X, Y, Z" in text
+    assert printer.session.state()[0] == "ready"
+
+
+@pytest.mark.parametrize("command", MEASURING)
+def test_prepare_gcode_that_moves_the_head_away(start, command):
+    code = f"{PREPARE}\n  G90\n  G1 X30 Y40 Z8 F6000"
+    printer = start("qidi", changes=section(prepare_gcode=code)).homed()
+    printer.run(f"G90\nG1 X{POINT[0]} Y{POINT[1]} F6000")
+    first = len(printer.machine.truth.touches)
+    printer.run(f"AUTO_Z_{command}")
+    nozzle = [t for t in touches(printer, first) if t.site == "nozzle_bed"]
+    for touch in nozzle:
+        assert (touch.x, touch.y) == pytest.approx(POINT, abs=0.02)
+
+
+def test_prepare_gcode_that_leaves_the_head_below(start):
+    code = f"{PREPARE}\n  G90\n  G1 Z-1.2 F600"
+    changes = section(prepare_gcode=code, probe_z_min="-1.1")
+    printer = start("qidi", changes=changes).homed()
+    # It is lifted before it travels, and so before it touches
+    text = printer.fail("AUTO_Z_PROBE")
+    assert "(stopped at z=-1.100)" in text
+
+
+@pytest.mark.parametrize("command", MEASURING)
+def test_measurement_inside_a_measurement(some_host, command):
+    changes = section(prepare_gcode=f"{PREPARE}\n  AUTO_Z_{command}")
+    with Printer(some_host, "qidi", changes=changes) as printer:
+        printer.homed()
+        text, before, after = before_and_after(printer)
+        assert "a measurement is under way (prepare_gcode)" in text
+        assert after == before
+
+
+# The offset and what is saved
+
+
+def test_failing_macro_leaves_offset_and_file(start):
+    macro = {
+        "rename_existing": "SET_GCODE_OFFSET_BASE",
+        "gcode": "\n  SET_GCODE_OFFSET_BASE {rawparams}"
+        "\n  {% if params.Z|float < -1 %}{action_raise_error('no')}{% endif %}",
+    }
+    changes = {"gcode_macro SET_GCODE_OFFSET": macro}
+    printer = start("qidi", changes=changes).homed()
+    printer.run("SET_GCODE_OFFSET Z=0.123")
+    text, before, after = before_and_after(printer)
+    assert after == before
+    assert pending(printer) == {}
+
+
+@pytest.mark.parametrize("value", ["2", "yes please"])
+def test_parameter_that_is_neither(start, value):
+    printer = start("qidi").homed()
+    text = printer.fail(f'AUTO_Z_PROBE ACCEPT_CHANGE="{value}"')
+    assert "auto_z_offset: ACCEPT_CHANGE: " in text
+    assert "write 1 or 0" in text
+
+
+# Drivers
+
+
+def writes(printer):
+    """Number of register writes that both drivers have seen so far."""
+    return {n: d.read(IFCNT) for n, d in printer.machine.drivers.items()}
+
+
+# Writes of one command with one touch: the stepper_z1 driver changes its
+# range, too (counted by test_writes_of_one_touch)
+WRITES = {"z": 2, "z1": 4}
+
+
+def test_writes_of_one_touch(start):
+    printer = start("qidi").homed()
+    seen = []
+    for _ in range(3):
+        before = writes(printer)
+        printer.run("AUTO_Z_PROBE")
+        after = writes(printer)
+        seen.append({n: after[n] - before[n] for n in after})
+    # A busy host may send one twice
+    assert min(seen, key=lambda s: sum(s.values())) == WRITES
+
+
+@pytest.mark.parametrize(
+    ("driver", "n"),
+    [(d, n) for d, count in WRITES.items() for n in range(count)],
+)
+def test_driver_that_does_not_answer(host, driver, n):
+    with Printer(host, "qidi") as printer:
+        printer.homed()
+        before = state(printer)
+        fault = Fault("tmc_change_lost", driver=driver, n=n + 1)
+        printer.machine.faults.add(fault)
+        text = ""
+        try:
+            printer.run("AUTO_Z_PROBE")
+        except GcodeError as error:
+            text = str(error)
+        after = state(printer)
+        assert printer.machine.faults.unfired() == []
+        assert after["currents"] == before["currents"]
+        assert after["max_accel"] == before["max_accel"]
+        # Failing to reduce it ends the command, failing to restore it once
+        # does not
+        reducing = n < WRITES[driver] / 2
+        assert bool(text) is reducing
+        if reducing:
+            assert "Unable to write tmc uart" in text
+            assert after == before
+        printer.session.wait(1.0)
+        assert_lifted(printer)
+
+
+def test_driver_that_never_answers_again(start):
+    printer = start("qidi").homed()
+    # The first change reduces the current
+    fault = Fault("tmc_change_lost", driver="z", n=2, persistent=True)
+    printer.machine.faults.add(fault)
+    text = printer.fail("AUTO_Z_PROBE")
+    line = (
+        "auto_z_offset: the current of stepper_z could not be set back:"
+        " Unable to write tmc uart"
+    )
+    assert line in text
+    assert "SET_TMC_CURRENT STEPPER=stepper_z CURRENT=0.79" in text
+    assert told(printer.session.console, line)
+    assert printer.machine.drivers["z"].current().run < 0.3
+    # The other one is as it was
+    assert printer.machine.drivers["z1"].current().run > 1.0
+
+
+def test_first_error_stays_the_first(start):
+    # No trigger, then the driver does not answer any more
+    changes = section(probe_z_min="-1.1")
+    printer = start("qidi", changes=changes).homed()
+    for fault in (
+        Fault("trigger_never", signal="bed_sensor", n=1),
+        Fault("tmc_change_lost", driver="z", n=2, persistent=True),
+    ):
+        printer.machine.faults.add(fault)
+    text = printer.fail("AUTO_Z_PROBE")
+    assert text.startswith("auto_z_offset: bed sensor: No trigger")
+    assert told(printer.session.console, "stepper_z could not be set back")
+    printer.session.wait(1.0)
+    assert_lifted(printer)
+
+
+DRIVER = """
+class Fields:
+    def lookup_register(self, name, default=None):
+        return name if name == "globalscaler" else default
+
+
+class Commands:
+    def get_status(self, eventtime):
+        return {"run_current": 1.0}
+
+
+class Driver:
+    def __init__(self, config):
+        commands = Commands()
+        if config.getboolean("own_home_current"):
+            commands.current_helper = self
+            self.req_home_current = 1.0
+        self.fields = Fields()
+        self.get_status = commands.get_status
+        self.calls = []
+        gcode = config.get_printer().lookup_object("gcode")
+        if config.getboolean("has_command"):
+            gcode.register_mux_command(
+                "SET_TMC_CURRENT", "STEPPER", "stepper_z", self.set_current
+            )
+        gcode.register_command("CALLS", self.tell)
+
+    def set_current(self, gcmd):
+        self.calls.append(gcmd.get_float("CURRENT"))
+
+    def tell(self, gcmd):
+        gcmd.respond_info("calls %s" % (self.calls,))
+
+
+def load_config(config):
+    driver = Driver(config)
+    config.get_printer().add_object("tmc5160 stepper_z", driver)
+    return driver
+"""
+
+
+@pytest.mark.parametrize(
+    ("own", "command", "calls"),
+    [(False, True, "[0.33, 1.0]"), (True, True, "[]"), (False, False, "[]")],
+)
+def test_driver_that_is_better_left_alone(start, tmp_path, own, command, calls):
+    # A stand-in, as the simulated board has no SPI: Kalico's TMC5160 shuts the
+    # printer down at small currents
+    source = tmp_path / "stand_in.py"
+    source.write_text(DRIVER)
+    changes = {
+        "stand_in": {
+            "own_home_current": str(own),
+            "has_command": str(command),
+        }
+    }
+    modules = {**module_files(), "stand_in": source}
+    printer = start("piezo_cartesian", changes=changes, modules=modules)
+    printer.homed().run("AUTO_Z_PROBE")
+    assert told(printer.run("CALLS"), f"calls {calls}")
+    notes = told(printer.session.console, "z_current_factor has no effect")
+    assert len(notes) == (1 if calls == "[]" else 0)
+
+
+# The connection
+
+
+@pytest.mark.parametrize("board", ["U_1", "mcu"])
+def test_lost_connection_is_the_only_end_of_the_printer(start, board):
+    # Half a second before the nozzle is on the bed, or the probe sees it
+    clean = start("qidi_two_boards").homed()
+    first = clean.machine.rig.seconds(clean.machine.simulation.clock.now())
+    clean.run("AUTO_Z_MEASURE_OFFSET")
+    touch = touches(clean)[-1 if board == "mcu" else -2]
+    fault = Fault("mcu_silent", board=board, t=touch.t - 0.5)
+    printer = start("qidi_two_boards", faults=[fault]).homed()
+    assert touch.t - 0.5 > first
+    printer.fail("AUTO_Z_MEASURE_OFFSET")
+    assert printer.machine.faults.unfired() == []
+    assert lowest(printer) <= ONE_TOUCH + STEPS
+
+
+# Other probes
+
+
+def with_smart_effector(start, faults=()):
+    """A printer with one, told where Z is: Kalico cannot home with it."""
+    probe = dict(SCENES["qidi"].sections["probe"])
+    changes = {
+        "probe": None,
+        "smart_effector": {**probe, "recovery_time": "0.1"},
+        "force_move": {"enable_force_move": "true"},
+        "safe_z_home": None,
+        "stepper_z": {"endstop_pin": "^PC8", "position_endstop": "0"},
+    }
+    printer = start("qidi", changes=changes, faults=faults)
+    printer.session.require_ready()
+    x, y, z = SCENES["qidi"].start
+    z -= 0.3130 + 1.2713
+    printer.run(f"SET_KINEMATIC_POSITION X={x} Y={y} Z={z}\nG90\nG1 Z10 F900")
+    return printer
+
+
+def test_smart_effector(start):
+    printer = with_smart_effector(start)
+    printer.run("AUTO_Z_CALIBRATE")
+    gap = printer.scene.piezo_gap()
+    assert true_gap(printer) == pytest.approx(gap, abs=STEPS)
+
+
+def test_smart_effector_that_homes_to_something_else(start):
+    # Some hosts ask for position_endstop, and home Z to that; others refuse
+    probe = dict(SCENES["qidi"].sections["probe"])
+    changes = {
+        "probe": None,
+        "smart_effector": {**probe, "recovery_time": "0", "z_offset": "0.1"},
+        "stepper_z": {"position_endstop": "-0.7"},
+    }
+    printer = start("qidi", changes=changes)
+    kind, message = printer.session.start()
+    if kind == "error":
+        assert "'position_endstop' is not valid" in message
+        return
+    printer.run("G28")
+    gap = printer.scene.piezo_gap()
+    printer.run("AUTO_Z_CALIBRATE")
+    assert true_gap(printer) == pytest.approx(gap, abs=STEPS)
+    correction = printer.status("auto_z_offset")["probe_z_correction"]
+    assert printer.offset() == pytest.approx(correction - 0.8, abs=1e-6)
+    printer.run("SET_GCODE_OFFSET Z_ADJUST=0.05\nAUTO_Z_SAVE_GCODE_OFFSET")
+    printer.session.restart("SAVE_CONFIG")
+    lines = printer.run("G28\nAUTO_Z_LOAD_OFFSET")
+    assert told(
+        lines, "-0.800000 more, as position_endstop of section 'stepper_z'"
+    )
+    assert true_gap(printer) == pytest.approx(gap + 0.05, abs=STEPS)
+    printer.run("AUTO_Z_CALIBRATE")
+    assert true_gap(printer) == pytest.approx(gap, abs=STEPS)
+
+
+@pytest.mark.parametrize("n", [1, 2])
+def test_dead_smart_effector(start, n):
+    fault = Fault("trigger_never", signal="probe", n=n)
+    printer = with_smart_effector(start, faults=[fault])
+    text = printer.fail("AUTO_Z_CALIBRATE")
+    assert "auto_z_offset: probe: No trigger" in text
+    assert lowest(printer) <= ONE_TOUCH + STEPS
+
+
+def test_same_pin_as_the_smart_effector_is_refused(some_host):
+    probe = dict(SCENES["qidi"].sections["probe"])
+    changes = {
+        "probe": None,
+        "smart_effector": {**probe, "recovery_time": "0"},
+        **section(pin="PF0"),
+    }
+    message = refusal(some_host, changes, "qidi")
+    assert "is the pin of section 'smart_effector'" in message
+
+
+OTHERS = '''
+class Hidden:
+    """An object without some of its attributes."""
+
+    def __init__(self, inner, hidden):
+        self.__dict__.update(inner=inner, hidden=hidden)
+
+    def __getattr__(self, name):
+        if name in self.hidden:
+            raise AttributeError(name)
+        found = getattr(self.inner, name)
+        if name == "mcu_probe":
+            return Hidden(found, ("homing_helper",))
+        return found
+
+
+def load_config(config):
+    printer = config.get_printer()
+    hidden = ("z_position", "probe_session")
+    if config.getboolean("whole"):
+        hidden += ("mcu_probe",)
+
+    def change():
+        probe = printer.lookup_object("probe")
+        printer.objects["probe"] = Hidden(probe, hidden)
+
+    printer.register_event_handler("klippy:mcu_identify", change)
+'''
+
+
+@pytest.mark.parametrize("n", [None, 1, 3])
+def test_probe_that_takes_no_floor_is_touched_by_us(start, tmp_path, n):
+    source = tmp_path / "others.py"
+    source.write_text(OTHERS)
+    modules = {**module_files(), "others": source}
+    faults = []
+    if n is not None:
+        arms = n + HOMING_ARMS
+        faults = [Fault("trigger_never", signal="probe", n=arms)]
+    changes = {"others": {"whole": "false"}}
+    printer = start("qidi", changes=changes, modules=modules, faults=faults)
+    printer.homed()
+    if n is None:
+        printer.run("AUTO_Z_CALIBRATE")
+        gap = printer.scene.piezo_gap()
+        assert true_gap(printer) == pytest.approx(gap, abs=STEPS)
+        return
+    text = printer.fail("AUTO_Z_CALIBRATE")
+    assert "auto_z_offset: probe: No trigger" in text
+    assert lowest(printer) <= ONE_TOUCH + STEPS
+
+
+def test_probe_that_cannot_be_told_where_to_end_is_refused(host, tmp_path):
+    source = tmp_path / "others.py"
+    source.write_text(OTHERS)
+    modules = {**module_files(), "others": source}
+    changes = {"others": {"whole": "true"}}
+    with Printer(host, "qidi", changes=changes, modules=modules) as printer:
+        kind, message = printer.session.start()
+        assert kind == "error"
+        assert "Internal error" not in message
+        assert "Section 'probe' (Hidden): this probe cannot be told" in message
+
+
+def test_host_probes_to_its_own_floor_again_afterwards(start):
+    # The plate ends before the axis does
+    printer = start("qidi")
+    printer.machine.tolerate("nozzle_bed", 10.0)
+    printer.homed().run("AUTO_Z_MEASURE_OFFSET")
+    faulty = start(
+        "qidi",
+        faults=[Fault("stuck_open", signal="probe", n=HOMING_ARMS + 2)],
+    )
+    faulty.machine.tolerate("nozzle_bed", 10.0)
+    faulty.homed().run("AUTO_Z_MEASURE_OFFSET")
+    text = faulty.fail("PROBE")
+    assert "No trigger on probe" in text
+    assert lowest(faulty) == pytest.approx(4.0 - 1.2695, abs=0.02)
+
+
+def test_error_of_the_probe_names_what_to_do(start):
+    # Pressed before it moves
+    fault = Fault("stuck_closed", signal="probe", n=HOMING_ARMS + 1)
+    printer = start("qidi", faults=[fault]).homed()
+    text, before, after = before_and_after(printer)
+    assert text.startswith("auto_z_offset: probe: ")
+    assert "check with QUERY_PROBE and PROBE" in text
+    assert after == before
+
+
+def test_head_is_up_when_the_session_ends(start):
+    # deactivate_gcode may stow
+    where = "{printer.toolhead.position.z|round(2)}"
+    changes = {
+        "respond": {},
+        "gcode_macro STOW": {"gcode": f"\n  RESPOND MSG='stow {where}'"},
+        "probe": {
+            "deactivate_gcode": "STOW",
+            "deactivate_on_each_sample": "False",
+        },
+    }
+    printer = start("qidi", changes=changes).homed()
+    lines = told(printer.run("AUTO_Z_MEASURE_OFFSET"), "echo: stow")
+    top = SENSOR + 5.0
+    assert float(lines[-1].split()[-1]) == pytest.approx(top, abs=0.02)
+
+
+def test_status_is_idle_after_a_failure(start):
+    fault = Fault("trigger_never", signal="bed_sensor", n=2)
+    printer = start("qidi", faults=[fault])
+    printer.machine.tolerate("nozzle_bed", 1.0)
+    printer.homed()
+    before = printer.status("auto_z_offset")
+    printer.fail("AUTO_Z_CALIBRATE")
+    assert printer.status("auto_z_offset") == before
+    assert before["phase"] == "idle"
+
+
+def test_air_gap_is_the_configured_one():
+    own = SCENES["qidi"].sections["auto_z_offset"]
+    assert float(own["z_offset"]) == AIR_GAP

@@ -1,0 +1,208 @@
+"""What README.md and docs/z_calibration.md tell a new owner, done literally."""
+
+from __future__ import annotations
+
+import os
+import re
+import shutil
+import subprocess
+from pathlib import Path
+
+import pytest
+
+from tests.docs.documents import link_problems, part
+from tests.hostkit.environment import build_dir
+from tests.hostkit.hosts import find_hosts
+from tests.hostkit.lab import copy_own_files
+from tests.modules.example_owners import OWNERS
+from tests.modules.test_z_calibration_examples import (
+    MESH,
+    assert_ready_to_print,
+    assert_soft_and_clean,
+    print_start,
+)
+
+ROOT = Path(__file__).resolve().parents[2]
+README = ROOT / "README.md"
+DOCUMENTS = sorted([*ROOT.glob("*.md"), *ROOT.glob("docs/*.md")])
+SETUP = {
+    README: ["Configure", "Use"],
+    ROOT / "docs" / "z_calibration.md": ["printer.cfg", "PRINT_START"],
+}
+# What README says beside its sections: the mesh's zero
+ZERO = "[bed_mesh]\nzero_reference_position: 150, 150\n"
+OWN_MESH = {
+    "bed_mesh": {
+        "mesh_min": "30, 30",
+        "mesh_max": "270, 270",
+        "horizontal_move_z": "15",
+        **MESH["bed_mesh"],
+    }
+}
+
+
+def blocks(text: str, language: str = "") -> list[str]:
+    """The code blocks of a text in a language, "" for none."""
+    found = re.findall(r"^```(\w*)\n(.*?)^```", text, re.S | re.M)
+    return [code for name, code in found if name == language]
+
+
+def settings(document: Path) -> str:
+    """What a document gives for printer.cfg: its first section, its macro."""
+    text = document.read_text(encoding="utf-8")
+    if document == README:
+        text = text.partition("\n## z_calibration\n")[2]
+        text = text.partition("\n## auto_z_offset\n")[0]
+    found = []
+    for title in SETUP[document]:
+        found.append(blocks(part(text, title), "ini")[0])
+    return "\n".join(found)
+
+
+@pytest.mark.spread
+@pytest.mark.parametrize("document", SETUP, ids=lambda path: path.name)
+def test_shortest_way_ends_at_the_right_height(start, tmp_path, document):
+    owner = OWNERS["voron24_klicky"]
+    file = tmp_path / "mine.cfg"
+    file.write_text(settings(document) + ZERO)
+    changes = {f"include {file}": {}, **OWN_MESH}
+    if document != README:
+        # The mesh of an earlier day
+        owner = owner.__class__(owner.scene, owner.bed)
+    printer = start(owner.scene, changes=changes)
+    lines = print_start(printer)
+    assert_soft_and_clean(lines)
+    assert_ready_to_print(printer, owner)
+
+
+def test_result_line_of_the_readme():
+    line = re.search(r"Z-CALIBRATION: (.*)", README.read_text())[1]
+    heights = {k: float(v) for k, v in re.findall(r"(\w+)=([\d.]+)", line)}
+    body = heights["switch"] - heights["nozzle"] + heights["switch_offset"]
+    assert heights["offset"] == pytest.approx(heights["probe"] - body)
+
+
+# Commands
+
+
+def commands() -> list[str]:
+    """Every line of a shell that README shows, without comments."""
+    lines = "".join(blocks(README.read_text())).splitlines()
+    shown = [line.partition("#")[0].strip() for line in lines]
+    inline = re.findall(r"`((?:make |build/venv)[^`]*)`", README.read_text())
+    inline = [" ".join(line.split()) for line in inline]
+    kept = [line for line in shown if line and not line.startswith("Z-CAL")]
+    return list(dict.fromkeys([*kept, *inline]))
+
+
+INSTALLING = {
+    # Typed by tests/install/test_installation_doc.py
+    "git clone ADDRESS ~/klipper_z_calibration",
+    "~/klipper_z_calibration/install.sh",
+}
+# By test_the_way_to_the_demo
+TRYING = {"cd ~/klipper_z_calibration", "make demo"}
+# What follows the command, so that it does not run this test again
+ADDED = {
+    "make test": " PYTEST_ARGS=tests/simprinter/tests/test_wiring.py PYTEST_WORKERS=1",
+    "KLIPPER_PATH=~/klipper:~/kalico make test": " PYTEST_ARGS=--version",
+    "build/venv/bin/python -m tests.demo --help": "",
+}
+EXPECTED = {
+    "make test": r"\d+ passed",
+    "KLIPPER_PATH=~/klipper:~/kalico make test": r"klipper@klipper.*\nkalico@",
+    "build/venv/bin/python -m tests.demo --help": r"--scene",
+}
+
+
+def test_every_command_is_known():
+    assert set(commands()) == {*INSTALLING, *TRYING, *ADDED}
+
+
+@pytest.fixture
+def home(tmp_path):
+    """A home with a Kalico, and one without plugins, as Klipper has none."""
+    (base,) = [h.directory / "base" for h in find_hosts() if h.name == "kalico"]
+    (tmp_path / "kalico").symlink_to(base)
+    shutil.copytree(base / "klippy", tmp_path / "klipper" / "klippy")
+    shutil.rmtree(tmp_path / "klipper" / "klippy" / "plugins")
+    return tmp_path
+
+
+@pytest.mark.timeout(300)
+@pytest.mark.parametrize("command", ADDED)
+def test_command_works(home, command):
+    env = {**os.environ, "HOME": str(home), "KLIPPER_PATH": ""}
+    # build/ is where the running tests have it
+    env["BUILD_DIR"] = os.path.relpath(build_dir(), ROOT)
+    line = command.replace("build/venv", f"{env['BUILD_DIR']}/venv")
+    done = subprocess.run(
+        ["bash", "-c", line + ADDED[command]],
+        cwd=ROOT,
+        env=env,
+        capture_output=True,
+        text=True,
+    )
+    assert done.returncode == 0, done.stdout + done.stderr
+    assert re.search(EXPECTED[command], done.stdout), done.stdout
+
+
+@pytest.mark.timeout(300)
+def test_the_way_to_the_demo(home):
+    """From the clone to the true gap; make test is above."""
+    origin = home / "origin"
+    copy_own_files(origin)
+    begin = (
+        "git init -q && git add -A && git -c user.name=n"
+        " -c user.email=e@example.com commit -q -m all"
+    )
+    subprocess.run(begin, shell=True, cwd=origin, check=True)
+    lines = blocks(part(README.read_text(), "Try it without a printer"))[0]
+    lines = lines.replace("ADDRESS", str(origin)).replace("make test", "true")
+    env = {**os.environ, "HOME": str(home), "KLIPPER_PATH": ""}
+    env["BUILD_DIR"] = str(build_dir())
+    done = subprocess.run(
+        ["bash", "-ec", lines], env=env, capture_output=True, text=True
+    )
+    assert done.returncode == 0, done.stdout + done.stderr
+    assert "new offset=" in done.stdout
+
+
+# Words of Klipper, of web interfaces and of others' macros
+FOREIGN = """QUERY_ENDSTOPS QUERY_PROBE RESTORE_GCODE_STATE Internal klippy base
+smart_effector qdprobe extra_probe"""
+KNOWN_TEXTS = [
+    ROOT / "docs" / "z_calibration.md",
+    ROOT / "docs" / "auto_z_offset.md",
+    ROOT / "docs" / "installation.md",
+    ROOT / "examples" / "z_calibration" / "calibrate_macros.cfg",
+]
+
+
+@pytest.mark.parametrize("name", ["troubleshooting", "migration"])
+def test_words_exist(name):
+    """What these documents call by its name is described elsewhere."""
+    known = "\n".join(path.read_text() for path in KNOWN_TEXTS)
+    text = (ROOT / "docs" / f"{name}.md").read_text()
+    spans = re.findall(r"`([^`]+)`", text)
+    words = set(re.findall(r"[A-Za-z_]{4,}", " ".join(spans)))
+    assert len(words) >= 10
+    unknown = {w for w in words if w not in known} - set(FOREIGN.split())
+    assert unknown == set()
+
+
+# Links
+
+
+@pytest.mark.parametrize("document", DOCUMENTS, ids=lambda path: path.name)
+def test_links(document):
+    text = document.read_text(encoding="utf-8")
+    assert link_problems(text, document) == []
+
+
+def test_everything_is_linked_from_the_readme():
+    text = README.read_text()
+    for path in [*ROOT.glob("docs/*.md"), *ROOT.glob("examples/*/*.cfg")]:
+        name = str(path.relative_to(ROOT))
+        folder = str(path.parent.relative_to(ROOT))
+        assert f"]({name}" in text or f"]({folder})" in text, name

@@ -1,0 +1,145 @@
+"""Every option with every kind of nonsense: refused when klippy starts.
+
+What a range excludes is taken from the tables of the documents, which
+tests/docs holds against the modules.
+"""
+
+from __future__ import annotations
+
+import os
+from pathlib import Path
+from typing import NamedTuple
+
+import pytest
+
+from tests.docs.documents import (
+    OPTIONS,
+    Option,
+    options_of,
+    part,
+    samples_of,
+)
+from tests.hostkit.load_errors import load
+from tests.hostkit.z_calibration import refusal
+
+ROOT = Path(__file__).resolve().parents[2]
+SCENES = {"z_calibration": "voron", "auto_z_offset": "qidi"}
+# No number, no pair, no word of any option
+TEXTS = ["", "much", "nan", "-inf", "1e400", "1,2,3,4"]
+HUGE = ["1e12", "-1e12", "100000.5"]
+# Each for every third option, with EVERY_HOST=1 for all
+ODD = [
+    *("1 2", "0x10", "1_0", "\N{FULLWIDTH DIGIT ONE}", "None", "1;2", "--1"),
+    *("1,,2", "*", "99999999999999999999"),
+]
+# Whatever it is given for, G-code is a template
+TEMPLATES = ["{", "{% if %}", "{ 1 +", "{% for x in y %}"]
+PINS = ["", " ", "^", "much:PC1", "1 2", "probe:z_virtual_endstop"]
+# Where the host speaks of a pin that its board does not have, it names the pin
+UNKNOWN_PINS = ["PZ77", "PC1,PC2", "13.5"]
+
+
+class Case(NamedTuple):
+    """An option of a module, as its document has it."""
+
+    module: str
+    option: Option
+
+
+def documented(module: str) -> list[Case]:
+    """All that the tables of options have, old names, too."""
+    text = (ROOT / "docs" / f"{module}.md").read_text(encoding="utf-8")
+    return [Case(module, option) for option in options_of(part(text, OPTIONS))]
+
+
+CASES = [case for module in SCENES for case in documented(module)]
+
+
+def nonsense(case: Case) -> list[str]:
+    """Texts that are none of what the option's range allows."""
+    option = case.option
+    words = option.range
+    if words == "G-code":
+        return TEMPLATES
+    if words == "pin":
+        return PINS
+    _, refused = samples_of(words)
+    turn = CASES.index(case) % 3
+    odd = ODD if os.environ.get("EVERY_HOST") else ODD[turn::3]
+    return list(dict.fromkeys([*TEXTS, *HUGE, *odd, *refused]))
+
+
+def message_of(host, case, value):
+    """What klippy stops with for one value of an option."""
+    own = {case.option.name: value}
+    if case.option.name.startswith("probe_") and case.module[0] == "z":
+        # Half of a position is another mistake
+        other = {"x": "y", "y": "x"}.get(case.option.name[-1])
+        if other:
+            own[case.option.name[:-1] + other] = "150"
+            site = case.option.name.split("_")[1]
+            own[f"{site}_xy_position"] = None
+    try:
+        return refusal(host, {case.module: own}, SCENES[case.module])
+    except AssertionError as error:
+        raise AssertionError(
+            f"{case.option.name}: {value!r}: {error}"
+        ) from None
+
+
+@pytest.mark.spread
+@pytest.mark.parametrize(
+    "case", CASES, ids=lambda c: f"{c.module}-{c.option.name}"
+)
+def test_nonsense_is_a_configuration_error(host, case):
+    name, module = case.option.name, case.module
+    values = nonsense(case)
+    # Given twice, the last one counts
+    for value in (*values, f"1\n{name}: {values[1]}"):
+        message = message_of(host, case, value)
+        assert name in message, (value, message)
+        # The host says 'module:option' of a template
+        assert f"'{module}" in message, (value, message)
+
+
+@pytest.mark.parametrize(
+    "case", CASES, ids=lambda c: f"{c.module}-{c.option.name}"
+)
+def test_what_is_missing_is_told_or_has_a_default(some_host, case):
+    state, message = load(
+        some_host,
+        {case.module: {case.option.name: None}},
+        SCENES[case.module],
+    )
+    if state != "ready":
+        assert "Internal error" not in message
+        assert case.option.name in message
+        assert f"'{case.module}'" in message
+    assert (state == "ready") is (
+        (case.module, case.option.name) not in REQUIRED
+    )
+
+
+REQUIRED = {("auto_z_offset", "pin"), ("auto_z_offset", "prepare_gcode")}
+
+
+@pytest.mark.parametrize(
+    ("module", "option"),
+    [("z_calibration", "endstop_pin"), ("auto_z_offset", "pin")],
+)
+def test_pin_that_no_board_has(host, module, option):
+    # The host finds out when it configures the board, and names the pin
+    for pin in UNKNOWN_PINS:
+        message = refusal(host, {module: {option: pin}}, SCENES[module])
+        assert f"Pin '{pin}' is not a valid pin name" in message
+
+
+@pytest.mark.parametrize("module", SCENES)
+def test_option_that_is_there_twice_is_the_last_one(some_host, module):
+    # As with every section of Klipper
+    twice = {"speed": "7\nspeed: much"}
+    message = refusal(some_host, {module: twice}, SCENES[module])
+    assert f"Option 'speed' in section '{module}'" in message
+    twice = {"speed": "much\nspeed: 7"}
+    state, message = load(some_host, {module: twice}, SCENES[module])
+    assert state == "ready", message

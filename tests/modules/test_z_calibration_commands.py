@@ -1,0 +1,381 @@
+"""Commands of [z_calibration]: parameters, wrappers, results."""
+
+from __future__ import annotations
+
+import re
+import statistics
+from dataclasses import replace
+
+import pytest
+
+from tests.hostkit.z_calibration import (
+    MICROSTEP,
+    PIN,
+    SWITCH_OFFSET,
+    assert_unharmed,
+    calibration,
+    section,
+    touched_sites,
+)
+from tests.simprinter import SCENES, Fault
+
+pytestmark = pytest.mark.spread
+
+# Behind the bed, where the probe has nothing to stand on
+BESIDE = "G1 Z20 F900\nG1 X20 Y305 F6000\nG1 Z5 F900"
+
+# CALIBRATE_Z
+
+
+def test_places_of_the_command_come_before_the_options(start):
+    printer = start().homed()
+    before = len(printer.machine.truth.touches)
+    calibration(
+        printer,
+        "CALIBRATE_Z NOZZLE_POSITION=205.5,306.5"
+        ' SWITCH_POSITION="208.5, 281" BED_POSITION=110,90',
+    )
+    touches = printer.machine.truth.touches[before:]
+    places = {t.site: (t.x, t.y) for t in touches}
+    assert places == {
+        "nozzle_pin": pytest.approx((205.5, 306.5), abs=0.02),
+        "body_pin": pytest.approx((208.5, 281.0), abs=0.02),
+        "probe_bed": pytest.approx((112.0, 65.25), abs=0.02),
+    }
+
+
+def test_switch_offset_of_the_command(start):
+    printer = start().homed()
+    result, _ = calibration(printer, "CALIBRATE_Z SWITCH_OFFSET=0.54")
+    assert result[3] == 0.54
+    assert printer.gap() == pytest.approx(-0.04, abs=2 * MICROSTEP)
+    # For that run only
+    result, _ = calibration(printer)
+    assert result[3] == SWITCH_OFFSET
+
+
+def test_switch_offset_may_be_zero(start):
+    printer = start(changes=section(switch_offset="0")).homed()
+    result, _ = calibration(printer)
+    assert result[3] == 0.0
+    result, _ = calibration(printer, "CALIBRATE_Z SWITCH_OFFSET=0")
+    assert printer.gap() == pytest.approx(0.5, abs=2 * MICROSTEP)
+
+
+def test_lower_case_parameters(start):
+    printer = start().homed()
+    result, _ = calibration(printer, "calibrate_z switch_offset=0.5")
+    assert result[3] == 0.5
+
+
+@pytest.mark.parametrize(
+    ("call", "expected"),
+    [
+        ("CALIBRATE_Z", SWITCH_OFFSET),
+        ("CALIBRATE_Z SWITCH_OFFSET=0.5", 0.5),
+    ],
+)
+def test_macro_around_the_command(start, call, expected):
+    changes = {
+        "gcode_macro CALIBRATE_Z": {
+            "rename_existing": "BASE_CALIBRATE_Z",
+            "gcode": "\n  G28\n  BASE_CALIBRATE_Z {rawparams}\n  G1 X20 F6000",
+        }
+    }
+    printer = start(changes=changes)
+    printer.session.require_ready()
+    result, _ = calibration(printer, call)
+    assert result[3] == expected
+    assert printer.offset() == pytest.approx(result[-1], abs=1e-6)
+
+
+def test_offset_survives_a_save_and_is_lost_by_a_restore(start):
+    printer = start().homed()
+    result, _ = calibration(
+        printer, "SAVE_GCODE_STATE NAME=s\nCALIBRATE_Z\nSAVE_GCODE_STATE NAME=t"
+    )
+    assert printer.offset() == pytest.approx(result[-1], abs=1e-6)
+    printer.run("RESTORE_GCODE_STATE NAME=t")
+    assert printer.offset() == pytest.approx(result[-1], abs=1e-6)
+    printer.run("RESTORE_GCODE_STATE NAME=s")
+    assert printer.offset() == 0.0
+
+
+@pytest.mark.parametrize(
+    ("params", "words"),
+    [
+        ("NOZZLE_POSITION=1", "NOZZLE_POSITION: '1' is not a pair"),
+        ("NOZZLE_POSITION=", "NOZZLE_POSITION: '' is not a pair"),
+        ("SWITCH_POSITION=a,b", "SWITCH_POSITION: 'a' is not a number"),
+        ("BED_POSITION=nan,1", "BED_POSITION: 'nan' is not a finite number"),
+        ("SWITCH_OFFSET=-0.1", "SWITCH_OFFSET: '-0.1' is negative"),
+        ("SWITCH_OFFSET=x", "SWITCH_OFFSET: 'x' is not a number"),
+        ("SWITCH_OFFSET=", "SWITCH_OFFSET: '' is not a number"),
+        ("ACCEPT_CHANGE=maybe", "ACCEPT_CHANGE: 'maybe' is neither"),
+        ("NOZZLE_POSITION=301,10", "NOZZLE_POSITION=301,10 needs the head at"),
+        ("SWITCH_POSITION=1,311", "SWITCH_POSITION=1,311 needs the head at"),
+        ("BED_POSITION=1,20", "BED_POSITION=1,20 needs the head at Y=-4.750"),
+    ],
+)
+def test_parameter_that_makes_no_sense(start, params, words):
+    printer = start().homed()
+    before = len(printer.machine.truth.touches)
+    text = printer.fail(f"CALIBRATE_Z {params}")
+    assert text.startswith("z_calibration: ")
+    assert words in text
+    assert touched_sites(printer, before) == []
+    assert printer.session.state()[0] == "ready"
+
+
+def test_hint_about_a_large_offset(start):
+    # 0.16 is none
+    printer = start().homed()
+    calibration(printer)
+    assert "HINT" not in "\n".join(printer.session.console)
+    lines = printer.run("CALIBRATE_Z SWITCH_OFFSET=0.14")
+    hints = [line for line in lines if "HINT" in line]
+    assert hints == [
+        "// HINT: z position_endstop=1.600 - offset=0.460000"
+        " --> possible z position_endstop=1.140"
+    ]
+
+
+def test_hint_leads_to_an_offset_of_zero(start):
+    changes = {
+        "stepper_z": {"position_endstop": "1.14"},
+        **section(switch_offset="0.14"),
+    }
+    printer = start(changes=changes).homed()
+    result, _ = calibration(printer)
+    assert result[-1] == pytest.approx(0.0, abs=2 * MICROSTEP)
+
+
+# PROBE_Z_ACCURACY
+
+ACCURACY = re.compile(
+    r"probe z accuracy results: maximum (\S+), minimum (\S+), range (\S+),"
+    r" average (\S+), median (\S+), standard deviation (\S+)"
+)
+
+
+def accuracy(lines):
+    """The six figures, in the order of the line."""
+    (found,) = [m for m in map(ACCURACY.search, lines) if m]
+    return tuple(map(float, found.groups()))
+
+
+def heights(lines):
+    """Every single touch."""
+    return [
+        float(line.split("touched at z=")[1])
+        for line in lines
+        if "touched at z=" in line
+    ]
+
+
+def noisy():
+    """The voron with a pin that is not quite exact."""
+    scene = SCENES["voron"]
+    noise = replace(scene.world.pin.noise, sigma=0.01)
+    return scene.with_world(pin=replace(scene.world.pin, noise=noise))
+
+
+def test_accuracy_figures_are_those_of_the_touches(start):
+    printer = start(noisy(), seed=3).homed()
+    lines = printer.run("PROBE_Z_ACCURACY SAMPLES=6")
+    z = heights(lines)
+    assert len(z) == 6
+    assert max(z) - min(z) > 0.01
+    expected = (
+        max(z),
+        min(z),
+        max(z) - min(z),
+        statistics.fmean(z),
+        statistics.median(z),
+        statistics.pstdev(z),
+    )
+    assert accuracy(lines) == pytest.approx(expected, abs=2e-6)
+    assert statistics.fmean(z) == pytest.approx(PIN, abs=0.02)
+    assert_unharmed(printer)
+    # It measures, nothing else
+    assert printer.status("z_calibration")["last_query"] is False
+
+
+def test_accuracy_uses_the_settings_of_the_module(start):
+    changes = section(samples="5", probing_retract_dist="2.5", lift_speed="7")
+    printer = start(changes=changes).homed()
+    lines = printer.run("PROBE_Z_ACCURACY")
+    assert (
+        "// PROBE_Z_ACCURACY at X:206.000 Y:306.000 (samples=5 retract=2.500"
+        " speed=3.0 lift_speed=7.0)"
+    ) in lines
+    assert len(heights(lines)) == 5
+
+
+def spacing(printer, params):
+    """Seconds between two touches of PROBE_Z_ACCURACY."""
+    before = len(printer.machine.truth.touches)
+    printer.run(f"PROBE_Z_ACCURACY SAMPLES=2 {params}")
+    first, second = printer.machine.truth.touches[before:]
+    return second.t - first.t
+
+
+def test_accuracy_parameters(start):
+    # 3 mm up at 10 and down at 3 mm/s
+    printer = start().homed()
+    usual = spacing(printer, "")
+    for params, more in (
+        ("PROBE_SPEED=1", 3 / 1 - 3 / 3),
+        ("LIFT_SPEED=2", 3 / 2 - 3 / 10),
+        ("SAMPLE_RETRACT_DIST=5", 2 / 10 + 2 / 3),
+        ("sample_retract_dist=5", 2 / 10 + 2 / 3),
+    ):
+        changed = spacing(printer, params)
+        assert changed - usual == pytest.approx(more, abs=0.2), params
+
+
+def test_accuracy_elsewhere(start):
+    printer = start().homed()
+    before = len(printer.machine.truth.touches)
+    printer.run("PROBE_Z_ACCURACY NOZZLE_POSITION=205,307")
+    touches = printer.machine.truth.touches[before:]
+    assert {t.site for t in touches} == {"nozzle_pin"}
+    for touch in touches:
+        assert (touch.x, touch.y) == pytest.approx((205, 307), abs=0.02)
+
+
+@pytest.mark.parametrize(
+    ("params", "words"),
+    [
+        ("SAMPLES=0", "SAMPLES: '0' is less than 1"),
+        ("SAMPLES=1.5", "SAMPLES: '1.5' is not a whole number"),
+        ("PROBE_SPEED=0", "PROBE_SPEED: '0' is not above zero"),
+        ("LIFT_SPEED=-1", "LIFT_SPEED: '-1' is not above zero"),
+        ("SAMPLE_RETRACT_DIST=0", "SAMPLE_RETRACT_DIST: '0' is not above"),
+        ("NOZZLE_POSITION=1", "NOZZLE_POSITION: '1' is not a pair"),
+        ("NOZZLE_POSITION=1,311", "NOZZLE_POSITION=1,311 needs the head"),
+    ],
+)
+def test_accuracy_parameter_that_makes_no_sense(start, params, words):
+    printer = start().homed()
+    before = len(printer.machine.truth.touches)
+    text = printer.fail(f"PROBE_Z_ACCURACY {params}")
+    assert text.startswith("z_calibration: ")
+    assert words in text
+    assert touched_sites(printer, before) == []
+
+
+def test_accuracy_needs_homed_axes_and_an_absent_probe(start):
+    printer = start("cartesian")
+    printer.session.require_ready()
+    assert "not homed" in printer.fail("PROBE_Z_ACCURACY")
+    printer.run("G28\nATTACH_PROBE")
+    before = len(printer.machine.truth.touches)
+    text = printer.fail("PROBE_Z_ACCURACY")
+    assert "the probe is attached already" in text
+    assert touched_sites(printer, before) == []
+
+
+def test_accuracy_has_a_floor_and_lifts(start):
+    fault = Fault("trigger_never", signal="z_endstop", n=5)
+    printer = start(faults=[fault])
+    printer.machine.tolerate("nozzle_pin", 1.01)
+    text = printer.homed().fail("PROBE_Z_ACCURACY")
+    assert "nozzle: No trigger" in text
+    assert "(stopped at z=0.600)" in text
+    assert_unharmed(printer)
+
+
+# CALCULATE_SWITCH_OFFSET
+
+
+def test_new_switch_offset_gives_the_gap_that_was_wanted(start):
+    # 0.06 mm are between nozzle and bed at Z=0; 0.1 is wanted
+    printer = start().homed()
+    calibration(printer)
+    printer.run(f"{BESIDE}\nG1 Z0.04 F300\nM400")
+    lines = printer.run("CALCULATE_SWITCH_OFFSET")
+    assert lines == [
+        "// z_calibration: switch_offset=0.440 - (current_z=0.200 -"
+        " z_offset=0.160) --> new switch_offset=0.400"
+    ]
+    printer.run("G1 Z20 F900")
+    calibration(printer, "CALIBRATE_Z SWITCH_OFFSET=0.4")
+    assert printer.gap() == pytest.approx(0.1, abs=2 * MICROSTEP)
+
+
+def test_new_switch_offset_starts_from_the_one_that_was_used(start):
+    printer = start().homed()
+    calibration(printer, "CALIBRATE_Z SWITCH_OFFSET=0.5")
+    printer.run(f"{BESIDE}\nG1 Z0 F300\nM400")
+    (line,) = printer.run("CALCULATE_SWITCH_OFFSET")
+    assert line.endswith("--> new switch_offset=0.500")
+    (line,) = printer.run("CALCULATE_SWITCH_OFFSET SWITCH_OFFSET=0.6")
+    assert line.endswith("--> new switch_offset=0.600")
+    # Nothing is changed by it
+    settings = printer.status("configfile")
+    assert settings["save_config_pending"] is False
+
+
+def test_save_writes_the_option(start):
+    printer = start().homed()
+    calibration(printer)
+    printer.run(f"{BESIDE}\nG1 Z0.04 F300\nM400")
+    lines = printer.run("CALCULATE_SWITCH_OFFSET SAVE=1")
+    assert "SAVE_CONFIG" in "\n".join(lines)
+    pending = printer.status("configfile")
+    assert pending["save_config_pending"] is True
+    assert pending["save_config_pending_items"] == {
+        "z_calibration": {"switch_offset": "0.400"}
+    }
+
+
+@pytest.mark.parametrize(
+    ("script", "reason"),
+    [
+        ("", "not calibrated yet"),
+        ("CALIBRATE_Z\nG28 Z", "Z was homed again"),
+        ("CALIBRATE_Z\nM84", "the motors were turned off"),
+    ],
+)
+def test_new_switch_offset_needs_a_calibration_that_holds(
+    start, script, reason
+):
+    printer = start().homed()
+    printer.run(script)
+    text = printer.fail("CALCULATE_SWITCH_OFFSET SAVE=1")
+    assert text.startswith(f"z_calibration: {reason}; run CALIBRATE_Z first")
+    assert printer.status("configfile")["save_config_pending"] is False
+
+
+def test_switch_offset_cannot_become_negative(start):
+    printer = start().homed()
+    calibration(printer)
+    printer.run(f"{BESIDE}\nM400")
+    text = printer.fail("CALCULATE_SWITCH_OFFSET SAVE=1")
+    assert "new switch_offset=-4.560, which cannot be negative" in text
+    assert printer.status("configfile")["save_config_pending"] is False
+
+
+@pytest.mark.parametrize(
+    ("params", "words"),
+    [
+        ("SWITCH_OFFSET=-1", "SWITCH_OFFSET: '-1' is negative"),
+        ("SAVE=often", "SAVE: 'often' is neither true nor false"),
+    ],
+)
+def test_new_switch_offset_with_nonsense(start, params, words):
+    printer = start().homed()
+    calibration(printer)
+    assert words in printer.fail(f"CALCULATE_SWITCH_OFFSET {params}")
+
+
+def test_commands_are_in_the_help(start):
+    printer = start()
+    printer.session.require_ready()
+    text = "\n".join(printer.run("HELP"))
+    assert "CALIBRATE_Z: Measure nozzle, switch and bed" in text.replace(
+        " :", ":"
+    ) or re.search(r"CALIBRATE_Z\s*:\s*Measure nozzle", text)
+    for name in ("PROBE_Z_ACCURACY", "CALCULATE_SWITCH_OFFSET"):
+        assert re.search(rf"{name}\s*: \w+", text), name

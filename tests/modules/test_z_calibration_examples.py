@@ -1,0 +1,482 @@
+"""examples/z_calibration: each is included and used, on every host.
+
+As an owner would: `[include FILE.cfg]` below the sections of the printer, then
+PRINT_START, as the slicer calls it.
+"""
+
+from __future__ import annotations
+
+import ast
+import configparser
+import re
+from collections.abc import Iterator
+from pathlib import Path
+from typing import Any, NamedTuple
+
+import pytest
+
+from tests.docs.documents import (
+    COMMANDS,
+    OPTIONS,
+    STATUS,
+    options_of,
+    part,
+    rows,
+    spans,
+)
+from tests.hostkit.printer import Printer
+from tests.hostkit.session import GcodeError
+from tests.hostkit.z_calibration import MICROSTEP, touched_sites
+from tests.modules.example_owners import CLEAN_NOZZLE, OWNERS, Owner
+from tests.simprinter import SCENES, Fault, heated
+
+pytestmark = pytest.mark.spread
+ROOT = Path(__file__).resolve().parents[2]
+EXAMPLES = ROOT / "examples" / "z_calibration"
+DOCUMENT = (ROOT / "docs" / "z_calibration.md").read_text(encoding="utf-8")
+MACROS = "calibrate_macros"
+FILES = sorted([*OWNERS, MACROS])
+BED, EXTRUDER, SOFT = 45.0, 185.0, 150
+PRINT_START = f"PRINT_START BED={BED:g} EXTRUDER={EXTRUDER:g}"
+LIMIT = 1800.0  # printer seconds
+# Three points a side show all there is of these beds
+MESH = {"bed_mesh": {"probe_count": "3,3"}}
+# What moves or sets the Z axis anew
+UNSETTLING = r"G28|G92|QUAD_GANTRY_LEVEL|Z_TILT_ADJUST|M84|SET_GCODE_OFFSET"
+
+
+def text_of(name: str) -> str:
+    """An example as it is."""
+    return (EXAMPLES / f"{name}.cfg").read_text(encoding="utf-8")
+
+
+def sections_of(name: str) -> dict[str, dict[str, str]]:
+    """Its sections, without comments."""
+    parser = configparser.RawConfigParser(
+        strict=False, inline_comment_prefixes=("#",)
+    )
+    parser.read_string(text_of(name))
+    return {s: dict(parser.items(s)) for s in parser.sections()}
+
+
+def included(path: Path, owner: Owner) -> dict[str, Any]:
+    """What the owner's printer.cfg gets more: the file, and a small mesh."""
+    return {f"include {path}": {}, **(MESH if owner.far else {})}
+
+
+def print_start(printer: Printer) -> list[str]:
+    """Run it; the console lines."""
+    printer.session.require_ready()
+    return printer.session.run(PRINT_START, LIMIT)
+
+
+def formula_gap(printer: Printer) -> float:
+    """True gap at Z=0 that a perfect calibration leaves, mm."""
+    section = printer.status("configfile")["settings"]["z_calibration"]
+    probe = printer.scene.world.mag_probe
+    assert probe is not None
+    return probe.switch_offset - section["switch_offset"]
+
+
+def assert_soft_and_clean(lines: list[str]) -> None:
+    """The nozzle was soft, cleaned, and only then measured."""
+    text = "\n".join(lines)
+    cleaned = re.search(r"cleaned at (\d+) C, target (\d+)", text)
+    touched = text.find("nozzle: touched")
+    assert cleaned
+    assert cleaned.end() < touched
+    assert int(cleaned[2]) == SOFT, "too hot, or too cold, when it is cleaned"
+    assert int(cleaned[1]) == pytest.approx(SOFT, abs=6)
+
+
+def assert_ready_to_print(printer: Printer, owner: Owner) -> None:
+    """The heaters hot, the probe away, and the true gap right."""
+    for name, target in (("heater_bed", BED), ("extruder", EXTRUDER)):
+        heater = printer.status(name)
+        assert heater["target"] == target
+        assert heater["temperature"] > target - 3.0, f"{name} is not hot"
+    kinds = [event.kind for event in printer.machine.truth.events]
+    assert kinds
+    assert kinds == ["attach", "dock"] * (len(kinds) // 2)
+    status = printer.status("z_calibration")
+    assert (status["valid"], status["reason"]) == (True, "")
+    assert printer.machine.truth.touches[-1].site == "probe_bed"
+    wanted, gap = formula_gap(printer), printer.gap(owner.bed)
+    assert gap == pytest.approx(wanted, abs=2 * MICROSTEP), "the gap is wrong"
+    for point in owner.far:
+        # Levelling and mesh have errors of their own
+        gap = printer.gap(point)
+        assert gap == pytest.approx(wanted, abs=4 * MICROSTEP), "mesh"
+
+
+# As they are
+
+
+@pytest.mark.parametrize("name", sorted(OWNERS))
+def test_print_start_ends_at_the_right_height(start, name):
+    owner = OWNERS[name]
+    path = EXAMPLES / f"{name}.cfg"
+    printer = start(owner.scene, changes=included(path, owner))
+    lines = print_start(printer)
+    assert_soft_and_clean(lines)
+    assert "is far from position_endstop" not in "\n".join(lines)
+    assert_ready_to_print(printer, owner)
+
+
+def test_next_print_starts_as_well(some_host):
+    # The offset of the first one, a large one, would miss the dock
+    owner = OWNERS["euclid"]
+    changes = included(EXAMPLES / "euclid.cfg", owner)
+    with Printer(some_host, owner.scene, changes) as printer:
+        print_start(printer)
+        printer.run("SET_GCODE_OFFSET Z_ADJUST=6 MOVE=1")
+        print_start(printer)
+        assert_ready_to_print(printer, owner)
+
+
+def test_every_example_is_run():
+    assert sorted(path.stem for path in EXAMPLES.iterdir()) == FILES
+
+
+# As documented
+
+
+def commands_of(name: str) -> Iterator[list[str]]:
+    """Every line of G-code in a file, in words."""
+    for section in sections_of(name).values():
+        for option, value in section.items():
+            if option.endswith("gcode"):
+                yield from (line.split() for line in value.split("\n") if line)
+
+
+@pytest.mark.parametrize("name", FILES)
+def test_options_are_documented(name):
+    current = [option.name for option in options_of(part(DOCUMENT, OPTIONS))]
+    old = [option.name for option in options_of(part(DOCUMENT, "Old names"))]
+    used = set(sections_of(name)["z_calibration"])
+    assert used
+    assert used <= set(current) - set(old)
+
+
+@pytest.mark.parametrize("name", FILES)
+def test_parameters_are_documented(name):
+    below = part(part(DOCUMENT, COMMANDS), "CALIBRATE_Z")
+    known = {spans(row[0])[0] for row in rows(below)}
+    runs = [words for words in commands_of(name) if words[0] == "CALIBRATE_Z"]
+    assert runs
+    for words in runs:
+        given = {w.partition("=")[0] for w in words[1:] if "=" in w}
+        assert given <= known
+
+
+def test_fields_are_documented():
+    known = {spans(row[0])[0] for row in rows(part(DOCUMENT, STATUS))}
+    used = set(re.findall(r"\bz\.(\w+)", text_of(MACROS)))
+    assert used
+    assert used <= known
+
+
+@pytest.mark.parametrize("name", sorted(OWNERS))
+def test_nothing_moves_z_after_calibrating(name):
+    code = sections_of(name)["gcode_macro PRINT_START"]["gcode"]
+    _, calibrate, after = code.partition("CALIBRATE_Z\n")
+    assert calibrate
+    assert not re.search(UNSETTLING, after)
+
+
+LEVELLING = ("QUAD_GANTRY_LEVEL", "Z_TILT_ADJUST")
+
+
+@pytest.mark.parametrize("name", sorted(OWNERS))
+def test_z_is_homed_after_levelling(name):
+    code = sections_of(name)["gcode_macro PRINT_START"]["gcode"]
+    lines = [line.strip() for line in code.splitlines()]
+    levelled = [n for n, line in enumerate(lines) if line in LEVELLING]
+    sections = OWNERS[name].scene.sections
+    assert bool(levelled) == (
+        "quad_gantry_level" in sections or "z_tilt" in sections
+    )
+    if levelled:
+        after = lines[levelled[-1] :]
+        assert after.index("G28 Z") < after.index("BED_MESH_CALIBRATE")
+
+
+# With mistakes
+
+
+def changed(directory: Path, name: str, old: str, new: str) -> Path:
+    """A copy of an example, with another text in one place."""
+    text = text_of(name)
+    assert text.count(old) == 1, (name, old)
+    path = directory / f"{name}.cfg"
+    path.write_text(text.replace(old, new), encoding="utf-8")
+    return path
+
+
+def told(printer: Printer) -> str:
+    """Why an example does not get as far as printing."""
+    state, message = printer.session.start()
+    if state != "ready":
+        assert printer.machine.truth.touches == []
+        return message
+    with pytest.raises(GcodeError) as caught:
+        print_start(printer)
+    assert printer.session.state()[0] == "ready"
+    return str(caught.value)
+
+
+class Mistake(NamedTuple):
+    """A text of an example, what an owner makes of it, and what comes of it."""
+
+    example: str
+    old: str
+    new: str
+    message: str
+
+
+CALIBRATE = "    CALIBRATE_Z  "
+START, LATE = "start_gcode: ATTACH_PROBE\n", "start_gcode: DOCK_PROBE_UNLOCK\n"
+NOT_ATTACHED = "the probe reads triggered: it is not attached"
+TOLD = {
+    # Levelling lowers this gantry by more than a millimetre
+    "no homing after levelling": Mistake(
+        "voron24_klicky",
+        "    G28 Z  ",
+        "    #",
+        "home Z again (G28 Z) after any levelling",
+    ),
+    "no homing at all": Mistake(
+        "euclid", "    G28\n", f"{CALIBRATE}\n    G28\n", "Must home axis"
+    ),
+    "negative switch_offset": Mistake(
+        "voron24_klicky", "0.44", "-0.44", "'-0.44' is negative"
+    ),
+    "nozzle beside the pin": Mistake(
+        "trident_z_tilt",
+        "[z_calibration]\n",
+        "[z_calibration]\nnozzle_xy_position: 183, 300\n",
+        "check nozzle_xy_position",
+    ),
+    "both at the place of the nozzle": Mistake(
+        "cartesian_switch", "218, 118", "244, 118", "check switch_xy_position"
+    ),
+    "switch on the other side": Mistake(
+        "cartesian_switch", "218, 118", "270, 118", "needs the head at X=270"
+    ),
+    "position as a distance": Mistake(
+        "cartesian_switch",
+        "xy_position: 218",
+        "xy_offsets: 218",
+        "is no distance from the nozzle to the switch",
+    ),
+    "nothing attaches the probe": Mistake(
+        "cartesian_switch", START, "", NOT_ATTACHED
+    ),
+    "nothing attaches it later": Mistake(
+        "voron_late_probe",
+        "before_switch_gcode: ATTACH_PROBE\n",
+        "",
+        NOT_ATTACHED,
+    ),
+    "probe left on the head": Mistake(
+        "voron_late_probe",
+        LATE,
+        "start_gcode:\n    ATTACH_PROBE\n    G4 P1\n",
+        "the probe is attached already",
+    ),
+    "homing between nozzle and switch": Mistake(
+        "voron_late_probe",
+        "before_switch_gcode:",
+        "before_switch_gcode:\n    G28 Z\n   ",
+        "Z was homed again in before_switch_gcode",
+    ),
+    "the probe as the pin": Mistake(
+        "separate_pin",
+        "^PG10",
+        "probe:z_virtual_endstop",
+        "is no pin that the nozzle can press",
+    ),
+}
+# What the module cannot know; that these are found is what they are here for
+SEEN = {
+    "homing after calibrating": Mistake(
+        "cartesian_switch",
+        CALIBRATE,
+        f"{CALIBRATE}\n    G28\n    #",
+        "Z was homed again",
+    ),
+    "probe attached too early": Mistake(
+        "voron_late_probe", LATE, START, "body_bed"
+    ),
+    "offset put back": Mistake(
+        "euclid",
+        CALIBRATE,
+        "    SAVE_GCODE_STATE NAME=a\n    CALIBRATE_Z"
+        "\n    RESTORE_GCODE_STATE NAME=a\n    #",
+        "the gap is wrong",
+    ),
+    "another offset": Mistake(
+        "euclid",
+        CALIBRATE,
+        f"{CALIBRATE}\n    SET_GCODE_OFFSET Z_ADJUST=-0.05\n    #",
+        "the gap is wrong",
+    ),
+    "mesh not zero at that point": Mistake(
+        "euclid",
+        "start_gcode:",
+        "bed_xy_position: 40, 40\nstart_gcode:",
+        "the gap is wrong",
+    ),
+    "probe not docked": Mistake(
+        "cartesian_switch", "end_gcode: DOCK_PROBE\n", "", "attach"
+    ),
+    "no waiting for the nozzle": Mistake(
+        "cartesian_switch", "M109 S{", "M104 S{", "extruder is not hot"
+    ),
+    "nozzle too hot": Mistake(
+        "cartesian_switch", "M109 S150", "M109 S170", "when it is cleaned"
+    ),
+}
+
+
+@pytest.mark.half
+@pytest.mark.parametrize("mistake", TOLD.values(), ids=TOLD.keys())
+def test_mistake_is_told(some_host, tmp_path, mistake):
+    owner = OWNERS[mistake.example]
+    path = changed(tmp_path, *mistake[:3])
+    with Printer(some_host, owner.scene, included(path, owner)) as printer:
+        assert mistake.message in told(printer)
+
+
+@pytest.mark.half
+@pytest.mark.parametrize("mistake", SEEN.values(), ids=SEEN.keys())
+def test_mistake_is_seen_on_the_machine(some_host, tmp_path, mistake):
+    owner = OWNERS[mistake.example]
+    path = changed(tmp_path, *mistake[:3])
+    running = Printer(some_host, owner.scene, included(path, owner))
+    with pytest.raises(AssertionError) as caught, running as printer:
+        assert_soft_and_clean(print_start(printer))
+        assert_ready_to_print(printer, owner)
+    assert mistake.message in str(caught.value)
+
+
+@pytest.mark.parametrize(
+    ("fault", "message"),
+    [
+        ("attach_fails", "Probe stowed, not deployed"),
+        ("dock_fails", "Probe deployed, not stowed"),
+    ],
+)
+def test_euclid_macros_look_at_the_probe(some_host, fault, message):
+    owner = OWNERS["euclid"]
+    changes = included(EXAMPLES / "euclid.cfg", owner)
+    for number in (1, 2):
+        faults = [Fault(fault, n=number)]
+        with Printer(some_host, owner.scene, changes, faults) as printer:
+            assert message in told(printer)
+
+
+# The macros around CALIBRATE_Z
+
+
+def with_macros(**sections: Any) -> dict[str, Any]:
+    """What the owner's printer.cfg gets more."""
+    path = EXAMPLES / f"{MACROS}.cfg"
+    return {
+        "gcode_macro CLEAN_NOZZLE": CLEAN_NOZZLE,
+        f"include {path}": {},
+        **sections,
+    }
+
+
+@pytest.fixture
+def macros(start):
+    """The voron with the macros, homed."""
+    return start(heated(SCENES["voron"]), with_macros()).homed()
+
+
+def measured(printer: Printer, script: str) -> bool:
+    """Run it; whether it has touched anything."""
+    before = len(printer.machine.truth.touches)
+    printer.run(script)
+    return bool(touched_sites(printer, before))
+
+
+def test_calibration_is_made_only_if_needed(macros):
+    assert measured(macros, "CALIBRATE_Z_IF_NEEDED")
+    offset = macros.offset()
+    assert offset != 0.0
+    macros.run("SET_GCODE_OFFSET Z=0.3")
+    assert not measured(macros, "CALIBRATE_Z_IF_NEEDED")
+    assert macros.offset() == pytest.approx(offset, abs=1e-6)
+    assert measured(macros, "CALIBRATE_Z_IF_NEEDED SWITCH_OFFSET=0.4")
+    assert macros.offset() == pytest.approx(offset + 0.04, abs=2 * MICROSTEP)
+    assert measured(macros, "G28 Z\nCALIBRATE_Z_IF_NEEDED")
+    assert macros.gap() == pytest.approx(
+        macros.scene.formula_gap(), abs=2 * MICROSTEP
+    )
+
+
+@pytest.mark.parametrize("before", [0, 200])
+def test_nozzle_is_soft_and_clean_for_the_calibration(macros, before):
+    macros.run(f"M109 S{before}")
+    lines = macros.run("CALIBRATE_Z_CLEAN")
+    assert_soft_and_clean(lines)
+    assert macros.status("extruder")["target"] == SOFT
+
+
+def test_bed_is_measured_below_the_print(macros):
+    before = len(macros.machine.truth.touches)
+    macros.run("CALIBRATE_Z_AT_PRINT X_MIN=50 Y_MIN=60.5 X_MAX=110 Y_MAX=90")
+    touches = macros.machine.truth.touches[before:]
+    x, y = touches[-1].x, touches[-1].y
+    # The head, with the probe above the middle
+    assert (x, y) == pytest.approx((80 + 2, 75.2 - 24.75), abs=0.06)
+
+
+def test_bed_is_not_measured_elsewhere_with_a_mesh(start):
+    mesh = {
+        "mesh_min": "30,30",
+        "mesh_max": "60,60",
+        "probe_count": "3,3",
+        "horizontal_move_z": "15",
+    }
+    changes = with_macros(bed_mesh=mesh)
+    printer = start(changes=changes).homed()
+    script = "CALIBRATE_Z_AT_PRINT X_MIN=50 Y_MIN=60 X_MAX=110 Y_MAX=90"
+    assert measured(printer, script)
+    printer.run("BED_MESH_CALIBRATE")
+    before = len(printer.machine.truth.touches)
+    assert "BED_MESH_CLEAR first" in printer.fail(script)
+    assert len(printer.machine.truth.touches) == before
+    assert measured(printer, f"BED_MESH_CLEAR\n{script}")
+
+
+def test_plates_have_a_switch_offset_each(macros):
+    text = sections_of(MACROS)["gcode_macro CALIBRATE_Z_FOR_PLATE"]
+    plates = ast.literal_eval(text["variable_switch_offset"])
+    true = macros.scene.world.mag_probe.switch_offset
+    for plate, switch_offset in plates.items():
+        macros.run(f"CALIBRATE_Z_FOR_PLATE PLATE={plate}")
+        gap = true - switch_offset
+        assert macros.gap() == pytest.approx(gap, abs=2 * MICROSTEP)
+    assert "No plate glass" in macros.fail("CALIBRATE_Z_FOR_PLATE PLATE=glass")
+
+
+def test_nothing_stays_hot_after_a_failure(start):
+    faults = [Fault("trigger_never", signal="z_endstop", n=4)]
+    scene = heated(SCENES["voron"])
+    printer = start(scene, with_macros(), faults).homed()
+    printer.machine.tolerate("nozzle_pin", 1.01)
+    printer.run("M140 S40\nM104 S150")
+    before = len(printer.session.console)
+    error = printer.fail("CALIBRATE_Z_IF_NEEDED")
+    (line,) = [
+        line
+        for line in printer.session.console[before:]
+        if line.startswith("echo: No print: ")
+    ]
+    assert "nozzle: No trigger" in line
+    assert "nozzle: No trigger" in error
+    for name in ("extruder", "heater_bed"):
+        assert printer.status(name)["target"] == 0

@@ -1,0 +1,743 @@
+"""What [z_calibration] does when something is wrong: nothing gets hurt."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import pytest
+
+from tests.hostkit.printer import Printer, has_kinematics, module_files
+from tests.hostkit.session import GcodeError
+from tests.hostkit.z_calibration import (
+    BED,
+    BODY,
+    MICROSTEP,
+    PIN,
+    SWITCH_OFFSET,
+    TRIGGER,
+    assert_unharmed,
+    calibration,
+    result_of,
+    section,
+    touched_sites,
+)
+from tests.simprinter import SCENES, Fault
+from tests.simprinter.world import DriftSpec
+
+pytestmark = pytest.mark.spread
+
+
+def voron(**mag_probe):
+    """The voron scene with another probe on it."""
+    world = SCENES["voron"].world
+    return SCENES["voron"].with_world(
+        mag_probe=replace(world.mag_probe, **mag_probe)
+    )
+
+
+# A z_offset that is wrong
+
+
+@pytest.mark.half
+@pytest.mark.parametrize(
+    ("body", "z_offset"),
+    [
+        # Never measured: nothing, less than nothing, the template's
+        (6.415, "0"),
+        (6.415, "-1.1"),
+        (5.2, "0.096"),
+        (4.9, "6.9"),
+        # Much too long: the switch is looked for too high up at first
+        (5.2, "9.04"),
+        (5.2, "20"),
+        (8.9, "6.42"),
+        (6.415, "2.0"),
+    ],
+)
+def test_wrong_z_offset_does_not_matter(start, body, z_offset):
+    changes = {"probe": {"z_offset": z_offset}}
+    printer = start(voron(body_drop=body), changes=changes).homed()
+    lines = printer.run("CALIBRATE_Z")
+    result = result_of(lines)
+    assert result[1] == pytest.approx(PIN + body, abs=2 * MICROSTEP)
+    assert printer.gap() == pytest.approx(0.06, abs=2 * MICROSTEP)
+    # The second run knows
+    before = len(printer.session.console)
+    calibration(printer)
+    assert "looking at the bed" not in "\n".join(
+        printer.session.console[before:]
+    )
+
+
+def test_z_offset_that_is_too_large_is_told(start):
+    changes = {"probe": {"z_offset": "9"}}
+    lines = start(changes=changes).homed().run("CALIBRATE_Z")
+    told = [line for line in lines if "looking at the bed" in line]
+    assert len(told) == 1
+    assert "expected a trigger at z=10.160" in told[0]
+    assert "z_offset in section 'probe'" in told[0]
+
+
+def test_dead_switch_with_a_z_offset_that_is_right(start):
+    # It is not the z_offset: the bed agrees with it
+    fault = Fault("stuck_open", signal="z_endstop", n=8)
+    printer = start(faults=[fault])
+    printer.machine.tolerate("body_pin", 1.0)
+    text = printer.homed().fail("CALIBRATE_Z")
+    assert "switch: No trigger" in text
+    assert "looking at the bed" in "\n".join(printer.session.console)
+    sites = touched_sites(printer)
+    assert sites[-2:] == ["body_pin", "probe_bed"]
+    assert printer.machine.truth.min_gap > 5.0
+    assert_unharmed(printer)
+
+
+def test_dead_switch_with_a_z_offset_nobody_knows(start):
+    # The bed is looked at first
+    fault = Fault("stuck_open", signal="z_endstop", n=7)
+    changes = {"probe": {"z_offset": "0"}}
+    printer = start(changes=changes, faults=[fault])
+    printer.machine.tolerate("body_pin", 1.0)
+    text = printer.homed().fail("CALIBRATE_Z")
+    floor = PIN + BED + TRIGGER - 1.0 - SWITCH_OFFSET
+    assert "switch: No trigger on probe after full movement" in text
+    stopped = float(text.split("(stopped at z=")[1].split(")")[0])
+    assert stopped == pytest.approx(floor, abs=MICROSTEP)
+    assert touched_sites(printer)[5] == "probe_bed"
+    assert printer.machine.truth.min_gap > 1.0
+    assert_unharmed(printer)
+
+
+@pytest.mark.parametrize(
+    ("margins", "words"),
+    [("-7,7", "bed: No trigger"), ("-5,22", "below z=23.000")],
+)
+def test_bed_that_says_nothing_about_the_probe(start, margins, words):
+    # With these margins the nozzle might be on the bed before the probe
+    changes = {
+        "probe": {"z_offset": "0"},
+        **section(offset_margins=margins),
+    }
+    lines = start(changes=changes).homed().run("CALIBRATE_Z")
+    told = [line for line in lines if "searching for the switch down" in line]
+    assert len(told) == 1
+    assert words in told[0]
+    assert result_of(lines)[1] == pytest.approx(PIN + BODY, abs=0.005)
+
+
+@pytest.mark.parametrize("z_offset", ["0", "6.9"])
+def test_switch_position_over_the_bed(start, z_offset):
+    changes = {
+        "probe": {"z_offset": z_offset},
+        **section(switch_xy_position="150, 200"),
+    }
+    printer = start(changes=changes)
+    printer.machine.tolerate("body_bed", 1.0)
+    text = printer.homed().fail("CALIBRATE_Z")
+    assert "switch: " in text
+    assert "check switch_xy_position" in text
+    assert printer.machine.truth.min_gap > 5.0
+    assert_unharmed(printer)
+
+
+def test_plunger_pressed_at_the_switch_is_told(start):
+    # The bed lies higher than the floor there
+    changes = {
+        "probe": {"z_offset": "5.5"},
+        **section(switch_xy_position="150, 200"),
+    }
+    printer = start(changes=changes)
+    printer.machine.tolerate("body_bed", 1.5)
+    text = printer.homed().fail("CALIBRATE_Z")
+    assert "switch: the plunger of the probe was pressed" in text
+    assert "check switch_xy_position" in text
+    assert printer.session.state()[0] == "ready"
+
+
+def test_switch_position_beside_everything(start):
+    printer = start(changes=section(switch_xy_position="260, 281.25")).homed()
+    text = printer.fail("CALIBRATE_Z")
+    assert "switch: No trigger" in text
+    assert "check switch_xy_position" in text
+    assert printer.machine.truth.min_gap > 1.0
+    assert_unharmed(printer)
+
+
+# Geometry that changes between two runs
+
+
+def jumping(start, **options):
+    """A printer whose pin is reached 0.7 mm early by the second body."""
+    # A good run arms 8 times and homing twice; the second run 4 for the
+    # nozzle, once on the way down to the switch, and 3 samples
+    faults = [
+        Fault("trigger_early", signal="z_endstop", mm=0.7, n=n)
+        for n in (16, 17, 18)
+    ]
+    return start(faults=faults, **options).homed()
+
+
+def test_jump_of_the_geometry_stops_before_the_bed(start):
+    printer = jumping(start)
+    good, _ = calibration(printer)
+    before = len(printer.machine.truth.touches)
+    text = printer.fail("CALIBRATE_Z")
+    assert "switch - nozzle is 7.115 mm and was 6.415 mm" in text
+    assert "G28 Z" in text
+    assert "ACCEPT_CHANGE=1" in text
+    assert "probe_bed" not in touched_sites(printer, before)
+    status = printer.status("z_calibration")
+    assert status["last_z_offset"] == pytest.approx(good[-1], abs=1e-6)
+    assert_unharmed(printer, good[-1])
+
+
+def test_jump_is_accepted_with_a_parameter(start):
+    printer = jumping(start)
+    calibration(printer)
+    # Off by 0.7, but told so: the offset would be that much lower
+    lines = printer.run("CALIBRATE_Z ACCEPT_CHANGE=1")
+    assert result_of(lines)[1] == pytest.approx(PIN + BODY + 0.7, abs=0.01)
+
+
+def test_jump_is_accepted_after_homing(start):
+    # Homing arms twice more
+    faults = [
+        Fault("trigger_early", signal="z_endstop", mm=0.7, n=n)
+        for n in (18, 19, 20)
+    ]
+    printer = start(faults=faults).homed()
+    calibration(printer)
+    lines = printer.run("G28 Z\nCALIBRATE_Z")
+    assert result_of(lines)[1] == pytest.approx(PIN + BODY + 0.7, abs=0.01)
+
+
+def test_start_gcode_may_home_between_two_runs(start):
+    # What was known before it is not sure any more
+    faults = [
+        Fault("trigger_early", signal="z_endstop", mm=0.7, n=n)
+        for n in (20, 21, 22)
+    ]
+    changes = section(start_gcode="G28 Z")
+    printer = start(changes=changes, faults=faults).homed()
+    calibration(printer)
+    lines = printer.run("CALIBRATE_Z")
+    assert result_of(lines)[1] == pytest.approx(PIN + BODY + 0.7, abs=0.01)
+
+
+def test_longer_nozzle_without_homing(start):
+    # It grows by 1.5 mm between the runs: the body is that much lower
+    scene = SCENES["voron"]
+    drift = DriftSpec(nozzle=0.1, start=100.0, stop=115.0)
+    changes = section(offset_margins="-2,2")
+    printer = start(scene.with_world(drift=drift), changes=changes)
+    printer.machine.tolerate("body_pin", 1.0)
+    calibration(printer.homed())
+    printer.session.wait(120.0)
+    text = printer.fail("CALIBRATE_Z")
+    assert "switch: No trigger" in text
+    assert "if nozzle or probe was exchanged: home Z again (G28 Z)" in text
+    calibration(printer, "CALIBRATE_Z ACCEPT_CHANGE=1")
+
+
+def test_small_change_is_none(start):
+    faults = [
+        Fault("trigger_early", signal="z_endstop", mm=0.4, n=n)
+        for n in (16, 17, 18)
+    ]
+    printer = start(faults=faults).homed()
+    calibration(printer)
+    calibration(printer)
+    assert printer.machine.faults.unfired() == []
+
+
+def test_floor_of_the_switch_after_a_good_run(start):
+    # z_offset is 20: of no use, but the first run has measured
+    fault = Fault("stuck_open", signal="z_endstop", n=17)
+    changes = {"probe": {"z_offset": "0"}}
+    printer = start(changes=changes, faults=[fault])
+    printer.machine.tolerate("body_pin", 1.01)
+    printer.homed()
+    calibration(printer)
+    text = printer.fail("CALIBRATE_Z")
+    assert f"(stopped at z={PIN + BODY - 1.0:.3f})" in text
+    assert printer.machine.faults.unfired() == []
+
+
+# Z that has moved since it was homed
+
+
+def shifted(height):
+    """klippy believes that Z is so much higher (mm) than it was homed."""
+    return (
+        "{% set z = printer.toolhead.position.z %}"
+        "SET_KINEMATIC_POSITION Z={z + " + str(height) + "}"
+    )
+
+
+def stale(start, height, **options):
+    changes = {
+        "force_move": {"enable_force_move": "true"},
+        "gcode_macro SHIFT": {"gcode": "\n  " + shifted(height)},
+        **section(**options),
+    }
+    return start(changes=changes).homed()
+
+
+@pytest.mark.parametrize("height", [0.6, -0.6])
+def test_nozzle_far_from_where_z_was_homed_is_told(start, height):
+    printer = stale(start, height, offset_margins="-2,2")
+    lines = printer.run("SHIFT\nCALIBRATE_Z")
+    told = [line for line in lines if "is far from position_endstop" in line]
+    assert len(told) == 1
+    assert f"nozzle: z={PIN + height:.3f} is far from" in told[0]
+    assert "home Z again (G28 Z) after any levelling" in told[0]
+
+
+def test_nozzle_near_to_where_z_was_homed_is_not(start):
+    printer = stale(start, 0.4)
+    lines = printer.run("SHIFT\nCALIBRATE_Z")
+    assert "is far from" not in "\n".join(lines)
+
+
+@pytest.mark.parametrize("height", [2.5, 9.0])
+def test_pin_that_is_much_higher_is_met_slowly(start, height):
+    # Levelling has lifted the frame: the way down is ready to stop
+    printer = stale(start, height)
+    text = printer.fail("SHIFT\nCALIBRATE_Z")
+    assert "home Z again (G28 Z) after any levelling" in text
+    assert_unharmed(printer)
+
+
+def test_pin_that_is_much_lower_is_not_looked_for(start):
+    printer = stale(start, -2.5)
+    text = printer.fail("SHIFT\nCALIBRATE_Z")
+    assert "nozzle: No trigger" in text
+    assert "(stopped at z=0.600), expected a trigger at z=1.600" in text
+    assert "home Z again (G28 Z) after any levelling" in text
+    assert_unharmed(printer)
+
+
+# Validity
+
+
+def validity(printer):
+    status = printer.status("z_calibration")
+    return status["valid"], status["reason"]
+
+
+@pytest.mark.parametrize(
+    ("script", "reason"),
+    [
+        ("G28 X Y", ""),
+        ("G1 X20 Y20 Z60 F6000\nG1 Z30", ""),
+        ("SET_GCODE_OFFSET Z=0", ""),
+        ("G1 X150 Y120 Z20 F6000\nPROBE_ACCURACY SAMPLES=20\nG1 Z20", ""),
+        ("G28 Z", "Z was homed again"),
+        ("G28", "Z was homed again"),
+        ("M84", "the motors were turned off"),
+        ("M84\nG28", "Z was homed again"),
+        ("SHIFT", "Z was homed again or set"),
+    ],
+)
+def test_result_is_valid_until_z_moves(start, script, reason):
+    printer = stale(start, 0.05)
+    assert validity(printer) == (False, "not calibrated yet")
+    calibration(printer)
+    assert validity(printer) == (True, "")
+    printer.run(script)
+    assert validity(printer) == (not reason, reason)
+    # The result itself stays, and a new one holds again
+    assert printer.status("z_calibration")["last_query"] is True
+    if "M84" not in script or "G28" in script:
+        calibration(printer, "G28\nCALIBRATE_Z" if reason else "CALIBRATE_Z")
+        assert validity(printer) == (True, "")
+
+
+LEVEL = {
+    "quad_gantry_level": {
+        "gantry_corners": "\n  -60,-10\n  360,370",
+        "points": "\n  50,25\n  50,225\n  250,225\n  250,25",
+        "speed": "100",
+        "horizontal_move_z": "15",
+        "retries": "5",
+        "retry_tolerance": "0.02",
+        "max_adjust": "10",
+    }
+}
+
+
+def test_levelling_in_end_gcode_is_an_error(start):
+    bed = replace(SCENES["voron"].world.bed, slope_x=0.001, slope_y=-0.0008)
+    changes = {**LEVEL, **section(end_gcode="QUAD_GANTRY_LEVEL")}
+    tilted = SCENES["voron"].with_world(bed=bed)
+    printer = start(tilted, changes=changes).homed()
+    printer.run("SET_GCODE_OFFSET Z=0.3")
+    text = printer.fail("CALIBRATE_Z")
+    assert "the Z motors were levelled in end_gcode" in text
+    assert "do it before CALIBRATE_Z" in text
+    assert printer.offset() == pytest.approx(0.3)
+
+
+def test_levelling_ends_validity(start):
+    # One Z motor alone, as levelling moves it
+    changes = {"force_move": {"enable_force_move": "true"}}
+    tilted = replace(SCENES["voron"].world.bed, slope_x=0.001, slope_y=-0.0008)
+    scene = SCENES["voron"].with_world(bed=tilted)
+    printer = start(scene, changes={**changes, **LEVEL}).homed()
+    calibration(printer)
+    printer.run("QUAD_GANTRY_LEVEL")
+    assert validity(printer) == (False, "the Z motors were levelled")
+    lines = printer.run("G28 Z\nCALIBRATE_Z")
+    assert result_of(lines)
+    assert validity(printer) == (True, "")
+
+
+def test_homing_with_the_probe_ends_validity(start):
+    # Not every host sends an event for it
+    noisy = replace(
+        SCENES["separate_pin"].world.mag_probe,
+        noise=replace(
+            SCENES["separate_pin"].world.mag_probe.noise,
+            outlier_chance=0.0,
+            sigma=0.0,
+        ),
+    )
+    scene = SCENES["separate_pin"].with_world(mag_probe=noisy)
+    # It comes back to exactly where it was
+    printer = start(scene).homed()
+    calibration(printer)
+    assert validity(printer) == (True, "")
+    printer.run("G28 Z")
+    valid, reason = validity(printer)
+    assert not valid
+    assert "Z was homed again" in reason
+
+
+# Status while it runs
+
+
+def test_phase_and_progress(host, tmp_path):
+    where = "{printer.z_calibration.phase}:{printer.z_calibration.progress}"
+    changes = {
+        "respond": {},
+        **{
+            f"gcode_macro {name}": {"gcode": f"\n  RESPOND MSG='at {where}'"}
+            for name in ("FIRST", "SECOND", "LAST")
+        },
+        **section(
+            start_gcode="FIRST",
+            before_switch_gcode="SECOND\n  ATTACH_PROBE",
+            end_gcode="LAST\n  DOCK_PROBE",
+        ),
+    }
+    with Printer(host, "cartesian", changes=changes) as printer:
+        lines = printer.homed().run("CALIBRATE_Z")
+        # Two samples each
+        assert [line for line in lines if line.startswith("echo: at")] == [
+            "echo: at start_gcode:0.0",
+            f"echo: at before_switch_gcode:{2 / 6}",
+            "echo: at end_gcode:1.0",
+        ]
+        status = printer.status("z_calibration")
+        assert (status["phase"], status["progress"]) == ("idle", 0.0)
+
+
+def test_status_is_idle_after_a_failure(start):
+    fault = Fault("trigger_never", signal="z_endstop", n=4)
+    printer = start(faults=[fault])
+    printer.machine.tolerate("nozzle_pin", 1.01)
+    printer.homed()
+    before = printer.status("z_calibration")
+    printer.fail("CALIBRATE_Z")
+    assert printer.status("z_calibration") == before
+
+
+# A probe that is not the host's own
+
+OTHERS = '''
+class Hidden:
+    """An object without some of its attributes."""
+
+    def __init__(self, inner, hidden):
+        self.__dict__.update(inner=inner, hidden=hidden)
+
+    def __getattr__(self, name):
+        if name in self.hidden:
+            raise AttributeError(name)
+        found = getattr(self.inner, name)
+        if name == "mcu_probe":
+            return Hidden(found, ("homing_helper",))
+        return found
+
+
+def load_config(config):
+    printer = config.get_printer()
+
+    def change():
+        probe = printer.lookup_object("probe")
+        hidden = ("z_position", "probe_session")
+        printer.objects["probe"] = Hidden(probe, hidden)
+
+    printer.register_event_handler("klippy:mcu_identify", change)
+'''
+
+
+@pytest.mark.parametrize("n", [None, 2, 4])
+def test_probe_that_takes_no_floor_is_touched_by_us(start, tmp_path, n):
+    source = tmp_path / "others.py"
+    source.write_text(OTHERS)
+    modules = {**module_files(), "others": source}
+    faults = [] if n is None else [Fault("trigger_never", signal="probe", n=n)]
+    printer = start(changes={"others": {}}, modules=modules, faults=faults)
+    printer.machine.tolerate("body_bed", 1.0)
+    printer.homed()
+    if n is None:
+        _, sites = calibration(printer)
+        assert sites.count("probe_bed") == 3
+        assert printer.gap() == pytest.approx(0.06, abs=2 * MICROSTEP)
+        return
+    text = printer.fail("CALIBRATE_Z")
+    assert f"(stopped at z={BODY + SWITCH_OFFSET - 1.0:.3f})" in text
+    assert_unharmed(printer)
+
+
+def test_probe_that_docks_itself_is_refused(start, tmp_path):
+    source = tmp_path / "docks.py"
+    source.write_text(
+        "class Dockable:\n"
+        "    auto_attach_detach = True\n"
+        "    detach_dockable_before_z_home = False\n"
+        "def load_config(config):\n"
+        "    printer = config.get_printer()\n"
+        "    printer.add_object('dockable_probe', Dockable())\n"
+    )
+    modules = {**module_files(), "docks": source}
+    printer = start(changes={"docks": {}}, modules=modules).homed()
+    before = len(printer.machine.truth.touches)
+    text = printer.fail("CALIBRATE_Z")
+    assert "auto_attach_detach of section 'dockable_probe'" in text
+    assert "set it to False" in text
+    assert touched_sites(printer, before) == []
+
+
+def test_head_is_up_when_the_session_ends(start):
+    # deactivate_gcode may dock or stow
+    where = "{printer.toolhead.position.z|round(2)}"
+    changes = {
+        "respond": {},
+        "gcode_macro STOW": {"gcode": f"\n  RESPOND MSG='stow {where}'"},
+        "probe": {
+            "deactivate_gcode": "STOW",
+            "deactivate_on_each_sample": "False",
+        },
+    }
+    printer = start(changes=changes).homed()
+    lines = printer.run("CALIBRATE_Z")
+    stowed = [line for line in lines if line.startswith("echo: stow")]
+    assert float(stowed[-1].split()[-1]) == pytest.approx(13.8, abs=0.01)
+
+
+@pytest.mark.parametrize(
+    ("template", "command"),
+    [
+        ("start_gcode", "CALIBRATE_Z"),
+        ("end_gcode", "PROBE_Z_ACCURACY"),
+        ("error_gcode", "CALIBRATE_Z"),
+        ("offset_gcode", "PROBE_Z_ACCURACY"),
+    ],
+)
+def test_measurement_inside_a_measurement(some_host, template, command):
+    changes = section(**{template: command})
+    with Printer(some_host, changes=changes) as printer:
+        printer.homed()
+        if template == "error_gcode":
+            printer.fail("CALIBRATE_Z SWITCH_OFFSET=x")
+            text = "\n".join(printer.session.console)
+            assert "error_gcode failed, too" in text
+        else:
+            text = printer.fail("CALIBRATE_Z")
+        assert "a measurement is under way" in text
+        assert "start another one when it has ended" in text
+        assert printer.session.state()[0] == "ready"
+        assert printer.status("z_calibration")["phase"] == "idle"
+
+
+def test_host_probes_to_its_own_floor_again_afterwards(start):
+    fault = Fault("trigger_never", signal="probe", n=5)
+    printer = start(faults=[fault])
+    printer.machine.tolerate("body_bed", 12.0)
+    printer.machine.tolerate("nozzle_bed", 6.0)
+    printer.homed()
+    calibration(printer)
+    printer.run("G1 X150 Y120 Z15 F6000")
+    printer.fail("PROBE")
+    # position_min of the axis, not the floor of the calibration
+    assert printer.session.position()[2] == pytest.approx(-5.0, abs=0.01)
+
+
+# Every kind of fault, at every operation: make faults does each at each
+
+
+def operations(signal):
+    """Armings of a signal in homing and one calibration of the voron."""
+    return {"z_endstop": range(3, 11), "probe": range(1, 5)}[signal]
+
+
+CASES = [
+    (kind, signal, n)
+    for kind in ("trigger_never", "trigger_early", "stuck_open", "stuck_closed")
+    for signal in ("z_endstop", "probe")
+    for n in operations(signal)
+]
+
+
+@pytest.mark.half
+@pytest.mark.parametrize(("kind", "signal", "n"), CASES)
+def test_single_fault_of_a_sensor(some_host, kind, signal, n):
+    options = {"mm": 0.3} if kind == "trigger_early" else {}
+    fault = Fault(kind, signal=signal, n=n, **options)
+    with Printer(some_host, faults=[fault]) as printer:
+        # A dead switch is pressed: 1 mm into the pin, and never the nozzle
+        # into the bed
+        for site in ("nozzle_pin", "body_pin", "body_bed"):
+            printer.machine.tolerate(site, 1.0 + MICROSTEP)
+        printer.homed()
+        printer.run("SET_GCODE_OFFSET Z=0.3")
+        homing = len(printer.machine.truth.touches)
+        try:
+            result = result_of(printer.run("CALIBRATE_Z"))
+        except GcodeError as error:
+            assert str(error).startswith(("z_calibration: ", "!!")), error
+            assert_unharmed(printer, 0.3)
+            assert printer.status("z_calibration")["last_query"] is False
+        else:
+            # Whatever is accepted is right
+            assert result[-1] == pytest.approx(0.16, abs=0.01)
+            assert printer.gap() == pytest.approx(0.06, abs=0.01)
+        assert printer.machine.faults.unfired() == []
+        assert len(printer.machine.truth.touches) >= homing
+        assert printer.machine.truth.deepest_in_bed() == 0.0
+
+
+@pytest.mark.half
+@pytest.mark.parametrize("k", range(1, 7))
+@pytest.mark.parametrize("when", ["touch", "lift"])
+def test_probe_that_falls_off(some_host, k, when):
+    fault = Fault("probe_falls", n=k, when=when)
+    with Printer(some_host, faults=[fault]) as printer:
+        for site in ("body_pin", "body_bed"):
+            printer.machine.tolerate(site, 1.0 + MICROSTEP)
+        text = printer.homed().fail("CALIBRATE_Z")
+        assert "it is not attached" in text
+        assert printer.machine.truth.min_gap > 1.0
+        assert_unharmed(printer)
+
+
+def test_lost_connection_is_the_only_end_of_the_printer(start):
+    # Measured once to know when
+    printer = start("voron_two_boards")
+    printer.homed()
+    calibration(printer)
+    times = [t.t for t in printer.machine.truth.touches if t.site == "body_pin"]
+    fault = Fault("mcu_silent", t=times[1], board="zboard")
+    silent = start("voron_two_boards", faults=[fault]).homed()
+    silent.machine.tolerate("body_pin", 1.0)
+    text = silent.fail("CALIBRATE_Z")
+    # In the words of the host
+    words = ("timeout", "lost", "unable to obtain")
+    assert any(word in text.lower() for word in words), text
+    assert silent.machine.truth.min_gap > 1.0
+
+
+def test_emergency_stop_is_told_without_hints(start):
+    # Whoever has pressed the button does not need them
+    printer = start().homed()
+    # On its way to the first sample after the fast one
+    text = printer.stopped("CALIBRATE_Z", "nozzle_pin", 1.6)
+    assert text == "Probing failed due to printer shutdown"
+
+
+@pytest.mark.each_host
+@pytest.mark.parametrize("site", ["nozzle_pin", "probe_bed"])
+def test_emergency_stop_before_a_touch_hangs_no_host(start, site):
+    # Klipper of 2026 waits there for a trigger that never comes, and
+    # FIRMWARE_RESTART with it, unless the module looks first
+    printer = start().homed()
+    printer.stopped("CALIBRATE_Z", site, 0.15)  # lifting
+    printer.session.wait(10.0)
+    printer.session.restart("FIRMWARE_RESTART")
+    printer.homed()
+
+
+def test_pin_of_its_own_has_no_place_to_fall_back_to(start):
+    # [safe_z_home] is where the probe homes, over the bed
+    printer = start("separate_pin", changes=section(nozzle_xy_position=None))
+    printer.homed()
+    before = len(printer.machine.truth.touches)
+    text = printer.fail("CALIBRATE_Z")
+    assert "no place for the nozzle: set nozzle_xy_position" in text
+    assert len(printer.machine.truth.touches) == before
+    calibration(printer, "CALIBRATE_Z NOZZLE_POSITION=206,306")
+
+
+# Every kind of machine
+
+
+@pytest.mark.parametrize(
+    "scene",
+    ["voron_two_boards", "hybrid", "corexz", "generic", "separate_pin"],
+)
+def test_gap_on_other_machines(host, scene):
+    if not has_kinematics(host, SCENES[scene]):
+        pytest.skip(f"{host.name} has no {SCENES[scene].kinematics}")
+    with Printer(host, scene) as printer:
+        printer.homed()
+        for _ in range(2):
+            calibration(printer)
+            gap = printer.gap()
+            # The microsteps of corexz are 0.0031 mm
+            assert gap == pytest.approx(0.06, abs=2 * MICROSTEP)
+        assert validity(printer) == (True, "")
+
+
+RUNS = 30
+
+
+def finer(scene):
+    """The machine with half the microstep in Z: 1.25 um.
+
+    A trigger is seen at the step after it, so each height is half a step low.
+    """
+    motors = {
+        name: replace(motor, step_dist=motor.step_dist / 2)
+        if name.startswith("z")
+        else motor
+        for name, motor in scene.wiring.motors.items()
+    }
+    sections = {
+        name: {**options, "microsteps": "32"}
+        if name.startswith("stepper_z")
+        else options
+        for name, options in scene.sections.items()
+    }
+    wiring = replace(scene.wiring, motors=motors)
+    return replace(scene, wiring=wiring, sections=sections)
+
+
+def test_noise_leaves_a_small_mean_error(host):
+    """Sigma 3 um on pin and probe, median of 3, 30 runs: the true gap."""
+    scene = SCENES["voron"]
+    pin, probe = scene.world.pin, scene.world.mag_probe
+    noisy = scene.with_world(
+        pin=replace(pin, noise=replace(pin.noise, sigma=0.003)),
+        mag_probe=replace(probe, noise=replace(probe.noise, sigma=0.003)),
+    )
+    changes = {"probe": {"samples_tolerance": "0.03"}}
+    with Printer(host, finer(noisy), changes, seed=1) as printer:
+        printer.homed()
+        offsets = [calibration(printer)[0][-1] for _ in range(RUNS)]
+        # One look from outside: the frame is the same for all of them
+        gap = printer.gap()
+    errors = [gap + z - offsets[-1] - noisy.formula_gap() for z in offsets]
+    assert abs(sum(errors) / RUNS) < 0.0015
+    assert 0.001 < max(map(abs, errors)) < 0.015

@@ -1,0 +1,131 @@
+"""Analog inputs: samples on time, averaged in sum, and checked."""
+
+from __future__ import annotations
+
+import pytest
+
+from tests.simprinter.mcu.analog import AnalogInputs
+from tests.simprinter.tests.workbench import LOW32, Bench
+
+OID, PIN = 6, 80
+
+
+class AnalogBench(Bench):
+    """Bench with one input; `volts` is its level as a share, by clock."""
+
+    def __init__(self) -> None:
+        self.volts = lambda clock: 0.5
+        super().__init__(AnalogInputs(self._read))
+        self.tell("config_analog_in", oid=OID, pin=PIN)
+
+    def _read(self, pin: int, ns: int) -> float:
+        assert pin == PIN
+        return self.volts(self.board.clock_at(ns))
+
+    def query(self, clock: int, count: int = 8, **changes: int) -> None:
+        values = {
+            "sample_ticks": 50,
+            "rest_ticks": 1000,
+            "min_value": 0,
+            "max_value": 0xFFFF,
+            "range_check_count": 0,
+            **changes,
+        }
+        self.tell(
+            "query_analog_in",
+            oid=OID,
+            clock=clock,
+            sample_count=count,
+            **values,
+        )
+
+    def states(self) -> list[tuple[int, int]]:
+        """(next_clock, value) of every report."""
+        return [
+            (answer["next_clock"], answer["value"])
+            for answer in self.said("analog_in_state")
+        ]
+
+
+@pytest.fixture
+def bench() -> AnalogBench:
+    return AnalogBench()
+
+
+def test_reports_sums_at_the_times_asked_for(bench):
+    start = bench.now() + 500
+    bench.volts = lambda clock: (clock - start) / 4095
+    bench.query(start)
+    bench.run_to(start - 1)
+    assert bench.states() == []
+    bench.run_to(start + 2500)
+    assert bench.states() == [
+        ((start + (n + 1) * 1000) & LOW32, n * 1000 * 8) for n in range(3)
+    ]
+
+
+@pytest.mark.parametrize(("level", "value"), [(0.0, 0), (1.0, 4095 * 8)])
+def test_ends_of_the_scale(bench, level, value):
+    bench.volts = lambda clock: level
+    bench.query(bench.now())
+    bench.run_to(bench.now())
+    assert bench.states()[0][1] == value
+
+
+def test_count_of_zero_ends_it(bench):
+    bench.query(bench.now())
+    bench.run_to(bench.now() + 100)
+    bench.query(0, count=0)
+    bench.run_to(bench.now() + 10_000)
+    assert len(bench.states()) == 1
+
+
+def test_new_query_replaces_the_old(bench):
+    bench.query(bench.now() + 50)
+    bench.query(bench.now() + 100, rest_ticks=5000)
+    bench.run_to(bench.now() + 9000)
+    assert len(bench.states()) == 2
+
+
+# 8 samples of the middle are 16384; the ends of the range still belong to it
+@pytest.mark.parametrize(
+    ("low", "high", "good"),
+    [
+        (16384, 16384, True),
+        (16385, 20000, False),
+        (0, 16383, False),
+    ],
+)
+def test_range(bench, low, high, good):
+    bench.query(bench.now(), min_value=low, max_value=high, range_check_count=1)
+    bench.run_to(bench.now() + 5000)
+    assert bench.board.state.is_shutdown is not good
+
+
+def test_shutdown_only_after_enough_bad_samples_in_a_row(bench):
+    start = bench.now()
+    bad = {0, 1, 3, 4, 6, 7, 8}
+    bench.volts = lambda clock: 1.0 if (clock - start) // 1000 in bad else 0.5
+    bench.query(start, max_value=20_000, range_check_count=3)
+    bench.run_to(start + 7999)
+    assert not bench.board.state.is_shutdown
+    assert len(bench.states()) == 8
+    bench.run_to(start + 8000)
+    assert bench.board.state.is_shutdown
+    # That is the last report
+    bench.run_to(start + 50_000)
+    assert len(bench.states()) == 8
+
+
+def test_no_range_check_unless_asked_for(bench):
+    bench.volts = lambda clock: 1.0
+    bench.query(bench.now(), max_value=100)
+    bench.run_to(bench.now() + 5000)
+    assert not bench.board.state.is_shutdown
+
+
+def test_shutdown_ends_sampling(bench):
+    bench.query(bench.now() + 50)
+    bench.tell("emergency_stop")
+    bench.run_to(bench.now() + 5000)
+    assert bench.states() == []

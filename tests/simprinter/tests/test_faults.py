@@ -1,0 +1,357 @@
+"""Faults: counting, validation, and each one in the world."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import replace
+
+import pytest
+
+from tests.simprinter.faults import Fault, Faults
+from tests.simprinter.tests.world_machines import (
+    BODY_OVER_PIN,
+    DOCK,
+    HIGH,
+    MAG,
+    MIDDLE,
+    OUTPUT,
+    OVER_PIN,
+    PIEZO,
+    Driver,
+    make,
+)
+from tests.simprinter.world import Bed, NoiseSpec, Pose, World
+
+FAR = Pose(*MIDDLE, HIGH)
+BED_AT_MIDDLE = Bed(PIEZO.bed).height(*MIDDLE)
+
+
+@pytest.mark.parametrize(
+    ("n", "persistent", "struck"),
+    [
+        (1, False, [True, False, False, False]),
+        (3, False, [False, False, True, False]),
+        (1, True, [True, True, True, True]),
+        (3, True, [False, False, True, True]),
+    ],
+)
+def test_nth_operation_once_or_from_then_on(n, persistent, struck):
+    faults = Faults([Fault("attach_fails", n=n, persistent=persistent)])
+    assert [bool(faults.fires("attach_fails")) for _ in range(4)] == struck
+
+
+def test_only_the_subject_meant_is_counted():
+    faults = Faults([Fault("tmc_read_error", n=2, driver="z")])
+    assert not faults.fires("tmc_read_error", "z")
+    assert not faults.fires("tmc_read_error", "x")
+    assert not faults.fires("tmc_write_error", "z")
+    assert faults.fires("tmc_read_error", "z")
+
+
+def test_added_fault_counts_from_then_on():
+    faults = Faults([Fault("attach_fails", n=4)])
+    assert not faults.fires("attach_fails")
+    faults.add(Fault("attach_fails", n=2))
+    assert [fault.n for fault in faults] == [4, 2]
+    struck = [faults.fires("attach_fails") for _ in range(3)]
+    assert [fault and fault.n for fault in struck] == [None, 2, 4]
+    assert faults.unfired() == []
+
+
+def test_without_a_subject_all_are_counted():
+    faults = Faults([Fault("tmc_write_error", n=2)])
+    assert not faults.fires("tmc_write_error", "x")
+    assert faults.fires("tmc_write_error", "z")
+
+
+def test_two_faults_of_one_kind_count_on_their_own():
+    faults = Faults([Fault("dock_fails", n=1), Fault("dock_fails", n=3)])
+    struck = [bool(faults.fires("dock_fails")) for _ in range(4)]
+    assert struck == [True, False, True, False]
+
+
+def test_faults_by_time():
+    faults = Faults([Fault("mcu_silent", t=2.5)])
+    assert faults.begins("mcu_silent") == 2.5
+    assert not faults.due("mcu_silent", 2.499)
+    assert len(faults.unfired()) == 1
+    assert faults.due("mcu_silent", 2.5)
+    assert faults.unfired() == []
+    assert Faults().begins("mcu_silent") == math.inf
+    with pytest.raises(ValueError, match="due"):
+        faults.fires("mcu_silent")
+
+
+def test_one_board_or_every_board_falls_silent():
+    one = Faults([Fault("mcu_silent", t=2.5, board="zboard")])
+    assert not one.due("mcu_silent", 3.0, "mcu")
+    assert len(one.unfired()) == 1
+    assert one.due("mcu_silent", 3.0, "zboard")
+    every = Faults([Fault("mcu_silent", t=2.5)])
+    assert every.due("mcu_silent", 3.0, "mcu")
+    assert every.due("mcu_silent", 3.0, "zboard")
+
+
+def test_unfired_lists_what_never_struck():
+    fault = Fault("attach_fails", n=2)
+    faults = Faults([fault])
+    faults.fires("attach_fails")
+    assert faults.unfired() == [fault]
+    faults.fires("attach_fails")
+    assert faults.unfired() == []
+
+
+def test_a_fault_may_serve_two_runs():
+    fault = Fault("attach_fails", n=2)
+    first, second = Faults([fault]), Faults([fault])
+    first.fires("attach_fails")
+    assert not second.fires("attach_fails")
+    with pytest.raises(AttributeError):
+        fault.n = 3
+
+
+@pytest.mark.parametrize(
+    ("args", "message"),
+    [
+        ({"name": "stuk_open"}, "know .*stuck_open"),
+        ({"name": "stuck_open"}, r"missing \['signal'\]"),
+        ({"name": "stuck_open", "signal": ""}, "no name"),
+        ({"name": "stuck_open", "signal": "probe", "mm": 1}, "know .*'t'"),
+        ({"name": "stuck_open", "signal": "p", "t": 1, "n": 2}, "clash"),
+        ({"name": "trigger_early", "signal": "probe"}, r"missing \['mm'\]"),
+        ({"name": "trigger_early", "signal": "p", "mm": 0}, "above zero"),
+        ({"name": "trigger_early", "signal": "p", "mm": "1"}, "a number"),
+        ({"name": "trigger_late", "mm": 1}, r"missing \['signal'\]"),
+        ({"name": "trigger_late", "signal": "probe"}, r"missing \['mm'\]"),
+        ({"name": "trigger_late", "signal": "p", "mm": -1}, "negative"),
+        ({"name": "probe_falls", "site": "nozzle_bed"}, "body_pin"),
+        ({"name": "probe_falls", "when": "later"}, "touch or lift"),
+        ({"name": "attach_fails", "n": 0}, "integer"),
+        ({"name": "attach_fails", "n": 1.5}, "integer"),
+        ({"name": "mcu_silent"}, r"missing \['t'\]"),
+        ({"name": "mcu_silent", "t": -1}, "negative"),
+        ({"name": "tmc_read_error", "signal": "z"}, "know .*driver"),
+    ],
+)
+def test_wrong_faults_are_refused(args, message):
+    with pytest.raises(ValueError, match=message):
+        Fault(**args)
+
+
+def test_asking_for_an_unknown_fault_is_refused():
+    for ask in (Faults().fires, Faults().begins):
+        with pytest.raises(ValueError, match="unknown fault"):
+            ask("nothing")
+
+
+def over_pin(*faults: Fault) -> Driver:
+    driver = Driver(make(MAG, *faults))
+    driver.go(*OVER_PIN)
+    return driver
+
+
+def arm(driver: Driver) -> None:
+    driver.world.touch_armed("z_endstop", driver.t)
+
+
+DEEP = Pose(*OVER_PIN, 2.0)
+ABOVE = Pose(*OVER_PIN, 30.0)
+
+
+@pytest.mark.parametrize("name", ["stuck_open", "stuck_closed"])
+def test_stuck_from_the_nth_arming_for_ever(name):
+    driver = over_pin(Fault(name, n=2, signal="z_endstop"))
+    world, stuck = driver.world, name == "stuck_closed"
+    for armed in range(4):
+        expected = (True, False) if armed < 2 else (stuck, stuck)
+        seen = [world.level("z_endstop", driver.t, p) for p in (DEEP, ABOVE)]
+        assert tuple(seen) == expected
+        arm(driver)
+    assert not world.level("probe", driver.t, ABOVE)
+
+
+def test_stuck_for_one_operation():
+    fault = Fault("stuck_open", persistent=False, signal="z_endstop")
+    driver = over_pin(fault)
+    arm(driver)
+    assert not driver.world.level("z_endstop", driver.t, DEEP)
+    arm(driver)
+    assert driver.world.level("z_endstop", driver.t, DEEP)
+
+
+def test_stuck_by_time():
+    faults = Faults([Fault("stuck_closed", signal="probe", t=3.0)])
+    world = World(MAG, 1, faults)
+    assert not world.level("probe", 2.999, FAR)
+    assert world.level("probe", 3.0, FAR)
+    world.touch_armed("probe", 2.0)
+    assert not world.level("probe", 2.999, FAR)
+    world.observe(2.9, FAR)
+    assert len(faults.unfired()) == 1
+    world.observe(3.1, FAR)
+    assert faults.unfired() == []
+
+
+def test_trigger_early_once():
+    fault = Fault("trigger_early", n=2, signal="z_endstop", mm=9.5)
+    driver = over_pin(fault)
+    heights = [driver.touch("z_endstop", lift=12) for _ in range(3)]
+    assert heights == pytest.approx([3.0, 12.5, 3.0])
+    # Nothing was there to be touched
+    assert driver.world.truth.touch_count("nozzle_pin") == 2
+
+
+@pytest.mark.parametrize("persistent", [False, True])
+def test_trigger_late_once_or_from_then_on(persistent):
+    options = {"n": 2, "persistent": persistent, "mm": 0.7}
+    driver = over_pin(Fault("trigger_late", signal="z_endstop", **options))
+    heights = [driver.touch("z_endstop", lift=12) for _ in range(3)]
+    third = 2.3 if persistent else 3.0
+    assert heights == pytest.approx([3.0, 2.3, third])
+    # It is reported late: the pin is pressed as far as that takes
+    truth = driver.world.truth
+    assert truth.touch_count("nozzle_pin") == 3
+    assert truth.depth("nozzle_pin") == pytest.approx(0.7)
+    (crash,) = truth.crashes()
+    assert (crash.site, crash.kind) == ("nozzle_pin", "depth")
+
+
+def test_trigger_late_releases_as_late():
+    fault = Fault("trigger_late", signal="probe", mm=0.5)
+    noise = NoiseSpec(hysteresis=0.1)
+    inductive = replace(PIEZO.inductive, noise=noise)
+    driver = Driver(make(replace(PIEZO, inductive=inductive), fault))
+    driver.world.touch_armed("probe", driver.t)
+    trigger = driver.find("probe")
+    driver.go(z=trigger - 0.1)
+    seen = [
+        driver.world.level("probe", driver.t, Pose(*MIDDLE, trigger + above))
+        for above in (0.09, 0.11)
+    ]
+    assert seen == [True, False]
+    driver.world.touch_armed("probe", driver.t)
+    driver.go(z=HIGH)
+    assert driver.find("probe") == pytest.approx(trigger + 0.5)
+
+
+def test_faults_of_a_switched_bed_sensor():
+    """Only a stuck one says anything while it is off."""
+
+    def level(z, on, *faults):
+        world = make(PIEZO, *faults)
+        world.set_output("bed_sensor_enable", 0.0, float(on))
+        world.touch_armed("bed_sensor", 1.0)
+        return world.level("bed_sensor", 2.0, Pose(*MIDDLE, z))
+
+    surface = -0.04 + BED_AT_MIDDLE
+    low, high = surface - 0.02, surface + 0.02
+    assert level(low, True)
+    assert not level(low, False)
+    assert not level(high, True)
+    for on in (False, True):
+        fault = {"signal": "bed_sensor"}
+        assert level(high, on, Fault("stuck_closed", **fault))
+        assert not level(low, on, Fault("stuck_open", **fault))
+        assert not level(low, on, Fault("trigger_never", **fault))
+        early = Fault("trigger_early", mm=0.03, **fault)
+        late = Fault("trigger_late", mm=0.03, **fault)
+        assert level(high, on, early) == on
+        assert not level(low, on, late)
+        assert level(low - 0.02, on, late) == on
+
+
+def test_trigger_never_hides_the_contact_but_not_from_the_truth():
+    driver = over_pin(Fault("trigger_never", n=2, signal="z_endstop"))
+    arm(driver)
+    assert driver.world.level("z_endstop", driver.t, DEEP)
+    arm(driver)
+    assert not driver.world.level("z_endstop", driver.t, DEEP)
+    driver.go(z=2.5)
+    (crash,) = driver.world.truth.crashes()
+    assert crash.site == "nozzle_pin"
+    driver.go(z=HIGH)
+    arm(driver)
+    assert driver.world.level("z_endstop", driver.t, DEEP)
+
+
+@pytest.mark.parametrize(
+    ("when", "after_touch"), [("touch", "lost"), ("lift", "attached")]
+)
+@pytest.mark.parametrize("n", [1, 2])
+def test_probe_falls_at_the_nth_touch_of_the_pin(n, when, after_touch):
+    fault = Fault("probe_falls", n=n, site="body_pin", when=when)
+    driver = Driver(make(MAG, fault))
+    driver.touch("probe")
+    driver.go(z=HIGH)
+    driver.go(*BODY_OVER_PIN)
+    for _ in range(n - 1):
+        driver.touch("z_endstop")
+        assert driver.world.probe_state(driver.t) == "attached"
+    driver.go(z=7.9)
+    assert driver.world.probe_state(driver.t) == after_touch
+    driver.go(z=HIGH)
+    assert driver.world.probe_state(driver.t) == "lost"
+    assert driver.world.level("probe", driver.t, FAR)
+    kinds = [event.kind for event in driver.world.truth.events]
+    assert kinds == ["lost"]
+
+
+def test_probe_falls_at_any_site():
+    driver = Driver(make(MAG, Fault("probe_falls", n=2)))
+    driver.touch("probe")
+    assert driver.world.probe_state(driver.t) == "attached"
+    driver.touch("probe")
+    assert driver.world.probe_state(driver.t) == "lost"
+
+
+def test_without_its_probe_the_head_goes_past_the_pin():
+    """The accident of the predecessors: next sample meets no body."""
+    driver = Driver(make(MAG, Fault("probe_falls", site="body_pin")))
+    driver.go(*BODY_OVER_PIN)
+    driver.touch("z_endstop")
+    assert driver.find("z_endstop") == pytest.approx(-5.0)
+    driver.go(z=7.9 - 4.9 - 2.0)
+    driver.go(z=-4.0)
+    sites = [crash.site for crash in driver.world.truth.crashes()]
+    assert sites == ["nozzle_bed"]
+
+
+def test_output_fails_to_attach_and_to_dock():
+    faults = (Fault("attach_fails", n=1), Fault("dock_fails", n=1))
+    world = make(OUTPUT, *faults)
+    states = []
+    for t, value in enumerate((1, 0, 1, 0, 1, 0), start=1):
+        world.set_output("probe_attach", float(t), float(value))
+        world.observe(t + 0.5, FAR)
+        states.append(world.probe_state(t + 0.5))
+    assert states == [
+        "docked",  # fails to attach
+        "docked",
+        "attached",
+        "attached",  # fails to dock
+        "attached",
+        "docked",
+    ]
+    kinds = [event.kind for event in world.truth.events]
+    assert kinds == ["attach_failed", "attach", "dock_failed", "dock"]
+
+
+@pytest.mark.parametrize(
+    ("name", "initial", "way"),
+    [
+        ("attach_fails", "docked", (20, 280)),
+        ("dock_fails", "attached", (40, 300)),
+    ],
+)
+def test_move_fails_to_change_the_probe(name, initial, way):
+    probe = replace(DOCK.mag_probe, initial=initial)
+    driver = Driver(make(replace(DOCK, mag_probe=probe), Fault(name)))
+    driver.go(20, 280)
+    driver.go(z=20)
+    for after in (
+        initial,
+        {"docked": "attached", "attached": "docked"}[initial],
+    ):
+        driver.go(20, 300)
+        driver.go(*way)
+        assert driver.world.probe_state(driver.t) == after

@@ -1,0 +1,257 @@
+"""The loop around boards, lines, peers and a process."""
+
+from __future__ import annotations
+
+import os
+import signal
+import time
+from threading import Timer
+
+import pytest
+
+from tests.simprinter import RealClock, VirtualClock, build_directory
+from tests.simprinter import simulation as simulation_module
+from tests.simprinter.mcu.board import Board
+from tests.simprinter.simulation import (
+    Pace,
+    Simulation,
+    SimulationError,
+    Stopwatch,
+)
+from tests.simprinter.tests.programs import Program, python
+
+SECOND = 10**9
+SLEEP = "while True: time.sleep(0.7)"
+WAIT = "threading.Event().wait()"
+
+
+def never() -> bool:
+    """What is waited for in vain."""
+    return False
+
+
+def test_what_is_so_already_takes_no_time():
+    with Program(python(SLEEP)) as program:
+        program.simulation.run_until(lambda: True, 5.0, "nothing")
+        assert program.simulation.virtual_ns == 0
+        assert program.simulation.jumps == 0
+
+
+def test_timeout_names_what_was_waited_for():
+    with Program(python(SLEEP)) as program:
+        simulation = program.simulation
+        with pytest.raises(SimulationError, match="^tea: 5 s have passed$"):
+            simulation.run_until(never, 5.0, "tea")
+        # Not later, though the process sleeps beyond it
+        assert simulation.virtual_ns == 5 * SECOND
+        assert 0 < simulation.jumps < 20
+
+
+def test_end_of_the_process():
+    with Program(python("time.sleep(2)")) as program:
+        simulation = program.simulation
+        assert not simulation.process_ended()
+        with pytest.raises(SimulationError, match="^tea: klippy has ended$"):
+            simulation.run_until(never, 5.0, "tea")
+        assert simulation.process_ended()
+        assert simulation.virtual_ns == 2 * SECOND
+
+
+def test_nobody_waits_for_anything():
+    failure = pytest.raises(SimulationError, match="^tea: nobody waits")
+    with Program(python(WAIT)) as program, failure:
+        program.simulation.run_until(never, 5.0, "tea")
+
+
+def test_process_on_its_way_out_is_given_time():
+    # A process that ends has left the clock some milliseconds before
+    with Program(python(WAIT)) as program:
+        pidfd = program.simulation.process_fd
+        kill = Timer(0.5, signal.pidfd_send_signal, (pidfd, signal.SIGKILL))
+        program.simulation.run_until(
+            program.simulation.clock.everybody_sleeps, 5.0, "falling asleep"
+        )
+        kill.start()
+        with pytest.raises(SimulationError, match="^tea: klippy has ended$"):
+            program.simulation.run_until(never, 5.0, "tea")
+        kill.join()
+
+
+def test_process_that_never_sleeps(monkeypatch):
+    monkeypatch.setattr(simulation_module, "_STALL_LIMIT", 0.5)
+    with Program(python("while True: pass")) as program:
+        with pytest.raises(SimulationError, match="^tea: klippy is busy"):
+            program.simulation.run_until(never, 5.0, "tea")
+        assert program.simulation.virtual_ns == 0
+
+
+def test_boards_live_though_the_process_sleeps():
+    boards = []
+
+    def prepare(simulation):
+        board = Board(simulation.clock.now, [], "Klipper")
+        simulation.add_board(board)
+        boards.append(board)
+
+    with Program(python(WAIT), prepare) as program:
+        board, ran = boards[0], []
+        start = board.clock()
+        for ticks in (300, 100, 200):
+            board.schedule(start + ticks, lambda _: ran.append(board.clock()))
+        program.simulation.run_until(lambda: len(ran) == 3, 1.0, "events")
+        assert ran == [start + ticks for ticks in (100, 200, 300)]
+
+
+def test_slow_line_is_an_event_like_others():
+    boards, links = [], []
+
+    def prepare(simulation):
+        board = Board(simulation.clock.now, [], "Klipper")
+        boards.append(board)
+        links.append(simulation.add_board(board, latency_ns=3_000_000))
+
+    with Program(python(WAIT), prepare) as program:
+        simulation, link = program.simulation, links[0]
+        boards[0].shut_down()
+        assert link.sent == 0
+        simulation.run_until(lambda: link.sent > 0, 1.0, "answer")
+        assert simulation.virtual_ns == 3_000_000
+
+
+class Peer:
+    """Not settled the first `delay` times; readable always."""
+
+    def __init__(self, delay: int):
+        self.delay = delay
+        self.pumped = 0
+        self._reader, self._writer = os.pipe()
+        os.write(self._writer, b"x")
+
+    def fileno(self) -> int:
+        return self._reader
+
+    def pump(self) -> bool:
+        self.pumped += 1
+        return False
+
+    def settled(self) -> bool:
+        self.delay -= 1
+        return self.delay < 0
+
+    def close(self) -> None:
+        os.close(self._reader)
+        os.close(self._writer)
+
+
+def test_clock_waits_for_peers():
+    peer = Peer(5)
+    with Program(python(SLEEP)) as program:
+        simulation = program.simulation
+        simulation.peers.append(peer)
+        simulation.run_until(lambda: peer.delay <= 0, 5.0, "peer")
+        assert simulation.virtual_ns == 0
+        assert peer.pumped > 5
+        simulation.run_until(
+            lambda: simulation.virtual_ns >= SECOND, 5.0, "second"
+        )
+    peer.close()
+
+
+def test_stopwatch():
+    with Program(python(SLEEP)) as program:
+        simulation = program.simulation
+        watch = Stopwatch(simulation)
+        with pytest.raises(SimulationError):
+            simulation.run_until(never, 1000.0, "tea")
+        real, virtual = watch.seconds()
+        assert virtual == pytest.approx(1000.0)
+        assert 0.0 < real < 100.0
+
+
+def test_paced_clock_does_not_run_ahead_of_real_time():
+    with Program(python("while True: time.sleep(0.1)")) as program:
+        simulation, ahead = program.simulation, []
+        watch = Stopwatch(simulation)
+        simulation.pace = Pace(simulation.clock, 20.0)
+
+        def look():
+            real, virtual = watch.seconds()
+            ahead.append(virtual - 20.0 * real)
+            return virtual >= 10.0
+
+        simulation.run_until(look, 100.0, "ten seconds")
+        assert max(ahead) < 1e-6
+
+
+def test_paced_clock_catches_up_with_what_was_computed():
+    work = "end = time.thread_time() + 1\nwhile time.thread_time() < end: pass"
+    source = f"time.sleep(0.1)\n{work}\nwhile True: time.sleep(0.1)"
+    with Program(python(source)) as program:
+        simulation, moments = program.simulation, []
+        watch = Stopwatch(simulation)
+        simulation.pace = Pace(simulation.clock, 10.0)
+
+        def look():
+            real, virtual = watch.seconds()
+            if virtual > 0.15:  # the work is done
+                moments.append(real)
+            return virtual >= 10.0
+
+        simulation.run_until(look, 100.0, "ten seconds")
+        assert moments[0] > 1.0
+        # At that speed it would be another second
+        assert moments[-1] - moments[0] < 0.7
+
+
+def test_paced_clock_serves_who_speaks_meanwhile():
+    # Asleep for an hour, unless somebody writes
+    source = "while True: select.select([0], [], [], 3600); os.read(0, 1)"
+    with Program(python(source), reads=True) as program:
+        simulation = program.simulation
+        simulation.pace = Pace(simulation.clock, 1.0)
+        with pytest.raises(SimulationError, match="have passed"):
+            simulation.run_until(never, 0.2, "falling asleep")
+        wakes = simulation.clock.wakes()
+        program.write(b"x")
+        simulation.run_until(
+            lambda: simulation.clock.wakes() > wakes, 5.0, "waking up"
+        )
+
+
+def test_paced_wait_ends_soon_when_nothing_more_is_wanted():
+    with Program(python("time.sleep(3600)")) as program:
+        simulation = program.simulation
+        simulation.pace = Pace(simulation.clock, 1.0)
+        start = time.monotonic()
+        simulation.run_until(
+            lambda: time.monotonic() >= start + 0.2, 60.0, "leaving"
+        )
+        assert time.monotonic() - start < 1.0
+
+
+def test_real_time_is_the_same_loop():
+    simulation = Simulation(RealClock())
+    try:
+        board = Board(simulation.clock.now, [], "Klipper")
+        simulation.add_board(board)
+        ran, start = [], time.monotonic()
+        board.schedule(board.clock() + 5_000_000, ran.append)  # 0.1 s
+        simulation.run_until(lambda: bool(ran), 30.0, "event")
+        assert time.monotonic() - start >= 0.09
+        with pytest.raises(SimulationError, match="have passed"):
+            simulation.run_until(never, 0.1, "tea")
+    finally:
+        simulation.close()
+
+
+def test_closing_leaves_nothing_behind():
+    before = set(os.listdir("/proc/self/fd"))
+    simulation = Simulation(VirtualClock(build_directory()))
+    board = Board(simulation.clock.now, [], "Klipper")
+    link = simulation.add_board(board)
+    page = simulation.clock.environment()["VCLOCK_PAGE"]
+    assert os.path.exists(page)
+    simulation.close()
+    assert not os.path.exists(page)
+    assert not os.path.lexists(link.path)
+    assert set(os.listdir("/proc/self/fd")) == before

@@ -1,0 +1,424 @@
+"""Step tracks against lists of steps, and the commands of a stepper."""
+
+from __future__ import annotations
+
+from bisect import bisect_right
+
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from tests.simprinter.mcu.board import CLOCK_FREQ
+from tests.simprinter.mcu.steppers import Steppers, StepTrack, steps_in
+from tests.simprinter.tests.workbench import LOW32, Bench
+
+
+def ticks_of(interval: int, count: int, add: int) -> list[int]:
+    """Ticks of all steps after the move's clock, as the firmware counts."""
+    ticks, clock = [], 0
+    for _ in range(count):
+        clock += interval
+        interval += add
+        ticks.append(clock)
+    return ticks
+
+
+@st.composite
+def moves(draw, longest: int = 300) -> tuple[int, int, int]:
+    """(interval, count, add) whose intervals stay above zero.
+
+    Klippy's compression makes adds of 16 bits, negative while speeding up.
+    """
+    count = draw(st.integers(1, longest))
+    add = draw(st.integers(-0x8000, 0x7FFF) | st.integers(-3, 3))
+    lowest = 1 - min(0, add) * (count - 1)
+    interval = draw(st.integers(lowest, lowest + 200) | st.integers(lowest))
+    return min(interval, max(lowest, LOW32)), count, add
+
+
+@given(moves(), st.data())
+def test_steps_in_counts_like_a_loop(move, data):
+    ticks = ticks_of(*move)
+    near = data.draw(st.sampled_from(ticks))
+    elapsed = data.draw(
+        st.integers(near - 2, near + 2) | st.integers(-5, ticks[-1] + 1000)
+    )
+    assert steps_in(elapsed, *move) == bisect_right(ticks, elapsed)
+
+
+@pytest.mark.parametrize(
+    "move",
+    [
+        (0x7FFFFFFF, 65535, 1),
+        (0x7FFFFFFF, 65535, -32767),
+        (32767 * 65534 + 1, 65535, -32767),
+        (1, 65535, 32767),
+        (1, 65535, 0),
+    ],
+    ids=str,
+)
+def test_steps_in_at_the_limits_of_the_protocol(move):
+    ticks = ticks_of(*move)
+    for n in (1, 2, 777, 32768, 65534, 65535):
+        tick = ticks[n - 1]
+        assert steps_in(tick - 1, *move) == n - 1
+        assert steps_in(tick, *move) == n
+    assert steps_in(ticks[-1] * 2 + 10**9, *move) == 65535
+
+
+class NaiveTrack:
+    """Every single step as (clock, sign)."""
+
+    def __init__(self) -> None:
+        self.steps: list[tuple[int, int]] = []
+        self.last_clock = 0
+
+    def append(self, start: int, move: tuple[int, int, int], sign: int) -> None:
+        ticks = ticks_of(*move)
+        self.steps += [(start + tick, sign) for tick in ticks]
+        self.last_clock = start + ticks[-1]
+
+    def cut(self, clock: int) -> None:
+        self.steps = [step for step in self.steps if step[0] <= clock]
+        self.last_clock = min(self.last_clock, clock)
+
+    def at(self, clock: int) -> int:
+        return sum(sign for tick, sign in self.steps if tick <= clock)
+
+
+def probes(naive: NaiveTrack) -> list[int]:
+    """Clocks at which something may be off by one."""
+    ticks = {tick for tick, _ in naive.steps} | {0, naive.last_clock}
+    return sorted({tick + d for tick in ticks for d in (-1, 0, 1)})
+
+
+SIGNS = st.sampled_from((-1, 1))
+# What happens to a track: a move that follows on, one that is counted from a
+# clock given anew (gap before its first step, and how long before that its
+# clock is), a cut at a share of all there is
+EVENTS = st.lists(
+    st.tuples(st.just("move"), moves(12), SIGNS)
+    | st.tuples(
+        st.just("restart"), moves(12), SIGNS, st.integers(1, 500), st.booleans()
+    )
+    | st.tuples(st.just("cut"), st.floats(0.0, 1.2)),
+    min_size=1,
+    max_size=12,
+)
+
+
+def play(events) -> tuple[StepTrack, NaiveTrack]:
+    """The same events on both tracks."""
+    track, naive = StepTrack(), NaiveTrack()
+    for event in events:
+        if event[0] == "cut":
+            clock = round(naive.last_clock * event[1])
+            track.cut(clock)
+            naive.cut(clock)
+            continue
+        move, sign = event[1], event[2]
+        start = naive.last_clock
+        if event[0] == "restart":
+            first = start + event[3]
+            if event[4]:  # hosts reset to 0: a first interval of 32 bits
+                move = (first, 1, 0)
+            start = first - move[0]
+            track.append(*move, sign, start)
+        else:
+            track.append(*move, sign)
+        naive.append(start, move, sign)
+    return track, naive
+
+
+@given(EVENTS)
+def test_track_knows_every_position(events):
+    track, naive = play(events)
+    assert track.position == naive.at(naive.last_clock)
+    assert track.last_clock == naive.last_clock
+    for clock in probes(naive):
+        assert track.at(clock) == naive.at(clock)
+
+
+@given(EVENTS, st.integers(0, 200), st.integers(0, 200))
+def test_movement_is_never_overlooked(events, first, last):
+    track, naive = play(events)
+    clocks = probes(naive)
+    first, last = sorted(clocks[i % len(clocks)] for i in (first, last))
+    if any(first < tick <= last for tick, _ in naive.steps):
+        assert track.begins_by(last)
+        assert first < track.last_clock
+
+
+def test_movement_outside_is_not_reported():
+    track = StepTrack()
+    assert not track.begins_by(100)
+    track.append(10, 5, 0, 1, 1000)
+    assert not track.begins_by(999)
+    assert track.begins_by(1000)
+    assert track.last_clock == 1050
+
+
+@given(EVENTS, st.floats(0.0, 1.0))
+def test_forgetting_keeps_what_came_later(events, share):
+    track, naive = play(events)
+    oldest = round(naive.last_clock * share)
+    track.forget(oldest)
+    for clock in probes(naive):
+        if clock >= oldest:
+            assert track.at(clock) == naive.at(clock)
+
+
+def test_forgetting_shortens_the_list():
+    track = StepTrack()
+    for _ in range(1000):
+        track.append(10, 10, 0, 1)
+    track.forget(90_000)
+    # Whoever asks for what is forgotten gets the oldest position known
+    assert track.at(0) == 9000
+    assert track.at(90_010) == 9001
+
+
+# Commands
+
+
+class Mechanics:
+    """One track for all motors; notes what it is told."""
+
+    def __init__(self) -> None:
+        self.the_track = StepTrack()
+        self.pins: list[tuple[int, int]] = []
+        self.queued: list[int] = []
+        self.settled: list[int] = []
+
+    def track(self, step_pin: int, dir_pin: int) -> StepTrack:
+        self.pins.append((step_pin, dir_pin))
+        return self.the_track
+
+    def steps_queued(self, start_ns: int) -> None:
+        self.queued.append(start_ns)
+
+    def settle(self, ns: int) -> None:
+        self.settled.append(ns)
+
+
+class StepperBench(Bench):
+    """A bench with one stepper, oid 4."""
+
+    def __init__(self) -> None:
+        self.mechanics = Mechanics()
+        self.steppers = Steppers(self.mechanics)
+        super().__init__(self.steppers)
+        self.configure()
+
+    def configure(self) -> None:
+        self.tell(
+            "config_stepper",
+            oid=4,
+            step_pin=17,
+            dir_pin=33,
+            invert_step=0,
+            step_pulse_ticks=100,
+        )
+
+    def reset(self, clock: int) -> None:
+        self.tell("reset_step_clock", oid=4, clock=clock)
+
+    def queue(self, interval: int, count: int = 1, add: int = 0) -> None:
+        self.tell("queue_step", oid=4, interval=interval, count=count, add=add)
+
+    def turn(self, direction: int) -> None:
+        self.tell("set_next_step_dir", oid=4, dir=direction)
+
+    def halt(self) -> None:
+        self.steppers.halt(self.steppers.by_oid[4], self.now())
+
+    def position(self) -> int:
+        return self.ask("stepper_get_position", oid=4)["pos"]
+
+
+@pytest.fixture
+def bench() -> StepperBench:
+    return StepperBench()
+
+
+def test_pins_choose_the_track(bench):
+    assert bench.mechanics.pins == [(17, 33)]
+
+
+def test_direction_one_counts_up(bench):
+    bench.reset(bench.now())
+    bench.turn(1)
+    bench.queue(1000, 5)
+    bench.turn(0)
+    bench.queue(1000, 8)
+    bench.turn(1)
+    bench.queue(1000, 1)
+    start = bench.now()
+    positions = []
+    for n in range(15):
+        bench.run_to(start + n * 1000)
+        positions.append(bench.position())
+    assert positions == [0, 1, 2, 3, 4, 5, 4, 3, 2, 1, 0, -1, -2, -3, -2]
+
+
+def test_without_a_direction_steps_count_down(bench):
+    bench.reset(bench.now())
+    bench.queue(1000, 5)
+    bench.run_to(bench.now() + 10_000)
+    assert bench.position() == -5
+
+
+def test_first_interval_may_be_the_whole_clock(bench):
+    # The step clock is reset to 0; across the wrap of the 32-bit clock too
+    for seconds in (1, 30):
+        first = bench.now() + seconds * CLOCK_FREQ
+        bench.reset(0)
+        bench.turn(1)
+        bench.queue(first & LOW32)
+        bench.queue(100, 3)
+        before = bench.position()
+        bench.run_to(first - 1)
+        assert bench.position() == before
+        bench.run_to(first)
+        assert bench.position() == before + 1
+        bench.run_to(first + 300)
+        assert bench.position() == before + 4
+    assert first > 1 << 32
+    assert bench.board.journal.late == []
+
+
+@pytest.mark.parametrize("seconds", [1, 43, 60, 130])
+def test_motor_that_has_rested_for_long(bench, seconds):
+    """Intervals have 32 bits, which is 86 s: longer ones have wrapped."""
+    bench.turn(1)
+    bench.reset(bench.now())
+    bench.queue(1000, 5)
+    last = bench.now() + 5000
+    bench.run_to(last + seconds * CLOCK_FREQ)
+    first = bench.now() + 5000
+    bench.queue((first - last) & LOW32)
+    bench.run_to(first - 1)
+    assert bench.position() == 5
+    bench.run_to(first)
+    assert bench.position() == 6
+    assert bench.mechanics.the_track.at(last - 1) == 4
+    assert bench.board.journal.late == []
+
+
+def test_step_clock_is_zero_at_the_start(bench):
+    first = bench.now() + 100
+    bench.queue(first & LOW32)
+    bench.run_to(first)
+    assert bench.position() == -1
+    assert bench.board.journal.late == []
+
+
+def test_step_clock_close_to_the_first_step(bench):
+    now = bench.now()
+    bench.turn(1)
+    bench.reset(now + 5000)
+    bench.queue(500, 2, 100)
+    assert bench.mechanics.the_track.at(now + 5499) == 0
+    assert bench.mechanics.the_track.at(now + 5500) == 1
+    assert bench.mechanics.the_track.at(now + 6099) == 1
+    assert bench.mechanics.the_track.at(now + 6100) == 2
+
+
+def test_old_positions_survive_a_reset_step_clock(bench):
+    # Sensors look back by their latency, so what was before must not change
+    start = bench.now()
+    track = bench.mechanics.the_track
+    bench.turn(1)
+    bench.reset(start)
+    for _ in range(3):
+        bench.queue(1000, 10)
+    bench.run_to(start + 30_500)
+    bench.halt()
+    bench.turn(1)
+    bench.reset(0)
+    bench.queue((start + 40_000) & LOW32)
+    bench.queue(1000, 10)
+    for n in range(31):
+        assert track.at(start + n * 1000) == n
+    assert [track.at(start + n) for n in (39_999, 40_000, 50_000)] == [
+        30,
+        31,
+        41,
+    ]
+
+
+def test_halted_stepper_drops_steps_until_its_clock_is_reset(bench):
+    start = bench.now()
+    bench.turn(1)
+    bench.reset(start)
+    bench.queue(1000, 100)
+    bench.run_to(start + 10_500)
+    bench.halt()
+    bench.queue(1000, 100)
+    bench.run_to(start + 1_000_000)
+    assert bench.position() == 10
+    bench.reset(bench.now())
+    bench.queue(1000, 3)
+    bench.run_to(bench.now() + 10_000)
+    # Halting has also reset the direction
+    assert bench.position() == 7
+
+
+def test_direction_given_while_halted_holds(bench):
+    bench.halt()
+    bench.turn(1)
+    bench.reset(bench.now())
+    bench.queue(1000, 3)
+    bench.run_to(bench.now() + 10_000)
+    assert bench.position() == 3
+
+
+def test_world_settles_before_steps_are_taken_back(bench):
+    bench.halt()
+    assert bench.mechanics.settled == [bench.ns]
+
+
+def test_world_is_told_from_when_on_positions_change(bench):
+    start = bench.now() + 5000
+    bench.reset(start)
+    bench.queue(1000, 10)
+    bench.queue(1000, 10)
+    clocks = [bench.board.clock_at(ns) for ns in bench.mechanics.queued]
+    assert clocks == [start, start + 10_000]
+
+
+def test_shutdown_halts(bench):
+    bench.turn(1)
+    bench.reset(bench.now())
+    bench.queue(1000, 100)
+    bench.run_to(bench.now() + 3000)
+    bench.board.shut_down()
+    bench.board.state.is_shutdown = False
+    bench.run_to(bench.now() + 1_000_000)
+    assert bench.position() == 3
+
+
+def test_reboot_keeps_the_motor_and_counts_from_there(bench):
+    bench.turn(1)
+    bench.reset(bench.now())
+    bench.queue(1000, 7)
+    bench.run_to(bench.now() + 10_000)
+    bench.tell("reset")
+    bench.configure()
+    assert bench.position() == 0
+    assert bench.mechanics.the_track.at(bench.now()) == 7
+    bench.turn(1)
+    bench.reset(bench.now())
+    bench.queue(1000, 2)
+    bench.run_to(bench.now() + 10_000)
+    assert bench.position() == 2
+    assert bench.mechanics.the_track.at(bench.now()) == 9
+
+
+def test_late_steps_are_counted_and_made(bench):
+    bench.turn(1)
+    bench.reset(bench.now() - 3000)
+    bench.queue(1000, 5)
+    assert bench.board.journal.late == [2000]
+    bench.run_to(bench.now() + 5000)
+    assert bench.position() == 5

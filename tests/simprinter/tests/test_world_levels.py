@@ -1,0 +1,249 @@
+"""Where each signal triggers: exact heights, just inside and outside."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from tests.simprinter.tests.world_machines import (
+    BED,
+    BODY_OVER_PIN,
+    HIGH,
+    MAG,
+    MEMBRANE,
+    MIDDLE,
+    OUTPUT,
+    OVER_PIN,
+    PIEZO,
+    Driver,
+    make,
+)
+from tests.simprinter.world import (
+    Bed,
+    BedSensorSpec,
+    DriftSpec,
+    MembraneSpec,
+    NoiseSpec,
+    Pose,
+    WorldSpec,
+)
+
+EDGE = 1e-6
+SURFACE = Bed(BED).height
+
+
+def bed_below_probe(x: float, y: float) -> float:
+    return SURFACE(x + 5.0, y + 25.0)
+
+
+CASES = [
+    (MAG, "z_endstop", OVER_PIN, 3.0),
+    (MAG, "z_endstop", BODY_OVER_PIN, 3.0 + 4.9),
+    (MAG, "probe", MIDDLE, bed_below_probe(*MIDDLE) + 5.4),
+    (PIEZO, "bed_sensor", MIDDLE, SURFACE(*MIDDLE) - 0.04),
+    (PIEZO, "probe", MIDDLE, SURFACE(167.6, 150.0) + 2.5),
+    (PIEZO, "z_endstop", MIDDLE, 0.0),
+    (MEMBRANE, "membrane", (30.0, 20.0), SURFACE(30.0, 20.0) + 0.2),
+]
+
+
+@pytest.mark.parametrize(("spec", "signal", "place", "height"), CASES)
+def test_triggers_exactly_at_its_height(spec, signal, place, height):
+    world = make(spec)
+    if "bed_sensor_enable" in world.outputs:
+        world.set_output("bed_sensor_enable", 0.0, 1.0)
+    assert world.level(signal, 1.0, Pose(*place, height - EDGE)) is True
+    assert world.level(signal, 1.0, Pose(*place, height + EDGE)) is False
+
+
+@pytest.mark.parametrize("spec", [MAG, PIEZO, MEMBRANE])
+@given(
+    place=st.tuples(st.floats(-20, 320), st.floats(-20, 330)),
+    one=st.floats(-3, 15),
+    other=st.floats(-3, 15),
+)
+def test_lower_never_releases(spec, place, one, other):
+    world = make(spec)
+    low, high = Pose(*place, min(one, other)), Pose(*place, max(one, other))
+    for signal in world.signals:
+        if world.level(signal, 1.0, high):
+            assert world.level(signal, 1.0, low)
+
+
+@pytest.mark.parametrize(
+    ("signal", "place", "there"),
+    [
+        ("z_endstop", (202.0, 310.0), True),
+        ("z_endstop", (202.001, 310.0), False),
+        ("z_endstop", (200.0, 307.999), False),
+        ("z_endstop", (199.0, 281.0), True),
+        ("z_endstop", (199.001, 285.0), False),
+        ("probe", (295.0, 275.0), True),
+        ("probe", (295.001, 275.0), False),
+        ("probe", (200.0, 275.001), False),
+    ],
+)
+def test_nothing_to_press_beside_pin_and_plate(signal, place, there):
+    # Deep enough for everything, so that only the place matters
+    assert make(MAG).level(signal, 1.0, Pose(*place, -1.0)) is there
+
+
+def test_tip_or_body_presses_the_pin_whichever_is_lower():
+    beside = replace(MAG.mag_probe, x_offset=3.0, y_offset=0.0)
+    world = make(replace(MAG, mag_probe=beside))
+    # Both are over the pin; the body hangs lower
+    assert world.level("z_endstop", 1.0, Pose(200, 310, 7.9 - EDGE))
+    assert not world.level("z_endstop", 1.0, Pose(200, 310, 7.9 + EDGE))
+    taken_off = replace(beside, mode="output", initial="docked")
+    world = make(replace(MAG, mag_probe=taken_off))
+    assert world.level("z_endstop", 1.0, Pose(200, 310, 3.0 - EDGE))
+    assert not world.level("z_endstop", 1.0, Pose(200, 310, 3.0 + EDGE))
+
+
+@pytest.mark.parametrize(
+    ("x", "y", "signal", "there"),
+    [
+        (300.0, 0, "x_endstop", True),
+        (299.999, 0, "x_endstop", False),
+        (0, -5.0, "y_endstop", True),
+        (0, -4.999, "y_endstop", False),
+    ],
+)
+def test_axis_switches(x, y, signal, there):
+    assert make(PIEZO).level(signal, 1.0, Pose(x, y, HIGH)) is there
+
+
+def test_bed_sensor_needs_its_output():
+    world = make(PIEZO)
+    pressing = Pose(*MIDDLE, SURFACE(*MIDDLE) - 0.1)
+    assert not world.level("bed_sensor", 1.0, pressing)
+    world.set_output("bed_sensor_enable", 2.0, 1.0)
+    assert not world.level("bed_sensor", 1.999, pressing)
+    assert world.level("bed_sensor", 2.0, pressing)
+    world.set_output("bed_sensor_enable", 3.0, 0.0)
+    assert world.level("bed_sensor", 2.999, pressing)
+    assert not world.level("bed_sensor", 3.0, pressing)
+    always = make(WorldSpec(bed=BED, bed_sensor=BedSensorSpec()))
+    assert always.level("bed_sensor", 1.0, pressing)
+    assert always.outputs == ()
+
+
+@pytest.mark.parametrize(
+    ("x", "y", "there"),
+    [(33, 22, True), (33.001, 20, False), (30, 22.001, False)],
+)
+def test_rectangular_membrane(x, y, there):
+    sheet = MembraneSpec(30, 20, 0.3, half_x=3, half_y=2)
+    world = make(WorldSpec(bed=BED, membrane=sheet))
+    tip = Pose(x, y, SURFACE(x, y) + 0.299)
+    assert world.level("membrane", 1.0, tip) is there
+
+
+def test_round_membrane_ends_at_its_radius():
+    world = make(MEMBRANE)
+    assert world.level("membrane", 1.0, Pose(38.0, 20.0, 0.0))
+    assert not world.level("membrane", 1.0, Pose(38.001, 20.0, 0.0))
+
+
+def test_missing_probe_reads_triggered():
+    world = make(OUTPUT)
+    assert world.level("probe", 0.0, Pose(*MIDDLE, HIGH))
+    assert not world.level("probe_sense", 0.0, Pose(*MIDDLE, HIGH))
+    assert world.level("dock_sense", 0.0, Pose(*MIDDLE, HIGH))
+
+
+def test_hysteresis_holds_a_committed_touch():
+    noise = NoiseSpec(hysteresis=0.05)
+    world = make(replace(MAG, pin=replace(MAG.pin, noise=noise)))
+    driver = Driver(world)
+    driver.go(*OVER_PIN)
+    slack = Pose(*OVER_PIN, 3.04)
+    assert not world.level("z_endstop", driver.t, slack)
+    driver.go(z=3.0)
+    assert world.level("z_endstop", driver.t, slack)
+    assert not world.level("z_endstop", driver.t, Pose(*OVER_PIN, 3.0501))
+    driver.go(z=3.06)
+    assert not world.level("z_endstop", driver.t, slack)
+
+
+def test_axis_hysteresis():
+    switch = replace(PIEZO.switches[0], noise=NoiseSpec(hysteresis=0.05))
+    world = make(replace(PIEZO, switches=(switch,)))
+    world.observe(1.0, Pose(300, 0, HIGH))
+    assert world.level("x_endstop", 1.0, Pose(299.96, 0, HIGH))
+    world.observe(1.1, Pose(299.9, 0, HIGH))
+    assert not world.level("x_endstop", 1.1, Pose(299.96, 0, HIGH))
+
+
+def test_latency_is_told():
+    noise = NoiseSpec(latency=0.012)
+    world = make(replace(MAG, pin=replace(MAG.pin, noise=noise)))
+    assert world.latency("z_endstop") == 0.012
+    assert world.latency("probe") == 0.0
+
+
+@pytest.mark.parametrize(
+    ("drift", "pin", "body", "bed", "gap"),
+    [
+        # mm by which each height moves in 10 s; gap: true_gap's change
+        (DriftSpec(nozzle=0.01), 0.1, 0.0, 0.0, -0.1),
+        (DriftSpec(pin=0.01), 0.1, 0.1, 0.0, 0.0),
+        (DriftSpec(bed=-0.01), 0.0, 0.0, -0.1, 0.1),
+        (DriftSpec(body=0.01), 0.0, 0.1, 0.1, 0.0),
+        (DriftSpec(pin=0.01, start=5.0), 0.05, 0.05, 0.0, 0.0),
+        (DriftSpec(pin=0.01, stop=2.0), 0.02, 0.02, 0.0, 0.0),
+    ],
+)
+def test_thermal_growth(drift, pin, body, bed, gap):
+    driver = Driver(make(replace(MAG, drift=drift)))
+    cold = driver.world.truth.true_gap(*MIDDLE, 1.0)
+    hot = driver.world.truth.true_gap(*MIDDLE, 1.0, t=10.0)
+    assert hot - cold == pytest.approx(gap)
+    driver.t = 10.0
+    driver.go(*OVER_PIN)
+    driver.t = 10.0
+    assert driver.find("z_endstop") == pytest.approx(3.0 + pin)
+    driver.pose = Pose(*BODY_OVER_PIN, HIGH)
+    assert driver.find("z_endstop") == pytest.approx(7.9 + body)
+    driver.pose = Pose(*MIDDLE, HIGH)
+    plate = bed_below_probe(*MIDDLE) + 5.4
+    assert driver.find("probe") == pytest.approx(plate + bed)
+
+
+@pytest.mark.parametrize("configured", [0.5, 0.46, 0.0, 0.7])
+def test_z_calibration_formula_gives_the_gap(configured):
+    driver = Driver(make(MAG))
+    driver.go(*OVER_PIN)
+    nozzle = driver.touch("z_endstop")
+    driver.go(z=HIGH)
+    driver.go(*BODY_OVER_PIN)
+    switch = driver.touch("z_endstop")
+    driver.go(z=HIGH)
+    # The probe, not the nozzle, stands over the place that is measured
+    driver.go(MIDDLE[0] - 5.0, MIDDLE[1] - 25.0)
+    probe = driver.touch("probe")
+    offset = probe - (switch - nozzle + configured)
+    truth = driver.world.truth
+    gap = truth.true_gap(*MIDDLE, offset)
+    assert gap == pytest.approx(0.5 - configured, abs=1e-9)
+    truth.require_no_crash()
+
+
+def test_level_changes_nothing():
+    world = make(MAG)
+    for z in (0.0, 3.0, 60.0):
+        for signal in world.signals:
+            world.level(signal, 5.0, Pose(*OVER_PIN, z))
+    assert world.truth.touches == []
+    # Still takes an earlier time: level() did not commit the later one
+    world.observe(1.0, Pose(*MIDDLE, HIGH))
+
+
+def test_observe_refuses_to_go_back():
+    world = make(MAG)
+    world.observe(2.0, Pose(*MIDDLE, HIGH))
+    with pytest.raises(ValueError, match="before"):
+        world.observe(1.9, Pose(*MIDDLE, HIGH))

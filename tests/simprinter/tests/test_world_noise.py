@@ -1,0 +1,170 @@
+"""Noise: one draw per touch, from the seed and nothing else."""
+
+from __future__ import annotations
+
+import random
+import statistics
+from dataclasses import replace
+
+import pytest
+
+from tests.simprinter.tests.world_machines import (
+    HIGH,
+    MAG,
+    OVER_PIN,
+    PIEZO,
+    Driver,
+    make,
+)
+from tests.simprinter.world import NoiseSpec, Pose, WorldSpec
+from tests.simprinter.world.sensors import TouchState
+
+
+def noisy(**noise: float) -> WorldSpec:
+    return replace(MAG, pin=replace(MAG.pin, noise=NoiseSpec(**noise)))
+
+
+def series(
+    spec: WorldSpec, count: int, seed: int = 1, looks: int = 0
+) -> list[float]:
+    driver = Driver(make(spec, seed=seed), speed=400.0)
+    driver.go(*OVER_PIN)
+    heights = []
+    for _ in range(count):
+        heights.append(driver.touch("z_endstop"))
+        for _ in range(looks):
+            driver.find("z_endstop")
+    return heights
+
+
+def test_sigma_is_recovered():
+    heights = series(noisy(sigma=0.01), 600)
+    assert statistics.mean(heights) == pytest.approx(3.0, abs=0.002)
+    assert statistics.stdev(heights) == pytest.approx(0.01, rel=0.1)
+    assert len(set(heights)) == 600
+
+
+def test_same_seed_same_numbers():
+    spec = noisy(sigma=0.01, outlier_chance=0.2, outlier_size=0.1)
+    assert series(spec, 20) == series(spec, 20)
+    assert series(spec, 20) != series(spec, 20, seed=2)
+
+
+def test_looking_does_not_change_the_numbers():
+    spec = noisy(sigma=0.01)
+    assert series(spec, 20) == series(spec, 20, looks=3)
+
+
+def test_arming_without_a_touch_does_not_change_the_numbers():
+    driver = Driver(make(noisy(sigma=0.01)))
+    driver.go(*OVER_PIN)
+    heights = []
+    for _ in range(5):
+        driver.world.touch_armed("z_endstop", driver.t)
+        heights.append(driver.touch("z_endstop"))
+    assert heights == series(noisy(sigma=0.01), 5)
+
+
+def test_signals_have_sequences_of_their_own():
+    spec = noisy(sigma=0.01)
+    probe = replace(MAG.mag_probe, noise=NoiseSpec(sigma=0.01))
+    driver = Driver(make(replace(spec, mag_probe=probe)))
+    driver.touch("probe")
+    driver.go(z=HIGH)
+    driver.go(*OVER_PIN)
+    heights = [driver.touch("z_endstop") for _ in range(5)]
+    assert heights == series(spec, 5)
+
+
+def test_a_small_lift_is_the_same_touch():
+    driver = Driver(make(noisy(sigma=0.01)))
+    driver.go(*OVER_PIN)
+    first = driver.find("z_endstop")
+    driver.go(z=first)
+    driver.go(z=first + 0.15)
+    assert driver.find("z_endstop") == pytest.approx(first, abs=1e-9)
+    driver.go(z=first)
+    driver.go(z=first + 0.5)
+    assert driver.find("z_endstop") != pytest.approx(first, abs=1e-6)
+
+
+def test_arming_starts_a_new_touch_without_a_lift():
+    driver = Driver(make(noisy(sigma=0.01)))
+    driver.go(*OVER_PIN)
+    first = driver.find("z_endstop")
+    driver.go(z=first)
+    driver.go(z=first + 0.1)
+    driver.world.touch_armed("z_endstop", driver.t)
+    assert driver.find("z_endstop") != pytest.approx(first, abs=1e-6)
+
+
+def test_arming_while_pressed_does_not_move_the_trigger_of_the_touch():
+    """As klippy does, before the lift that comes first."""
+    driver = Driver(make(noisy(outlier_chance=0.5, outlier_size=0.3)))
+    driver.go(*OVER_PIN)
+    for _ in range(30):
+        trigger = driver.find("z_endstop")
+        driver.go(z=trigger - 0.01)
+        driver.world.touch_armed("z_endstop", driver.t)
+        driver.go(z=trigger - 0.02)
+        driver.go(z=trigger + 2.0)
+    assert driver.world.truth.depth("nozzle_pin") == pytest.approx(0.02)
+
+
+def test_outliers():
+    heights = series(noisy(outlier_chance=0.25, outlier_size=0.3), 400)
+    early = [z for z in heights if z == pytest.approx(3.3)]
+    exact = [z for z in heights if z == pytest.approx(3.0)]
+    assert len(early) + len(exact) == 400
+    assert 70 <= len(early) <= 130
+
+
+def test_an_outlier_is_no_touch_on_the_way_up():
+    spec = noisy(outlier_chance=0.5, outlier_size=1.0)
+    driver = Driver(make(spec))
+    driver.go(*OVER_PIN)
+    for _ in range(30):
+        driver.touch("z_endstop")
+    assert driver.world.truth.touch_count("nozzle_pin") == 30
+
+
+def test_touch_record_has_the_trigger_of_that_touch():
+    driver = Driver(make(noisy(sigma=0.01)))
+    driver.go(*OVER_PIN)
+    heights = []
+    for _ in range(5):
+        driver.world.touch_armed("z_endstop", driver.t)
+        heights.append(driver.find("z_endstop"))
+        driver.go(z=heights[-1] - 0.02)
+        driver.go(z=6.0)
+    recorded = [touch.trigger_z for touch in driver.world.truth.touches]
+    assert recorded == pytest.approx(heights, abs=1e-9)
+
+
+def test_without_noise_every_touch_is_exact():
+    assert series(MAG, 5) == pytest.approx([3.0] * 5, abs=1e-12)
+
+
+def test_axis_switch_noise():
+    switch = replace(PIEZO.switches[0], noise=NoiseSpec(sigma=0.1))
+    world = make(replace(PIEZO, switches=(switch,)))
+    for index in range(200):
+        world.observe(index + 0.5, Pose(302, 0, HIGH))
+        world.observe(index + 0.9, Pose(200, 0, HIGH))
+    touches = world.truth.touches
+    triggers = [touch.trigger_z for touch in touches]
+    assert len(triggers) == 200
+    assert statistics.mean(triggers) == pytest.approx(300, abs=0.03)
+    assert statistics.stdev(triggers) == pytest.approx(0.1, rel=0.15)
+
+
+def test_arming_before_the_lift_makes_the_next_touch_another():
+    state = TouchState(NoiseSpec(sigma=0.01), random.Random(1))
+    shift = state.shift
+    state.settle(True, 0.0)
+    state.arm(0.0, False)
+    assert state.shift == shift
+    state.settle(False, -0.04)
+    assert state.shift == shift
+    state.settle(False, -0.06)
+    assert state.shift != shift
