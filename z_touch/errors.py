@@ -1,0 +1,20 @@
+# What ends a measurement; the command that it belongs to tells the user.
+#
+# Copyright (C) 2026  the Z calibration developers
+#
+# This file may be distributed under the terms of the GNU GPLv3 license.
+
+
+# A condition that ends the run
+class CalibrationError(Exception):
+    pass
+
+
+# A touch that went down to its floor without a trigger
+class NoTrigger(CalibrationError):
+    pass
+
+
+# No series of samples agreed
+class SamplesDiffer(CalibrationError):
+    pass

@@ -1,0 +1,68 @@
+# What moved the frame that heights are measured in.
+#
+# Copyright (C) 2026  the Z calibration developers
+#
+# This file may be distributed under the terms of the GNU GPLv3 license.
+from __future__ import absolute_import
+
+HOMED_OR_SET = "Z was homed again or set"
+LEVELLED = "the Z motors were levelled"
+
+# Every probing move may shift the frame by a part of a microstep; what adds
+# up to less than this (mm) is neither homing nor levelling.
+DATUM_NOISE = 0.02
+
+
+# What happened to the frame since a mark was set
+class Frame(object):
+    def __init__(self, host):
+        self.host = host
+        self.count = 0
+        self.latest = ""
+        # Of the last time Z was set
+        self.datum = []
+        register = host.printer.register_event_handler
+        register("toolhead:set_position", self._set)
+        register("homing:home_rails_end", self._homed)
+        register("stepper_enable:motor_off", self._off)
+
+    def mark(self):
+        return self.count, self.host.z_datum()
+
+    # Why heights of before do not hold; empty: they do
+    def moved_since(self, mark):
+        count, datum = mark
+        motors = self._motors(datum)
+        if count == self.count or motors == LEVELLED:
+            return motors
+        return self.latest
+
+    # Homing sets Z somewhere else at first, on every host; it may come back
+    # to where it was.
+    def _set(self):
+        if self.host.toolhead is None:
+            return
+        before, self.datum = self.datum, self.host.z_datum()
+        if self._motors(before) == HOMED_OR_SET:
+            self._note(HOMED_OR_SET)
+
+    # Not sent where Z is homed with the probe since 2026-05-25 (5cbebdc3c)
+    def _homed(self, homing_state, rails):
+        if 2 in homing_state.get_axes():
+            self._note("Z was homed again")
+
+    # With a print time until 2026; nobody needs it
+    def _off(self, *unused):
+        self._note("the motors were turned off")
+
+    def _note(self, what):
+        self.count += 1
+        self.latest = what
+
+    def _motors(self, datum):
+        shifts = [a - b for a, b in zip(self.host.z_datum(), datum)]
+        if not shifts or max(map(abs, shifts)) <= DATUM_NOISE:
+            return ""
+        if max(shifts) - min(shifts) > DATUM_NOISE:
+            return LEVELLED
+        return HOMED_OR_SET

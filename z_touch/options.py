@@ -1,0 +1,154 @@
+# Options and parameters that the host's own getters cannot read, and the
+# user's G-code.
+#
+# Copyright (C) 2026  the Z calibration developers
+#
+# This file may be distributed under the terms of the GNU GPLv3 license.
+from __future__ import absolute_import
+
+import math
+
+RESULTS = {"median": "median", "average": "average", None: None}
+
+
+def is_finite(value):
+    return not (math.isnan(value) or math.isinf(value))
+
+
+def config_error(config, name, what):
+    text = "Option '%s' in section '%s' %s"
+    return config.error(text % (name, config.get_name(), what))
+
+
+# The host reads 'nan' and 'inf' as numbers, which no limit catches.
+def number(config, name, default=None, **limits):
+    value = config.getfloat(name, default, **limits)
+    if value is not None and not is_finite(value):
+        raise config_error(config, name, "is not a finite number")
+    return value
+
+
+# "x, y" -> (x, y), or None where it is not given
+def pair(config, name):
+    values = config.getfloatlist(name, None, count=2)
+    if values is not None and not all(map(is_finite, values)):
+        raise config_error(config, name, "is not a pair of finite numbers")
+    return values
+
+
+# 'low, high', or one value for both directions
+def margins(config, name, default):
+    values = config.getfloatlist(name, None)
+    if values is None:
+        return default
+    if len(values) == 1:
+        values = (-abs(values[0]), abs(values[0]))
+    if len(values) != 2 or not all(map(is_finite, values)):
+        raise config_error(
+            config,
+            name,
+            "must be 'low, high' in mm, such as -1.0, 1.0, or one value for"
+            " both directions",
+        )
+    if values[0] >= values[1]:
+        text = "leaves no room between %g and %g; write the lower one first"
+        raise config_error(config, name, text % tuple(values))
+    return tuple(values)
+
+
+# Options under the names of older releases and of other plugins
+class OldNames(object):
+    def __init__(self, config):
+        self.config = config
+        # What the user is told
+        self.notes = []
+
+    def is_given(self, name):
+        return name in self.config.get_prefix_options(name)
+
+    # The name under which an option is given
+    def name_of(self, name, *old_names):
+        found = name
+        for old in old_names:
+            if not self.is_given(old):
+                continue
+            # The host refuses what nobody reads
+            self.config.get(old)
+            if self.is_given(name) or found != name:
+                text = "option '%s' is ignored, '%s' is given"
+                self.notes.append(text % (old, found))
+                continue
+            self.notes.append("option '%s' is now called '%s'" % (old, name))
+            found = old
+        return found
+
+
+# Parameters of a command; a blank one counts as not given.
+
+
+def param_number(gcmd, name, default=None, **limits):
+    if not gcmd.get(name, "").strip():
+        return default
+    value = gcmd.get_float(name, **limits)
+    if not is_finite(value):
+        raise param_error(gcmd, name, "a finite number")
+    return value
+
+
+def param_int(gcmd, name, default=None, **limits):
+    if not gcmd.get(name, "").strip():
+        return default
+    return gcmd.get_int(name, **limits)
+
+
+def param_pair(gcmd, name):
+    text = gcmd.get(name, "").strip()
+    if not text:
+        return None
+    try:
+        x, y = [float(part) for part in text.split(",")]
+    except ValueError:
+        x = y = float("nan")
+    if not (is_finite(x) and is_finite(y)):
+        raise param_error(gcmd, name, "X and Y in mm, such as 100,100")
+    return x, y
+
+
+def param_error(gcmd, name, wanted):
+    return gcmd.error(
+        "Error on '%s': %s has to be %s"
+        % (gcmd.get_commandline(), name, wanted)
+    )
+
+
+# User G-code
+
+
+def load_template(config, name, default=None):
+    printer = config.get_printer()
+    gcode_macro = printer.load_object(config, "gcode_macro")
+    try:
+        if default is None:
+            return gcode_macro.load_template(config, name)
+        return gcode_macro.load_template(config, name, default)
+    except printer.command_error as e:
+        # What newer hosts raise would come out as an internal error.
+        raise config_error(config, name, "cannot be read: %s" % (e,))
+
+
+# In a template as '"{params.NAME}"': nothing in the text may end that string
+# or begin a comment or a command.
+def as_param(value):
+    text = " ".join(str(value).split())
+    for found, instead in ((";", ","), ("#", ""), ('"', "'"), ("\\", "/")):
+        text = text.replace(found, instead)
+    return text
+
+
+# As a macro gets its parameters: params.NAME
+def run_with_params(template, **params):
+    params = {name: as_param(value) for name, value in params.items()}
+    context = template.create_template_context()
+    context["params"] = params
+    context["rawparams"] = " ".join("%s=%s" % item for item in params.items())
+    template.run_gcode_from_command(context)

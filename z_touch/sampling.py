@@ -1,0 +1,53 @@
+# How heights are sampled, and what becomes of the samples: pure functions.
+#
+# Copyright (C) 2026  the Z calibration developers
+#
+# This file may be distributed under the terms of the GNU GPLv3 license.
+from __future__ import absolute_import, division
+
+import collections
+import math
+
+from .errors import SamplesDiffer
+
+# Count, mm, count, "median" or "average", mm/s, mm, mm/s
+Sampling = collections.namedtuple(
+    "Sampling", "samples tolerance retries result speed retract_dist lift_speed"
+)
+
+
+def summarize(samples, method):
+    ordered = sorted(samples)
+    middle = len(ordered) // 2
+    if method == "average":
+        return math.fsum(ordered) / len(ordered)
+    if len(ordered) % 2:
+        return ordered[middle]
+    return (ordered[middle - 1] + ordered[middle]) / 2.0
+
+
+# Population standard deviation, as PROBE_ACCURACY has it
+def deviation(samples):
+    average = summarize(samples, "average")
+    squares = [(z - average) ** 2 for z in samples]
+    return math.sqrt(math.fsum(squares) / len(samples))
+
+
+# Call touch(), which returns a height, until the wanted number of samples
+# agrees.  A sample that does not agree starts the series again; 'say' is told.
+# Raises SamplesDiffer, with the remedy, when no retry is left.
+def collect(touch, sampling, say, remedy):
+    retries_left = sampling.retries
+    samples = []
+    while len(samples) < sampling.samples:
+        samples.append(touch())
+        spread = max(samples) - min(samples)
+        if spread <= sampling.tolerance:
+            continue
+        text = "samples differ by %.4f mm, samples_tolerance is %.4f mm; %s"
+        if not retries_left:
+            raise SamplesDiffer(text % (spread, sampling.tolerance, remedy))
+        say(text % (spread, sampling.tolerance, "trying again"))
+        retries_left -= 1
+        samples = []
+    return samples
