@@ -586,10 +586,8 @@ class Measurement(object):
 
     def samples(self, travel_z, expected_z, floor):
         self.expected_z = expected_z
-        try:
+        with errors.about(self.site.name):
             return self.run(travel_z, expected_z, floor)
-        except errors.CalibrationError as e:
-            raise e.__class__("%s: %s" % (self.site.name, e))
 
     def run(self, travel_z, expected_z, floor):
         self.go_there(travel_z)
@@ -777,15 +775,13 @@ class BedMeasurement(Measurement):
 
     # One touch, without a session: how long is this probe?
     def look(self, travel_z, floor):
-        try:
+        with errors.about(self.site.name):
             self.go_there(travel_z)
             self.check_probe_attached(self.host.after_moves())
             self.first_touch(floor)
             z = self.head.pressed_z
             self.leave(travel_z)
             return z
-        except errors.CalibrationError as e:
-            raise e.__class__("%s: %s" % (self.site.name, e))
 
     def leave(self, travel_z):
         self.head.lift(travel_z)
@@ -994,14 +990,7 @@ class ZCalibration(object):
         register = self.printer.register_event_handler
         register("klippy:connect", self.connect)
         register("klippy:ready", self.tell_notes)
-        for name in (
-            "CALIBRATE_Z",
-            "PROBE_Z_ACCURACY",
-            "CALCULATE_SWITCH_OFFSET",
-        ):
-            handler = getattr(self, "cmd_" + name)
-            text = getattr(self, "cmd_%s_help" % (name,))
-            self.host.gcode.register_command(name, handler, desc=text)
+        running.register_commands(self.host, self)
 
     # Set-up
     def read_pin(self, config):
@@ -1357,16 +1346,12 @@ class ZCalibration(object):
             )
         gcmd.respond_info("z_calibration: " + text)
         if options.param_int(gcmd, "SAVE", 0):
-            self.save_switch_offset(gcmd, new)
-
-    def save_switch_offset(self, gcmd, switch_offset):
-        config = self.printer.lookup_object("configfile")
-        config.set("z_calibration", "switch_offset", "%.3f" % (switch_offset,))
-        gcmd.respond_info(
-            "z_calibration: switch_offset: %.3f\nThe SAVE_CONFIG command will"
-            " update the printer config file\nwith the above and restart the"
-            " printer." % (switch_offset,)
-        )
+            text = "%.3f" % (new,)
+            options.save(self.printer, "z_calibration", "switch_offset", text)
+            gcmd.respond_info(
+                "z_calibration: switch_offset: %s\n%s"
+                % (text, options.SAVE_HINT)
+            )
 
 
 def load_config(config):

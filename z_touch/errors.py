@@ -3,6 +3,7 @@
 # Copyright (C) 2026  the Z calibration developers
 #
 # This file may be distributed under the terms of the GNU GPLv3 license.
+import contextlib
 
 
 # A condition that ends the run
@@ -18,3 +19,12 @@ class NoTrigger(CalibrationError):
 # No series of samples agreed
 class SamplesDiffer(CalibrationError):
     pass
+
+
+# Says in front of an error what it is about
+@contextlib.contextmanager
+def about(name):
+    try:
+        yield
+    except CalibrationError as e:
+        raise e.__class__("%s: %s" % (name, e))

@@ -121,6 +121,18 @@ def param_error(gcmd, name, wanted):
     )
 
 
+# Values that SAVE_CONFIG writes
+
+SAVE_HINT = (
+    "The SAVE_CONFIG command will update the printer config file\nwith the"
+    " above and restart the printer."
+)
+
+
+def save(printer, section, option, text):
+    printer.lookup_object("configfile").set(section, option, text)
+
+
 # User G-code
 
 

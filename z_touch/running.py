@@ -38,6 +38,15 @@ def always(host, action, what):
             host.printer.invoke_shutdown(text % (host.name, what, e))
 
 
+# Each cmd_NAME of a module is the command NAME, cmd_NAME_help its description.
+def register_commands(host, module):
+    for attribute in dir(module):
+        text = getattr(module, attribute + "_help", None)
+        if attribute.startswith("cmd_") and text is not None:
+            handler = getattr(module, attribute)
+            host.gcode.register_command(attribute[4:], handler, desc=text)
+
+
 def check_homed(host):
     homed = host.toolhead_status()["homed_axes"]
     missing = [axis.upper() for axis in "xyz" if axis not in homed]
