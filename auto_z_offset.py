@@ -43,12 +43,12 @@ import math
 
 try:
     from .z_touch import errors, frame, host, motors, options
-    from .z_touch import running, sampling, touching
+    from .z_touch import running, sampling, templates, touching
 except (ImportError, ValueError):
     try:
         # A plugin of Kalico since 2026-01-02 (2c9b0b4de)
         from ..extras.z_touch import errors, frame, host, motors, options
-        from ..extras.z_touch import running, sampling, touching
+        from ..extras.z_touch import running, sampling, templates, touching
     except (ImportError, ValueError):
         host = None  # load_config() tells
 
@@ -449,7 +449,8 @@ class Run(object):
     def run_prepare_gcode(self):
         back = functools.partial(self.set_absolute, self.is_absolute())
         with running.always(self.host, back, "setting G90 or G91 back"):
-            self.settings.prepare_gcode.run_gcode_from_command()
+            template = self.settings.prepare_gcode
+            templates.run_template(self.host, "prepare_gcode", template)
 
     def is_absolute(self):
         gcode_move = self.host.printer.lookup_object("gcode_move")
@@ -671,7 +672,7 @@ def read_settings(config, z_axis, notes):
         offset_samples=config.getint("offset_samples", 3, minval=1),
         sampling=read_sampling(config),
         current_factor=number("z_current_factor", 0.33, minval=0.1, maxval=1.0),
-        prepare_gcode=options.load_template(config, "prepare_gcode"),
+        prepare_gcode=templates.load_template(config, "prepare_gcode"),
         # Sensors that the original module powered here would stay off
         lost_gcode=bool(config.get("activate_gcode", "").strip()),
     )
@@ -851,7 +852,10 @@ class AutoZOffset(object):
                 "activate_gcode is not run, the bed sensor may be off; move it"
                 " into prepare_gcode"
             )
-        self.check_manual_probe()
+        if self.host.is_manual_probing():
+            raise errors.CalibrationError(
+                "a manual probe is under way; end it with ACCEPT or ABORT first"
+            )
         running.check_homed(self.host)
         run = Run(
             self.sensor,
@@ -864,14 +868,6 @@ class AutoZOffset(object):
             value = work(run)
         self.known.touched(run.sensor_z)
         return value
-
-    # Somebody else measures; its next step starts where it left the head
-    def check_manual_probe(self):
-        manual = self.printer.lookup_object("manual_probe", None)
-        if manual is not None and manual.get_status(None)["is_active"]:
-            raise errors.CalibrationError(
-                "a manual probe is under way; end it with ACCEPT or ABORT first"
-            )
 
     # AUTO_Z_PROBE
     cmd_AUTO_Z_PROBE_help = "Touch the bed with the nozzle where the head is"

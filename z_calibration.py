@@ -21,10 +21,7 @@
 #        I                    I                :       its plunger, pressed
 #     ===I======       =======I===      ===========    bed; I is the pin
 #
-# Every height is a toolhead Z: the position, in mm and in the frame that the
-# last homing defined, at which a touch triggered.  G-code offset, bed mesh
-# and skew play no part in it.  Up is positive; a touch reached lower down
-# has the smaller height.
+# Every height is a toolhead Z in mm, see z_touch/touching.py.
 #
 #   switch - nozzle   how far the switch body hangs below the nozzle  (> 0)
 #   switch_offset     from the body to the trigger point above it     (>= 0)
@@ -41,16 +38,15 @@ import collections
 import functools
 import logging
 import math
-import re
 
 try:
     from .z_touch import errors, frame, host, options
-    from .z_touch import running, sampling, touching
+    from .z_touch import running, sampling, templates, touching
 except (ImportError, ValueError):
     try:
         # A plugin of Kalico since 2026-01-02 (2c9b0b4de)
         from ..extras.z_touch import errors, frame, host, options
-        from ..extras.z_touch import running, sampling, touching
+        from ..extras.z_touch import running, sampling, templates, touching
     except (ImportError, ValueError):
         host = None  # load_config() tells
 
@@ -111,12 +107,11 @@ MESH_ZERO_NEAR = 1.0
 STALE_Z = 0.5
 GEOMETRY_JUMP = 0.5
 
+# Less (mm) is rounding.
+NO_CHANGE = 0.0000001
+
 # An offset of more than this (mm) is worth correcting in position_endstop.
 LARGE_OFFSET = 0.2
-
-# What attaches a probe besides macros
-ATTACHING = ("SET_SERVO", "SET_PIN", "ATTACH_PROBE")
-
 
 ######################################################################
 # Records and maths
@@ -145,6 +140,11 @@ Settings = collections.namedtuple(
 
 # What to do about samples that differ
 DIFFER = "clean the nozzle and check the switch for play"
+
+PLUNGER_PRESSED = (
+    "switch: the pin presses the plunger of the probe besides its body, which"
+    " makes the height wrong; correct switch_xy_position"
+)
 
 TOO_LOW = (
     "correct switch_offset, which is larger than any switch has it, or"
@@ -270,11 +270,11 @@ def travel_height_to_bed(settings, nozzle_z, switch_z):
 
 # Let the probe and the axis decide what the user left open.
 def complete(settings, probe, z_offset, position_max):
-    own = settings.pin._asdict()
-    left_open = [name for name in own if own[name] is None]
-    pin = settings.pin._replace(**{n: getattr(probe, n) for n in left_open})
     settings = settings._replace(
-        pin=pin, probe=probe, z_offset=z_offset, position_max=position_max
+        pin=filled(settings.pin, probe),
+        probe=filled(settings.probe, probe),
+        z_offset=z_offset,
+        position_max=position_max,
     )
     if settings.safe_z_height is None:
         safe_z = default_safe_z(z_offset)
@@ -282,15 +282,10 @@ def complete(settings, probe, z_offset, position_max):
     return settings
 
 
-# Not so: what start_gcode has done already.
-def attaches_probe(before_switch_gcode, start_gcode, macros):
-    if before_switch_gcode.upper().split() == start_gcode.upper().split():
-        return False
-    code = re.sub(r"(?s)\{%.*?%\}", "\n", before_switch_gcode)
-    words = [
-        line.split()[0].upper() for line in code.splitlines() if line.split()
-    ]
-    return any(word in ATTACHING or word in macros for word in words)
+# A record with the values of another one where it has none
+def filled(record, other):
+    pairs = zip(record, other)
+    return record._make(b if a is None else a for a, b in pairs)
 
 
 ######################################################################
@@ -334,12 +329,13 @@ def read_nozzle_site(config, own_pin, old_names):
     )
 
 
-def read_pin_sampling(config, z_axis, old_names):
+# Of the pin; for the bed only what is given, the rest is as the probe has it.
+def read_samplings(config, z_axis, old_names):
     number = functools.partial(options.number, config)
     speed = old_names.name_of("probing_second_speed", "second_homing_speed")
     retract = old_names.name_of("probing_retract_dist", "homing_retract_dist")
     default_retract = z_axis.homing_retract_dist or FALLBACK_RETRACT
-    return sampling.Sampling(
+    pin = sampling.Sampling(
         samples=config.getint("samples", None, minval=1),
         tolerance=number("samples_tolerance", minval=0.0),
         retries=config.getint("samples_tolerance_retries", None, minval=0),
@@ -348,6 +344,11 @@ def read_pin_sampling(config, z_axis, old_names):
         retract_dist=number(retract, default_retract, above=0.0),
         lift_speed=number("lift_speed", above=0.0),
     )
+    bed = pin._replace(
+        speed=pin.speed if old_names.is_given(speed) else None,
+        retract_dist=pin.retract_dist if old_names.is_given(retract) else None,
+    )
+    return pin, bed
 
 
 def read_position_min(config, z_axis, homed_z, old_names):
@@ -383,6 +384,7 @@ def read_settings(config, z_axis, own_pin, old_names):
     safe_z = old_names.name_of("safe_z_height", "clearance")
     # 0 was "as the probe has it" under the old name
     lowest = {"minval": 0.0} if safe_z == "clearance" else {"above": 0.0}
+    pin, bed = read_samplings(config, z_axis, old_names)
     return Settings(
         nozzle=read_nozzle_site(config, own_pin, old_names),
         switch=read_site(config, "switch", old_names),
@@ -390,13 +392,10 @@ def read_settings(config, z_axis, own_pin, old_names):
         bed=read_site(config, "bed", old_names),
         wiggle=read_wiggle(config),
         switch_offset=number("switch_offset", minval=0.0),
-        attach_after_nozzle=attaches_probe(
+        attach_after_nozzle=templates.attaches_probe(
             config.get("before_switch_gcode", ""),
             config.get("start_gcode", ""),
-            [
-                s.get_name().upper().split()[-1]
-                for s in config.get_prefix_sections("gcode_macro ")
-            ],
+            templates.read_macros(config),
         ),
         first_fast=config.getboolean("probing_first_fast", False),
         offset_margins=options.margins(
@@ -410,30 +409,33 @@ def read_settings(config, z_axis, own_pin, old_names):
         safe_z_height=number(safe_z, **lowest) or None,
         speed=number("speed", TRAVEL_SPEED, above=0.0),
         probing_speed=number(speed, z_axis.homing_speed, above=0.0),
-        pin=read_pin_sampling(config, z_axis, old_names),
+        pin=pin,
+        probe=bed,
         # From the probe and the axes, when klippy connects
         position_max=None,
         z_offset=None,
-        probe=None,
     )
 
 
 # The user's G-code; 'offset' and 'error' are None where not configured.
 Templates = collections.namedtuple(
-    "Templates", "start before_switch end offset error"
+    "Templates", "start before_switch end offset error start_homes"
 )
 
 
 def load_templates(config):
     loaded = []
-    for part in Templates._fields:
+    for part in Templates._fields[:-1]:
         name = part + "_gcode"
         optional = part in ("offset", "error")
-        template = options.load_template(config, name, "")
+        template = templates.load_template(config, name, "")
         if optional and not config.get(name, "").strip():
             template = None
         loaded.append(template)
-    return Templates(*loaded)
+    start_gcode = config.get("start_gcode", "")
+    return Templates(
+        *loaded + [templates.homes(start_gcode, templates.read_macros(config))]
+    )
 
 
 ######################################################################
@@ -461,6 +463,17 @@ class Places(object):
         if None not in (switch, bed):
             self.check_apart(switch, bed)
 
+    # What has to come with each command, as nothing else says where it is
+    def missing(self):
+        settings = self.settings
+        sites = (
+            settings.nozzle,
+            settings.switch or settings.switch_xy_offsets,
+            self.bed_site(settings.bed),
+        )
+        names = Sites._fields
+        return [no_place(n) for n, site in zip(names, sites) if site is None]
+
     # The places of a run, checked.
     def of_command(self, gcmd):
         settings = self.settings
@@ -468,13 +481,9 @@ class Places(object):
         switch = self.site_param(gcmd, "switch", settings.switch)
         switch = self.switch_site(nozzle, switch)
         bed = self.bed_site(self.site_param(gcmd, "bed", settings.bed))
-        if switch is None:
-            where = "switch_xy_position or switch_xy_offsets in section"
-            raise no_place("switch", where + " 'z_calibration'")
-        if bed is None:
-            where = "bed_xy_position in section 'z_calibration', or"
-            where += " zero_reference_position in section 'bed_mesh'"
-            raise no_place("bed", where)
+        for site, name in ((switch, "switch"), (bed, "bed")):
+            if site is None:
+                raise errors.CalibrationError(no_place(name))
         self.check_reach(switch)
         self.check_reach(bed)
         self.check_apart(switch, bed)
@@ -483,8 +492,7 @@ class Places(object):
     def nozzle_of_command(self, gcmd):
         nozzle = self.site_param(gcmd, "nozzle", self.settings.nozzle)
         if nozzle is None:
-            where = "nozzle_xy_position in section 'z_calibration'"
-            raise no_place("nozzle", where)
+            raise errors.CalibrationError(no_place("nozzle"))
         self.check_nozzle(nozzle)
         return nozzle
 
@@ -555,9 +563,17 @@ class Places(object):
             )
 
 
-def no_place(name, where):
-    text = "no place for the %s: set %s, or add %s_POSITION=X,Y"
-    return errors.CalibrationError(text % (name, where, name.upper()))
+# Where else than in <name>_xy_position a place can be set
+ELSEWHERE = {
+    "nozzle": "",
+    "switch": " or switch_xy_offsets",
+    "bed": ", or zero_reference_position in section 'bed_mesh'",
+}
+
+
+def no_place(name):
+    text = "no place for the %s: set %s_xy_position%s, or add %s_POSITION=X,Y"
+    return text % (name, name, ELSEWHERE[name], name.upper())
 
 
 ######################################################################
@@ -573,6 +589,7 @@ class Measurement(object):
         self.settings = run.settings
         self.pin = run.pin
         self.watch = run.watch
+        self.warn = run.warn
         self.site = site
         self.sampling = samples
         self.head = touching.Head(run.host, samples, TOO_LOW)
@@ -710,6 +727,13 @@ class NozzleMeasurement(Measurement):
             touching.move_xy(self.host, site.x + x, site.y + y, speed)
             touching.move_xy(self.host, site.x, site.y, speed)
 
+    # X first: a dock is more often beside the pin than in front of it
+    def go_there(self, travel_z):
+        self.head.lift(travel_z)
+        y = self.host.toolhead.get_position()[1]
+        touching.move_xy(self.host, self.site.x, y, self.settings.speed)
+        Measurement.go_there(self, travel_z)
+
     def check_arrived(self):
         if self.settings.attach_after_nozzle:
             self.check_probe_absent(self.host.after_moves())
@@ -754,6 +778,7 @@ class SwitchMeasurement(Measurement):
             self.retract()
             self.check_probe_attached(self.host.after_moves())
             self.head.pressed_z = z
+            self.warn(PLUNGER_PRESSED)
 
 
 # The probe on the print surface, through the host's own probing, told where
@@ -768,7 +793,11 @@ class BedMeasurement(Measurement):
         # Before the session: some hosts run deactivate_gcode after this, too,
         # and an error in it would end the session unseen
         self.come_down(travel_z, expected_z, floor)
-        with touching.probing(self.head, floor, travel_z) as self.probe_once:
+        speed = "%.6f" % (self.sampling.speed,)
+        session = touching.probing(
+            self.head, floor, travel_z, PROBE_SPEED=speed
+        )
+        with session as self.probe_once:
             samples = self.collect(floor)
         self.leave(travel_z)
         return samples
@@ -848,9 +877,11 @@ class Calibration(object):
         parts = (probe_z, switch_z, nozzle_z, settings.switch_offset)
         return Result(*parts + (offset(*parts),))
 
+    # Once for all samples
     def warn(self, text):
-        self.warnings.append(text)
-        self.watch.say(text)
+        if text not in self.warnings:
+            self.warnings.append(text)
+            self.watch.say(text)
 
     def check_probe_attached(self):
         if self.host.probe_endstop().query_endstop(self.host.after_moves()):
@@ -963,6 +994,10 @@ class Calibration(object):
 ######################################################################
 
 
+# The last run that was applied: its Result, the frame that was measured in, and
+# what was odd
+Last = collections.namedtuple("Last", "result mark warnings")
+
 # What nozzle and body press, and its name in messages
 Pin = collections.namedtuple("Pin", "endstop name")
 
@@ -983,10 +1018,10 @@ class ZCalibration(object):
             config, self.host.z_axis, self.pin is not None, self.old_names
         )
         self.templates = load_templates(config)
-        # Of the run that is under way; of the last one that was applied, and
-        # the frame it was measured in
-        self.measured = self.last_result = self.mark = None
-        self.warnings = []
+        # Of the run that is under way; of the last one that was applied
+        self.measured = None
+        self.last = Last(None, None, ())
+        self.last_query = False
         register = self.printer.register_event_handler
         register("klippy:connect", self.connect)
         register("klippy:ready", self.tell_notes)
@@ -1044,11 +1079,6 @@ class ZCalibration(object):
         return where, Pin(endstop, "the Z endstop")
 
     def check_probe(self):
-        if self.host.probe is None:
-            raise self.printer.config_error(
-                "Section 'probe' is missing: z_calibration needs a [probe]"
-                " with a switch that can press the Z endstop"
-            )
         for name in ("bltouch", "smart_effector"):
             # Neither has a switch body, and on a touch without the host's own
             # procedure the pin of a bltouch would be retracted.
@@ -1058,11 +1088,11 @@ class ZCalibration(object):
                     " Z endstop with; z_calibration needs a switch as [probe]"
                     % (name,)
                 )
-        if self.host.probe_endstop() is None:
+        if self.host.probe is None or self.host.probe_endstop() is None:
             raise self.printer.config_error(
-                "Section 'probe' (%s) is not a switch on an endstop pin that"
-                " stops the Z motors; z_calibration needs one"
-                % (self.host.probe.__class__.__name__,)
+                "Section 'probe' is missing, or no switch on an endstop pin"
+                " that stops the Z motors; z_calibration needs a [probe] with a"
+                " switch that can press the Z endstop"
             )
 
     def check_probe_settings(self):
@@ -1075,36 +1105,28 @@ class ZCalibration(object):
 
     # Both must fit, the one the user wants and the one the pin needs.
     def check_heights(self):
-        settings, section = self.settings, self.host.z_axis.section
-        high, safe_z = settings.position_max, settings.safe_z_height
-        text = (
-            "The travel height of z_calibration, z=%.3f, must lie within"
-            " position_max (%.3f) of section '%s'; %s"
-        )
-        if safe_z > high:
-            remedy = (
-                "lower safe_z_height in section 'z_calibration', or set"
-                " z_offset in section 'probe' to the real distance between"
-                " nozzle and probe"
-            )
-            raise errors.CalibrationError(
-                text % (safe_z, high, section, remedy)
-            )
+        settings, high = self.settings, self.settings.position_max
         free = settings._replace(position_max=float("inf"))
         above_pin = travel_height(free, settings.position_endstop, None)
-        if above_pin > high:
-            remedy = (
-                "correct position_endstop there, z_offset in section 'probe' or"
-                " travel_margin in section 'z_calibration'"
-            )
-            raise errors.CalibrationError(
-                text % (above_pin, high, section, remedy)
-            )
+        for height, remedy in (
+            (settings.safe_z_height, "safe_z_height"),
+            (above_pin, "position_endstop there, travel_margin"),
+        ):
+            if height > high:
+                raise errors.CalibrationError(
+                    "The travel height of z_calibration, z=%.3f, must lie"
+                    " within position_max (%.3f) of section '%s'; correct %s in"
+                    " section 'z_calibration', or z_offset in section 'probe',"
+                    " which is the real distance between nozzle and probe"
+                    % (height, high, self.host.z_axis.section, remedy)
+                )
 
     # With a mesh loaded, Z=0 is right where the mesh is zero.
     def tell_notes(self):
         for note in self.old_names.notes:
             self.runner.watch.say(note)
+        for text in Places(self.host, self.settings).missing():
+            self.runner.watch.say(text)
         bed, zero = self.settings.bed, self.host.mesh_zero()
         if bed is None or zero is None:
             return
@@ -1117,26 +1139,27 @@ class ZCalibration(object):
                 % (bed.x, bed.y, zero[0], zero[1])
             )
 
-    # Status: 'last_query' and 'last_z_offset' as upstream has them.
+    # Status: 'last_query' and 'last_z_offset' as upstream has them; for
+    # end_gcode the heights are of the run that is under way.
     def get_status(self, eventtime):
-        result = self.last_result
-        reason = self.why_not()
+        result = self.measured or self.last.result
+        reason = "not applied yet" if self.measured else self.why_not()
         status = {
-            "last_query": result is not None,
+            "last_query": self.last_query,
             "last_z_offset": 0.0 if result is None else result.offset,
             "last_result": {} if result is None else dict(result._asdict()),
             "valid": not reason,
             "reason": reason,
-            "warnings": list(self.warnings),
+            "warnings": list(self.last.warnings),
         }
         status.update(self.runner.watch.status())
         return status
 
     # Why the last result does not hold (any more); empty: it does
     def why_not(self):
-        if self.last_result is None:
+        if self.last.result is None:
             return "not calibrated yet"
-        return self.frame.moved_since(self.mark)
+        return self.frame.moved_since(self.last.mark)
 
     def switch_offset(self, gcmd, default):
         value = options.param_number(gcmd, "SWITCH_OFFSET", default, minval=0.0)
@@ -1154,16 +1177,28 @@ class ZCalibration(object):
         settings = self.settings
         wanted = 2 * settings.pin.samples + settings.probe.samples
         work = functools.partial(self.calibrate_and_apply, gcmd)
-        mark = self.runner.run(gcmd, work, "start_gcode", wanted, self.failed)
-        self.last_result = self.measured
-        self.mark = mark
-        self.report(gcmd, self.measured)
+        self.runner.check_idle(gcmd)
+        self.last_query = False
+        try:
+            self.last = self.runner.run(
+                gcmd, work, "start_gcode", wanted, self.failed
+            )
+        finally:
+            self.measured = None
+        self.last_query = True
+        self.report(gcmd, self.last.result)
 
     def calibrate_and_apply(self, gcmd):
-        self.measured = None
-        mark = self.calibrate(gcmd)
-        self.use_offset(self.measured.offset)
-        return mark
+        before = self.host.gcode_offset()
+        last, at_end = self.calibrate(gcmd)
+        # What end_gcode adds stays; what it restores is not added
+        now = self.host.gcode_offset()
+        added = 0.0 if abs(now - before) < NO_CHANGE else now - at_end
+        self.use_offset(last.result.offset + added)
+        if abs(added) >= NO_CHANGE:
+            text = "end_gcode changed the G-code Z offset by %.6f: it is %.6f"
+            self.runner.watch.say(text % (added, last.result.offset + added))
+        return last
 
     # end_gcode runs before the offset is applied: the way to the dock does
     # not shift with the offset, and a probe that could not be put away
@@ -1176,24 +1211,32 @@ class ZCalibration(object):
         sites = Places(machine, settings).of_command(gcmd)
         self.check_probe_stays()
         run = Calibration(machine, settings, self.pin, sites, self.runner.watch)
+        if not self.templates.start_homes:
+            running.check_homed(machine)
         dock = running.always(machine, self.dock, "end_gcode")
         with dock, running.always(machine, run.lift, "lifting"):
             # User G-code may home, move, or turn the motors off
-            self.templates.start.run_gcode_from_command()
+            self.run_template("start")
             running.check_homed(machine)
-            run.know(self.last_result, not self.why_not())
+            run.know(self.last.result, not self.why_not())
             attach = functools.partial(self.attach_probe, self.frame.mark())
             result = run.measure(attach)
-            measured_in = self.frame.mark()
+            last = Last(result, self.frame.mark(), run.warnings)
             check_offset(result, settings.offset_margins)
-            self.measured, self.warnings = result, run.warnings
+            self.measured = result
+            at_end = machine.gcode_offset()
         running.check_homed(machine)
-        if self.frame.moved_since(measured_in) == frame.LEVELLED:
+        if self.frame.moved_since(last.mark) == frame.LEVELLED:
             raise errors.CalibrationError(
                 "%s in end_gcode: the offset does not hold then; do it before"
                 " CALIBRATE_Z" % (frame.LEVELLED,)
             )
-        return measured_in
+        return last, at_end
+
+    def run_template(self, part, **params):
+        template = getattr(self.templates, part)
+        name = part + "_gcode"
+        templates.run_template(self.host, name, template, **params)
 
     # Kalico's dockable_probe may fetch and dock it by itself, at any session
     def check_probe_stays(self):
@@ -1206,7 +1249,7 @@ class ZCalibration(object):
             )
 
     def attach_probe(self, mark):
-        self.templates.before_switch.run_gcode_from_command()
+        self.run_template("before_switch")
         moved = self.frame.moved_since(mark)
         if moved:
             raise errors.CalibrationError(
@@ -1217,7 +1260,7 @@ class ZCalibration(object):
 
     def dock(self):
         self.runner.watch.enter("end_gcode")
-        self.templates.end.run_gcode_from_command()
+        self.run_template("end")
 
     def report(self, gcmd, result):
         if self.why_not():
@@ -1241,8 +1284,7 @@ class ZCalibration(object):
         if self.templates.offset is None:
             self.host.set_gcode_offset(z_offset)
             return
-        text = "%.6f" % (z_offset,)
-        options.run_with_params(self.templates.offset, Z=text)
+        self.run_template("offset", Z="%.6f" % (z_offset,))
 
     def failed(self, error):
         watch = self.runner.watch
@@ -1253,11 +1295,11 @@ class ZCalibration(object):
             return
         watch.enter("error_gcode")
         try:
-            options.run_with_params(self.templates.error, ERROR=error)
-        except self.printer.command_error as e:
+            self.run_template("error", ERROR=error)
+        except (self.printer.command_error, errors.CalibrationError) as e:
             # Must not hide the one it is told of
             logging.exception("z_calibration: error_gcode failed, too")
-            watch.say("error_gcode failed, too: %s" % (e,))
+            watch.say("after the error: %s" % (e,))
 
     # PROBE_Z_ACCURACY
     cmd_PROBE_Z_ACCURACY_help = "Touch the Z endstop with the nozzle repeatedly"
@@ -1268,14 +1310,7 @@ class ZCalibration(object):
         gcmd.respond_info(
             "probe z accuracy results: maximum %.6f, minimum %.6f, range"
             " %.6f, average %.6f, median %.6f, standard deviation %.6f"
-            % (
-                max(samples),
-                min(samples),
-                max(samples) - min(samples),
-                sampling.summarize(samples, "average"),
-                sampling.summarize(samples, "median"),
-                sampling.deviation(samples),
-            )
+            % sampling.statistics(samples)
         )
 
     def measure_accuracy(self, gcmd):
@@ -1296,18 +1331,12 @@ class ZCalibration(object):
         settings = self.settings._replace(pin=pin)
         sites = Sites(nozzle, None, None)
         run = Calibration(self.host, settings, self.pin, sites, watch)
-        run.know(self.last_result, not self.why_not())
+        run.know(self.last.result, not self.why_not())
         gcmd.respond_info(
-            "PROBE_Z_ACCURACY at X:%.3f Y:%.3f (samples=%d retract=%.3f"
-            " speed=%.1f lift_speed=%.1f)"
-            % (
-                nozzle.x,
-                nozzle.y,
-                pin.samples,
-                pin.retract_dist,
-                pin.speed,
-                pin.lift_speed,
-            )
+            "PROBE_Z_ACCURACY at X:%(x).3f Y:%(y).3f (samples=%(samples)d"
+            " retract=%(retract_dist).3f speed=%(speed).1f"
+            " lift_speed=%(lift_speed).1f)"
+            % dict(pin._asdict(), x=nozzle.x, y=nozzle.y)
         )
         watch.wanted = pin.samples
         with running.always(self.host, run.lift, "lifting"):
@@ -1325,7 +1354,7 @@ class ZCalibration(object):
             raise gcmd.error("z_calibration: %s" % (e,))
 
     def calculate_switch_offset(self, gcmd):
-        result, reason = self.last_result, self.why_not()
+        result, reason = self.last.result, self.why_not()
         if reason:
             raise errors.CalibrationError(
                 "%s; run CALIBRATE_Z first, then move the nozzle to where Z=0"

@@ -3,8 +3,6 @@
 # config section; the modules beside it import it, and it stands in
 # klippy/extras on every host.
 #
-# Copyright (C) 2026  the Z calibration developers
-#
-# This file may be distributed under the terms of the GNU GPLv3 license.
+# Copyright (C) 2026  the Z calibration developers, under the GNU GPLv3
 
 __version__ = "0.3.0"

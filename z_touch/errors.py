@@ -1,8 +1,6 @@
 # What ends a measurement; the command that it belongs to tells the user.
 #
-# Copyright (C) 2026  the Z calibration developers
-#
-# This file may be distributed under the terms of the GNU GPLv3 license.
+# Copyright (C) 2026  the Z calibration developers, under the GNU GPLv3
 import contextlib
 
 

@@ -1,8 +1,6 @@
 # Everything that the modules want from the printer.
 #
-# Copyright (C) 2026  the Z calibration developers
-#
-# This file may be distributed under the terms of the GNU GPLv3 license.
+# Copyright (C) 2026  the Z calibration developers, under the GNU GPLv3
 from __future__ import absolute_import, division
 
 import collections
@@ -33,6 +31,18 @@ PROBE_PINS = (
     ("dockable_probe", "pin"),
     ("smart_effector", "pin"),
     ("bltouch", "sensor_pin"),
+)
+
+
+# Of the fields of Sampling, in a probe's parameters and as its attributes
+SAMPLING_NAMES = (
+    ("samples", "sample_count"),
+    ("samples_tolerance", "samples_tolerance"),
+    ("samples_tolerance_retries", "samples_retries"),
+    ("samples_result", "samples_result"),
+    ("probe_speed", "speed"),
+    ("sample_retract_dist", "sample_retract_dist"),
+    ("lift_speed", "lift_speed"),
 )
 
 
@@ -126,27 +136,25 @@ class Host(object):
     # An endstop of our own that stops the Z motors.  A pin that something
     # else uses, too, is an error of the host.
     def make_endstop(self, config, option, remedy):
-        pin = config.get(option)
-        text = "Option '%s: %s' in section '%s' %s; %s"
-        for section, other in PROBE_PINS:
-            used = ""
-            if config.has_section(section) and section != self.name:
-                section = config.getsection(section)
-                used = section.get(other, "", note_valid=False)
-            if used and bare_pin(used) == bare_pin(pin):
-                what = "is the pin of section '%s'" % (section.get_name(),)
-                raise config.error(
-                    text % (option, pin, self.name, what, remedy)
-                )
+        pin, what = config.get(option), ""
         if not pin.strip("^~! ") or chip_of(pin) in ("probe", self.name):
             what = "is no pin"
-            raise config.error(text % (option, pin, self.name, what, remedy))
+        for name, other in PROBE_PINS:
+            if config.has_section(name) and name != self.name:
+                section = config.getsection(name)
+                used = section.get(other, "", note_valid=False)
+                if used and bare_pin(used) == bare_pin(pin):
+                    what = "is the pin of section '%s'" % (name,)
         pins = self.printer.lookup_object("pins")
         try:
-            endstop = pins.setup_pin("endstop", pin)
+            endstop = None if what else pins.setup_pin("endstop", pin)
         except pins.error as e:
             what = "cannot be used: %s" % (e,)
-            raise config.error(text % (option, pin, self.name, what, remedy))
+        if what:
+            raise config.error(
+                "Option '%s: %s' in section '%s' %s; %s"
+                % (option, pin, self.name, what, remedy)
+            )
         self.query_endstops.register_endstop(endstop, self.name)
 
         def add_z_steppers():
@@ -203,25 +211,9 @@ class Host(object):
         probe = self.probe
         if hasattr(probe, "get_probe_params"):
             params = probe.get_probe_params()
-            return Sampling(
-                samples=params["samples"],
-                tolerance=params["samples_tolerance"],
-                retries=params["samples_tolerance_retries"],
-                result=params["samples_result"],
-                speed=params["probe_speed"],
-                retract_dist=params["sample_retract_dist"],
-                lift_speed=params["lift_speed"],
-            )
+            return Sampling(*[params[new] for new, old in SAMPLING_NAMES])
         # Until 2024-06-10 (6ea5b94d1), Kalico, QIDI
-        return Sampling(
-            samples=probe.sample_count,
-            tolerance=probe.samples_tolerance,
-            retries=probe.samples_retries,
-            result=probe.samples_result,
-            speed=probe.speed,
-            retract_dist=probe.sample_retract_dist,
-            lift_speed=probe.lift_speed,
-        )
+        return Sampling(*[getattr(probe, old) for new, old in SAMPLING_NAMES])
 
     # A function that touches once, with the probe's own activation, and one
     # that ends the session.  'params' as PROBE takes them.
@@ -305,6 +297,14 @@ class Host(object):
             if hasattr(owner, name):
                 return owner, name
         return None, ""
+
+    # Somebody else measures; its next step starts where it left the head
+    def is_manual_probing(self):
+        manual = self.printer.lookup_object("manual_probe", None)
+        if hasattr(manual, "get_status"):
+            return manual.get_status(self.eventtime())["is_active"]
+        # Until 2022-07-20 (282d1113e)
+        return "ACCEPT" in self.gcode.ready_gcode_handlers
 
     # The point of the bed mesh that is its zero, or None
     def mesh_zero(self):

@@ -1,8 +1,6 @@
 # How gently the Z motors move while something is touched.
 #
-# Copyright (C) 2026  the Z calibration developers
-#
-# This file may be distributed under the terms of the GNU GPLv3 license.
+# Copyright (C) 2026  the Z calibration developers, under the GNU GPLv3
 from __future__ import absolute_import
 
 import contextlib
@@ -142,7 +140,8 @@ class Motors(object):
             self.host.toolhead.dwell(SETTLE_TIME)
 
     # The handler of SET_TMC_CURRENT, called without its line on the console:
-    # four of them for every touch would hide the results.
+    # four of them for every touch would hide the results.  Without its limits,
+    # too: what a driver reports may be a step of its scale above them.
     def _set(self, name, amps):
         command = "SET_TMC_CURRENT"
         key, handlers = self._handlers()
@@ -150,4 +149,8 @@ class Motors(object):
         line = "%s %s=%s CURRENT=%s" % (command, key, name, params["CURRENT"])
         gcmd = self.gcode.create_gcode_command(command, line, params)
         gcmd.respond_info = lambda *unused, **unused_too: None
+        read = gcmd.get_float
+        gcmd.get_float = lambda option, *default, **limits: (
+            amps if option == "CURRENT" else read(option, *default, **limits)
+        )
         handlers[name](gcmd)

@@ -1,9 +1,6 @@
-# Options and parameters that the host's own getters cannot read, and the
-# user's G-code.
+# Options and parameters that the host's own getters cannot read.
 #
-# Copyright (C) 2026  the Z calibration developers
-#
-# This file may be distributed under the terms of the GNU GPLv3 license.
+# Copyright (C) 2026  the Z calibration developers, under the GNU GPLv3
 from __future__ import absolute_import
 
 import math
@@ -131,36 +128,3 @@ SAVE_HINT = (
 
 def save(printer, section, option, text):
     printer.lookup_object("configfile").set(section, option, text)
-
-
-# User G-code
-
-
-def load_template(config, name, default=None):
-    printer = config.get_printer()
-    gcode_macro = printer.load_object(config, "gcode_macro")
-    try:
-        if default is None:
-            return gcode_macro.load_template(config, name)
-        return gcode_macro.load_template(config, name, default)
-    except printer.command_error as e:
-        # What newer hosts raise would come out as an internal error.
-        raise config_error(config, name, "cannot be read: %s" % (e,))
-
-
-# In a template as '"{params.NAME}"': nothing in the text may end that string
-# or begin a comment or a command.
-def as_param(value):
-    text = " ".join(str(value).split())
-    for found, instead in ((";", ","), ("#", ""), ('"', "'"), ("\\", "/")):
-        text = text.replace(found, instead)
-    return text
-
-
-# As a macro gets its parameters: params.NAME
-def run_with_params(template, **params):
-    params = {name: as_param(value) for name, value in params.items()}
-    context = template.create_template_context()
-    context["params"] = params
-    context["rawparams"] = " ".join("%s=%s" % item for item in params.items())
-    template.run_gcode_from_command(context)

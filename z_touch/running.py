@@ -1,9 +1,7 @@
 # One command under way: what it is doing, what it changed for a while, and
 # what its failure leaves behind.
 #
-# Copyright (C) 2026  the Z calibration developers
-#
-# This file may be distributed under the terms of the GNU GPLv3 license.
+# Copyright (C) 2026  the Z calibration developers, under the GNU GPLv3
 from __future__ import absolute_import, division
 
 import contextlib
@@ -24,7 +22,7 @@ def always(host, action, what):
         try:
             if not host.printer.is_shutdown():
                 action()
-        except host.printer.command_error:
+        except (host.printer.command_error, CalibrationError):
             if not failed:
                 raise
             logging.exception("%s: %s failed, too", host.name, what)
@@ -60,21 +58,16 @@ def check_homed(host):
 class Watch(object):
     def __init__(self, name, respond_info):
         self.name = name
-        self.respond_info = respond_info
-        self.phase = "idle"
-        self.done = self.wanted = 0
+        self.begin(respond_info, "idle", 0)
 
-    def begin(self, respond_info, wanted):
+    def begin(self, respond_info, phase, wanted):
         self.respond_info = respond_info
+        self.phase = phase
         self.done = 0
         self.wanted = wanted
 
     def enter(self, phase):
         self.phase = phase
-
-    def end(self):
-        self.phase = "idle"
-        self.done = self.wanted = 0
 
     # Samples that are taken again do not count twice
     def touched(self):
@@ -100,8 +93,7 @@ class Runner(object):
     def run(self, gcmd, work, phase, wanted, failed=None):
         self.check_idle(gcmd)
         before = self.host.gcode_offset()
-        self.watch.begin(gcmd.respond_info, wanted)
-        self.watch.enter(phase)
+        self.watch.begin(gcmd.respond_info, phase, wanted)
         try:
             return work()
         except CalibrationError as e:
@@ -111,7 +103,7 @@ class Runner(object):
             self._undo(before, e, failed)
             raise
         finally:
-            self.watch.end()
+            self.watch.begin(self.host.gcode.respond_info, "idle", 0)
 
     # From a template of its own it would never end
     def check_idle(self, gcmd):

@@ -1,8 +1,6 @@
 # How heights are sampled, and what becomes of the samples: pure functions.
 #
-# Copyright (C) 2026  the Z calibration developers
-#
-# This file may be distributed under the terms of the GNU GPLv3 license.
+# Copyright (C) 2026  the Z calibration developers, under the GNU GPLv3
 from __future__ import absolute_import, division
 
 import collections
@@ -26,11 +24,18 @@ def summarize(samples, method):
     return (ordered[middle - 1] + ordered[middle]) / 2.0
 
 
-# Population standard deviation, as PROBE_ACCURACY has it
-def deviation(samples):
-    average = summarize(samples, "average")
+# Maximum, minimum, range, average, median and population standard deviation,
+# as PROBE_ACCURACY has them
+def statistics(samples):
+    low, high, average = (
+        min(samples),
+        max(samples),
+        summarize(samples, "average"),
+    )
     squares = [(z - average) ** 2 for z in samples]
-    return math.sqrt(math.fsum(squares) / len(samples))
+    deviation = math.sqrt(math.fsum(squares) / len(samples))
+    median = summarize(samples, "median")
+    return high, low, high - low, average, median, deviation
 
 
 # Call touch(), which returns a height, until the wanted number of samples

@@ -1,8 +1,6 @@
 # One place to touch: get there, come down, touch, come up again.
 #
-# Copyright (C) 2026  the Z calibration developers
-#
-# This file may be distributed under the terms of the GNU GPLv3 license.
+# Copyright (C) 2026  the Z calibration developers, under the GNU GPLv3
 #
 # Every height is a toolhead Z: the position, in mm and in the frame that the
 # last homing defined, at which a touch triggered.  G-code offset, bed mesh and
@@ -80,28 +78,27 @@ class Head(object):
     # Down to z where nothing should be yet.  None, or the toolhead Z where
     # the endstop triggered nevertheless.
     def come_down(self, endstop, z, speed):
-        host, start_z = self.host, self.host.z()
-        if start_z <= z:
+        if self.host.z() <= z:
             return None
         try:
-            trigger_z = host.probing_move(endstop, z, speed)
-        except host.printer.command_error as e:
-            pass_on_shutdown(host, e)
-            if is_at(host, z) and NO_TRIGGER in str(e):
-                return None
-            raise CalibrationError("%s (stopped at z=%.3f)" % (e, host.z()))
-        return self._pressed(start_z, trigger_z, trigger_z)
+            return self._move_down(endstop, z, speed)
+        except NoTrigger:
+            return None
 
     # Down until the endstop triggers; returns the toolhead Z of the trigger.
     # Raises NoTrigger at the floor.
     def touch(self, endstop, floor, speed):
         self.check_above(floor)
+        return self._move_down(endstop, floor, speed)
+
+    def _move_down(self, endstop, z, speed):
         host, start_z = self.host, self.host.z()
         try:
-            trigger_z = host.probing_move(endstop, floor, speed)
+            trigger_z = host.probing_move(endstop, z, speed)
         except host.printer.command_error as e:
             pass_on_shutdown(host, e)
-            kind = NoTrigger if is_at(host, floor) else CalibrationError
+            ended = NO_TRIGGER in str(e) and is_at(host, z)
+            kind = NoTrigger if ended else CalibrationError
             raise kind("%s (stopped at z=%.3f)" % (e, host.z()))
         return self._pressed(start_z, trigger_z, trigger_z)
 
