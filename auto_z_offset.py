@@ -19,9 +19,7 @@
 #     ===v============         :                :  } z_offset, the air gap
 #                      =================  ===============  bed
 #
-# Both heights are toolhead Z: the position, in mm and in the frame of the last
-# homing, at which the touch triggered.  G-code offset, bed mesh and skew play
-# no part in it.  Up is positive.
+# Both heights are toolhead Z in mm, see z_touch/touching.py.
 #
 #   probe - probe z_offset   where the probe believes the bed to be; about 0,
 #                            as Z is homed with this probe
@@ -88,8 +86,17 @@ SMALLEST_HOP = 4.0
 # An air gap or a correction beyond this (mm) is none.
 LARGEST_OFFSET = 10.0
 
-# XY speed (mm/s) between the places.
-TRAVEL_SPEED = 50.0
+# XY speed (mm/s) between the places, unless configured.
+TRAVEL_SPEED = 100.0
+
+# Above this distance (mm) a way down is quick, but ready to stop.
+FAR = 5.0
+
+# A sensor that still reads triggered after lifting is asked again then (s).
+SECOND_LOOK = 0.3
+
+# Corrections of one AUTO_Z_CALIBRATE that differ more (mm) are no noise.
+CYCLES_TOLERANCE = 0.25
 
 # What is saved is rounded to that (mm).
 SAVED_DIGIT = 0.000001
@@ -118,7 +125,7 @@ Floor = collections.namedtuple("Floor", "z why")
 Settings = collections.namedtuple(
     "Settings",
     "bed z_offset probe_hop probe_accel floor offset_samples sampling"
-    " current_factor prepare_gcode lost_gcode",
+    " current_factor travel_speed cycles_tolerance prepare_gcode lost_gcode",
 )
 
 
@@ -128,6 +135,11 @@ DIFFER = (
     " prepare_gcode and probe_accel; a sensor that triggers late does this, too"
 )
 
+
+OUT_OF_REACH = (
+    "set bed_xy_position in section 'auto_z_offset' to a point that nozzle and"
+    " probe can reach"
+)
 
 TOO_LOW = (
     "check probe_z_min, and that prepare_gcode leaves the head above the bed"
@@ -249,7 +261,10 @@ class BedSensor(object):
         # Exist when klippy connects
         self.motors = None
 
-    def check_open(self):
+    def check_open(self, print_time):
+        if not self.endstop.query_endstop(print_time):
+            return
+        self.host.toolhead.dwell(SECOND_LOOK)
         if self.endstop.query_endstop(self.host.after_moves()):
             raise errors.CalibrationError(
                 "reads triggered at z=%.3f, where nothing should press it;"
@@ -275,25 +290,22 @@ class SensorMeasurement(object):
         self.touched_z = run.touched_z
         self.head = touching.Head(run.host, run.settings.sampling, TOO_LOW)
 
-    # Returns the height: toolhead Z in mm
-    def measure(self):
+    # From 'top' on, where nothing is known of the bed.  Returns the height:
+    # toolhead Z in mm.
+    def measure(self, top):
         how = self.settings.sampling
         with errors.about("bed sensor"):
+            self.come_down(top)
             samples = sampling.collect(self.sample, how, self.report, DIFFER)
         return sampling.summarize(samples, how.result)
-
-    # Up again.  A sensor that stays triggered has not seen the bed.
-    def leave(self, travel_z):
-        self.head.lift(travel_z)
-        with errors.about("bed sensor"):
-            self.sensor.check_open()
 
     # A trigger far above the bed is none: shaking makes them.
     def sample(self):
         samples = self.settings.sampling
         retries_left = samples.retries
         while True:
-            z = self.touch_again()
+            self.head.retract()
+            z = self.touch()
             try:
                 check_expected(z, self.expected)
                 break
@@ -308,10 +320,18 @@ class SensorMeasurement(object):
         self.report("triggered at z=%.6f" % (z,))
         return z
 
-    def touch_again(self):
-        self.head.retract()
-        self.sensor.check_open()
-        return self.touch()
+    # Down to where a touch begins: at full current, and not blindly where
+    # nothing was touched yet
+    def come_down(self, top):
+        settings = self.settings
+        if self.touched_z is not None:
+            top = self.touched_z + settings.sampling.retract_dist
+            self.head.move_down(top, settings.sampling.lift_speed)
+        elif self.host.z() > top + FAR:
+            self.sensor.check_open(self.host.after_moves())
+            accel = motors.braking_accel(self.host, 0.0)
+            speed = fastest_touch(settings.sampling.lift_speed, accel)
+            self.head.come_down(self.sensor.endstop, top, speed)
 
     # The current is low only while the nozzle goes down: a motor that loses
     # a step on the way up would take Z along.
@@ -325,6 +345,8 @@ class SensorMeasurement(object):
         start_z = self.host.z()
         try:
             with less_accel, less_current:
+                # When the moves have ended: the motors settle meanwhile
+                sensor.check_open(self.host.after_moves())
                 return self.head.touch(sensor.endstop, floor.z, speed)
         except errors.NoTrigger as e:
             raise errors.NoTrigger(
@@ -335,7 +357,7 @@ class SensorMeasurement(object):
             )
         except errors.CalibrationError:
             if touching.is_at(self.host, start_z):
-                sensor.check_open()
+                sensor.check_open(self.host.after_moves())
             raise
 
     def reason(self, floor):
@@ -350,11 +372,10 @@ class SensorMeasurement(object):
 # The inductive probe over the same point of the bed, through the host's own
 # probing, told where to end.
 class ProbeMeasurement(object):
-    def __init__(self, run, site):
+    def __init__(self, run):
         self.host = run.host
         self.settings = run.settings
         self.watch = run.watch
-        self.site = site
         self.head = touching.Head(run.host, run.settings.sampling, TOO_LOW)
 
     # 'floor' is the height at which the nozzle meets the bed: an inductive
@@ -366,8 +387,7 @@ class ProbeMeasurement(object):
 
     def collect(self, floor):
         samples = self.settings.sampling
-        site, top = self.site, self.host.z()
-        touching.move_xy(self.host, site.x, site.y, TRAVEL_SPEED)
+        top = self.host.z()
         speed = "%.6f" % (samples.speed,)
         probing = touching.probing(self.head, floor, top, PROBE_SPEED=speed)
         with probing as probe_once:
@@ -409,22 +429,24 @@ class ProbeMeasurement(object):
 
 
 # One command: goes to the bed, prepares the sensor, measures, lifts.
-# 'prepare' runs the user's G-code; 'known' says what is known of the bed then.
 class Run(object):
-    def __init__(self, sensor, settings, known, watch, accepted):
-        self.host = sensor.host
-        self.sensor = sensor
-        self.settings = settings
-        self.known = known
-        self.watch = watch
+    def __init__(self, module, accepted):
+        self.host = module.host
+        self.sensor = module.sensor
+        self.settings = module.settings
+        self.known = module.known
+        self.watch = module.runner.watch
         # Whatever was changed since: nothing is expected
         self.accepted = accepted
         # They follow what the run learns, as the height the head is lifted to:
         # what is known of the bed, its lowest trigger, its last height
         self.expected = NOTHING_EXPECTED
         self.touched_z = self.sensor_z = None
-        probe_z = known.homed_probe_z()
-        self.travel_z = travel_height(probe_z, settings.probe_hop)
+        # The print time at which the head had left the bed
+        self.lifted_at = 0.0
+        probe_z, hop = self.known.homed_probe_z(), self.settings.probe_hop
+        self.travel_z = travel_height(probe_z, hop)
+        self.speed = self.settings.travel_speed
 
     def lift(self):
         speed = self.settings.sampling.lift_speed
@@ -432,7 +454,7 @@ class Run(object):
 
     def go_to(self, site):
         self.lift()
-        touching.move_xy(self.host, site.x, site.y, TRAVEL_SPEED)
+        touching.move_xy(self.host, site.x, site.y, self.speed)
 
     # The user's G-code may have moved the head.
     def prepare(self, site):
@@ -463,14 +485,26 @@ class Run(object):
             self.host.gcode.run_script_from_command(script)
 
     # Toolhead Z (mm) of the bed sensor's trigger, where the head is.  The
-    # head has left the bed then.
+    # head is on its way up then, see check_left().
     def measure_sensor(self):
         self.watch.enter("bed sensor")
         sensor = SensorMeasurement(self)
-        z = self.sensor_z = sensor.measure()
+        z = self.sensor_z = sensor.measure(self.travel_z)
         self.expected, self.touched_z = sensor.expected, sensor.touched_z
         self.travel_z = z + self.settings.probe_hop
-        sensor.leave(self.travel_z)
+        self.lift()
+        self.lifted_at = self.host.after_moves()
+        return z
+
+    # A sensor that stays triggered has not seen the bed.  The head may be under
+    # way already: whoever looks only when it stands waits longer.
+    def check_left(self):
+        with errors.about("bed sensor"):
+            self.sensor.check_open(self.lifted_at)
+
+    def measure_sensor_alone(self):
+        z = self.measure_sensor()
+        self.check_left()
         return z
 
     # Both sensors over one point
@@ -478,7 +512,9 @@ class Run(object):
         self.go_to(bed)
         sensor_z = self.measure_sensor()
         self.watch.enter("probe")
-        probe_z = ProbeMeasurement(self, probe_site).measure(sensor_z)
+        touching.move_xy(self.host, probe_site.x, probe_site.y, self.speed)
+        self.check_left()
+        probe_z = ProbeMeasurement(self).measure(sensor_z)
         self.lift()
         probe_z_offset = self.host.probe.get_offsets()[2]
         parts = (sensor_z, probe_z, probe_z_offset, self.settings.z_offset)
@@ -672,6 +708,10 @@ def read_settings(config, z_axis, notes):
         offset_samples=config.getint("offset_samples", 3, minval=1),
         sampling=read_sampling(config),
         current_factor=number("z_current_factor", 0.33, minval=0.1, maxval=1.0),
+        travel_speed=number("travel_speed", TRAVEL_SPEED, above=0.0),
+        cycles_tolerance=number(
+            "cycles_tolerance", CYCLES_TOLERANCE, above=0.0
+        ),
         prepare_gcode=templates.load_template(config, "prepare_gcode"),
         # Sensors that the original module powered here would stay off
         lost_gcode=bool(config.get("activate_gcode", "").strip()),
@@ -800,11 +840,7 @@ class AutoZOffset(object):
             )
 
     def check_reach(self, site):
-        remedy = (
-            "set bed_xy_position in section '%s' to a point that nozzle and"
-            " probe can reach" % (NAME,)
-        )
-        touching.check_reach(self.host, site, remedy)
+        touching.check_reach(self.host, site, OUT_OF_REACH)
 
     # Places of the head (mm): nozzle, then probe over the same point
     def bed_site(self):
@@ -857,13 +893,7 @@ class AutoZOffset(object):
                 "a manual probe is under way; end it with ACCEPT or ABORT first"
             )
         running.check_homed(self.host)
-        run = Run(
-            self.sensor,
-            self.settings,
-            self.known,
-            self.runner.watch,
-            accepted,
-        )
+        run = Run(self, accepted)
         with running.always(self.host, run.lift, "lifting"):
             value = work(run)
         self.known.touched(run.sensor_z)
@@ -884,7 +914,7 @@ class AutoZOffset(object):
     def probe_here(self, run):
         x, y = self.host.toolhead.get_position()[:2]
         run.prepare(touching.Site("bed", x, y, ""))
-        return x, y, run.measure_sensor()
+        return x, y, run.measure_sensor_alone()
 
     # AUTO_Z_HOME_Z
     cmd_AUTO_Z_HOME_Z_help = "Set Z to z_offset where the bed sensor triggers"
@@ -922,7 +952,7 @@ class AutoZOffset(object):
             )
         run.prepare(self.bed_site())
         self.check_offset()
-        z = run.measure_sensor()
+        z = run.measure_sensor_alone()
         z_offset = self.settings.z_offset
         # Last, so that nothing can fail in a frame that is another one
         position = self.host.toolhead.get_position()
@@ -999,14 +1029,22 @@ class AutoZOffset(object):
         def say(msg):
             self.runner.watch.say("cycles: %s" % (msg,))
 
-        cycles = samples._replace(samples=self.settings.offset_samples)
-        try:
+        cycles = samples._replace(
+            samples=self.settings.offset_samples,
+            tolerance=self.settings.cycles_tolerance,
+        )
+        with errors.about("cycles"):
             corrections = sampling.collect(cycle, cycles, say, DIFFER)
-        except errors.SamplesDiffer as e:
-            raise errors.CalibrationError("cycles: %s" % (e,))
-        run.lift()
+        spread = max(corrections) - min(corrections)
+        if spread > samples.tolerance:
+            say(
+                "corrections differ by %.4f mm, more than samples_tolerance"
+                " %.4f mm; %s" % (spread, samples.tolerance, DIFFER)
+            )
         z_offset = sampling.summarize(corrections, samples.result)
         check_correction(z_offset)
+        # So that "move Z to 0, try a sheet of paper" is at this point
+        run.go_to(bed)
         self.apply_offset(z_offset + self.known.homed_bed_z())
         return tuple(results[-len(corrections) :]), z_offset
 

@@ -1,8 +1,6 @@
 # What moved the frame that heights are measured in.
 #
 # Copyright (C) 2026  the Z calibration developers, under the GNU GPLv3
-from __future__ import absolute_import
-
 HOMED_OR_SET = "Z was homed again or set"
 LEVELLED = "the Z motors were levelled"
 

@@ -1,7 +1,7 @@
 # Everything that the modules want from the printer.
 #
 # Copyright (C) 2026  the Z calibration developers, under the GNU GPLv3
-from __future__ import absolute_import, division
+from __future__ import division
 
 import collections
 import contextlib

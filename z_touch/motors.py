@@ -1,17 +1,14 @@
 # How gently the Z motors move while something is touched.
 #
 # Copyright (C) 2026  the Z calibration developers, under the GNU GPLv3
-from __future__ import absolute_import
-
 import contextlib
 import functools
-import logging
 
 from .running import always
 
 # Standstill (s) that a TMC driver needs to settle on another current: 130 ms
 # in its data sheet.
-SETTLE_TIME = 0.2
+SETTLE_TIME = 0.15
 
 # A driver that does not answer may do so the next time.
 RESTORE_ATTEMPTS = 2
@@ -88,61 +85,57 @@ class Motors(object):
     def _handlers(self):
         return self.gcode.mux_commands.get("SET_TMC_CURRENT", ("", {}))
 
-    # Less current while a touch lasts; afterwards what it was before.
+    # Less current while a touch lasts; afterwards what it was before.  The
+    # motors have settled when a touch begins whose caller has waited for the
+    # end of the moves: hosts let the next one begin 0.25 s later.
     @contextlib.contextmanager
     def reduced(self, factor):
         drivers = self.drivers if factor < 1.0 else []
         now = self.host.eventtime()
-        found = [(n, d.get_status(now)["run_current"]) for n, d in drivers]
-        changes = [(name, amps, amps * factor) for name, amps in found]
-        restore = functools.partial(self._restore_all, changes)
+        found = {n: d.get_status(now)["run_current"] for n, d in drivers}
+        less = {name: amps * factor for name, amps in found.items()}
+        restore = functools.partial(self._restore, found, less)
         with always(self.host, restore, "restoring the motor current"):
-            for name, _, less in changes:
-                self._set(name, less)
-            self._settle(changes)
+            for error in self._set_all(less).values():
+                raise error
             yield
 
-    def _restore_all(self, changes):
-        failed = [self._restore(*change) for change in changes]
-        failed = [error for error in failed if error is not None]
-        if failed:
-            raise failed[0]
-        self._settle(changes)
+    def _restore(self, amps, less):
+        written = self.host.toolhead.get_last_move_time()
+        failed = self._set_all(amps)
+        for _ in range(RESTORE_ATTEMPTS):
+            # Hosts write only what differs from what they wrote last, and
+            # count a write that failed as done
+            self._set_all({name: less[name] for name in failed})
+            failed = self._set_all({name: amps[name] for name in failed})
+        for name, error in failed.items():
+            # Said here, as an earlier error comes before this one
+            self.gcode.respond_info(
+                "%s: the current of %s could not be set back: %s; run"
+                " SET_TMC_CURRENT STEPPER=%s CURRENT=%.3f or FIRMWARE_RESTART"
+                % (self.host.name, name, error, name, amps[name])
+            )
+        for error in failed.values():
+            raise error
+        begun = self.host.toolhead.get_last_move_time()
+        if amps and begun < written + SETTLE_TIME:
+            self.host.toolhead.dwell(written + SETTLE_TIME - begun)
 
-    # Returns the error that stayed
-    def _restore(self, name, amps, reduced):
-        for attempt in range(1 + RESTORE_ATTEMPTS):
-            try:
-                if attempt:
-                    # Hosts write only what differs from what they wrote last,
-                    # and count a write that failed as done
-                    self._set(name, reduced)
-            except self.host.printer.command_error:
-                logging.info(
-                    "%s: current of %s: trying again", self.host.name, name
-                )
-            try:
-                self._set(name, amps)
-                return None
-            except self.host.printer.command_error as e:
-                error = e
-        # Said here, as an earlier error comes before this one
-        text = (
-            "%s: the current of %s could not be set back: %s; run"
-            " SET_TMC_CURRENT STEPPER=%s CURRENT=%.3f or FIRMWARE_RESTART"
-            % (self.host.name, name, error, name, amps)
-        )
-        self.gcode.respond_info(text)
-        return self.host.printer.command_error(text)
-
-    def _settle(self, changed):
-        if changed:
-            self.host.toolhead.dwell(SETTLE_TIME)
+    # At the same time, as each waits for the end of the moves and a quarter of
+    # a second more.  Returns the errors by the names of the motors.
+    def _set_all(self, amps):
+        register = self.host.printer.get_reactor().register_callback
+        done = {
+            name: register(functools.partial(self._set, name, amps[name]))
+            for name in amps
+        }
+        failed = {name: completion.wait() for name, completion in done.items()}
+        return {name: error for name, error in failed.items() if error}
 
     # The handler of SET_TMC_CURRENT, called without its line on the console:
     # four of them for every touch would hide the results.  Without its limits,
     # too: what a driver reports may be a step of its scale above them.
-    def _set(self, name, amps):
+    def _set(self, name, amps, eventtime):
         command = "SET_TMC_CURRENT"
         key, handlers = self._handlers()
         params = {key: name, "CURRENT": "%.6f" % (amps,)}
@@ -153,4 +146,9 @@ class Motors(object):
         gcmd.get_float = lambda option, *default, **limits: (
             amps if option == "CURRENT" else read(option, *default, **limits)
         )
-        handlers[name](gcmd)
+        try:
+            handlers[name](gcmd)
+        except Exception as e:  # noqa: BLE001
+            # Raised by whoever waits: here it would end klippy
+            return e
+        return None

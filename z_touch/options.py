@@ -1,8 +1,6 @@
 # Options and parameters that the host's own getters cannot read.
 #
 # Copyright (C) 2026  the Z calibration developers, under the GNU GPLv3
-from __future__ import absolute_import
-
 import math
 
 RESULTS = {"median": "median", "average": "average", None: None}

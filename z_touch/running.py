@@ -2,7 +2,7 @@
 # what its failure leaves behind.
 #
 # Copyright (C) 2026  the Z calibration developers, under the GNU GPLv3
-from __future__ import absolute_import, division
+from __future__ import division
 
 import contextlib
 import logging

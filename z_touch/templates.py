@@ -1,8 +1,6 @@
 # The user's G-code.
 #
 # Copyright (C) 2026  the Z calibration developers, under the GNU GPLv3
-from __future__ import absolute_import
-
 import re
 
 from .errors import CalibrationError

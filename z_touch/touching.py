@@ -5,8 +5,6 @@
 # Every height is a toolhead Z: the position, in mm and in the frame that the
 # last homing defined, at which a touch triggered.  G-code offset, bed mesh and
 # skew play no part in it.  Up is positive.  Speeds are in mm/s.
-from __future__ import absolute_import
-
 import collections
 import contextlib
 import functools
@@ -130,6 +128,11 @@ class Head(object):
             )
         self.pressed_z = trigger_z
         return trigger_z
+
+    # Down to z in the air above what was touched before
+    def move_down(self, z, speed):
+        if self.host.z() > z:
+            self.host.toolhead.manual_move([None, None, z], speed)
 
     # Up to where the next touch begins
     def retract(self):
