@@ -21,15 +21,8 @@
 #
 # Both heights are toolhead Z in mm, see z_touch/touching.py.
 #
-#   probe - probe z_offset   where the probe believes the bed to be; about 0,
-#                            as Z is homed with this probe
-#   sensor                   where the bed is: the nozzle stands on it and has
-#                            pressed it down as far as the sensor needs
-#   z_offset                 air gap above that point which Z=0 shall mean;
-#                            below 0 the nozzle is inside the bed there
-#   correction               applied as the G-code Z offset: toolhead Z of
-#                            G-code Z=0, where the probe says that the bed is 0
-#
+# z_offset is the air gap above the sensor's trigger that Z=0 shall mean; the
+# correction is applied as the G-code Z offset.
 # The correction belongs to the probe, not to the homing: the next G28 with
 # this probe makes it right again.
 from __future__ import absolute_import, division
@@ -85,6 +78,7 @@ SMALLEST_HOP = 4.0
 
 # An air gap or a correction beyond this (mm) is none.
 LARGEST_OFFSET = 10.0
+LIMITS = {"minval": -LARGEST_OFFSET, "maxval": LARGEST_OFFSET}
 
 # XY speed (mm/s) between the places, unless configured.
 TRAVEL_SPEED = 100.0
@@ -96,7 +90,7 @@ FAR = 5.0
 SECOND_LOOK = 0.3
 
 # Corrections of one AUTO_Z_CALIBRATE that differ more (mm) are no noise.
-CYCLES_TOLERANCE = 0.25
+CYCLES_TOLERANCE = 0.2
 
 # What is saved is rounded to that (mm).
 SAVED_DIGIT = 0.000001
@@ -135,7 +129,6 @@ DIFFER = (
     " prepare_gcode and probe_accel; a sensor that triggers late does this, too"
 )
 
-
 OUT_OF_REACH = (
     "set bed_xy_position in section 'auto_z_offset' to a point that nozzle and"
     " probe can reach"
@@ -163,12 +156,6 @@ NOTHING_EXPECTED = Expected(None, float("-inf"), float("inf"))
 
 def expect_near(z, margin):
     return Expected(z, z - margin, z + margin)
-
-
-# The sensor's trigger that a correction stands for, where Z was homed with
-# the probe.
-def expect_corrected(correction, z_offset, bed_z):
-    return expect_near(bed_z + correction - z_offset, KNOWN_MARGIN)
 
 
 # All that is known without one: the probe triggers above the bed.
@@ -524,7 +511,7 @@ class Run(object):
 # What is known of the bed: from touches, from the saved correction and from
 # how Z was homed.
 class Known(object):
-    def __init__(self, machine, settings, saved, saved_z_offset):
+    def __init__(self, config, machine, settings):
         self.host = machine
         self.settings = settings
         self.frame = frame.Frame(machine)
@@ -534,10 +521,11 @@ class Known(object):
         # None: never measured; and the z_offset of the probe that it was
         # measured with, None: not known.  The documented default of 0 means
         # that, too.
-        self.correction = saved
-        if saved_z_offset is None:
-            self.correction = saved or None
-        self.corrected_z_offset = saved_z_offset
+        name = "corrected_probe_z_offset"
+        self.corrected_z_offset = options.number(config, name)
+        self.correction = options.number(config, "probe_z_correction", **LIMITS)
+        if self.corrected_z_offset is None:
+            self.correction = self.correction or None
         # Toolhead Z of the last trigger, and the frame it was seen in
         self.sensor_z = self.mark = None
         # The frame that AUTO_Z_HOME_Z has made
@@ -584,8 +572,8 @@ class Known(object):
         if self.is_sensor_frame() or not self.homes_with_probe:
             return NOTHING_EXPECTED
         if self.correction is not None:
-            z_offset, bed_z = self.settings.z_offset, self.homed_bed_z()
-            return expect_corrected(self.correction, z_offset, bed_z)
+            z = self.homed_bed_z() + self.correction - self.settings.z_offset
+            return expect_near(z, KNOWN_MARGIN)
         return expect_below_probe(self.homed_probe_z())
 
     # Whether Z is still what it was when the frame was marked.  Where the
@@ -655,20 +643,18 @@ def read_old_options(config):
 
 # 'notes' collects what the user is told
 def read_floor(config, z_axis, notes):
-    lowest = max(z_axis.position_min, LOWEST_FLOOR)
-    of_axis = Floor(lowest, "position_min of section '%s'" % (z_axis.section,))
-    if lowest != z_axis.position_min:
-        of_axis = Floor(lowest, "the limit of auto_z_offset")
+    why = "position_min of section '%s'" % (z_axis.section,)
+    floor = max(
+        Floor(z_axis.position_min, why),
+        Floor(LOWEST_FLOOR, "the limit of auto_z_offset"),
+    )
     own = options.number(config, "probe_z_min")
     if own is None:
-        return of_axis
-    if own < lowest:
-        notes.append(
-            "'probe_z_min: %g' is ignored, %s is %g"
-            % (own, of_axis.why, of_axis.z)
-        )
-        return of_axis
-    return Floor(own, "probe_z_min")
+        return floor
+    if own < floor.z:
+        text = "'probe_z_min: %g' is ignored, %s is %g"
+        notes.append(text % (own, floor.why, floor.z))
+    return max(floor, Floor(own, "probe_z_min"))
 
 
 def read_sampling(config):
@@ -688,19 +674,11 @@ def read_sampling(config):
     )
 
 
-def read_bed(config):
-    name = "bed_xy_position"
-    pair = options.pair(config, name)
-    return pair and touching.option_site(config, "bed", name, pair)
-
-
-LIMITS = {"minval": -LARGEST_OFFSET, "maxval": LARGEST_OFFSET}
-
-
 def read_settings(config, z_axis, notes):
     number = functools.partial(options.number, config)
+    bed = options.pair(config, "bed_xy_position")
     settings = Settings(
-        bed=read_bed(config),
+        bed=bed and touching.option_site(config, "bed", "bed_xy_position", bed),
         z_offset=number("z_offset", 0.2, **LIMITS),
         probe_hop=number("probe_hop", SMALLEST_HOP, minval=SMALLEST_HOP),
         probe_accel=number("probe_accel", 0.0, minval=0.0),
@@ -710,15 +688,13 @@ def read_settings(config, z_axis, notes):
         current_factor=number("z_current_factor", 0.33, minval=0.1, maxval=1.0),
         travel_speed=number("travel_speed", TRAVEL_SPEED, above=0.0),
         cycles_tolerance=number(
-            "cycles_tolerance", CYCLES_TOLERANCE, above=0.0
+            "cycles_tolerance", CYCLES_TOLERANCE, minval=0.0
         ),
         prepare_gcode=templates.load_template(config, "prepare_gcode"),
         # Sensors that the original module powered here would stay off
         lost_gcode=bool(config.get("activate_gcode", "").strip()),
     )
-    note = inside_bed(settings.z_offset)
-    if note:
-        notes.append(note)
+    notes.append(inside_bed(settings.z_offset))
     return settings
 
 
@@ -734,14 +710,11 @@ class AutoZOffset(object):
         self.printer = config.get_printer()
         self.host = host.Host(config)
         host.check_z_axis(config, self.host.z_axis)
-        self.check_not_endstop(config)
         # What the user is told when klippy is ready
         self.notes = read_old_options(config)
         self.sensor = BedSensor(config, self.host)
         self.settings = read_settings(config, self.host.z_axis, self.notes)
-        saved = options.number(config, "probe_z_correction", **LIMITS)
-        saved_z_offset = options.number(config, "corrected_probe_z_offset")
-        self.known = Known(self.host, self.settings, saved, saved_z_offset)
+        self.known = Known(config, self.host, self.settings)
         self.runner = running.Runner(self.host)
         # Of the last command that measured both heights
         self.results = ()
@@ -751,27 +724,17 @@ class AutoZOffset(object):
         running.register_commands(self.host, self)
 
     # Set-up
-    def check_not_endstop(self, config):
-        axis = self.host.z_axis
-        if host.chip_of(axis.endstop_pin) == NAME:
-            raise config.error(
-                "Option 'endstop_pin: %s' in section '%s': auto_z_offset is no"
-                " endstop any more; set it to probe:z_virtual_endstop"
-                % (axis.endstop_pin, axis.section)
-            )
-
     def connect(self):
         self.host.connect()
         self.check_probe()
         self.sensor.motors = motors.Motors(self.host)
-        note = self.known.follow_probe()
         try:
             self.check_heights()
             self.check_reach(self.bed_site())
             self.check_reach(self.probe_site(self.bed_site()))
         except errors.CalibrationError as e:
             raise self.printer.config_error(str(e))
-        self.notes += [note] if note else []
+        self.notes.append(self.known.follow_probe())
         left_alone = self.sensor.motors.left_alone
         if self.settings.current_factor < 1.0 and left_alone:
             self.notes.append(
@@ -976,8 +939,7 @@ class AutoZOffset(object):
         bed = self.bed_site()
         run.prepare(bed)
         result = run.measure(bed, self.probe_site(bed))
-        if self.known.stale(result):
-            self.runner.watch.say(self.known.stale(result))
+        self.tell(self.known.stale(result))
         return result
 
     def formula(self, name, result):
@@ -1010,43 +972,50 @@ class AutoZOffset(object):
         self.tell(inside_bed(settings.z_offset))
 
     def calibrate(self, run):
-        bed = self.bed_site()
+        bed, results = self.bed_site(), []
         run.prepare(bed)
         self.known.check_frame()
-        samples = self.settings.sampling
-        results = []
-
-        def cycle():
-            result = run.measure(bed, self.probe_site(bed))
-            if self.known.stale(result):
-                if self.known.homes_with_probe:
-                    raise errors.CalibrationError(self.known.stale(result))
-                self.runner.watch.say(self.known.stale(result))
-            results.append(result)
-            self.runner.watch.say(self.formula("cycle", result))
-            return result.correction
-
-        def say(msg):
-            self.runner.watch.say("cycles: %s" % (msg,))
-
-        cycles = samples._replace(
-            samples=self.settings.offset_samples,
-            tolerance=self.settings.cycles_tolerance,
-        )
-        with errors.about("cycles"):
-            corrections = sampling.collect(cycle, cycles, say, DIFFER)
-        spread = max(corrections) - min(corrections)
-        if spread > samples.tolerance:
-            say(
-                "corrections differ by %.4f mm, more than samples_tolerance"
-                " %.4f mm; %s" % (spread, samples.tolerance, DIFFER)
-            )
-        z_offset = sampling.summarize(corrections, samples.result)
+        take = functools.partial(self.take_cycle, run, bed, results)
+        corrections = self.collect_cycles(take)
+        method = self.settings.sampling.result
+        z_offset = sampling.summarize(corrections, method)
         check_correction(z_offset)
         # So that "move Z to 0, try a sheet of paper" is at this point
         run.go_to(bed)
         self.apply_offset(z_offset + self.known.homed_bed_z())
         return tuple(results[-len(corrections) :]), z_offset
+
+    def take_cycle(self, run, bed, results):
+        result = run.measure(bed, self.probe_site(bed))
+        stale = self.known.stale(result)
+        if stale and self.known.homes_with_probe:
+            raise errors.CalibrationError(stale)
+        self.tell(stale)
+        results.append(result)
+        self.runner.watch.say(self.formula("cycle", result))
+        return result.correction
+
+    def collect_cycles(self, take):
+        def say(msg):
+            msg = msg.replace("samples_tolerance is", "cycles_tolerance is")
+            self.runner.watch.say("cycles: %s" % (msg,))
+
+        settings, touches = self.settings, self.settings.sampling
+        cycles = touches._replace(
+            samples=settings.offset_samples, tolerance=settings.cycles_tolerance
+        )
+        try:
+            corrections = sampling.collect(take, cycles, say, DIFFER)
+        except errors.SamplesDiffer as e:
+            msg = str(e).replace("samples_tolerance", "cycles_tolerance")
+            raise errors.CalibrationError("cycles: %s" % (msg,))
+        spread = max(corrections) - min(corrections)
+        if spread > touches.tolerance:
+            text = (
+                "they differ by %.4f mm, the touches of one by %.4f at most; %s"
+            )
+            say(text % (spread, touches.tolerance, DIFFER))
+        return corrections
 
     # As a user would: a macro of that name takes part
     def apply_offset(self, z_offset):
@@ -1079,9 +1048,9 @@ class AutoZOffset(object):
                 " probe's z_offset differ" % (bed_z, self.host.z_axis.section)
             )
         if self.known.correction is None:
-            gcmd.respond_info(
-                "%s: there is no probe_z_correction yet; run AUTO_Z_CALIBRATE,"
-                " then SAVE_CONFIG" % (NAME,)
+            self.tell(
+                "there is no probe_z_correction yet; run AUTO_Z_CALIBRATE, then"
+                " SAVE_CONFIG"
             )
 
     # AUTO_Z_SAVE_GCODE_OFFSET
@@ -1102,11 +1071,11 @@ class AutoZOffset(object):
             % (z_offset, before, options.SAVE_HINT)
         )
         if abs(z_offset - before) > KNOWN_MARGIN:
-            gcmd.respond_info(
-                "%s: that is %.3f mm away from before; was AUTO_Z_LOAD_OFFSET"
-                " run, and Z homed with the probe?"
-                % (NAME, abs(z_offset - before))
+            text = (
+                "that is %.3f mm away from before; was AUTO_Z_LOAD_OFFSET run,"
             )
+            text += " and Z homed with the probe?"
+            self.tell(text % (abs(z_offset - before),))
 
     def tell(self, text):
         if text:

@@ -108,15 +108,17 @@ class Motors(object):
             # count a write that failed as done
             self._set_all({name: less[name] for name in failed})
             failed = self._set_all({name: amps[name] for name in failed})
-        for name, error in failed.items():
+        texts = [
+            "%s: the current of %s could not be set back: %s; run"
+            " SET_TMC_CURRENT STEPPER=%s CURRENT=%.3f or FIRMWARE_RESTART"
+            % (self.host.name, name, error, name, amps[name])
+            for name, error in sorted(failed.items())
+        ]
+        for text in texts:
             # Said here, as an earlier error comes before this one
-            self.gcode.respond_info(
-                "%s: the current of %s could not be set back: %s; run"
-                " SET_TMC_CURRENT STEPPER=%s CURRENT=%.3f or FIRMWARE_RESTART"
-                % (self.host.name, name, error, name, amps[name])
-            )
-        for error in failed.values():
-            raise error
+            self.gcode.respond_info(text)
+        if texts:
+            raise self.host.printer.command_error(texts[0])
         begun = self.host.toolhead.get_last_move_time()
         if amps and begun < written + SETTLE_TIME:
             self.host.toolhead.dwell(written + SETTLE_TIME - begun)
