@@ -164,7 +164,14 @@ class Builder:
         )
         # How deep the plunger may go is what the body on the bed is about
         tip.limit(math.inf, drag)
-        sensor = self._sensor("probe", probe.noise, tip)
+        sites = [tip]
+        if probe.plunger_on_pin and self._spec.pin is not None:
+            pin = self._spec.pin
+            pressed = body_on_pin(pin, probe, self._drift)
+            top = pin.z + pin.pretravel + probe.body_drop
+            sites.append(Site("plunger_pin", pressed, top, 0.0, True))
+            sites[-1].limit(math.inf, drag)
+        sensor = self._sensor("probe", probe.noise, *sites)
         contact = hanging_on_bed(bed, self._drift, probe, 0.0)
         body = Site("body_bed", contact, body_top, carried=True)
         body.limit(0.0, drag)

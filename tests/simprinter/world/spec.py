@@ -205,6 +205,7 @@ class MagProbeSpec:
     mode: "output" (a board output attaches), "dock" (moves do), "fixed"
     initial: "attached", "docked" or "lost"
     attach_time: seconds from the output's edge to the change, mode "output"
+    plunger_on_pin: whether the pin that the body is put on presses the plunger
     """
 
     x_offset: float
@@ -216,6 +217,7 @@ class MagProbeSpec:
     mode: str = "fixed"
     initial: str = "attached"
     attach_time: float = 0.0
+    plunger_on_pin: bool = False
     noise: NoiseSpec = field(default_factory=NoiseSpec)
 
     def __post_init__(self) -> None:
