@@ -6,15 +6,14 @@ import os
 import zlib
 from collections.abc import Callable, Iterator
 from contextlib import ExitStack
+from operator import attrgetter
 
 import pytest
 from hypothesis import HealthCheck, settings
 
 from tests.hostkit import load_errors, starting
-from tests.hostkit.hosts import Host, find_hosts, missing_hosts
+from tests.hostkit.hosts import Host, all_hosts
 from tests.hostkit.printer import Printer
-
-HOSTS = find_hosts()
 
 # A machine that is busy is no failure
 settings.register_profile(
@@ -23,37 +22,18 @@ settings.register_profile(
 settings.load_profile("untimed")
 
 
-def pytest_report_header() -> list[str]:
-    """Which hosts this run is on."""
-    lines = [f"hosts: {', '.join(host.name for host in HOSTS)}"]
-    if missing_hosts():
-        lines.append(f"MISSING: {', '.join(missing_hosts())}")
-    return lines
-
-
 def pytest_sessionfinish() -> None:
     """End what was kept for the next configuration, and the next start."""
     load_errors.close()
     starting.close()
 
 
-@pytest.fixture(params=HOSTS, ids=lambda host: host.name)
-def host(request: pytest.FixtureRequest) -> Host:
-    """Each host in turn."""
-    return request.param
-
-
-@pytest.fixture
-def one_host() -> Host:
-    """Any host, for what takes long and does not depend on it."""
-    return HOSTS[-1]
-
-
 def pytest_generate_tests(metafunc: pytest.Metafunc) -> None:
-    """EVERY_HOST=1: long tables run on each host, too."""
-    if "some_host" in metafunc.fixturenames and os.environ.get("EVERY_HOST"):
-        names = [host.name for host in HOSTS]
-        metafunc.parametrize("some_host", HOSTS, ids=names)
+    """Each host in turn as `host`; EVERY_HOST=1: as `some_host`, too."""
+    names = ["host", "some_host"] if os.environ.get("EVERY_HOST") else ["host"]
+    for name in names:
+        if name in metafunc.fixturenames:
+            metafunc.parametrize(name, all_hosts(), ids=attrgetter("name"))
 
 
 def pytest_collection_modifyitems(
@@ -103,13 +83,25 @@ def _is_its_turn(item: pytest.Item) -> bool:
         return True
     if item.get_closest_marker("each_host") is not None:
         return True
-    return HOSTS[zlib.crc32(_case(item).encode()) % len(HOSTS)] is host
+    return _drawn(_case(item)) is host
+
+
+def _drawn(case: str) -> Host:
+    """The host of a case that runs on one."""
+    hosts = all_hosts()
+    return hosts[zlib.crc32(case.encode()) % len(hosts)]
 
 
 @pytest.fixture
 def some_host(request: pytest.FixtureRequest) -> Host:
     """One of the hosts, another for another test: for long tables."""
-    return HOSTS[zlib.crc32(request.node.nodeid.encode()) % len(HOSTS)]
+    return _drawn(request.node.nodeid)
+
+
+@pytest.fixture
+def one_host() -> Host:
+    """Any host, for what takes long and does not depend on it."""
+    return all_hosts()[-1]
 
 
 @pytest.fixture

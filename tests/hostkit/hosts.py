@@ -63,6 +63,7 @@ __all__ = [
     "HostError",
     "Installed",
     "UnavailableError",
+    "all_hosts",
     "build_dir",
     "checkout_hosts",
     "clean_environment",
@@ -224,6 +225,22 @@ def find_hosts() -> list[Host]:
         )
     with locked(_hosts_dir() / "lock"):
         _remove_unused(_hosts_dir(), KEPT_HOSTS)
+    return hosts
+
+
+@functools.cache
+def _search() -> tuple[list[Host], Optional[HostError]]:
+    try:
+        return find_hosts(), None
+    except HostError as error:
+        return [], error
+
+
+def all_hosts() -> list[Host]:
+    """The same, looked for once in a process, as for each test of a run."""
+    hosts, error = _search()
+    if error is not None:
+        raise error
     return hosts
 
 

@@ -12,12 +12,10 @@ import json
 import math
 import os
 import re
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Optional
-
-import pytest
 
 from tests.hostkit.hosts import Host
 from tests.hostkit.printer import Printer
@@ -29,6 +27,9 @@ from tests.simprinter.world import (
     PinSpec,
     Pose,
 )
+
+# Every entry on every host
+WHOLE = os.environ.get("CORPUS") == "all"
 
 _FILES = Path(__file__).resolve().parents[1] / "corpus"
 
@@ -180,20 +181,9 @@ def load(name: str = "z_calibration") -> list[Entry]:
     ]
 
 
-def spread(entries: Iterable[Entry], hosts: Sequence[Host]) -> list:
-    """Each entry with its host; with CORPUS=all with every host."""
-    everywhere = os.environ.get("CORPUS") == "all"
-    return [
-        pytest.param(entry, host, id=f"{entry.index:03d}-{host.name}")
-        for entry in entries
-        for number, host in enumerate(hosts)
-        if everywhere or entry.index % len(hosts) == number
-    ]
-
-
 def some(entries: Sequence[Entry], share: int) -> Sequence[Entry]:
     """One of `share` entries; all of them with CORPUS=all."""
-    return entries if os.environ.get("CORPUS") == "all" else entries[::share]
+    return entries if WHOLE else entries[::share]
 
 
 def refusal(host: Host, scene: Scene) -> str:

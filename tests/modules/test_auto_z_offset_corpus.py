@@ -7,6 +7,7 @@ all do, on every host.
 from __future__ import annotations
 
 import math
+from operator import attrgetter
 
 import pytest
 
@@ -15,18 +16,18 @@ from tests.hostkit.auto_z_offset_corpus import (
     build,
     last_value,
 )
-from tests.hostkit.hosts import Host, find_hosts
+from tests.hostkit.hosts import Host
 from tests.hostkit.printer import Printer
 from tests.hostkit.z_calibration_corpus import (
     MICROSTEP,
+    WHOLE,
     Entry,
     load,
     refusal,
     some,
-    spread,
 )
 
-HOSTS = find_hosts()
+pytestmark = [] if WHOLE else pytest.mark.spread
 ENTRIES = load("auto_z_offset")
 
 # What the message has to say of an option that is missing
@@ -50,6 +51,8 @@ BROKEN = {
     30: ("pin", "prepare_gcode"),
 }
 WORKING = [entry for entry in ENTRIES if entry.index not in BROKEN]
+FAULTY = [entry for entry in ENTRIES if entry.index in BROKEN]
+INDEX = attrgetter("index")
 INSIDE_BED = "mm inside the bed"
 
 NUMBERS = {
@@ -168,24 +171,21 @@ def looks_right(name: str, text: str) -> bool:
     return name in REMEDIES
 
 
-def test_every_touch_reaches_the_speed_that_the_entry_asks_for():
+def test_every_touch_reaches_the_speed_that_the_entry_asks_for(one_host):
     """So the gap is known exactly."""
     found = set()
     for entry in ENTRIES:
-        left, asked = build(entry, HOSTS[0]).speeds
+        left, asked = build(entry, one_host).speeds
         found |= {entry.index} if left < asked else set()
     assert found == set()
 
 
-@pytest.mark.parametrize(("entry", "host"), spread(some(WORKING, 8), HOSTS))
+@pytest.mark.parametrize("entry", some(WORKING, 8), ids=INDEX)
 def test_entry_calibrates(entry, host):
     check_calibration(host, build(entry, host))
 
 
-@pytest.mark.parametrize(
-    ("entry", "host"),
-    spread((ENTRIES[index] for index in sorted(BROKEN)), HOSTS),
-)
+@pytest.mark.parametrize("entry", FAULTY, ids=INDEX)
 def test_broken_entry_is_refused(entry, host):
     """Also when its owner has mended but the first of its faults."""
     added = {}
@@ -199,10 +199,7 @@ def test_broken_entry_is_refused(entry, host):
         added[option] = MENDED[option]
 
 
-@pytest.mark.parametrize(
-    ("entry", "host"),
-    spread(some([ENTRIES[index] for index in sorted(BROKEN)], 5), HOSTS),
-)
+@pytest.mark.parametrize("entry", some(FAULTY, 5), ids=INDEX)
 def test_mended_entry_calibrates(entry, host):
     added = {name: MENDED[name] for name in BROKEN[entry.index]}
     check_calibration(host, build(entry, host, added))

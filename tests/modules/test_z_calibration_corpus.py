@@ -6,23 +6,25 @@ all do, on every host.
 
 from __future__ import annotations
 
+from operator import attrgetter
+
 import pytest
 
-from tests.hostkit.hosts import Host, find_hosts
+from tests.hostkit.hosts import Host
 from tests.hostkit.printer import Printer
 from tests.hostkit.z_calibration_corpus import (
     MICROSTEP,
     VIRTUAL_ENDSTOP,
+    WHOLE,
     CorpusMachine,
     Entry,
     build,
     load,
     refusal,
     some,
-    spread,
 )
 
-HOSTS = find_hosts()
+pytestmark = [] if WHOLE else pytest.mark.spread
 ENTRIES = load()
 
 # How far a probe's body may hang, beside the usual (mm)
@@ -43,6 +45,8 @@ BROKEN = {
     119: ("calibration_endstop_pin", "endstop_pin"),
 }
 WORKING = [entry for entry in ENTRIES if entry.index not in BROKEN]
+FAULTY = [entry for entry in ENTRIES if entry.index in BROKEN]
+INDEX = attrgetter("index")
 MEASURED = [entry for entry in WORKING if "z_offset" in entry.probe]
 VIRTUAL = [entry for entry in WORKING if entry.homes_with_probe]
 
@@ -162,17 +166,17 @@ def looks_right(name: str, text: str) -> bool:
         return False
 
 
-@pytest.mark.parametrize(("entry", "host"), spread(some(WORKING, 8), HOSTS))
+@pytest.mark.parametrize("entry", some(WORKING, 8), ids=INDEX)
 def test_entry_calibrates(entry, host):
     check_calibration(host, build(entry, host))
 
 
-@pytest.mark.parametrize(("entry", "host"), spread(some(MEASURED, 6), HOSTS))
+@pytest.mark.parametrize("entry", some(MEASURED, 6), ids=INDEX)
 def test_z_offset_need_not_be_right(entry, host):
     check_calibration(host, build(entry, host, other_length(entry)))
 
 
-@pytest.mark.parametrize(("entry", "host"), spread(VIRTUAL, HOSTS))
+@pytest.mark.parametrize("entry", VIRTUAL, ids=INDEX)
 def test_probe_as_z_endstop_is_refused(entry, host):
     machine = build(entry, host).with_virtual_endstop()
     message = refusal(host, machine.scene)
@@ -182,10 +186,7 @@ def test_probe_as_z_endstop_is_refused(entry, host):
     assert "endstop_pin in section 'z_calibration'" in message
 
 
-@pytest.mark.parametrize(
-    ("entry", "host"),
-    spread((ENTRIES[index] for index in sorted(BROKEN)), HOSTS),
-)
+@pytest.mark.parametrize("entry", FAULTY, ids=INDEX)
 def test_broken_entry_is_refused(entry, host):
     message = refusal(host, build(entry, host).scene)
     option, remedy = BROKEN[entry.index]

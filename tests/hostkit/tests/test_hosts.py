@@ -15,8 +15,6 @@ from tests.hostkit import environment, trees
 from tests.hostkit import hosts as hostkit
 from tests.hostkit.hosts import HostError, UnavailableError, find_hosts
 
-HOSTS = find_hosts()
-
 # The least that a micro-controller has to offer in file-output mode.
 DICTIONARY = {
     "app": "Kalico",
@@ -187,7 +185,6 @@ def bytecode(installed):
     return set(installed.cwd.glob("klippy/**/*.pyc"))
 
 
-@pytest.mark.parametrize("host", HOSTS, ids=lambda host: host.name)
 def test_klippy_runs_the_installed_module(host, tmp_path):
     # New content for each run, so that this is always a first start.
     text = f"{ORIGIN_MODULE}# {time.time()}\n"
@@ -208,7 +205,6 @@ def test_klippy_runs_the_installed_module(host, tmp_path):
     assert new == {"zz_origin"}
 
 
-@pytest.mark.parametrize("host", HOSTS, ids=lambda host: host.name)
 def test_module_may_replace_one_of_the_host(host, tmp_path):
     module = write_module(tmp_path / "mine.py")
     installed = host.install({"zz_origin": module, "fan": module})
@@ -218,7 +214,7 @@ def test_module_may_replace_one_of_the_host(host, tmp_path):
 
 
 def test_hosts_have_different_names():
-    names = [host.name for host in HOSTS]
+    names = [host.name for host in find_hosts()]
     assert len(set(names)) == len(names)
 
 
@@ -395,7 +391,7 @@ def test_build_directory_with_a_space_is_refused(tmp_path, monkeypatch):
         hostkit.build_dir()
 
 
-def test_klippy_gets_none_of_our_settings(monkeypatch):
+def test_klippy_gets_none_of_our_settings(one_host, monkeypatch):
     unwanted = {
         "PYTHONDONTWRITEBYTECODE": "1",
         "PYTHONPATH": "/none",
@@ -404,7 +400,7 @@ def test_klippy_gets_none_of_our_settings(monkeypatch):
     }
     for name, value in unwanted.items():
         monkeypatch.setenv(name, value)
-    given = HOSTS[0].install({}).environment()
+    given = one_host.install({}).environment()
     assert not [name for name in unwanted if given.get(name) == unwanted[name]]
     assert given["PATH"] == os.environ["PATH"]
 
@@ -495,15 +491,15 @@ def test_old_hosts_are_removed(build, tmp_path, monkeypatch):
 
 
 @pytest.mark.parametrize("name", ["", "a b", "../a", "a.b", "a-b", "a\n"])
-def test_bad_module_name_is_refused(name, tmp_path):
+def test_bad_module_name_is_refused(one_host, name, tmp_path):
     module = write_module(tmp_path / "mine.py")
     with pytest.raises(HostError, match="not the name of a module"):
-        HOSTS[0].install({name: module})
+        one_host.install({name: module})
 
 
-def test_missing_module_is_named(tmp_path):
+def test_missing_module_is_named(one_host, tmp_path):
     with pytest.raises(HostError, match="there is no file .*none.py"):
-        HOSTS[0].install({"probe": tmp_path / "none.py"})
+        one_host.install({"probe": tmp_path / "none.py"})
 
 
 class Unreachable:
