@@ -40,7 +40,7 @@ STEPS = 2 * MICROSTEP
 @pytest.mark.parametrize("scene", MACHINES)
 def test_calibration_leaves_the_air_gap(host, scene):
     if not has_kinematics(host, SCENES[scene]):
-        pytest.skip(f"{host.name} has no {scene}")
+        pytest.skip(f"{host.name} has no kinematics of {scene}")
     with Printer(host, scene) as printer:
         printer.homed()
         before, first = state(printer), len(printer.machine.truth.touches)
@@ -291,7 +291,7 @@ def test_offset_that_is_none_is_not_saved(start):
 )
 def test_current_is_low_while_the_nozzle_goes_down(host, scene, motors):
     if not has_kinematics(host, SCENES[scene]):
-        pytest.skip(f"{host.name} has no {scene}")
+        pytest.skip(f"{host.name} has no kinematics of {scene}")
     changes = {"touches": {}, **section(z_current_factor="0.5")}
     modules = with_extras("touches")
     with Printer(host, scene, changes=changes, modules=modules) as printer:
