@@ -1,9 +1,11 @@
-"""Fixtures only: every host, and printers on it."""
+"""Every host, printers on it, and what has run where."""
 
 from __future__ import annotations
 
 import os
+import re
 import zlib
+from collections import Counter
 from collections.abc import Callable, Iterator
 from contextlib import ExitStack
 from operator import attrgetter
@@ -12,8 +14,8 @@ import pytest
 from hypothesis import HealthCheck, settings
 
 from tests.hostkit import load_errors, starting
-from tests.hostkit.hosts import Host, all_hosts
-from tests.hostkit.printer import Printer
+from tests.hostkit.hosts import Host, all_hosts, missing_hosts
+from tests.hostkit.printer import MODULES, Printer
 
 # A machine that is busy is no failure
 settings.register_profile(
@@ -45,12 +47,17 @@ def pytest_collection_modifyitems(
     `each_host`, where all others in their file are spread. Of one marked
     `half`, half of the cases run without it.
     """
-    if os.environ.get("EVERY_HOST"):
-        return
-    halved = _halved(items)
-    chosen = {i for i in items if i not in halved and _is_its_turn(i)}
-    config.hook.pytest_deselected(items=[i for i in items if i not in chosen])
-    items[:] = [item for item in items if item in chosen]
+    if not os.environ.get("EVERY_HOST"):
+        halved = _halved(items)
+        chosen = {i for i in items if i not in halved and _is_its_turn(i)}
+        others = [item for item in items if item not in chosen]
+        config.hook.pytest_deselected(items=others)
+        items[:] = [item for item in items if item in chosen]
+    for item in items:
+        callspec = getattr(item, "callspec", None)
+        for value in callspec.params.values() if callspec else ():
+            if isinstance(value, Host):
+                _noted(item, value)
 
 
 def _halved(items: list[pytest.Item]) -> set[pytest.Item]:
@@ -95,13 +102,19 @@ def _drawn(case: str) -> Host:
 @pytest.fixture
 def some_host(request: pytest.FixtureRequest) -> Host:
     """One of the hosts, another for another test: for long tables."""
-    return _drawn(request.node.nodeid)
+    return _noted(request.node, _drawn(request.node.nodeid))
 
 
 @pytest.fixture
-def one_host() -> Host:
+def one_host(request: pytest.FixtureRequest) -> Host:
     """Any host, for what takes long and does not depend on it."""
-    return all_hosts()[-1]
+    return _noted(request.node, all_hosts()[-1])
+
+
+def _noted(item: pytest.Item, host: Host) -> Host:
+    """The same host; the reports of a test say on which it was."""
+    item.user_properties.append(("host", host.name))
+    return host
 
 
 @pytest.fixture
@@ -111,3 +124,42 @@ def start(host: Host) -> Iterator[Callable[..., Printer]]:
         yield lambda *args, **options: stack.enter_context(
             Printer(host, *args, **options)
         )
+
+
+# A test of one module is in test_<module>_<topic>.py
+_MODULE = re.compile(rf"/test_({'|'.join(MODULES)})_\w+\.py")
+_NO_HOST = "(no host)"
+_KINDS = ("passed", "failed", "error", "skipped")
+
+
+def pytest_terminal_summary(
+    terminalreporter: pytest.TerminalReporter,
+) -> None:
+    """What came of the tests, for each host and module."""
+    counts: Counter[tuple[str, str, str]] = Counter()
+    for kind in _KINDS:
+        for report in terminalreporter.stats.get(kind, ()):
+            noted = dict(getattr(report, "user_properties", ()))
+            found = _MODULE.search(report.nodeid)
+            module = found[1] if found else "other"
+            counts[noted.get("host", _NO_HOST), module, kind] += 1
+
+    def cell(*place: str) -> str:
+        passed, failed, error, skipped = (
+            counts[(*place, kind)] for kind in _KINDS
+        )
+        return f"{passed}/{failed + error}/{skipped}"
+
+    ran = {module for _, module, _ in counts}
+    columns = [name for name in (*MODULES, "other") if name in ran]
+    hosts = sorted({host for host, _, _ in counts} - {_NO_HOST})
+    rows = [["passed/failed/skipped", *columns]]
+    for host in (*hosts, _NO_HOST):
+        rows.append([host, *(cell(host, name) for name in columns)])
+    for host in missing_hosts() if hosts else ():
+        rows.append([host, *("MISSING" for _ in columns)])
+    widths = [max(map(len, column)) for column in zip(*rows)]
+    terminalreporter.section("hosts")
+    for row in rows:
+        line = "  ".join(map(str.ljust, row, widths))
+        terminalreporter.line(line.rstrip())
