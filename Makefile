@@ -1,6 +1,7 @@
 # Needs python3 (3.9 or newer), gcc and make; the rest goes below BUILD_DIR.
 #
 #   make test     prepare the hosts, lint, run all tests
+#   make quick    lint, what needs no host, each command on one: a minute
 #   make demo     watch a calibration on a simulated printer
 #   make faults   break something at every operation, draw printers at random
 #   make hosts    prepare and list the klippy hosts, and Moonraker
@@ -36,10 +37,14 @@ SOURCES = $(wildcard *.py z_touch/*.py)
 COMPILE = import sys; [compile(open(f).read(), f, 'exec') for f in sys.argv[1:]]
 
 # Test files import each other as tests.*, from the root of the repository.
-.PHONY: test demo speed bench faults hosts prepared lint format tools clean
+.PHONY: test quick demo speed bench faults hosts prepared lint format tools
+.PHONY: clean
 
 test: prepared lint
 	$(TOOLS)/python -m pytest -n $(PYTEST_WORKERS) $(PYTEST_ARGS)
+
+quick: prepared lint
+	ONE_HOST=1 $(TOOLS)/python -m pytest -n 2 -m quick tests/modules
 
 demo: tools
 	$(TOOLS)/python -m tests.demo

@@ -54,6 +54,8 @@ def pytest_collection_modifyitems(
         config.hook.pytest_deselected(items=others)
         items[:] = [item for item in items if item in chosen]
     for item in items:
+        if item.path.parent.name == "unit":
+            item.add_marker("quick")
         callspec = getattr(item, "callspec", None)
         for value in callspec.params.values() if callspec else ():
             if isinstance(value, Host):
@@ -152,11 +154,11 @@ def pytest_terminal_summary(
 
     ran = {module for _, module, _ in counts}
     columns = [name for name in (*MODULES, "other") if name in ran]
-    hosts = sorted({host for host, _, _ in counts} - {_NO_HOST})
+    hosts = sorted({host for host, _, _ in counts})
     rows = [["passed/failed/skipped", *columns]]
-    for host in (*hosts, _NO_HOST):
+    for host in hosts:
         rows.append([host, *(cell(host, name) for name in columns)])
-    for host in missing_hosts() if hosts else ():
+    for host in missing_hosts() if {*hosts} - {_NO_HOST} else ():
         rows.append([host, *("MISSING" for _ in columns)])
     widths = [max(map(len, column)) for column in zip(*rows)]
     terminalreporter.section("hosts")

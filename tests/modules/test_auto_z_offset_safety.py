@@ -395,6 +395,7 @@ def test_small_shift_of_z_is_none(start, shift, good):
 # prepare_gcode
 
 
+@pytest.mark.quick
 @pytest.mark.parametrize("command", MEASURING)
 def test_prepare_gcode_that_fails(start, command):
     code = f"{PREPARE}\n  G91\n  SET_GCODE_OFFSET Z=1\n  NO_SUCH {{x.y.z}}"

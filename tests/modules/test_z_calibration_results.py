@@ -41,6 +41,7 @@ pytestmark = pytest.mark.spread
 # The measurement
 
 
+@pytest.mark.quick
 @pytest.mark.each_host
 @pytest.mark.parametrize("scene", ["voron", "cartesian"])
 def test_gap_is_what_the_formula_predicts(start, scene):
@@ -660,6 +661,7 @@ def test_unhomed_printer_does_not_move(start, homed):
     assert printer.session.state()[0] == "ready"
 
 
+@pytest.mark.quick
 @pytest.mark.each_host
 def test_probe_that_is_not_attached_never_goes_down(start):
     changes = section(before_switch_gcode=None)
