@@ -17,6 +17,7 @@
 #                      downloaded
 # EVERY_HOST, CORPUS   1 and all: long tables and the configurations of real
 #                      printers whole and on every host, not some on one each
+# ONE_HOST             1: all tests on one host, the last of make hosts
 # PYTEST_WORKERS       tests run at the same time (default 3)
 # PYTEST_ARGS          further arguments for pytest, such as -k or a file
 # BENCH_ARGS           arguments for make bench, such as --seeds 10 or --builtin
