@@ -1,6 +1,7 @@
 # Needs python3 (3.9 or newer), gcc and make; the rest goes below BUILD_DIR.
 #
 #   make test     prepare the hosts, lint, run all tests
+#   make quick    lint, what needs no host, each command on one: a minute
 #   make demo     watch a calibration on a simulated printer
 #   make faults   break something at every operation, draw printers at random
 #   make hosts    prepare and list the klippy hosts, and Moonraker
@@ -16,6 +17,7 @@
 #                      downloaded
 # EVERY_HOST, CORPUS   1 and all: long tables and the configurations of real
 #                      printers whole and on every host, not some on one each
+# ONE_HOST             1: all tests on one host, the last of make hosts
 # PYTEST_WORKERS       tests run at the same time (default 3)
 # PYTEST_ARGS          further arguments for pytest, such as -k or a file
 # BENCH_ARGS           arguments for make bench, such as --seeds 10 or --builtin
@@ -30,14 +32,20 @@ FAULTS_ARGS ?=
 export BUILD_DIR
 
 TOOLS = $(BUILD_DIR)/venv/bin
-MODULES = $(wildcard z_calibration.py auto_z_offset.py dockable_probe.py \
-	extra_probe.py)
+SOURCES = $(wildcard *.py z_touch/*.py)
+
+# Python 2.7 refuses what vermin allows, such as a comma behind *args
+COMPILE = import sys; [compile(open(f).read(), f, 'exec') for f in sys.argv[1:]]
 
 # Test files import each other as tests.*, from the root of the repository.
-.PHONY: test demo speed bench faults hosts prepared lint format tools clean
+.PHONY: test quick demo speed bench faults hosts prepared lint format tools
+.PHONY: clean
 
 test: prepared lint
 	$(TOOLS)/python -m pytest -n $(PYTEST_WORKERS) $(PYTEST_ARGS)
+
+quick: prepared lint
+	ONE_HOST=1 $(TOOLS)/python -m pytest -n 2 -m quick tests/modules
 
 demo: tools
 	$(TOOLS)/python -m tests.demo
@@ -61,8 +69,10 @@ prepared:
 lint: tools
 	$(TOOLS)/ruff check .
 	$(TOOLS)/ruff format --check .
-	$(if $(MODULES),$(TOOLS)/vermin --no-tips --violations \
-		--target=2.7- --target=3.7- $(MODULES))
+	$(TOOLS)/vermin --no-tips --violations --target=2.7- --target=3.7- $(SOURCES)
+	@for python in ~/.pyenv/versions/2.7*/bin/python2.7 python2.7; do \
+		$$python -c "" 2>/dev/null && exec $$python -c "$(COMPILE)" $(SOURCES); \
+	done; echo "NOT COMPILED by Python 2.7, which is not to be had: $(SOURCES)"
 	$(TOOLS)/shellcheck install.sh .ci/run tests/hostkit/services/*
 
 format: tools

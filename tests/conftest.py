@@ -1,20 +1,21 @@
-"""Fixtures only: every host, and printers on it."""
+"""Every host, printers on it, and what has run where."""
 
 from __future__ import annotations
 
 import os
+import re
 import zlib
+from collections import Counter
 from collections.abc import Callable, Iterator
 from contextlib import ExitStack
+from operator import attrgetter
 
 import pytest
 from hypothesis import HealthCheck, settings
 
 from tests.hostkit import load_errors, starting
-from tests.hostkit.hosts import Host, find_hosts, missing_hosts
-from tests.hostkit.printer import Printer
-
-HOSTS = find_hosts()
+from tests.hostkit.hosts import Host, all_hosts, missing_hosts
+from tests.hostkit.printer import MODULES, Printer
 
 # A machine that is busy is no failure
 settings.register_profile(
@@ -23,37 +24,18 @@ settings.register_profile(
 settings.load_profile("untimed")
 
 
-def pytest_report_header() -> list[str]:
-    """Which hosts this run is on."""
-    lines = [f"hosts: {', '.join(host.name for host in HOSTS)}"]
-    if missing_hosts():
-        lines.append(f"MISSING: {', '.join(missing_hosts())}")
-    return lines
-
-
 def pytest_sessionfinish() -> None:
     """End what was kept for the next configuration, and the next start."""
     load_errors.close()
     starting.close()
 
 
-@pytest.fixture(params=HOSTS, ids=lambda host: host.name)
-def host(request: pytest.FixtureRequest) -> Host:
-    """Each host in turn."""
-    return request.param
-
-
-@pytest.fixture
-def one_host() -> Host:
-    """Any host, for what takes long and does not depend on it."""
-    return HOSTS[-1]
-
-
 def pytest_generate_tests(metafunc: pytest.Metafunc) -> None:
-    """EVERY_HOST=1: long tables run on each host, too."""
-    if "some_host" in metafunc.fixturenames and os.environ.get("EVERY_HOST"):
-        names = [host.name for host in HOSTS]
-        metafunc.parametrize("some_host", HOSTS, ids=names)
+    """Each host in turn as `host`; EVERY_HOST=1: as `some_host`, too."""
+    names = ["host", "some_host"] if os.environ.get("EVERY_HOST") else ["host"]
+    for name in names:
+        if name in metafunc.fixturenames:
+            metafunc.parametrize(name, all_hosts(), ids=attrgetter("name"))
 
 
 def pytest_collection_modifyitems(
@@ -65,12 +47,19 @@ def pytest_collection_modifyitems(
     `each_host`, where all others in their file are spread. Of one marked
     `half`, half of the cases run without it.
     """
-    if os.environ.get("EVERY_HOST"):
-        return
-    halved = _halved(items)
-    chosen = {i for i in items if i not in halved and _is_its_turn(i)}
-    config.hook.pytest_deselected(items=[i for i in items if i not in chosen])
-    items[:] = [item for item in items if item in chosen]
+    if not os.environ.get("EVERY_HOST"):
+        halved = _halved(items)
+        chosen = {i for i in items if i not in halved and _is_its_turn(i)}
+        others = [item for item in items if item not in chosen]
+        config.hook.pytest_deselected(items=others)
+        items[:] = [item for item in items if item in chosen]
+    for item in items:
+        if item.path.parent.name == "unit":
+            item.add_marker("quick")
+        callspec = getattr(item, "callspec", None)
+        for value in callspec.params.values() if callspec else ():
+            if isinstance(value, Host):
+                _noted(item, value)
 
 
 def _halved(items: list[pytest.Item]) -> set[pytest.Item]:
@@ -103,13 +92,31 @@ def _is_its_turn(item: pytest.Item) -> bool:
         return True
     if item.get_closest_marker("each_host") is not None:
         return True
-    return HOSTS[zlib.crc32(_case(item).encode()) % len(HOSTS)] is host
+    return _drawn(_case(item)) is host
+
+
+def _drawn(case: str) -> Host:
+    """The host of a case that runs on one."""
+    hosts = all_hosts()
+    return hosts[zlib.crc32(case.encode()) % len(hosts)]
 
 
 @pytest.fixture
 def some_host(request: pytest.FixtureRequest) -> Host:
     """One of the hosts, another for another test: for long tables."""
-    return HOSTS[zlib.crc32(request.node.nodeid.encode()) % len(HOSTS)]
+    return _noted(request.node, _drawn(request.node.nodeid))
+
+
+@pytest.fixture
+def one_host(request: pytest.FixtureRequest) -> Host:
+    """Any host, for what takes long and does not depend on it."""
+    return _noted(request.node, all_hosts()[-1])
+
+
+def _noted(item: pytest.Item, host: Host) -> Host:
+    """The same host; the reports of a test say on which it was."""
+    item.user_properties.append(("host", host.name))
+    return host
 
 
 @pytest.fixture
@@ -119,3 +126,42 @@ def start(host: Host) -> Iterator[Callable[..., Printer]]:
         yield lambda *args, **options: stack.enter_context(
             Printer(host, *args, **options)
         )
+
+
+# A test of one module is in test_<module>_<topic>.py
+_MODULE = re.compile(rf"/test_({'|'.join(MODULES)})_\w+\.py")
+_NO_HOST = "(no host)"
+_KINDS = ("passed", "failed", "error", "skipped")
+
+
+def pytest_terminal_summary(
+    terminalreporter: pytest.TerminalReporter,
+) -> None:
+    """What came of the tests, for each host and module."""
+    counts: Counter[tuple[str, str, str]] = Counter()
+    for kind in _KINDS:
+        for report in terminalreporter.stats.get(kind, ()):
+            noted = dict(getattr(report, "user_properties", ()))
+            found = _MODULE.search(report.nodeid)
+            module = found[1] if found else "other"
+            counts[noted.get("host", _NO_HOST), module, kind] += 1
+
+    def cell(*place: str) -> str:
+        passed, failed, error, skipped = (
+            counts[(*place, kind)] for kind in _KINDS
+        )
+        return f"{passed}/{failed + error}/{skipped}"
+
+    ran = {module for _, module, _ in counts}
+    columns = [name for name in (*MODULES, "other") if name in ran]
+    hosts = sorted({host for host, _, _ in counts})
+    rows = [["passed/failed/skipped", *columns]]
+    for host in hosts:
+        rows.append([host, *(cell(host, name) for name in columns)])
+    for host in missing_hosts() if {*hosts} - {_NO_HOST} else ():
+        rows.append([host, *("MISSING" for _ in columns)])
+    widths = [max(map(len, column)) for column in zip(*rows)]
+    terminalreporter.section("hosts")
+    for row in rows:
+        line = "  ".join(map(str.ljust, row, widths))
+        terminalreporter.line(line.rstrip())

@@ -63,6 +63,7 @@ __all__ = [
     "HostError",
     "Installed",
     "UnavailableError",
+    "all_hosts",
     "build_dir",
     "checkout_hosts",
     "clean_environment",
@@ -98,8 +99,6 @@ IN_USE = 3600.0
 # For so long (s) a package that could not be had is not asked for again: with
 # no network, each worker of a test run would wait for the same answer.
 MISSING_FOR = 600.0
-
-MODULE_NAME = re.compile(r"[a-z_][a-z0-9_]*\Z")
 
 
 @dataclass(frozen=True)
@@ -158,11 +157,9 @@ class Host:
         """Put modules, given as {name: file}, where a user puts them.
 
         The same content gives the same installation again.  Raises HostError
-        for a name that no config section could have or a missing file.
+        for a missing file.
         """
         for name, source in modules.items():
-            if not MODULE_NAME.match(name):
-                raise HostError(f"{name!r} is not the name of a module")
             if not source.is_file():
                 raise HostError(f"module {name}: there is no file {source}")
         parts = []
@@ -225,6 +222,25 @@ def find_hosts() -> list[Host]:
     with locked(_hosts_dir() / "lock"):
         _remove_unused(_hosts_dir(), KEPT_HOSTS)
     return hosts
+
+
+@functools.cache
+def _search() -> tuple[list[Host], Optional[HostError]]:
+    try:
+        return find_hosts(), None
+    except HostError as error:
+        return [], error
+
+
+def all_hosts() -> list[Host]:
+    """The same, looked for once in a process, as for each test of a run.
+
+    With ONE_HOST=1 only the last one.
+    """
+    hosts, error = _search()
+    if error is not None:
+        raise error
+    return hosts[-1:] if os.environ.get("ONE_HOST") else hosts
 
 
 def _packaged_if_available(package: Package) -> Optional[Host]:

@@ -1,27 +1,22 @@
-"""Simulated machines made of what real printers have in their configuration.
+"""Simulated machines made of [z_calibration] sections of real printers.
 
-The configuration is the entry's: its [z_calibration], its probe, its axes, its
-bed mesh.  The machine behind it is a healthy printer with a switch probe that
-macros attach, whatever the file says of its length.  Only places are moved to
-where that machine has its pin.
+With the probe, axes and bed mesh of the entry.  The machine has a switch probe
+that macros attach, whatever the file says of its length.  Only places are moved
+to where that machine has its pin.
 """
 
 from __future__ import annotations
 
-import json
 import math
-import os
 import re
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Mapping
 from dataclasses import dataclass, replace
-from pathlib import Path
 from typing import Optional
 
-import pytest
-
+from tests.hostkit.corpus import Entry, Options, Point, chosen, indented
 from tests.hostkit.hosts import Host
-from tests.hostkit.printer import Printer
 from tests.simprinter import SCENES, Scene, heated
+from tests.simprinter.scenes import Sections
 from tests.simprinter.world import (
     AxisSwitchSpec,
     BedSpec,
@@ -29,14 +24,6 @@ from tests.simprinter.world import (
     PinSpec,
     Pose,
 )
-
-_FILES = Path(__file__).resolve().parents[1] / "corpus"
-
-Point = tuple[float, float]
-Options = dict[str, Optional[str]]
-
-# The Z axis of every machine, mm
-MICROSTEP = 0.0025
 
 # The true probe where the file does not say (mm)
 BODY = 6.4
@@ -64,53 +51,32 @@ PARAM_SWITCH_OFFSET = 0.44
 
 VIRTUAL_ENDSTOP = "probe:z_virtual_endstop"
 
-PROBE_OPTIONS = (
-    "x_offset",
-    "y_offset",
-    "z_offset",
-    "samples",
-    "samples_result",
-    "samples_tolerance",
-    "samples_tolerance_retries",
-    "sample_retract_dist",
-    "speed",
-    "lift_speed",
-)
-AXIS_OPTIONS = ("position_min", "position_max", "position_endstop")
-Z_OPTIONS = (
-    *AXIS_OPTIONS,
-    "homing_positive_dir",
-    "homing_speed",
-    "homing_retract_dist",
-    "homing_retract_speed",
-    "second_homing_speed",
-)
-PRINTER_OPTIONS = ("max_velocity", "max_accel")
-# Not on every host; means nothing without a print
-MESH_OPTIONS_LEFT_OUT = ("adaptive_margin",)
-HOME_OPTIONS = ("speed", "z_hop", "z_hop_speed")
-
-_SET_PIN = "\n  SET_PIN PIN=probe_magnet VALUE=%d\n  G4 P500"
-ATTACH, DETACH = _SET_PIN % 1, _SET_PIN % 0
+PROBE_OPTIONS = """x_offset y_offset z_offset samples samples_result
+samples_tolerance samples_tolerance_retries sample_retract_dist speed
+lift_speed"""
+Z_OPTIONS = """position_min position_max position_endstop homing_positive_dir
+homing_speed homing_retract_dist homing_retract_speed second_homing_speed"""
 
 # What the macros of the field do.  Klicky's Dock_Probe_Unlock docks the probe
 # even if a macro has locked it to the head.
+_SET_PIN = "\n  SET_PIN PIN=probe_magnet VALUE=%d\n  G4 P500"
+ATTACHING = """ATTACH_PROBE _ATTACH_PROBE _ATTACH_PROBE_ABL _PROBE_OUT
+M401"""
+DETACHING = """DETACH_PROBE DOCK_PROBE _DOCK_PROBE DOCK_PROBE_UNLOCK PROBE_IN
+M402"""
 MACROS = {
-    "ATTACH_PROBE": ATTACH,
-    "_ATTACH_PROBE": ATTACH,
-    "_ATTACH_PROBE_ABL": ATTACH,
-    "_PROBE_OUT": ATTACH,
-    "M401": ATTACH,
-    "DETACH_PROBE": DETACH,
-    "DOCK_PROBE": DETACH,
-    "_DOCK_PROBE": DETACH,
-    "DOCK_PROBE_UNLOCK": DETACH,
-    "PROBE_IN": DETACH,
-    "M402": DETACH,
+    **dict.fromkeys(ATTACHING.split(), _SET_PIN % 1),
+    **dict.fromkeys(DETACHING.split(), _SET_PIN % 0),
     "NOZZLE_BRUSH": "\n  G91\n  G1 X-10 F6000\n  G1 X10\n  G90",
     "_SET_Z_CURRENT": "\n  G4 P10",
 }
-_PLAIN_MOVES = ("G0", "G1")
+MAGNET = {
+    "output_pin probe_magnet": {
+        "pin": "PD0",
+        "value": "0",
+        "shutdown_value": "0",
+    }
+}
 
 # Homes as the users' homing_override does; {x} and {y} are the pin's.
 _HOMING = """
@@ -123,136 +89,20 @@ _HOMING = """
 
 
 @dataclass(frozen=True)
-class Entry:
-    """One [z_calibration] of a real printer, with the sections around it."""
-
-    index: int
-    options: Mapping[str, str]
-    context: Mapping[str, Mapping[str, str]]
-
-    def section(self, name: str) -> Mapping[str, str]:
-        """A section of the context; empty where there is none."""
-        return self.context.get(name, {})
-
-    @property
-    def probe(self) -> Mapping[str, str]:
-        """What the file says of the probe."""
-        return self.section("probe") or self.section("dockable_probe")
-
-    @property
-    def homes_with_probe(self) -> bool:
-        """Whether its Z endstop is the probe."""
-        return self.section("stepper_z").get("endstop_pin") == VIRTUAL_ENDSTOP
-
-    @property
-    def commands(self) -> dict[str, list[str]]:
-        """Names of the commands in its templates, in order."""
-        return {
-            part: [
-                line.split()[0].upper()
-                for line in self.options.get(f"{part}_gcode", "").splitlines()
-                if line.strip()
-            ]
-            for part in ("start", "before_switch", "end")
-        }
-
-    @property
-    def attaches(self) -> bool:
-        """Whether CALIBRATE_Z attaches the probe by itself."""
-        commands = self.commands
-        before = commands["start"] + commands["before_switch"]
-        return any(MACROS.get(name) == ATTACH for name in before)
-
-    def number(self, option: str, default: float) -> float:
-        """An option of [z_calibration]; the default where it is none."""
-        try:
-            return float(self.options.get(option, ""))
-        except ValueError:
-            return default
-
-
-def load(name: str = "z_calibration") -> list[Entry]:
-    """All entries of one file, in its order."""
-    text = (_FILES / f"{name}.json").read_text(encoding="utf-8")
-    return [
-        Entry(index, entry["options"], entry.get("context", {}))
-        for index, entry in enumerate(json.loads(text))
-    ]
-
-
-def spread(entries: Iterable[Entry], hosts: Sequence[Host]) -> list:
-    """Each entry with its host; with CORPUS=all with every host."""
-    everywhere = os.environ.get("CORPUS") == "all"
-    return [
-        pytest.param(entry, host, id=f"{entry.index:03d}-{host.name}")
-        for entry in entries
-        for number, host in enumerate(hosts)
-        if everywhere or entry.index % len(hosts) == number
-    ]
-
-
-def some(entries: Sequence[Entry], share: int) -> Sequence[Entry]:
-    """One of `share` entries; all of them with CORPUS=all."""
-    return entries if os.environ.get("CORPUS") == "all" else entries[::share]
-
-
-def refusal(host: Host, scene: Scene) -> str:
-    """What a klippy that does not start says."""
-    with Printer(host, scene) as printer:
-        state, message = printer.session.start()
-        assert "Internal error" not in message
-    assert state == "error", (state, message)
-    return message
-
-
-@dataclass(frozen=True)
-class Axis:
-    """What the file says of X or Y, mm."""
-
-    low: float
-    high: float
-    endstop: float
-
-    @property
-    def direction(self) -> int:
-        """Of homing, as Klipper finds it out by itself."""
-        return 1 if self.endstop > (self.low + self.high) / 2.0 else -1
-
-    def near_endstop(self) -> float:
-        """Where homing is short."""
-        return self.endstop - self.direction * 12.0
-
-    def shared(self, offset: float) -> tuple[float, float]:
-        """What nozzle and probe can both reach."""
-        return max(self.low, self.low + offset), min(
-            self.high, self.high + offset
-        )
-
-
-@dataclass(frozen=True)
-class Places:
-    """Where things are, mm: the pin, the head's place with the switch over
-    it, the point of the bed to ask for, the one that is touched, and the bed.
-    """
-
-    pin: Point
-    switch: Point
-    bed: Point
-    touched: Point
-    plate: tuple[Point, Point]
-
-
-@dataclass(frozen=True)
 class CorpusMachine:
     """An entry's machine with its configuration, and how to calibrate it.
 
-    params: of CALIBRATE_Z, what the file leaves open. gap: true gap (mm) at
-    Z=0 over `places.touched` that a right calibration leaves.
+    Places in mm: the pin, the head's place with the switch over it, and the
+    point of the bed that is touched. params: of CALIBRATE_Z, what the file
+    leaves open. gap: true gap (mm) at Z=0 over that point that a right
+    calibration leaves.
     """
 
     entry: Entry
     scene: Scene
-    places: Places
+    pin: Point
+    switch: Point
+    touched: Point
     params: Mapping[str, str]
     gap: float
 
@@ -266,21 +116,37 @@ class CorpusMachine:
     @property
     def preparation(self) -> str:
         """What the user does between homing and the command."""
-        if self.entry.attaches:
+        commands = commands_of(self.entry, "start", "before_switch")
+        if commands & set(ATTACHING.split()):
             return ""
         return "G90\nG1 Z30 F900\nSET_PIN PIN=probe_magnet VALUE=1\nG4 P500"
 
     def with_virtual_endstop(self) -> CorpusMachine:
         """The same with the Z endstop that the file has: the probe."""
-        sections = {
-            **self.scene.sections,
-            "stepper_z": {
-                **(self.scene.sections["stepper_z"] or {}),
-                "endstop_pin": VIRTUAL_ENDSTOP,
-                "position_endstop": None,
-            },
+        z = {
+            **(self.scene.sections["stepper_z"] or {}),
+            "endstop_pin": VIRTUAL_ENDSTOP,
+            "position_endstop": None,
         }
+        sections = {**self.scene.sections, "stepper_z": z}
         return replace(self, scene=replace(self.scene, sections=sections))
+
+
+def probe_of(entry: Entry) -> Mapping[str, str]:
+    """What the file says of the probe."""
+    return entry.section("probe") or entry.section("dockable_probe")
+
+
+def homes_with_probe(entry: Entry) -> bool:
+    """Whether its Z endstop is the probe."""
+    return entry.section("stepper_z").get("endstop_pin") == VIRTUAL_ENDSTOP
+
+
+def commands_of(entry: Entry, *templates: str) -> set[str]:
+    """Names of the commands in some of its templates."""
+    texts = [entry.options.get(f"{name}_gcode", "") for name in templates]
+    lines = [line.split() for line in "\n".join(texts).splitlines()]
+    return {words[0].upper() for words in lines if words}
 
 
 def knows_index(host: Host) -> bool:
@@ -310,16 +176,23 @@ def _same_form(text: str, values: Point) -> str:
     return re.sub(r"[-+.\d]+", lambda match: f"{next(numbers):g}", text)
 
 
-def chosen(options: Mapping[str, str], names: tuple[str, ...]) -> Options:
-    """Some of the options, as values for a file."""
-    return {
-        name: indented(options[name]) for name in names if options.get(name)
-    }
+@dataclass(frozen=True)
+class _Axis:
+    """What the file says of X or Y, mm."""
 
+    low: float
+    high: float
+    endstop: float
 
-def indented(text: str) -> str:
-    """A value with its further lines indented."""
-    return text.replace("\n", "\n  ")
+    @property
+    def direction(self) -> int:
+        """Of homing, as Klipper finds it out by itself."""
+        return 1 if self.endstop > (self.low + self.high) / 2.0 else -1
+
+    def shared(self, offset: float) -> Point:
+        """What nozzle and probe can both reach."""
+        low, high = self.low + offset, self.high + offset
+        return max(self.low, low), min(self.high, high)
 
 
 class _Builder:
@@ -330,16 +203,21 @@ class _Builder:
         self.host = host
         self.body = body
         self.params: dict[str, str] = {}
-        self.offset = self.configured_place()
+        probe, (x, y) = probe_of(entry), PROBE_PLACE
+        x, y = float(probe.get("x_offset", x)), float(probe.get("y_offset", y))
+        self.offset = x, y
         self.true_offset = self.offset
-        if math.hypot(*self.offset) < SMALLEST_DISTANCE:
+        if math.hypot(x, y) < SMALLEST_DISTANCE:
             self.true_offset = PROBE_PLACE
-        self.axes = self.axis("x"), self.axis("y")
-        self.places = self.find_places()
+        self.axes = self.axis("x", 300.0), self.axis("y", 310.0)
+        self.pin, self.plate = self.pin_and_plate()
+        self.bed = self.bed_point()
 
     def build(self) -> CorpusMachine:
         """Put it together."""
-        calibration = self.calibration()
+        x, y = self.true_offset
+        switch = self.pin[0] - x, self.pin[1] - y
+        calibration = self.calibration(switch)
         configured = self.configured_switch_offset()
         true = self.true_switch_offset(configured)
         voron = heated(SCENES["voron"])
@@ -353,49 +231,39 @@ class _Builder:
                 **self.macros(),
                 "z_calibration": calibration,
             },
-            start=Pose(*(axis.near_endstop() for axis in self.axes), 12.0),
+            start=Pose(
+                *(a.endstop - 12.0 * a.direction for a in self.axes), 12.0
+            ),
         )
         return CorpusMachine(
             self.entry,
             self.with_true_world(scene, true),
-            self.places,
+            self.pin,
+            switch,
+            self.where_touched(self.bed),
             self.params,
             true - configured,
         )
 
     # Places
 
-    def configured_place(self) -> Point:
-        """The probe's offsets in X and Y as the file has them."""
-        probe = self.entry.probe
-        x, y = PROBE_PLACE
-        return float(probe.get("x_offset", x)), float(probe.get("y_offset", y))
-
-    def axis(self, name: str) -> Axis:
-        """X or Y."""
+    def axis(self, name: str, high: float) -> _Axis:
+        """X or Y; high: where the file does not say."""
         options = self.entry.section(f"stepper_{name}")
-        high = float(options.get("position_max", {"x": 300, "y": 310}[name]))
-        return Axis(
-            low=float(options.get("position_min", 0.0)),
-            high=high,
-            endstop=float(options.get("position_endstop", high)),
-        )
-
-    def find_places(self) -> Places:
-        """The pin beside the bed, where the body does not meet the bed while
-        the nozzle is on the pin.
-        """
-        pin, plate = self.pin_and_plate()
-        switch = pin[0] - self.true_offset[0], pin[1] - self.true_offset[1]
-        bed = self.bed_point(plate)
-        return Places(pin, switch, bed, self.where_touched(bed), plate)
+        high = float(options.get("position_max", high))
+        low = float(options.get("position_min", 0.0))
+        return _Axis(low, high, float(options.get("position_endstop", high)))
 
     def pin_and_plate(self) -> tuple[Point, tuple[Point, Point]]:
-        """The pin on the side to which the probe hangs, and two corners."""
+        """The pin on the side to which the probe hangs, and two corners.
+
+        It is beside the bed, where the body does not meet the bed while the
+        nozzle is on the pin.
+        """
         x, y = self.true_offset
         side = 0 if abs(x) > abs(y) else 1
         pin: list[float] = []
-        plate: list[tuple[float, float]] = []
+        plate: list[Point] = []
         for i, (axis, offset) in enumerate(zip(self.axes, self.true_offset)):
             first, last = axis.shared(offset)
             if i != side:
@@ -417,28 +285,31 @@ class _Builder:
             bed[1] - self.offset[1] + self.true_offset[1],
         )
 
-    def bed_point(self, plate: tuple[Point, Point]) -> Point:
+    def bed_point(self) -> Point:
         """The point of the bed that the file asks for, if it can be."""
         wanted = self.wanted_bed_point()
-        if wanted is not None and self.can_touch(wanted, plate):
+        if wanted is not None and self.can_touch(wanted):
             return wanted
         points = [axis.shared(o) for axis, o in zip(self.axes, self.offset)]
         x, y = (
             (max(low, first) + min(high, last)) / 2.0
-            for (low, high), first, last in zip(points, *plate)
+            for (low, high), first, last in zip(points, *self.plate)
         )
-        assert self.can_touch((x, y), plate), (x, y)
+        assert self.can_touch((x, y)), (x, y)
         return x, y
 
-    def can_touch(self, bed: Point, plate: tuple[Point, Point]) -> bool:
+    def can_touch(self, bed: Point) -> bool:
         """Whether a point is on the plate and in the probe's reach."""
-        (x_min, y_min), (x_max, y_max) = plate
-        x, y = self.where_touched(bed)
         head = bed[0] - self.offset[0], bed[1] - self.offset[1]
-        return (
-            x_min < x < x_max
-            and y_min < y < y_max
-            and all(a.low <= h <= a.high for a, h in zip(self.axes, head))
+        return all(
+            low < at < high and axis.low <= h <= axis.high
+            for low, at, high, h, axis in zip(
+                self.plate[0],
+                self.where_touched(bed),
+                self.plate[1],
+                head,
+                self.axes,
+            )
         )
 
     def wanted_bed_point(self) -> Optional[Point]:
@@ -474,17 +345,13 @@ class _Builder:
 
     # The section z_calibration
 
-    def calibration(self) -> Options:
+    def calibration(self, switch: Point) -> Options:
         """The entry's options with places that fit the machine.
 
         What it leaves open and nobody else knows becomes a parameter.
         """
         options = dict(self.entry.options)
-        places = {
-            "nozzle": self.places.pin,
-            "switch": self.places.switch,
-            "bed": self.places.bed,
-        }
+        places = {"nozzle": self.pin, "switch": switch, "bed": self.bed}
         for name, place in places.items():
             if not self.place(options, name, place) and not self.known(name):
                 self.params[f"{name.upper()}_POSITION"] = "%g,%g" % place
@@ -506,13 +373,11 @@ class _Builder:
         if set(old) <= set(options):
             options.update(zip(old, ("%g" % value for value in place)))
             return True
-        if name == "switch" and "switch_xy_offsets" in options:
+        distance = f"{name}_xy_offsets"
+        if distance in options:
             offsets = -self.true_offset[0], -self.true_offset[1]
-            options["switch_xy_offsets"] = _same_form(
-                options["switch_xy_offsets"], offsets
-            )
-            return True
-        return False
+            options[distance] = _same_form(options[distance], offsets)
+        return distance in options
 
     def known(self, name: str) -> bool:
         """Whether another section has this place."""
@@ -530,73 +395,47 @@ class _Builder:
 
     def true_switch_offset(self, configured: float) -> float:
         """The usual one, or the file's where its margins exclude that."""
-        low, high = self.margins()
+        size = self.entry.number("max_deviation", 1.0)
+        margins = _pair(self.entry.options.get("offset_margins", ""))
+        low, high = margins or (-size, size)
         offset = OFFSET + SWITCH_OFFSET - configured
         if low + MARGIN_RESERVE < offset < high - MARGIN_RESERVE:
             return SWITCH_OFFSET
         return configured
 
-    def margins(self) -> tuple[float, float]:
-        """What the offset has to lie within, mm."""
-        pair = _pair(self.entry.options.get("offset_margins", ""))
-        if pair is not None:
-            return pair
-        size = self.entry.number("max_deviation", 1.0)
-        return -size, size
-
     # The sections around it
 
-    def machine_sections(
-        self, switch_offset: float
-    ) -> dict[str, Optional[Options]]:
+    def machine_sections(self, switch_offset: float) -> Sections:
         """What the entry's context says of the machine."""
-        voron = SCENES["voron"].sections
-        context = self.entry.section
-        return {
-            "printer": {
-                **(voron["printer"] or {}),
-                **chosen(context("printer"), PRINTER_OPTIONS),
-            },
+        z_offset = {"z_offset": f"{self.body + switch_offset:.3f}"}
+        own = {
+            "printer": chosen(
+                self.entry.section("printer"), "max_velocity max_accel"
+            ),
             "probe": {
-                **(voron["probe"] or {}),
-                "z_offset": f"{self.body + switch_offset:.3f}",
-                **chosen(self.entry.probe, PROBE_OPTIONS),
+                **z_offset,
+                **chosen(probe_of(self.entry), PROBE_OPTIONS),
             },
-            **{f"stepper_{name}": self.stepper(name) for name in "xyz"},
-            **self.homing(),
-            **self.mesh(),
-            "output_pin probe_magnet": {
-                "pin": "PD0",
-                "value": "0",
-                "shutdown_value": "0",
-            },
+            "stepper_z": chosen(self.entry.section("stepper_z"), Z_OPTIONS),
         }
+        for name, axis in zip("xy", self.axes):
+            own[f"stepper_{name}"] = {
+                "position_min": f"{axis.low:g}",
+                "position_max": f"{axis.high:g}",
+                "position_endstop": f"{axis.endstop:g}",
+            }
+        voron = SCENES["voron"].sections
+        sections = {k: {**(voron[k] or {}), **v} for k, v in own.items()}
+        return {**sections, **self.homing(), **self.mesh(), **MAGNET}
 
-    def stepper(self, name: str) -> Options:
-        """The section of an axis."""
-        section = f"stepper_{name}"
-        scene = dict(SCENES["voron"].sections[section] or {})
-        options = self.entry.section(section)
-        if name == "z":
-            return {**scene, **chosen(options, Z_OPTIONS)}
-        axis = self.axes["xy".index(name)]
-        return {
-            **scene,
-            "position_min": f"{axis.low:g}",
-            "position_max": f"{axis.high:g}",
-            "position_endstop": f"{axis.endstop:g}",
-        }
-
-    def homing(self) -> dict[str, Optional[Options]]:
+    def homing(self) -> Sections:
         """The entry's safe_z_home with a place that fits, or a macro."""
-        x, y = self.places.pin
+        x, y = self.pin
         home = self.entry.section("safe_z_home")
         if home:
-            options = chosen(home, HOME_OPTIONS)
-            options["home_xy_position"] = _same_form(
-                home["home_xy_position"], (x, y)
-            )
-            return {"safe_z_home": options}
+            options = chosen(home, "speed z_hop z_hop_speed")
+            place = _same_form(home["home_xy_position"], (x, y))
+            return {"safe_z_home": {**options, "home_xy_position": place}}
         override = {
             "axes": "xyz",
             "set_position_z": "0",
@@ -604,56 +443,54 @@ class _Builder:
         }
         return {"safe_z_home": None, "homing_override": override}
 
-    def mesh(self) -> dict[str, Options]:
+    def mesh(self) -> Sections:
         """The entry's bed mesh with a zero that the host knows."""
-        mesh = self.entry.section("bed_mesh")
-        if not mesh:
-            return {}
-        names = [name for name in mesh if name not in MESH_OPTIONS_LEFT_OUT]
-        options = chosen(mesh, tuple(names))
+        options = self.entry.mesh()
         index = "relative_reference_index"
         if index in options and not knows_index(self.host):
             # What its owner has to do on an update
             del options[index]
-            options["zero_reference_position"] = "%g,%g" % self.places.bed
-        return {"bed_mesh": options}
+            options["zero_reference_position"] = "%g,%g" % self.bed
+        return {"bed_mesh": options} if options else {}
 
-    def macros(self) -> dict[str, Options]:
+    def macros(self) -> Sections:
         """A macro for each that the entry's templates name."""
-        names = {n for part in self.entry.commands.values() for n in part}
+        names = commands_of(self.entry, "start", "before_switch", "end")
         return {
             f"gcode_macro {name}": {"gcode": MACROS[name]}
-            for name in sorted(names.difference(_PLAIN_MOVES))
+            for name in sorted(names - {"G0", "G1"})
         }
 
     # The truth
 
     def with_true_world(self, scene: Scene, switch_offset: float) -> Scene:
         """The machine as it really is."""
-        (x_min, y_min), (x_max, y_max) = self.places.plate
+        (x_min, y_min), (x_max, y_max) = self.plate
         bed = BedSpec(x_min, y_min, x_max, y_max, 0.4, 3e-4, -2e-4)
-        x, y = self.places.touched
+        x, y = self.where_touched(self.bed)
         surface = bed.z0 + bed.slope_x * x + bed.slope_y * y
         options = scene.sections["stepper_z"] or {}
         homed = float(options["position_endstop"] or POSITION_ENDSTOP)
+        switches = tuple(
+            AxisSwitchSpec(
+                f"{name}_endstop",
+                name,
+                axis.endstop + axis.direction * 0.003,
+                axis.direction,
+            )
+            for name, axis in zip("xy", self.axes)
+        )
+        probe = MagProbeSpec(
+            *self.true_offset,
+            body_drop=self.body,
+            switch_offset=switch_offset,
+            mode="output",
+            initial="docked",
+            attach_time=0.2,
+        )
         return scene.with_world(
             bed=bed,
-            pin=PinSpec(*self.places.pin, surface + homed - OFFSET, 2.5),
-            switches=tuple(
-                AxisSwitchSpec(
-                    f"{name}_endstop",
-                    name,
-                    axis.endstop + axis.direction * 0.003,
-                    axis.direction,
-                )
-                for name, axis in zip("xy", self.axes)
-            ),
-            mag_probe=MagProbeSpec(
-                *self.true_offset,
-                body_drop=self.body,
-                switch_offset=switch_offset,
-                mode="output",
-                initial="docked",
-                attach_time=0.2,
-            ),
+            pin=PinSpec(*self.pin, surface + homed - OFFSET, 2.5),
+            switches=switches,
+            mag_probe=probe,
         )

@@ -1,32 +1,16 @@
-"""[auto_z_offset] sections of real printers, see tests/corpus.
-
-Some entries run, each on one of the hosts; with CORPUS=all in the environment
-all do, on every host.
-"""
+"""[auto_z_offset] sections of real printers, see tests/hostkit/corpus.py."""
 
 from __future__ import annotations
 
-import math
-
 import pytest
 
-from tests.hostkit.auto_z_offset_corpus import (
-    AutoMachine,
-    build,
-    last_value,
-)
-from tests.hostkit.hosts import Host, find_hosts
+from tests.hostkit.auto_z_offset import MICROSTEP
+from tests.hostkit.auto_z_offset_corpus import build
+from tests.hostkit.corpus import WHOLE, each, load
 from tests.hostkit.printer import Printer
-from tests.hostkit.z_calibration_corpus import (
-    MICROSTEP,
-    Entry,
-    load,
-    refusal,
-    some,
-    spread,
-)
+from tests.hostkit.z_calibration import refusal
 
-HOSTS = find_hosts()
+pytestmark = [] if WHOLE else pytest.mark.spread
 ENTRIES = load("auto_z_offset")
 
 # What the message has to say of an option that is missing
@@ -49,41 +33,19 @@ BROKEN = {
     # What an issue shows of it
     30: ("pin", "prepare_gcode"),
 }
-WORKING = [entry for entry in ENTRIES if entry.index not in BROKEN]
+FAULTY = [entry for entry in ENTRIES if entry.index in BROKEN]
 INSIDE_BED = "mm inside the bed"
 
-NUMBERS = {
-    "calibrated_z_offset",
-    "lift_speed",
-    "offset_samples",
-    "probe_accel",
-    "probe_hop",
-    "probe_z_min",
-    "sample_retract_dist",
-    "samples",
-    "samples_tolerance",
-    "samples_tolerance_retries",
-    "speed",
-    "x_offset",
-    "y_offset",
-    "z_current_factor",
-    "z_offset",
-}
 # Old: they tell where the probe is or what the original module had saved
 OLD = {"calibrated_z_offset", "x_offset", "y_offset"}
 
 
-def own_lines(lines: list[str]) -> list[str]:
-    """What the module has said."""
-    start = "// auto_z_offset: "
-    return [line[len(start) :] for line in lines if line.startswith(start)]
-
-
-def check_start(printer: Printer, machine: AutoMachine) -> None:
+def check_start(printer, machine):
     """One line for each old option, a nozzle in the bed, too much speed."""
     entry = machine.entry
     printer.session.require_ready()
-    lines = own_lines(printer.session.console)
+    start = "// auto_z_offset: "
+    lines = [n for n in printer.session.console if n.startswith(start)]
     expected = [f"option '{name}' " for name in OLD & set(entry.options)]
     if entry.number("z_offset", 0.2) < 0.0:
         expected.append(INSIDE_BED)
@@ -94,7 +56,7 @@ def check_start(printer: Printer, machine: AutoMachine) -> None:
     assert len(lines) == len(expected), lines
 
 
-def check_result(lines: list[str], entry: Entry) -> None:
+def check_result(lines, entry):
     """The result is told; so is a nozzle in the bed, behind it."""
     results = [n for n, line in enumerate(lines) if "AUTO_Z_CALIBRATE:" in line]
     inside = [n for n, line in enumerate(lines) if INSIDE_BED in line]
@@ -103,7 +65,7 @@ def check_result(lines: list[str], entry: Entry) -> None:
     assert all(n > results[0] for n in inside), lines
 
 
-def check_touches(printer: Printer, machine: AutoMachine, first: int) -> None:
+def check_touches(printer, machine, first):
     """Both sensors were used at one point, and nothing else was touched."""
     probe = printer.scene.world.inductive
     x, y = machine.bed
@@ -122,7 +84,7 @@ def check_touches(printer: Printer, machine: AutoMachine, first: int) -> None:
     assert found == expected
 
 
-def check_calibration(host: Host, machine: AutoMachine) -> None:
+def check_calibration(host, machine):
     """It starts, and AUTO_Z_CALIBRATE leaves the right gap."""
     with Printer(host, machine.scene) as printer:
         check_start(printer, machine)
@@ -131,66 +93,20 @@ def check_calibration(host: Host, machine: AutoMachine) -> None:
         check_result(printer.run("AUTO_Z_CALIBRATE"), machine.entry)
         check_touches(printer, machine, first)
         gap = printer.gap(machine.bed)
-    smallest, largest = machine.gaps
-    assert smallest - 2 * MICROSTEP < gap < largest + 2 * MICROSTEP
+    assert gap == pytest.approx(machine.gap, abs=2 * MICROSTEP)
 
 
-def test_every_entry_is_accounted_for():
-    assert (len(WORKING), len(BROKEN), len(ENTRIES)) == (22, 10, 32)
-    for entry in ENTRIES:
-        assert missing(entry) == BROKEN.get(entry.index, ()), entry.index
-        for name, text in entry.options.items():
-            assert looks_right(name, text), (entry.index, name)
-    # The switch is the other way round
-    reverse = {e.index for e in ENTRIES if last_value(e) == "0"}
-    assert reverse == {16, 27}
-
-
-def missing(entry: Entry) -> tuple[str, ...]:
-    """What it lacks, by a rule that knows nothing of the module."""
-    lacks = {
-        # Only G-code may be nothing
-        "pin": not entry.options.get("pin"),
-        "prepare_gcode": "prepare_gcode" not in entry.options,
-    }
-    return tuple(name for name, lacking in lacks.items() if lacking)
-
-
-def looks_right(name: str, text: str) -> bool:
-    """Whether an option exists, and is what it has to be."""
-    if name in NUMBERS:
-        try:
-            return math.isfinite(float(text))
-        except ValueError:
-            return False
-    if name == "samples_result":
-        return text in ("average", "median")
-    return name in REMEDIES
-
-
-def test_every_touch_reaches_the_speed_that_the_entry_asks_for():
-    """So the gap is known exactly."""
-    found = set()
-    for entry in ENTRIES:
-        left, asked = build(entry, HOSTS[0]).speeds
-        found |= {entry.index} if left < asked else set()
-    assert found == set()
-
-
-@pytest.mark.parametrize(("entry", "host"), spread(some(WORKING, 8), HOSTS))
+@each([entry for entry in ENTRIES if entry.index not in BROKEN], 8)
 def test_entry_calibrates(entry, host):
     check_calibration(host, build(entry, host))
 
 
-@pytest.mark.parametrize(
-    ("entry", "host"),
-    spread((ENTRIES[index] for index in sorted(BROKEN)), HOSTS),
-)
+@each(FAULTY)
 def test_broken_entry_is_refused(entry, host):
     """Also when its owner has mended but the first of its faults."""
     added = {}
     for option in BROKEN[entry.index]:
-        message = refusal(host, build(entry, host, added).scene)
+        message = refusal(host, {}, build(entry, host, added).scene)
         head, found, remedy = message.partition(f"Option '{option}")
         assert found and not head, message
         assert "section 'auto_z_offset'" in remedy
@@ -199,10 +115,7 @@ def test_broken_entry_is_refused(entry, host):
         added[option] = MENDED[option]
 
 
-@pytest.mark.parametrize(
-    ("entry", "host"),
-    spread(some([ENTRIES[index] for index in sorted(BROKEN)], 5), HOSTS),
-)
+@each(FAULTY, 5)
 def test_mended_entry_calibrates(entry, host):
     added = {name: MENDED[name] for name in BROKEN[entry.index]}
     check_calibration(host, build(entry, host, added))

@@ -14,7 +14,7 @@ from pathlib import Path
 import pytest
 
 from tests.hostkit.auto_z_offset import MICROSTEP, POINT, told
-from tests.hostkit.z_calibration_corpus import indented
+from tests.hostkit.corpus import indented
 from tests.simprinter import SCENES
 
 EXAMPLES = Path(__file__).resolve().parents[2] / "examples" / "auto_z_offset"

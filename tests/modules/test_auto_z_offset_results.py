@@ -40,7 +40,7 @@ STEPS = 2 * MICROSTEP
 @pytest.mark.parametrize("scene", MACHINES)
 def test_calibration_leaves_the_air_gap(host, scene):
     if not has_kinematics(host, SCENES[scene]):
-        pytest.skip(f"{host.name} has no {scene}")
+        pytest.skip(f"{host.name} has no kinematics of {scene}")
     with Printer(host, scene) as printer:
         printer.homed()
         before, first = state(printer), len(printer.machine.truth.touches)
@@ -59,6 +59,7 @@ def test_calibration_leaves_the_air_gap(host, scene):
             assert after[name] == before[name]
 
 
+@pytest.mark.quick
 @pytest.mark.each_host
 def test_correction_holds_after_a_restart(start):
     printer = start("qidi").homed()
@@ -124,6 +125,7 @@ def test_prepare_gcode_runs_once_a_calibration(start):
 # AUTO_Z_MEASURE_OFFSET
 
 
+@pytest.mark.quick
 def test_measuring_applies_nothing(start):
     printer = start("qidi").homed()
     printer.run("SET_GCODE_OFFSET Z=0.3")
@@ -144,6 +146,7 @@ def test_measuring_applies_nothing(start):
 # AUTO_Z_PROBE
 
 
+@pytest.mark.quick
 def test_probe_where_the_head_is(start):
     printer = start("qidi").homed()
     assert printer.status("auto_z_offset")["last_z"] is None
@@ -167,6 +170,7 @@ def test_probe_where_the_head_is(start):
 # AUTO_Z_HOME_Z
 
 
+@pytest.mark.quick
 @pytest.mark.each_host
 @pytest.mark.parametrize("z_offset", [0.2, -0.1])
 def test_home_z_sets_z_only(start, z_offset):
@@ -211,6 +215,7 @@ def test_probe_after_home_z_is_in_the_new_frame(start):
 # AUTO_Z_LOAD_OFFSET, AUTO_Z_SAVE_GCODE_OFFSET
 
 
+@pytest.mark.quick
 def test_loading_what_was_never_measured_says_so(start):
     printer = start("qidi").homed()
     printer.run("SET_GCODE_OFFSET Z=0.3")
@@ -219,6 +224,7 @@ def test_loading_what_was_never_measured_says_so(start):
     assert printer.offset() == 0.0
 
 
+@pytest.mark.quick
 def test_loading_after_a_calibration_needs_no_restart(start):
     printer = start("qidi").homed()
     printer.run("AUTO_Z_CALIBRATE")
@@ -239,6 +245,7 @@ def test_users_macro_takes_part_in_applying(start):
     assert printer.offset() == pytest.approx(CORRECTION, abs=STEPS)
 
 
+@pytest.mark.quick
 @pytest.mark.each_host
 def test_babysteps_are_saved(start):
     printer = start("qidi").homed()
@@ -267,6 +274,7 @@ def test_saving_an_offset_that_was_lost_is_told(start):
     assert told(lines, "1.120 mm away from before; was AUTO_Z_LOAD_OFFSET")
 
 
+@pytest.mark.quick
 def test_offset_that_is_none_is_not_saved(start):
     printer = start("qidi").homed()
     printer.run("AUTO_Z_CALIBRATE")
@@ -291,7 +299,7 @@ def test_offset_that_is_none_is_not_saved(start):
 )
 def test_current_is_low_while_the_nozzle_goes_down(host, scene, motors):
     if not has_kinematics(host, SCENES[scene]):
-        pytest.skip(f"{host.name} has no {scene}")
+        pytest.skip(f"{host.name} has no kinematics of {scene}")
     changes = {"touches": {}, **section(z_current_factor="0.5")}
     modules = with_extras("touches")
     with Printer(host, scene, changes=changes, modules=modules) as printer:

@@ -8,15 +8,21 @@ from pathlib import Path
 
 import pytest
 
-from tests.hostkit.hosts import find_hosts, missing_hosts
+from tests.hostkit.hosts import all_hosts, missing_hosts
 from tests.hostkit.lab import Lab
 from tests.hostkit.moonraker_package import find_moonraker
 from tests.hostkit.printer import firmware_of
 
-# One host for each place where modules belong, or each of them
-HOSTS = find_hosts()
-if not os.environ.get("EVERY_HOST"):
-    HOSTS = list({firmware_of(host): host for host in HOSTS}.values())
+
+def pytest_generate_tests(metafunc: pytest.Metafunc) -> None:
+    """One host for each place where modules belong, or each of them."""
+    if "lab" not in metafunc.fixturenames:
+        return
+    hosts = all_hosts()
+    if not os.environ.get("EVERY_HOST"):
+        hosts = list({firmware_of(host): host for host in hosts}.values())
+    ids = [host.name for host in hosts]
+    metafunc.parametrize("lab", hosts, ids=ids, indirect=True, scope="package")
 
 
 @pytest.fixture(scope="session")
@@ -30,7 +36,7 @@ def moonraker_python() -> Path:
 
 # As wide as the folder, since making one takes seconds; not wider, since its
 # printer lives on meanwhile
-@pytest.fixture(scope="package", params=HOSTS, ids=lambda host: host.name)
+@pytest.fixture(scope="package")
 def lab(
     request: pytest.FixtureRequest,
     moonraker_python: Path,

@@ -4,16 +4,11 @@ from __future__ import annotations
 
 import json
 import os
-import signal
-from dataclasses import replace
 
 import pytest
 
 from tests.hostkit import session, starting
-from tests.hostkit.hosts import HostError
 from tests.hostkit.printer import Printer, module_files
-from tests.simprinter import VirtualClock, build_directory
-from tests.simprinter.simulation import SimulationError
 
 # What a module finds of the process that it is in
 LOOK = """
@@ -70,7 +65,6 @@ def look(tmp_path, host):
             page = printer.machine.simulation.clock.page
         return json.loads(text.replace(data, "DATA").replace(page, "PAGE"))
 
-    look.modules = modules
     return look
 
 
@@ -98,43 +92,3 @@ def test_forked_klippy_does_the_same(host, started):
     started()
     with Printer(host) as printer:
         assert heights(printer) == forked
-
-
-def test_server_that_is_gone_is_replaced(look):
-    gone = look()["parent"]
-    os.kill(gone, signal.SIGKILL)
-    os.waitid(os.P_PID, gone, os.WEXITED | os.WNOWAIT)
-    assert look()["parent"] != gone
-
-
-def test_killed_server_takes_its_klippies_along(look, host):
-    server = look()["parent"]
-    with Printer(host, modules=look.modules) as printer:
-        printer.session.require_ready()
-        os.kill(server, signal.SIGKILL)
-        with pytest.raises(SimulationError, match="klippy has ended"):
-            printer.session.wait(60.0)
-
-
-def test_program_that_cannot_be_imported_is_told(host, tmp_path):
-    installed = host.install(module_files())
-    installed = replace(installed, cwd=tmp_path, env={})
-    clock = VirtualClock(build_directory())
-    try:
-        with pytest.raises(HostError, match="ModuleNotFoundError"):
-            starting.fork(installed, [], clock, tmp_path / "output", "")
-    finally:
-        clock.close()
-
-
-def test_klippy_outlives_its_place_among_the_servers(host, tmp_path):
-    # As many other sets of modules as there are servers, and one more
-    with Printer(host) as printer:
-        printer.session.require_ready()
-        for number in range(7):
-            source = tmp_path / f"other{number}.py"
-            source.write_text(f"NUMBER = {number}\n")
-            modules = {**module_files(), source.stem: source}
-            with Printer(host, modules=modules) as other:
-                other.session.require_ready()
-        printer.run("G28 X")
