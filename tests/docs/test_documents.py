@@ -467,11 +467,3 @@ def test_document_is_right_and_mistakes_are_found(one_host, module):
             changed, count = re.subn(old, new, text)
             assert count, what
             assert any(problems(running, changed)), what
-
-
-@pytest.mark.parametrize("module", MODULES, ids=lambda module: module.name)
-def test_picture_is_what_the_script_draws(module):
-    draw, example = module.picture.draw, module.picture.EXAMPLE
-    assert module.picture.PICTURE.read_text(encoding="utf-8") == draw(example)
-    assert draw(example) != draw(example._replace(probe=example.probe + 0.1))
-    assert "prefers-color-scheme:dark" in draw(example)
