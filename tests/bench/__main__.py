@@ -45,12 +45,11 @@ from tests.bench.errors import (
     Errors,
     Trial,
     plan_trials,
-    rows,
     run_trial,
+    summaries,
 )
 from tests.bench.timing import (
     OURS,
-    Outcome,
     Run,
     Subject,
     attempt,
@@ -147,41 +146,32 @@ def time_command(
     hosts: Sequence[Host],
     besides: Sequence[Subject],
     output: Output,
-) -> dict[str, dict[str, Outcome]]:
-    """The outcomes by host and module; printed."""
+) -> list[dict[str, Any]]:
+    """All times of a command, for a file; printed."""
     modules = subjects(command, besides)
     width = max([4, *(len(f"ours / {m.name}") for m in modules[1:])])
     output.say("", *text.timing_head(command, width))
-    found: dict[str, dict[str, Outcome]] = {}
+    figures: list[dict[str, Any]] = []
     runs: list[Run] = []
     for host in hosts:
         output.say(host.name)
         outcomes = {m.name: attempt(host, m, command) for m in modules}
         output.say(*text.timing_rows(command, outcomes, width))
-        found[host.name] = outcomes
-        for outcome in outcomes.values():
-            runs += outcome if isinstance(outcome, list) else []
+        for module, outcome in outcomes.items():
+            failure = outcome if isinstance(outcome, str) else None
+            done = [] if isinstance(outcome, str) else outcome
+            runs += done
+            figures.append(
+                {
+                    "host": host.name,
+                    "module": module,
+                    "command": command.name,
+                    "failure": failure,
+                    "runs": [run.figures() for run in done],
+                }
+            )
     output.say(*text.bound_tables(command, runs))
-    return found
-
-
-def timing_figures(
-    command: Command, found: dict[str, dict[str, Outcome]]
-) -> list[dict[str, Any]]:
-    """All times of a command, for a file."""
-    return [
-        {
-            "host": host,
-            "module": module,
-            "command": command.name,
-            "failure": outcome if isinstance(outcome, str) else None,
-            "runs": []
-            if isinstance(outcome, str)
-            else [run.figures() for run in outcome],
-        }
-        for host, outcomes in found.items()
-        for module, outcome in outcomes.items()
-    ]
+    return figures
 
 
 def cost_figures(
@@ -190,14 +180,14 @@ def cost_figures(
     """What loading takes; one that cannot be loaded is left out, and told."""
     found = []
     for host in hosts:
-        found += [{**c.figures(), "other": False} for c in loadings(host)]
+        found += [{**cost, "other": False} for cost in loadings(host)]
         for subject in besides:
             file = subject.modules.get("z_calibration")
             if file is None:
                 continue
             try:
                 cost = other_loading(host, subject.name, file)
-                found.append({**cost.figures(), "other": True})
+                found.append({**cost, "other": True})
             except HostError as error:
                 output.say(f"{host.name}: {reason(error)}")
     return found
@@ -221,12 +211,7 @@ def error_figures(
         for subject in subjects(command, besides):
             if (subject.name, command.name) not in failed:
                 trials += plan_trials(host, subject, name, seeds)
-    return [row.figures() for row in rows(trials, run_all(trials))]
-
-
-def has_errors(host: Host, wanted: Optional[Sequence[str]]) -> bool:
-    """Whether errors are to be measured on it; wanted: parts of names."""
-    return wanted is None or any(name in host.name for name in wanted)
+    return summaries(trials, run_all(trials))
 
 
 def run_all(trials: Sequence[Trial]) -> Iterator[Errors]:
@@ -285,12 +270,13 @@ def measure_all(
     output.say(*text.cost_lines(figures["costs"]))
     timings = figures["timings"] = []
     for command in COMMANDS:
-        found = time_command(command, hosts, besides, output)
-        timings += timing_figures(command, found)
+        timings += time_command(command, hosts, besides, output)
     errors = figures["errors"] = []
     write_json(figures, folder() / "performance.json")
     for host in hosts:
-        if options.seeds and has_errors(host, options.errors_on):
+        # No names: all
+        is_meant = any(n in host.name for n in options.errors_on or [""])
+        if options.seeds and is_meant:
             of_host = error_figures(host, timings, besides, options.seeds)
             output.say("", *text.error_lines(of_host))
             errors += of_host

@@ -28,24 +28,6 @@ def cpu_seconds(simulation: Simulation) -> float:
     return sum(int(task.read_text().split()[0]) for task in tasks) * 1e-9
 
 
-class Loading(NamedTuple):
-    """Of a module, on a host: seconds (median) and bytes."""
-
-    host: str
-    module: str
-    seconds: float
-    size: float
-
-    def figures(self) -> dict[str, Any]:
-        """All of it, for a file."""
-        return {
-            "host": self.host,
-            "module": self.module,
-            "import_ms": round(self.seconds * 1e3, 2),
-            "memory_kib": round(self.size / 1024.0, 1),
-        }
-
-
 class Names(NamedTuple):
     """How klippy's parts are imported: from where, its program, packages."""
 
@@ -82,18 +64,22 @@ def load(installed: Installed, what: str, module: str) -> float:
     )
 
 
-def loading(installed: Installed, name: str, module: str) -> Loading:
-    """Measured several times, after one that compiles.
+def loading(installed: Installed, name: str, module: str) -> dict[str, Any]:
+    """Figures of a module: measured several times, after one that compiles.
 
-    name: what it is called in the figures.
+    name: what it is called.
     """
     load(installed, "time", module)
     times = [load(installed, "time", module) for _ in range(LOADINGS)]
-    size = load(installed, "memory", module)
-    return Loading(installed.host.name, name, statistics.median(times), size)
+    return {
+        "host": installed.host.name,
+        "module": name,
+        "import_ms": round(statistics.median(times) * 1e3, 2),
+        "memory_kib": round(load(installed, "memory", module) / 1024.0, 1),
+    }
 
 
-def loadings(host: Host) -> list[Loading]:
+def loadings(host: Host) -> list[dict[str, Any]]:
     """Our modules on a host, and one of its own for scale."""
     files = module_files()
     installed = host.install(files)
@@ -103,7 +89,7 @@ def loadings(host: Host) -> list[Loading]:
     return [loading(installed, *item) for item in wanted.items()]
 
 
-def other_loading(host: Host, name: str, file: Path) -> Loading:
+def other_loading(host: Host, name: str, file: Path) -> dict[str, Any]:
     """Another z_calibration.py. Raises HostError if it cannot be loaded."""
     installed = host.install({"z_calibration": file})
     module = f"{names(installed).own}.z_calibration"

@@ -13,7 +13,7 @@ import statistics
 from collections import Counter
 from collections.abc import Callable, Iterable, Sequence
 from dataclasses import replace
-from typing import Any, NamedTuple, Optional, Union
+from typing import Any, NamedTuple, Union
 
 from tests.bench.commands import (
     AUTO_Z_CALIBRATE,
@@ -255,69 +255,28 @@ def in_general(error: Exception) -> str:
     return _NUMBER.sub("#", reason(error))
 
 
-class Summary(NamedTuple):
-    """Errors of many seeds, um; None where there are too few.
+def summarize(outcomes: Sequence[Union[float, NoError]]) -> dict[str, Any]:
+    """Outcomes of many seeds, um; None where there are too few.
 
     sigma: sample standard deviation. worst: farthest from zero, with its sign.
     refused: no offset, and klippy ready. failed: anything worse.
     """
-
-    count: int
-    mean: Optional[float]
-    sigma: Optional[float]
-    worst: Optional[float]
-    refused: int
-    failed: int
-    reasons: dict[str, int]
-
-
-def summarize(outcomes: Sequence[float | NoError]) -> Summary:
-    """All outcomes of one measurement under one condition."""
     errors = [o for o in outcomes if not isinstance(o, NoError)]
     others = [o for o in outcomes if isinstance(o, NoError)]
     refused = sum(other.refused for other in others)
-    return Summary(
-        len(outcomes),
-        statistics.mean(errors) if errors else None,
-        statistics.stdev(errors) if len(errors) > 1 else None,
-        max(errors, key=abs) if errors else None,
-        refused,
-        len(others) - refused,
-        dict(Counter(other.text for other in others).most_common()),
-    )
 
+    def rounded(least: int, of: Callable[[list[float]], float]) -> Any:
+        return round(of(errors), 2) if len(errors) >= least else None
 
-class Row(NamedTuple):
-    """A summary, and of what."""
-
-    host: str
-    module: str
-    what: str
-    condition: Condition
-    summary: Summary
-
-    def figures(self) -> dict[str, Any]:
-        """All of it, for a file; um."""
-        summary = self.summary
-        rounded = {
-            name: None if value is None else round(value, 2)
-            for name, value in (
-                ("mean", summary.mean),
-                ("sigma", summary.sigma),
-                ("worst", summary.worst),
-            )
-        }
-        return {
-            "host": self.host,
-            "module": self.module,
-            "command": self.what,
-            "noise": str(self.condition),
-            "seeds": summary.count,
-            **rounded,
-            "refused": summary.refused,
-            "failed": summary.failed,
-            "reasons": summary.reasons,
-        }
+    return {
+        "seeds": len(outcomes),
+        "mean": rounded(1, statistics.mean),
+        "sigma": rounded(2, statistics.stdev),
+        "worst": rounded(1, lambda errors: max(errors, key=abs)),
+        "refused": refused,
+        "failed": len(others) - refused,
+        "reasons": dict(Counter(o.text for o in others).most_common()),
+    }
 
 
 def plan_trials(
@@ -331,16 +290,18 @@ def plan_trials(
     ]
 
 
-def rows(trials: Sequence[Trial], found: Iterable[Errors]) -> list[Row]:
+def summaries(
+    trials: Sequence[Trial], found: Iterable[Errors]
+) -> list[dict[str, Any]]:
     """The trials in groups, in the order in which they come."""
-    groups: dict[tuple[str, str, str, Condition], list[Any]] = {}
+    groups: dict[tuple[str, ...], list[Any]] = {}
     for trial, errors in zip(trials, found):
+        where = trial.host.name, trial.subject.name
         for what, error in errors.items():
-            key = (
-                trial.host.name,
-                trial.subject.name,
-                what,
-                trial.condition,
-            )
+            key = (*where, what, str(trial.condition))
             groups.setdefault(key, []).append(error)
-    return [Row(*key, summarize(group)) for key, group in groups.items()]
+    heads = ("host", "module", "command", "noise")
+    return [
+        {**dict(zip(heads, key)), **summarize(group)}
+        for key, group in groups.items()
+    ]

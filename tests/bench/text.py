@@ -159,15 +159,14 @@ def cost_lines(costs: Sequence[Figures]) -> list[str]:
     return lines
 
 
-def um(value: Optional[float]) -> str:
-    """An error with its sign."""
-    return "-" if value is None else f"{value:+.1f}"
-
-
 def summary_text(error: Figures) -> str:
     """Mean, sigma and worst in um, and how many gave no offset."""
-    sigma = "-" if error["sigma"] is None else f"{error['sigma']:.1f}"
-    text = f"{um(error['mean'])} ({sigma}) {um(error['worst'])}"
+
+    def shown(name: str, form: str) -> str:
+        return "-" if error[name] is None else format(error[name], form)
+
+    mean, sigma = shown("mean", "+.1f"), shown("sigma", ".1f")
+    text = f"{mean} ({sigma}) {shown('worst', '+.1f')}"
     if error["refused"]:
         text += f" {error['refused']} refused"
     if error["failed"]:
@@ -181,39 +180,29 @@ def error_lines(errors: Sequence[Figures]) -> list[str]:
         return []
     seeds = errors[0]["seeds"]
     lines = [f"error over {seeds} seeds, um: mean (sigma) worst"]
-    for host in dict.fromkeys(error["host"] for error in errors):
+    groups: dict[str, dict[tuple[str, str], list[Figures]]] = {}
+    for error in errors:
+        of_host = groups.setdefault(error["host"], {})
+        key = error["command"], error["module"]
+        of_host.setdefault(key, []).append(error)
+    for host, of_host in groups.items():
         lines.append(host)
-        of_host = [error for error in errors if error["host"] == host]
-        keys = dict.fromkeys((e["command"], e["module"]) for e in of_host)
-        for command, module in keys:
+        for (command, module), group in of_host.items():
             lines.append(f"  {command}, {module}")
-            group = [
-                e
-                for e in of_host
-                if (e["command"], e["module"]) == (command, module)
-            ]
             lines += [f"    {e['noise']:26}{summary_text(e)}" for e in group]
-            lines += sigma_ratios(of_host, command, module)
+            if module != OURS:
+                # Our spread by theirs, under each condition
+                sigmas = {
+                    e["noise"]: e["sigma"]
+                    for e in of_host.get((command, OURS), [])
+                }
+                cells = [
+                    ratio_text(sigmas[e["noise"]] or 0.0, e["sigma"])
+                    for e in group
+                    if e["noise"] in sigmas
+                ]
+                lines.append(f"    sigma, ours / {module}: {', '.join(cells)}")
     return lines
-
-
-def sigma_ratios(
-    errors: Sequence[Figures], command: str, module: str
-) -> list[str]:
-    """Our spread by that of another module, under each condition."""
-    if module == OURS:
-        return []
-    sigmas = {
-        (e["module"], e["noise"]): e["sigma"]
-        for e in errors
-        if e["command"] == command
-    }
-    cells = [
-        ratio_text(sigmas[OURS, noise] or 0.0, sigma)
-        for (name, noise), sigma in sigmas.items()
-        if name == module and (OURS, noise) in sigmas
-    ]
-    return [f"    sigma, ours / {module}: {', '.join(cells)}"]
 
 
 def reason_lines(errors: Sequence[Figures]) -> list[str]:

@@ -13,11 +13,11 @@ import os
 import sys
 from collections import Counter
 from collections.abc import Sequence
-from dataclasses import dataclass
 from pathlib import Path
-from typing import Any, Optional
+from typing import NamedTuple, Optional
 
-from tests.demo.picture import Heights, draw
+from tests.docs.pictures import mm
+from tests.docs.z_calibration_picture import MEANING, Touches, draw
 from tests.hostkit.environment import build_dir
 from tests.hostkit.hosts import (
     Host,
@@ -95,18 +95,16 @@ class ShownPrinter(Printer):
         return answers
 
 
-@dataclass(frozen=True)
-class Outcome:
+class Outcome(NamedTuple):
     """What one run has shown, mm and printer seconds.
 
-    result: z_calibration's last_result; touches: of CALIBRATE_Z alone
+    touches: by site, of CALIBRATE_Z alone.
     """
 
-    result: dict[str, float]
-    gap_before: float
-    gap_after: float
+    result: Touches
+    before: float
+    after: float
     touches: Counter
-    nearest: float
     calibrating: float
 
 
@@ -115,24 +113,19 @@ def rehearse(printer: ShownPrinter) -> Outcome:
     printer.show()
     printer.run("G28")
     print("--- how far from the bed is the nozzle at Z=0, really?", flush=True)
-    gap_before = printer.gap()
+    before = printer.gap()
     print("--- calibrate", flush=True)
-    machine = printer.machine
-    before = Counter(touch.site for touch in machine.truth.touches)
-    watch = Stopwatch(machine.simulation)
+    truth = printer.machine.truth
+    count = len(truth.touches)
+    watch = Stopwatch(printer.machine.simulation)
     printer.run("CALIBRATE_Z")
     _, calibrating = watch.seconds()
-    touches = Counter(touch.site for touch in machine.truth.touches) - before
+    touches = Counter(touch.site for touch in truth.touches[count:])
     print("--- and how far is it now?", flush=True)
-    gap_after = printer.gap()
-    return Outcome(
-        result=printer.status("z_calibration")["last_result"],
-        gap_before=gap_before,
-        gap_after=gap_after,
-        touches=touches,
-        nearest=machine.truth.min_gap,
-        calibrating=calibrating,
-    )
+    after = printer.gap()
+    result = dict(printer.status("z_calibration")["last_result"])
+    del result["offset"]
+    return Outcome(Touches(**result), before, after, touches, calibrating)
 
 
 def verdict(gap: float, predicted: float, microstep: float) -> Optional[str]:
@@ -149,34 +142,34 @@ def verdict(gap: float, predicted: float, microstep: float) -> Optional[str]:
     )
 
 
-def report(scene: Scene, outcome: Outcome) -> Optional[str]:
+def report(printer: ShownPrinter, outcome: Outcome) -> Optional[str]:
     """Print what came out; returns what is wrong with it, if anything."""
+    scene = printer.scene
     microstep = scene.wiring.motors["z"].step_dist
     predicted = scene.formula_gap()
-    configured = outcome.result["switch_offset"]
-    problem = verdict(outcome.gap_after, predicted, microstep)
-    x, y = (option.strip() for option in _bed_point(scene).split(","))
-    print(f"\nTrue nozzle-to-bed gap at G-code Z=0, over X{x} Y{y}")
-    side = "  (inside the bed)" if outcome.gap_before < 0 else ""
-    print(f"  before      {outcome.gap_before:+.4f} mm{side}")
-    print(f"  after       {outcome.gap_after:+.4f} mm")
+    configured = outcome.result.switch_offset
+    problem = verdict(outcome.after, predicted, microstep)
+    x, y = printer.bed_point()
+    inside = "  (inside the bed)" if outcome.before < 0 else ""
     print(
+        f"\nTrue nozzle-to-bed gap at G-code Z=0, over X{x:g} Y{y:g}\n"
+        f"  before      {outcome.before:+.4f} mm{inside}\n"
+        f"  after       {outcome.after:+.4f} mm\n"
         f"  predicted   {predicted:+.4f} mm  (this switch's real"
         f" {configured + predicted:.3f} - switch_offset {configured:.3f})"
     )
     if problem is None:
         print(
             f"  OK: after and predicted differ by"
-            f" {abs(outcome.gap_after - predicted):.4f} mm;"
+            f" {abs(outcome.after - predicted):.4f} mm;"
             f" {ALLOWED_MICROSTEPS * microstep:.4f} mm"
             f" ({ALLOWED_MICROSTEPS} microsteps) are allowed"
         )
     print("\nTouches during CALIBRATE_Z")
     for site, words in TOUCHES.items():
         print(f"  {words:24}{outcome.touches[site]}")
-    print(
-        f"  nearest the nozzle ever came to the bed: {outcome.nearest:.3f} mm"
-    )
+    nearest = printer.machine.truth.min_gap
+    print(f"  nearest the nozzle ever came to the bed: {nearest:.3f} mm")
     return problem
 
 
@@ -190,7 +183,8 @@ def demonstrate(
 
     changes: to the scene's configuration, see Scene.config.
     """
-    print(f"Host     {host.name}: {firmware_of(host)}, version {host.version}")
+    klippy = f"{firmware_of(host)} {host.version}"
+    print(f"Host     {host.name}: {klippy}")
     print(f"Printer  {scene.name}: {scene.kinematics}, simulated\n")
     print("Console (> is typed, // and !! is what klippy answers)", flush=True)
     with ShownPrinter(host, scene, changes) as printer:
@@ -198,40 +192,31 @@ def demonstrate(
         printer.session.require_ready()
         outcome = rehearse(printer)
         real, virtual = watch.seconds()
-    problem = report(scene, outcome)
+    problem = report(printer, outcome)
     print(
         f"\nTime     CALIBRATE_Z {outcome.calibrating:.1f} printer seconds; all"
         f" {virtual:.1f} in {real:.1f} real seconds,"
         f" {virtual / real:.0f} times as fast"
     )
     svg.parent.mkdir(parents=True, exist_ok=True)
-    svg.write_text(draw(heights(host, scene, outcome)), encoding="utf-8")
-    print(f"Picture  {_shown_path(svg)}")
+    heading = f"CALIBRATE_Z of {klippy} on a simulated printer: {scene.name}"
+    picture = draw(
+        outcome.result,
+        heading,
+        heading,
+        (
+            "The true gap between nozzle and bed at G-code Z=0:"
+            f" {mm(outcome.before)} mm before, {mm(outcome.after)} mm after;"
+            f" {mm(scene.formula_gap())} mm predicted.",
+            MEANING[1],
+        ),
+    )
+    svg.write_text(picture, encoding="utf-8")
+    print(f"Picture  {min(str(svg), os.path.relpath(svg), key=len)}")
     if problem is not None:
         print(f"\nFAILED: {problem}")
         return 1
     return 0
-
-
-def heights(host: Host, scene: Scene, outcome: Outcome) -> Heights:
-    """What the picture shows."""
-    result = outcome.result
-    return Heights(
-        title="Z offset calibration, drawn from a run on a simulated printer",
-        subtitle=(
-            f"{firmware_of(host)} {host.version} ({host.name}) on the"
-            f" {scene.kinematics} machine '{scene.name}'; all heights to scale,"
-            " measured at the moment of the touch"
-        ),
-        nozzle=result["nozzle"],
-        switch=result["switch"],
-        probe=result["probe"],
-        switch_offset=result["switch_offset"],
-        offset=result["offset"],
-        gap_before=outcome.gap_before,
-        gap_after=outcome.gap_after,
-        predicted=scene.formula_gap(),
-    )
 
 
 def choose_host(name: Optional[str]) -> Host:
@@ -248,29 +233,9 @@ def choose_host(name: Optional[str]) -> Host:
     for host in hosts:
         if host.name == name:
             return host
-    reasons = [text for key, text in missing_hosts().items() if key == name]
-    raise HostError(
-        reasons[0]
-        if reasons
-        else f"there is no host {name!r}, only {_names(hosts)}"
-    )
-
-
-def _names(hosts: Sequence[Host]) -> str:
-    return ", ".join(host.name for host in hosts)
-
-
-def _bed_point(scene: Scene) -> str:
-    section: Any = scene.sections["z_calibration"]
-    return section["bed_xy_position"]
-
-
-def _shown_path(path: Path) -> str:
-    """Relative where that is shorter."""
-    try:
-        return str(path.resolve().relative_to(Path.cwd()))
-    except ValueError:
-        return str(path)
+    known = ", ".join(host.name for host in hosts)
+    unknown = f"there is no host {name!r}, only {known}"
+    raise HostError(missing_hosts().get(name, unknown))
 
 
 def _arguments(words: Optional[Sequence[str]]) -> argparse.Namespace:

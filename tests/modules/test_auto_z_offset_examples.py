@@ -8,6 +8,7 @@ hangs, are the simulated machine's.
 from __future__ import annotations
 
 import configparser
+import re
 from dataclasses import replace
 from pathlib import Path
 
@@ -93,6 +94,8 @@ def test_example_prints_at_the_right_height(start, name):
     gap = float(own["z_offset"]) - scene.piezo_depth(speed)
     printer = start(scene, changes=changes)
     printer.session.require_ready()
+    # Nothing in it is late, too fast, or ignored
+    assert told(printer.session.console, "auto_z_offset:") == []
     lines = printer.run("CALIBRATE_OFFSET BED=40")
     assert told(lines, "AUTO_Z_CALIBRATE: average of 3")
     assert printer.gap(POINT) == pytest.approx(gap, abs=2 * MICROSTEP)
@@ -101,6 +104,21 @@ def test_example_prints_at_the_right_height(start, name):
     printer.run("PRINT_START BED=40 EXTRUDER=180")
     # The mesh is between its points over there
     assert printer.gap(POINT) == pytest.approx(gap, abs=4 * MICROSTEP)
+
+
+@pytest.mark.parametrize("name", sorted(MACHINES))
+def test_print_start_loads_what_the_module_has_saved(name):
+    path = EXAMPLES / f"{name}.cfg"
+    text = path.read_text(encoding="utf-8")
+    assert f"# [include {path.name}]" in " ".join(text.split())
+    sections = sections_of(path)
+    # SAVE_CONFIG cannot change what an included file has
+    assert not re.search("correct", " ".join(sections["auto_z_offset"]))
+    code = sections["gcode_macro PRINT_START"]["gcode"]
+    begin = [line.split()[0] for line in code.splitlines() if line.strip()]
+    assert "AUTO_Z_CALIBRATE" not in begin
+    before = begin[: begin.index("AUTO_Z_LOAD_OFFSET")]
+    assert {"G28", "BED_MESH_PROFILE"} <= set(before)
 
 
 def test_every_example_is_run():

@@ -125,13 +125,7 @@ def line_of(program, name):
     return found[0]
 
 
-def test_only_chosen_hosts_are_measured(program):
-    names = {host.name for host in find_hosts()}
-    shown = {line for line in program.lines if line in names}
-    assert shown == {name for name in names if program.host in name}
-
-
-def test_module_that_does_not_run_is_reported_with_the_reason(program):
+def test_modules_that_do_not_run_are_reported_with_the_reason(program):
     assert program.status == 0
     for name, words in REASONS.items():
         file = str(program.files[name])
@@ -139,9 +133,6 @@ def test_module_that_does_not_run_is_reported_with_the_reason(program):
         assert program.figures[file]["runs"] == []
         assert words in line_of(program, file)
         assert not CELL.search(line_of(program, file))
-
-
-def test_module_without_calibration_is_reported(program):
     entry = program.figures[str(program.files["no_command"])]
     # Klippy says so on the console only
     assert "has not touched nozzle_pin, body_pin, probe_bed" in entry["failure"]
@@ -155,51 +146,36 @@ def test_own_module_of_the_host(program):
         assert len(entry["runs"]) == len(RUNS)
 
 
-def test_printed_ratios_are_measured_by_bound(program):
-    for name in ("ours", str(program.files["same"])):
+def test_printed_numbers_are_the_figures(program):
+    file = str(program.files["same"])
+    for name in ("ours", file):
         runs = program.figures[name]["runs"]
         cells = CELL.findall(line_of(program, name))
         assert len(cells) == len(runs) == 3
         for cell, run in zip(cells, runs):
-            seconds, bound, ratio = map(float, cell)
-            assert bound == pytest.approx(run["bound"], abs=0.006)
-            assert seconds == pytest.approx(run["seconds"], abs=0.006)
-            wanted = run["seconds"] / run["bound"]
-            assert run["ratio"] == pytest.approx(wanted, abs=0.001)
-            assert ratio == pytest.approx(wanted, abs=0.006)
+            wanted = [run[key] for key in ("seconds", "bound", "ratio")]
+            assert list(map(float, cell)) == pytest.approx(wanted, abs=0.006)
         assert re.search(r" 9  3\+3\+3  CPU ", line_of(program, name))
-
-
-def test_ours_is_compared_with_theirs(program):
-    file = str(program.files["same"])
     times, _, cpu = line_of(program, f"ours / {file}").partition("  CPU ")
     assert float(cpu) > 0.0
-    printed = times.split()[-3:]
     runs = zip(program.figures["ours"]["runs"], program.figures[file]["runs"])
-    for text, (first, other) in zip(printed, runs):
-        wanted = first["seconds"] / other["seconds"]
-        assert float(text) == pytest.approx(wanted, abs=0.006)
-        assert wanted == pytest.approx(1.0, abs=0.1)
-    compared = [line for line in program.lines if "  CPU " in line]
-    for name in REASONS:
-        words = f"ours / {program.files[name]}"
-        assert not any(words in line for line in compared)
+    wanted = [first["seconds"] / other["seconds"] for first, other in runs]
+    printed = list(map(float, times.split()[-3:]))
+    assert printed == pytest.approx(wanted, abs=0.006)
+    assert wanted == pytest.approx([1.0] * 3, abs=0.1)
 
 
-def test_every_command_is_timed(program):
-    commands = {
-        entry["command"]: len(entry["runs"])
-        for entry in program.all_figures["timings"]
-        if entry["module"] == "ours" and entry["host"] == program.host
+def test_every_command_is_timed_beside_its_lower_bound(program):
+    timings = program.all_figures["timings"]
+    assert {entry["host"] for entry in timings} == {program.host}
+    own = {e["command"]: e["runs"] for e in timings if e["module"] == "ours"}
+    assert {name: len(runs) for name, runs in own.items()} == {
+        command.name: 3 for command in COMMANDS
     }
-    assert commands == {command.name: 3 for command in COMMANDS}
-
-
-def test_every_start_has_its_lower_bound(program):
     tables = [line for line in program.lines if "lower bound of" in line]
     starts = {
         (entry["command"], *(round(p, 1) for p in run["start"]))
-        for entry in program.all_figures["timings"]
+        for entry in timings
         for run in entry["runs"]
     }
     assert len(tables) == len(starts)
@@ -214,8 +190,7 @@ def test_loading_is_measured(program):
     assert min(cost["import_ms"] for cost in costs.values()) > 0.0
     # It has no code at all
     assert str(program.files["no_python"]) not in costs
-    assert same["other"]
-    assert not own["other"]
+    assert (same["other"], own["other"]) == (True, False)
 
 
 def test_figures_are_kept_from_the_first_phases_on(program):
@@ -236,13 +211,3 @@ def test_own_failure_is_the_programs(monkeypatch, capsys, one_host, tmp_path):
     with in_folder(tmp_path):
         assert bench.main(options) == 1
     assert "there is no file" in capsys.readouterr().out
-
-
-def test_command_line():
-    options = bench.parse(
-        ["--module", "a.py", "--module", "b.py", "--seeds", "7"]
-    )
-    assert [str(file) for file in options.module] == ["a.py", "b.py"]
-    assert options.seeds == 7
-    assert bench.parse([]).seeds == 50
-    assert bench.parse([]).errors_on is None

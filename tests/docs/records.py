@@ -1,0 +1,145 @@
+"""What is known of each module for the test of its document."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from types import ModuleType
+from typing import NamedTuple, Optional
+
+from tests.docs import auto_z_offset_picture, z_calibration_picture
+from tests.simprinter.scenes import Sections
+
+# An answer that is the document's own block of code
+SHOWN = "as the document shows it"
+
+
+class Module(NamedTuple):
+    """A module, its document, and a printer on which both can be tried.
+
+    picture: draws the run that all numbers are of. steps: G-code to run with
+    the document's sections and with `surroundings`; each with the line that
+    its answer has to have, if any. old: the heading of options of other
+    releases. plain: the scene's printer with no option of the module that has
+    a default; of what defaults are taken from, no two have the same value.
+    late: options whose default shows only when something is measured, which
+    tests/modules looks at. unsaid: messages that only other modules tell.
+    """
+
+    name: str
+    picture: ModuleType
+    scene: str
+    surroundings: Sections
+    steps: Mapping[str, Optional[str]]
+    old: str
+    plain: Sections
+    late: Mapping[str, str]
+    unsaid: frozenset[str] = frozenset()
+
+
+_DWELL = {"gcode": "G4 P1"}
+
+Z_CALIBRATION = Module(
+    name="z_calibration",
+    picture=z_calibration_picture,
+    scene="voron",
+    surroundings={
+        "respond": {},
+        "display_status": {},
+        "stepper_z": {"position_endstop": "1.9"},
+        "z_calibration": {
+            "before_switch_gcode": "G4 P1",
+            "error_gcode": "M118 failed",
+        },
+        "gcode_macro ATTACH_PROBE": _DWELL,
+        "gcode_macro DOCK_PROBE": _DWELL,
+        "gcode_macro CLEAN_NOZZLE": _DWELL,
+        "gcode_macro QUAD_GANTRY_LEVEL": _DWELL,
+    },
+    steps={
+        "CALIBRATE_Z": SHOWN,
+        # The same frame
+        "CALIBRATE_Z ACCEPT_CHANGE=0": None,
+        "CALIBRATE_Z SWITCH_OFFSET=much": None,
+        "PROBE_Z_ACCURACY SAMPLES=3": SHOWN,
+        "CALIBRATE_Z_IF_NEEDED": "echo: offset 0.46 holds, measured with"
+        " switch_offset 0.44",
+        # Beside the bed, as this printer keeps its probe attached
+        "G1 Z20 F900\nG1 X20 Y305 F6000\nG1 Z0.05 F600\nM400": None,
+        "CALCULATE_SWITCH_OFFSET SAVE=1": SHOWN,
+        "G28 Z\nCALIBRATE_Z_IF_NEEDED": "echo: calibrating: Z was homed again",
+        "PRINT_START BED=40 EXTRUDER=160": "// Z-CALIBRATION: probe=7.315"
+        " - (switch=8.315 - nozzle=1.900 + switch_offset=0.440)"
+        " --> new offset=0.460000",
+    },
+    old="Old names",
+    plain={
+        "z_calibration": {
+            "nozzle_xy_position": None,
+            "switch_xy_position": None,
+        },
+        "safe_z_home": {"home_xy_position": "201, 202"},
+        "stepper_z": {
+            "homing_speed": "7.25",
+            "second_homing_speed": "3.125",
+            "homing_retract_dist": "2.75",
+            "position_min": "-1.75",
+        },
+        "probe": {
+            "samples": "4",
+            "samples_tolerance": "0.011",
+            "samples_tolerance_retries": "7",
+            "samples_result": "average",
+            "speed": "4.5",
+            "sample_retract_dist": "2.25",
+            "lift_speed": "9.5",
+        },
+    },
+    late={"bed_xy_position": "`zero_reference_position` of `[bed_mesh]`"},
+)
+
+AUTO_Z_OFFSET = Module(
+    name="auto_z_offset",
+    picture=auto_z_offset_picture,
+    scene="qidi",
+    surroundings={
+        "respond": {},
+        "probe": {"z_offset": "1.0"},
+        "gcode_macro BED_MESH_PROFILE": _DWELL,
+    },
+    steps={
+        "CHECK_PROBE": "echo: not measured since klippy started, saved is 0.0",
+        "AUTO_Z_CALIBRATE": SHOWN,
+        "CHECK_PROBE ": "echo: -0.12, spread 0.0",
+        "AUTO_Z_LOAD_OFFSET": None,
+        "AUTO_Z_SAVE_GCODE_OFFSET": None,
+        "AUTO_Z_MEASURE_OFFSET": None,
+        "AUTO_Z_PROBE": None,
+        "SET_GCODE_OFFSET Z=0\nAUTO_Z_HOME_Z": None,
+    },
+    old="How do I migrate from the original module?",
+    plain={
+        "auto_z_offset": dict.fromkeys(
+            (
+                *("z_offset", "speed", "lift_speed", "probe_accel"),
+                *("probe_hop", "offset_samples", "samples"),
+                *("sample_retract_dist", "samples_tolerance"),
+                "samples_tolerance_retries",
+            )
+        ),
+        "probe": {"z_offset": "1.0"},
+    },
+    late={
+        "bed_xy_position": "middle of the axes",
+        "corrected_probe_z_offset": "`z_offset` of `[probe]`",
+    },
+    unsaid=frozenset(
+        (
+            "Z was homed again",
+            "Z was homed again or set",
+            "the Z motors were levelled",
+            "the motors were turned off",
+        )
+    ),
+)
+
+MODULES = (Z_CALIBRATION, AUTO_Z_OFFSET)

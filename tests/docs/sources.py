@@ -1,0 +1,105 @@
+"""What the sources of a module say: its messages and its numbers.
+
+Those of z_touch count for each module that imports them.
+"""
+
+from __future__ import annotations
+
+import ast
+import re
+from collections.abc import Iterator
+from functools import lru_cache
+from pathlib import Path
+from typing import Any
+
+from tests.docs.documents import normal
+
+ROOT = Path(__file__).resolve().parents[2]
+VALUE = "<...>"
+
+
+def trees(name: str) -> list[ast.Module]:
+    """The module, and all of z_touch that it needs."""
+    found: dict[Path, ast.Module] = {}
+    pending = [ROOT / f"{name}.py"]
+    while pending:
+        path = pending.pop()
+        if path in found or not path.exists():
+            continue
+        found[path] = ast.parse(path.read_text(encoding="utf-8"))
+        for node in ast.walk(found[path]):
+            if isinstance(node, ast.ImportFrom) and node.level:
+                words = (node.module or "").split(".")
+                words += [alias.name for alias in node.names]
+                pending += [ROOT / "z_touch" / f"{word}.py" for word in words]
+    return list(found.values())
+
+
+def is_silent(node: ast.AST) -> bool:
+    """Whether nobody is shown the texts inside, at least not as a message."""
+    if isinstance(node, ast.Call):
+        called = ast.unparse(node.func)
+        return called.endswith("namedtuple") or called.startswith("logging.")
+    if isinstance(node, ast.Assign):
+        return ast.unparse(node.targets[0]).endswith("_help")
+    # A docstring
+    return isinstance(node, ast.Expr) and isinstance(node.value, ast.Constant)
+
+
+def texts(node: ast.AST) -> Iterator[str]:
+    """All texts below it that may be shown."""
+    if is_silent(node):
+        return
+    if isinstance(node, ast.Constant) and isinstance(node.value, str):
+        yield node.value
+    for inner in ast.iter_child_nodes(node):
+        yield from texts(inner)
+
+
+@lru_cache
+def messages(name: str) -> frozenset[str]:
+    """Every text of more than one word that a user may see, in pieces."""
+    found = {
+        normal(re.sub(r"%(?:\.\d+)?[sdfg]", VALUE, text))
+        for tree in trees(name)
+        for text in texts(tree)
+        if " " in text.strip()
+    }
+    # Of words, and no line of G-code
+    gcode = re.compile(rf"(?:[A-Z_]+|{VALUE})(?: \S+=\S+)+")
+    return frozenset(
+        nameless(text, name)
+        for text in found
+        if re.search("[a-zA-Z]{2}", text.replace(VALUE, ""))
+        and not gcode.fullmatch(text)
+    )
+
+
+def nameless(text: str, name: str) -> str:
+    """A message for whichever module: some sources have its name as a value."""
+    return text.replace(name, VALUE)
+
+
+@lru_cache
+def constants(name: str) -> dict[str, tuple[float, ...]]:
+    """The numbers with names, at the top of the sources."""
+    found: dict[str, tuple[float, ...]] = {}
+    for tree in trees(name):
+        for node in tree.body:
+            if not isinstance(node, ast.Assign):
+                continue
+            target = ast.unparse(node.targets[0])
+            value = _value(node.value)
+            if re.fullmatch("[A-Z][A-Z_]+", target) and value:
+                found[target] = value
+    return found
+
+
+def _value(node: ast.expr) -> tuple[float, ...]:
+    """Floating numbers; empty: something else."""
+    try:
+        value: Any = ast.literal_eval(node)
+    except ValueError:
+        return ()
+    value = value if isinstance(value, tuple) else (value,)
+    return value if all(isinstance(item, float) for item in value) else ()
