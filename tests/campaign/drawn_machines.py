@@ -1,4 +1,4 @@
-"""What random printers of both modules are made of, and their scenes."""
+"""What random printers are made of, and their scenes."""
 
 from __future__ import annotations
 
@@ -118,6 +118,23 @@ class Plate:
 
 
 @dataclass(frozen=True)
+class Homing:
+    """Of Z: mm/s and mm."""
+
+    speed: float = 8.0
+    second_speed: float = 3.0
+    retract: float = 3.0
+
+    def options(self) -> dict[str, Optional[str]]:
+        """Of the section with the endstop of Z."""
+        return {
+            "homing_speed": f"{self.speed:g}",
+            "second_homing_speed": f"{self.second_speed:g}",
+            "homing_retract_dist": f"{self.retract:g}",
+        }
+
+
+@dataclass(frozen=True)
 class Sampling:
     """How a height is sampled: mm and mm/s."""
 
@@ -135,6 +152,17 @@ class Sampling:
         that a fourth of the way is left to reach it.
         """
         return min(self.speed, math.sqrt(accel * self.retract / 2.0))
+
+    def options(self) -> dict[str, Optional[str]]:
+        """As a [probe] has them, and who samples by itself."""
+        return {
+            "speed": f"{self.speed:g}",
+            "samples": f"{self.samples}",
+            "samples_result": self.result,
+            "sample_retract_dist": f"{self.retract:g}",
+            "samples_tolerance": f"{self.tolerance:g}",
+            "samples_tolerance_retries": f"{self.retries}",
+        }
 
 
 # Building scenes
