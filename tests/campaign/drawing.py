@@ -1,4 +1,4 @@
-"""Strategies that random printers of both modules have in common.
+"""Strategies that random printers of all modules have in common.
 
 They deviate from defaults that work, so that shrinking leads back to these.
 """
@@ -8,12 +8,15 @@ from __future__ import annotations
 import dataclasses
 import math
 from collections.abc import Iterator
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 from hypothesis import strategies as st
 
 from tests.campaign.drawn_machines import HOLDERS, Gantry, Plate, Sampling
 from tests.simprinter.world import DriftSpec, NoiseSpec
+
+if TYPE_CHECKING:
+    from tests.campaign.drawn import Drawn
 
 
 def around(standard: float, low: float, high: float, digit: float = 0.01):
@@ -90,9 +93,35 @@ def samplings(
     )
 
 
-def mistaken(mistakes: tuple[str, ...]) -> st.SearchStrategy:
-    """One of them in a third of all draws, else none."""
-    return st.sampled_from(("",) * (2 * len(mistakes)) + mistakes)
+def drawn_like(
+    standard: Drawn,
+    kinematics: tuple[str, ...],
+    most: tuple[int, float],
+    own: dict[str, st.SearchStrategy],
+    options: st.SearchStrategy,
+    boards: tuple[str, ...],
+) -> st.SearchStrategy:
+    """Printers of a module.
+
+    most: samples, and mm/s. own, options: the module's fields. boards: inputs
+    that may be on another one. A third of all has a mistake.
+    """
+    mistakes = tuple(standard.mistakes)
+    return st.builds(
+        type(standard),
+        # First, as hypothesis never draws its simplest first value twice
+        seed=st.integers(0, 999),
+        gantry=gantries(standard.gantry.z_motors, kinematics),
+        plate=plates(standard.plate.z),
+        **own,
+        sampling=samplings(standard.sampling, *most),
+        options=options,
+        drift=often(DriftSpec(), drifts()),
+        other_board=st.sampled_from(("", *boards)),
+        board_latency=st.sampled_from((0.002, 0.001, 0.004, 0.005)),
+        offset=often(0.0, around(0.0, -0.1, 0.1)),
+        mistake=st.sampled_from(("",) * (2 * len(mistakes)) + mistakes),
+    )
 
 
 # Reading what was drawn

@@ -1,17 +1,20 @@
-"""What random printers of both modules are made of, and their scenes."""
+"""What random printers are made of, and their scenes."""
 
 from __future__ import annotations
 
 import dataclasses
 import math
-from collections.abc import Mapping
 from dataclasses import dataclass
 from typing import Any, Optional
 
 from tests.simprinter import Scene
-from tests.simprinter.mcu.board import Crystal
-from tests.simprinter.scenes import Sections, on_carriages
-from tests.simprinter.wiring import BoardSpec, Motor
+from tests.simprinter.scenes import (
+    OTHER_BOARD,
+    Sections,
+    on_board,
+    on_carriages,
+)
+from tests.simprinter.wiring import Motor
 from tests.simprinter.world import BedSpec, MeshSpec
 
 # Of every printer here; a host may not have them all
@@ -33,9 +36,6 @@ _FULL_STEPS = 200
 # Of belts that move Z without gears; so fine that a step is no longer
 _BELT = 40.0
 _BELT_FACTOR = 4
-
-# Another board's clock is that much (parts per million) slow
-_CRYSTAL = Crystal(tick_ns=25, ppm=60, first_wrap=37)
 
 # A board that hears of a trigger elsewhere stops within this time (s), or the
 # host ends the move with a communication error.
@@ -118,6 +118,23 @@ class Plate:
 
 
 @dataclass(frozen=True)
+class Homing:
+    """Of Z: mm/s and mm."""
+
+    speed: float = 8.0
+    second_speed: float = 3.0
+    retract: float = 3.0
+
+    def options(self) -> dict[str, Optional[str]]:
+        """Of the section with the endstop of Z."""
+        return {
+            "homing_speed": f"{self.speed:g}",
+            "second_homing_speed": f"{self.second_speed:g}",
+            "homing_retract_dist": f"{self.retract:g}",
+        }
+
+
+@dataclass(frozen=True)
 class Sampling:
     """How a height is sampled: mm and mm/s."""
 
@@ -136,6 +153,17 @@ class Sampling:
         """
         return min(self.speed, math.sqrt(accel * self.retract / 2.0))
 
+    def options(self) -> dict[str, Optional[str]]:
+        """As a [probe] has them, and who samples by itself."""
+        return {
+            "speed": f"{self.speed:g}",
+            "samples": f"{self.samples}",
+            "samples_result": self.result,
+            "sample_retract_dist": f"{self.retract:g}",
+            "samples_tolerance": f"{self.tolerance:g}",
+            "samples_tolerance_retries": f"{self.retries}",
+        }
+
 
 # Building scenes
 
@@ -151,11 +179,10 @@ def with_gantry(scene: Scene, gantry: Gantry) -> Scene:
             motor, step_dist=gantry.step_of(name)
         )
     kinematics = gantry.kinematics
-    options = {**(sections["printer"] or {}), "kinematics": kinematics}
-    sections["printer"] = options
+    sections["printer"] = {**sections["printer"], "kinematics": kinematics}
     if kinematics == "generic_cartesian":
         names = {name: f"my_{name}" for name in motors}
-        sections = dict(on_carriages(sections, names))
+        sections = on_carriages(sections, names)
         kinematics = "cartesian"
     holders = zip(gantry.names, HOLDERS[len(gantry.names)])
     skew = dict(zip(gantry.names[1:], gantry.skew))
@@ -218,31 +245,8 @@ def z_section(scene: Scene) -> str:
 
 def on_other_board(scene: Scene, signal: str, latency: float) -> Scene:
     """The scene with one input on a board of its own, s away."""
-    inputs = dict(scene.wiring.inputs)
-    before = inputs[signal]
-    name = before.lstrip("^~!")
-    after = before[: len(before) - len(name)] + f"other:{name}"
-    inputs[signal] = after
-    wiring = dataclasses.replace(
-        scene.wiring,
-        inputs=inputs,
-        boards={"other": BoardSpec(_CRYSTAL, latency)},
-    )
-    sections = {
-        section: _with_pin(options, before, after)
-        for section, options in scene.sections.items()
-    }
-    return dataclasses.replace(scene, wiring=wiring, sections=sections)
-
-
-def _with_pin(
-    options: Optional[Mapping[str, Optional[str]]], before: str, after: str
-) -> Optional[dict[str, Optional[str]]]:
-    if options is None:
-        return None
-    return {
-        key: after if text == before else text for key, text in options.items()
-    }
+    board = dataclasses.replace(OTHER_BOARD, latency=latency)
+    return on_board(scene, "other", board, [scene.wiring.inputs[signal]])
 
 
 def inverted(pin: str) -> str:

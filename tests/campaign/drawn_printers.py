@@ -21,21 +21,16 @@ import hypothesis
 from hypothesis import HealthCheck, Phase
 from hypothesis import strategies as st
 
-from tests.campaign import auto_z_offset_drawing, z_calibration_drawing
-from tests.campaign.auto_z_offset_printer import PiezoPrinter
 from tests.campaign.drawing import deviations, differences
+from tests.campaign.drawn import Drawn
+from tests.campaign.drawn_auto_z_offset import AutoZOffset
 from tests.campaign.drawn_machines import KINEMATICS
-from tests.campaign.judge import Drawn, Verdict, shape, try_out
-from tests.campaign.z_calibration_printer import ZPrinter
+from tests.campaign.drawn_z_calibration import ZCalibration
+from tests.campaign.judge import Verdict, shape, try_out
 from tests.hostkit.hosts import Host, find_hosts
 
-MODULES = {
-    "z_calibration": z_calibration_drawing,
-    "auto_z_offset": auto_z_offset_drawing,
-}
-_STANDARD: dict[str, Drawn] = {
-    "z_calibration": ZPrinter(),
-    "auto_z_offset": PiezoPrinter(),
+MODULES: dict[str, type[Drawn]] = {
+    kind.module: kind for kind in (ZCalibration, AutoZOffset)
 }
 
 # So many printers are tried to find the simplest one that fails
@@ -143,7 +138,7 @@ class _Attempts:
     def check(self, drawn: Drawn) -> None:
         """The body of hypothesis' test."""
         # Its first draw is always the simplest one, whatever the seed
-        if drawn == _STANDARD[self.module]:
+        if drawn == MODULES[self.module]():
             return
         if drawn not in self.found:
             if self.last_failed is not None:

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from typing import Any, Optional
 
 from tests.hostkit import auto_z_offset
@@ -75,19 +75,11 @@ class Job:
         return printer.machine.gap_at_zero(z, self.point)
 
 
-def _with_templates(scene: Scene, **templates: str) -> Sections:
+def _with_templates(module: str, **templates: str) -> dict[str, Any]:
     """Changes that let every template of a scene be counted.
 
     templates: option of the module, and what it does already.
     """
-    module = "z_calibration" if scene.world.pin else "auto_z_offset"
-    own = {
-        option: f"\n  {TEMPLATE}" + "".join(f"\n  {line}" for line in lines)
-        for option, lines in (
-            (option, text.strip().splitlines())
-            for option, text in templates.items()
-        )
-    }
     return {
         "respond": {},
         f"gcode_macro {TEMPLATE}": {
@@ -96,140 +88,133 @@ def _with_templates(scene: Scene, **templates: str) -> Sections:
             "variable_how": "1",
             "gcode": _TEMPLATE_MACRO,
         },
-        module: own,
+        module: {
+            option: "".join(
+                f"\n  {line}" for line in (TEMPLATE, *text.strip().splitlines())
+            )
+            for option, text in templates.items()
+        },
     }
 
 
-_VORON = SCENES["voron"]
-_CARTESIAN = SCENES["cartesian"]
-_QIDI = SCENES["qidi"]
-
-_PIN = {
-    "nozzle_pin": FLOOR_MARGIN,
-    "body_pin": FLOOR_MARGIN,
-    "body_bed": FLOOR_MARGIN,
-    # The plunger's trigger is expected from z_offset, which may be a bit off
-    "probe_bed": FLOOR_MARGIN + 0.2,
-}
-_SWITCH = ("z_endstop", "probe")
-_PIEZO = ("bed_sensor", "probe")
-
-
-def _z_jobs() -> list[Job]:
-    voron = {
-        "module": "z_calibration",
-        "scene": _VORON,
-        "signals": _SWITCH,
-        "point": (150.0, 150.0),
-        "margins": _PIN,
-        "lift": 13.7,
-    }
-    cartesian = {
-        **voron,
-        "scene": _CARTESIAN,
-        "point": (110.0, 110.0),
-        "lift": 3.9,
-        "again": "DOCK_PROBE",
-        "changes": _with_templates(
-            _CARTESIAN,
+def _z_calibration_jobs() -> list[Job]:
+    scene, cartesian = SCENES["voron"], SCENES["cartesian"]
+    plain = Job(
+        name="CALIBRATE_Z",
+        module="z_calibration",
+        script="CALIBRATE_Z",
+        scene=scene,
+        signals=("z_endstop", "probe"),
+        point=(150.0, 150.0),
+        margins={
+            "nozzle_pin": FLOOR_MARGIN,
+            "body_pin": FLOOR_MARGIN,
+            "body_bed": FLOOR_MARGIN,
+            # Its trigger is expected from z_offset, which may be a bit off
+            "probe_bed": FLOOR_MARGIN + 0.2,
+        },
+        lift=13.7,
+        ideal=scene.formula_gap(),
+    )
+    attaching = replace(
+        plain,
+        name="CALIBRATE_Z, attaching",
+        scene=cartesian,
+        point=(110.0, 110.0),
+        lift=3.9,
+        again="DOCK_PROBE",
+        ideal=cartesian.formula_gap(),
+        changes=_with_templates(
+            plain.module,
             start_gcode="",
             before_switch_gcode="ATTACH_PROBE",
             end_gcode="DOCK_PROBE",
             offset_gcode="SET_GCODE_OFFSET Z={params.Z} MOVE=0",
         ),
-    }
-    return [
-        Job(
-            name="CALIBRATE_Z",
-            script="CALIBRATE_Z",
-            ideal=_VORON.formula_gap(),
-            **voron,
-        ),
-        Job(
-            name="CALIBRATE_Z, attaching",
-            script="CALIBRATE_Z",
-            ideal=_CARTESIAN.formula_gap(),
-            **cartesian,
-        ),
-        Job(
-            name="PROBE_Z_ACCURACY",
-            script="PROBE_Z_ACCURACY SAMPLES=3",
-            **voron,
-        ),
-        Job(
-            name="CALCULATE_SWITCH_OFFSET",
-            script="CALCULATE_SWITCH_OFFSET",
-            before="CALIBRATE_Z\nG90\nG1 X110 Y110 F9000\nG1 Z0.3 F600",
-            **{**cartesian, "lift": 0.2},
-        ),
-    ]
+    )
+    accuracy = replace(
+        plain,
+        name="PROBE_Z_ACCURACY",
+        script="PROBE_Z_ACCURACY SAMPLES=3",
+        ideal=None,
+    )
+    switch_offset = replace(
+        attaching,
+        name="CALCULATE_SWITCH_OFFSET",
+        script="CALCULATE_SWITCH_OFFSET",
+        before="CALIBRATE_Z\nG90\nG1 X110 Y110 F9000\nG1 Z0.3 F600",
+        lift=0.2,
+        ideal=None,
+    )
+    return [plain, attaching, accuracy, switch_offset]
 
 
-def _piezo_jobs() -> list[Job]:
-    own = _QIDI.sections["auto_z_offset"] or {}
-    changes = _with_templates(_QIDI, prepare_gcode=own["prepare_gcode"])
+def _auto_z_offset_jobs() -> list[Job]:
+    scene = SCENES["qidi"]
+    own = scene.sections["auto_z_offset"] or {}
+    changes = _with_templates(
+        "auto_z_offset", prepare_gcode=own["prepare_gcode"] or ""
+    )
     changes["auto_z_offset"]["offset_samples"] = "2"
-    position_min = float((_QIDI.sections["stepper_z"] or {})["position_min"])
-    shared = {
-        "module": "auto_z_offset",
-        "scene": _QIDI,
-        "signals": _PIEZO,
-        "point": auto_z_offset.POINT,
-        "lift": 3.6,
-        "changes": changes,
-    }
-    # The first touch of all has no floor but the axis's
-    fresh = {"nozzle_bed": auto_z_offset.SENSOR - position_min}
-    known = {"nozzle_bed": FLOOR_MARGIN}
-    gap = _QIDI.piezo_gap()
-    commands = [
-        ("PROBE", None),
-        # Z=0 is z_offset below where the sensor has triggered
-        ("HOME_Z", OFFSET - auto_z_offset.DEPTH - auto_z_offset.AIR_GAP),
-        ("MEASURE_OFFSET", None),
-        ("CALIBRATE", gap),
-    ]
     # A single touch that sets Z has nothing to be compared with
-    section = {**changes["auto_z_offset"], "samples": "2"}
-    twice = {**changes, "auto_z_offset": section}
-    jobs = [
-        Job(
-            name=f"AUTO_Z_{command}",
-            script=f"AUTO_Z_{command}",
-            before="AUTO_Z_PROBE",
-            margins=known,
-            ideal=ideal,
-            **{**shared, "changes": twice if command == "HOME_Z" else changes},
-        )
-        for command, ideal in commands
-    ]
-    jobs += [
-        # What differs from the other one is the dead sensor
-        Job(
-            name="AUTO_Z_CALIBRATE, first of all",
-            script="AUTO_Z_CALIBRATE",
-            margins=fresh,
-            ideal=gap,
-            only=("stuck_open", "trigger_never", "trigger_late"),
-            **shared,
+    twice = {**changes["auto_z_offset"], "samples": "2"}
+    position_min = float((scene.sections["stepper_z"] or {})["position_min"])
+    probe = Job(
+        name="AUTO_Z_PROBE",
+        module="auto_z_offset",
+        script="AUTO_Z_PROBE",
+        scene=scene,
+        signals=("bed_sensor", "probe"),
+        point=auto_z_offset.POINT,
+        margins={"nozzle_bed": FLOOR_MARGIN},
+        lift=3.6,
+        changes=changes,
+        before="AUTO_Z_PROBE",
+    )
+    calibrate = replace(
+        probe,
+        name="AUTO_Z_CALIBRATE",
+        script="AUTO_Z_CALIBRATE",
+        ideal=scene.piezo_gap(),
+    )
+    return [
+        probe,
+        replace(
+            probe,
+            name="AUTO_Z_HOME_Z",
+            script="AUTO_Z_HOME_Z",
+            # Z=0 is z_offset below where the sensor has triggered
+            ideal=OFFSET - auto_z_offset.DEPTH - auto_z_offset.AIR_GAP,
+            changes={**changes, "auto_z_offset": twice},
         ),
-        Job(
+        replace(
+            probe, name="AUTO_Z_MEASURE_OFFSET", script="AUTO_Z_MEASURE_OFFSET"
+        ),
+        calibrate,
+        # What differs from the other one is the dead sensor: the first touch
+        # of all has no floor but the axis's
+        replace(
+            calibrate,
+            name="AUTO_Z_CALIBRATE, first of all",
+            before="",
+            margins={"nozzle_bed": auto_z_offset.SENSOR - position_min},
+            only=("stuck_open", "trigger_never", "trigger_late"),
+        ),
+        replace(
+            calibrate,
             name="AUTO_Z_LOAD_OFFSET",
             script="AUTO_Z_LOAD_OFFSET",
             before="AUTO_Z_CALIBRATE\nSET_GCODE_OFFSET Z=0",
-            margins=known,
-            ideal=gap,
-            **shared,
         ),
-        Job(
+        replace(
+            probe,
             name="AUTO_Z_SAVE_GCODE_OFFSET",
             script="AUTO_Z_SAVE_GCODE_OFFSET",
             before="AUTO_Z_CALIBRATE\nSET_GCODE_OFFSET Z_ADJUST=0.01",
-            margins=known,
-            **shared,
         ),
     ]
-    return jobs
 
 
-JOBS = {job.name: job for job in (*_z_jobs(), *_piezo_jobs())}
+JOBS = {
+    job.name: job for job in (*_z_calibration_jobs(), *_auto_z_offset_jobs())
+}

@@ -7,18 +7,13 @@ import re
 from collections.abc import Mapping, Sequence
 from itertools import groupby
 from pathlib import Path
-from typing import NamedTuple, Optional, Union
+from typing import NamedTuple, Optional
 
-from tests.campaign.auto_z_offset_case import PiezoCase
-from tests.campaign.auto_z_offset_printer import PiezoPrinter
-from tests.campaign.z_calibration_case import ZCase
-from tests.campaign.z_calibration_printer import ZPrinter
+from tests.campaign.drawn import Drawn
 from tests.hostkit.hosts import Host
 from tests.hostkit.printer import Printer
 from tests.hostkit.session import GcodeError
 from tests.simprinter.world import Touch
-
-Drawn = Union[ZPrinter, PiezoPrinter]
 
 # Where (mm) the gap is looked at: above any probe
 _LOOKING_Z = 25.0
@@ -56,32 +51,24 @@ def shape(reason: str) -> str:
     return _NUMBER.sub("#", reason.splitlines()[0])[:100]
 
 
-Case = Union[ZCase, PiezoCase]
-
-
-def case_of(drawn: Drawn) -> Case:
-    """How a drawn printer is calibrated and judged."""
-    return ZCase(drawn) if isinstance(drawn, ZPrinter) else PiezoCase(drawn)
-
-
 # Trying it out
 
 
 class Trial:
     """One drawn printer on one host."""
 
-    def __init__(self, printer: Printer, case: Case) -> None:
+    def __init__(self, printer: Printer, drawn: Drawn) -> None:
         self.printer = printer
-        self.case = case
+        self.drawn = drawn
 
     def run(self) -> Verdict:
         """Start, home, calibrate. Raises WrongError."""
-        printer, drawn = self.printer, self.case.drawn
+        printer, drawn = self.printer, self.drawn
         state, message = printer.session.start()
         if state != "ready":
             return self._refused_at_start(state, message)
         if drawn.mistake:
-            for site, depth in self.case.tolerated().items():
+            for site, depth in self.drawn.tolerated().items():
                 printer.machine.tolerate(site, depth)
         try:
             printer.run(f"G28\nSET_GCODE_OFFSET Z={drawn.offset:g}")
@@ -98,7 +85,7 @@ class Trial:
         before = self._state()
         z = printer.machine.tip().z
         try:
-            printer.run(self.case.command)
+            printer.run(self.drawn.command)
         except GcodeError as error:
             self._check_refusal(str(error), before, z)
             return self._verdict(refused=str(error))
@@ -118,7 +105,7 @@ class Trial:
         """Of the calibration; an inductive probe sees the bed as well while
         the nozzle goes there.
         """
-        wanted = self.case.sites
+        wanted = self.drawn.sites
         return [
             touch
             for touch in self.printer.machine.truth.touches[first:]
@@ -155,7 +142,7 @@ class Trial:
         require("nternal error" not in message, message)
         named = re.search(r"[Ss]ection '", message) is not None
         require(named, f"names no section: {message}")
-        require(bool(self.case.drawn.mistake), f"does not start: {message}")
+        require(bool(self.drawn.mistake), f"does not start: {message}")
         require(not self.printer.machine.truth.touches, "touched something")
         return Verdict(refused=f"start: {message}")
 
@@ -175,14 +162,14 @@ class Trial:
         self.printer.run("M400")
         self.printer.session.wait(0.5)
         end = self.printer.machine.tip().z
-        clear = min(z, self.case.clear_z())
+        clear = min(z, self.drawn.clear_z())
         require(
-            end >= clear - self.case.drawn.gantry.step,
+            end >= clear - self.drawn.gantry.step,
             f"the head was left at {end:.4f}, not lifted, after {reason}",
         )
-        excused = any(words in reason for words in self.case.excuses())
+        excused = any(words in reason for words in self.drawn.excuses())
         require(
-            bool(self.case.drawn.mistake) or excused,
+            bool(self.drawn.mistake) or excused,
             f"a healthy printer was refused: {reason}",
         )
 
@@ -190,26 +177,26 @@ class Trial:
 
     def _check_touches(self, touches: Sequence[Touch]) -> None:
         """Each site was touched where it has to be, and often enough."""
-        sites = self.case.sites
+        sites = self.drawn.sites
         found = [touch.site for touch in touches]
         require(set(found) == set(sites), f"touched {found}")
         last = tuple(name for name, _ in groupby(found))[-2:]
-        require(last == self.case.final, f"touched {last} at last")
+        require(last == self.drawn.final, f"touched {last} at last")
         for name, (place, wanted) in sites.items():
             here = [touch for touch in touches if touch.site == name]
             text = f"touched {name} {len(here)} times, not {wanted}"
             require(len(here) >= wanted, text)
-            if not self.case.drawn.mistake:
+            if not self.drawn.mistake:
                 away = [touch for touch in here if not _is_at(touch, place)]
                 require(not away, f"{name}: not at {place}: {away}")
 
     def _check_gap(
         self, homing: Sequence[Touch], touches: Sequence[Touch]
     ) -> Verdict:
-        gap = self._gap(self.case.place(touches))
+        gap = self._gap(self.drawn.place(touches))
         machine = self.printer.machine
         now = machine.rig.seconds(machine.simulation.clock.now())
-        right = self.case.gaps(homing, touches, now)
+        right = self.drawn.gaps(homing, touches, now)
         error = right.error(gap)
         text = "the true gap is %.4f, right is %.4f to %.4f, bound %.4f"
         text %= (gap, right.low, right.high, right.bound)
@@ -240,6 +227,6 @@ def try_out(
 
     modules: by their name (default: the repository's).
     """
-    case = case_of(drawn)
-    with Printer(host, case.scene, seed=drawn.seed, modules=modules) as printer:
-        return Trial(printer, case).run()
+    scene, seed = drawn.scene, drawn.seed
+    with Printer(host, scene, seed=seed, modules=modules) as printer:
+        return Trial(printer, drawn).run()

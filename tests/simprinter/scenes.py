@@ -6,9 +6,9 @@ Both meet in the wiring: the same pin texts serve both.
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
-from typing import Optional, Union
+from typing import NamedTuple, Optional, Union
 
 from .mcu.board import Crystal
 from .wiring import MAIN, BoardSpec, Heater, Motor, Wiring
@@ -24,8 +24,10 @@ from .world import (
     WorldSpec,
 )
 
-# Section name -> option -> value; a value of None leaves the option out
-Sections = Mapping[str, Optional[Mapping[str, Optional[str]]]]
+# Of one section; a value of None leaves the option out
+Options = Mapping[str, Optional[str]]
+# By section name
+Sections = Mapping[str, Optional[Options]]
 
 
 @dataclass(frozen=True)
@@ -86,6 +88,10 @@ class Scene:
         """The same machine with another world."""
         return replace(self, world=replace(self.world, **changes))
 
+    def number(self, section: str, option: str) -> float:
+        """What the configuration says."""
+        return float((self.sections[section] or {})[option] or 0.0)
+
     def formula_gap(self) -> float:
         """True gap at Z=0 that a perfect calibration leaves, mm.
 
@@ -94,9 +100,9 @@ class Scene:
         """
         probe = self.world.mag_probe
         assert probe is not None
-        section = self.sections["z_calibration"]
-        assert section is not None
-        return probe.switch_offset - float(section["switch_offset"] or 0.0)
+        return probe.switch_offset - self.number(
+            "z_calibration", "switch_offset"
+        )
 
     def piezo_depth(self, speed: Optional[float] = None) -> float:
         """Mm below the plate at which a nozzle going down is reported.
@@ -107,9 +113,7 @@ class Scene:
         sensor = self.world.bed_sensor
         assert sensor is not None
         if speed is None:
-            section = self.sections["auto_z_offset"]
-            assert section is not None
-            speed = float(section["speed"] or 0.0)
+            speed = self.number("auto_z_offset", "speed")
         return sensor.press_depth + speed * sensor.noise.latency
 
     def piezo_gap(self) -> float:
@@ -118,39 +122,9 @@ class Scene:
         The air gap that [auto_z_offset] asks for as z_offset is counted from
         where the sensor triggers.
         """
-        section = self.sections["auto_z_offset"]
-        assert section is not None
-        return float(section["z_offset"] or 0.0) - self.piezo_depth()
+        return self.number("auto_z_offset", "z_offset") - self.piezo_depth()
 
 
-_EXTRUDER = {
-    "step_pin": "PG0",
-    "dir_pin": "PG1",
-    "enable_pin": "!PG2",
-    "microsteps": "16",
-    "rotation_distance": "22.6",
-    "nozzle_diameter": "0.4",
-    "filament_diameter": "1.75",
-    "heater_pin": "PH0",
-    "sensor_type": "beta3950",
-    "sensor_pin": "PI0",
-    "control": "watermark",
-    "min_temp": "0",
-    "max_temp": "300",
-}
-_BED = {
-    "heater_pin": "PH1",
-    "sensor_type": "beta3950",
-    "sensor_pin": "PI1",
-    "control": "watermark",
-    "min_temp": "0",
-    "max_temp": "130",
-}
-_THERMISTOR = {
-    "temperature1": "25",
-    "resistance1": "100000",
-    "beta": "3950",
-}
 _HEATERS = {
     "extruder": Heater("PH0", "PI0"),
     "bed": Heater("PH1", "PI1", power=1.0, loss=0.005),
@@ -163,322 +137,189 @@ def heated(scene: Scene) -> Scene:
     The scenes are wired for them and do without: two thermometers make a fifth
     of all that happens while a printer calibrates.
     """
-    heaters: Sections = {
-        "thermistor beta3950": _THERMISTOR,
-        "extruder": _EXTRUDER,
-        "heater_bed": _BED,
-    }
-    return replace(scene, sections={**scene.sections, **heaters})
+    return replace(scene, sections={**scene.sections, **_parse(_HOT)})
 
 
-def _stepper(motor: Motor, **options: str) -> dict[str, Optional[str]]:
-    """A stepper section for a motor of 200 steps and 16 microsteps."""
-    return {
-        "step_pin": motor.step_pin,
-        "dir_pin": motor.dir_pin,
-        "enable_pin": motor.enable_pin,
-        "microsteps": "16",
-        **options,
-    }
+def _parse(text: str) -> dict[str, Options]:
+    """A printer.cfg that may have several options in a line."""
+    made: dict[str, dict[str, Optional[str]]] = {}
+    for line in filter(None, text.splitlines()):
+        if line[0] == "[":
+            section = made[line[1:-1]] = {}
+        else:
+            section.update(option.split(": ") for option in line.split("; "))
+    return made
 
 
-def _with(sections: Sections, name: str, **options: Optional[str]) -> Sections:
-    """The same with other options in one section."""
-    return {**sections, name: {**(sections.get(name) or {}), **options}}
+_HOT = """
+[thermistor beta3950]
+temperature1: 25; resistance1: 100000; beta: 3950
+[extruder]
+step_pin: PG0; dir_pin: PG1; enable_pin: !PG2; microsteps: 16
+rotation_distance: 22.6; nozzle_diameter: 0.4; filament_diameter: 1.75
+heater_pin: PH0; sensor_type: beta3950; sensor_pin: PI0; control: watermark
+min_temp: 0; max_temp: 300
+[heater_bed]
+heater_pin: PH1; sensor_type: beta3950; sensor_pin: PI1; control: watermark
+min_temp: 0; max_temp: 130
+"""
+
+# What scenes are made of
+
+_EVERY = """
+[mcu]
+[printer]
+max_velocity: 300; max_accel: 3000; max_z_velocity: 15; max_z_accel: 350
+"""
+_BELT = {"rotation_distance": "40"}
+_GEARED_BELT = {"rotation_distance": "40", "gear_ratio": "80:16"}
+_SCREW = {"rotation_distance": "8"}
+# Port and number of the first of a motor's pins: step, direction, enable
+_MOTOR_PINS = {
+    "x": ("PA", 0),
+    "y": ("PA", 3),
+    "z": ("PB", 0),
+    "z1": ("PB", 3),
+    "z2": ("PB", 6),
+    "z3": ("PB", 9),
+}
+# Its clock is slow, and its line takes as long as a USB line does: what it
+# sees stops the motors of another one late
+OTHER_BOARD = BoardSpec(
+    Crystal(tick_ns=25, ppm=60, first_wrap=37), latency=0.002
+)
 
 
-def _printer(kinematics: str) -> dict[str, Optional[str]]:
-    return {
-        "kinematics": kinematics,
-        "max_velocity": "300",
-        "max_accel": "3000",
-        "max_z_velocity": "15",
-        "max_z_accel": "350",
-    }
+def _motors(names: str, uarts: int = 0) -> dict[str, Motor]:
+    """Motors by name; `!`: turns the other way. uarts: so many Z have one."""
+    motors = {}
+    for text in names.split():
+        name = text.lstrip("!")
+        port, first = _MOTOR_PINS[name]
+        is_z, number = name[0] == "z", int(name[1:] or 0)
+        motors[name] = Motor(
+            f"{port}{first}",
+            f"{'!' * (text != name)}{port}{first + 1}",
+            0.0025 if is_z else 0.0125,
+            uart=f"PE{number}" if is_z and number < uarts else "",
+            enable_pin=f"!{port}{first + 2}",
+        )
+    return motors
 
 
-def _voron() -> Scene:
-    """CoreXY, four belted Z motors, Klicky-like probe, pin behind the bed."""
-    belt = {"rotation_distance": "40", "gear_ratio": "80:16"}
-    motors = {
-        "x": Motor("PA0", "!PA1", 0.0125, enable_pin="!PA2"),
-        "y": Motor("PA3", "!PA4", 0.0125, enable_pin="!PA5"),
-        "z": Motor("PB0", "PB1", 0.0025, enable_pin="!PB2"),
-        "z1": Motor("PB3", "!PB4", 0.0025, enable_pin="!PB5"),
-        "z2": Motor("PB6", "PB7", 0.0025, enable_pin="!PB8"),
-        "z3": Motor("PB9", "!PB10", 0.0025, enable_pin="!PB11"),
-    }
-    inputs = {
-        "x_endstop": "^PC0",
-        "y_endstop": "^PC1",
-        "z_endstop": "^PC2",
-        "probe": "^PC3",
-    }
-    belts = {"rotation_distance": "40"}
-    return Scene(
-        name="voron",
-        kinematics="corexy",
-        z_motors=[
-            ("z", -60.0, -10.0),
-            ("z1", -60.0, 370.0),
-            ("z2", 360.0, 370.0),
-            ("z3", 360.0, -10.0),
-        ],
-        world=WorldSpec(
-            bed=BedSpec(x_max=300.0, y_max=300.0, z0=0.4),
-            pin=PinSpec(206.0, 306.0, 1.9012, radius=2.5),
-            switches=(
-                AxisSwitchSpec("x_endstop", "x", 300.003),
-                AxisSwitchSpec("y_endstop", "y", 310.003),
-            ),
-            mag_probe=MagProbeSpec(
-                x_offset=-2.0,
-                y_offset=24.75,
-                body_drop=6.415,
-                switch_offset=0.5,
-            ),
-        ),
-        wiring=Wiring(motors, inputs, heaters=_HEATERS),
-        sections={
-            "mcu": {},
-            "printer": _printer("corexy"),
-            "stepper_x": _stepper(
-                motors["x"],
-                endstop_pin=inputs["x_endstop"],
-                position_endstop="300",
-                position_max="300",
-                homing_speed="60",
-                homing_retract_dist="0",
-                **belts,
-            ),
-            "stepper_y": _stepper(
-                motors["y"],
-                endstop_pin=inputs["y_endstop"],
-                position_endstop="310",
-                position_max="310",
-                homing_speed="60",
-                homing_retract_dist="0",
-                **belts,
-            ),
-            "stepper_z": _stepper(
-                motors["z"],
-                endstop_pin=inputs["z_endstop"],
-                position_endstop="1.6",
-                position_max="280",
-                position_min="-5",
-                homing_speed="8",
-                second_homing_speed="3",
-                homing_retract_dist="3",
-                **belt,
-            ),
-            "stepper_z1": _stepper(motors["z1"], **belt),
-            "stepper_z2": _stepper(motors["z2"], **belt),
-            "stepper_z3": _stepper(motors["z3"], **belt),
-            "probe": {
-                "pin": inputs["probe"],
-                "x_offset": "-2.0",
-                "y_offset": "24.75",
-                "z_offset": "6.9",
-                "speed": "5",
-                "samples": "3",
-                "samples_result": "median",
-                "sample_retract_dist": "2",
-                "samples_tolerance": "0.01",
-                "samples_tolerance_retries": "3",
-                "lift_speed": "10",
-            },
-            "safe_z_home": {
-                "home_xy_position": "206, 306",
-                "speed": "100",
-                "z_hop": "10",
-            },
-            "z_calibration": {
-                "nozzle_xy_position": "206, 306",
-                "switch_xy_position": "208, 281.25",
-                "bed_xy_position": "150, 150",
-                "switch_offset": "0.44",
-            },
+class _End(NamedTuple):
+    """Of an axis: its endstop's pin and place, the other end, homing's mm/s."""
+
+    pin: str
+    at: float
+    other: float
+    speed: str
+
+    def options(self) -> Options:
+        """Of the stepper's section."""
+        ends = {"position_max": f"{max(self.at, self.other):g}"}
+        if self.other > self.at:
+            ends["position_min"] = f"{self.at:g}"
+        return {
+            "endstop_pin": self.pin,
+            "position_endstop": f"{self.at:g}",
+            "homing_speed": self.speed,
+            "homing_retract_dist": "0",
+            **ends,
+        }
+
+    def switch(self, axis: str) -> AxisSwitchSpec:
+        """3 um beyond where the motors stop."""
+        direction = -1 if self.other > self.at else 1
+        place = self.at + 0.003 * direction
+        return AxisSwitchSpec(f"{axis}_endstop", axis, place, direction)
+
+
+def _inputs(ends: Mapping[str, _End], **others: str) -> dict[str, str]:
+    """Signals and their pins."""
+    return {f"{axis}_endstop": end.pin for axis, end in ends.items()} | others
+
+
+def _sections(
+    kinematics: str,
+    motors: Mapping[str, Motor],
+    ends: Mapping[str, _End],
+    z_drive: Options,
+    own: str,
+) -> Sections:
+    """A printer.cfg: what its machine asks for, and sections of its own."""
+    made = _parse(_EVERY)
+    for name, motor in motors.items():
+        made[f"stepper_{name}"] = {
+            "step_pin": motor.step_pin,
+            "dir_pin": motor.dir_pin,
+            "enable_pin": motor.enable_pin,
+            "microsteps": "16",
+            **(z_drive if name[0] == "z" else _BELT),
+            **(ends[name].options() if name in ends else {}),
+        }
+    made["printer"] = {"kinematics": kinematics, **made["printer"]}
+    return _with(made, _parse(own))
+
+
+def _with(
+    sections: Sections, changes: Mapping[str, Options]
+) -> dict[str, Options]:
+    """The same with other options in some sections."""
+    made = dict(sections)
+    for name, options in changes.items():
+        made[name] = {**(made.get(name) or {}), **options}
+    return made
+
+
+def on_board(
+    scene: Scene, name: str, spec: BoardSpec, pins: Iterable[str]
+) -> Scene:
+    """The scene with these pins, as it spells them, on a board of their own."""
+    moved = {}
+    for pin in pins:
+        bare = pin.lstrip("^~!")
+        moved[pin] = f"{pin[: len(pin) - len(bare)]}{name}:{bare}"
+
+    def there(part: Mapping) -> dict:
+        return {key: moved.get(value, value) for key, value in part.items()}
+
+    wiring = replace(
+        scene.wiring,
+        motors={
+            key: Motor(**there(vars(motor)))
+            for key, motor in scene.wiring.motors.items()
         },
-        start=Pose(285.0, 295.0, 12.0),
+        inputs=there(scene.wiring.inputs),
+        outputs=there(scene.wiring.outputs),
+        boards={name: spec},
     )
-
-
-def _cartesian() -> Scene:
-    """Cartesian, one lead screw with a TMC2209, probe held by an output.
-
-    Its body would meet the bed while the nozzle is on the pin, so it is
-    attached after that.
-    """
-    motors = {
-        "x": Motor("PA0", "PA1", 0.0125, enable_pin="!PA2"),
-        "y": Motor("PA3", "PA4", 0.0125, enable_pin="!PA5"),
-        "z": Motor("PB0", "PB1", 0.0025, uart="PE0", enable_pin="!PB2"),
+    sections = {
+        section: None if options is None else there(options)
+        for section, options in scene.sections.items()
     }
-    inputs = {
-        "x_endstop": "^!PC0",
-        "y_endstop": "^!PC1",
-        "z_endstop": "^!PC2",
-        "probe": "^PC3",
+    return replace(scene, wiring=wiring, sections=sections)
+
+
+def _on_gantry(
+    scene: Scene, name: str, kinematics: str, **z_motors: tuple[float, float]
+) -> Scene:
+    """Another scene: the same without Z motors but these."""
+    kept = {"x", "y", *z_motors}
+    gone = set(scene.wiring.motors) - kept
+    motors = {k: motor for k, motor in scene.wiring.motors.items() if k in kept}
+    sections = {
+        section: options
+        for section, options in scene.sections.items()
+        if section.rpartition("_")[2] not in gone
     }
-    belt = {"rotation_distance": "40"}
-    return Scene(
-        name="cartesian",
-        kinematics="cartesian",
-        z_motors=[("z", 110.0, 110.0)],
-        world=WorldSpec(
-            bed=BedSpec(
-                x_max=220.0, y_max=220.0, z0=-0.15, slope_x=4e-4, slope_y=-3e-4
-            ),
-            pin=PinSpec(226.0, 20.0, 0.3512, radius=2.5, pretravel=0.2),
-            switches=(
-                AxisSwitchSpec("x_endstop", "x", -8.003, -1),
-                AxisSwitchSpec("y_endstop", "y", -4.003, -1),
-            ),
-            mag_probe=MagProbeSpec(
-                x_offset=-28.0,
-                y_offset=5.5,
-                body_drop=1.28,
-                switch_offset=0.7,
-                mode="output",
-                initial="docked",
-                attach_time=0.2,
-            ),
-        ),
-        wiring=Wiring(
-            motors, inputs, outputs={"probe_attach": "PD0"}, heaters=_HEATERS
-        ),
-        sections={
-            "mcu": {},
-            "printer": _printer("cartesian"),
-            "stepper_x": _stepper(
-                motors["x"],
-                endstop_pin=inputs["x_endstop"],
-                position_endstop="-8",
-                position_min="-8",
-                position_max="258",
-                homing_speed="50",
-                homing_retract_dist="0",
-                **belt,
-            ),
-            "stepper_y": _stepper(
-                motors["y"],
-                endstop_pin=inputs["y_endstop"],
-                position_endstop="-4",
-                position_min="-4",
-                position_max="225",
-                homing_speed="50",
-                homing_retract_dist="0",
-                **belt,
-            ),
-            "stepper_z": _stepper(
-                motors["z"],
-                endstop_pin=inputs["z_endstop"],
-                position_endstop="0.5",
-                position_max="250",
-                position_min="-3",
-                homing_speed="5",
-                rotation_distance="8",
-            ),
-            "tmc2209 stepper_z": {
-                "uart_pin": "PE0",
-                "run_current": "0.8",
-                "sense_resistor": "0.110",
-            },
-            "output_pin probe_magnet": {
-                "pin": "PD0",
-                "value": "0",
-                "shutdown_value": "0",
-            },
-            "gcode_macro ATTACH_PROBE": {
-                "gcode": "\n  SET_PIN PIN=probe_magnet VALUE=1\n  G4 P500"
-            },
-            "gcode_macro DOCK_PROBE": {
-                "gcode": "\n  SET_PIN PIN=probe_magnet VALUE=0\n  G4 P500"
-            },
-            "probe": {
-                "pin": inputs["probe"],
-                "x_offset": "-28",
-                "y_offset": "5.5",
-                "z_offset": "2.0",
-                "speed": "5",
-                "samples": "2",
-                "samples_tolerance": "0.02",
-                "lift_speed": "8",
-            },
-            "safe_z_home": {"home_xy_position": "226, 20", "z_hop": "8"},
-            "z_calibration": {
-                "nozzle_xy_position": "226, 20",
-                "switch_xy_position": "254, 14.5",
-                "bed_xy_position": "110, 110",
-                "switch_offset": "0.65",
-                "before_switch_gcode": "ATTACH_PROBE",
-                "end_gcode": "DOCK_PROBE",
-            },
-        },
-        start=Pose(5.0, 8.0, 12.0),
-    )
-
-
-def _voron_two_boards() -> Scene:
-    """The voron with its Z endstop on a board of its own, Z motors not.
-
-    The other board has another clock, 60 ppm slow, and its line takes as long
-    as a USB line does: what it sees stops the motors late.
-    """
-    voron = _voron()
-    crystal = Crystal(tick_ns=25, ppm=60, first_wrap=37)
-    z_endstop = "^zboard:PC2"
     return replace(
-        voron,
-        name="voron_two_boards",
-        wiring=replace(
-            voron.wiring,
-            inputs={**voron.wiring.inputs, "z_endstop": z_endstop},
-            boards={"zboard": BoardSpec(crystal, latency=0.002)},
-        ),
-        sections=_with(voron.sections, "stepper_z", endstop_pin=z_endstop),
-    )
-
-
-def _hybrid() -> Scene:
-    """The voron as a hybrid CoreXY with two Z motors."""
-    voron = _voron()
-    motors = dict(voron.wiring.motors)
-    sections = {**voron.sections, "printer": _printer("hybrid_corexy")}
-    for name in ("z2", "z3"):
-        del motors[name], sections[f"stepper_{name}"]
-    return replace(
-        voron,
-        name="hybrid",
-        kinematics="hybrid_corexy",
-        z_motors=[("z", -60.0, 150.0), ("z1", 360.0, 150.0)],
-        wiring=replace(voron.wiring, motors=motors),
-        sections=sections,
-    )
-
-
-def _corexz() -> Scene:
-    """The voron with a CoreXZ gantry: Z is moved by both belts.
-
-    Finer microsteps, as the belts have no gears.
-    """
-    voron = _voron()
-    step_dist = 40.0 / (200 * 64)
-    motors = {name: voron.wiring.motors[name] for name in ("x", "y", "z")}
-    sections = {**voron.sections, "printer": _printer("corexz")}
-    for name in ("z1", "z2", "z3"):
-        del sections[f"stepper_{name}"]
-    for name in ("x", "z"):
-        motors[name] = replace(motors[name], step_dist=step_dist)
-        belt = {"rotation_distance": "40", "gear_ratio": None}
-        sections = _with(sections, f"stepper_{name}", microsteps="64", **belt)
-    return replace(
-        voron,
-        name="corexz",
-        kinematics="corexz",
-        z_motors=[("z", 150.0, 150.0)],
-        wiring=replace(voron.wiring, motors=motors),
-        sections=sections,
+        scene,
+        name=name,
+        kinematics=kinematics,
+        z_motors=[(z, x, y) for z, (x, y) in z_motors.items()],
+        wiring=replace(scene.wiring, motors=motors),
+        sections=_with(sections, {"printer": {"kinematics": kinematics}}),
     )
 
 
@@ -493,9 +334,11 @@ _CARRIAGE_OPTIONS = (
 )
 
 
-def on_carriages(sections: Sections, names: Mapping[str, str]) -> Sections:
+def on_carriages(
+    sections: Sections, names: Mapping[str, str]
+) -> dict[str, Options]:
     """The sections for a generic cartesian; names of the motors' steppers."""
-    made = dict(sections)
+    made = _with(sections, {"printer": {"kinematics": "generic_cartesian"}})
     for motor, name in names.items():
         axis = motor[0]
         stepper = dict(made.pop(f"stepper_{motor}") or {})
@@ -507,51 +350,202 @@ def on_carriages(sections: Sections, names: Mapping[str, str]) -> Sections:
         if carriage:
             made[f"carriage {axis}"] = carriage
         made[f"stepper {name}"] = {**stepper, "carriages": axis}
+        driver = f"tmc2209 stepper_{motor}"
+        if driver in made:
+            made[f"tmc2209 stepper {name}"] = made.pop(driver)
     return made
 
 
-def _generic() -> Scene:
-    """The voron as a generic cartesian: four Z motors on one carriage.
+def _generic(scene: Scene, name: str, **steppers: str) -> Scene:
+    """Another scene: the same as a generic cartesian, Z on one carriage.
 
-    The world calls the same machine cartesian.
+    The world calls such a machine cartesian. steppers: names of Z's.
     """
-    voron = _voron()
-    sections = {**voron.sections, "printer": _printer("generic_cartesian")}
-    names = {name: f"my_{name}" for name in voron.wiring.motors}
+    names = {"x": "my_x", "y": "my_y", **steppers}
     return replace(
-        voron,
-        name="generic",
+        scene,
+        name=name,
         kinematics="cartesian",
-        sections=on_carriages(sections, names),
+        sections=on_carriages(scene.sections, names),
     )
 
 
-def _separate_pin() -> Scene:
+# Scenes
+
+
+_VORON = """
+[stepper_z]
+endstop_pin: ^PC2; position_endstop: 1.6; position_max: 280; position_min: -5
+homing_speed: 8; second_homing_speed: 3; homing_retract_dist: 3
+[probe]
+pin: ^PC3; x_offset: -2.0; y_offset: 24.75; z_offset: 6.9; speed: 5
+samples: 3; samples_result: median; sample_retract_dist: 2; lift_speed: 10
+samples_tolerance: 0.01; samples_tolerance_retries: 3
+[safe_z_home]
+home_xy_position: 206, 306; speed: 100; z_hop: 10
+[z_calibration]
+nozzle_xy_position: 206, 306; switch_xy_position: 208, 281.25
+bed_xy_position: 150, 150; switch_offset: 0.44
+"""
+
+
+def _voron() -> Scene:
+    """CoreXY, four belted Z motors, Klicky-like probe, pin behind the bed."""
+    motors = _motors("!x !y z !z1 z2 !z3")
+    ends = {
+        "x": _End("^PC0", 300.0, 0.0, "60"),
+        "y": _End("^PC1", 310.0, 0.0, "60"),
+    }
+    return Scene(
+        name="voron",
+        kinematics="corexy",
+        z_motors=[
+            ("z", -60.0, -10.0),
+            ("z1", -60.0, 370.0),
+            ("z2", 360.0, 370.0),
+            ("z3", 360.0, -10.0),
+        ],
+        world=WorldSpec(
+            bed=BedSpec(x_max=300.0, y_max=300.0, z0=0.4),
+            pin=PinSpec(206.0, 306.0, 1.9012, radius=2.5),
+            switches=tuple(end.switch(axis) for axis, end in ends.items()),
+            mag_probe=MagProbeSpec(
+                x_offset=-2.0,
+                y_offset=24.75,
+                body_drop=6.415,
+                switch_offset=0.5,
+            ),
+        ),
+        wiring=Wiring(
+            motors,
+            _inputs(ends, z_endstop="^PC2", probe="^PC3"),
+            heaters=_HEATERS,
+        ),
+        sections=_sections("corexy", motors, ends, _GEARED_BELT, _VORON),
+        start=Pose(285.0, 295.0, 12.0),
+    )
+
+
+def _voron_two_boards(voron: Scene) -> Scene:
+    """The voron with its Z endstop on a board of its own, Z motors not."""
+    scene = replace(voron, name="voron_two_boards")
+    return on_board(scene, "zboard", OTHER_BOARD, ["^PC2"])
+
+
+def _hybrid(voron: Scene) -> Scene:
+    """The voron as a hybrid CoreXY with two Z motors."""
+    z_motors = {"z": (-60.0, 150.0), "z1": (360.0, 150.0)}
+    return _on_gantry(voron, "hybrid", "hybrid_corexy", **z_motors)
+
+
+def _corexz(voron: Scene) -> Scene:
+    """The voron with a CoreXZ gantry: Z is moved by both belts.
+
+    Finer microsteps, as the belts have no gears.
+    """
+    scene = _on_gantry(voron, "corexz", "corexz", z=(150.0, 150.0))
+    motors = dict(scene.wiring.motors)
+    for name in ("x", "z"):
+        motors[name] = replace(motors[name], step_dist=40.0 / (200 * 64))
+    belt = {"microsteps": "64", "rotation_distance": "40", "gear_ratio": None}
+    return replace(
+        scene,
+        wiring=replace(scene.wiring, motors=motors),
+        sections=_with(scene.sections, {"stepper_x": belt, "stepper_z": belt}),
+    )
+
+
+def _separate_pin(voron: Scene) -> Scene:
     """The voron homing Z with its probe; the pin has an input of its own.
 
     No section but z_calibration's knows that input.
     """
-    voron = _voron()
     assert voron.world.pin is not None
     inputs = dict(voron.wiring.inputs)
     pin_input = inputs["nozzle_endstop"] = inputs.pop("z_endstop")
-    sections = _with(
-        voron.sections,
-        "stepper_z",
-        endstop_pin="probe:z_virtual_endstop",
-        position_endstop=None,
-    )
-    # The probe over the middle of the bed
-    sections = _with(sections, "safe_z_home", home_xy_position="152, 125.25")
-    sections = _with(sections, "z_calibration", endstop_pin=pin_input)
-    scene = replace(
+    changes: dict[str, Options] = {
+        "stepper_z": {
+            "endstop_pin": "probe:z_virtual_endstop",
+            "position_endstop": None,
+        },
+        # The probe over the middle of the bed
+        "safe_z_home": {"home_xy_position": "152, 125.25"},
+        "z_calibration": {"endstop_pin": pin_input},
+    }
+    return replace(
         voron,
         name="separate_pin",
         wiring=replace(voron.wiring, inputs=inputs),
-        sections=sections,
-    )
-    return scene.with_world(
-        pin=replace(voron.world.pin, signal="nozzle_endstop")
+        sections=_with(voron.sections, changes),
+    ).with_world(pin=replace(voron.world.pin, signal="nozzle_endstop"))
+
+
+_CARTESIAN = """
+[stepper_z]
+endstop_pin: ^!PC2; position_endstop: 0.5; position_max: 250; position_min: -3
+homing_speed: 5
+[tmc2209 stepper_z]
+uart_pin: PE0; run_current: 0.8; sense_resistor: 0.110
+[output_pin probe_magnet]
+pin: PD0; value: 0; shutdown_value: 0
+[probe]
+pin: ^PC3; x_offset: -28; y_offset: 5.5; z_offset: 2.0; speed: 5
+samples: 2; samples_tolerance: 0.02; lift_speed: 8
+[safe_z_home]
+home_xy_position: 226, 20; z_hop: 8
+[z_calibration]
+nozzle_xy_position: 226, 20; switch_xy_position: 254, 14.5
+bed_xy_position: 110, 110; switch_offset: 0.65
+before_switch_gcode: ATTACH_PROBE; end_gcode: DOCK_PROBE
+"""
+
+
+def _cartesian() -> Scene:
+    """Cartesian, one lead screw with a TMC2209, probe held by an output.
+
+    Its body would meet the bed while the nozzle is on the pin, so it is
+    attached after that.
+    """
+    motors = _motors("x y z", uarts=1)
+    ends = {
+        "x": _End("^!PC0", -8.0, 258.0, "50"),
+        "y": _End("^!PC1", -4.0, 225.0, "50"),
+    }
+    set_pin = "\n  SET_PIN PIN=probe_magnet VALUE=%d\n  G4 P500"
+    return Scene(
+        name="cartesian",
+        kinematics="cartesian",
+        z_motors=[("z", 110.0, 110.0)],
+        world=WorldSpec(
+            bed=BedSpec(
+                x_max=220.0, y_max=220.0, z0=-0.15, slope_x=4e-4, slope_y=-3e-4
+            ),
+            pin=PinSpec(226.0, 20.0, 0.3512, radius=2.5, pretravel=0.2),
+            switches=tuple(end.switch(axis) for axis, end in ends.items()),
+            mag_probe=MagProbeSpec(
+                x_offset=-28.0,
+                y_offset=5.5,
+                body_drop=1.28,
+                switch_offset=0.7,
+                mode="output",
+                initial="docked",
+                attach_time=0.2,
+            ),
+        ),
+        wiring=Wiring(
+            motors,
+            _inputs(ends, z_endstop="^!PC2", probe="^PC3"),
+            outputs={"probe_attach": "PD0"},
+            heaters=_HEATERS,
+        ),
+        sections=_with(
+            _sections("cartesian", motors, ends, _SCREW, _CARTESIAN),
+            {
+                "gcode_macro ATTACH_PROBE": {"gcode": set_pin % 1},
+                "gcode_macro DOCK_PROBE": {"gcode": set_pin % 0},
+            },
+        ),
+        start=Pose(5.0, 8.0, 12.0),
     )
 
 
@@ -575,22 +569,34 @@ _SWITCHED_PREPARE = _PIEZO_PREPARE.format(
 _UNSWITCHED_PREPARE = _PIEZO_PREPARE.format(off="", on="")
 
 
-def _qidi_printer(kinematics: str) -> dict[str, Optional[str]]:
-    return {
-        **_printer(kinematics),
-        "max_z_velocity": "20",
-        "max_z_accel": "500",
-    }
+# The probe homes over the middle of the axes
+_QIDI = """
+[printer]
+max_z_velocity: 20; max_z_accel: 500
+[stepper_z]
+endstop_pin: probe:z_virtual_endstop; position_max: 248; position_min: -4
+homing_speed: 8; second_homing_speed: 5; homing_retract_dist: 5
+[tmc2209 stepper_z]
+uart_pin: PE0; run_current: 0.8; sense_resistor: 0.110
+[tmc2209 stepper_z1]
+uart_pin: PE1; run_current: 1.07; sense_resistor: 0.110
+[output_pin bed_sensor]
+pin: !PA14; value: 0; shutdown_value: 0
+[probe]
+pin: ^!PF0; x_offset: 17.6; y_offset: 4.4; z_offset: 0.0; speed: 10
+samples: 3; sample_retract_dist: 4
+samples_tolerance: 0.05; samples_tolerance_retries: 5
+[safe_z_home]
+home_xy_position: 102.15, 122.35; speed: 100; z_hop: 10
+[auto_z_offset]
+pin: PC1; z_offset: 0.2; speed: 5; lift_speed: 20
+probe_accel: 50; probe_hop: 5; offset_samples: 3
+samples: 1; sample_retract_dist: 3
+samples_tolerance: 0.025; samples_tolerance_retries: 1
+"""
 
 
-def _elsewhere(board: str, pin: str) -> str:
-    """The pin as it is called on another board; "" is the main one."""
-    name = pin.lstrip("^~!")
-    modifiers = pin[: len(pin) - len(name)]
-    return f"{modifiers}{board}:{name}" if board and pin else pin
-
-
-def _qidi(boards: Optional[Mapping[str, BoardSpec]] = None) -> Scene:
+def _qidi() -> Scene:
     """CoreXY, two Z lead screws with TMC2209, inductive probe, piezo bed.
 
     What a QIDI Q1 Pro is. Its owner has left the probe's z_offset at zero:
@@ -598,40 +604,12 @@ def _qidi(boards: Optional[Mapping[str, BoardSpec]] = None) -> Scene:
     triggers 0.04 mm below its surface and tells so 2 ms late, which at a
     steady 5 mm/s is another 0.01 mm: a touch at that speed reads 0.05 mm
     below the surface (see Scene.piezo_depth).
-
-    boards: at most one, which then has everything but probe and heaters.
     """
-    board = next(iter(boards or {}), "")
-
-    def pin(text: str) -> str:
-        return _elsewhere(board, text)
-
-    def motor(
-        step: str, direction: str, step_dist: float, enable: str, uart: str = ""
-    ) -> Motor:
-        return Motor(
-            pin(step),
-            pin(direction),
-            step_dist,
-            uart=pin(uart),
-            enable_pin=pin(enable),
-        )
-
-    screw = {"rotation_distance": "8"}
-    motors = {
-        "x": motor("PA0", "!PA1", 0.0125, "!PA2"),
-        "y": motor("PA3", "!PA4", 0.0125, "!PA5"),
-        "z": motor("PB0", "PB1", 0.0025, "!PB2", uart="PE0"),
-        "z1": motor("PB3", "!PB4", 0.0025, "!PB5", uart="PE1"),
+    motors = _motors("!x !y z !z1", uarts=2)
+    ends = {
+        "x": _End("^PC2", -5.5, 245.0, "60"),
+        "y": _End("^PC3", -4.5, 258.0, "60"),
     }
-    inputs = {
-        "x_endstop": pin("^PC2"),
-        "y_endstop": pin("^PC3"),
-        "probe": "^!PF0",
-        "bed_sensor": pin("PC1"),
-    }
-    outputs = {"bed_sensor_enable": pin("!PA14")}
-    belt = {"rotation_distance": "40"}
     return Scene(
         name="qidi",
         kinematics="corexy",
@@ -640,10 +618,7 @@ def _qidi(boards: Optional[Mapping[str, BoardSpec]] = None) -> Scene:
             bed=BedSpec(
                 x_max=245.0, y_max=245.0, z0=0.3137, slope_x=1e-4, slope_y=-1e-4
             ),
-            switches=(
-                AxisSwitchSpec("x_endstop", "x", -5.503, -1),
-                AxisSwitchSpec("y_endstop", "y", -4.503, -1),
-            ),
+            switches=tuple(end.switch(axis) for axis, end in ends.items()),
             inductive=InductiveSpec(17.6, 4.4, sense_distance=1.2713),
             bed_sensor=BedSensorSpec(
                 press_depth=0.04,
@@ -653,172 +628,73 @@ def _qidi(boards: Optional[Mapping[str, BoardSpec]] = None) -> Scene:
         ),
         wiring=Wiring(
             motors,
-            inputs,
-            outputs,
+            _inputs(ends, probe="^!PF0", bed_sensor="PC1"),
+            {"bed_sensor_enable": "!PA14"},
             heaters=_HEATERS,
-            boards=boards or {},
         ),
-        sections={
-            "mcu": {},
-            "printer": _qidi_printer("corexy"),
-            "stepper_x": _stepper(
-                motors["x"],
-                endstop_pin=inputs["x_endstop"],
-                position_endstop="-5.5",
-                position_min="-5.5",
-                position_max="245",
-                homing_speed="60",
-                homing_retract_dist="0",
-                **belt,
-            ),
-            "stepper_y": _stepper(
-                motors["y"],
-                endstop_pin=inputs["y_endstop"],
-                position_endstop="-4.5",
-                position_min="-4.5",
-                position_max="258",
-                homing_speed="60",
-                homing_retract_dist="0",
-                **belt,
-            ),
-            "stepper_z": _stepper(
-                motors["z"],
-                endstop_pin="probe:z_virtual_endstop",
-                position_max="248",
-                position_min="-4",
-                homing_speed="8",
-                second_homing_speed="5",
-                homing_retract_dist="5",
-                **screw,
-            ),
-            "stepper_z1": _stepper(motors["z1"], **screw),
-            "tmc2209 stepper_z": {
-                "uart_pin": motors["z"].uart,
-                "run_current": "0.8",
-                "sense_resistor": "0.110",
-            },
-            "tmc2209 stepper_z1": {
-                "uart_pin": motors["z1"].uart,
-                "run_current": "1.07",
-                "sense_resistor": "0.110",
-            },
-            "output_pin bed_sensor": {
-                "pin": outputs["bed_sensor_enable"],
-                "value": "0",
-                "shutdown_value": "0",
-            },
-            "probe": {
-                "pin": inputs["probe"],
-                "x_offset": "17.6",
-                "y_offset": "4.4",
-                "z_offset": "0.0",
-                "speed": "10",
-                "samples": "3",
-                "sample_retract_dist": "4",
-                "samples_tolerance": "0.05",
-                "samples_tolerance_retries": "5",
-            },
-            # The probe over the middle of the axes
-            "safe_z_home": {
-                "home_xy_position": "102.15, 122.35",
-                "speed": "100",
-                "z_hop": "10",
-            },
-            "auto_z_offset": {
-                "pin": inputs["bed_sensor"],
-                "z_offset": "0.2",
-                "speed": "5",
-                "lift_speed": "20",
-                "probe_accel": "50",
-                "probe_hop": "5",
-                "offset_samples": "3",
-                "samples": "1",
-                "sample_retract_dist": "3",
-                "samples_tolerance": "0.025",
-                "samples_tolerance_retries": "1",
-                "prepare_gcode": _SWITCHED_PREPARE,
-            },
-        },
+        sections=_with(
+            _sections("corexy", motors, ends, _SCREW, _QIDI),
+            {"auto_z_offset": {"prepare_gcode": _SWITCHED_PREPARE}},
+        ),
         start=Pose(5.0, 8.0, 12.0),
     )
 
 
-def _qidi_two_boards() -> Scene:
+def _qidi_two_boards(qidi: Scene) -> Scene:
     """The qidi as it is wired: all but tool head and heaters on "U_1".
 
-    That board has another clock, 60 ppm slow, and its line takes as long as
-    a USB line does: the inductive probe, on the main board, stops the Z
-    motors late, the piezo bed at once.
+    The inductive probe, on the main board, stops the Z motors late, the piezo
+    bed at once.
     """
-    crystal = Crystal(tick_ns=25, ppm=60, first_wrap=37)
-    boards = {"U_1": BoardSpec(crystal, latency=0.002)}
-    return replace(_qidi(boards), name="qidi_two_boards")
+    wiring = qidi.wiring
+    pins = {pin for motor in wiring.motors.values() for pin in motor.pins()}
+    pins |= {*wiring.inputs.values(), *wiring.outputs.values()}
+    pins.remove(wiring.inputs["probe"])
+    scene = replace(qidi, name="qidi_two_boards")
+    return on_board(scene, "U_1", OTHER_BOARD, pins)
 
 
-def _piezo_cartesian() -> Scene:
+def _piezo_cartesian(qidi: Scene) -> Scene:
     """The qidi as a cartesian without TMC drivers: one lead screw.
 
     The piezo bed is always on. The owner believes in a z_offset of 1 mm for
     the probe, 0.2713 mm too little.
     """
-    qidi = _qidi()
-    names = ("x", "y", "z")
+    scene = _on_gantry(qidi, "piezo_cartesian", "cartesian", z=(122.0, 122.0))
     motors = {
-        name: replace(qidi.wiring.motors[name], uart="") for name in names
+        name: replace(motor, uart="")
+        for name, motor in scene.wiring.motors.items()
     }
-    sections = {**qidi.sections, "printer": _qidi_printer("cartesian")}
-    for name in ("stepper_z1", "tmc2209 stepper_z", "tmc2209 stepper_z1"):
-        del sections[name]
-    del sections["output_pin bed_sensor"]
-    sections = _with(sections, "probe", z_offset="1.0")
-    sections = _with(
-        sections, "auto_z_offset", prepare_gcode=_UNSWITCHED_PREPARE
-    )
+    changes = {
+        "probe": {"z_offset": "1.0"},
+        "auto_z_offset": {"prepare_gcode": _UNSWITCHED_PREPARE},
+    }
+    sections = dict(_with(scene.sections, changes))
+    del sections["tmc2209 stepper_z"], sections["output_pin bed_sensor"]
     assert qidi.world.bed_sensor is not None
-    sensor = replace(qidi.world.bed_sensor, enable_output=False)
     return replace(
-        qidi,
-        name="piezo_cartesian",
-        kinematics="cartesian",
-        z_motors=[("z", 122.0, 122.0)],
-        wiring=replace(qidi.wiring, motors=motors, outputs={}),
+        scene,
+        wiring=replace(scene.wiring, motors=motors, outputs={}),
         sections=sections,
-    ).with_world(bed_sensor=sensor)
+    ).with_world(bed_sensor=replace(qidi.world.bed_sensor, enable_output=False))
 
 
-def _piezo_generic() -> Scene:
-    """The qidi as a generic cartesian: two Z motors on one carriage.
-
-    Their sections are [stepper left_z] and [stepper right_z], and so are
-    those of their drivers. The world calls the same machine cartesian.
-    """
-    qidi = _qidi()
-    names = {"x": "my_x", "y": "my_y", "z": "left_z", "z1": "right_z"}
-    sections = {**qidi.sections, "printer": _qidi_printer("generic_cartesian")}
-    for motor in ("z", "z1"):
-        driver = sections.pop(f"tmc2209 stepper_{motor}")
-        sections[f"tmc2209 stepper {names[motor]}"] = driver
-    return replace(
-        qidi,
-        name="piezo_generic",
-        kinematics="cartesian",
-        sections=on_carriages(sections, names),
-    )
-
-
-SCENES = {
-    scene.name: scene
-    for scene in (
-        _voron(),
-        _voron_two_boards(),
-        _hybrid(),
-        _corexz(),
-        _generic(),
-        _separate_pin(),
+def _scenes() -> tuple[Scene, ...]:
+    voron, qidi = _voron(), _qidi()
+    z_steppers = {name: f"my_{name}" for name in ("z", "z1", "z2", "z3")}
+    return (
+        voron,
+        _voron_two_boards(voron),
+        _hybrid(voron),
+        _corexz(voron),
+        _generic(voron, "generic", **z_steppers),
+        _separate_pin(voron),
         _cartesian(),
-        _qidi(),
-        _qidi_two_boards(),
-        _piezo_cartesian(),
-        _piezo_generic(),
+        qidi,
+        _qidi_two_boards(qidi),
+        _piezo_cartesian(qidi),
+        _generic(qidi, "piezo_generic", z="left_z", z1="right_z"),
     )
-}
+
+
+SCENES = {scene.name: scene for scene in _scenes()}

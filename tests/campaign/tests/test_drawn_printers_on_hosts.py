@@ -5,13 +5,10 @@
 
 from __future__ import annotations
 
-from pathlib import Path
-from typing import NamedTuple
-
 import pytest
 
 from tests.campaign.drawn_printers import MODULES, run
-from tests.hostkit.printer import module_files
+from tests.campaign.tests.planting import planted
 
 # On each host, always the same ones
 PRINTERS = 5
@@ -19,73 +16,31 @@ PRINTERS = 5
 ENOUGH = 60
 
 
-class Planted(NamedTuple):
-    """A fault in a module, and words of what the judge says of it.
-
-    seed: from which printer on it is looked for; from 1 on it takes long.
-    """
-
-    module: str
-    right: str
-    wrong: str
-    words: str
-    seed: int = 1
-
-
+# Lines around a command, and words of what the judge says of it
 PLANTED = {
-    "z-sign": Planted(
-        "z_calibration",
-        "return probe - (switch - nozzle + switch_offset)",
-        "return probe - (switch - nozzle - switch_offset)",
-        "",
-        3,
-    ),
-    "z-halt": Planted(
-        "z_calibration",
-        "        self._check_travel(start_z, self.z())\n",
-        "        return self.z()\n",
+    "gap": (
+        "CALIBRATE_Z",
+        {"done": 'run("SET_GCODE_OFFSET Z_ADJUST=0.3 MOVE=0")'},
         "the true gap is",
-        7,
     ),
-    "z-one-sample": Planted(
-        "z_calibration",
-        "while len(samples) < sampling.samples:",
-        "while not samples:",
-        "times, not",
-    ),
-    "z-not-lifted": Planted(
-        "z_calibration",
-        'with dock, host.always(run.lift, "lifting"):',
-        "with dock:",
+    "not lifted": (
+        "CALIBRATE_Z",
+        {"failed": 'run("G90\\nG1 Z3 F600")'},
         "not lifted",
-        18,
     ),
-    "auto-sign": Planted(
-        "auto_z_offset",
-        "return sensor - (probe - probe_z_offset) + z_offset",
-        "return sensor - (probe - probe_z_offset) - z_offset",
-        "the true gap is",
-        2,
-    ),
-    "auto-halt": Planted(
-        "auto_z_offset",
-        "        self._check_travel(start_z, self.z())\n",
-        "        return self.z()\n",
-        "the true gap is",
-        24,
-    ),
-    "auto-one-sample": Planted(
-        "auto_z_offset",
-        "while len(samples) < sampling.samples:",
-        "while not samples:",
-        "times, not",
-    ),
-    "auto-slow-ever-after": Planted(
-        "auto_z_offset",
-        "restore = functools.partial(self._set_accel, found)",
-        "restore = functools.partial(self._set_accel, accel)",
+    "acceleration": (
+        "AUTO_Z_CALIBRATE",
+        {"done": 'run("SET_VELOCITY_LIMIT ACCEL=77")'},
         "max_accel is",
-        2,
+    ),
+    "one sample": (
+        "AUTO_Z_CALIBRATE",
+        {
+            "before": """
+for option in ("samples", "offset_samples"):
+    config.fileconfig.set("auto_z_offset", option, "1")"""
+        },
+        "times, not",
     ),
 }
 
@@ -101,20 +56,18 @@ def test_random_printers_are_right_or_refused(host, module):
 @pytest.mark.half
 @pytest.mark.timeout(600)
 @pytest.mark.parametrize("name", PLANTED)
-def test_planted_fault_is_found(some_host, tmp_path: Path, name: str):
-    planted = PLANTED[name]
-    text = module_files()[planted.module].read_text(encoding="utf-8")
-    assert text.count(planted.right) == 1
-    path = tmp_path / f"{planted.module}.py"
-    path.write_text(text.replace(planted.right, planted.wrong))
+def test_planted_fault_is_found(some_host, tmp_path, name):
+    command, around, words = PLANTED[name]
+    modules = planted(tmp_path, command, **around)
+    (module,) = modules
     report = run(
-        planted.module,
+        module,
         some_host,
         ENOUGH,
-        seed=planted.seed,
-        modules={planted.module: path},
+        seed=1,
+        modules=modules,
         simpler=0,
         most_failures=1,
     )
     assert len(report.failures) == 1, report.text()
-    assert planted.words in report.failures[0]
+    assert words in report.failures[0]

@@ -9,10 +9,11 @@ import pytest
 from tests.campaign import fault_cases
 from tests.campaign.fault_cases import REFUSED, RIGHT, SHUT_DOWN, Setting
 from tests.campaign.jobs import JOBS
+from tests.campaign.tests.planting import planted
 from tests.hostkit.printer import module_files
 
 Z, ATTACHING = "CALIBRATE_Z", "CALIBRATE_Z, attaching"
-PIEZO = "AUTO_Z_CALIBRATE"
+AUTO = "AUTO_Z_CALIBRATE"
 
 
 @lru_cache(maxsize=None)
@@ -55,12 +56,12 @@ CASES = [
     (ATTACHING, "mcu_silent", "", 1, "touch", SHUT_DOWN),
     ("PROBE_Z_ACCURACY", "stuck_open", "z_endstop", 1, "touch", REFUSED),
     ("CALCULATE_SWITCH_OFFSET", "cancel", "", 0, "", SHUT_DOWN),
-    (PIEZO, "trigger_never", "bed_sensor", 1, "touch", REFUSED),
-    (PIEZO, "stuck_closed", "probe", 1, "touch", REFUSED),
-    (PIEZO, "trigger_late", "bed_sensor", 0, "touch", RIGHT),
-    (PIEZO, "tmc_change_lost", "z", 0, "write", REFUSED),
-    (PIEZO, "template raises", "", 0, "", REFUSED),
-    (PIEZO, "cancel", "", 2, "write", SHUT_DOWN),
+    (AUTO, "trigger_never", "bed_sensor", 1, "touch", REFUSED),
+    (AUTO, "stuck_closed", "probe", 1, "touch", REFUSED),
+    (AUTO, "trigger_late", "bed_sensor", 0, "touch", RIGHT),
+    (AUTO, "tmc_change_lost", "z", 0, "write", REFUSED),
+    (AUTO, "template raises", "", 0, "", REFUSED),
+    (AUTO, "cancel", "", 2, "write", SHUT_DOWN),
     ("AUTO_Z_HOME_Z", "stuck_open", "bed_sensor", 0, "touch", REFUSED),
     ("AUTO_Z_LOAD_OFFSET", "stuck_closed", "probe", 0, "", RIGHT),
 ]
@@ -86,7 +87,7 @@ def test_lost_board_is_told_first(host, nth):
 
 
 def test_every_operation_gets_every_fault(one_host):
-    job, good = JOBS[PIEZO], good_run(one_host, PIEZO)
+    job, good = JOBS[AUTO], good_run(one_host, AUTO)
     kinds = {operation.kind for operation in good.operations}
     assert kinds == {"touch", "query", "move", "write"}
     # Begin, and up to its end: bed sensor and probe, each stuck in both ways,
@@ -110,66 +111,49 @@ def test_every_operation_gets_every_fault(one_host):
     assert sum(c.fault.startswith("template") for c in found) == 2
 
 
-# A module that does something wrong; each must be found by one case
-
+# A module that does something wrong, each to be found by one case: the case,
+# lines around the command, and words of what the judge says
 PLANTED = {
     "head stays down": (
         (Z, "trigger_never", "z_endstop", 1, "touch"),
-        'with dock, host.always(run.lift, "lifting"):',
-        "with dock:",
+        {"failed": 'run("G90\\nG1 Z8 F600")'},
         "the head is at z=",
     ),
-    "offset is lost": (
-        (Z, "probe_falls", "", 2, "move"),
-        "if self.host.gcode_offset() != z_offset:",
-        """z_offset = 0.5
-        if self.host.gcode_offset() != z_offset:""",
-        "offset was 0.123 and is 0.5",
-    ),
-    "floor is too low": (
+    "pin is pressed too deep": (
         (Z, "trigger_never", "z_endstop", 1, "touch"),
-        "trigger_z = self._probing_move(endstop, floor, speed)",
-        "trigger_z = self._probing_move(endstop, floor - 2.0, speed)",
+        {"failed": 'run("G90\\nG1 Z-1 F600\\nG1 Z20 F600")'},
         "the machine was hurt",
-    ),
-    "samples may differ": (
-        (ATTACHING, "trigger_early", "z_endstop", -1, "touch"),
-        "if spread <= sampling.tolerance:",
-        "if True:",
-        "the gap is",
     ),
     "cause is not named": (
         (Z, "stuck_open", "z_endstop", 0, "touch"),
-        'raise kind("%s (stopped at z=%.3f)" % (e, self.z()))',
-        'raise kind("calibration has failed")',
+        {"failed": 'raise gcmd.error("calibration has failed")'},
         "does not name the cause",
     ),
     "error of its own": (
-        (PIEZO, "trigger_never", "bed_sensor", 1, "touch"),
-        "kind = NoTrigger if self.is_at(floor)",
-        "kind = NoTrigger if self.is_there(floor)",
+        (AUTO, "trigger_never", "bed_sensor", 1, "touch"),
+        {"failed": "module.is_there()"},
         "the printer is shut down",
     ),
-    "nothing is cleaned up": (
-        (PIEZO, "trigger_never", "bed_sensor", 1, "touch"),
-        "                if not self.printer.is_shutdown():\n"
-        "                    action()",
-        "                if not failed:\n                    action()",
-        "currents was",
+    "offset is lost": (
+        (AUTO, "trigger_never", "bed_sensor", 1, "touch"),
+        {"failed": 'run("SET_GCODE_OFFSET Z=0.5")'},
+        "offset was 0.123 and is 0.5",
+    ),
+    "result is wrong": (
+        (AUTO, "trigger_late", "bed_sensor", 0, "touch"),
+        {"done": 'run("SET_GCODE_OFFSET Z_ADJUST=0.01")'},
+        "the gap is",
     ),
 }
 
 
-@pytest.mark.parametrize("planted", PLANTED)
-def test_module_that_does_it_wrong_is_found(some_host, tmp_path, planted):
-    which, right, wrong, problem = PLANTED[planted]
+@pytest.mark.parametrize("name", PLANTED)
+def test_module_that_does_it_wrong_is_found(some_host, tmp_path, name):
+    which, around, problem = PLANTED[name]
     case, good = case_of(some_host, *which)
-    name = JOBS[case.job].module
-    text = module_files()[name].read_text()
-    assert text.count(right) == 1
-    broken = tmp_path / f"{name}.py"
-    broken.write_text(text.replace(right, wrong))
-    modules = {**module_files(), name: broken}
+    modules = module_files() | planted(
+        tmp_path, JOBS[case.job].script, **around
+    )
     outcome = fault_cases.attempt(
         some_host, case, good, Setting(modules=modules)
     )

@@ -64,40 +64,33 @@ def test_reports_sums_at_the_times_asked_for(bench):
     ]
 
 
-@pytest.mark.parametrize(("level", "value"), [(0.0, 0), (1.0, 4095 * 8)])
-def test_ends_of_the_scale(bench, level, value):
-    bench.volts = lambda clock: level
-    bench.query(bench.now())
-    bench.run_to(bench.now())
-    assert bench.states()[0][1] == value
-
-
-def test_count_of_zero_ends_it(bench):
-    bench.query(bench.now())
-    bench.run_to(bench.now() + 100)
-    bench.query(0, count=0)
-    bench.run_to(bench.now() + 10_000)
-    assert len(bench.states()) == 1
-
-
-def test_new_query_replaces_the_old(bench):
-    bench.query(bench.now() + 50)
-    bench.query(bench.now() + 100, rest_ticks=5000)
-    bench.run_to(bench.now() + 9000)
-    assert len(bench.states()) == 2
+def test_count_of_zero_another_query_and_a_shutdown_end_it(bench):
+    for end in (
+        lambda: bench.query(0, count=0),
+        lambda: bench.query(bench.now() + 9999),
+        lambda: bench.tell("emergency_stop"),
+    ):
+        count = len(bench.states())
+        bench.query(bench.now())
+        bench.run_to(bench.now() + 100)
+        end()
+        bench.run_to(bench.now() + 5000)
+        assert len(bench.states()) == count + 1
 
 
 # 8 samples of the middle are 16384; the ends of the range still belong to it
 @pytest.mark.parametrize(
-    ("low", "high", "good"),
+    ("low", "high", "checks", "good"),
     [
-        (16384, 16384, True),
-        (16385, 20000, False),
-        (0, 16383, False),
+        (16384, 16384, 1, True),
+        (16385, 20000, 1, False),
+        (0, 16383, 1, False),
+        (0, 16383, 0, True),
     ],
 )
-def test_range(bench, low, high, good):
-    bench.query(bench.now(), min_value=low, max_value=high, range_check_count=1)
+def test_range(bench, low, high, checks, good):
+    limits = {"min_value": low, "max_value": high, "range_check_count": checks}
+    bench.query(bench.now(), **limits)
     bench.run_to(bench.now() + 5000)
     assert bench.board.state.is_shutdown is not good
 
@@ -110,22 +103,7 @@ def test_shutdown_only_after_enough_bad_samples_in_a_row(bench):
     bench.run_to(start + 7999)
     assert not bench.board.state.is_shutdown
     assert len(bench.states()) == 8
-    bench.run_to(start + 8000)
+    bench.run_to(start + 50_000)
     assert bench.board.state.is_shutdown
     # That is the last report
-    bench.run_to(start + 50_000)
     assert len(bench.states()) == 8
-
-
-def test_no_range_check_unless_asked_for(bench):
-    bench.volts = lambda clock: 1.0
-    bench.query(bench.now(), max_value=100)
-    bench.run_to(bench.now() + 5000)
-    assert not bench.board.state.is_shutdown
-
-
-def test_shutdown_ends_sampling(bench):
-    bench.query(bench.now() + 50)
-    bench.tell("emergency_stop")
-    bench.run_to(bench.now() + 5000)
-    assert bench.states() == []

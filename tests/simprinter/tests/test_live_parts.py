@@ -3,18 +3,19 @@
 from __future__ import annotations
 
 import re
+from dataclasses import replace
 
 import pytest
 
 from tests.hostkit.printer import Printer
-from tests.simprinter import SCENES, Scene
+from tests.simprinter import Scene
+from tests.simprinter.tests.test_scenes import probed_z
 from tests.simprinter.wiring import Motor, Wiring
 from tests.simprinter.world import (
     BedSensorSpec,
     BedSpec,
     DockSpec,
     DriftSpec,
-    InductiveSpec,
     MagProbeSpec,
     MembraneSpec,
     Pose,
@@ -48,13 +49,11 @@ def bare(kinematics="cartesian", inputs=None, outputs=None, **world):
             "dir_pin": motor.dir_pin,
             "microsteps": "16",
             "rotation_distance": "8" if name == "z" else "40",
-            "endstop_pin": "^PG5",
+            "endstop_pin": f"^PG{'xyz'.index(name)}",
             "position_endstop": "0",
             "position_min": "-5",
             "position_max": "300",
         }
-        # One pin each: a pin may be used once only
-        sections[f"stepper_{name}"]["endstop_pin"] = f"^PG{'xyz'.index(name)}"
     if kinematics in ("corexz", "hybrid_corexz"):
         # Both motors share the belt
         sections["stepper_z"]["rotation_distance"] = "40"
@@ -94,37 +93,13 @@ def test_head_goes_where_klippy_sends_it(start, kinematics):
         assert printer.machine.tip() == pytest.approx((x, y, z), abs=0.02)
 
 
-def probed_z(printer, script="PROBE"):
-    """Height a PROBE has found, klippy's frame, mm."""
-    status = "last_probe_position"
-    printer.run(script)
-    probe = printer.status("probe")
-    if status in probe:
-        offset = float(printer.scene.sections["probe"]["z_offset"])
-        return probe[status][2] + offset
-    return probe["last_z_result"]
-
-
 PROBE = {"pin": "^PC3", "z_offset": "0.1", "speed": "5"}
 
 
 def with_probe(scene, **more):
     """The scene with a [probe] on PC3 and other sections."""
-    return Scene(
-        **{
-            **vars(scene),
-            "sections": {**scene.sections, "probe": PROBE, **more},
-        }
-    )
-
-
-def test_inductive_probe(start):
-    scene = bare(
-        inputs={"probe": "^PC3"},
-        inductive=InductiveSpec(20.0, 0.0, sense_distance=1.5),
-    )
-    printer = placed(start(with_probe(scene), modules={}))
-    assert probed_z(printer) == pytest.approx(BED_Z + 1.5, abs=MICROSTEP)
+    sections = {**scene.sections, "probe": PROBE, **more}
+    return replace(scene, sections=sections)
 
 
 def test_bed_sensor_works_only_while_enabled(start):
@@ -196,9 +171,3 @@ def test_drift_moves_what_is_measured(host):
             found.append(probed_z(printer) - first)
     assert found[0] == pytest.approx(0.0, abs=1e-9)
     assert found[1] == pytest.approx(0.1, abs=0.02)
-
-
-def test_scenes_are_named_after_themselves():
-    assert {name: scene.name for name, scene in SCENES.items()} == {
-        name: name for name in SCENES
-    }

@@ -130,40 +130,20 @@ def play(events) -> tuple[StepTrack, NaiveTrack]:
     return track, naive
 
 
-@given(EVENTS)
-def test_track_knows_every_position(events):
+@given(EVENTS, st.floats(0.0, 1.0))
+def test_track_knows_every_position(events, share):
     track, naive = play(events)
     assert track.position == naive.at(naive.last_clock)
     assert track.last_clock == naive.last_clock
-    for clock in probes(naive):
-        assert track.at(clock) == naive.at(clock)
-
-
-@given(EVENTS, st.integers(0, 200), st.integers(0, 200))
-def test_movement_is_never_overlooked(events, first, last):
-    track, naive = play(events)
     clocks = probes(naive)
-    first, last = sorted(clocks[i % len(clocks)] for i in (first, last))
-    if any(first < tick <= last for tick, _ in naive.steps):
-        assert track.begins_by(last)
-        assert first < track.last_clock
-
-
-def test_movement_outside_is_not_reported():
-    track = StepTrack()
-    assert not track.begins_by(100)
-    track.append(10, 5, 0, 1, 1000)
-    assert not track.begins_by(999)
-    assert track.begins_by(1000)
-    assert track.last_clock == 1050
-
-
-@given(EVENTS, st.floats(0.0, 1.0))
-def test_forgetting_keeps_what_came_later(events, share):
-    track, naive = play(events)
+    for clock in clocks:
+        assert track.at(clock) == naive.at(clock)
+        # Movement is never overlooked
+        if any(tick <= clock for tick, _ in naive.steps):
+            assert track.begins_by(clock)
     oldest = round(naive.last_clock * share)
     track.forget(oldest)
-    for clock in probes(naive):
+    for clock in clocks:
         if clock >= oldest:
             assert track.at(clock) == naive.at(clock)
 
@@ -172,6 +152,7 @@ def test_forgetting_shortens_the_list():
     track = StepTrack()
     for _ in range(1000):
         track.append(10, 10, 0, 1)
+    assert not track.begins_by(-1)
     track.forget(90_000)
     # Whoever asks for what is forgotten gets the oldest position known
     assert track.at(0) == 9000
@@ -187,18 +168,13 @@ class Mechanics:
     def __init__(self) -> None:
         self.the_track = StepTrack()
         self.pins: list[tuple[int, int]] = []
-        self.queued: list[int] = []
-        self.settled: list[int] = []
+        self.steps_queued = (queued := []).append
+        self.settle = (settled := []).append
+        self.queued, self.settled = queued, settled
 
     def track(self, step_pin: int, dir_pin: int) -> StepTrack:
         self.pins.append((step_pin, dir_pin))
         return self.the_track
-
-    def steps_queued(self, start_ns: int) -> None:
-        self.queued.append(start_ns)
-
-    def settle(self, ns: int) -> None:
-        self.settled.append(ns)
 
 
 class StepperBench(Bench):
@@ -229,9 +205,6 @@ class StepperBench(Bench):
     def turn(self, direction: int) -> None:
         self.tell("set_next_step_dir", oid=4, dir=direction)
 
-    def halt(self) -> None:
-        self.steppers.halt(self.steppers.by_oid[4], self.now())
-
     def position(self) -> int:
         return self.ask("stepper_get_position", oid=4)["pos"]
 
@@ -241,119 +214,64 @@ def bench() -> StepperBench:
     return StepperBench()
 
 
-def test_pins_choose_the_track(bench):
-    assert bench.mechanics.pins == [(17, 33)]
-
-
 def test_direction_one_counts_up(bench):
-    bench.reset(bench.now())
-    bench.turn(1)
-    bench.queue(1000, 5)
-    bench.turn(0)
-    bench.queue(1000, 8)
-    bench.turn(1)
-    bench.queue(1000, 1)
+    assert bench.mechanics.pins == [(17, 33)]
     start = bench.now()
+    bench.reset(start)
+    # Down until it is told
+    bench.queue(1000, 1)
+    for direction, count in ((1, 5), (0, 8), (1, 1)):
+        bench.turn(direction)
+        bench.queue(1000, count)
     positions = []
-    for n in range(15):
+    for n in range(16):
         bench.run_to(start + n * 1000)
         positions.append(bench.position())
-    assert positions == [0, 1, 2, 3, 4, 5, 4, 3, 2, 1, 0, -1, -2, -3, -2]
+    wanted = [0, -1, 0, 1, 2, 3, 4, 3, 2, 1, 0, -1, -2, -3, -4, -3]
+    assert positions == wanted
+    # The world is told from when on positions change
+    clocks = [bench.board.clock_at(ns) for ns in bench.mechanics.queued]
+    assert clocks == [start + n * 1000 for n in (0, 1, 6, 14)]
 
 
-def test_without_a_direction_steps_count_down(bench):
-    bench.reset(bench.now())
-    bench.queue(1000, 5)
-    bench.run_to(bench.now() + 10_000)
-    assert bench.position() == -5
-
-
-def test_first_interval_may_be_the_whole_clock(bench):
-    # The step clock is reset to 0; across the wrap of the 32-bit clock too
-    for seconds in (1, 30):
-        first = bench.now() + seconds * CLOCK_FREQ
-        bench.reset(0)
-        bench.turn(1)
-        bench.queue(first & LOW32)
-        bench.queue(100, 3)
-        before = bench.position()
-        bench.run_to(first - 1)
-        assert bench.position() == before
-        bench.run_to(first)
-        assert bench.position() == before + 1
-        bench.run_to(first + 300)
-        assert bench.position() == before + 4
-    assert first > 1 << 32
-    assert bench.board.journal.late == []
-
-
-@pytest.mark.parametrize("seconds", [1, 43, 60, 130])
-def test_motor_that_has_rested_for_long(bench, seconds):
-    """Intervals have 32 bits, which is 86 s: longer ones have wrapped."""
+# Seconds that the motor has rested; whether the step clock is reset to 0.
+# Intervals have 32 bits, which is 86 s: longer ones have wrapped
+@pytest.mark.parametrize("seconds", [1, 30, 43, 60, 130])
+@pytest.mark.parametrize("resets", [True, False])
+def test_motor_that_has_rested(bench, seconds, resets):
     bench.turn(1)
-    bench.reset(bench.now())
-    bench.queue(1000, 5)
+    # The step clock is zero at the start
     last = bench.now() + 5000
+    bench.queue(last - 4000)
+    bench.queue(1000, 4)
     bench.run_to(last + seconds * CLOCK_FREQ)
     first = bench.now() + 5000
-    bench.queue((first - last) & LOW32)
-    bench.run_to(first - 1)
-    assert bench.position() == 5
-    bench.run_to(first)
-    assert bench.position() == 6
+    if resets:
+        bench.reset(0)
+    bench.queue((first if resets else first - last) & LOW32)
+    bench.queue(100, 3, 10)
+    for ahead, position in ((-1, 5), (0, 6), (100, 7), (209, 7), (210, 8)):
+        bench.run_to(first + ahead)
+        assert bench.position() == position
+    # Sensors look back by their latency, so what was before must not change
     assert bench.mechanics.the_track.at(last - 1) == 4
     assert bench.board.journal.late == []
 
 
-def test_step_clock_is_zero_at_the_start(bench):
-    first = bench.now() + 100
-    bench.queue(first & LOW32)
-    bench.run_to(first)
-    assert bench.position() == -1
-    assert bench.board.journal.late == []
-
-
-def test_step_clock_close_to_the_first_step(bench):
-    now = bench.now()
-    bench.turn(1)
-    bench.reset(now + 5000)
-    bench.queue(500, 2, 100)
-    assert bench.mechanics.the_track.at(now + 5499) == 0
-    assert bench.mechanics.the_track.at(now + 5500) == 1
-    assert bench.mechanics.the_track.at(now + 6099) == 1
-    assert bench.mechanics.the_track.at(now + 6100) == 2
-
-
-def test_old_positions_survive_a_reset_step_clock(bench):
-    # Sensors look back by their latency, so what was before must not change
-    start = bench.now()
-    track = bench.mechanics.the_track
-    bench.turn(1)
-    bench.reset(start)
-    for _ in range(3):
-        bench.queue(1000, 10)
-    bench.run_to(start + 30_500)
-    bench.halt()
-    bench.turn(1)
-    bench.reset(0)
-    bench.queue((start + 40_000) & LOW32)
-    bench.queue(1000, 10)
-    for n in range(31):
-        assert track.at(start + n * 1000) == n
-    assert [track.at(start + n) for n in (39_999, 40_000, 50_000)] == [
-        30,
-        31,
-        41,
-    ]
-
-
-def test_halted_stepper_drops_steps_until_its_clock_is_reset(bench):
+@pytest.mark.parametrize("stop", ["halt", "shutdown"])
+def test_halted_stepper_drops_steps_until_its_clock_is_reset(bench, stop):
     start = bench.now()
     bench.turn(1)
     bench.reset(start)
     bench.queue(1000, 100)
     bench.run_to(start + 10_500)
-    bench.halt()
+    if stop == "halt":
+        bench.steppers.halt(bench.steppers.by_oid[4], bench.now())
+    else:
+        bench.tell("emergency_stop")
+        bench.tell("clear_shutdown")
+    # The world settles before steps are taken back
+    assert bench.mechanics.settled == [bench.ns]
     bench.queue(1000, 100)
     bench.run_to(start + 1_000_000)
     assert bench.position() == 10
@@ -362,10 +280,14 @@ def test_halted_stepper_drops_steps_until_its_clock_is_reset(bench):
     bench.run_to(bench.now() + 10_000)
     # Halting has also reset the direction
     assert bench.position() == 7
+    assert [bench.mechanics.the_track.at(start + n) for n in (999, 5000)] == [
+        0,
+        5,
+    ]
 
 
 def test_direction_given_while_halted_holds(bench):
-    bench.halt()
+    bench.steppers.halt(bench.steppers.by_oid[4], bench.now())
     bench.turn(1)
     bench.reset(bench.now())
     bench.queue(1000, 3)
@@ -373,46 +295,16 @@ def test_direction_given_while_halted_holds(bench):
     assert bench.position() == 3
 
 
-def test_world_settles_before_steps_are_taken_back(bench):
-    bench.halt()
-    assert bench.mechanics.settled == [bench.ns]
-
-
-def test_world_is_told_from_when_on_positions_change(bench):
-    start = bench.now() + 5000
-    bench.reset(start)
-    bench.queue(1000, 10)
-    bench.queue(1000, 10)
-    clocks = [bench.board.clock_at(ns) for ns in bench.mechanics.queued]
-    assert clocks == [start, start + 10_000]
-
-
-def test_shutdown_halts(bench):
-    bench.turn(1)
-    bench.reset(bench.now())
-    bench.queue(1000, 100)
-    bench.run_to(bench.now() + 3000)
-    bench.board.shut_down()
-    bench.board.state.is_shutdown = False
-    bench.run_to(bench.now() + 1_000_000)
-    assert bench.position() == 3
-
-
 def test_reboot_keeps_the_motor_and_counts_from_there(bench):
-    bench.turn(1)
-    bench.reset(bench.now())
-    bench.queue(1000, 7)
-    bench.run_to(bench.now() + 10_000)
-    bench.tell("reset")
-    bench.configure()
-    assert bench.position() == 0
-    assert bench.mechanics.the_track.at(bench.now()) == 7
-    bench.turn(1)
-    bench.reset(bench.now())
-    bench.queue(1000, 2)
-    bench.run_to(bench.now() + 10_000)
-    assert bench.position() == 2
-    assert bench.mechanics.the_track.at(bench.now()) == 9
+    for count, position in ((7, 7), (2, 9)):
+        bench.turn(1)
+        bench.reset(bench.now())
+        bench.queue(1000, count)
+        bench.run_to(bench.now() + 10_000)
+        assert bench.mechanics.the_track.at(bench.now()) == position
+        bench.tell("reset")
+        bench.configure()
+        assert bench.position() == 0
 
 
 def test_late_steps_are_counted_and_made(bench):

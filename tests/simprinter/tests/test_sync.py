@@ -9,7 +9,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from tests.simprinter.mcu.board import CLOCK_FREQ, TICK_NS
+from tests.simprinter.mcu.board import TICK_NS
 from tests.simprinter.mcu.steppers import Steppers, StepTrack
 from tests.simprinter.mcu.sync import Endstops, TrsyncTable
 from tests.simprinter.tests.workbench import LOW32, Bench
@@ -153,6 +153,10 @@ class HomingBench(Bench):
         self.tell("config_endstop", oid=ENDSTOP, pin=PIN, pull_up=1)
 
     def arm(self, report: int = 0, report_ticks: int = 0) -> None:
+        self.start_trsync(report, report_ticks)
+        self.tell("stepper_stop_on_trigger", oid=STEPPER, trsync_oid=TRSYNC)
+
+    def start_trsync(self, report: int = 0, report_ticks: int = 0) -> None:
         self.tell(
             "trsync_start",
             oid=TRSYNC,
@@ -160,7 +164,12 @@ class HomingBench(Bench):
             report_ticks=report_ticks,
             expire_reason=EXPIRED,
         )
-        self.tell("stepper_stop_on_trigger", oid=STEPPER, trsync_oid=TRSYNC)
+
+    def trigger(self) -> None:
+        self.tell("trsync_trigger", oid=TRSYNC, reason=REASON)
+
+    def set_timeout(self, clock: int) -> None:
+        self.tell("trsync_set_timeout", oid=TRSYNC, clock=clock)
 
     def home(self, start: int, how: Settings) -> None:
         self.tell(
@@ -213,50 +222,29 @@ def bench() -> HomingBench:
 # The trsync
 
 
-def test_trigger_stops_the_steppers_and_is_answered(bench):
+def test_trigger_stops_the_steppers_once_and_is_always_answered(bench):
     bench.arm()
     bench.move(bench.now(), 1000, 100)
     bench.run_to(bench.now() + 10_500)
-    # Once, as the firmware does
-    answer = bench.ask("trsync_trigger", oid=TRSYNC, reason=REASON)
-    assert (answer["can_trigger"], answer["trigger_reason"]) == (0, REASON)
+    answer = {"oid": TRSYNC, "can_trigger": 0, "trigger_reason": REASON}
+    answer["clock"] = 0
+    # The host waits for the answer, and for the first reason
+    for reason in (REASON, REASON + 1):
+        assert bench.ask("trsync_trigger", oid=TRSYNC, reason=reason) == answer
     bench.run_to(bench.now() + 1_000_000)
     assert bench.position() == 10
-
-
-def test_trigger_is_answered_though_it_was_over(bench):
-    # The host waits for the answer, and for the first reason
-    bench.arm()
-    bench.tell("trsync_trigger", oid=TRSYNC, reason=REASON)
-    answer = bench.ask("trsync_trigger", oid=TRSYNC, reason=REASON + 1)
-    assert answer == {
-        "oid": TRSYNC,
-        "can_trigger": 0,
-        "trigger_reason": REASON,
-        "clock": 0,
-    }
-
-
-def test_trigger_stops_what_listens_only_once(bench):
-    bench.arm()
-    bench.tell("trsync_trigger", oid=TRSYNC, reason=REASON)
+    # What listened does so no more
+    bench.start_trsync()
     bench.move(bench.now(), 1000, 10)
-    bench.tell("trsync_trigger", oid=TRSYNC, reason=REASON)
-    bench.tell(
-        "trsync_start",
-        oid=TRSYNC,
-        report_clock=0,
-        report_ticks=0,
-        expire_reason=EXPIRED,
-    )
-    bench.tell("trsync_trigger", oid=TRSYNC, reason=REASON)
+    bench.trigger()
     bench.run_to(bench.now() + 20_000)
-    assert bench.position() == 10
+    assert bench.position() == 20
 
 
-def test_reports_are_periodic_and_end_with_the_trigger_command(bench):
+@pytest.mark.parametrize("ticks", [0, 1000])
+def test_reports_are_periodic_and_end_with_the_trigger_command(bench, ticks):
     start = bench.now() + 500
-    bench.arm(start, 1000)
+    bench.arm(start, ticks)
     bench.run_to(start + 3999)
     reports = bench.said("trsync_state")
     assert reports == [
@@ -266,12 +254,11 @@ def test_reports_are_periodic_and_end_with_the_trigger_command(bench):
             "trigger_reason": 0,
             "clock": (start + n * 1000) & LOW32,
         }
-        for n in range(4)
+        for n in range(4 if ticks else 0)
     ]
-    bench.tell("trsync_trigger", oid=TRSYNC, reason=REASON)
-    count = len(bench.said("trsync_state"))
+    bench.trigger()
     bench.run_to(start + 100_000)
-    assert len(bench.said("trsync_state")) == count
+    assert len(bench.said("trsync_state")) == len(reports) + 1
 
 
 def test_reports_go_on_after_an_endstop_has_triggered(bench):
@@ -286,50 +273,28 @@ def test_reports_go_on_after_an_endstop_has_triggered(bench):
     assert reports == [(1, 0), (0, REASON), (0, REASON), (0, REASON)]
 
 
-def test_no_reports_unless_asked_for(bench):
-    bench.arm()
-    bench.run_to(bench.now() + CLOCK_FREQ)
-    assert bench.said("trsync_state") == []
-
-
 def test_timeout_triggers_unless_it_is_put_off(bench):
     start = bench.now()
     bench.arm()
     bench.move(start, 1000, 1000)
-    bench.tell("trsync_set_timeout", oid=TRSYNC, clock=start + 5500)
+    bench.set_timeout(start + 5500)
     bench.run_to(start + 5000)
-    bench.tell("trsync_set_timeout", oid=TRSYNC, clock=start + 9500)
+    bench.set_timeout(start + 9500)
     bench.run_to(start + 9499)
     assert bench.said("trsync_state") == []
-    bench.run_to(start + 9500)
-    assert bench.said("trsync_state") == [
-        {
-            "oid": TRSYNC,
-            "can_trigger": 0,
-            "trigger_reason": EXPIRED,
-            "clock": (start + 9500) & LOW32,
-        }
-    ]
     bench.run_to(start + 100_000)
+    (report,) = bench.said("trsync_state")
+    assert (report["can_trigger"], report["trigger_reason"]) == (0, EXPIRED)
+    assert report["clock"] == (start + 9500) & LOW32
     assert bench.position() == 9
-
-
-def test_timeout_after_the_trigger_is_nothing(bench):
-    bench.arm()
-    bench.tell("trsync_trigger", oid=TRSYNC, reason=REASON)
-    bench.tell("trsync_set_timeout", oid=TRSYNC, clock=bench.now() + 100)
-    count = len(bench.answers)
+    # After it, and by a new start, a timeout is nothing
+    bench.set_timeout(bench.now() + 100)
     bench.run_to(bench.now() + 1000)
-    assert len(bench.answers) == count
-
-
-def test_new_start_forgets_the_old_timeout(bench):
-    start = bench.now()
     bench.arm()
-    bench.tell("trsync_set_timeout", oid=TRSYNC, clock=start + 1000)
+    bench.set_timeout(bench.now() + 100)
     bench.arm()
-    bench.run_to(start + 10_000)
-    assert bench.said("trsync_state") == []
+    bench.run_to(bench.now() + 1000)
+    assert bench.said("trsync_state") == [report]
 
 
 def test_shutdown_disarms(bench):
@@ -355,9 +320,16 @@ SETTINGS = st.builds(
 WAVES = st.lists(st.integers(1, 4000) | st.integers(1, 40), max_size=30)
 
 
-def run_wave(wave: list[int], how: Settings, wait: int, span: int) -> None:
+# Near the start, and where the clock wraps while it looks
+BEGINS = st.sampled_from((0, (1 << 32) - 2500))
+
+
+def run_wave(
+    wave: list[int], how: Settings, begin: int, wait: int, span: int
+) -> None:
     """The same waveform for both; they must agree about everything."""
     bench = HomingBench()
+    bench.run_to(begin)
     board = bench.board
     time = bench.ns
     for gap in wave:
@@ -383,45 +355,19 @@ def run_wave(wave: list[int], how: Settings, wait: int, span: int) -> None:
         assert bench.parts.settled == [board.ns(last)]
 
 
-@given(WAVES, SETTINGS, st.integers(0, 300))
-def test_endstop_samples_like_the_firmware(wave, how, wait):
-    run_wave(wave, how, wait, 5000)
+@given(WAVES, SETTINGS, BEGINS, st.integers(0, 300))
+def test_endstop_samples_like_the_firmware(wave, how, begin, wait):
+    run_wave(wave, how, begin, wait, 5000)
 
 
 @given(
     st.lists(st.integers(1_000_000, 30_000_000), max_size=4),
     SETTINGS.map(lambda how: how._replace(rest=how.rest * 40 + 1000)),
+    BEGINS,
     st.integers(0, 100_000),
 )
-def test_endstop_sees_what_is_far_ahead(wave, how, wait):
-    run_wave(wave, how, wait, 4_000_000)
-
-
-def test_endstop_samples_across_the_wrap_of_the_clock(bench):
-    bench.run_to((1 << 32) - 5000)
-    how = Settings(50, 4, 300)
-    start = bench.now() + 100
-    bench.parts.toggles = [bench.ns + 7000 * TICK_NS]
-    bench.arm()
-    bench.home(start, how)
-    bench.run_to(start + 20_000)
-    first = start + 300 * 23  # at 6900 / 300 = 23 it is just there
-    assert bench.outcome(start) == Outcome(first + 150, first + 300)
-    assert first > 1 << 32
-
-
-def test_bounce_between_two_samples(bench):
-    """The next look is counted from the first sample of the bounce."""
-    start = bench.now()
-    ticks = (495, 540, 595)  # high at the samples 500 and 530, low at 560
-    bench.parts.toggles = [bench.ns + tick * TICK_NS for tick in ticks]
-    bench.arm()
-    bench.home(start, Settings(30, 4, 100))
-    bench.run_to(start + 585)
-    assert bench.state()["next_clock"] == (start + 600) & LOW32
-    assert bench.said("trsync_state") == []
-    bench.run_to(start + 5000)
-    assert bench.outcome(start) == Outcome(start + 690, start + 700)
+def test_endstop_sees_what_is_far_ahead(wave, how, begin, wait):
+    run_wave(wave, how, begin, wait, 4_000_000)
 
 
 @st.composite
@@ -493,15 +439,14 @@ def test_state_tells_level_and_homing(bench):
     bench.home(0, Settings(0, 0, 0))
     end = {**state, "next_clock": next_clock, "pin_value": 1}
     assert bench.state() == end
-
-
-def test_homing_that_is_ended_does_not_trigger(bench):
+    # One that is ended before its edge triggers nothing
     bench.arm()
-    bench.home(bench.now(), Settings(10, 4, 100))
-    bench.parts.toggles = [bench.ns + 10_000]
+    bench.home(bench.now(), Settings(10, 4, 100, wanted=False))
+    bench.parts.toggles.append(bench.ns + 10_000)
     bench.home(0, Settings(0, 0, 0))
+    count = len(bench.said("trsync_state"))
     bench.run_to(bench.now() + 10_000)
-    assert bench.said("trsync_state") == []
+    assert len(bench.said("trsync_state")) == count
 
 
 def test_homing_anew_replaces_the_old_search(bench):
@@ -511,25 +456,18 @@ def test_homing_anew_replaces_the_old_search(bench):
     bench.home(start, Settings(10, 4, 100))
     bench.home(start + 20_000, Settings(10, 1, 100))
     bench.run_to(start + 50_000)
-    assert bench.outcome(start) == Outcome(start + 20_000, start + 20_100)
-
-
-def test_nothing_moves_the_report_after_the_trigger(bench):
-    """Steps that follow the trigger start no new search."""
-    start = bench.now()
-    bench.parts.toggles = [bench.ns + 500 * TICK_NS]
-    bench.arm()
-    bench.home(start, Settings(10, 4, 100))
-    bench.run_to(start + 5000)
-    bench.move(start + 6000, 5000, 10)
-    bench.run_to(start + 60_000)
-    assert bench.outcome(start) == Outcome(start + 530, start + 600)
+    wanted = Outcome(start + 20_000, start + 20_100)
+    assert bench.outcome(start) == wanted
+    # Steps that follow the trigger start no new search
+    bench.move(bench.now() + 6000, 5000, 10)
+    bench.run_to(bench.now() + 60_000)
+    assert bench.outcome(start) == wanted
 
 
 def test_trigger_that_nobody_waits_for(bench):
     # The host may have been told by another board
     bench.arm()
-    bench.tell("trsync_trigger", oid=TRSYNC, reason=EXPIRED)
+    bench.trigger()
     count = len(bench.answers)
     bench.parts.toggles = [bench.ns]
     bench.home(bench.now(), Settings(10, 4, 100))

@@ -22,34 +22,21 @@ SECOND = 10**9
 
 
 @pytest.mark.parametrize(
-    ("text", "number", "inverted"),
+    ("text", "board", "number", "inverted"),
     [
-        ("PA0", 0, False),
-        ("PA15", 15, False),
-        ("!PB0", 16, True),
-        ("^PC3", 35, False),
-        ("^!PI15", 143, True),
-        ("~!PD2", 50, True),
-        ("^!zboard:PC2", 34, True),
+        ("PA0", "mcu", 0, False),
+        ("PA15", "mcu", 15, False),
+        ("!PB0", "mcu", 16, True),
+        ("mcu:PC2", "mcu", 34, False),
+        ("^!PI15", "mcu", 143, True),
+        ("~!zboard:PD2", "zboard", 50, True),
+        ("^zboard:PC2", "zboard", 34, False),
     ],
 )
-def test_pins(text, number, inverted):
+def test_pins(text, board, number, inverted):
+    assert board_of(text) == board
     assert pin_number(text) == number
     assert is_inverted(text) is inverted
-
-
-@pytest.mark.parametrize(
-    ("text", "board"),
-    [
-        ("PC2", "mcu"),
-        ("^!PC2", "mcu"),
-        ("mcu:PC2", "mcu"),
-        ("zboard:PC2", "zboard"),
-        ("^!zboard:PC2", "zboard"),
-    ],
-)
-def test_boards_of_pins(text, board):
-    assert board_of(text) == board
 
 
 @pytest.mark.parametrize(
@@ -81,12 +68,8 @@ def test_what_is_wired_to_one_board():
     assert far.inputs == {"z_endstop": "^!zboard:PC3"}
     assert far.outputs == {"probe_attach": "zboard:PD0"}
     assert far.heaters == {}
-
-
-def test_boards_with_the_main_one_first():
-    plain, two = Wiring({}, {}), Wiring({}, {}, boards=ZBOARD)
-    assert plain.all_boards() == {"mcu": BoardSpec()}
-    assert list(two.all_boards().items()) == [
+    # The main one is the first
+    assert list(wiring.all_boards().items()) == [
         ("mcu", BoardSpec()),
         ("zboard", ZBOARD["zboard"]),
     ]
@@ -112,39 +95,25 @@ def test_impossible_wiring_is_refused(wired, message):
         Wiring(**parts)
 
 
-def test_heater_approaches_its_end_exponentially():
+@pytest.mark.parametrize("looks", [[], range(1, 300)])
+def test_heater_approaches_its_end_exponentially(looks):
+    """However often it is looked at."""
+    start = 10 * SECOND
     heater = HeaterState(
-        Heater("PA0", "PA1", power=2.0, loss=0.01, ambient=20.0), 0
+        Heater("PA0", "PA1", power=2.0, loss=0.01, ambient=20.0), start
     )
-    heater.set_duty(0.5, 0)
-    # Ends 100 degrees above ambient, with a time constant of 100 s
-    for seconds in (1, 50, 100, 300):
-        heater.advance(seconds * SECOND)
-        expected = 120.0 - 100.0 * math.exp(-seconds / 100)
-        assert heater.celsius == pytest.approx(expected)
-    heater.set_duty(0.0, 300 * SECOND)
-    hot = heater.celsius
-    heater.advance(400 * SECOND)
-    assert heater.celsius == pytest.approx(20.0 + (hot - 20.0) / math.e)
-
-
-def test_heater_is_the_same_however_often_it_is_looked_at():
-    often = HeaterState(Heater("PA0", "PA1"), 0)
-    seldom = HeaterState(Heater("PA0", "PA1"), 0)
-    for heater in (often, seldom):
-        heater.set_duty(0.7, SECOND)
-    for n in range(100):
-        often.voltage(SECOND + n * SECOND)
-    assert often.voltage(100 * SECOND) == pytest.approx(
-        seldom.voltage(100 * SECOND)
-    )
-
-
-def test_heater_does_not_go_back_in_time():
-    heater = HeaterState(Heater("PA0", "PA1"), 10 * SECOND)
-    heater.set_duty(1.0, 10 * SECOND)
+    heater.set_duty(0.5, start)
+    # It does not go back in time
     heater.advance(5 * SECOND)
-    assert heater.celsius == 25.0
+    for seconds in looks:
+        heater.voltage(start + seconds * SECOND)
+    # Ends 100 degrees above ambient, with a time constant of 100 s
+    heater.advance(start + 300 * SECOND)
+    hot = 120.0 - 100.0 * math.exp(-3.0)
+    assert heater.celsius == pytest.approx(hot)
+    heater.set_duty(0.0, start + 300 * SECOND)
+    heater.advance(start + 400 * SECOND)
+    assert heater.celsius == pytest.approx(20.0 + (hot - 20.0) / math.e)
 
 
 @pytest.mark.parametrize(
