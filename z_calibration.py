@@ -286,10 +286,8 @@ def complete(settings, probe, z_offset, position_max):
 def attaches_probe(before_switch_gcode, start_gcode, macros):
     if before_switch_gcode.upper().split() == start_gcode.upper().split():
         return False
-    code = re.sub(r"(?s)\{%.*?%\}", "\n", before_switch_gcode)
-    words = [
-        line.split()[0].upper() for line in code.splitlines() if line.split()
-    ]
+    code = re.sub(r"(?s)\{%.*?%\}", "\n", before_switch_gcode.upper())
+    words = re.findall(r"(?m)^\s*([^\s;]+)", code)
     return any(word in ATTACHING or word in macros for word in words)
 
 
