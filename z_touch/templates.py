@@ -69,8 +69,8 @@ def attaches_probe(before_switch_gcode, start_gcode, macros):
     code = before_switch_gcode.upper()
     if code.split() == start_gcode.upper().split():
         return False
-    lines = re.sub(r"(?s)\{%.*?%\}", "\n", code).splitlines()
-    words = [line.split()[0] for line in lines if line.split()]
+    code = re.sub(r"(?s)\{%.*?%\}", "\n", code)
+    words = re.findall(r"(?m)^\s*([^\s;]+)", code)
     return any(word in ATTACHING or word in macros for word in words)
 
 

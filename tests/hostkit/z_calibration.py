@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import re
+from collections.abc import Callable
 from pathlib import Path
 from typing import Any, Optional, Union
 
@@ -11,7 +12,7 @@ import pytest
 from tests.hostkit.hosts import Host
 from tests.hostkit.load_errors import load
 from tests.hostkit.printer import Printer, module_files
-from tests.simprinter import Scene
+from tests.simprinter import Fault, Scene
 
 MICROSTEP = 0.0025
 RESULT = re.compile(
@@ -83,6 +84,34 @@ def marked(*names: str, **bodies: str) -> dict[str, Any]:
     for name in names:
         changes[f"gcode_macro {name}"] = marker(name, bodies.get(name, ""))
     return changes
+
+
+def with_dead_pin(start: Callable, n: int = 4, **options: Any) -> Printer:
+    """A homed printer whose nozzle pin is dead at its n-th arming."""
+    fault = Fault("trigger_never", signal="z_endstop", n=n)
+    printer = start(faults=[fault], **options)
+    printer.machine.tolerate("nozzle_pin", 1.01)
+    return printer.homed()
+
+
+def with_extra(folder: Path, code: str) -> dict[str, Path]:
+    """Modules to install so that the section [extra] runs this code.
+
+    Once every object is there: printer, probe, homing, gcode, toolhead.
+    """
+    body = "".join(f"        {line}\n" for line in code.strip().splitlines())
+    source = folder / "extra.py"
+    source.write_text(
+        "def load_config(config):\n"
+        "    printer = config.get_printer()\n"
+        "    def change():\n"
+        "        look_up = printer.lookup_object\n"
+        "        probe, homing = look_up('probe'), look_up('homing')\n"
+        "        gcode, toolhead = look_up('gcode'), look_up('toolhead')\n"
+        f"{body}"
+        "    printer.register_event_handler('klippy:mcu_identify', change)\n"
+    )
+    return {**module_files(), "extra": source}
 
 
 def with_moves() -> dict[str, Path]:
