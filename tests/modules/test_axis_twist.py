@@ -6,7 +6,7 @@ from dataclasses import replace
 
 import pytest
 
-from tests.hostkit.auto_z_offset import PROBE_PLACE, told, world
+from tests.hostkit.auto_z_offset import PROBE_PLACE, true_gap, world
 from tests.hostkit.load_errors import load
 from tests.hostkit.printer import Printer
 from tests.hostkit.z_calibration import MICROSTEP, calibration
@@ -57,6 +57,34 @@ def test_corrected_probe_on_a_twisted_axis(host, home):
         over = home[0] + inductive.x_offset, home[1] + inductive.y_offset
         gap = printer.scene.piezo_gap()
         assert printer.gap(over) == pytest.approx(gap, abs=2 * MICROSTEP)
+
+
+def test_correction_goes_with_a_mesh_where_a_switch_homes_z(host):
+    # The mesh has the twist on every host
+    name = "piezo_cartesian"
+    inductive = replace(SCENES[name].world.inductive, twist=-TWIST)
+    scene = world(name, inductive=inductive)
+    changes = {
+        **compensation(host, name, 0, 200, 0.0, 200 * TWIST),
+        "stepper_z": {
+            "endstop_pin": "^PC8",
+            "position_endstop": "0",
+            "position_min": "-4",
+        },
+        "safe_z_home": None,
+        "force_move": {"enable_force_move": "true"},
+        "bed_mesh": {
+            "mesh_min": "40,40",
+            "mesh_max": "200,200",
+            "speed": "150",
+        },
+    }
+    with Printer(host, scene, changes) as printer:
+        printer.session.require_ready()
+        printer.run("SET_KINEMATIC_POSITION X=%g Y=%g Z=%g" % scene.start)
+        printer.run("G90\nAUTO_Z_CALIBRATE\nBED_MESH_CALIBRATE")
+        gap = scene.piezo_gap()
+        assert true_gap(printer) == pytest.approx(gap, abs=2 * MICROSTEP)
 
 
 def test_twist_is_in_no_height_of_z_calibration(host):
