@@ -8,11 +8,10 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from tests.modules.unit.imported import imported
+from tests.modules.unit.loading import load
 
-az = imported("auto_z_offset")
-CalibrationError = imported("z_touch.errors").CalibrationError
-Sampling = imported("z_touch.sampling").Sampling
+az = load("auto_z_offset")
+CalibrationError = az.errors.CalibrationError
 
 STEP = 1 / 64
 FLOOR = az.Floor(-4.0, "position_min")
@@ -82,7 +81,7 @@ def test_probe_alone_tells_how_high_the_bed_can_be():
     ],
 )
 def test_touch_before_at_the_same_place(z, before, tolerance, low):
-    sampling = Sampling(1, tolerance, 0, "average", 5.0, 3.0, 20.0)
+    sampling = az.sampling.Sampling(1, tolerance, 0, "average", 5.0, 3.0, 20.0)
     found = az.expect_again(z, before, sampling)
     assert found.low == pytest.approx(low)
     assert found.z == (z if before is None else min(z, before))
