@@ -363,6 +363,7 @@ class ProbeMeasurement(object):
         self.host = run.host
         self.settings = run.settings
         self.watch = run.watch
+        self.known = run.known
         self.head = touching.Head(run.host, run.settings.sampling, TOO_LOW)
 
     # 'floor' is the height at which the nozzle meets the bed: an inductive
@@ -405,11 +406,11 @@ class ProbeMeasurement(object):
                 " not the bed, or the probe does not see it" % (e, floor)
             )
 
-    # As G28 sees it: the correction is counted from where that puts Z=0
+    # As G28, from which the correction is counted, or else the mesh sees it
     def homed_z(self, probed):
-        if self.host.homes_with_twist():
-            return probed.z + probed.twist
-        return probed.z
+        if self.known.homes_with_probe and not self.host.homes_with_twist():
+            return probed.z
+        return probed.z + probed.twist
 
     def report(self, msg):
         self.watch.say("probe: %s" % (msg,))

@@ -409,7 +409,7 @@ def test_tolerance_and_retries(start, signal, retries, good):
     )
     name = "bed sensor" if signal == "bed_sensor" else "probe"
     if not good:
-        text = printer.fail("AUTO_Z_MEASURE_OFFSET")
+        text = printer.fail("AUTO_Z_CALIBRATE")
         assert f"auto_z_offset: {name}: samples differ by 0.0" in text
         assert "samples_tolerance is 0.0500 mm; clean the nozzle" in text
         return

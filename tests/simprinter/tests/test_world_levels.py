@@ -33,6 +33,7 @@ from tests.simprinter.world import (
 
 EDGE = 1e-6
 SURFACE = Bed(BED).height
+TWISTED = replace(PIEZO, inductive=replace(PIEZO.inductive, twist=0.001))
 
 
 def bed_below_probe(x: float, y: float) -> float:
@@ -45,6 +46,7 @@ CASES = [
     (MAG, "probe", MIDDLE, bed_below_probe(*MIDDLE) + 5.4),
     (PIEZO, "bed_sensor", MIDDLE, SURFACE(*MIDDLE) - 0.04),
     (PIEZO, "probe", MIDDLE, SURFACE(167.6, 150.0) + 2.5),
+    (TWISTED, "probe", MIDDLE, SURFACE(167.6, 150.0) + 2.5 + 0.15),
     (PIEZO, "z_endstop", MIDDLE, 0.0),
     (MEMBRANE, "membrane", (30.0, 20.0), SURFACE(30.0, 20.0) + 0.2),
 ]

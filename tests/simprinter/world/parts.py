@@ -191,7 +191,9 @@ class Builder:
             return
         sensed = sensed_bed(bed, self._drift, spec)
         # Nothing is touched: no limits
-        top = bed.highest + spec.sense_distance
+        plate = self._spec.bed
+        reach = max(abs(plate.x_min), abs(plate.x_max)) + abs(spec.x_offset)
+        top = bed.highest + spec.sense_distance + abs(spec.twist) * reach
         site = Site("inductive_bed", sensed, top)
         sensor = self._sensor("probe", spec.noise, site)
         level = contact_level(sensor, nothing_held)

@@ -280,9 +280,10 @@ def hanging_on_bed(
 def sensed_bed(bed: Bed, drift: Drift, probe: InductiveSpec) -> ContactZ:
     """The plate comes within the coil's distance; the coil is not hot."""
     offset_x, offset_y = probe.x_offset, probe.y_offset
-    distance = probe.sense_distance
+    sense_distance, twist = probe.sense_distance, probe.twist
 
     def contact_z(x: float, y: float, t: float) -> Optional[float]:
+        distance = sense_distance + twist * x
         x, y = x + offset_x, y + offset_y
         if not bed.covers(x, y):
             return None

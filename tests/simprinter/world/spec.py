@@ -291,16 +291,18 @@ class InductiveSpec:
     """A probe that senses the plate from a distance.
 
     sense_distance: height of the cold nozzle tip over the plate's surface
-    below the probe, mm, at which it triggers.
+    below the probe, mm, at which it triggers, with the head at X=0.
+    twist: mm that it hangs lower for each mm of X, on an axis that is twisted
     """
 
     x_offset: float
     y_offset: float
     sense_distance: float
+    twist: float = 0.0
     noise: NoiseSpec = field(default_factory=NoiseSpec)
 
     def __post_init__(self) -> None:
-        _finite(self, "x_offset", "y_offset")
+        _finite(self, "x_offset", "y_offset", "twist")
         _positive(self, "sense_distance")
 
 
