@@ -1,5 +1,4 @@
 # What ends a measurement; the command that it belongs to tells the user.
-#
 # Copyright (C) 2026  the Z calibration developers, under the GNU GPLv3
 import contextlib
 

@@ -1,5 +1,4 @@
 # What moved the frame that heights are measured in.
-#
 # Copyright (C) 2026  the Z calibration developers, under the GNU GPLv3
 HOMED_OR_SET = "Z was homed again or set"
 LEVELLED = "the Z motors were levelled"

@@ -1,5 +1,4 @@
 # Everything that the modules want from the printer.
-#
 # Copyright (C) 2026  the Z calibration developers, under the GNU GPLv3
 from __future__ import division
 

@@ -1,5 +1,4 @@
 # How gently the Z motors move while something is touched.
-#
 # Copyright (C) 2026  the Z calibration developers, under the GNU GPLv3
 import contextlib
 import functools

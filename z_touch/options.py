@@ -1,5 +1,4 @@
 # Options and parameters that the host's own getters cannot read.
-#
 # Copyright (C) 2026  the Z calibration developers, under the GNU GPLv3
 import math
 

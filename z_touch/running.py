@@ -1,6 +1,5 @@
 # One command under way: what it is doing, what it changed for a while, and
 # what its failure leaves behind.
-#
 # Copyright (C) 2026  the Z calibration developers, under the GNU GPLv3
 from __future__ import division
 

@@ -1,5 +1,4 @@
 # The user's G-code.
-#
 # Copyright (C) 2026  the Z calibration developers, under the GNU GPLv3
 import re
 

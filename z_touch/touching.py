@@ -1,5 +1,4 @@
 # One place to touch: get there, come down, touch, come up again.
-#
 # Copyright (C) 2026  the Z calibration developers, under the GNU GPLv3
 #
 # Every height is a toolhead Z: the position, in mm and in the frame that the
