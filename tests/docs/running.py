@@ -85,15 +85,13 @@ class Running:
 
     def load(self, **own: Optional[str]) -> Load:
         """The module with what is required and these options."""
-        section = {self.module.name: own}
-        return self._load(self.config(self.plain, section))
-
-    def _load(self, config: str) -> Load:
+        config = self.config(self.plain, {self.module.name: own})
         if config not in self._loads:
             session = self.printer.session
             before = len(session.console)
             state, message = session.reload(config)
             is_ready = state == "ready"
+            assert is_ready or own, message
             listener = self._listen() if is_ready else {}
             self._loads[config] = Load(
                 "" if is_ready else message,
@@ -113,11 +111,9 @@ class Running:
     @cached_property
     def commands(self) -> set[str]:
         """Those that there are with the module only."""
-        found = []
+        session, found = self.printer.session, []
         for own in ({}, None):
-            session = self.printer.session
-            changes = self.plain, {self.module.name: own}
-            session.reload(self.config(*changes))
+            session.reload(self.config(self.plain, {self.module.name: own}))
             found.append(set(session.call("gcode/help", {})))
         return found[0] - found[1]
 
