@@ -19,8 +19,8 @@ class Module(NamedTuple):
     picture: draws the run that all numbers are of. steps: G-code to run with
     the document's sections and with `surroundings`; each with the line that
     its answer has to have, if any. old: the heading of options of other
-    releases. plain: the scene's printer with no option of the module that has
-    a default; of what defaults are taken from, no two have the same value.
+    releases. given: the only options of the module without a default that are
+    always there. sources: of what its defaults are taken from, no two alike.
     late: options whose default shows only when something is measured, which
     tests/modules looks at. unsaid: messages that only other modules tell.
     """
@@ -31,7 +31,8 @@ class Module(NamedTuple):
     surroundings: Sections
     steps: Mapping[str, Optional[str]]
     old: str
-    plain: Sections
+    given: tuple[str, ...]
+    sources: Sections
     late: Mapping[str, str]
     unsaid: frozenset[str] = frozenset()
 
@@ -72,11 +73,8 @@ Z_CALIBRATION = Module(
         " --> new offset=0.460000",
     },
     old="Old names",
-    plain={
-        "z_calibration": {
-            "nozzle_xy_position": None,
-            "switch_xy_position": None,
-        },
+    given=("bed_xy_position", "switch_offset"),
+    sources={
         "safe_z_home": {"home_xy_position": "201, 202"},
         "stepper_z": {
             "homing_speed": "7.25",
@@ -117,17 +115,8 @@ AUTO_Z_OFFSET = Module(
         "SET_GCODE_OFFSET Z=0\nAUTO_Z_HOME_Z": None,
     },
     old="How do I migrate from the original module?",
-    plain={
-        "auto_z_offset": dict.fromkeys(
-            (
-                *("z_offset", "speed", "lift_speed", "probe_accel"),
-                *("probe_hop", "offset_samples", "samples"),
-                *("sample_retract_dist", "samples_tolerance"),
-                "samples_tolerance_retries",
-            )
-        ),
-        "probe": {"z_offset": "1.0"},
-    },
+    given=("pin", "prepare_gcode"),
+    sources={"probe": {"z_offset": "1.0"}},
     late={
         "bed_xy_position": "middle of the axes",
         "corrected_probe_z_offset": "`z_offset` of `[probe]`",

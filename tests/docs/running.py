@@ -51,6 +51,9 @@ class Running:
     def __init__(self, host: Host, module: Module):
         self.module = module
         scene = SCENES[module.scene]
+        own = dict.fromkeys({*scene.sections[module.name]} - {*module.given})
+        # No option that has a default
+        self.plain = {**module.sources, module.name: own}
         listener = {"listener": {"module": module.name}}
         scene = replace(scene, sections={**listener, **scene.sections})
         modules = with_extras("listener")
@@ -82,15 +85,13 @@ class Running:
 
     def load(self, **own: Optional[str]) -> Load:
         """The module with what is required and these options."""
-        section = {self.module.name: own}
-        return self._load(self.config(self.module.plain, section))
-
-    def _load(self, config: str) -> Load:
+        config = self.config(self.plain, {self.module.name: own})
         if config not in self._loads:
             session = self.printer.session
             before = len(session.console)
             state, message = session.reload(config)
             is_ready = state == "ready"
+            assert is_ready or own, message
             listener = self._listen() if is_ready else {}
             self._loads[config] = Load(
                 "" if is_ready else message,
@@ -110,11 +111,9 @@ class Running:
     @cached_property
     def commands(self) -> set[str]:
         """Those that there are with the module only."""
-        found = []
+        session, found = self.printer.session, []
         for own in ({}, None):
-            session = self.printer.session
-            changes = self.module.plain, {self.module.name: own}
-            session.reload(self.config(*changes))
+            session.reload(self.config(self.plain, {self.module.name: own}))
             found.append(set(session.call("gcode/help", {})))
         return found[0] - found[1]
 
@@ -159,23 +158,23 @@ class Running:
         """True gap at Z=0 over a point that G-code leaves, mm."""
         if script not in self._gaps:
             surroundings = self.module.surroundings
-            config = self.config(self.module.plain, surroundings)
+            config = self.config(self.plain, surroundings)
             self.printer.session.reload(config)
             self.printer.run("G28\n" + script)
             self._gaps[script] = self.printer.gap(xy)
         return self._gaps[script]
 
 
-def differ(first: dict[str, Any], second: dict[str, Any]) -> list[str]:
-    """Where two states of a module do not keep the same.
+def differ(first: Load, second: Load) -> set[str]:
+    """Where a module does not keep the same in two configurations.
 
     Words count, sentences do not: they may say where a number comes from.
     """
-    found = []
-    for place in {*first, *second}:
-        values = first.get(place), second.get(place)
+    found = set()
+    for place in {*first.kept, *second.kept}:
+        values = first.kept.get(place), second.kept.get(place)
         are_words = all(isinstance(v, str) and " " not in v for v in values)
         is_number = any(isinstance(v, (int, float)) for v in values)
         if values[0] != values[1] and (are_words or is_number):
-            found.append(place)
-    return sorted(found)
+            found.add(place)
+    return found

@@ -60,7 +60,7 @@ def texts(node: ast.AST) -> Iterator[str]:
 def messages(name: str) -> frozenset[str]:
     """Every text of more than one word that a user may see, in pieces."""
     found = {
-        normal(re.sub(r"%(?:\.\d+)?[sdfg]", VALUE, text))
+        normal(re.sub(r"%(?:\(\w+\))?(?:\.\d+)?[sdfg]", VALUE, text))
         for tree in trees(name)
         for text in texts(tree)
         if " " in text.strip()

@@ -12,6 +12,7 @@ import math
 import re
 from collections.abc import Iterator
 from pathlib import Path
+from typing import Any
 
 import pytest
 
@@ -46,10 +47,10 @@ ROUNDED = 6e-4
 Found = Iterator[str]
 
 
-def unlike(what: str, first: set[str], second: set[str]) -> Found:
+def unlike(what: str, written: set[str], real: set[str]) -> Found:
     """What is only in one of the two."""
-    for name in sorted(first ^ second):
-        yield f"{what} only in {'first' if name in first else 'second'}: {name}"
+    yield from (f"{what}: not in the module: {n}" for n in written - real)
+    yield from (f"{what}: not in the document: {n}" for n in real - written)
 
 
 # Options
@@ -67,13 +68,27 @@ def old_options(running: Running, text: str) -> dict[str, list[str]]:
     return {spans(row[0])[0]: row[1:] for row in found}
 
 
+def old_givens(name: str, cells: list[str]) -> list[dict[str, Any]]:
+    """How to give an old option: with its twin, without its new name."""
+    new = spans(cells[0])[:1] if cells[0].startswith("`") else []
+    twin = {"_x": "_y", "_y": "_x"}.get(name[-2:])
+    names_given = [name, name[:-2] + twin] if twin else [name]
+    return [
+        {**dict.fromkeys(new), **dict.fromkeys(names_given, value)}
+        for value in (samples_of(cells[1])[0] if new else ["1"])
+    ]
+
+
 def wrong_options(running: Running, text: str) -> Found:
     options = documented_options(running, text)
     written = [option.name for option in options]
-    written += old_options(running, text)
-    running.load()
+    old = old_options(running, text)
+    written += old
+    # Some are only looked for where they are given
+    for given in ({}, *(g for item in old.items() for g in old_givens(*item))):
+        running.load(**given)
     asked = running.asked[running.module.name]
-    yield from unlike("option of document or module", set(written), asked)
+    yield from unlike("option", set(written), asked)
     for name in written:
         if written.count(name) > 1:
             yield f"option twice: {name}"
@@ -95,23 +110,34 @@ def given_default(running: Running, option: Option) -> str:
 
 def wrong_defaults(running: Running, text: str) -> Found:
     """Options that are given as their defaults change nothing."""
-    plain, module = running.load(), running.module
-    own = plain.file["settings"][module.name]
-    written = plain.file["config"][module.name]
+    plain, late = running.load(), running.module.late
+    own = plain.file["settings"][running.module.name]
+    options = documented_options(running, text)
     givens = {}
-    for option in documented_options(running, text):
-        if option.name in module.late:
-            if option.default != module.late[option.name]:
+    for option in options:
+        if option.name in late:
+            if option.default != late[option.name]:
                 yield f"{option.name}: default {option.default}"
         elif value := given_default(running, option):
             givens[option.name] = value
-        elif own.get(option.name) and option.name not in written:
+        elif own.get(option.name) and option.name not in running.module.given:
             yield f"{option.name}: is {own[option.name]} by default"
-    given = running.load(**givens)
-    if given.error:
-        yield f"the defaults: {given.error}"
-    for place in differ(plain.kept, given.kept):
-        yield f"{place} is {plain.kept.get(place)} by default"
+    whole = running.load(**givens)
+    if whole.error:
+        yield f"the defaults: {whole.error}"
+    elif not differ(plain, whole):
+        return
+    for name, value in givens.items():
+        given = running.load(**{name: value})
+        (words,) = [o.range for o in options if o.name == name]
+        # An option may count elsewhere, too, once it is given
+        own_places = {
+            place
+            for other in samples_of(words)[0]
+            for place in differ(plain, running.load(**{name: other}))
+        }
+        if own_places <= differ(plain, given):
+            yield f"{name}: {value} is not the default"
 
 
 def wrong_ranges(running: Running, text: str) -> Found:
@@ -134,26 +160,17 @@ def taken(running: Running, name: str, givens: list[dict]) -> Found:
     for given, load in zip(givens, loads):
         if load.error:
             yield f"{given}: {load.error}"
-    plain = running.load().kept
-    if not any(differ(plain, load.kept) for load in loads):
+    if not any(differ(running.load(), load) for load in loads):
         yield f"{name}: makes no difference"
 
 
 def wrong_old_options(running: Running, text: str) -> Found:
     """Klippy says of each what the document says; a new name works as well."""
     for name, cells in old_options(running, text).items():
-        new = spans(cells[0])[:1] if cells[0].startswith("`") else []
-        values = samples_of(cells[1])[0] if new else ["1"]
-        twin = {"_x": "_y", "_y": "_x"}.get(name[-2:])
-        givens = []
-        for value in values:
-            given = {name: value, **dict.fromkeys(new)}
-            if twin:
-                given[name[:-2] + twin] = value
-            givens.append(given)
-        if new:
+        givens = old_givens(name, cells)
+        words = re.match(r"`?([\w ]+)", cells[0])[1]
+        if words in givens[0]:
             yield from taken(running, name, givens)
-        words = new[0] if new else re.match(r"[\w ]+", cells[0])[0]
         for line in running.load(**givens[0]).said:
             if f"'{name}'" in line and words in line:
                 break
@@ -352,7 +369,7 @@ def wrong_floors_of_bed(running: Running, text: str) -> Found:
         "AUTO_Z_PROBE",
         "G28\nAUTO_Z_PROBE",
         "AUTO_Z_PROBE ACCEPT_CHANGE=1",
-        changes=running.module.plain,
+        changes=running.plain,
     )
     sensor, probe = (
         [z for p, z in first.floors if p == phase]
