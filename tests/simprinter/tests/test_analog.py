@@ -16,27 +16,17 @@ class AnalogBench(Bench):
     def __init__(self) -> None:
         self.volts = lambda clock: 0.5
         super().__init__(AnalogInputs(self._read))
-        self.tell("config_analog_in", oid=OID, pin=PIN)
+        self.tell(f"config_analog_in oid={OID} pin={PIN}")
 
     def _read(self, pin: int, ns: int) -> float:
         assert pin == PIN
         return self.volts(self.board.clock_at(ns))
 
-    def query(self, clock: int, count: int = 8, **changes: int) -> None:
-        values = {
-            "sample_ticks": 50,
-            "rest_ticks": 1000,
-            "min_value": 0,
-            "max_value": 0xFFFF,
-            "range_check_count": 0,
-            **changes,
-        }
+    def query(self, clock: int, count=8, low=0, high=0xFFFF, checks=0) -> None:
         self.tell(
-            "query_analog_in",
-            oid=OID,
-            clock=clock,
-            sample_count=count,
-            **values,
+            f"query_analog_in oid={OID} clock={clock} sample_ticks=50"
+            f" sample_count={count} rest_ticks=1000 min_value={low}"
+            f" max_value={high} range_check_count={checks}"
         )
 
     def states(self) -> list[tuple[int, int]]:
@@ -89,8 +79,7 @@ def test_count_of_zero_another_query_and_a_shutdown_end_it(bench):
     ],
 )
 def test_range(bench, low, high, checks, good):
-    limits = {"min_value": low, "max_value": high, "range_check_count": checks}
-    bench.query(bench.now(), **limits)
+    bench.query(bench.now(), low=low, high=high, checks=checks)
     bench.run_to(bench.now() + 5000)
     assert bench.board.state.is_shutdown is not good
 
@@ -99,7 +88,7 @@ def test_shutdown_only_after_enough_bad_samples_in_a_row(bench):
     start = bench.now()
     bad = {0, 1, 3, 4, 6, 7, 8}
     bench.volts = lambda clock: 1.0 if (clock - start) // 1000 in bad else 0.5
-    bench.query(start, max_value=20_000, range_check_count=3)
+    bench.query(start, high=20_000, checks=3)
     bench.run_to(start + 7999)
     assert not bench.board.state.is_shutdown
     assert len(bench.states()) == 8

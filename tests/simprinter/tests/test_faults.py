@@ -36,78 +36,45 @@ BED_AT_MIDDLE = Bed(PIEZO.bed).height(*MIDDLE)
     ],
 )
 def test_nth_operation_once_or_from_then_on(n, persistent, struck):
-    faults = Faults([Fault("attach_fails", n=n, persistent=persistent)])
-    assert [bool(faults.fires("attach_fails")) for _ in range(4)] == struck
+    fault = Fault("attach_fails", n=n, persistent=persistent)
+    # It may serve two runs
+    for faults in (Faults([fault]), Faults([fault])):
+        assert faults.unfired() == [fault]
+        found = [faults.fires("attach_fails") for _ in range(4)]
+        assert found == [fault if strikes else None for strikes in struck]
+        assert faults.unfired() == []
 
 
-def test_only_the_subject_meant_is_counted():
-    faults = Faults([Fault("tmc_read_error", n=2, driver="z")])
+def test_only_the_subject_meant_is_counted_from_its_adding_on():
+    one = Fault("tmc_read_error", n=3, driver="z")
+    every = Fault("tmc_write_error", n=2)
+    added = Fault("tmc_read_error", n=1, driver="z")
+    faults = Faults([one, every])
     assert not faults.fires("tmc_read_error", "z")
     assert not faults.fires("tmc_read_error", "x")
-    assert not faults.fires("tmc_write_error", "z")
-    assert faults.fires("tmc_read_error", "z")
-
-
-def test_added_fault_counts_from_then_on():
-    faults = Faults([Fault("attach_fails", n=4)])
-    assert not faults.fires("attach_fails")
-    faults.add(Fault("attach_fails", n=2))
-    assert [fault.n for fault in faults] == [4, 2]
-    struck = [faults.fires("attach_fails") for _ in range(3)]
-    assert [fault and fault.n for fault in struck] == [None, 2, 4]
-    assert faults.unfired() == []
-
-
-def test_without_a_subject_all_are_counted():
-    faults = Faults([Fault("tmc_write_error", n=2)])
     assert not faults.fires("tmc_write_error", "x")
-    assert faults.fires("tmc_write_error", "z")
+    assert faults.fires("tmc_write_error", "z") == every
+    faults.add(added)
+    assert list(faults) == [one, every, added]
+    assert faults.fires("tmc_read_error", "z") == added
+    assert faults.fires("tmc_read_error", "z") == one
 
 
-def test_two_faults_of_one_kind_count_on_their_own():
-    faults = Faults([Fault("dock_fails", n=1), Fault("dock_fails", n=3)])
-    struck = [bool(faults.fires("dock_fails")) for _ in range(4)]
-    assert struck == [True, False, True, False]
-
-
-def test_faults_by_time():
-    faults = Faults([Fault("mcu_silent", t=2.5)])
-    assert faults.begins("mcu_silent") == 2.5
-    assert not faults.due("mcu_silent", 2.499)
+def test_faults_by_time_of_one_board_or_all():
+    faults = Faults([Fault("mcu_silent", t=2.5, board="zboard")])
+    assert faults.begins("mcu_silent", "zboard") == 2.5
+    assert not faults.due("mcu_silent", 2.499, "zboard")
+    assert not faults.due("mcu_silent", 3.0, "mcu")
     assert len(faults.unfired()) == 1
-    assert faults.due("mcu_silent", 2.5)
+    assert faults.due("mcu_silent", 2.5, "zboard")
     assert faults.unfired() == []
+    assert Faults([Fault("mcu_silent", t=2.5)]).due("mcu_silent", 3.0, "mcu")
     assert Faults().begins("mcu_silent") == math.inf
     with pytest.raises(ValueError, match="due"):
         faults.fires("mcu_silent")
-
-
-def test_one_board_or_every_board_falls_silent():
-    one = Faults([Fault("mcu_silent", t=2.5, board="zboard")])
-    assert not one.due("mcu_silent", 3.0, "mcu")
-    assert len(one.unfired()) == 1
-    assert one.due("mcu_silent", 3.0, "zboard")
-    every = Faults([Fault("mcu_silent", t=2.5)])
-    assert every.due("mcu_silent", 3.0, "mcu")
-    assert every.due("mcu_silent", 3.0, "zboard")
-
-
-def test_unfired_lists_what_never_struck():
-    fault = Fault("attach_fails", n=2)
-    faults = Faults([fault])
-    faults.fires("attach_fails")
-    assert faults.unfired() == [fault]
-    faults.fires("attach_fails")
-    assert faults.unfired() == []
-
-
-def test_a_fault_may_serve_two_runs():
-    fault = Fault("attach_fails", n=2)
-    first, second = Faults([fault]), Faults([fault])
-    first.fires("attach_fails")
-    assert not second.fires("attach_fails")
-    with pytest.raises(AttributeError):
-        fault.n = 3
+    for ask in (faults.fires, faults.begins):
+        with pytest.raises(ValueError, match="unknown fault"):
+            ask("nothing")
 
 
 @pytest.mark.parametrize(
@@ -138,12 +105,6 @@ def test_wrong_faults_are_refused(args, message):
         Fault(**args)
 
 
-def test_asking_for_an_unknown_fault_is_refused():
-    for ask in (Faults().fires, Faults().begins):
-        with pytest.raises(ValueError, match="unknown fault"):
-            ask("nothing")
-
-
 def over_pin(*faults: Fault) -> Driver:
     driver = Driver(make(MAG, *faults))
     driver.go(*OVER_PIN)
@@ -159,61 +120,59 @@ ABOVE = Pose(*OVER_PIN, 30.0)
 
 
 @pytest.mark.parametrize("name", ["stuck_open", "stuck_closed"])
-def test_stuck_from_the_nth_arming_for_ever(name):
-    driver = over_pin(Fault(name, n=2, signal="z_endstop"))
+@pytest.mark.parametrize("persistent", [True, False])
+def test_stuck_from_the_nth_arming_for_ever_or_once(name, persistent):
+    fault = Fault(name, n=2, persistent=persistent, signal="z_endstop")
+    driver = over_pin(fault)
     world, stuck = driver.world, name == "stuck_closed"
     for armed in range(4):
-        expected = (True, False) if armed < 2 else (stuck, stuck)
+        is_stuck = armed == 2 or (persistent and armed > 2)
+        expected = (stuck, stuck) if is_stuck else (True, False)
         seen = [world.level("z_endstop", driver.t, p) for p in (DEEP, ABOVE)]
         assert tuple(seen) == expected
         arm(driver)
     assert not world.level("probe", driver.t, ABOVE)
 
 
-def test_stuck_for_one_operation():
-    fault = Fault("stuck_open", persistent=False, signal="z_endstop")
-    driver = over_pin(fault)
-    arm(driver)
-    assert not driver.world.level("z_endstop", driver.t, DEEP)
-    arm(driver)
-    assert driver.world.level("z_endstop", driver.t, DEEP)
-
-
 def test_stuck_by_time():
     faults = Faults([Fault("stuck_closed", signal="probe", t=3.0)])
     world = World(MAG, 1, faults)
-    assert not world.level("probe", 2.999, FAR)
-    assert world.level("probe", 3.0, FAR)
     world.touch_armed("probe", 2.0)
     assert not world.level("probe", 2.999, FAR)
+    assert world.level("probe", 3.0, FAR)
     world.observe(2.9, FAR)
     assert len(faults.unfired()) == 1
     world.observe(3.1, FAR)
     assert faults.unfired() == []
+    # Gone with the fault
+    faults.clear()
+    world.mend()
+    assert not world.level("probe", 4.0, FAR)
 
 
-def test_trigger_early_once():
-    fault = Fault("trigger_early", n=2, signal="z_endstop", mm=9.5)
-    driver = over_pin(fault)
-    heights = [driver.touch("z_endstop", lift=12) for _ in range(3)]
-    assert heights == pytest.approx([3.0, 12.5, 3.0])
-    # Nothing was there to be touched
-    assert driver.world.truth.touch_count("nozzle_pin") == 2
-
-
-@pytest.mark.parametrize("persistent", [False, True])
-def test_trigger_late_once_or_from_then_on(persistent):
-    options = {"n": 2, "persistent": persistent, "mm": 0.7}
-    driver = over_pin(Fault("trigger_late", signal="z_endstop", **options))
-    heights = [driver.touch("z_endstop", lift=12) for _ in range(3)]
-    third = 2.3 if persistent else 3.0
-    assert heights == pytest.approx([3.0, 2.3, third])
-    # It is reported late: the pin is pressed as far as that takes
+@pytest.mark.parametrize(
+    ("name", "mm", "persistent", "heights", "depth"),
+    [
+        # Nothing is there to be touched where it triggers early
+        ("trigger_early", 9.5, False, [3.0, 12.5, 3.0], 0.0),
+        # It is reported late: the pin is pressed as far as that takes
+        ("trigger_late", 0.7, False, [3.0, 2.3, 3.0], 0.7),
+        ("trigger_late", 0.7, True, [3.0, 2.3, 2.3], 0.7),
+    ],
+)
+def test_trigger_elsewhere(name, mm, persistent, heights, depth):
+    options = {"n": 2, "persistent": persistent, "mm": mm}
+    driver = over_pin(Fault(name, signal="z_endstop", **options))
+    found = [driver.touch("z_endstop", lift=12) for _ in range(3)]
+    assert found == pytest.approx(heights)
     truth = driver.world.truth
-    assert truth.touch_count("nozzle_pin") == 3
-    assert truth.depth("nozzle_pin") == pytest.approx(0.7)
-    (crash,) = truth.crashes()
-    assert (crash.site, crash.kind) == ("nozzle_pin", "depth")
+    assert truth.touch_count("nozzle_pin") == (3 if depth else 2)
+    assert truth.depth("nozzle_pin") == pytest.approx(depth)
+    kinds = [(crash.site, crash.kind) for crash in truth.crashes()]
+    assert kinds == ([("nozzle_pin", "depth")] if depth else [])
+    driver.world.touch_armed("z_endstop", driver.t)
+    driver.world.mend()
+    assert driver.find("z_endstop") == pytest.approx(3.0)
 
 
 def test_trigger_late_releases_as_late():
@@ -296,17 +255,12 @@ def test_probe_falls_at_the_nth_touch_of_the_pin(n, when, after_touch):
     assert kinds == ["lost"]
 
 
-def test_probe_falls_at_any_site():
-    driver = Driver(make(MAG, Fault("probe_falls", n=2)))
-    driver.touch("probe")
-    assert driver.world.probe_state(driver.t) == "attached"
-    driver.touch("probe")
-    assert driver.world.probe_state(driver.t) == "lost"
-
-
 def test_without_its_probe_the_head_goes_past_the_pin():
     """The accident of the predecessors: next sample meets no body."""
-    driver = Driver(make(MAG, Fault("probe_falls", site="body_pin")))
+    # At any site: the second touch of all
+    driver = Driver(make(MAG, Fault("probe_falls", n=2)))
+    driver.touch("probe")
+    driver.go(z=HIGH)
     driver.go(*BODY_OVER_PIN)
     driver.touch("z_endstop")
     assert driver.find("z_endstop") == pytest.approx(-5.0)

@@ -20,16 +20,17 @@ class OutputBench(Bench):
     def _changed(self, pin: int, ns: int, duty: float) -> None:
         self.changes.append((pin, self.board.clock_at(ns), duty))
 
-    def configure(self, kind: str, **values: int) -> None:
+    def configure(self, kind: str, value: int = 0, shutdown: int = 0) -> None:
         """kind: digital, on pin 40, or pwm, on pin 50; oid 2."""
-        pin = DIGITAL if kind == "digital" else PWM
-        settings = {"value": 0, "default_value": 0, "max_duration": 0}
+        pin, cycle = (DIGITAL, "") if kind == "digital" else (PWM, "5000")
         self.tell(
-            f"config_{kind}_out", oid=2, pin=pin, **{**settings, **values}
+            f"config_{kind}_out oid=2 pin={pin} value={value}"
+            f" default_value={shutdown} max_duration=0"
+            + (cycle and f" cycle_ticks={cycle}")
         )
 
-    def queue(self, clock: int, on_ticks: int) -> None:
-        self.tell("queue_digital_out", oid=2, clock=clock, on_ticks=on_ticks)
+    def queue_output(self, clock: int, on_ticks: int) -> None:
+        self.tell(f"queue_digital_out oid=2 clock={clock} on_ticks={on_ticks}")
 
 
 @pytest.fixture
@@ -43,8 +44,8 @@ def test_queued_changes_happen_at_their_clocks(bench, start):
     bench.run_to(start)
     start = bench.now()
     bench.configure("digital", value=1)
-    bench.queue(start + 100, 0)
-    bench.queue(start + 250, 1)
+    bench.queue_output(start + 100, 0)
+    bench.queue_output(start + 250, 1)
     bench.run_to(start + 99)
     assert bench.changes == [(DIGITAL, start, 1.0)]
     bench.run_to(start + 1000)
@@ -53,13 +54,13 @@ def test_queued_changes_happen_at_their_clocks(bench, start):
         (DIGITAL, start + 250, 1.0),
     ]
     assert bench.board.journal.late == []
-    bench.tell("update_digital_out", oid=2, value=0)
+    bench.tell("update_digital_out oid=2 value=0")
     assert bench.changes[-1] == (DIGITAL, bench.now(), 0.0)
 
 
 def test_late_change_is_counted_and_made(bench):
     bench.configure("digital")
-    bench.queue(bench.now() - 30, 1)
+    bench.queue_output(bench.now() - 30, 1)
     bench.run_to(bench.now())
     assert bench.changes[-1] == (DIGITAL, bench.now(), 1.0)
     assert bench.board.journal.late == [30]
@@ -68,12 +69,12 @@ def test_late_change_is_counted_and_made(bench):
 def test_pwm_by_software_and_by_hardware(bench):
     start = bench.now()
     bench.configure("digital")
-    bench.tell("set_digital_out_pwm_cycle", oid=2, cycle_ticks=1000)
-    bench.queue(start + 10, 250)
+    bench.tell("set_digital_out_pwm_cycle oid=2 cycle_ticks=1000")
+    bench.queue_output(start + 10, 250)
     bench.run_to(start + 10)
     assert bench.changes[-1] == (DIGITAL, start + 10, 0.25)
-    bench.configure("pwm", cycle_ticks=5000, value=51)
-    bench.tell("queue_pwm_out", oid=2, clock=start + 100, value=255)
+    bench.configure("pwm", value=51)
+    bench.tell(f"queue_pwm_out oid=2 clock={start + 100} value=255")
     bench.run_to(start + 200)
     assert bench.changes[-2:] == [
         (PWM, start + 10, 0.2),
@@ -81,22 +82,25 @@ def test_pwm_by_software_and_by_hardware(bench):
     ]
 
 
-@pytest.mark.parametrize("kind", ["digital", "pwm"])
-def test_shutdown_sets_its_own_level_and_drops_what_was_queued(bench, kind):
+@pytest.mark.parametrize(
+    ("kind", "full", "level"),
+    [("digital", 1, "on_ticks"), ("pwm", 255, "value")],
+)
+def test_shutdown_sets_its_own_level_and_drops_what_was_queued(
+    bench, kind, full, level
+):
     # A heater must not come on after an emergency stop
-    full = 1 if kind == "digital" else 255
-    cycle = {} if kind == "digital" else {"cycle_ticks": 5000}
-    bench.configure(kind, default_value=full, **cycle)
-    command = f"queue_{kind}_out"
-    level = "on_ticks" if kind == "digital" else "value"
-    bench.tell(command, oid=2, clock=bench.now() + 100, **{level: 0})
+    bench.configure(kind, shutdown=full)
+    off = f"queue_{kind}_out oid=2 {level}=0 clock={bench.now() + 100}"
+    bench.tell(off)
     bench.tell("emergency_stop")
-    assert bench.changes[-1][1:] == (bench.now(), 1.0)
     bench.tell("clear_shutdown")
+    bench.run_to(bench.now() + 99)
+    assert bench.changes[-1][2] == 1.0
     bench.run_to(bench.now() + 1000)
     assert bench.changes[-1][2] == 1.0
-    bench.tell(command, oid=2, clock=bench.now() + 100, **{level: 0})
-    bench.run_to(bench.now() + 100)
+    bench.tell(off)
+    bench.run_to(bench.now())
     assert bench.changes[-1][1:] == (bench.now(), 0.0)
 
 

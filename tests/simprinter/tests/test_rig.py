@@ -8,7 +8,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from tests.simprinter.mcu.board import TICK_NS, Board, Crystal
+from tests.simprinter.mcu.board import TICK_NS, Crystal
 from tests.simprinter.mcu.steppers import Steppers
 from tests.simprinter.mcu.sync import Endstops, TrsyncTable
 from tests.simprinter.rig import Port, Rig
@@ -40,46 +40,35 @@ class RigBench(Bench):
     """
 
     def __init__(self, spec=PIEZO, inputs=INPUTS, **wired) -> None:
-        # The rig wants the time before there is a board
-        self.ns = 5_000_000_000
         wiring = Wiring(MOTORS, inputs, **wired)
         self.world = World(spec, 1)
         kinematics = make_kinematics("cartesian", [("z", 150.0, 150.0)])
         begin = kinematics.motors(Pose(290.0, 100.0, 20.0))
+        # The rig wants the time before there is a board
+        self.time = Bench().time
         self.rig = Rig(self.world, kinematics, wiring, begin, lambda: self.ns)
         self.port = Port(self.rig)
-        super().__init__(Steppers(self.port))
+        super().__init__(Steppers(self.port), beside=self)
         self.port.board = self.board
-        self.oids = {}
-        for oid, (name, motor) in enumerate(MOTORS.items()):
-            self.oids[name] = oid
-            self.tell(
-                "config_stepper",
-                oid=oid,
-                step_pin=pin_number(motor.step_pin),
-                dir_pin=pin_number(motor.dir_pin),
-                invert_step=0,
-                step_pulse_ticks=100,
-            )
+        for oid, motor in enumerate(MOTORS.values()):
+            pins = pin_number(motor.step_pin), pin_number(motor.dir_pin)
+            self.config_stepper(oid, *pins)
 
-    def move(
+    def step(
         self, name: str, interval: int, count: int, direction: int = 1
     ) -> int:
         """Queue steps from 1000 ticks ahead on; the clock they count from."""
         start = self.now() + 1000
-        oid = self.oids[name]
-        self.tell("reset_step_clock", oid=oid, clock=start)
-        self.tell("set_next_step_dir", oid=oid, dir=direction)
-        self.tell("queue_step", oid=oid, interval=interval, count=count, add=0)
+        self.move("xyz".index(name), start, interval, count, direction)
         return start
 
 
 def test_poses_follow_the_steps():
     bench = RigBench()
     assert bench.rig.pose(bench.ns) == Pose(290.0, 100.0, 20.0)
-    start = bench.move("x", 1000, 80)
-    bench.move("y", 1000, 80)
-    bench.move("z", 1000, 80, direction=0)
+    start = bench.step("x", 1000, 80)
+    bench.step("y", 1000, 80)
+    bench.step("z", 1000, 80, direction=0)
     end = bench.board.ns(start + 80_000)
     # The y motor is wired the other way round
     assert bench.rig.pose(end) == pytest.approx((291.0, 99.0, 19.8))
@@ -100,7 +89,7 @@ def test_world_is_told_every_few_milliseconds_of_a_moving_head():
     bench.rig.world = SimpleNamespace(
         observe=lambda t, pose: (told.append((t, pose)), observe(t, pose))
     )
-    bench.move("x", 50_000, 100)  # 100 ms
+    bench.step("x", 50_000, 100)  # 100 ms
     bench.ns += 60 * MILLISECOND
     bench.rig.settle(bench.ns)
     bench.rig.settle(bench.ns)
@@ -122,7 +111,7 @@ def test_world_is_told_every_few_milliseconds_of_a_moving_head():
 def test_edge_is_found_to_the_nanosecond(interval, ahead):
     bench = RigBench()
     # 10 mm are 800 steps to the switch
-    start = bench.move("x", interval, 1000)
+    start = bench.step("x", interval, 1000)
     reached = bench.board.ns(start + 800 * interval)
     first = reached - ahead * MILLISECOND
     pin = pin_number("PB0")
@@ -147,7 +136,7 @@ def test_levels_and_inversion():
     assert bench.port.edge(y, False, bench.ns, later) is None
     assert bench.port.edge(unwired, True, bench.ns, later) is None
     # y: 105 mm down to its switch, 8400 steps
-    start = bench.move("y", 1000, 8500, direction=1)
+    start = bench.step("y", 1000, 8500, direction=1)
     bench.run_to(start + 8_500_000)
     assert not bench.port.level(y, bench.ns)
     assert bench.port.level(y, bench.board.ns(start + 8_399_999))
@@ -163,7 +152,7 @@ def test_latency_delays_the_level():
 
     bench = RigBench()
     bench.rig.world = Late()
-    start = bench.move("x", 10_000, 1000)
+    start = bench.step("x", 10_000, 1000)
     reached = bench.board.ns(start + 800 * 10_000)
     bench.ns = reached
     pin = pin_number("PB0")
@@ -208,10 +197,10 @@ def test_arming_reaches_the_signal():
 def test_old_steps_are_forgotten_and_new_ones_kept():
     bench = RigBench()
     for _ in range(20):
-        start = bench.move("x", 100_000, 80)  # 0.16 s
+        start = bench.step("x", 100_000, 80)  # 0.16 s
         bench.run_to(start + 8_000_000)
         bench.rig.settle(bench.ns)
-        start = bench.move("x", 100_000, 80, direction=0)
+        start = bench.step("x", 100_000, 80, direction=0)
         bench.run_to(start + 8_000_000)
         bench.rig.settle(bench.ns)
     now = bench.ns
@@ -238,54 +227,16 @@ class TwoBoards(RigBench):
         self.far_port = Port(self.rig, "zboard")
         trsyncs = TrsyncTable(Steppers(self.far_port))
         self.endstops = Endstops(self.far_port, trsyncs)
-        parts = [trsyncs, self.endstops]
-        self.far = Board(lambda: self.ns, parts, "Klipper", crystal)
-        self.far_port.board = self.far
+        parts = trsyncs, self.endstops
+        self.far = Bench(*parts, crystal=crystal, beside=self)
+        self.far_port.board = self.far.board
         self.rig.on_steps.append(self.endstops.steps_queued)
-        self.commands = {
-            m.name: m for m in self.far.dictionary.commands.values()
-        }
-
-    def tell_far(self, name, **values) -> None:
-        """Send the other board a command."""
-        self.far.receive(self.commands[name].encode(values))
-
-    def home(self) -> None:
-        """Arm the endstop: 4 samples 600 ticks apart, every 1200 ticks."""
-        self.tell_far("config_trsync", oid=0)
-        self.tell_far("config_endstop", oid=1, pin=16, pull_up=1)
-        now = self.far.clock() & 0xFFFFFFFF
-        self.tell_far(
-            "trsync_start",
-            oid=0,
-            report_clock=now,
-            report_ticks=0,
-            expire_reason=2,
-        )
-        self.tell_far(
-            "endstop_home",
-            oid=1,
-            clock=now,
-            sample_ticks=600,
-            sample_count=4,
-            rest_ticks=1200,
-            pin_value=1,
-            trsync_oid=0,
-            trigger_reason=1,
-        )
-
-    def far_runs_to(self, ns: int) -> None:
-        """Let the other board live until ns, event by event."""
-        while (due := self.far.next_event_ns()) is not None and due <= ns:
-            self.ns = max(self.ns, due)
-            self.far.run_due()
-        self.ns = ns
 
 
 def test_pins_of_two_boards_do_not_meet():
     bench = TwoBoards()
     pin = pin_number("PB0")
-    start = bench.move("x", 1000, 1000)
+    start = bench.step("x", 1000, 1000)
     reached = bench.board.ns(start + 800 * 1000)
     last = reached + MILLISECOND
     assert bench.port.edge(pin, True, bench.ns, last) is None
@@ -303,14 +254,23 @@ def test_pins_of_two_boards_do_not_meet():
 
 def test_endstop_sees_steps_that_another_board_makes():
     bench = TwoBoards()
-    bench.home()
+    far, now = bench.far, bench.far.now()
+    far.tell("config_trsync oid=0", "config_endstop oid=1 pin=16 pull_up=1")
+    far.tell(
+        f"trsync_start oid=0 report_clock={now} report_ticks=0 expire_reason=2"
+    )
+    # 4 samples 600 ticks apart, every 1200 ticks
+    far.tell(
+        f"endstop_home oid=1 clock={now} sample_ticks=600 sample_count=4"
+        " rest_ticks=1200 pin_value=1 trsync_oid=0 trigger_reason=1"
+    )
     # It has looked ahead 20 ms, at motors that stand still, when they start
-    bench.far_runs_to(bench.ns + MILLISECOND)
-    start = bench.move("x", 1000, 1000)
+    far.run_to(now + MILLISECOND // 25)
+    start = bench.step("x", 1000, 1000)
     reached = bench.board.ns(start + 800 * 1000)
-    bench.far_runs_to(reached + 3 * MILLISECOND)
+    far.run_to(far.board.clock_at(reached + 3 * MILLISECOND))
     endstop = bench.endstops.by_oid[1]
-    first_match = bench.far.ns(endstop.next_clock - 1200)
+    first_match = far.board.ns(endstop.next_clock - 1200)
     # Sampled every 30 us
     assert 0 <= first_match - reached < 30_000
     # It stops nothing: the motor's own board must be told

@@ -161,6 +161,8 @@ def test_forgetting_shortens_the_list():
 
 # Commands
 
+OID = 4
+
 
 class Mechanics:
     """One track for all motors; notes what it is told."""
@@ -178,7 +180,7 @@ class Mechanics:
 
 
 class StepperBench(Bench):
-    """A bench with one stepper, oid 4."""
+    """A bench with one stepper."""
 
     def __init__(self) -> None:
         self.mechanics = Mechanics()
@@ -187,26 +189,7 @@ class StepperBench(Bench):
         self.configure()
 
     def configure(self) -> None:
-        self.tell(
-            "config_stepper",
-            oid=4,
-            step_pin=17,
-            dir_pin=33,
-            invert_step=0,
-            step_pulse_ticks=100,
-        )
-
-    def reset(self, clock: int) -> None:
-        self.tell("reset_step_clock", oid=4, clock=clock)
-
-    def queue(self, interval: int, count: int = 1, add: int = 0) -> None:
-        self.tell("queue_step", oid=4, interval=interval, count=count, add=add)
-
-    def turn(self, direction: int) -> None:
-        self.tell("set_next_step_dir", oid=4, dir=direction)
-
-    def position(self) -> int:
-        return self.ask("stepper_get_position", oid=4)["pos"]
+        self.config_stepper(OID, 17, 33)
 
 
 @pytest.fixture
@@ -217,16 +200,16 @@ def bench() -> StepperBench:
 def test_direction_one_counts_up(bench):
     assert bench.mechanics.pins == [(17, 33)]
     start = bench.now()
-    bench.reset(start)
+    bench.reset_clock(OID, start)
     # Down until it is told
-    bench.queue(1000, 1)
+    bench.queue(OID, 1000, 1)
     for direction, count in ((1, 5), (0, 8), (1, 1)):
-        bench.turn(direction)
-        bench.queue(1000, count)
+        bench.turn(OID, direction)
+        bench.queue(OID, 1000, count)
     positions = []
     for n in range(16):
         bench.run_to(start + n * 1000)
-        positions.append(bench.position())
+        positions.append(bench.position(OID))
     wanted = [0, -1, 0, 1, 2, 3, 4, 3, 2, 1, 0, -1, -2, -3, -4, -3]
     assert positions == wanted
     # The world is told from when on positions change
@@ -239,20 +222,20 @@ def test_direction_one_counts_up(bench):
 @pytest.mark.parametrize("seconds", [1, 30, 43, 60, 130])
 @pytest.mark.parametrize("resets", [True, False])
 def test_motor_that_has_rested(bench, seconds, resets):
-    bench.turn(1)
+    bench.turn(OID, 1)
     # The step clock is zero at the start
     last = bench.now() + 5000
-    bench.queue(last - 4000)
-    bench.queue(1000, 4)
+    bench.queue(OID, last - 4000)
+    bench.queue(OID, 1000, 4)
     bench.run_to(last + seconds * CLOCK_FREQ)
     first = bench.now() + 5000
     if resets:
-        bench.reset(0)
-    bench.queue((first if resets else first - last) & LOW32)
-    bench.queue(100, 3, 10)
+        bench.reset_clock(OID, 0)
+    bench.queue(OID, (first if resets else first - last) & LOW32)
+    bench.queue(OID, 100, 3, 10)
     for ahead, position in ((-1, 5), (0, 6), (100, 7), (209, 7), (210, 8)):
         bench.run_to(first + ahead)
-        assert bench.position() == position
+        assert bench.position(OID) == position
     # Sensors look back by their latency, so what was before must not change
     assert bench.mechanics.the_track.at(last - 1) == 4
     assert bench.board.journal.late == []
@@ -261,25 +244,23 @@ def test_motor_that_has_rested(bench, seconds, resets):
 @pytest.mark.parametrize("stop", ["halt", "shutdown"])
 def test_halted_stepper_drops_steps_until_its_clock_is_reset(bench, stop):
     start = bench.now()
-    bench.turn(1)
-    bench.reset(start)
-    bench.queue(1000, 100)
+    bench.move(OID, start, 1000, 100)
     bench.run_to(start + 10_500)
     if stop == "halt":
-        bench.steppers.halt(bench.steppers.by_oid[4], bench.now())
+        bench.steppers.halt(bench.steppers.by_oid[OID], bench.now())
     else:
         bench.tell("emergency_stop")
         bench.tell("clear_shutdown")
     # The world settles before steps are taken back
     assert bench.mechanics.settled == [bench.ns]
-    bench.queue(1000, 100)
+    bench.queue(OID, 1000, 100)
     bench.run_to(start + 1_000_000)
-    assert bench.position() == 10
-    bench.reset(bench.now())
-    bench.queue(1000, 3)
+    assert bench.position(OID) == 10
+    bench.reset_clock(OID, bench.now())
+    bench.queue(OID, 1000, 3)
     bench.run_to(bench.now() + 10_000)
     # Halting has also reset the direction
-    assert bench.position() == 7
+    assert bench.position(OID) == 7
     assert [bench.mechanics.the_track.at(start + n) for n in (999, 5000)] == [
         0,
         5,
@@ -287,30 +268,24 @@ def test_halted_stepper_drops_steps_until_its_clock_is_reset(bench, stop):
 
 
 def test_direction_given_while_halted_holds(bench):
-    bench.steppers.halt(bench.steppers.by_oid[4], bench.now())
-    bench.turn(1)
-    bench.reset(bench.now())
-    bench.queue(1000, 3)
+    bench.steppers.halt(bench.steppers.by_oid[OID], bench.now())
+    bench.move(OID, bench.now(), 1000, 3)
     bench.run_to(bench.now() + 10_000)
-    assert bench.position() == 3
+    assert bench.position(OID) == 3
 
 
 def test_reboot_keeps_the_motor_and_counts_from_there(bench):
     for count, position in ((7, 7), (2, 9)):
-        bench.turn(1)
-        bench.reset(bench.now())
-        bench.queue(1000, count)
+        bench.move(OID, bench.now(), 1000, count)
         bench.run_to(bench.now() + 10_000)
         assert bench.mechanics.the_track.at(bench.now()) == position
         bench.tell("reset")
         bench.configure()
-        assert bench.position() == 0
+        assert bench.position(OID) == 0
 
 
 def test_late_steps_are_counted_and_made(bench):
-    bench.turn(1)
-    bench.reset(bench.now() - 3000)
-    bench.queue(1000, 5)
+    bench.move(OID, bench.now() - 3000, 1000, 5)
     assert bench.board.journal.late == [2000]
     bench.run_to(bench.now() + 5000)
-    assert bench.position() == 5
+    assert bench.position(OID) == 5

@@ -141,64 +141,36 @@ class HomingBench(Bench):
         self.parts.endstops = endstops
         self.parts.bench = self
         super().__init__(steppers, trsyncs, endstops)
-        self.tell(
-            "config_stepper",
-            oid=STEPPER,
-            step_pin=1,
-            dir_pin=2,
-            invert_step=0,
-            step_pulse_ticks=100,
-        )
-        self.tell("config_trsync", oid=TRSYNC)
-        self.tell("config_endstop", oid=ENDSTOP, pin=PIN, pull_up=1)
+        self.config_stepper(STEPPER, 1, 2)
+        self.tell(f"config_trsync oid={TRSYNC}")
+        self.tell(f"config_endstop oid={ENDSTOP} pin={PIN} pull_up=1")
 
-    def arm(self, report: int = 0, report_ticks: int = 0) -> None:
-        self.start_trsync(report, report_ticks)
-        self.tell("stepper_stop_on_trigger", oid=STEPPER, trsync_oid=TRSYNC)
+    def arm(self, report: int = 0, ticks: int = 0) -> None:
+        self.start_trsync(report, ticks)
+        self.tell(f"stepper_stop_on_trigger oid={STEPPER} trsync_oid={TRSYNC}")
 
-    def start_trsync(self, report: int = 0, report_ticks: int = 0) -> None:
+    def start_trsync(self, report: int = 0, ticks: int = 0) -> None:
         self.tell(
-            "trsync_start",
-            oid=TRSYNC,
-            report_clock=report or self.now(),
-            report_ticks=report_ticks,
-            expire_reason=EXPIRED,
+            f"trsync_start oid={TRSYNC} report_clock={report or self.now()}"
+            f" report_ticks={ticks} expire_reason={EXPIRED}"
         )
 
     def trigger(self) -> None:
-        self.tell("trsync_trigger", oid=TRSYNC, reason=REASON)
+        self.tell(f"trsync_trigger oid={TRSYNC} reason={REASON}")
 
     def set_timeout(self, clock: int) -> None:
-        self.tell("trsync_set_timeout", oid=TRSYNC, clock=clock)
+        self.tell(f"trsync_set_timeout oid={TRSYNC} clock={clock}")
 
     def home(self, start: int, how: Settings) -> None:
         self.tell(
-            "endstop_home",
-            oid=ENDSTOP,
-            clock=start,
-            sample_ticks=how.sample,
-            sample_count=how.count,
-            rest_ticks=how.rest,
-            pin_value=int(how.wanted),
-            trsync_oid=TRSYNC,
-            trigger_reason=REASON,
-        )
-
-    def move(self, start: int, interval: int, count: int) -> None:
-        self.tell("reset_step_clock", oid=STEPPER, clock=start)
-        self.tell("set_next_step_dir", oid=STEPPER, dir=1)
-        self.queue(interval, count)
-
-    def queue(self, interval: int, count: int) -> None:
-        self.tell(
-            "queue_step", oid=STEPPER, interval=interval, count=count, add=0
+            f"endstop_home oid={ENDSTOP} clock={start}"
+            f" sample_ticks={how.sample} sample_count={how.count}"
+            f" rest_ticks={how.rest} pin_value={int(how.wanted)}"
+            f" trsync_oid={TRSYNC} trigger_reason={REASON}"
         )
 
     def state(self) -> dict[str, int]:
-        return self.ask("endstop_query_state", oid=ENDSTOP)
-
-    def position(self) -> int:
-        return self.ask("stepper_get_position", oid=STEPPER)["pos"]
+        return self.ask(f"endstop_query_state oid={ENDSTOP}")
 
     def outcome(self, since: int) -> Outcome:
         """What came of homing, in full clocks if it began at since."""
@@ -224,21 +196,23 @@ def bench() -> HomingBench:
 
 def test_trigger_stops_the_steppers_once_and_is_always_answered(bench):
     bench.arm()
-    bench.move(bench.now(), 1000, 100)
+    bench.move(STEPPER, bench.now(), 1000, 100)
     bench.run_to(bench.now() + 10_500)
     answer = {"oid": TRSYNC, "can_trigger": 0, "trigger_reason": REASON}
     answer["clock"] = 0
     # The host waits for the answer, and for the first reason
     for reason in (REASON, REASON + 1):
-        assert bench.ask("trsync_trigger", oid=TRSYNC, reason=reason) == answer
+        assert (
+            bench.ask(f"trsync_trigger oid={TRSYNC} reason={reason}") == answer
+        )
     bench.run_to(bench.now() + 1_000_000)
-    assert bench.position() == 10
+    assert bench.position(STEPPER) == 10
     # What listened does so no more
     bench.start_trsync()
-    bench.move(bench.now(), 1000, 10)
+    bench.move(STEPPER, bench.now(), 1000, 10)
     bench.trigger()
     bench.run_to(bench.now() + 20_000)
-    assert bench.position() == 20
+    assert bench.position(STEPPER) == 20
 
 
 @pytest.mark.parametrize("ticks", [0, 1000])
@@ -276,7 +250,7 @@ def test_reports_go_on_after_an_endstop_has_triggered(bench):
 def test_timeout_triggers_unless_it_is_put_off(bench):
     start = bench.now()
     bench.arm()
-    bench.move(start, 1000, 1000)
+    bench.move(STEPPER, start, 1000, 1000)
     bench.set_timeout(start + 5500)
     bench.run_to(start + 5000)
     bench.set_timeout(start + 9500)
@@ -286,7 +260,7 @@ def test_timeout_triggers_unless_it_is_put_off(bench):
     (report,) = bench.said("trsync_state")
     assert (report["can_trigger"], report["trigger_reason"]) == (0, EXPIRED)
     assert report["clock"] == (start + 9500) & LOW32
-    assert bench.position() == 9
+    assert bench.position(STEPPER) == 9
     # After it, and by a new start, a timeout is nothing
     bench.set_timeout(bench.now() + 100)
     bench.run_to(bench.now() + 1000)
@@ -338,7 +312,7 @@ def run_wave(
     start = bench.now() + wait
     end = start + span
     bench.arm()
-    bench.move(start, 7, 60_000)
+    bench.move(STEPPER, start, 7, 60_000)
     bench.home(start, how)
     bench.run_to(end)
 
@@ -350,7 +324,7 @@ def run_wave(
     last = end if expected.trigger is None else expected.trigger
     bench.run_to(end + 500_000)
     if expected.trigger is not None:
-        assert bench.position() == min((last - start) // 7, 60_000)
+        assert bench.position(STEPPER) == min((last - start) // 7, 60_000)
         # The world has lived up to the stop and not beyond
         assert bench.parts.settled == [board.ns(last)]
 
@@ -401,14 +375,14 @@ def test_steps_that_are_told_late_are_seen(plan, how, high, width):
     end = clock + 2000
 
     bench.arm()
-    bench.tell("reset_step_clock", oid=STEPPER, clock=start)
-    bench.tell("set_next_step_dir", oid=STEPPER, dir=1)
+    bench.reset_clock(STEPPER, start)
+    bench.turn(STEPPER, 1)
     bench.home(start, how)
     told = bench.now()
     for (interval, count, ahead), begin in zip(plan, begins):
         told = max(told, begin - ahead)
         bench.run_to(told)
-        bench.queue(interval, count)
+        bench.queue(STEPPER, interval, count)
     bench.run_to(end)
 
     def level(tick: int) -> bool:
@@ -418,7 +392,7 @@ def test_steps_that_are_told_late_are_seen(plan, how, high, width):
     expected = firmware(level, start, end, how)
     assert bench.outcome(start) == expected
     if expected.trigger is not None:
-        assert bench.position() == bisect_right(steps, expected.trigger)
+        assert bench.position(STEPPER) == bisect_right(steps, expected.trigger)
 
 
 # The endstop's other commands
@@ -459,7 +433,7 @@ def test_homing_anew_replaces_the_old_search(bench):
     wanted = Outcome(start + 20_000, start + 20_100)
     assert bench.outcome(start) == wanted
     # Steps that follow the trigger start no new search
-    bench.move(bench.now() + 6000, 5000, 10)
+    bench.move(STEPPER, bench.now() + 6000, 5000, 10)
     bench.run_to(bench.now() + 60_000)
     assert bench.outcome(start) == wanted
 
@@ -471,7 +445,7 @@ def test_trigger_that_nobody_waits_for(bench):
     count = len(bench.answers)
     bench.parts.toggles = [bench.ns]
     bench.home(bench.now(), Settings(10, 4, 100))
-    bench.move(bench.now(), 100, 10)
+    bench.move(STEPPER, bench.now(), 100, 10)
     bench.run_to(bench.now() + 5000)
     assert len(bench.answers) == count
-    assert bench.position() == 10
+    assert bench.position(STEPPER) == 10

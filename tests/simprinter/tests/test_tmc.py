@@ -77,12 +77,8 @@ class UartBench(Bench):
 
     def configure(self) -> None:
         self.tell(
-            "config_tmcuart",
-            oid=OID,
-            rx_pin=PIN,
-            pull_up=1,
-            tx_pin=PIN,
-            bit_time=1250,
+            f"config_tmcuart oid={OID} rx_pin={PIN} pull_up=1 tx_pin={PIN}"
+            " bit_time=1250"
         )
 
     def _spoiled(self, driver: Tmc2209, written: Optional[bytes]) -> bool:
@@ -96,7 +92,7 @@ class UartBench(Bench):
 
     def raw(self, data: bytes, read: int) -> bytes:
         answer = self.ask(
-            "tmcuart_send", oid=OID, write=add_serial_bits(data), read=read
+            f"tmcuart_send oid={OID} read={read}", write=add_serial_bits(data)
         )
         return answer["read"]
 

@@ -37,16 +37,13 @@ def at_dock(initial: str) -> Driver:
     return driver
 
 
-def leave(driver: Driver, way: str) -> None:
-    x, y = IN_DOCK
-    if way == "approach":
-        driver.go(y=y - 20)
-    elif way == "release":
-        driver.go(x=x + 20)
-    elif way == "up":
-        driver.go(z=40)
-    else:
-        driver.go(x=x - 15)
+# Ways out of the dock
+WAYS = {
+    "approach": {"y": 280.0},
+    "release": {"x": 40.0},
+    "up": {"z": 40.0},
+    "left": {"x": 5.0},
+}
 
 
 @pytest.mark.parametrize(
@@ -66,7 +63,7 @@ def leave(driver: Driver, way: str) -> None:
 )
 def test_the_way_out_decides(initial, way, after):
     driver = at_dock(initial)
-    leave(driver, way)
+    driver.go(**WAYS[way])
     assert driver.world.probe_state(driver.t) == after
     changed = initial != after
     kinds = {"attached": ["attach"], "docked": ["dock"]}
@@ -100,11 +97,11 @@ def test_senses_follow_the_probe():
     driver.go(*IN_DOCK)
     # Joined: the head has contact to the probe, which still is in the dock
     assert senses() == (False, True, True)
-    leave(driver, "approach")
+    driver.go(**WAYS["approach"])
     assert senses() == (False, True, False)
     driver.go(*IN_DOCK)
     assert senses() == (False, True, True)
-    leave(driver, "release")
+    driver.go(**WAYS["release"])
     assert senses() == (True, False, True)
 
 
@@ -127,22 +124,23 @@ def test_output_attaches_after_its_time():
     assert world.truth.events[1:] == [(2.25, "dock")]
 
 
-def test_same_output_again_is_no_attempt():
+@pytest.mark.parametrize(
+    ("outputs", "events"),
+    [
+        # The same again is no attempt
+        ([(1.0, 0.0), (1.1, 1.0), (1.2, 0.8)], [(1.35, "attach")]),
+        # Taken back in time it changes nothing
+        ([(1.0, 1.0), (1.1, 0.0)], []),
+    ],
+)
+def test_output_that_changes_before_it_is_done(outputs, events):
     world = make(OUTPUT)
-    world.set_output("probe_attach", 1.0, 0.0)
-    world.set_output("probe_attach", 1.1, 1.0)
-    world.set_output("probe_attach", 1.2, 0.8)
+    for t, value in outputs:
+        world.set_output("probe_attach", t, value)
     world.observe(2.0, FAR)
-    assert world.truth.events == [(pytest.approx(1.35), "attach")]
-
-
-def test_output_taken_back_in_time_changes_nothing():
-    world = make(OUTPUT)
-    world.set_output("probe_attach", 1.0, 1.0)
-    world.set_output("probe_attach", 1.1, 0.0)
-    world.observe(2.0, FAR)
-    assert world.probe_state(2.0) == "docked"
-    assert world.truth.events == []
+    found = [(pytest.approx(t), kind) for t, kind in world.truth.events]
+    assert found == events
+    assert world.probe_state(2.0) == ("attached" if events else "docked")
 
 
 def test_fixed_probe_stays():

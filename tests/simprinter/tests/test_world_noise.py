@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import random
 import statistics
 from dataclasses import replace
 
@@ -17,7 +16,6 @@ from tests.simprinter.tests.world_machines import (
     make,
 )
 from tests.simprinter.world import NoiseSpec, Pose, WorldSpec
-from tests.simprinter.world.sensors import TouchState
 
 
 def noisy(**noise: float) -> WorldSpec:
@@ -42,60 +40,41 @@ def test_sigma_is_recovered():
     assert statistics.mean(heights) == pytest.approx(3.0, abs=0.002)
     assert statistics.stdev(heights) == pytest.approx(0.01, rel=0.1)
     assert len(set(heights)) == 600
+    assert series(MAG, 5) == pytest.approx([3.0] * 5, abs=1e-12)
 
 
-def test_same_seed_same_numbers():
+def test_same_seed_same_numbers_whatever_else_happens():
     spec = noisy(sigma=0.01, outlier_chance=0.2, outlier_size=0.1)
-    assert series(spec, 20) == series(spec, 20)
-    assert series(spec, 20) != series(spec, 20, seed=2)
-
-
-def test_looking_does_not_change_the_numbers():
-    spec = noisy(sigma=0.01)
-    assert series(spec, 20) == series(spec, 20, looks=3)
-
-
-def test_arming_without_a_touch_does_not_change_the_numbers():
-    driver = Driver(make(noisy(sigma=0.01)))
-    driver.go(*OVER_PIN)
-    heights = []
-    for _ in range(5):
-        driver.world.touch_armed("z_endstop", driver.t)
-        heights.append(driver.touch("z_endstop"))
-    assert heights == series(noisy(sigma=0.01), 5)
-
-
-def test_signals_have_sequences_of_their_own():
-    spec = noisy(sigma=0.01)
+    heights = series(spec, 20)
+    assert series(spec, 20, looks=3) == heights
+    assert series(spec, 20, seed=2) != heights
+    # Arming without a touch, and touches of another signal
     probe = replace(MAG.mag_probe, noise=NoiseSpec(sigma=0.01))
     driver = Driver(make(replace(spec, mag_probe=probe)))
     driver.touch("probe")
     driver.go(z=HIGH)
     driver.go(*OVER_PIN)
-    heights = [driver.touch("z_endstop") for _ in range(5)]
-    assert heights == series(spec, 5)
+    found = []
+    for _ in range(5):
+        driver.world.touch_armed("z_endstop", driver.t)
+        found.append(driver.touch("z_endstop"))
+    assert found == heights[:5]
 
 
-def test_a_small_lift_is_the_same_touch():
+@pytest.mark.parametrize(
+    ("lift", "arms", "same"),
+    [(0.15, False, True), (0.5, False, False), (0.1, True, False)],
+)
+def test_small_lift_is_the_same_touch_unless_armed(lift, arms, same):
     driver = Driver(make(noisy(sigma=0.01)))
     driver.go(*OVER_PIN)
     first = driver.find("z_endstop")
     driver.go(z=first)
-    driver.go(z=first + 0.15)
-    assert driver.find("z_endstop") == pytest.approx(first, abs=1e-9)
-    driver.go(z=first)
-    driver.go(z=first + 0.5)
-    assert driver.find("z_endstop") != pytest.approx(first, abs=1e-6)
-
-
-def test_arming_starts_a_new_touch_without_a_lift():
-    driver = Driver(make(noisy(sigma=0.01)))
-    driver.go(*OVER_PIN)
-    first = driver.find("z_endstop")
-    driver.go(z=first)
-    driver.go(z=first + 0.1)
-    driver.world.touch_armed("z_endstop", driver.t)
-    assert driver.find("z_endstop") != pytest.approx(first, abs=1e-6)
+    driver.go(z=first + lift)
+    if arms:
+        driver.world.touch_armed("z_endstop", driver.t)
+    again = driver.find("z_endstop")
+    assert (again == pytest.approx(first, abs=1e-9)) is same
 
 
 def test_arming_while_pressed_does_not_move_the_trigger_of_the_touch():
@@ -112,16 +91,14 @@ def test_arming_while_pressed_does_not_move_the_trigger_of_the_touch():
 
 
 def test_outliers():
-    heights = series(noisy(outlier_chance=0.25, outlier_size=0.3), 400)
+    spec = noisy(outlier_chance=0.25, outlier_size=0.3)
+    heights = series(spec, 400)
     early = [z for z in heights if z == pytest.approx(3.3)]
     exact = [z for z in heights if z == pytest.approx(3.0)]
     assert len(early) + len(exact) == 400
     assert 70 <= len(early) <= 130
-
-
-def test_an_outlier_is_no_touch_on_the_way_up():
-    spec = noisy(outlier_chance=0.5, outlier_size=1.0)
-    driver = Driver(make(spec))
+    # One is no touch on the way up
+    driver = Driver(make(noisy(outlier_chance=0.5, outlier_size=1.0)))
     driver.go(*OVER_PIN)
     for _ in range(30):
         driver.touch("z_endstop")
@@ -141,10 +118,6 @@ def test_touch_record_has_the_trigger_of_that_touch():
     assert recorded == pytest.approx(heights, abs=1e-9)
 
 
-def test_without_noise_every_touch_is_exact():
-    assert series(MAG, 5) == pytest.approx([3.0] * 5, abs=1e-12)
-
-
 def test_axis_switch_noise():
     switch = replace(PIEZO.switches[0], noise=NoiseSpec(sigma=0.1))
     world = make(replace(PIEZO, switches=(switch,)))
@@ -156,15 +129,3 @@ def test_axis_switch_noise():
     assert len(triggers) == 200
     assert statistics.mean(triggers) == pytest.approx(300, abs=0.03)
     assert statistics.stdev(triggers) == pytest.approx(0.1, rel=0.15)
-
-
-def test_arming_before_the_lift_makes_the_next_touch_another():
-    state = TouchState(NoiseSpec(sigma=0.01), random.Random(1))
-    shift = state.shift
-    state.settle(True, 0.0)
-    state.arm(0.0, False)
-    assert state.shift == shift
-    state.settle(False, -0.04)
-    assert state.shift == shift
-    state.settle(False, -0.06)
-    assert state.shift != shift

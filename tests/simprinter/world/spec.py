@@ -7,46 +7,48 @@ where the field says so.  A wrong value raises ValueError naming the field.
 from __future__ import annotations
 
 import math
+from collections.abc import Collection
 from dataclasses import dataclass, field
-from typing import Optional, Tuple
+from typing import ClassVar, Optional, Tuple
 
 Vector = Tuple[float, float, float]
 
 
-def _check(good: bool, name: str, value: object, wanted: str) -> None:
-    if not good:
-        raise ValueError(f"{name}: {value!r} is not {wanted}")
+@dataclass(frozen=True)
+class Spec:
+    """Base: numbers are finite, those named here above zero or not below."""
 
+    _POSITIVE: ClassVar[tuple[str, ...]] = ()
+    _NOT_NEGATIVE: ClassVar[tuple[str, ...]] = ()
+    _ANY: ClassVar[tuple[str, ...]] = ()
 
-def _finite(owner: object, *names: str) -> None:
-    for name in names:
-        value = getattr(owner, name)
-        _check(
-            isinstance(value, (int, float)) and math.isfinite(value),
-            f"{type(owner).__name__}.{name}",
-            value,
-            "a finite number",
-        )
+    def __post_init__(self) -> None:
+        for name, value in vars(self).items():
+            is_number = isinstance(value, (int, float))
+            if is_number and name not in self._ANY:
+                self._require(math.isfinite(value), name, "a finite number")
+            if name in self._POSITIVE:
+                self._require(is_number and value > 0.0, name, "above zero")
+            if name in self._NOT_NEGATIVE:
+                good = is_number and value >= 0.0
+                self._require(good, name, "zero or more")
+        self._check()
 
+    def _check(self) -> None:
+        """What else must be."""
 
-def _not_negative(owner: object, *names: str) -> None:
-    _finite(owner, *names)
-    for name in names:
-        value = getattr(owner, name)
-        full = f"{type(owner).__name__}.{name}"
-        _check(value >= 0.0, full, value, "zero or more")
+    def _require(self, good: bool, name: str, wanted: str) -> None:
+        if not good:
+            value, kind = getattr(self, name), type(self).__name__
+            raise ValueError(f"{kind}.{name}: {value!r} is not {wanted}")
 
-
-def _positive(owner: object, *names: str) -> None:
-    _finite(owner, *names)
-    for name in names:
-        value = getattr(owner, name)
-        full = f"{type(owner).__name__}.{name}"
-        _check(value > 0.0, full, value, "above zero")
+    def _require_one_of(self, name: str, allowed: Collection) -> None:
+        good = getattr(self, name) in allowed
+        self._require(good, name, f"one of {allowed}")
 
 
 @dataclass(frozen=True)
-class NoiseSpec:
+class NoiseSpec(Spec):
     """How a switch differs from touch to touch.
 
     sigma: spread of the trigger point, mm (cut off at 5 sigma)
@@ -62,19 +64,15 @@ class NoiseSpec:
     hysteresis: float = 0.0
     latency: float = 0.0
 
-    def __post_init__(self) -> None:
-        _not_negative(self, "sigma", "outlier_chance", "hysteresis", "latency")
-        _finite(self, "outlier_size")
-        _check(
-            self.outlier_chance <= 1.0,
-            "NoiseSpec.outlier_chance",
-            self.outlier_chance,
-            "a chance of 0 to 1",
-        )
+    _NOT_NEGATIVE = ("sigma", "outlier_chance", "hysteresis", "latency")
+
+    def _check(self) -> None:
+        good = self.outlier_chance <= 1.0
+        self._require(good, "outlier_chance", "a chance of 0 to 1")
 
 
 @dataclass(frozen=True)
-class MeshSpec:
+class MeshSpec(Spec):
     """A grid of heights added to the bed's plane, bilinear in between.
 
     heights[row][column] in mm: rows from y_min to y_max, columns from x_min
@@ -87,27 +85,21 @@ class MeshSpec:
     y_max: float
     heights: Tuple[Tuple[float, ...], ...]
 
-    def __post_init__(self) -> None:
-        _finite(self, "x_min", "y_min", "x_max", "y_max")
-        _check(self.x_max > self.x_min, "MeshSpec.x_max", self.x_max, "> x_min")
-        _check(self.y_max > self.y_min, "MeshSpec.y_max", self.y_max, "> y_min")
+    def _check(self) -> None:
+        self._require(self.x_max > self.x_min, "x_max", "> x_min")
+        self._require(self.y_max > self.y_min, "y_max", "> y_min")
         widths = {len(row) for row in self.heights}
-        _check(
+        self._require(
             len(self.heights) >= 2 and len(widths) == 1 and min(widths) >= 2,
-            "MeshSpec.heights",
-            self.heights,
+            "heights",
             "two or more rows of two or more equal columns",
         )
-        _check(
-            all(math.isfinite(z) for row in self.heights for z in row),
-            "MeshSpec.heights",
-            self.heights,
-            "all finite",
-        )
+        finite = all(math.isfinite(z) for row in self.heights for z in row)
+        self._require(finite, "heights", "all finite")
 
 
 @dataclass(frozen=True)
-class BedSpec:
+class BedSpec(Spec):
     """The plate: surface z = z0 + slope_x * x + slope_y * y (+ mesh), mm.
 
     There is nothing to touch outside x_min..x_max, y_min..y_max.
@@ -124,16 +116,15 @@ class BedSpec:
     mesh: Optional[MeshSpec] = None
     allowed_press: float = 0.0
 
-    def __post_init__(self) -> None:
-        _finite(self, "x_min", "y_min", "x_max", "y_max")
-        _finite(self, "z0", "slope_x", "slope_y")
-        _check(self.x_max > self.x_min, "BedSpec.x_max", self.x_max, "> x_min")
-        _check(self.y_max > self.y_min, "BedSpec.y_max", self.y_max, "> y_min")
-        _not_negative(self, "allowed_press")
+    _NOT_NEGATIVE = ("allowed_press",)
+
+    def _check(self) -> None:
+        self._require(self.x_max > self.x_min, "x_max", "> x_min")
+        self._require(self.y_max > self.y_min, "y_max", "> y_min")
 
 
 @dataclass(frozen=True)
-class PinSpec:
+class PinSpec(Spec):
     """A vertical pin over a switch, pressed by nozzle tip or probe body.
 
     x, y, radius: where a presser meets it, mm
@@ -152,15 +143,15 @@ class PinSpec:
     signal: str = "z_endstop"
     noise: NoiseSpec = field(default_factory=NoiseSpec)
 
-    def __post_init__(self) -> None:
-        _finite(self, "x", "y", "z")
-        _positive(self, "radius")
-        _not_negative(self, "pretravel", "pin_travel")
-        _check(bool(self.signal), "PinSpec.signal", self.signal, "a name")
+    _POSITIVE = ("radius",)
+    _NOT_NEGATIVE = ("pretravel", "pin_travel")
+
+    def _check(self) -> None:
+        self._require(bool(self.signal), "signal", "a name")
 
 
 @dataclass(frozen=True)
-class AxisSwitchSpec:
+class AxisSwitchSpec(Spec):
     """A switch that one axis runs into.
 
     axis: "x", "y" or "z"; direction: +1 triggers at position and above, -1
@@ -175,24 +166,16 @@ class AxisSwitchSpec:
     hard_stop: Optional[float] = None
     noise: NoiseSpec = field(default_factory=NoiseSpec)
 
-    def __post_init__(self) -> None:
-        name = "AxisSwitchSpec"
-        _check(bool(self.signal), f"{name}.signal", self.signal, "a name")
-        axes = ("x", "y", "z")
-        _check(self.axis in axes, f"{name}.axis", self.axis, "x, y or z")
-        _finite(self, "position")
-        _check(
-            self.direction in (1, -1),
-            f"{name}.direction",
-            self.direction,
-            "1 or -1",
-        )
-        if self.hard_stop is not None:
-            _not_negative(self, "hard_stop")
+    def _check(self) -> None:
+        self._require(bool(self.signal), "signal", "a name")
+        self._require_one_of("axis", ("x", "y", "z"))
+        self._require_one_of("direction", (1, -1))
+        stop = self.hard_stop
+        self._require(stop is None or stop >= 0.0, "hard_stop", "zero or more")
 
 
 @dataclass(frozen=True)
-class MagProbeSpec:
+class MagProbeSpec(Spec):
     """A switch hanging beside the nozzle that can be taken off.
 
     x_offset, y_offset: its place relative to the nozzle, mm
@@ -220,36 +203,20 @@ class MagProbeSpec:
     plunger_on_pin: bool = False
     noise: NoiseSpec = field(default_factory=NoiseSpec)
 
-    def __post_init__(self) -> None:
-        _finite(self, "x_offset", "y_offset")
-        _positive(self, "body_drop", "half_width")
-        _not_negative(self, "switch_offset", "pretravel", "attach_time")
-        name = "MagProbeSpec"
-        modes = ("output", "dock", "fixed")
-        _check(self.mode in modes, f"{name}.mode", self.mode, f"in {modes}")
+    _POSITIVE = ("body_drop", "half_width")
+    _NOT_NEGATIVE = ("switch_offset", "pretravel", "attach_time")
+
+    def _check(self) -> None:
+        self._require_one_of("mode", ("output", "dock", "fixed"))
         states = ("attached", "docked", "lost")
-        _check(
-            self.initial in states,
-            f"{name}.initial",
-            self.initial,
-            f"in {states}",
-        )
-        _check(
-            self.mode != "fixed" or self.initial == "attached",
-            f"{name}.initial",
-            self.initial,
-            "'attached', as mode 'fixed' needs",
-        )
-        _check(
-            self.mode == "output" or self.attach_time == 0.0,
-            f"{name}.attach_time",
-            self.attach_time,
-            "zero, as modes without an output need",
-        )
+        fixed = self.mode == "fixed"
+        self._require_one_of("initial", ("attached",) if fixed else states)
+        good = self.mode == "output" or self.attach_time == 0.0
+        self._require(good, "attach_time", "zero, as there is no output")
 
 
 @dataclass(frozen=True)
-class DockSpec:
+class DockSpec(Spec):
     """Where a probe of mode "dock" is kept.
 
     x, y, z: nozzle position at which head and docked probe meet, mm
@@ -267,27 +234,23 @@ class DockSpec:
     release: Vector = (1.0, 0.0, 0.0)
     cone: float = 40.0
 
-    def __post_init__(self) -> None:
-        _finite(self, "x", "y", "z")
-        _positive(self, "reach", "cone")
-        _check(self.cone < 90.0, "DockSpec.cone", self.cone, "below 90")
+    _POSITIVE = ("reach", "cone")
+
+    def _check(self) -> None:
+        self._require(self.cone < 90.0, "cone", "below 90")
         for name in ("approach", "release"):
             vector = getattr(self, name)
             good = len(vector) == 3 and math.hypot(*vector) > 0.0
-            _check(good, f"DockSpec.{name}", vector, "a direction (x, y, z)")
+            self._require(good, name, "a direction (x, y, z)")
         lengths = math.hypot(*self.approach) * math.hypot(*self.release)
         dot = sum(a * b for a, b in zip(self.approach, self.release))
         apart = math.degrees(math.acos(max(-1.0, min(1.0, dot / lengths))))
-        _check(
-            apart > 2.0 * self.cone,
-            "DockSpec.release",
-            self.release,
-            f"more than twice the cone ({self.cone} degrees) off approach",
-        )
+        wanted = f"more than twice the cone ({self.cone} degrees) off approach"
+        self._require(apart > 2.0 * self.cone, "release", wanted)
 
 
 @dataclass(frozen=True)
-class InductiveSpec:
+class InductiveSpec(Spec):
     """A probe that senses the plate from a distance.
 
     sense_distance: height of the cold nozzle tip over the plate's surface
@@ -301,13 +264,11 @@ class InductiveSpec:
     twist: float = 0.0
     noise: NoiseSpec = field(default_factory=NoiseSpec)
 
-    def __post_init__(self) -> None:
-        _finite(self, "x_offset", "y_offset", "twist")
-        _positive(self, "sense_distance")
+    _POSITIVE = ("sense_distance",)
 
 
 @dataclass(frozen=True)
-class BedSensorSpec:
+class BedSensorSpec(Spec):
     """A pressure sensor under a compliant bed.
 
     press_depth: mm the nozzle presses into the bed to trigger it
@@ -318,12 +279,11 @@ class BedSensorSpec:
     enable_output: bool = False
     noise: NoiseSpec = field(default_factory=NoiseSpec)
 
-    def __post_init__(self) -> None:
-        _not_negative(self, "press_depth")
+    _NOT_NEGATIVE = ("press_depth",)
 
 
 @dataclass(frozen=True)
-class MembraneSpec:
+class MembraneSpec(Spec):
     """A membrane switch of known thickness lying on the bed.
 
     x, y: its middle; either radius or half_x with half_y, mm
@@ -339,26 +299,22 @@ class MembraneSpec:
     half_y: Optional[float] = None
     noise: NoiseSpec = field(default_factory=NoiseSpec)
 
-    def __post_init__(self) -> None:
-        _finite(self, "x", "y")
-        _positive(self, "thickness")
-        _not_negative(self, "press")
-        _check(
-            self.press <= self.thickness,
-            "MembraneSpec.press",
-            self.press,
-            "at most the thickness",
-        )
+    _POSITIVE = ("thickness",)
+    _NOT_NEGATIVE = ("press",)
+
+    def _check(self) -> None:
+        good = self.press <= self.thickness
+        self._require(good, "press", "at most the thickness")
+        sides = [self.half_x, self.half_y]
         if self.radius is not None:
-            no_sides = self.half_x is None and self.half_y is None
-            _check(no_sides, "MembraneSpec.radius", self.radius, "alone")
-            _positive(self, "radius")
-        else:
-            _positive(self, "half_x", "half_y")
+            self._require(sides == [None, None], "radius", "alone")
+            sides = [self.radius]
+        good = all(side is not None and side > 0.0 for side in sides)
+        self._require(good, "radius", "above zero, nor are the sides")
 
 
 @dataclass(frozen=True)
-class DriftSpec:
+class DriftSpec(Spec):
     """Linear thermal growth in mm/s between two times (seconds).
 
     nozzle: positive makes the tip hang lower (the probe's body does not)
@@ -373,13 +329,14 @@ class DriftSpec:
     start: float = 0.0
     stop: float = math.inf
 
-    def __post_init__(self) -> None:
-        _finite(self, "nozzle", "pin", "bed", "body", "start")
-        _check(self.stop >= self.start, "DriftSpec.stop", self.stop, ">= start")
+    _ANY = ("stop",)
+
+    def _check(self) -> None:
+        self._require(self.stop >= self.start, "stop", ">= start")
 
 
 @dataclass(frozen=True)
-class WorldSpec:
+class WorldSpec(Spec):
     """A machine.
 
     overtravel: mm a presser may go beyond the trigger of pin, bed sensor or
@@ -401,41 +358,31 @@ class WorldSpec:
     overtravel: float = 0.05
     allowed_drag: float = 0.05
 
-    def __post_init__(self) -> None:
-        _not_negative(self, "overtravel", "allowed_drag")
+    _NOT_NEGATIVE = ("overtravel", "allowed_drag")
+
+    def _check(self) -> None:
         mag = self.mag_probe
-        _check(
-            mag is None or self.inductive is None,
-            "WorldSpec.inductive",
-            self.inductive,
-            "possible beside mag_probe: both drive 'probe'",
-        )
+        good = mag is None or self.inductive is None
+        self._require(good, "inductive", "possible: both drive 'probe'")
         wants_dock = mag is not None and mag.mode == "dock"
-        _check(
-            wants_dock == (self.dock is not None),
-            "WorldSpec.dock",
-            self.dock,
-            "given exactly when mag_probe.mode is 'dock'",
-        )
+        good = wants_dock == (self.dock is not None)
+        self._require(good, "dock", "given exactly for a probe of mode 'dock'")
         for name in ("probe_sense", "dock_sense"):
-            asked = getattr(self, name)
-            full = f"WorldSpec.{name}"
-            _check(not asked or mag is not None, full, asked, "without a probe")
+            good = mag is not None or not getattr(self, name)
+            self._require(good, name, "possible without a probe")
         signals = self.signals()
-        repeated = {name for name in signals if signals.count(name) > 1}
-        _check(not repeated, "WorldSpec.switches", repeated, "unique signals")
+        good = len(set(signals)) == len(signals)
+        self._require(good, "switches", f"made of unique signals: {signals}")
 
     def signals(self) -> tuple[str, ...]:
         """Names of all signals this machine drives."""
+        parts = {
+            self.pin.signal if self.pin else "": self.pin,
+            "probe": self.mag_probe or self.inductive,
+            "bed_sensor": self.bed_sensor,
+            "membrane": self.membrane,
+            "probe_sense": self.probe_sense,
+            "dock_sense": self.dock_sense,
+        }
         names = [switch.signal for switch in self.switches]
-        parts = (
-            (self.pin is not None, self.pin.signal if self.pin else ""),
-            (self.mag_probe is not None, "probe"),
-            (self.inductive is not None, "probe"),
-            (self.bed_sensor is not None, "bed_sensor"),
-            (self.membrane is not None, "membrane"),
-            (self.probe_sense, "probe_sense"),
-            (self.dock_sense, "dock_sense"),
-        )
-        names.extend(name for there, name in parts if there)
-        return tuple(names)
+        return (*names, *(name for name, part in parts.items() if part))
