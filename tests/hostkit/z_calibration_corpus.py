@@ -63,6 +63,8 @@ MARGIN_RESERVE = 0.05
 PARAM_SWITCH_OFFSET = 0.44
 
 VIRTUAL_ENDSTOP = "probe:z_virtual_endstop"
+# Names a switch of its own, which is the Z endstop's here
+OTHER_PIN, PIN_INPUT = "calibration_endstop_pin", "PC2"
 
 PROBE_OPTIONS = (
     "x_offset",
@@ -340,6 +342,7 @@ class _Builder:
     def build(self) -> CorpusMachine:
         """Put it together."""
         calibration = self.calibration()
+        shared = {"pins": PIN_INPUT} if OTHER_PIN in calibration else None
         configured = self.configured_switch_offset()
         true = self.true_switch_offset(configured)
         voron = heated(SCENES["voron"])
@@ -352,6 +355,7 @@ class _Builder:
                 **self.machine_sections(true),
                 **self.macros(),
                 "z_calibration": calibration,
+                "duplicate_pin_override": shared,
             },
             start=Pose(*(axis.near_endstop() for axis in self.axes), 12.0),
         )
@@ -480,6 +484,8 @@ class _Builder:
         What it leaves open and nobody else knows becomes a parameter.
         """
         options = dict(self.entry.options)
+        if OTHER_PIN in options:
+            options[OTHER_PIN] = f"^{PIN_INPUT}"
         places = {
             "nozzle": self.places.pin,
             "switch": self.places.switch,

@@ -249,7 +249,10 @@ TOLD = {
         "euclid", "    G28\n", f"{CALIBRATE}\n    G28\n", "Must home axis"
     ),
     "negative switch_offset": Mistake(
-        "voron24_klicky", "0.44", "-0.44", "'-0.44' is negative"
+        "voron24_klicky",
+        "0.44",
+        "-0.44",
+        "Option 'switch_offset' in section 'z_calibration' must",
     ),
     "nozzle beside the pin": Mistake(
         "trident_z_tilt",
@@ -294,7 +297,7 @@ TOLD = {
         "separate_pin",
         "^PG10",
         "probe:z_virtual_endstop",
-        "is no pin that the nozzle can press",
+        "is no pin; give the pin of the switch that the nozzle presses",
     ),
 }
 # What the module cannot know; that these are found is what they are here for
