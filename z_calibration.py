@@ -1310,7 +1310,7 @@ class ZCalibration(object):
         gcmd.respond_info(
             "probe z accuracy results: maximum %.6f, minimum %.6f, range"
             " %.6f, average %.6f, median %.6f, standard deviation %.6f"
-            % sampling.statistics(samples)
+            % sampling.accuracy(samples)
         )
 
     def measure_accuracy(self, gcmd):

@@ -25,7 +25,7 @@ def summarize(samples, method):
 
 # Maximum, minimum, range, average, median and population standard deviation,
 # as PROBE_ACCURACY has them
-def statistics(samples):
+def accuracy(samples):
     low, high, average = (
         min(samples),
         max(samples),

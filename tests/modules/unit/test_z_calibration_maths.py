@@ -10,6 +10,8 @@ from hypothesis import assume, given
 from hypothesis import strategies as st
 
 from tests.modules.unit.loading import load
+from z_touch import templates
+from z_touch.templates import attaches_probe
 
 zc = load("z_calibration")
 
@@ -761,8 +763,9 @@ PROBE = zc.sampling.Sampling(
 
 class TestComplete:
     def complete(self, settings, z_offset=6.5):
+        left_open = zc.sampling.Sampling(*[None] * 7)
         open_ends = settings._replace(
-            probe=None, z_offset=None, position_max=None
+            probe=left_open, z_offset=None, position_max=None
         )
         return zc.complete(open_ends, PROBE, z_offset, 250.0)
 
@@ -777,6 +780,12 @@ class TestComplete:
         settings = make_settings(pin=make_sampling(**{name: None}))
         filled = make_sampling(**{name: getattr(PROBE, name)})
         assert self.complete(settings).pin == filled
+
+    def test_the_bed_keeps_what_the_section_says(self):
+        given = zc.sampling.Sampling(*[None] * 7)._replace(samples=4)
+        settings = make_settings()._replace(probe=given)
+        found = zc.complete(settings, PROBE, 6.5, 250.0).probe
+        assert found == PROBE._replace(samples=4)
 
     def test_the_probe_may_fill_everything(self):
         nothing = zc.sampling.Sampling(
@@ -807,6 +816,23 @@ class TestComplete:
 MACROS = ["ATTACH_PROBE", "_G0"]
 
 
+class TestHoming:
+    @pytest.mark.parametrize(
+        ("gcode", "macros", "homes"),
+        [
+            ("G28", {}, True),
+            ("\n  g28 Z", {}, True),
+            ("START", {"START": "{% if x %} G28 {% endif %}"}, True),
+            ("START", {"START": "MORE", "MORE": "G28 X"}, True),
+            ("START", {"START": "MORE", "MORE": "START"}, False),
+            ("ATTACH", {"ATTACH": "G0 X1", "OTHER": "G28"}, False),
+            ("", {}, False),
+        ],
+    )
+    def test_g28_is_found_also_in_macros(self, gcode, macros, homes):
+        assert templates.homes(gcode, macros) is homes
+
+
 class TestAttachesProbe:
     @pytest.mark.parametrize(
         "before",
@@ -822,10 +848,10 @@ class TestAttachesProbe:
     )
     def test_macros_servos_and_pins_do(self, before):
         for start in ("", "G28", "G28\n" + before):
-            assert zc.attaches_probe(before, start, MACROS) is True
+            assert attaches_probe(before, start, MACROS) is True
         # What has been done already
         start = "\n " + before.lower().replace(" ", "  ") + "\n"
-        assert zc.attaches_probe(before, start, MACROS) is False
+        assert attaches_probe(before, start, MACROS) is False
 
     @pytest.mark.parametrize(
         "before",
@@ -836,7 +862,7 @@ class TestAttachesProbe:
         ],
     )
     def test_nothing_else_does(self, before):
-        assert zc.attaches_probe(before, "", MACROS) is False
+        assert attaches_probe(before, "", MACROS) is False
 
     def test_kalico_has_a_command_for_it(self):
-        assert zc.attaches_probe("ATTACH_PROBE", "", []) is True
+        assert attaches_probe("ATTACH_PROBE", "", []) is True

@@ -10,7 +10,8 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from z_touch.errors import CalibrationError
-from z_touch.options import as_param, margins
+from z_touch.options import margins
+from z_touch.templates import as_param
 
 numbers = st.integers(-640, 640).map(lambda steps: steps / 64)
 

@@ -10,11 +10,15 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from z_touch.errors import CalibrationError, NoTrigger, SamplesDiffer
-from z_touch.sampling import Sampling, collect, deviation, summarize
+from z_touch.sampling import Sampling, accuracy, collect, summarize
 
 series = st.lists(st.floats(-50.0, 400.0), min_size=1, max_size=9)
 methods = st.sampled_from(["median", "average"])
 shifts = st.floats(-10.0, 10.0)
+
+
+def deviation(samples):
+    return accuracy(samples)[-1]
 
 
 def near(value):
@@ -26,6 +30,10 @@ def test_figures_are_those_of_the_standard_library(samples):
     before = list(samples)
     assert summarize(samples, "median") == statistics.median(samples)
     assert summarize(samples, "average") == near(statistics.fmean(samples))
+    low, high = min(samples), max(samples)
+    average, median = statistics.fmean(samples), statistics.median(samples)
+    figures = (high, low, high - low, average, median)
+    assert accuracy(samples)[:-1] == near(figures)
     assert deviation(samples) == near(statistics.pstdev(samples))
     assert samples == before
 
