@@ -6,7 +6,7 @@ from dataclasses import replace
 
 import pytest
 
-from tests.hostkit.printer import Printer, has_kinematics, module_files
+from tests.hostkit.printer import Printer, has_kinematics
 from tests.hostkit.session import GcodeError
 from tests.hostkit.z_calibration import (
     BED,
@@ -20,6 +20,8 @@ from tests.hostkit.z_calibration import (
     result_of,
     section,
     touched_sites,
+    with_dead_pin,
+    with_extra,
 )
 from tests.simprinter import SCENES, Fault
 from tests.simprinter.world import DriftSpec
@@ -78,16 +80,18 @@ def test_z_offset_that_is_too_large_is_told(start):
     assert "z_offset in section 'probe'" in told[0]
 
 
-def test_dead_switch_with_a_z_offset_that_is_right(start):
-    # It is not the z_offset: the bed agrees with it
-    fault = Fault("stuck_open", signal="z_endstop", n=8)
+@pytest.mark.parametrize(("n", "looks"), [(8, True), (10, False)])
+def test_dead_switch_with_a_z_offset_that_is_right(start, n, looks):
+    # It is not the z_offset: the bed agrees with it, or the body was there
+    fault = Fault("stuck_open", signal="z_endstop", n=n)
     printer = start(faults=[fault])
     printer.machine.tolerate("body_pin", 1.0)
     text = printer.homed().fail("CALIBRATE_Z")
     assert "switch: No trigger" in text
-    assert "looking at the bed" in "\n".join(printer.session.console)
-    sites = touched_sites(printer)
-    assert sites[-2:] == ["body_pin", "probe_bed"]
+    assert f"(stopped at z={PIN + 6.9 - SWITCH_OFFSET - 1.0:.3f})" in text
+    console = "\n".join(printer.session.console)
+    assert ("looking at the bed" in console) == looks
+    assert touched_sites(printer).count("probe_bed") == looks
     assert printer.machine.truth.min_gap > 5.0
     assert_unharmed(printer)
 
@@ -166,77 +170,62 @@ def test_switch_position_beside_everything(start):
 # Geometry that changes between two runs
 
 
-def jumping(start, **options):
-    """A printer whose pin is reached 0.7 mm early by the second body."""
-    # A good run arms 8 times and homing twice; the second run 4 for the
-    # nozzle, once on the way down to the switch, and 3 samples
+def warnings(printer):
+    """What the last run that was applied was warned of."""
+    found = printer.status("z_calibration")["warnings"]
+    console = "\n".join(printer.session.console)
+    assert all(f"// z_calibration: {text}" in console for text in found)
+    return found
+
+
+@pytest.mark.parametrize(
+    ("script", "start_gcode", "n"),
+    [
+        # A good run arms 8 times and homing twice; the second run 4 for the
+        # nozzle, once on the way down to the switch, and 3 samples
+        ("CALIBRATE_Z", "", 16),
+        ("G28 Z\nCALIBRATE_Z", "", 18),
+        ("CALIBRATE_Z", "G28 Z", 20),
+    ],
+)
+def test_jump_of_the_geometry_is_told(start, script, start_gcode, n):
+    # The pin is reached 0.7 mm early by the second body
     faults = [
-        Fault("trigger_early", signal="z_endstop", mm=0.7, n=n)
-        for n in (16, 17, 18)
+        Fault("trigger_early", signal="z_endstop", mm=0.7, n=n + i)
+        for i in range(3)
     ]
-    return start(faults=faults, **options).homed()
-
-
-def test_jump_of_the_geometry_stops_before_the_bed(start):
-    printer = jumping(start)
-    good, _ = calibration(printer)
-    before = len(printer.machine.truth.touches)
-    text = printer.fail("CALIBRATE_Z")
-    assert "switch - nozzle is 7.115 mm and was 6.415 mm" in text
-    assert "G28 Z" in text
-    assert "ACCEPT_CHANGE=1" in text
-    assert "probe_bed" not in touched_sites(printer, before)
-    status = printer.status("z_calibration")
-    assert status["last_z_offset"] == pytest.approx(good[-1], abs=1e-6)
-    assert_unharmed(printer, good[-1])
-
-
-def test_jump_is_accepted_with_a_parameter(start):
-    printer = jumping(start)
-    calibration(printer)
-    # Off by 0.7, but told so: the offset would be that much lower
-    lines = printer.run("CALIBRATE_Z ACCEPT_CHANGE=1")
-    assert result_of(lines)[1] == pytest.approx(PIN + BODY + 0.7, abs=0.01)
-
-
-def test_jump_is_accepted_after_homing(start):
-    # Homing arms twice more
-    faults = [
-        Fault("trigger_early", signal="z_endstop", mm=0.7, n=n)
-        for n in (18, 19, 20)
-    ]
-    printer = start(faults=faults).homed()
-    calibration(printer)
-    lines = printer.run("G28 Z\nCALIBRATE_Z")
-    assert result_of(lines)[1] == pytest.approx(PIN + BODY + 0.7, abs=0.01)
-
-
-def test_start_gcode_may_home_between_two_runs(start):
-    # What was known before it is not sure any more
-    faults = [
-        Fault("trigger_early", signal="z_endstop", mm=0.7, n=n)
-        for n in (20, 21, 22)
-    ]
-    changes = section(start_gcode="G28 Z")
+    changes = section(start_gcode=start_gcode)
     printer = start(changes=changes, faults=faults).homed()
     calibration(printer)
-    lines = printer.run("CALIBRATE_Z")
-    assert result_of(lines)[1] == pytest.approx(PIN + BODY + 0.7, abs=0.01)
+    assert warnings(printer) == []
+    (_, switch, *_, offset), _ = calibration(printer, script)
+    assert switch == pytest.approx(PIN + BODY + 0.7, abs=0.01)
+    assert printer.offset() == pytest.approx(offset, abs=1e-6)
+    (told,) = warnings(printer)
+    assert "switch - nozzle is 7.115 mm and was 6.415 mm in the last" in told
+    assert "check how the probe is seated" in told
+    # Back again, and as it was
+    calibration(printer)
+    assert len(warnings(printer)) == 1
+    calibration(printer)
+    assert warnings(printer) == []
 
 
-def test_longer_nozzle_without_homing(start):
-    # It grows by 1.5 mm between the runs: the body is that much lower
-    scene = SCENES["voron"]
-    drift = DriftSpec(nozzle=0.1, start=100.0, stop=115.0)
+@pytest.mark.parametrize("longer", [0.7, 1.5])
+def test_longer_nozzle_without_homing(start, longer):
+    # The body is that much lower, below what the last run lets expect
+    drift = DriftSpec(nozzle=0.1, start=100.0, stop=100.0 + 10 * longer)
     changes = section(offset_margins="-2,2")
-    printer = start(scene.with_world(drift=drift), changes=changes)
+    scene = SCENES["voron"].with_world(drift=drift)
+    printer = start(scene, changes=changes)
     printer.machine.tolerate("body_pin", 1.0)
     calibration(printer.homed())
     printer.session.wait(120.0)
-    text = printer.fail("CALIBRATE_Z")
-    assert "switch: No trigger" in text
-    assert "if nozzle or probe was exchanged: home Z again (G28 Z)" in text
-    calibration(printer, "CALIBRATE_Z ACCEPT_CHANGE=1")
+    calibration(printer)
+    nozzle, body = warnings(printer)
+    assert f"nozzle: z={PIN + longer:.3f} is far from position_end" in nozzle
+    assert f"switch - nozzle is {BODY - longer:.3f} mm and was 6.4" in body
+    assert printer.gap() == pytest.approx(0.06, abs=2 * MICROSTEP)
 
 
 def test_small_change_is_none(start):
@@ -248,6 +237,7 @@ def test_small_change_is_none(start):
     calibration(printer)
     calibration(printer)
     assert printer.machine.faults.unfired() == []
+    assert warnings(printer) == []
 
 
 def test_floor_of_the_switch_after_a_good_run(start):
@@ -291,6 +281,7 @@ def test_nozzle_far_from_where_z_was_homed_is_told(start, height):
     assert len(told) == 1
     assert f"nozzle: z={PIN + height:.3f} is far from" in told[0]
     assert "home Z again (G28 Z) after any levelling" in told[0]
+    assert warnings(printer) == [told[0].partition("z_calibration: ")[2]]
 
 
 def test_nozzle_near_to_where_z_was_homed_is_not(start):
@@ -443,10 +434,7 @@ def test_phase_and_progress(host, tmp_path):
 
 
 def test_status_is_idle_after_a_failure(start):
-    fault = Fault("trigger_never", signal="z_endstop", n=4)
-    printer = start(faults=[fault])
-    printer.machine.tolerate("nozzle_pin", 1.01)
-    printer.homed()
+    printer = with_dead_pin(start)
     before = printer.status("z_calibration")
     printer.fail("CALIBRATE_Z")
     assert printer.status("z_calibration") == before
@@ -454,41 +442,24 @@ def test_status_is_idle_after_a_failure(start):
 
 # A probe that is not the host's own
 
-OTHERS = '''
-class Hidden:
-    """An object without some of its attributes."""
-
-    def __init__(self, inner, hidden):
-        self.__dict__.update(inner=inner, hidden=hidden)
-
+OTHERS = """
+class Hidden:  # Without some of its attributes
+    def __init__(self, inner):
+        self.__dict__.update(inner=inner)
     def __getattr__(self, name):
-        if name in self.hidden:
+        if name in ("z_position", "probe_session", "homing_helper"):
             raise AttributeError(name)
         found = getattr(self.inner, name)
-        if name == "mcu_probe":
-            return Hidden(found, ("homing_helper",))
-        return found
-
-
-def load_config(config):
-    printer = config.get_printer()
-
-    def change():
-        probe = printer.lookup_object("probe")
-        hidden = ("z_position", "probe_session")
-        printer.objects["probe"] = Hidden(probe, hidden)
-
-    printer.register_event_handler("klippy:mcu_identify", change)
-'''
+        return Hidden(found) if name == "mcu_probe" else found
+printer.objects["probe"] = Hidden(probe)
+"""
 
 
 @pytest.mark.parametrize("n", [None, 2, 4])
 def test_probe_that_takes_no_floor_is_touched_by_us(start, tmp_path, n):
-    source = tmp_path / "others.py"
-    source.write_text(OTHERS)
-    modules = {**module_files(), "others": source}
+    modules = with_extra(tmp_path, OTHERS)
     faults = [] if n is None else [Fault("trigger_never", signal="probe", n=n)]
-    printer = start(changes={"others": {}}, modules=modules, faults=faults)
+    printer = start(changes={"extra": {}}, modules=modules, faults=faults)
     printer.machine.tolerate("body_bed", 1.0)
     printer.homed()
     if n is None:
@@ -502,17 +473,14 @@ def test_probe_that_takes_no_floor_is_touched_by_us(start, tmp_path, n):
 
 
 def test_probe_that_docks_itself_is_refused(start, tmp_path):
-    source = tmp_path / "docks.py"
-    source.write_text(
-        "class Dockable:\n"
-        "    auto_attach_detach = True\n"
-        "    detach_dockable_before_z_home = False\n"
-        "def load_config(config):\n"
-        "    printer = config.get_printer()\n"
-        "    printer.add_object('dockable_probe', Dockable())\n"
-    )
-    modules = {**module_files(), "docks": source}
-    printer = start(changes={"docks": {}}, modules=modules).homed()
+    code = """
+class Dockable:
+    auto_attach_detach = True
+    detach_dockable_before_z_home = False
+printer.add_object("dockable_probe", Dockable())
+"""
+    modules = with_extra(tmp_path, code)
+    printer = start(changes={"extra": {}}, modules=modules).homed()
     before = len(printer.machine.truth.touches)
     text = printer.fail("CALIBRATE_Z")
     assert "auto_attach_detach of section 'dockable_probe'" in text
@@ -623,13 +591,18 @@ def test_single_fault_of_a_sensor(some_host, kind, signal, n):
 @pytest.mark.parametrize("k", range(1, 7))
 @pytest.mark.parametrize("when", ["touch", "lift"])
 def test_probe_that_falls_off(some_host, k, when):
+    # 3 body touches, then 3 samples on the bed
     fault = Fault("probe_falls", n=k, when=when)
     with Printer(some_host, faults=[fault]) as printer:
         for site in ("body_pin", "body_bed"):
             printer.machine.tolerate(site, 1.0 + MICROSTEP)
         text = printer.homed().fail("CALIBRATE_Z")
+        # After the last body touch the next look is the one at the bed
+        assert ("switch: " if k <= 2 else "bed: ") in text
         assert "it is not attached" in text
+        assert printer.machine.faults.unfired() == []
         assert printer.machine.truth.min_gap > 1.0
+        assert printer.status("z_calibration")["last_query"] is False
         assert_unharmed(printer)
 
 
