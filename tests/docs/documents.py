@@ -105,7 +105,8 @@ def samples_of(words: str) -> tuple[list[str], list[str]]:
     if words in ("X in mm", "Y in mm"):
         return ["160"], ["x", "inf"]
     if words == "low, high in mm":
-        return ["-0.5, 0.7", "0.5", "0, 1"], ["0.1, 1", "0, 0", "0", "1, -1"]
+        taken = ["-0.5, 0.7", "0.5", "-0.5", "0, 1", "0.1, 1"]
+        return taken, ["0, 0", "0", "1, -1"]
     if words == "mm":
         return ["-1"], ["x", "inf"]
     choices = spans(words)
