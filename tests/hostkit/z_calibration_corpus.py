@@ -50,6 +50,8 @@ MARGIN_RESERVE = 0.05
 PARAM_SWITCH_OFFSET = 0.44
 
 VIRTUAL_ENDSTOP = "probe:z_virtual_endstop"
+# Names a switch of its own, which is the Z endstop's here
+OTHER_PIN, PIN_INPUT = "calibration_endstop_pin", "PC2"
 
 PROBE_OPTIONS = """x_offset y_offset z_offset samples samples_result
 samples_tolerance samples_tolerance_retries sample_retract_dist speed
@@ -218,6 +220,7 @@ class _Builder:
         x, y = self.true_offset
         switch = self.pin[0] - x, self.pin[1] - y
         calibration = self.calibration(switch)
+        shared = {"pins": PIN_INPUT} if OTHER_PIN in calibration else None
         configured = self.configured_switch_offset()
         true = self.true_switch_offset(configured)
         voron = heated(SCENES["voron"])
@@ -230,6 +233,7 @@ class _Builder:
                 **self.machine_sections(true),
                 **self.macros(),
                 "z_calibration": calibration,
+                "duplicate_pin_override": shared,
             },
             start=Pose(
                 *(a.endstop - 12.0 * a.direction for a in self.axes), 12.0
@@ -351,6 +355,8 @@ class _Builder:
         What it leaves open and nobody else knows becomes a parameter.
         """
         options = dict(self.entry.options)
+        if OTHER_PIN in options:
+            options[OTHER_PIN] = f"^{PIN_INPUT}"
         places = {"nozzle": self.pin, "switch": switch, "bed": self.bed}
         for name, place in places.items():
             if not self.place(options, name, place) and not self.known(name):

@@ -245,7 +245,7 @@ def told(printer: Printer) -> str:
         ),
         (
             *("separate_pin", "^PG10", "probe:z_virtual_endstop"),
-            "is no pin that the nozzle can press",
+            "is no pin; give the pin of the switch that the nozzle presses",
         ),
     ],
 )
