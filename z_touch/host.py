@@ -313,10 +313,6 @@ class Host(object):
         for owner in (getattr(calibrate, "probe_mgr", None), calibrate):
             if getattr(owner, "zero_ref_pos", None) is not None:
                 return tuple(owner.zero_ref_pos)[:2]
-        # Until 2024-02-15 (c92732e4f)
-        index = getattr(calibrate, "relative_reference_index", None)
-        if index is not None and index < len(calibrate.points):
-            return tuple(calibrate.points[index])[:2]
         return None
 
     # State

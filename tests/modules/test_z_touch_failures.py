@@ -1,0 +1,99 @@
+"""What both modules leave to z_touch when something is wrong."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import pytest
+
+from tests.hostkit.printer import Printer
+from tests.hostkit.z_calibration import (
+    BODY,
+    calibration,
+    refusal,
+    section,
+    touched_sites,
+    with_extra,
+)
+from tests.simprinter import SCENES, heated
+
+pytestmark = pytest.mark.spread
+
+USERS = [("heater_bed", "PH1"), ("output_pin lamp", "PH5")]
+
+
+def sharing(user, pin, order, **first):
+    """A printer with these two on one pin, in that order, after the first."""
+    sections = {**first, **heated(SCENES["voron"]).sections}
+    own = {**sections.pop("z_calibration"), "endstop_pin": f"!{pin}"}
+    both = {"z_calibration": own, user: sections.pop(user, {"pin": pin})}
+    sections.update({name: both[name] for name in order(both)})
+    return replace(SCENES["voron"], name="sharing", sections=sections)
+
+
+@pytest.mark.each_host
+@pytest.mark.parametrize("order", [list, reversed])
+@pytest.mark.parametrize(("user", "pin"), USERS)
+def test_pin_that_something_else_uses(host, user, pin, order):
+    # Shared, the bed would get the endstop's polarity, and heat
+    message = refusal(host, {}, sharing(user, pin, order))
+    assert f"pin {pin} used multiple times in config" in message
+    own = f"Option 'endstop_pin: !{pin}' in section 'z_calibration'"
+    assert message.startswith(own) == (order is reversed)
+
+
+@pytest.mark.parametrize(("user", "pin"), USERS)
+def test_pin_that_is_shared_on_purpose(host, user, pin):
+    override = {"duplicate_pin_override": {"pins": pin}}
+    scene = sharing(user, pin, list, **override)
+    with Printer(host, scene) as printer:
+        printer.session.require_ready()
+
+
+def test_lost_message_is_no_missing_trigger(host):
+    # The body is 0.75 mm lower than z_offset says, so 0.25 mm above the floor
+    scene = "voron_two_boards"
+    changes = {"probe": {"z_offset": f"{BODY + 0.44 + 0.75}"}}
+    with Printer(host, scene, changes) as printer:
+        calibration(printer.homed())
+        touches = printer.machine.truth.touches
+        begin = min(t.t for t in touches if t.site == "body_pin") - 0.08
+    with Printer(host, scene, changes) as printer:
+        machine = printer.homed().machine
+
+        def is_silent():
+            now = machine.rig.seconds(machine.simulation.clock.now())
+            return begin < now < begin + 0.12
+
+        machine.boards["zboard"].is_silent = is_silent
+        text = printer.fail("CALIBRATE_Z")
+        assert text.startswith("z_calibration: switch: ")
+        assert "Communication timeout during homing" in text
+        stopped = float(text.split("(stopped at z=")[1].split(")")[0])
+        assert 0.25 < stopped - (1.6 + BODY - 0.25) < 0.5
+        # Nobody looks at the bed how long the probe is
+        assert "probe_bed" not in touched_sites(printer)
+        # The printer is as good as before
+        calibration(printer)
+
+
+def test_clean_up_that_meets_an_error_of_the_host_is_the_end(start, tmp_path):
+    # Somebody's handler, once the run has failed
+    code = """
+def arm(gcmd):
+    printer.register_event_handler("toolhead:manual_move", lambda: {}["x"])
+gcode.register_command("ARM", arm)
+"""
+    changes = {
+        "extra": {},
+        **section(before_switch_gcode="G1 Z5\n  ARM\n  G1 X9999"),
+    }
+    modules = with_extra(tmp_path, code)
+    printer = start(changes=changes, modules=modules).homed()
+    # The first error is told
+    assert "Move out of range" in printer.fail("CALIBRATE_Z")
+    state, message = printer.session.state()
+    assert state == "shutdown"
+    assert message.startswith(
+        "z_calibration: lifting failed after another error: 'x'"
+    )
