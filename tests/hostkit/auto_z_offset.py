@@ -17,7 +17,7 @@ POINT = (119.75, 126.75)
 PROBE_PLACE = (POINT[0] - 17.6, POINT[1] - 4.4)
 DEPTH = SCENES["qidi"].piezo_depth()
 SENSOR = -1.2695 - DEPTH
-AIR_GAP = 0.2
+AIR_GAP = float(SCENES["qidi"].sections["auto_z_offset"]["z_offset"])
 CORRECTION = SENSOR + AIR_GAP
 
 FORMULA = re.compile(

@@ -56,15 +56,6 @@ def test_correction_does_not_depend_on_the_frame(
 # Expected heights
 
 
-@given(heights, heights, heights, gaps)
-def test_correction_expects_the_touch_it_came_from(
-    sensor, probe, z_offset, gap
-):
-    found = az.correction(sensor, probe, z_offset, gap)
-    expected = az.expect_corrected(found, gap, probe - z_offset)
-    assert expected == (sensor, sensor - 1.0, sensor + 1.0)
-
-
 def test_probe_alone_tells_how_high_the_bed_can_be():
     expected = az.expect_below_probe(1.5)
     assert expected == (None, -math.inf, 2.0)
