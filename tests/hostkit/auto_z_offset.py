@@ -92,6 +92,14 @@ def pending(printer: Printer) -> dict[str, Any]:
     return dict(status["save_config_pending_items"])
 
 
+def seconds(printer: Printer, script: str) -> float:
+    """Printer seconds until the last move of a script has ended."""
+    clock = printer.machine.simulation.clock
+    before = clock.now()
+    printer.run(f"{script}\nM400")
+    return (clock.now() - before) / 1e9
+
+
 def lowest(printer: Printer) -> float:
     """Depth (mm) of the nozzle below the plate at its deepest."""
     return printer.machine.truth.deepest_in_bed()

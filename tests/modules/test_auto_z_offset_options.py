@@ -16,6 +16,7 @@ from tests.hostkit.auto_z_offset import (
     PROBE_PLACE,
     SENSOR,
     formulas,
+    seconds,
     section,
     sites,
     state,
@@ -63,14 +64,6 @@ def moving(start, faults=(), **options):
         "qidi", changes=changes, modules=with_extras("moves"), faults=faults
     )
     return printer.homed()
-
-
-def seconds(printer, script):
-    """Printer seconds that a script takes."""
-    clock = printer.machine.simulation.clock
-    before = clock.now()
-    printer.run(f"{script}\nM400")
-    return (clock.now() - before) / 1e9
 
 
 # What a file need not say
@@ -183,25 +176,23 @@ def test_first_travel_is_a_hop_above_what_the_probe_says(start):
     assert ends(printer)[before][2] == pytest.approx(11.2, abs=1e-3)
 
 
-def test_bed_position(start):
-    printer = start("qidi", changes=section(bed_xy_position="60, 180")).homed()
+@pytest.mark.parametrize(
+    ("changes", "place"),
+    [
+        (section(bed_xy_position="60, 180"), (60.0, 180.0)),
+        # X ends at -5.5 and there
+        ({"stepper_x": {"position_max": "205"}}, (99.75, POINT[1])),
+    ],
+)
+def test_point_of_the_measurement(start, changes, place):
+    home = {"safe_z_home": {"home_xy_position": "100, 122"}}
+    printer = start("qidi", changes={**changes, **home}).homed()
     first = len(printer.machine.truth.touches)
     printer.run("AUTO_Z_MEASURE_OFFSET")
     unused, nozzle, probe = touches(printer, first)
-    assert (nozzle.x, nozzle.y) == pytest.approx((60.0, 180.0), abs=0.02)
-    there = (60.0 - 17.6, 180.0 - 4.4)
+    assert (nozzle.x, nozzle.y) == pytest.approx(place, abs=0.02)
+    there = (place[0] - 17.6, place[1] - 4.4)
     assert (probe.x, probe.y) == pytest.approx(there, abs=0.02)
-
-
-def test_middle_is_between_both_ends_of_the_axes(start):
-    changes = {"stepper_x": {"position_max": "205"}}
-    changes["safe_z_home"] = {"home_xy_position": "100, 122"}
-    printer = start("qidi", changes=changes).homed()
-    first = len(printer.machine.truth.touches)
-    printer.run("AUTO_Z_MEASURE_OFFSET")
-    nozzle = touches(printer, first)[1]
-    middle = ((205 - 5.5) / 2.0, POINT[1])
-    assert (nozzle.x, nozzle.y) == pytest.approx(middle, abs=0.02)
 
 
 @pytest.mark.parametrize(
@@ -312,21 +303,6 @@ def test_lift_speed(start, samples):
     assert took[2.0] - took[20.0] == pytest.approx(
         lifted * (1 / 2.0 - 1 / 20.0), abs=0.35
     )
-
-
-def test_travel_speed(start):
-    # To the bed, then by the offset of the probe
-    way = 50.0 + math.hypot(
-        POINT[0] - PROBE_PLACE[0], POINT[1] - PROBE_PLACE[1]
-    )
-    took = {}
-    for speed in (20.0, None):
-        printer = moving(start, travel_speed=speed and str(speed))
-        printer.run("AUTO_Z_PROBE")
-        printer.run(f"G90\nG1 X{POINT[0] - 50.0} Y{POINT[1]} F6000\nM400")
-        took[speed] = seconds(printer, "AUTO_Z_MEASURE_OFFSET")
-    slower = way * (1 / 20.0 - 1 / 100.0)
-    assert took[20.0] - took[None] == pytest.approx(slower, abs=0.25)
 
 
 def test_driver_gets_time_to_settle(start):
@@ -444,23 +420,6 @@ def test_cycles_that_differ(start, retries, good):
     assert len(printer.status("auto_z_offset")["corrections"]) == 3
     gap = printer.scene.piezo_gap()
     assert true_gap(printer) == pytest.approx(gap, abs=STEPS)
-
-
-@pytest.mark.parametrize(("tolerance", "notes"), [("0.1", 1), ("0.2", 0)])
-def test_cycles_that_differ_more_than_touches_are_told(start, tolerance, notes):
-    # Between 0.1 and 0.2 mm, which is the default for the cycles
-    fault = Fault("trigger_early", signal="bed_sensor", mm=0.15, n=2)
-    printer = moving(start, [fault], samples_tolerance=tolerance)
-    lines = printer.run("AUTO_Z_CALIBRATE")
-    words = (
-        f"cycles: they differ by 0.1500 mm, the touches of one by {tolerance}"
-    )
-    assert len(told(lines, words)) == notes
-    spread = printer.status("auto_z_offset")["spread"]
-    assert spread == pytest.approx(0.15, abs=STEPS)
-    fault = Fault("trigger_early", signal="bed_sensor", mm=0.21, n=2)
-    printer = moving(start, [fault], samples_tolerance_retries="0")
-    assert "cycles_tolerance is 0.2000" in printer.fail("AUTO_Z_CALIBRATE")
 
 
 @pytest.mark.parametrize("count", [1, 5])
@@ -631,6 +590,20 @@ def test_number_that_is_not_finite_is_refused(some_host, option):
         assert f"option '{option}' in section 'auto_z_offset'" in message
 
 
+NO_Z_AXIS = {
+    "printer": {
+        "kinematics": "none",
+        "max_velocity": "1",
+        "max_accel": "1",
+        "max_z_velocity": None,
+        "max_z_accel": None,
+    },
+    **{f"stepper_{name}": None for name in ("x", "y", "z", "z1")},
+    **{f"tmc2209 stepper_{name}": None for name in ("z", "z1")},
+    **{name: None for name in ("probe", "safe_z_home")},
+}
+
+
 @pytest.mark.parametrize(
     ("changes", "words"),
     [
@@ -650,7 +623,15 @@ def test_number_that_is_not_finite_is_refused(some_host, option):
         (section(prepare_gcode="{% if %}"), ["prepare_gcode"]),
         (section(samples_result="submaxmin"), ["must be average or median"]),
         (section(colour="red"), ["'colour'", "'auto_z_offset'"]),
-        ({"probe": None}, ["'probe"]),
+        (
+            {
+                "probe": None,
+                "safe_z_home": None,
+                "stepper_z": {"endstop_pin": "^PC8", "position_endstop": "0"},
+            },
+            ["Section 'probe' is missing: auto_z_offset corrects"],
+        ),
+        (NO_Z_AXIS, ["'kinematics: none'", "remove section 'auto_z_offset'"]),
         (section(probe_hop="300"), ["probe_hop", "position_max (248.000)"]),
         (section(probe_z_min="0.5"), ["probe_z_min", "below 0"]),
         (
@@ -671,34 +652,6 @@ def test_wrong_set_up_is_refused(some_host, changes, words):
     message = refusal(some_host, changes, "qidi")
     for word in words:
         assert word in message
-
-
-def test_missing_probe_is_refused(some_host):
-    changes = {
-        "probe": None,
-        "safe_z_home": None,
-        "stepper_z": {"endstop_pin": "^PC8", "position_endstop": "0"},
-    }
-    message = refusal(some_host, changes, "qidi")
-    assert "Section 'probe' is missing: auto_z_offset corrects" in message
-
-
-def test_machine_without_a_z_axis_is_refused(some_host):
-    changes = {
-        "printer": {
-            "kinematics": "none",
-            "max_velocity": "1",
-            "max_accel": "1",
-            "max_z_velocity": None,
-            "max_z_accel": None,
-        },
-        **{f"stepper_{name}": None for name in ("x", "y", "z", "z1")},
-        **{f"tmc2209 stepper_{name}": None for name in ("z", "z1")},
-        **{name: None for name in ("probe", "safe_z_home", "extruder")},
-    }
-    message = refusal(some_host, changes, "qidi")
-    assert "'kinematics: none'" in message
-    assert "remove section 'auto_z_offset'" in message
 
 
 # Options of the original module

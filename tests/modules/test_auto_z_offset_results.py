@@ -268,15 +268,8 @@ def test_babysteps_are_saved(start):
     assert printer.offset() == pytest.approx(offset, abs=1e-6)
 
 
-def test_saving_an_offset_that_was_lost_is_told(start):
-    printer = start("qidi").homed()
-    printer.run("AUTO_Z_CALIBRATE\nSET_GCODE_OFFSET Z=0")
-    lines = printer.run("AUTO_Z_SAVE_GCODE_OFFSET")
-    assert told(lines, "1.120 mm away from before; was AUTO_Z_LOAD_OFFSET")
-
-
 @pytest.mark.quick
-def test_offset_that_is_none_is_not_saved(start):
+def test_offset_that_is_none_is_not_saved_a_lost_one_is_told(start):
     printer = start("qidi").homed()
     printer.run("AUTO_Z_CALIBRATE")
     before = state(printer)
@@ -285,6 +278,9 @@ def test_offset_that_is_none_is_not_saved(start):
     assert "a G-code Z offset of 10.500 is no correction of a probe" in text
     assert pending(printer) == before["pending"]
     assert printer.status("auto_z_offset") == before["status"]
+    printer.run("SET_GCODE_OFFSET Z=0")
+    lines = printer.run("AUTO_Z_SAVE_GCODE_OFFSET")
+    assert told(lines, "1.120 mm away from before; was AUTO_Z_LOAD_OFFSET")
 
 
 # Motor current and acceleration
