@@ -572,24 +572,6 @@ def test_sensor_that_is_not_prepared(start):
 # Wrong set-ups
 
 
-NUMBERS = [
-    *("z_offset", "speed", "lift_speed", "travel_speed", "probe_hop"),
-    *("probe_accel", "probe_z_min", "offset_samples", "samples"),
-    *("sample_retract_dist", "samples_tolerance", "cycles_tolerance"),
-    *("samples_tolerance_retries", "z_current_factor", "probe_z_correction"),
-    *("corrected_probe_z_offset", "bed_xy_position"),
-]
-
-
-@pytest.mark.parametrize("option", NUMBERS)
-def test_number_that_is_not_finite_is_refused(some_host, option):
-    number = "100, %s" if option == "bed_xy_position" else "%s"
-    for value in ("nan", "inf", "-inf"):
-        changes = section(**{option: number % value})
-        message = refusal(some_host, changes, "qidi").lower()
-        assert f"option '{option}' in section 'auto_z_offset'" in message
-
-
 NO_Z_AXIS = {
     "printer": {
         "kinematics": "none",
