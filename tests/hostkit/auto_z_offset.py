@@ -17,7 +17,7 @@ POINT = (119.75, 126.75)
 PROBE_PLACE = (POINT[0] - 17.6, POINT[1] - 4.4)
 DEPTH = SCENES["qidi"].piezo_depth()
 SENSOR = -1.2695 - DEPTH
-AIR_GAP = 0.2
+AIR_GAP = float(SCENES["qidi"].sections["auto_z_offset"]["z_offset"])
 CORRECTION = SENSOR + AIR_GAP
 
 FORMULA = re.compile(
@@ -90,6 +90,14 @@ def pending(printer: Printer) -> dict[str, Any]:
     """What SAVE_CONFIG would write."""
     status = printer.status("configfile")
     return dict(status["save_config_pending_items"])
+
+
+def seconds(printer: Printer, script: str) -> float:
+    """Printer seconds until the last move of a script has ended."""
+    clock = printer.machine.simulation.clock
+    before = clock.now()
+    printer.run(f"{script}\nM400")
+    return (clock.now() - before) / 1e9
 
 
 def lowest(printer: Printer) -> float:

@@ -13,14 +13,6 @@ from tests.hostkit.z_calibration import refusal
 pytestmark = [] if WHOLE else pytest.mark.spread
 ENTRIES = load("auto_z_offset")
 
-# What the message has to say of an option that is missing
-REMEDIES = {
-    "pin": ("give the pin of the bed sensor, as in 'pin: U_1:PC1'",),
-    "prepare_gcode": (
-        "write the G-code that turns the bed sensor on",
-        "or nothing behind the colon if none is needed",
-    ),
-}
 # What mends it, on a machine whose sensor is always on
 MENDED = {"pin": "PC1", "prepare_gcode": ""}
 
@@ -107,11 +99,8 @@ def test_broken_entry_is_refused(entry, host):
     added = {}
     for option in BROKEN[entry.index]:
         message = refusal(host, {}, build(entry, host, added).scene)
-        head, found, remedy = message.partition(f"Option '{option}")
-        assert found and not head, message
-        assert "section 'auto_z_offset'" in remedy
-        for words in REMEDIES[option]:
-            assert words in remedy
+        assert message.startswith(f"Option '{option}")
+        assert "in section 'auto_z_offset' " in message
         added[option] = MENDED[option]
 
 

@@ -52,6 +52,9 @@ def test_calibration_leaves_the_air_gap(host, scene):
         for n, touch in enumerate(touches(printer, first)):
             over = PROBE_PLACE if n % 3 == 2 else POINT
             assert (touch.x, touch.y) == pytest.approx(over, abs=0.02)
+        # A sheet of paper is tried at that point
+        position = printer.status("toolhead")["position"]
+        assert position[:2] == pytest.approx(list(POINT))
         gap = printer.scene.piezo_gap()
         assert true_gap(printer) == pytest.approx(gap, abs=STEPS)
         after = state(printer)
@@ -94,9 +97,10 @@ def test_correction_belongs_to_the_probe(start):
     assert true_gap(printer) == pytest.approx(gap, abs=STEPS)
 
 
-def test_result_line_is_the_formula(start):
-    lines = start("qidi").homed().run("AUTO_Z_CALIBRATE")
-    found = formulas(lines)
+@pytest.mark.each_host
+def test_result_lines_and_status_of_a_calibration(start):
+    printer = start("qidi").homed()
+    found = formulas(printer.run("AUTO_Z_CALIBRATE"))
     assert len(found) == 3
     for parts in found:
         assert parts.sensor == pytest.approx(SENSOR, abs=STEPS)
@@ -106,6 +110,16 @@ def test_result_line_is_the_formula(start):
             parts.sensor - (parts.probe - parts.probe_z_offset) + AIR_GAP,
             abs=0.002,
         )
+    status = printer.status("auto_z_offset")
+    corrections = status["corrections"]
+    assert corrections == pytest.approx(
+        [parts.correction for parts in found], abs=1e-5
+    )
+    spread = max(corrections) - min(corrections)
+    assert status["spread"] == pytest.approx(spread)
+    average = sum(corrections) / 3.0
+    assert status["probe_z_correction"] == pytest.approx(average)
+    assert status["last_z"] == pytest.approx(SENSOR, abs=STEPS)
 
 
 def test_prepare_gcode_runs_once_a_calibration(start):
@@ -189,6 +203,9 @@ def test_home_z_sets_z_only(start, z_offset):
     # As the trigger is z_offset, Z=0 lies as much below it
     expected = -DEPTH - z_offset
     assert true_gap(printer) == pytest.approx(expected, abs=STEPS)
+    printer.run("AUTO_Z_PROBE")
+    last = printer.status("auto_z_offset")["last_z"]
+    assert last == pytest.approx(z_offset, abs=STEPS)
     inside = told(lines, "mm inside the bed; home with G28")
     assert len(inside) == (1 if z_offset > 0 else 0)
     # X and Y are where they were
@@ -205,13 +222,6 @@ def test_home_z_keeps_the_gcode_offset_and_says_so(start):
     assert printer.offset() == pytest.approx(0.25)
 
 
-def test_probe_after_home_z_is_in_the_new_frame(start):
-    printer = start("qidi").homed()
-    printer.run("AUTO_Z_HOME_Z\nAUTO_Z_PROBE")
-    last = printer.status("auto_z_offset")["last_z"]
-    assert last == pytest.approx(AIR_GAP, abs=STEPS)
-
-
 # AUTO_Z_LOAD_OFFSET, AUTO_Z_SAVE_GCODE_OFFSET
 
 
@@ -222,15 +232,6 @@ def test_loading_what_was_never_measured_says_so(start):
     lines = printer.run("AUTO_Z_LOAD_OFFSET")
     assert told(lines, "there is no probe_z_correction yet; run AUTO_Z_CAL")
     assert printer.offset() == 0.0
-
-
-@pytest.mark.quick
-def test_loading_after_a_calibration_needs_no_restart(start):
-    printer = start("qidi").homed()
-    printer.run("AUTO_Z_CALIBRATE")
-    offset = printer.offset()
-    printer.run("SET_GCODE_OFFSET Z=0\nAUTO_Z_LOAD_OFFSET")
-    assert printer.offset() == pytest.approx(offset, abs=1e-6)
 
 
 def test_users_macro_takes_part_in_applying(start):
@@ -267,15 +268,8 @@ def test_babysteps_are_saved(start):
     assert printer.offset() == pytest.approx(offset, abs=1e-6)
 
 
-def test_saving_an_offset_that_was_lost_is_told(start):
-    printer = start("qidi").homed()
-    printer.run("AUTO_Z_CALIBRATE\nSET_GCODE_OFFSET Z=0")
-    lines = printer.run("AUTO_Z_SAVE_GCODE_OFFSET")
-    assert told(lines, "1.120 mm away from before; was AUTO_Z_LOAD_OFFSET")
-
-
 @pytest.mark.quick
-def test_offset_that_is_none_is_not_saved(start):
+def test_offset_that_is_none_is_not_saved_a_lost_one_is_told(start):
     printer = start("qidi").homed()
     printer.run("AUTO_Z_CALIBRATE")
     before = state(printer)
@@ -284,6 +278,9 @@ def test_offset_that_is_none_is_not_saved(start):
     assert "a G-code Z offset of 10.500 is no correction of a probe" in text
     assert pending(printer) == before["pending"]
     assert printer.status("auto_z_offset") == before["status"]
+    printer.run("SET_GCODE_OFFSET Z=0")
+    lines = printer.run("AUTO_Z_SAVE_GCODE_OFFSET")
+    assert told(lines, "1.120 mm away from before; was AUTO_Z_LOAD_OFFSET")
 
 
 # Motor current and acceleration
@@ -384,30 +381,23 @@ def test_current_that_the_user_has_set_comes_back(start):
 
 
 @pytest.mark.each_host
-def test_acceleration_is_low_while_the_nozzle_goes_down(host):
-    changes = {"touches": {}, **section(probe_accel="50")}
+@pytest.mark.parametrize(
+    ("probe_accel", "before", "low"), [(50, 1234.5, 50), (500, 300, 300)]
+)
+def test_acceleration_is_low_while_the_nozzle_goes_down(
+    host, probe_accel, before, low
+):
+    changes = {"touches": {}, **section(probe_accel=str(probe_accel))}
     modules = with_extras("touches")
     with Printer(host, "qidi", changes=changes, modules=modules) as printer:
         printer.homed()
-        printer.run("SET_VELOCITY_LIMIT ACCEL=1234.5")
+        printer.run(f"SET_VELOCITY_LIMIT ACCEL={before}")
         homing = len(printer.status("touches")["seen"])
         printer.run("AUTO_Z_MEASURE_OFFSET")
         seen = printer.status("touches")["seen"][homing:]
         accels = [s["max_accel"] for s in seen]
-        assert accels == [50.0, 50.0, 1234.5, 1234.5]
-        assert printer.status("toolhead")["max_accel"] == 1234.5
-
-
-def test_lower_acceleration_is_left_alone(host):
-    changes = {"touches": {}, **section(probe_accel="500")}
-    modules = with_extras("touches")
-    with Printer(host, "qidi", changes=changes, modules=modules) as printer:
-        printer.homed()
-        printer.run("SET_VELOCITY_LIMIT ACCEL=300")
-        homing = len(printer.status("touches")["seen"])
-        printer.run("AUTO_Z_MEASURE_OFFSET")
-        seen = printer.status("touches")["seen"][homing:]
-        assert {s["max_accel"] for s in seen} == {300.0}
+        assert accels == [low, low, before, before]
+        assert printer.status("toolhead")["max_accel"] == before
 
 
 # Status while it runs
@@ -429,18 +419,3 @@ def test_phase_and_progress(start):
     assert "echo: at probe:0.5" in lines
     status = printer.status("auto_z_offset")
     assert (status["phase"], status["progress"]) == ("idle", 0.0)
-
-
-@pytest.mark.each_host
-def test_status_of_a_calibration(start):
-    printer = start("qidi").homed()
-    printer.run("AUTO_Z_CALIBRATE")
-    status = printer.status("auto_z_offset")
-    assert len(status["corrections"]) == 3
-    assert status["spread"] == pytest.approx(
-        max(status["corrections"]) - min(status["corrections"])
-    )
-    assert status["probe_z_correction"] == pytest.approx(
-        sum(status["corrections"]) / 3.0
-    )
-    assert status["last_z"] == pytest.approx(SENSOR, abs=STEPS)

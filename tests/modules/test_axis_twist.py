@@ -9,7 +9,7 @@ import pytest
 from tests.hostkit.auto_z_offset import PROBE_PLACE, true_gap, world
 from tests.hostkit.load_errors import load
 from tests.hostkit.printer import Printer
-from tests.hostkit.z_calibration import MICROSTEP, calibration
+from tests.hostkit.z_calibration import BED, MICROSTEP, TRIGGER, calibration
 from tests.simprinter import SCENES
 
 # Both measurements of auto_z_offset have their heights there, and 0.15 mm
@@ -92,5 +92,6 @@ def test_twist_is_in_no_height_of_z_calibration(host):
     changes = compensation(host, "voron", 150, 260, 0.15, 0.0)
     with Printer(host, "voron", changes) as printer:
         (probe, *_), _ = calibration(printer.homed())
+        assert probe == pytest.approx(BED + TRIGGER, abs=MICROSTEP)
         gap = printer.scene.formula_gap()
         assert printer.gap() == pytest.approx(gap, abs=2 * MICROSTEP)

@@ -324,28 +324,6 @@ def test_axis_of_generic_cartesian(host, name):
         assert printer.gap() == pytest.approx(predicted, abs=2 * MICROSTEP)
 
 
-@pytest.mark.each_host
-def test_twist_compensation_is_in_no_height(host):
-    twist = {
-        "calibrate_start_x": "20",
-        "calibrate_end_x": "280",
-        "calibrate_y": "150",
-        "z_compensations": "0.1, 0.1, 0.1",
-    }
-    # Needed by newer hosts, refused by older ones
-    limits = {"compensation_start_x": "20", "compensation_end_x": "280"}
-    for options in ({**twist, **limits}, twist):
-        changes = {"axis_twist_compensation": options}
-        with Printer(host, changes=changes) as printer:
-            if printer.session.start()[0] != "ready":
-                continue
-            (probe, *_), _ = calibration(printer.homed())
-            assert probe == pytest.approx(BED + TRIGGER, abs=MICROSTEP)
-            assert printer.gap() == pytest.approx(0.06, abs=2 * MICROSTEP)
-        return
-    raise AssertionError("no host takes this section")
-
-
 def test_macro_named_like_the_offset_command_is_left_alone(start):
     changes = marked("SET_GCODE_OFFSET")
     changes["gcode_macro SET_GCODE_OFFSET"]["rename_existing"] = "PLAIN_OFFSET"
