@@ -36,12 +36,12 @@ class Load(NamedTuple):
 class Step(NamedTuple):
     """What G-code has answered, and where its probing moves could end.
 
-    floors: (phase, z in mm); of each site the lowest is its floor. status: of
-    the module, afterwards.
+    floors: mm, by the module's phase; the lowest of a site is its floor.
+    status: of the module, afterwards.
     """
 
     answer: list[str]
-    floors: list[list[Any]]
+    floors: dict[str, list[float]]
     status: dict[str, Any]
 
 
@@ -139,7 +139,9 @@ class Running:
             answer = [str(error)]
         # Without what the host's own probing says, as that differs
         own = [a for a in answer if not re.match("// probe(:| at) ", a)]
-        floors = self.printer.status("listener")["floors"][before:]
+        floors: dict[str, list[float]] = {}
+        for phase, z in self.printer.status("listener")["floors"][before:]:
+            floors.setdefault(phase, []).append(z)
         status = self.printer.status(self.module.name)
         return Step(list(filter(None, own)), floors, status)
 

@@ -330,9 +330,6 @@ def unlike_numbers(
 def wrong_floors_of_pin(running: Running, text: str) -> Found:
     """z_calibration: where each touch of a run without a fault could end."""
 
-    def lowest(step: Step, *phases: str) -> list[float]:
-        return [min(z for p, z in step.floors if p == at) for at in phases]
-
     def runs(count: int, **changes: Options) -> list[Step]:
         own = {**running.module.surroundings, "stepper_z": low, **changes}
         return running.run(*["CALIBRATE_Z"] * count, changes=own)
@@ -346,11 +343,13 @@ def wrong_floors_of_pin(running: Running, text: str) -> Found:
     )
     unmeasured = runs(1, probe={"z_offset": "0"})
     # The bed is looked at before the switch
-    look = [z for phase, z in unmeasured[0].floors if phase == "switch"][:1]
+    look = unmeasured[0].floors["switch"][0]
     for number, column in ((0, 2), (1, 4)):
-        nozzle, *others = lowest(common[number], "nozzle", "switch", "bed")
-        own_pin = lowest(apart[number], "nozzle")
-        real = [nozzle, *own_pin, *others, *look]
+        floors, own_pin = common[number].floors, apart[number].floors
+        nozzle, switch, bed = (
+            min(floors[site]) for site in ("nozzle", "switch", "bed")
+        )
+        real = [nozzle, min(own_pin["nozzle"]), switch, bed, look]
         yield from unlike_numbers("floors", real, floors_of(text, column))
 
 
@@ -371,20 +370,16 @@ def wrong_floors_of_bed(running: Running, text: str) -> Found:
         "AUTO_Z_PROBE ACCEPT_CHANGE=1",
         changes=running.plain,
     )
-    sensor, probe = (
-        [z for p, z in first.floors if p == phase]
-        for phase in ("bed sensor", "probe")
-    )
-    at = [step.floors[0][1] for step in (accepted, corrected, second)]
-    real = [sensor[0], *at, sensor[1], probe[0]]
+    sensor, again = first.floors["bed sensor"][:2]
+    at = [s.floors["bed sensor"][0] for s in (accepted, corrected, second)]
+    real = [sensor, *at, again, first.floors["probe"][0]]
     yield from unlike_numbers("floors", real, floors_of(text, 3))
     # As far above what is expected as below
     known, example = constants("auto_z_offset"), running.module.picture.EXAMPLE
     (above,) = known["ABOVE_PROBE"]
     table = rows(part(text, FLOORS))
     high = [float(row[3].split(" to ")[1]) for row in table if " to " in row[3]]
-    expected = example.sensor
-    mirrored = [2 * expected - z for z in (*at[1:], sensor[1])]
+    mirrored = [2 * example.sensor - z for z in (*at[1:], again)]
     yield from unlike_numbers(
         "triggers", [example.probe + above, *mirrored], high
     )
