@@ -160,6 +160,11 @@ class Machine:
         self.faults.clear()
         self.world.mend()
 
+    def lay_membrane(self, is_laid: bool = True) -> None:
+        """Lay the membrane switch on the plate, or take it away, now."""
+        self.rig.settle(self.simulation.clock.now())
+        self.world.lay_membrane(is_laid)
+
     def close(self) -> None:
         """Give everything back."""
         self.simulation.close()

@@ -18,6 +18,7 @@ from .world import (
     BedSpec,
     InductiveSpec,
     MagProbeSpec,
+    MembraneSpec,
     NoiseSpec,
     PinSpec,
     Pose,
@@ -679,8 +680,96 @@ def _piezo_cartesian(qidi: Scene) -> Scene:
     ).with_world(bed_sensor=replace(qidi.world.bed_sensor, enable_output=False))
 
 
+_MEMBRANE = """
+[stepper_z]
+endstop_pin: ^PC2; position_endstop: 0; position_max: 250; position_min: -3
+homing_speed: 5
+[extra_probe membrane]
+pin: ^!PF5; z_offset: 0.25; xy_position: 30, 20; speed: 3; lift_speed: 10
+samples: 3; samples_result: median; sample_retract_dist: 2.0
+samples_tolerance: 0.025; samples_tolerance_retries: 3
+"""
+
+
+def _membrane() -> Scene:
+    """A cartesian with a membrane switch that somebody lays on the bed.
+
+    Z is homed beside the bed, on a switch that the axis runs into when the
+    nozzle is 0.45 mm below the bed; the owner has yet to find out and calls
+    it 0. The membrane, 0.3 mm thick, triggers 0.25 mm above the bed.
+    """
+    motors = _motors("x y z")
+    ends = {
+        "x": _End("^PC0", -13.0, 220.0, "50"),
+        "y": _End("^PC1", -7.0, 220.0, "50"),
+    }
+    z0 = 0.2137
+    return Scene(
+        name="membrane",
+        kinematics="cartesian",
+        z_motors=[("z", 110.0, 110.0)],
+        world=WorldSpec(
+            bed=BedSpec(
+                x_max=220.0, y_max=220.0, z0=z0, slope_x=1e-4, slope_y=-1e-4
+            ),
+            switches=(
+                *(end.switch(axis) for axis, end in ends.items()),
+                AxisSwitchSpec("z_endstop", "z", z0 - 0.45, -1),
+            ),
+            membrane=MembraneSpec(
+                30.0, 20.0, thickness=0.3, press=0.05, radius=9.0, laid=False
+            ),
+        ),
+        wiring=Wiring(
+            motors,
+            _inputs(ends, z_endstop="^PC2", membrane="^!PF5"),
+            heaters=_HEATERS,
+        ),
+        sections=_sections("cartesian", motors, ends, _SCREW, _MEMBRANE),
+        start=Pose(-8.0, -2.0, 12.0),
+    )
+
+
+def _membrane_two_boards(membrane: Scene) -> Scene:
+    """The same with the membrane on a board of its own."""
+    scene = replace(membrane, name="membrane_two_boards")
+    return on_board(scene, "loadcell", OTHER_BOARD, ["^!PF5"])
+
+
+def _membrane_and_probe(membrane: Scene) -> Scene:
+    """The same with Z homed by a probe, such as a CR-Touch.
+
+    It senses the bed 2.2713 mm below the nozzle; the owner says 2 mm.
+    """
+    inputs = {**membrane.wiring.inputs, "probe": "^PF0"}
+    del inputs["z_endstop"]
+    changes: dict[str, Options] = {
+        "stepper_z": {
+            "endstop_pin": "probe:z_virtual_endstop",
+            "position_endstop": None,
+        },
+        "safe_z_home": {"home_xy_position": "92, 105", "z_hop": "10"},
+        "probe": {
+            "pin": inputs["probe"],
+            "x_offset": "17.6",
+            "y_offset": "4.4",
+            "z_offset": "2.0",
+            "speed": "5",
+        },
+    }
+    return replace(
+        membrane,
+        name="membrane_and_probe",
+        wiring=replace(membrane.wiring, inputs=inputs),
+        sections=_with(membrane.sections, changes),
+    ).with_world(
+        switches=membrane.world.switches[:2],
+        inductive=InductiveSpec(17.6, 4.4, sense_distance=2.2713),
+    )
+
+
 def _scenes() -> tuple[Scene, ...]:
-    voron, qidi = _voron(), _qidi()
+    voron, qidi, membrane = _voron(), _qidi(), _membrane()
     z_steppers = {name: f"my_{name}" for name in ("z", "z1", "z2", "z3")}
     return (
         voron,
@@ -694,6 +783,10 @@ def _scenes() -> tuple[Scene, ...]:
         _qidi_two_boards(qidi),
         _piezo_cartesian(qidi),
         _generic(qidi, "piezo_generic", z="left_z", z1="right_z"),
+        membrane,
+        _membrane_two_boards(membrane),
+        _membrane_and_probe(membrane),
+        _generic(membrane, "membrane_generic", z="my_z"),
     )
 
 

@@ -62,6 +62,8 @@ class Builder:
         self._outputs: dict[str, Output] = {}
         self._sensors: list[ContactSensor] = []
         self._switches: list[AxisSwitch] = []
+        membrane = spec.membrane
+        self.membrane_is_laid = membrane is not None and membrane.laid
 
     def build(self) -> Parts:
         """All parts."""
@@ -203,7 +205,9 @@ class Builder:
         spec, bed = self._spec.membrane, self._bed
         if spec is None:
             return
-        contact = nozzle_on_membrane(bed, self._drift, spec)
+        contact = nozzle_on_membrane(
+            bed, self._drift, spec, lambda: self.membrane_is_laid
+        )
         top = bed.highest + spec.thickness
         site = Site("nozzle_membrane", contact, top, spec.press)
         site.limit(self._spec.overtravel, self._spec.allowed_drag)

@@ -292,8 +292,10 @@ def sensed_bed(bed: Bed, drift: Drift, probe: InductiveSpec) -> ContactZ:
     return contact_z
 
 
-def nozzle_on_membrane(bed: Bed, drift: Drift, spec: MembraneSpec) -> ContactZ:
-    """The tip meets the top of the membrane switch lying on the plate."""
+def nozzle_on_membrane(
+    bed: Bed, drift: Drift, spec: MembraneSpec, is_laid: Callable[[], bool]
+) -> ContactZ:
+    """The tip meets the top of the membrane switch, while it lies there."""
     surface = nozzle_on_bed(bed, drift)
 
     def inside(x: float, y: float) -> bool:
@@ -303,7 +305,7 @@ def nozzle_on_membrane(bed: Bed, drift: Drift, spec: MembraneSpec) -> ContactZ:
         return abs(x - spec.x) <= half_x and abs(y - spec.y) <= half_y
 
     def contact_z(x: float, y: float, t: float) -> Optional[float]:
-        if not inside(x, y):
+        if not (is_laid() and inside(x, y)):
             return None
         plate = surface(x, y, t)
         return None if plate is None else plate + spec.thickness

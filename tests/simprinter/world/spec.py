@@ -288,6 +288,7 @@ class MembraneSpec(Spec):
 
     x, y: its middle; either radius or half_x with half_y, mm
     thickness: mm above the bed; press: mm below its top that trigger it
+    laid: it lies there from the start
     """
 
     x: float
@@ -297,6 +298,7 @@ class MembraneSpec(Spec):
     radius: Optional[float] = None
     half_x: Optional[float] = None
     half_y: Optional[float] = None
+    laid: bool = True
     noise: NoiseSpec = field(default_factory=NoiseSpec)
 
     _POSITIVE = ("thickness",)

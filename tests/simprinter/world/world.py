@@ -35,6 +35,7 @@ class World:
 
     __slots__ = (
         "_bed",
+        "_builder",
         "_ceiling",
         "_drift",
         "_faults",
@@ -61,8 +62,10 @@ class World:
             self._keeper = Keeper(
                 spec.mag_probe, spec.dock, self._faults, self._tell
             )
-        builder = Builder(spec, seed, self._bed, self._drift, self._keeper)
-        self._parts: Parts = builder.build()
+        self._builder = Builder(
+            spec, seed, self._bed, self._drift, self._keeper
+        )
+        self._parts: Parts = self._builder.build()
         sensors = self._parts.sensors
         self._ceiling = max(sensor.ceiling() for sensor in sensors)
         self._last_xy: Optional[tuple[float, float]] = None
@@ -112,6 +115,10 @@ class World:
         """The probe falls off the head at time t, where it is carried."""
         if self._keeper is not None:
             self._keeper.lose(t)
+
+    def lay_membrane(self, is_laid: bool) -> None:
+        """Somebody lays the membrane switch on the plate, or takes it away."""
+        self._builder.membrane_is_laid = is_laid
 
     def expect_faults(self) -> None:
         """Look at the faults again, as there are others now."""
