@@ -1,6 +1,9 @@
 # Options and parameters that the host's own getters cannot read.
 # Copyright (C) 2026  the Z calibration developers, under the GNU GPLv3
+import functools
 import math
+
+from .sampling import Sampling
 
 RESULTS = {"median": "median", "average": "average", None: None}
 
@@ -112,6 +115,46 @@ def param_error(gcmd, name, wanted):
     return gcmd.error(
         "Error on '%s': %s has to be %s"
         % (gcmd.get_commandline(), name, wanted)
+    )
+
+
+# Sampling, as [probe] has it in options and in parameters
+
+# Where the options are left out, on every host; lift_speed is as speed
+PROBE_SAMPLING = Sampling(1, 0.1, 0, "average", 5.0, 2.0, None)
+
+
+def read_sampling(config, defaults=PROBE_SAMPLING):
+    get = functools.partial(number, config)
+    count = config.getint
+    speed = get("speed", defaults.speed, above=0.0)
+    return Sampling(
+        samples=count("samples", defaults.samples, minval=1),
+        tolerance=get("samples_tolerance", defaults.tolerance, minval=0.0),
+        retries=count("samples_tolerance_retries", defaults.retries, minval=0),
+        result=config.getchoice("samples_result", RESULTS, defaults.result),
+        speed=speed,
+        retract_dist=get(
+            "sample_retract_dist", defaults.retract_dist, above=0.0
+        ),
+        lift_speed=get("lift_speed", defaults.lift_speed or speed, above=0.0),
+    )
+
+
+def param_sampling(gcmd, own):
+    get = functools.partial(param_number, gcmd)
+    count = functools.partial(param_int, gcmd)
+    result = gcmd.get("SAMPLES_RESULT", "").strip().lower() or own.result
+    if result not in RESULTS:
+        raise param_error(gcmd, "SAMPLES_RESULT", "median or average")
+    return Sampling(
+        samples=count("SAMPLES", own.samples, minval=1),
+        tolerance=get("SAMPLES_TOLERANCE", own.tolerance, minval=0.0),
+        retries=count("SAMPLES_TOLERANCE_RETRIES", own.retries, minval=0),
+        result=result,
+        speed=get("PROBE_SPEED", own.speed, above=0.0),
+        retract_dist=get("SAMPLE_RETRACT_DIST", own.retract_dist, above=0.0),
+        lift_speed=get("LIFT_SPEED", own.lift_speed, above=0.0),
     )
 
 

@@ -36,12 +36,17 @@ def always(host, action, what):
 
 
 # Each cmd_NAME of a module is the command NAME, cmd_NAME_help its description.
-def register_commands(host, module):
+# 'probe': of several modules the one that PROBE=... means.
+def register_commands(host, module, probe=None):
     for attribute in dir(module):
         text = getattr(module, attribute + "_help", None)
         if attribute.startswith("cmd_") and text is not None:
-            handler = getattr(module, attribute)
-            host.gcode.register_command(attribute[4:], handler, desc=text)
+            name, handler = attribute[4:], getattr(module, attribute)
+            if probe is None:
+                host.gcode.register_command(name, handler, desc=text)
+                continue
+            register = host.gcode.register_mux_command
+            register(name, "PROBE", probe, handler, desc=text)
 
 
 def check_homed(host):
@@ -51,6 +56,16 @@ def check_homed(host):
         raise CalibrationError(
             "not homed: %s; home all axes (G28) first" % (", ".join(missing),)
         )
+
+
+# Degrees C that the nozzle has or is to have, whichever is more
+def nozzle_temperature(host):
+    name = host.toolhead_status().get("extruder")
+    extruder = name and host.printer.lookup_object(name, None)
+    if not extruder:
+        return 0.0
+    status = extruder.get_status(host.eventtime())
+    return max(status["temperature"], status["target"])
 
 
 # What a run is doing, for get_status() and the console.
