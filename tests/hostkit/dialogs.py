@@ -1,0 +1,64 @@
+"""Reads action:prompt_... lines as the interfaces do; see their documents.
+
+Mainsail (docs: macro prompts), Fluidd and KlipperScreen agree on these types,
+but KlipperScreen keeps only the last text, shows nothing new while a dialog is
+open, and refuses buttons of more than three parts. None of them knows a way to
+write a bar in a part.
+"""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Iterable
+from dataclasses import dataclass, field
+
+LINE = re.compile(r"// action:prompt_(\S+) *(.*)")
+COLOURS = ("primary", "secondary", "info", "warning", "error")
+# Words that fit, see MacroPrompt of Mainsail: 400 pixels wide
+LONGEST_HEADLINE = 40
+
+
+@dataclass
+class Shown:
+    """A dialog that was shown: its parts, and whether it still is."""
+
+    headline: str
+    texts: list[str] = field(default_factory=list)
+    footer_buttons: list[tuple[str, str, str]] = field(default_factory=list)
+    is_open: bool = False
+
+
+def dialogs_of(lines: Iterable[str]) -> list[Shown]:
+    """What interfaces show, in order. AssertionError: not the grammar."""
+    shown: list[Shown] = []
+    building = None
+    for kind, text in (m.groups() for m in map(LINE.fullmatch, lines) if m):
+        if kind == "begin":
+            # KlipperScreen would ignore it
+            assert not any(dialog.is_open for dialog in shown)
+            assert building is None, "begun twice"
+            assert 0 < len(text) <= LONGEST_HEADLINE
+            building = Shown(text)
+        elif kind == "text":
+            assert building is not None and text
+            # The last one is all that KlipperScreen shows
+            assert not building.texts
+            building.texts.append(text)
+        elif kind == "footer_button":
+            assert building is not None
+            label, gcode, colour = text.split("|")
+            assert 0 < len(label) <= 10 and gcode and colour in COLOURS
+            building.footer_buttons.append((label, gcode, colour))
+        elif kind == "show":
+            assert building is not None and building.footer_buttons
+            assert not text
+            building.is_open = True
+            shown.append(building)
+            building = None
+        else:
+            assert (kind, text) == ("end", ""), kind
+            for dialog in shown:
+                dialog.is_open = False
+            building = None
+    assert building is None, "not shown"
+    return shown

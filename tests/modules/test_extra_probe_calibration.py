@@ -1,0 +1,631 @@
+"""EXTRA_PROBE_CALIBRATE: the true gap, what is asked, what is saved."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import pytest
+
+from tests.hostkit.dialogs import dialogs_of
+from tests.hostkit.extra_probe import (
+    ABORT,
+    BED,
+    CALIBRATE,
+    CONTINUE,
+    MICROSTEP,
+    NAME,
+    POINT,
+    PROBE_BED,
+    THICKNESS,
+    calibrate,
+    heights,
+    membrane,
+    section,
+    state,
+    touch,
+    true_gap,
+)
+from tests.hostkit.z_calibration import refusal, with_moves
+from tests.simprinter import SCENES, heated
+from tests.simprinter.world import AxisSwitchSpec, NoiseSpec
+
+pytestmark = pytest.mark.spread
+
+SCENE_NAMES = ["membrane", "membrane_and_probe"]
+BEDS = {"membrane": BED, "membrane_and_probe": PROBE_BED}
+# What SAVE=1 corrects in each of them
+HOMED_AT = {
+    "membrane": ("stepper_z", "position_endstop", 0.0),
+    "membrane_and_probe": ("probe", "z_offset", 2.0),
+}
+
+
+def gap_is_right(printer):
+    """The nozzle meets the bed at Z=0, where the membrane lay."""
+    return true_gap(printer) == pytest.approx(0.0, abs=2 * MICROSTEP)
+
+
+def homed_at(height):
+    """A printer that homes Z with the nozzle so high over the bed (mm)."""
+    scene = SCENES["membrane"]
+    z = scene.world.bed.z0 + height
+    switches = (
+        *scene.world.switches[:2],
+        AxisSwitchSpec("z_endstop", "z", z, -1),
+    )
+    return scene.with_world(switches=switches)
+
+
+# The gap
+
+
+@pytest.mark.each_host
+@pytest.mark.parametrize("scene", [*SCENE_NAMES, "membrane_two_boards"])
+def test_gap_is_right_afterwards(start, scene):
+    printer = start(scene).homed()
+    assert not gap_is_right(printer)
+    lines = calibrate(printer)
+    bed = BEDS.get(scene, BED)
+    assert printer.offset() == pytest.approx(bed, abs=2 * MICROSTEP)
+    assert gap_is_right(printer)
+    assert lines[-1] == (
+        f"// extra_probe membrane: trigger={bed_of(printer) + THICKNESS:.6f}"
+        f" - z_offset=0.250 --> new offset={bed_of(printer):.6f}"
+    )
+    # Nothing is pressed but the membrane
+    assert len(heights(printer)) == 3
+    assert printer.machine.truth.deepest_in_bed() == 0.0
+
+
+def bed_of(printer):
+    return printer.status(NAME)["last_offset"]
+
+
+# Below the bed, above it but below the membrane, above the membrane
+@pytest.mark.parametrize("height", [-0.45, 0.15, 0.9])
+@pytest.mark.parametrize(
+    ("thickness", "real", "press"),
+    [("0.25", 0.3, 0.05), ("0.3", 0.3, 0.0), ("1.0", 1.2, 0.2)],
+)
+def test_wherever_the_nozzle_is_homed(start, height, thickness, real, press):
+    spec = membrane(thickness=real, press=press).world.membrane
+    scene = homed_at(height).with_world(membrane=spec)
+    printer = start(scene, changes=section(z_offset=thickness)).homed()
+    calibrate(printer)
+    assert gap_is_right(printer)
+    assert printer.offset() == pytest.approx(-height, abs=0.01)
+
+
+@pytest.mark.parametrize("error", [-0.05, 0.03])
+def test_thickness_that_is_wrong_is_in_the_gap(start, error):
+    # Nobody can know it
+    changes = section(z_offset=str(THICKNESS + error))
+    printer = start("membrane", changes=changes).homed()
+    calibrate(printer)
+    # Too thick: the bed is believed to be lower than it is
+    assert true_gap(printer) == pytest.approx(-error, abs=2 * MICROSTEP)
+
+
+@pytest.mark.parametrize("scene", SCENE_NAMES)
+def test_gap_with_noise(start, scene):
+    noise = NoiseSpec(sigma=0.005, hysteresis=0.05)
+    spec = membrane(scene, noise=noise)
+    changes = section(samples="7", samples_tolerance="0.05")
+    printer = start(spec, changes=changes, seed=5).homed()
+    calibrate(printer)
+    assert len(set(heights(printer))) == 7
+    gap = true_gap(printer)
+    # Three standard deviations of a median of seven
+    assert abs(gap) < 3 * 0.005 * 1.25 / 7**0.5 + 2 * MICROSTEP
+
+
+def test_calibrating_again_finds_the_same(start):
+    printer = start("membrane").homed()
+    calibrate(printer)
+    offset = printer.offset()
+    calibrate(printer)
+    assert printer.offset() == pytest.approx(offset, abs=MICROSTEP)
+    assert gap_is_right(printer)
+
+
+def test_offset_of_before_is_replaced(start):
+    printer = start("membrane").homed()
+    printer.run("SET_GCODE_OFFSET Z=0.7")
+    calibrate(printer)
+    assert gap_is_right(printer)
+
+
+@pytest.mark.parametrize("own", [{}, {"samples_result": "average"}])
+def test_sampling_is_that_of_the_section(start, own):
+    noise = NoiseSpec(sigma=0.01)
+    changes = section(samples="3", samples_tolerance="1", **own)
+    printer = start(membrane(noise=noise), changes=changes, seed=3).homed()
+    lines = touch(printer)
+    z = [float(x.split("z=")[1]) for x in lines if x.startswith("// probe at")]
+    wanted = sum(z) / 3 if own else sorted(z)[1]
+    assert sum(z) / 3 != pytest.approx(sorted(z)[1], abs=1e-4)
+    printer.run(CONTINUE)
+    assert printer.offset() == pytest.approx(wanted - THICKNESS, abs=2e-6)
+
+
+# Saved
+
+
+@pytest.mark.each_host
+@pytest.mark.parametrize("scene", SCENE_NAMES)
+def test_saved_and_homed_again(start, scene):
+    name, option, before = HOMED_AT[scene]
+    printer = start(scene).homed()
+    # That of before counts no more
+    printer.run("SET_GCODE_OFFSET Z=0.3")
+    lines = calibrate(printer, f"{CALIBRATE} SAVE=1")
+    new = before - BEDS[scene]
+    pending = state(printer)["pending"]
+    assert float(pending[name][option]) == pytest.approx(new, abs=0.004)
+    assert pending[NAME] == {"saved_homing_z": pending[name][option]}
+    assert f"// {name}: {option}: {pending[name][option]}" in "\n".join(lines)
+    # Nothing counts twice
+    assert printer.offset() == 0.0
+    printer.session.restart("SAVE_CONFIG")
+    printer.run("G28")
+    assert printer.offset() == 0.0
+    assert gap_is_right(printer)
+    # And again: there is nothing left to correct
+    lines = touch(printer)
+    printer.machine.lay_membrane(False)
+    printer.run(CONTINUE)
+    assert abs(printer.offset()) <= 2 * MICROSTEP
+
+
+@pytest.mark.parametrize("scene", SCENE_NAMES)
+def test_saved_twice_before_a_restart(start, scene):
+    # The second one measures in the frame of the first
+    printer = start(scene).homed()
+    calibrate(printer, f"{CALIBRATE} SAVE=1")
+    calibrate(printer, f"{CALIBRATE} SAVE=1")
+    printer.session.restart("SAVE_CONFIG")
+    printer.run("G28")
+    assert gap_is_right(printer)
+
+
+def test_unsaved_is_not_saved(start):
+    printer = start("membrane").homed()
+    calibrate(printer, f"{CALIBRATE} SAVE=0")
+    assert state(printer)["pending"] == {}
+    assert printer.offset() != 0.0
+
+
+def test_saving_with_a_bltouch(start):
+    # It homes with what the inductive probe of the machine senses
+    probe = SCENES["membrane_and_probe"].sections["probe"]
+    options = {k: v for k, v in probe.items() if k != "pin"}
+    changes = {
+        "probe": None,
+        "bltouch": {
+            "sensor_pin": probe["pin"],
+            "control_pin": "PH5",
+            "pin_up_reports_not_triggered": "False",
+            "pin_up_touch_mode_reports_triggered": "False",
+            **options,
+        },
+    }
+    printer = start("membrane_and_probe", changes=changes).homed()
+    calibrate(printer, f"{CALIBRATE} SAVE=1")
+    new = float(state(printer)["pending"]["bltouch"]["z_offset"])
+    assert new == pytest.approx(2.2713, abs=2 * MICROSTEP)
+
+
+def test_saving_where_nobody_knows_the_zero(start, tmp_path):
+    source = tmp_path / "scanner.py"
+    source.write_text(
+        "class Scanner:\n"
+        "    def __init__(self, config):\n"
+        "        self.printer = config.get_printer()\n"
+        "        self.pins = self.printer.lookup_object('pins')\n"
+        "        self.pins.register_chip('scanner', self)\n"
+        "    def setup_pin(self, kind, params):\n"
+        "        endstop = self.pins.setup_pin('endstop', '^PC2')\n"
+        "        endstop.get_position_endstop = lambda: 0.\n"
+        "        return endstop\n"
+        "def load_config(config):\n"
+        "    return Scanner(config)\n"
+    )
+    changes = {
+        "scanner": {},
+        "stepper_z": {
+            "endstop_pin": "scanner:z_virtual_endstop",
+            "position_endstop": None,
+        },
+    }
+    modules = {**with_moves(), "scanner": source}
+    printer = start("membrane", changes=changes, modules=modules).homed()
+    text = printer.fail(f"{CALIBRATE} SAVE=1")
+    assert text == (
+        "extra_probe membrane: SAVE=1: nobody knows where Z gets its zero with"
+        " 'scanner:z_virtual_endstop'"
+    )
+    # Without it is all the same
+    calibrate(printer)
+    assert gap_is_right(printer)
+
+
+# The floor, and what is told of it
+
+FLOOR_LINE = "Without a trigger the nozzle stops at z={:.3f}."
+UNSAVED = "No calibration was saved yet, so that may be in the bed"
+
+
+@pytest.mark.parametrize(
+    ("own", "params", "floor", "is_told"),
+    [
+        ({}, "", -1.0, True),
+        ({"position_min": "-0.3"}, "", -0.3, False),
+        ({"position_min": "-0.3"}, " FLOOR=0.2", 0.2, False),
+        ({}, " FLOOR=-2", -2.0, False),
+        # The axis ends at -3
+        ({}, " FLOOR=-4", -3.0, False),
+        # Saved: half of 0.25 mm, or of 1 mm
+        ({"saved_homing_z": "0"}, "", 0.125, False),
+        ({"saved_homing_z": "0.12"}, "", 0.125, False),
+        ({"saved_homing_z": "0", "z_offset": "1"}, "", 0.5, False),
+        ({"saved_homing_z": "0"}, " FLOOR=-1", -1.0, False),
+        ({"saved_homing_z": "0", "position_min": "-0.7"}, "", -0.7, False),
+        # Something else was done to position_endstop since
+        ({"saved_homing_z": "0.13"}, "", -1.0, True),
+        ({"saved_homing_z": "-2"}, "", -1.0, True),
+    ],
+)
+def test_floor(start, own, params, floor, is_told):
+    printer = start("membrane", changes=section(**own)).homed()
+    text = "\n".join(printer.run(CALIBRATE + params))
+    assert FLOOR_LINE.format(floor) in text
+    assert (UNSAVED in text) is is_told
+    # Nobody has laid the membrane
+    printer.machine.tolerate("nozzle_bed", 4.0)
+    text = printer.fail(CONTINUE)
+    assert f"(stopped at z={floor:.3f})" in text
+    lowest = printer.machine.truth.min_gap
+    assert lowest == pytest.approx(floor - BED, abs=0.01)
+
+
+@pytest.mark.parametrize("saved", [True, False])
+def test_floor_after_a_saved_calibration(start, saved):
+    printer = start("membrane").homed()
+    calibrate(printer, f"{CALIBRATE} SAVE={saved:d}")
+    printer.session.restart("SAVE_CONFIG" if saved else "RESTART")
+    text = "\n".join(printer.run("G28\n" + CALIBRATE))
+    assert FLOOR_LINE.format(0.125 if saved else -1.0) in text
+
+
+def test_saved_with_a_probe_that_homes(start):
+    # Its z_offset is what counts
+    changes = section(saved_homing_z="2")
+    printer = start("membrane_and_probe", changes=changes).homed()
+    text = "\n".join(printer.run(CALIBRATE))
+    assert FLOOR_LINE.format(0.125) in text
+
+
+# The way
+
+
+def test_way_to_the_membrane(start):
+    changes = {"moves": {}, **section(safe_z_height="12")}
+    printer = start("membrane", changes=changes, modules=with_moves()).homed()
+    before = len(printer.status("moves")["ends"])
+    printer.run(CALIBRATE)
+    ends = printer.status("moves")["ends"][before:]
+    # Up, then across, and there before anybody is asked
+    assert [end[2] for end in ends] == pytest.approx([12.0, 12.0])
+    assert ends[-1][:2] == list(POINT)
+    tip = printer.machine.tip()
+    assert (tip.x, tip.y) == pytest.approx(POINT, abs=0.02)
+    printer.machine.lay_membrane()
+    printer.run(CONTINUE)
+    assert printer.session.position()[2] == pytest.approx(12.0)
+
+
+def test_default_height(start):
+    printer = start("membrane").homed()
+    touch(printer)
+    assert printer.session.position()[2] == pytest.approx(10.0)
+
+
+def test_head_that_is_higher(start):
+    # Not slowly all the way
+    printer = start("membrane").homed()
+    printer.run(f"G1 Z80 F900\n{CALIBRATE}")
+    assert printer.session.position()[2] == pytest.approx(80.0)
+    printer.machine.lay_membrane()
+    clock = printer.machine.simulation.clock
+    before = clock.now()
+    printer.run(CONTINUE)
+    # 70 mm at lift_speed, 10 mm at speed, and two more touches
+    assert (clock.now() - before) * 1e-9 < 16.0
+    assert printer.session.position()[2] == pytest.approx(10.0)
+    printer.run(CONTINUE)
+    assert gap_is_right(printer)
+
+
+def test_without_a_position_it_is_where_the_head_is(start):
+    changes = section(xy_position=None)
+    scene = membrane(x=100.0, y=60.0)
+    printer = start(scene, changes=changes).homed()
+    printer.run("G1 Z5 F900\nG1 X101 Y61 F6000")
+    calibrate(printer)
+    assert printer.gap((101.0, 61.0)) == pytest.approx(0.0, abs=2 * MICROSTEP)
+
+
+def test_switch_may_be_taken_away_with_the_head_aside(start):
+    printer = start("membrane").homed()
+    touch(printer)
+    printer.run("G1 X150 Y150 F6000")
+    printer.machine.lay_membrane(False)
+    printer.run(CONTINUE)
+    assert gap_is_right(printer)
+
+
+# What is asked
+
+
+def test_questions(start):
+    printer = start("membrane").homed()
+    (first,) = dialogs_of(printer.run(CALIBRATE))
+    buttons = [
+        ("Continue", CONTINUE, "primary"),
+        ("Abort", ABORT, "error"),
+    ]
+    assert first.headline == "Lay the switch below the nozzle"
+    assert first.is_open
+    assert first.texts == [
+        "Flat on the bed, the nozzle clean. Without a trigger the nozzle stops"
+        " at z=-1.000. No calibration was saved yet, so that may be in the bed:"
+        " watch, ready to stop."
+    ]
+    assert first.footer_buttons == buttons
+    assert printer.status(NAME)["waits_for"] == "switch"
+    printer.machine.lay_membrane()
+    lines = printer.run(CONTINUE)
+    # Closed before anything is touched
+    assert lines[0] == "// action:prompt_end"
+    (second,) = dialogs_of(lines)
+    z = BED + THICKNESS
+    assert second.headline == "Take the switch away"
+    assert second.is_open
+    (text,) = second.texts
+    assert text.endswith("Continue makes that Z=0.")
+    told = float(text.split("z=")[1].split(",")[0])
+    assert told == pytest.approx(z, abs=2 * MICROSTEP)
+    assert second.footer_buttons == buttons
+    assert printer.status(NAME)["waits_for"] == "removal"
+    assert printer.offset() == 0.0
+    lines = printer.run(CONTINUE)
+    assert dialogs_of(lines) == []
+    assert lines[0] == "// action:prompt_end"
+    assert printer.status(NAME)["waits_for"] == ""
+
+
+def test_questions_on_the_console(start):
+    # For those who see no dialog
+    printer = start("membrane").homed()
+    # The first line closes a dialog that may be open
+    _, *lines = printer.run(CALIBRATE)
+    answers = f"// {NAME}: then {CONTINUE}, or {ABORT}"
+    assert lines[0].startswith(f"// {NAME}: Lay the switch below the nozzle.")
+    assert lines[1] == answers
+    printer.machine.lay_membrane()
+    lines = printer.run(CONTINUE)
+    assert answers in lines
+    assert any("Take the switch away. Triggered at" in line for line in lines)
+
+
+def test_name_of_the_section_is_in_the_buttons(start):
+    options = SCENES["membrane"].sections[NAME]
+    changes = {NAME: None, "extra_probe Load-cell_2": options}
+    printer = start("membrane", changes=changes).homed()
+    (dialog,) = dialogs_of(
+        printer.run("EXTRA_PROBE_CALIBRATE PROBE=Load-cell_2")
+    )
+    printer.machine.lay_membrane()
+    printer.run(dialog.footer_buttons[0][1])
+    printer.machine.lay_membrane(False)
+    printer.run("EXTRA_PROBE_CONTINUE PROBE=Load-cell_2")
+    assert gap_is_right(printer)
+
+
+def test_status_of_the_last_calibration(start):
+    printer = start("membrane").homed()
+    calibrate(printer)
+    status = printer.status(NAME)
+    assert status["last_offset"] == pytest.approx(printer.offset(), abs=1e-6)
+    assert status["last_z_result"] == 0.0
+    calibrate(printer, f"{CALIBRATE} SAVE=1")
+    # As measured, though not applied
+    assert printer.status(NAME)["last_offset"] == pytest.approx(BED, abs=0.005)
+
+
+# The nozzle's temperature
+
+
+@pytest.mark.parametrize(
+    ("own", "celsius", "outcome"),
+    [
+        ({}, 55, ""),
+        ({}, 65, "warning"),
+        ({}, 115, "warning"),
+        ({}, 125, "120 C; let it cool down"),
+        ({"max_temperature": "100"}, 105, "100 C; let it cool down"),
+        ({"max_temperature": "200"}, 150, "warning"),
+    ],
+)
+@pytest.mark.parametrize("wait", [True, False])
+def test_temperature(start, own, celsius, outcome, wait):
+    printer = start(heated(SCENES["membrane"]), changes=section(**own)).homed()
+    printer.run(f"M{109 if wait else 104} S{celsius}")
+    if outcome not in ("", "warning"):
+        text = printer.fail(CALIBRATE)
+        assert f"the nozzle has, or is to have, {celsius}" in text or wait
+        assert outcome in text
+        return
+    (dialog,) = dialogs_of(printer.run(CALIBRATE))
+    warning = "The nozzle has, or is to have, "
+    assert (warning in dialog.texts[0]) is (outcome == "warning")
+    assert ("a membrane may melt." in dialog.texts[0]) is bool(outcome)
+
+
+@pytest.mark.parametrize("celsius", [80, 130])
+def test_nozzle_that_is_heated_while_somebody_is_asked(start, celsius):
+    printer = start(heated(SCENES["membrane"])).homed()
+    printer.run(CALIBRATE)
+    printer.machine.lay_membrane()
+    printer.run(f"M104 S{celsius}")
+    if celsius > 120:
+        assert "max_temperature is 120 C" in printer.fail(CONTINUE)
+        assert heights(printer) == []
+        return
+    lines = printer.run(CONTINUE)
+    warning = f"// {NAME}: The nozzle has, or is to have, {celsius} C: a"
+    assert any(line.startswith(warning) for line in lines)
+
+
+# [probe] is the membrane
+
+
+def as_probe(**own):
+    """Scenario 1 of many: the membrane is the printer's [probe]."""
+    options = dict(SCENES["membrane"].sections[NAME])
+    place = options.pop("xy_position")
+    return {
+        NAME: None,
+        "probe": {**options, "x_offset": "0", "y_offset": "0"},
+        "extra_probe probe": {"xy_position": place, **own},
+    }
+
+
+@pytest.mark.each_host
+@pytest.mark.parametrize("save", [False, True])
+def test_membrane_that_is_the_probe(start, save):
+    printer = start("membrane", changes=as_probe()).homed()
+    printer.run(f"EXTRA_PROBE_CALIBRATE PROBE=probe SAVE={save:d}")
+    printer.machine.lay_membrane()
+    printer.run("EXTRA_PROBE_CONTINUE PROBE=probe")
+    assert len(heights(printer)) == 3
+    printer.machine.lay_membrane(False)
+    printer.run("EXTRA_PROBE_CONTINUE PROBE=probe")
+    if save:
+        printer.session.restart("SAVE_CONFIG")
+        printer.run("G28")
+        assert printer.offset() == 0.0
+        text = "\n".join(printer.run("EXTRA_PROBE_CALIBRATE PROBE=probe"))
+        assert FLOOR_LINE.format(0.125) in text
+    assert gap_is_right(printer)
+
+
+@pytest.mark.each_host
+def test_floor_of_a_membrane_that_is_the_probe(start):
+    printer = start("membrane", changes=as_probe(position_min="0.2")).homed()
+    printer.run("EXTRA_PROBE_CALIBRATE PROBE=probe")
+    text = printer.fail("EXTRA_PROBE_CONTINUE PROBE=probe")
+    assert "No trigger" in text
+    assert "(stopped at z=0.200); check with QUERY_PROBE" in text
+    printer.session.wait(2.0)
+    assert printer.session.position()[2] == pytest.approx(10.0)
+    # The host's own PROBE has its floor back
+    printer.machine.tolerate("nozzle_bed", 5.0)
+    assert printer.fail("PROBE")
+    assert printer.session.position()[2] == pytest.approx(-3.0, abs=0.01)
+
+
+def test_own_options_of_a_membrane_that_is_the_probe(start):
+    own = {"samples": "2", "z_offset": "0.35", "speed": "1.5"}
+    changes = as_probe(**own)
+    printer = start("membrane", changes=changes).homed()
+    printer.run("EXTRA_PROBE_CALIBRATE PROBE=probe")
+    printer.machine.lay_membrane()
+    clock = printer.machine.simulation.clock
+    before = clock.now()
+    printer.run("EXTRA_PROBE_CONTINUE PROBE=probe")
+    # 9.3 mm at 1.5 mm/s
+    assert (clock.now() - before) * 1e-9 > 6.0
+    assert len(heights(printer)) == 2
+    printer.run("EXTRA_PROBE_CONTINUE PROBE=probe")
+    printer.machine.lay_membrane(False)
+    assert true_gap(printer) == pytest.approx(-0.1, abs=2 * MICROSTEP)
+
+
+def test_activation_of_a_membrane_that_is_the_probe(start):
+    changes = as_probe()
+    changes["respond"] = {}
+    changes["probe"]["activate_gcode"] = "\n  RESPOND MSG=active"
+    printer = start("membrane", changes=changes).homed()
+    printer.run("EXTRA_PROBE_CALIBRATE PROBE=probe")
+    printer.machine.lay_membrane()
+    lines = printer.run("EXTRA_PROBE_CONTINUE PROBE=probe")
+    assert "echo: active" in lines
+
+
+def test_probe_has_commands_of_its_own(start):
+    printer = start("membrane", changes=as_probe()).homed()
+    for command in ("EXTRA_PROBE", "QUERY_EXTRA_PROBE"):
+        lines = printer.run(f"{command} PROBE=probe")
+        assert f'Unknown command:"{command}"' in lines[-1]
+
+
+@pytest.mark.parametrize(
+    ("changes", "words"),
+    [
+        ({"probe": None}, "is missing or no switch on a pin"),
+        ({"probe": {"x_offset": "1"}}, "has an x_offset or y_offset"),
+        ({"probe": {"y_offset": "-2"}}, "has an x_offset or y_offset"),
+        (
+            {
+                "stepper_z": {
+                    "endstop_pin": "probe:z_virtual_endstop",
+                    "position_endstop": None,
+                }
+            },
+            "homes Z, and so finds nothing new",
+        ),
+    ],
+)
+def test_probe_that_is_no_membrane(host, changes, words):
+    merged = as_probe()
+    for name, options in changes.items():
+        known = merged.get(name) or {}
+        merged[name] = None if options is None else {**known, **options}
+    message = refusal(host, merged, "membrane")
+    assert message.startswith("Section 'extra_probe probe' stands for [probe]")
+    assert words in message
+
+
+def test_pin_of_a_section_that_stands_for_the_probe(host):
+    message = refusal(host, as_probe(pin="^!PF5"), "membrane")
+    assert "Option 'pin' is not valid in section 'extra_probe probe'" in message
+
+
+# Two at a time
+
+
+def test_other_section_is_not_asked(start):
+    options = {"pin": "^PG5", "z_offset": "0.3"}
+    changes = {"extra_probe other": options}
+    printer = start("membrane", changes=changes).homed()
+    printer.run(CALIBRATE)
+    text = printer.fail("EXTRA_PROBE_CONTINUE PROBE=other")
+    assert text == (
+        "extra_probe other: nothing was asked; begin with EXTRA_PROBE_CALIBRATE"
+    )
+    printer.machine.lay_membrane()
+    printer.run(CONTINUE)
+    printer.machine.lay_membrane(False)
+    printer.run(CONTINUE)
+    assert gap_is_right(printer)
+
+
+def test_second_board_keeps_its_own_time(start):
+    scene = SCENES["membrane_two_boards"]
+    board = scene.wiring.boards["loadcell"]
+    late = replace(board, latency=0.004)
+    wiring = replace(scene.wiring, boards={"loadcell": late})
+    printer = start(replace(scene, wiring=wiring)).homed()
+    calibrate(printer)
+    assert gap_is_right(printer)

@@ -1,0 +1,638 @@
+"""[extra_probe NAME]: touching with it, its options and its status."""
+
+from __future__ import annotations
+
+import re
+import statistics
+from dataclasses import replace
+
+import pytest
+
+from tests.hostkit.extra_probe import (
+    BED,
+    CALIBRATE,
+    MICROSTEP,
+    NAME,
+    PROBE_BED,
+    THICKNESS,
+    heights,
+    membrane,
+    section,
+    state,
+)
+from tests.hostkit.load_errors import load
+from tests.hostkit.printer import Printer, has_kinematics, module_files
+from tests.hostkit.z_calibration import refusal, with_moves
+from tests.simprinter import SCENES, Fault
+from tests.simprinter.scenes import on_carriages
+from tests.simprinter.world import NoiseSpec
+
+pytestmark = pytest.mark.spread
+
+ABOVE = "G90\nG1 Z5 F900\nG1 X30 Y20 F6000"
+PROBE = f"{ABOVE}\nEXTRA_PROBE PROBE=membrane"
+TOUCH = re.compile(r"^// probe at (\S+),(\S+) is z=(\S+)$")
+RESULT = re.compile(r"^// Result is z=(\S+)$")
+
+
+def touches(lines):
+    """Heights of the single touches, as told."""
+    return [float(m[3]) for m in map(TOUCH.match, lines) if m]
+
+
+def result(lines):
+    """The result, as told."""
+    (found,) = [m for m in map(RESULT.match, lines) if m]
+    return float(found[1])
+
+
+def laid(start, scene="membrane", **options):
+    """A homed printer with the membrane on its bed."""
+    printer = start(scene, **options).homed()
+    printer.machine.lay_membrane()
+    return printer
+
+
+def noisy(sigma, **noise):
+    """The membrane with a trigger point that is not quite exact."""
+    return membrane(noise=NoiseSpec(sigma=sigma, **noise))
+
+
+# EXTRA_PROBE
+
+
+def test_lines_and_result_of_a_touch(start):
+    printer = laid(start, changes=section(samples="2"))
+    lines = printer.run(PROBE)
+    z = BED + THICKNESS
+    assert [m.groups()[:2] for m in map(TOUCH.match, lines) if m] == [
+        ("30.000", "20.000")
+    ] * 2
+    assert touches(lines) == pytest.approx([z, z], abs=MICROSTEP)
+    assert lines[-1] == f"// Result is z={result(lines):.6f}"
+    assert result(lines) == pytest.approx(z, abs=MICROSTEP)
+    status = printer.status(NAME)
+    assert status["last_z_result"] == pytest.approx(result(lines), abs=1e-6)
+    # Where the last touch ended, as after PROBE
+    at = printer.session.position()[2]
+    assert z - 0.1 < at < z + MICROSTEP
+    assert printer.offset() == 0.0
+
+
+@pytest.mark.parametrize(
+    ("own", "call"),
+    [
+        ({"samples": "2"}, ""),
+        ({}, " SAMPLES=2"),
+        ({"samples": "5"}, " SAMPLES=2"),
+    ],
+)
+def test_samples(start, own, call):
+    printer = laid(start, changes=section(**own))
+    assert len(touches(printer.run(PROBE + call))) == 2
+    # For that call only
+    printer.run("G91\nG1 Z2\nG90")
+    wanted = int(own.get("samples", "3"))
+    assert len(touches(printer.run("EXTRA_PROBE PROBE=membrane"))) == wanted
+
+
+@pytest.mark.parametrize(
+    ("own", "call", "summary"),
+    [
+        ({"samples_result": None}, "", statistics.fmean),
+        ({"samples_result": "average"}, "", statistics.fmean),
+        ({"samples_result": "median"}, "", statistics.median),
+        ({}, " SAMPLES_RESULT=average", statistics.fmean),
+        ({}, " SAMPLES_RESULT=MEDIAN", statistics.median),
+    ],
+)
+def test_samples_result(start, own, call, summary):
+    changes = section(samples="3", samples_tolerance="1", **own)
+    printer = laid(start, noisy(0.01), changes=changes, seed=3)
+    lines = printer.run(PROBE + call)
+    z = touches(lines)
+    assert abs(statistics.fmean(z) - statistics.median(z)) > 1e-4
+    assert result(lines) == pytest.approx(summary(z), abs=2e-6)
+
+
+@pytest.mark.parametrize(
+    ("own", "call"),
+    [
+        ({"samples_tolerance": "0.001"}, ""),
+        ({}, " SAMPLES_TOLERANCE=0.001"),
+    ],
+)
+def test_samples_that_differ(start, own, call):
+    changes = section(samples_tolerance_retries="0", **own)
+    printer = laid(start, noisy(0.01), changes=changes, seed=3)
+    printer.run(ABOVE)
+    before = state(printer)
+    text = printer.fail("EXTRA_PROBE PROBE=membrane" + call)
+    assert text.startswith("extra_probe membrane: samples differ by 0.0")
+    assert "samples_tolerance is 0.0010 mm" in text
+    assert state(printer) == before
+    printer.session.wait(2.0)
+    assert printer.session.position()[2] == pytest.approx(5.0)
+
+
+@pytest.mark.parametrize(
+    ("own", "call", "retries"),
+    [
+        ({"samples_tolerance_retries": "2"}, "", 2),
+        ({}, " SAMPLES_TOLERANCE_RETRIES=1", 1),
+        ({"samples_tolerance_retries": None}, "", 0),
+    ],
+)
+def test_retries(start, own, call, retries):
+    changes = section(samples_tolerance="0.0", **own)
+    printer = laid(start, noisy(0.01), changes=changes, seed=3)
+    printer.fail(PROBE + call)
+    line = "// Probe samples exceed tolerance. Retrying..."
+    assert printer.session.console.count(line) == retries
+
+
+@pytest.mark.parametrize(
+    ("own", "call"),
+    [
+        ({"sample_retract_dist": "1.5"}, ""),
+        ({}, " SAMPLE_RETRACT_DIST=1.5"),
+    ],
+)
+def test_lift_between_the_touches(start, own, call):
+    changes = {"moves": {}, **section(**own)}
+    printer = laid(start, changes=changes, modules=with_moves())
+    printer.run(PROBE + call)
+    ends = [end[2] for end in printer.status("moves")["ends"]]
+    z = BED + THICKNESS + 1.5
+    assert ends[-2:] == pytest.approx([z, z], abs=MICROSTEP)
+
+
+def duration(printer, script):
+    """Printer seconds that a script takes, with all its moves."""
+    clock = printer.machine.simulation.clock
+    before = clock.now()
+    printer.run(script + "\nM400")
+    return (clock.now() - before) * 1e-9
+
+
+@pytest.mark.parametrize(
+    ("own", "call"),
+    [
+        ({"speed": "1.0"}, ""),
+        ({"speed": "2.0"}, " PROBE_SPEED=1"),
+        ({"lift_speed": "0.7"}, " SAMPLES=2"),
+        ({}, " SAMPLES=2 LIFT_SPEED=0.7"),
+    ],
+)
+def test_speeds(start, own, call):
+    printer = laid(start, changes=section(samples="1", **own))
+    printer.run(ABOVE)
+    fast = duration(printer, "EXTRA_PROBE PROBE=membrane PROBE_SPEED=5")
+    printer.run("G1 Z5")
+    slow = duration(printer, "EXTRA_PROBE PROBE=membrane" + call)
+    # 4.3 mm of the way down, or 2 mm up
+    assert slow - fast > 2.0
+
+
+def test_lift_speed_is_the_speed_by_default(start):
+    changes = section(lift_speed=None, speed="1", samples="2")
+    printer = laid(start, changes=changes)
+    printer.run(ABOVE)
+    slow = duration(printer, "EXTRA_PROBE PROBE=membrane PROBE_SPEED=5")
+    printer.run("G1 Z5")
+    fast = duration(
+        printer, "EXTRA_PROBE PROBE=membrane PROBE_SPEED=5 LIFT_SPEED=10"
+    )
+    assert slow - fast > 1.0
+
+
+def test_options_that_are_left_out(start):
+    changes = section(
+        **dict.fromkeys(
+            (
+                *("z_offset", "xy_position", "speed", "lift_speed", "samples"),
+                *("samples_result", "sample_retract_dist"),
+                *("samples_tolerance", "samples_tolerance_retries"),
+            )
+        )
+    )
+    printer = laid(
+        start, changes={"moves": {}, **changes}, modules=with_moves()
+    )
+    lines = printer.run(f"{ABOVE}\nEXTRA_PROBE_ACCURACY PROBE=membrane")
+    begin = "// EXTRA_PROBE_ACCURACY at X:30.000 Y:20.000 Z:5.000"
+    assert f"{begin} (samples=10 retract=2.000 speed=5.0 lift_speed=5.0)" in (
+        lines
+    )
+    assert len(touches(printer.run("EXTRA_PROBE PROBE=membrane"))) == 1
+
+
+@pytest.mark.parametrize(
+    ("params", "words"),
+    [
+        ("SAMPLES=0", "SAMPLES"),
+        ("SAMPLES=x", "SAMPLES"),
+        ("PROBE_SPEED=0", "PROBE_SPEED"),
+        # Some hosts do not take it for a number
+        ("PROBE_SPEED=nan", "PROBE_SPEED=nan"),
+        ("LIFT_SPEED=-1", "LIFT_SPEED"),
+        ("SAMPLE_RETRACT_DIST=0", "SAMPLE_RETRACT_DIST"),
+        ("SAMPLES_TOLERANCE=-0.1", "SAMPLES_TOLERANCE"),
+        ("SAMPLES_TOLERANCE_RETRIES=-1", "SAMPLES_TOLERANCE_RETRIES"),
+        ("SAMPLES_RESULT=mode", "SAMPLES_RESULT has to be median or average"),
+    ],
+)
+@pytest.mark.parametrize("command", ["EXTRA_PROBE", "EXTRA_PROBE_ACCURACY"])
+def test_parameter_that_makes_no_sense(start, command, params, words):
+    printer = laid(start)
+    printer.run(ABOVE)
+    assert words in printer.fail(f"{command} PROBE=membrane {params}")
+    assert heights(printer) == []
+    assert printer.session.state()[0] == "ready"
+
+
+@pytest.mark.parametrize("command", ["EXTRA_PROBE", "QUERY_EXTRA_PROBE"])
+def test_probe_has_to_be_named(start, command):
+    printer = start("membrane").homed()
+    assert "PROBE" in printer.fail(command)
+    assert "'much'" in printer.fail(f"{command} PROBE=much")
+
+
+@pytest.mark.parametrize("command", ["EXTRA_PROBE", "EXTRA_PROBE_ACCURACY"])
+def test_not_homed(start, command):
+    printer = start("membrane")
+    printer.session.require_ready()
+    text = printer.fail(f"{command} PROBE=membrane")
+    assert text == (
+        "extra_probe membrane: not homed: X, Y, Z; home all axes (G28) first"
+    )
+
+
+@pytest.mark.parametrize(
+    ("scene", "low"), [("membrane", BED), ("membrane_and_probe", PROBE_BED)]
+)
+@pytest.mark.parametrize("own", [{}, {"position_min": "0.15"}])
+def test_floor_of_a_touch(start, scene, low, own):
+    # A dead membrane is pressed, and the bed below it
+    fault = Fault("stuck_open", signal="membrane")
+    printer = laid(start, scene, faults=[fault], changes=section(**own))
+    printer.machine.tolerate("nozzle_membrane", 2.0)
+    printer.machine.tolerate("nozzle_bed", 2.0)
+    text = printer.fail(PROBE)
+    floor = own.get("position_min", "-1.0")
+    assert f"(stopped at z={float(floor):.3f})" in text
+    assert "press it by hand and look with QUERY_EXTRA_PROBE" in text
+    assert "PROBE=membrane" in text
+    bed_z = SCENES[scene].world.bed.z0
+    lowest = printer.machine.truth.min_gap
+    assert lowest == pytest.approx(float(floor) - low, abs=0.01), bed_z
+    printer.session.wait(2.0)
+    assert printer.session.position()[2] == pytest.approx(5.0)
+    assert printer.session.state()[0] == "ready"
+
+
+def test_floor_is_not_below_the_axis(start):
+    fault = Fault("stuck_open", signal="membrane")
+    changes = {
+        "stepper_z": {"position_min": "-0.5"},
+        **section(position_min="-2"),
+    }
+    printer = laid(start, faults=[fault], changes=changes)
+    printer.machine.tolerate("nozzle_membrane", 2.0)
+    printer.machine.tolerate("nozzle_bed", 2.0)
+    assert "(stopped at z=-0.500)" in printer.fail(PROBE)
+
+
+def test_head_that_is_below_the_floor_already(start):
+    printer = start("membrane", changes=section(position_min="3")).homed()
+    text = printer.fail("G1 Z2\nEXTRA_PROBE PROBE=membrane")
+    assert "the head is at z=2.000, this touch ends at z=3.000 already" in text
+
+
+def test_no_twist_compensation(start):
+    if not has_twist(start):
+        pytest.skip("the host has no axis_twist_compensation")
+    changes = {
+        "axis_twist_compensation": TWIST,
+        "probe": {"x_offset": "17.6"},
+    }
+    printer = laid(start, "membrane_and_probe", changes=changes)
+    z = result(printer.run(PROBE))
+    # The head stands where it was when the membrane triggered
+    assert z == pytest.approx(printer.session.position()[2], abs=0.1)
+
+
+TWIST = {
+    "calibrate_start_x": "20",
+    "calibrate_end_x": "200",
+    "calibrate_y": "100",
+    "z_compensations": "0.4, 0.4, 0.4",
+    "compensation_start_x": "20",
+    "compensation_end_x": "200",
+}
+
+
+def has_twist(start):
+    changes = {"axis_twist_compensation": TWIST}
+    printer = start("membrane_and_probe", changes=changes)
+    return printer.session.start()[0] == "ready"
+
+
+# The G-code around a touch
+
+NOTE = "\n  RESPOND MSG={}"
+
+
+def noted(lines):
+    """What the templates have said, between the touches."""
+    words = {"// probe at": "touch", "echo: on": "on", "echo: off": "off"}
+    return [w for x in lines for b, w in words.items() if x.startswith(b)]
+
+
+@pytest.mark.parametrize(
+    ("each", "expected"),
+    [
+        (None, ["on", "off", "touch"] * 2),
+        ("true", ["on", "off", "touch"] * 2),
+        ("false", ["on", "touch", "touch", "off"]),
+    ],
+)
+@pytest.mark.parametrize("command", ["EXTRA_PROBE", "EXTRA_PROBE_ACCURACY"])
+def test_activation(start, each, expected, command):
+    changes = {
+        "respond": {},
+        **section(
+            activate_gcode=NOTE.format("on"),
+            deactivate_gcode=NOTE.format("off"),
+            deactivate_on_each_sample=each,
+        ),
+    }
+    printer = laid(start, changes=changes)
+    call = f"{ABOVE}\n{command} PROBE=membrane SAMPLES=2"
+    assert noted(printer.run(call)) == expected
+
+
+@pytest.mark.parametrize("each", ["true", "false"])
+def test_deactivation_after_a_failed_touch(start, each):
+    changes = {
+        "respond": {},
+        **section(
+            activate_gcode=NOTE.format("on"),
+            deactivate_gcode=NOTE.format("off"),
+            deactivate_on_each_sample=each,
+            position_min="1",
+        ),
+    }
+    printer = start("membrane", changes=changes).homed()
+    printer.fail(PROBE)
+    assert noted(printer.session.console) == ["on", "off"]
+
+
+@pytest.mark.parametrize("option", ["activate_gcode", "deactivate_gcode"])
+@pytest.mark.parametrize("each", ["true", "false"])
+def test_template_that_moves_or_fails(start, option, each):
+    for code, words in (
+        ("G91\n  G1 Z0.5\n  G90", f"the head moved in {option}"),
+        ("NO_SUCH_COMMAND_OF_MINE\n  {action_raise_error('worn')}", "worn"),
+    ):
+        own = {option: f"\n  {code}", "deactivate_on_each_sample": each}
+        printer = laid(start, changes=section(**own))
+        printer.run(ABOVE)
+        before = state(printer)
+        assert words in printer.fail("EXTRA_PROBE PROBE=membrane")
+        assert state(printer) == before
+        printer.session.wait(2.0)
+        assert printer.session.position()[2] >= 5.0
+        assert printer.session.state()[0] == "ready"
+
+
+# EXTRA_PROBE_ACCURACY
+
+FIGURES = re.compile(
+    r"// probe accuracy results: maximum (\S+), minimum (\S+), range (\S+),"
+    r" average (\S+), median (\S+), standard deviation (\S+)$"
+)
+
+
+def test_accuracy_figures_are_those_of_the_touches(start):
+    # The tolerance is no matter
+    changes = section(samples_tolerance="0.0001")
+    printer = laid(start, noisy(0.01), changes=changes, seed=3)
+    printer.run(ABOVE)
+    before = state(printer)
+    lines = printer.run("EXTRA_PROBE_ACCURACY PROBE=membrane SAMPLES=6")
+    z = touches(lines)
+    assert len(z) == 6
+    assert max(z) - min(z) > 0.01
+    (found,) = [m for m in map(FIGURES.match, lines) if m]
+    expected = (
+        max(z),
+        min(z),
+        max(z) - min(z),
+        statistics.fmean(z),
+        statistics.median(z),
+        statistics.pstdev(z),
+    )
+    assert tuple(map(float, found.groups())) == pytest.approx(
+        expected, abs=2e-6
+    )
+    assert state(printer) == before
+    printer.session.wait(2.0)
+    assert printer.session.position()[2] == pytest.approx(5.0)
+
+
+def test_accuracy_begins_with_what_it_does(start):
+    printer = laid(start)
+    lines = printer.run(
+        f"{ABOVE}\nEXTRA_PROBE_ACCURACY PROBE=membrane SAMPLES=2 PROBE_SPEED=2"
+        " LIFT_SPEED=4 SAMPLE_RETRACT_DIST=1"
+    )
+    assert lines[0] == (
+        "// EXTRA_PROBE_ACCURACY at X:30.000 Y:20.000 Z:5.000 (samples=2"
+        " retract=1.000 speed=2.0 lift_speed=4.0)"
+    )
+
+
+# QUERY_EXTRA_PROBE and status
+
+
+def test_query_tells_what_the_pin_reads(start):
+    printer = laid(start)
+    lines = printer.run(f"{ABOVE}\nQUERY_EXTRA_PROBE PROBE=membrane")
+    assert lines == ["// extra probe membrane: open"]
+    assert printer.status(NAME)["last_query"] is False
+    # A finger
+    printer.machine.break_down(Fault("stuck_closed", signal="membrane", t=0.0))
+    lines = printer.run("QUERY_EXTRA_PROBE PROBE=membrane")
+    assert lines == ["// extra probe membrane: TRIGGERED"]
+    assert printer.status(NAME)["last_query"] is True
+
+
+@pytest.mark.parametrize(
+    ("scene", "z_offset"), [("membrane", 0.0), ("membrane_and_probe", 2.0)]
+)
+def test_status_beside_a_probe_or_none(start, scene, z_offset):
+    printer = start(scene)
+    printer.session.require_ready()
+    assert printer.status(NAME) == {
+        "name": "membrane",
+        "last_query": False,
+        "last_z_result": 0.0,
+        "default_probe_z_offset": z_offset,
+        "last_offset": None,
+        "waits_for": "",
+    }
+
+
+def test_status_before_klippy_is_ready(some_host, tmp_path):
+    # And beside a probe that has no offsets
+    source = tmp_path / "odd.py"
+    source.write_text(
+        "class Odd:\n"
+        "    def get_status(self, eventtime):\n"
+        "        return {'name': 'odd'}\n"
+        "def load_config(config):\n"
+        "    printer = config.get_printer()\n"
+        "    printer.add_object('probe', Odd())\n"
+        "    def look():\n"
+        "        probe = printer.lookup_object('extra_probe membrane')\n"
+        "        assert probe.get_status(0.)['default_probe_z_offset'] == 0.\n"
+        "    printer.register_event_handler('klippy:mcu_identify', look)\n"
+        "    return Odd()\n"
+    )
+    changes = {"odd": {}}
+    modules = {**with_moves(), "odd": source}
+    with Printer(some_host, "membrane", changes, modules=modules) as printer:
+        printer.session.require_ready()
+        assert printer.status(NAME)["default_probe_z_offset"] == 0.0
+
+
+def test_several_sections(start):
+    # The other one is not touched: its pin is not wired
+    changes = {
+        "extra_probe pin": {"pin": "^PG5", "samples": "2"},
+        "extra_probe third": {"pin": "^PG6"},
+    }
+    printer = laid(start, changes=changes)
+    lines = printer.run("QUERY_EXTRA_PROBE PROBE=pin")
+    assert lines == ["// extra probe pin: open"]
+    z = result(printer.run(PROBE))
+    assert z == pytest.approx(BED + THICKNESS, abs=MICROSTEP)
+    assert printer.status("extra_probe pin")["last_z_result"] == 0.0
+    assert printer.status("extra_probe third")["name"] == "third"
+    line = printer.run("QUERY_ENDSTOPS")[-1]
+    # It stands on it
+    assert "extra_probe membrane:TRIGGERED" in line
+    assert "extra_probe pin:open" in line
+
+
+def test_pin_of_another_board(start):
+    printer = laid(start, "membrane_two_boards")
+    lines = printer.run(PROBE)
+    assert result(lines) == pytest.approx(BED + THICKNESS, abs=MICROSTEP)
+
+
+def test_generic_cartesian(start, host):
+    # Z is a carriage there
+    scene = SCENES["membrane"]
+    sections = {
+        **scene.sections,
+        "printer": {
+            **scene.sections["printer"],
+            "kinematics": "generic_cartesian",
+        },
+    }
+    names = {name: f"my_{name}" for name in "xyz"}
+    scene = replace(scene, sections=on_carriages(sections, names))
+    if not has_kinematics(host, scene):
+        pytest.skip("the host has no generic_cartesian")
+    printer = laid(start, scene)
+    assert result(printer.run(PROBE)) == pytest.approx(
+        BED + THICKNESS, abs=MICROSTEP
+    )
+
+
+# Configurations that cannot work
+
+
+@pytest.mark.parametrize(
+    ("scene", "own", "words"),
+    [
+        ("membrane", {"pin": None}, "Option 'pin' in section"),
+        ("membrane", {"pin": ""}, "is no pin"),
+        ("membrane", {"pin": "probe:z_virtual_endstop"}, "is no pin"),
+        ("membrane", {"pin": "^PC2"}, "stepper_z"),
+        (
+            "membrane_and_probe",
+            {"pin": "^!PF0"},
+            "is the pin of section 'probe'; give the pin of the switch; where"
+            " [probe] is the switch, the section has to be called"
+            " 'extra_probe probe'",
+        ),
+        ("membrane", {"z_offset": "-0.1"}, "Option 'z_offset' in section"),
+        ("membrane", {"z_offset": "nan"}, "Option 'z_offset' in section"),
+        ("membrane", {"xy_position": "30"}, "Option 'xy_position' in section"),
+        (
+            "membrane",
+            {"xy_position": "300, 20"},
+            "Option 'xy_position: 300,20' in section 'extra_probe membrane'"
+            " needs the head at X=300.000, outside its -13.000 to 220.000",
+        ),
+        ("membrane", {"position_min": "inf"}, "Option 'position_min'"),
+        ("membrane", {"safe_z_height": "0"}, "Option 'safe_z_height'"),
+        ("membrane", {"max_temperature": "0"}, "Option 'max_temperature'"),
+        ("membrane", {"saved_homing_z": "much"}, "saved_homing_z"),
+        ("membrane", {"much": "1"}, "Option 'much' is not valid in section"),
+    ],
+)
+def test_option_that_cannot_be_used(host, scene, own, words):
+    if own.get("pin") == "^PC2":
+        # Which of the two sections is blamed is the host's affair
+        kind, message = load(host, section(**own), scene)
+        assert kind == "error"
+        assert "PC2" in message
+        return
+    message = refusal(host, section(**own), scene)
+    assert words in message
+    assert "extra_probe membrane" in message
+
+
+def test_two_sections_of_one_pin(host):
+    changes = {"extra_probe other": {"pin": "^!PF5"}}
+    message = refusal(host, changes, "membrane")
+    assert "Option 'pin: ^!PF5' in section 'extra_probe other'" in message
+
+
+def test_machine_without_a_z_axis(host):
+    changes = {
+        "printer": {
+            "kinematics": "none",
+            "max_velocity": "100",
+            "max_accel": "100",
+        },
+        **{f"stepper_{axis}": None for axis in "xyz"},
+    }
+    message = refusal(host, changes, "membrane")
+    assert "extra_probe membrane cannot be used on this machine" in message
+
+
+def test_folder_that_is_missing(host, tmp_path):
+    # The module that stands alone
+    text = module_files()["extra_probe"].read_text()
+    assert text.count(".z_touch import") == 4
+    lonely = tmp_path / "extra_probe.py"
+    lonely.write_text(text.replace(".z_touch import", ".z_gone import"))
+    modules = {"extra_probe": lonely}
+    with Printer(host, "membrane", modules=modules) as printer:
+        kind, message = printer.session.start()
+    assert kind == "error"
+    assert message.startswith(
+        "Section 'extra_probe membrane': the folder z_touch that belongs to"
+        " this module is not in klippy/extras"
+    )
+
+
+def test_calibration_needs_nothing_of_this(start):
+    # Only that it is there
+    printer = start("membrane").homed()
+    assert "// action:prompt_show" in printer.run(CALIBRATE)

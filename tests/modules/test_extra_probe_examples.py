@@ -1,0 +1,117 @@
+"""examples/extra_probe: each is included and used, on every host.
+
+As an owner would: `[include FILE.cfg]` below the sections of the printer, its
+macro, a hand that lays the membrane, SAVE_CONFIG.
+"""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import pytest
+
+from tests.hostkit.extra_probe import (
+    BED,
+    CONTINUE,
+    MICROSTEP,
+    NAME,
+    PROBE_BED,
+    true_gap,
+)
+from tests.simprinter import SCENES, Fault, heated
+
+EXAMPLES = Path(__file__).resolve().parents[2] / "examples" / "extra_probe"
+# The scene that each is for, what it is to save, and from which value on
+OWNERS = {
+    "z_switch": ("membrane", "stepper_z", "position_endstop", 0.0 - BED),
+    "z_switch_macros": ("membrane", "stepper_z", "position_endstop", 0.0 - BED),
+    "probe_homing": (
+        "membrane_and_probe",
+        "probe",
+        "z_offset",
+        2.0 - PROBE_BED,
+    ),
+    "probe_homing_macros": (
+        "membrane_and_probe",
+        "probe",
+        "z_offset",
+        2.0 - PROBE_BED,
+    ),
+}
+MACROS = [name for name in OWNERS if name.endswith("_macros")]
+
+
+def owned(start, name, **options):
+    """A printer whose owner has included the example."""
+    scene = heated(SCENES[OWNERS[name][0]])
+    path = EXAMPLES / f"{name}.cfg"
+    changes = {NAME: None, f"include {path}": {}}
+    printer = start(scene, changes=changes, **options)
+    printer.session.require_ready()
+    return printer
+
+
+def use(printer, name):
+    """What its owner does up to SAVE_CONFIG; the console lines."""
+    if name in MACROS:
+        printer.machine.lay_membrane()
+        lines = printer.run("MEASURE_MEMBRANE")
+        printer.machine.lay_membrane(False)
+        return lines
+    lines = printer.run("CALIBRATE_Z_ZERO")
+    printer.machine.lay_membrane()
+    lines += printer.run(CONTINUE)
+    printer.machine.lay_membrane(False)
+    return lines + printer.run(CONTINUE)
+
+
+@pytest.mark.parametrize("name", OWNERS)
+def test_example_ends_with_the_bed_at_zero(start, name):
+    _, section, option, wanted = OWNERS[name]
+    printer = owned(start, name)
+    use(printer, name)
+    pending = printer.status("configfile")["save_config_pending_items"]
+    saved = float(pending[section][option])
+    assert saved == pytest.approx(wanted, abs=2 * MICROSTEP)
+    # The macros apply it at once, too; the command takes that back
+    if name in MACROS:
+        assert true_gap(printer) == pytest.approx(0.0, abs=2 * MICROSTEP)
+    else:
+        assert printer.offset() == 0.0
+    printer.session.restart("SAVE_CONFIG")
+    printer.run("G28")
+    assert printer.offset() == 0.0
+    assert true_gap(printer) == pytest.approx(0.0, abs=2 * MICROSTEP)
+
+
+@pytest.mark.parametrize("name", OWNERS)
+@pytest.mark.spread
+def test_example_used_again(start, name):
+    # There is nothing left to correct, and the sign would show
+    printer = owned(start, name)
+    use(printer, name)
+    printer.session.restart("SAVE_CONFIG")
+    lines = use(printer, name)
+    if name not in MACROS:
+        assert "stops at z=0.125" in "\n".join(lines)
+    pending = printer.status("configfile")["save_config_pending_items"]
+    for options in pending.values():
+        for value in options.values():
+            assert float(value) == pytest.approx(OWNERS[name][3], abs=0.01)
+
+
+@pytest.mark.parametrize("name", [n for n in OWNERS if n not in MACROS])
+@pytest.mark.spread
+def test_command_of_an_example_survives_a_dead_membrane(start, name):
+    fault = Fault("stuck_open", signal="membrane")
+    printer = owned(start, name, faults=[fault])
+    for site in ("nozzle_membrane", "nozzle_bed"):
+        printer.machine.tolerate(site, 2.0)
+    printer.run("CALIBRATE_Z_ZERO")
+    printer.machine.lay_membrane()
+    assert "No trigger" in printer.fail(CONTINUE)
+    assert printer.session.state()[0] == "ready"
+
+
+def test_every_example_is_run():
+    assert {path.stem for path in EXAMPLES.iterdir()} == set(OWNERS)

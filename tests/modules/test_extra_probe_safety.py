@@ -1,0 +1,454 @@
+"""What EXTRA_PROBE_CALIBRATE does when something is wrong.
+
+Nothing gets hurt, and everything is as before.
+"""
+
+from __future__ import annotations
+
+import pytest
+
+from tests.hostkit.dialogs import dialogs_of
+from tests.hostkit.extra_probe import (
+    ABORT,
+    BED,
+    CALIBRATE,
+    CONTINUE,
+    MICROSTEP,
+    NAME,
+    THICKNESS,
+    calibrate,
+    heights,
+    membrane,
+    section,
+    state,
+    touch,
+    true_gap,
+)
+from tests.hostkit.printer import Printer
+from tests.hostkit.session import GcodeError
+from tests.simprinter import SCENES, Fault
+from tests.simprinter.world import NoiseSpec
+
+pytestmark = pytest.mark.spread
+
+# Of the scenes: G28 does not arm the membrane
+SAVED = {"saved_homing_z": "0"}
+DEEP = 3.0
+
+
+def asked(start, scene="membrane", before="SET_GCODE_OFFSET Z=0.3", **options):
+    """A printer with something to lose, that waits for the membrane."""
+    printer = start(scene, **options).homed()
+    printer.run(f"{before}\n{CALIBRATE} SAVE=1")
+    printer.machine.lay_membrane()
+    for site in ("nozzle_membrane", "nozzle_bed"):
+        printer.machine.tolerate(site, DEEP)
+    return printer
+
+
+def fails(printer, words, script=CONTINUE):
+    """It fails so, and everything is as before the calibration."""
+    before = state(printer)
+    text = printer.fail(script)
+    assert text.startswith("extra_probe membrane: ")
+    assert words in text
+    assert_as_before(printer, before)
+    return text
+
+
+def assert_as_before(printer, before):
+    """Offset, status and saved values; the head is up, the dialog closed."""
+    after = state(printer)
+    assert before["status"].pop("waits_for") != ""
+    assert after["status"].pop("waits_for") == ""
+    assert after == before
+    assert after["pending"] == {}
+    assert printer.offset() == pytest.approx(0.3)
+    assert printer.session.state()[0] == "ready"
+    printer.session.wait(2.0)
+    assert printer.session.position()[2] >= 10.0 - MICROSTEP
+    assert not any(d.is_open for d in dialogs_of(printer.session.console))
+    # Another one is no problem
+    assert "nothing was asked" in printer.fail(CONTINUE)
+
+
+# The membrane
+
+
+def test_membrane_that_is_not_there(start):
+    printer = asked(start)
+    printer.machine.lay_membrane(False)
+    text = fails(printer, "No trigger on probe after full movement")
+    assert "(stopped at z=-1.000); press it by hand and look with" in text
+    assert "QUERY_EXTRA_PROBE PROBE=membrane" in text
+    lowest = printer.machine.truth.min_gap
+    assert lowest == pytest.approx(-1.0 - BED, abs=0.01)
+
+
+def test_membrane_that_is_not_there_once_the_bed_is_known(start):
+    printer = start("membrane").homed()
+    calibrate(printer, f"{CALIBRATE} SAVE=1")
+    printer.session.restart("SAVE_CONFIG")
+    printer.run(f"G28\n{CALIBRATE}")
+    text = printer.fail(CONTINUE)
+    assert "(stopped at z=0.125)" in text
+    # In the air
+    assert printer.machine.truth.deepest_in_bed() == 0.0
+    assert printer.machine.truth.min_gap == pytest.approx(0.125, abs=0.01)
+
+
+@pytest.mark.parametrize("n", [1, 2, 3])
+@pytest.mark.parametrize("name", ["stuck_open", "trigger_never"])
+def test_membrane_that_is_dead(start, name, n):
+    fault = Fault(name, signal="membrane", n=n)
+    printer = asked(start, faults=[fault])
+    fails(printer, "No trigger on probe after full movement")
+    assert printer.machine.faults.unfired() == []
+
+
+def test_membrane_that_always_reads_triggered(start):
+    fault = Fault("stuck_closed", signal="membrane", t=0.0)
+    printer = asked(start, faults=[fault])
+    fails(
+        printer,
+        "the switch reads triggered before it is touched; check it with"
+        " QUERY_EXTRA_PROBE PROBE=membrane, and whether pin needs a '!'",
+    )
+    assert printer.machine.truth.min_gap > 9.0
+
+
+@pytest.mark.parametrize("n", [1, 2, 3])
+def test_membrane_that_begins_to_read_triggered(start, n):
+    fault = Fault("stuck_closed", signal="membrane", n=n)
+    printer = asked(start, faults=[fault])
+    text = fails(printer, "triggered")
+    assert "press it by hand and look with QUERY_EXTRA_PROBE" in text
+    # Never lower than it was
+    assert printer.machine.truth.min_gap > THICKNESS - 0.06
+
+
+def test_membrane_of_the_wrong_polarity(start):
+    printer = asked(start, changes=section(pin="^PF5"))
+    fails(printer, "whether pin needs a '!'")
+
+
+@pytest.mark.parametrize("mm", [5.5, 7.0])
+def test_finger_on_the_membrane(start, mm):
+    faults = [
+        Fault("trigger_early", signal="membrane", mm=mm, n=n) for n in (1, 2, 3)
+    ]
+    printer = asked(start, faults=faults)
+    text = fails(printer, "the bed would be over 5 mm from Z=0")
+    assert "was it pressed by hand? If not, home Z nearer to it first" in text
+
+
+def test_bed_that_is_just_not_too_far(start):
+    faults = [
+        Fault("trigger_early", signal="membrane", mm=4.4, n=n)
+        for n in (1, 2, 3)
+    ]
+    printer = asked(start, faults=faults)
+    printer.run(CONTINUE)
+    assert printer.status(NAME)["waits_for"] == "removal"
+
+
+def test_bed_that_is_far_below(start):
+    changes = {
+        "stepper_z": {"position_endstop": "-5.6", "position_min": "-9"},
+    }
+    # The head is at 10 over the bed at -5.15
+    printer = start("membrane", changes=changes).homed()
+    printer.machine.lay_membrane()
+    printer.run(f"{CALIBRATE} FLOOR=-8")
+    text = printer.fail(CONTINUE)
+    assert "the bed would be over 5 mm from Z=0" in text
+
+
+def test_noise_beyond_the_tolerance(start):
+    changes = section(samples_tolerance="0.001", samples_tolerance_retries="2")
+    spec = membrane(noise=NoiseSpec(sigma=0.02))
+    printer = asked(start, spec, changes=changes, seed=3)
+    text = fails(printer, "samples differ by 0.0")
+    assert "clean the nozzle, and check what it touches for play" in text
+    retry = "// Probe samples exceed tolerance. Retrying..."
+    assert printer.session.console.count(retry) == 2
+
+
+def test_outlier_starts_the_series_again(start):
+    fault = Fault("trigger_early", signal="membrane", mm=0.1, n=2)
+    printer = start("membrane", faults=[fault]).homed()
+    lines = touch(printer)
+    printer.machine.lay_membrane(False)
+    printer.run(CONTINUE)
+    assert sum(line.startswith("// probe at") for line in lines) == 5
+    assert true_gap(printer) == pytest.approx(0.0, abs=2 * MICROSTEP)
+
+
+# The user's G-code
+
+RAISES = "\n  {action_raise_error('worn out')}"
+
+
+@pytest.mark.parametrize("option", ["activate_gcode", "deactivate_gcode"])
+@pytest.mark.parametrize("each", ["true", "false"])
+@pytest.mark.parametrize(
+    ("code", "words"),
+    [
+        (RAISES, "worn out"),
+        ("\n  G91\n  G1 Z-0.5\n  G90", "the head moved in "),
+        ("\n  {1 / 0}", "division by zero"),
+        ("\n  M84", "not homed|the motors were turned off"),
+        ("\n  EXTRA_PROBE PROBE=membrane", "a measurement is under way"),
+        ("\n  SET_GCODE_OFFSET Z=1{action_raise_error('so')}", "so"),
+    ],
+)
+def test_template_that_fails(start, option, each, code, words):
+    own = {option: code, "deactivate_on_each_sample": each}
+    printer = asked(start, changes=section(**own))
+    before = state(printer)
+    text = printer.fail(CONTINUE)
+    assert any(word in text for word in words.split("|")), text
+    if "M84" in code:
+        assert printer.session.state()[0] == "ready"
+        assert printer.offset() == pytest.approx(0.3)
+        assert printer.status(NAME)["waits_for"] == ""
+        return
+    assert_as_before(printer, before)
+
+
+def test_template_that_homes(start):
+    # Heights of before do not hold
+    printer = asked(start, changes=section(deactivate_gcode="\n  G28 Z"))
+    # Beside the bed Z is homed
+    before = state(printer)
+    text = printer.fail(CONTINUE)
+    assert "the head moved in deactivate_gcode" in text
+    assert state(printer)["offset"] == before["offset"]
+    assert state(printer)["pending"] == {}
+
+
+# Whoever is asked
+
+
+@pytest.mark.parametrize("after_touch", [False, True])
+def test_abort(start, after_touch):
+    printer = asked(start)
+    if after_touch:
+        printer.run(CONTINUE)
+    before = state(printer)
+    lines = printer.run(ABORT)
+    told = f"// {NAME}: the calibration ends, nothing was changed"
+    assert lines == ["// action:prompt_end", told]
+    assert_as_before(printer, before)
+    assert "nothing was asked" in printer.fail(ABORT)
+
+
+def test_continuing_a_third_time(start):
+    printer = start("membrane").homed()
+    calibrate(printer)
+    offset = printer.offset()
+    for script in (CONTINUE, ABORT):
+        assert "nothing was asked; begin with EXTRA_PROBE_CALIBRATE" in (
+            printer.fail(script)
+        )
+    assert printer.offset() == offset
+
+
+def test_beginning_again_while_something_is_asked(start):
+    printer = asked(start)
+    printer.run(CONTINUE)
+    # The second one does not save
+    lines = printer.run(CALIBRATE)
+    (dialog,) = dialogs_of(lines)
+    assert dialog.headline == "Lay the switch below the nozzle"
+    printer.run(CONTINUE)
+    printer.machine.lay_membrane(False)
+    printer.run(CONTINUE)
+    assert state(printer)["pending"] == {}
+    assert true_gap(printer) == pytest.approx(0.0, abs=2 * MICROSTEP)
+
+
+def test_beginning_again_in_vain_closes_the_dialog(start):
+    printer = asked(start)
+    before = state(printer)
+    printer.fail(f"{CALIBRATE} SAVE=2")
+    assert_as_before(printer, before)
+
+
+SHIFT = {
+    "force_move": {"enable_force_move": "true"},
+    "gcode_macro SHIFT": {
+        "gcode": "\n  {% set z = printer.toolhead.position.z %}"
+        "\n  SET_KINEMATIC_POSITION Z={z + 0.5}"
+    },
+}
+
+
+@pytest.mark.parametrize("after_touch", [False, True])
+@pytest.mark.parametrize(
+    ("script", "words"),
+    [
+        ("G1 Z10\nG1 X-13 Y-7 F6000\nG28 Z\nG1 Z10\nG1 X30 Y20", "homed again"),
+        ("SHIFT", "Z was homed again or set since the calibration began"),
+        ("M84", "not homed: X, Y, Z"),
+        ("M84\nG28\nG1 Z10\nG1 X30 Y20", "since the calibration began"),
+    ],
+)
+def test_frame_that_moved_meanwhile(start, after_touch, script, words):
+    printer = asked(start, changes=SHIFT)
+    if after_touch:
+        printer.run(CONTINUE)
+        printer.machine.lay_membrane(False)
+    printer.run(script)
+    fails_so(printer, words)
+
+
+def fails_so(printer, words):
+    """The same without a look at the height, which is not known here."""
+    text = printer.fail(CONTINUE)
+    assert words in text
+    assert printer.offset() == pytest.approx(0.3)
+    assert state(printer)["pending"] == {}
+    assert printer.status(NAME)["last_offset"] is None
+    assert printer.session.state()[0] == "ready"
+
+
+@pytest.mark.parametrize("move", ["X31", "Y19", "X130 Y150"])
+def test_head_that_was_moved_meanwhile(start, move):
+    printer = asked(start)
+    printer.run(f"G1 {move} F6000")
+    fails(printer, "the head was moved since the calibration began")
+    assert heights(printer) == []
+
+
+def test_head_that_was_lowered_meanwhile(start):
+    # It is lifted again
+    printer = asked(start)
+    printer.run("G1 Z2")
+    printer.run(CONTINUE)
+    assert printer.session.position()[2] == pytest.approx(10.0)
+
+
+# What cannot begin
+
+
+@pytest.mark.parametrize(
+    ("own", "params", "words"),
+    [
+        ({"z_offset": None}, "", "set z_offset to the thickness of the switch"),
+        ({"z_offset": "0"}, "", "set z_offset to the thickness of the switch"),
+        ({}, "SAVE=2", "SAVE"),
+        ({}, "SAVE=-1", "SAVE"),
+        ({}, "SAVE=yes", "SAVE"),
+        ({}, "FLOOR=deep", "FLOOR"),
+        ({}, "FLOOR=-inf", "FLOOR"),
+    ],
+)
+def test_calibration_that_cannot_begin(start, own, params, words):
+    printer = start("membrane", changes=section(**own)).homed()
+    at = printer.session.position()
+    assert words in printer.fail(f"{CALIBRATE} {params}")
+    assert printer.session.position() == at
+    assert printer.status(NAME)["waits_for"] == ""
+    assert dialogs_of(printer.session.console) == []
+
+
+@pytest.mark.parametrize("homed", ["", "G28 X Y"])
+def test_not_homed(start, homed):
+    printer = start("membrane")
+    printer.session.require_ready()
+    if homed:
+        printer.run(homed)
+    text = printer.fail(CALIBRATE)
+    missing = "Z" if homed else "X, Y, Z"
+    assert text == (
+        f"extra_probe membrane: not homed: {missing}; home all axes (G28) first"
+    )
+
+
+def test_floor_above_the_head(start):
+    printer = asked(start)
+    printer.run(ABORT)
+    printer.run(f"{CALIBRATE} FLOOR=12")
+    fails(printer, "the head is at z=10.000, this touch ends at z=12.000")
+
+
+def printing(tmp_path, lines):
+    """A print of these lines, and what printer.cfg needs for it."""
+    (tmp_path / "print.gcode").write_text("\n".join([*lines, ""]))
+    return {"virtual_sdcard": {"path": str(tmp_path)}}
+
+
+def test_not_during_a_print(start, tmp_path):
+    changes = printing(tmp_path, ["G28", CALIBRATE, "G1 X100 F6000"])
+    printer = start("membrane", changes=changes)
+    printer.session.require_ready()
+    printer.run("SDCARD_PRINT_FILE FILENAME=print.gcode")
+    printer.session.wait(60.0)
+    told = "a print is running, which does not wait for an answer"
+    assert any(told in line for line in printer.session.console)
+    assert dialogs_of(printer.session.console) == []
+
+
+@pytest.mark.parametrize("after_touch", [False, True])
+def test_print_that_begins_meanwhile(start, tmp_path, after_touch):
+    changes = printing(tmp_path, ["G4 P20000"] * 3)
+    printer = asked(start, changes=changes)
+    if after_touch:
+        printer.run(CONTINUE)
+    printer.run("SDCARD_PRINT_FILE FILENAME=print.gcode")
+    printer.session.wait(2.0)
+    fails_so(printer, "a print is running, which does not wait for an answer")
+
+
+# The end of the printer
+
+
+@pytest.mark.parametrize("after", [0.0, 0.2, 1.0, 3.0])
+def test_emergency_stop(start, after):
+    printer = asked(start)
+    text = printer.stopped(CONTINUE, "nozzle_membrane", after)
+    assert "Internal error" not in text
+    assert "shutdown" in text.lower()
+    assert printer.machine.truth.depth("nozzle_membrane") < 0.06
+    printer.session.restart("FIRMWARE_RESTART")
+    # Nothing is left of it
+    assert state(printer)["pending"] == {}
+    assert printer.status(NAME)["waits_for"] == ""
+    assert "nothing was asked" in printer.fail(CONTINUE)
+    printer.machine.lay_membrane(False)
+    printer.run("G28")
+    calibrate(printer)
+    assert true_gap(printer) == pytest.approx(0.0, abs=2 * MICROSTEP)
+
+
+def test_emergency_stop_while_somebody_is_asked(start):
+    printer = asked(start)
+    printer.session.stop()
+    printer.session.wait(1.0)
+    assert printer.session.state()[0] == "shutdown"
+    with pytest.raises(GcodeError):
+        printer.run(CONTINUE)
+    printer.session.restart("FIRMWARE_RESTART")
+    assert printer.offset() == 0.0
+
+
+def test_board_of_the_membrane_that_falls_silent(some_host):
+    with Printer(some_host, "membrane_two_boards") as printer:
+        printer.homed().run(CALIBRATE)
+        printer.machine.lay_membrane()
+        now = printer.machine.rig.seconds(
+            printer.machine.simulation.clock.now()
+        )
+        fault = Fault("mcu_silent", board="loadcell", t=now + 4.0)
+        printer.machine.break_down(fault)
+        for site in ("nozzle_membrane", "nozzle_bed"):
+            printer.machine.tolerate(site, DEEP)
+        text = printer.fail(CONTINUE)
+        assert "Internal error" not in text
+        assert printer.machine.faults.unfired() == []
+
+
+def test_scenes_have_something_to_lose():
+    # What these tests stand on
+    assert SCENES["membrane"].world.membrane.laid is False
