@@ -177,6 +177,7 @@ smart_effector qdprobe extra_probe"""
 KNOWN_TEXTS = [
     ROOT / "docs" / "z_calibration.md",
     ROOT / "docs" / "auto_z_offset.md",
+    ROOT / "docs" / "extra_probe.md",
     ROOT / "docs" / "installation.md",
     ROOT / "examples" / "z_calibration" / "calibrate_macros.cfg",
 ]
