@@ -114,6 +114,14 @@ def read_settings(config):
     )
 
 
+# Degrees C that the nozzle has or is to have, whichever is more
+def nozzle_temperature(machine):
+    name = machine.toolhead_status().get("extruder")
+    extruder = name and machine.printer.lookup_object(name, None)
+    status = extruder.get_status(machine.eventtime()) if extruder else {}
+    return max(status.get("temperature", 0.0), status.get("target", 0.0))
+
+
 # A pin of its own, and the G-code around its touches
 class OwnSwitch(object):
     def __init__(self, config, machine, query):
@@ -271,7 +279,6 @@ class ExtraProbe(object):
         def retry(unused):
             gcmd.respond_info("Probe samples exceed tolerance. Retrying...")
 
-        running.check_homed(self.host)
         head, rest = touching.Head(self.host, samples, TOO_LOW), [self.host.z()]
         with running.always(self.host, lambda: head.lift(rest[0]), "lifting"):
             with self.switch.series(head, lowest, rest[0]) as touch:
@@ -371,8 +378,7 @@ class Calibration(object):
         sentences = ["Flat on the bed, the nozzle clean."]
         sentences += self.tell_floor(lowest, own) + warnings
         question = Question(lowest, save, self.frame.mark(), place[:2], None)
-        headline = "Lay the switch below the nozzle"
-        self.dialog.ask(question, headline, sentences)
+        self.dialog.ask(question, "Lay the switch below the nozzle", sentences)
 
     def tell_floor(self, lowest, own):
         told = ["Without a trigger the nozzle stops at z=%.3f." % (lowest,)]
@@ -391,7 +397,7 @@ class Calibration(object):
 
     # Returns warnings
     def check_temperature(self):
-        hot = running.nozzle_temperature(self.host)
+        hot = nozzle_temperature(self.host)
         limit = self.probe.settings.max_temperature
         if hot > limit:
             text = "the nozzle has, or is to have, %.0f C, max_temperature is"

@@ -32,12 +32,11 @@ class Dialog(object):
         # What the asking command wants to know again; None: nothing is asked
         self.question = None
 
+    # After answered(): KlipperScreen shows nothing new while a dialog is open,
+    # and only the last text.
     def ask(self, question, headline, sentences):
         self.say(" ".join([headline + "."] + sentences))
         self.say("then %s, or %s" % (self.go_on, self.abort))
-        # KlipperScreen shows nothing new while a dialog is open, and only the
-        # last text.
-        self._send("end")
         self._send("begin " + plain(headline))
         self._send("text " + plain(" ".join(sentences)))
         for label, gcode, colour in (

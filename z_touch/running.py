@@ -58,16 +58,6 @@ def check_homed(host):
         )
 
 
-# Degrees C that the nozzle has or is to have, whichever is more
-def nozzle_temperature(host):
-    name = host.toolhead_status().get("extruder")
-    extruder = name and host.printer.lookup_object(name, None)
-    if not extruder:
-        return 0.0
-    status = extruder.get_status(host.eventtime())
-    return max(status["temperature"], status["target"])
-
-
 # What a run is doing, for get_status() and the console.
 class Watch(object):
     def __init__(self, name, respond_info):

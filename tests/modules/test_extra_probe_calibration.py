@@ -25,6 +25,7 @@ from tests.hostkit.extra_probe import (
     touch,
     true_gap,
 )
+from tests.hostkit.printer import has_kinematics
 from tests.hostkit.z_calibration import refusal, with_moves
 from tests.simprinter import SCENES, heated
 from tests.simprinter.world import AxisSwitchSpec, NoiseSpec
@@ -183,6 +184,18 @@ def test_saved_twice_before_a_restart(start, scene):
     printer = start(scene).homed()
     calibrate(printer, f"{CALIBRATE} SAVE=1")
     calibrate(printer, f"{CALIBRATE} SAVE=1")
+    printer.session.restart("SAVE_CONFIG")
+    printer.run("G28")
+    assert gap_is_right(printer)
+
+
+def test_saving_where_z_is_a_carriage(start, host):
+    if not has_kinematics(host, SCENES["membrane_generic"]):
+        pytest.skip("the host has no generic_cartesian")
+    printer = start("membrane_generic").homed()
+    calibrate(printer, f"{CALIBRATE} SAVE=1")
+    saved = state(printer)["pending"]["carriage z"]["position_endstop"]
+    assert float(saved) == pytest.approx(-BED, abs=0.004)
     printer.session.restart("SAVE_CONFIG")
     printer.run("G28")
     assert gap_is_right(printer)

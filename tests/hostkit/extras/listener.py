@@ -86,7 +86,7 @@ class Listener:
             "asked": {who: sorted(names) for who, names in asked.items()},
             "phases": self.phases,
             "floors": self.floors,
-            "kept": kept(module, self.name, self.name, frozenset()),
+            "kept": kept(module, self.name, self.name.split()[0], frozenset()),
         }
 
 

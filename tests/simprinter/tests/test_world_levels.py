@@ -219,3 +219,15 @@ def test_level_changes_nothing_and_observe_goes_forwards():
     world.observe(2.0, Pose(*MIDDLE, HIGH))
     with pytest.raises(ValueError, match="before"):
         world.observe(1.9, Pose(*MIDDLE, HIGH))
+
+
+def test_membrane_that_is_laid_and_taken_away():
+    sheet = MembraneSpec(30, 20, 0.3, radius=5, laid=False)
+    world = make(WorldSpec(bed=BED, membrane=sheet))
+    tip = Pose(30.0, 20.0, SURFACE(30.0, 20.0) + 0.2)
+    seen = []
+    for is_laid in (None, True, False, True):
+        if is_laid is not None:
+            world.lay_membrane(is_laid)
+        seen.append(world.level("membrane", 1.0, tip))
+    assert seen == [False, True, False, True]

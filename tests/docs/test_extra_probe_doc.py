@@ -1,0 +1,189 @@
+"""docs/extra_probe.md says what the module does, no more, no less.
+
+Its section has a name of its own, and it has no run in one command: so it has
+a record here, and of the common checks those that ask for neither.
+"""
+
+from __future__ import annotations
+
+import re
+import xml.etree.ElementTree as ET
+from types import SimpleNamespace
+
+import pytest
+
+from tests.docs import extra_probe_picture
+from tests.docs.documents import STATUS, ini_blocks, part, rows, spans
+from tests.docs.records import SHOWN, Module
+from tests.docs.running import Running
+from tests.docs.test_documents import (
+    DOCS,
+    unlike,
+    wrong_answers,
+    wrong_commands,
+    wrong_constants,
+    wrong_defaults,
+    wrong_links,
+    wrong_messages,
+    wrong_options,
+    wrong_ranges,
+)
+from tests.docs.test_pictures import text_boxes
+from tests.hostkit.extra_probe import ABORT, CALIBRATE, CONTINUE, NAME
+
+TEXT = (DOCS / "extra_probe.md").read_text(encoding="utf-8")
+ABOVE = "G90\nG1 Z5 F900\nG1 X30 Y20 F6000"
+
+RECORD = Module(
+    name=NAME,
+    picture=extra_probe_picture,
+    scene="membrane",
+    surroundings={"respond": {}},
+    steps={
+        ABOVE: None,
+        "QUERY_EXTRA_PROBE PROBE=membrane": SHOWN,
+        "LAY": None,
+        "EXTRA_PROBE PROBE=membrane": SHOWN,
+        ABOVE + " ": None,
+        "EXTRA_PROBE_ACCURACY PROBE=membrane SAMPLES=3": SHOWN,
+        f"{CALIBRATE} SAVE=1": SHOWN,
+        CONTINUE: SHOWN,
+        CONTINUE.replace(" ", "  "): SHOWN,
+        ABORT: None,
+    },
+    # No options of other releases
+    old="Limits",
+    plain={
+        NAME: dict.fromkeys(
+            (
+                *("z_offset", "xy_position", "speed", "lift_speed", "samples"),
+                *("samples_result", "sample_retract_dist"),
+                *("samples_tolerance", "samples_tolerance_retries"),
+            )
+        ),
+    },
+    late={"lift_speed": "`speed`"},
+)
+SOURCES = SimpleNamespace(
+    module=SimpleNamespace(
+        name="extra_probe",
+        unsaid=frozenset(
+            (
+                "leaves no room between <...> and <...>; write the lower one"
+                " first",
+                "must be 'low, high' in mm, such as -1.0, 1.0, or one value"
+                " for both directions",
+                "option '<...>' is ignored, '<...>' is given",
+                "option '<...>' is now called '<...>'",
+                "X and Y in mm, such as 100,100",
+                "trying again",
+                # Beginnings of lines and of errors of the host
+                "// action:prompt_",
+                "footer_button <...>|<...>|<...>",
+                "No trigger",
+                "EXTRA_PROBE_<...> PROBE=",
+            )
+        ),
+    )
+)
+LIVE = (
+    wrong_options,
+    wrong_defaults,
+    wrong_commands,
+    wrong_answers,
+)
+OF_SOURCES = (wrong_messages, wrong_constants, wrong_links)
+
+MISTAKES = {
+    "option left out": (r"(?m)^\| `samples` .*\n", ""),
+    "default": (r"(\| `safe_z_height` \| )[^|]*", r"\1`11.0` "),
+    "range": ("mm/s, > 0", "mm/s, ≥ 0"),
+    "command": (r"(?m)^### EXTRA_PROBE_ABORT$", "### EXTRA_PROBE_STOP"),
+    "parameter left out": (r"(?m)^\| `FLOOR` \|.*\n", ""),
+    "field": (r"\| `waits_for` ", "| `waits` "),
+    "message left out": (r"(?m)^\| `the head moved in .*\n", ""),
+    "message too many": (r"\| `Result is z=<z>`", "| `Result was <z>`"),
+    "constant": (r"`SAME_PLACE` \| 0.1", "`SAME_PLACE` | 0.2"),
+    "answer": (r"--> new offset=0.45", "--> new offset=0.46"),
+    "term": (r"(?m)^\| trigger \| \d", "| trigger | 9"),
+    "formula": (r"(?m)^(0.450  = )0.7", r"\g<1>0.8"),
+    "link": (r"\]\(#limits", "](#no-limits"),
+}
+
+
+class Hand(Running):
+    """A klippy with somebody who lays the membrane for the step LAY."""
+
+    def example(self, text):
+        # The other one is for printers with another [probe]
+        own = {"extra_probe probe": None, **self.module.surroundings}
+        changes = {**ini_blocks(text), **own}
+        return self.run(*self.module.steps, changes=changes)
+
+    def _step(self, script):
+        if script == "LAY":
+            self.printer.machine.lay_membrane()
+            script = ""
+        return super()._step(script)
+
+
+def wrong_status(running, text):
+    status = running.status(text)
+    table = {spans(r[0])[0] for r in rows(part(text, STATUS))}
+    yield from unlike("field", table, set(status))
+
+
+def wrong_terms(text):
+    """The table and the formula are the picture."""
+    example = extra_probe_picture.EXAMPLE
+    table = rows(part(text, "What is measured?"))
+    terms = {row[0]: row[1] for row in table if re.match(r"[\d.]+$", row[1])}
+    for name in ("trigger", "z_offset", "offset"):
+        if terms.get(name) != f"{getattr(example, name):.3f}":
+            yield f"{name} is {getattr(example, name)}"
+    numbers = (example.offset, example.trigger, example.z_offset)
+    if "{:.3f}  = {:.3f} - {:.3f}".format(*numbers) not in text:
+        yield "formula"
+
+
+def problems(running, text):
+    """All that is wrong in the document."""
+    for check in LIVE:
+        yield from check(running, text)
+    # As any other positive number
+    yield from wrong_ranges(running, text.replace("°C, > 0", "mm, > 0"))
+    for check in OF_SOURCES:
+        yield from check(SOURCES, text)
+    yield from wrong_status(running, text)
+    yield from wrong_terms(text)
+
+
+@pytest.mark.timeout(300)
+def test_document_is_right_and_mistakes_are_found(one_host):
+    with Hand(one_host, RECORD) as running:
+        assert list(problems(running, TEXT)) == []
+        for what, (old, new) in MISTAKES.items():
+            changed, count = re.subn(old, new, TEXT)
+            assert count, what
+            assert any(problems(running, changed)), what
+
+
+def test_picture_is_what_the_script_draws():
+    draw, example = extra_probe_picture.draw, extra_probe_picture.EXAMPLE
+    picture = extra_probe_picture.PICTURE.read_text(encoding="utf-8")
+    assert picture == draw(example)
+    assert draw(example) != draw(example._replace(z_offset=0.3))
+
+
+@pytest.mark.parametrize("trigger", [0.7, -0.3, 0.25, 2.0])
+@pytest.mark.parametrize("z_offset", [0.25, 1.0])
+def test_no_text_covers_another_or_leaves_the_picture(trigger, z_offset):
+    touch = extra_probe_picture.Touch(trigger, z_offset)
+    root = ET.fromstring(extra_probe_picture.draw(touch))
+    boxes = text_boxes(root)
+    for index, (words, (left, top, right, bottom)) in enumerate(boxes):
+        assert left >= 0 and right <= float(root.get("width")), words
+        assert top >= 0 and bottom <= float(root.get("height")), words
+        for other, (left_2, top_2, right_2, bottom_2) in boxes[index + 1 :]:
+            beside = right <= left_2 or right_2 <= left
+            assert beside or bottom <= top_2 or bottom_2 <= top, (words, other)
