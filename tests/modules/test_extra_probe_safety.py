@@ -227,6 +227,18 @@ def test_template_that_homes(start):
     assert state(printer)["pending"] == {}
 
 
+def test_template_that_moves_the_frame(start):
+    # The head is where it was, by its own account
+    code = "\n  {% set z = printer.toolhead.position.z %}"
+    code += "\n  SET_KINEMATIC_POSITION Z={z - 0.5}\n  G90\n  G1 Z{z}"
+    own = {"deactivate_gcode": code, "deactivate_on_each_sample": "false"}
+    changes = {**SHIFT, **section(**own)}
+    printer = asked(start, before="", changes=changes)
+    text = printer.fail(CONTINUE)
+    assert "Z was homed again or set since the calibration began" in text
+    assert printer.status(NAME)["waits_for"] == ""
+
+
 # Whoever is asked
 
 
