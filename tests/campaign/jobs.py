@@ -6,7 +6,7 @@ from collections.abc import Mapping
 from dataclasses import dataclass, field, replace
 from typing import Any, Optional
 
-from tests.hostkit import auto_z_offset
+from tests.hostkit import auto_z_offset, extra_probe
 from tests.hostkit.printer import Printer
 from tests.simprinter import SCENES, Scene
 from tests.simprinter.scenes import Sections
@@ -215,6 +215,61 @@ def _auto_z_offset_jobs() -> list[Job]:
     ]
 
 
+def _extra_probe_jobs() -> list[Job]:
+    # It lies there all the time; what a hand does is not broken here
+    scene = extra_probe.membrane(laid=True)
+    first = Job(
+        name="EXTRA_PROBE_CALIBRATE, first of all",
+        module=extra_probe.NAME,
+        script="\n".join(
+            (
+                extra_probe.CALIBRATE,
+                extra_probe.CONTINUE,
+                extra_probe.CONTINUE,
+            )
+        ),
+        scene=scene,
+        signals=("membrane",),
+        point=extra_probe.POINT,
+        # Down to 1 mm below Z=0, with the bed above it
+        margins={
+            "nozzle_membrane": 1.0 + extra_probe.BED + extra_probe.THICKNESS,
+            "nozzle_bed": 1.0 + extra_probe.BED,
+        },
+        lift=9.99,
+        ideal=0.0,
+        before="G90\nG1 Z10 F900\nG1 X30 Y20 F6000",
+        again="G90\nG1 Z10 F900",
+        only=("stuck_open", "trigger_never", "trigger_late"),
+    )
+    # The bed is at Z=0, and that was saved
+    homed = f"{-extra_probe.BED:.3f}"
+    changes = _with_templates(
+        extra_probe.NAME, activate_gcode="", deactivate_gcode=""
+    )
+    changes["stepper_z"] = {"position_endstop": homed}
+    changes[extra_probe.NAME]["saved_homing_z"] = homed
+    calibrate = replace(
+        first,
+        name="EXTRA_PROBE_CALIBRATE",
+        margins={"nozzle_membrane": 0.125, "nozzle_bed": 0.0},
+        changes=changes,
+        only=(),
+    )
+    probe = replace(
+        calibrate,
+        name="EXTRA_PROBE",
+        script="EXTRA_PROBE PROBE=membrane SAMPLES=2",
+        ideal=None,
+    )
+    return [probe, calibrate, first]
+
+
 JOBS = {
-    job.name: job for job in (*_z_calibration_jobs(), *_auto_z_offset_jobs())
+    job.name: job
+    for job in (
+        *_z_calibration_jobs(),
+        *_auto_z_offset_jobs(),
+        *_extra_probe_jobs(),
+    )
 }
