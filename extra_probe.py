@@ -322,7 +322,7 @@ class ExtraProbe(object):
         heights = self.run(gcmd, self.measure, gcmd, samples, self.floor())
         text = "probe accuracy results: maximum %.6f, minimum %.6f, range %.6f,"
         text += " average %.6f, median %.6f, standard deviation %.6f"
-        gcmd.respond_info(text % sampling.statistics(heights))
+        gcmd.respond_info(text % sampling.accuracy(heights))
 
     cmd_QUERY_EXTRA_PROBE_help = "Return the status of the extra probe"
 

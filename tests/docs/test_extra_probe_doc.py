@@ -53,15 +53,8 @@ RECORD = Module(
     },
     # No options of other releases
     old="Limits",
-    plain={
-        NAME: dict.fromkeys(
-            (
-                *("z_offset", "xy_position", "speed", "lift_speed", "samples"),
-                *("samples_result", "sample_retract_dist"),
-                *("samples_tolerance", "samples_tolerance_retries"),
-            )
-        ),
-    },
+    given=("pin",),
+    sources={},
     late={"lift_speed": "`speed`"},
 )
 SOURCES = SimpleNamespace(
