@@ -168,7 +168,7 @@ def write_json(
         "about": about,
         "faults": list(table),
         "printers": {
-            name: {"hosts": about["hosts"], **r._asdict()}
+            name: {"hosts": about["hosts"], **vars(r)}
             for name, r in reports.items()
         },
     }

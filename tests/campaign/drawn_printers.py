@@ -15,7 +15,7 @@ from collections import Counter
 from collections.abc import Mapping
 from dataclasses import dataclass, field
 from pathlib import Path
-from typing import NamedTuple, Optional
+from typing import Optional
 
 import hypothesis
 from hypothesis import HealthCheck, Phase
@@ -42,7 +42,8 @@ _SHARE = 20
 MOST_FAILURES = 5
 
 
-class Report(NamedTuple):
+@dataclass
+class Report:
     """How a campaign went.
 
     right, refused: runs, the latter by the shape of its reason. healthy:
@@ -52,61 +53,64 @@ class Report(NamedTuple):
     standard. failures: what was wrong, and how to see it again.
     """
 
-    runs: int
-    right: int
-    refused: Mapping[str, int]
-    healthy: int
-    healthy_refused: int
-    worst_um: float
-    worst: float
-    penetration: float
-    drawn: Mapping[str, int]
-    failures: tuple[str, ...]
+    runs: int = 0
+    right: int = 0
+    refused: Counter[str] = field(default_factory=Counter)
+    healthy: int = 0
+    healthy_refused: int = 0
+    worst_um: float = 0.0
+    worst: float = 0.0
+    penetration: float = 0.0
+    drawn: Counter[str] = field(default_factory=Counter)
+    failures: list[str] = field(default_factory=list)
 
-    def problems(self) -> tuple[str, ...]:
+    def count(self, drawn: Drawn, verdict: Optional[Verdict]) -> None:
+        """One run; verdict: None if it was wrong."""
+        self.runs += 1
+        self.healthy += not drawn.mistake
+        self.drawn.update(deviations(drawn))
+        if verdict is None:
+            return
+        self.penetration = max(self.penetration, verdict.penetration)
+        if verdict.refused:
+            self.refused[shape(verdict.refused)] += 1
+            self.healthy_refused += not drawn.mistake
+            return
+        self.right += 1
+        self.worst_um = max(self.worst_um, 1000.0 * abs(verdict.error))
+        self.worst = max(self.worst, abs(verdict.error) / verdict.bound)
+
+    def add(self, other: Report) -> None:
+        """Take over the runs of another one."""
+        for name, theirs in vars(other).items():
+            ours = getattr(self, name)
+            worst = isinstance(theirs, float)
+            setattr(self, name, max(ours, theirs) if worst else ours + theirs)
+
+    def problems(self) -> list[str]:
         """Failures, and a campaign that says nothing; empty: all is well."""
-        found = self.failures
         share = self.healthy_refused / max(1, self.healthy)
         if self.healthy >= _SHARE and share > MOST_REFUSED:
             text = f"{share:.0%} of the healthy printers were refused"
-            found += (text,)
-        return found
+            return [*self.failures, text]
+        return self.failures
 
     def text(self) -> str:
         """For people."""
-        refused = sum(self.refused.values())
         lines = [
-            f"{self.runs} printers: {self.right} right, {refused} refused,"
+            f"{self.runs} printers: {self.right} right,"
+            f" {sum(self.refused.values())} refused,"
             f" {len(self.failures)} wrong",
             f"healthy: {self.healthy}, refused of them: {self.healthy_refused}",
             f"worst gap: {self.worst_um:.1f} um off,"
             f" and {self.worst:.0%} of its bound",
             f"deepest in the bed: {self.penetration:.3f} mm",
         ]
-        lines += [f"  {n:4} refused: {r}" for r, n in _most(self.refused)]
-        lines += [f"  {n:4} drawn: {name}" for name, n in _most(self.drawn)]
+        for what, counts in ("refused", self.refused), ("drawn", self.drawn):
+            most = sorted(counts.items(), key=lambda item: (-item[1], item[0]))
+            lines += [f"  {count:4} {what}: {name}" for name, count in most]
         lines += [f"WRONG: {problem}" for problem in self.problems()]
         return "\n".join(lines)
-
-
-def _most(counts: Mapping[str, int]) -> list[tuple[str, int]]:
-    return sorted(counts.items(), key=lambda item: (-item[1], item[0]))
-
-
-def merged(reports: list[Report]) -> Report:
-    """One report of several."""
-    return Report(
-        runs=sum(r.runs for r in reports),
-        right=sum(r.right for r in reports),
-        refused=sum((Counter(r.refused) for r in reports), Counter()),
-        healthy=sum(r.healthy for r in reports),
-        healthy_refused=sum(r.healthy_refused for r in reports),
-        worst_um=max(r.worst_um for r in reports),
-        worst=max(r.worst for r in reports),
-        penetration=max(r.penetration for r in reports),
-        drawn=sum((Counter(r.drawn) for r in reports), Counter()),
-        failures=sum((r.failures for r in reports), ()),
-    )
 
 
 def printers_for(module: str, host: Host) -> st.SearchStrategy:
@@ -200,38 +204,6 @@ def _attempt(attempts: _Attempts, seed: int) -> bool:
     return True
 
 
-class _Campaign:
-    """Counts what comes out."""
-
-    def __init__(self) -> None:
-        self.runs = self.right = self.healthy = self.healthy_refused = 0
-        self.refused: Counter[str] = Counter()
-        self.drawn: Counter[str] = Counter()
-        self.worst_um = self.worst = self.penetration = 0.0
-        self.failures: list[str] = []
-
-    def count(self, drawn: Drawn, verdict: Optional[Verdict]) -> None:
-        """One run; verdict: None if it was wrong."""
-        self.runs += 1
-        self.healthy += not drawn.mistake
-        self.drawn.update(deviations(drawn))
-        if verdict is None:
-            return
-        self.penetration = max(self.penetration, verdict.penetration)
-        if verdict.refused:
-            self.refused[shape(verdict.refused)] += 1
-            self.healthy_refused += not drawn.mistake
-            return
-        self.right += 1
-        self.worst_um = max(self.worst_um, 1000.0 * abs(verdict.error))
-        self.worst = max(self.worst, abs(verdict.error) / verdict.bound)
-
-    def report(self) -> Report:
-        """All there is to say."""
-        fields = {name: getattr(self, name) for name in Report._fields}
-        return Report(**{**fields, "failures": tuple(self.failures)})
-
-
 def run(
     module: str,
     host: Host,
@@ -246,17 +218,17 @@ def run(
     modules: by their name (default: the repository's). simpler: how many
     printers may be tried to make a failing one simpler.
     """
-    campaign = _Campaign()
+    report = Report()
     for number in range(seed, seed + count):
         attempts = _Attempts(module, host, modules, simpler)
         is_well = _attempt(attempts, number)
         assert attempts.first is not None, f"seed {number} draws nothing"
-        campaign.count(*attempts.first)
+        report.count(*attempts.first)
         if not is_well:
-            campaign.failures.append(attempts.failure(number))
-            if len(campaign.failures) >= most_failures:
+            report.failures.append(attempts.failure(number))
+            if len(report.failures) >= most_failures:
                 break
-    return campaign.report()
+    return report
 
 
 def main() -> int:

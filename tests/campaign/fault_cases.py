@@ -9,6 +9,7 @@ from __future__ import annotations
 
 import re
 from collections.abc import Iterator, Mapping
+from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any, NamedTuple, Optional
 
@@ -110,7 +111,8 @@ class GoodRun(NamedTuple):
     gap: float
 
 
-class Outcome(NamedTuple):
+@dataclass
+class Outcome:
     """How a case went.
 
     struck: whether there was such an operation; hosts may need one more or
@@ -119,11 +121,11 @@ class Outcome(NamedTuple):
     """
 
     case: Case
-    ended: str
-    struck: bool
-    message: str
-    depths: Mapping[str, float]
-    problems: tuple[str, ...]
+    ended: str = ""
+    struck: bool = False
+    message: str = ""
+    depths: Mapping[str, float] = field(default_factory=dict)
+    problems: list[str] = field(default_factory=list)
 
 
 class Saboteur:
@@ -269,8 +271,8 @@ def attempt(
             _prepare(printer, job)
             trial.run(printer)
     except (CrashError, SessionError, SimulationError) as error:
-        trial.problems.append(f"{type(error).__name__}: {error}")
-    return trial.outcome()
+        trial.outcome.problems.append(f"{type(error).__name__}: {error}")
+    return trial.outcome
 
 
 class Trial:
@@ -280,23 +282,8 @@ class Trial:
         self._job = job
         self._case = case
         self._good = good
-        self._ended = ""
-        self._struck = False
-        self._message = ""
         self._state_message = ""
-        self._depths: dict[str, float] = {}
-        self.problems: list[str] = []
-
-    def outcome(self) -> Outcome:
-        """What there is to say."""
-        return Outcome(
-            self._case,
-            self._ended,
-            self._struck,
-            self._message,
-            self._depths,
-            tuple(self.problems),
-        )
+        self.outcome = Outcome(case)
 
     def run(self, printer: Printer) -> None:
         """Run it on a printer that is homed."""
@@ -304,14 +291,14 @@ class Trial:
         before, gap = job.state(printer), job.gap(printer)
         self._run_command(printer)
         truth = printer.machine.truth
-        self._depths = {
+        self.outcome.depths = {
             site: max(0.0, truth.depth(site) - self._good.depths[site])
             for site in job.margins
         }
-        if self._ended == SHUT_DOWN:
+        if self.outcome.ended == SHUT_DOWN:
             self._judge_shut_down(printer, before)
             return
-        if self._ended == REFUSED:
+        if self.outcome.ended == REFUSED:
             self._judge_refused(printer, before, gap)
         else:
             self._judge_right(printer)
@@ -330,16 +317,16 @@ class Trial:
                 session.run_until(command, saboteur.stop_is_due)
                 session.stop()
             session.finish(command)
-            self._ended = RIGHT
+            self.outcome.ended = RIGHT
         except GcodeError as error:
-            self._message = str(error)
-            self._ended = REFUSED
-        self._struck = saboteur.end()
+            self.outcome.message = str(error)
+            self.outcome.ended = REFUSED
+        self.outcome.struck = saboteur.end()
         # A host takes seconds to miss a board
         session.wait(15.0 if case.fault == "mcu_silent" else 1.0)
         state, self._state_message = session.state()
         if state != "ready":
-            self._ended = SHUT_DOWN
+            self.outcome.ended = SHUT_DOWN
 
     def _set_template(self, printer: Printer) -> None:
         if not self._case.fault.startswith("template"):
@@ -356,7 +343,7 @@ class Trial:
 
     def _require(self, holds: bool, otherwise: str) -> None:
         if not holds:
-            self.problems.append(otherwise)
+            self.outcome.problems.append(otherwise)
 
     def _judge_shut_down(
         self, printer: Printer, before: Mapping[str, Any]
@@ -365,8 +352,10 @@ class Trial:
         words = _SHUT_DOWN_CAUSES.get(case.fault)
         self._require(words is not None, "the printer is shut down")
         self._require_words(self._state_message, words or "")
-        if self._message:
-            self._require("Internal error" not in self._message, "is hidden")
+        if self.outcome.message:
+            self._require(
+                "Internal error" not in self.outcome.message, "is hidden"
+            )
             self._judge_words()
         self._require(
             session.config_text() == before["printer.cfg"],
@@ -380,7 +369,9 @@ class Trial:
         self, printer: Printer, before: Mapping[str, Any], gap: float
     ) -> None:
         job = self._job
-        self._require("Internal error" not in self._message, "internal error")
+        self._require(
+            "Internal error" not in self.outcome.message, "internal error"
+        )
         self._judge_words()
         after = job.state(printer)
         for name, value in before.items():
@@ -404,7 +395,7 @@ class Trial:
 
     def _judge_words(self) -> None:
         case = self._case
-        self._require_words(self._message, _CAUSES[case.fault])
+        self._require_words(self.outcome.message, _CAUSES[case.fault])
 
     def _require_words(self, message: str, words: str) -> None:
         self._require(
@@ -430,7 +421,7 @@ class Trial:
         try:
             printer.run(f"{self._job.script}\nM400")
         except GcodeError as error:
-            self.problems.append(f"the next run: {error}")
+            self.outcome.problems.append(f"the next run: {error}")
             return
         gap, good = self._job.gap(printer), self._good.gap
         self._require(

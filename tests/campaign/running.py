@@ -34,12 +34,17 @@ class Done(NamedTuple):
 
     def text(self) -> str:
         """What was wrong, and the command that shows it again."""
-        case, ended, _, message, _, problems = self.outcome
+        outcome = self.outcome
+        case, ended = outcome.case, outcome.ended
         repeat = (
             f"python -m tests.campaign --only faults --host '{self.host}'"
             f" --seed {self.seed} --job '{case.job}' --case '{case}'"
         )
-        lines = [f"{case} on {self.host}: {ended}", message, *problems]
+        lines = [
+            f"{case} on {self.host}: {ended}",
+            outcome.message,
+            *outcome.problems,
+        ]
         return "\n    ".join([*lines, f"EVERY_HOST=1 {repeat}"])
 
 
@@ -120,4 +125,7 @@ def draw_all(
         )
         for first in range(0, count, _PRINTERS)
     ]
-    return drawn_printers.merged(list(pool.map(draw, tasks)))
+    report = Report()
+    for part in pool.map(draw, tasks):
+        report.add(part)
+    return report

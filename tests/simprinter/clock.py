@@ -57,30 +57,25 @@ def build_library(directory: Path) -> Path:
 
 def _load(library: Path) -> ctypes.CDLL:
     lib = ctypes.CDLL(str(library))
-    page, number = ctypes.c_void_p, ctypes.c_int64
+    page, number, whole = ctypes.c_void_p, ctypes.c_int64, ctypes.c_int
+    numbers, wholes = map(ctypes.POINTER, (number, ctypes.c_int32))
+    # What they return, and take after the page
+    functions = {
+        "init": (None, number, number, whole, wholes),
+        "add_tty": (whole, ctypes.c_int32, ctypes.c_int32),
+        "awake": (whole,),
+        "joined_field": (wholes,),
+        "wakes": (number,),
+        "next_deadline": (number,),
+        "now_field": (numbers,),
+        "written_field": (numbers, whole),
+        "tty_settled": (whole, whole, number, number),
+        "advance": (whole, number, number),
+    }
+    for name, (result, *arguments) in functions.items():
+        function = getattr(lib, f"vclock_{name}")
+        function.restype, function.argtypes = result, [page, *arguments]
     lib.vclock_page_size.restype = ctypes.c_size_t
-    lib.vclock_init.argtypes = [
-        page,
-        number,
-        number,
-        ctypes.c_int,
-        ctypes.POINTER(ctypes.c_int32),
-    ]
-    lib.vclock_init.restype = None
-    lib.vclock_add_tty.argtypes = [page, ctypes.c_int32, ctypes.c_int32]
-    lib.vclock_awake.argtypes = [page]
-    lib.vclock_joined_field.argtypes = [page]
-    lib.vclock_joined_field.restype = ctypes.POINTER(ctypes.c_int32)
-    for name in ("wakes", "next_deadline"):
-        getattr(lib, f"vclock_{name}").argtypes = [page]
-        getattr(lib, f"vclock_{name}").restype = number
-    field = ctypes.POINTER(number)
-    lib.vclock_now_field.argtypes = [page]
-    lib.vclock_now_field.restype = field
-    lib.vclock_written_field.argtypes = [page, ctypes.c_int]
-    lib.vclock_written_field.restype = field
-    lib.vclock_tty_settled.argtypes = [page, ctypes.c_int, number, number]
-    lib.vclock_advance.argtypes = [page, number, number]
     return lib
 
 

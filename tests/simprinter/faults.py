@@ -33,40 +33,34 @@ not fit the next: count from Faults.add() on, and changes, not writes.
 from __future__ import annotations
 
 import math
-from typing import Iterable, Iterator, NamedTuple, Optional
+from dataclasses import dataclass
+from typing import Any, Iterable, Iterator, NamedTuple, Optional
 
 PROBE_SITES = ("body_pin", "probe_bed")
 
 
 class _Kind(NamedTuple):
-    """What a fault of one name may be given."""
+    """What a fault of one name may be given, and whether it stays."""
 
-    subject: Optional[str] = None
-    subject_needed: bool = False
-    arguments: tuple[str, ...] = ()
+    subject: str = ""
     needed: tuple[str, ...] = ()
-    counted: bool = True
-    persistent: bool = False
-
-    def known(self) -> tuple[str, ...]:
-        """Names of all arguments."""
-        subject = () if self.subject is None else (self.subject,)
-        return subject + self.arguments
+    optional: tuple[str, ...] = ()
+    stays: bool = False
 
 
 _KINDS = {
-    "stuck_open": _Kind("signal", True, ("t",), persistent=True),
-    "stuck_closed": _Kind("signal", True, ("t",), persistent=True),
-    "trigger_early": _Kind("signal", True, ("mm",), ("mm",)),
-    "trigger_late": _Kind("signal", True, ("mm",), ("mm",)),
-    "trigger_never": _Kind("signal", True),
-    "probe_falls": _Kind("site", False, ("when",)),
+    "stuck_open": _Kind("signal", ("signal",), ("t",), True),
+    "stuck_closed": _Kind("signal", ("signal",), ("t",), True),
+    "trigger_early": _Kind("signal", ("signal", "mm")),
+    "trigger_late": _Kind("signal", ("signal", "mm")),
+    "trigger_never": _Kind("signal", ("signal",)),
+    "probe_falls": _Kind("site", (), ("site", "when")),
     "attach_fails": _Kind(),
     "dock_fails": _Kind(),
-    "mcu_silent": _Kind("board", False, ("t",), ("t",), False, True),
-    "tmc_read_error": _Kind("driver"),
-    "tmc_write_error": _Kind("driver"),
-    "tmc_change_lost": _Kind("driver"),
+    "mcu_silent": _Kind("board", ("t",), ("board",), True),
+    "tmc_read_error": _Kind("driver", (), ("driver",)),
+    "tmc_write_error": _Kind("driver", (), ("driver",)),
+    "tmc_change_lost": _Kind("driver", (), ("driver",)),
 }
 
 
@@ -76,16 +70,8 @@ def _kind(name: str) -> _Kind:
     return _KINDS[name]
 
 
-class Fault:
-    """One fault; immutable, so one scene may serve several runs.
-
-    t: seconds from which it applies, None if it is counted instead
-    mm: distance of trigger_early and trigger_late, 0 for others
-    when: probe_falls' moment
-    """
-
-    __slots__ = ("mm", "n", "name", "persistent", "subject", "t", "when")
-
+@dataclass(frozen=True)
+class _Fault:
     name: str
     n: int
     persistent: bool
@@ -94,68 +80,56 @@ class Fault:
     mm: float
     when: str
 
+
+class Fault(_Fault):
+    """One fault; immutable, so one scene may serve several runs.
+
+    t: seconds from which it applies, None if it is counted instead
+    mm: distance of trigger_early and trigger_late, 0 for others
+    when: probe_falls' moment
+    """
+
     def __init__(
         self,
         name: str,
         n: int = 1,
         persistent: Optional[bool] = None,
-        **args: object,
+        **args: Any,
     ) -> None:
         kind = _kind(name)
-        _check_names(name, kind, args)
-        subject = None if kind.subject is None else args.get(kind.subject)
-        if subject is not None and not (isinstance(subject, str) and subject):
-            raise ValueError(f"{name}: {kind.subject} {subject!r} is no name")
-        if kind.subject == "site" and subject not in (None, *PROBE_SITES):
-            raise ValueError(f"{name}: site {subject!r} not in {PROBE_SITES}")
-        t = _number(name, "t", args["t"]) if "t" in args else None
-        if type(n) is not int or n < 1:
-            raise ValueError(f"{name}: n {n!r} is not an integer above 0")
-        if t is not None and (n != 1 or persistent is False):
-            raise ValueError(f"{name}: from time t on, n and persistent clash")
-        when = args.get("when", "lift")
-        if when not in ("touch", "lift"):
-            raise ValueError(f"{name}: when {when!r} is not touch or lift")
-        mm = _number(name, "mm", args.get("mm", 0.0))
-        if "mm" in args and mm <= 0.0:
-            raise ValueError(f"{name}: mm {mm!r} is not above zero")
-        staying = kind.persistent if persistent is None else persistent
-        values = (mm, n, name, staying, subject, t, when)
-        for slot, value in zip(Fault.__slots__, values):
-            object.__setattr__(self, slot, value)
 
-    def __setattr__(self, name: str, value: object) -> None:
-        raise AttributeError(f"Fault is immutable, cannot set {name}")
+        def require(good: bool, text: str) -> None:
+            if not good:
+                raise ValueError(f"{name}: {text}")
+
+        known = kind.needed + kind.optional
+        unknown = sorted(set(args) - set(known))
+        require(not unknown, f"unknown {unknown}, know {list(known)}")
+        missing = sorted(set(kind.needed) - set(args))
+        require(not missing, f"missing {missing}")
+        subject, t = args.get(kind.subject), args.get("t")
+        mm, when = args.get("mm", 0.0), args.get("when", "lift")
+        good = subject is None or (isinstance(subject, str) and subject)
+        require(good, f"{kind.subject} {subject!r} is no name")
+        good = kind.subject != "site" or subject in (None, *PROBE_SITES)
+        require(good, f"site {subject!r} not in {PROBE_SITES}")
+        for value in (mm, 0.0 if t is None else t):
+            good = isinstance(value, (int, float)) and 0.0 <= value < math.inf
+            require(good, f"{value!r} is not a number of zero or more")
+        require("mm" not in args or mm > 0.0, f"mm {mm!r} is not above zero")
+        good = type(n) is int and n >= 1
+        require(good, f"n {n!r} is not an integer above 0")
+        good = t is None or (n == 1 and persistent is not False)
+        require(good, "from time t on, n and persistent clash")
+        require(
+            when in ("touch", "lift"), f"when {when!r} is not touch or lift"
+        )
+        staying = kind.stays if persistent is None else persistent
+        super().__init__(name, n, staying, subject, t, mm, when)
 
     def matches(self, name: str, subject: Optional[str]) -> bool:
         """Whether an operation of that kind on that subject is meant."""
         return self.name == name and self.subject in (None, subject)
-
-    def __repr__(self) -> str:
-        where = "" if self.subject is None else f" of {self.subject}"
-        moment = f"n={self.n}" if self.t is None else f"t={self.t}"
-        return f"<Fault {self.name}{where} at {moment}>"
-
-
-def _check_names(name: str, kind: _Kind, args: dict[str, object]) -> None:
-    known = kind.known()
-    unknown = sorted(set(args) - set(known))
-    if unknown:
-        raise ValueError(f"{name}: unknown {unknown}, know {list(known)}")
-    needed = set(kind.needed)
-    if kind.subject_needed and kind.subject is not None:
-        needed.add(kind.subject)
-    missing = sorted(needed - set(args))
-    if missing:
-        raise ValueError(f"{name}: missing {missing}")
-
-
-def _number(name: str, what: str, value: object) -> float:
-    if isinstance(value, bool) or not isinstance(value, (int, float)):
-        raise ValueError(f"{name}: {what} {value!r} is not a number")
-    if not (math.isfinite(value) and value >= 0.0):
-        raise ValueError(f"{name}: {what} {value!r} is negative or endless")
-    return float(value)
 
 
 class Faults:
@@ -191,7 +165,7 @@ class Faults:
 
         Ask exactly once per operation.
         """
-        if not _kind(name).counted:
+        if "t" in _kind(name).needed:
             raise ValueError(f"{name} goes by time: ask due()")
         striking: Optional[Fault] = None
         for index, fault in enumerate(self._faults):

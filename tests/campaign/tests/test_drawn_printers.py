@@ -11,7 +11,7 @@ import pytest
 from tests.campaign import drawn_printers
 from tests.campaign.drawing import deviations
 from tests.campaign.drawn_machines import KINEMATICS, Gantry, Sampling, inverted
-from tests.campaign.drawn_printers import MODULES, merged, run
+from tests.campaign.drawn_printers import MODULES, Report, run
 from tests.campaign.gap_bounds import (
     Interval,
     frame_bound,
@@ -115,8 +115,9 @@ def test_campaign_that_refuses_healthy_printers_fails(any_host, judged):
 
 def test_reports_are_added(any_host, judged):
     judged(lambda drawn: RIGHT)
-    reports = [run(MODULE, any_host, 4, seed=seed) for seed in (1, 5)]
-    both = merged(reports)
+    both = Report()
+    for seed in (1, 5):
+        both.add(run(MODULE, any_host, 4, seed=seed))
     assert both == run(MODULE, any_host, 8, seed=1)
     assert (both.runs, both.right) == (8, 8)
     assert (both.worst_um, both.worst) == (2.0, 0.5)

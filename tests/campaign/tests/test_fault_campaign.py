@@ -71,7 +71,7 @@ CASES = [
 @pytest.mark.parametrize("which", CASES, ids=lambda w: "-".join(map(str, w)))
 def test_fault_is_survived(some_host, which):
     outcome = attempt(some_host, *which[:5])
-    assert outcome.problems == ()
+    assert outcome.problems == []
     assert outcome.struck
     assert outcome.ended == which[5]
     if outcome.ended == REFUSED:
@@ -83,7 +83,7 @@ def test_lost_board_is_told_first(host, nth):
     # Moving after it may be an error of the host's own
     outcome = attempt(host, ATTACHING, "mcu_silent", "", nth, "query")
     assert outcome.ended == SHUT_DOWN
-    assert outcome.problems == ()
+    assert outcome.problems == []
 
 
 def test_every_operation_gets_every_fault(one_host):

@@ -43,31 +43,22 @@ class AnalogInputs(Peripheral):
         clock: int,
         sample_ticks: int,
         count: int,
-        *rest: int,
+        rest_ticks: int,
+        *limits: int,
     ) -> None:
-        rest_ticks, low, high, range_checks = rest
         if oid in self._events:
             self._events.pop(oid).cancel()
         if not count:
             return
-        limits = (low, high) if range_checks else (0, _ADC_MAX * count)
-        outside = 0
 
         def sample(now: int) -> None:
-            nonlocal outside
             level = self._read(self._pins[oid], self.board.ns(now))
-            value = round(level * _ADC_MAX) * count
-            within = limits[0] <= value <= limits[1]
-            outside = 0 if within else outside + 1
-            if range_checks and outside >= range_checks:
-                self.board.shut_down()
-                return
             self._events[oid] = self.board.schedule(now + rest_ticks, sample)
             self.board.respond(
                 "analog_in_state",
                 oid=oid,
                 next_clock=(now + rest_ticks) & 0xFFFFFFFF,
-                value=value,
+                value=round(level * _ADC_MAX) * count,
             )
 
         start = max(self.board.widen(clock), self.board.clock())

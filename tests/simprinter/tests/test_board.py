@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import json
-import zlib
 
 import pytest
 from hypothesis import given
@@ -15,10 +14,8 @@ from tests.simprinter.mcu.board import (
     Crystal,
     Peripheral,
     command,
-    pin_name,
 )
 from tests.simprinter.tests.workbench import LOW32, Bench
-from tests.simprinter.wiring import pin_number
 
 
 class Lamp(Peripheral):
@@ -51,29 +48,6 @@ def bench(lamp: Lamp) -> Bench:
     return Bench(lamp)
 
 
-def test_dictionary_comes_in_chunks(bench):
-    data = b""
-    while True:
-        answer = bench.ask(f"identify offset={len(data)} count=40")
-        assert answer["offset"] == len(data)
-        assert len(answer["data"]) <= 40
-        data += answer["data"]
-        if not answer["data"]:
-            break
-    told = json.loads(zlib.decompress(data))
-    assert told["commands"].keys() >= {"switch_lamp oid=%c on=%c", "get_clock"}
-    assert told["responses"].keys() >= {"lamp_state oid=%c on=%c", "starting"}
-    assert told["config"]["CLOCK_FREQ"] == 10**9 // TICK_NS
-    # Klippy paces its output by this
-    assert "SERIAL_BAUD" not in told["config"]
-    # A range [first, count] counts the name's number up, as klippy reads it
-    pins = told["enumerations"]["pin"]
-    for name, (first, count) in pins.items():
-        for i in range(count):
-            assert pin_number(f"{name[:-1]}{i}") == first + i
-            assert pin_name(first + i) == f"{name[:-1]}{i}"
-
-
 # Clock
 
 
@@ -98,17 +72,6 @@ def test_board_with_a_crystal_of_its_own():
     assert bench.board.clock_at(bench.ns + 99) == start + 3
     bench.ns += 7 * 10**9
     assert bench.ask("get_uptime") == {"high": 1, "clock": 0}
-
-
-@pytest.mark.parametrize("tick_ns", [TICK_NS, 40])
-def test_statistics_every_five_seconds_once_configured(tick_ns):
-    bench = Bench(crystal=Crystal(tick_ns=tick_ns))
-    seconds = 10**9 // tick_ns
-    bench.run_to(bench.now() + 12 * seconds)
-    assert bench.said("stats") == []
-    bench.tell("finalize_config crc=1")
-    bench.run_to(bench.now() + 10 * seconds)
-    assert len(bench.said("stats")) == 2
 
 
 @given(st.integers(0, 1 << 34), st.integers(-(1 << 31) + 1, (1 << 31) - 1))
@@ -161,36 +124,15 @@ def test_what_is_due_comes_before_what_arrives(bench, lamp):
 # Configuration and shutdown
 
 
-def test_configuration(bench):
-    config = {"is_config": 0, "crc": 0, "is_shutdown": 0, "move_count": 1024}
-    assert bench.ask("get_config") == config
-    bench.tell("allocate_oids count=9")
-    assert bench.ask("get_config") == config
-    bench.tell(f"finalize_config crc={0xDEADBEEF}")
-    config.update(is_config=1, crc=0xDEADBEEF)
-    assert bench.ask("get_config") == config
-
-
-def test_shutdown_is_told_once_and_stops_every_part(bench, lamp):
-    bench.tell("emergency_stop")
-    bench.tell("emergency_stop")
-    ((name, values),) = bench.answers
-    assert name == "shutdown"
-    assert values["clock"] == bench.now() & LOW32
-    enums = json.loads(bench.board.dictionary.json)["enumerations"]
-    reason = values["static_string_id"]
-    assert reason == enums["static_string_id"]["Command request"]
-    assert lamp.heard == ["stop"]
-    assert bench.board.journal.shutdowns == 1
-
-
 def test_board_that_is_shut_down_refuses_commands(bench, lamp):
-    bench.tell("emergency_stop")
-    lamp.heard.clear()
-    bench.answers.clear()
+    bench.tell("emergency_stop", "emergency_stop")
+    # Told once
+    ((name, values),) = bench.answers
+    assert (name, values["clock"]) == ("shutdown", bench.now() & LOW32)
+    assert bench.board.journal.shutdowns == 1
     bench.tell("switch_lamp oid=1 on=1")
-    assert bench.answers == [("is_shutdown", {"static_string_id": 1})]
-    assert lamp.heard == []
+    assert bench.answers[1:] == [("is_shutdown", {"static_string_id": 1})]
+    assert lamp.heard == ["stop"]
     # It still answers what a host needs to find out and to get on
     assert bench.ask("get_config")["is_shutdown"] == 1
     assert bench.ask("get_clock") == {"clock": bench.now() & LOW32}
@@ -199,7 +141,7 @@ def test_board_that_is_shut_down_refuses_commands(bench, lamp):
     bench.tell("clear_shutdown")
     assert bench.ask("get_config")["is_shutdown"] == 0
     bench.tell("switch_lamp oid=1 on=1")
-    assert lamp.heard == ["1=1"]
+    assert lamp.heard == ["stop", "1=1"]
 
 
 @pytest.mark.parametrize("was_shut_down", [False, True])

@@ -20,7 +20,7 @@ from tests.simprinter.tests.world_machines import (
     Driver,
     make,
 )
-from tests.simprinter.world import Bed, NoiseSpec, Pose, World
+from tests.simprinter.world import Bed, Pose, World
 
 FAR = Pose(*MIDDLE, HIGH)
 BED_AT_MIDDLE = Bed(PIEZO.bed).height(*MIDDLE)
@@ -82,21 +82,14 @@ def test_faults_by_time_of_one_board_or_all():
     [
         ({"name": "stuk_open"}, "know .*stuck_open"),
         ({"name": "stuck_open"}, r"missing \['signal'\]"),
-        ({"name": "stuck_open", "signal": ""}, "no name"),
         ({"name": "stuck_open", "signal": "probe", "mm": 1}, "know .*'t'"),
         ({"name": "stuck_open", "signal": "p", "t": 1, "n": 2}, "clash"),
         ({"name": "trigger_early", "signal": "probe"}, r"missing \['mm'\]"),
         ({"name": "trigger_early", "signal": "p", "mm": 0}, "above zero"),
-        ({"name": "trigger_early", "signal": "p", "mm": "1"}, "a number"),
-        ({"name": "trigger_late", "mm": 1}, r"missing \['signal'\]"),
-        ({"name": "trigger_late", "signal": "probe"}, r"missing \['mm'\]"),
-        ({"name": "trigger_late", "signal": "p", "mm": -1}, "negative"),
         ({"name": "probe_falls", "site": "nozzle_bed"}, "body_pin"),
         ({"name": "probe_falls", "when": "later"}, "touch or lift"),
         ({"name": "attach_fails", "n": 0}, "integer"),
-        ({"name": "attach_fails", "n": 1.5}, "integer"),
-        ({"name": "mcu_silent"}, r"missing \['t'\]"),
-        ({"name": "mcu_silent", "t": -1}, "negative"),
+        ({"name": "mcu_silent", "t": -1}, "zero or more"),
         ({"name": "tmc_read_error", "signal": "z"}, "know .*driver"),
     ],
 )
@@ -173,24 +166,6 @@ def test_trigger_elsewhere(name, mm, persistent, heights, depth):
     driver.world.touch_armed("z_endstop", driver.t)
     driver.world.mend()
     assert driver.find("z_endstop") == pytest.approx(3.0)
-
-
-def test_trigger_late_releases_as_late():
-    fault = Fault("trigger_late", signal="probe", mm=0.5)
-    noise = NoiseSpec(hysteresis=0.1)
-    inductive = replace(PIEZO.inductive, noise=noise)
-    driver = Driver(make(replace(PIEZO, inductive=inductive), fault))
-    driver.world.touch_armed("probe", driver.t)
-    trigger = driver.find("probe")
-    driver.go(z=trigger - 0.1)
-    seen = [
-        driver.world.level("probe", driver.t, Pose(*MIDDLE, trigger + above))
-        for above in (0.09, 0.11)
-    ]
-    assert seen == [True, False]
-    driver.world.touch_armed("probe", driver.t)
-    driver.go(z=HIGH)
-    assert driver.find("probe") == pytest.approx(trigger + 0.5)
 
 
 def test_faults_of_a_switched_bed_sensor():
@@ -271,41 +246,30 @@ def test_without_its_probe_the_head_goes_past_the_pin():
 
 
 def test_output_fails_to_attach_and_to_dock():
-    faults = (Fault("attach_fails", n=1), Fault("dock_fails", n=1))
-    world = make(OUTPUT, *faults)
+    world = make(OUTPUT, Fault("attach_fails"), Fault("dock_fails"))
     states = []
     for t, value in enumerate((1, 0, 1, 0, 1, 0), start=1):
         world.set_output("probe_attach", float(t), float(value))
         world.observe(t + 0.5, FAR)
         states.append(world.probe_state(t + 0.5))
-    assert states == [
-        "docked",  # fails to attach
-        "docked",
-        "attached",
-        "attached",  # fails to dock
-        "attached",
-        "docked",
-    ]
+    # The first attempts of both fail
+    assert states == ["docked"] * 2 + ["attached"] * 3 + ["docked"]
     kinds = [event.kind for event in world.truth.events]
     assert kinds == ["attach_failed", "attach", "dock_failed", "dock"]
 
 
 @pytest.mark.parametrize(
-    ("name", "initial", "way"),
+    ("name", "initial", "way", "after"),
     [
-        ("attach_fails", "docked", (20, 280)),
-        ("dock_fails", "attached", (40, 300)),
+        ("attach_fails", "docked", (20, 280), "attached"),
+        ("dock_fails", "attached", (40, 300), "docked"),
     ],
 )
-def test_move_fails_to_change_the_probe(name, initial, way):
+def test_move_fails_to_change_the_probe(name, initial, way, after):
     probe = replace(DOCK.mag_probe, initial=initial)
     driver = Driver(make(replace(DOCK, mag_probe=probe), Fault(name)))
-    driver.go(20, 280)
-    driver.go(z=20)
-    for after in (
-        initial,
-        {"docked": "attached", "attached": "docked"}[initial],
-    ):
+    driver.go(20, 280, 20)
+    for state in (initial, after):
         driver.go(20, 300)
         driver.go(*way)
-        assert driver.world.probe_state(driver.t) == after
+        assert driver.world.probe_state(driver.t) == state

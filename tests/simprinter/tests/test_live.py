@@ -2,30 +2,19 @@
 
 from __future__ import annotations
 
-from dataclasses import replace
-
 import pytest
 
 from tests.hostkit import session, starting
-from tests.hostkit.printer import Printer, firmware_of, module_files
-from tests.hostkit.session import (
-    GcodeError,
-    SessionError,
-    run_batch,
-    run_file_output,
-)
+from tests.hostkit.printer import Printer
+from tests.hostkit.session import GcodeError, SessionError
 from tests.simprinter import (
     SCENES,
     Fault,
-    Machine,
     VirtualClock,
     heated,
 )
-from tests.simprinter.mcu.steppers import StepTrack
 from tests.simprinter.scenes import OTHER_BOARD, on_board
-from tests.simprinter.wire.framing import Deframer, encode_block
-from tests.simprinter.wiring import pin_number
-from tests.simprinter.world import CrashError, Pose
+from tests.simprinter.world import CrashError
 
 pytestmark = pytest.mark.spread
 MICROSTEP = 0.0025
@@ -114,84 +103,6 @@ def test_real_time_gives_the_same_gap(one_host):
             if "ommunication" not in late and isinstance(error, GcodeError):
                 raise
     pytest.skip(f"this machine is too busy for real time: {late}")
-
-
-def step_counts(dictionary, blocks, wiring):
-    """Net and total steps per motor in what a host has sent."""
-    names = {pin_number(m.step_pin): n for n, m in wiring.motors.items()}
-    motors, tracks, signs, total = {}, {}, {}, {}
-    for _, content in filter(None, Deframer().feed(blocks)):
-        for name, values in dictionary.parse(content):
-            if name == "config_stepper" and values[1] in names:
-                motors[values[0]] = names[values[1]]
-                tracks[values[0]] = StepTrack()
-                total[values[0]] = 0
-            elif values and values[0] in motors:
-                oid = values[0]
-                if name == "set_next_step_dir":
-                    signs[oid] = 1 if values[1] else -1
-                elif name == "queue_step":
-                    tracks[oid].append(*values[1:], signs[oid])
-                    total[oid] += values[2]
-    return {n: (tracks[oid].position, total[oid]) for oid, n in motors.items()}
-
-
-class Totals:
-    """Counts every step a live board is told to make."""
-
-    def __init__(self, machine):
-        self._receive = machine.link._on_content  # noqa: SLF001
-        self._machine = machine
-        self.content = []
-        machine.link._on_content = self.take  # noqa: SLF001
-
-    def take(self, content):
-        self.content.append(content)
-        self._receive(content)
-
-
-@pytest.mark.each_host
-@pytest.mark.parametrize("scene", ["voron", "cartesian"])
-def test_steps_equal_those_of_klippys_own_file_output(host, scene):
-    scene = replace(SCENES[scene], start=Pose(120.0, 120.0, 40.0))
-    changes = {"force_move": {"enable_force_move": "True"}}
-    gcode = "\n".join(
-        [
-            "SET_KINEMATIC_POSITION X=120 Y=120 Z=40",
-            "G1 X20 Y35.5 Z12.345 F9000",
-            "G1 X21 Y170.25 F3000",
-            "G91",
-            *["G1 X1.5 Y-1.2 Z0.05 F12000", "G1 Z-0.13 F600"] * 20,
-            "G90",
-            "G1 X90 Y90 Z55 F18000",
-            "M400",
-            "G4 P500",
-            "",
-        ]
-    )
-    installed = host.install(module_files())
-    with Machine(scene, app=firmware_of(host)) as machine:
-        totals = Totals(machine)
-        live = run_batch(
-            installed, machine, scene.config(machine.link.path, changes), gcode
-        )
-        dictionary = machine.board.dictionary
-        ends = {n: a.track.position for n, a in machine.rig.axes.items()}
-    assert live.status == 0, live.tail()
-    written, blocks = run_file_output(
-        host,
-        module_files(),
-        dictionary.json,
-        scene.config("/tmp/klipper_host_mcu", changes),
-        gcode,
-    )
-    assert written.status == 0, written.tail()
-    expected = step_counts(dictionary, blocks, scene.wiring)
-    assert set(expected) == set(scene.wiring.motors)
-    assert all(total > 1000 for _, total in expected.values())
-    sent = b"".join(encode_block(0, content) for content in totals.content)
-    assert step_counts(dictionary, sent, scene.wiring) == expected
-    assert ends == {name: net for name, (net, _) in expected.items()}
 
 
 def test_driver_that_does_not_answer_is_an_error(start):

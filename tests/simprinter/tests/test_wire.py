@@ -2,10 +2,8 @@
 
 from __future__ import annotations
 
-import json
 import os
 import tty
-import zlib
 
 import pytest
 from hypothesis import given
@@ -21,7 +19,6 @@ from tests.simprinter.wire.framing import (
 )
 from tests.simprinter.wire.link import Link
 from tests.simprinter.wire.messages import (
-    Dictionary,
     Message,
     decode_int,
     encode_int,
@@ -94,39 +91,6 @@ def test_message_comes_back(number, signed, data):
     # Klippy's Python side sends large unsigned numbers in 5 bytes
     found = Message(3, "b v=%u").decode(groups(number, 5), 0)
     assert found == ([number & 0xFFFFFFFF], 5)
-
-
-def make_dictionary() -> Dictionary:
-    commands = [f"command_{i} oid=%c" for i in range(120)]
-    responses = [f"response_{i} value=%u" for i in range(30)]
-    enums = {"pin": {"PA0": [0, 16]}}
-    return Dictionary(commands, responses, {"CLOCK_FREQ": 5}, enums, "Kalico")
-
-
-def test_dictionary_travels_as_compressed_json():
-    dictionary = make_dictionary()
-    told = json.loads(zlib.decompress(dictionary.identify_data))
-    assert told["app"] == "Kalico"
-    assert told["config"] == {"CLOCK_FREQ": 5}
-    assert told["enumerations"] == {"pin": {"PA0": [0, 16]}}
-    assert {"version", "build_versions"} <= told.keys()
-    # Known before the dictionary is: klippy's msgproto.DefaultMessages
-    assert told["commands"]["identify offset=%u count=%c"] == 1
-    assert told["responses"]["identify_response offset=%u data=%.*s"] == 0
-    numbers = [*told["commands"].values(), *told["responses"].values()]
-    assert len(numbers) == len(set(numbers)) == 152
-
-
-def test_several_commands_in_one_block():
-    dictionary = make_dictionary()
-    by_name = {m.name: m for m in dictionary.commands.values()}
-    sent = [("command_0", [0]), ("command_119", [1]), ("command_0", [2])]
-    content = b"".join(
-        by_name[name].encode({"oid": oid}) for name, (oid,) in sent
-    )
-    assert dictionary.parse(content) == sent
-    with pytest.raises(ValueError, match="unknown command number 5000"):
-        dictionary.parse(encode_int(5000))
 
 
 # Blocks

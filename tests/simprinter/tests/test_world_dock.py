@@ -9,7 +9,6 @@ import pytest
 from tests.simprinter.tests.world_machines import (
     DOCK,
     HIGH,
-    MAG,
     MIDDLE,
     OUTPUT,
     Driver,
@@ -141,10 +140,3 @@ def test_output_that_changes_before_it_is_done(outputs, events):
     found = [(pytest.approx(t), kind) for t, kind in world.truth.events]
     assert found == events
     assert world.probe_state(2.0) == ("attached" if events else "docked")
-
-
-def test_fixed_probe_stays():
-    driver = Driver(make(MAG))
-    driver.go(*IN_DOCK)
-    assert driver.world.probe_state(driver.t) == "attached"
-    assert driver.world.outputs == ()

@@ -153,15 +153,6 @@ def test_hysteresis_holds_a_committed_touch():
     assert not world.level("z_endstop", driver.t, slack)
 
 
-def test_axis_hysteresis():
-    switch = replace(PIEZO.switches[0], noise=NoiseSpec(hysteresis=0.05))
-    world = make(replace(PIEZO, switches=(switch,)))
-    world.observe(1.0, Pose(300, 0, HIGH))
-    assert world.level("x_endstop", 1.0, Pose(299.96, 0, HIGH))
-    world.observe(1.1, Pose(299.9, 0, HIGH))
-    assert not world.level("x_endstop", 1.1, Pose(299.96, 0, HIGH))
-
-
 @pytest.mark.parametrize(
     ("drift", "pin", "body", "bed", "gap"),
     [
@@ -188,25 +179,6 @@ def test_thermal_growth(drift, pin, body, bed, gap):
     driver.pose = Pose(*MIDDLE, HIGH)
     plate = bed_below_probe(*MIDDLE) + 5.4
     assert driver.find("probe") == pytest.approx(plate + bed)
-
-
-@pytest.mark.parametrize("configured", [0.5, 0.46, 0.0, 0.7])
-def test_z_calibration_formula_gives_the_gap(configured):
-    driver = Driver(make(MAG))
-    driver.go(*OVER_PIN)
-    nozzle = driver.touch("z_endstop")
-    driver.go(z=HIGH)
-    driver.go(*BODY_OVER_PIN)
-    switch = driver.touch("z_endstop")
-    driver.go(z=HIGH)
-    # The probe, not the nozzle, stands over the place that is measured
-    driver.go(MIDDLE[0] - 5.0, MIDDLE[1] - 25.0)
-    probe = driver.touch("probe")
-    offset = probe - (switch - nozzle + configured)
-    truth = driver.world.truth
-    gap = truth.true_gap(*MIDDLE, offset)
-    assert gap == pytest.approx(0.5 - configured, abs=1e-9)
-    truth.require_no_crash()
 
 
 def test_level_changes_nothing_and_observe_goes_forwards():

@@ -11,11 +11,10 @@ from tests.simprinter.tests.world_machines import (
     HIGH,
     MAG,
     OVER_PIN,
-    PIEZO,
     Driver,
     make,
 )
-from tests.simprinter.world import NoiseSpec, Pose, WorldSpec
+from tests.simprinter.world import NoiseSpec, WorldSpec
 
 
 def noisy(**noise: float) -> WorldSpec:
@@ -116,16 +115,3 @@ def test_touch_record_has_the_trigger_of_that_touch():
         driver.go(z=6.0)
     recorded = [touch.trigger_z for touch in driver.world.truth.touches]
     assert recorded == pytest.approx(heights, abs=1e-9)
-
-
-def test_axis_switch_noise():
-    switch = replace(PIEZO.switches[0], noise=NoiseSpec(sigma=0.1))
-    world = make(replace(PIEZO, switches=(switch,)))
-    for index in range(200):
-        world.observe(index + 0.5, Pose(302, 0, HIGH))
-        world.observe(index + 0.9, Pose(200, 0, HIGH))
-    touches = world.truth.touches
-    triggers = [touch.trigger_z for touch in touches]
-    assert len(triggers) == 200
-    assert statistics.mean(triggers) == pytest.approx(300, abs=0.03)
-    assert statistics.stdev(triggers) == pytest.approx(0.1, rel=0.15)

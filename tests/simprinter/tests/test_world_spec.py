@@ -30,25 +30,18 @@ from tests.simprinter.world import (
 FLAT = MeshSpec(0, 0, 1, 1, ((0, 0), (0, 0)))
 WRONG = [
     (NoiseSpec(), "sigma", -0.1),
-    (NoiseSpec(), "outlier_chance", 1.1),
     (NoiseSpec(), "latency", math.nan),
-    (BedSpec(), "y_max", 0.0),
     (BedSpec(), "slope_x", math.inf),
     (FLAT, "heights", ((0, 0), (0,))),
     (PIN, "radius", 0.0),
-    (PIN, "signal", ""),
     (PROBE, "initial", "docked"),
-    (PROBE, "attach_time", 0.1),
-    (AxisSwitchSpec("x_endstop", "x", 1.0), "axis", "w"),
     (AxisSwitchSpec("x_endstop", "x", 1.0), "direction", 0),
-    (DOCK.dock, "approach", (0, 0, 0)),
     (DOCK.dock, "release", (0, -1, 0)),
     (MEMBRANE.membrane, "press", 0.31),
     (MEMBRANE.membrane, "radius", None),
     (DriftSpec(), "stop", -1.0),
     (MAG, "inductive", InductiveSpec(0, 0, 1)),
     (DOCK, "dock", None),
-    (MAG, "dock", DOCK.dock),
     (PIEZO, "probe_sense", True),
 ]
 

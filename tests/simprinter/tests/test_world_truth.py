@@ -101,15 +101,6 @@ def test_pin_past_its_hard_stop_says_so():
     assert "0.2000 mm past its hard stop" in str(crash)
 
 
-def test_beside_plate_and_pin_there_is_nothing_to_hit():
-    driver = drive_down(OUTPUT, (100.0, 310.0), -20.0)
-    truth = driver.world.truth
-    truth.require_no_crash()
-    # Came down from over the plate, high up
-    assert truth.min_gap > 50.0
-    assert truth.deepest_in_bed() == 0.0
-
-
 def test_min_gap_and_deepest_in_bed():
     driver = drive_down(OUTPUT, MIDDLE, MIDDLE_BED + 1.5)
     truth = driver.world.truth
@@ -152,27 +143,6 @@ def test_dragging_is_a_crash(site, spec, place, z):
     assert crash.depth == pytest.approx(0.1)
     assert "dragged" in str(crash)
     assert truth.drag(site) == pytest.approx(0.1)
-
-
-def test_each_contact_may_drag_a_little():
-    driver = drive_down(OUTPUT, OVER_PIN, 2.99)
-    for step in range(1, 6):
-        driver.go(x=OVER_PIN[0] + 0.04 * step)
-        driver.go(z=5.0)
-        driver.go(z=2.99)
-    truth = driver.world.truth
-    truth.require_no_crash()
-    assert truth.drag("nozzle_pin") == pytest.approx(0.2)
-
-
-def test_inductive_probe_touches_and_drags_nothing():
-    driver = Driver(make(PIEZO))
-    driver.go(z=MIDDLE_BED + 1.0)
-    driver.go(x=MIDDLE[0] + 20.0)
-    truth = driver.world.truth
-    truth.require_no_crash()
-    assert truth.touch_count("inductive_bed") == 1
-    assert truth.drag("inductive_bed") == pytest.approx(20.0)
 
 
 def test_axis_beyond_its_hard_stop():

@@ -19,7 +19,7 @@ line only; across it the gantry stays level.
 from __future__ import annotations
 
 import math
-from typing import Mapping, NamedTuple, Sequence, Tuple
+from typing import Callable, Mapping, NamedTuple, Sequence, Tuple
 
 # (name, x, y) of the place where a Z motor holds the gantry
 ZMotor = Tuple[str, float, float]
@@ -38,23 +38,54 @@ class Pose(NamedTuple):
     z: float
 
 
+Three = Tuple[float, float, float]
+# x, y, z to motors x, y, z, and back
+_MIXES: dict[str, tuple[Callable[..., Three], Callable[..., Three]]] = {
+    "cartesian": (lambda x, y, z: (x, y, z), lambda a, b, c: (a, b, c)),
+    "corexy": (
+        lambda x, y, z: (x + y, x - y, z),
+        lambda a, b, c: (0.5 * (a + b), 0.5 * (a - b), c),
+    ),
+    "corexz": (
+        lambda x, y, z: (x + z, y, x - z),
+        lambda a, b, c: (0.5 * (a + c), b, 0.5 * (a - c)),
+    ),
+    "hybrid_corexy": (
+        lambda x, y, z: (x - y, y, z),
+        lambda a, b, c: (a + b, b, c),
+    ),
+    "hybrid_corexz": (
+        lambda x, y, z: (x - z, y, z),
+        lambda a, b, c: (a + c, b, c),
+    ),
+}
+
+
 class Kinematics:
-    """Base: Z motors that hold a plane; a subclass mixes x, y and z."""
+    """Motors x and y, and Z motors that hold a plane."""
 
-    __slots__ = ("_weights", "z_names")
+    __slots__ = ("_mix", "_unmix", "_weights", "z_names")
 
-    def __init__(self, z_motors: Sequence[ZMotor]) -> None:
+    def __init__(self, kind: str, z_motors: Sequence[ZMotor]) -> None:
         self.z_names = tuple(name for name, _, _ in z_motors)
         if not z_motors or len(set(self.z_names)) != len(z_motors):
             raise ValueError("z_motors: need one or more, names not repeated")
         unknown = set(self.z_names) - {"z", "z1", "z2", "z3"}
         if unknown:
             raise ValueError(f"z_motors: unknown names {sorted(unknown)}")
+        self._mix, self._unmix = _MIXES[kind]
         self._weights = plane_weights(z_motors)
 
     def pose(self, motors: Mapping[str, float]) -> Pose:
         """Nozzle tip (mm) for the motors' positions (mm)."""
-        raise NotImplementedError
+        a, b = motors["x"], motors["y"]
+        if len(self._weights) == 1:
+            return Pose(*self._unmix(a, b, motors[self.z_names[0]]))
+        x, y, _ = self._unmix(a, b, 0.0)
+        z = 0.0
+        for name, const, per_x, per_y in self._weights:
+            z += (const + per_x * x + per_y * y) * motors[name]
+        return Pose(x, y, z)
 
     def motors(
         self,
@@ -66,126 +97,26 @@ class Kinematics:
         All Z motors stand level; `z_offsets` (mm, added to the named motors)
         starts with a skewed gantry, which then moves the tip as well.
         """
-        x, y, z = tip
-        motors = self._mix(x, y, z)
+        a, b, c = self._mix(*tip)
+        motors = {"x": a, "y": b, **dict.fromkeys(self.z_names, c)}
         for name, offset in (z_offsets or {}).items():
-            if name not in self.z_names:
-                raise ValueError(f"z_offsets: no Z motor named {name!r}")
             motors[name] += offset
         return motors
-
-    def skew(self, motors: Mapping[str, float]) -> float:
-        """Highest minus lowest Z motor, mm."""
-        heights = [motors[name] for name in self.z_names]
-        return max(heights) - min(heights)
-
-    def _mix(self, x: float, y: float, z: float) -> dict[str, float]:
-        raise NotImplementedError
-
-    def _level(self, x: float, y: float, z: float) -> dict[str, float]:
-        motors = {"x": x, "y": y}
-        for name in self.z_names:
-            motors[name] = z
-        return motors
-
-    def _height(self, x: float, y: float, motors: Mapping[str, float]) -> float:
-        if len(self._weights) == 1:
-            return motors[self._weights[0][0]]
-        z = 0.0
-        for name, const, per_x, per_y in self._weights:
-            z += (const + per_x * x + per_y * y) * motors[name]
-        return z
-
-
-class Cartesian(Kinematics):
-    """Each motor moves its own axis."""
-
-    __slots__ = ()
-
-    def pose(self, motors: Mapping[str, float]) -> Pose:
-        x, y = motors["x"], motors["y"]
-        return Pose(x, y, self._height(x, y, motors))
-
-    def _mix(self, x: float, y: float, z: float) -> dict[str, float]:
-        return self._level(x, y, z)
-
-
-class CoreXY(Kinematics):
-    """Both belts move x and y."""
-
-    __slots__ = ()
-
-    def pose(self, motors: Mapping[str, float]) -> Pose:
-        a, b = motors["x"], motors["y"]
-        x, y = 0.5 * (a + b), 0.5 * (a - b)
-        return Pose(x, y, self._height(x, y, motors))
-
-    def _mix(self, x: float, y: float, z: float) -> dict[str, float]:
-        return self._level(x + y, x - y, z)
-
-
-class HybridCoreXY(Kinematics):
-    """The x belt is dragged along by y."""
-
-    __slots__ = ()
-
-    def pose(self, motors: Mapping[str, float]) -> Pose:
-        y = motors["y"]
-        x = motors["x"] + y
-        return Pose(x, y, self._height(x, y, motors))
-
-    def _mix(self, x: float, y: float, z: float) -> dict[str, float]:
-        return self._level(x - y, y, z)
-
-
-class CoreXZ(Kinematics):
-    """Both belts move x and z."""
-
-    __slots__ = ()
-
-    def pose(self, motors: Mapping[str, float]) -> Pose:
-        a, b = motors["x"], motors["z"]
-        return Pose(0.5 * (a + b), motors["y"], 0.5 * (a - b))
-
-    def _mix(self, x: float, y: float, z: float) -> dict[str, float]:
-        return {"x": x + z, "y": y, "z": x - z}
-
-
-class HybridCoreXZ(Kinematics):
-    """The x belt is dragged along by z."""
-
-    __slots__ = ()
-
-    def pose(self, motors: Mapping[str, float]) -> Pose:
-        z = motors["z"]
-        return Pose(motors["x"] + z, motors["y"], z)
-
-    def _mix(self, x: float, y: float, z: float) -> dict[str, float]:
-        return {"x": x - z, "y": y, "z": z}
-
-
-_KINDS = {
-    "cartesian": Cartesian,
-    "corexy": CoreXY,
-    "corexz": CoreXZ,
-    "hybrid_corexy": HybridCoreXY,
-    "hybrid_corexz": HybridCoreXZ,
-}
 
 
 def make_kinematics(
     kind: str, z_motors: Sequence[ZMotor] = (("z", 0.0, 0.0),)
 ) -> Kinematics:
     """The kinematics klippy calls `kind`, with its Z motors' (name, x, y)."""
-    if kind not in _KINDS:
+    if kind not in _MIXES:
         raise ValueError(
-            f"kinematics: unknown kind {kind!r}, know {sorted(_KINDS)}"
+            f"kinematics: unknown kind {kind!r}, know {sorted(_MIXES)}"
         )
     belt_z = kind in ("corexz", "hybrid_corexz")
     if belt_z and [name for name, _, _ in z_motors] != ["z"]:
         # The x belt is coupled to one z, so a tilted gantry has no meaning
         raise ValueError(f"z_motors: {kind} takes a single motor named 'z'")
-    return _KINDS[kind](z_motors)
+    return Kinematics(kind, z_motors)
 
 
 def plane_weights(z_motors: Sequence[ZMotor]) -> tuple[Weight, ...]:

@@ -9,9 +9,7 @@ import math
 from typing import Callable, Optional, Sequence
 
 from ..faults import Faults
-from .dock import Keeper
 from .sensors import TouchState
-from .sites import AxisSwitch, ContactSensor
 
 PoseLevel = Callable[[float, Sequence[float]], bool]
 
@@ -98,48 +96,3 @@ class Output:
     def on(self, t: float) -> bool:
         """Whether it is on at time t."""
         return self._on if t >= self._since else self._before
-
-
-def contact_level(
-    sensor: ContactSensor, held: Callable[[float], bool]
-) -> PoseLevel:
-    """A switch pressed from above."""
-
-    def level(t: float, pose: Sequence[float]) -> bool:
-        return sensor.level(t, pose, held)
-
-    return level
-
-
-def probe_level(sensor: ContactSensor, keeper: Keeper) -> PoseLevel:
-    """A normally closed switch: asserted as well when it is not there."""
-
-    def level(t: float, pose: Sequence[float]) -> bool:
-        if not keeper.connected(t, pose):
-            return True
-        return sensor.level(t, pose, keeper.held)
-
-    return level
-
-
-def enabled_level(sensor: ContactSensor, enable: Output) -> PoseLevel:
-    """A sensor that answers only while its output is on."""
-
-    def level(t: float, pose: Sequence[float]) -> bool:
-        return enable.on(t) and sensor.level(t, pose, nothing_held)
-
-    return level
-
-
-def axis_level(switch: AxisSwitch) -> PoseLevel:
-    """A position switch."""
-
-    def level(t: float, pose: Sequence[float]) -> bool:
-        return switch.level(pose)
-
-    return level
-
-
-def nothing_held(t: float) -> bool:
-    """Whether a machine without detachable probe holds it at time t."""
-    return False

@@ -4,19 +4,11 @@ from __future__ import annotations
 
 import math
 import random
-from typing import Callable, NamedTuple, Optional
+from typing import NamedTuple, Optional, Sequence
 
 from .bed import Bed
 from .dock import Keeper
-from .lines import (
-    Line,
-    Output,
-    axis_level,
-    contact_level,
-    enabled_level,
-    nothing_held,
-    probe_level,
-)
+from .lines import Line, Output, PoseLevel
 from .sensors import TouchState
 from .sites import (
     AxisSwitch,
@@ -98,22 +90,28 @@ class Builder:
     def _line(
         self,
         signal: str,
-        level: Callable[..., bool],
+        level: PoseLevel,
         state: Optional[TouchState] = None,
         noise: Optional[NoiseSpec] = None,
     ) -> None:
         latency = 0.0 if noise is None else noise.latency
         self._lines[signal] = Line(signal, level, state, latency)
 
-    def _held(self) -> Callable[[float], bool]:
-        return nothing_held if self._keeper is None else self._keeper.held
+    def _contact(self, sensor: ContactSensor) -> PoseLevel:
+        """A switch pressed from above."""
+        keeper = self._keeper
+        held = (lambda t: False) if keeper is None else keeper.held
+        return lambda t, pose: sensor.level(t, pose, held)
 
     def _axis_switches(self) -> None:
         for spec in self._spec.switches:
             switch = AxisSwitch(spec, self._state(spec.signal, spec.noise))
             self._switches.append(switch)
             self._line(
-                spec.signal, axis_level(switch), switch.state, spec.noise
+                spec.signal,
+                lambda t, pose, switch=switch: switch.level(pose),
+                switch.state,
+                spec.noise,
             )
 
     def _plate(self) -> None:
@@ -131,10 +129,10 @@ class Builder:
         site.limit(spec.overtravel, spec.allowed_drag)
         noise = sensor_spec.noise
         sensor = self._sensor("bed_sensor", noise, site)
-        level = contact_level(sensor, nothing_held)
+        level = self._contact(sensor)
         if sensor_spec.enable_output:
             enable = self._outputs["bed_sensor_enable"] = Output()
-            level = enabled_level(sensor, enable)
+            level = _while_on(enable, level)
         self._line("bed_sensor", level, sensor.state, noise)
 
     def _pin(self, pin: PinSpec) -> None:
@@ -152,8 +150,7 @@ class Builder:
                 self._spec.overtravel, self._spec.allowed_drag, pin.pin_travel
             )
         sensor = self._sensor(pin.signal, pin.noise, *sites)
-        level = contact_level(sensor, self._held())
-        self._line(pin.signal, level, sensor.state, pin.noise)
+        self._line(pin.signal, self._contact(sensor), sensor.state, pin.noise)
 
     def _mag_probe(self, probe: MagProbeSpec, keeper: Keeper) -> None:
         """Plunger and body on the plate, senses, attaching output."""
@@ -178,7 +175,12 @@ class Builder:
         body = Site("body_bed", contact, body_top, carried=True)
         body.limit(0.0, drag)
         self._sensor("", NoiseSpec(), body)
-        level = probe_level(sensor, keeper)
+        pressed = self._contact(sensor)
+
+        def level(t: float, pose: Sequence[float]) -> bool:
+            # Normally closed: asserted as well when it is not there
+            return not keeper.connected(t, pose) or pressed(t, pose)
+
         self._line("probe", level, sensor.state, probe.noise)
         if probe.mode == "output":
             self._outputs["probe_attach"] = Output()
@@ -198,8 +200,7 @@ class Builder:
         top = bed.highest + spec.sense_distance + abs(spec.twist) * reach
         site = Site("inductive_bed", sensed, top)
         sensor = self._sensor("probe", spec.noise, site)
-        level = contact_level(sensor, nothing_held)
-        self._line("probe", level, sensor.state, spec.noise)
+        self._line("probe", self._contact(sensor), sensor.state, spec.noise)
 
     def _membrane(self) -> None:
         spec, bed = self._spec.membrane, self._bed
@@ -212,5 +213,9 @@ class Builder:
         site = Site("nozzle_membrane", contact, top, spec.press)
         site.limit(self._spec.overtravel, self._spec.allowed_drag)
         sensor = self._sensor("membrane", spec.noise, site)
-        level = contact_level(sensor, nothing_held)
-        self._line("membrane", level, sensor.state, spec.noise)
+        self._line("membrane", self._contact(sensor), sensor.state, spec.noise)
+
+
+def _while_on(enable: Output, level: PoseLevel) -> PoseLevel:
+    """A sensor that answers only while its output is on."""
+    return lambda t, pose: enable.on(t) and level(t, pose)
