@@ -46,7 +46,8 @@ LINES = {
     "extra_probe.py": 500,
 }
 LINES_OF_A_SHARED_FILE = 400
-LINES_OF_ALL_SHARED = 1200
+# 1200 for the first two modules, and some for each that came after them
+LINES_OF_ALL_SHARED = 1400
 LINES_OF_A_FUNCTION = 40
 METHODS = 30
 ATTRIBUTES = 12
