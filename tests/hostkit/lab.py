@@ -92,7 +92,9 @@ class Lab:
     starts klippy, too.
     """
 
-    def __init__(self, host: Host, python: Path, directory: Path):
+    def __init__(
+        self, host: Host, python: Path, directory: Path, scene: str = "voron"
+    ):
         """python: the one that has Moonraker."""
         self.host = host
         self.directory = directory
@@ -102,7 +104,7 @@ class Lab:
         self.klipper = self.home / firmware_of(host).lower()
         self.module_dir = self.klipper / host.layout.module_dir
         self.printer: Optional[RunningPrinter] = None
-        self._scene = heated(SCENES["voron"])
+        self._scene = heated(SCENES[scene])
         self._sources = directory / "sources"
         self._releases = 0
         self._life = ExitStack()

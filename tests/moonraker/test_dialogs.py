@@ -1,0 +1,114 @@
+"""EXTRA_PROBE_CALIBRATE as a web interface sees it: dialogs and their buttons.
+
+An interface reads the lines of the console as they come, or, after it was
+loaded again, from Moonraker's store.
+"""
+
+from __future__ import annotations
+
+import pytest
+
+from tests.hostkit.dialogs import dialogs_of
+from tests.hostkit.extra_probe import (
+    CALIBRATE,
+    CONTINUE,
+    MICROSTEP,
+    NAME,
+    POINT,
+)
+from tests.hostkit.lab import Lab
+from tests.hostkit.moonraker import MoonrakerError
+from tests.moonraker.conftest import HOSTS
+
+
+@pytest.fixture(scope="module", params=HOSTS, ids=lambda host: host.name)
+def lab(request, moonraker_python, tmp_path_factory):
+    """A printer with a membrane switch, and Moonraker in front of it."""
+    directory = tmp_path_factory.mktemp("lab")
+    with Lab(request.param, moonraker_python, directory, "membrane") as lab:
+        lab.install()
+        lab.obey()
+        lab.moonraker.run("G28")
+        yield lab
+
+
+def said(lab):
+    """All lines of the console that Moonraker has stored."""
+    store = lab.moonraker.get("/server/gcode_store")["gcode_store"]
+    return [e["message"] for e in store if e["type"] == "response"]
+
+
+def open_dialog(lab):
+    """What an interface shows that is loaded now."""
+    shown = [dialog for dialog in dialogs_of(said(lab)) if dialog.is_open]
+    assert len(shown) <= 1
+    return shown[0] if shown else None
+
+
+def press(lab, label):
+    """Press a button of the dialog that is open."""
+    buttons = {b[0]: b[1] for b in open_dialog(lab).footer_buttons}
+    return lab.moonraker.run(buttons[label])
+
+
+def lay_membrane(lab, is_laid):
+    with lab.standing() as printer:
+        printer.machine.lay_membrane(is_laid)
+
+
+def test_calibration_by_buttons_only(lab):
+    lab.moonraker.run(CALIBRATE)
+    assert open_dialog(lab).headline == "Lay the switch below the nozzle"
+    lay_membrane(lab, True)
+    assert press(lab, "Continue") == "ok"
+    assert open_dialog(lab).headline == "Take the switch away"
+    lay_membrane(lab, False)
+    assert press(lab, "Continue") == "ok"
+    assert open_dialog(lab) is None
+    offset = lab.moonraker.status(NAME)
+    move = lab.moonraker.status("gcode_move")
+    assert move["homing_origin"][2] == pytest.approx(offset["last_offset"])
+    with lab.standing() as printer:
+        gap = printer.gap(POINT)
+    assert gap == pytest.approx(0.0, abs=2 * MICROSTEP)
+
+
+def test_abort_by_button(lab):
+    lab.moonraker.run(CALIBRATE)
+    assert press(lab, "Abort") == "ok"
+    assert open_dialog(lab) is None
+    with pytest.raises(MoonrakerError) as caught:
+        lab.moonraker.run(CONTINUE)
+    assert "nothing was asked" in caught.value.text
+
+
+def test_error_closes_the_dialog_and_is_shown(lab):
+    lab.moonraker.run(f"{CALIBRATE} FLOOR=2")
+    # Nobody has laid the membrane
+    with pytest.raises(MoonrakerError) as caught:
+        press(lab, "Continue")
+    assert "No trigger on probe after full movement" in caught.value.text
+    assert open_dialog(lab) is None
+    assert f"!! {caught.value.text}" in said(lab)
+
+
+def test_dialog_comes_over_the_socket(lab):
+    with lab.moonraker.listen() as listener:
+        lab.moonraker.run(CALIBRATE)
+        lines = listener.collect(
+            "notify_gcode_response",
+            lambda params: params[0] == "// action:prompt_show",
+        )
+        (shown,) = dialogs_of(line for (line,) in lines)
+        assert shown.headline == "Lay the switch below the nozzle"
+    press(lab, "Abort")
+
+
+def test_dialog_of_mainsail_that_is_closed_by_its_cross(lab):
+    # Without [respond] this is an unknown command; the question stays
+    lab.moonraker.run(CALIBRATE)
+    cross = 'RESPOND type="command" msg="action:prompt_end"'
+    lab.moonraker.run(cross)
+    status = lab.moonraker.status(NAME)
+    assert status["waits_for"] == "switch"
+    lab.moonraker.run("EXTRA_PROBE_ABORT PROBE=membrane")
