@@ -1,7 +1,8 @@
 #!/usr/bin/env bash
 #
-# Links the modules of this checkout into Klipper or Kalico and has Moonraker
-# keep the checkout up to date. --uninstall takes both back.
+# Links the modules of this checkout, and the folder that they share, into
+# Klipper or Kalico and has Moonraker keep the checkout up to date.
+# --uninstall takes both back.
 #
 # Everything is looked at first; where something is in the way, nothing has
 # been changed. There are no questions, and printer.cfg is never touched.
@@ -9,90 +10,77 @@
 set -Eeuo pipefail
 # Bytes, not characters: a file keeps what is not ours as it was
 export LC_ALL=C
-unset CDPATH GIT_DIR GIT_WORK_TREE GIT_INDEX_FILE
+unset GIT_DIR GIT_WORK_TREE GIT_INDEX_FILE
 
-readonly SHIPPED="z_calibration auto_z_offset"
-readonly SECTION="z_calibration" # of [update_manager ...], for all modules
-readonly BRANCH="main"
-readonly MARK="Added by install.sh of z_calibration"
-readonly NO_END=" (the line before had no end)"
-readonly NEW_FILE=" (the file is new)"
+# Those of them that are in the checkout
+readonly MODULES="z_calibration auto_z_offset dockable_probe extra_probe"
+# Always in klippy/extras, also where modules belong into klippy/plugins
+readonly SHARED="klippy/extras/z_touch"
+readonly SECTION="update_manager z_calibration" # one for all modules
+readonly MARK="# Added by install.sh of z_calibration"
 
 readonly UNEXPECTED=1 USAGE=2 ENVIRONMENT=3 CONFLICT=4 NOT_WRITABLE=5 RESTART=6
 
-readonly PRINT_STATUS="/printer/objects/query?print_stats&idle_timeout"
-# For machines with neither curl nor wget
-readonly PYTHON_GET='
-import sys, urllib.error, urllib.request as r
-opener = r.build_opener(r.ProxyHandler({}))
-try:
-    answer = opener.open(sys.argv[1], timeout=3)
-except urllib.error.HTTPError as error:
-    answer = error
-print(answer.read().decode())'
+# Where Moonraker is, there is a Python 3, but not always curl
+readonly PRINT_STATE='
+import json, sys, urllib.request as request
+
+opener = request.build_opener(request.ProxyHandler({}))
+
+def ask(path):
+    with opener.open(sys.argv[1] + path, timeout=3) as answer:
+        return json.load(answer)["result"]
+
+state = "idle"  # a klippy that is not ready prints nothing
+if ask("/server/info")["klippy_state"] == "ready":
+    status = ask("/printer/objects/query?print_stats&idle_timeout")["status"]
+    states = [status[name]["state"] for name in ("print_stats", "idle_timeout")]
+    if {"printing", "paused", "Printing"}.intersection(states):
+        state = "busy"
+print(state)'
 
 # Options
-klipper=""
-given_confs="" # lists have one entry in a line, as paths may contain spaces
-services=""
-modules=$SHIPPED
-channel=""
-kalico_override=""
-use_moonraker=1
-use_restart=1
-dry_run=""
-allow_root=""
-force=""
-uninstall=""
+klipper="" given_confs=() given_modules="" use_moonraker=1 use_restart=1
+dry_run="" allow_root="" force="" uninstall=""
 
 # What was found
-here=""        # this checkout
-folder=""      # klippy/extras, or klippy/plugins on Kalico
-terminal=""    # set if somebody can be asked for a password
-git_of_klipper="none"
-git_prefix=""  # of Klipper in its repository
-confs=""       # the moonraker.conf files to change
-every_conf=""  # and all others, as their printers may be printing
-origin=""
-unregistrable="" # why Moonraker cannot update this checkout
-first_problem=0
+here="" origin=""   # this checkout, and where it is from
+unregistrable=""    # why Moonraker cannot update it
+modules=""          # those to link or unlink
+folder=""           # where they belong: klippy/extras, or klippy/plugins
+git_prefix="-"      # of Klipper in its repository, - if it is in none
+confs=()            # the moonraker.conf files to change
+every_conf=()       # and all others, as their printers may be printing
+scratch=""
 
 # What was done
-links_changed=""
-confs_changed=""
-scratch=""
+rehearsal="" first_problem=0 links_changed="" confs_changed=""
 
 # Talking
 
 say() { printf '%s\n' "$*"; }
-
 note() { say "Note: $*"; }
-
 complain() { printf 'Error: %s\n' "$*" >&2; }
+explain() { printf '  %s\n' "$*" >&2; }
+
+# problem CODE TEXT: a reason not to begin; all are shown before the end
+problem() {
+    complain "${*:2}"
+    [ "$first_problem" -ne 0 ] || first_problem=$1
+}
 
 fail() {
-    local code=$1
-    shift
-    complain "$*"
-    exit "$code"
+    problem "$@"
+    exit "$1"
 }
 
-# A reason not to begin; all of them are shown before the end.
-problem() {
-    local code=$1
-    shift
-    complain "$*"
-    [ "$first_problem" -ne 0 ] || first_problem=$code
-}
+# report ACTION DETAIL: one line for what was done now
+report() { say "$1... [${dry_run:-OK}${2:+, $2}]"; }
+change() { [ -n "$dry_run$rehearsal" ] || "$@"; }
 
-# report ACTION DETAIL: one line for what is done now
-report() {
-    local word="OK"
-    [ -z "$dry_run" ] || word="DRY RUN"
-    say "$1... [$word${2:+, $2}]"
+needs_writable() {
+    [ -w "$1" ] || problem "$NOT_WRITABLE" "cannot write to $1"
 }
-
-change() { [ -n "$dry_run" ] || "$@"; }
 
 usage() {
     cat <<END
@@ -103,18 +91,13 @@ Links the modules into Klipper or Kalico and has Moonraker update them.
   -k, --klipper DIR          Klipper or Kalico (~/klipper, then ~/kalico)
   -m, --moonraker-conf FILE  a moonraker.conf, may be repeated (all that are
                              found)
-  -s, --service NAME         a Klipper service to restart, may be repeated
-                             (every klipper and klipper-NAME)
-  -n N                       the services klipper-1 to klipper-N
-      --modules "A B"        which modules ($SHIPPED)
-      --channel NAME         dev, beta or stable: which releases Moonraker
-                             installs (dev: every change)
-      --kalico-override      link although Kalico ships a module of that name
+      --modules "A B"        which modules (all that are here)
       --no-moonraker         leave moonraker.conf alone
       --no-restart           restart no service
       --dry-run              show what would be done, change nothing
       --allow-root           for machines on which all runs as root
-  -f, --force                replace an updater section of another checkout
+  -f, --force                replace what is somebody else's (links, files, an
+                             updater section), and link beside Kalico's modules
   -u, --uninstall            take links and updater section back
   -h, --help                 this text
 
@@ -123,7 +106,7 @@ Exit codes: 0 done or nothing to do, 1 unexpected, 2 usage, 3 environment,
 END
 }
 
-# Options
+# What is wanted, and where things are
 
 needs_value() {
     [ $# -ge 2 ] && [ -n "$2" ] || fail "$USAGE" "$1 needs a value; see --help"
@@ -132,30 +115,18 @@ needs_value() {
 parse() {
     while [ $# -gt 0 ]; do
         case $1 in
-            --*=*)
-                local word=$1
-                shift
-                set -- "${word%%=*}" "${word#*=}" "$@"
-                continue
-                ;;
             -k | --klipper) needs_value "$@" && klipper=$2 && shift ;;
             -m | --moonraker-conf)
-                needs_value "$@"
-                given_confs+="$2"$'\n'
-                shift
+                needs_value "$@" && given_confs+=("$2") && shift
                 ;;
-            -s | --service)
-                needs_value "$@"
-                services+="${2%.service}"$'\n'
-                shift
+            --modules) needs_value "$@" && given_modules=$2 && shift ;;
+            -n | -s)
+                needs_value "$@" && shift
+                note "-n and -s are ignored: every Klipper service is found"
                 ;;
-            -n) needs_value "$@" && number_services "$2" && shift ;;
-            --modules) needs_value "$@" && choose_modules "$2" && shift ;;
-            --channel) needs_value "$@" && choose_channel "$2" && shift ;;
-            --kalico-override) kalico_override=1 ;;
             --no-moonraker) use_moonraker="" ;;
             --no-restart) use_restart="" ;;
-            --dry-run) dry_run=1 ;;
+            --dry-run) dry_run="DRY RUN" ;;
             --allow-root) allow_root=1 ;;
             -f | --force) force=1 ;;
             -u | --uninstall) uninstall=1 ;;
@@ -166,1018 +137,556 @@ parse() {
     done
 }
 
-number_services() {
-    local i
-    case $1 in
-        *[!0-9]* | 0*) fail "$USAGE" "-n: $1 is not a number above 0" ;;
-        ???*) fail "$USAGE" "-n: $1 is more than anybody has" ;;
-    esac
-    for ((i = 1; i <= $1; i++)); do
-        services+="klipper-$i"$'\n'
-    done
-}
-
-choose_modules() {
-    local name
-    modules=""
-    while IFS= read -r name; do
-        [ -n "$name" ] || continue
-        case " $SHIPPED " in
-            *" $name "*) modules+="${modules:+ }$name" ;;
-            *) fail "$USAGE" "no module $name; there are: $SHIPPED" ;;
-        esac
-    done <<<"$(tr -s '[:space:],' '\n' <<<"$1")"
-    [ -n "$modules" ] || fail "$USAGE" "--modules: which? There are: $SHIPPED"
-}
-
-choose_channel() {
-    case $1 in
-        dev | beta | stable) channel=$1 ;;
-        *) fail "$USAGE" "--channel: $1 is not dev, beta or stable" ;;
-    esac
-}
-
-# Where things are
-
-locate_self() {
-    local script=${BASH_SOURCE[0]:-} name
+look_at_environment() {
+    local script=${BASH_SOURCE[0]:-}
     [ -n "$script" ] && [ -f "$script" ] ||
         fail "$ENVIRONMENT" "run the script from a clone: git clone, then" \
             "./install.sh in it"
-    script=$(readlink -f -- "$script")
-    here=$(cd -P -- "$(dirname -- "$script")" && pwd -P)
-    for name in $SHIPPED; do
-        [ -f "$here/$name.py" ] ||
-            fail "$ENVIRONMENT" "$name.py is not beside $script; run the" \
-                "script from a complete clone"
-    done
-}
-
-refuse_root() {
+    here=$(dirname -- "$(readlink -f -- "$script")")
     [ "$(id -u)" -ne 0 ] || [ -n "$allow_root" ] ||
         fail "$ENVIRONMENT" "do not run as root or with sudo; run it as the" \
             "user that Klipper runs as. Where that is root, add --allow-root"
 }
 
-require_home() {
-    [ -n "${HOME:-}" ] && [ -d "$HOME" ] ||
-        fail "$ENVIRONMENT" "HOME is not set to a directory; set it to that" \
-            "of the user that Klipper runs as"
+choose_modules() {
+    local name wanted known=$MODULES
+    # A link of ours can be taken away even when its module is gone
+    if [ -z "$uninstall" ]; then
+        known=""
+        for name in $MODULES; do
+            [ ! -f "$here/$name.py" ] || known+="${known:+ }$name"
+        done
+        [ -n "$known" ] && [ -d "$here/${SHARED##*/}" ] ||
+            fail "$ENVIRONMENT" "$here has no module or no ${SHARED##*/}; run" \
+                "the script from a complete clone"
+    fi
+    read -ra wanted <<<"$given_modules"
+    for name in "${wanted[@]}"; do
+        case " $known " in
+            *" $name "*) modules+="${modules:+ }$name" ;;
+            *) fail "$USAGE" "no module $name; there are: $known" ;;
+        esac
+    done
+    modules=${modules:-$known}
 }
 
 locate_klipper() {
     local found
-    if [ -n "$klipper" ]; then
-        [ -d "$klipper/klippy/extras" ] ||
-            fail "$ENVIRONMENT" "no klippy/extras in $klipper; give the" \
-                "directory of Klipper with -k"
-    else
-        for found in "$HOME/klipper" "$HOME/kalico"; do
-            if [ -z "$klipper" ] && [ -d "$found/klippy/extras" ]; then
-                klipper=$found
-            fi
-        done
-    fi
-    if [ -z "$klipper" ]; then
-        [ -n "$uninstall" ] || fail "$ENVIRONMENT" "no Klipper in ~/klipper" \
-            "or ~/kalico; give its path with -k"
-        note "no Klipper in ~/klipper or ~/kalico; give its path with -k"
-        return 0
-    fi
-    klipper=$(cd -P -- "$klipper" && pwd -P)
+    for found in "$HOME/klipper" "$HOME/kalico"; do
+        [ -n "$klipper" ] || [ ! -d "$found/klippy/extras" ] || klipper=$found
+    done
+    [ -n "$klipper" ] ||
+        fail "$ENVIRONMENT" "no Klipper in ~/klipper or ~/kalico; give its" \
+            "path with -k"
+    [ -d "$klipper/klippy/extras" ] || fail "$ENVIRONMENT" "no klippy/extras" \
+        "in $klipper; give the directory of Klipper with -k"
+    klipper=$(readlink -f -- "$klipper")
+    # Links of ours may keep that of Kalico when Klipper has come back
     folder="klippy/extras"
-    [ ! -d "$klipper/klippy/plugins" ] || folder="klippy/plugins"
-    look_at_git
-}
-
-# Whether git tells us what belongs to Klipper itself: none, ok or refuses
-look_at_git() {
-    if git -C "$klipper" ls-files -- klippy/extras >/dev/null \
-        2>"$scratch/git"; then
-        git_of_klipper="ok"
+    [ ! -e "$klipper/klippy/plugins/__init__.py" ] || folder="klippy/plugins"
+    # With the index, which tells what is part of Klipper
+    if git -C "$klipper" ls-files -- klippy >/dev/null 2>"$scratch/git"; then
         git_prefix=$(git -C "$klipper" rev-parse --show-prefix)
     elif [ -e "$klipper/.git" ]; then
-        git_of_klipper="refuses"
+        problem "$ENVIRONMENT" "git does not tell what is part of $klipper:" \
+            "$(cat -- "$scratch/git")"
     fi
 }
 
 locate_confs() {
-    local file
-    while IFS= read -r file; do
-        [ -z "$file" ] || [ -f "$file" ] ||
-            fail "$ENVIRONMENT" "there is no $file; give a moonraker.conf" \
-                "with -m"
-        case $file in
-            /* | "") add_conf "$file" ;;
-            *) add_conf "$PWD/$file" ;;
-        esac
-    done <<<"$given_confs"
-    confs=$every_conf
-    for file in "$HOME"/*_data/config/moonraker.conf \
-        "$HOME"/klipper_config/moonraker.conf \
-        "$HOME"/klipper_config/*/moonraker.conf; do
-        add_conf "$file"
+    local file found=("$HOME"/*_data/config/moonraker.conf
+        "$HOME"/klipper_config/{,*/}moonraker.conf)
+    for file in "${given_confs[@]}"; do
+        [ -f "$file" ] || fail "$ENVIRONMENT" "there is no $file; give a" \
+            "moonraker.conf with -m"
     done
-    [ -n "$given_confs" ] || confs=$every_conf
-    [ -n "$use_moonraker" ] || confs=""
+    mapfile -t confs < <(each_once "${given_confs[@]}")
+    mapfile -t every_conf < <(each_once "${confs[@]}" "${found[@]}")
+    [ "${#confs[@]}" -gt 0 ] || confs=("${every_conf[@]}")
 }
 
-add_conf() {
-    local known
-    [ -f "$1" ] || return 0
-    while IFS= read -r known; do
-        [ -z "$known" ] || [ ! "$known" -ef "$1" ] || return 0
-    done <<<"$every_conf"
-    every_conf+="$1"$'\n'
-}
-
-# The directories with the configurations of the printers
-config_folders() {
+# Those that are there, each under its own name
+each_once() {
     local file
-    while IFS= read -r file; do
-        [ -z "$file" ] || dirname -- "$file"
-    done <<<"$every_conf"
-    for file in "$HOME"/*_data/config "$HOME"/klipper_config; do
-        [ ! -d "$file" ] || printf '%s\n' "$file"
+    for file; do
+        [ ! -f "$file" ] || readlink -f -- "$file"
+    done | awk '!seen[$0]++'
+}
+
+# Links. A place is where one may be, from the directory of Klipper on.
+
+# Those of our modules, and the folder unless another module needs it
+places() {
+    local name dir is_needed=""
+    for name in $MODULES; do
+        for dir in klippy/extras klippy/plugins; do
+            case " $modules " in
+                *" $name "*) say "$dir/$name.py" ;;
+                *) ! is_ours "$dir/$name.py" || is_needed=$uninstall ;;
+            esac
+        done
     done
+    [ -n "$is_needed" ] || say "$SHARED"
 }
 
-# grep_configs FOLDER PATTERN: the *.cfg below it that match, but for what
-# SAVE_CONFIG keeps as printer-20261121_174500.cfg
-grep_configs() {
-    local day='[0-9][0-9][0-9][0-9][0-9][0-9][0-9][0-9]'
-    find -L "$1" -maxdepth 5 -name '*.cfg' -type f \
-        ! -name "*-${day}_[0-9][0-9][0-9][0-9][0-9][0-9].cfg" \
-        -exec grep -liE -e "$2" {} + 2>/dev/null || true
+# Where a link has to be; in the other one of Kalico's folders it must not
+is_wanted() {
+    [ -z "$uninstall" ] && [[ $1 = "$SHARED" || ${1%/*} = "$folder" ]]
 }
 
-# Modules
-
+# Whether it, or a package of that name, is part of Klipper
 is_tracked() {
-    [ "$git_of_klipper" = ok ] &&
-        git -C "$klipper" ls-files --error-unmatch -- "$1" >/dev/null 2>&1
+    [ "$git_prefix" != - ] &&
+        [ -n "$(git -C "$klipper" ls-files -- "$1" "${1%.py}")" ]
 }
 
-# is_ours FILE: a link into this checkout, also one to a file that is gone
+# A link into this checkout, also one to a file that is gone
 is_ours() {
-    [ -L "$1" ] || return 1
-    local target
-    target=$(readlink -- "$1")
-    case $target in
-        "$here"/*) return 0 ;;
-        *) [ "$1" -ef "$here/$(basename -- "$1")" ] ;;
-    esac
+    [ -L "$klipper/$1" ] && [[ $(readlink -f -- "$klipper/$1") = "$here"/* ]]
 }
 
-# What is where a link of a module is to be, in one word
-occupant() {
-    local path="$folder/$1.py"
-    local file="$klipper/$path"
-    if is_tracked "$path" || is_tracked "$folder/$1/__init__.py"; then
-        echo tracked
-    elif [ -L "$file" ]; then
-        if [ "$file" -ef "$here/$1.py" ]; then echo ours; else echo link; fi
-    elif [ -d "$file" ] || [ -d "$klipper/$folder/$1" ]; then
-        echo directory
-    elif [ ! -e "$file" ]; then
-        echo nothing
-    elif [ "$git_of_klipper" = refuses ]; then
-        echo unclear
-    elif cmp -s -- "$file" "$here/$1.py"; then
-        echo equal
-    else
-        echo other
-    fi
-}
+# A link to a file that is gone is of use to nobody
+is_foreign() { [ -e "$klipper/$1" ] && ! is_ours "$1"; }
 
-check_module() {
-    local file="$folder/$1.py" state
-    state=$(occupant "$1")
-    case $state in
-        tracked)
-            problem "$CONFLICT" "$file is part of this Klipper; replacing it" \
-                "would block Klipper updates. Leave it out with --modules"
-            [ ! -L "$klipper/$file" ] ||
-                complain "It was replaced by a link. To restore it:" \
-                    "git -C '$klipper' checkout -- '$file'"
-            ;;
-        directory)
-            problem "$CONFLICT" "$klipper/$folder has a directory $1 or" \
-                "$1.py; move it away first"
-            ;;
-        unclear)
-            problem "$CONFLICT" "$file may be part of this Klipper, and git" \
-                "does not tell: $(head -n 1 "$scratch/git")"
-            ;;
-    esac
-    [ "$folder" = "klippy/extras" ] || check_kalico "$1"
-}
-
-# Kalico does not start with two modules of one name, unless it is told to.
-check_kalico() {
-    local extra="klippy/extras/$1" folders dir missing="" allowed=""
-    if is_ours "$klipper/$extra.py" && ! is_tracked "$extra.py"; then
-        return 0 # is taken away
-    fi
-    [ -e "$klipper/$extra.py" ] || [ -d "$klipper/$extra" ] ||
-        is_tracked "$extra.py" || return 0
-    [ ! -L "$klipper/$extra.py" ] || ! is_tracked "$extra.py" ||
-        note "$extra.py of Kalico was replaced by a link, which blocks its" \
-            "updates. To restore it: git -C '$klipper' checkout -- '$extra.py'"
-    [ -z "$kalico_override" ] || return 0
-    folders=$(config_folders | sort -u)
-    while IFS= read -r dir; do
-        if [ -z "$dir" ]; then
-            continue
-        elif allows_override "$dir"; then
-            allowed=1
-        elif [ -f "$dir/printer.cfg" ]; then
-            missing+="$dir/printer.cfg"$'\n'
+set_up_links() {
+    local place emptied=""
+    for place in $(places); do
+        if is_wanted "$place"; then
+            link "$place"
+        elif is_ours "$place"; then
+            needs_writable "$klipper/${place%/*}"
+            ! is_tracked "$place" || note "$place is part of this Klipper. To" \
+                "restore it: git -C '$klipper' checkout -- '$place'"
+            change rm -- "$klipper/$place"
+            report "Removing ${place##*/} from ${place%/*}"
+            emptied+=" $place"
+            links_changed=1
         fi
-    done <<<"$folders"
-    if [ -z "$allowed" ]; then
-        problem "$CONFLICT" "Kalico ships its own $1. Add to printer.cfg" \
-            "first, or Kalico will not start:"
-        printf '\n[danger_options]\nallow_plugin_override: True\n\n' >&2
-        complain "Then run this again. Other modules go without it, see" \
-            "--modules; --kalico-override links in any case."
-    elif [ -n "$missing" ]; then
-        note "a printer with this Kalico does not start unless" \
-            "allow_plugin_override is in its configuration, too:" \
-            "${missing%$'\n'}"
+    done
+    [ -n "$uninstall" ] || check_kalico
+    [ "$git_prefix" = - ] || set_up_exclude "$emptied"
+}
+
+link() {
+    local file="$klipper/$1" name=${1##*/} kept detail=""
+    local action="Linking $name into ${1%/*}"
+    if is_tracked "$1"; then
+        problem "$CONFLICT" "$1 is part of this Klipper; replacing it would" \
+            "block Klipper updates. Leave it out with --modules"
+        return 0
+    elif is_ours "$1" && [ "$file" -ef "$here/$name" ]; then
+        say "$action... [OK, already linked]"
+        return 0
+    elif is_foreign "$1" && [ -z "$force" ]; then
+        refuse_to_replace "$1"
+        return 0
     fi
-}
-
-allows_override() {
-    local pattern='^allow_plugin_override[[:space:]]*[:=][[:space:]]*'
-    pattern+='(true|yes|on|1)[[:space:]]*([#;].*)?$'
-    [ -n "$(grep_configs "$1" "$pattern")" ]
-}
-
-link_module() {
-    local file="$klipper/$folder/$1.py" action="Linking $1.py into $folder"
-    local state kept detail=""
-    state=$(occupant "$1")
-    leave_extras "$1"
-    case $state in
-        ours)
-            say "$action... [OK, already linked]"
-            return 0
-            ;;
-        nothing) ;;
-        link) detail="pointed to $(readlink -- "$file") before" ;;
-        equal) detail="replaced an equal copy" ;;
-        other)
-            kept=$(free_name "$file.bak-$(date +%Y%m%d%H%M%S)")
-            detail="old copy kept as $(basename -- "$kept")"
-            change mv -- "$file" "$kept"
-            ;;
-    esac
-    change ln -sfn -- "$here/$1.py" "$file"
+    needs_writable "${file%/*}"
+    ! is_foreign "$1" || note "$(difference "$name")"
+    if [ -L "$file" ]; then
+        detail="pointed to $(readlink -- "$file") before"
+    elif [ -e "$file" ]; then
+        kept=$(backup_name "$file")
+        detail="old one kept as ${kept##*/}"
+        change mv -- "$file" "$kept"
+    fi
+    # Not into the directory that an old link points to
+    change ln -sfn -- "$here/$name" "$file"
     report "$action" "$detail"
     links_changed=1
 }
 
-# Of an installation before Klipper became Kalico
-leave_extras() {
-    local path="klippy/extras/$1.py"
-    [ "$folder" != "klippy/extras" ] && is_ours "$klipper/$path" &&
-        ! is_tracked "$path" || return 0
-    change rm -- "$klipper/$path"
-    report "Removing the old link $path"
-    links_changed=1
+refuse_to_replace() {
+    local file="$klipper/$1" name=${1##*/} target="" updater=""
+    if [ -L "$file" ]; then
+        target=$(readlink -f -- "$file")
+        updater=$(updater_of "$target")
+        problem "$CONFLICT" "$file belongs to somebody else: it is a link to" \
+            "$target"
+    else
+        problem "$CONFLICT" "$file is no link, so this script has not made it"
+    fi
+    explain "$(difference "$name")"
+    [ -z "$updater" ] || explain "Its updates come by $updater, and may put" \
+        "it back: remove that section"
+    explain "To change to ours: --force, which keeps a file or folder as" \
+        "$name.bak- and the time; or rm -r '$file' and run this again"
+    [ "$1" = "$SHARED" ] || explain "To leave it there: name the others with" \
+        "--modules"
 }
 
-unlink_module() {
-    local dir file action state="not there"
-    for dir in klippy/extras klippy/plugins; do
-        file="$klipper/$dir/$1.py"
-        action="Removing $1.py from $dir"
-        if is_ours "$file"; then
-            change rm -- "$file"
-            report "$action"
-            ! is_tracked "$dir/$1.py" ||
-                note "$dir/$1.py is part of this Klipper. To restore it:" \
-                    "git -C '$klipper' checkout -- '$dir/$1.py'"
-            links_changed=1
-            state=""
-        elif [ -L "$file" ]; then
-            say "$action... [SKIPPED, points to $(readlink -- "$file")]"
-            state=""
-        elif [ -e "$file" ] && [ "$dir" = "$folder" ]; then
-            say "$action... [SKIPPED, not a link]"
-            state=""
-        fi
-    done
-    [ -z "$state" ] || say "Removing $1.py from $folder... [SKIPPED, $state]"
-}
-
-free_name() {
-    local name=$1 count=1
-    while [ -e "$name" ]; do
-        name="$1-$count"
-        count=$((count + 1))
-    done
-    printf '%s\n' "$name"
-}
-
-# Git's list of files that are not Klipper's
-
-exclude_file() {
-    local file
-    file=$(git -C "$klipper" rev-parse --git-path info/exclude)
-    case $file in
-        /*) printf '%s\n' "$file" ;;
-        *) printf '%s\n' "$klipper/$file" ;;
+# What is new to users of another one of that name
+difference() {
+    case $1 in
+        auto_z_offset.py)
+            say "With ours, z_offset of [auto_z_offset] has the opposite sign" \
+                "(-0.1 there is 0.1 here); calibrated_z_offset," \
+                "activate_gcode, deactivate_gcode, x_offset and y_offset are" \
+                "ignored. See $here/docs/auto_z_offset.md, How do I migrate"
+            ;;
+        *.py) say "What differs with ours is in $here/docs/migration.md" ;;
+        *) say "Our modules need that of this checkout" ;;
     esac
 }
 
-exclude_links() {
-    local name path file
-    if [ "$git_of_klipper" = refuses ]; then
-        note "git does not tell about $klipper ($(head -n 1 "$scratch/git"));" \
-            "the links were not added to its exclude file"
-    fi
-    [ "$git_of_klipper" = ok ] || return 0
-    file=$(exclude_file)
-    for name in $modules; do
-        path="$folder/$name.py"
-        if git -C "$klipper" check-ignore -q -- "$path" 2>/dev/null; then
-            continue
-        fi
-        if [ -n "$dry_run" ] || exclude "/$git_prefix$path" "$file"; then
-            report "Excluding $path from git status"
-        else
-            note "could not write to $file; git and Moonraker will list" \
-                "$path as a new file, which is harmless"
-        fi
+# updater_of FILE: the section that updates it, and where that is
+updater_of() {
+    local conf file section option value
+    for conf in "${every_conf[@]}"; do
+        while IFS=$'\t' read -r file section option value; do
+            [ "${section%% *}/$option" = update_manager/path ] || continue
+            value=$(readlink -f -- "${value/#\~/$HOME}") || continue
+            [[ $1 != "$value"/?* ]] || say "[$section] in $file"
+        done < <(settings "$conf")
     done
 }
 
-exclude() {
-    local state=""
-    mkdir -p -- "$(dirname -- "$2")" || return 1
-    if [ ! -e "$2" ]; then
-        state=$NEW_FILE
-    elif ! ends_with_newline "$2"; then
-        state=$NO_END
-    fi
-    {
-        [ "$state" != "$NO_END" ] || echo
-        printf '# %s%s\n%s\n' "$MARK" "$state" "$1"
-    } 2>/dev/null >>"$2"
+# Kalico does not start with two modules of one name, unless it is told to.
+check_kalico() {
+    local name shipped="" others=""
+    [ "$folder" = klippy/plugins ] && [ -z "$force" ] || return 0
+    for name in $modules; do
+        if is_tracked "klippy/extras/$name.py"; then
+            shipped+="${shipped:+ and }$name"
+        elif is_foreign "klippy/extras/$name.py"; then
+            refuse_to_replace "klippy/extras/$name.py"
+        else
+            others+="${others:+ }$name"
+        fi
+    done
+    [ -n "$shipped" ] && ! is_override_allowed || return 0
+    problem "$CONFLICT" "Kalico ships its own $shipped. Add to printer.cfg" \
+        "first, or Kalico will not start:"
+    printf '\n[danger_options]\nallow_plugin_override: True\n\n' >&2
+    explain "Then run this again; --force links in any case." \
+        "${others:+Without it: --modules \"$others\"}"
 }
 
-# Takes each of our marks away with the line after it, if that is one of ours
-include_links() {
-    local file names
-    [ "$git_of_klipper" = ok ] || return 0
-    file=$(exclude_file)
-    [ -f "$file" ] && grep -qF -e "# $MARK" -- "$file" || return 0
-    if ! can_write_over "$file"; then
-        note "could not write to $file; the lines for the links stay there," \
-            "which is harmless"
-        return 0
-    fi
-    names=${modules// /|}
-    awk -v mark="# $MARK" -v no_end="$NO_END" -v new_file="$NEW_FILE" \
-        -v ours="^/(.*/)?klippy/(extras|plugins)/($names)[.]py\$" \
-        -v open="$(is_open "$file")" '
-        { line[NR] = $0 }
-        END {
-            for (i = 1; i <= NR; i++) {
-                if (index(line[i], mark) == 1 && line[i + 1] ~ ours) {
-                    if (index(line[i], no_end)) end = count
-                    if (index(line[i], new_file)) new = 1
-                    i++
-                } else {
-                    kept[++count] = line[i]
-                }
-            }
-            if (!count && new) exit 9
-            for (i = 1; i <= count; i++)
-                printf "%s%s", kept[i],
-                    ((i < count || !(open || end == count)) ? "\n" : "")
-        }' "$file" >"$scratch/exclude" || {
-        [ $? -eq 9 ] || return 1
-        change rm -- "$file"
-        report "Removing $file" "it was made for the links"
-        return 0
-    }
-    cmp -s -- "$scratch/exclude" "$file" && return 0
-    change write_over "$scratch/exclude" "$file"
-    report "Removing the links from $file"
+# In any configuration but those that SAVE_CONFIG leaves behind, such as
+# printer-20261121_174500.cfg
+is_override_allowed() {
+    local pattern='^allow_plugin_override[[:space:]]*[:=][[:space:]]*'
+    pattern+='(true|yes|on|1)[[:space:]]*([#;].*)?$'
+    [ -n "$(find -L "${every_conf[@]%/*}" "$HOME"/*_data/config \
+        "$HOME"/klipper_config -maxdepth 5 -name '*.cfg' \
+        ! -name 'printer-[0-9]*_[0-9]*.cfg' \
+        -exec grep -liE -e "$pattern" {} + 2>/dev/null)" ]
 }
 
-ends_with_newline() { [ -z "$(tail -c 1 -- "$1")" ]; }
-
-is_open() { ends_with_newline "$1" || echo 1; }
-
-# Its old text has to fit beside it, too
-can_write_over() { [ -w "$1" ] && [ -w "$(dirname -- "$1")" ]; }
-
-# write_over NEW FILE: in place, as a link stays a link then, and owner and
-# mode stay. Until all is written the old text is kept beside it.
-write_over() {
-    local kept
-    kept=$(free_name "$2.bak-$(date +%Y%m%d%H%M%S)")
-    cp -p -- "$2" "$kept" ||
-        fail "$UNEXPECTED" "could not keep a copy of $2, so it was left alone"
-    if ! cat -- "$1" >"$2" || ! cmp -s -- "$1" "$2"; then
-        fail "$UNEXPECTED" "could not write all of $2; its old text is in $kept"
+# set_up_exclude REMOVED: git's list of files that are not Klipper's. If it
+# cannot be written, git shows what is harmless.
+set_up_exclude() {
+    local file place new=""
+    file=$(git -C "$klipper" rev-parse --git-path info/exclude)
+    [[ $file = /* ]] || file="$klipper/$file"
+    for place in $(places); do
+        ! is_wanted "$place" ||
+            git -C "$klipper" check-ignore -q -- "$place" ||
+            new+=$'\n'"/$git_prefix$place"
+    done
+    if [ -n "$new" ]; then
+        if change append "$MARK$new" "$file" 2>/dev/null; then
+            report "Excluding the links from git status" "in $file"
+        else
+            note "cannot write to $file; git will list the links as new files"
+        fi
     fi
-    rm -- "$kept"
+    for place in $1; do
+        change sed -i -e "/^$MARK/d" -e "\|^/$git_prefix$place\$|d" "$file" \
+            2>/dev/null || true
+    done
 }
 
 # Moonraker
 
 # Whether and how Moonraker could update this checkout
 look_at_checkout() {
-    case $here in
-        *[[:space:]]*)
-            unregistrable="the path $here contains a space; Moonraker cannot"
-            unregistrable+=" update such a checkout"
-            return 0
-            ;;
-    esac
-    if [ ! -e "$here/.git" ]; then
-        unregistrable="$here is not a git clone"
-    elif ! origin=$(git -C "$here" remote get-url origin 2>"$scratch/remote")
-    then
+    # Not where a repository around it is from
+    if ! origin=$(GIT_CEILING_DIRECTORIES=${here%/*} \
+        git -C "$here" remote get-url origin 2>"$scratch/git"); then
         unregistrable="git does not tell where $here is from:"
-        unregistrable+=" $(head -n 1 "$scratch/remote")"
-    elif ! git -C "$here" symbolic-ref -q HEAD >/dev/null; then
-        note "$here is on no branch, and Moonraker will not update it. To" \
-            "change that: git -C '$here' checkout $BRANCH"
+        unregistrable+=" $(cat -- "$scratch/git")"
+    elif [[ $here = *[[:space:]]* ]]; then
+        unregistrable="Moonraker updates no path with a space, such as $here"
     fi
-}
-
-tilde_path() {
-    local home
-    home=$(cd -P -- "$HOME" && pwd -P)
-    case $1 in
-        "$home"/*) printf '%s/%s\n' '~' "${1#"$home"/}" ;;
-        *) printf '%s\n' "$1" ;;
-    esac
 }
 
 updater_text() {
-    printf '[update_manager %s]\n' "$SECTION"
-    printf 'type: git_repo\n'
-    printf 'path: %s\n' "$(tilde_path "$here")"
-    printf 'origin: %s\n' "$origin"
-    printf 'primary_branch: %s\n' "$BRANCH"
-    printf 'managed_services: klipper\n'
-    [ -z "$channel" ] || printf 'channel: %s\n' "$channel"
+    cat <<END
+$MARK
+[$SECTION]
+type: git_repo
+path: ${here/#"$HOME"\//\~/}
+origin: $origin
+primary_branch: main
+managed_services: klipper
+END
 }
 
-# For grep and for every awk: some take a backslash in a string away
-header_pattern() {
-    printf '^[[]update_manager +(client +)?%s[]]' "$SECTION"
-}
-
-# A configuration and the files it includes
+# A configuration and the files it includes, as far as they can be read
 with_includes() {
-    local conf=$1 depth=${2:-0} patterns pattern folder file
-    printf '%s\n' "$conf"
-    [ "$depth" -lt 8 ] || return 0
-    patterns=$(sed -nE 's/^\[include +([^]]+)\].*/\1/p' "$conf")
+    local conf=$1 depth=${2:-0} pattern file
+    [ -r "$conf" ] && [ "$depth" -lt 8 ] || return 0
+    say "$conf"
     while IFS= read -r pattern; do
-        case $pattern in
-            "") continue ;;
-            /*) folder="" ;;
-            *) folder="$(dirname -- "$conf")/" ;;
-        esac
+        [ "${pattern:0:1}" = / ] || pattern="$(dirname -- "$conf")/$pattern"
         # Spaces belong to the path, the rest is for the shell to expand
         local IFS=
         # shellcheck disable=SC2086
-        for file in "$folder"$pattern; do
-            [ ! -f "$file" ] || with_includes "$file" $((depth + 1))
+        for file in $pattern; do
+            with_includes "$file" $((depth + 1))
         done
-    done <<<"$patterns"
+    done < <(sed -nE 's/^\[include +([^]]+)\].*/\1/p' "$conf")
 }
 
-# The file, of a configuration and what it includes, that has our section
-section_file() {
-    local files file
-    files=$(with_includes "$1")
+# settings CONF: each option as file, section, option and value, with tabs
+# between; for each section a line without option before
+settings() {
+    local file
     while IFS= read -r file; do
-        if grep -qE -e "$(header_pattern)" -- "$file"; then
-            printf '%s\n' "$file"
-            return 0
-        fi
-    done <<<"$files"
-}
-
-# section_value FILE KEY: what the last line of the section says
-section_value() {
-    awk -v header="$(header_pattern)" -v key="$2" '
-        { sub(/\r$/, "") }
-        /^\[/ { inside = $0 ~ header }
-        inside && $0 ~ "^" key "[ \t]*[:=]" {
-            sub(/^[^:=]*[:=][ \t]*/, "")
-            sub(/([ \t]+[#;].*)?[ \t]*$/, "")
-            value = $0
-        }
-        END { print value }' "$1"
-}
-
-updates_this() {
-    local path
-    path=$(section_value "$1" path)
-    case $path in
-        \~/*) path="$HOME/${path#??}" ;;
-    esac
-    [ "${path%/}" = "$here" ] || [ "$path" -ef "$here" ]
-}
-
-# Whether the section says what we would write
-is_current() {
-    updates_this "$1" || return 1
-    [ "$(bare_origin "$(section_value "$1" origin)")" = \
-        "$(bare_origin "$origin")" ] || return 1
-    [ "$(section_value "$1" primary_branch)" = "$BRANCH" ] || return 1
-    [ -z "$channel" ] || [ "$(section_value "$1" channel)" = "$channel" ]
-}
-
-bare_origin() {
-    local bare
-    bare=$(printf '%s' "$1" | tr '[:upper:]' '[:lower:]')
-    printf '%s\n' "${bare%.git}"
-}
-
-check_conf() {
-    local files file
-    files=$(with_includes "$1" 2>/dev/null) || true
-    while IFS= read -r file; do
-        if [ ! -r "$file" ]; then
-            problem "$NOT_WRITABLE" "cannot read $file"
-            return 0
-        fi
-    done <<<"$files"
-    file=$(section_file "$1")
-    if [ -n "$file" ]; then
-        if [ -n "$uninstall" ]; then
-            updates_this "$file" || return 0
-        else
-            [ -n "$force" ] && ! is_current "$file" || return 0
-        fi
-    else
-        file=$1
-        [ -z "$uninstall" ] || return 0
-    fi
-    can_write_over "$file" ||
-        problem "$NOT_WRITABLE" "cannot write to $file, or not beside it"
-}
-
-register() {
-    local conf=$1 file kept action
-    file=$(section_file "$conf")
-    action="Adding [update_manager $SECTION] to $conf"
-    if [ -z "$file" ]; then
-        change append_updater "$conf"
-        report "$action"
-        [ -z "$dry_run" ] || updater_text
-    elif is_current "$file"; then
-        say "$action... [SKIPPED, already there]"
-        return 0
-    elif [ -z "$force" ]; then
-        say "$action... [SKIPPED]"
-        describe_difference "$file"
-        return 0
-    else
-        kept=$(free_name "$file.bak-$(date +%Y%m%d%H%M%S)")
-        change cp -p -- "$file" "$kept"
-        change remove_updater "$file"
-        change append_updater "$file"
-        report "Replacing [update_manager $SECTION] in $file" \
-            "old file kept as $(basename -- "$kept")"
-        [ -z "$dry_run" ] || updater_text
-    fi
-    confs_changed=1
-}
-
-describe_difference() {
-    if ! updates_this "$1"; then
-        note "the section in $1 updates '$(section_value "$1" path)', not" \
-            "this checkout; use --force to replace it"
-    else
-        note "the section in $1 has another origin, branch or channel; use" \
-            "--force to replace it"
-    fi
-}
-
-append_updater() {
-    local state=""
-    ends_with_newline "$1" || state=$NO_END
-    {
-        cat -- "$1"
-        [ -z "$state" ] || echo
-        [ ! -s "$1" ] || echo
-        printf '# %s%s\n' "$MARK" "$state"
-        updater_text
-    } >"$scratch/updater"
-    write_over "$scratch/updater" "$1"
-}
-
-# The section with our mark, and the empty line before it. What stands after
-# its last option belongs to somebody else.
-remove_updater() {
-    awk -v header="$(header_pattern)" -v mark="# $MARK" -v no_end="$NO_END" \
-        -v open="$(is_open "$1")" '
-        function empty(text) { return text ~ /^[ \t\r]*$/ }
-        { line[NR] = $0 }
-        $0 ~ header && !first { first = NR }
-        END {
-            last = first
-            for (i = first + 1; i <= NR && line[i] !~ /^\[/; i++)
-                if (!empty(line[i]) && line[i] !~ /^[ \t]*[#;]/) last = i
-            if (index(line[first - 1], mark) == 1) {
-                first--
-                cut = index(line[first], no_end) > 0
+        awk -v OFS='\t' '
+            { sub(/\r$/, "") }
+            /^\[/ {
+                section = substr($0, 2)
+                sub(/\].*/, "", section)
+                gsub(/ +/, " ", section)
+                sub(/^update_manager client /, "update_manager ", section)
+                print FILENAME, section, "", ""
             }
-            if (first > 1 && empty(line[first - 1])) first--
-            if (last < NR) cut = open
-            for (i = 1; i <= NR; i++) {
-                if (i >= first && i <= last) continue
-                if (count++) printf "\n"
-                printf "%s", line[i]
-            }
-            if (count && !cut) printf "\n"
-        }' "$1" >"$scratch/conf"
-    write_over "$scratch/conf" "$1"
+            section && /^[^#; \t[][^:=]*[:=]/ {
+                option = value = $0
+                sub(/[ \t]*[:=].*/, "", option)
+                sub(/^[^:=]*[:=][ \t]*/, "", value)
+                sub(/([ \t]+[#;].*)?[ \t]*$/, "", value)
+                print FILENAME, section, option, value
+            }' "$file"
+    done < <(with_includes "$1")
 }
 
-unregister() {
-    local conf=$1 file action
-    file=$(section_file "$conf")
-    action="Removing [update_manager $SECTION] from ${file:-$conf}"
-    if [ -z "$file" ]; then
-        say "$action... [SKIPPED, not there]"
-    elif ! updates_this "$file"; then
-        say "$action... [SKIPPED, updates $(section_value "$file" path)]"
-    else
-        change remove_updater "$file"
-        report "$action"
-        confs_changed=1
-    fi
+# setting CONF SECTION OPTION: the last value; with no OPTION the file that has
+# the section
+setting() {
+    settings "$1" | awk -F '\t' -v section="$2" -v option="${3:-}" '
+        $2 == section && $3 == option { value = (option == "") ? $1 : $4 }
+        END { print value }'
 }
 
 set_up_updates() {
     local conf
     [ -n "$use_moonraker" ] || return 0
-    if [ -z "$confs" ]; then
-        [ -n "$uninstall" ] ||
-            note "No moonraker.conf found: automatic updates not set up"
-        return 0
-    fi
-    if [ -z "$uninstall" ] && [ -n "$unregistrable" ]; then
+    [ -n "$uninstall" ] || look_at_checkout
+    if [ -n "$unregistrable" ]; then
         note "automatic updates not set up: $unregistrable"
         return 0
     fi
-    while IFS= read -r conf; do
-        if [ -z "$conf" ]; then
-            continue
-        elif [ -n "$uninstall" ]; then
-            unregister "$conf"
-        else
-            register "$conf"
-        fi
-    done <<<"$confs"
+    [ "${#confs[@]}" -gt 0 ] || [ -n "$uninstall" ] ||
+        note "No moonraker.conf found: automatic updates not set up"
+    for conf in "${confs[@]}"; do
+        set_up_conf "$conf"
+    done
 }
+
+set_up_conf() {
+    local file path theirs ours=${origin%.git} is_path_ours=""
+    if [ ! -r "$1" ]; then
+        problem "$NOT_WRITABLE" "cannot read $1"
+        return 0
+    fi
+    file=$(setting "$1" "$SECTION")
+    path=$(setting "$1" "$SECTION" path)
+    theirs=$(setting "$1" "$SECTION" origin)
+    [ ! "${path/#\~/$HOME}" -ef "$here" ] || is_path_ours=1
+    if [ -z "$file" ]; then
+        [ -z "$uninstall" ] || return 0
+        needs_writable "$1"
+        change append "$(updater_text)" "$1"
+        report "Adding [$SECTION] to $1"
+    elif [ -n "$uninstall" ] && [ -n "$is_path_ours" ]; then
+        rewrite "$file"
+        report "Removing [$SECTION] from $file"
+    elif [ -n "$is_path_ours" ] && [ "${theirs%.git}" = "$ours" ]; then
+        say "Adding [$SECTION] to $1... [SKIPPED, already there]"
+        return 0
+    elif [ -n "$force" ] && [ -z "$uninstall" ]; then
+        rewrite "$file" "$(updater_text)"
+        report "Replacing [$SECTION] in $file"
+    else
+        say "[$SECTION] in $file updates $path from $theirs, not" \
+            "$here${origin:+ from $origin}... [SKIPPED]"
+        [ -n "$uninstall" ] || note "--force replaces that section"
+        return 0
+    fi
+    [ -z "$dry_run" ] || [ -n "$uninstall" ] || updater_text
+    confs_changed=1
+}
+
+# rewrite FILE TEXT: in place, as a link stays a link then, and owner and mode
+# stay: without our section and mark and the empty line before, and with TEXT
+# at its end. What stands after our last option belongs to somebody else.
+rewrite() {
+    local kept
+    needs_writable "$1"
+    needs_writable "$(dirname -- "$1")"
+    awk -v header="^[[]update_manager +(client +)?${SECTION#* }[]]" \
+        -v mark="$MARK" '
+        function empty(text) { return text ~ /^[ \t\r]*$/ }
+        { line[NR] = $0 }
+        /^\[/ { inside = $0 ~ header }
+        inside && $0 ~ header { first = NR }
+        inside && !empty($0) && !/^[ \t]*[#;]/ { last = NR }
+        END {
+            if (index(line[first - 1], mark) == 1) first--
+            if (empty(line[first - 1])) first--
+            for (i = 1; i <= NR; i++) if (i < first || i > last) print line[i]
+        }' "$1" >"$scratch/new"
+    [ $# -eq 1 ] || append "$2" "$scratch/new"
+    [ -z "$dry_run$rehearsal" ] || return 0
+    kept=$(backup_name "$1")
+    cp -p -- "$1" "$kept"
+    cat -- "$scratch/new" >"$1" || fail "$UNEXPECTED" "could not write all of" \
+        "$1; its old text is in $kept"
+    note "the old text of $1 is kept as ${kept##*/}"
+}
+
+# append TEXT FILE: after an empty line, or the end that the last one lacks
+append() { printf '\n%s\n' "$1" >>"$2"; }
+backup_name() { say "$1.bak-$(date +%Y%m%d%H%M%S)-$$"; }
 
 # Services
 
-# is_service KIND NAME: klipper or klipper-NAME, but not its companions
-is_service() {
-    case $2 in
-        "$1") return 0 ;;
-        "$1"-mcu | "$1"-obico | "$1"-bambu | "$1"-companion | "$1"-hmi)
-            return 1
-            ;;
-        "$1"-*[!0-9A-Za-z]* | "$1"-) return 1 ;;
-        "$1"-*) return 0 ;;
-    esac
-    return 1
-}
-
 has_systemd() {
-    local state
-    command -v systemctl >/dev/null 2>&1 || return 1
-    state=$(systemctl is-system-running 2>/dev/null) || true
-    case $state in
-        "" | offline | unknown) return 1 ;;
-    esac
+    [[ ! $(systemctl is-system-running 2>/dev/null) =~ ^(offline|unknown|)$ ]]
 }
 
-known_units() {
-    systemctl list-unit-files --no-legend --no-pager --plain \
-        "$1*.service" 2>/dev/null | awk '{ print $1 }' || true
-}
-
-is_active() { systemctl is-active --quiet "$1"; }
-
-is_unit() { known_units "$1" | grep -qxF -e "$1.service"; }
-
-# The services of a kind (klipper, moonraker), those asked for or all
+# services_of KIND: klipper or moonraker, and those with a name after a dash;
+# some with such names are no printers
 services_of() {
-    local unit wanted=${services%$'\n'}
-    if [ -n "$wanted" ] && [ "$1" = klipper ]; then
-        printf '%s\n' "$wanted"
-    elif [ -n "$wanted" ]; then
-        while IFS= read -r unit; do
-            unit="$1${unit#klipper}"
-            ! is_unit "$unit" || printf '%s\n' "$unit"
-        done <<<"$wanted"
-    else
-        found_services "$1"
+    systemctl list-unit-files --no-legend --no-pager --plain "$1*.service" \
+        2>/dev/null | sed -nE "s/^($1(-[0-9A-Za-z]+)?)\.service.*/\1/p" |
+        grep -vE -e '-(mcu|obico|bambu|companion|hmi)$' || true
+}
+
+# What the Moonrakers say of the printers that run: busy, unknown or nothing
+print_state() {
+    local conf url unit answers running=0
+    answers=$(for conf in "${every_conf[@]}"; do
+        url_of "$conf"
+    done | sort -u | while IFS= read -r url; do
+        python3 -c "$PRINT_STATE" "$url" 2>/dev/null || true
+    done)
+    for unit in $(services_of klipper); do
+        ! systemctl is-active --quiet "$unit" || running=$((running + 1))
+    done
+    if [[ $answers = *busy* ]]; then
+        say busy
+    elif [ "$(grep -c idle <<<"$answers")" -lt "$running" ]; then
+        say unknown
     fi
 }
 
-found_services() {
-    local unit units
-    units=$(known_units "$1")
-    while IFS= read -r unit; do
-        unit=${unit%.service}
-        ! is_service "$1" "$unit" || printf '%s\n' "$unit"
-    done <<<"$units"
-}
-
-check_services() {
-    local unit
-    [ -n "$services" ] && [ -n "$use_restart" ] && has_systemd || return 0
-    while IFS= read -r unit; do
-        is_unit "$unit" ||
-            problem "$ENVIRONMENT" "there is no service $unit"
-    done <<<"${services%$'\n'}"
-}
-
-# print_state UNITS: busy, idle or unknown, from what the Moonrakers say of
-# the printers that these services of Klipper run
-print_state() {
-    local conf answer unit idle=0 running=0
-    while IFS= read -r conf; do
-        [ -n "$conf" ] || continue
-        # Without a klippy, Moonraker knows no printer to ask
-        answer=$(ask_moonraker "$conf" "/server/info")
-        case $answer in
-            *'"klippy_connected":false'*) ;;
-            *) answer=$(ask_moonraker "$conf" "$PRINT_STATUS") ;;
-        esac
-        case $answer in
-            *'"state":"printing"'* | *'"state":"Printing"'* | \
-                *'"state":"paused"'*)
-                echo busy
-                return 0
-                ;;
-            *'"print_stats":'* | *'"klippy_connected":false'*)
-                idle=$((idle + 1))
-                ;;
-        esac
-    done <<<"$every_conf"
-    while IFS= read -r unit; do
-        [ -z "$unit" ] || ! is_active "$unit" || running=$((running + 1))
-    done <<<"$1"
-    if [ "$idle" -ge "$running" ]; then echo idle; else echo unknown; fi
-}
-
-# ask_moonraker CONF PATH: its answer without any white space
-ask_moonraker() {
-    local host port url
-    host=$(server_value "$1" host)
-    port=$(server_value "$1" port)
+# url_of CONF: where its Moonraker answers
+url_of() {
+    local host port
+    host=$(setting "$1" server host)
+    port=$(setting "$1" server port)
     case $host in
         "" | 0.0.0.0 | all | ::) host=127.0.0.1 ;;
     esac
-    url="http://$host:${port:-7125}$2"
-    get "$url" | tr -d '[:space:]'
-}
-
-get() {
-    if command -v curl >/dev/null 2>&1; then
-        curl -s -m 3 --noproxy '*' "$1" 2>/dev/null || true
-    elif command -v wget >/dev/null 2>&1; then
-        wget -q -T 3 -t 1 --no-proxy --content-on-error -O - "$1" \
-            2>/dev/null || true
-    elif command -v python3 >/dev/null 2>&1; then
-        python3 -c "$PYTHON_GET" "$1" 2>/dev/null || true
-    fi
-}
-
-# server_value CONF KEY: also from what it includes
-server_value() {
-    local files file
-    files=$(with_includes "$1" 2>/dev/null) || true
-    while IFS= read -r file; do
-        [ ! -r "$file" ] || cat -- "$file"
-        echo
-    done <<<"$files" | awk -v key="$2" '
-        { sub(/\r$/, "") }
-        /^\[/ { inside = /^\[server\]/ }
-        inside && $0 ~ "^" key "[ \t]*[:=]" {
-            sub(/^[^:=]*[:=][ \t]*/, "")
-            sub(/([ \t]+[#;].*)?[ \t]*$/, "")
-            value = $0
-        }
-        END { print value }'
+    say "http://$host:${port:-7125}"
 }
 
 restart_services() {
-    local wanted="" units="" what="" state
+    local what kind state
     if [ -z "$links_changed$confs_changed" ]; then
         say "Nothing changed; nothing to restart"
         return 0
     fi
-    if [ -n "$links_changed" ] && ! is_startable; then
+    if [ -n "$links_changed" ] && [ -n "$uninstall" ]; then
+        say "Klipper is not restarted: it does not start while printer.cfg" \
+            "has a section of a removed module. Remove that, then restart it"
         links_changed=""
-        [ -n "$confs_changed" ] || return 0
     fi
-    [ -z "$links_changed" ] || what="Klipper"
-    [ -z "$confs_changed" ] || what+="${what:+ and }Moonraker"
+    what="${links_changed:+Klipper}${confs_changed:+ Moonraker}"
+    [ -n "$what" ] || return 0
+    what=${what# }
     if [ -z "$use_restart" ] || ! has_systemd; then
-        say "Services not restarted. Restart $what yourself (the service; a" \
-            "RESTART in the console does not load a changed module)"
+        say "Services not restarted. Restart ${what/ / and } yourself (the" \
+            "service; RESTART in the console does not load a changed module)"
         return 0
     fi
-    hint_at_old_units
-    [ -z "$links_changed" ] || wanted=$(services_of klipper)
-    [ -z "$links_changed" ] || [ -n "$wanted" ] ||
-        say "No klipper service found. Restart Klipper yourself"
-    [ -z "$confs_changed" ] || units=$(services_of moonraker)
-    [ -z "$confs_changed" ] || [ -n "$units" ] ||
-        say "No moonraker service found. Restart Moonraker yourself"
-    state=$(print_state "$({
-        found_services klipper
-        printf '%s' "$services"
-    } | sort -u)")
+    state=$(print_state)
     if [ "$state" = busy ]; then
-        say "a print is running: nothing restarted. Afterwards:" \
-            "sudo systemctl restart $(in_a_row "$wanted"$'\n'"$units")"
+        say "A print is running: nothing restarted. When it has ended," \
+            "restart ${what/ / and }"
         return 0
     fi
-    restart_units "$wanted" "$state"
-    restart_units "$units" idle
-    [ "$first_problem" -eq 0 ] || exit "$first_problem"
+    for kind in $what; do
+        restart "${kind,,}" "$state"
+    done
 }
 
-in_a_row() {
-    # shellcheck disable=SC2086 # names of services, no spaces
-    echo $1
-}
-
-restart_units() {
-    local unit
-    while IFS= read -r unit; do
-        if [ -z "$unit" ]; then
-            continue
-        elif ! is_active "$unit" && [ -z "$services" ]; then
+restart() {
+    local unit units
+    units=$(services_of "$1")
+    [ -n "$units" ] || say "No $1 service found. Restart it yourself"
+    for unit in $units; do
+        if ! systemctl is-active --quiet "$unit"; then
             say "$unit not restarted: it does not run"
-        elif [ "$2" = unknown ] && is_active "$unit"; then
+        elif [ "$1/$2" = klipper/unknown ]; then
             say "$unit not restarted: no Moonraker tells whether a print is" \
                 "running. When it is not: sudo systemctl restart $unit"
-        elif [ -n "$dry_run" ]; then
-            report "Restarting $unit"
-        elif as_root systemctl restart "$unit" </dev/null; then
+        elif change as_root systemctl restart "$unit"; then
             report "Restarting $unit"
         else
-            say "Restarting $unit... [FAILED]"
             problem "$RESTART" "$unit was not restarted; run: sudo systemctl" \
                 "restart $unit"
         fi
-    done <<<"$1"
+    done
 }
 
+# Only somebody at a terminal can be asked for a password
+# shellcheck disable=SC2329 # called by change
 as_root() {
     if [ "$(id -u)" -eq 0 ]; then
         "$@"
-    elif [ -n "$terminal" ]; then
+    elif [ -t 0 ]; then
         sudo "$@"
     else
         sudo -n "$@"
     fi
 }
 
-# Units that made older releases of the plugin look like a service
-hint_at_old_units() {
-    local unit units
-    units=$(known_units z_calibration && known_units klipper_z_calibration)
-    while IFS= read -r unit; do
-        case $unit in
-            z_calibration.service | klipper_z_calibration.service)
-                note "$unit is not needed any more. To remove it: sudo" \
-                    "systemctl disable --now $unit; sudo rm" \
-                    "/etc/systemd/system/$unit"
-                ;;
-        esac
-    done <<<"$units"
-}
-
-# remains MODULE: one that is not ours
-remains() {
-    local file
-    for file in "$klipper"/klippy/extras/"$1".py \
-        "$klipper"/klippy/plugins/"$1".py; do
-        [ ! -f "$file" ] || is_ours "$file" || return 0
-    done
-    return 1
-}
-
-# Whether Klipper would start without the modules that were removed
-is_startable() {
-    local name folders dir files file found=""
-    [ -n "$uninstall" ] || return 0
-    folders=$(config_folders | sort -u)
-    for name in $modules; do
-        ! remains "$name" || continue
-        while IFS= read -r dir; do
-            [ -n "$dir" ] || continue
-            files=$(grep_configs "$dir" "^\\[$name( [^]]*)?\\]")
-            while IFS= read -r file; do
-                [ -z "$file" ] || found+="[$name] is still in $file"$'\n'
-            done <<<"$files"
-        done <<<"$folders"
-    done
-    [ -n "$found" ] || return 0
-    printf '%s' "$found"
-    say "Klipper will not start with it. Remove it, then restart Klipper"
-    return 1
-}
-
 # Everything in order
-
-check_links() {
-    local name dir
-    [ -n "$klipper" ] || return 0
-    if [ -z "$uninstall" ]; then
-        for name in $modules; do
-            check_module "$name"
-        done
-        [ -w "$klipper/$folder" ] ||
-            problem "$NOT_WRITABLE" "cannot write to $klipper/$folder"
-        return 0
-    fi
-    for name in $modules; do
-        for dir in klippy/extras klippy/plugins; do
-            ! is_ours "$klipper/$dir/$name.py" || [ -w "$klipper/$dir" ] ||
-                problem "$NOT_WRITABLE" "cannot write to $klipper/$dir"
-        done
-    done
-}
-
-check_confs() {
-    local conf
-    [ -n "$uninstall" ] || look_at_checkout
-    [ -z "$unregistrable" ] || return 0
-    while IFS= read -r conf; do
-        [ -z "$conf" ] || check_conf "$conf"
-    done <<<"$confs"
-}
-
-set_up_links() {
-    local name
-    [ -n "$klipper" ] || return 0
-    for name in $modules; do
-        if [ -n "$uninstall" ]; then
-            unlink_module "$name"
-        else
-            link_module "$name"
-        fi
-    done
-    if [ -n "$uninstall" ]; then include_links; else exclude_links; fi
-}
-
-say_what_next() {
-    [ -n "$links_changed" ] && [ -z "$uninstall" ] || return 0
-    say "Next: a section for the module in printer.cfg, see $here/README.md"
-}
 
 main() {
     # What fails in $( ) is told by who wanted its output
     trap '[ "$BASH_SUBSHELL" -gt 0 ] ||
         fail "$UNEXPECTED" "unexpected failure in line $LINENO"' ERR
-    [ ! -t 0 ] || terminal=1
     parse "$@"
-    require_home
-    locate_self
-    refuse_root
+    look_at_environment
+    choose_modules
     scratch=$(mktemp -d)
     trap 'rm -rf -- "$scratch"' EXIT
     locate_klipper
     locate_confs
-    check_links
-    check_confs
-    check_services
+    # The same as below, but only complaints are heard
+    rehearsal=1
+    {
+        set_up_links
+        set_up_updates
+    } >/dev/null
+    rehearsal=""
     if [ "$first_problem" -ne 0 ]; then
         complain "nothing was changed"
         exit "$first_problem"
     fi
     set_up_links
     set_up_updates
-    say_what_next
+    [ -z "$links_changed" ] || [ -n "$uninstall" ] ||
+        say "Next: a section in printer.cfg for each module that you use, see" \
+            "$here/README.md"
     restart_services
+    exit "$first_problem"
 }
 
-# Sourced, the functions can be tried one by one.
-if [ "${BASH_SOURCE[0]:-}" = "$0" ] || [ -z "${BASH_SOURCE[0]:-}" ]; then
-    main "$@"
-fi
+main "$@"

@@ -3,21 +3,25 @@
 from __future__ import annotations
 
 import os
+import re
 import shutil
 import subprocess
-import tempfile
 from collections.abc import Iterable, Mapping
 from pathlib import Path
 from typing import NamedTuple, Optional, Union
 
 from tests.hostkit.printer import module_files
+from tests.hostkit.trees import SHARED
 
 REPO = Path(__file__).resolve().parents[2]
 NOBODY = 65534
 # All that the script may use; a real sudo or systemctl is out of reach
-TOOLS = """awk basename bash cat chmod cmp cp date dirname env find git grep
-head id ln mkdir mktemp mv readlink rm sed sort tail tr"""
+TOOLS = """awk bash cat cp date dirname env find git grep id ln mktemp mv
+readlink rm sed sort"""
 ORIGIN = "https://example.com/somebody/z-calibration.git"
+MODULES = sorted(module_files())
+KALICO_SHIPS = ("z_calibration", "dockable_probe")
+OVERRIDE = "[danger_options]\nallow_plugin_override: True\n"
 
 # Notes its call; answers with what lies in the file of that name
 FAKE = """#!/usr/bin/env bash
@@ -40,9 +44,12 @@ esac
 """
 )
 SUDO = FAKE + '[ "$1" != -n ] || shift\nexec "$@"\n'
-CURL = FAKE + 'cat "$BOX/answer"\n'
-
-KALICO_SHIPS = ("z_calibration", "dockable_probe")
+# What the program says of the Moonraker at an address
+PYTHON = """#!/usr/bin/env bash
+url=${*: -1}
+echo "python3 $url" >>"$BOX/calls"
+cat "$BOX/answer-${url##*:}" 2>/dev/null || cat "$BOX/answer"
+"""
 
 
 class Outcome(NamedTuple):
@@ -62,6 +69,7 @@ class Box:
         self.home = directory / home
         self.bin = directory / "bin"
         self.temporary = directory / "tmp"
+        self.locale = "C"
         for folder in (self.home, self.bin, self.temporary):
             folder.mkdir()
         for tool in TOOLS.split():
@@ -81,6 +89,15 @@ class Box:
         file.write_text(script)
         file.chmod(0o755)
 
+    def failing(self, name: str, when: str = "*") -> None:
+        """A program that fails if its words fit, and does its work if not."""
+        real = shutil.which(name)
+        self.fake(
+            name,
+            f'#!/usr/bin/env bash\n[[ "$*" != {when} ]] || exit 1\n'
+            f'exec {real} "$@"\n',
+        )
+
     def git(self, folder: Path, *words: str) -> str:
         """Run git in a folder."""
         done = subprocess.run(
@@ -99,6 +116,11 @@ class Box:
         folder.mkdir(parents=True)
         for file in (REPO / "install.sh", *module_files().values()):
             shutil.copy2(file, folder)
+        shutil.copytree(
+            SHARED,
+            folder / SHARED.name,
+            ignore=shutil.ignore_patterns("__pycache__"),
+        )
         self.commit(folder)
         self.git(folder, "remote", "add", "origin", ORIGIN)
         return folder
@@ -113,36 +135,29 @@ class Box:
             *("commit", "-q", "-m", "all"),
         )
 
-    def klipper(self, name: str = "klipper") -> Path:
-        """A Klipper, as far as the script looks at it."""
-        folder = self.home / name
-        extras = folder / "klippy" / "extras"
-        extras.mkdir(parents=True)
-        (extras / "__init__.py").write_text("")
-        (extras / "probe.py").write_text("probe = 1\n")
-        (folder / ".gitignore").write_text("*.pyc\n")
-        self.commit(folder)
-        return folder
+    def klipper(self, name: str = "klipper", **files: str) -> Klipper:
+        """A Klipper, as far as the script looks at it; files: in extras."""
+        klipper = Klipper(self.home / name, self)
+        return klipper.made({"extras": {"probe": "a = 1\n", **files}})
 
-    def kalico(self, name: str = "klipper") -> Path:
+    def kalico(self, name: str = "klipper") -> Klipper:
         """A Kalico, which ships some names itself and ignores plugins."""
-        folder = self.home / name
-        for part in ("extras", "plugins"):
-            (folder / "klippy" / part).mkdir(parents=True)
-            (folder / "klippy" / part / "__init__.py").write_text("")
-        for module in KALICO_SHIPS:
-            file = folder / "klippy" / "extras" / f"{module}.py"
-            file.write_text("kalico = 1\n")
-        ignored = "klippy/plugins/*\n!klippy/plugins/__init__.py\n"
-        (folder / ".gitignore").write_text(ignored)
-        self.commit(folder)
-        return folder
+        klipper = Klipper(self.home / name, self, "klippy/plugins")
+        shipped = dict.fromkeys(KALICO_SHIPS, "kalico = 1\n")
+        return klipper.made(
+            {"extras": shipped, "plugins": {}},
+            ignored="klippy/plugins/*\n!klippy/plugins/__init__.py\n",
+        )
 
     def conf(
         self, folder: str = "printer_data/config", text: str = "[server]\n"
     ) -> Path:
         """A moonraker.conf below HOME."""
-        file = self.home / folder / "moonraker.conf"
+        return self.write(f"{folder}/moonraker.conf", text)
+
+    def write(self, name: str, text: str) -> Path:
+        """A file below HOME."""
+        file = self.home / name
         file.parent.mkdir(parents=True, exist_ok=True)
         file.write_bytes(text.encode())
         return file
@@ -151,38 +166,42 @@ class Box:
         self,
         units: Iterable[str] = ("klipper", "moonraker"),
         state: str = "running",
-        answer: Optional[str] = '{"print_stats": {"state": "standby"}}',
+        answer: str = "idle",
         stopped: Iterable[str] = (),
     ) -> None:
-        """Services and what Moonraker says; answer None: it is silent.
+        """Services and what each Moonraker says; "" if it is silent.
 
         stopped: those of the services that do not run.
         """
         names = list(units)
-        (self.directory / "units").write_text(
-            "".join(f"{name}.service\n" for name in names)
-        )
-        (self.directory / "active").write_text(
-            "".join(f"{name}\n" for name in names if name not in stopped)
-        )
-        (self.directory / "state").write_text(f"{state}\n")
-        (self.directory / "answer").write_text(answer or "")
+        active = [name for name in names if name not in stopped]
+        for name, lines in (
+            ("units", [f"{name}.service" for name in names]),
+            ("active", active),
+            ("state", [state]),
+            ("answer", [answer]),
+        ):
+            text = "".join(f"{line}\n" for line in lines)
+            (self.directory / name).write_text(text)
         self.fake("systemctl", SYSTEMCTL)
         self.fake("sudo", SUDO)
-        self.fake("curl", CURL)
+        self.fake("python3", PYTHON)
 
-    def calls(self) -> list[str]:
+    def answers(self, port: int, answer: str) -> None:
+        """What the Moonraker at that port says."""
+        (self.directory / f"answer-{port}").write_text(f"{answer}\n")
+
+    def calls(self, program: str = "") -> list[str]:
         """Calls of the fakes so far."""
-        return (self.directory / "calls").read_text().splitlines()
-
-    def forget_calls(self) -> None:
-        """Begin anew with the calls."""
-        (self.directory / "calls").write_text("")
+        lines = (self.directory / "calls").read_text().splitlines()
+        return [line for line in lines if line.startswith(program)]
 
     def restarted(self) -> list[str]:
-        """The services that were restarted."""
+        """The services that were restarted since the last time."""
         start = "systemctl restart "
-        return [c[len(start) :] for c in self.calls() if c.startswith(start)]
+        names = [call[len(start) :] for call in self.calls(start)]
+        (self.directory / "calls").write_text("")
+        return names
 
     # Running it
 
@@ -226,6 +245,7 @@ class Box:
 
     def refused(self, code: int, *options: str, **more: str) -> str:
         """Run it, expect that code and nothing changed; its complaint."""
+        self.restarted()
         before = snapshot(self.home)
         outcome = self.run(*options, **more)
         assert outcome.code == code, outcome
@@ -239,6 +259,7 @@ class Box:
             "HOME": str(self.home),
             "TMPDIR": str(self.temporary),
             "BOX": str(self.directory),
+            "LC_ALL": self.locale,
             "GIT_CONFIG_GLOBAL": "/dev/null",
             "GIT_CONFIG_SYSTEM": "/dev/null",
             "GIT_CEILING_DIRECTORIES": str(self.directory),
@@ -248,11 +269,63 @@ class Box:
         }
 
 
-def new_box(home: str = "home") -> Box:
-    """A box that an unprivileged user can reach."""
-    directory = Path(tempfile.mkdtemp(prefix="install-"))
-    directory.chmod(0o755)
-    return Box(directory, home)
+class Klipper:
+    """A checkout of Klipper or Kalico in a box."""
+
+    def __init__(self, path: Path, box: Box, modules: str = "klippy/extras"):
+        """modules: the folder where ours belong."""
+        self.path = path
+        self.box = box
+        self.modules = modules
+        self.exclude = path / ".git" / "info" / "exclude"
+
+    def made(
+        self, folders: Mapping[str, Mapping[str, str]], ignored: str = ""
+    ) -> Klipper:
+        """The same, with these files in klippy/ committed."""
+        for folder, files in folders.items():
+            place = self.path / "klippy" / folder
+            place.mkdir(parents=True)
+            for name, text in {"__init__": "", **files}.items():
+                (place / f"{name}.py").write_text(text)
+        (self.path / ".gitignore").write_text(f"*.pyc\n{ignored}")
+        self.box.commit(self.path)
+        return self
+
+    def place(self, name: str = "z_calibration.py") -> Path:
+        """Where a module's link belongs, or the folder's."""
+        folder = "klippy/extras" if name == SHARED.name else self.modules
+        return self.path / folder / name
+
+    def links(self) -> dict[str, str]:
+        """Every link in extras and plugins, with what it points to."""
+        folder = self.path / "klippy"
+        paths = sorted(folder.glob("*/*"))
+        return {
+            str(path.relative_to(folder)): os.readlink(path)
+            for path in paths
+            if path.is_symlink()
+        }
+
+    def expected(self, *modules: str) -> dict[str, str]:
+        """What links() is with these modules of ours, and the folder."""
+        names = [f"{module}.py" for module in modules] + [SHARED.name]
+        folder = self.path / "klippy"
+        places = {self.place(n).relative_to(folder): n for n in names}
+        return {
+            str(place): str(self.box.checkout / name)
+            for place, name in sorted(places.items())
+        }
+
+    def status(self) -> str:
+        """What git has to say of it."""
+        return self.box.git(self.path, "status", "--porcelain")
+
+
+def options_in(shown: str) -> set[str]:
+    """The options that a help text shows."""
+    words = re.findall(r"^  +(-.*?)(?:  |$)", shown, re.M)
+    return set(re.findall(r"--?[a-z][a-z-]*", "\n".join(words)))
 
 
 def give_away(folder: Path) -> None:

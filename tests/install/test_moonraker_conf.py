@@ -3,14 +3,12 @@
 from __future__ import annotations
 
 import configparser
-import os
 import re
 import shutil
-from pathlib import Path
 
 import pytest
 
-from tests.install.box import ORIGIN, REPO, new_box, snapshot
+from tests.install.box import ORIGIN, snapshot
 
 HEADER = "[update_manager z_calibration]"
 MARK = "# Added by install.sh of z_calibration\n"
@@ -21,63 +19,53 @@ origin: {ORIGIN}
 primary_branch: main
 managed_services: klipper
 """
-OTHER = f"""{HEADER}
-type: git_repo
-path: ~/old
-origin: {ORIGIN}
-primary_branch: main
-managed_services: klipper
-"""
-SKIPPED = "[SKIPPED, already there]"
+OTHER_PATH = SECTION.replace("~/klipper_z_calibration", "~/old")
+# As of the plugin that ours follows, at the same place
+OTHER_ORIGIN = SECTION.replace(ORIGIN, "https://example.com/else.git")
+THERE = "... [SKIPPED, already there]\n"
+PLACE = "printer_data/config"
 
 
-def test_section_is_appended(machine):
-    conf = machine.home / "printer_data/config/moonraker.conf"
-    out = machine.installed()
-    assert conf.read_text() == f"[server]\n\n{MARK}{SECTION}"
-    assert f"Adding {HEADER} to {conf}... [OK]" in out
+@pytest.fixture
+def conf(machine, klipper):
+    """The moonraker.conf of a whole machine."""
+    return machine.home / PLACE / "moonraker.conf"
 
 
 @pytest.mark.parametrize(
-    ("text", "appended"),
-    [
-        ("", MARK + SECTION),
-        (
-            "[server]",
-            "\n\n"
-            + MARK.replace("\n", " (the line before had no end)\n")
-            + SECTION,
-        ),
-        ("[server]\r\n", "\n" + MARK + SECTION),
-    ],
+    "text", ["[server]\n", "[server]", "", "[server]\r\n", "[server]\n#é\xff"]
 )
-def test_end_of_the_file(box, text, appended):
-    box.klipper()
-    conf = box.conf(text=text)
-    box.installed()
-    assert conf.read_bytes().decode() == text + appended
-    configparser.ConfigParser().read_string(conf.read_text())
+def test_section_is_appended(machine, conf, text):
+    conf.write_bytes(text.encode("latin-1"))
+    out = machine.installed()
+    assert f"Adding {HEADER} to {conf}... [OK]\n" in out
+    written = conf.read_bytes().decode("latin-1")
+    assert written == f"{text}\n{MARK}{SECTION}"
+    configparser.ConfigParser().read_string(written)
 
 
-def test_file_keeps_its_identity(machine):
-    conf = machine.home / "printer_data/config/moonraker.conf"
+def test_dry_run_shows_the_section(machine, conf):
+    assert SECTION in machine.installed("--dry-run")
+    assert conf.read_text() == "[server]\n"
+
+
+def test_file_keeps_its_identity(machine, conf):
     real = machine.home / "real.conf"
     conf.rename(real)
     conf.symlink_to(real)
     real.chmod(0o640)
     before = real.stat()
-    machine.installed()
-    machine.installed("-u")
-    after = real.stat()
-    assert conf.is_symlink()
-    assert (after.st_ino, after.st_mode) == (before.st_ino, before.st_mode)
+    for options in ([], ["-u"]):
+        machine.installed(*options)
+        after = real.stat()
+        assert conf.is_symlink()
+        assert (after.st_ino, after.st_mode) == (before.st_ino, before.st_mode)
 
 
 @pytest.mark.parametrize(
     "places",
     [
-        ["printer_data/config"],
-        ["printer_data/config", "printer_big_data/config"],
+        [PLACE, "printer_big_data/config"],
         ["printer_1_data/config", "printer_2_data/config"],
         ["klipper_config"],
         ["klipper_config/printer_1", "klipper_config/printer_2"],
@@ -87,60 +75,67 @@ def test_every_configuration_is_found(box, places):
     box.klipper()
     confs = [box.conf(place) for place in places]
     box.installed()
-    for conf in confs:
-        assert conf.read_text().count(HEADER) == 1
+    assert [conf.read_text().count(HEADER) for conf in confs] == [1] * len(
+        confs
+    )
     box.installed("-u")
-    for conf in confs:
-        assert conf.read_text() == "[server]\n"
+    assert [conf.read_text() for conf in confs] == ["[server]\n"] * len(confs)
 
 
-def test_one_file_under_two_names_gets_one_section(box):
-    box.klipper()
-    conf = box.conf("printer_data/config")
-    other = box.home / "old_data/config"
+def test_one_file_under_two_names_gets_one_section(machine, conf):
+    other = machine.home / "old_data/config"
     other.mkdir(parents=True)
     (other / "moonraker.conf").symlink_to(conf)
-    out = box.installed()
+    assert machine.installed().count(f"Adding {HEADER}") == 1
     assert conf.read_text().count(HEADER) == 1
-    assert out.count(f"{HEADER} to ") == 1
 
 
-def test_named_files_only(box):
-    box.klipper()
-    found = box.conf()
-    named = [box.conf("a b"), box.conf("elsewhere")]
-    box.installed("-m", str(named[0]), f"--moonraker-conf={named[1]}")
-    assert found.read_text() == "[server]\n"
-    for conf in named:
-        assert conf.read_text().count(HEADER) == 1
-
-
-def test_no_moonraker(machine):
-    conf = machine.home / "printer_data/config/moonraker.conf"
-    out = machine.installed("--no-moonraker")
+def test_named_files_only(machine, conf):
+    names = ["a b", "-x", "a=b"]
+    named = [
+        machine.conf(name).rename(machine.home / name / name) for name in names
+    ]
+    words = [word for file in named[:2] for word in ("-m", str(file))]
+    last = f"home/{named[2].relative_to(machine.home)}"
+    machine.installed(*words, "--moonraker-conf", last)
     assert conf.read_text() == "[server]\n"
-    assert "update_manager" not in out
+    for file in named:
+        assert file.read_text().count(HEADER) == 1
+
+
+def test_no_moonraker(machine, conf):
+    assert "update_manager" not in machine.installed("--no-moonraker")
+    assert conf.read_text() == "[server]\n"
     assert machine.restarted() == ["klipper"]
     machine.installed()
     machine.installed("-u", "--no-moonraker")
     assert HEADER in conf.read_text()
 
 
+# A section that is there
+
+
 @pytest.mark.parametrize(
-    "header",
+    ("old", "new"),
     [
-        HEADER,
-        "[update_manager  z_calibration]  # updates",
-        "[update_manager client z_calibration]",
-        HEADER + "\r",
+        ("", ""),
+        (HEADER, "[update_manager  z_calibration]  # updates"),
+        (HEADER, "[update_manager client z_calibration]"),
+        ("\n", "\r\n"),
+        ("~/klipper_z_calibration", "~/klipper_z_calibration/"),
+        ("~/klipper_z_calibration", "HOME/klipper_z_calibration  # here"),
+        ("~/klipper_z_calibration", "~/link"),
+        (".git", ""),
+        ("primary_branch", "channel: stable\nprimary_branch"),
     ],
 )
-def test_section_that_is_there_stays(machine, header):
-    text = SECTION.replace(HEADER, header)
-    conf = machine.conf(text=text)
-    out = machine.installed()
-    assert conf.read_bytes().decode() == text
-    assert SKIPPED in out
+def test_section_that_is_right_stays(machine, conf, old, new):
+    (machine.home / "link").symlink_to(machine.checkout)
+    text = SECTION.replace(old, new) if old else SECTION
+    machine.conf(text=text.replace("HOME", str(machine.home)))
+    before = conf.read_bytes()
+    assert THERE in machine.installed("--force")
+    assert conf.read_bytes() == before
     assert machine.restarted() == ["klipper"]
 
 
@@ -154,313 +149,182 @@ def test_section_that_is_there_stays(machine, header):
         "[z_calibration]",
     ],
 )
-def test_what_only_looks_like_it_does_not_count(machine, line):
-    conf = machine.conf(text=f"{line}\n")
+def test_what_only_looks_like_it_does_not_count(machine, conf, line):
+    conf.write_text(f"{line}\npath: ~/old\n")
     machine.installed()
     assert conf.read_text().endswith(f"\n\n{MARK}{SECTION}")
 
 
 @pytest.mark.parametrize(
     "include",
-    [
-        "more.conf",
-        "conf.d/*.conf",
-        "ABSOLUTE/conf.d/updates.conf",
-        "first.conf",
-    ],
+    ["more.conf", "conf.d/*.conf", "ABSOLUTE/conf.d/a b.conf", "first.conf"],
 )
-def test_included_section_counts(machine, include):
-    folder = machine.home / "printer_data/config"
-    include = include.replace("ABSOLUTE", str(folder))
-    (folder / "conf.d").mkdir()
-    name = "more.conf" if "conf.d" not in include else "conf.d/updates.conf"
-    (folder / name).write_text(SECTION)
-    (folder / "first.conf").write_text("[include more.conf]\n")
+def test_included_section_counts(machine, conf, include):
+    name = "conf.d/a b.conf" if "conf.d" in include else "more.conf"
+    file = machine.write(f"{PLACE}/{name}", SECTION)
+    machine.write(f"{PLACE}/first.conf", "[include more.conf]\n")
+    include = include.replace("ABSOLUTE", str(conf.parent))
     text = f"[server]\n[include {include}]\n"
-    conf = machine.conf(text=text)
-    out = machine.installed()
-    assert SKIPPED in out
-    assert conf.read_text() == text
-    machine.installed("-u")
-    assert (folder / name).read_text() == ""
-    assert conf.read_text() == text
-
-
-def test_file_that_includes_itself_ends(machine):
-    text = "[include moonraker.conf]\n"
-    conf = machine.conf(text=text)
-    machine.installed()
-    assert conf.read_text() == f"{text}\n{MARK}{SECTION}"
-
-
-@pytest.mark.parametrize(
-    ("section", "words"),
-    [
-        (OTHER, "updates '~/old', not this checkout"),
-        (
-            SECTION.replace(ORIGIN, "https://example.com/else.git"),
-            "has another origin, branch or channel",
-        ),
-        # Moonraker wants exactly that address
-        (
-            SECTION.replace(ORIGIN, ORIGIN + "/"),
-            "has another origin, branch or channel",
-        ),
-        (
-            SECTION.replace("primary_branch: main\n", ""),
-            "has another origin, branch or channel",
-        ),
-    ],
-)
-def test_section_of_somebody_else(machine, section, words):
-    conf = machine.conf(text=f"{section}[server]\n")
-    out = machine.installed()
-    assert f"Note: the section in {conf} {words}; use --force" in out
-    assert conf.read_text() == f"{section}[server]\n"
-    assert machine.restarted() == ["klipper"]
-    machine.forget_calls()
-    out = machine.installed("--force")
-    assert conf.read_text() == f"[server]\n\n{MARK}{SECTION}"
-    kept = re.search(r"\[OK, old file kept as (.*)\]", out).group(1)
-    assert (conf.parent / kept).read_text() == f"{section}[server]\n"
-    assert re.fullmatch(r"moonraker\.conf\.bak-\d{14}", kept)
-    assert machine.restarted() == ["moonraker"]
-    machine.forget_calls()
-    before = snapshot(machine.home)
-    machine.installed("-f")
-    assert snapshot(machine.home) == before
-    assert machine.restarted() == []
-
-
-@pytest.mark.parametrize(
-    ("path", "origin"),
-    [
-        ("~/klipper_z_calibration/", ORIGIN),
-        ("HOME/klipper_z_calibration  # here", ORIGIN[:-4]),
-        ("~/link", ORIGIN.upper()),
-    ],
-)
-def test_other_words_for_the_same(machine, path, origin):
-    (machine.home / "link").symlink_to(machine.checkout)
-    path = path.replace("HOME", str(machine.home))
-    text = SECTION.replace("~/klipper_z_calibration", path)
-    conf = machine.conf(text=text.replace(ORIGIN, origin))
-    before = conf.read_text()
-    assert SKIPPED in machine.installed("--force")
-    assert conf.read_text() == before
-
-
-def test_replaced_where_it_stands(machine):
-    folder = machine.home / "printer_data/config"
-    (folder / "more.conf").write_text(OTHER)
-    conf = machine.conf(text="[include more.conf]\n")
+    conf.write_text(text)
+    assert THERE in machine.installed()
+    file.write_text(OTHER_PATH)
     machine.installed("--force")
-    assert conf.read_text() == "[include more.conf]\n"
-    assert (folder / "more.conf").read_text() == MARK + SECTION
+    assert file.read_text() == f"\n{MARK}{SECTION}"
+    machine.installed("-u")
+    assert (file.read_text(), conf.read_text()) == ("", text)
 
 
-@pytest.mark.parametrize("channel", ["dev", "beta", "stable"])
-def test_channel(machine, channel):
-    conf = machine.home / "printer_data/config/moonraker.conf"
-    machine.installed("--channel", channel)
-    line = f"channel: {channel}\n"
-    assert conf.read_text() == f"[server]\n\n{MARK}{SECTION}{line}"
-    # Without the option any channel is right, with it only that one
-    assert SKIPPED in machine.installed()
-    assert SKIPPED in machine.installed(f"--channel={channel}")
-    other = "beta" if channel != "beta" else "stable"
-    out = machine.installed("--channel", other)
-    assert "has another origin, branch or channel" in out
-    machine.installed("--channel", other, "--force")
-    assert f"channel: {other}\n" in conf.read_text()
+def test_file_that_includes_itself_ends(machine, conf):
+    conf.write_text("[include moonraker.conf]\n")
+    machine.installed()
     assert conf.read_text().count(HEADER) == 1
 
 
-def test_checkout_outside_of_home(machine):
-    checkout = machine.clone(machine.directory / "opt" / "z")
-    conf = machine.home / "printer_data/config/moonraker.conf"
-    outcome = machine.run(script=checkout / "install.sh")
-    assert outcome.code == 0, outcome
-    assert f"path: {checkout}\n" in conf.read_text()
+@pytest.mark.parametrize("section", [OTHER_PATH, OTHER_ORIGIN])
+def test_section_of_somebody_else(machine, conf, section):
+    text = f"{section}[server]\n"
+    conf.write_text(text)
+    out = machine.installed()
+    path, origin = re.findall(r"(?:path|origin): (.*)", section)
+    assert (
+        f"{HEADER} in {conf} updates {path} from {origin}, not"
+        f" {machine.checkout} from {ORIGIN}... [SKIPPED]\n" in out
+    )
+    assert "Note: --force replaces that section" in out
+    assert conf.read_text() == text
+    assert machine.restarted() == ["klipper"]
+    out = machine.installed("--force")
+    assert conf.read_text() == f"[server]\n\n{MARK}{SECTION}"
+    kept = re.search(rf"text of {conf} is kept as (.*)", out).group(1)
+    assert (conf.parent / kept).read_text() == text
+    assert machine.restarted() == ["moonraker"]
+    before = snapshot(machine.home)
+    machine.installed("-f")
+    assert snapshot(machine.home) == before
+
+
+def test_uninstall_leaves_the_section_of_somebody_else(machine, conf):
+    conf.write_text(OTHER_PATH)
+    out = machine.installed("-u")
+    assert conf.read_text() == OTHER_PATH
+    assert "updates ~/old from" in out
+    assert "--force" not in out
 
 
 @pytest.mark.parametrize(
-    ("words", "message"),
+    ("before", "after"),
     [
-        (["rm", "-rf", ".git"], " is not a git clone"),
+        # By hand
+        (f"[server]\n\n{SECTION}\n# n\n[n]\n", "[server]\n\n# n\n[n]\n"),
+        (f"{SECTION}[n]\na: 1", "[n]\na: 1\n"),
+        # Of an earlier version of the script
         (
-            ["git", "remote", "rename", "origin", "upstream"],
-            "git does not tell where",
+            f"[server]\n\n{MARK[:-1]} (the line before had no end)\n{SECTION}",
+            "[server]\n",
         ),
+        # With more options, and what follows them
+        (
+            f"[s]\n\n{MARK}{SECTION}# mine\ninfo_tags:\n  a=Z\n\n#b\n\n[n]\n",
+            "[s]\n\n#b\n\n[n]\n",
+        ),
+        (f"[s]\r\n\r\n{SECTION}[n]\r\na: é\r\n", "[s]\r\n[n]\r\na: é\r\n"),
     ],
 )
-def test_checkout_that_cannot_be_updated(machine, words, message):
-    conf = machine.home / "printer_data/config/moonraker.conf"
-    machine.run("--help")  # gives all to the user
-    command = f"cd '{machine.checkout}' && {' '.join(words)}"
+def test_uninstall_takes_our_lines_only(machine, conf, before, after):
+    conf.write_bytes(before.encode())
+    out = machine.installed("-u")
+    assert f"Removing {HEADER} from {conf}... [OK]\n" in out
+    assert conf.read_bytes().decode() == after
+
+
+# The checkout
+
+
+def test_checkout_outside_of_home(machine, conf):
+    checkout = machine.clone(machine.directory / "opt" / "z")
+    outcome = machine.run(script=checkout / "install.sh")
+    assert outcome.code == 0, outcome
+    assert f"\npath: {checkout}\n" in conf.read_text()
+
+
+@pytest.mark.parametrize(
+    "command",
+    [
+        "rm -rf .git",
+        "git remote rename origin upstream",
+        "rm -rf .git && git init -q .. && git -C .. remote add origin a",
+    ],
+)
+def test_checkout_that_cannot_be_updated(machine, conf, klipper, command):
+    command = f"cd '{machine.checkout}' && {command}"
     assert machine.command(["bash", "-c", command]).code == 0
     out = machine.installed()
-    assert "Note: automatic updates not set up: " in out
-    assert message in out
+    assert "Note: automatic updates not set up: git does not tell where" in out
     assert conf.read_text() == "[server]\n"
-    assert os.path.lexists(
-        machine.home / "klipper/klippy/extras/z_calibration.py"
-    )
+    assert klipper.place().is_symlink()
 
 
-def test_file_that_cannot_be_written(machine):
-    conf = machine.home / "printer_data/config/moonraker.conf"
-    conf.chmod(0o444)
-    err = machine.refused(5)
-    assert f"cannot write to {conf}" in err
-    machine.installed("--no-moonraker")
-    conf.chmod(0o644)
-    machine.installed()
-    conf.chmod(0o444)
-    # Nothing to write
-    machine.installed()
-    machine.forget_calls()
-    assert "cannot write" in machine.refused(5, "-u")
+# Files that cannot be read or written
 
 
-@pytest.mark.parametrize("option", [[], ["-u"]])
-def test_folder_that_cannot_be_written(machine, option):
+@pytest.mark.parametrize(
+    ("text", "options", "is_needed"),
+    [
+        ("[server]\n", [], True),
+        ("[server]\n", ["--no-moonraker"], False),
+        ("[server]\n", ["-u"], False),
+        (SECTION, [], False),
+        (SECTION, ["-u"], True),
+        (OTHER_PATH, [], False),
+        (OTHER_PATH, ["-f"], True),
+        (OTHER_PATH, ["-u"], False),
+    ],
+)
+@pytest.mark.parametrize("mode", [0o444, 0o000])
+def test_file_that_cannot_be_written(
+    machine, conf, text, options, is_needed, mode
+):
+    conf.write_text(text)
+    conf.chmod(mode)
+    if mode == 0o000 and options != ["--no-moonraker"]:
+        outcome = machine.run(*options)
+        assert (outcome.code, outcome.out) == (5, "")
+        assert f"cannot read {conf}" in outcome.err
+    elif is_needed:
+        assert f"cannot write to {conf}" in machine.refused(5, *options)
+    else:
+        machine.installed(*options)
+
+
+@pytest.mark.parametrize(
+    ("text", "options"), [(SECTION, ["-u"]), (OTHER_PATH, ["-f"])]
+)
+def test_folder_that_cannot_be_written(machine, conf, text, options):
     """The old text would have no place while the new one is written."""
-    conf = machine.home / "printer_data/config/moonraker.conf"
-    if option:
-        machine.installed()
-        machine.forget_calls()
+    conf.write_text(text)
     conf.parent.chmod(0o555)
-    err = machine.refused(5, *option)
+    err = machine.refused(5, *options)
     conf.parent.chmod(0o755)
-    assert f"cannot write to {conf}, or not beside it" in err
+    assert f"cannot write to {conf.parent}\n" in err
 
 
-def test_folder_of_the_exclude_file_that_cannot_be_written(machine):
-    machine.installed()
-    folder = machine.home / "klipper/.git/info"
-    text = (folder / "exclude").read_text()
-    folder.chmod(0o555)
-    out = machine.installed("-u")
-    folder.chmod(0o755)
-    assert "the lines for the links stay there" in out
-    assert (folder / "exclude").read_text() == text
-    conf = machine.home / "printer_data/config/moonraker.conf"
-    assert conf.read_text() == "[server]\n"
-
-
-def test_file_without_a_section_need_not_be_writable(machine):
-    conf = machine.home / "printer_data/config/moonraker.conf"
-    conf.chmod(0o444)
-    machine.installed("-u")
-    assert conf.read_text() == "[server]\n"
-
-
-def test_other_peoples_file_need_not_be_writable(machine):
-    conf = machine.conf(text=OTHER)
-    conf.chmod(0o444)
-    machine.installed()
-    machine.forget_calls()
-    assert "cannot write" in machine.refused(5, "--force")
-    machine.installed("-u")
-    assert conf.read_text() == OTHER
-
-
-def test_uninstall_leaves_somebody_elses_section(machine):
-    machine.installed()
-    conf = machine.conf(text=OTHER)
-    out = machine.installed("-u")
-    assert conf.read_text() == OTHER
-    assert "[SKIPPED, updates ~/old]" in out
-
-
-def test_uninstall_takes_a_section_written_by_hand(machine):
-    conf = machine.conf(text=f"[server]\n\n{SECTION}\n# next\n[next]\n")
-    machine.installed("-u")
-    assert conf.read_text() == "[server]\n\n# next\n[next]\n"
-
-
-def test_uninstall_takes_our_options_only(machine):
-    section = SECTION.replace(
-        "origin", "# mine\ninfo_tags:\n    desc=Z\n\norigin"
-    )
-    conf = machine.conf(text=f"[server]\n\n{MARK}{section}\n# b\n\n[next]\n")
-    machine.installed("-u")
-    assert conf.read_text() == "[server]\n\n# b\n\n[next]\n"
-
-
-def failing(program, when):
-    """A stand-in for a program that fails when its last word fits."""
-    real = shutil.which(program)
-    return f'#!/usr/bin/env bash\n[[ "$*" != {when} ]] || exit 1\nexec {real} "$@"\n'
-
-
-@pytest.mark.parametrize("option", [[], ["-u"]])
-def test_full_disk_loses_nothing(machine, option):
-    conf = machine.home / "printer_data/config/moonraker.conf"
-    if option:
-        machine.installed()
-    text = conf.read_text()
-    # What is written over the file ends too early
-    machine.fake("cmp", failing("cmp", f"*{conf}"))
-    outcome = machine.run(*option)
+@pytest.mark.parametrize(
+    ("text", "options"), [(SECTION, ["-u"]), (OTHER_PATH, ["-f"])]
+)
+def test_full_disk_loses_nothing(machine, conf, text, options):
+    conf.write_text(text)
+    machine.failing("cat", "*/new")
+    outcome = machine.run(*options)
     assert outcome.code == 1
     kept = re.search(r"its old text is in (.*)", outcome.err).group(1)
-    assert Path(kept).read_text() == text
-    assert Path(kept).parent == conf.parent
+    assert (conf.parent / kept).read_text() == text
+    conf.write_text(text)
+    machine.failing("cp")
+    assert machine.run(*options).code == 1
+    assert conf.read_text() == text
 
 
-def test_no_room_for_a_copy(machine):
-    conf = machine.home / "printer_data/config/moonraker.conf"
-    machine.fake("cp", failing("cp", f"*{conf}.bak-*"))
-    outcome = machine.run()
-    assert outcome.code == 1
-    assert f"could not keep a copy of {conf}, so it was left" in outcome.err
-    assert conf.read_text() == "[server]\n"
-
-
-@pytest.mark.parametrize("name", ["moonraker.conf", "more.conf"])
-@pytest.mark.parametrize("option", [[], ["-u"]])
-def test_file_that_cannot_be_read(machine, name, option):
-    conf = machine.conf(text="[include more.conf]\n")
-    conf.with_name("more.conf").write_text("[server]\n")
-    file = conf.with_name(name)
-    machine.installed("--help")
-    file.chmod(0o000)
-    outcome = machine.run(*option)
-    file.chmod(0o644)
-    assert outcome.code == 5
-    assert f"cannot read {file}" in outcome.err
-    assert conf.read_text() == "[include more.conf]\n"
-
-
-@pytest.mark.parametrize("name", ["-x.conf", "a=b.conf", "a b.conf"])
-def test_name_that_is_no_option(machine, name):
-    conf = machine.directory / name
-    conf.write_text("[server]\nport: 1\n" + OTHER)
-    machine.installed("-m", name, "--force")
-    assert conf.read_text() == f"[server]\nport: 1\n\n{MARK}{SECTION}"
-    machine.installed("-u", "-m", name)
-    assert conf.read_text() == "[server]\nport: 1\n"
-
-
-def test_home_with_brackets():
-    box = new_box("home[1]")
-    box.klipper()
-    conf = box.conf(text="[include conf.d/*.conf]\n")
-    (conf.parent / "conf.d").mkdir()
-    (conf.parent / "conf.d" / "a.conf").write_text(SECTION)
-    assert SKIPPED in box.installed()
-    shutil.rmtree(box.directory)
-
-
-def test_clone_on_no_branch(machine):
-    machine.installed("--help")
-    machine.git(machine.checkout, "checkout", "-q", "--detach")
-    out = machine.installed()
-    assert "is on no branch, and Moonraker will not update it" in out
-    assert f"git -C '{machine.checkout}' checkout main" in out
-
+# Other machines
 
 AWKS = {
     "mawk": ["mawk"],
@@ -476,39 +340,19 @@ def test_there_is_an_awk():
 
 
 @pytest.mark.parametrize("name", FOUND)
-def test_every_awk_does_the_same(machine, name):
+def test_every_awk_does_the_same(machine, conf, name):
     program, *applet = AWKS[name]
     words = " ".join([shutil.which(program), *applet])
     machine.fake("awk", f'#!/usr/bin/env bash\nexec {words} "$@"\n')
-    conf = machine.conf(text=f"[server]\nport: 1\n\n{OTHER}\n[next]\n")
-    exclude = machine.home / "klipper/.git/info/exclude"
-    exclude.write_text("*.bak")
-    machine.installed("--help")
+    # Bytes of no UTF-8 are none of its business
+    machine.locale = "C.UTF-8"
+    rest = b"[server]\nport: 1\n#\xff\n\n[next]\n"
+    section = OTHER_PATH.encode() + b"\n"
+    conf.write_bytes(rest.replace(b"[next]", section + b"[next]"))
     out = machine.installed("--force")
-    assert conf.read_text() == (
-        f"[server]\nport: 1\n\n[next]\n\n{MARK}{SECTION}"
-    )
-    assert SKIPPED in machine.installed()
-    assert "http://127.0.0.1:1/" in "".join(machine.calls())
+    assert conf.read_bytes() == rest + f"\n{MARK}{SECTION}".encode()
+    assert machine.calls("python3") == ["python3 http://127.0.0.1:1"]
+    assert THERE in machine.installed()
     machine.installed("-u")
-    assert conf.read_text() == "[server]\nport: 1\n\n[next]\n"
-    assert exclude.read_text() == "*.bak"
+    assert conf.read_bytes() == rest
     assert "warning" not in out
-
-
-def test_awk_gets_no_backslash_in_a_variable():
-    """Only some take it away: `awk -v x='\\['` is not portable."""
-    script = (REPO / "install.sh").read_text()
-    values = re.findall(r'-v \w+=("[^"]*"|\S+)', script)
-    assert len(values) >= 10
-    assert [v for v in values if "\\" in v.replace("\\$", "")] == []
-    pattern = re.search(r"header_pattern\(\) \{\n(.*)\n", script).group(1)
-    assert "\\" not in pattern
-
-
-def test_it_is_told_after_it_was_done(machine):
-    machine.fake("ln", "#!/usr/bin/env bash\nexit 1\n")
-    outcome = machine.run()
-    assert outcome.code == 1
-    assert "Linking" not in outcome.out
-    assert outcome.err.count("unexpected failure") == 1
