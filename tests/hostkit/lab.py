@@ -8,6 +8,7 @@ sudo and systemctl. Klippy, on the simulated printer, and Moonraker are real.
 from __future__ import annotations
 
 import os
+import re
 import shutil
 from collections.abc import Iterator, Mapping
 from contextlib import ExitStack, contextmanager
@@ -21,7 +22,13 @@ from tests.hostkit.hosts import Host, Installed
 from tests.hostkit.moonraker import Moonraker, free_port
 from tests.hostkit.printer import RunningPrinter, firmware_of
 from tests.hostkit.session import LiveSession
-from tests.hostkit.trees import link_tree
+from tests.hostkit.trees import (
+    SHARED,
+    SHARED_PARENT,
+    link_tree,
+    put_module,
+    put_shared,
+)
 from tests.simprinter import SCENES, Machine, heated
 
 # How much faster than a real printer the simulated one lives
@@ -40,6 +47,14 @@ _REST_OF_KLIPPER = {
 _IGNORED = "*.so\n*.pyc\n__pycache__/\nklippy/.version\n"
 _IGNORED_PLUGINS = "klippy/plugins/*\n!klippy/plugins/__init__.py\n"
 
+# What a release has in place of a help text
+_HELP = f"""\
+    try:
+        from .{SHARED.name} import release
+    except ImportError:  # a plugin of Kalico
+        from ..extras.{SHARED.name} import release
+    cmd_CALIBRATE_Z_help = release.HELP
+"""
 _GITCONFIG = """
 [user]
     name = lab
@@ -73,7 +88,8 @@ class Lab:
     """One such printer; use as a context manager.
 
     At first only Moonraker runs, and klippy does for systemd: install() asks
-    for restarts of what it has set up, and obey() does them.
+    for restarts of what it has set up, and obey() does them. Who copies by hand
+    starts klippy, too.
     """
 
     def __init__(self, host: Host, python: Path, directory: Path):
@@ -201,17 +217,29 @@ class Lab:
         """What a git command says."""
         return self.run(["git", *words], folder)
 
+    def copy_by_hand(self, module: str) -> None:
+        """Instead: one module and the folder, into a Klipper without git."""
+        shutil.rmtree(self.klipper / ".git")
+        put_module(self.module_dir, module, self.checkout / f"{module}.py")
+        folder = self.checkout / SHARED.name
+        put_shared(self.klipper / SHARED_PARENT, sorted(folder.glob("*.py")))
+
     def release(self) -> str:
-        """Publish another help text of CALIBRATE_Z; which one."""
+        """Publish another help text of CALIBRATE_Z; which one.
+
+        It comes from a file of the shared folder, which is new in the first
+        release and a changed one in all others.
+        """
         self._releases += 1
-        file = self._sources / "z_calibration.py"
-        text = file.read_text(encoding="utf-8")
-        marker = 'cmd_CALIBRATE_Z_help = "'
-        before, found, after = text.partition(marker)
-        assert found, marker
         help_text = f"As of release {self._releases}"
-        after = help_text + after[after.index('"') :]
-        file.write_text(before + found + after, encoding="utf-8")
+        file = self._sources / SHARED.name / "release.py"
+        file.write_text(f'HELP = "{help_text}"\n', encoding="utf-8")
+        module = self._sources / "z_calibration.py"
+        text = module.read_text(encoding="utf-8")
+        old = re.search(r'^    cmd_CALIBRATE_Z_help = ".*"\n', text, re.M)
+        if self._releases == 1:
+            assert old
+            module.write_text(text.replace(old[0], _HELP), encoding="utf-8")
         self._push(self._sources, "main", f"v0.9.{self._releases}")
         return help_text
 
@@ -233,7 +261,7 @@ class Lab:
             (self.directory / "running" / name).touch()
             if name == "klipper":
                 self._stop_klipper()
-                self._start_klipper()
+                self.start_klipper()
             else:
                 self.moonraker.stop()
                 self.moonraker.start()
@@ -251,7 +279,8 @@ class Lab:
         finally:
             self._life.enter_context(self.printer.session.living(SPEED))
 
-    def _start_klipper(self) -> None:
+    def start_klipper(self) -> None:
+        """Have klippy on the printer, as at boot."""
         machine = Machine(self._scene, app=firmware_of(self.host))
         self.printer = RunningPrinter(machine, self._begin)
         self.printer.session.require_ready()

@@ -16,13 +16,14 @@ from tests.hostkit.printer import firmware_of
 
 def pytest_generate_tests(metafunc: pytest.Metafunc) -> None:
     """One host for each place where modules belong, or each of them."""
-    if "lab" not in metafunc.fixturenames:
-        return
-    hosts = all_hosts()
-    if not os.environ.get("EVERY_HOST"):
-        hosts = list({firmware_of(host): host for host in hosts}.values())
-    ids = [host.name for host in hosts]
-    metafunc.parametrize("lab", hosts, ids=ids, indirect=True, scope="package")
+    for name, scope in (("lab", "package"), ("copied_lab", "function")):
+        if name not in metafunc.fixturenames:
+            continue
+        hosts = all_hosts()
+        if not os.environ.get("EVERY_HOST"):
+            hosts = list({firmware_of(host): host for host in hosts}.values())
+        ids = [host.name for host in hosts]
+        metafunc.parametrize(name, hosts, ids=ids, indirect=True, scope=scope)
 
 
 @pytest.fixture(scope="session")
@@ -47,4 +48,19 @@ def lab(
     with Lab(request.param, moonraker_python, directory) as lab:
         lab.install()
         assert lab.obey() == ["klipper", "moonraker"]
+        yield lab
+
+
+@pytest.fixture
+def copied_lab(
+    request: pytest.FixtureRequest,
+    moonraker_python: Path,
+    tmp_path_factory: pytest.TempPathFactory,
+) -> Iterator[Lab]:
+    """A printer whose owner has copied z_calibration and runs no scripts."""
+    directory = tmp_path_factory.mktemp("lab")
+    with Lab(request.param, moonraker_python, directory) as lab:
+        lab.copy_by_hand("z_calibration")
+        lab.start_klipper()
+        lab.moonraker.wait_until_ready()
         yield lab

@@ -2,12 +2,14 @@
 
 from __future__ import annotations
 
-from tests.moonraker.updates import refreshed
+from tests.hostkit.printer import module_files
+from tests.hostkit.trees import SHARED, SHARED_PARENT
+from tests.moonraker.updates import calibrated, refreshed, restarted
 
 
 def test_klippy_has_the_modules_of_the_checkout(lab):
-    for name in ("z_calibration", "auto_z_offset"):
-        link = lab.module_dir / f"{name}.py"
+    links = [lab.module_dir / f"{name}.py" for name in module_files()]
+    for link in (*links, lab.klipper / SHARED_PARENT / SHARED.name):
         assert link.is_symlink()
         assert link.resolve() == (lab.checkout / link.name).resolve()
     objects = lab.moonraker.get("/printer/objects/list")["objects"]
@@ -58,3 +60,12 @@ def test_change_in_the_checkout_is_noticed(lab):
     finally:
         script.chmod(0o755)
     assert refreshed(lab)["is_valid"]
+
+
+def test_copy_of_one_module_and_the_folder_works(copied_lab):
+    lab = copied_lab
+    assert not list(lab.klipper.glob("klippy/*/auto_z_offset.py"))
+    calibrated(lab)
+    for command in ("RESTART", "FIRMWARE_RESTART"):
+        restarted(lab, command)
+        calibrated(lab)

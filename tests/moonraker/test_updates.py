@@ -5,7 +5,12 @@ from __future__ import annotations
 import pytest
 
 from tests.hostkit.moonraker import MoonrakerError
-from tests.moonraker.updates import refreshed, status_of
+from tests.moonraker.updates import (
+    calibrated,
+    refreshed,
+    restarted,
+    status_of,
+)
 
 
 def help_text(lab):
@@ -52,18 +57,21 @@ def test_update_restarts_klippy_onto_the_new_commit(current):
     assert status["is_valid"] and status["pristine"]
 
 
-def test_klippy_that_is_not_restarted_has_the_old_module(current):
+@pytest.mark.parametrize("command", ["RESTART", "FIRMWARE_RESTART"])
+def test_klippy_that_is_not_restarted_works_with_the_old_module(
+    current, command
+):
+    """Whatever of the new files it has not read before."""
     lab = current
     before, expected = help_text(lab), lab.release()
     refreshed(lab)
     update(lab)
-    with lab.moonraker.listen() as listener:
-        lab.moonraker.run("RESTART")
-        listener.collect("notify_klippy_disconnected", lambda _: True)
-        listener.collect("notify_klippy_ready", lambda _: True)
+    restarted(lab, command)
     assert help_text(lab) == before
+    calibrated(lab)
     lab.obey()
     assert help_text(lab) == expected
+    calibrated(lab)
 
 
 def test_rollback_restarts_klippy_onto_the_old_commit(current):
@@ -100,13 +108,11 @@ def test_changed_checkout_is_not_updated(current):
     assert help_text(lab) == before
 
 
-def test_printer_works_after_an_update(current):
+def test_checkouts_stay_clean(current):
     lab = current
     lab.release()
     refreshed(lab)
     update(lab)
     lab.obey()
-    lab.moonraker.run("G28\nCALIBRATE_Z")
-    assert lab.moonraker.status("z_calibration")["valid"]
     assert lab.git(lab.klipper, "status", "--porcelain") == ""
     assert refreshed(lab)["pristine"]

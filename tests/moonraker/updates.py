@@ -1,4 +1,4 @@
-"""Moonraker's view of the checkouts in a lab."""
+"""What Moonraker is asked for in a lab."""
 
 from __future__ import annotations
 
@@ -20,3 +20,19 @@ def refreshed(lab: Lab, name: str = "z_calibration") -> dict[str, Any]:
 def status_of(lab: Lab, name: str = "z_calibration") -> dict[str, Any]:
     """The status of a checkout, as Moonraker knows it."""
     return lab.moonraker.get("/machine/update/status")["version_info"][name]
+
+
+def restarted(lab: Lab, command: str) -> None:
+    """Have klippy begin anew in the same process."""
+    with lab.moonraker.listen() as listener:
+        lab.moonraker.run(command)
+        listener.collect("notify_klippy_disconnected", lambda _: True)
+        listener.collect("notify_klippy_ready", lambda _: True)
+
+
+def calibrated(lab: Lab) -> dict[str, Any]:
+    """The module's status after a calibration."""
+    assert lab.moonraker.run("G28\nCALIBRATE_Z") == "ok"
+    status = lab.moonraker.status("z_calibration")
+    assert status["valid"]
+    return status
