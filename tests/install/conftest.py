@@ -41,7 +41,7 @@ def klipper(machine: Box) -> Klipper:
 
 
 @pytest.fixture(params=["klipper", "kalico"])
-def host(request: pytest.FixtureRequest, machine: Box) -> Klipper:
+def either(request: pytest.FixtureRequest, machine: Box) -> Klipper:
     """The same, and a Kalico that is told to take our modules."""
     if request.param == "klipper":
         return machine.klipper()

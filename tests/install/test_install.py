@@ -28,22 +28,22 @@ PLACE = f"klippy/extras/{NAME}.py"
 # Good runs
 
 
-def test_modules_and_their_folder_are_linked(machine, host):
+def test_modules_and_their_folder_are_linked(machine, either):
     out = machine.installed()
-    assert host.links() == host.expected(*MODULES)
-    folder = host.modules
+    assert either.links() == either.expected(*MODULES)
+    folder = either.modules
     for name in (
         f"{MODULES[0]}.py into {folder}",
         "z_touch into klippy/extras",
     ):
         assert f"Linking {name}... [OK]\n" in out
-    assert host.place().read_text() == (REPO / "z_calibration.py").read_text()
-    assert (host.place("z_touch") / "__init__.py").is_file()
-    assert host.status() == ""
+    assert either.place().read_text() == (REPO / "z_calibration.py").read_text()
+    assert (either.place("z_touch") / "__init__.py").is_file()
+    assert either.status() == ""
     assert f"you use, see {machine.checkout}/README.md\n" in out
 
 
-def test_second_run_changes_nothing(machine, host):
+def test_second_run_changes_nothing(machine, either):
     machine.installed()
     machine.restarted()
     before = snapshot(machine.home)
@@ -67,13 +67,13 @@ def test_installation_without_the_folder_gets_it(machine, klipper, options):
     assert machine.restarted() == ["klipper"]
 
 
-def test_every_module_of_the_checkout_is_linked(machine, host):
+def test_every_module_of_the_checkout_is_linked(machine, either):
     later = ("dockable_probe", "extra_probe")
     for name in later:
         (machine.checkout / f"{name}.py").write_text("")
     (machine.checkout / "other.py").write_text("")
     machine.installed()
-    assert host.links() == host.expected(*{*MODULES, *later})
+    assert either.links() == either.expected(*{*MODULES, *later})
 
 
 def test_chosen_modules_only(machine, klipper):
@@ -420,19 +420,19 @@ def test_module_of_somebody_else_in_extras_of_kalico(machine):
 def test_links_of_the_other_host_are_taken_away(machine, was):
     """As after a change of the branch of ~/klipper."""
     machine.write("printer_data/config/printer.cfg", OVERRIDE)
-    host = machine.kalico()
-    marker = host.path / "klippy/plugins/__init__.py"
+    either = machine.kalico()
+    marker = either.path / "klippy/plugins/__init__.py"
     if was == "kalico":
         machine.installed("--modules", NAME)
         marker.unlink()
-        host.modules = "klippy/extras"
+        either.modules = "klippy/extras"
     else:
         marker.rename(marker.with_suffix(".away"))
         machine.installed("--modules", NAME)
         marker.with_suffix(".away").rename(marker)
     out = machine.installed("--modules", NAME)
     assert f"Removing {NAME}.py from klippy/" in out
-    assert host.links() == host.expected(NAME)
+    assert either.links() == either.expected(NAME)
 
 
 # What the environment has to offer
@@ -537,23 +537,23 @@ def test_help_has_every_option(machine, klipper, option):
 # Uninstalling
 
 
-def test_uninstall_takes_everything_back(machine, host):
+def test_uninstall_takes_everything_back(machine, either):
     conf = machine.home / "printer_data/config/moonraker.conf"
-    before = host.exclude.read_text().splitlines()
+    before = either.exclude.read_text().splitlines()
     machine.installed()
-    assert host.exclude.read_text().splitlines() != before
+    assert either.exclude.read_text().splitlines() != before
     machine.restarted()
     out = machine.installed("-u")
     for name in (
-        f"{NAME}.py from {host.modules}",
+        f"{NAME}.py from {either.modules}",
         "z_touch from klippy/extras",
     ):
         assert f"Removing {name}... [OK]\n" in out
-    assert host.links() == {}
-    after = host.exclude.read_text().splitlines()
+    assert either.links() == {}
+    after = either.exclude.read_text().splitlines()
     assert [line for line in after if line] == before
     assert conf.read_text() == "[server]\n"
-    assert host.status() == ""
+    assert either.status() == ""
     # Klipper goes on as it is
     assert machine.restarted() == ["moonraker"]
     assert "Klipper is not restarted: it does not start while" in out
@@ -562,14 +562,14 @@ def test_uninstall_takes_everything_back(machine, host):
     assert snapshot(machine.home) == before
 
 
-def test_folder_goes_with_the_last_module(machine, host):
+def test_folder_goes_with_the_last_module(machine, either):
     machine.installed()
     machine.installed("-u", "--modules", "z_calibration")
     rest = [name for name in MODULES if name != "z_calibration"]
-    assert host.links() == host.expected(*rest)
-    assert host.status() == ""
+    assert either.links() == either.expected(*rest)
+    assert either.status() == ""
     machine.installed("-u", "--modules", " ".join(rest))
-    assert host.links() == {}
+    assert either.links() == {}
 
 
 @pytest.mark.parametrize("missing", ["auto_z_offset.py", "z_touch"])
