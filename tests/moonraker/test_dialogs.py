@@ -18,10 +18,9 @@ from tests.hostkit.extra_probe import (
 )
 from tests.hostkit.lab import Lab
 from tests.hostkit.moonraker import MoonrakerError
-from tests.moonraker.conftest import HOSTS
 
 
-@pytest.fixture(scope="module", params=HOSTS, ids=lambda host: host.name)
+@pytest.fixture(scope="package")
 def lab(request, moonraker_python, tmp_path_factory):
     """A printer with a membrane switch, and Moonraker in front of it."""
     directory = tmp_path_factory.mktemp("lab")
