@@ -1074,8 +1074,8 @@ class AutoZOffset(object):
         if abs(z_offset - before) > KNOWN_MARGIN:
             text = (
                 "that is %.3f mm away from before; was AUTO_Z_LOAD_OFFSET run,"
+                " and Z homed with the probe?"
             )
-            text += " and Z homed with the probe?"
             self.tell(text % (abs(z_offset - before),))
 
     def tell(self, text):

@@ -306,10 +306,10 @@ def read_site(config, name, old_names):
             % ((option, config.get_name()) + tuple(olds) + (option,))
         )
     if None not in old:
-        text = "options '%s' and '%s' are ignored, '%s' is given"
+        text, values = "options '%s' and '%s' are ignored, '%s' is given", []
         if pair is None:
-            text = "options '%s' and '%s' are now '%s: " + "%g,%g'" % tuple(old)
-        old_names.notes.append(text % (olds[0], olds[1], option))
+            text, values = "options '%s' and '%s' are now '%s: %g,%g'", old
+        old_names.notes.append(text % tuple(olds + [option] + values))
     if pair is None and None not in old:
         return touching.option_site(config, name, " and ".join(olds), old)
     return pair and touching.option_site(config, name, option, pair)

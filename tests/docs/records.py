@@ -22,7 +22,8 @@ class Module(NamedTuple):
     releases. given: the only options of the module without a default that are
     always there. sources: of what its defaults are taken from, no two alike.
     late: options whose default shows only when something is measured, which
-    tests/modules looks at. unsaid: messages that only other modules tell.
+    tests/modules looks at. unsaid: what only other modules tell, and parts of
+    messages that are looked for.
     """
 
     name: str
@@ -59,7 +60,7 @@ Z_CALIBRATION = Module(
     steps={
         "CALIBRATE_Z": SHOWN,
         # The same frame
-        "CALIBRATE_Z ACCEPT_CHANGE=0": None,
+        "CALIBRATE_Z SWITCH_OFFSET=0.44": None,
         "CALIBRATE_Z SWITCH_OFFSET=much": None,
         "PROBE_Z_ACCURACY SAMPLES=3": SHOWN,
         "CALIBRATE_Z_IF_NEEDED": "echo: offset 0.46 holds, measured with"
@@ -127,6 +128,19 @@ AUTO_Z_OFFSET = Module(
             "Z was homed again or set",
             "the Z motors were levelled",
             "the motors were turned off",
+            "<...> does not stop these Z motors: <...>; remove the endstop_pin"
+            " of their own",
+            "must be 'low, high' in mm, such as -1.0, 1.0, or one value for"
+            " both directions",
+            "leaves no room between <...> and <...>; write the lower one first",
+            "option '<...>' is ignored, '<...>' is given",
+            "option '<...>' is now called '<...>'",
+            "Error on '<...>': <...> has to be <...>",
+            "a finite number",
+            "X and Y in mm, such as 100,100",
+            "No trigger",
+            "samples_tolerance is",
+            "cycles_tolerance is",
         )
     ),
 )

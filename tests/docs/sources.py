@@ -96,10 +96,10 @@ def constants(name: str) -> dict[str, tuple[float, ...]]:
 
 
 def _value(node: ast.expr) -> tuple[float, ...]:
-    """Floating numbers; empty: something else."""
+    """Numbers; empty: something else."""
     try:
         value: Any = ast.literal_eval(node)
     except ValueError:
         return ()
     value = value if isinstance(value, tuple) else (value,)
-    return value if all(isinstance(item, float) for item in value) else ()
+    return value if all(type(item) in (int, float) for item in value) else ()

@@ -41,6 +41,8 @@ from tests.hostkit.auto_z_offset import POINT
 DOCS = Path(__file__).resolve().parents[2] / "docs"
 FLOORS = "How low can a touch go?"
 BRAKING = "How deep does a dead sensor let the nozzle go?"
+# Of a board, and of no section
+FREE_PIN = "^PC7"
 # What is left of a number with three digits behind the point
 ROUNDED = 6e-4
 
@@ -73,9 +75,13 @@ def old_givens(name: str, cells: list[str]) -> list[dict[str, Any]]:
     new = spans(cells[0])[:1] if cells[0].startswith("`") else []
     twin = {"_x": "_y", "_y": "_x"}.get(name[-2:])
     names_given = [name, name[:-2] + twin] if twin else [name]
+    values = ["1"]
+    if new:
+        is_pin = cells[1] == "pin"
+        values = [FREE_PIN] if is_pin else samples_of(cells[1])[0]
     return [
         {**dict.fromkeys(new), **dict.fromkeys(names_given, value)}
-        for value in (samples_of(cells[1])[0] if new else ["1"])
+        for value in values
     ]
 
 
@@ -453,7 +459,7 @@ MISTAKES = {
     "range": ("mm/s, > 0", "mm/s, ≥ 0"),
     "old option left out": (r"(?m)^\| `(probe_bed_x|x_offset)`.*\n", ""),
     "command": (r"(?m)^### (A?[A-Z]+_[A-Z_]+)$", r"### \1_NOW"),
-    "parameter left out": (r"(?m)^\| `ACCEPT_CHANGE`.*\n", ""),
+    "parameter left out": (r"(?m)^\| `(ACCEPT_CHANGE|SAVE)`.*\n", ""),
     "field": (r"\| `progress` ", "| `share` "),
     "phase": ("`idle`, ", ""),
     "part of the result": (r"(last_result.*)`probe`, ", r"\1"),
