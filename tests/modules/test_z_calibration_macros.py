@@ -8,8 +8,6 @@ import pytest
 
 from tests.hostkit.printer import Printer
 from tests.hostkit.z_calibration import (
-    BODY,
-    MICROSTEP,
     PIN,
     assert_unharmed,
     calibration,
@@ -17,8 +15,7 @@ from tests.hostkit.z_calibration import (
     section,
     with_moves,
 )
-from tests.simprinter import SCENES, Fault
-from tests.simprinter.world import DriftSpec
+from tests.simprinter import SCENES
 
 pytestmark = pytest.mark.spread
 
@@ -35,18 +32,6 @@ LOOK = (
 def macro(name, gcode):
     """A macro besides those of the scene."""
     return {"respond": {}, f"gcode_macro {name}": {"gcode": f"\n  {gcode}"}}
-
-
-# Parameters that a macro passes on
-
-
-def test_blank_parameters_count_as_not_given(start):
-    printer = start().homed()
-    blank = "NOZZLE_POSITION= SWITCH_POSITION= BED_POSITION= SWITCH_OFFSET="
-    usual, _ = calibration(printer)
-    again, _ = calibration(printer, f"CALIBRATE_Z {blank}")
-    assert again == pytest.approx(usual, abs=MICROSTEP)
-    printer.run("PROBE_Z_ACCURACY SAMPLES= PROBE_SPEED= NOZZLE_POSITION=")
 
 
 # end_gcode
@@ -87,19 +72,6 @@ def test_an_offset_that_end_gcode_restores_is_not_added(start):
     printer.run("SET_GCODE_OFFSET Z=0.5")
     result, _ = calibration(printer)
     assert printer.offset() == pytest.approx(result[-1], abs=1e-6)
-
-
-def test_last_query_is_false_from_the_start_of_a_run(start):
-    printer = start().homed()
-    calibration(printer)
-    printer.machine.faults.add(Fault("stuck_open", signal="z_endstop"))
-    printer.machine.tolerate("nozzle_pin", 1.01)
-    printer.fail("CALIBRATE_Z")
-    status = printer.status("z_calibration")
-    assert status["last_query"] is False
-    # The rest is of the last good run
-    assert status["valid"] is True
-    assert status["last_z_offset"] == pytest.approx(OFFSET, abs=0.02)
 
 
 # Errors of templates
@@ -238,41 +210,6 @@ def test_pressed_plunger_is_told(start):
     )
 
 
-# An exchanged nozzle
-
-
-def test_exchanged_nozzle_without_homing_is_calibrated_and_told(start):
-    # It grows by 0.7 mm between the runs
-    drift = DriftSpec(nozzle=0.1, start=100.0, stop=107.0)
-    printer = start(SCENES["voron"].with_world(drift=drift)).homed()
-    calibration(printer)
-    printer.session.wait(120.0)
-    before = len(printer.session.console)
-    result, _ = calibration(printer)
-    console = "\n".join(printer.session.console[before:])
-    assert "switch - nozzle is 5.715 mm and was 6.415 mm" in console
-    assert result[1] - result[2] == pytest.approx(BODY - 0.7, abs=MICROSTEP)
-    assert len(printer.status("z_calibration")["warnings"]) >= 1
-    assert printer.gap() == pytest.approx(0.06, abs=2 * MICROSTEP)
-
-
-# Margins
-
-
-def test_one_negative_margin_means_both_directions(start):
-    printer = start(changes=section(offset_margins="-1.0")).homed()
-    calibration(printer)
-
-
-def test_margins_that_leave_out_zero(start):
-    changes = section(offset_margins="0.1, 0.3")
-    calibration(start(changes=changes).homed())
-    changes = section(offset_margins="-2.75, -2.35")
-    printer = start(changes=changes).homed()
-    text = printer.fail("CALIBRATE_Z")
-    assert "is outside offset_margins -2.750 to -2.350" in text
-
-
 # Samples of the bed
 
 
@@ -280,13 +217,6 @@ def test_the_bed_is_sampled_as_the_section_says(start):
     printer = start(changes=section(samples="2")).homed()
     _, sites = calibration(printer)
     assert sites.count("probe_bed") == 2
-
-
-def test_the_bed_is_sampled_as_the_probe_says_otherwise(start):
-    printer = start(changes={"probe": {"samples": "4"}}).homed()
-    _, sites = calibration(printer)
-    assert sites.count("probe_bed") == 4
-    assert sites.count("nozzle_pin") == 4
 
 
 # What macros read
