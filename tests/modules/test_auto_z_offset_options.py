@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import math
 from contextlib import ExitStack
 from dataclasses import replace
 
@@ -64,67 +63,6 @@ def moving(start, faults=(), **options):
         "qidi", changes=changes, modules=with_extras("moves"), faults=faults
     )
     return printer.homed()
-
-
-# What a file need not say
-
-
-def test_defaults(start):
-    own = SCENES["qidi"].sections["auto_z_offset"]
-    left_out = {
-        name: None for name in own if name not in ("pin", "prepare_gcode")
-    }
-    changes = {
-        "moves": {},
-        "touches": {},
-        "stepper_z": {"position_min": "-1.4"},
-        "auto_z_offset": {**left_out, "prepare_gcode": JUST_ON},
-    }
-    modules = with_extras("moves", "touches")
-    printer = start("qidi", changes=changes, modules=modules).homed()
-    first = len(printer.machine.truth.touches)
-    homing = len(printer.status("touches")["seen"])
-    before = len(ends(printer))
-    lines = printer.run("AUTO_Z_CALIBRATE")
-    found = formulas(lines)
-    # offset_samples 3, samples 1, z_offset 0.2, speed 5
-    assert len(found) == 3
-    assert sites(printer, first).count("nozzle_bed") == 3
-    assert found[0].z_offset == AIR_GAP
-    assert found[0].sensor == pytest.approx(SENSOR, abs=STEPS)
-    assert told(lines, "AUTO_Z_CALIBRATE: average of 3")
-    # probe_hop 4
-    heights = {round(end[2] - SENSOR) for end in ends(printer)[before + 1 :]}
-    assert 4 in heights
-    # z_current_factor 0.33, no probe_accel
-    # The first one is the quick way down
-    seen = printer.status("touches")["seen"][homing + 2]
-    assert seen["currents"]["stepper_z"] == pytest.approx(0.264, abs=0.02)
-    assert seen["max_accel"] == printer.status("toolhead")["max_accel"]
-
-
-def test_defaults_of_several_samples(start):
-    # 0.08 mm apart is fine, 0.12 is not; nothing is tried again
-    for early, good in ((0.08, True), (0.12, False)):
-        fault = Fault("trigger_early", signal="bed_sensor", mm=early, n=2)
-        printer = moving(
-            start,
-            [fault],
-            samples="2",
-            samples_tolerance=None,
-            samples_tolerance_retries=None,
-            sample_retract_dist=None,
-            samples_result=None,
-        )
-        if good:
-            parts = measured(printer)
-            average = SENSOR + early / 2.0
-            assert parts.sensor == pytest.approx(average, abs=STEPS)
-            tops = [end[2] - SENSOR for end in ends(printer)]
-            assert min(abs(top - 3.0) for top in tops) < 0.01
-        else:
-            text = printer.fail("AUTO_Z_MEASURE_OFFSET")
-            assert "samples_tolerance is 0.1000 mm" in text
 
 
 # Heights
@@ -303,19 +241,6 @@ def test_lift_speed(start, samples):
     assert took[2.0] - took[20.0] == pytest.approx(
         lifted * (1 / 2.0 - 1 / 20.0), abs=0.35
     )
-
-
-def test_driver_gets_time_to_settle(start):
-    # 130 ms in the data sheet, after either change of the current
-    printer = moving(start)
-    begun = []
-    printer.machine.rig.on_steps.append(begun.append)
-    changes = {n: len(d.currents) for n, d in printer.machine.drivers.items()}
-    printer.run("AUTO_Z_PROBE\nAUTO_Z_PROBE")
-    for name, driver in printer.machine.drivers.items():
-        for change in driver.currents[changes[name] :]:
-            later = [ns for ns in begun if ns > change.ns]
-            assert min(later, default=math.inf) - change.ns >= 130e6
 
 
 # Samples

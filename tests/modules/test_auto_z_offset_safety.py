@@ -556,7 +556,8 @@ class Driver:
         self.fields = self.current_helper = self
         if config.getboolean("own_home_current"):
             self.req_home_current = 1.0
-        gcode = config.get_printer().lookup_object("gcode")
+        self.printer = config.get_printer()
+        gcode = self.printer.lookup_object("gcode")
         if config.getboolean("has_command"):
             gcode.register_mux_command(
                 "SET_TMC_CURRENT", "STEPPER", "stepper_z", self.set_current
@@ -566,7 +567,9 @@ class Driver:
         return name if name == "globalscaler" else default
 
     def set_current(self, gcmd):
-        self.calls.append(gcmd.get_float("CURRENT"))
+        toolhead = self.printer.lookup_object("toolhead")
+        print_time = toolhead.get_last_move_time()
+        self.calls.append((gcmd.get_float("CURRENT"), print_time))
 
     def get_status(self, eventtime):
         return {"run_current": 1.0, "calls": list(self.calls)}
@@ -592,8 +595,18 @@ def test_driver_that_is_better_left_alone(start, tmp_path, own, command, calls):
     modules = {**module_files(), "stand_in": source}
     changes = {"stand_in": options}
     printer = start("piezo_cartesian", changes=changes, modules=modules)
-    printer.homed().run("AUTO_Z_PROBE")
-    assert printer.status("tmc5160 stepper_z")["calls"] == calls
+    printer.homed()
+    begun = []
+    printer.machine.rig.on_steps.append(lambda ns: begun.append(ns / 1e9))
+    print_time = printer.status("toolhead")["estimated_print_time"]
+    ahead = print_time - printer.machine.simulation.clock.now() / 1e9
+    printer.run("AUTO_Z_PROBE")
+    found = printer.status("tmc5160 stepper_z")["calls"]
+    assert [amps for amps, _ in found] == calls
+    # It settles in 130 ms, says its data sheet
+    for _, changed in found:
+        later = [t + ahead for t in begun if t + ahead > changed]
+        assert min(later) > changed + 0.13
     notes = told(printer.session.console, "z_current_factor has no effect")
     assert len(notes) == (0 if calls else 1)
 
