@@ -52,8 +52,8 @@ class Facade(object):
     def probe_finish(self, hmove):
         self.device.after_move(hmove.check_no_movement() is None)
 
-    # Since 2024-04-09 (acdf8bb10); 'gcmd' on Kalico since 2025-12-14
-    # (e8182b7f0)
+    # Asked for since 2024-04-09 (acdf8bb10), with 'gcmd' by Kalico since
+    # 2025-12-14 (e8182b7f0)
     def probing_move(self, pos, speed, gcmd=None):
         homing = self.device.host.printer.lookup_object("homing")
         return homing.probing_move(self, pos, speed)
@@ -266,6 +266,8 @@ class ProbeHost(object):
         self.host = host
         self.printer = host.printer
         self.facade = self.probe = None
+        # What the user is told
+        self.notes = []
 
     # A pin that is only looked at, or that ends a probing move
     def make_endstop(self, config, option):
@@ -296,7 +298,7 @@ class ProbeHost(object):
             self.probe = module.PrinterProbe(config, self.facade)
             self.probe.z_position = max(self.probe.z_position, device.floor(""))
             if not hasattr(self.probe, "drop_first_result"):
-                self._tell_dropped(config, device)
+                self._read_drop_first(config)
         register("homing:home_rails_end", self._homing_ends)
         register("klippy:mcu_identify", self._add_z_steppers)
         try:
@@ -308,9 +310,9 @@ class ProbeHost(object):
                 % (config.get_name(),)
             )
 
-    def _tell_dropped(self, config, device):
+    def _read_drop_first(self, config):
         if config.getboolean("drop_first_result", False):
-            device.note("drop_first_result: this host has no such thing")
+            self.notes.append("drop_first_result is ignored on this host")
 
     def _install_session_probe(self, config, device, module):
         facade = self.facade
