@@ -52,6 +52,10 @@ TRAVEL_SPEED = 50.0
 # nozzle has to stay clear of it.
 LOWEST_NOZZLE = 1.0
 
+# and so far (mm) below where the probe triggers at Z=0: less than the body
+# of a usual probe is long, more than a bed or gantry hangs.
+REACH = 5.0
+
 # A smaller z_offset (mm) of a switch was not measured yet; then the probe
 # hangs at least as low as that, and may hang so much lower than the nozzle.
 SMALLEST_Z_OFFSET = 2.0
@@ -319,7 +323,7 @@ def check_places(config, places, notes):
 
 # All in mm, mm/s.  'hang': how far the probe triggers below the nozzle, as far
 # as anybody knows.
-def read_settings(config, is_z_endstop, old_names):
+def read_settings(config, is_z_endstop, endstop_z, old_names):
     number = functools.partial(options.number, config)
     places = read_places(config, old_names.notes)
     check_places(config, places, old_names.notes)
@@ -349,16 +353,20 @@ def read_settings(config, is_z_endstop, old_names):
         restore=config.getboolean(restore, True),
         delayed=config.getboolean("allow_delayed_detach", False),
         each_sample=config.getboolean("deactivate_on_each_sample", False),
-        lowest=lowest_touch(z_offset, is_z_endstop),
+        lowest=lowest_touch(z_offset, is_z_endstop, endstop_z),
     )
     return collections.namedtuple("Settings", sorted(found))(**found)
 
 
-# Lowest useful toolhead Z of a probing move
-def lowest_touch(z_offset, is_z_endstop):
-    if is_z_endstop and z_offset < SMALLEST_Z_OFFSET:
+# Lowest useful toolhead Z of a probing move.  'endstop_z' None, or where the
+# nozzle may meet the pin that Z is homed on.
+def lowest_touch(z_offset, is_z_endstop, endstop_z):
+    if not is_z_endstop:
+        above_pin = (endstop_z or 0.0) + LOWEST_NOZZLE
+        return max(LOWEST_NOZZLE, above_pin if above_pin < z_offset else 0.0)
+    if z_offset < SMALLEST_Z_OFFSET:
         return z_offset - LOWEST_NOZZLE
-    return LOWEST_NOZZLE
+    return max(LOWEST_NOZZLE, z_offset - REACH)
 
 
 # Toolhead Z (mm) at which the probe is clear of the bed
@@ -803,7 +811,7 @@ class Prober(object):
             self.run_still("deactivate")
         if self.sensors.look() != ATTACHED:
             self.sensors.proven = False
-            raise self.lost("was lost; what was measured is wrong,")
+            raise self.lost("was lost, so what was measured is wrong:")
         if self.is_held or not self.auto:
             return
         if self.settings.delayed:
@@ -887,7 +895,10 @@ class DockableProbe(object):
         self.old_names = options.OldNames(config)
         axis = machine.z_axis
         is_z_endstop = bool(axis and host.chip_of(axis.endstop_pin) == "probe")
-        settings = read_settings(config, is_z_endstop, self.old_names)
+        endstop_z = axis.position_endstop if axis else None
+        settings = read_settings(
+            config, is_z_endstop, endstop_z, self.old_names
+        )
         self.settings = settings
         self.sensors = Sensors(config, machine, self.probe_host)
         self.ways = Ways(machine, self.probe_host, settings)

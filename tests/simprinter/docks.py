@@ -124,6 +124,52 @@ def _gantry() -> Scene:
     ).with_world(pin=None)
 
 
+def _sensed() -> Scene:
+    """The same, with sensors for the probe on the head and in the dock."""
+    gantry = _gantry()
+    senses = {"probe_sense": "^PC4", "dock_sense": "^PC5"}
+    wiring = replace(gantry.wiring, inputs={**gantry.wiring.inputs, **senses})
+    options = {
+        **(gantry.sections["dockable_probe"] or {}),
+        **{f"{name}_pin": pin for name, pin in senses.items()},
+    }
+    return replace(
+        gantry,
+        name="dock_sensed",
+        sections={**gantry.sections, "dockable_probe": options},
+        wiring=wiring,
+    ).with_world(probe_sense=True, dock_sense=True)
+
+
+def _bed() -> Scene:
+    """A cartesian printer, the dock on the bed: 12 mm high, Z has a switch."""
+    switch = _gantry_switch()
+    assert switch.world.dock is not None
+    options = {
+        **(switch.sections["dockable_probe"] or {}),
+        "dock_position": "50, 308, 12",
+        "approach_position": "50, 270, 12",
+        "detach_position": "90, 308, 12",
+        "dock_fixed_z": "False",
+    }
+    printer = {**(switch.sections["printer"] or {}), "kinematics": "cartesian"}
+    return replace(
+        switch,
+        name="dock_bed",
+        kinematics="cartesian",
+        sections={
+            **{
+                name: section
+                for name, section in switch.sections.items()
+                if name != "quad_gantry_level"
+            },
+            "dockable_probe": options,
+            "printer": printer,
+        },
+    ).with_world(dock=replace(switch.world.dock, lifted=False, z=12.3, top=12))
+
+
 DOCK_SCENES = {
-    scene.name: scene for scene in (_gantry_switch(), _gantry())
+    scene.name: scene
+    for scene in (_gantry_switch(), _gantry(), _sensed(), _bed())
 }

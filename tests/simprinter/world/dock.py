@@ -109,9 +109,7 @@ class Dock:
         spec = self._spec
         dx, dy = pose[0] - spec.x, pose[1] - spec.y
         depth = spec.body - math.hypot(dx, dy)
-        if depth <= 0.0 or not (
-            spec.lifted or pose[2] < spec.z + spec.top
-        ):
+        if depth <= 0.0 or not (spec.lifted or pose[2] < spec.z + spec.top):
             return 0.0
         for ux, uy, _ in (spec.approach, spec.release, *spec.lanes):
             length = math.hypot(ux, uy)
