@@ -515,7 +515,11 @@ class Ways(object):
     def travel(self, place, speed):
         here, limits = self.here(), self.host.axis_limits()[:2]
         via = self.settings.safe_position or None
-        way = [place[:2]]
+        # After homing the head stands a part of a step too far
+        place = [
+            min(max(xy, low), high) for xy, (low, high) in zip(place, limits)
+        ]
+        way = [place]
         try:
             if self.zone.radius > 0.0:
                 way = way_around(here, place, self.zone, limits, via)
@@ -525,7 +529,7 @@ class Ways(object):
                 "no way from %.3f, %.3f to %.3f, %.3f around the dock in the"
                 " reach of X and Y; move the head away from it, or lower"
                 " safe_dock_distance (%.3f)"
-                % (here[:2] + tuple(place[:2]) + (self.zone.radius,)),
+                % (here[:2] + tuple(place) + (self.zone.radius,)),
             )
         for x, y in way:
             touching.move_xy(self.host, x, y, speed)

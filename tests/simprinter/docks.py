@@ -7,7 +7,7 @@ from dataclasses import replace
 from typing import Optional
 
 from .scenes import SCENES, Scene, Sections
-from .world import DockSpec, MagProbeSpec, Pose
+from .world import DockSpec, MagProbeSpec
 
 # Of the machines here (mm): the probe triggers at this toolhead Z on the bed
 HANG = 6.9
