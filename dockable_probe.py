@@ -115,9 +115,9 @@ def direction(a, b):
 
 
 # How a head leaves the dock at first: Z moves before X and Y do.
-def first_leg(dock, place):
-    if None not in (dock.z, place.z) and dock.z != place.z:
-        return 0.0, 0.0, math.copysign(1.0, place.z - dock.z)
+def first_leg(dock, z, place):
+    if None not in (z, place.z) and z != place.z:
+        return 0.0, 0.0, math.copysign(1.0, place.z - z)
     return direction(dock, place) + (0.0,)
 
 
@@ -125,6 +125,14 @@ def first_leg(dock, place):
 def angle_between(a, b):
     dot = sum(p * q for p, q in zip(a, b))
     return math.degrees(math.acos(max(-1.0, min(1.0, dot))))
+
+
+# Degrees by which the way off differs from the one that takes the probe along;
+# 'z': where the dock is, or the head on its way in.
+def strip_angle(dock, z, extract, detach):
+    flat = [direction(dock, place) for place in (extract, detach)]
+    legs = [first_leg(dock, z, place) for place in (extract, detach)]
+    return max(angle_between(*flat), angle_between(*legs))
 
 
 def is_inside(point, zone):
@@ -248,9 +256,12 @@ PLACES = ("dock", "approach", "extract", "insert", "detach")
 
 
 def read_place(config, option, default=None):
-    values = config.getfloatlist(option, default and ())
-    if not values:
-        return default
+    if default is not None:
+        values = config.getfloatlist(option, ())
+        if not values:
+            return default
+    else:
+        values = config.getfloatlist(option)
     if not 2 <= len(values) <= 3 or not all(map(options.is_finite, values)):
         what = "has to be 'X, Y' or 'X, Y, Z' in mm, such as 250, 295"
         raise options.config_error(config, option, what)
@@ -300,15 +311,16 @@ def read_fixed_z(config, places):
 
 
 def check_places(config, places, notes):
-    dock, extract, detach = places[0], places[2], places[4]
+    dock, approach, extract, _, detach = places
+    z = approach.z if dock.z is None else dock.z
     for name, place in zip(PLACES[1:], places[1:]):
-        if first_leg(dock, place) == (0.0, 0.0, 0.0):
+        if first_leg(dock, z, place) == (0.0, 0.0, 0.0):
             what = "(%g, %g) is at dock_position; give a point some 40 mm away"
             name += "_position"
             raise options.config_error(config, name, what % place[:2])
     if config.get("detach_gcode", "").strip():
         return
-    angle = angle_between(first_leg(dock, detach), first_leg(dock, extract))
+    angle = strip_angle(dock, z, extract, detach)
     what = (
         "and extract_position (approach_position unless given) are the same way"
         " out of the dock, %.0f degrees apart: the probe %s stay on the head;"
@@ -332,7 +344,8 @@ def read_settings(config, is_z_endstop, endstop_z, old_names):
     restore = old_names.name_of(
         "restore_toolhead", "return_to_last_probe_position_after_detach"
     )
-    speed, z_offset = number("speed", 5.0, above=0.0), number("z_offset")
+    speed = number("speed", 5.0, above=0.0)
+    z_offset = number("z_offset", config.getfloat("z_offset"))
     known = z_offset >= SMALLEST_Z_OFFSET or is_z_endstop
     found = dict(
         zip(PLACES, places),

@@ -52,8 +52,8 @@ class Facade(object):
     def probe_finish(self, hmove):
         self.device.after_move(hmove.check_no_movement() is None)
 
-    # Asked for since 2024-04-09 (acdf8bb10), with 'gcmd' by Kalico since
-    # 2025-12-14 (e8182b7f0)
+    # Asked for since 2024-04-09 (acdf8bb10), by Kalico with 'gcmd' since
+    # 2025-12-14 (e8182b7f0), as Kalico's own probes have it
     def probing_move(self, pos, speed, gcmd=None):
         homing = self.device.host.printer.lookup_object("homing")
         return homing.probing_move(self, pos, speed)

@@ -29,6 +29,8 @@ def where(printer: Printer) -> str:
     """Where the probe really is."""
     printer.session.wait(0.3)
     machine = printer.machine
+    # What it has done up to now is settled
+    assert machine.truth is not None
     now = machine.rig.seconds(machine.simulation.clock.now())
     return machine.world.probe_state(now)
 

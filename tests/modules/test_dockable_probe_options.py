@@ -57,10 +57,10 @@ def seconds(printer, script):
 @pytest.mark.parametrize(
     ("changes", "words"),
     [
-        ({"pin": "nowhere"}, "Option 'pin' in section 'dockable_probe'"),
-        ({"pin": "nowhere"}, "give the pin that the switch is wired to"),
+        ({"pin": "no:PA1"}, "Option 'pin' in section 'dockable_probe'"),
+        ({"pin": "no:PA1"}, "give the pin that the switch is wired to"),
         ({"probe_sense_pin": "PZ9:1"}, "'probe_sense_pin'"),
-        ({"dock_sense_pin": "foo"}, "Option 'dock_sense_pin'"),
+        ({"dock_sense_pin": "foo:1"}, "Option 'dock_sense_pin'"),
         ({"z_offset": None}, "z_offset"),
         ({"z_offset": "nan"}, "'z_offset' in section 'dockable_probe' is not"),
         ({"check_open_attach": None}, "nothing tells whether the probe is"),
@@ -84,7 +84,7 @@ def seconds(printer, script):
         ({"dock_position": "50, 311"}, "'dock_position' in section"),
         ({"approach_position": "-1, 308"}, "X=-1.000 is outside of 0.000 to"),
         ({"detach_position": "50, 320"}, "Y=320.000 is outside"),
-        ({"extract_position": "301, 308"}, "'extract_position' in section"),
+        ({"extract_position": "40, -3"}, "'extract_position' in section"),
         ({"insert_position": "50, -3"}, "'insert_position' in section"),
         (
             {"dock_position": "50, 308, 275", "dock_fixed_z": "True"},
@@ -122,7 +122,7 @@ def seconds(printer, script):
         ({"detach_dockable_before_z_home": "x"}, "detach_dockable"),
         ({"deactivate_on_each_sample": "x"}, "deactivate_on_each_sample"),
         ({"drop_first_result": "x"}, "drop_first_result"),
-        ({"pre_attach_gcode": "{% if %}"}, "'pre_attach_gcode' in section"),
+        ({"pre_attach_gcode": "{% if %}"}, "pre_attach_gcode"),
         ({"dock_angle": "0"}, "needs dock_safe_distance"),
         ({"no_such_option": "1"}, "no_such_option"),
     ],
@@ -178,10 +178,8 @@ def test_old_names(start):
 
 def test_other_places_for_out_and_in(start):
     # As an Euclid probe has it
-    scene = SWITCH.with_world(dock=_euclid())
     printer = recording(
         start,
-        scene,
         approach_position="90, 308",
         extract_position="50, 270",
         insert_position="50, 272",
@@ -193,10 +191,6 @@ def test_other_places_for_out_and_in(start):
     places = [e[:2] for e in ends[:-1]]
     assert places[-3:] == [(50, 272), DOCK, (88, 308)]
     assert trips(printer) == ["attach", "dock"]
-
-
-def _euclid():
-    return SWITCH.world.dock
 
 
 @pytest.mark.parametrize(
@@ -248,7 +242,9 @@ def test_height_of_the_way(start, options, height):
     printer = recording(start, **options)
     printer.run("G1 Z2\nM400")
     ends = moves(printer, "ATTACH_PROBE")
-    assert {z for _, _, z in ends[:-1]} == {pytest.approx(height)}
+    assert [z for _, _, z in ends[:-1]] == pytest.approx(
+        [height] * len(ends[:-1])
+    )
     # Back as low as the probe allows
     low = HANG + float(options.get("sample_retract_dist", "2"))
     assert ends[-1][2] == pytest.approx(low)
@@ -297,7 +293,7 @@ def test_back_or_not(start):
 def test_distance_to_the_dock(start):
     for safe, y in (("0", 300.0), ("10", 298.0), (None, 270.0)):
         printer = recording(start, safe_dock_distance=safe)
-        printer.run("G1 X5 Y300\nM400" if safe else "G1 X5 Y300\nM400")
+        printer.run("G1 X5 Y300\nM400")
         ends = moves(printer, "MOVE_AVOIDING_DOCK X=120 Y=300")
         assert min(e[1] for e in ends) == pytest.approx(y, abs=1.0)
 
@@ -312,7 +308,7 @@ def test_point_to_pass_by(start):
         printer = recording(start, **dock, safe_position=safe)
         printer.run("G1 X50\nG1 Y160\nM400")
         ends = moves(printer, "MOVE_AVOIDING_DOCK X=250 Y=160")
-        assert all((y > 150.0) is above for _, y, _ in ends)
+        assert all((y > 150.0) is above for _, y, _ in ends[:-1])
 
 
 def test_templates_in_their_order(start):
@@ -424,7 +420,7 @@ def test_docked_before_z_is_homed(start):
 
 @pytest.mark.each_host
 def test_samples(start):
-    printer = start(SWITCH, section(samples="1", samples_tolerance="0.1"))
+    printer = start(SWITCH, section(samples="1", samples_tolerance_retries="0"))
     printer.homed()
     place = "G1 X150 Y150 Z20 F6000\n"
     count = printer.machine.truth.touch_count
@@ -445,7 +441,8 @@ def test_samples(start):
         printer.machine.break_down(
             Fault("trigger_early", signal="probe", mm=0.06, n=2)
         )
-        printer.run(f"{place}PROBE SAMPLES=3 SAMPLES_RESULT={method}")
+        wanted = f"SAMPLES=3 SAMPLES_RESULT={method} SAMPLES_TOLERANCE=0.1"
+        printer.run(f"{place}PROBE {wanted}")
         assert printer.status("probe")["last_z_result"] == pytest.approx(
             z, abs=0.006
         )
@@ -460,7 +457,7 @@ def test_probing_speeds_of_a_command(start):
     usual = seconds(printer, place + "PROBE SAMPLES=2")
     slow = seconds(printer, place + "PROBE SAMPLES=2 PROBE_SPEED=3")
     lifting = seconds(printer, place + "PROBE SAMPLES=2 LIFT_SPEED=1")
-    assert slow > usual + 4.0
+    assert slow > usual + 1.0
     assert lifting > usual + 1.0
 
 

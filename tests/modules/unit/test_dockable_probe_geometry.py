@@ -183,15 +183,19 @@ def place(x, y, z=None):
         (place(0, -40), place(40, 0), 90.0),
         (place(0, -40), place(0, -20), 0.0),
         (place(0, -40), place(0, 40), 180.0),
-        # Up first
+        # Up or down first
         (place(0, -40), place(0, -40, 30), 90.0),
+        (place(0, -40, 5), place(0, -40, 1), 90.0),
         (place(0, -40, 5), place(0, -40, 5), 0.0),
+        # Up first, both
+        (place(0, -40, 8), place(0, -40, 9), 0.0),
+        (place(0, -40, 8), place(40, 0, 9), 90.0),
     ],
 )
 def test_angle_between_two_ways_out(extract, detach, degrees):
     dock = place(0, 0, 5)
-    legs = [dockable.first_leg(dock, p) for p in (extract, detach)]
-    assert dockable.angle_between(*legs) == pytest.approx(degrees, abs=0.01)
+    angle = dockable.strip_angle(dock, 5, extract, detach)
+    assert angle == pytest.approx(degrees, abs=0.01)
 
 
 @pytest.mark.parametrize(
