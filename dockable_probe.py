@@ -1,8 +1,6 @@
 # A probe that the printer fetches from a dock and puts back
 #
-# Copyright (C) 2026  the Z calibration developers
-#
-# This file may be distributed under the terms of the GNU GPLv3 license.
+# Copyright (C) 2026  the Z calibration developers, under the GNU GPLv3
 #
 # To fetch the probe the head goes to the approach position, from there into
 # the dock and out again to the extract position; to put it back it goes to the
@@ -28,12 +26,13 @@ import logging
 import math
 
 try:
-    from .z_touch import host, options, probe_host, running, touching
+    from .z_touch import host, options, probe_host, running
+    from .z_touch import templates, touching, ways
 except (ImportError, ValueError):
     try:
         # A plugin of Kalico since 2026-01-02 (2c9b0b4de)
         from ..extras.z_touch import host, options, probe_host
-        from ..extras.z_touch import running, touching
+        from ..extras.z_touch import running, templates, touching, ways
     except (ImportError, ValueError):
         host = None  # load_config() tells
 
@@ -61,22 +60,10 @@ REACH = 5.0
 SMALLEST_Z_OFFSET = 2.0
 UNMEASURED_PROBE = 10.0
 
-# A position nearer (mm) to the dock is none of its own.
-SMALLEST_DISTANCE = 1.0
-
-# A head that leaves a dock is this close (mm) to the line it came along.
-LANE = 3.0
-
 # Off the way that takes the probe along, stripping it has to go at least so
 # many degrees; less than the second is doubtful.
 SAME_WAY = 20.0
 DOUBTFUL_WAY = 45.0
-
-# The way around a dock turns by so many degrees at each corner.
-TURN = 15.0
-
-# Of lengths (mm): what rounding makes of them.
-ROUNDING = 1e-3
 
 # Before a contradiction of pins is believed they are asked again after (s).
 ASK_AGAIN = 0.5
@@ -84,162 +71,6 @@ ASK_AGAIN = 0.5
 # With allow_delayed_detach the probe is put back when so long (s) nobody has
 # used it.
 DETACH_DELAY = 1.0
-
-
-######################################################################
-# Places and ways: pure
-######################################################################
-
-# z None: as it is
-Place = collections.namedtuple("Place", "x y z")
-
-# Where the head goes only to fetch the probe and to put it back: a circle, and
-# the unit vectors of the lanes out of it.
-Zone = collections.namedtuple("Zone", "x y radius lanes")
-
-
-class NoWay(Exception):
-    pass
-
-
-def distance(a, b):
-    return math.hypot(a[0] - b[0], a[1] - b[1])
-
-
-# From a to b in the plane; (0, 0) where they are the same
-def direction(a, b):
-    length = distance(a, b)
-    if length < SMALLEST_DISTANCE:
-        return 0.0, 0.0
-    return (b[0] - a[0]) / length, (b[1] - a[1]) / length
-
-
-# How a head leaves the dock at first: Z moves before X and Y do.
-def first_leg(dock, z, place):
-    if None not in (z, place.z) and z != place.z:
-        return 0.0, 0.0, math.copysign(1.0, place.z - z)
-    return direction(dock, place) + (0.0,)
-
-
-# Degrees between two ways out of the dock
-def angle_between(a, b):
-    dot = sum(p * q for p, q in zip(a, b))
-    return math.degrees(math.acos(max(-1.0, min(1.0, dot))))
-
-
-# Degrees by which the way off differs from the one that takes the probe along;
-# 'z': where the dock is, or the head on its way in.
-def strip_angle(dock, z, extract, detach):
-    flat = [direction(dock, place) for place in (extract, detach)]
-    legs = [first_leg(dock, z, place) for place in (extract, detach)]
-    return max(angle_between(*flat), angle_between(*legs))
-
-
-def is_inside(point, zone):
-    return distance(point, zone) < zone.radius - ROUNDING
-
-
-# Least distance of the centre of the zone to the line from a to b
-def least_distance(a, b, zone):
-    dx, dy = b[0] - a[0], b[1] - a[1]
-    length = dx * dx + dy * dy
-    if not length:
-        return distance(a, zone)
-    part = ((zone.x - a[0]) * dx + (zone.y - a[1]) * dy) / length
-    part = max(0.0, min(1.0, part))
-    return distance((a[0] + part * dx, a[1] + part * dy), zone)
-
-
-def is_within(point, limits):
-    return all(
-        low - ROUNDING <= xy <= high + ROUNDING
-        for xy, (low, high) in zip(point, limits)
-    )
-
-
-def on_circle(zone, angle, radius):
-    x, y = zone.x + radius * math.cos(angle), zone.y + radius * math.sin(angle)
-    return x, y
-
-
-def angle_of(point, zone):
-    return math.atan2(point[1] - zone.y, point[0] - zone.x)
-
-
-# The ends of the ways straight out of the circle, the best one first: along
-# a lane where the head is in one, otherwise away from the dock.
-def ways_out(point, zone):
-    dx, dy = point[0] - zone.x, point[1] - zone.y
-    for ux, uy in zone.lanes:
-        along, aside = dx * ux + dy * uy, dx * uy - dy * ux
-        if along >= -LANE and abs(aside) <= LANE:
-            rest = math.sqrt(max(0.0, zone.radius**2 - aside**2)) - along
-            yield point[0] + rest * ux, point[1] + rest * uy
-    middle = angle_of(point, zone)
-    # Further off the head would come nearer to the dock at first
-    widest = math.acos(min(1.0, distance(point, zone) / zone.radius))
-    for part in range(33):
-        for side in (1, -1):
-            angle = middle + side * widest * part / 32.0
-            yield on_circle(zone, angle, zone.radius)
-
-
-def way_out(point, zone, limits):
-    for end in ways_out(point, zone):
-        if is_within(end, limits):
-            return end
-    raise NoWay()
-
-
-# The corners of a way around the circle, all of it outside; 'turn' is 1 with
-# the angles, -1 against them.
-def corners_around(start, end, zone, turn):
-    angles = []
-    for point, side in ((start, turn), (end, -turn)):
-        tangent = math.acos(min(1.0, zone.radius / distance(point, zone)))
-        angles.append(angle_of(point, zone) + side * tangent)
-    sweep = (turn * (angles[1] - angles[0])) % (2.0 * math.pi)
-    if sweep > 2.0 * math.pi - ROUNDING:
-        sweep = 0.0
-    count = int(math.ceil(sweep / math.radians(TURN)))
-    if not count:
-        return []
-    step = sweep / count
-    radius = zone.radius / math.cos(step / 2.0)
-    return [
-        on_circle(zone, angles[0] + turn * step * (i + 0.5), radius)
-        for i in range(count)
-    ]
-
-
-def length_of(points):
-    return sum(distance(a, b) for a, b in zip(points, points[1:]))
-
-
-# The corners of the way from start to end that never gets nearer to the dock
-# than it has to; the last one is where it ends: at 'end' or, where that is
-# too near to the dock, outside beside it.  'via': None, or the point that the
-# way has to pass by.  Raises NoWay.
-def way_around(start, end, zone, limits, via=None):
-    start, end, way = tuple(start[:2]), tuple(end[:2]), []
-    if is_inside(start, zone):
-        start = way_out(start, zone, limits)
-        way.append(start)
-    if is_inside(end, zone):
-        end = way_out(end, zone, limits)
-    if least_distance(start, end, zone) >= zone.radius - ROUNDING:
-        return way + [end]
-    ways = [corners_around(start, end, zone, turn) for turn in (1, -1)]
-    ways = [w for w in ways if all(is_within(p, limits) for p in w)]
-    if not ways:
-        raise NoWay()
-
-    def cost(corners):
-        if via is not None:
-            return min(distance(corner, via) for corner in corners)
-        return length_of([start] + corners + [end])
-
-    return way + min(ways, key=cost) + [end]
 
 
 ######################################################################
@@ -265,7 +96,7 @@ def read_place(config, option, default=None):
     if not 2 <= len(values) <= 3 or not all(map(options.is_finite, values)):
         what = "has to be 'X, Y' or 'X, Y, Z' in mm, such as 250, 295"
         raise options.config_error(config, option, what)
-    return Place(*(tuple(values) + (None,))[:3])
+    return ways.Place(*(tuple(values) + (None,))[:3])
 
 
 # dock_angle or detach_angle, with dock_safe_distance: of old, in degrees and mm
@@ -277,10 +108,12 @@ def read_old_place(config, dock, old, new, notes):
     if length is None:
         what = "needs dock_safe_distance; better write " + new
         raise options.config_error(config, old, what)
-    x, y = on_circle(Zone(dock.x, dock.y, 0, ()), math.radians(angle), length)
+    x, y = ways.on_circle(
+        ways.Zone(dock.x, dock.y, 0, ()), math.radians(angle), length
+    )
     text = "options '%s' and 'dock_safe_distance' are now '%s: %.1f, %.1f'"
     notes.append(text % (old, new, x, y))
-    return Place(x, y, None)
+    return ways.Place(x, y, None)
 
 
 # In the order of PLACES
@@ -314,13 +147,13 @@ def check_places(config, places, notes):
     dock, approach, extract, _, detach = places
     z = approach.z if dock.z is None else dock.z
     for name, place in zip(PLACES[1:], places[1:]):
-        if first_leg(dock, z, place) == (0.0, 0.0, 0.0):
+        if ways.first_leg(dock, z, place) == (0.0, 0.0, 0.0):
             what = "(%g, %g) is at dock_position; give a point some 40 mm away"
             name += "_position"
             raise options.config_error(config, name, what % place[:2])
     if config.get("detach_gcode", "").strip():
         return
-    angle = strip_angle(dock, z, extract, detach)
+    angle = ways.strip_angle(dock, z, extract, detach)
     what = (
         "and extract_position (approach_position unless given) are the same way"
         " out of the dock, %.0f degrees apart: the probe %s stay on the head;"
@@ -339,8 +172,8 @@ def read_settings(config, is_z_endstop, endstop_z, old_names):
     number = functools.partial(options.number, config)
     places = read_places(config, old_names.notes)
     check_places(config, places, old_names.notes)
-    apart = [distance(places[0], place) for place in places[1:]]
-    apart = min([mm for mm in apart if mm >= SMALLEST_DISTANCE] or [0.0])
+    apart = [ways.distance(places[0], place) for place in places[1:]]
+    apart = min([mm for mm in apart if mm >= ways.SMALLEST_DISTANCE] or [0.0])
     restore = old_names.name_of(
         "restore_toolhead", "return_to_last_probe_position_after_detach"
     )
@@ -393,10 +226,6 @@ def dock_height(settings):
     more = settings.dock.z or 0.0 if settings.fixed_z else 0.0
     return max(travel_height(settings) + more, settings.z_hop)
 
-
-######################################################################
-# Pins
-######################################################################
 
 # A pin: its option, and what it reads with the probe on the head
 Sense = collections.namedtuple("Sense", "name endstop when_attached")
@@ -470,8 +299,8 @@ class Ways(object):
         self.printer = printer
         self.settings = settings
         dock = settings.dock
-        lanes = [direction(dock, getattr(settings, n)) for n in PLACES[1:]]
-        self.zone = Zone(dock.x, dock.y, settings.radius, lanes)
+        lanes = [ways.direction(dock, getattr(settings, n)) for n in PLACES[1:]]
+        self.zone = ways.Zone(dock.x, dock.y, settings.radius, lanes)
         # Z was lifted where nobody knows it
         self.is_lifted = False
         register = machine.printer.register_event_handler
@@ -497,10 +326,10 @@ class Ways(object):
     # Toolhead position; Z is None where nobody knows it
     def here(self):
         x, y, z = self.host.toolhead.get_position()[:3]
-        return Place(x, y, z if self.is_homed("z") else None)
+        return ways.Place(x, y, z if self.is_homed("z") else None)
 
     def is_at(self, place):
-        return distance(self.here(), place) < ROUNDING
+        return ways.distance(self.here(), place) < ways.ROUNDING
 
     # Z up where it is too low, never down
     def lift(self, height):
@@ -535,8 +364,8 @@ class Ways(object):
         way = [place]
         try:
             if self.zone.radius > 0.0:
-                way = way_around(here, place, self.zone, limits, via)
-        except NoWay:
+                way = ways.way_around(here, place, self.zone, limits, via)
+        except ways.NoWay:
             raise probe_error(
                 self.host,
                 "no way from %.3f, %.3f to %.3f, %.3f around the dock in the"
@@ -584,10 +413,6 @@ def probe_error(machine, text):
     return machine.printer.command_error("%s: %s" % (machine.name, text))
 
 
-######################################################################
-# Fetching and docking
-######################################################################
-
 REMEDIES = {
     "fetched": (
         "look whether the probe is in the dock and meets the head where"
@@ -634,7 +459,8 @@ class Docking(object):
         self.is_docked = sensors.proven = False
         self.templates.pre_attach.run_gcode_from_command()
         closed = sensors.reads(sensors.pin, self.host.after_moves())
-        self.repeat(DOCKED, ATTACHED, self.fetch, "fetched")
+        parts = "APPROACH", self.templates.attach, "EXTRACT"
+        self.repeat(DOCKED, ATTACHED, parts, "fetched")
         self.templates.post_attach.run_gcode_from_command()
         sensors.proven = True
         if not closed:
@@ -660,16 +486,11 @@ class Docking(object):
         self.ways.lift_for_dock()
         sensors.proven = False
         self.templates.pre_detach.run_gcode_from_command()
-        self.repeat(ATTACHED, DOCKED, self.put, "docked")
+        parts = "INSERT", self.templates.detach, "DETACH"
+        self.repeat(ATTACHED, DOCKED, parts, "docked")
         self.is_docked = True
         self.templates.post_detach.run_gcode_from_command()
         return True
-
-    def fetch(self):
-        self.in_and_out("APPROACH", self.templates.attach, "EXTRACT")
-
-    def put(self):
-        self.in_and_out("INSERT", self.templates.detach, "DETACH")
 
     # The parts are commands, as a macro may stand in for one
     def in_and_out(self, before, template, after):
@@ -680,8 +501,8 @@ class Docking(object):
         with running.always(self.host, leave, "leaving the dock"):
             template.run_gcode_from_command()
 
-    # go() takes the probe from one state into the other, at last
-    def repeat(self, before, after, go, what):
+    # Take the probe from one state into the other, at last
+    def repeat(self, before, after, parts, what):
         retries = self.settings.retries
         for attempt in range(retries + 1):
             state = self.sensors.look()
@@ -689,7 +510,7 @@ class Docking(object):
                 self.host.toolhead.dwell(ASK_AGAIN)
                 state = self.sensors.look()
             if state == before:
-                go()
+                self.in_and_out(*parts)
                 state = self.sensors.look()
             if state == after:
                 return
@@ -746,26 +567,15 @@ class Prober(object):
         if is_homing and self.home_place is not None:
             goal = here._replace(x=self.home_place[0], y=self.home_place[1])
         if not self.auto:
-            self.require_attached()
+            state = self.sensors.look()
+            if state != ATTACHED or not self.sensors.proven:
+                off = "is %s and auto_attach_detach is off: run ATTACH_PROBE"
+                raise self.lost(off % (state,))
         if (self.auto and self.docking.attach()) or not self.ways.is_at(goal):
             self.ways.go_back(goal, travel_height(self.settings))
         self.is_open, self.is_checked = True, False
         if not self.settings.each_sample:
             self.run_still("activate")
-
-    def require_attached(self):
-        state, proven = self.sensors.look(), self.sensors.proven
-        if state != ATTACHED or not proven:
-            raise probe_error(
-                self.host,
-                "auto_attach_detach is off, and the probe is %s (%s)%s; run"
-                " ATTACH_PROBE first"
-                % (
-                    state,
-                    self.sensors.describe(),
-                    "" if proven else ", which nobody has seen to change",
-                ),
-            )
 
     def run_still(self, name):
         before = self.host.toolhead.get_position()[:3]
@@ -809,8 +619,9 @@ class Prober(object):
     def lost(self, what):
         return probe_error(
             self.host,
-            "the probe %s at z=%.3f (%s): it is lost or pressed; put it into"
-            " its dock, raise the head, and check it with GET_PROBE_STATUS"
+            "the probe %s, at z=%.3f (%s); where it is lost or pressed, raise"
+            " the head, put it into its dock, and check it with"
+            " GET_PROBE_STATUS"
             % (what, self.host.z(), self.sensors.describe()),
         )
 
@@ -828,7 +639,7 @@ class Prober(object):
             self.run_still("deactivate")
         if self.sensors.look() != ATTACHED:
             self.sensors.proven = False
-            raise self.lost("was lost, so what was measured is wrong:")
+            raise self.lost("was lost, what was measured is wrong")
         if self.is_held or not self.auto:
             return
         if self.settings.delayed:
@@ -864,21 +675,6 @@ class Prober(object):
 ######################################################################
 # Commands
 ######################################################################
-
-COMMANDS = {
-    "ATTACH_PROBE": "Fetch the probe",
-    "DETACH_PROBE": "Dock the probe",
-    "GET_PROBE_STATUS": "Tell where the probe is",
-    "QUERY_DOCKABLE_PROBE": "Tell where the probe is",
-    "SET_PROBE_STATUS": "Tell that the probe was attached or docked by hand",
-    "SET_DOCKABLE_PROBE": "Switch fetching and docking by itself on or off",
-    "MOVE_TO_APPROACH_PROBE": "Move to approach_position",
-    "MOVE_TO_DOCK_PROBE": "Move into the dock",
-    "MOVE_TO_EXTRACT_PROBE": "Move out of the dock, with the probe",
-    "MOVE_TO_INSERT_PROBE": "Move to insert_position",
-    "MOVE_TO_DETACH_PROBE": "Move out of the dock, without the probe",
-    "MOVE_AVOIDING_DOCK": "Move to X and Y around the dock",
-}
 
 
 # Over which XY Z is homed with the probe: None where the head is then, empty
@@ -919,7 +715,7 @@ class DockableProbe(object):
         self.settings = settings
         self.sensors = Sensors(config, machine, self.probe_host)
         self.ways = Ways(machine, self.probe_host, settings)
-        load = functools.partial(options.load_template, config)
+        load = functools.partial(templates.load_template, config)
         loaded = [load(name + "_gcode", "") for name in Templates._fields]
         self.docking = Docking(
             settings, self.sensors, self.ways, Templates(*loaded)
@@ -939,9 +735,7 @@ class DockableProbe(object):
         register("klippy:connect", self.connect)
         register("klippy:ready", self.tell_notes)
         register("homing:home_rails_begin", self.home_rails_begin)
-        for name in COMMANDS:
-            handler, text = getattr(self, "cmd_" + name), COMMANDS[name]
-            machine.gcode.register_command(name, handler, desc=text)
+        running.register_commands(machine, self)
 
     # Set-up
 
@@ -982,10 +776,10 @@ class DockableProbe(object):
                 for (low, high), shift in zip(limits, self.settings.offsets)
             ]
         place = self.prober.home_place
-        if place is not None and is_inside(place, self.ways.zone):
+        if place is not None and ways.is_inside(place, self.ways.zone):
             text = "%g, %g is %.1f mm from the dock; choose a point that is"
             text += " at least %.1f mm away (safe_dock_distance)"
-            apart = distance(place, self.ways.zone), self.ways.zone.radius
+            apart = ways.distance(place, self.ways.zone), self.ways.zone.radius
             raise self.wrong("safe_z", text % (tuple(place) + apart))
 
     def wrong(self, name, what):
@@ -997,7 +791,7 @@ class DockableProbe(object):
         for note in self.old_names.notes + self.probe_host.notes:
             self.docking.say(note)
         dock = self.settings.dock[:2]
-        if self.mesh is not None and is_within(dock, self.mesh):
+        if self.mesh is not None and ways.is_within(dock, self.mesh):
             self.docking.say(
                 "dock_position (%g, %g) lies where the head goes while the bed"
                 " mesh is probed; make the mesh smaller, or move the dock"
@@ -1023,11 +817,18 @@ class DockableProbe(object):
         status["auto_attach_detach"] = self.prober.auto
         return status
 
+    cmd_GET_PROBE_STATUS_help = "Tell where the probe is"
+
     def cmd_GET_PROBE_STATUS(self, gcmd):
         gcmd.respond_info("Probe Status: %s" % (self.sensors.look(),))
         self.docking.say(self.sensors.describe())
 
+    cmd_QUERY_DOCKABLE_PROBE_help = cmd_GET_PROBE_STATUS_help
     cmd_QUERY_DOCKABLE_PROBE = cmd_GET_PROBE_STATUS
+
+    cmd_SET_PROBE_STATUS_help = (
+        "Tell that the probe was attached or docked by hand"
+    )
 
     def cmd_SET_PROBE_STATUS(self, gcmd):
         state, states = gcmd.get("STATE").upper(), (ATTACHED, DOCKED, UNKNOWN)
@@ -1042,6 +843,10 @@ class DockableProbe(object):
         self.docking.is_docked = self.sensors.proven = False
         self.prober.hold(state == ATTACHED)
 
+    cmd_SET_DOCKABLE_PROBE_help = (
+        "Switch fetching and docking by itself on or off"
+    )
+
     def cmd_SET_DOCKABLE_PROBE(self, gcmd):
         auto = options.param_int(
             gcmd, "AUTO_ATTACH_DETACH", None, minval=0, maxval=1
@@ -1051,12 +856,16 @@ class DockableProbe(object):
 
     # Fetching and docking
 
+    cmd_ATTACH_PROBE_help = "Fetch the probe"
+
     def cmd_ATTACH_PROBE(self, gcmd):
         here = self.ways.here()
         self.prober.hold(False)
         if self.docking.attach() and self.settings.restore:
             self.ways.go_back(here, travel_height(self.settings))
         self.prober.hold(True)
+
+    cmd_DETACH_PROBE_help = "Dock the probe"
 
     def cmd_DETACH_PROBE(self, gcmd):
         self.detach_probe()
@@ -1069,8 +878,12 @@ class DockableProbe(object):
 
     # Parts of the way
 
+    cmd_MOVE_TO_APPROACH_PROBE_help = "Move to approach_position"
+
     def cmd_MOVE_TO_APPROACH_PROBE(self, gcmd):
         self.ways.go_before(self.settings.approach)
+
+    cmd_MOVE_TO_DOCK_PROBE_help = "Move into the dock"
 
     def cmd_MOVE_TO_DOCK_PROBE(self, gcmd):
         is_on = self.sensors.last == ATTACHED
@@ -1078,20 +891,28 @@ class DockableProbe(object):
             self.settings.insert if is_on else self.settings.approach
         )
 
+    cmd_MOVE_TO_EXTRACT_PROBE_help = "Move out of the dock, with the probe"
+
     def cmd_MOVE_TO_EXTRACT_PROBE(self, gcmd):
         self.ways.go_out(self.settings.extract, self.settings.attach_speed)
+
+    cmd_MOVE_TO_INSERT_PROBE_help = "Move to insert_position"
 
     def cmd_MOVE_TO_INSERT_PROBE(self, gcmd):
         self.ways.go_before(self.settings.insert)
 
+    cmd_MOVE_TO_DETACH_PROBE_help = "Move out of the dock, without the probe"
+
     def cmd_MOVE_TO_DETACH_PROBE(self, gcmd):
         self.ways.go_out(self.settings.detach, self.settings.detach_speed)
+
+    cmd_MOVE_AVOIDING_DOCK_help = "Move to X and Y around the dock"
 
     def cmd_MOVE_AVOIDING_DOCK(self, gcmd):
         self.ways.require_homed("xy")
         number = functools.partial(options.param_number, gcmd)
         here, speed = self.ways.here(), self.settings.travel_speed
-        goal = Place(number("X", here.x), number("Y", here.y), None)
+        goal = ways.Place(number("X", here.x), number("Y", here.y), None)
         self.ways.travel(goal, number("SPEED", speed, above=0.0))
 
 

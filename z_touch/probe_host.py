@@ -1,9 +1,6 @@
 # What a module needs from the printer to be its probe.
 #
-# Copyright (C) 2026  the Z calibration developers
-#
-# This file may be distributed under the terms of the GNU GPLv3 license.
-from __future__ import absolute_import, division
+# Copyright (C) 2026  the Z calibration developers, under the GNU GPLv3
 
 import functools
 import importlib

@@ -230,7 +230,7 @@ def test_automatic_off(start):
     before = len(printer.machine.truth.events)
     text = printer.fail("PROBE")
     assert "auto_attach_detach is off" in text
-    assert "run ATTACH_PROBE first" in text
+    assert "run ATTACH_PROBE" in text
     printer.run("ATTACH_PROBE\nPROBE\nDETACH_PROBE")
     assert trips(printer, before) == ["attach", "dock"]
     printer.run("SET_DOCKABLE_PROBE\nSET_DOCKABLE_PROBE AUTO_ATTACH_DETACH=1")
@@ -244,7 +244,7 @@ def test_automatic_off(start):
 def test_automatic_off_from_the_start(start):
     changes = section(auto_attach_detach="False", **QUICK)
     printer = start(SWITCH, changes).homed()
-    assert "run ATTACH_PROBE first" in printer.fail("PROBE")
+    assert "off: run ATTACH_PROBE" in printer.fail("PROBE")
     assert trips(printer) == []
 
 

@@ -10,11 +10,12 @@ from hypothesis import assume, given, settings
 from hypothesis import strategies as st
 
 dockable = importlib.import_module("dockable_probe")
+ways = importlib.import_module("z_touch.ways")
 
 LIMITS = ((0.0, 300.0), (-5.0, 310.0))
 # The body that the head must not meet, as a part of the circle
 BODY = 0.5
-LANE = dockable.LANE
+LANE = ways.LANE
 
 coordinate = st.floats(0.0, 300.0)
 point = st.tuples(coordinate, coordinate)
@@ -33,8 +34,8 @@ def zones(draw):
         end = (x + ux * radius, y + uy * radius)
         for aside in (-LANE, LANE):
             shifted = (end[0] + uy * aside, end[1] - ux * aside)
-            assume(dockable.is_within(shifted, LIMITS))
-    return dockable.Zone(x, y, radius, lanes)
+            assume(ways.is_within(shifted, LIMITS))
+    return ways.Zone(x, y, radius, lanes)
 
 
 def depth_in_body(xy, zone):
@@ -57,7 +58,7 @@ def along(points, step=1.5):
 
 
 def way(start, end, zone, limits=LIMITS, via=None):
-    return [start, *dockable.way_around(start, end, zone, limits, via)]
+    return [start, *ways.way_around(start, end, zone, limits, via)]
 
 
 def apart(xy, zone):
@@ -70,14 +71,14 @@ def test_never_a_hit_from_anywhere_to_anywhere(zone, start, end):
     assume(depth_in_body(start, zone) == 0.0)
     try:
         points = way(start, end, zone)
-    except dockable.NoWay:
+    except ways.NoWay:
         # Only where the circle reaches from one end of the axes to another
         room = min(min(zone.x, 300 - zone.x), min(zone.y + 5, 310 - zone.y))
         assert room < zone.radius * 1.05
         return
     for xy in along(points):
         assert depth_in_body(xy, zone) < 1e-6, xy
-        assert dockable.is_within(xy, LIMITS)
+        assert ways.is_within(xy, LIMITS)
 
 
 @settings(max_examples=250)
@@ -85,7 +86,7 @@ def test_never_a_hit_from_anywhere_to_anywhere(zone, start, end):
 def test_never_nearer_to_the_dock_than_at_the_start(zone, start, end):
     try:
         points = way(start, end, zone)
-    except dockable.NoWay:
+    except ways.NoWay:
         return
     nearest = min(apart(start, zone), zone.radius)
     lane_slack = LANE if apart(start, zone) < 2 * LANE else 0.0
@@ -102,7 +103,7 @@ def test_never_nearer_to_the_dock_than_at_the_start(zone, start, end):
 def test_ends_where_it_should_or_beside_the_dock(zone, start, end):
     try:
         points = way(start, end, zone)
-    except dockable.NoWay:
+    except ways.NoWay:
         return
     if apart(end, zone) >= zone.radius:
         assert points[-1] == end
@@ -112,18 +113,18 @@ def test_ends_where_it_should_or_beside_the_dock(zone, start, end):
 
 @given(zone=zones(), start=point, end=point)
 def test_straight_where_the_dock_is_not_in_the_way(zone, start, end):
-    clear = dockable.least_distance(start, end, zone) >= zone.radius
+    clear = ways.least_distance(start, end, zone) >= zone.radius
     assume(clear)
     assert way(start, end, zone) == [start, end]
 
 
-DOCK = dockable.Zone(150.0, 150.0, 40.0, [(0.0, -1.0), (1.0, 0.0)])
+DOCK = ways.Zone(150.0, 150.0, 40.0, [(0.0, -1.0), (1.0, 0.0)])
 
 
 def test_the_shorter_way_around():
     points = way((50.0, 160.0), (250.0, 160.0), DOCK)
     assert min(y for _, y in points[1:-1]) > 150.0
-    length = dockable.length_of(points)
+    length = ways.length_of(points)
     straight = 2 * math.sqrt(100**2 + 10**2 - 40**2)
     # Tangent, arc, tangent: hardly longer than the best there is
     tangent = math.acos(40 / math.hypot(100, 10))
@@ -146,7 +147,7 @@ def test_the_longer_way_where_the_shorter_one_is_out_of_reach():
 
 def test_no_way_at_all():
     narrow = ((0.0, 300.0), (120.0, 180.0))
-    with pytest.raises(dockable.NoWay):
+    with pytest.raises(ways.NoWay):
         way((50.0, 150.0), (250.0, 150.0), DOCK, narrow)
 
 
@@ -169,12 +170,12 @@ def test_out_of_the_circle_first(start, out):
 def test_out_beside_the_dock_where_straight_out_is_out_of_reach():
     dock = DOCK._replace(x=10.0)
     points = way((5.0, 170.0), (100.0, 300.0), dock)
-    assert dockable.is_within(points[1], LIMITS)
+    assert ways.is_within(points[1], LIMITS)
     assert apart(points[1], dock) == pytest.approx(40.0)
 
 
 def place(x, y, z=None):
-    return dockable.Place(x, y, z)
+    return ways.Place(x, y, z)
 
 
 @pytest.mark.parametrize(
@@ -194,7 +195,7 @@ def place(x, y, z=None):
 )
 def test_angle_between_two_ways_out(extract, detach, degrees):
     dock = place(0, 0, 5)
-    angle = dockable.strip_angle(dock, 5, extract, detach)
+    angle = ways.strip_angle(dock, 5, extract, detach)
     assert angle == pytest.approx(degrees, abs=0.01)
 
 
