@@ -169,6 +169,13 @@ def _bed() -> Scene:
     ).with_world(dock=replace(switch.world.dock, lifted=False, z=12.3, top=12))
 
 
+def calibrating(scene: Scene) -> Scene:
+    """The same with the voron's [z_calibration], nothing said of the probe."""
+    section = SCENES["voron"].sections["z_calibration"]
+    sections = {**scene.sections, "z_calibration": section}
+    return replace(scene, sections=sections)
+
+
 DOCK_SCENES = {
     scene.name: scene
     for scene in (_gantry_switch(), _gantry(), _sensed(), _bed())
