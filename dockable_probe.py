@@ -2,22 +2,15 @@
 #
 # Copyright (C) 2026  the Z calibration developers, under the GNU GPLv3
 #
-# To fetch the probe the head goes to the approach position, from there into
-# the dock and out again to the extract position; to put it back it goes to the
-# insert position, into the dock, and out to the detach position, which strips
-# the probe off.  Anywhere else it stays out of a circle around the dock:
-#
-#          approach = extract = insert            . - - .
-#                 o                             '    A    '    the head goes
-#                 |                            (     |     )   around
-#                 v                             ' .  v  . '
-#         detach  |                                ' D '
-#        o <----- D  dock
+# To fetch the probe the head goes to the approach position, from there into the
+# dock and out to the extract position; to put it back it goes to the insert
+# position, into the dock, and out to the detach position, which strips the
+# probe off.  Anywhere else it stays out of a circle around the dock.
 #
 # Every place is one of the toolhead, in mm; G-code offset and bed mesh play no
 # part.  What holds the probe is asked of the pins, never assumed: before it is
-# fetched and put back, after that, and before and after each touch.  A pin
-# proves nothing before it was seen to change on the way out of the dock.
+# fetched and put back, after that, and around the touches.  A pin proves
+# nothing before it was seen to change on the way out of the dock.
 from __future__ import absolute_import, division
 
 import collections
@@ -35,10 +28,6 @@ except (ImportError, ValueError):
         from ..extras.z_touch import running, templates, touching, ways
     except (ImportError, ValueError):
         host = None  # load_config() tells
-
-######################################################################
-# Constants
-######################################################################
 
 __version__ = "0.3.0"
 
@@ -72,10 +61,6 @@ ASK_AGAIN = 0.5
 # used it.
 DETACH_DELAY = 1.0
 
-
-######################################################################
-# Options
-######################################################################
 
 Templates = collections.namedtuple(
     "Templates",
@@ -286,11 +271,6 @@ class Sensors(object):
             "%s reads %s" % (s.name, words[self.reads(s, print_time)])
             for s in [self.pin] + self.senses
         )
-
-
-######################################################################
-# The way to the dock and back
-######################################################################
 
 
 class Ways(object):
@@ -522,11 +502,6 @@ class Docking(object):
         raise probe_error(self.host, "%s; %s" % (seen, REMEDIES[what]))
 
 
-######################################################################
-# The probe of the printer
-######################################################################
-
-
 # What happens around commands that probe; see probe_host.Facade
 class Prober(object):
     def __init__(self, docking, home_place, auto):
@@ -670,11 +645,6 @@ class Prober(object):
     def hold(self, wanted):
         self.delayed = None
         self.is_held = wanted
-
-
-######################################################################
-# Commands
-######################################################################
 
 
 # Over which XY Z is homed with the probe: None where the head is then, empty
