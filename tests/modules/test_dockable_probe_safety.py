@@ -93,6 +93,7 @@ def test_reading_that_was_not_seen_to_change_again(start):
     # The dead one is found at the touch ...
     assert "No trigger" in printer.fail("PROBE")
     assert "nothing down to z=1.900" in "\n".join(printer.session.console)
+    assert printer.session.position()[2] >= CLEAR - 0.01
     # ... and docking shows that it never changes
     assert "never changes" in printer.fail("DETACH_PROBE")
     assert "was not docked" in printer.fail("PROBE")
@@ -210,6 +211,19 @@ def test_probe_lost_at_a_touch(start, scene, n, when):
     assert printer.machine.truth.min_gap > 5.0
     # Nothing goes on with what it measured
     assert "Mesh Bed Leveling Complete" not in printer.session.console
+
+
+@pytest.mark.each_host
+def test_probe_lost_at_the_last_touch(start):
+    # Nothing touches after it: only a look tells that the result is wrong
+    printer = start(SWITCH, section(**QUICK)).homed()
+    printer.run("G1 X150 Y150 Z20 F6000\nATTACH_PROBE")
+    printer.machine.break_down(Fault("probe_falls", n=1))
+    text = printer.fail("PROBE")
+    assert "was lost, what was measured is wrong" in text
+    assert printer.session.position()[2] >= CLEAR - 0.01
+    assert "not fetched" in printer.fail("PROBE")
+    assert_safe(printer)
 
 
 @pytest.mark.parametrize("n", [2, 3, 4, 6])
