@@ -161,7 +161,7 @@ def test_empty_dock(start):
     assert "not fetched, it is UNKNOWN" in text
     assert "dock_sense_pin reads open" in text
     # It did not go there
-    assert printer.machine.truth.events == []
+    assert at(printer) == pytest.approx((152.0, 125.25))
     assert printer.session.state()[0] == "ready"
 
 
