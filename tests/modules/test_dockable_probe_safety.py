@@ -19,6 +19,7 @@ from tests.hostkit.dockable_probe import (
     trips,
     where,
 )
+from tests.hostkit.session import GcodeError
 from tests.simprinter import Fault
 from tests.simprinter.docks import DOCK_SCENES
 
@@ -256,21 +257,39 @@ def test_probe_lost_on_the_way(start):
     assert_safe(printer)
 
 
-def test_sense_pin_tells_between_two_touches(start):
-    # Nothing else would: this probe reads open when it is lost
-    fault = Fault("stuck_open", signal="probe_sense", n=1)
+def now_of(printer):
+    """Printer time, s."""
+    machine = printer.machine
+    return machine.rig.seconds(machine.simulation.clock.now())
+
+
+def test_sense_pin_tells_that_it_was_lost_in_a_touch(start):
     printer = start(SENSED, section(samples="3")).homed()
-    del fault
-    printer.run("ATTACH_PROBE")
-    command = printer.session.begin("PROBE")
+    printer.run("ATTACH_PROBE\nG1 X150 Y150 Z20 F6000\nM400")
+    touches = len(printer.machine.truth.touches)
+    # On the way down
+    printer.machine.break_down(
+        Fault("stuck_open", signal="probe_sense", t=now_of(printer) + 1.5)
+    )
+    text = printer.fail("PROBE")
+    assert "was lost in a touch" in text
+    assert "probe_sense_pin reads open" in text
+    assert len(printer.machine.truth.touches) == touches + 1
+    assert_safe(printer)
+
+
+def test_sense_pin_tells_before_a_touch(start):
+    printer = start(SENSED, section(samples="1")).homed()
+    printer.run("ATTACH_PROBE\nG1 X150 Y150 Z20 F6000\nM400")
+    command = printer.session.begin("PROBE_ACCURACY SAMPLES=3")
     touches = printer.machine.truth.touches
     before = len(touches)
     printer.session.run_until(command, lambda: len(touches) > before)
-    now = printer.machine.rig.seconds(printer.machine.simulation.clock.now())
+    # While it is lifted, at 10 mm/s
     printer.machine.break_down(
-        Fault("stuck_open", signal="probe_sense", t=now + 0.01)
+        Fault("stuck_open", signal="probe_sense", t=now_of(printer) + 0.1)
     )
-    with pytest.raises(Exception, match="probe_sense_pin reads open"):
+    with pytest.raises(GcodeError, match="probe_sense_pin reads open"):
         printer.session.finish(command)
     assert len(touches) <= before + 2
     assert_safe(printer)
