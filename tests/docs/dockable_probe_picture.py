@@ -11,6 +11,7 @@ import importlib
 from pathlib import Path
 
 from tests.demo.picture import Drawing
+
 from tests.docs.pictures import begin
 
 PICTURE = Path(__file__).resolve().parents[2] / "docs" / "dockable_probe.svg"
