@@ -10,9 +10,7 @@ from __future__ import annotations
 import importlib
 from pathlib import Path
 
-from tests.demo.picture import Drawing
-
-from tests.docs.pictures import begin
+from tests.docs.pictures import Drawing
 
 PICTURE = Path(__file__).resolve().parents[2] / "docs" / "dockable_probe.svg"
 ways = importlib.import_module("z_touch.ways")
@@ -42,13 +40,17 @@ def path(drawing: Drawing, role: str, points, width: float = 2.5) -> None:
 
 def draw() -> str:
     """The picture as a text."""
-    drawing = begin(
-        ("dockable_probe", "The way to the dock and out of it, from above"),
+    drawing = Drawing(
+        "dockable_probe",
         "From the approach position into the dock, out again with the probe,"
         " or to the detach position without it; around the dock otherwise.",
-        (WIDTH, HEIGHT),
-        PANEL,
+        WIDTH,
+        HEIGHT,
     )
+    drawing.box("page", (0, 0, WIDTH, HEIGHT), 14)
+    title = "The way to the dock and out of it, from above"
+    drawing.text("ink", (20, 40), title, font_size=20, font_weight=700)
+    drawing.box("panel", PANEL, 12)
     lanes = [ways.direction(DOCK, place) for place in (APPROACH, DETACH)]
     zone = ways.Zone(*DOCK, RADIUS, lanes)
     x, y = at(DOCK)
