@@ -191,6 +191,12 @@ locate_klipper() {
         problem "$ENVIRONMENT" "git does not tell what is part of $klipper:" \
             "$(cat -- "$scratch/git")"
     fi
+    # Whoever has a section for Kalico's own goes on with that
+    if [ "$folder" = klippy/plugins ] && [ -z "$given_modules$uninstall" ] &&
+        is_tracked klippy/extras/dockable_probe.py; then
+        modules=${modules/dockable_probe /}
+        note "Kalico's own dockable_probe stays; --modules takes ours"
+    fi
 }
 
 locate_confs() {

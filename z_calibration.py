@@ -27,14 +27,10 @@
 #   switch_offset     from the body to the trigger point above it     (>= 0)
 #   offset            toolhead Z where the nozzle meets the bed; a larger
 #                     switch_offset moves the nozzle closer to the bed
-#
-# The head goes down in two parts: quickly, but ready to stop, to where the
-# last samples began or should begin, then slowly until the trigger.  Neither
-# goes lower than a usable result can lie: see the *_floor() functions.  A
-# lost probe or a dead switch then ends with the nozzle in the air.
 from __future__ import absolute_import, division
 
 import collections
+import contextlib
 import functools
 import logging
 import math
@@ -381,6 +377,7 @@ def read_settings(config, z_axis, own_pin, old_names):
     # None where it is the probe that Z is homed with; that is refused later
     homed_z = None if own_pin else z_axis.position_endstop
     speed = old_names.name_of("probing_speed", "homing_speed")
+    margins = old_names.name_of("offset_margins", "max_deviation")
     safe_z = old_names.name_of("safe_z_height", "clearance")
     # 0 was "as the probe has it" under the old name
     lowest = {"minval": 0.0} if safe_z == "clearance" else {"above": 0.0}
@@ -398,11 +395,7 @@ def read_settings(config, z_axis, own_pin, old_names):
             templates.read_macros(config),
         ),
         first_fast=config.getboolean("probing_first_fast", False),
-        offset_margins=options.margins(
-            config,
-            old_names.name_of("offset_margins", "max_deviation"),
-            OFFSET_MARGINS,
-        ),
+        offset_margins=options.margins(config, margins, OFFSET_MARGINS),
         travel_margin=number("travel_margin", TRAVEL_MARGIN, above=0.0),
         position_endstop=homed_z,
         position_min=read_position_min(config, z_axis, homed_z, old_names),
@@ -424,11 +417,11 @@ Templates = collections.namedtuple(
 
 
 def load_templates(config):
-    loaded = []
+    loaded, own = [], templates.probe_gcode(config)
     for part in Templates._fields[:-1]:
         name = part + "_gcode"
         optional = part in ("offset", "error")
-        template = templates.load_template(config, name, "")
+        template = templates.load_template(config, name, own.get(part, ""))
         if optional and not config.get(name, "").strip():
             template = None
         loaded.append(template)
@@ -790,27 +783,36 @@ class BedMeasurement(Measurement):
 
     def run(self, travel_z, expected_z, floor):
         self.go_there(travel_z)
-        # Before the session: some hosts run deactivate_gcode after this, too,
-        # and an error in it would end the session unseen
-        self.come_down(travel_z, expected_z, floor)
-        speed = "%.6f" % (self.sampling.speed,)
-        session = touching.probing(
-            self.head, floor, travel_z, PROBE_SPEED=speed
-        )
-        with session as self.probe_once:
-            samples = self.collect(floor)
-        self.leave(travel_z)
-        return samples
+        down = functools.partial(self.come_down, travel_z, expected_z, floor)
+        return self.in_session(down, travel_z, floor, self.collect)
 
-    # One touch, without a session: how long is this probe?
+    # One touch: how long is this probe?
     def look(self, travel_z, floor):
         with errors.about(self.site.name):
             self.go_there(travel_z)
             self.check_probe_attached(self.host.after_moves())
-            self.first_touch(floor)
-            z = self.head.pressed_z
+            down = functools.partial(self.first_touch, floor)
+            return self.in_session(
+                down, travel_z, floor, lambda unused: self.head.pressed_z
+            )
+
+    # Outside of a session Kalico's dockable_probe lifts the head after a move;
+    # otherwise down() comes before: some hosts run deactivate_gcode after it,
+    # too, and an error in it would end the session unseen.
+    def in_session(self, down, travel_z, floor, measure):
+        lookup = self.host.printer.lookup_object
+        inside = lookup("dockable_probe", None) is not None
+        if not inside:
+            down()
+        speed = {"PROBE_SPEED": "%.6f" % (self.sampling.speed,)}
+        session = touching.probing(self.head, floor, travel_z, **speed)
+        with session as self.probe_once:
+            if inside:
+                down()
+            found = measure(floor)
+            # Here, as the host may stow or dock it at the end
             self.leave(travel_z)
-            return z
+        return found
 
     def leave(self, travel_z):
         self.head.lift(travel_z)
@@ -1209,12 +1211,12 @@ class ZCalibration(object):
             switch_offset=self.switch_offset(gcmd, self.settings.switch_offset)
         )
         sites = Places(machine, settings).of_command(gcmd)
-        self.check_probe_stays()
         run = Calibration(machine, settings, self.pin, sites, self.runner.watch)
         if not self.templates.start_homes:
             running.check_homed(machine)
         dock = running.always(machine, self.dock, "end_gcode")
-        with dock, running.always(machine, run.lift, "lifting"):
+        lift = running.always(machine, run.lift, "lifting")
+        with self.holding_probe(), dock, lift:
             # User G-code may home, move, or turn the motors off
             self.run_template("start")
             running.check_homed(machine)
@@ -1238,15 +1240,19 @@ class ZCalibration(object):
         name = part + "_gcode"
         templates.run_template(self.host, name, template, **params)
 
-    # Kalico's dockable_probe may fetch and dock it by itself, at any session
-    def check_probe_stays(self):
+    # A dockable_probe must not fetch and dock it by itself, at any session
+    @contextlib.contextmanager
+    def holding_probe(self):
         dockable = self.printer.lookup_object("dockable_probe", None)
-        if getattr(dockable, "auto_attach_detach", False):
-            raise errors.CalibrationError(
-                "auto_attach_detach of section 'dockable_probe' docks the probe"
-                " between the touches; set it to False and attach the probe in"
-                " start_gcode or before_switch_gcode"
-            )
+        if not getattr(dockable, "auto_attach_detach", False):
+            yield
+            return
+        run = self.host.gcode.run_script_from_command
+        line = "SET_DOCKABLE_PROBE AUTO_ATTACH_DETACH=%d"
+        release = functools.partial(run, line % (1,))
+        with running.always(self.host, release, "auto_attach_detach"):
+            run(line % (0,))
+            yield
 
     def attach_probe(self, mark):
         self.run_template("before_switch")

@@ -83,3 +83,13 @@ def homes(gcode, macros):
         seen |= words
         todo += [macros[word] for word in words if word in macros]
     return False
+
+
+# A probe that fetches and docks itself is told to, unless the user does
+def probe_gcode(config):
+    given = [config.get(p + "_gcode", "").strip() for p in ("start", "end")]
+    if any(given) or not config.has_section("dockable_probe"):
+        return {}
+    if config.get("before_switch_gcode", "").strip():
+        return {"end": "DETACH_PROBE"}
+    return {"start": "ATTACH_PROBE", "end": "DETACH_PROBE"}

@@ -472,22 +472,6 @@ def test_probe_that_takes_no_floor_is_touched_by_us(start, tmp_path, n):
     assert_unharmed(printer)
 
 
-def test_probe_that_docks_itself_is_refused(start, tmp_path):
-    code = """
-class Dockable:
-    auto_attach_detach = True
-    detach_dockable_before_z_home = False
-printer.add_object("dockable_probe", Dockable())
-"""
-    modules = with_extra(tmp_path, code)
-    printer = start(changes={"extra": {}}, modules=modules).homed()
-    before = len(printer.machine.truth.touches)
-    text = printer.fail("CALIBRATE_Z")
-    assert "auto_attach_detach of section 'dockable_probe'" in text
-    assert "set it to False" in text
-    assert touched_sites(printer, before) == []
-
-
 def test_head_is_up_when_the_session_ends(start):
     # deactivate_gcode may dock or stow
     where = "{printer.toolhead.position.z|round(2)}"

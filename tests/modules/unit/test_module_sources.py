@@ -46,8 +46,9 @@ LINES = {
     "extra_probe.py": 500,
 }
 LINES_OF_A_SHARED_FILE = 400
-# 1200 for the first two modules, and some for each that came after them
-LINES_OF_ALL_SHARED = 1400
+# 1200 for z_calibration and auto_z_offset, 100 for the dialogs of extra_probe,
+# 600 for a probe on every host and the ways around its dock
+LINES_OF_ALL_SHARED = 1900
 LINES_OF_A_FUNCTION = 40
 METHODS = 30
 ATTRIBUTES = 12

@@ -78,6 +78,7 @@ class Dock:
         "_middle",
         "_reach",
         "_release",
+        "_spec",
     )
 
     def __init__(self, spec: DockSpec) -> None:
@@ -86,6 +87,7 @@ class Dock:
         self._approach = _unit(spec.approach)
         self._release = _unit(spec.release)
         self._cosine = math.cos(math.radians(spec.cone))
+        self._spec = spec
         # Nearest pose of the present visit, None while outside
         self._innermost: Optional[Vector] = None
 
@@ -98,7 +100,27 @@ class Dock:
         return self._distance(pose) <= self._reach
 
     def _distance(self, pose: Sequence[float]) -> float:
+        if self._spec.lifted:
+            return math.dist(pose[:2], self._middle[:2])
         return math.dist(pose, self._middle)
+
+    def depth(self, pose: Sequence[float]) -> float:
+        """How deep (mm) a head at `pose` is in what holds the probe."""
+        spec = self._spec
+        dx, dy = pose[0] - spec.x, pose[1] - spec.y
+        depth = spec.body - math.hypot(dx, dy)
+        if depth <= 0.0 or not (spec.lifted or pose[2] < spec.z + spec.top):
+            return 0.0
+        for ux, uy, _ in (spec.approach, spec.release, *spec.lanes):
+            length = math.hypot(ux, uy)
+            if not length:
+                continue
+            along = (dx * ux + dy * uy) / length
+            aside = abs(dx * uy - dy * ux) / length - spec.lane
+            if along >= -spec.lane and aside <= 0.0:
+                return 0.0
+            depth = min(depth, max(aside, -along - spec.lane))
+        return depth
 
     def left_towards(self, pose: Sequence[float]) -> Optional[ProbeState]:
         """Commit a pose; says what leaving the reach just now asks for.
@@ -178,6 +200,10 @@ class Keeper:
             wanted = self._dock.left_towards(pose)
             if wanted is not None:
                 self.ask(t, wanted, 0.0)
+
+    def dock_depth(self, pose: Sequence[float]) -> float:
+        """How deep (mm) a head at `pose` is in the dock's body."""
+        return 0.0 if self._dock is None else self._dock.depth(pose)
 
     def ask(self, t: float, wanted: ProbeState, delay: float) -> None:
         """An attempt to attach or dock, done t + delay; may fail.

@@ -224,6 +224,10 @@ class DockSpec(Spec):
     approach: direction in which a head leaves to take the probe along
     release: direction in which a head leaves to strip the probe off
     cone: degrees by which leaving may differ from those directions
+    lifted: it goes up and down with the head, so z does not matter
+    body: radius around it, mm, in which the head hits something, except in
+        lanes this wide to either side along approach, release and `lanes`
+    top: mm over z to which that something reaches
     """
 
     x: float
@@ -233,8 +237,14 @@ class DockSpec(Spec):
     approach: Vector = (0.0, 1.0, 0.0)
     release: Vector = (1.0, 0.0, 0.0)
     cone: float = 40.0
+    lifted: bool = False
+    body: float = 0.0
+    lane: float = 2.0
+    lanes: Tuple[Vector, ...] = ()
+    top: float = 10.0
 
     _POSITIVE = ("reach", "cone")
+    _NOT_NEGATIVE = ("body", "lane", "top")
 
     def _check(self) -> None:
         self._require(self.cone < 90.0, "cone", "below 90")

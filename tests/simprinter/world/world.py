@@ -139,6 +139,10 @@ class World:
             self._next_fault = self._mark_due(t)
         if self._keeper is not None:
             self._keeper.observe(t, pose)
+            depth = self._keeper.dock_depth(pose)
+            if depth > 0.0:
+                here = Pose(x, y, z)
+                self.truth.judge(Crash("dock", "depth", depth, 0.0, t, here))
         for switch in self._parts.switches:
             finding = switch.commit(pose)
             if finding is not None:

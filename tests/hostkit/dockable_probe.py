@@ -1,0 +1,57 @@
+"""What tests of [dockable_probe] have in common."""
+
+from __future__ import annotations
+
+from typing import Any, Optional, Union
+
+from tests.hostkit.hosts import Host
+from tests.hostkit.load_errors import load
+from tests.hostkit.printer import Printer
+from tests.simprinter import Scene
+from tests.simprinter.docks import DOCK_SCENES, HANG
+
+# Toolhead Z (mm): as low as the probe may travel
+CLEAR = HANG + 2.0
+GANTRY = DOCK_SCENES["dock_gantry"]
+SWITCH = DOCK_SCENES["dock_gantry_switch"]
+SENSED = DOCK_SCENES["dock_sensed"]
+BED = DOCK_SCENES["dock_bed"]
+# A pair of points, each three samples, is enough where it is not about more
+QUICK = {"samples": "1"}
+
+
+def section(**options: Optional[str]) -> dict[str, Any]:
+    """Changes to [dockable_probe] only."""
+    return {"dockable_probe": options}
+
+
+def where(printer: Printer) -> str:
+    """Where the probe really is."""
+    printer.session.wait(0.3)
+    machine = printer.machine
+    # What it has done up to now is settled
+    assert machine.truth is not None
+    now = machine.rig.seconds(machine.simulation.clock.now())
+    return machine.world.probe_state(now)
+
+
+def trips(printer: Printer, start: int = 0) -> list[str]:
+    """What became of the probe, in order: attach, dock, lost ..."""
+    return [event.kind for event in printer.machine.truth.events[start:]]
+
+
+def assert_safe(printer: Printer) -> None:
+    """What holds after every failure."""
+    assert printer.session.state()[0] == "ready"
+    # The nozzle never went where the bed is
+    assert printer.machine.truth.min_gap > 0.5
+
+
+def refusal(
+    host: Host, changes: dict[str, Any], scene: Union[str, Scene] = GANTRY
+) -> str:
+    """The message klippy stops with; it is not an internal error."""
+    state, message = load(host, changes, scene)
+    assert state == "error", message
+    assert "Internal error" not in message
+    return message

@@ -1,0 +1,343 @@
+"""What [dockable_probe] does when everything is well, on every host."""
+
+from __future__ import annotations
+
+import pytest
+
+from tests.hostkit.dockable_probe import (
+    BED,
+    CLEAR,
+    GANTRY,
+    HANG,
+    QUICK,
+    SENSED,
+    SWITCH,
+    section,
+    trips,
+    where,
+)
+from tests.hostkit.z_calibration import with_moves
+from tests.simprinter import Fault
+
+pytestmark = pytest.mark.spread
+
+SCENES = pytest.mark.parametrize(
+    "scene", [GANTRY, SWITCH, SENSED, BED], ids=lambda scene: scene.name
+)
+MESH = "BED_MESH_CALIBRATE PROBE_COUNT=3,3"
+
+
+def moves(printer, script):
+    """Where each move of a script has ended."""
+    before = len(printer.status("moves")["ends"])
+    printer.run(script)
+    return [tuple(end) for end in printer.status("moves")["ends"][before:]]
+
+
+@pytest.mark.each_host
+def test_everything_that_probes(start):
+    printer = start(GANTRY, section(**QUICK)).homed()
+    for command in (
+        "PROBE",
+        "PROBE_ACCURACY SAMPLES=2",
+        "QUERY_PROBE",
+        MESH,
+        "QUAD_GANTRY_LEVEL",
+        "SCREWS_TILT_CALCULATE",
+    ):
+        before = len(printer.machine.truth.events)
+        printer.run(command)
+        assert where(printer) == "docked", command
+        once = [] if command == "QUERY_PROBE" else ["attach", "dock"]
+        assert trips(printer, before) == once, command
+    lines = "\n".join(printer.session.console)
+    assert "Mesh Bed Leveling Complete" in lines
+    assert "probe: TRIGGERED" in lines
+    status = printer.status("probe")
+    assert status["last_z_result"] == pytest.approx(HANG, abs=0.01)
+    assert printer.machine.truth.min_gap == pytest.approx(HANG, abs=0.02)
+
+
+@pytest.mark.each_host
+def test_offsets_are_calibrated_as_with_any_probe(start):
+    printer = start(GANTRY, section(**QUICK)).homed()
+    printer.run("PROBE_CALIBRATE\nTESTZ Z=-1\nACCEPT")
+    lines = "\n".join(printer.session.console)
+    assert "dockable_probe: z_offset: " in lines
+    printer.run("SET_GCODE_OFFSET Z=0.1\nZ_OFFSET_APPLY_PROBE")
+    last = "\n".join(printer.session.console[-4:])
+    assert "dockable_probe: z_offset: 6.800" in last
+    printer.run("AXIS_TWIST_COMPENSATION_CALIBRATE SAMPLE_COUNT=2")
+    printer.run("ACCEPT")
+    printer.run("ACCEPT")
+    assert where(printer) == "docked"
+    printer.run(MESH)
+    assert where(printer) == "docked"
+
+
+@SCENES
+def test_home_and_mesh(start, scene):
+    printer = start(scene, section(**QUICK)).homed()
+    printer.run(f"G1 X150 Y150 Z20 F6000\nPROBE\n{MESH}")
+    assert where(printer) == "docked"
+    assert printer.machine.truth.min_gap > HANG - 0.1
+    assert printer.run("GET_PROBE_STATUS")[0].endswith("Probe Status: DOCKED")
+
+
+@SCENES
+def test_attached_until_it_is_detached(start, scene):
+    printer = start(scene, section(**QUICK)).homed()
+    printer.run("G1 X150 Y150 Z30 F6000\nM400")
+    place = printer.session.position()
+    printer.run("ATTACH_PROBE")
+    assert where(printer) == "attached"
+    assert printer.session.position() == pytest.approx(place, abs=0.001)
+    before = len(printer.machine.truth.events)
+    # Pressed on the bed it still is attached
+    printer.run(f"PROBE\nPROBE\n{MESH}\nATTACH_PROBE\nPROBE")
+    assert trips(printer, before) == []
+    assert printer.status("dockable_probe")["last_status"] == "ATTACHED"
+    printer.run("BED_MESH_CLEAR\nG1 X150 Y150 Z30 F6000\nDETACH_PROBE")
+    assert where(printer) == "docked"
+    assert printer.session.position() == pytest.approx(place, abs=0.001)
+    printer.run("DETACH_PROBE")
+    assert trips(printer, before) == ["dock"]
+
+
+def test_never_low_with_the_probe_on(start):
+    printer = start(GANTRY, section(**QUICK), modules=with_moves()).homed()
+    printer.run("G1 X150 Y150 Z3 F6000\nM400")
+    printer.run("ATTACH_PROBE")
+    assert printer.session.position() == pytest.approx((150, 150, CLEAR))
+    printer.run("DETACH_PROBE\nG1 Z3\nM400")
+    printer.run("PROBE")
+    # Docked: nothing hangs any more
+    assert printer.session.position() == pytest.approx(
+        (150, 150, HANG), abs=0.02
+    )
+
+
+@pytest.mark.parametrize(
+    ("changes", "place"),
+    [
+        # Over the middle of the axes: of X 0 to 300, of Y 0 to 310
+        ({"safe_z_home": None}, (152.0, 130.25)),
+        (
+            {
+                "safe_z_home": None,
+                **section(safe_z_position="100, 90"),
+            },
+            (100.0, 90.0),
+        ),
+        ({}, (152.0, 125.25)),
+        (
+            {
+                "safe_z_home": None,
+                "homing_override": {
+                    "axes": "z",
+                    "gcode": "\n  G28 X Y\n  G90\n  G1 X120 Y130 F6000\n  G28 Z",
+                },
+            },
+            (120.0, 130.0),
+        ),
+    ],
+    ids=["middle", "safe_z_position", "safe_z_home", "homing_override"],
+)
+def test_where_z_is_homed_with_the_probe(start, changes, place):
+    printer = start(GANTRY, changes).homed()
+    touches = [
+        touch
+        for touch in printer.machine.truth.touches
+        if touch.site == "probe_bed"
+    ]
+    assert len(touches) == 2
+    for touch in touches:
+        assert (touch.x, touch.y) == pytest.approx(place, abs=0.02)
+    assert where(printer) == "docked"
+    # Z=0 is where the nozzle meets the bed
+    gap = printer.gap((150.0, 150.0))
+    assert gap == pytest.approx(0.0, abs=0.02)
+
+
+def test_homing_override_that_attaches_it(start):
+    gcode = (
+        "\n  G28 X Y\n  ATTACH_PROBE\n  MOVE_AVOIDING_DOCK X=150 Y=150"
+        " SPEED=100\n  G28 Z\n  DETACH_PROBE"
+    )
+    changes = {
+        "safe_z_home": None,
+        "homing_override": {"axes": "z", "gcode": gcode},
+    }
+    printer = start(GANTRY, changes).homed()
+    assert trips(printer) == ["attach", "dock"]
+
+
+def test_home_again_and_again(start):
+    printer = start(GANTRY).homed()
+    printer.run("G28 Z\nG28")
+    assert trips(printer) == ["attach", "dock"] * 3
+
+
+# Delayed
+
+
+def test_two_commands_and_one_trip(start):
+    printer = start(GANTRY, section(allow_delayed_detach="True", **QUICK))
+    printer.homed()
+    printer.run(MESH)
+    assert trips(printer) == ["attach"]
+    printer.session.wait(0.5)
+    assert where(printer) == "attached"
+    place = printer.session.position()
+    printer.session.wait(6.0)
+    assert where(printer) == "docked"
+    assert printer.session.position() == pytest.approx(place, abs=0.001)
+
+
+def test_detach_at_once_where_it_would_be_delayed(start):
+    printer = start(GANTRY, section(allow_delayed_detach="True", **QUICK))
+    printer.homed()
+    printer.run("PROBE\nDETACH_PROBE")
+    assert where(printer) == "docked"
+    printer.session.wait(6.0)
+    assert trips(printer) == ["attach", "dock"]
+
+
+def test_attach_while_docking_is_delayed(start):
+    printer = start(GANTRY, section(allow_delayed_detach="True", **QUICK))
+    printer.homed()
+    printer.run("PROBE\nATTACH_PROBE")
+    printer.session.wait(6.0)
+    assert where(printer) == "attached"
+
+
+def test_delayed_docking_that_fails_is_told(start):
+    changes = section(allow_delayed_detach="True", **QUICK)
+    fault = Fault("dock_fails", persistent=True)
+    printer = start(GANTRY, changes, faults=[fault]).homed()
+    printer.session.wait(8.0)
+    assert "the probe was not docked" in printer.session.console[-1]
+    assert printer.session.state()[0] == "ready"
+
+
+# Told by hand
+
+
+def test_automatic_off(start):
+    printer = start(GANTRY, section(**QUICK)).homed()
+    printer.run("SET_DOCKABLE_PROBE AUTO_ATTACH_DETACH=0")
+    assert printer.status("dockable_probe")["auto_attach_detach"] is False
+    before = len(printer.machine.truth.events)
+    text = printer.fail("PROBE")
+    assert "auto_attach_detach is off" in text
+    assert "run ATTACH_PROBE" in text
+    printer.run("ATTACH_PROBE\nPROBE\nDETACH_PROBE")
+    assert trips(printer, before) == ["attach", "dock"]
+    printer.run("SET_DOCKABLE_PROBE\nSET_DOCKABLE_PROBE AUTO_ATTACH_DETACH=1")
+    printer.run("PROBE")
+    assert trips(printer, before) == ["attach", "dock"] * 2
+    assert "AUTO_ATTACH_DETACH" in printer.fail(
+        "SET_DOCKABLE_PROBE AUTO_ATTACH_DETACH=2"
+    )
+
+
+def test_automatic_off_from_the_start(start):
+    changes = section(auto_attach_detach="False", **QUICK)
+    printer = start(SWITCH, changes).homed()
+    assert "off: run ATTACH_PROBE" in printer.fail("PROBE")
+    assert trips(printer) == []
+
+
+def test_probe_put_on_by_hand(start):
+    printer = start(GANTRY, section(**QUICK)).homed()
+    text = printer.fail("SET_PROBE_STATUS STATE=ATTACHED")
+    assert "STATE=ATTACHED, but the probe is DOCKED (pin reads TRIGGERED)" in (
+        text
+    )
+    assert "STATE" in printer.fail("SET_PROBE_STATUS STATE=NOWHERE")
+    printer.run("ATTACH_PROBE\nSET_PROBE_STATUS STATE=ATTACHED")
+    before = len(printer.machine.truth.events)
+    # Nobody has seen it change, and it stays then
+    printer.run("G1 X150 Y150 Z20\nPROBE")
+    assert trips(printer, before) == ["dock", "attach"]
+    printer.run("SET_PROBE_STATUS STATE=unknown\nPROBE")
+    assert trips(printer, before) == ["dock", "attach"] * 2 + ["dock"]
+
+
+def test_status_as_other_plugins_have_it(start):
+    printer = start(GANTRY, section(**QUICK)).homed()
+    for name in ("last_query", "last_z_result", "name"):
+        own = printer.status("dockable_probe")[name]
+        assert own == printer.status("probe")[name]
+    assert printer.status("probe")["name"] == "dockable_probe"
+    assert printer.status("dockable_probe")["last_status"] == "DOCKED"
+    assert printer.status("dockable_probe")["auto_attach_detach"] is True
+    for command in ("GET_PROBE_STATUS", "QUERY_DOCKABLE_PROBE"):
+        lines = printer.run(command)
+        assert lines[0].endswith("Probe Status: DOCKED")
+        assert lines[1].endswith("pin reads TRIGGERED")
+
+
+# Parts of the way
+
+
+def test_parts_of_the_way(start):
+    changes = {
+        "moves": {},
+        **section(
+            extract_position="10, 308",
+            insert_position="12, 300",
+            detach_position="50, 270",
+        ),
+    }
+    printer = start(SWITCH, changes, modules=with_moves()).homed()
+    for part, place in (
+        ("APPROACH", (50.0, 270.0)),
+        ("DOCK", (50.0, 308.0)),
+        ("DETACH", (50.0, 270.0)),
+        ("INSERT", (12.0, 300.0)),
+        ("EXTRACT", (10.0, 308.0)),
+    ):
+        printer.run(f"MOVE_TO_{part}_PROBE")
+        assert printer.session.position()[:2] == pytest.approx(place), part
+
+
+def test_part_from_elsewhere_goes_around_the_dock(start):
+    printer = start(GANTRY, {"moves": {}}, modules=with_moves()).homed()
+    printer.run("G1 X150 Y300 Z20 F6000\nM400")
+    ends = moves(printer, "MOVE_TO_DOCK_PROBE")
+    assert (50.0, 270.0, 20.0) in ends
+    assert ends[-1] == (50.0, 308.0, 20.0)
+
+
+def test_part_that_a_macro_replaces(start):
+    changes = {
+        "respond": {},
+        "gcode_macro MOVE_TO_APPROACH_PROBE": {
+            "rename_existing": "_THEIRS",
+            "gcode": "\n  RESPOND MSG=servo\n  _THEIRS",
+        },
+    }
+    printer = start(GANTRY, changes).homed()
+    assert sum("servo" in line for line in printer.session.console) == 1
+    assert trips(printer) == ["attach", "dock"]
+
+
+def test_move_around_the_dock(start):
+    changes = {"moves": {}, **section(safe_dock_distance="30")}
+    printer = start(GANTRY, changes, modules=with_moves()).homed()
+    printer.run("G1 X5 Y300 Z20 F6000\nM400")
+    ends = moves(printer, "MOVE_AVOIDING_DOCK X=100 Y=300 SPEED=200")
+    assert ends[-1] == (100.0, 300.0, 20.0)
+    assert min(y for _, y, _ in ends) < 280.0
+    # Only X: Y stays; without a SPEED as fast as travel_speed
+    fast = printer.machine.simulation.virtual_ns
+    printer.run("MOVE_AVOIDING_DOCK X=200\nM400")
+    between = printer.machine.simulation.virtual_ns
+    printer.run("MOVE_AVOIDING_DOCK X=100 SPEED=20\nM400")
+    slow = printer.machine.simulation.virtual_ns
+    assert printer.session.position() == pytest.approx((100.0, 300.0, 20.0))
+    assert slow - between > 3 * (between - fast)
+    assert "SPEED" in printer.fail("MOVE_AVOIDING_DOCK X=100 SPEED=0")
+    printer.run("M84")
+    assert "not homed: X, Y" in printer.fail("MOVE_AVOIDING_DOCK X=100")

@@ -1,0 +1,518 @@
+"""Each option of [dockable_probe]: what it does, and what it must not be."""
+
+from __future__ import annotations
+
+import pytest
+
+from tests.hostkit.dockable_probe import (
+    BED,
+    CLEAR,
+    GANTRY,
+    HANG,
+    QUICK,
+    SENSED,
+    SWITCH,
+    refusal,
+    section,
+    trips,
+    where,
+)
+from tests.hostkit.hosts import Host
+from tests.hostkit.z_calibration import with_moves
+from tests.simprinter import Fault
+
+pytestmark = pytest.mark.spread
+
+DOCK = (50.0, 308.0)
+APPROACH = (50.0, 270.0)
+DETACH = (90.0, 308.0)
+
+
+def recording(start, scene=SWITCH, **options):
+    """A printer, homed, that records its moves; only one sample."""
+    changes = {"moves": {}, **section(**{**QUICK, **options})}
+    printer = start(scene, changes, modules=with_moves()).homed()
+    printer.run("G1 X150 Y150 Z20 F6000\nM400")
+    return printer
+
+
+def moves(printer, script):
+    """Where each move of a script has ended."""
+    before = len(printer.status("moves")["ends"])
+    printer.run(script)
+    return [tuple(end) for end in printer.status("moves")["ends"][before:]]
+
+
+def seconds(printer, script):
+    """Printer seconds of a script."""
+    simulation = printer.machine.simulation
+    before = simulation.virtual_ns
+    printer.run(script + "\nM400")
+    return (simulation.virtual_ns - before) * 1e-9
+
+
+# Wrong ones
+
+
+@pytest.mark.parametrize(
+    ("changes", "words"),
+    [
+        ({"pin": "no:PA1"}, "Option 'pin' in section 'dockable_probe'"),
+        ({"pin": "no:PA1"}, "give the pin that the switch is wired to"),
+        ({"probe_sense_pin": "PZ9:1"}, "'probe_sense_pin'"),
+        ({"dock_sense_pin": "foo:1"}, "Option 'dock_sense_pin'"),
+        ({"z_offset": None}, "z_offset"),
+        ({"z_offset": "nan"}, "'z_offset' in section 'dockable_probe' is not"),
+        ({"check_open_attach": None}, "nothing tells whether the probe is"),
+        ({"check_open_attach": "False"}, "set check_open_attach: True"),
+        ({"dock_position": None}, "dock_position"),
+        ({"approach_position": None}, "approach_position"),
+        ({"detach_position": None}, "detach_position"),
+        ({"dock_position": "50"}, "'dock_position' in section"),
+        ({"dock_position": "50, 60, 70, 80"}, "has to be 'X, Y' or 'X, Y, Z'"),
+        ({"dock_position": "50, inf"}, "has to be 'X, Y' or 'X, Y, Z'"),
+        ({"approach_position": "50, x"}, "approach_position"),
+        ({"approach_position": "50, 308"}, "is at dock_position"),
+        ({"extract_position": "50.1, 308"}, "'extract_position' in section"),
+        ({"detach_position": "50, 308"}, "'detach_position' in section"),
+        (
+            {"detach_position": "50, 250"},
+            "0 degrees apart: the probe would stay on the head",
+        ),
+        ({"dock_fixed_z": "False"}, "dock_position needs the Z of the dock"),
+        ({"dock_fixed_z": "perhaps"}, "dock_fixed_z"),
+        ({"dock_position": "50, 311"}, "'dock_position' in section"),
+        ({"approach_position": "-1, 308"}, "X=-1.000 is outside of 0.000 to"),
+        ({"detach_position": "50, 320"}, "Y=320.000 is outside"),
+        ({"extract_position": "40, -3"}, "'extract_position' in section"),
+        ({"insert_position": "50, -3"}, "'insert_position' in section"),
+        (
+            {"dock_position": "50, 308, 275", "dock_fixed_z": "True"},
+            "the way there is at z=283.900, above position_max (280.000)",
+        ),
+        ({"z_hop": "281"}, "above position_max"),
+        ({"z_hop": "-1"}, "z_hop"),
+        (
+            {"dock_position": "50, 308, 20"},
+            "to get there Z has to be homed, and Z is homed with the probe",
+        ),
+        (
+            {"safe_z_position": "60, 290"},
+            "60, 290 is 20.6 mm from the dock",
+        ),
+        ({"safe_z_position": "60"}, "safe_z_position"),
+        ({"safe_dock_distance": "41"}, "safe_dock_distance"),
+        ({"safe_dock_distance": "-1"}, "safe_dock_distance"),
+        ({"safe_position": "1"}, "safe_position"),
+        ({"travel_speed": "0"}, "travel_speed"),
+        ({"attach_speed": "-1"}, "attach_speed"),
+        ({"detach_speed": "inf"}, "detach_speed"),
+        ({"lift_speed": "0"}, "lift_speed"),
+        ({"speed": "0"}, "speed"),
+        ({"sample_retract_dist": "0"}, "sample_retract_dist"),
+        ({"samples": "0"}, "samples"),
+        ({"samples_result": "best"}, "samples_result"),
+        ({"samples_tolerance": "-1"}, "samples_tolerance"),
+        ({"samples_tolerance_retries": "-1"}, "samples_tolerance_retries"),
+        ({"x_offset": "nan"}, "x_offset"),
+        ({"dock_retries": "-1"}, "dock_retries"),
+        ({"restore_toolhead": "maybe"}, "restore_toolhead"),
+        ({"allow_delayed_detach": "2"}, "allow_delayed_detach"),
+        ({"auto_attach_detach": "x"}, "auto_attach_detach"),
+        ({"detach_dockable_before_z_home": "x"}, "detach_dockable"),
+        ({"deactivate_on_each_sample": "x"}, "deactivate_on_each_sample"),
+        ({"drop_first_result": "x"}, "drop_first_result"),
+        ({"pre_attach_gcode": "{% if %}"}, "pre_attach_gcode"),
+        ({"dock_angle": "0"}, "needs dock_safe_distance"),
+        ({"no_such_option": "1"}, "no_such_option"),
+    ],
+)
+def test_wrong_option(some_host: Host, changes, words):
+    assert words in refusal(some_host, section(**changes))
+
+
+def test_two_probes(some_host: Host):
+    message = refusal(some_host, {"probe": {"pin": "PF0", "z_offset": "1"}})
+    assert "probe" in message
+
+
+# What they do
+
+
+def test_places_in_their_order(start):
+    printer = recording(start)
+    ends = moves(printer, "ATTACH_PROBE")
+    assert [end[:2] for end in ends] == [
+        APPROACH,
+        DOCK,
+        APPROACH,
+        (150.0, 150.0),
+    ]
+    ends = moves(printer, "DETACH_PROBE")
+    assert [end[:2] for end in ends] == [
+        APPROACH,
+        DOCK,
+        DETACH,
+        (150.0, 150.0),
+    ]
+
+
+def test_old_names(start):
+    printer = recording(
+        start,
+        approach_position=None,
+        detach_position=None,
+        dock_angle="270",
+        detach_angle="0",
+        dock_safe_distance="38",
+        return_to_last_probe_position_after_detach="False",
+    )
+    lines = "\n".join(printer.session.console)
+    assert "are now 'approach_position: 50.0, 270.0'" in lines
+    assert "are now 'detach_position: 88.0, 308.0'" in lines
+    assert "is now called 'restore_toolhead'" in lines
+    ends = moves(printer, "ATTACH_PROBE\nDETACH_PROBE")
+    assert ends[0][:2] == pytest.approx(APPROACH)
+    assert ends[-1][:2] == pytest.approx((88.0, 308.0))
+
+
+def test_other_places_for_out_and_in(start):
+    # As an Euclid probe has it
+    printer = recording(
+        start,
+        approach_position="90, 308",
+        extract_position="50, 270",
+        insert_position="50, 272",
+        detach_position="88, 308",
+    )
+    ends = moves(printer, "ATTACH_PROBE")
+    assert [e[:2] for e in ends[:-1]][-3:] == [(90, 308), DOCK, APPROACH]
+    ends = moves(printer, "DETACH_PROBE")
+    places = [e[:2] for e in ends[:-1]]
+    assert places[-3:] == [(50, 272), DOCK, (88, 308)]
+    assert trips(printer) == ["attach", "dock"]
+
+
+@pytest.mark.parametrize(
+    ("option", "script"),
+    [
+        ("attach_speed", "ATTACH_PROBE"),
+        ("detach_speed", "DETACH_PROBE"),
+        ("travel_speed", "ATTACH_PROBE"),
+    ],
+)
+def test_speed(start, option, script):
+    slow = {"travel_speed": "100", "attach_speed": "20", "detach_speed": "20"}
+    printer = recording(start, **slow)
+    printer.run("ATTACH_PROBE" if script == "DETACH_PROBE" else "G4 P1")
+    before = seconds(printer, script)
+    printer = recording(start, **{**slow, option: "10"})
+    printer.run("ATTACH_PROBE" if script == "DETACH_PROBE" else "G4 P1")
+    assert seconds(printer, script) > before + 1.0
+
+
+def test_default_speeds(start):
+    none = {"travel_speed": None, "attach_speed": None, "detach_speed": None}
+    printer = recording(start, speed="10", **none)
+    # 170 and 156 mm at 50 mm/s, twice 38 at 10
+    taken = seconds(printer, "ATTACH_PROBE")
+    assert 76 / 10 + 2 * 155 / 50 < taken < 76 / 10 + 2 * 160 / 50 + 2.0
+
+
+def test_lift_speed(start):
+    printer = recording(start)
+    printer.run("G1 Z0.5\nM400")
+    quick = seconds(printer, "ATTACH_PROBE")
+    printer = recording(start, lift_speed="2")
+    printer.run("G1 Z0.5\nM400")
+    assert seconds(printer, "ATTACH_PROBE") > quick + 2.0
+
+
+@pytest.mark.parametrize(
+    ("options", "height"),
+    [
+        ({}, CLEAR),
+        ({"sample_retract_dist": "4"}, HANG + 4.0),
+        ({"z_hop": "15"}, 15.0),
+        ({"z_hop": "3"}, CLEAR),
+        ({"dock_position": "50, 308, 5", "dock_fixed_z": "True"}, CLEAR + 5),
+    ],
+)
+def test_height_of_the_way(start, options, height):
+    printer = recording(start, **options)
+    printer.run("G1 Z2\nM400")
+    ends = moves(printer, "ATTACH_PROBE")
+    assert [z for _, _, z in ends[:-1]] == pytest.approx(
+        [height] * len(ends[:-1])
+    )
+    # Back as low as the probe allows
+    low = HANG + float(options.get("sample_retract_dist", "2"))
+    assert ends[-1][2] == pytest.approx(low)
+    printer.run("DETACH_PROBE\nG1 Z2\nPROBE")
+    assert where(printer) == "docked"
+
+
+def test_probe_that_was_never_measured(start):
+    # It may hang 10 mm lower than the nozzle
+    printer = recording(start, z_offset="0")
+    printer.run("G1 Z2\nM400")
+    assert moves(printer, "ATTACH_PROBE")[-1][2] == pytest.approx(12.0)
+
+
+def test_z_of_the_places_of_a_dock_on_the_bed(start):
+    printer = recording(
+        start,
+        BED,
+        dock_position="50, 308, 12",
+        approach_position="50, 270, 13",
+        detach_position="90, 308, 14",
+    )
+    ends = moves(printer, "ATTACH_PROBE")
+    assert [z for *xy, z in ends if tuple(xy) == DOCK] == [12.0, 13.0]
+    assert (50.0, 270.0, 20.0) in ends
+    assert (50.0, 270.0, 13.0) in ends
+    assert ends[-1] == (150.0, 150.0, 20.0)
+    ends = moves(printer, "DETACH_PROBE")
+    assert (50.0, 308.0, 14.0) in ends
+    assert (90.0, 308.0, 14.0) in ends
+    assert where(printer) == "docked"
+
+
+def test_back_or_not(start):
+    printer = recording(start, restore_toolhead="False")
+    assert moves(printer, "ATTACH_PROBE")[-1][:2] == APPROACH
+    assert moves(printer, "DETACH_PROBE")[-1][:2] == DETACH
+    printer.run("G1 X150 Y150 Z20\nPROBE")
+    # Touched where it was, left where it was docked
+    touch = printer.machine.truth.touches[-1]
+    assert (touch.x, touch.y) == pytest.approx((150, 150), abs=0.02)
+    assert printer.session.position()[:2] == pytest.approx(DETACH)
+
+
+def test_distance_to_the_dock(start):
+    for safe, y in (("0", 300.0), ("10", 298.0), (None, 270.0)):
+        printer = recording(start, safe_dock_distance=safe)
+        printer.run("G1 X5 Y300\nM400")
+        ends = moves(printer, "MOVE_AVOIDING_DOCK X=120 Y=300")
+        assert min(e[1] for e in ends) == pytest.approx(y, abs=1.0)
+
+
+def test_point_to_pass_by(start):
+    dock = {
+        "dock_position": "150, 150",
+        "approach_position": "150, 110",
+        "detach_position": "190, 150",
+    }
+    for safe, above in ((None, True), ("150, 100", False)):
+        printer = recording(start, **dock, safe_position=safe)
+        printer.run("G1 X50\nG1 Y160\nM400")
+        ends = moves(printer, "MOVE_AVOIDING_DOCK X=250 Y=160")
+        assert all((y > 150.0) is above for _, y, _ in ends[:-1])
+
+
+def test_templates_in_their_order(start):
+    names = [
+        "pre_attach",
+        "attach",
+        "post_attach",
+        "activate",
+        "deactivate",
+        "pre_detach",
+        "detach",
+        "post_detach",
+    ]
+    options = {
+        f"{name}_gcode": f"\n  RESPOND MSG={name}\n  M400" for name in names
+    }
+    changes = {
+        "respond": {},
+        **section(dock_retries="1", samples="2", **options),
+    }
+    faults = [Fault("attach_fails"), Fault("dock_fails")]
+    printer = start(SWITCH, changes, faults=faults).homed()
+    lines = printer.run("G1 X150 Y150 Z20 F6000\nPROBE")
+    told = [line.split()[-1] for line in lines if line.split()[-1] in names]
+    assert told == [
+        # Those at the dock again with each attempt, the others once
+        "pre_attach",
+        "attach",
+        "attach",
+        "post_attach",
+        "activate",
+        "deactivate",
+        "pre_detach",
+        "detach",
+        "detach",
+        "post_detach",
+    ]
+
+
+def test_activated_for_each_sample(start):
+    options = {
+        f"{name}_gcode": f"\n  RESPOND MSG={name}"
+        for name in ("activate", "deactivate")
+    }
+    changes = {
+        "respond": {},
+        **section(deactivate_on_each_sample="True", samples="2", **options),
+    }
+    printer = start(SWITCH, changes).homed()
+    lines = printer.run("G1 X150 Y150 Z20 F6000\nPROBE")
+    told = [line.split()[-1] for line in lines if "activate" in line]
+    assert told == ["activate", "deactivate"] * 2
+
+
+def test_detach_gcode_may_strip_it_off(start):
+    # Along the same way as it is fetched, but for what the G-code does
+    printer = recording(
+        start,
+        detach_position="50, 260",
+        detach_gcode="\n  G90\n  G1 X90 Y308 F6000\n  M400",
+    )
+    printer.run("ATTACH_PROBE\nDETACH_PROBE")
+    assert where(printer) == "docked"
+
+
+def test_way_that_may_not_strip_it_off(start):
+    printer = recording(start, detach_position="70, 270")
+    lines = "\n".join(printer.session.console)
+    assert "28 degrees apart: the probe may stay on the head" in lines
+
+
+def test_no_word_about_a_way_that_does(start):
+    lines = "\n".join(recording(start).session.console)
+    assert "dockable_probe:" not in lines
+
+
+def test_dock_where_the_mesh_is(start):
+    printer = start(
+        SWITCH,
+        section(
+            dock_position="150, 150",
+            approach_position="150, 110",
+            detach_position="190, 150",
+        ),
+    )
+    printer.homed()
+    lines = "\n".join(printer.session.console)
+    assert "dock_position (150, 150) lies where the head goes" in lines
+
+
+@pytest.mark.each_host
+def test_first_result_is_dropped_where_the_host_can(start):
+    printer = start(
+        SWITCH, section(drop_first_result="True", samples="2")
+    ).homed()
+    told = "drop_first_result is ignored" in "\n".join(printer.session.console)
+    printer.run("G1 X150 Y150 Z20 F6000\nPROBE")
+    touches = printer.machine.truth.touch_count("probe_bed")
+    assert touches == (2 if told else 3)
+
+
+def test_docked_before_z_is_homed(start):
+    for wanted in ("False", "True"):
+        printer = recording(start, detach_dockable_before_z_home=wanted)
+        printer.run("ATTACH_PROBE\nG28 Z")
+        docked = ["dock"] if wanted == "True" else []
+        assert trips(printer) == ["attach", *docked]
+
+
+@pytest.mark.each_host
+def test_samples(start):
+    printer = start(SWITCH, section(samples="1", samples_tolerance_retries="0"))
+    printer.homed()
+    place = "G1 X150 Y150 Z20 F6000\n"
+    count = printer.machine.truth.touch_count
+    printer.run(place + "PROBE SAMPLES=4 SAMPLE_RETRACT_DIST=1")
+    assert count("probe_bed") == 4
+    printer.machine.break_down(
+        Fault("trigger_early", signal="probe", mm=0.3, n=2)
+    )
+    text = printer.fail(place + "PROBE SAMPLES=2")
+    assert "samples" in text
+    printer.machine.break_down(
+        Fault("trigger_early", signal="probe", mm=0.3, n=2)
+    )
+    before = count("probe_bed")
+    printer.run(place + "PROBE SAMPLES=3 SAMPLES_TOLERANCE_RETRIES=1")
+    # Two, and three again; the early one does not get to the bed
+    assert count("probe_bed") == before + 4
+    for method, z in (("median", 7.0), ("average", 7.0 + 0.06 / 3)):
+        printer.machine.break_down(
+            Fault("trigger_early", signal="probe", mm=0.06, n=2)
+        )
+        wanted = f"SAMPLES=3 SAMPLES_RESULT={method} SAMPLES_TOLERANCE=0.1"
+        printer.run(f"{place}PROBE {wanted}")
+        assert printer.status("probe")["last_z_result"] == pytest.approx(
+            z, abs=0.006
+        )
+    for wrong in ("SAMPLES=0", "PROBE_SPEED=0", "LIFT_SPEED=0"):
+        assert wrong.split("=")[0] in printer.fail(f"PROBE {wrong}")
+
+
+def test_probing_speeds_of_a_command(start):
+    printer = recording(start)
+    printer.run("ATTACH_PROBE")
+    place = "G1 X150 Y150 Z20 F6000\n"
+    usual = seconds(printer, place + "PROBE SAMPLES=2")
+    slow = seconds(printer, place + "PROBE SAMPLES=2 PROBE_SPEED=3")
+    lifting = seconds(printer, place + "PROBE SAMPLES=2 LIFT_SPEED=1")
+    assert slow > usual + 1.0
+    assert lifting > usual + 1.0
+
+
+# What tells where it is
+
+
+def test_sense_pins(start):
+    only = [
+        {"check_open_attach": "False", "dock_sense_pin": None},
+        {"check_open_attach": "False", "probe_sense_pin": None},
+        {"check_open_attach": None, "probe_sense_pin": None},
+        {"probe_sense_pin": None},
+        {"dock_sense_pin": None},
+    ]
+    seen = []
+    for options in only:
+        printer = start(SENSED, section(**{**QUICK, **options})).homed()
+        printer.run("PROBE")
+        assert trips(printer) == ["attach", "dock"] * 2
+        seen.append(printer.run("GET_PROBE_STATUS")[1].split(": ")[-1])
+    assert seen == [
+        "pin reads TRIGGERED, probe_sense_pin reads open",
+        "pin reads TRIGGERED, dock_sense_pin reads TRIGGERED",
+        "pin reads TRIGGERED, dock_sense_pin reads TRIGGERED",
+        "pin reads TRIGGERED, dock_sense_pin reads TRIGGERED",
+        "pin reads TRIGGERED, probe_sense_pin reads open",
+    ]
+
+
+def test_pin_has_a_say_beside_a_dock_sense_pin(start):
+    fault = Fault("stuck_open", signal="probe", t=0.0)
+    for given, is_asked in ((None, True), ("False", False)):
+        options = {"check_open_attach": given, "probe_sense_pin": None}
+        printer = start(SENSED, section(**options), faults=[fault])
+        printer.session.require_ready()
+        text = printer.run("GET_PROBE_STATUS")[0]
+        assert ("UNKNOWN" in text) is is_asked
+
+
+def test_pin_that_reads_open_in_the_dock_is_told(start):
+    fault = Fault("stuck_open", signal="probe", t=0.0)
+    options = {"check_open_attach": "False", "dock_sense_pin": None}
+    printer = start(SENSED, section(**options), faults=[fault])
+    printer.session.require_ready()
+    printer.run("G28 X Y\nATTACH_PROBE")
+    lines = "\n".join(printer.session.console)
+    assert "'pin' reads open without the probe, too" in lines
+    assert "dockable_probe" in lines
+
+
+def test_gantry_homes_with_a_hop_of_its_own(start):
+    # Nobody else lifts the head: the probe has to clear the bed
+    changes = {"safe_z_home": None}
+    printer = start(GANTRY, changes)
+    printer.session.require_ready()
+    z = printer.machine.tip().z
+    printer.run("G28 X Y\nATTACH_PROBE")
+    assert printer.machine.tip().z == pytest.approx(z + CLEAR, abs=0.01)

@@ -1,0 +1,424 @@
+"""What [dockable_probe] does when something is wrong: nothing gets hurt."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import pytest
+
+from tests.hostkit.dockable_probe import (
+    BED,
+    CLEAR,
+    GANTRY,
+    HANG,
+    QUICK,
+    SENSED,
+    SWITCH,
+    assert_safe,
+    section,
+    trips,
+    where,
+)
+from tests.hostkit.session import GcodeError
+from tests.simprinter import Fault
+from tests.simprinter.docks import DOCK_SCENES
+
+pytestmark = pytest.mark.spread
+
+MESH = "BED_MESH_CALIBRATE PROBE_COUNT=3,3"
+EXTRACT = (50.0, 270.0)
+DETACH = (90.0, 308.0)
+# A dead switch is pressed until the floor of the touch
+FLOOR = HANG - 5.0
+
+
+def at(printer):
+    """Where the head stands, X and Y."""
+    printer.session.wait(1.0)
+    return printer.session.position()[:2]
+
+
+def ready(printer):
+    """The same printer when it is ready."""
+    printer.session.require_ready()
+    return printer
+
+
+def tolerant(printer):
+    """Of a dead switch's body on the bed, as deep as the floor lets it."""
+    printer.machine.tolerate("body_bed", HANG - 0.4 - 1.0)
+    return printer
+
+
+def with_probe(scene, **changes):
+    return scene.with_world(mag_probe=replace(scene.world.mag_probe, **changes))
+
+
+# Before the first touch: what reads "attached" has to change
+
+
+def test_stuck_open_before_the_first_homing(start):
+    # As if the probe were on the head for ever: the classical crash
+    fault = Fault("stuck_open", signal="probe", t=0.0)
+    printer = ready(start(GANTRY, faults=[fault]))
+    text = printer.fail("G28")
+    assert "the probe was not docked, it is ATTACHED (pin reads open)" in text
+    assert "never changes" in text
+    assert printer.machine.truth.touch_count("nozzle_bed") == 0
+    assert printer.machine.truth.min_gap > 10.0
+    assert at(printer) == pytest.approx(DETACH)
+
+
+@pytest.mark.parametrize("command", ["PROBE", MESH, "ATTACH_PROBE"])
+def test_stuck_open_before_the_first_touch(start, command):
+    fault = Fault("stuck_open", signal="probe", t=0.0)
+    printer = start(SWITCH, faults=[fault]).homed()
+    printer.run("G1 X150 Y150 Z20 F6000")
+    assert "the probe was not docked" in printer.fail(command)
+    assert_safe(printer)
+    assert printer.machine.truth.min_gap > 10.0
+
+
+def test_attached_at_the_start_is_docked_and_fetched_again(start):
+    printer = start(with_probe(GANTRY, initial="attached"), section(**QUICK))
+    printer.homed()
+    assert trips(printer) == ["dock", "attach", "dock"]
+    assert "proves nothing" in "\n".join(printer.session.console)
+
+
+def test_reading_that_was_not_seen_to_change_again(start):
+    printer = start(GANTRY, section(**QUICK)).homed()
+    printer.run("ATTACH_PROBE")
+    printer.machine.break_down(Fault("stuck_open", signal="probe", n=1))
+    tolerant(printer)
+    # The dead one is found at the touch ...
+    assert "No trigger" in printer.fail("PROBE")
+    assert "nothing down to z=1.900" in "\n".join(printer.session.console)
+    assert printer.session.position()[2] >= CLEAR - 0.01
+    # ... and docking shows that it never changes
+    assert "never changes" in printer.fail("DETACH_PROBE")
+    assert "was not docked" in printer.fail("PROBE")
+    assert_safe(printer)
+    assert printer.machine.truth.min_gap > 1.5
+
+
+# Each n-th attempt fails
+
+
+@pytest.mark.parametrize("n", [1, 2, 3])
+@pytest.mark.parametrize("fault", ["attach_fails", "dock_fails"])
+def test_attempt_that_fails_is_tried_again(start, fault, n):
+    changes = section(dock_retries="1", **QUICK)
+    printer = start(GANTRY, changes, faults=[Fault(fault, n=n)]).homed()
+    printer.run("PROBE\nPROBE")
+    failed = fault.replace("fails", "failed")
+    assert trips(printer).count(failed) == 1
+    lines = "\n".join(printer.session.console)
+    assert "try 2 of 2" in lines
+    assert where(printer) == "docked"
+
+
+@pytest.mark.parametrize("n", [1, 2])
+def test_fetching_that_fails(start, n):
+    fault = Fault("attach_fails", n=n, persistent=True)
+    printer = start(SWITCH, section(dock_retries="2", **QUICK), faults=[fault])
+    printer.homed()
+    printer.run("G1 X150 Y150 Z5 F6000")
+    if n == 2:
+        printer.run("PROBE")
+    before = len(printer.machine.truth.touches)
+    text = printer.fail(MESH)
+    assert "the probe was not fetched, it is DOCKED (pin reads TRIGGERED)" in (
+        text
+    )
+    assert "look whether the probe is in the dock" in text
+    assert trips(printer).count("attach_failed") == 3
+    assert len(printer.machine.truth.touches) == before
+    assert at(printer) == pytest.approx(EXTRACT)
+    assert printer.session.position()[2] >= CLEAR
+    assert_safe(printer)
+    printer.machine.repair()
+    printer.run("PROBE")
+    assert where(printer) == "docked"
+
+
+def test_docking_that_fails(start):
+    fault = Fault("dock_fails", n=2, persistent=True)
+    printer = start(GANTRY, section(**QUICK), faults=[fault]).homed()
+    text = printer.fail("PROBE")
+    assert "the probe was not docked, it is ATTACHED" in text
+    assert trips(printer)[-1] == "dock_failed"
+    assert at(printer) == pytest.approx(DETACH)
+    assert printer.session.position()[2] >= CLEAR - 0.001
+    assert_safe(printer)
+    printer.machine.repair()
+    printer.run("DETACH_PROBE")
+    assert where(printer) == "docked"
+
+
+def test_empty_dock(start):
+    printer = ready(start(with_probe(SENSED, initial="lost")))
+    text = printer.fail("G28")
+    assert "not fetched, it is UNKNOWN" in text
+    assert "dock_sense_pin reads open" in text
+    # It did not go there
+    assert at(printer) == pytest.approx((152.0, 125.25))
+    assert printer.session.state()[0] == "ready"
+
+
+def test_senses_that_contradict_each_other(start):
+    fault = Fault("stuck_closed", signal="probe_sense", t=0.0)
+    printer = ready(start(SENSED, section(dock_retries="1"), faults=[fault]))
+    text = printer.fail("G28")
+    assert "it is UNKNOWN" in text
+    assert "probe_sense_pin reads TRIGGERED" in text
+    assert "dock_sense_pin reads TRIGGERED" in text
+    assert sum("try 2 of 2" in line for line in printer.session.console) == 1
+
+
+@pytest.mark.parametrize(
+    ("signal", "level"),
+    [
+        ("probe", "stuck_open"),
+        ("probe", "stuck_closed"),
+        ("probe_sense", "stuck_open"),
+        ("probe_sense", "stuck_closed"),
+        ("dock_sense", "stuck_open"),
+        ("dock_sense", "stuck_closed"),
+    ],
+)
+def test_sense_that_is_stuck_from_the_start(start, signal, level):
+    fault = Fault(level, signal=signal, t=0.0)
+    printer = ready(start(SENSED, faults=[fault]))
+    assert "dockable_probe: the probe was not" in printer.fail("G28")
+    assert printer.machine.truth.min_gap > 10.0
+    assert printer.session.state()[0] == "ready"
+
+
+# Lost, or dead, at each touch
+
+
+@pytest.mark.parametrize("when", ["touch", "lift"])
+@pytest.mark.parametrize("n", [1, 2, 3, 4, 7])
+@pytest.mark.parametrize("scene", [GANTRY, SENSED], ids=lambda s: s.name)
+def test_probe_lost_at_a_touch(start, scene, n, when):
+    fault = Fault("probe_falls", n=n, when=when)
+    printer = ready(start(scene, section(samples="2"), faults=[fault]))
+    script = f"G28\nPROBE\n{MESH}"
+    text = printer.fail(script)
+    assert "the probe" in text
+    assert where(printer) == "lost"
+    assert "ready" in printer.session.state()[0]
+    assert printer.machine.truth.min_gap > 5.0
+    # Nothing goes on with what it measured
+    assert "Mesh Bed Leveling Complete" not in printer.session.console
+
+
+@pytest.mark.each_host
+def test_probe_lost_at_the_last_touch(start):
+    # Nothing touches after it: only a look tells that the result is wrong
+    printer = start(SWITCH, section(**QUICK)).homed()
+    printer.run("G1 X150 Y150 Z20 F6000\nATTACH_PROBE")
+    printer.machine.break_down(Fault("probe_falls", n=1))
+    text = printer.fail("PROBE")
+    assert "was lost, what was measured is wrong" in text
+    assert printer.session.position()[2] >= CLEAR - 0.01
+    assert "not fetched" in printer.fail("PROBE")
+    assert_safe(printer)
+
+
+@pytest.mark.parametrize("n", [2, 3, 4, 6])
+@pytest.mark.parametrize("level", ["stuck_open", "stuck_closed"])
+def test_switch_that_dies_at_a_touch(start, n, level):
+    fault = Fault(level, signal="probe", n=n)
+    printer = ready(tolerant(start(GANTRY, section(**QUICK), faults=[fault])))
+    printer.fail(f"G28\nPROBE\n{MESH}")
+    assert printer.session.state()[0] == "ready"
+    # The second homing move ends where the first one did
+    assert printer.machine.truth.min_gap > FLOOR - 0.1 - (1.0 if n == 2 else 0)
+
+
+def test_stuck_closed_at_the_first_homing(start):
+    fault = Fault("stuck_closed", signal="probe", n=1)
+    printer = ready(start(GANTRY, faults=[fault]))
+    assert "triggered before the head moved" in printer.fail("G28")
+    assert printer.status("toolhead")["homed_axes"] == ""
+
+
+def test_probe_lost_on_the_way(start):
+    printer = start(SENSED, section(**QUICK)).homed()
+    printer.run("ATTACH_PROBE")
+    machine = printer.machine
+    machine.world.lose_probe(
+        machine.rig.seconds(machine.simulation.clock.now())
+    )
+    text = printer.fail("PROBE")
+    assert "UNKNOWN" in text
+    assert_safe(printer)
+
+
+def now_of(printer):
+    """Printer time, s."""
+    machine = printer.machine
+    return machine.rig.seconds(machine.simulation.clock.now())
+
+
+def test_sense_pin_tells_that_it_was_lost_in_a_touch(start):
+    printer = start(SENSED, section(samples="3")).homed()
+    printer.run("ATTACH_PROBE\nG1 X150 Y150 Z20 F6000\nM400")
+    touches = len(printer.machine.truth.touches)
+    # On the way down
+    printer.machine.break_down(
+        Fault("stuck_open", signal="probe_sense", t=now_of(printer) + 1.5)
+    )
+    text = printer.fail("PROBE")
+    assert "was lost in a touch" in text
+    assert "probe_sense_pin reads open" in text
+    assert len(printer.machine.truth.touches) == touches + 1
+    assert_safe(printer)
+
+
+def test_sense_pin_tells_before_a_touch(start):
+    printer = start(SENSED, section(samples="1")).homed()
+    printer.run("ATTACH_PROBE\nG1 X150 Y150 Z20 F6000\nM400")
+    command = printer.session.begin("PROBE_ACCURACY SAMPLES=3")
+    touches = printer.machine.truth.touches
+    before = len(touches)
+    printer.session.run_until(command, lambda: len(touches) > before)
+    # While it is lifted, at 10 mm/s
+    printer.machine.break_down(
+        Fault("stuck_open", signal="probe_sense", t=now_of(printer) + 0.1)
+    )
+    with pytest.raises(GcodeError, match="probe_sense_pin reads open"):
+        printer.session.finish(command)
+    assert len(touches) <= before + 2
+    assert_safe(printer)
+
+
+# Templates that raise
+
+
+@pytest.mark.parametrize(
+    ("option", "state", "head"),
+    [
+        ("pre_attach_gcode", "docked", None),
+        ("attach_gcode", "attached", EXTRACT),
+        ("post_attach_gcode", "attached", None),
+        ("activate_gcode", "attached", None),
+        ("deactivate_gcode", "attached", None),
+        ("pre_detach_gcode", "attached", None),
+        ("detach_gcode", "docked", DETACH),
+        ("post_detach_gcode", "docked", None),
+    ],
+)
+def test_template_that_raises(start, option, state, head):
+    gcode = (
+        "\n  {% if printer['gcode_macro ON'].on %}{action_raise_error('no')}"
+    )
+    changes = {
+        "gcode_macro ON": {"variable_on": "0", "gcode": ""},
+        **section(**{option: gcode + "{% endif %}"}, **QUICK),
+    }
+    printer = start(SWITCH, changes).homed()
+    printer.run("G1 X150 Y150 Z20 F6000\nPROBE")
+    printer.run("SET_GCODE_VARIABLE MACRO=ON VARIABLE=on VALUE=1")
+    assert "no" in printer.fail("PROBE")
+    printer.session.wait(2.0)
+    assert where(printer) == state
+    if head is not None:
+        assert at(printer) == pytest.approx(head)
+    assert printer.session.position()[2] > HANG - 0.2
+    assert_safe(printer)
+    printer.run("SET_GCODE_VARIABLE MACRO=ON VARIABLE=on VALUE=0")
+    printer.run("G1 X150 Y150 Z20 F6000\nPROBE")
+    assert where(printer) == "docked"
+
+
+@pytest.mark.parametrize("name", ["activate", "deactivate"])
+def test_head_that_moves_where_it_must_not(start, name):
+    changes = section(**{f"{name}_gcode": "\n  G91\n  G1 Z1\n  G90"}, **QUICK)
+    printer = start(SWITCH, changes).homed()
+    printer.run("G1 X150 Y150 Z20 F6000")
+    assert f"the head moved in {name}_gcode" in printer.fail("PROBE")
+    assert_safe(printer)
+
+
+# Not homed
+
+
+@pytest.mark.parametrize("name", sorted(DOCK_SCENES))
+def test_not_homed(start, name):
+    printer = ready(start(DOCK_SCENES[name]))
+    for command in ("ATTACH_PROBE", "PROBE", "MOVE_TO_APPROACH_PROBE"):
+        text = printer.fail(command)
+        assert "dockable_probe: not homed: X, Y" in text
+        assert "G28 X Y" in text
+    printer.run("G28 X Y")
+    if name == "dock_bed":
+        # Nobody knows how high the dock is
+        assert "not homed: Z;" in printer.fail("ATTACH_PROBE")
+        assert where(printer) == "docked"
+    else:
+        z = printer.machine.tip().z
+        printer.run("ATTACH_PROBE")
+        assert where(printer) == "attached"
+        # Up, and once only
+        assert printer.machine.tip().z == pytest.approx(z + CLEAR, abs=0.01)
+        printer.run("DETACH_PROBE")
+        assert printer.machine.tip().z == pytest.approx(z + CLEAR, abs=0.01)
+        assert "z" not in printer.status("toolhead")["homed_axes"]
+        assert "Must home" in printer.fail("PROBE")
+
+
+def test_emergency_stop_while_fetching(start):
+    printer = start(SWITCH).homed()
+    command = printer.session.begin("ATTACH_PROBE")
+    printer.session.wait(0.8)
+    printer.session.stop()
+    with pytest.raises(Exception, match="shutdown|Shutdown|stop"):
+        printer.session.finish(command)
+    printer.session.restart("FIRMWARE_RESTART")
+    printer.run("G28")
+    printer.run("G1 X150 Y150 Z20 F6000\nPROBE")
+    assert where(printer) == "docked"
+
+
+def test_emergency_stop_at_a_touch(start):
+    printer = start(SWITCH).homed()
+    printer.run("G1 X150 Y150 Z20 F6000")
+    printer.stopped("PROBE", "probe_bed", 0.3)
+    printer.session.restart("FIRMWARE_RESTART")
+    printer.run("G28\nG1 X150 Y150 Z20 F6000\nPROBE")
+    # It was on the head: docked and fetched to see that it changes
+    assert trips(printer) == ["attach", "dock", "attach", "dock"]
+
+
+# The dock in the way
+
+
+@pytest.mark.parametrize("scene", [GANTRY, BED], ids=lambda s: s.name)
+@pytest.mark.parametrize(
+    "place", ["20, 300", "48, 292", "10, 308", "85, 290", "50, 280"]
+)
+def test_from_beside_the_dock(start, scene, place):
+    # The crash detector knows its body
+    printer = start(scene, section(**QUICK)).homed()
+    x, y = place.split(", ")
+    printer.run(f"MOVE_AVOIDING_DOCK X={x} Y={y}")
+    printer.run(f"G1 X{x} Y{y} F3000" if place != "48, 292" else "G4 P1")
+    printer.run("ATTACH_PROBE\nDETACH_PROBE")
+    assert where(printer) == "docked"
+    assert trips(printer)[-2:] == ["attach", "dock"]
+
+
+def test_no_way_around_the_dock(start):
+    changes = section(
+        dock_position="150, 155",
+        approach_position="150, 1",
+        detach_position="150, 309",
+    )
+    printer = start(SWITCH, changes).homed()
+    printer.run("G1 X2 Y2 Z20 F6000")
+    text = printer.fail("MOVE_AVOIDING_DOCK X=298 Y=308")
+    assert "no way from 2.000, 2.000 to 298.000, 308.000" in text
+    assert "safe_dock_distance (154.000)" in text

@@ -1,0 +1,182 @@
+"""Machines with a dock: made of the other scenes, see scenes.py."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import replace
+from typing import Optional
+
+from .scenes import SCENES, Scene, Sections
+from .world import DockSpec, MagProbeSpec
+
+# Of the machines here (mm): the probe triggers at this toolhead Z on the bed
+HANG = 6.9
+
+
+def _docked(probe: Optional[MagProbeSpec]) -> MagProbeSpec:
+    assert probe is not None
+    return replace(probe, mode="dock", initial="docked", switch_offset=0.485)
+
+
+def _options(scene: Scene, **more: str) -> dict[str, Optional[str]]:
+    """Those of [probe], and where the dock is."""
+    probe = dict(scene.sections["probe"] or {})
+    return {
+        **probe,
+        "z_offset": f"{HANG}",
+        "check_open_attach": "True",
+        "travel_speed": "200",
+        "attach_speed": "50",
+        "detach_speed": "50",
+        "lift_speed": "10",
+        **more,
+    }
+
+
+def _others(scene: Scene, without: tuple[str, ...]) -> dict[str, Mapping]:
+    left = ("probe", "z_calibration", *without)
+    return {k: v for k, v in scene.sections.items() if k not in left}
+
+
+_LEVELS: Sections = {
+    "bed_mesh": {
+        "speed": "200",
+        "horizontal_move_z": "10",
+        "mesh_min": "40, 40",
+        "mesh_max": "240, 240",
+        "probe_count": "5, 5",
+    },
+    "screws_tilt_adjust": {
+        "screw1": "60, 30",
+        "screw2": "240, 30",
+        "screw3": "150, 240",
+        "speed": "200",
+        "horizontal_move_z": "10",
+        "screw_thread": "CW-M4",
+    },
+    "axis_twist_compensation": {
+        "speed": "200",
+        "horizontal_move_z": "10",
+        "calibrate_start_x": "60",
+        "calibrate_end_x": "240",
+        "calibrate_y": "150",
+    },
+    "quad_gantry_level": {
+        "gantry_corners": "-60, -10\n  360, 370",
+        "points": "50, 25\n  50, 225\n  250, 225\n  250, 25",
+        "speed": "200",
+        "horizontal_move_z": "10",
+        "max_adjust": "10",
+    },
+}
+
+
+def _gantry_switch() -> Scene:
+    """The voron, its dock on the gantry's left; Z homes on the pin."""
+    voron = SCENES["voron"]
+    options = _options(
+        voron,
+        dock_position="50, 308",
+        approach_position="50, 270",
+        detach_position="90, 308",
+    )
+    return replace(
+        voron,
+        name="dock_gantry_switch",
+        sections={
+            **_others(voron, ()),
+            **_LEVELS,
+            "dockable_probe": options,
+        },
+    ).with_world(
+        mag_probe=_docked(voron.world.mag_probe),
+        dock=DockSpec(
+            50.0,
+            308.0,
+            0.0,
+            approach=(0.0, -1.0, 0.0),
+            release=(1.0, 0.0, 0.0),
+            lifted=True,
+            body=20.0,
+        ),
+    )
+
+
+def _gantry() -> Scene:
+    """The same, Z homed with the probe."""
+    switch = _gantry_switch()
+    z = dict(switch.sections["stepper_z"] or {})
+    z.update(endstop_pin="probe:z_virtual_endstop", position_endstop=None)
+    sections = {**switch.sections, "stepper_z": z}
+    sections["safe_z_home"] = {
+        "home_xy_position": "152, 125.25",
+        "speed": "100",
+        "z_hop": "10",
+    }
+    wiring = replace(
+        switch.wiring,
+        inputs={
+            k: v for k, v in switch.wiring.inputs.items() if k != "z_endstop"
+        },
+    )
+    return replace(
+        switch, name="dock_gantry", sections=sections, wiring=wiring
+    ).with_world(pin=None)
+
+
+def _sensed() -> Scene:
+    """The same, with sensors for the probe on the head and in the dock."""
+    gantry = _gantry()
+    senses = {"probe_sense": "^PC4", "dock_sense": "^PC5"}
+    wiring = replace(gantry.wiring, inputs={**gantry.wiring.inputs, **senses})
+    options = {
+        **(gantry.sections["dockable_probe"] or {}),
+        **{f"{name}_pin": pin for name, pin in senses.items()},
+    }
+    return replace(
+        gantry,
+        name="dock_sensed",
+        sections={**gantry.sections, "dockable_probe": options},
+        wiring=wiring,
+    ).with_world(probe_sense=True, dock_sense=True)
+
+
+def _bed() -> Scene:
+    """A cartesian printer, the dock on the bed: 12 mm high, Z has a switch."""
+    switch = _gantry_switch()
+    assert switch.world.dock is not None
+    options = {
+        **(switch.sections["dockable_probe"] or {}),
+        "dock_position": "50, 308, 12",
+        "approach_position": "50, 270, 12",
+        "detach_position": "90, 308, 12",
+        "dock_fixed_z": "False",
+    }
+    printer = {**(switch.sections["printer"] or {}), "kinematics": "cartesian"}
+    return replace(
+        switch,
+        name="dock_bed",
+        kinematics="cartesian",
+        sections={
+            **{
+                name: section
+                for name, section in switch.sections.items()
+                if name != "quad_gantry_level"
+            },
+            "dockable_probe": options,
+            "printer": printer,
+        },
+    ).with_world(dock=replace(switch.world.dock, lifted=False, z=12.3, top=12))
+
+
+def calibrating(scene: Scene) -> Scene:
+    """The same with the voron's [z_calibration], nothing said of the probe."""
+    section = SCENES["voron"].sections["z_calibration"]
+    sections = {**scene.sections, "z_calibration": section}
+    return replace(scene, sections=sections)
+
+
+DOCK_SCENES = {
+    scene.name: scene
+    for scene in (_gantry_switch(), _gantry(), _sensed(), _bed())
+}
