@@ -308,8 +308,13 @@ class Klipper:
         }
 
     def expected(self, *modules: str) -> dict[str, str]:
-        """What links() is with these modules of ours, and the folder."""
-        names = [f"{module}.py" for module in modules] + [SHARED.name]
+        """What links() is with these modules of ours, and the folder.
+
+        Kalico keeps its own dockable_probe unless ours is asked for.
+        """
+        kept = "plugins" in self.place("dockable_probe.py").parts
+        ours = [m for m in modules if not (kept and m == "dockable_probe")]
+        names = [f"{module}.py" for module in ours] + [SHARED.name]
         folder = self.path / "klippy"
         places = {self.place(n).relative_to(folder): n for n in names}
         return {

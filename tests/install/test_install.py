@@ -50,7 +50,7 @@ def test_second_run_changes_nothing(machine, either):
     out = machine.installed()
     assert snapshot(machine.home) == before
     assert machine.restarted() == []
-    assert out.count("... [OK, already linked]\n") == len(MODULES) + 1
+    assert out.count("... [OK, already linked]\n") == len(either.links())
     assert "Nothing changed; nothing to restart" in out
     assert "Next:" not in out
 
@@ -358,7 +358,7 @@ def test_kalico_needs_the_override(box):
     for name in KALICO_SHIPS:
         (box.checkout / f"{name}.py").write_text("")
     err = box.refused(4)
-    assert "Kalico ships its own z_calibration and dockable_probe. Add" in err
+    assert "Kalico ships its own z_calibration. Add to printer.cfg" in err
     assert f"\n{OVERRIDE}\n" in err
     others = re.search(r'--modules "(.*)"', err).group(1)
     box.installed("--modules", others)
@@ -391,6 +391,20 @@ def test_override_is_read_from_the_configuration(
         assert kalico.links() == kalico.expected(*MODULES)
     else:
         box.refused(4)
+
+
+def test_kalico_keeps_its_own_dockable_probe_unless_asked(box):
+    kalico = box.kalico()
+    box.conf().with_name("printer.cfg").write_text(OVERRIDE)
+    out = box.installed()
+    if "dockable_probe" in MODULES:
+        assert "Kalico's own dockable_probe stays; --modules takes ours" in out
+    assert "klippy/plugins/dockable_probe.py" not in str(kalico.links())
+    (box.checkout / "dockable_probe.py").write_text("")
+    box.installed("--modules", "dockable_probe")
+    assert "dockable_probe.py" in str(kalico.links())
+    box.installed("-u")
+    assert kalico.links() == {}
 
 
 def test_override_beside_a_named_moonraker_conf(box):
