@@ -35,7 +35,8 @@ def test_tables_are_those_of_the_figures(figures, document, tmp_path):
 
 
 def test_every_command_was_tried_with_every_fault(figures):
-    assert [found["job"] for found in figures["faults"]] == list(jobs.JOBS)
+    published = [job for job in jobs.JOBS if job not in jobs.UNPUBLISHED]
+    assert [found["job"] for found in figures["faults"]] == published
     kinds = set()
     for found in figures["faults"]:
         assert len(found["hosts"]) > 1
