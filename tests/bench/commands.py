@@ -59,10 +59,10 @@ def _limits(config: configparser.ConfigParser) -> Limits:
 STANDARD: Sections = {
     "z_calibration": {
         "safe_z_height": "15",
-        "probing_second_speed": "2",
-        "probing_retract_dist": "2",
         "samples": "3",
     },
+    # Of the pin only: on the bed the probe's own are used
+    "stepper_z": {"second_homing_speed": "2", "homing_retract_dist": "2"},
     "probe": {"samples": "3", "speed": "5", "lift_speed": "10"},
 }
 
@@ -112,8 +112,8 @@ def _pin_stops(
     assert true_probe is not None
     sampling = (
         own.getint("samples", probe.getint("samples")),
-        own.getfloat("probing_second_speed"),
-        own.getfloat("probing_retract_dist"),
+        config["stepper_z"].getfloat("second_homing_speed"),
+        config["stepper_z"].getfloat("homing_retract_dist"),
         own.getfloat("lift_speed", probe.getfloat("lift_speed")),
         _limits(config).z_accel,
     )
