@@ -94,6 +94,7 @@ Z_CALIBRATION = Module(
         },
     },
     late={"bed_xy_position": "`zero_reference_position` of `[bed_mesh]`"},
+    unsaid=frozenset({"median or average"}),
 )
 
 AUTO_Z_OFFSET = Module(
@@ -124,6 +125,7 @@ AUTO_Z_OFFSET = Module(
     },
     unsaid=frozenset(
         (
+            "median or average",
             "Z was homed again",
             "Z was homed again or set",
             "the Z motors were levelled",

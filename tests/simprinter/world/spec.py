@@ -271,8 +271,8 @@ class InductiveSpec(Spec):
     x_offset: float
     y_offset: float
     sense_distance: float
-    twist: float = 0.0
     noise: NoiseSpec = field(default_factory=NoiseSpec)
+    twist: float = 0.0
 
     _POSITIVE = ("sense_distance",)
 
