@@ -5,7 +5,6 @@
 import functools
 import importlib
 import logging
-import sys
 
 from . import options, sampling
 from .errors import SamplesDiffer
@@ -80,7 +79,9 @@ class SessionProbe(object):
         )
         self.sampling = read_sampling(config)
         self.drop_first = config.getboolean("drop_first_result", False)
-        self.result_class = result_class(config)
+        # Since 2025-12-20, 9ccb4d96e
+        manual_probe = host_module("manual_probe")
+        self.result_class = getattr(manual_probe, "ProbeResult", None)
         gcode = config.get_printer().lookup_object("gcode")
         self.nothing = gcode.create_gcode_command("", "", {})
         self.session = None
@@ -248,12 +249,6 @@ def read_sampling(config):
 # whatever the package is called.
 def host_module(name):
     return importlib.import_module("%s.%s" % (__name__.rsplit(".", 2)[0], name))
-
-
-def result_class(config):
-    manual_probe = config.get_printer().load_object(config, "manual_probe")
-    module = sys.modules[manual_probe.__class__.__module__]
-    return getattr(module, "ProbeResult", None)
 
 
 # The only place that knows in which respects hosts differ about probes; the
