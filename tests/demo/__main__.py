@@ -212,7 +212,9 @@ def demonstrate(
         ),
     )
     svg.write_text(picture, encoding="utf-8")
-    print(f"Picture  {min(str(svg), os.path.relpath(svg), key=len)}")
+    here = Path.cwd()
+    shown = svg.relative_to(here) if svg.is_relative_to(here) else svg
+    print(f"Picture  {shown}")
     if problem is not None:
         print(f"\nFAILED: {problem}")
         return 1

@@ -67,6 +67,7 @@ def probed_at(printer, seconds):
 # Not homed
 
 
+@pytest.mark.half
 @pytest.mark.parametrize("command", MEASURING)
 @pytest.mark.parametrize("script", ["", "G28 X", "G28\nM84"])
 def test_axes_must_be_homed(some_host, command, script):
@@ -485,6 +486,7 @@ def test_writes_of_one_touch(start):
     assert min(seen, key=lambda s: sum(s.values())) == WRITES
 
 
+@pytest.mark.half
 @pytest.mark.parametrize(
     ("driver", "n"),
     [(d, n) for d, count in WRITES.items() for n in range(count)],

@@ -466,27 +466,25 @@ def test_probing_speeds_of_a_command(start):
 # What tells where it is
 
 
-def test_sense_pins(start):
-    only = [
-        {"check_open_attach": "False", "dock_sense_pin": None},
-        {"check_open_attach": "False", "probe_sense_pin": None},
-        {"check_open_attach": None, "probe_sense_pin": None},
-        {"probe_sense_pin": None},
-        {"dock_sense_pin": None},
-    ]
-    seen = []
-    for options in only:
-        printer = start(SENSED, section(**{**QUICK, **options})).homed()
-        printer.run("PROBE")
-        assert trips(printer) == ["attach", "dock"] * 2
-        seen.append(printer.run("GET_PROBE_STATUS")[1].split(": ")[-1])
-    assert seen == [
-        "pin reads TRIGGERED, probe_sense_pin reads open",
-        "pin reads TRIGGERED, dock_sense_pin reads TRIGGERED",
-        "pin reads TRIGGERED, dock_sense_pin reads TRIGGERED",
-        "pin reads TRIGGERED, dock_sense_pin reads TRIGGERED",
-        "pin reads TRIGGERED, probe_sense_pin reads open",
-    ]
+PROBE_PIN = "pin reads TRIGGERED, probe_sense_pin reads open"
+DOCK_PIN = "pin reads TRIGGERED, dock_sense_pin reads TRIGGERED"
+
+
+@pytest.mark.parametrize(
+    "options, words",
+    [
+        ({"check_open_attach": "False", "dock_sense_pin": None}, PROBE_PIN),
+        ({"check_open_attach": "False", "probe_sense_pin": None}, DOCK_PIN),
+        ({"check_open_attach": None, "probe_sense_pin": None}, DOCK_PIN),
+        ({"probe_sense_pin": None}, DOCK_PIN),
+        ({"dock_sense_pin": None}, PROBE_PIN),
+    ],
+)
+def test_sense_pins(start, options, words):
+    printer = start(SENSED, section(**{**QUICK, **options})).homed()
+    printer.run("PROBE")
+    assert trips(printer) == ["attach", "dock"] * 2
+    assert printer.run("GET_PROBE_STATUS")[1].split(": ")[-1] == words
 
 
 def test_pin_has_a_say_beside_a_dock_sense_pin(start):

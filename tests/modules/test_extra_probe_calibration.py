@@ -82,6 +82,7 @@ def bed_of(printer):
     return printer.status(NAME)["last_offset"]
 
 
+@pytest.mark.half
 # Below the bed, above it but below the membrane, above the membrane
 @pytest.mark.parametrize("height", [-0.45, 0.15, 0.9])
 @pytest.mark.parametrize(
@@ -272,6 +273,7 @@ FLOOR_LINE = "Without a trigger the nozzle stops at z={:.3f}."
 UNSAVED = "No calibration was saved yet, so that may be in the bed"
 
 
+@pytest.mark.half
 @pytest.mark.parametrize(
     ("own", "params", "floor", "is_told"),
     [
@@ -463,6 +465,7 @@ def test_status_of_the_last_calibration(start):
 # The nozzle's temperature
 
 
+@pytest.mark.half
 @pytest.mark.parametrize(
     ("own", "celsius", "outcome"),
     [

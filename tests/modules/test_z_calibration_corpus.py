@@ -66,11 +66,12 @@ def check_calibration(host, machine):
     assert gap == pytest.approx(machine.gap, abs=2 * MICROSTEP)
 
 
-@each(WORKING, 8)
+@each(WORKING, 16)
 def test_entry_calibrates(entry, host):
     check_calibration(host, build(entry, host))
 
 
+@pytest.mark.half
 @each([entry for entry in WORKING if "z_offset" in probe_of(entry)], 6)
 def test_z_offset_need_not_be_right(entry, host):
     z_offset = float(probe_of(entry)["z_offset"])

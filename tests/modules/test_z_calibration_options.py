@@ -440,6 +440,7 @@ def test_wrong_z_offset_drags_nothing(start, z_offset):
     assert max(travel_heights(printer)[:2]) == pytest.approx(high, abs=0.01)
 
 
+@pytest.mark.half
 @pytest.mark.parametrize(
     ("n", "options", "floor"),
     [
@@ -503,6 +504,7 @@ def test_floor_of_the_switch(start, options, floor):
     assert "looking at the bed how long the probe is" in console
 
 
+@pytest.mark.half
 @pytest.mark.parametrize(
     ("options", "below"),
     [({}, 1.0), ({"offset_margins": "-0.4,1"}, 0.4)],

@@ -316,6 +316,7 @@ def validity(printer):
     return status["valid"], status["reason"]
 
 
+@pytest.mark.half
 @pytest.mark.parametrize(
     ("script", "reason"),
     [
@@ -640,6 +641,7 @@ def test_pin_of_its_own_has_no_place_to_fall_back_to(start):
 # Every kind of machine
 
 
+@pytest.mark.half
 @pytest.mark.parametrize(
     "scene",
     [

@@ -26,6 +26,7 @@ DAMAGES = {
 }
 
 
+@pytest.mark.spread
 @pytest.mark.parametrize("damage", DAMAGES.values(), ids=DAMAGES)
 @pytest.mark.parametrize(
     ("module", "scene"), [("z_calibration", "voron"), ("auto_z_offset", "qidi")]

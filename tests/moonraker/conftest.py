@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import os
+import zlib
 from collections.abc import Iterator
 from pathlib import Path
 
@@ -15,13 +16,22 @@ from tests.hostkit.printer import firmware_of
 
 
 def pytest_generate_tests(metafunc: pytest.Metafunc) -> None:
-    """One host for each place where modules belong, or each of them."""
+    """One host for each place where modules belong, or each of them.
+
+    Of these one for a test, another for another, where it is not marked
+    `each_host`.
+    """
     for name, scope in (("lab", "package"), ("copied_lab", "function")):
         if name not in metafunc.fixturenames:
             continue
         hosts = all_hosts()
         if not os.environ.get("EVERY_HOST"):
             hosts = list({firmware_of(host): host for host in hosts}.values())
+            if "each_host" not in {
+                m.name for m in metafunc.definition.own_markers
+            }:
+                turn = zlib.crc32(metafunc.definition.nodeid.encode())
+                hosts = [hosts[turn % len(hosts)]]
         ids = [host.name for host in hosts]
         metafunc.parametrize(name, hosts, ids=ids, indirect=True, scope=scope)
 

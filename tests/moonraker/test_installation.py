@@ -2,11 +2,14 @@
 
 from __future__ import annotations
 
+import pytest
+
 from tests.hostkit.printer import module_files
 from tests.hostkit.trees import SHARED, SHARED_PARENT
 from tests.moonraker.updates import calibrated, refreshed, restarted
 
 
+@pytest.mark.each_host
 def test_klippy_has_the_modules_of_the_checkout(lab):
     # Where the host has a dockable_probe of its own, it stays
     own = {path.stem for path in lab.klipper.glob("klippy/extras/*.py")}

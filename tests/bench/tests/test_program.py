@@ -16,7 +16,7 @@ import pytest
 
 from tests.bench import __main__ as bench
 from tests.bench import cost
-from tests.bench.commands import CALIBRATE_Z, COMMANDS
+from tests.bench.commands import AUTO_Z_CALIBRATE, CALIBRATE_Z
 from tests.bench.timing import RUNS, Subject, attempt
 from tests.hostkit.hosts import find_hosts
 from tests.hostkit.printer import module_files
@@ -24,11 +24,11 @@ from tests.hostkit.printer import module_files
 # One run of the program is behind most of them
 pytestmark = pytest.mark.timeout(300)
 
+TIMED = (CALIBRATE_Z, AUTO_Z_CALIBRATE)
 CELL = re.compile(r"(\d+\.\d\d)/(\d+\.\d\d)=(\d+\.\d\d)")
 
 MODULES = {
     "same": None,
-    "no_python": "this is no module\n",
     "no_start": "def load_config(config):\n    raise config.error('not me')\n",
     # Klippy insists on somebody reading every option
     "no_command": (
@@ -39,7 +39,6 @@ MODULES = {
     "dead": "import os\ndef load_config(config):\n    os._exit(3)\n",
 }
 REASONS = {
-    "no_python": "z_calibration",
     "no_start": "not me",
     "dead": "klippy has ended",
     "missing": "there is no file",
@@ -107,6 +106,8 @@ def in_folder(folder):
     """Let the program write there, not over an owner's figures, and hurry."""
     with pytest.MonkeyPatch.context() as patch:
         patch.setattr(bench, "folder", lambda: folder)
+        # As for any other; each takes seconds
+        patch.setattr(bench, "COMMANDS", TIMED)
         # Each takes as long as a start of klippy
         patch.setattr(cost, "LOADINGS", 1)
         yield
@@ -170,7 +171,7 @@ def test_every_command_is_timed_beside_its_lower_bound(program):
     assert {entry["host"] for entry in timings} == {program.host}
     own = {e["command"]: e["runs"] for e in timings if e["module"] == "ours"}
     assert {name: len(runs) for name, runs in own.items()} == {
-        command.name: 3 for command in COMMANDS
+        command.name: 3 for command in TIMED
     }
     tables = [line for line in program.lines if "lower bound of" in line]
     starts = {
@@ -188,8 +189,7 @@ def test_loading_is_measured(program):
     assert own["memory_kib"] == pytest.approx(same["memory_kib"], rel=0.05)
     assert 100.0 < own["memory_kib"] < 2000.0
     assert min(cost["import_ms"] for cost in costs.values()) > 0.0
-    # It has no code at all
-    assert str(program.files["no_python"]) not in costs
+    assert str(program.files["missing"]) not in costs
     assert (same["other"], own["other"]) == (True, False)
 
 
