@@ -26,7 +26,9 @@ PICTURE = Path(__file__).resolve().parents[2] / "docs" / "extra_probe.svg"
 WIDTH = 1040
 COLUMNS = (96, 500, 984)
 # Within a column: the bed, the membrane on it, and the arrow beside it
-BED_X, SHEET_X, BESIDE_X = (60, 330), (72, 132), 190
+BED_X, SHEET_X, BESIDE_X = (60, 330), (62, 142), 200
+# Beside the beds
+ZERO_X = 760
 
 MEANING = (
     "trigger: where the head stands when the membrane triggers. offset: where"
@@ -59,7 +61,7 @@ def draw(touch: Touch) -> str:
         describe(touch),
     )
     scale = scale_for((0.0, touch.offset, touch.trigger))
-    page = Page(words, WIDTH, scale, COLUMNS)
+    page = Page(words, WIDTH, scale, COLUMNS, ZERO_X)
     draw_touch(page, touch)
     draw_zero(page, touch)
     parts = (
@@ -101,6 +103,9 @@ def draw_touch(page: Page, touch: Touch) -> None:
     top, bed = page.scale.y(touch.trigger), page.scale.y(touch.offset)
     left, right = (column + x for x in SHEET_X)
     page.box("switch", (left, top, right, bed), 2)
+    look = {"font_size": 12, "font_weight": 600, "text_anchor": "middle"}
+    middle = (top + bed) / 2 + 4.6
+    page.text("panel", (column + TIP_X, middle), "membrane", **look)
     page.nozzle(column, touch.trigger, "nozzle")
     page.height(column, touch.trigger, "probe", "trigger")
     x = column + BESIDE_X

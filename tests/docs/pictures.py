@@ -37,6 +37,7 @@ LEVELS_TOP, LEVELS_BOTTOM, GROUND = 212, 628, 680
 HEAD_HEIGHT = 64  # from the nozzle's tip to the carriage
 # Within a column: the measured height, and the tip
 HEIGHT_X, TIP_X = 30, 102
+ZERO_X = 140
 SMALLEST_SPAN = 0.02  # mm; a picture shows no less
 
 
@@ -230,14 +231,21 @@ class Words(NamedTuple):
 class Page(Drawing):
     """A panel with an axis of toolhead Z; its columns show one touch each.
 
-    columns: where they begin, and where the last one ends.
+    columns: where they begin, and where the last one ends. zero_x: where the
+    words at Z=0 stand that nothing may cover.
     """
 
     def __init__(
-        self, words: Words, width: int, scale: Scale, columns: Sequence[int]
+        self,
+        words: Words,
+        width: int,
+        scale: Scale,
+        columns: Sequence[int],
+        zero_x: int = ZERO_X,
     ):
         super().__init__(words.title, words.description, width, HEIGHT)
         *self.columns, self.end = columns
+        self.zero_x = zero_x
         self.scale = scale
         self.box("page", (0, 0, width, HEIGHT), 14)
         look = {"font_size": 20, "font_weight": 700}
@@ -263,7 +271,7 @@ class Page(Drawing):
                 text_anchor="end",
                 font_weight=700 if is_zero else 400,
             )
-        at = left + 140, scale.y(0.0) - 7
+        at = left + self.zero_x, scale.y(0.0) - 7
         self.text("ink", at, "Z=0 as homed", font_weight=600)
         x, top, bottom = 30, 198, 298
         self.line("ink", (x, bottom, x, top + 8), 2)

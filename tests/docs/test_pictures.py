@@ -3,12 +3,17 @@
 from __future__ import annotations
 
 import xml.etree.ElementTree as ET
+from collections.abc import Iterable
 
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from tests.docs import auto_z_offset_picture, z_calibration_picture
+from tests.docs import (
+    auto_z_offset_picture,
+    extra_probe_picture,
+    z_calibration_picture,
+)
 from tests.docs.pictures import scale_for, spread, tick_step
 from tests.docs.records import MODULES
 from tests.docs.z_calibration_picture import Touches
@@ -32,12 +37,15 @@ def test_picture_is_what_the_script_draws(module):
     assert "prefers-color-scheme:dark" in draw(example)
 
 
-def text_boxes(root: ET.Element) -> list[tuple[str, tuple[float, ...]]]:
+def text_boxes(
+    elements: Iterable[ET.Element],
+) -> list[tuple[str, tuple[float, ...]]]:
     """Each text with the room it takes, a little generously."""
     boxes = []
-    for element in root.iter(f"{SVG}text"):
-        if "transform" in element.attrib:
-            continue  # beside the axis is a strip of its own
+    for element in elements:
+        # Beside the axis is a strip of its own
+        if element.tag != f"{SVG}text" or "transform" in element.attrib:
+            continue
         words = "".join(element.itertext())
         size = float(element.get("font-size", "0"))
         width = 0.6 * size * len(words)
@@ -48,18 +56,54 @@ def text_boxes(root: ET.Element) -> list[tuple[str, tuple[float, ...]]]:
     return boxes
 
 
+def covers(box: tuple[float, ...], other: tuple[float, ...]) -> bool:
+    """Whether two boxes (left, top, right, bottom) have something in common."""
+    beside = box[2] <= other[0] or other[2] <= box[0]
+    return not (beside or box[3] <= other[1] or other[3] <= box[1])
+
+
+def assert_readable(root: ET.Element) -> None:
+    """Each text is on the page; no text and nothing drawn later is on it."""
+    boxes = text_boxes(root)
+    for index, (words, box) in enumerate(boxes):
+        assert box[0] >= 0 and box[2] <= float(root.get("width")), words
+        assert box[1] >= 0 and box[3] <= float(root.get("height")), words
+        for other, other_box in boxes[index + 1 :]:
+            assert not covers(box, other_box), (words, other)
+    drawn = list(root)
+    for index, element in enumerate(drawn):
+        if element.tag != f"{SVG}text" or "transform" in element.attrib:
+            continue
+        for later in drawn[index + 1 :]:
+            if later.tag == f"{SVG}rect":
+                left, top, width, height = (
+                    float(later.get(name))
+                    for name in ("x", "y", "width", "height")
+                )
+                rectangle = left, top, left + width, top + height
+                ((words, box),) = text_boxes([element])
+                assert not covers(box, rectangle), words
+
+
 @pytest.mark.parametrize("name", PICTURES)
-def test_no_text_covers_another_or_leaves_the_picture(name):
+def test_no_text_is_covered_or_leaves_the_picture(name):
     is_auto = name == "auto_z_offset"
     module = auto_z_offset_picture if is_auto else z_calibration_picture
-    root = ET.fromstring(module.draw(PICTURES[name]))
-    boxes = text_boxes(root)
-    for index, (words, (left, top, right, bottom)) in enumerate(boxes):
-        assert left >= 0 and right <= float(root.get("width")), words
-        assert top >= 0 and bottom <= float(root.get("height")), words
-        for other, (left_2, top_2, right_2, bottom_2) in boxes[index + 1 :]:
-            beside = right <= left_2 or right_2 <= left
-            assert beside or bottom <= top_2 or bottom_2 <= top, (words, other)
+    assert_readable(ET.fromstring(module.draw(PICTURES[name])))
+
+
+@pytest.mark.parametrize("trigger", [0.7, -0.3, 0.25, 2.0])
+@pytest.mark.parametrize("z_offset", [0.25, 1.0])
+def test_no_text_about_a_membrane_is_covered(trigger, z_offset):
+    touch = extra_probe_picture.Touch(trigger, z_offset)
+    assert_readable(ET.fromstring(extra_probe_picture.draw(touch)))
+
+
+def test_picture_of_the_membrane_is_what_the_script_draws():
+    draw, example = extra_probe_picture.draw, extra_probe_picture.EXAMPLE
+    picture = extra_probe_picture.PICTURE.read_text(encoding="utf-8")
+    assert picture == draw(example)
+    assert draw(example) != draw(example._replace(z_offset=0.3))
 
 
 def test_scale_keeps_all_levels_on_the_page():
