@@ -65,8 +65,9 @@ Settings = collections.namedtuple(
 # Where Z gets its zero: the option, and its value in force (mm)
 Homing = collections.namedtuple("Homing", "section option z")
 
-# What waits for an answer; 'bed_z' is the offset, None before the touch.
-Question = collections.namedtuple("Question", "floor save mark place bed_z")
+# What waits for an answer: 'asks' for the "switch", or, with the offset 'bed_z',
+# for its "removal".
+Question = collections.namedtuple("Question", "floor save mark at asks bed_z")
 
 
 def fail(text, *values):
@@ -112,14 +113,6 @@ def read_settings(config):
         max_temperature=number("max_temperature", MAX_TEMPERATURE, above=0.0),
         saved_z=number("saved_homing_z"),
     )
-
-
-# Degrees C that the nozzle has or is to have, whichever is more
-def nozzle_temperature(machine):
-    name = machine.toolhead_status().get("extruder")
-    extruder = name and machine.printer.lookup_object(name, None)
-    status = extruder.get_status(machine.eventtime()) if extruder else {}
-    return max(status.get("temperature", 0.0), status.get("target", 0.0))
 
 
 # A pin of its own, and the G-code around its touches
@@ -184,9 +177,8 @@ class HostSwitch(object):
     @contextlib.contextmanager
     def series(self, head, lowest, top):
         speed = "%.6f" % (head.sampling.speed,)
-        probing = touching.probing(head, lowest, top, PROBE_SPEED=speed)
-        with probing as probe_once:
-            yield functools.partial(self._touch, head, lowest, probe_once)
+        with touching.probing(head, lowest, top, PROBE_SPEED=speed) as once:
+            yield functools.partial(self._touch, head, lowest, once)
 
     def _touch(self, head, lowest, probe_once):
         if probe_once is None:
@@ -229,6 +221,10 @@ class ExtraProbe(object):
             self.probe_z_offset = machine.probe.get_offsets()[2]
         self.homing = self.find_homing()
         try:
+            high, safe_z = machine.axis_limits()[2][1], self.settings.safe_z
+            if safe_z > high:
+                text = "Option 'safe_z_height: %g' in section '%s' is above the"
+                fail(text + " %.3f of Z; lower it", safe_z, machine.name, high)
             if self.name == PROBE:
                 self.check_probe()
             if self.settings.place is not None:
@@ -266,7 +262,7 @@ class ExtraProbe(object):
             "last_z_result": self.last_z_result,
             "default_probe_z_offset": self.probe_z_offset,
             "last_offset": self.calibration.last_offset,
-            "waits_for": self.calibration.waits_for(),
+            "waits_for": self.calibration.dialog.waits_for(),
         }
 
     def floor(self, own=None):
@@ -346,15 +342,10 @@ class Calibration(object):
         self.last_offset = None
         running.register_commands(self.host, self, probe.name)
 
-    def waits_for(self):
-        if self.dialog.question is None:
-            return ""
-        return "switch" if self.dialog.question.bed_z is None else "removal"
-
     cmd_EXTRA_PROBE_CALIBRATE_help = "Set the Z offset with a switch on the bed"
 
     def cmd_EXTRA_PROBE_CALIBRATE(self, gcmd):
-        self.dialog.answered()
+        self.dialog.close()
         self.probe.run(gcmd, self.begin, gcmd)
 
     def begin(self, gcmd):
@@ -377,7 +368,8 @@ class Calibration(object):
         lowest, place = self.probe.floor(own), machine.toolhead.get_position()
         sentences = ["Flat on the bed, the nozzle clean."]
         sentences += self.tell_floor(lowest, own) + warnings
-        question = Question(lowest, save, self.frame.mark(), place[:2], None)
+        mark = self.frame.mark()
+        question = Question(lowest, save, mark, place[:2], "switch", None)
         self.dialog.ask(question, "Lay the switch below the nozzle", sentences)
 
     def tell_floor(self, lowest, own):
@@ -390,14 +382,17 @@ class Calibration(object):
         return told
 
     def check_printer(self):
-        sdcard = self.host.printer.lookup_object("virtual_sdcard", None)
-        if sdcard is not None and sdcard.is_active():
-            fail("a print is running, which does not wait for an answer")
+        stats = self.host.printer.lookup_object("print_stats", None)
+        status = stats and stats.get_status(self.host.eventtime())
+        if status and status["state"] in ("printing", "paused"):
+            fail("a print is under way (%s); end it first", status["state"])
+        if self.host.is_manual_probing():
+            fail("end the manual probe first, with ACCEPT or ABORT")
         running.check_homed(self.host)
 
     # Returns warnings
     def check_temperature(self):
-        hot = nozzle_temperature(self.host)
+        hot = self.host.nozzle_temperature()
         limit = self.probe.settings.max_temperature
         if hot > limit:
             text = "the nozzle has, or is to have, %.0f C, max_temperature is"
@@ -408,22 +403,15 @@ class Calibration(object):
     cmd_EXTRA_PROBE_ABORT_help = "End a calibration, everything as before"
 
     def cmd_EXTRA_PROBE_ABORT(self, gcmd):
-        self.answered(gcmd)
+        self.dialog.answered(gcmd)
         self.say("the calibration ends, nothing was changed")
 
     cmd_EXTRA_PROBE_CONTINUE_help = "Go on with a calibration"
 
     def cmd_EXTRA_PROBE_CONTINUE(self, gcmd):
-        question = self.answered(gcmd)
+        question = self.dialog.continued(gcmd)
         step = self.touch if question.bed_z is None else self.apply
         self.probe.run(gcmd, step, gcmd, question)
-
-    def answered(self, gcmd):
-        question = self.dialog.answered()
-        if question is None:
-            text = "%s: nothing was asked; begin with EXTRA_PROBE_CALIBRATE"
-            raise gcmd.error(text % (self.host.name,))
-        return question
 
     def touch(self, gcmd, question):
         settings, machine = self.probe.settings, self.host
@@ -438,6 +426,7 @@ class Calibration(object):
             fail(text + " with %s, and whether pin needs a '!'", switch.query)
         head = touching.Head(machine, samples, TOO_LOW)
         head.come_down(switch.endstop(), settings.safe_z, samples.lift_speed)
+        head.retract()
         heights = self.probe.measure(gcmd, samples, question.floor)
         self.check_frame(question)
         trigger = sampling.summarize(heights, samples.result)
@@ -446,10 +435,12 @@ class Calibration(object):
             text = "triggered at z=%.3f, the bed would be over %g mm from Z=0;"
             text += " was it pressed by hand? If not, home Z nearer to it first"
             fail(text, trigger, LARGEST_OFFSET)
+        if question.save:
+            self.corrected(bed_z)
         self.stand_still()
         text = "Triggered at z=%.3f, so the bed is at z=%.3f. Continue makes"
         sentences = [(text + " that Z=0.") % (trigger, bed_z)]
-        question = question._replace(bed_z=bed_z)
+        question = question._replace(asks="removal", bed_z=bed_z)
         self.dialog.ask(question, "Take the switch away", sentences)
 
     def check_frame(self, question):
@@ -465,7 +456,7 @@ class Calibration(object):
             fail("ended by a shutdown of the printer")
 
     def check_place(self, question):
-        here = zip(self.host.toolhead.get_position(), question.place)
+        here = zip(self.host.toolhead.get_position(), question.at)
         if max(abs(a - b) for a, b in here) > SAME_PLACE:
             fail("the head was moved since the calibration began; begin again")
 
@@ -479,9 +470,19 @@ class Calibration(object):
         text = "trigger=%.6f - z_offset=%.3f --> new offset=%.6f"
         self.say(text % (bed_z + thickness, thickness, bed_z))
 
+    # What SAVE_CONFIG is to write.  Outside its axis klippy would not start.
+    def corrected(self, bed_z):
+        homing, limits = self.probe.homing, self.host.axis_limits()[2]
+        homing = homing._replace(z=round(homing.z - bed_z, 3))
+        if not limits[0] <= homing.z <= limits[1]:
+            text = "%s: %s would be %.3f, outside the %.3f to %.3f of Z; widen"
+            text += " position_min or position_max, or do without SAVE=1"
+            fail(text, *(homing + limits))
+        return homing
+
     def save(self, gcmd, bed_z):
-        section, option, z = self.probe.homing
-        new = "%.3f" % (z - bed_z,)
+        section, option, z = self.corrected(bed_z)
+        new = "%.3f" % (z,)
         options.save(self.host.printer, section, option, new)
         options.save(self.host.printer, self.host.name, "saved_homing_z", new)
         text = "%s: %s: %s\n%s\nUntil then the G-code offset is 0."

@@ -21,37 +21,59 @@ def plain(text):
     return " ".join(str(text).split()).replace("|", "/")
 
 
-# 'command': the G-code of both answers, with %s for CONTINUE or ABORT.  'say'
-# tells the console.
+# 'command' is the G-code of the beginning and of both answers: it has %s for
+# CALIBRATE, CONTINUE or ABORT.  'say' tells the console.
 class Dialog(object):
     def __init__(self, host, say, command):
         self.host = host
         self.say = say
+        self.begin = command % ("CALIBRATE",)
         self.go_on = command % ("CONTINUE",)
         self.abort = command % ("ABORT",)
         # What the asking command wants to know again; None: nothing is asked
         self.question = None
 
-    # After answered(): KlipperScreen shows nothing new while a dialog is open,
-    # and only the last text.
+    # What the question asks for, in its word; empty: there is none
+    def waits_for(self):
+        return "" if self.question is None else self.question.asks
+
+    # After close().  'question' has the word 'asks'.  One text, as KlipperScreen
+    # shows only the last.
     def ask(self, question, headline, sentences):
         self.say(" ".join([headline + "."] + sentences))
         self.say("then %s, or %s" % (self.go_on, self.abort))
         self._send("begin " + plain(headline))
         self._send("text " + plain(" ".join(sentences)))
+        go_on = "%s QUESTION=%s" % (self.go_on, question.asks)
         for label, gcode, colour in (
-            ("Continue", self.go_on, "primary"),
+            ("Continue", go_on, "primary"),
             ("Abort", self.abort, "error"),
         ):
             self._send("footer_button %s|%s|%s" % (label, gcode, colour))
         self._send("show")
         self.question = question
 
-    # What was asked, which is over then; None: nothing
-    def answered(self):
-        question, self.question = self.question, None
+    def close(self):
+        self.question = None
         self._send("end")
+
+    # What was asked, which is over then
+    def answered(self, gcmd):
+        question = self.question
+        self.close()
+        if question is None:
+            text = "%s: nothing was asked; begin with %s"
+            raise gcmd.error(text % (self.host.name, self.begin))
         return question
+
+    # The same of CONTINUE.  A button that is pressed twice must not answer
+    # the question that comes next.
+    def continued(self, gcmd):
+        asked, waits_for = gcmd.get("QUESTION", "").strip(), self.waits_for()
+        if waits_for and asked not in ("", waits_for):
+            text = "%s: QUESTION=%s is not what is asked now, which is %s"
+            raise gcmd.error(text % (self.host.name, asked, waits_for))
+        return self.answered(gcmd)
 
     def _send(self, text):
         self.host.gcode.respond_raw(PREFIX + text)

@@ -347,6 +347,13 @@ class Host(object):
     def toolhead_status(self):
         return self.toolhead.get_status(self.eventtime())
 
+    # Degrees C that the nozzle has or is to have, whichever is more
+    def nozzle_temperature(self):
+        name = self.toolhead_status().get("extruder")
+        extruder = name and self.printer.lookup_object(name, None)
+        status = extruder.get_status(self.eventtime()) if extruder else {}
+        return max(status.get("temperature", 0.0), status.get("target", 0.0))
+
     # (low, high) of X, Y and Z (mm)
     def axis_limits(self):
         status = self.toolhead_status()

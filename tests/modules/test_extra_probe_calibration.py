@@ -389,10 +389,11 @@ def test_switch_may_be_taken_away_with_the_head_aside(start):
 def test_questions(start):
     printer = start("membrane").homed()
     (first,) = dialogs_of(printer.run(CALIBRATE))
-    buttons = [
-        ("Continue", CONTINUE, "primary"),
-        ("Abort", ABORT, "error"),
-    ]
+
+    def buttons(question):
+        go_on = f"{CONTINUE} QUESTION={question}"
+        return [("Continue", go_on, "primary"), ("Abort", ABORT, "error")]
+
     assert first.headline == "Lay the switch below the nozzle"
     assert first.is_open
     assert first.texts == [
@@ -400,7 +401,7 @@ def test_questions(start):
         " at z=-1.000. No calibration was saved yet, so that may be in the bed:"
         " watch, ready to stop."
     ]
-    assert first.footer_buttons == buttons
+    assert first.footer_buttons == buttons("switch")
     assert printer.status(NAME)["waits_for"] == "switch"
     printer.machine.lay_membrane()
     lines = printer.run(CONTINUE)
@@ -414,13 +415,30 @@ def test_questions(start):
     assert text.endswith("Continue makes that Z=0.")
     told = float(text.split("z=")[1].split(",")[0])
     assert told == pytest.approx(z, abs=2 * MICROSTEP)
-    assert second.footer_buttons == buttons
+    assert second.footer_buttons == buttons("removal")
     assert printer.status(NAME)["waits_for"] == "removal"
     assert printer.offset() == 0.0
     lines = printer.run(CONTINUE)
     assert dialogs_of(lines) == []
     assert lines[0] == "// action:prompt_end"
     assert printer.status(NAME)["waits_for"] == ""
+
+
+def test_button_that_is_pressed_twice(start):
+    # The second press waits until the touch has ended
+    printer = start("membrane").homed()
+    (first,) = dialogs_of(printer.run(f"{CALIBRATE} SAVE=1"))
+    printer.machine.lay_membrane()
+    press = first.footer_buttons[0][1]
+    text = printer.fail(f"{press}\n{press}")
+    told = "QUESTION=switch is not what is asked now, which is removal"
+    assert text == f"{NAME}: {told}"
+    assert printer.status(NAME)["waits_for"] == "removal"
+    assert state(printer)["pending"] == {}
+    second = dialogs_of(printer.session.console)[-1]
+    assert second.is_open
+    printer.run(second.footer_buttons[0][1])
+    assert state(printer)["pending"] != {}
 
 
 def test_questions_on_the_console(start):
@@ -633,6 +651,7 @@ def test_other_section_is_not_asked(start):
     text = printer.fail("EXTRA_PROBE_CONTINUE PROBE=other")
     assert text == (
         "extra_probe other: nothing was asked; begin with EXTRA_PROBE_CALIBRATE"
+        " PROBE=other"
     )
     printer.machine.lay_membrane()
     printer.run(CONTINUE)

@@ -27,12 +27,10 @@ from tests.hostkit.extra_probe import (
 from tests.hostkit.printer import Printer
 from tests.hostkit.session import GcodeError
 from tests.simprinter import SCENES, Fault
-from tests.simprinter.world import NoiseSpec
+from tests.simprinter.world import AxisSwitchSpec, NoiseSpec
 
 pytestmark = pytest.mark.spread
 
-# Of the scenes: G28 does not arm the membrane
-SAVED = {"saved_homing_z": "0"}
 DEEP = 3.0
 
 
@@ -148,7 +146,8 @@ def test_bed_that_is_just_not_too_far(start):
         Fault("trigger_early", signal="membrane", mm=4.4, n=n)
         for n in (1, 2, 3)
     ]
-    printer = asked(start, faults=faults)
+    changes = {"stepper_z": {"position_min": "-5"}}
+    printer = asked(start, faults=faults, changes=changes)
     printer.run(CONTINUE)
     assert printer.status(NAME)["waits_for"] == "removal"
 
@@ -400,7 +399,7 @@ def test_not_during_a_print(start, tmp_path):
     printer.session.require_ready()
     printer.run("SDCARD_PRINT_FILE FILENAME=print.gcode")
     printer.session.wait(60.0)
-    told = "a print is running, which does not wait for an answer"
+    told = "a print is under way (printing); end it first"
     assert any(told in line for line in printer.session.console)
     assert dialogs_of(printer.session.console) == []
 
@@ -413,7 +412,82 @@ def test_print_that_begins_meanwhile(start, tmp_path, after_touch):
         printer.run(CONTINUE)
     printer.run("SDCARD_PRINT_FILE FILENAME=print.gcode")
     printer.session.wait(2.0)
-    fails_so(printer, "a print is running, which does not wait for an answer")
+    fails_so(printer, "a print is under way (printing); end it first")
+
+
+def test_not_while_a_print_is_paused(start, tmp_path):
+    # What is printed already is on the bed
+    changes = {**printing(tmp_path, ["G4 P1000"] * 9), "pause_resume": {}}
+    printer = start("membrane", changes=changes).homed()
+    printer.run("SDCARD_PRINT_FILE FILENAME=print.gcode")
+    printer.session.wait(2.0)
+    printer.run("PAUSE")
+    at = printer.session.position()
+    told = "a print is under way (paused); end it first"
+    assert told in printer.fail(CALIBRATE)
+    assert printer.session.position() == at
+    printer.run("CANCEL_PRINT")
+    printer.run(CALIBRATE)
+
+
+def test_not_while_somebody_probes_by_hand(start):
+    printer = asked(start)
+    printer.run("MANUAL_PROBE")
+    told = "end the manual probe first, with ACCEPT or ABORT"
+    fails_so(printer, told)
+    assert told in printer.fail(CALIBRATE)
+    assert heights(printer) == []
+    printer.run(f"ABORT\n{CALIBRATE}")
+
+
+def homed_up(mm):
+    """A bed so much (mm) below Z=0, and Z homed at the upper end."""
+    scene = SCENES["membrane"]
+    z = scene.world.bed.z0 + mm + 30.0
+    top = AxisSwitchSpec("z_endstop", "z", z, 1)
+    switches = (*scene.world.switches[:2], top)
+    return scene.with_world(switches=switches)
+
+
+TOP = {"position_endstop": "30", "position_max": "30"}
+
+
+@pytest.mark.parametrize(
+    ("scene", "z_axis", "told"),
+    [
+        (
+            SCENES["membrane"],
+            {"position_min": "0"},
+            "stepper_z: position_endstop would be -0.45",
+        ),
+        (homed_up(0.2), TOP, "stepper_z: position_endstop would be 30.20"),
+    ],
+)
+def test_endstop_that_would_end_up_outside_its_axis(start, scene, z_axis, told):
+    # With it klippy would not start again
+    printer = asked(start, scene, changes={"stepper_z": z_axis})
+    text = fails(printer, told)
+    low, high = z_axis.get("position_min", -3), z_axis.get("position_max", 250)
+    limits = f"outside the {float(low):.3f} to {float(high):.3f} of Z; widen"
+    assert f"{limits} position_min or position_max, or do without SAVE=1" in (
+        text
+    )
+    # Without, nothing is wrong with it
+    calibrate(printer)
+    assert true_gap(printer) == pytest.approx(0.0, abs=2 * MICROSTEP)
+
+
+def test_something_high_on_the_bed(start):
+    # The nozzle comes down on it before it should meet anything
+    printer = start(membrane(thickness=14.0)).homed()
+    printer.run(f"G1 Z30 F900\n{CALIBRATE}")
+    printer.machine.lay_membrane()
+    assert "the bed would be over 5 mm from Z=0" in printer.fail(CONTINUE)
+    printer.session.wait(2.0)
+    # In the air again
+    top = 14.0 + BED
+    assert printer.session.position()[2] > top + 1.0
+    assert printer.machine.truth.depth("nozzle_membrane") < 0.1
 
 
 # The end of the printer
