@@ -85,7 +85,9 @@ def options_of(text: str) -> list[Option]:
 def samples_of(words: str) -> tuple[list[str], list[str]]:
     """Range -> (texts that are taken, texts that are not)."""
     number = r"(-?[\d.]+)"
-    if match := re.match(rf"(?:mm/s²|mm/s|mm|count), ([>≥]) {number}", words):
+    if match := re.match(
+        rf"(?:mm/s²|mm/s|mm|°C|count), ([>≥]) {number}", words
+    ):
         limit = float(match[2])
         if words.startswith("count"):
             return (

@@ -18,11 +18,18 @@ from tests.docs.documents import (
     part,
     samples_of,
 )
+from tests.hostkit.extra_probe import NAME
 from tests.hostkit.load_errors import load
 from tests.hostkit.z_calibration import refusal
 
 ROOT = Path(__file__).resolve().parents[2]
-SCENES = {"z_calibration": "voron", "auto_z_offset": "qidi"}
+SCENES = {
+    "z_calibration": "voron",
+    "auto_z_offset": "qidi",
+    "extra_probe": "membrane",
+}
+# Where it is not the module's name
+SECTIONS = {"extra_probe": NAME}
 # No number, no pair, no word of any option
 TEXTS = ["", "much", "nan", "-inf", "1e400", "1,2,3,4"]
 # Whatever it is given for, G-code is a template
@@ -37,6 +44,11 @@ class Case(NamedTuple):
 
     module: str
     option: Option
+
+    @property
+    def section(self) -> str:
+        """Where the option stands."""
+        return SECTIONS.get(self.module, self.module)
 
 
 def documented(module: str) -> list[Case]:
@@ -71,7 +83,7 @@ def message_of(host, case, value):
             site = case.option.name.split("_")[1]
             own[f"{site}_xy_position"] = None
     try:
-        return refusal(host, {case.module: own}, SCENES[case.module])
+        return refusal(host, {case.section: own}, SCENES[case.module])
     except AssertionError as error:
         raise AssertionError(
             f"{case.option.name}: {value!r}: {error}"
@@ -97,27 +109,37 @@ def test_nonsense_is_a_configuration_error(host, case):
 def test_what_is_missing_is_told_or_has_a_default(some_host, case):
     state, message = load(
         some_host,
-        {case.module: {case.option.name: None}},
+        {case.section: {case.option.name: None}},
         SCENES[case.module],
     )
     if state != "ready":
         assert "Internal error" not in message
         assert case.option.name in message
-        assert f"'{case.module}'" in message
+        assert f"'{case.section}'" in message
     assert (state == "ready") is (
         (case.module, case.option.name) not in REQUIRED
     )
 
 
-REQUIRED = {("auto_z_offset", "pin"), ("auto_z_offset", "prepare_gcode")}
+REQUIRED = {
+    ("auto_z_offset", "pin"),
+    ("auto_z_offset", "prepare_gcode"),
+    ("extra_probe", "pin"),
+}
 
 
 @pytest.mark.parametrize(
     ("module", "option"),
-    [("z_calibration", "endstop_pin"), ("auto_z_offset", "pin")],
+    [
+        ("z_calibration", "endstop_pin"),
+        ("auto_z_offset", "pin"),
+        (NAME, "pin"),
+    ],
 )
 def test_pin_that_no_board_has(host, module, option):
     # The host finds out when it configures the board, and names the pin
     for pin in UNKNOWN_PINS:
-        message = refusal(host, {module: {option: pin}}, SCENES[module])
+        message = refusal(
+            host, {module: {option: pin}}, SCENES[module.split()[0]]
+        )
         assert f"Pin '{pin}' is not a valid pin name" in message
