@@ -1,9 +1,9 @@
 """Reads action:prompt_... lines as the interfaces do; see their documents.
 
 Mainsail (docs: macro prompts), Fluidd and KlipperScreen agree on these types,
-but KlipperScreen keeps only the last text, shows nothing new while a dialog is
-open, and refuses buttons of more than three parts. None of them knows a way to
-write a bar in a part.
+but KlipperScreen keeps only the last text, refuses buttons of more than three
+parts, and until 2024-01-03 (5ad03b5d) showed nothing new while a dialog was
+open. None of them knows a way to write a bar in a part.
 """
 
 from __future__ import annotations
@@ -34,7 +34,7 @@ def dialogs_of(lines: Iterable[str]) -> list[Shown]:
     building = None
     for kind, text in (m.groups() for m in map(LINE.fullmatch, lines) if m):
         if kind == "begin":
-            # KlipperScreen would ignore it
+            # An older KlipperScreen would ignore it
             assert not any(dialog.is_open for dialog in shown)
             assert building is None, "begun twice"
             assert 0 < len(text) <= LONGEST_HEADLINE

@@ -18,6 +18,7 @@ from tests.hostkit.extra_probe import (
 )
 from tests.hostkit.lab import Lab
 from tests.hostkit.moonraker import MoonrakerError
+from tests.moonraker.updates import restarted
 
 
 @pytest.fixture(scope="package")
@@ -111,3 +112,12 @@ def test_dialog_of_mainsail_that_is_closed_by_its_cross(lab):
     status = lab.moonraker.status(NAME)
     assert status["waits_for"] == "switch"
     lab.moonraker.run("EXTRA_PROBE_ABORT PROBE=membrane")
+
+
+def test_dialog_of_before_a_restart_is_closed_by_its_button(lab):
+    lab.moonraker.run(f"G28\n{CALIBRATE}")
+    restarted(lab, "RESTART")
+    with pytest.raises(MoonrakerError) as caught:
+        press(lab, "Continue")
+    assert "nothing was asked" in caught.value.text
+    assert open_dialog(lab) is None
