@@ -510,6 +510,12 @@ def test_temperature(start, own, celsius, outcome, wait):
     assert ("a membrane may melt." in dialog.texts[0]) is bool(outcome)
 
 
+def test_nozzle_that_is_still_hot(start):
+    printer = start(heated(SCENES["membrane"])).homed()
+    text = printer.fail(f"M109 S140\nM104 S0\n{CALIBRATE}")
+    assert "max_temperature is 120 C; let it cool down" in text
+
+
 @pytest.mark.parametrize("celsius", [80, 130])
 def test_nozzle_that_is_heated_while_somebody_is_asked(start, celsius):
     printer = start(heated(SCENES["membrane"])).homed()
