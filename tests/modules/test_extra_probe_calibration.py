@@ -209,6 +209,26 @@ def test_unsaved_is_not_saved(start):
     assert printer.offset() != 0.0
 
 
+def test_endstop_of_an_included_file_is_not_overwritten(start, tmp_path):
+    own = tmp_path / "z.cfg"
+    own.write_text("[stepper_z]\nposition_endstop: 0\n")
+    changes = {
+        "stepper_z": {"position_endstop": None},
+        f"include {own}": {},
+    }
+    printer = start("membrane", changes=changes).homed()
+    lines = calibrate(printer, f"{CALIBRATE} SAVE=1")
+    # The value is there for a hand
+    (line,) = [x for x in lines if "stepper_z: position_endstop: -0.4" in x]
+    assert "conflicts with included value" in printer.fail("SAVE_CONFIG")
+    assert printer.session.state()[0] == "ready"
+    value = line.split()[3]
+    own.write_text(f"[stepper_z]\nposition_endstop: {value}\n")
+    printer.session.restart("RESTART")
+    printer.run("G28")
+    assert gap_is_right(printer)
+
+
 def test_saving_with_a_bltouch(start):
     # It homes with what the inductive probe of the machine senses
     probe = SCENES["membrane_and_probe"].sections["probe"]
