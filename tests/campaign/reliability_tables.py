@@ -17,6 +17,7 @@ END = "<!-- end of the figures -->"
 _SITES = {
     "nozzle_pin": "nozzle, pin",
     "nozzle_bed": "nozzle, bed",
+    "nozzle_membrane": "nozzle, membrane",
     "body_pin": "switch body, pin",
     "body_bed": "switch body, bed",
 }
