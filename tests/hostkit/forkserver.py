@@ -36,8 +36,6 @@ from typing import Any
 
 _MESSAGE_MAX = 1 << 16
 _FDS_MAX = 253
-# Descriptors wait from here on until their own numbers are free
-_ASIDE = 512
 _PR_SET_PDEATHSIG = 1
 # Python itself sets it where there is no locale
 _COERCED = "LC_CTYPE"
@@ -94,14 +92,18 @@ class Found:
     """
 
     def __init__(self) -> None:
-        self._reading, writing = os.pipe2(os.O_NONBLOCK)
-        self._writing = fcntl.fcntl(writing, fcntl.F_DUPFD_CLOEXEC, _ASIDE)
-        os.close(writing)
+        self._reading, self._writing = os.pipe2(os.O_NONBLOCK)
         self._known: set[str] = set()
 
-    def watch(self) -> None:
-        """In a klippy: tell of each import from now on."""
+    def watch(self, free: int) -> None:
+        """In a klippy: tell of each import from now on.
+
+        Descriptors from `free` on are nobody's.
+        """
         os.close(self._reading)
+        writing = self._writing
+        self._writing = fcntl.fcntl(writing, fcntl.F_DUPFD_CLOEXEC, free)
+        os.close(writing)
         # Asked before all other finders, and finds nothing
         sys.meta_path.insert(0, self)  # type: ignore[arg-type]
 
@@ -129,11 +131,11 @@ def receive(channel: socket.socket) -> tuple[dict[str, Any], list[int]]:
     return json.loads(data) if data else {}, fds
 
 
-def put(fds: Sequence[int], numbers: Sequence[int]) -> None:
-    """Give descriptors other numbers."""
+def put(fds: Sequence[int], numbers: Sequence[int], free: int) -> None:
+    """Give descriptors other numbers, by way of some from `free` on."""
     aside = []
     for fd in fds:
-        aside.append(fcntl.fcntl(fd, fcntl.F_DUPFD, _ASIDE))
+        aside.append(fcntl.fcntl(fd, fcntl.F_DUPFD, free))
         os.close(fd)
     for fd, number in zip(aside, numbers):
         os.dup2(fd, number)
@@ -141,14 +143,20 @@ def put(fds: Sequence[int], numbers: Sequence[int]) -> None:
 
 
 def become(
-    program: Program, request: dict[str, Any], fds: Sequence[int]
+    program: Program,
+    found: Found,
+    request: dict[str, Any],
+    fds: Sequence[int],
 ) -> None:
     """Be the klippy that was asked for."""
+    # Where many printers live the numbers wanted are as high as those taken
+    free = 1 + max(*fds, *request["fds"])
+    found.watch(free)
     output = os.open(request["output"], os.O_WRONLY | os.O_CREAT | os.O_TRUNC)
     for standard in (1, 2):
         os.dup2(output, standard)
     os.close(output)
-    put(fds, request["fds"])
+    put(fds, request["fds"], free)
     environment = request["env"]
     if _COERCED in os.environ:
         environment.setdefault(_COERCED, os.environ[_COERCED])
@@ -182,8 +190,7 @@ def main() -> None:
         pid = os.fork()
         if not pid:
             channel.close()
-            found.watch()
-            become(program, request, fds)
+            become(program, found, request, fds)
             return
         for fd in fds:
             os.close(fd)

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 import os
+from contextlib import ExitStack
 
 import pytest
 
@@ -92,3 +93,12 @@ def test_forked_klippy_does_the_same(host, started):
     started()
     with Printer(host) as printer:
         assert heights(printer) == forked
+
+
+def test_numbers_of_descriptors_may_be_high(one_host):
+    """As those of one printer are where seven others live."""
+    with ExitStack() as stack:
+        while stack.enter_context(open(os.devnull)).fileno() < 530:
+            pass
+        printer = stack.enter_context(Printer(one_host))
+        printer.session.require_ready()
