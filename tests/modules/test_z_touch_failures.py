@@ -77,6 +77,26 @@ def test_lost_message_is_no_missing_trigger(host):
         calibration(printer)
 
 
+def test_lost_message_near_the_start_is_no_pressed_switch(one_host):
+    # Samples begin 0.4 mm above the last trigger, and the pin is pressed when
+    # the motors stop
+    scene, changes = "voron_two_boards", section(probing_retract_dist="0.4")
+    with Printer(one_host, scene, changes) as printer:
+        calibration(printer.homed())
+        touches = printer.machine.truth.touches
+        begin = [t.t for t in touches if t.site == "nozzle_pin"][-1] - 0.012
+    with Printer(one_host, scene, changes) as printer:
+        machine = printer.homed().machine
+
+        def is_silent():
+            now = machine.rig.seconds(machine.simulation.clock.now())
+            return begin < now < begin + 0.12
+
+        machine.boards["zboard"].is_silent = is_silent
+        text = printer.fail("CALIBRATE_Z")
+    assert "Communication timeout during homing (stopped at" in text, text
+
+
 def test_clean_up_that_meets_an_error_of_the_host_is_the_end(start, tmp_path):
     # Somebody's handler, once the run has failed
     code = """
