@@ -8,8 +8,7 @@
 # probe off.  Anywhere else it stays out of a circle around the dock.
 #
 # Every place is one of the toolhead, in mm; G-code offset and bed mesh play no
-# part.  What holds the probe is asked of the pins, never assumed: before it is
-# fetched and put back, after that, and around the touches.  A pin proves
+# part.  What holds the probe is asked of the pins, never assumed; a pin proves
 # nothing before it was seen to change on the way out of the dock.
 from __future__ import absolute_import, division
 
@@ -44,6 +43,9 @@ LOWEST_NOZZLE = 1.0
 # of a usual probe is long, more than a bed or gantry hangs.
 REACH = 5.0
 
+# The second way down of homing ends so far (mm) below the first trigger.
+SECOND_REACH = 1.0
+
 # A smaller z_offset (mm) of a switch was not measured yet; then the probe
 # hangs at least as low as that, and may hang so much lower than the nozzle.
 SMALLEST_Z_OFFSET = 2.0
@@ -57,10 +59,8 @@ DOUBTFUL_WAY = 45.0
 # Before a contradiction of pins is believed they are asked again after (s).
 ASK_AGAIN = 0.5
 
-# With allow_delayed_detach the probe is put back when so long (s) nobody has
-# used it.
+# With allow_delayed_detach it is docked so long (s) after its last use.
 DETACH_DELAY = 1.0
-
 
 Templates = collections.namedtuple(
     "Templates",
@@ -428,13 +428,11 @@ class Docking(object):
         self.ways.require_homed()
         # Where the probe is pressed it looked as if it was not there
         self.ways.lift_for_dock()
-        state = sensors.look()
-        if state == ATTACHED and sensors.proven:
-            return True
-        if state == ATTACHED:
-            self.say(
-                "it reads attached, which proves nothing; docking it first"
-            )
+        if sensors.look() == ATTACHED:
+            if sensors.proven:
+                return True
+            text = "it reads attached, which proves nothing; docking it first"
+            self.say(text)
             self.dock()
         self.is_docked = sensors.proven = False
         self.templates.pre_attach.run_gcode_from_command()
@@ -515,28 +513,29 @@ class Prober(object):
         self.auto = auto
         # Somebody wants the probe to stay on the head
         self.is_held = False
-        # A command probes, and the probe was looked at since it began
-        self.is_open = self.is_checked = False
+        # Whether the probe was looked at since a command probes; None: none does
+        self.is_checked, self.is_homing = None, False
+        self.last_touch = touching.LastTouch(docking.host)
         # The docking that is to come
         self.delayed = None
 
-    def note(self, text):
-        self.docking.say(text)
-
-    # Lowest toolhead Z of a probing move.  When Z is homed nobody knows how
-    # high the head is; the second time it has come up by a known distance.
-    def floor(self, home_attempt):
+    # Lowest toolhead Z of a probing move
+    def floor(self, is_homing=False):
         axis = self.host.z_axis
         position_min = axis.position_min if axis else -1e6
-        if home_attempt == "1":
-            return position_min
-        lowest = (
-            self.settings.z_offset if home_attempt else self.settings.lowest
-        )
+        lowest = position_min if is_homing else self.settings.lowest
         return max(lowest, position_min)
+
+    # Of homing: as deep as any touch, then hardly deeper than the first one
+    def way_down(self):
+        height, beyond = self.last_touch.height(), SECOND_REACH
+        if not self.is_checked:
+            beyond = self.settings.z_offset - self.settings.lowest
+        return None if height is None else max(0.0, height) + beyond
 
     def begin(self, is_homing):
         self.delayed = None
+        self.is_homing = is_homing
         here = self.ways.here()
         goal = here
         if is_homing and self.home_place is not None:
@@ -548,7 +547,7 @@ class Prober(object):
                 raise self.lost(off % (state,))
         if (self.auto and self.docking.attach()) or not self.ways.is_at(goal):
             self.ways.go_back(goal, travel_height(self.settings))
-        self.is_open, self.is_checked = True, False
+        self.is_checked = False
         if not self.settings.each_sample:
             self.run_still("activate")
 
@@ -571,11 +570,12 @@ class Prober(object):
             raise self.lost("is not ready")
         if not sensors.proven:
             raise self.lost("was not seen to be fetched")
-        self.is_checked = self.is_open
+        if self.is_checked is not None:
+            self.is_checked = True
         if self.settings.each_sample:
             self.run_still("activate")
 
-    def after_move(self, moved):
+    def after_move(self, moved, triggered):
         sensors = self.sensors
         if self.settings.each_sample:
             self.run_still("deactivate")
@@ -584,14 +584,30 @@ class Prober(object):
             raise self.lost("was lost in a touch")
         if not moved:
             raise self.lost("triggered before the head moved")
-        if touching.is_at(self.host, self.settings.lowest):
-            self.note(
+        if triggered:
+            self.last_touch.note()
+        elif self.is_homing:
+            self.homed_into_nothing()
+        elif touching.is_at(self.host, self.settings.lowest):
+            self.docking.say(
                 "nothing down to z=%.3f, where the nozzle is just clear of the"
-                " bed; home Z again (G28 Z), level, check z_offset and the"
-                " probe" % (self.settings.lowest,)
+                " bed; home Z again, level, check z_offset and the probe"
+                % (self.settings.lowest,)
             )
 
+    # The host turns the motors off then
+    def homed_into_nothing(self):
+        self.sensors.proven = False
+        self.last_touch.forget()
+        distance = self.settings.retract + REACH
+        self.ways.printer.hop(distance, self.settings.lift_speed)
+        self.docking.say(
+            "nothing where the bed was; look whether the switch clicks, and home"
+            " again: it is docked and fetched to see that, and finds any bed"
+        )
+
     def lost(self, what):
+        self.last_touch.forget()
         return probe_error(
             self.host,
             "the probe %s, at z=%.3f (%s); where it is lost or pressed, raise"
@@ -602,7 +618,7 @@ class Prober(object):
 
     # The command has probed, or failed
     def end(self):
-        self.is_open = False
+        self.is_checked, self.is_homing = None, False
         if not self.ways.is_homed("xy") or self.host.printer.is_shutdown():
             return
         here = self.ways.here()
@@ -707,8 +723,6 @@ class DockableProbe(object):
         register("homing:home_rails_begin", self.home_rails_begin)
         running.register_commands(machine, self)
 
-    # Set-up
-
     def connect(self):
         machine, settings = self.host, self.settings
         machine.connect()
@@ -775,8 +789,6 @@ class DockableProbe(object):
         if wanted and is_z and not self.probe_host.is_among(rails):
             self.detach_probe()
 
-    # Status
-
     @property
     def auto_attach_detach(self):
         return self.prober.auto
@@ -803,8 +815,7 @@ class DockableProbe(object):
     def cmd_SET_PROBE_STATUS(self, gcmd):
         state, states = gcmd.get("STATE").upper(), (ATTACHED, DOCKED, UNKNOWN)
         if state not in states:
-            wanted = "ATTACHED, DOCKED or UNKNOWN"
-            raise options.param_error(gcmd, "STATE", wanted)
+            raise options.param_error(gcmd, "STATE", ", ".join(states))
         seen = self.sensors.look()
         if state not in (UNKNOWN, seen):
             text = "STATE=%s, but the probe is %s (%s); put it there first"
@@ -818,13 +829,10 @@ class DockableProbe(object):
     )
 
     def cmd_SET_DOCKABLE_PROBE(self, gcmd):
-        auto = options.param_int(
-            gcmd, "AUTO_ATTACH_DETACH", None, minval=0, maxval=1
-        )
+        name = "AUTO_ATTACH_DETACH"
+        auto = options.param_int(gcmd, name, None, minval=0, maxval=1)
         if auto is not None:
             self.prober.auto = bool(auto)
-
-    # Fetching and docking
 
     cmd_ATTACH_PROBE_help = "Fetch the probe"
 
@@ -837,16 +845,13 @@ class DockableProbe(object):
 
     cmd_DETACH_PROBE_help = "Dock the probe"
 
-    def cmd_DETACH_PROBE(self, gcmd):
-        self.detach_probe()
-
-    # Of this name for Kalico's safe_z_home, since 2026-02-24 (9500bd614)
-    def detach_probe(self):
+    def cmd_DETACH_PROBE(self, gcmd=None):
         here = self.ways.here()
         self.prober.hold(False)
         self.prober.dock_and_return(here)
 
-    # Parts of the way
+    # Of this name for Kalico's safe_z_home, since 2026-02-24 (9500bd614)
+    detach_probe = cmd_DETACH_PROBE
 
     cmd_MOVE_TO_APPROACH_PROBE_help = "Move to approach_position"
 
@@ -856,10 +861,8 @@ class DockableProbe(object):
     cmd_MOVE_TO_DOCK_PROBE_help = "Move into the dock"
 
     def cmd_MOVE_TO_DOCK_PROBE(self, gcmd):
-        is_on = self.sensors.last == ATTACHED
-        self.ways.go_in(
-            self.settings.insert if is_on else self.settings.approach
-        )
+        is_on, settings = self.sensors.last == ATTACHED, self.settings
+        self.ways.go_in(settings.insert if is_on else settings.approach)
 
     cmd_MOVE_TO_EXTRACT_PROBE_help = "Move out of the dock, with the probe"
 

@@ -15,21 +15,22 @@ DIFFER = "clean the nozzle, check the probe for play"
 
 # The endstop of a probe as the host's probing wants to see it.  'device' is
 # told of everything that begins and ends: begin(is_homing), before_move(),
-# after_move(moved), end().
+# after_move(moved, triggered), end(); way_down() is how far (mm) a homing move
+# may go that begins now, or None.
 class Facade(object):
     def __init__(self, device, endstop, z_offset):
         self.device = device
         self.z_offset = z_offset
-        self.is_homing = False
-        for name in (
-            "get_mcu",
-            "add_stepper",
-            "get_steppers",
-            "home_start",
-            "home_wait",
-            "query_endstop",
-        ):
+        self.is_homing = self.is_triggered = False
+        self.endstop = endstop
+        names = "get_mcu add_stepper get_steppers home_start query_endstop"
+        for name in names.split():
             setattr(self, name, getattr(endstop, name))
+
+    def home_wait(self, home_end_time):
+        found = self.endstop.home_wait(home_end_time)
+        self.is_triggered = found > 0.0
+        return found
 
     def get_position_endstop(self):
         return self.z_offset
@@ -43,16 +44,28 @@ class Facade(object):
         self.device.end()
 
     def probe_prepare(self, hmove):
+        if self.is_homing:
+            self.shorten()
         self.device.before_move()
 
     def probe_finish(self, hmove):
-        self.device.after_move(hmove.check_no_movement() is None)
+        moved = hmove.check_no_movement() is None
+        self.device.after_move(moved, self.is_triggered)
 
     # Asked for since 2024-04-09 (acdf8bb10), by Kalico with 'gcmd' since
     # 2025-12-14 (e8182b7f0), as Kalico's own probes have it
     def probing_move(self, pos, speed, gcmd=None):
         homing = self.device.host.printer.lookup_object("homing")
         return homing.probing_move(self, pos, speed)
+
+    # A homing move ends at z_offset; returns whether its begin is nearer now
+    def shorten(self):
+        way, toolhead = self.device.way_down(), self.device.host.toolhead
+        if way is not None:
+            place = toolhead.get_position()
+            place[2] = self.z_offset + way
+            toolhead.set_position(place)
+        return way is not None
 
     # As a chip of pins
     def setup_pin(self, pin_type, pin_params):
@@ -72,11 +85,10 @@ class SessionProbe(object):
     def __init__(self, config, device, facade, module):
         self.device = device
         self.mcu_probe = facade
-        self.offsets = (
-            options.number(config, "x_offset", 0.0),
-            options.number(config, "y_offset", 0.0),
-            facade.z_offset,
-        )
+        x, y = [
+            options.number(config, n, 0.0) for n in ("x_offset", "y_offset")
+        ]
+        self.offsets = x, y, facade.z_offset
         self.sampling = read_sampling(config)
         self.drop_first = config.getboolean("drop_first_result", False)
         # Since 2025-12-20, 9ccb4d96e
@@ -86,14 +98,11 @@ class SessionProbe(object):
         self.nothing = gcode.create_gcode_command("", "", {})
         self.session = None
         # The commands of the host; the same since 2024-06-10 (8fc11b4a2)
-        query = facade.query_endstop
-        self.commands = module.ProbeCommandHelper(config, self, query)
+        helper = module.ProbeCommandHelper(config, self, facade.query_endstop)
+        self.get_status = helper.get_status
 
     def get_offsets(self, gcmd=None):
         return self.offsets
-
-    def get_status(self, eventtime):
-        return self.commands.get_status(eventtime)
 
     def get_probe_params(self, gcmd=None):
         gcmd, own = gcmd or self.nothing, self.sampling
@@ -165,7 +174,7 @@ class Session(object):
             if taken:
                 self.retract(wanted)
             taken.append(self.touch(gcmd, wanted.speed))
-            return self.bed_z(taken[-1])
+            return taken[-1][2]
 
         try:
             heights = sampling.collect(touch, wanted, gcmd.respond_info, DIFFER)
@@ -179,12 +188,13 @@ class Session(object):
         homing = gcmd.get_command() == "G28"
         if not homing and "z" not in self.host.toolhead_status()["homed_axes"]:
             raise gcmd.error("Must home before probe")
-        floor = self.probe.device.floor(gcmd.get("HOME_ATTEMPT_NUM", ""))
+        facade, floor = self.probe.mcu_probe, self.probe.device.floor(homing)
         self.host.require_running()
+        if homing and facade.shorten():
+            floor = facade.z_offset
         place = self.host.toolhead.get_position()
         place[2] = min(floor, place[2])
-        place = list(self.probe.mcu_probe.probing_move(place, speed))
-        result = self.result(place)
+        result = self.result(list(facade.probing_move(place, speed)))
         if not homing:
             text = "probe at %.3f,%.3f is z=%.6f"
             gcmd.respond_info(text % tuple(result[:3]))
@@ -203,9 +213,6 @@ class Session(object):
         results = [self.probe.result_class(*(bed + tuple(place[:3])))]
         self.host.printer.send_event("probe:update_results", results)
         return results[0]
-
-    def bed_z(self, result):
-        return result[2]
 
     def moved(self, result, dz):
         if self.probe.result_class is None:
@@ -288,9 +295,10 @@ class ProbeHost(object):
         else:
             # Until 2024-06-10 (d4bae4dff), Kalico, QIDI
             self.probe = module.PrinterProbe(config, self.facade)
-            self.probe.z_position = max(self.probe.z_position, device.floor(""))
-            if not hasattr(self.probe, "drop_first_result"):
-                self._read_drop_first(config)
+            self.probe.z_position = max(self.probe.z_position, device.floor())
+            knows = hasattr(self.probe, "drop_first_result")
+            if not knows and config.getboolean("drop_first_result", False):
+                self.notes.append("drop_first_result is ignored on this host")
         register("homing:home_rails_end", self._homing_ends)
         register("klippy:mcu_identify", self._add_z_steppers)
         try:
@@ -301,10 +309,6 @@ class ProbeHost(object):
                 " one) already, and a printer has one probe; remove the other"
                 % (config.get_name(),)
             )
-
-    def _read_drop_first(self, config):
-        if config.getboolean("drop_first_result", False):
-            self.notes.append("drop_first_result is ignored on this host")
 
     def _install_session_probe(self, config, device, module):
         facade = self.facade
