@@ -531,7 +531,7 @@ class Prober(object):
         height, beyond = self.last_touch.height(), SECOND_REACH
         if not self.is_checked:
             beyond = self.settings.z_offset - self.settings.lowest
-        return None if height is None else max(0.0, height) + beyond
+        return None if height is None else height + beyond
 
     def begin(self, is_homing):
         self.delayed = None
@@ -595,10 +595,9 @@ class Prober(object):
                 % (self.settings.lowest,)
             )
 
-    # The host turns the motors off then
+    # The host turns the motors off then, so the last touch is forgotten
     def homed_into_nothing(self):
         self.sensors.proven = False
-        self.last_touch.forget()
         distance = self.settings.retract + REACH
         self.ways.printer.hop(distance, self.settings.lift_speed)
         self.docking.say(

@@ -274,6 +274,18 @@ def test_home_again_where_z_was_said_to_be_elsewhere(start, script):
     assert printer.gap((150.0, 150.0)) == pytest.approx(0.0, abs=0.02)
 
 
+def test_touch_of_a_probe_that_seems_lost_is_no_height_of_the_bed(start):
+    printer = start(GANTRY, section(**QUICK)).homed()
+    printer.run("ATTACH_PROBE\nG1 X150 Y150 Z60 F6000\nM400")
+    printer.machine.break_down(
+        Fault("stuck_closed", signal="probe", t=now_of(printer) + 2.0)
+    )
+    assert "was lost, what was measured is wrong" in printer.fail("PROBE")
+    printer.machine.repair()
+    printer.run("G28")
+    assert printer.gap((150.0, 150.0)) == pytest.approx(0.0, abs=0.02)
+
+
 def test_stuck_closed_at_the_first_homing(start):
     fault = Fault("stuck_closed", signal="probe", n=1)
     printer = ready(start(GANTRY, faults=[fault]))
