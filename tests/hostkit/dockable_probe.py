@@ -15,6 +15,7 @@ CLEAR = HANG + 2.0
 GANTRY = DOCK_SCENES["dock_gantry"]
 SWITCH = DOCK_SCENES["dock_gantry_switch"]
 SENSED = DOCK_SCENES["dock_sensed"]
+FRAME = DOCK_SCENES["dock_frame"]
 BED = DOCK_SCENES["dock_bed"]
 # A pair of points, each three samples, is enough where it is not about more
 QUICK = {"samples": "1"}

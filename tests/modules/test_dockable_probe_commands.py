@@ -7,6 +7,7 @@ import pytest
 from tests.hostkit.dockable_probe import (
     BED,
     CLEAR,
+    FRAME,
     GANTRY,
     HANG,
     QUICK,
@@ -22,7 +23,7 @@ from tests.simprinter import Fault
 pytestmark = pytest.mark.spread
 
 SCENES = pytest.mark.parametrize(
-    "scene", [GANTRY, SWITCH, SENSED, BED], ids=lambda scene: scene.name
+    "scene", [GANTRY, SWITCH, SENSED, FRAME, BED], ids=lambda scene: scene.name
 )
 MESH = "BED_MESH_CALIBRATE PROBE_COUNT=3,3"
 
@@ -75,12 +76,32 @@ def test_offsets_are_calibrated_as_with_any_probe(start):
     assert where(printer) == "docked"
 
 
+@pytest.mark.each_host
+def test_bed_on_three_screws_is_levelled(start):
+    # The dock is in the frame, at whatever height of the bed
+    printer = start(FRAME, section(**QUICK)).homed()
+    printer.run("G1 X150 Y150 Z90 F6000\nM400")
+    before = len(printer.machine.truth.events)
+    printer.run("Z_TILT_ADJUST\nG28 Z")
+    assert trips(printer, before) == ["attach", "dock"] * 2
+    # Level; the simulated probe does not lean with the head
+    gaps = [printer.gap(point) for point in ((60.0, 40.0), (240.0, 240.0))]
+    assert gaps[0] == pytest.approx(gaps[1], abs=0.005)
+    printer.run("ATTACH_PROBE\nZ_TILT_ADJUST\nG28 Z\nDETACH_PROBE")
+    assert trips(printer, before) == ["attach", "dock"] * 3
+    # Z of dock_position is what the head is higher there
+    printer.run("G1 X150 Y150 Z5\nMOVE_TO_APPROACH_PROBE")
+    assert printer.session.position() == pytest.approx((250, 200, CLEAR + 8))
+    assert printer.machine.truth.min_gap > HANG - 2.5
+
+
 @SCENES
 def test_home_and_mesh(start, scene):
     printer = start(scene, section(**QUICK)).homed()
     printer.run(f"G1 X150 Y150 Z20 F6000\nPROBE\n{MESH}")
     assert where(printer) == "docked"
-    assert printer.machine.truth.min_gap > HANG - 0.1
+    # Where the bed hangs askew, it is nearer to the nozzle than to the probe
+    assert printer.machine.truth.min_gap > HANG - 0.2
     assert printer.run("GET_PROBE_STATUS")[0].endswith("Probe Status: DOCKED")
 
 

@@ -9,6 +9,7 @@ import pytest
 from tests.hostkit.dockable_probe import (
     BED,
     CLEAR,
+    FRAME,
     GANTRY,
     HANG,
     QUICK,
@@ -412,9 +413,10 @@ def test_not_homed(start, name):
         printer.run("ATTACH_PROBE")
         assert where(printer) == "attached"
         # Up, and once only
-        assert printer.machine.tip().z == pytest.approx(z + CLEAR, abs=0.01)
+        z += CLEAR + (8.0 if name == "dock_frame" else 0.0)
+        assert printer.machine.tip().z == pytest.approx(z, abs=0.01)
         printer.run("DETACH_PROBE")
-        assert printer.machine.tip().z == pytest.approx(z + CLEAR, abs=0.01)
+        assert printer.machine.tip().z == pytest.approx(z, abs=0.01)
         assert "z" not in printer.status("toolhead")["homed_axes"]
         assert "Must home" in printer.fail("PROBE")
 
@@ -445,17 +447,26 @@ def test_emergency_stop_at_a_touch(start):
 # The dock in the way
 
 
+# Places around the dock, each relative to it; the way to the last one leads
+# through its body
 @pytest.mark.half
-@pytest.mark.parametrize("scene", [GANTRY, BED], ids=lambda s: s.name)
 @pytest.mark.parametrize(
-    "place", ["20, 300", "48, 292", "10, 308", "85, 290", "50, 280"]
+    "scene", [GANTRY, FRAME, BED], ids=lambda scene: scene.name
 )
-def test_from_beside_the_dock(start, scene, place):
+@pytest.mark.parametrize(
+    ("right", "back"), [(-30, -8), (35, -18), (0, -28), (-2, -16)]
+)
+def test_from_beside_the_dock(start, scene, right, back):
     # The crash detector knows its body
     printer = start(scene, section(**QUICK)).homed()
-    x, y = place.split(", ")
+    dock = scene.world.dock
+    if scene is FRAME:
+        # Turned by 90 degrees, with the clock
+        right, back = back, -right
+    x, y = dock.x + right, dock.y + back
     printer.run(f"MOVE_AVOIDING_DOCK X={x} Y={y}")
-    printer.run(f"G1 X{x} Y{y} F3000" if place != "48, 292" else "G4 P1")
+    if (right, back) not in ((-2, -16), (-16, 2)):
+        printer.run(f"G1 X{x} Y{y} F3000")
     printer.run("ATTACH_PROBE\nDETACH_PROBE")
     assert where(printer) == "docked"
     assert trips(printer)[-2:] == ["attach", "dock"]

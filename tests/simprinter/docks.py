@@ -6,7 +6,7 @@ from collections.abc import Mapping
 from dataclasses import replace
 from typing import Optional
 
-from .scenes import SCENES, Scene, Sections
+from .scenes import SCENES, Scene, Sections, on_gantry
 from .world import DockSpec, MagProbeSpec
 
 # Of the machines here (mm): the probe triggers at this toolhead Z on the bed
@@ -141,6 +141,48 @@ def _sensed() -> Scene:
     ).with_world(probe_sense=True, dock_sense=True)
 
 
+def _frame() -> Scene:
+    """A bed that goes up and down on three screws, and hangs askew.
+
+    The gantry stands still: its dock is at the right, in the frame, and is
+    left to the back. Z is homed with the probe.
+    """
+    gantry = _gantry()
+    screws = {"z": (-50.0, 18.0), "z1": (150.0, 348.0), "z2": (350.0, 18.0)}
+    scene = on_gantry(gantry, "dock_frame", gantry.kinematics, **screws)
+    options = {
+        **(gantry.sections["dockable_probe"] or {}),
+        "dock_position": "292, 200, 8",
+        "approach_position": "250, 200",
+        "detach_position": "292, 240",
+        "dock_fixed_z": "True",
+    }
+    sections: dict[str, Mapping] = {
+        **{k: v for k, v in scene.sections.items() if k != "quad_gantry_level"},
+        "dockable_probe": options,
+        "z_tilt": {
+            "z_positions": "-50, 18\n  150, 348\n  350, 18",
+            "points": "40, 20\n  150, 230\n  250, 20",
+            "speed": "200",
+            "horizontal_move_z": "10",
+            "retries": "3",
+            "retry_tolerance": "0.02",
+        },
+    }
+    return replace(scene, sections=sections).with_world(
+        bed=replace(scene.world.bed, slope_x=0.004, slope_y=-0.006),
+        dock=DockSpec(
+            292.0,
+            200.0,
+            0.0,
+            approach=(-1.0, 0.0, 0.0),
+            release=(0.0, 1.0, 0.0),
+            lifted=True,
+            body=20.0,
+        ),
+    )
+
+
 def _bed() -> Scene:
     """A cartesian printer, the dock on the bed: 12 mm high, Z has a switch."""
     switch = _gantry_switch()
@@ -178,5 +220,5 @@ def calibrating(scene: Scene) -> Scene:
 
 DOCK_SCENES = {
     scene.name: scene
-    for scene in (_gantry_switch(), _gantry(), _sensed(), _bed())
+    for scene in (_gantry_switch(), _gantry(), _sensed(), _frame(), _bed())
 }

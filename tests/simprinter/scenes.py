@@ -302,10 +302,10 @@ def on_board(
     return replace(scene, wiring=wiring, sections=sections)
 
 
-def _on_gantry(
+def on_gantry(
     scene: Scene, name: str, kinematics: str, **z_motors: tuple[float, float]
 ) -> Scene:
-    """Another scene: the same without Z motors but these."""
+    """Another scene: the same without Z motors but these (names of its own)."""
     kept = {"x", "y", *z_motors}
     gone = set(scene.wiring.motors) - kept
     motors = {k: motor for k, motor in scene.wiring.motors.items() if k in kept}
@@ -436,7 +436,7 @@ def _voron_two_boards(voron: Scene) -> Scene:
 def _hybrid(voron: Scene) -> Scene:
     """The voron as a hybrid CoreXY with two Z motors."""
     z_motors = {"z": (-60.0, 150.0), "z1": (360.0, 150.0)}
-    return _on_gantry(voron, "hybrid", "hybrid_corexy", **z_motors)
+    return on_gantry(voron, "hybrid", "hybrid_corexy", **z_motors)
 
 
 def _corexz(voron: Scene) -> Scene:
@@ -444,7 +444,7 @@ def _corexz(voron: Scene) -> Scene:
 
     Finer microsteps, as the belts have no gears.
     """
-    scene = _on_gantry(voron, "corexz", "corexz", z=(150.0, 150.0))
+    scene = on_gantry(voron, "corexz", "corexz", z=(150.0, 150.0))
     motors = dict(scene.wiring.motors)
     for name in ("x", "z"):
         motors[name] = replace(motors[name], step_dist=40.0 / (200 * 64))
@@ -661,7 +661,7 @@ def _piezo_cartesian(qidi: Scene) -> Scene:
     The piezo bed is always on. The owner believes in a z_offset of 1 mm for
     the probe, 0.2713 mm too little.
     """
-    scene = _on_gantry(qidi, "piezo_cartesian", "cartesian", z=(122.0, 122.0))
+    scene = on_gantry(qidi, "piezo_cartesian", "cartesian", z=(122.0, 122.0))
     motors = {
         name: replace(motor, uart="")
         for name, motor in scene.wiring.motors.items()
