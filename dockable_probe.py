@@ -423,22 +423,25 @@ class Docking(object):
     # reads "attached" has changed on the way out of the dock, then.
     def attach(self):
         sensors = self.sensors
-        if sensors.look() == ATTACHED and sensors.proven:
+        state = sensors.look()
+        if state == ATTACHED and sensors.proven:
             return False
         self.ways.require_homed()
-        # Where the probe is pressed it looked as if it was not there
         self.ways.lift_for_dock()
-        if sensors.look() == ATTACHED:
+        if state != DOCKED or not self.is_docked:
+            # Where the probe is pressed it looked as if it was not there
+            state = sensors.look()
+        if state == ATTACHED:
             if sensors.proven:
                 return True
-            text = "it reads attached, which proves nothing; docking it first"
-            self.say(text)
+            self.say("it reads attached, which proves nothing; docking it")
             self.dock()
+            state = DOCKED
         self.is_docked = sensors.proven = False
         self.templates.pre_attach.run_gcode_from_command()
-        closed = sensors.reads(sensors.pin, self.host.after_moves())
+        closed = sensors.reads(sensors.pin, self.host.now())
         parts = "APPROACH", self.templates.attach, "EXTRACT"
-        self.repeat(DOCKED, ATTACHED, parts, "fetched")
+        self.repeat(state, DOCKED, ATTACHED, parts, "fetched")
         self.templates.post_attach.run_gcode_from_command()
         sensors.proven = True
         if not closed:
@@ -454,8 +457,7 @@ class Docking(object):
         sensors, z = self.sensors, self.ways.here().z
         state = sensors.look()
         if state == DOCKED and not (self.is_docked or sensors.senses):
-            # Or pressed
-            self.ways.lift(travel_height(self.settings))
+            self.ways.lift(travel_height(self.settings))  # or it is pressed
             state = sensors.look()
         if state == DOCKED:
             self.ways.to_height(z)
@@ -465,7 +467,7 @@ class Docking(object):
         sensors.proven = False
         self.templates.pre_detach.run_gcode_from_command()
         parts = "INSERT", self.templates.detach, "DETACH"
-        self.repeat(ATTACHED, DOCKED, parts, "docked")
+        self.repeat(state, ATTACHED, DOCKED, parts, "docked")
         self.is_docked = True
         self.templates.post_detach.run_gcode_from_command()
         return True
@@ -479,11 +481,10 @@ class Docking(object):
         with running.always(self.host, leave, "leaving the dock"):
             template.run_gcode_from_command()
 
-    # Take the probe from one state into the other, at last
-    def repeat(self, before, after, parts, what):
+    # Take the probe from one state into the other; 'state' was seen just before
+    def repeat(self, state, before, after, parts, what):
         retries = self.settings.retries
         for attempt in range(retries + 1):
-            state = self.sensors.look()
             if state == UNKNOWN:
                 self.host.toolhead.dwell(ASK_AGAIN)
                 state = self.sensors.look()
@@ -496,6 +497,7 @@ class Docking(object):
             seen %= (what, state, self.sensors.describe())
             if attempt < retries:
                 self.say("%s; try %d of %d" % (seen, attempt + 2, retries + 1))
+                state = self.sensors.look()
         self.ways.lift_for_dock()
         raise probe_error(self.host, "%s; %s" % (seen, REMEDIES[what]))
 
@@ -511,10 +513,10 @@ class Prober(object):
         # Where Z is homed with the probe; None: where the head is
         self.home_place = home_place
         self.auto = auto
-        # Somebody wants the probe to stay on the head
-        self.is_held = False
+        self.is_held = False  # by ATTACH_PROBE
         # Whether the probe was looked at since a command probes; None: none does
-        self.is_checked, self.is_homing = None, False
+        self.is_checked = None
+        self.ways_down = 0  # that homing still has to go
         self.last_touch = touching.LastTouch(docking.host)
         # The docking that is to come
         self.delayed = None
@@ -529,25 +531,25 @@ class Prober(object):
     # Of homing: as deep as any touch, then hardly deeper than the first one
     def way_down(self):
         height, beyond = self.last_touch.height(), SECOND_REACH
-        if not self.is_checked:
+        if self.ways_down == 2:
             beyond = self.settings.z_offset - self.settings.lowest
         return None if height is None else height + beyond
 
     def begin(self, is_homing):
         self.delayed = None
-        self.is_homing = is_homing
-        here = self.ways.here()
-        goal = here
+        self.ways_down = 2 if is_homing else 0
+        goal = self.ways.here()
         if is_homing and self.home_place is not None:
-            goal = here._replace(x=self.home_place[0], y=self.home_place[1])
+            goal = goal._replace(x=self.home_place[0], y=self.home_place[1])
         if not self.auto:
             state = self.sensors.look()
             if state != ATTACHED or not self.sensors.proven:
                 off = "is %s and auto_attach_detach is off: run ATTACH_PROBE"
                 raise self.lost(off % (state,))
-        if (self.auto and self.docking.attach()) or not self.ways.is_at(goal):
+        # From the dock on the pin itself tells, as between two touches
+        self.is_checked = self.auto and self.docking.attach()
+        if self.is_checked or not self.ways.is_at(goal):
             self.ways.go_back(goal, travel_height(self.settings))
-        self.is_checked = False
         if not self.settings.each_sample:
             self.run_still("activate")
 
@@ -586,7 +588,8 @@ class Prober(object):
             raise self.lost("triggered before the head moved")
         if triggered:
             self.last_touch.note()
-        elif self.is_homing:
+            self.ways_down = min(self.ways_down, 1)
+        elif self.ways_down:
             self.homed_into_nothing()
         elif touching.is_at(self.host, self.settings.lowest):
             self.docking.say(
@@ -607,6 +610,7 @@ class Prober(object):
 
     def lost(self, what):
         self.last_touch.forget()
+        self.sensors.proven = False
         return probe_error(
             self.host,
             "the probe %s, at z=%.3f (%s); where it is lost or pressed, raise"
@@ -617,18 +621,19 @@ class Prober(object):
 
     # The command has probed, or failed
     def end(self):
-        self.is_checked, self.is_homing = None, False
+        self.is_checked, self.ways_down = None, 0
         if not self.ways.is_homed("xy") or self.host.printer.is_shutdown():
             return
         here = self.ways.here()
         if here.z is not None:
             # The bed may lie higher than Z=0
             height = travel_height(self.settings)
+            if touching.is_at(self.host, self.settings.lowest):
+                here = here._replace(z=height)  # Not back down to nothing
             self.ways.lift(max(height, here.z + self.settings.retract))
         if not self.settings.each_sample:
             self.run_still("deactivate")
         if self.sensors.look() != ATTACHED:
-            self.sensors.proven = False
             raise self.lost("was lost, what was measured is wrong")
         if self.is_held or not self.auto:
             return
@@ -690,21 +695,17 @@ class DockableProbe(object):
         logging.info("dockable_probe %s", __version__)
         machine = self.host = host.Host(config)
         self.probe_host = probe_host.ProbeHost(machine)
-        self.old_names = options.OldNames(config)
+        old = self.old_names = options.OldNames(config)
         axis = machine.z_axis
         is_z_endstop = bool(axis and host.chip_of(axis.endstop_pin) == "probe")
         endstop_z = axis.position_endstop if axis else None
-        settings = read_settings(
-            config, is_z_endstop, endstop_z, self.old_names
-        )
+        settings = read_settings(config, is_z_endstop, endstop_z, old)
         self.settings = settings
         self.sensors = Sensors(config, machine, self.probe_host)
         self.ways = Ways(machine, self.probe_host, settings)
         load = functools.partial(templates.load_template, config)
-        loaded = [load(name + "_gcode", "") for name in Templates._fields]
-        self.docking = Docking(
-            settings, self.sensors, self.ways, Templates(*loaded)
-        )
+        loaded = Templates(*[load(n + "_gcode", "") for n in Templates._fields])
+        self.docking = Docking(settings, self.sensors, self.ways, loaded)
         auto = config.getboolean("auto_attach_detach", True)
         place = read_home_place(config, settings)
         self.prober = Prober(self.docking, place, auto)

@@ -40,19 +40,25 @@ _STEP = 0.0026
 _TOUCH_FAULTS = ("trigger_never", "trigger_early", "trigger_late")
 _WRITE_FAULTS = ("tmc_change_lost", "tmc_write_error", "tmc_read_error")
 _SENSOR_FAULTS = ("stuck_open", "stuck_closed")
+# Of the nth time that a probe is fetched or docked: the event, and the fault
+_TRIP_FAULTS = {"attach": "attach_fails", "dock": "dock_fails"}
 # What the message of a command has to say, by fault (and subject); a switch
 # that is dead or triggers in the wrong place looks like one that is not met
 _DEAD = r"No trigger|did not trigger"
 _TRIGGERED = r"reads triggered|prior to movement|still triggered"
 _HEIGHTS = r"above the expected|differ|No trigger|is above z=|sees the bed at"
+# What a dockable probe says where its pins are not as they have to be
+_PROBE = r"the probe (was not fetched|was not docked|is not ready|was lost)"
 _CAUSES = {
     # Before before_switch_gcode a probe has to read triggered
-    "stuck_open": _DEAD + r"|is attached already",
-    "stuck_closed": _TRIGGERED,
+    "stuck_open": _DEAD + r"|is attached already|" + _PROBE,
+    "stuck_closed": _TRIGGERED + r"|before the head moved|" + _PROBE,
     "trigger_never": _DEAD,
     "trigger_early": _HEIGHTS,
     "trigger_late": _HEIGHTS,
-    "probe_falls": r"not attached|No trigger",
+    "probe_falls": r"not attached|No trigger|before the head moved|" + _PROBE,
+    "attach_fails": r"the probe was not fetched",
+    "dock_fails": r"the probe was not docked",
     "template raises": r"template \d+ fails",
     "template leaves": r"Move out of range|out of range",
     "tmc_change_lost": r"Unable to write tmc uart '\w+' register",
@@ -74,8 +80,8 @@ RIGHT, REFUSED, SHUT_DOWN = "right", "refused", "shut down"
 class Case(NamedTuple):
     """One fault at one operation.
 
-    at: number of the operation, 0 before the first; of the template for its
-    faults. subject: signal, board or driver where there are several.
+    at: number of the operation, 0 before the first; of the template or the
+    trip to the dock for their faults. subject: signal, board or driver where there are several.
     """
 
     job: str
@@ -101,12 +107,14 @@ PLAIN = Setting()
 class GoodRun(NamedTuple):
     """What a command does when nothing is wrong.
 
+    trips: how often a probe is fetched and docked, by the event's name.
     depths: mm beyond the trigger by site, of homing and command. gap: true one
     at G-code Z=0 afterwards, mm.
     """
 
     operations: tuple[Operation, ...]
     templates: int
+    trips: Mapping[str, int]
     depths: Mapping[str, float]
     gap: float
 
@@ -146,10 +154,13 @@ class Saboteur:
         if self._case.at == 0:
             now = self._machine.simulation.clock.now()
             self._strike(Operation("begin", "", now))
+        elif self._case.fault in _TRIP_FAULTS.values():
+            fault = Fault(self._case.fault, n=self._case.at, persistent=True)
+            self._machine.break_down(fault)
 
     def tell(self, operation: Operation) -> None:
         """Told of each operation, before it happens."""
-        if operation[:2] != self._what or self._is_template():
+        if operation[:2] != self._what or self._is_counted():
             return
         self._left -= 1
         if self._left == 0:
@@ -158,15 +169,17 @@ class Saboteur:
     def end(self) -> bool:
         """The command has ended; whether anything was broken."""
         self._what = None
-        return self._struck or self._is_template()
+        return self._struck or self._is_counted()
 
     def stop_is_due(self) -> bool:
         """Whether the printer is to be stopped now."""
         now = self._machine.simulation.clock.now()
         return self._stop_ns is not None and now >= self._stop_ns
 
-    def _is_template(self) -> bool:
-        return self._case.fault.startswith("template")
+    def _is_counted(self) -> bool:
+        """Whether something else counts than the operations."""
+        fault = self._case.fault
+        return fault.startswith("template") or fault in _TRIP_FAULTS.values()
 
     def _strike(self, operation: Operation) -> None:
         machine, fault = self._machine, self._case.fault
@@ -179,7 +192,7 @@ class Saboteur:
             self._stop_ns = moment
         elif fault == "probe_falls":
             machine.world.lose_probe(t)
-        elif not self._is_template():
+        elif not self._is_counted():
             machine.break_down(self._fault(t))
 
     def _fault(self, t: float) -> Fault:
@@ -206,6 +219,9 @@ def _all_cases(job: Job, good: GoodRun) -> Iterator[Case]:
     for number in range(1, good.templates + 1):
         yield Case(job.name, number, "template raises")
         yield Case(job.name, number, "template leaves")
+    for kind, fault in _TRIP_FAULTS.items():
+        for number in range(1, good.trips[kind] + 1):
+            yield Case(job.name, number, fault)
     anywhere = [(f, s) for f in _SENSOR_FAULTS for s in job.signals]
     anywhere += [("mcu_silent", b) for b in job.scene.wiring.all_boards()]
     anywhere.append(("cancel", ""))
@@ -241,6 +257,8 @@ def good_run(host: Host, job: Job, setting: Setting = PLAIN) -> GoodRun:
         _prepare(printer, job)
         before = job.gap(printer)
         first = _templates(printer)
+        events = printer.machine.truth.events
+        homing = len(events)
         Watch(printer.machine, operations.append)
         printer.run(f"{job.script}\nM400")
         gap, ideal = job.gap(printer), job.ideal
@@ -248,7 +266,9 @@ def good_run(host: Host, job: Job, setting: Setting = PLAIN) -> GoodRun:
         truth = printer.machine.truth
         depths = {site: truth.depth(site) for site in job.margins}
         templates = _templates(printer) - first
-    return GoodRun(tuple(operations), templates, depths, gap)
+        kinds = [event.kind for event in events[homing:]]
+    trips = {kind: kinds.count(kind) for kind in _TRIP_FAULTS}
+    return GoodRun(tuple(operations), templates, trips, depths, gap)
 
 
 def _templates(printer: Printer) -> int:
@@ -373,6 +393,9 @@ class Trial:
             "Internal error" not in self.outcome.message, "internal error"
         )
         self._judge_words()
+        if job.is_homing:
+            # The host has turned the motors off
+            return
         after = job.state(printer)
         for name, value in before.items():
             self._require(

@@ -6,7 +6,7 @@ from collections.abc import Mapping
 from dataclasses import dataclass, field, replace
 from typing import Any, Optional
 
-from tests.hostkit import auto_z_offset, extra_probe
+from tests.hostkit import auto_z_offset, dockable_probe, extra_probe
 from tests.hostkit.printer import Printer
 from tests.simprinter import SCENES, Scene
 from tests.simprinter.scenes import Sections
@@ -37,7 +37,8 @@ class Job:
     site, mm that a touch may be deeper than in a good run. ideal: true gap at
     G-code Z=0 afterwards, None: it does not change. only: these faults, if it
     is there for some. point: of the bed where the gap is looked at. lift:
-    toolhead Z after a failure, at least.
+    toolhead Z after a failure, at least. is_homing: after a failure nobody
+    knows where the head is. told: status fields that tell what was seen last.
     """
 
     name: str
@@ -53,18 +54,21 @@ class Job:
     before: str = ""
     again: str = ""
     only: tuple[str, ...] = ()
+    is_homing: bool = False
+    told: tuple[str, ...] = ()
 
     def state(self, printer: Printer) -> dict[str, Any]:
         """All that a failure must leave as it was."""
         session = printer.session
         drivers = printer.machine.drivers
+        status = printer.status(self.module)
         return {
             "offset": printer.offset(),
             "max_accel": printer.status("toolhead")["max_accel"],
             "homed": printer.status("toolhead")["homed_axes"],
             "currents": {n: d.current()[1:] for n, d in drivers.items()},
             "absolute": printer.status("gcode_move")["absolute_coordinates"],
-            "status": printer.status(self.module),
+            "status": {k: v for k, v in status.items() if k not in self.told},
             "pending": auto_z_offset.pending(printer),
             "printer.cfg": session.config_text(),
         }
@@ -220,6 +224,14 @@ UNPUBLISHED = (
     "EXTRA_PROBE_CALIBRATE, first of all",
     "EXTRA_PROBE_CALIBRATE",
     "EXTRA_PROBE",
+    "PROBE, dockable",
+    "PROBE, dockable, with sensors",
+    "PROBE, dockable, tried again",
+    "BED_MESH_CALIBRATE, dockable",
+    "QUAD_GANTRY_LEVEL, dockable",
+    "Z_TILT_ADJUST, dockable",
+    "SCREWS_TILT_CALCULATE, dockable",
+    "G28, dockable",
 )
 
 
@@ -273,11 +285,75 @@ def _extra_probe_jobs() -> list[Job]:
     return [probe, calibrate, first]
 
 
+# All of a dockable probe that are no touch's: those of a touch are the host's
+_LOST = (
+    *("stuck_open", "stuck_closed", "probe_falls", "mcu_silent", "cancel"),
+    *("attach_fails", "dock_fails"),
+)
+
+
+def _dockable_probe_jobs() -> list[Job]:
+    # A dead switch is found 5 mm below where it should have triggered
+    floor = dockable_probe.HANG - dockable_probe.FLOOR
+    quick = dockable_probe.QUICK
+    probe = Job(
+        name="PROBE, dockable",
+        module="dockable_probe",
+        script="PROBE",
+        scene=dockable_probe.GANTRY,
+        signals=("probe",),
+        point=(150.0, 150.0),
+        margins={"probe_bed": floor, "body_bed": floor},
+        lift=dockable_probe.CLEAR - 0.01,
+        changes=_with_templates(
+            "dockable_probe",
+            pre_attach_gcode="",
+            attach_gcode="",
+            post_attach_gcode="",
+            activate_gcode="",
+            deactivate_gcode="",
+            pre_detach_gcode="",
+            detach_gcode="",
+            post_detach_gcode="",
+        ),
+        before="G90\nG1 X150 Y150 Z20 F6000",
+        again="G90\nG1 X150 Y150 Z20 F6000",
+        told=("last_status", "last_z_result", "last_probe_position"),
+    )
+    plain = replace(probe, changes=dockable_probe.section(**quick))
+    both = dockable_probe.section(dock_retries="1", **quick)
+    sensed = dockable_probe.SENSED
+    signals = ("probe", "probe_sense", "dock_sense")
+    mesh = "BED_MESH_CALIBRATE PROBE_COUNT=3,3\nBED_MESH_CLEAR"
+
+    def other(script: str, **changes: Any) -> Job:
+        name = f"{script.split()[0]}, dockable"
+        fields = {"name": name, "script": script, "only": _LOST, **changes}
+        return replace(plain, **fields)
+
+    return [
+        probe,
+        other(
+            "PROBE",
+            name="PROBE, dockable, with sensors",
+            scene=sensed,
+            signals=signals,
+        ),
+        other("PROBE", name="PROBE, dockable, tried again", changes=both),
+        other(mesh),
+        other("QUAD_GANTRY_LEVEL"),
+        other("Z_TILT_ADJUST", scene=dockable_probe.FRAME),
+        other("SCREWS_TILT_CALCULATE"),
+        other("G28", is_homing=True, again="G28"),
+    ]
+
+
 JOBS = {
     job.name: job
     for job in (
         *_z_calibration_jobs(),
         *_auto_z_offset_jobs(),
         *_extra_probe_jobs(),
+        *_dockable_probe_jobs(),
     )
 }

@@ -12,6 +12,8 @@ from tests.simprinter.docks import DOCK_SCENES, HANG
 
 # Toolhead Z (mm): as low as the probe may travel
 CLEAR = HANG + 2.0
+# A dead switch is pressed until the floor of the touch
+FLOOR = HANG - 5.0
 GANTRY = DOCK_SCENES["dock_gantry"]
 SWITCH = DOCK_SCENES["dock_gantry_switch"]
 SENSED = DOCK_SCENES["dock_sensed"]

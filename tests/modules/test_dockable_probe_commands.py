@@ -207,9 +207,8 @@ def test_two_commands_and_one_trip(start):
     printer.homed()
     printer.run(MESH)
     assert trips(printer) == ["attach"]
-    printer.session.wait(0.5)
-    assert where(printer) == "attached"
     place = printer.session.position()
+    assert where(printer) == "attached"
     printer.session.wait(6.0)
     assert where(printer) == "docked"
     assert printer.session.position() == pytest.approx(place, abs=0.001)

@@ -9,6 +9,7 @@ import pytest
 from tests.hostkit.dockable_probe import (
     BED,
     CLEAR,
+    FLOOR,
     FRAME,
     GANTRY,
     HANG,
@@ -29,8 +30,6 @@ pytestmark = pytest.mark.spread
 MESH = "BED_MESH_CALIBRATE PROBE_COUNT=3,3"
 EXTRACT = (50.0, 270.0)
 DETACH = (90.0, 308.0)
-# A dead switch is pressed until the floor of the touch
-FLOOR = HANG - 5.0
 
 
 def at(printer):
