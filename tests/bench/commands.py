@@ -3,12 +3,22 @@
 from __future__ import annotations
 
 import configparser
+import math
 from collections.abc import Callable
-from typing import NamedTuple
+from typing import NamedTuple, Union
 
-from tests.bench.lower_bounds import Limits, Plan, Stop
+from tests.bench.lower_bounds import (
+    Limits,
+    Part,
+    Plan,
+    Route,
+    Stop,
+    move_seconds,
+    z_seconds,
+)
 from tests.hostkit.auto_z_offset import POINT
 from tests.simprinter import SCENES, Scene, heated
+from tests.simprinter.docks import DOCK_SCENES, HANG
 from tests.simprinter.scenes import Sections
 from tests.simprinter.world.bed import Bed
 
@@ -33,7 +43,7 @@ class Command(NamedTuple):
     scene: Scene
     changes: Sections
     sites: tuple[str, ...]
-    plan: Callable[[Scene, Sections], Plan]
+    plan: Callable[[Scene, Sections], Union[Plan, Route]]
     prepare: str = ""
 
 
@@ -200,6 +210,103 @@ def cycles_plan(scene: Scene, changes: Sections) -> Plan:
     return Plan(stops, travel_z, limits.velocity, limits)
 
 
+# dockable_probe
+
+# Where Z is homed, and the head begins: 100 mm from the dock
+BESIDE_DOCK = (50.0, 208.0)
+DOCKED: Sections = {
+    "dockable_probe": {"samples": "1", "travel_speed": "100"},
+    "safe_z_home": {
+        "home_xy_position": "%g, %g" % BESIDE_DOCK,
+        "z_hop": "10",
+    },
+}
+
+
+def _trip(
+    config: configparser.ConfigParser, ends: tuple[tuple[float, float], ...]
+) -> list[Part]:
+    """To the dock and away from it, from `ends`[0] to `ends`[1] (mm)."""
+    own, limits = config["dockable_probe"], _limits(config)
+    dock, approach, detach = (
+        _pair(own[f"{name}_position"])
+        for name in ("dock", "approach", "detach")
+    )
+    travel, fetch = own.getfloat("travel_speed"), own.getfloat("attach_speed")
+    strip, found = own.getfloat("detach_speed"), []
+    for way in (
+        ((ends[0], approach, travel), (approach, dock, fetch))
+        + ((dock, approach, fetch), (approach, ends[1], travel)),
+        ((ends[1], approach, travel), (approach, dock, fetch))
+        + ((dock, detach, strip), (detach, ends[0], travel)),
+    ):
+        seconds = math.fsum(
+            move_seconds(math.dist(a, b), speed, limits.accel)
+            for a, b, speed in way
+        )
+        found.append(Part("dock", "travel", seconds))
+    return found
+
+
+def trip_plan(scene: Scene, changes: Sections) -> Route:
+    """What ATTACH_PROBE and DETACH_PROBE have to do, and the way back."""
+    config = _read(scene, changes)
+    return Route(_trip(config, (BESIDE_DOCK, BESIDE_DOCK)))
+
+
+def mesh_plan(scene: Scene, changes: Sections) -> Route:
+    """What G28 and a mesh have to do, without X and Y of G28.
+
+    Two trips to the dock; homing Z twice; down and up again at each point.
+    """
+    config = _read(scene, changes)
+    limits, mesh, own = (
+        _limits(config),
+        config["bed_mesh"],
+        config["dockable_probe"],
+    )
+    low, high = _pair(mesh["mesh_min"]), _pair(mesh["mesh_max"])
+    columns, rows = map(int, _pair(mesh["probe_count"]))
+    x, y = own.getfloat("x_offset"), own.getfloat("y_offset")
+    first, last = (low[0] - x, low[1] - y), (high[0] - x, high[1] - y)
+    trips = _trip(config, (BESIDE_DOCK, BESIDE_DOCK))
+    trips += _trip(config, (BESIDE_DOCK, first))[:1]
+    trips += _trip(config, (last, first))[1:]
+    step = (high[0] - low[0]) / (columns - 1), (high[1] - low[1]) / (rows - 1)
+    moves = [step[0]] * (columns - 1) * rows + [step[1]] * (rows - 1)
+    speed, lift = mesh.getfloat("speed"), own.getfloat("lift_speed")
+    drop = mesh.getfloat("horizontal_move_z") - HANG
+    z, back = config["stepper_z"], config["stepper_z"].getfloat
+    retract = z.getfloat("homing_retract_dist")
+
+    def down(distance: float, speed: float) -> float:
+        return z_seconds(limits, distance, speed, limits.z_accel, stops=False)
+
+    def up(distance: float, speed: float) -> float:
+        return z_seconds(limits, distance, speed, limits.z_accel)
+
+    homing = down(retract, back("second_homing_speed"))
+    touches = columns * rows
+    return Route(
+        [
+            *trips,
+            Part("home", "samples", homing),
+            Part("home", "retracts", up(retract, back("homing_speed"))),
+            Part(
+                "mesh",
+                "travel",
+                math.fsum(
+                    move_seconds(mm, speed, limits.accel) for mm in moves
+                ),
+            ),
+            Part(
+                "mesh", "samples", touches * down(drop, own.getfloat("speed"))
+            ),
+            Part("mesh", "retracts", (touches - 1) * up(drop, lift)),
+        ]
+    )
+
+
 CALIBRATE_Z = Command(
     "CALIBRATE_Z",
     "CALIBRATE_Z",
@@ -228,4 +335,25 @@ AUTO_Z_CALIBRATE = Command(
     cycles_plan,
     PREPARE,
 )
-COMMANDS = (CALIBRATE_Z, PROBE_Z_ACCURACY, AUTO_Z_CALIBRATE)
+ATTACH_AND_DETACH = Command(
+    "ATTACH_PROBE, DETACH_PROBE",
+    "ATTACH_PROBE\nDETACH_PROBE",
+    "dockable_probe",
+    DOCK_SCENES["dock_gantry"],
+    DOCKED,
+    (),
+    trip_plan,
+)
+HOME_AND_MESH = Command(
+    "G28, BED_MESH_CALIBRATE",
+    "G28\nBED_MESH_CALIBRATE\nBED_MESH_CLEAR",
+    "dockable_probe",
+    DOCK_SCENES["dock_gantry"],
+    DOCKED,
+    ("probe_bed",),
+    mesh_plan,
+)
+# They came after the figures of docs/performance.md; the next whole run of
+# the benchmark has them in its tables
+UNPUBLISHED = (ATTACH_AND_DETACH, HOME_AND_MESH)
+COMMANDS = (CALIBRATE_Z, PROBE_Z_ACCURACY, AUTO_Z_CALIBRATE, *UNPUBLISHED)

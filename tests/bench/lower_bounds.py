@@ -11,7 +11,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
-from typing import NamedTuple
+from typing import NamedTuple, Union
 
 
 class Limits(NamedTuple):
@@ -66,6 +66,12 @@ class Part(NamedTuple):
     seconds: float
 
 
+class Route(NamedTuple):
+    """What a command has to do, wherever it begins: parts of known seconds."""
+
+    parts: Sequence[Part]
+
+
 PURPOSES = ("lift", "travel", "prepare", "approach", "samples", "retracts")
 
 
@@ -84,9 +90,11 @@ def move_seconds(
 
 
 def lower_bound(
-    plan: Plan, start: tuple[float, float, float]
+    plan: Union[Plan, Route], start: tuple[float, float, float]
 ) -> tuple[Part, ...]:
     """The moves that no measurement from `start` (mm) can do without."""
+    if isinstance(plan, Route):
+        return tuple(plan.parts)
     parts: list[Part] = []
     prepare = plan.prepare
     for stop in plan.stops:
@@ -95,7 +103,7 @@ def lower_bound(
         start, prepare = (stop.x, stop.y, stop.trigger_z), 0.0
     up = max(0.0, plan.end_z - start[2])
     limits, last = plan.limits, plan.stops[-1]
-    seconds = _z_seconds(limits, up, last.lift_speed, limits.z_accel)
+    seconds = z_seconds(limits, up, last.lift_speed, limits.z_accel)
     return (*parts, Part("end", "lift", seconds))
 
 
@@ -109,24 +117,25 @@ def _stop_seconds(
     top = stop.travel_z if away else min(z, stop.travel_z)
     down = max(0.0, top - stop.trigger_z - stop.retract)
     travel_speed = min(plan.travel_speed, limits.velocity)
-    touch = _z_seconds(limits, stop.retract, stop.speed, stop.accel, False)
-    retract = _z_seconds(limits, stop.retract, stop.lift_speed, limits.z_accel)
+    touch = z_seconds(limits, stop.retract, stop.speed, stop.accel, False)
+    retract = z_seconds(limits, stop.retract, stop.lift_speed, limits.z_accel)
     return (
-        _z_seconds(limits, up, stop.lift_speed, limits.z_accel),
+        z_seconds(limits, up, stop.lift_speed, limits.z_accel),
         move_seconds(away, travel_speed, limits.accel),
         prepare,
-        _z_seconds(limits, down, stop.approach_speed, stop.accel),
+        z_seconds(limits, down, stop.approach_speed, stop.accel),
         stop.samples * touch,
         (stop.samples - 1) * retract,
     )
 
 
-def _z_seconds(
+def z_seconds(
     limits: Limits,
     distance: float,
     speed: float,
     accel: float,
     stops: bool = True,
 ) -> float:
+    """The same in Z, as fast as its limits allow."""
     speed = min(speed, limits.z_velocity)
     return move_seconds(distance, speed, min(accel, limits.z_accel), stops)

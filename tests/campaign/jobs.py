@@ -38,7 +38,8 @@ class Job:
     G-code Z=0 afterwards, None: it does not change. only: these faults, if it
     is there for some. point: of the bed where the gap is looked at. lift:
     toolhead Z after a failure, at least. is_homing: after a failure nobody
-    knows where the head is. told: status fields that tell what was seen last.
+    knows where the head is. told: what it may leave behind: status fields that
+    tell what was seen last; "pending", where the host has a result already.
     """
 
     name: str
@@ -62,7 +63,7 @@ class Job:
         session = printer.session
         drivers = printer.machine.drivers
         status = printer.status(self.module)
-        return {
+        found = {
             "offset": printer.offset(),
             "max_accel": printer.status("toolhead")["max_accel"],
             "homed": printer.status("toolhead")["homed_axes"],
@@ -72,6 +73,7 @@ class Job:
             "pending": auto_z_offset.pending(printer),
             "printer.cfg": session.config_text(),
         }
+        return {k: v for k, v in found.items() if k not in self.told}
 
     def gap(self, printer: Printer) -> float:
         """True gap (mm) that G-code Z=0 stands for; the head stands."""
@@ -233,6 +235,7 @@ UNPUBLISHED = (
     "SCREWS_TILT_CALCULATE, dockable",
     "G28, dockable",
 )
+UNPUBLISHED_FAULTS = ("attach_fails", "dock_fails")
 
 
 def _extra_probe_jobs() -> list[Job]:
@@ -288,7 +291,7 @@ def _extra_probe_jobs() -> list[Job]:
 # All of a dockable probe that are no touch's: those of a touch are the host's
 _LOST = (
     *("stuck_open", "stuck_closed", "probe_falls", "mcu_silent", "cancel"),
-    *("attach_fails", "dock_fails"),
+    *UNPUBLISHED_FAULTS,
 )
 
 
@@ -322,7 +325,11 @@ def _dockable_probe_jobs() -> list[Job]:
     )
     plain = replace(probe, changes=dockable_probe.section(**quick))
     both = dockable_probe.section(dock_retries="1", **quick)
-    sensed = dockable_probe.SENSED
+    sensed, frame = dockable_probe.SENSED, dockable_probe.FRAME
+    # The gap is looked at wherever the head stands then
+    level = frame.with_world(
+        bed=replace(frame.world.bed, slope_x=0.0, slope_y=0.0)
+    )
     signals = ("probe", "probe_sense", "dock_sense")
     mesh = "BED_MESH_CALIBRATE PROBE_COUNT=3,3\nBED_MESH_CLEAR"
 
@@ -340,9 +347,10 @@ def _dockable_probe_jobs() -> list[Job]:
             signals=signals,
         ),
         other("PROBE", name="PROBE, dockable, tried again", changes=both),
-        other(mesh),
+        # A mesh is there before the probe is docked
+        other(mesh, told=(*probe.told, "pending")),
         other("QUAD_GANTRY_LEVEL"),
-        other("Z_TILT_ADJUST", scene=dockable_probe.FRAME),
+        other("Z_TILT_ADJUST", scene=level),
         other("SCREWS_TILT_CALCULATE"),
         other("G28", is_homing=True, again="G28"),
     ]

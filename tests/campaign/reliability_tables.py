@@ -82,6 +82,8 @@ KINDS = {
     "trigger_late": "a touch triggers 0.3 mm too low",
     "trigger_never": "a touch does not trigger",
     "probe_falls": "the probe falls off the head",
+    "attach_fails": "the probe stays in its dock",
+    "dock_fails": "the probe stays on the head",
     "template raises": "a template of the owner's raises an error",
     "template leaves": "a template of the owner's leaves the axes",
     "tmc_change_lost": "a driver does not take over a changed current",

@@ -42,7 +42,8 @@ def test_every_command_was_tried_with_every_fault(figures):
         assert len(found["hosts"]) > 1
         assert found["runs"] == found["survived"] > 0
         kinds |= set(found["faults"])
-    assert kinds == set(reliability_tables.KINDS)
+    known = set(reliability_tables.KINDS)
+    assert kinds == known - set(jobs.UNPUBLISHED_FAULTS)
 
 
 def test_random_printers_are_enough(figures):

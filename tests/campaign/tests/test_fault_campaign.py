@@ -14,6 +14,7 @@ from tests.hostkit.printer import module_files
 
 Z, ATTACHING = "CALIBRATE_Z", "CALIBRATE_Z, attaching"
 AUTO = "AUTO_Z_CALIBRATE"
+DOCKABLE = "PROBE, dockable"
 
 
 @lru_cache(maxsize=None)
@@ -64,6 +65,11 @@ CASES = [
     (AUTO, "cancel", "", 2, "write", SHUT_DOWN),
     ("AUTO_Z_HOME_Z", "stuck_open", "bed_sensor", 0, "touch", REFUSED),
     ("AUTO_Z_LOAD_OFFSET", "stuck_closed", "probe", 0, "", RIGHT),
+    (DOCKABLE, "trigger_never", "probe", 0, "touch", REFUSED),
+    (DOCKABLE, "attach_fails", "", 0, "", REFUSED),
+    (DOCKABLE, "template leaves", "", 2, "", REFUSED),
+    (DOCKABLE, "dock_fails", "", 0, "", REFUSED),
+    (DOCKABLE, "stuck_closed", "probe", 4, "query", REFUSED),
 ]
 
 
