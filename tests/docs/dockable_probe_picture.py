@@ -8,6 +8,7 @@ writes it anew. The way around is the module's own.
 from __future__ import annotations
 
 import importlib
+import math
 from pathlib import Path
 
 from tests.docs.pictures import Drawing
@@ -23,19 +24,62 @@ HEAD = (5.0, 290.0)
 GOAL = (150.0, 290.0)
 LIMITS = ((-10.0, 200.0), (230.0, 310.0))
 RADIUS = 40.0
+# Pixels of a mm, and where the dock is on the page
+SCALE = 4.0
+MIDDLE = (236.0, 244.0)
+# Ways in and out of the dock lie beside each other, so many pixels apart
+ASIDE = 6.0
 
 
 def at(point: tuple[float, float]) -> tuple[float, float]:
     """Where a place (mm) is on the page."""
-    return 90.0 + 3.4 * (point[0] + 10.0), 90.0 + 3.6 * (322.0 - point[1])
+    x, y = point[0] - DOCK[0], DOCK[1] - point[1]
+    return MIDDLE[0] + SCALE * x, MIDDLE[1] + SCALE * y
 
 
-def path(drawing: Drawing, role: str, points, width: float = 2.5) -> None:
-    """A polyline with a point at its end."""
-    for a, b in zip(points, points[1:]):
-        drawing.line(role, (*at(a), *at(b)), width)
-    x, y = at(points[-1])
-    drawing.add("circle", class_=f"f-{role}", cx=x, cy=y, r=5)
+def arrow(
+    drawing: Drawing, role: str, line: tuple[float, float, float, float]
+) -> None:
+    """A line on the page with the head of an arrow in its middle."""
+    drawing.line(role, line, 2.5)
+    ax, ay, bx, by = line
+    length = math.hypot(bx - ax, by - ay)
+    ux, uy = (bx - ax) / length, (by - ay) / length
+    x, y = (ax + bx) / 2.0, (ay + by) / 2.0
+    corners = (
+        (x + 8.0 * ux, y + 8.0 * uy),
+        (x - 6.0 * ux - 6.0 * uy, y - 6.0 * uy + 6.0 * ux),
+        (x - 6.0 * ux + 6.0 * uy, y - 6.0 * uy - 6.0 * ux),
+    )
+    points = " ".join(f"{cx:g},{cy:g}" for cx, cy in corners)
+    drawing.add("polygon", class_=f"f-{role}", points=points)
+
+
+def dot(
+    drawing: Drawing, role: str, place: tuple[float, float], r: float = 5.0
+) -> tuple[float, float]:
+    """A place (mm); where it is on the page."""
+    x, y = at(place)
+    drawing.add("circle", class_=f"f-{role}", cx=x, cy=y, r=r)
+    return x, y
+
+
+def label(drawing: Drawing, x: float, y: float) -> None:
+    """The words; the dock is at x, y."""
+    bold, end = {"font_weight": 600}, {"text_anchor": "end"}
+    drawing.text("ink", (x - 54, y - 38), "dock_position", **bold)
+    drawing.text("nozzle", (x - 20, y + 66), "in", **end)
+    drawing.text("probe", (x + 20, y + 66), "out, with the probe")
+    drawing.text("switch", (x + 30, y + 22), "out, without it")
+    left, low = at(APPROACH)
+    drawing.text("nozzle", (left + 12, low + 22), "approach_position", **bold)
+    drawing.text("muted", (left + 12, low + 40), "extract_, insert_position")
+    right, top = at(DETACH)
+    drawing.text("switch", (right + 14, top + 5), "detach_position", **bold)
+    corner = SCALE * RADIUS * math.sqrt(0.5) + 10.0
+    drawing.text("muted", (x + corner, y - corner), "safe_dock_distance")
+    right, low = at(GOAL)
+    drawing.text("muted", (right + 8, low + 54), "around the dock", **end)
 
 
 def draw() -> str:
@@ -55,36 +99,31 @@ def draw() -> str:
     zone = ways.Zone(*DOCK, RADIUS, lanes)
     x, y = at(DOCK)
     drawing.add(
-        "ellipse",
+        "circle",
         class_="s-muted",
         cx=x,
         cy=y,
-        rx=3.4 * RADIUS,
-        ry=3.6 * RADIUS,
+        r=SCALE * RADIUS,
         fill="none",
         stroke_dasharray="5 5",
     )
-    drawing.box("metal", (x - 26, y - 22, x + 26, y - 8), 3)
-    path(
-        drawing,
-        "muted",
-        [HEAD, *ways.way_around(HEAD, GOAL, zone, LIMITS)],
-    )
-    path(drawing, "nozzle", [APPROACH, DOCK])
-    path(drawing, "probe", [DOCK, DETACH])
-    x, y = at(APPROACH)
-    drawing.add("circle", class_="f-nozzle", cx=x, cy=y, r=5)
-    bold = {"font_weight": 600}
-    drawing.text("nozzle", (x + 12, y + 18), "approach_position", **bold)
-    drawing.text("muted", (x + 12, y + 36), "extract_, insert_position")
-    x, y = at(DOCK)
-    drawing.text("ink", (x - 40, y - 32), "dock_position", **bold)
-    x, y = at(DETACH)
-    drawing.text("probe", (x + 14, y - 8), "detach_position", **bold)
-    x, y = at(GOAL)
-    drawing.text("muted", (x - 60, y + 26), "around the dock")
-    x, y = at((-6.0, 266.0))
-    drawing.text("muted", (x - 20, y + 60), "safe_dock_distance")
+    drawing.box("metal", (x - 30, y - 26, x + 30, y - 10), 3)
+    points = [HEAD, *ways.way_around(HEAD, GOAL, zone, LIMITS)]
+    for a, b in zip(points, points[1:]):
+        drawing.line("muted", (*at(a), *at(b)), 2.5)
+    dot(drawing, "muted", HEAD)
+    dot(drawing, "muted", GOAL)
+    low = at(APPROACH)[1]
+    arrow(drawing, "nozzle", (x - ASIDE, low, x - ASIDE, y))
+    arrow(drawing, "probe", (x + ASIDE, y, x + ASIDE, low))
+    arrow(drawing, "switch", (x, y, *at(DETACH)))
+    for role, place in (
+        ("ink", DOCK),
+        ("nozzle", APPROACH),
+        ("switch", DETACH),
+    ):
+        dot(drawing, role, place, 6.0)
+    label(drawing, x, y)
     return drawing.text_of()
 
 
