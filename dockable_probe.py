@@ -514,8 +514,6 @@ class Prober(object):
         self.home_place = home_place
         self.auto = auto
         self.is_held = False  # by ATTACH_PROBE
-        # Whether the probe was looked at since a command probes; None: none does
-        self.is_checked = None
         self.ways_down = 0  # that homing still has to go
         self.last_touch = touching.LastTouch(docking.host)
         # The docking that is to come
@@ -546,9 +544,8 @@ class Prober(object):
             if state != ATTACHED or not self.sensors.proven:
                 off = "is %s and auto_attach_detach is off: run ATTACH_PROBE"
                 raise self.lost(off % (state,))
-        # From the dock on the pin itself tells, as between two touches
-        self.is_checked = self.auto and self.docking.attach()
-        if self.is_checked or not self.ways.is_at(goal):
+        fetched = self.auto and self.docking.attach()
+        if fetched or not self.ways.is_at(goal):
             self.ways.go_back(goal, travel_height(self.settings))
         if not self.settings.each_sample:
             self.run_still("activate")
@@ -560,20 +557,14 @@ class Prober(object):
             text = "the head moved in %s_gcode; move it in another option"
             raise probe_error(self.host, text % (name,))
 
-    # A probing move begins.  Later in a session the pin itself tells: where
-    # the probe is lost, the move ends where it began.
+    # A probing move begins.  'pin' tells by itself: where the probe is lost,
+    # the move ends where it began.
     def before_move(self):
-        sensors = self.sensors
-        print_time, senses = self.host.now(), sensors.senses
-        if not self.is_checked:
-            print_time = self.host.after_moves()
-            senses = sensors.senses + [sensors.pin]
-        if sensors.state(print_time, senses) != ATTACHED and senses:
+        sensors, senses = self.sensors, self.sensors.senses
+        if senses and sensors.state(self.host.now(), senses) != ATTACHED:
             raise self.lost("is not ready")
         if not sensors.proven:
             raise self.lost("was not seen to be fetched")
-        if self.is_checked is not None:
-            self.is_checked = True
         if self.settings.each_sample:
             self.run_still("activate")
 
@@ -586,12 +577,13 @@ class Prober(object):
             raise self.lost("was lost in a touch")
         if not moved:
             raise self.lost("triggered before the head moved")
-        if triggered:
+        if self.ways_down and triggered:
+            # Elsewhere the bed may be much higher, or the gantry lower
             self.last_touch.note()
-            self.ways_down = min(self.ways_down, 1)
+            self.ways_down = 1
         elif self.ways_down:
             self.homed_into_nothing()
-        elif touching.is_at(self.host, self.settings.lowest):
+        elif not triggered and touching.is_at(self.host, self.settings.lowest):
             self.docking.say(
                 "nothing down to z=%.3f, where the nozzle is just clear of the"
                 " bed; home Z again, level, check z_offset and the probe"
@@ -609,7 +601,6 @@ class Prober(object):
         )
 
     def lost(self, what):
-        self.last_touch.forget()
         self.sensors.proven = False
         return probe_error(
             self.host,
@@ -621,7 +612,7 @@ class Prober(object):
 
     # The command has probed, or failed
     def end(self):
-        self.is_checked, self.ways_down = None, 0
+        self.ways_down = 0
         if not self.ways.is_homed("xy") or self.host.printer.is_shutdown():
             return
         here = self.ways.here()

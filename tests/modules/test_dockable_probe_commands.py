@@ -125,6 +125,18 @@ def test_attached_until_it_is_detached(start, scene):
     assert trips(printer, before) == ["dock"]
 
 
+def test_probe_that_is_pressed_is_not_fetched_again(start):
+    changes = {"moves": {}, **section(**QUICK)}
+    printer = start(GANTRY, changes, modules=with_moves()).homed()
+    printer.run("ATTACH_PROBE")
+    # As a command of the owner's leaves it: the pin reads as without a probe
+    printer.run(f"G90\nG1 X150 Y150 Z20 F6000\nG1 Z{HANG - 0.2} F300\nM400")
+    assert "pin reads TRIGGERED" in "".join(printer.run("GET_PROBE_STATUS"))
+    ends = moves(printer, "ATTACH_PROBE\nPROBE")
+    assert all(end[:2] == pytest.approx((150, 150)) for end in ends)
+    assert where(printer) == "attached"
+
+
 def test_never_low_with_the_probe_on(start):
     printer = start(GANTRY, section(**QUICK), modules=with_moves()).homed()
     printer.run("G1 X150 Y150 Z3 F6000\nM400")

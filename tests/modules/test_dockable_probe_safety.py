@@ -274,7 +274,8 @@ def test_home_again_where_z_was_said_to_be_elsewhere(start, script):
     assert printer.gap((150.0, 150.0)) == pytest.approx(0.0, abs=0.02)
 
 
-def test_touch_of_a_probe_that_seems_lost_is_no_height_of_the_bed(start):
+def test_touch_elsewhere_is_no_height_of_the_bed_where_z_is_homed(start):
+    # As at a corner of a gantry that hangs askew, before it is levelled
     printer = start(GANTRY, section(**QUICK)).homed()
     printer.run("ATTACH_PROBE\nG1 X150 Y150 Z60 F6000\nM400")
     printer.machine.break_down(
