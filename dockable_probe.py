@@ -283,11 +283,19 @@ class Ways(object):
         self.zone = ways.Zone(dock.x, dock.y, settings.radius, lanes)
         # Z was lifted where nobody knows it
         self.is_lifted = False
+        # What the Z motors had moved when Z was homed with the probe
+        self.homed_at = None
         register = machine.printer.register_event_handler
-        register("stepper_enable:motor_off", self.forget_lift)
+        register("stepper_enable:motor_off", self.forget)
 
-    def forget_lift(self, *unused):
-        self.is_lifted = False
+    def forget(self, *unused):
+        self.is_lifted, self.homed_at = False, None
+
+    # In mm, up is positive; the mean of all, None where X or Y share them
+    def motors_z(self):
+        pairs = zip(self.host.z_steppers(), self.host.z_datum())
+        moved = [s.get_commanded_position() + datum for s, datum in pairs]
+        return sum(moved) / len(moved) if moved else None
 
     def is_homed(self, axes):
         homed = self.host.toolhead_status()["homed_axes"]
@@ -515,7 +523,6 @@ class Prober(object):
         self.auto = auto
         self.is_held = False  # by ATTACH_PROBE
         self.ways_down = 0  # that homing still has to go
-        self.last_touch = touching.LastTouch(docking.host)
         # The docking that is to come
         self.delayed = None
 
@@ -526,12 +533,13 @@ class Prober(object):
         lowest = position_min if is_homing else self.settings.lowest
         return max(lowest, position_min)
 
-    # Of homing: as deep as any touch, then hardly deeper than the first one
+    # Of homing: as deep as any touch, then hardly deeper than the first one.
+    # Counted by the motors, as homing and others say of Z what they like.
     def way_down(self):
-        height, beyond = self.last_touch.height(), SECOND_REACH
-        if self.ways_down == 2:
-            beyond = self.settings.z_offset - self.settings.lowest
-        return None if height is None else height + beyond
+        now, before = self.ways.motors_z(), self.ways.homed_at
+        deepest = self.settings.z_offset - self.settings.lowest
+        beyond = deepest if self.ways_down == 2 else SECOND_REACH
+        return None if None in (now, before) else now - before + beyond
 
     def begin(self, is_homing):
         self.delayed = None
@@ -579,7 +587,7 @@ class Prober(object):
             raise self.lost("triggered before the head moved")
         if self.ways_down and triggered:
             # Elsewhere the bed may be much higher, or the gantry lower
-            self.last_touch.note()
+            self.ways.homed_at = self.ways.motors_z()
             self.ways_down = 1
         elif self.ways_down:
             self.homed_into_nothing()
@@ -590,7 +598,7 @@ class Prober(object):
                 % (self.settings.lowest,)
             )
 
-    # The host turns the motors off then, so the last touch is forgotten
+    # The host turns the motors off then
     def homed_into_nothing(self):
         self.sensors.proven = False
         distance = self.settings.retract + REACH

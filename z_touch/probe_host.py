@@ -21,16 +21,15 @@ class Facade(object):
     def __init__(self, device, endstop, z_offset):
         self.device = device
         self.z_offset = z_offset
-        self.is_homing = self.is_triggered = False
+        self.is_homing, self.trigger_time = False, 0.0
         self.endstop = endstop
         names = "get_mcu add_stepper get_steppers home_start query_endstop"
         for name in names.split():
             setattr(self, name, getattr(endstop, name))
 
     def home_wait(self, home_end_time):
-        found = self.endstop.home_wait(home_end_time)
-        self.is_triggered = found > 0.0
-        return found
+        self.trigger_time = self.endstop.home_wait(home_end_time)
+        return self.trigger_time
 
     def get_position_endstop(self):
         return self.z_offset
@@ -45,12 +44,12 @@ class Facade(object):
 
     def probe_prepare(self, hmove):
         if self.is_homing:
-            self.shorten()
+            self.shorten(self.z_offset)
         self.device.before_move()
 
     def probe_finish(self, hmove):
         moved = hmove.check_no_movement() is None
-        self.device.after_move(moved, self.is_triggered)
+        self.device.after_move(moved, self.trigger_time > 0.0)
 
     # Asked for since 2024-04-09 (acdf8bb10), by Kalico with 'gcmd' since
     # 2025-12-14 (e8182b7f0), as Kalico's own probes have it
@@ -58,14 +57,13 @@ class Facade(object):
         homing = self.device.host.printer.lookup_object("homing")
         return homing.probing_move(self, pos, speed)
 
-    # A homing move ends at z_offset; returns whether its begin is nearer now
-    def shorten(self):
+    # A homing move ends at 'end', wherever it is said to begin
+    def shorten(self, end):
         way, toolhead = self.device.way_down(), self.device.host.toolhead
         if way is not None:
             place = toolhead.get_position()
-            place[2] = self.z_offset + way
+            place[2] = end + way
             toolhead.set_position(place)
-        return way is not None
 
     # As a chip of pins
     def setup_pin(self, pin_type, pin_params):
@@ -85,9 +83,8 @@ class SessionProbe(object):
     def __init__(self, config, device, facade, module):
         self.device = device
         self.mcu_probe = facade
-        x, y = [
-            options.number(config, n, 0.0) for n in ("x_offset", "y_offset")
-        ]
+        names = "x_offset", "y_offset"
+        x, y = [options.number(config, name, 0.0) for name in names]
         self.offsets = x, y, facade.z_offset
         self.sampling = read_sampling(config)
         self.drop_first = config.getboolean("drop_first_result", False)
@@ -190,8 +187,8 @@ class Session(object):
             raise gcmd.error("Must home before probe")
         facade, floor = self.probe.mcu_probe, self.probe.device.floor(homing)
         self.host.require_running()
-        if homing and facade.shorten():
-            floor = facade.z_offset
+        if homing:
+            facade.shorten(floor)
         place = self.host.toolhead.get_position()
         place[2] = min(floor, place[2])
         result = self.result(list(facade.probing_move(place, speed)))

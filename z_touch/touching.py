@@ -143,32 +143,6 @@ class Head(object):
         raise_to(self.host, z, self.sampling.lift_speed)
 
 
-# How high (mm) the head is above where it touched last, by what the motors did:
-# homing, and whoever sets Z, say what they like of Z.  None: nobody knows.
-class LastTouch(object):
-    def __init__(self, host):
-        self.host = host
-        self.moved = None
-        register = host.printer.register_event_handler
-        register("stepper_enable:motor_off", self.forget)
-
-    def forget(self, *unused):
-        self.moved = None
-
-    def note(self):
-        self.moved = self._motors()
-
-    def height(self):
-        now = self._motors()
-        return None if None in (now, self.moved) else now - self.moved
-
-    # The mean of all, None where X or Y share them
-    def _motors(self):
-        pairs = zip(self.host.z_steppers(), self.host.z_datum())
-        moved = [s.get_commanded_position() + datum for s, datum in pairs]
-        return sum(moved) / len(moved) if moved else None
-
-
 # A session of the host's own probing that ends each touch at 'floor' and lifts
 # the head to 'top' before it ends: the host may stow or dock the probe then.
 # Yields a function that touches once, for Head.probe(); None where the host
