@@ -182,18 +182,6 @@ def test_every_command_is_timed_beside_its_lower_bound(program):
     assert len(tables) == len(starts)
 
 
-def test_probe_is_fetched_quickly(program):
-    """The fastest of the other modules takes 8.0 s, see docs/performance.md."""
-    timings = {
-        entry["command"]: entry["runs"][0]["seconds"]
-        for entry in program.all_figures["timings"]
-        if entry["module"] == "ours"
-    }
-    assert timings["ATTACH_PROBE, DETACH_PROBE"] < 7.4
-    # Kalico's own on its own host, the slowest
-    assert timings["G28, BED_MESH_CALIBRATE"] < 76.8
-
-
 def test_loading_is_measured(program):
     costs = {c["module"]: c for c in program.all_figures["costs"]}
     same = costs[str(program.files["same"])]

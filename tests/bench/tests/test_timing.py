@@ -6,10 +6,13 @@ import time
 
 import pytest
 
+from tests.bench import timing
 from tests.bench.commands import (
     ACCURACY_SAMPLES,
+    ATTACH_AND_DETACH,
     AUTO_Z_CALIBRATE,
     CALIBRATE_Z,
+    HOME_AND_MESH,
     PROBE_Z_ACCURACY,
     STANDARD,
 )
@@ -103,6 +106,22 @@ def test_cycles_are_timed_with_the_gcode_of_the_user(one_host):
         # Three cycles; on its way to the bed the nozzle takes the probe along
         assert run.touches == {"nozzle_bed": 3, "inductive_bed": 6}
         assert run.samples == 6
+
+
+# Seconds that other modules take, at least, on their hosts: docs/performance.md
+@pytest.mark.parametrize(
+    ("command", "others", "touches"),
+    [(ATTACH_AND_DETACH, 8.0, 0), (HOME_AND_MESH, 76.8, 27)],
+    ids=["trip", "mesh"],
+)
+def test_probe_is_fetched_quickly(
+    one_host, monkeypatch, command, others, touches
+):
+    monkeypatch.setattr(timing, "RUNS", RUNS[:1])
+    (run,) = measured(one_host, command)
+    assert run.ratio > 1.0
+    assert run.seconds < others
+    assert run.touches.get("probe_bed", 0) == touches
 
 
 def test_cpu_is_that_of_klippy(one_host):
