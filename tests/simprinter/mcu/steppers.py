@@ -185,8 +185,9 @@ class Steppers(Peripheral):
 
     @command("queue_step oid=%c interval=%u count=%hu add=%hi")
     def _queue_step(self, oid: int, interval: int, count: int, add: int):
-        stepper = self.by_oid[oid]
-        if stepper.needs_reset:
+        stepper = self.by_oid.get(oid)
+        # Some are on their way when the board is reset
+        if stepper is None or stepper.needs_reset:
             return
         track = stepper.track
         start = track.last_clock
@@ -207,13 +208,15 @@ class Steppers(Peripheral):
 
     @command("set_next_step_dir oid=%c dir=%c")
     def _set_dir(self, oid: int, direction: int) -> None:
-        self.by_oid[oid].direction = direction
+        if oid in self.by_oid:
+            self.by_oid[oid].direction = direction
 
     @command("reset_step_clock oid=%c clock=%u")
     def _reset_clock(self, oid: int, clock: int) -> None:
-        stepper = self.by_oid[oid]
-        stepper.step_clock = clock
-        stepper.needs_reset = False
+        stepper = self.by_oid.get(oid)
+        if stepper is not None:
+            stepper.step_clock = clock
+            stepper.needs_reset = False
 
     @command("stepper_get_position oid=%c")
     def _get_position(self, oid: int) -> None:
