@@ -353,7 +353,10 @@ HOME_AND_MESH = Command(
     ("probe_bed",),
     mesh_plan,
 )
-# They came after the figures of docs/performance.md; the next whole run of
-# the benchmark has them in its tables
-UNPUBLISHED = (ATTACH_AND_DETACH, HOME_AND_MESH)
-COMMANDS = (CALIBRATE_Z, PROBE_Z_ACCURACY, AUTO_Z_CALIBRATE, *UNPUBLISHED)
+COMMANDS = (
+    CALIBRATE_Z,
+    PROBE_Z_ACCURACY,
+    AUTO_Z_CALIBRATE,
+    ATTACH_AND_DETACH,
+    HOME_AND_MESH,
+)
