@@ -50,6 +50,16 @@ def test_pin_that_is_shared_on_purpose(host, user, pin):
         printer.session.require_ready()
 
 
+def fall_silent(machine, begin):
+    """Nobody hears from the board of the Z switch for a moment."""
+
+    def is_silent():
+        now = machine.rig.seconds(machine.simulation.clock.now())
+        return begin < now < begin + 0.12
+
+    machine.boards["zboard"].is_silent = is_silent
+
+
 def test_lost_message_is_no_missing_trigger(host):
     # The body is 0.75 mm lower than z_offset says, so 0.25 mm above the floor
     scene = "voron_two_boards"
@@ -59,13 +69,7 @@ def test_lost_message_is_no_missing_trigger(host):
         touches = printer.machine.truth.touches
         begin = min(t.t for t in touches if t.site == "body_pin") - 0.08
     with Printer(host, scene, changes) as printer:
-        machine = printer.homed().machine
-
-        def is_silent():
-            now = machine.rig.seconds(machine.simulation.clock.now())
-            return begin < now < begin + 0.12
-
-        machine.boards["zboard"].is_silent = is_silent
+        fall_silent(printer.homed().machine, begin)
         text = printer.fail("CALIBRATE_Z")
         assert text.startswith("z_calibration: switch: ")
         assert "Communication timeout during homing" in text
@@ -86,13 +90,7 @@ def test_lost_message_near_the_start_is_no_pressed_switch(one_host):
         touches = printer.machine.truth.touches
         begin = [t.t for t in touches if t.site == "nozzle_pin"][-1] - 0.012
     with Printer(one_host, scene, changes) as printer:
-        machine = printer.homed().machine
-
-        def is_silent():
-            now = machine.rig.seconds(machine.simulation.clock.now())
-            return begin < now < begin + 0.12
-
-        machine.boards["zboard"].is_silent = is_silent
+        fall_silent(printer.homed().machine, begin)
         text = printer.fail("CALIBRATE_Z")
     assert "Communication timeout during homing (stopped at" in text, text
 
