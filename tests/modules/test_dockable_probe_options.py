@@ -139,22 +139,15 @@ def test_two_probes(some_host: Host):
 # What they do
 
 
-def test_places_in_their_order(start):
+@pytest.mark.parametrize(
+    "command, out", [("ATTACH_PROBE", APPROACH), ("DETACH_PROBE", DETACH)]
+)
+def test_places_in_their_order(start, command, out):
     printer = recording(start)
-    ends = moves(printer, "ATTACH_PROBE")
-    assert [end[:2] for end in ends] == [
-        APPROACH,
-        DOCK,
-        APPROACH,
-        (150.0, 150.0),
-    ]
-    ends = moves(printer, "DETACH_PROBE")
-    assert [end[:2] for end in ends] == [
-        APPROACH,
-        DOCK,
-        DETACH,
-        (150.0, 150.0),
-    ]
+    if out == DETACH:
+        printer.run("ATTACH_PROBE")
+    ends = [end[:2] for end in moves(printer, command)]
+    assert ends == [APPROACH, DOCK, out, (150.0, 150.0)]
 
 
 def test_old_names(start):

@@ -217,6 +217,19 @@ def test_direction_one_counts_up(bench):
     assert clocks == [start + n * 1000 for n in (0, 1, 6, 14)]
 
 
+def test_what_was_on_its_way_at_a_reset_moves_nothing(bench):
+    bench.tell("reset")
+    bench.turn(OID, 1)
+    bench.reset_clock(OID, bench.now())
+    bench.queue(OID, 1000, 5)
+    assert bench.mechanics.queued == []
+    # Nor does it count for the motor that is configured next
+    bench.configure()
+    bench.queue(OID, bench.now() + 1000)
+    bench.run_to(bench.now() + 2000)
+    assert bench.position(OID) == -1
+
+
 # Seconds that the motor has rested; whether the step clock is reset to 0.
 # Intervals have 32 bits, which is 86 s: longer ones have wrapped
 @pytest.mark.parametrize("seconds", [1, 30, 43, 60, 130])
