@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import gc
 import os
 import re
 import zlib
@@ -30,6 +31,11 @@ def pytest_sessionfinish() -> None:
     starting.close()
 
 
+def pytest_collection_finish() -> None:
+    """What is there by now stays: the collector need not look at it."""
+    gc.freeze()
+
+
 def pytest_generate_tests(metafunc: pytest.Metafunc) -> None:
     """Each host in turn as `host`; EVERY_HOST=1: as `some_host`, too."""
     names = ["host", "some_host"] if os.environ.get("EVERY_HOST") else ["host"]
@@ -45,11 +51,11 @@ def pytest_collection_modifyitems(
 
     On another one for another case. EVERY_HOST=1: on each; so do those marked
     `each_host`, where all others in their file are spread. Of one marked
-    `half`, half of the cases run without it.
+    `some`, some of the cases run without it.
     """
     if not os.environ.get("EVERY_HOST"):
-        halved = _halved(items)
-        chosen = {i for i in items if i not in halved and _is_its_turn(i)}
+        left_out = _left_out(items)
+        chosen = {i for i in items if i not in left_out and _is_its_turn(i)}
         others = [item for item in items if item not in chosen]
         config.hook.pytest_deselected(items=others)
         items[:] = [item for item in items if item in chosen]
@@ -62,22 +68,28 @@ def pytest_collection_modifyitems(
                 _noted(item, value)
 
 
-def _halved(items: list[pytest.Item]) -> set[pytest.Item]:
-    """Half of the cases, on whichever host, of each test marked `half`."""
+def _left_out(items: list[pytest.Item]) -> set[pytest.Item]:
+    """What does not run of the tests marked `some`, on whichever host.
+
+    Half of a table's cases run; of 6 and more every third, of 16 and more
+    every fourth.
+    """
     cases: dict[str, list[str]] = {}
-    left_out = set()
-    for item in items:
-        if item.get_closest_marker("half") is None:
-            continue
+    marked = [item for item in items if item.get_closest_marker("some")]
+    for item in marked:
         case = _case(item)
         table = cases.setdefault(case.partition("[")[0], [])
         if case not in table:
             table.append(case)
-        number = table.index(case)
-        # By pairs, as every second one would be one value of the last option
-        if (number + number // 2) % 2:
-            left_out.add(item)
-    return left_out
+    return {item for item in marked if not _is_chosen(_case(item), cases)}
+
+
+def _is_chosen(case: str, cases: dict[str, list[str]]) -> bool:
+    table = cases[case.partition("[")[0]]
+    step = 2 + (len(table) >= 6) + (len(table) >= 16)
+    number = table.index(case)
+    # Shifted in each round, as the last option has as few values
+    return (number + number // step) % step == 0
 
 
 def _case(item: pytest.Item) -> str:

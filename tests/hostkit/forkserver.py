@@ -23,6 +23,7 @@ import array
 import contextlib
 import ctypes
 import fcntl
+import gc
 import importlib
 import json
 import os
@@ -187,6 +188,7 @@ def main() -> None:
             break
         program.import_wanted(request["wanted"])
         program.import_found(found.names())
+        gc.freeze()
         pid = os.fork()
         if not pid:
             channel.close()

@@ -68,6 +68,7 @@ def moving(start, faults=(), **options):
 # Heights
 
 
+@pytest.mark.some
 @pytest.mark.parametrize("z_offset", ["0", "0.05", "0.2", "-0.1"])
 def test_air_gap(start, z_offset):
     changes = section(z_offset=z_offset)
@@ -272,6 +273,7 @@ def test_sample_retract_dist(start, retract):
         assert min(abs(top - each) for each in tops) < 0.01
 
 
+@pytest.mark.some
 @pytest.mark.parametrize(
     ("result", "share"),
     [("average", 1 / 3), ("AVERAGE", 1 / 3), ("median", 0.0), ("Median", 0.0)],

@@ -67,7 +67,7 @@ def probed_at(printer, seconds):
 # Not homed
 
 
-@pytest.mark.half
+@pytest.mark.some
 @pytest.mark.parametrize("command", MEASURING)
 @pytest.mark.parametrize("script", ["", "G28 X", "G28\nM84"])
 def test_axes_must_be_homed(some_host, command, script):
@@ -89,7 +89,7 @@ def test_axes_must_be_homed(some_host, command, script):
 KINDS = ("trigger_never", "stuck_open", "stuck_closed")
 
 
-@pytest.mark.half
+@pytest.mark.some
 @pytest.mark.parametrize("saved", [None, "-1.12"])
 @pytest.mark.parametrize("signal", ["bed_sensor", "probe"])
 @pytest.mark.parametrize("n", [1, 2, 3])
@@ -140,7 +140,7 @@ def test_trigger_a_little_above_the_bed_is_not_the_bed(start):
     assert after == before
 
 
-@pytest.mark.half
+@pytest.mark.some
 @pytest.mark.parametrize("n", [1, 2, 3])
 @pytest.mark.parametrize("retries", [0, 1])
 def test_trigger_in_mid_air(some_host, n, retries):
@@ -176,7 +176,7 @@ def test_first_touch_in_mid_air_on_a_machine_nobody_knows(start):
     assert true_gap(printer) == pytest.approx(gap, abs=STEPS)
 
 
-@pytest.mark.half
+@pytest.mark.some
 @pytest.mark.parametrize("n", [1, 2, 3])
 @pytest.mark.parametrize(("late", "retries"), [(0.1, 0), (0.1, 1), (0.5, 1)])
 def test_trigger_that_is_late(some_host, n, late, retries):
@@ -486,7 +486,7 @@ def test_writes_of_one_touch(start):
     assert min(seen, key=lambda s: sum(s.values())) == WRITES
 
 
-@pytest.mark.half
+@pytest.mark.some
 @pytest.mark.parametrize(
     ("driver", "n"),
     [(d, n) for d, count in WRITES.items() for n in range(count)],

@@ -105,7 +105,7 @@ def test_reading_that_was_not_seen_to_change_again(start):
 # Each n-th attempt fails
 
 
-@pytest.mark.half
+@pytest.mark.some
 @pytest.mark.parametrize("n", [1, 2, 3])
 @pytest.mark.parametrize("fault", ["attach_fails", "dock_fails"])
 def test_attempt_that_fails_is_tried_again(start, fault, n):
@@ -199,7 +199,7 @@ def test_sense_that_is_stuck_from_the_start(start, signal, level):
 # Lost, or dead, at each touch
 
 
-@pytest.mark.half
+@pytest.mark.some
 @pytest.mark.parametrize("when", ["touch", "lift"])
 @pytest.mark.parametrize("n", [1, 2, 3, 4, 7])
 @pytest.mark.parametrize("scene", [GANTRY, SENSED], ids=lambda s: s.name)
@@ -229,7 +229,7 @@ def test_probe_lost_at_the_last_touch(start):
     assert_safe(printer)
 
 
-@pytest.mark.half
+@pytest.mark.some
 @pytest.mark.parametrize("n", [2, 3, 4, 6])
 @pytest.mark.parametrize("level", ["stuck_open", "stuck_closed"])
 def test_switch_that_dies_at_a_touch(start, n, level):
@@ -347,7 +347,7 @@ def test_sense_pin_tells_before_a_touch(start):
 # Templates that raise
 
 
-@pytest.mark.half
+@pytest.mark.some
 @pytest.mark.parametrize(
     ("option", "state", "head"),
     [
@@ -449,7 +449,7 @@ def test_emergency_stop_at_a_touch(start):
 
 # Places around the dock, each relative to it; the way to the last one leads
 # through its body
-@pytest.mark.half
+@pytest.mark.some
 @pytest.mark.parametrize(
     "scene", [GANTRY, FRAME, BED], ids=lambda scene: scene.name
 )

@@ -60,6 +60,7 @@ def homed_at(height):
 # The gap
 
 
+@pytest.mark.some
 @pytest.mark.each_host
 @pytest.mark.parametrize("scene", [*SCENE_NAMES, "membrane_two_boards"])
 def test_gap_is_right_afterwards(start, scene):
@@ -82,7 +83,7 @@ def bed_of(printer):
     return printer.status(NAME)["last_offset"]
 
 
-@pytest.mark.half
+@pytest.mark.some
 # Below the bed, above it but below the membrane, above the membrane
 @pytest.mark.parametrize("height", [-0.45, 0.15, 0.9])
 @pytest.mark.parametrize(
@@ -293,7 +294,7 @@ FLOOR_LINE = "Without a trigger the nozzle stops at z={:.3f}."
 UNSAVED = "No calibration was saved yet, so that may be in the bed"
 
 
-@pytest.mark.half
+@pytest.mark.some
 @pytest.mark.parametrize(
     ("own", "params", "floor", "is_told"),
     [
@@ -503,7 +504,7 @@ def test_status_of_the_last_calibration(start):
 # The nozzle's temperature
 
 
-@pytest.mark.half
+@pytest.mark.some
 @pytest.mark.parametrize(
     ("own", "celsius", "outcome"),
     [

@@ -65,6 +65,7 @@ def use(printer, name):
     return lines + printer.run(CONTINUE)
 
 
+@pytest.mark.spread
 @pytest.mark.parametrize("name", OWNERS)
 def test_example_ends_with_the_bed_at_zero(start, name):
     _, section, option, wanted = OWNERS[name]
@@ -84,6 +85,7 @@ def test_example_ends_with_the_bed_at_zero(start, name):
     assert true_gap(printer) == pytest.approx(0.0, abs=2 * MICROSTEP)
 
 
+@pytest.mark.some
 @pytest.mark.parametrize("name", OWNERS)
 @pytest.mark.spread
 def test_example_used_again(start, name):

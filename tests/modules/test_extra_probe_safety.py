@@ -95,7 +95,7 @@ def test_membrane_that_is_not_there_once_the_bed_is_known(start):
     assert printer.machine.truth.min_gap == pytest.approx(0.125, abs=0.01)
 
 
-@pytest.mark.half
+@pytest.mark.some
 @pytest.mark.parametrize("n", [1, 2, 3])
 @pytest.mark.parametrize("name", ["stuck_open", "trigger_never"])
 def test_membrane_that_is_dead(start, name, n):
@@ -189,7 +189,7 @@ def test_outlier_starts_the_series_again(start):
 RAISES = "\n  {action_raise_error('worn out')}"
 
 
-@pytest.mark.half
+@pytest.mark.some
 @pytest.mark.parametrize("option", ["activate_gcode", "deactivate_gcode"])
 @pytest.mark.parametrize("each", ["true", "false"])
 @pytest.mark.parametrize(
@@ -297,7 +297,7 @@ SHIFT = {
 }
 
 
-@pytest.mark.half
+@pytest.mark.some
 @pytest.mark.parametrize("after_touch", [False, True])
 @pytest.mark.parametrize(
     ("script", "words"),

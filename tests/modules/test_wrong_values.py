@@ -6,6 +6,7 @@ tests/docs holds against the modules.
 
 from __future__ import annotations
 
+import os
 from pathlib import Path
 from typing import NamedTuple
 
@@ -72,6 +73,13 @@ def nonsense(case: Case) -> list[str]:
     return list(dict.fromkeys([*TEXTS, *refused]))
 
 
+def some_of(case: Case) -> list[str]:
+    """Every second one, by turns; EVERY_HOST=1: all."""
+    if os.environ.get("EVERY_HOST"):
+        return nonsense(case)
+    return nonsense(case)[CASES.index(case) % 2 :: 2]
+
+
 def message_of(host, case, value):
     """What klippy stops with for one value of an option."""
     own = {case.option.name: value}
@@ -96,7 +104,7 @@ def message_of(host, case, value):
 )
 def test_nonsense_is_a_configuration_error(host, case):
     name, module = case.option.name, case.module
-    for value in nonsense(case):
+    for value in some_of(case):
         message = message_of(host, case, value)
         assert name in message, (value, message)
         # The host says 'module:option' of a template

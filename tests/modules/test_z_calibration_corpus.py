@@ -66,12 +66,12 @@ def check_calibration(host, machine):
     assert gap == pytest.approx(machine.gap, abs=2 * MICROSTEP)
 
 
-@each(WORKING, 16)
+@each(WORKING, 24)
 def test_entry_calibrates(entry, host):
     check_calibration(host, build(entry, host))
 
 
-@pytest.mark.half
+@pytest.mark.some
 @each([entry for entry in WORKING if "z_offset" in probe_of(entry)], 6)
 def test_z_offset_need_not_be_right(entry, host):
     z_offset = float(probe_of(entry)["z_offset"])
@@ -79,7 +79,7 @@ def test_z_offset_need_not_be_right(entry, host):
     check_calibration(host, build(entry, host, body))
 
 
-@each([entry for entry in WORKING if homes_with_probe(entry)])
+@each([entry for entry in WORKING if homes_with_probe(entry)], 6)
 def test_probe_as_z_endstop_is_refused(entry, host):
     machine = build(entry, host).with_virtual_endstop()
     message = refusal(host, {}, machine.scene)

@@ -182,6 +182,7 @@ gcode.register_command("ADAPT", adapt)
         assert place_of("probe_bed", printer, before) == (102, 85.25)
 
 
+@pytest.mark.some
 @pytest.mark.parametrize(
     ("bed", "zero", "is_told"),
     [
@@ -350,14 +351,12 @@ def test_point_on_the_edge_of_the_axes(host, edge):
 @pytest.mark.parametrize(
     ("margins", "limits"),
     [
-        ("-0.5,0.2", None),
         ("0.2", None),
         # Which direction is meant is plain
         ("-0.2", None),
         # 0 need not be one of them
         ("0.1, 0.3", None),
         ("-0.5,0.1", "-0.500 to 0.100"),
-        ("0.1", "-0.100 to 0.100"),
         ("-2.75, -2.35", "-2.750 to -2.350"),
     ],
 )
@@ -427,6 +426,7 @@ def test_travel_height_clears_a_bed_as_high_as_the_margin(watched):
     assert travel_heights(printer)[-1] == pytest.approx(expected, abs=0.01)
 
 
+@pytest.mark.some
 @pytest.mark.parametrize("z_offset", ["0", "-1.1", "1.49", "2.0", "4.0"])
 def test_wrong_z_offset_drags_nothing(start, z_offset):
     changes = {"moves": {}, "probe": {"z_offset": z_offset}}
@@ -440,7 +440,7 @@ def test_wrong_z_offset_drags_nothing(start, z_offset):
     assert max(travel_heights(printer)[:2]) == pytest.approx(high, abs=0.01)
 
 
-@pytest.mark.half
+@pytest.mark.some
 @pytest.mark.parametrize(
     ("n", "options", "floor"),
     [
@@ -504,7 +504,7 @@ def test_floor_of_the_switch(start, options, floor):
     assert "looking at the bed how long the probe is" in console
 
 
-@pytest.mark.half
+@pytest.mark.some
 @pytest.mark.parametrize(
     ("options", "below"),
     [({}, 1.0), ({"offset_margins": "-0.4,1"}, 0.4)],
@@ -552,9 +552,7 @@ def test_tolerance_and_retries(start, options, n, fails):
 @pytest.mark.parametrize(
     ("signal", "n", "of_probe", "own", "share"),
     [
-        ("z_endstop", 5, "median", None, 0),
         ("z_endstop", 5, "average", None, 1),
-        ("z_endstop", 5, "average", "median", 0),
         ("z_endstop", 5, "median", "average", 1),
         ("probe", 3, "average", None, 1),
         ("probe", 3, "average", "median", 0),

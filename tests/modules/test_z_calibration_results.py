@@ -120,7 +120,6 @@ def test_each_site_is_touched_where_it_is_wanted(start, by_command):
     }
 
 
-@pytest.mark.each_host
 def test_batch_run_gives_the_same_result(host):
     with Printer(host) as printer:
         live, _ = calibration(printer.homed())
@@ -172,7 +171,6 @@ def test_a_sample_that_disagrees_starts_the_site_again(start):
     assert "0.0500 mm" in retries[0]
 
 
-@pytest.mark.each_host
 def test_retries_end(start):
     changes = {"probe": {"samples_tolerance_retries": "1"}}
     faults = [
@@ -199,7 +197,6 @@ def test_bed_is_sampled_with_the_probes_own_settings(start):
     assert_unharmed(printer)
 
 
-@pytest.mark.each_host
 @pytest.mark.parametrize("deactivate", ["activate", "deactivate"])
 def test_probe_that_cannot_be_made_ready_ends_the_run(start, deactivate):
     # With its own pin to be told apart: fails once, when told to
@@ -348,7 +345,6 @@ def test_offset_is_given_to_the_micrometre(start):
     assert printer.offset() == pytest.approx(float(offset), abs=1e-7)
 
 
-@pytest.mark.each_host
 def test_klippy_knows_version_help_and_settings(start):
     printer = start()
     printer.session.require_ready()
@@ -364,7 +360,6 @@ def test_klippy_knows_version_help_and_settings(start):
 # Templates
 
 
-@pytest.mark.each_host
 def test_templates_run_in_order_and_once(start):
     changes = marked("FIRST", "SECOND", "LAST")
     changes.update(
@@ -386,6 +381,7 @@ def test_templates_run_in_order_and_once(start):
     assert printer.machine.world.probe_state(0.0) == "docked"
 
 
+@pytest.mark.some
 @pytest.mark.parametrize("broken", ["FIRST", "SECOND", "LAST"])
 def test_template_that_fails_ends_the_run(start, broken):
     bodies = {broken: "{ action_raise_error('no luck') }"}
@@ -409,7 +405,6 @@ def test_template_that_fails_ends_the_run(start, broken):
     assert printer.offset() == pytest.approx(0.2)
 
 
-@pytest.mark.each_host
 @pytest.mark.parametrize(
     ("code", "words"),
     [
@@ -482,7 +477,6 @@ def test_end_gcode_that_turns_the_motors_off_voids_the_result(start):
     assert printer.offset() == pytest.approx(0.2)
 
 
-@pytest.mark.each_host
 def test_template_that_stops_the_printer_is_the_last_thing_run(start):
     changes = marked("LAST")
     stop = "ATTACH_PROBE\n  { action_emergency_stop('enough') }"
@@ -499,7 +493,6 @@ def test_template_that_stops_the_printer_is_the_last_thing_run(start):
 # What may go wrong on the way
 
 
-@pytest.mark.each_host
 @pytest.mark.parametrize("homed", ["", "G28 X Y", "G28\nM84"])
 def test_unhomed_printer_does_not_move(start, homed):
     printer = start(changes={"safe_z_home": None} if homed else None)
@@ -579,6 +572,7 @@ def test_endstop_that_is_pressed_already_is_not_touched(start):
     assert printer.session.state()[0] == "ready"
 
 
+@pytest.mark.some
 @pytest.mark.parametrize(
     ("n", "site"), [(3, "nozzle"), (4, "nozzle"), (7, "switch"), (8, "switch")]
 )
@@ -591,7 +585,6 @@ def test_endstop_that_closes_while_a_touch_begins(start, n, site):
     assert_unharmed(printer)
 
 
-@pytest.mark.each_host
 @pytest.mark.parametrize(
     ("site", "noticed"), [("nozzle", "switch"), ("switch", "bed")]
 )
@@ -632,7 +625,6 @@ def test_failure_keeps_the_last_result_and_offset(start):
     assert_unharmed(printer, good[-1])
 
 
-@pytest.mark.each_host
 def test_probe_is_usable_after_a_failure(start):
     # The session must have been closed
     fault = Fault("trigger_never", signal="probe", n=3)
@@ -754,7 +746,6 @@ UNSUITABLE = {
 }
 
 
-@pytest.mark.each_host
 @pytest.mark.parametrize(
     ("changes", "words"), UNSUITABLE.values(), ids=UNSUITABLE
 )

@@ -106,9 +106,9 @@ def no_outliers(monkeypatch):
 
 @pytest.mark.parametrize("procedure", PROCEDURES)
 def test_error_without_noise_is_below_two_microsteps(
-    host, procedure, no_outliers
+    some_host, procedure, no_outliers
 ):
-    found = run_trial(trial(host, procedure))
+    found = run_trial(trial(some_host, procedure))
     names = [n for m in PROCEDURES[procedure].measurements for n in m.names]
     assert list(found) == names
     for error in found.values():

@@ -15,9 +15,9 @@ from types import SimpleNamespace
 import pytest
 
 from tests.bench import __main__ as bench
-from tests.bench import cost
+from tests.bench import cost, timing
 from tests.bench.commands import AUTO_Z_CALIBRATE, CALIBRATE_Z
-from tests.bench.timing import RUNS, Subject, attempt
+from tests.bench.timing import Subject, attempt
 from tests.hostkit.hosts import find_hosts
 from tests.hostkit.printer import module_files
 
@@ -25,6 +25,7 @@ from tests.hostkit.printer import module_files
 pytestmark = pytest.mark.timeout(300)
 
 TIMED = (CALIBRATE_Z, AUTO_Z_CALIBRATE)
+RUNS = timing.RUNS[:2]
 CELL = re.compile(r"(\d+\.\d\d)/(\d+\.\d\d)=(\d+\.\d\d)")
 
 MODULES = {
@@ -108,6 +109,7 @@ def in_folder(folder):
         patch.setattr(bench, "folder", lambda: folder)
         # As for any other; each takes seconds
         patch.setattr(bench, "COMMANDS", TIMED)
+        patch.setattr(timing, "RUNS", RUNS)
         # Each takes as long as a start of klippy
         patch.setattr(cost, "LOADINGS", 1)
         yield
@@ -152,7 +154,7 @@ def test_printed_numbers_are_the_figures(program):
     for name in ("ours", file):
         runs = program.figures[name]["runs"]
         cells = CELL.findall(line_of(program, name))
-        assert len(cells) == len(runs) == 3
+        assert len(cells) == len(runs) == len(RUNS)
         for cell, run in zip(cells, runs):
             wanted = [run[key] for key in ("seconds", "bound", "ratio")]
             assert list(map(float, cell)) == pytest.approx(wanted, abs=0.006)
@@ -161,9 +163,9 @@ def test_printed_numbers_are_the_figures(program):
     assert float(cpu) > 0.0
     runs = zip(program.figures["ours"]["runs"], program.figures[file]["runs"])
     wanted = [first["seconds"] / other["seconds"] for first, other in runs]
-    printed = list(map(float, times.split()[-3:]))
+    printed = list(map(float, times.split()[-len(RUNS) :]))
     assert printed == pytest.approx(wanted, abs=0.006)
-    assert wanted == pytest.approx([1.0] * 3, abs=0.1)
+    assert wanted == pytest.approx([1.0] * len(RUNS), abs=0.1)
 
 
 def test_every_command_is_timed_beside_its_lower_bound(program):
@@ -171,7 +173,7 @@ def test_every_command_is_timed_beside_its_lower_bound(program):
     assert {entry["host"] for entry in timings} == {program.host}
     own = {e["command"]: e["runs"] for e in timings if e["module"] == "ours"}
     assert {name: len(runs) for name, runs in own.items()} == {
-        command.name: 3 for command in TIMED
+        command.name: len(RUNS) for command in TIMED
     }
     tables = [line for line in program.lines if "lower bound of" in line]
     starts = {

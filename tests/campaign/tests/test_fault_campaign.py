@@ -73,7 +73,7 @@ CASES = [
 ]
 
 
-@pytest.mark.half
+@pytest.mark.some
 @pytest.mark.parametrize("which", CASES, ids=lambda w: "-".join(map(str, w)))
 def test_fault_is_survived(some_host, which):
     outcome = attempt(some_host, *which[:5])
@@ -153,6 +153,7 @@ PLANTED = {
 }
 
 
+@pytest.mark.some
 @pytest.mark.parametrize("name", PLANTED)
 def test_module_that_does_it_wrong_is_found(some_host, tmp_path, name):
     which, around, problem = PLANTED[name]

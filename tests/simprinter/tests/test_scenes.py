@@ -61,6 +61,7 @@ def test_wiring_and_configuration_name_the_same_pins(name):
     assert len(set(written)) == len(written)
 
 
+@pytest.mark.some
 @pytest.mark.spread
 @pytest.mark.parametrize("name", CALIBRATING)
 def test_calibration_ends_at_the_gap_of_the_formula(start, host, name):
