@@ -98,6 +98,11 @@ class Driver:
             self._commit(Pose(*between))
         self._commit(goal)
 
+    def stay(self, seconds: float) -> None:
+        """Stand still for so long."""
+        self.t += seconds
+        self._commit(self.pose)
+
     def _commit(self, pose: Pose) -> None:
         self.t += 0.005
         self.pose = pose

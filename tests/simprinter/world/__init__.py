@@ -2,7 +2,7 @@
 
 Not simulated: the sideways push of a pin or probe, elasticity of the frame,
 the plunger or the body resting on a membrane switch or on the pin's housing,
-nozzle ooze, lost steps, a bed that moves in XY, what lies outside the plate.
+lost steps, a bed that moves in XY, what lies outside the plate.
 """
 
 from .bed import Bed
@@ -18,6 +18,7 @@ from .spec import (
     MembraneSpec,
     MeshSpec,
     NoiseSpec,
+    OozeSpec,
     PinSpec,
     WorldSpec,
 )
@@ -39,6 +40,7 @@ __all__ = [
     "MembraneSpec",
     "MeshSpec",
     "NoiseSpec",
+    "OozeSpec",
     "PinSpec",
     "Pose",
     "ProbeEvent",

@@ -7,10 +7,14 @@ from __future__ import annotations
 
 import enum
 import math
+import random
 from typing import Callable, Optional, Sequence
 
 from ..faults import PROBE_SITES, Faults
 from .spec import DockSpec, MagProbeSpec, Vector
+
+# Gauss without end would leave no height above which nothing can be touched
+SEAT_SIGMAS = 3.0
 
 
 class ProbeState(enum.Enum):
@@ -155,7 +159,17 @@ class Keeper:
     tell(t, kind) is called with each event (kinds: truth.ProbeEvent).
     """
 
-    __slots__ = ("_dock", "_faults", "_falls_from", "_holder", "_tell")
+    __slots__ = (
+        "_dock",
+        "_falls_from",
+        "_faults",
+        "_holder",
+        "_random",
+        "_reseat",
+        "_seat",
+        "_tell",
+        "lowest",
+    )
 
     def __init__(
         self,
@@ -163,12 +177,28 @@ class Keeper:
         dock: Optional[DockSpec],
         faults: Faults,
         tell: Callable[[float, str], None],
+        generator: random.Random,
     ) -> None:
         self._holder = Holder(ProbeState(spec.initial))
         self._dock = None if dock is None else Dock(dock)
         self._faults = faults
         self._tell = tell
         self._falls_from: Optional[str] = None
+        self._random = generator
+        self._reseat = spec.reseat
+        # It never hangs lower than it should by more (mm)
+        self.lowest = SEAT_SIGMAS * spec.reseat
+        self._seat = self._draw_seat()
+
+    def seat(self) -> float:
+        """How far (mm) it hangs lower than it should."""
+        return self._seat
+
+    def _draw_seat(self) -> float:
+        if not self._reseat:
+            return 0.0
+        spread = self._random.gauss(0.0, 1.0)
+        return self._reseat * max(-SEAT_SIGMAS, min(SEAT_SIGMAS, spread))
 
     def at(self, t: float) -> ProbeState:
         """Where the probe is at time t."""
@@ -254,6 +284,8 @@ class Keeper:
         change = self._holder.settled(t)
         if change is not None:
             since, state = change
+            if state is ProbeState.ATTACHED:
+                self._seat = self._draw_seat()
             self._tell(since, _EVENTS[state])
 
 

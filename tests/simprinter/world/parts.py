@@ -9,6 +9,7 @@ from typing import NamedTuple, Optional, Sequence
 from .bed import Bed
 from .dock import Keeper
 from .lines import Line, Output, PoseLevel
+from .ooze import Ooze
 from .sensors import TouchState
 from .sites import (
     AxisSwitch,
@@ -43,12 +44,14 @@ class Builder:
         seed: int,
         bed: Bed,
         drift: Drift,
+        ooze: Ooze,
         keeper: Optional[Keeper],
     ) -> None:
         self._spec = spec
         self._seed = seed
         self._bed = bed
         self._drift = drift
+        self._ooze = ooze
         self._keeper = keeper
         self._lines: dict[str, Line] = {}
         self._outputs: dict[str, Output] = {}
@@ -75,15 +78,22 @@ class Builder:
             tuple(self._switches),
         )
 
-    def _state(self, signal: str, noise: NoiseSpec) -> TouchState:
+    def _state(
+        self, signal: str, noise: NoiseSpec, play: float = 0.0
+    ) -> TouchState:
         # A sequence of its own for each signal: more touches on one do not
         # move the numbers of another.  A text seeds alike in every process.
-        return TouchState(noise, random.Random(f"{self._seed}/{signal}"))
+        generators = (
+            random.Random(f"{self._seed}/{signal}"),
+            random.Random(f"{self._seed}/{signal}/play"),
+        )
+        return TouchState(noise, *generators, play)
 
     def _sensor(
         self, signal: str, noise: NoiseSpec, *sites: Site
     ) -> ContactSensor:
-        sensor = ContactSensor(sites, self._state(signal, noise), self._drift)
+        state = self._state(signal, noise, self._spec.z_play)
+        sensor = ContactSensor(sites, state, self._drift)
         self._sensors.append(sensor)
         return sensor
 
@@ -105,7 +115,9 @@ class Builder:
 
     def _axis_switches(self) -> None:
         for spec in self._spec.switches:
-            switch = AxisSwitch(spec, self._state(spec.signal, spec.noise))
+            play = self._spec.z_play if spec.axis == "z" else 0.0
+            state = self._state(spec.signal, spec.noise, play)
+            switch = AxisSwitch(spec, state)
             self._switches.append(switch)
             self._line(
                 spec.signal,
@@ -138,12 +150,13 @@ class Builder:
     def _pin(self, pin: PinSpec) -> None:
         """Pressed by the tip or by the probe's body."""
         top = pin.z + pin.pretravel
-        tip = nozzle_on_pin(pin, self._drift)
-        sites = [Site("nozzle_pin", tip, top, pin.pretravel)]
+        tip = nozzle_on_pin(pin, self._drift, self._ooze)
+        highest = top + self._ooze.highest
+        sites = [Site("nozzle_pin", tip, highest, pin.pretravel)]
         probe = self._spec.mag_probe
-        if probe is not None:
-            body = body_on_pin(pin, probe, self._drift)
-            top += probe.body_drop
+        if probe is not None and self._keeper is not None:
+            body = body_on_pin(pin, probe, self._drift, self._keeper.seat)
+            top += probe.body_drop + self._keeper.lowest
             sites.append(Site("body_pin", body, top, pin.pretravel, True))
         for site in sites:
             site.limit(
@@ -156,8 +169,9 @@ class Builder:
         """Plunger and body on the plate, senses, attaching output."""
         bed, drag = self._bed, self._spec.allowed_drag
         plunger = probe.switch_offset + probe.pretravel
-        body_top = bed.highest + probe.body_drop
-        contact = hanging_on_bed(bed, self._drift, probe, plunger)
+        body_top = bed.highest + probe.body_drop + keeper.lowest
+        seat = keeper.seat
+        contact = hanging_on_bed(bed, self._drift, probe, plunger, seat)
         tip = Site(
             "probe_bed", contact, body_top + plunger, probe.pretravel, True
         )
@@ -166,12 +180,12 @@ class Builder:
         sites = [tip]
         if probe.plunger_on_pin and self._spec.pin is not None:
             pin = self._spec.pin
-            pressed = body_on_pin(pin, probe, self._drift)
-            top = pin.z + pin.pretravel + probe.body_drop
+            pressed = body_on_pin(pin, probe, self._drift, seat)
+            top = pin.z + pin.pretravel + probe.body_drop + keeper.lowest
             sites.append(Site("plunger_pin", pressed, top, 0.0, True))
             sites[-1].limit(math.inf, drag)
         sensor = self._sensor("probe", probe.noise, *sites)
-        contact = hanging_on_bed(bed, self._drift, probe, 0.0)
+        contact = hanging_on_bed(bed, self._drift, probe, 0.0, seat)
         body = Site("body_bed", contact, body_top, carried=True)
         body.limit(0.0, drag)
         self._sensor("", NoiseSpec(), body)

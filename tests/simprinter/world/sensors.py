@@ -8,6 +8,7 @@ to the next is in TouchState; geometry is elsewhere.
 from __future__ import annotations
 
 import random
+from typing import Optional
 
 from .spec import NoiseSpec
 
@@ -35,6 +36,8 @@ class TouchState:
 
     __slots__ = (
         "_noise",
+        "_play",
+        "_play_random",
         "_random",
         "armed",
         "early",
@@ -46,12 +49,22 @@ class TouchState:
         "spent",
     )
 
-    def __init__(self, noise: NoiseSpec, generator: random.Random) -> None:
+    def __init__(
+        self,
+        noise: NoiseSpec,
+        generator: random.Random,
+        play_generator: Optional[random.Random] = None,
+        play: float = 0.0,
+    ) -> None:
+        """play: mm by which what presses it may hang lower, see z_play."""
         self._noise = noise
         self._random = generator
+        self._play_random = play_generator or generator
+        self._play = play
         self.hysteresis = noise.hysteresis
         outlier = max(0.0, noise.outlier_size) if noise.outlier_chance else 0.0
         self.rearm = REARM + noise.hysteresis + SIGMAS * noise.sigma + outlier
+        self.rearm += play
         self.early = 0.0
         self.mute = False
         self.pressed = False
@@ -98,9 +111,11 @@ class TouchState:
             self.shift = self._draw()
 
     def _draw(self) -> float:
-        noise = self._noise
+        noise, hangs = self._noise, 0.0
+        if self._play:
+            hangs = self._play_random.uniform(0.0, self._play)
         if not noise.sigma and not noise.outlier_chance:
-            return 0.0
+            return hangs
         # Both numbers are always drawn, so that changing one setting leaves
         # the other's sequence alone
         spread = self._random.gauss(0.0, 1.0)
@@ -108,4 +123,4 @@ class TouchState:
         shift = noise.sigma * max(-SIGMAS, min(SIGMAS, spread))
         if chance < noise.outlier_chance:
             shift += noise.outlier_size
-        return shift
+        return shift + hangs

@@ -15,6 +15,7 @@ import math
 from typing import Callable, NamedTuple, Optional, Sequence
 
 from .bed import Bed
+from .ooze import Ooze
 from .sensors import TouchState
 from .spec import (
     AxisSwitchSpec,
@@ -26,6 +27,8 @@ from .spec import (
 from .thermal import Drift
 
 ContactZ = Callable[[float, float, float], Optional[float]]
+# How far (mm) the probe hangs lower than it should, as it was attached last
+Seat = Callable[[], float]
 
 
 class Tracked:
@@ -233,20 +236,22 @@ def nozzle_on_bed(bed: Bed, drift: Drift) -> ContactZ:
     return contact_z
 
 
-def nozzle_on_pin(pin: PinSpec, drift: Drift) -> ContactZ:
-    """The tip meets the pin, within its radius."""
+def nozzle_on_pin(pin: PinSpec, drift: Drift, ooze: Ooze) -> ContactZ:
+    """The tip, or what hangs below it, meets the pin, within its radius."""
     pin_x, pin_y, radius = pin.x, pin.y, pin.radius
     top = pin.z + pin.pretravel
 
     def contact_z(x: float, y: float, t: float) -> Optional[float]:
         if math.hypot(x - pin_x, y - pin_y) > radius:
             return None
-        return top + drift.pin(t) + drift.nozzle(t)
+        return top + drift.pin(t) + drift.nozzle(t) + ooze.height(t)
 
     return contact_z
 
 
-def body_on_pin(pin: PinSpec, probe: MagProbeSpec, drift: Drift) -> ContactZ:
+def body_on_pin(
+    pin: PinSpec, probe: MagProbeSpec, drift: Drift, seat: Seat
+) -> ContactZ:
     """The body's square bottom covers the pin's middle."""
     nozzle_x = pin.x - probe.x_offset
     nozzle_y = pin.y - probe.y_offset
@@ -256,13 +261,13 @@ def body_on_pin(pin: PinSpec, probe: MagProbeSpec, drift: Drift) -> ContactZ:
     def contact_z(x: float, y: float, t: float) -> Optional[float]:
         if abs(x - nozzle_x) > half or abs(y - nozzle_y) > half:
             return None
-        return top + drift.pin(t) + drift.body(t)
+        return top + drift.pin(t) + drift.body(t) + seat()
 
     return contact_z
 
 
 def hanging_on_bed(
-    bed: Bed, drift: Drift, probe: MagProbeSpec, below: float
+    bed: Bed, drift: Drift, probe: MagProbeSpec, below: float, seat: Seat
 ) -> ContactZ:
     """A point `below` mm under the body's bottom meets the plate."""
     offset_x, offset_y = probe.x_offset, probe.y_offset
@@ -272,7 +277,8 @@ def hanging_on_bed(
         x, y = x + offset_x, y + offset_y
         if not bed.covers(x, y):
             return None
-        return bed.height(x, y) + drop + drift.bed(t) + drift.body(t)
+        height = bed.height(x, y) + drop + drift.bed(t)
+        return height + drift.body(t) + seat()
 
     return contact_z
 

@@ -185,6 +185,8 @@ class MagProbeSpec(Spec):
         body_drop + switch_offset
     pretravel: mm the plunger moves from first contact to the trigger
     half_width: half the side of the body's square bottom, mm
+    reseat: spread (sigma, mm) of how low it hangs from one attaching to the
+        next, body and plunger alike; cut off at 3 sigma
     mode: "output" (a board output attaches), "dock" (moves do), "fixed"
     initial: "attached", "docked" or "lost"
     attach_time: seconds from the output's edge to the change, mode "output"
@@ -197,6 +199,7 @@ class MagProbeSpec(Spec):
     switch_offset: float
     pretravel: float = 0.3
     half_width: float = 4.0
+    reseat: float = 0.0
     mode: str = "fixed"
     initial: str = "attached"
     attach_time: float = 0.0
@@ -204,7 +207,7 @@ class MagProbeSpec(Spec):
     noise: NoiseSpec = field(default_factory=NoiseSpec)
 
     _POSITIVE = ("body_drop", "half_width")
-    _NOT_NEGATIVE = ("switch_offset", "pretravel", "attach_time")
+    _NOT_NEGATIVE = ("switch_offset", "pretravel", "attach_time", "reseat")
 
     def _check(self) -> None:
         self._require_one_of("mode", ("output", "dock", "fixed"))
@@ -327,7 +330,9 @@ class MembraneSpec(Spec):
 
 @dataclass(frozen=True)
 class DriftSpec(Spec):
-    """Linear thermal growth in mm/s between two times (seconds).
+    """Thermal growth in mm/s between two times (seconds).
+
+    tau: seconds in which it slows down to 37 %; infinity: it stays as fast
 
     nozzle: positive makes the tip hang lower (the probe's body does not)
     pin: positive raises the pin; bed: positive raises the plate
@@ -340,11 +345,36 @@ class DriftSpec(Spec):
     body: float = 0.0
     start: float = 0.0
     stop: float = math.inf
+    tau: float = math.inf
 
-    _ANY = ("stop",)
+    _ANY = ("stop", "tau")
 
     def _check(self) -> None:
+        self._require(self.tau > 0.0, "tau", "above zero")
         self._require(self.stop >= self.start, "stop", ">= start")
+
+
+@dataclass(frozen=True)
+class OozeSpec(Spec):
+    """Plastic below the nozzle, between its tip and the pin.
+
+    height: mm, at first and at most; kept: share of it that a touch of the pin
+    leaves; rate: mm/s that come out again. A nozzle within `radius` mm of x, y
+    is wiped clean there.
+    """
+
+    height: float
+    kept: float = 0.5
+    rate: float = 0.0
+    x: float = 0.0
+    y: float = 0.0
+    radius: float = 0.0
+
+    _POSITIVE = ("height",)
+    _NOT_NEGATIVE = ("kept", "rate", "radius")
+
+    def _check(self) -> None:
+        self._require(self.kept <= 1.0, "kept", "a share of 0 to 1")
 
 
 @dataclass(frozen=True)
@@ -354,6 +384,8 @@ class WorldSpec(Spec):
     overtravel: mm a presser may go beyond the trigger of pin, bed sensor or
     membrane; allowed_drag: mm of XY travel allowed in one contact.
     probe_sense, dock_sense: whether the board can see those states.
+    z_play: mm by which the head may hang lower than the Z motors say, anywhere
+    within at each touch.
     """
 
     bed: BedSpec = field(default_factory=BedSpec)
@@ -365,12 +397,14 @@ class WorldSpec(Spec):
     bed_sensor: Optional[BedSensorSpec] = None
     membrane: Optional[MembraneSpec] = None
     drift: DriftSpec = field(default_factory=DriftSpec)
+    ooze: Optional[OozeSpec] = None
+    z_play: float = 0.0
     probe_sense: bool = False
     dock_sense: bool = False
     overtravel: float = 0.05
     allowed_drag: float = 0.05
 
-    _NOT_NEGATIVE = ("overtravel", "allowed_drag")
+    _NOT_NEGATIVE = ("overtravel", "allowed_drag", "z_play")
 
     def _check(self) -> None:
         mag = self.mag_probe

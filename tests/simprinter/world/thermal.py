@@ -1,6 +1,8 @@
-"""Linear thermal growth, mm, as a function of printer time in seconds."""
+"""Thermal growth, mm, as a function of printer time in seconds."""
 
 from __future__ import annotations
+
+import math
 
 from .spec import DriftSpec
 
@@ -17,9 +19,12 @@ class Drift:
         self.active = self._total_rate > 0.0
 
     def elapsed(self, t: float) -> float:
-        """Seconds of growth up to time t."""
+        """Seconds of growth up to time t, at its first speed."""
         spec = self._spec
-        return max(0.0, min(t, spec.stop) - spec.start)
+        elapsed = max(0.0, min(t, spec.stop) - spec.start)
+        if math.isinf(spec.tau):
+            return elapsed
+        return spec.tau * -math.expm1(-elapsed / spec.tau)
 
     def bound(self, t: float) -> float:
         """No contact height has moved by more than this, mm."""

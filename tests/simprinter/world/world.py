@@ -13,12 +13,14 @@ by asking level() as often as it likes.
 from __future__ import annotations
 
 import math
+import random
 from typing import Optional, Sequence
 
 from ..faults import Faults
 from .bed import Bed
 from .dock import Keeper, ProbeState
 from .kinematics import Pose
+from .ooze import Ooze
 from .parts import Builder, Parts
 from .sites import Finding
 from .spec import WorldSpec
@@ -44,6 +46,7 @@ class World:
         "_last_xy",
         "_low",
         "_next_fault",
+        "_ooze",
         "_parts",
         "spec",
         "truth",
@@ -60,10 +63,15 @@ class World:
         self._keeper: Optional[Keeper] = None
         if spec.mag_probe is not None:
             self._keeper = Keeper(
-                spec.mag_probe, spec.dock, self._faults, self._tell
+                spec.mag_probe,
+                spec.dock,
+                self._faults,
+                self._tell,
+                random.Random(f"{seed}/seat"),
             )
+        self._ooze = Ooze(spec.ooze)
         self._builder = Builder(
-            spec, seed, self._bed, self._drift, self._keeper
+            spec, seed, self._bed, self._drift, self._ooze, self._keeper
         )
         self._parts: Parts = self._builder.build()
         sensors = self._parts.sensors
@@ -143,6 +151,7 @@ class World:
             if depth > 0.0:
                 here = Pose(x, y, z)
                 self.truth.judge(Crash("dock", "depth", depth, 0.0, t, here))
+        self._ooze.observe(t, pose)
         for switch in self._parts.switches:
             finding = switch.commit(pose)
             if finding is not None:
@@ -184,6 +193,8 @@ class World:
         lifted = finding.was_pressed and not finding.pressed
         if lifted and keeper is not None:
             keeper.lifted(t, site.name)
+        if lifted and site.name == "nozzle_pin":
+            self._ooze.flatten(t)
         here = Pose(x, y, z)
         if finding.pressed:
             depth = finding.depth
