@@ -36,12 +36,12 @@ import logging
 import math
 
 try:
-    from .z_touch import errors, frame, host, options
+    from .z_touch import errors, frame, host, options, places
     from .z_touch import running, sampling, templates, touching
 except (ImportError, ValueError):
     try:
         # A plugin of Kalico since 2026-01-02 (2c9b0b4de)
-        from ..extras.z_touch import errors, frame, host, options
+        from ..extras.z_touch import errors, frame, host, options, places
         from ..extras.z_touch import running, sampling, templates, touching
     except (ImportError, ValueError):
         host = None  # load_config() tells
@@ -87,14 +87,6 @@ FALLBACK_RETRACT = 2.0
 # XY speed (mm/s) between the sites.
 TRAVEL_SPEED = 50.0
 
-# A distance (mm) between nozzle and switch that no print head has: the
-# option holds a position instead of an offset.
-LARGEST_SWITCH_DISTANCE = 100.0
-
-# Nearer (mm) to where its body is on the Z endstop the probe cannot touch the
-# bed: half the length of a usual micro switch.
-SWITCH_NEAR = 7.0
-
 # Within this distance (mm) of its zero a bed mesh is as good as zero.
 MESH_ZERO_NEAR = 1.0
 
@@ -112,9 +104,6 @@ LARGE_OFFSET = 0.2
 ######################################################################
 # Records and maths
 ######################################################################
-
-# The places of one run: touching.Site
-Sites = collections.namedtuple("Sites", "nozzle switch bed")
 
 # The parts and the outcome of one calibration (mm); see the header.
 Result = collections.namedtuple(
@@ -408,165 +397,6 @@ def read_settings(config, z_axis, own_pin, old_names):
         position_max=None,
         z_offset=None,
     )
-
-
-# The user's G-code; 'offset' and 'error' are None where not configured.
-Templates = collections.namedtuple(
-    "Templates", "start before_switch end offset error start_homes"
-)
-
-
-def load_templates(config):
-    loaded, own = [], templates.probe_gcode(config)
-    for part in Templates._fields[:-1]:
-        name = part + "_gcode"
-        optional = part in ("offset", "error")
-        template = templates.load_template(config, name, own.get(part, ""))
-        if optional and not config.get(name, "").strip():
-            template = None
-        loaded.append(template)
-    start_gcode = config.get("start_gcode", "")
-    return Templates(
-        *loaded + [templates.homes(start_gcode, templates.read_macros(config))]
-    )
-
-
-######################################################################
-# Places
-######################################################################
-
-
-# Where nozzle, switch and bed are touched, from the section, the command and
-# other sections.
-class Places(object):
-    def __init__(self, machine, settings):
-        self.host = machine
-        self.settings = settings
-
-    # What is configured; what comes with a command is checked there.
-    def check(self):
-        settings = self.settings
-        if settings.nozzle is not None:
-            self.check_nozzle(settings.nozzle)
-        switch = self.switch_site(settings.nozzle, settings.switch)
-        bed = self.bed_site(settings.bed)
-        for site in (switch, bed):
-            if site is not None:
-                self.check_reach(site)
-        if None not in (switch, bed):
-            self.check_apart(switch, bed)
-
-    # What has to come with each command, as nothing else says where it is
-    def missing(self):
-        settings = self.settings
-        sites = (
-            settings.nozzle,
-            settings.switch or settings.switch_xy_offsets,
-            self.bed_site(settings.bed),
-        )
-        names = Sites._fields
-        return [no_place(n) for n, site in zip(names, sites) if site is None]
-
-    # The places of a run, checked.
-    def of_command(self, gcmd):
-        settings = self.settings
-        nozzle = self.nozzle_of_command(gcmd)
-        switch = self.site_param(gcmd, "switch", settings.switch)
-        switch = self.switch_site(nozzle, switch)
-        bed = self.bed_site(self.site_param(gcmd, "bed", settings.bed))
-        for site, name in ((switch, "switch"), (bed, "bed")):
-            if site is None:
-                raise errors.CalibrationError(no_place(name))
-        self.check_reach(switch)
-        self.check_reach(bed)
-        self.check_apart(switch, bed)
-        return Sites(nozzle, switch, bed)
-
-    def nozzle_of_command(self, gcmd):
-        nozzle = self.site_param(gcmd, "nozzle", self.settings.nozzle)
-        if nozzle is None:
-            raise errors.CalibrationError(no_place("nozzle"))
-        self.check_nozzle(nozzle)
-        return nozzle
-
-    def site_param(self, gcmd, name, default):
-        param = name.upper() + "_POSITION"
-        pair = options.param_pair(gcmd, param)
-        if pair is None:
-            return default
-        origin = "%s=%g,%g" % ((param,) + pair)
-        return touching.Site(name, pair[0], pair[1], origin)
-
-    # Of the nozzle, from a Site or None
-    def switch_site(self, nozzle, switch):
-        offsets = self.settings.switch_xy_offsets
-        if switch is not None or offsets is None:
-            return switch
-        for axis, distance in zip("XY", offsets):
-            if abs(distance) > LARGEST_SWITCH_DISTANCE:
-                raise errors.CalibrationError(
-                    "Option 'switch_xy_offsets' in section 'z_calibration': %g"
-                    " mm in %s is no distance from the nozzle to the switch;"
-                    " if it is a position, write it as switch_xy_position"
-                    % (distance, axis)
-                )
-        if nozzle is None:
-            return None
-        x, y = nozzle.x + offsets[0], nozzle.y + offsets[1]
-        origin = "Option 'switch_xy_offsets: %g,%g' in section 'z_calibration'"
-        return touching.Site("switch", x, y, origin % tuple(offsets))
-
-    # The bed is named where the probe is to touch it, the other sites where
-    # the head is to stand.
-    def bed_site(self, bed):
-        if bed is None:
-            zero = self.host.mesh_zero()
-            if zero is None:
-                return None
-            origin = "The zero reference position of section 'bed_mesh'"
-            bed = touching.Site("bed", zero[0], zero[1], origin)
-        x_offset, y_offset = self.host.probe.get_offsets()[:2]
-        return bed._replace(x=bed.x - x_offset, y=bed.y - y_offset)
-
-    def check_reach(self, site):
-        remedy = "choose a point that it can reach"
-        shift = ", the probe's offset included" if site.name == "bed" else ""
-        touching.check_reach(self.host, site, remedy, shift)
-
-    def check_nozzle(self, site):
-        self.check_reach(site)
-        if self.settings.wiggle is None:
-            return
-        x, y = self.settings.wiggle
-        origin = "Option 'wiggle_xy_offsets' in section 'z_calibration'"
-        moved = touching.Site("nozzle", site.x + x, site.y + y, origin)
-        remedy = "choose the other direction"
-        touching.check_reach(self.host, moved, remedy)
-
-    # The floor of the bed lies below the pin: a body that is still on it
-    # would be pressed down to there.
-    def check_apart(self, switch, bed):
-        apart = math.hypot(bed.x - switch.x, bed.y - switch.y)
-        if apart < SWITCH_NEAR:
-            raise errors.CalibrationError(
-                "%s puts the head %.1f mm from where it touches the switch, so"
-                " that the probe's body would press the Z endstop again; choose"
-                " a point of the bed at least %g mm away"
-                % (bed.origin, apart, SWITCH_NEAR)
-            )
-
-
-# Where else than in <name>_xy_position a place can be set
-ELSEWHERE = {
-    "nozzle": "",
-    "switch": " or switch_xy_offsets",
-    "bed": ", or zero_reference_position in section 'bed_mesh'",
-}
-
-
-def no_place(name):
-    text = "no place for the %s: set %s_xy_position%s, or add %s_POSITION=X,Y"
-    return text % (name, name, ELSEWHERE[name], name.upper())
 
 
 ######################################################################
@@ -1019,7 +849,7 @@ class ZCalibration(object):
         self.settings = read_settings(
             config, self.host.z_axis, self.pin is not None, self.old_names
         )
-        self.templates = load_templates(config)
+        self.templates = templates.load_templates(config)
         # Of the run that is under way; of the last one that was applied
         self.measured = None
         self.last = Last(None, None, ())
@@ -1059,7 +889,7 @@ class ZCalibration(object):
         try:
             self.check_probe_settings()
             self.check_heights()
-            Places(machine, self.settings).check()
+            places.Places(machine, self.settings).check()
         except errors.CalibrationError as e:
             raise self.printer.config_error(str(e))
 
@@ -1127,7 +957,7 @@ class ZCalibration(object):
     def tell_notes(self):
         for note in self.old_names.notes:
             self.runner.watch.say(note)
-        for text in Places(self.host, self.settings).missing():
+        for text in places.Places(self.host, self.settings).missing():
             self.runner.watch.say(text)
         bed, zero = self.settings.bed, self.host.mesh_zero()
         if bed is None or zero is None:
@@ -1210,7 +1040,7 @@ class ZCalibration(object):
         settings = self.settings._replace(
             switch_offset=self.switch_offset(gcmd, self.settings.switch_offset)
         )
-        sites = Places(machine, settings).of_command(gcmd)
+        sites = places.Places(machine, settings).of_command(gcmd)
         run = Calibration(machine, settings, self.pin, sites, self.runner.watch)
         if not self.templates.start_homes:
             running.check_homed(machine)
@@ -1332,10 +1162,10 @@ class ZCalibration(object):
             # The spread is what is asked for
             tolerance=float("inf"),
         )
-        nozzle = Places(self.host, self.settings).nozzle_of_command(gcmd)
+        nozzle = places.Places(self.host, self.settings).nozzle_of_command(gcmd)
         running.check_homed(self.host)
         settings = self.settings._replace(pin=pin)
-        sites = Sites(nozzle, None, None)
+        sites = places.Sites(nozzle, None, None)
         run = Calibration(self.host, settings, self.pin, sites, watch)
         run.know(self.last.result, not self.why_not())
         gcmd.respond_info(

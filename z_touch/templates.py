@@ -1,5 +1,6 @@
 # The user's G-code.
 # Copyright (C) 2026  the Z calibration developers, under the GNU GPLv3
+import collections
 import re
 
 from .errors import CalibrationError
@@ -93,3 +94,23 @@ def probe_gcode(config):
     if config.get("before_switch_gcode", "").strip():
         return {"end": "DETACH_PROBE"}
     return {"start": "ATTACH_PROBE", "end": "DETACH_PROBE"}
+
+
+# The templates of z_calibration; those of OPTIONAL are None where they are not
+# given.
+Templates = collections.namedtuple(
+    "Templates", "start before_switch end offset error start_homes"
+)
+OPTIONAL = ("offset", "error")
+
+
+def load_templates(config):
+    loaded, own = [], probe_gcode(config)
+    for part in Templates._fields[:-1]:
+        name = part + "_gcode"
+        template = load_template(config, name, own.get(part, ""))
+        if part in OPTIONAL and not config.get(name, "").strip():
+            template = None
+        loaded.append(template)
+    start_gcode = config.get("start_gcode", "")
+    return Templates(*loaded + [homes(start_gcode, read_macros(config))])

@@ -23,12 +23,16 @@ IMPORTABLE = {
     "__future__",
     "collections",
     "contextlib",
+    "errno",
+    "fcntl",
     "functools",
     "json",
     "logging",
     "math",
     "os",
     "re",
+    "sys",
+    "threading",
     "time",
 }
 # To find the host's own [probe], which ours is made of
@@ -49,8 +53,11 @@ LINES = {
 }
 LINES_OF_A_SHARED_FILE = 400
 # 1200 for z_calibration and auto_z_offset, 100 for the dialogs of extra_probe,
-# 600 for a probe on every host and the ways around its dock
-LINES_OF_ALL_SHARED = 1900
+# 600 for a probe on every host and the ways around its dock, 300 for what a
+# result is worth and how many touches it takes, 1000 for the history, what it
+# says and its picture, 400 for writing it, and the places of z_calibration, 400
+# for whole cycles
+LINES_OF_ALL_SHARED = 3965
 LINES_OF_A_FUNCTION = 40
 METHODS = 30
 ATTRIBUTES = 12
