@@ -7,6 +7,9 @@ import math
 
 from .errors import SamplesDiffer
 
+# In place of a count: as many as are needed, see adaptive.py
+AUTO = "auto"
+
 # Count, mm, count, "median" or "average", mm/s, mm, mm/s
 Sampling = collections.namedtuple(
     "Sampling", "samples tolerance retries result speed retract_dist lift_speed"
