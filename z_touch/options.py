@@ -3,7 +3,7 @@
 import functools
 import math
 
-from .sampling import Sampling
+from .sampling import AUTO, Sampling
 
 RESULTS = {"median": "median", "average": "average", None: None}
 
@@ -23,6 +23,13 @@ def number(config, name, default=None, **limits):
     if value is not None and not is_finite(value):
         raise config_error(config, name, "is not a finite number")
     return value
+
+
+# A count, AUTO, or None where it is not given
+def samples(config):
+    if config.get("samples", "").strip().lower() == AUTO:
+        return AUTO
+    return config.getint("samples", None, minval=1)
 
 
 # "x, y" -> (x, y), or None where it is not given
