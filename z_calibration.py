@@ -36,13 +36,14 @@ import logging
 import math
 
 try:
-    from .z_touch import errors, frame, host, options, places
-    from .z_touch import running, sampling, templates, touching
+    from .z_touch import adaptive, errors, frame, host, options, places
+    from .z_touch import recording, running, sampling, templates, touching
 except (ImportError, ValueError):
     try:
         # A plugin of Kalico since 2026-01-02 (2c9b0b4de)
-        from ..extras.z_touch import errors, frame, host, options, places
-        from ..extras.z_touch import running, sampling, templates, touching
+        from ..extras.z_touch import adaptive, errors, frame, host, options
+        from ..extras.z_touch import places, recording, running, sampling
+        from ..extras.z_touch import templates, touching
     except (ImportError, ValueError):
         host = None  # load_config() tells
 
@@ -98,6 +99,9 @@ GEOMETRY_JUMP = 0.5
 # Less (mm) is rounding.
 NO_CHANGE = 0.0000001
 
+# What the offset may be off by (mm, 95 %) with samples: auto
+TARGET_UNCERTAINTY = 0.008
+
 # An offset of more than this (mm) is worth correcting in position_endstop.
 LARGE_OFFSET = 0.2
 
@@ -119,7 +123,7 @@ Settings = collections.namedtuple(
     "nozzle switch switch_xy_offsets bed wiggle switch_offset"
     " attach_after_nozzle first_fast"
     " offset_margins travel_margin position_endstop position_min position_max"
-    " safe_z_height speed probing_speed z_offset pin probe",
+    " safe_z_height speed probing_speed z_offset pin probe target",
 )
 
 
@@ -321,7 +325,7 @@ def read_samplings(config, z_axis, old_names):
     retract = old_names.name_of("probing_retract_dist", "homing_retract_dist")
     default_retract = z_axis.homing_retract_dist or FALLBACK_RETRACT
     pin = sampling.Sampling(
-        samples=config.getint("samples", None, minval=1),
+        samples=options.samples(config),
         tolerance=number("samples_tolerance", minval=0.0),
         retries=config.getint("samples_tolerance_retries", None, minval=0),
         result=config.getchoice("samples_result", options.RESULTS, None),
@@ -353,6 +357,25 @@ def read_position_min(config, z_axis, homed_z, old_names):
             % (own, z_axis.section, z_axis.position_min)
         )
     return max(own, z_axis.position_min)
+
+
+# mm at 95 %, for samples: auto
+def read_target(config, pin, old_names):
+    target = options.number(
+        config, "target_uncertainty", TARGET_UNCERTAINTY, above=0.0
+    )
+    is_auto = pin.samples == sampling.AUTO
+    idle = (
+        ("samples_tolerance", "samples_tolerance_retries", "samples_result")
+        if is_auto
+        else ("target_uncertainty",)
+    )
+    for name in idle:
+        if old_names.is_given(name):
+            text = "option '%s' is ignored %s 'samples: auto'"
+            how = "with" if is_auto else "without"
+            old_names.notes.append(text % (name, how))
+    return target
 
 
 def read_wiggle(config):
@@ -393,6 +416,7 @@ def read_settings(config, z_axis, own_pin, old_names):
         probing_speed=number(speed, z_axis.homing_speed, above=0.0),
         pin=pin,
         probe=bed,
+        target=read_target(config, pin, old_names),
         # From the probe and the axes, when klippy connects
         position_max=None,
         z_offset=None,
@@ -411,6 +435,7 @@ class Measurement(object):
         self.host = run.host
         self.settings = run.settings
         self.pin = run.pin
+        self.plan = run.plan
         self.watch = run.watch
         self.warn = run.warn
         self.site = site
@@ -421,8 +446,8 @@ class Measurement(object):
 
     # Returns the height: toolhead Z in mm
     def measure(self, travel_z, expected_z, floor):
-        samples = self.samples(travel_z, expected_z, floor)
-        return sampling.summarize(samples, self.sampling.result)
+        self.samples(travel_z, expected_z, floor)
+        return self.plan.found[self.site.name].z
 
     def samples(self, travel_z, expected_z, floor):
         self.expected_z = expected_z
@@ -477,7 +502,8 @@ class Measurement(object):
 
     def collect(self, floor):
         take = functools.partial(self.sample, floor)
-        return sampling.collect(take, self.sampling, self.report, DIFFER)
+        name, samples = self.site.name, self.sampling
+        return self.plan.collect(name, take, samples, self.report, DIFFER)
 
     def sample(self, floor):
         self.retract()
@@ -667,13 +693,18 @@ class BedMeasurement(Measurement):
 
 # One run: nozzle, switch, bed.
 class Calibration(object):
-    def __init__(self, machine, settings, pin, sites, watch):
+    def __init__(self, machine, settings, pin, sites, watch, plan):
         self.host = machine
         self.settings = settings
         self.pin = pin
         self.sites = sites
         self.watch = watch
+        self.plan = plan
         self.warnings = []
+        # Cleans the nozzle, told why; None: nothing is there to do so
+        self.clean = None
+        # switch - nozzle of earlier runs: trend.Summary
+        self.learned = None
         # The last good Result or None, and whether the frame is still its
         self.last = None
         self.holds = False
@@ -695,7 +726,6 @@ class Calibration(object):
         if not settings.attach_after_nozzle:
             # Nobody will attach it later: say so before anything is touched
             self.check_probe_attached()
-        self.watch.enter("nozzle")
         nozzle_z = self.measure_nozzle()
         self.travel_z = travel_height(settings, nozzle_z, self.body())
         self.lift()
@@ -727,7 +757,8 @@ class Calibration(object):
         touching.raise_to(self.host, self.travel_z, speed)
 
     def measure_nozzle(self):
-        z = sampling.summarize(self.sample_nozzle(), self.settings.pin.result)
+        self.sample_clean_nozzle()
+        z = self.plan.found["nozzle"].z
         homed_z = self.settings.position_endstop
         if homed_z is not None and abs(z - homed_z) > STALE_Z:
             self.warn(
@@ -737,7 +768,22 @@ class Calibration(object):
             )
         return z
 
+    # Cleaned once where something seems to stick to it
+    def sample_clean_nozzle(self):
+        try:
+            self.sample_nozzle()
+        except errors.CalibrationError:
+            if self.clean is None or not self.plan.differed:
+                raise
+        why = self.plan.doubt("nozzle")
+        if self.clean is not None and why:
+            self.watch.say("nozzle: %s; cleaning it, then once more" % (why,))
+            self.lift()
+            self.clean(why)
+            self.sample_nozzle()
+
     def sample_nozzle(self):
+        self.watch.enter("nozzle")
         settings = self.settings
         nozzle = NozzleMeasurement(self, self.sites.nozzle, settings.pin)
         expected_z = expect_nozzle(settings, self.last, self.holds)
@@ -803,14 +849,20 @@ class Calibration(object):
     # An exchanged nozzle is what the module is for; a probe that is seated
     # badly looks the same.
     def check_geometry(self, body):
-        if self.last is None:
-            return
-        before = self.last.switch - self.last.nozzle
+        before = body
+        if self.last is not None:
+            before = self.last.switch - self.last.nozzle
         if abs(body - before) > GEOMETRY_JUMP:
             self.warn(
                 "switch - nozzle is %.3f mm and was %.3f mm in the last good"
                 " run; if neither nozzle nor probe was exchanged, check how the"
                 " probe is seated and that the nozzle is tight" % (body, before)
+            )
+        elif self.learned is not None and self.learned.departs(body):
+            self.warn(
+                "switch - nozzle is %.3f mm and was %.3f mm in earlier runs:"
+                " nozzle exchanged, or the probe is not seated"
+                % (body, self.learned.fingerprint.middle)
             )
 
     def measure_bed(self, nozzle_z, switch_z):
@@ -827,8 +879,8 @@ class Calibration(object):
 
 
 # The last run that was applied: its Result, the frame that was measured in, and
-# what was odd
-Last = collections.namedtuple("Last", "result mark warnings")
+# what was odd; what it is worth (mm at 95 %, None: nobody knows)
+Last = collections.namedtuple("Last", "result mark warnings uncertainty")
 
 # What nozzle and body press, and its name in messages
 Pin = collections.namedtuple("Pin", "endstop name")
@@ -849,15 +901,17 @@ class ZCalibration(object):
         self.settings = read_settings(
             config, self.host.z_axis, self.pin is not None, self.old_names
         )
+        self.recorder = recording.Recorder(config, self.host, __version__)
         self.templates = templates.load_templates(config)
         # Of the run that is under way; of the last one that was applied
         self.measured = None
-        self.last = Last(None, None, ())
+        self.last = Last(None, None, (), None)
         self.last_query = False
         register = self.printer.register_event_handler
         register("klippy:connect", self.connect)
         register("klippy:ready", self.tell_notes)
         running.register_commands(self.host, self)
+        running.register_commands(self.host, self.recorder)
 
     # Set-up
     def read_pin(self, config):
@@ -887,8 +941,7 @@ class ZCalibration(object):
             machine.axis_limits()[2][1],
         )
         try:
-            self.check_probe_settings()
-            self.check_heights()
+            self.check_settings()
             places.Places(machine, self.settings).check()
         except errors.CalibrationError as e:
             raise self.printer.config_error(str(e))
@@ -927,16 +980,14 @@ class ZCalibration(object):
                 " switch that can press the Z endstop"
             )
 
-    def check_probe_settings(self):
+    def check_settings(self):
         result = self.settings.probe.result
         if result not in ("median", "average"):
             raise errors.CalibrationError(
                 "Option 'samples_result: %s' in section 'probe' is not known to"
                 " z_calibration; set it to median or average" % (result,)
             )
-
-    # Both must fit, the one the user wants and the one the pin needs.
-    def check_heights(self):
+        # Both must fit, the one the user wants and the one the pin needs
         settings, high = self.settings, self.settings.position_max
         free = settings._replace(position_max=float("inf"))
         above_pin = travel_height(free, settings.position_endstop, None)
@@ -983,6 +1034,8 @@ class ZCalibration(object):
             "valid": not reason,
             "reason": reason,
             "warnings": list(self.last.warnings),
+            "uncertainty": self.last.uncertainty,
+            "history": self.recorder.history.status,
         }
         status.update(self.runner.watch.status())
         return status
@@ -1007,9 +1060,10 @@ class ZCalibration(object):
 
     def cmd_CALIBRATE_Z(self, gcmd):
         settings = self.settings
-        wanted = 2 * settings.pin.samples + settings.probe.samples
         work = functools.partial(self.calibrate_and_apply, gcmd)
         self.runner.check_idle(gcmd)
+        plan = self.recorder.begin(settings.target)
+        wanted = 2 * plan.expected(settings.pin) + plan.expected(settings.probe)
         self.last_query = False
         try:
             self.last = self.runner.run(
@@ -1018,7 +1072,8 @@ class ZCalibration(object):
         finally:
             self.measured = None
         self.last_query = True
-        self.report(gcmd, self.last.result)
+        self.report(gcmd, self.last)
+        self.recorder.good(self.last)
 
     def calibrate_and_apply(self, gcmd):
         before = self.host.gcode_offset()
@@ -1041,19 +1096,14 @@ class ZCalibration(object):
             switch_offset=self.switch_offset(gcmd, self.settings.switch_offset)
         )
         sites = places.Places(machine, settings).of_command(gcmd)
-        run = Calibration(machine, settings, self.pin, sites, self.runner.watch)
-        if not self.templates.start_homes:
-            running.check_homed(machine)
-        dock = running.always(machine, self.dock, "end_gcode")
-        lift = running.always(machine, run.lift, "lifting")
-        with self.holding_probe(), dock, lift:
-            # User G-code may home, move, or turn the motors off
-            self.run_template("start")
-            running.check_homed(machine)
-            run.know(self.last.result, not self.why_not())
-            attach = functools.partial(self.attach_probe, self.frame.mark())
-            result = run.measure(attach)
-            last = Last(result, self.frame.mark(), run.warnings)
+        run = self.start_run(settings, sites, self.recorder.plan)
+        run.learned = self.recorder.history.summary
+        if self.templates.clean is not None:
+            run.clean = self.clean_nozzle
+        with self.ready(run):
+            result = self.measure(run)
+            worth = run.plan.uncertainty()
+            last = Last(result, self.frame.mark(), run.warnings, worth)
             check_offset(result, settings.offset_margins)
             self.measured = result
             at_end = machine.gcode_offset()
@@ -1064,6 +1114,29 @@ class ZCalibration(object):
                 " CALIBRATE_Z" % (frame.LEVELLED,)
             )
         return last, at_end
+
+    # What is around a run
+    @contextlib.contextmanager
+    def ready(self, run):
+        machine = self.host
+        if not self.templates.start_homes:
+            running.check_homed(machine)
+        dock = running.always(machine, self.dock, "end_gcode")
+        lift = running.always(machine, run.lift, "lifting")
+        with self.holding_probe(), dock, lift:
+            # User G-code may home, move, or turn the motors off
+            self.run_template("start")
+            running.check_homed(machine)
+            run.know(self.last.result, not self.why_not())
+            yield
+
+    def measure(self, run):
+        attach = functools.partial(self.attach_probe, self.frame.mark())
+        return run.measure(attach)
+
+    def start_run(self, settings, sites, plan):
+        watch = self.runner.watch
+        return Calibration(self.host, settings, self.pin, sites, watch, plan)
 
     def run_template(self, part, **params):
         template = getattr(self.templates, part)
@@ -1094,11 +1167,23 @@ class ZCalibration(object):
             )
         running.check_homed(self.host)
 
+    def clean_nozzle(self, why):
+        self.recorder.cleaned = why
+        self.runner.watch.enter("clean_gcode")
+        mark = self.frame.mark()
+        self.run_template("clean")
+        moved = self.frame.moved_since(mark)
+        if moved:
+            raise errors.CalibrationError(
+                "%s in clean_gcode; do it before CALIBRATE_Z" % (moved,)
+            )
+
     def dock(self):
         self.runner.watch.enter("end_gcode")
         self.run_template("end")
 
-    def report(self, gcmd, result):
+    def report(self, gcmd, last):
+        result = last.result
         if self.why_not():
             self.runner.watch.say(
                 "%s after measuring, in end_gcode or offset_gcode: the offset"
@@ -1108,6 +1193,11 @@ class ZCalibration(object):
             "Z-CALIBRATION: probe=%.3f - (switch=%.3f - nozzle=%.3f"
             " + switch_offset=%.3f) --> new offset=%.6f" % result
         )
+        if last.uncertainty is not None:
+            gcmd.respond_info(
+                "Z-CALIBRATION: --> new offset=%.6f +-%.3f"
+                % (result.offset, last.uncertainty)
+            )
         homed_z = self.settings.position_endstop
         if homed_z is not None and abs(result.offset) > LARGE_OFFSET:
             gcmd.respond_info(
@@ -1123,6 +1213,7 @@ class ZCalibration(object):
         self.run_template("offset", Z="%.6f" % (z_offset,))
 
     def failed(self, error):
+        self.recorder.refused(error)
         watch = self.runner.watch
         if self.measured is not None:
             text = "the measured offset %.6f was not applied"
@@ -1152,8 +1243,11 @@ class ZCalibration(object):
     def measure_accuracy(self, gcmd):
         pin, watch = self.settings.pin, self.runner.watch
         number = functools.partial(options.param_number, gcmd)
+        count = pin.samples
+        if count == sampling.AUTO:
+            count = adaptive.MOST
         pin = pin._replace(
-            samples=options.param_int(gcmd, "SAMPLES", pin.samples, minval=1),
+            samples=options.param_int(gcmd, "SAMPLES", count, minval=1),
             speed=number("PROBE_SPEED", pin.speed, above=0.0),
             lift_speed=number("LIFT_SPEED", pin.lift_speed, above=0.0),
             retract_dist=number(
@@ -1166,7 +1260,8 @@ class ZCalibration(object):
         running.check_homed(self.host)
         settings = self.settings._replace(pin=pin)
         sites = places.Sites(nozzle, None, None)
-        run = Calibration(self.host, settings, self.pin, sites, watch)
+        plan = self.recorder.make_plan(settings.target)
+        run = self.start_run(settings, sites, plan)
         run.know(self.last.result, not self.why_not())
         gcmd.respond_info(
             "PROBE_Z_ACCURACY at X:%(x).3f Y:%(y).3f (samples=%(samples)d"

@@ -99,9 +99,9 @@ def probe_gcode(config):
 # The templates of z_calibration; those of OPTIONAL are None where they are not
 # given.
 Templates = collections.namedtuple(
-    "Templates", "start before_switch end offset error start_homes"
+    "Templates", "start clean before_switch end offset error start_homes"
 )
-OPTIONAL = ("offset", "error")
+OPTIONAL = ("clean", "offset", "error")
 
 
 def load_templates(config):

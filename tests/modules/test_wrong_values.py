@@ -69,6 +69,8 @@ def nonsense(case: Case) -> list[str]:
         return TEMPLATES
     if words == "pin":
         return PINS
+    if words == "folder":
+        return ["", " "]
     _, refused = samples_of(words)
     return list(dict.fromkeys([*TEXTS, *refused]))
 

@@ -116,6 +116,7 @@ def make_settings(**changes):
         "z_offset": 6.5,
         "pin": make_sampling(),
         "probe": make_sampling(),
+        "target": 0.008,
     }
     return zc.Settings(**dict(values, **changes))
 

@@ -1,0 +1,322 @@
+"""[z_calibration]'s history, uncertainty and sampling, on real klippy."""
+
+from __future__ import annotations
+
+import json
+import re
+from dataclasses import replace
+from pathlib import Path
+from xml.etree import ElementTree as ET
+
+import pytest
+
+from tests.hostkit.z_calibration import (
+    assert_unharmed,
+    calibration,
+    section,
+)
+from tests.modules.unit.runs import make_runs
+from tests.simprinter import SCENES, Fault, heated
+from tests.simprinter.world import NoiseSpec, OozeSpec
+
+pytestmark = pytest.mark.spread
+
+WORTH = re.compile(r"Z-CALIBRATION: --> new offset=(\S+) \+-(\d\.\d{3})$")
+NOZZLE = (206.0, 306.0)
+BRUSH = (120.0, 300.0)
+
+
+def voron(sigma=0.0, **world):
+    """The voron with noise (mm) on both switches."""
+    scene, noise = SCENES["voron"], NoiseSpec(sigma)
+    return scene.with_world(
+        pin=replace(scene.world.pin, noise=noise),
+        mag_probe=replace(
+            scene.world.mag_probe, noise=noise, **world.pop("probe", {})
+        ),
+        **world,
+    )
+
+
+def folder(printer):
+    return printer.session.data / "config" / "z_calibration"
+
+
+def history(printer):
+    """The lines of the file, once what is under way has ended."""
+    printer.session.wait(1.0)
+    path = folder(printer) / "history.jsonl"
+    return [json.loads(line) for line in path.read_text().splitlines()]
+
+
+def worth_of(lines):
+    """The offset and its uncertainty, as the console has them."""
+    found = [m for m in map(WORTH.search, lines) if m]
+    assert len(found) == 1, lines
+    return tuple(map(float, found[0].groups()))
+
+
+def counts(sites):
+    return {site: sites.count(site) for site in dict.fromkeys(sites)}
+
+
+@pytest.fixture
+def with_past(tmp_path):
+    """Options of a printer that knows ten runs of touches that vary by 3 um."""
+
+    def write(**options):
+        lines = [json.dumps(run) + "\n" for run in make_runs(10, **options)]
+        (tmp_path / "history.jsonl").write_text("".join(lines))
+        return {"history": str(tmp_path)}
+
+    return write
+
+
+# What a run is worth, and its line
+
+
+@pytest.mark.quick
+@pytest.mark.each_host
+def test_each_run_says_what_it_is_worth_and_leaves_a_line(start):
+    printer = start().homed()
+    lines = printer.run("CALIBRATE_Z")
+    offset, worth = worth_of(lines)
+    place = [i for i, line in enumerate(lines) if "Z-CALIBRATION" in line]
+    assert place[1] == place[0] + 1
+    status = printer.status("z_calibration")
+    assert status["uncertainty"] == pytest.approx(worth, abs=0.0006)
+    assert offset == pytest.approx(status["last_z_offset"], abs=1e-6)
+    (line,) = history(printer)
+    assert (line["ok"], line["reason"], line["printer"]) == (
+        True,
+        "",
+        "printer.cfg",
+    )
+    assert line["offset"] == pytest.approx(offset, abs=1e-6)
+    assert line["uncertainty"] == pytest.approx(status["uncertainty"], abs=1e-6)
+    assert line["switch_offset"] == 0.44
+    result = status["last_result"]
+    for site, name in (("nozzle",) * 2, ("switch",) * 2, ("bed", "probe")):
+        record = line["sites"][site]
+        assert record["z"] == pytest.approx(result[name], abs=1e-6)
+        assert len(record["samples"]) == record["n"] == 3
+    assert (line["retries"], line["cleaned"], line["warnings"]) == (0, "", [])
+    assert 15.0 < line["duration"] < 40.0
+    assert line["temperatures"] == {}
+    status = printer.status("z_calibration")["history"]
+    assert status["runs"] == 1
+    assert status["results"][0]["offset"] == line["offset"]
+    report_is_drawn(printer)
+    # Nobody has forgotten anything after a restart
+    printer.session.restart("RESTART")
+    printer.session.wait(1.0)
+    assert printer.status("z_calibration")["history"] == status
+
+
+def report_is_drawn(printer):
+    before = len(printer.session.console)
+    printer.run("Z_CALIBRATION_REPORT")
+    printer.session.wait(2.0)
+    (line,) = [
+        line for line in printer.session.console[before:] if "report" in line
+    ]
+    path = Path(line.split("the report is ")[1].strip())
+    assert path.parent == folder(printer)
+    text = [e.text for e in ET.parse(path).iter() if e.text]
+    assert any(t.startswith("1 runs") for t in text)
+
+
+def test_refused_run_leaves_its_reason(start):
+    faults = [Fault("trigger_never", signal="probe", n=2)]
+    changes = {"probe": {"samples": "1"}}
+    printer = start(heated(SCENES["voron"]), changes=changes, faults=faults)
+    printer.homed().machine.tolerate("body_bed", 1.0)
+    error = printer.fail("CALIBRATE_Z")
+    printer.fail("CALIBRATE_Z BED_POSITION=0,0")
+    # Of one sample nobody knows anything
+    assert not [line for line in printer.run("CALIBRATE_Z") if "+-" in line]
+    assert printer.status("z_calibration")["uncertainty"] is None
+    first, second, third = history(printer)
+    assert not first["ok"] and "bed: No trigger" in first["reason"]
+    assert first["reason"] in " ".join(error.split())
+    assert set(first["sites"]) == {"nozzle", "switch"}
+    assert second["sites"] == {} and "BED_POSITION" in second["reason"]
+    assert third["ok"] and third["uncertainty"] is None
+    assert set(third["temperatures"]) == {"extruder", "heater_bed"}
+    assert all(10.0 < value < 40.0 for value in third["temperatures"].values())
+    results = printer.status("z_calibration")["history"]["results"]
+    assert [r["ok"] for r in results] == [False, False, True]
+    assert results[0]["reason"] == first["reason"]
+
+
+# Where it is, and what may be wrong there
+
+
+def test_history_may_be_elsewhere(start, tmp_path):
+    other = tmp_path / "mine"
+    options = {"history": str(other), "history_runs": "2"}
+    options["target_uncertainty"] = "0.005"
+    late = Fault("trigger_late", signal="z_endstop", mm=0.03, n=12)
+    printer = start(changes=section(**options), faults=[late]).homed()
+    text = "option 'target_uncertainty' is ignored without 'samples: auto'"
+    assert any(text in line for line in printer.session.console)
+    for _ in range(3):
+        printer.run("CALIBRATE_Z")
+    printer.session.wait(1.0)
+    lines = (other / "history.jsonl").read_text().splitlines()
+    # A series of touches that did not agree, and the next one
+    assert [json.loads(line)["retries"] for line in lines] == [2, 0]
+    assert not folder(printer).exists()
+
+
+def test_history_may_be_nowhere(start):
+    options = {"history": "none", "samples_tolerance": "0.02", **AUTO}
+    printer = start(changes=section(**options)).homed()
+    text = "option 'samples_tolerance' is ignored with 'samples: auto'"
+    assert any(text in line for line in printer.session.console)
+    assert "samples=10" in printer.run("PROBE_Z_ACCURACY")[0]
+    printer.run("CALIBRATE_Z")
+    printer.session.wait(1.0)
+    assert not folder(printer).exists()
+    assert "'history' is none" in printer.fail("Z_CALIBRATION_REPORT")
+    # This run is worth as much as with one
+    assert printer.status("z_calibration")["uncertainty"] is not None
+    assert printer.status("z_calibration")["history"]["runs"] == 0
+
+
+def test_what_is_wrong_with_the_file_never_fails_a_run(start):
+    printer = start().homed()
+    place, path = folder(printer), folder(printer) / "history.jsonl"
+
+    def told():
+        before = len(printer.session.console)
+        calibration(printer)
+        printer.session.wait(1.0)
+        lines = printer.session.console[before:]
+        return [line for line in lines if "history" in line]
+
+    place.write_text("mine")
+    assert len(told()) == 1 and told() == []
+    place.unlink()
+    path.mkdir(parents=True)
+    assert len(told()) == 1 and told() == []
+    path.rmdir()
+    path.write_bytes(b"\x00\xff{}\n[1]\n" + b'{"ok": true, "si')
+    assert told() == []
+    assert b'{"ok": true, "si\n{' in path.read_bytes()
+    assert printer.status("z_calibration")["history"]["runs"] == 5
+    printer.session.restart("RESTART")
+    printer.session.wait(1.0)
+    assert printer.status("z_calibration")["history"]["runs"] == 1
+    text = f"3 damaged lines of {path} are left out"
+    assert any(text in line for line in printer.session.console)
+
+
+# The fingerprint
+
+
+def test_exchanged_nozzle_is_told_once(start, with_past):
+    shorter = {"switch": -0.2, "bed": -0.2}
+    printer = start(changes=section(**with_past(moved=shorter))).homed()
+    text = "switch - nozzle is 6.415 mm and was 6.21"
+    assert text in "".join(printer.run("CALIBRATE_Z"))
+    (warning,) = printer.status("z_calibration")["warnings"]
+    assert text in warning
+    printer.session.wait(1.0)
+    printer.run("CALIBRATE_Z")
+    assert printer.status("z_calibration")["warnings"] == []
+
+
+# A number of samples that is found
+
+AUTO = {"samples": "auto"}
+
+
+def test_touches_follow_history_and_target(start, with_past):
+    def touches(**options):
+        changes = section(**AUTO, **options, **with_past())
+        printer = start(voron(0.003), changes=changes).homed()
+        printer.session.wait(1.0)
+        _, sites = calibration(printer)
+        worth = printer.status("z_calibration")["uncertainty"]
+        assert min(counts(sites).values()) >= 2
+        return len(sites), worth
+
+    usual, exact = touches(), touches(target_uncertainty="0.005")
+    assert usual[0] <= 10 < 12 <= exact[0]
+    assert 0.0055 < usual[1] < 0.0085
+    assert exact[1] < 0.0055
+
+
+def test_noise_is_averaged(start):
+    printer = start(voron(0.010), changes=section(**AUTO)).homed()
+    _, sites = calibration(printer)
+    assert 24 <= len(sites) <= 30
+
+
+def test_what_moves_is_refused(start):
+    shaky = start(voron(z_play=0.4), changes=section(**AUTO)).homed()
+    shaky.machine.tolerate("nozzle_pin", 0.5)
+    error = shaky.fail("CALIBRATE_Z")
+    assert "nozzle: something moves: 10 touches lie up to" in error
+    assert_unharmed(shaky)
+
+
+# clean_gcode
+
+OOZE = OozeSpec(0.05, 0.7, x=BRUSH[0], y=BRUSH[1], radius=2.0)
+CLEAN = (
+    "\n  G1 X%g Y%g F6000"
+    "\n  RESPOND MSG=CLEANED:{printer.z_calibration.phase}" % BRUSH
+)
+
+
+def cleaning(**options):
+    return {"respond": {}, **section(clean_gcode=CLEAN, **options)}
+
+
+@pytest.mark.parametrize("samples", ["auto", "3"])
+def test_dirty_nozzle_is_cleaned_once_and_measured_anew(start, samples):
+    scene = voron(ooze=OOZE)
+    printer = start(scene, changes=cleaning(samples=samples))
+    printer.homed()
+    lines = printer.run("CALIBRATE_Z")
+    text = "\n".join(lines)
+    assert text.count("CLEANED:clean_gcode") == 1
+    assert "nozzle: the " in text
+    assert "cleaning it, then once more" in text
+    assert printer.gap() - scene.formula_gap() == pytest.approx(0.0, abs=0.005)
+    (line,) = history(printer)
+    assert line["cleaned"] in text
+    # Clean as it is now it is left alone
+    assert "CLEANED" not in "".join(printer.run("CALIBRATE_Z"))
+    assert history(printer)[1]["cleaned"] == ""
+
+
+def test_nozzle_that_cannot_be_cleaned_is_refused_as_before(start):
+    scene = voron(z_play=0.2)
+    printer = start(scene, changes=cleaning()).homed()
+    error = printer.fail("CALIBRATE_Z")
+    assert "nozzle: samples differ" in error
+    assert "".join(printer.session.console).count("CLEANED") == 1
+    assert_unharmed(printer)
+
+
+def test_pin_that_fails_is_no_reason_to_clean(start):
+    """The first touch is higher than the second; there is no third."""
+    faults = [Fault("trigger_never", signal="z_endstop", n=6)]
+    scene = voron(ooze=OozeSpec(0.4, 0.5))
+    printer = start(scene, changes=cleaning(**AUTO), faults=faults).homed()
+    printer.machine.tolerate("nozzle_pin", 2.0)
+    assert "nozzle: No trigger" in printer.fail("CALIBRATE_Z")
+    assert "".join(printer.session.console).count("CLEANED") == 0
+    assert_unharmed(printer)
+
+
+def test_cleaning_must_not_home(start):
+    changes = cleaning(**AUTO)
+    changes["z_calibration"]["clean_gcode"] = "\n  G28 Z"
+    printer = start(voron(ooze=OOZE), changes=changes).homed()
+    error = printer.fail("CALIBRATE_Z")
+    assert "Z was homed again" in error
+    assert "in clean_gcode; do it before CALIBRATE_Z" in error
