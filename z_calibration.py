@@ -1228,6 +1228,48 @@ class ZCalibration(object):
             logging.exception("z_calibration: error_gcode failed, too")
             watch.say("after the error: %s" % (e,))
 
+    # CALIBRATE_Z_ACCURACY
+    cmd_CALIBRATE_Z_ACCURACY_help = "Repeat whole calibrations, apply nothing"
+
+    def cmd_CALIBRATE_Z_ACCURACY(self, gcmd):
+        wanted = recording.Wanted(gcmd, self.settings)
+        work = functools.partial(self.measure_cycles, gcmd, wanted)
+        touches = 2 * wanted.settings.pin.samples
+        touches += wanted.settings.probe.samples
+        self.runner.check_idle(gcmd)
+        self.recorder.begin(None)
+        before = self.host.gcode_offset()
+        found = self.runner.run(
+            gcmd, work, "start_gcode", wanted.cycles * touches, self.failed
+        )
+        # What end_gcode adds belongs to a run that is applied
+        if self.host.gcode_offset() != before:
+            self.host.set_gcode_offset(before)
+        self.recorder.tell_cycles(gcmd, found)
+
+    def measure_cycles(self, gcmd, wanted):
+        settings, attach = wanted.settings, wanted.attach
+        settings = settings._replace(
+            switch_offset=self.switch_offset(gcmd, settings.switch_offset)
+        )
+        if not attach and settings.attach_after_nozzle:
+            raise errors.CalibrationError(
+                "ATTACH=0 needs the probe on the head all the time: attach it"
+                " in start_gcode, not in before_switch_gcode"
+            )
+        sites = places.Places(self.host, settings).of_command(gcmd)
+        found = []
+        while len(found) < wanted.cycles:
+            if wanted.home:
+                self.host.gcode.run_script_from_command("G28 Z")
+            run = self.start_run(settings, sites, self.recorder.plan)
+            with self.ready(run):
+                for _ in range(1 if attach else wanted.cycles):
+                    self.measure(run)
+                    found.append(self.recorder.cycle(settings.switch_offset))
+                    self.runner.watch.say("cycle %d is done" % (len(found),))
+        return found
+
     # PROBE_Z_ACCURACY
     cmd_PROBE_Z_ACCURACY_help = "Touch the Z endstop with the nozzle repeatedly"
 

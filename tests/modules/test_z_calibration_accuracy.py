@@ -1,0 +1,149 @@
+"""CALIBRATE_Z_ACCURACY on real klippy: what varies is told, nothing applied."""
+
+from __future__ import annotations
+
+import json
+import re
+from dataclasses import replace
+from typing import NamedTuple
+
+import pytest
+
+from tests.hostkit.z_calibration import (
+    section,
+    touched_sites,
+)
+from tests.simprinter import SCENES, Fault
+from tests.simprinter.world import DriftSpec, NoiseSpec, OozeSpec
+
+pytestmark = pytest.mark.spread
+
+MIDDLING = 0.002
+WORN = 0.015
+
+
+def cartesian(pin=MIDDLING, probe=MIDDLING, reseat=0.0, **world):
+    """The scene that attaches its probe, with noise (mm) on both switches."""
+    scene = SCENES["cartesian"]
+    return scene.with_world(
+        pin=replace(scene.world.pin, noise=NoiseSpec(pin)),
+        mag_probe=replace(
+            scene.world.mag_probe, noise=NoiseSpec(probe), reseat=reseat
+        ),
+        **world,
+    )
+
+
+class Cause(NamedTuple):
+    """What is wrong with a machine, and words of the verdict."""
+
+    scene: dict
+    words: str
+
+
+CAUSES = {
+    "nothing": Cause({}, "nothing stands out"),
+    "ooze": Cause(
+        {"ooze": OozeSpec(0.06, kept=0.5, rate=0.003)}, "clean the nozzle"
+    ),
+    "heat": Cause({"drift": DriftSpec(nozzle=0.001)}, "let it warm up"),
+    "worn pin": Cause({"pin": WORN}, "exchange the switch of the pin"),
+    "worn probe": Cause({"probe": WORN}, "exchange the probe's switch"),
+    "loose probe": Cause({"reseat": 0.04}, "seat the probe"),
+    "play": Cause({"z_play": 0.05}, "check the Z axis for play"),
+}
+
+
+@pytest.mark.some
+@pytest.mark.parametrize("name", CAUSES)
+def test_each_cause_is_told(start, name):
+    cause = CAUSES[name]
+    printer = start(cartesian(**cause.scene)).homed()
+    printer.machine.tolerate("nozzle_pin", 0.2)
+    printer.machine.tolerate("body_pin", 0.2)
+    lines = printer.run("CALIBRATE_Z_ACCURACY CYCLES=6")
+    assert "verdict: " in lines[-1]
+    assert cause.words in lines[-1]
+
+
+@pytest.mark.quick
+@pytest.mark.each_host
+def test_whole_cycles_are_measured_and_nothing_is_applied(start):
+    printer = start(cartesian()).homed()
+    printer.run("SET_GCODE_OFFSET Z=0.123 MOVE=0")
+    before = len(printer.machine.truth.touches)
+    lines = printer.run("CALIBRATE_Z_ACCURACY CYCLES=2")
+    # Twice per cycle, as [probe] has it
+    assert touched_sites(printer, before) == (
+        (["nozzle_pin"] * 2 + ["body_pin"] * 2 + ["probe_bed"] * 2) * 2
+    )
+    assert printer.offset() == pytest.approx(0.123)
+    status = printer.status("z_calibration")
+    assert (status["last_result"], status["valid"]) == ({}, False)
+    assert (status["phase"], status["progress"]) == ("idle", 0.0)
+    assert status["history"]["runs"] == 0
+    told = [line for line in lines if "CALIBRATE_Z_ACCURACY" in line]
+    assert [re.findall(r"ACCURACY: (\w+)", line)[0] for line in told] == [
+        "nozzle",
+        "switch",
+        "bed",
+        "offset",
+        "one",
+        "verdict",
+    ]
+    assert "2 cycles are too few" in told[-1]
+    printer.session.wait(2.0)
+    events = [e.kind for e in printer.machine.truth.events]
+    assert events == ["attach", "dock"] * 2
+    folder = printer.session.data / "config" / "z_calibration"
+    (line,) = (folder / "history.jsonl").read_text().splitlines()
+    record = json.loads(line)
+    assert [set(cycle) for cycle in record["cycles"]] == [
+        {"nozzle", "switch", "bed"}
+    ] * 2
+    (report,) = folder.glob("report-*.svg")
+    assert "2 cycles" in report.read_text()
+
+
+def test_cycles_as_they_are_asked_for(start):
+    """Probe on the head all the time or not, and homing between them."""
+    adding = "\n  SET_GCODE_OFFSET Z_ADJUST=0.1"
+    changes = section(samples="auto", end_gcode=adding)
+    printer = start(changes=changes).homed()
+
+    def sites(parameters):
+        before = len(printer.machine.truth.touches)
+        printer.run(f"CALIBRATE_Z_ACCURACY {parameters}")
+        # What end_gcode adds is taken back
+        assert printer.offset() == pytest.approx(0.0)
+        return touched_sites(printer, before)
+
+    assert sites("CYCLES=2 ATTACH=0") == (
+        (["nozzle_pin"] * 3 + ["body_pin"] * 3 + ["probe_bed"] * 3) * 2
+    )
+    assert sites("CYCLES=2 HOME=1").count("nozzle_pin") == 2 * (3 + 2)
+    error = printer.fail("CALIBRATE_Z_ACCURACY HOME=1 ATTACH=0")
+    assert "HOME=1 needs ATTACH=1" in error
+    for wrong in ("CYCLES=1", "CYCLES=many", "CYCLES=201"):
+        printer.fail(f"CALIBRATE_Z_ACCURACY {wrong}")
+        assert printer.session.state()[0] == "ready"
+    printer.run("M84")
+    assert "not homed" in printer.fail("CALIBRATE_Z_ACCURACY")
+
+
+def test_failure_leaves_everything_as_it_was(start):
+    fault = Fault("attach_fails", n=2)
+    changes = {"respond": {}, **section(error_gcode="\n  RESPOND MSG=ERROR")}
+    printer = start(cartesian(), changes=changes, faults=[fault]).homed()
+    printer.run("SET_GCODE_OFFSET Z=0.2 MOVE=0")
+    error = printer.fail("CALIBRATE_Z_ACCURACY CYCLES=3")
+    assert "switch: the probe reads triggered" in error
+    assert "".join(printer.session.console).count("ERROR") == 1
+    (refused,) = printer.status("z_calibration")["history"]["results"]
+    assert not refused["ok"] and refused["reason"] in " ".join(error.split())
+    assert printer.offset() == pytest.approx(0.2)
+    assert printer.session.state()[0] == "ready"
+    assert printer.machine.truth.events[-1].kind in ("dock", "attach_failed")
+    printer.run("G28\nCALIBRATE_Z")
+    error = printer.fail("CALIBRATE_Z_ACCURACY ATTACH=0")
+    assert "ATTACH=0 needs the probe on the head all the time" in error
