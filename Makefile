@@ -55,6 +55,7 @@ speed: prepared
 
 bench: prepared
 	$(TOOLS)/python -m tests.bench $(BENCH_ARGS)
+	$(TOOLS)/python -m tests.bench.automatic
 
 faults: prepared
 	$(TOOLS)/python -m tests.campaign $(FAULTS_ARGS)
