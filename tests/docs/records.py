@@ -22,8 +22,9 @@ class Module(NamedTuple):
     releases. given: the only options of the module without a default that are
     always there. sources: of what its defaults are taken from, no two alike.
     late: options whose default shows only when something is measured, which
-    tests/modules looks at. unsaid: what only other modules tell, and parts of
-    messages that are looked for.
+    tests/modules looks at; phases: those of no step, which it looks at, too.
+    unsaid: what only other modules tell, and parts of messages that are looked
+    for.
     """
 
     name: str
@@ -36,6 +37,7 @@ class Module(NamedTuple):
     sources: Sections
     late: Mapping[str, str]
     unsaid: frozenset[str] = frozenset()
+    phases: frozenset[str] = frozenset()
 
 
 _DWELL = {"gcode": "G4 P1"}
@@ -62,6 +64,7 @@ Z_CALIBRATION = Module(
         # The same frame
         "CALIBRATE_Z SWITCH_OFFSET=0.44": None,
         "CALIBRATE_Z SWITCH_OFFSET=much": None,
+        "CALIBRATE_Z_ACCURACY CYCLES=2": None,
         "PROBE_Z_ACCURACY SAMPLES=3": SHOWN,
         "CALIBRATE_Z_IF_NEEDED": "echo: offset 0.46 holds, measured with"
         " switch_offset 0.44",
@@ -93,8 +96,12 @@ Z_CALIBRATION = Module(
             "lift_speed": "9.5",
         },
     },
-    late={"bed_xy_position": "`zero_reference_position` of `[bed_mesh]`"},
+    late={
+        "bed_xy_position": "`zero_reference_position` of `[bed_mesh]`",
+        "history": "`z_calibration`",
+    },
     unsaid=frozenset({"median or average"}),
+    phases=frozenset({"clean_gcode"}),
 )
 
 AUTO_Z_OFFSET = Module(

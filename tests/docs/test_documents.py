@@ -156,7 +156,7 @@ def wrong_ranges(running: Running, text: str) -> Found:
         if refused:
             givens = [{option.name: value} for value in values]
             yield from taken(running, option.name, givens)
-        elif option.range not in ("G-code", "pin"):
+        elif option.range not in ("G-code", "pin", "folder"):
             yield f"{option.name}: a range of no known kind: {option.range}"
 
 
@@ -204,7 +204,7 @@ def wrong_status(running: Running, text: str) -> Found:
     table = {spans(row[0])[0]: row[1] for row in rows(section)}
     yield from unlike("field", set(table), set(status))
     for field, real in (
-        ("phase", running.phases | {"idle"}),
+        ("phase", running.phases | running.module.phases | {"idle"}),
         ("last_result", set(status["last_result"])),
     ):
         yield from unlike(field, set(spans(table.get(field, ""))), real)

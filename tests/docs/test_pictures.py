@@ -12,6 +12,7 @@ from hypothesis import strategies as st
 from tests.docs import (
     auto_z_offset_picture,
     extra_probe_picture,
+    report_pictures,
     z_calibration_picture,
 )
 from tests.docs.pictures import scale_for, spread, tick_step
@@ -35,6 +36,14 @@ def test_picture_is_what_the_script_draws(module):
     assert module.picture.PICTURE.read_text(encoding="utf-8") == draw(example)
     assert draw(example) != draw(example._replace(probe=example.probe + 0.1))
     assert "prefers-color-scheme:dark" in draw(example)
+
+
+@pytest.mark.parametrize(
+    "path", report_pictures.PICTURES, ids=lambda path: path.stem
+)
+def test_report_is_what_the_module_draws(path):
+    draw = report_pictures.PICTURES[path]
+    assert path.read_text(encoding="utf-8") == draw()
 
 
 def text_boxes(
