@@ -12,7 +12,6 @@ from typing import NamedTuple
 OPTIONS = "Which options are there?"
 COMMANDS = "Which commands are there?"
 STATUS = "What can macros read?"
-MESSAGES = "What does this message mean?"
 
 
 @lru_cache

@@ -23,8 +23,6 @@ class Module(NamedTuple):
     always there. sources: of what its defaults are taken from, no two alike.
     late: options whose default shows only when something is measured, which
     tests/modules looks at; phases: those of no step, which it looks at, too.
-    unsaid: what only other modules tell, and parts of messages that are looked
-    for.
     """
 
     name: str
@@ -36,7 +34,6 @@ class Module(NamedTuple):
     given: tuple[str, ...]
     sources: Sections
     late: Mapping[str, str]
-    unsaid: frozenset[str] = frozenset()
     phases: frozenset[str] = frozenset()
 
 
@@ -100,7 +97,6 @@ Z_CALIBRATION = Module(
         "bed_xy_position": "`zero_reference_position` of `[bed_mesh]`",
         "history": "`z_calibration`",
     },
-    unsaid=frozenset({"median or average"}),
     phases=frozenset({"clean_gcode"}),
 )
 
@@ -130,28 +126,6 @@ AUTO_Z_OFFSET = Module(
         "bed_xy_position": "middle of the axes",
         "corrected_probe_z_offset": "`z_offset` of `[probe]`",
     },
-    unsaid=frozenset(
-        (
-            "median or average",
-            "Z was homed again",
-            "Z was homed again or set",
-            "the Z motors were levelled",
-            "the motors were turned off",
-            "<...> does not stop these Z motors: <...>; remove the endstop_pin"
-            " of their own",
-            "must be 'low, high' in mm, such as -1.0, 1.0, or one value for"
-            " both directions",
-            "leaves no room between <...> and <...>; write the lower one first",
-            "option '<...>' is ignored, '<...>' is given",
-            "option '<...>' is now called '<...>'",
-            "Error on '<...>': <...> has to be <...>",
-            "a finite number",
-            "X and Y in mm, such as 100,100",
-            "No trigger",
-            "samples_tolerance is",
-            "cycles_tolerance is",
-        )
-    ),
 )
 
 MODULES = (Z_CALIBRATION, AUTO_Z_OFFSET)

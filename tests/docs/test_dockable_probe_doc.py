@@ -6,8 +6,6 @@ import ast
 import re
 from pathlib import Path
 
-import pytest
-
 from tests.docs.dockable_probe_picture import PICTURE, draw
 from tests.docs.documents import link_problems
 
@@ -95,24 +93,6 @@ def test_commands_are_all_there():
         assert name in ("PROBE_ACCURACY", "PROBE_CALIBRATE", "QUERY_PROBE") or (
             name == "Z_OFFSET_APPLY_PROBE"
         )
-
-
-@pytest.mark.parametrize(
-    "words",
-    re.findall(r"^\| `([^`]+)` \|", TEXT.split("message mean?\n")[-1], re.M),
-)
-def test_messages_are_the_modules(words):
-    plain = re.sub(r'"\s+(?:text \+= )?"', "", SOURCE + SHARED)
-    plain = re.sub(r"%(\.\d)?[sgdf]|%\.0f", "<>", plain)
-    sampling = (ROOT / "z_touch" / "sampling.py").read_text(encoding="utf-8")
-    plain += re.sub(r"%(\.\d)?[sgdf]", "<>", sampling)
-    parts = [p for p in re.split(r"<[^>]+>|\.\.\.", words) if len(p) > 12]
-    assert parts or words.startswith("STATE")
-    for part in parts:
-        for piece in re.split(r"[(),;:]|position and ", part):
-            piece = piece.strip().removeprefix("the probe ")
-            piece = re.sub(r"not (fetched|docked)$", "not <>", piece)
-            assert piece in plain, piece
 
 
 def test_links():

@@ -1,8 +1,8 @@
 """docs/<module>.md says what the module does, no more, no less.
 
 A real klippy is asked which options, commands, parameters, fields and phases
-there are, loads every default and range, and runs every example; messages and
-numbers with names are those of the sources. What is wrong in a document is
+there are, loads every default and range, and runs every example; numbers with
+names are those of the sources, and messages.md has a test of its own. What is wrong in a document is
 found: see MISTAKES.
 """
 
@@ -18,7 +18,6 @@ import pytest
 
 from tests.docs.documents import (
     COMMANDS,
-    MESSAGES,
     OPTIONS,
     STATUS,
     Option,
@@ -35,7 +34,7 @@ from tests.docs.documents import (
 )
 from tests.docs.records import AUTO_Z_OFFSET, MODULES, SHOWN, Z_CALIBRATION
 from tests.docs.running import Options, Running, Step, differ
-from tests.docs.sources import VALUE, constants, messages, nameless
+from tests.docs.sources import constants
 from tests.hostkit.auto_z_offset import POINT
 
 DOCS = Path(__file__).resolve().parents[2] / "docs"
@@ -215,27 +214,6 @@ def wrong_status(running: Running, text: str) -> Found:
 
 
 # Sources
-
-
-def wrong_messages(running: Running, text: str) -> Found:
-    """The first column lists messages; they may be explained elsewhere."""
-    name, section = running.module.name, part(text, MESSAGES)
-
-    def written(cells: list[str]) -> set[str]:
-        found = [span for cell in cells for span in spans(cell)]
-        values = [normal(re.sub(r"<[^<>]+>", VALUE, span)) for span in found]
-        return {nameless(value, name) for value in values}
-
-    unsaid = running.module.unsaid
-    known = messages(name)
-    yield from (f"nobody could say: {text}" for text in unsaid - known)
-    known -= unsaid
-    first = [written(row[:1]) for row in rows(section)]
-    everywhere = [written(row) for row in rows(section)]
-    for message in sorted(known - set().union(*everywhere)):
-        yield f"message of the module: {message}"
-    for message in sorted(set().union(*first) - known):
-        yield f"message of the document: {message}"
 
 
 def wrong_constants(running: Running, text: str) -> Found:
@@ -432,7 +410,6 @@ CHECKS = (
     wrong_old_options,
     wrong_commands,
     wrong_status,
-    wrong_messages,
     wrong_constants,
     wrong_answers,
     wrong_terms,
@@ -463,8 +440,6 @@ MISTAKES = {
     "field": (r"\| `progress` ", "| `share` "),
     "phase": ("`idle`, ", ""),
     "part of the result": (r"(last_result.*)`probe`, ", r"\1"),
-    "message left out": (r"(?m)^\| `trying again`.*\n", ""),
-    "message too many": (r"\| `trying again` ", "| `trying`<br>`no more` "),
     "constant": (r"`NO_TRAVEL` \| 0.0001", "`NO_TRAVEL` | 0.001"),
     "answer": (r"(at z=-?)\d(\.\d+)\n", r"\g<1>9\2\n"),
     "term": (r"(?m)^\| probe \| \d", "| probe | 9"),

@@ -23,7 +23,6 @@ from tests.docs.test_documents import (
     wrong_constants,
     wrong_defaults,
     wrong_links,
-    wrong_messages,
     wrong_options,
     wrong_ranges,
 )
@@ -55,28 +54,7 @@ RECORD = Module(
     sources={},
     late={"lift_speed": "`speed`"},
 )
-SOURCES = SimpleNamespace(
-    module=SimpleNamespace(
-        name="extra_probe",
-        unsaid=frozenset(
-            (
-                "leaves no room between <...> and <...>; write the lower one"
-                " first",
-                "must be 'low, high' in mm, such as -1.0, 1.0, or one value"
-                " for both directions",
-                "option '<...>' is ignored, '<...>' is given",
-                "option '<...>' is now called '<...>'",
-                "X and Y in mm, such as 100,100",
-                "trying again",
-                # Beginnings of lines and of errors of the host
-                "// action:prompt_",
-                "footer_button <...>|<...>|<...>",
-                "No trigger",
-                "EXTRA_PROBE_<...> PROBE=",
-            )
-        ),
-    )
-)
+SOURCES = SimpleNamespace(module=SimpleNamespace(name="extra_probe"))
 LIVE = (
     wrong_options,
     wrong_defaults,
@@ -84,7 +62,7 @@ LIVE = (
     wrong_answers,
     wrong_ranges,
 )
-OF_SOURCES = (wrong_messages, wrong_constants, wrong_links)
+OF_SOURCES = (wrong_constants, wrong_links)
 
 MISTAKES = {
     "option left out": (r"(?m)^\| `samples` .*\n", ""),
@@ -93,8 +71,6 @@ MISTAKES = {
     "command": (r"(?m)^### EXTRA_PROBE_ABORT$", "### EXTRA_PROBE_STOP"),
     "parameter left out": (r"(?m)^\| `FLOOR` \|.*\n", ""),
     "field": (r"\| `waits_for` ", "| `waits` "),
-    "message left out": (r"(?m)^\| `the head moved in .*\n", ""),
-    "message too many": (r"\| `Result is z=<z>`", "| `Result was <z>`"),
     "constant": (r"`SAME_PLACE` \| 0.1", "`SAME_PLACE` | 0.2"),
     "answer": (r"--> new offset=0.45", "--> new offset=0.46"),
     "term": (r"(?m)^\| trigger \| \d", "| trigger | 9"),

@@ -179,6 +179,7 @@ KNOWN_TEXTS = [
     ROOT / "docs" / "z_calibration.md",
     ROOT / "docs" / "auto_z_offset.md",
     ROOT / "docs" / "extra_probe.md",
+    ROOT / "docs" / "messages.md",
     ROOT / "docs" / "installation.md",
     ROOT / "examples" / "z_calibration" / "calibrate_macros.cfg",
 ]
