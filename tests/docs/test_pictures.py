@@ -13,6 +13,7 @@ from tests.docs import (
     auto_z_offset_picture,
     extra_probe_picture,
     report_pictures,
+    switch_position_picture,
     z_calibration_picture,
 )
 from tests.docs.pictures import scale_for, spread, tick_step
@@ -113,6 +114,13 @@ def test_picture_of_the_membrane_is_what_the_script_draws():
     picture = extra_probe_picture.PICTURE.read_text(encoding="utf-8")
     assert picture == draw(example)
     assert draw(example) != draw(example._replace(z_offset=0.3))
+
+
+def test_picture_of_the_switch_is_what_the_script_draws():
+    text = switch_position_picture.draw()
+    picture = switch_position_picture.PICTURE.read_text(encoding="utf-8")
+    assert picture == text
+    assert_readable(ET.fromstring(text))
 
 
 def test_scale_keeps_all_levels_on_the_page():

@@ -75,6 +75,43 @@ def test_shortest_way_ends_at_the_right_height(start, tmp_path, document):
     assert_ready_to_print(printer, owner)
 
 
+def typed(title: str) -> list[str]:
+    """What docs/z_calibration.md has typed below a heading, a list each."""
+    text = (ROOT / "docs" / "z_calibration.md").read_text(encoding="utf-8")
+    found = re.findall(r"^   ```\n(.*?)^   ```", part(text, title), re.S | re.M)
+    return [re.sub(r"(?m)^   ", "", lines).strip() for lines in found]
+
+
+@pytest.mark.spread
+def test_first_run_and_a_position_found_by_hand(start, tmp_path):
+    owner = OWNERS["voron24_klicky"]
+    document = ROOT / "docs" / "z_calibration.md"
+    file = tmp_path / "mine.cfg"
+    file.write_text(settings(document) + ZERO)
+    printer = start(owner.scene, changes={f"include {file}": {}, **OWN_MESH})
+    truth = printer.machine.truth
+    printer.session.require_ready()
+    by_hand = typed("switch_xy_position by hand")
+    assert len(by_hand) == 6
+    printer.run(by_hand[0])
+    before = len(truth.touches)
+    for lines in by_hand[1:]:
+        printer.run(lines)
+        if lines == "GET_POSITION":
+            probe = printer.scene.world.mag_probe
+            free = 12.0 - probe.body_drop - printer.scene.world.pin.z
+            assert 2.0 < free < 4.5
+    assert len(truth.touches) == before, "something was touched"
+    offsets = []
+    for lines in typed("The first run"):
+        text = "\n".join(printer.run(lines))
+        offsets += map(float, re.findall(r"new offset=([-\d.]+)\n", text))
+    assert len(offsets) == 2
+    assert abs(offsets[0] - offsets[1]) < 0.01
+    assert truth.min_gap > 0.0
+    assert printer.status("toolhead")["position"][:2] == [150.0, 150.0]
+
+
 def test_result_line_of_the_readme():
     line = re.search(r"Z-CALIBRATION: (.*)", README.read_text())[1]
     heights = {k: float(v) for k, v in re.findall(r"(\w+)=([\d.]+)", line)}
