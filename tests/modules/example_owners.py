@@ -1,13 +1,15 @@
 """Printers whose owners include the files of examples/z_calibration.
 
-Each is a scene with what the examples do not bring: axes, a probe and its
-macros, levelling.  Where things are is said here, not taken from the files:
-their positions have to be right for these machines.
+Each is a scene with what the examples do not bring: axes, homing, a probe and
+its macros, levelling, a mesh.  Where things are is said here, not taken from the
+files: their positions have to be right for these machines.
 """
 
 from __future__ import annotations
 
+import re
 from dataclasses import dataclass, replace
+from pathlib import Path
 from typing import Any, Optional
 
 from tests.simprinter import SCENES, Scene, heated
@@ -25,7 +27,7 @@ Sections = dict[str, Optional[dict[str, Optional[str]]]]
 
 # Nobody has to wait for heaters here
 POWER = 8.0  # C/s
-# An example brings its own, or the printer homes another way
+# An example brings its own, or the printer homes as it is said here
 BROUGHT = ("z_calibration", "safe_z_home")
 CLEAN_NOZZLE = {
     "gcode": "\n  {% set nozzle = printer.extruder %}"
@@ -41,6 +43,16 @@ HOMING = """
   G1 X{x:g} Y{y:g} F9000
   G28 Z
   G1 Z15 F900"""
+# With the probe above the middle of the bed
+PROBE_HOMING = """
+  G90
+  G1 Z10 F600
+  G28 X Y
+  ATTACH_PROBE
+  G1 X152 Y125.25 F6000
+  G28 Z
+  G1 Z20 F600
+  DOCK_PROBE"""
 QUAD_GANTRY_LEVEL = {
     "gantry_corners": "\n  -60,-10\n  360,370",
     "points": "\n  50,25\n  50,225\n  250,225\n  250,25",
@@ -61,6 +73,21 @@ Z_TILT = {
 # Height of the beds' planes at the pin, and of their middle above it, mm
 PLANE, BUMP = 0.4, 0.06
 FORWARD, RIGHT, UP = (0.0, -1.0, 0.0), (1.0, 0.0, 0.0), (0.0, 0.0, 1.0)
+
+
+def lines_of(path: Path) -> str:
+    """The lines of G-code that an example has in comments for PRINT_START."""
+    _, heading, below = path.read_text(encoding="utf-8").partition(
+        "# Lines for your own PRINT_START"
+    )
+    assert heading, path
+    return "\n".join(re.findall(r"(?m)^#     (\S.*)$", below))
+
+
+def print_start_of(path: Path) -> Sections:
+    """A PRINT_START of these lines."""
+    code = "".join(f"\n  {line}" for line in lines_of(path).splitlines())
+    return {"gcode_macro PRINT_START": {"gcode": code}}
 
 
 @dataclass(frozen=True)
@@ -173,6 +200,24 @@ def dock_macros(spot: DockSpec) -> Sections:
     }
 
 
+def mesh(zero: Point, low: Point, high: Point) -> Sections:
+    """Three points a side show all there is of these beds."""
+    places = {
+        "zero_reference_position": zero,
+        "mesh_min": low,
+        "mesh_max": high,
+    }
+    options = {name: f"{x:g}, {y:g}" for name, (x, y) in places.items()}
+    own = {"probe_count": "3,3", "speed": "200", "horizontal_move_z": "15"}
+    return {"bed_mesh": {**options, **own}}
+
+
+def safe_z_home(x: float, y: float, hop: float = 10.0) -> Sections:
+    """Z homed where the nozzle is above the pin."""
+    options = {"home_xy_position": f"{x:g}, {y:g}", "z_hop": f"{hop:g}"}
+    return {"safe_z_home": {**options}}
+
+
 def homing(x: float, y: float) -> Sections:
     """A way to home that an example leaves to the macros of the probe."""
     code = HOMING.format(x=x, y=y)
@@ -182,6 +227,8 @@ def homing(x: float, y: float) -> Sections:
 
 
 # Machines
+
+MESH_300 = mesh((150.0, 150.0), (30.0, 30.0), (270.0, 270.0))
 
 
 def _machine(
@@ -241,6 +288,7 @@ def voron24() -> Owner:
         {
             **dock_macros(spot),
             **homing(206.0, 306.0),
+            **MESH_300,
             "quad_gantry_level": QUAD_GANTRY_LEVEL,
             "gcode_macro QUAD_GANTRY_LEVEL": wrapped("QUAD_GANTRY_LEVEL"),
             "gcode_macro BED_MESH_CALIBRATE": wrapped("BED_MESH_CALIBRATE"),
@@ -259,6 +307,8 @@ def trident() -> Owner:
         "voron",
         {
             **dock_macros(spot),
+            **safe_z_home(173.0, 300.5),
+            **MESH_300,
             "stepper_y": axis(0.0, 306.0, 306.0),
             "probe": {"x_offset": "-2", "y_offset": "24", "z_offset": "6.5"},
             "z_tilt": Z_TILT,
@@ -300,6 +350,8 @@ def euclid() -> Owner:
     scene = _machine(
         "voron",
         {
+            **safe_z_home(206.0, 306.0, 15.0),
+            **MESH_300,
             "stepper_x": axis(-2.0, 300.0, 300.0),
             "stepper_y": axis(-2.0, 310.0, 310.0),
             "probe": {"x_offset": "2", "y_offset": "25", "z_offset": "9.5"},
@@ -319,6 +371,8 @@ def cartesian() -> Owner:
         "cartesian",
         {
             **dock_macros(spot),
+            **safe_z_home(244.0, 118.0),
+            **mesh((118.0, 118.0), (30.0, 20.0), (215.0, 215.0)),
             "stepper_x": axis(-8.0, 250.0, -8.0),
             "stepper_y": axis(-4.0, 235.0, -4.0),
             "stepper_z": {"position_endstop": "1.7"},
@@ -340,6 +394,12 @@ def separate_pin() -> Owner:
     scene = _machine(
         "separate_pin",
         {
+            "homing_override": {
+                "axes": "xyz",
+                "set_position_z": "0",
+                "gcode": PROBE_HOMING,
+            },
+            **MESH_300,
             "gcode_macro ATTACH_PROBE": {"gcode": SWITCHED % 1},
             "gcode_macro DOCK_PROBE": {"gcode": SWITCHED % 0},
             "output_pin probe_magnet": {"pin": "PD0"},

@@ -1,7 +1,7 @@
 """examples/auto_z_offset: each is loaded and used, on every host.
 
 As an owner would: the file's sections in printer.cfg, its macro to calibrate,
-a bed mesh, SAVE_CONFIG, and its PRINT_START.  Only pins, and where the probe
+a bed mesh, SAVE_CONFIG, and its lines in PRINT_START.  Only pins, and where the probe
 hangs, are the simulated machine's.
 """
 
@@ -16,6 +16,7 @@ import pytest
 
 from tests.hostkit.auto_z_offset import MICROSTEP, POINT, told
 from tests.hostkit.corpus import indented
+from tests.modules.example_owners import lines_of, print_start_of
 from tests.simprinter import SCENES
 
 EXAMPLES = Path(__file__).resolve().parents[2] / "examples" / "auto_z_offset"
@@ -78,6 +79,7 @@ def machine_of(name):
     kept = {n: s for n, s in scene.sections.items() if n not in gone}
     changes = {
         **sections,
+        **print_start_of(EXAMPLES / f"{name}.cfg"),
         "bed_mesh": MESH,
         "z_tilt": LEVELLING,
         "safe_z_home": {"home_xy_position": home},
@@ -101,7 +103,7 @@ def test_example_prints_at_the_right_height(start, name):
     assert printer.gap(POINT) == pytest.approx(gap, abs=2 * MICROSTEP)
     printer.run("BED_MESH_CALIBRATE")
     printer.session.restart("SAVE_CONFIG")
-    printer.run("PRINT_START BED=40 EXTRUDER=180")
+    printer.run("PRINT_START BED=40 HOTEND=180")
     # The mesh is between its points over there
     assert printer.gap(POINT) == pytest.approx(gap, abs=4 * MICROSTEP)
 
@@ -114,9 +116,12 @@ def test_print_start_loads_what_the_module_has_saved(name):
     sections = sections_of(path)
     # SAVE_CONFIG cannot change what an included file has
     assert not re.search("correct", " ".join(sections["auto_z_offset"]))
-    code = sections["gcode_macro PRINT_START"]["gcode"]
-    begin = [line.split()[0] for line in code.splitlines() if line.strip()]
+    begin = [line.split()[0] for line in lines_of(path).splitlines()]
     assert "AUTO_Z_CALIBRATE" not in begin
+    # What the slicers' profiles for these printers send
+    assert {"BED", "HOTEND"} == set(
+        re.findall(r"params\.(\w+)", lines_of(path))
+    )
     before = begin[: begin.index("AUTO_Z_LOAD_OFFSET")]
     assert {"G28", "BED_MESH_PROFILE"} <= set(before)
 

@@ -8,6 +8,7 @@ from pathlib import Path
 import pytest
 
 from tests.hostkit.dockable_probe import BED, GANTRY, SWITCH, trips, where
+from tests.modules.example_owners import print_start_of
 from tests.modules.test_auto_z_offset_examples import sections_of
 from tests.simprinter import heated
 
@@ -17,6 +18,14 @@ MACHINES = {
     "beside_the_bed": BED,
     "servo": GANTRY,
     "with_z_calibration": SWITCH,
+}
+MESH = {
+    "zero_reference_position": "150, 150",
+    "mesh_min": "30, 40",
+    "mesh_max": "270, 270",
+    "probe_count": "3, 3",
+    "speed": "200",
+    "horizontal_move_z": "12",
 }
 
 
@@ -41,6 +50,9 @@ def machine_of(name):
     own = {k: v for k, v in scene.sections.items() if k not in sections}
     if name in ("gantry", "servo"):
         own.pop("safe_z_home", None)
+    sections |= print_start_of(EXAMPLES / f"{name}.cfg")
+    if name != "servo":
+        sections["bed_mesh"] = MESH
     own.pop("quad_gantry_level", None)
     if "servo dock" in sections:
         sections["servo dock"]["pin"] = "PD5"

@@ -16,7 +16,6 @@ from tests.hostkit.hosts import all_hosts, missing_hosts
 from tests.hostkit.lab import copy_own_files
 from tests.modules.example_owners import OWNERS
 from tests.modules.test_z_calibration_examples import (
-    MESH,
     assert_ready_to_print,
     assert_soft_and_clean,
     print_start,
@@ -28,16 +27,6 @@ DOCUMENTS = sorted([*ROOT.glob("*.md"), *ROOT.glob("docs/*.md")])
 SETUP = {
     README: ["Configure", "Use"],
     ROOT / "docs" / "z_calibration.md": ["printer.cfg", "PRINT_START"],
-}
-# What README says beside its sections: the mesh's zero
-ZERO = "[bed_mesh]\nzero_reference_position: 150, 150\n"
-OWN_MESH = {
-    "bed_mesh": {
-        "mesh_min": "30, 30",
-        "mesh_max": "270, 270",
-        "horizontal_move_z": "15",
-        **MESH["bed_mesh"],
-    }
 }
 
 
@@ -64,8 +53,8 @@ def settings(document: Path) -> str:
 def test_shortest_way_ends_at_the_right_height(start, tmp_path, document):
     owner = OWNERS["voron24_klicky"]
     file = tmp_path / "mine.cfg"
-    file.write_text(settings(document) + ZERO)
-    changes = {f"include {file}": {}, **OWN_MESH}
+    file.write_text(settings(document))
+    changes = {f"include {file}": {}}
     if document != README:
         # The mesh of an earlier day
         owner = owner.__class__(owner.scene, owner.bed)
@@ -87,8 +76,8 @@ def test_first_run_and_a_position_found_by_hand(start, tmp_path):
     owner = OWNERS["voron24_klicky"]
     document = ROOT / "docs" / "z_calibration.md"
     file = tmp_path / "mine.cfg"
-    file.write_text(settings(document) + ZERO)
-    printer = start(owner.scene, changes={f"include {file}": {}, **OWN_MESH})
+    file.write_text(settings(document))
+    printer = start(owner.scene, changes={f"include {file}": {}})
     truth = printer.machine.truth
     printer.session.require_ready()
     by_hand = typed("switch_xy_position by hand")

@@ -1,7 +1,7 @@
 """examples/z_calibration: each is included and used, on every host.
 
-As an owner would: `[include FILE.cfg]` below the sections of the printer, then
-PRINT_START, as the slicer calls it.
+As an owner would: `[include FILE.cfg]` below the sections of the printer, its
+lines in PRINT_START, which the slicer calls.
 """
 
 from __future__ import annotations
@@ -27,20 +27,25 @@ from tests.docs.documents import (
 from tests.hostkit.printer import Printer
 from tests.hostkit.session import GcodeError
 from tests.hostkit.z_calibration import MICROSTEP, touched_sites
-from tests.modules.example_owners import CLEAN_NOZZLE, OWNERS, Owner
+from tests.modules.example_owners import (
+    CLEAN_NOZZLE,
+    OWNERS,
+    Owner,
+    lines_of,
+    print_start_of,
+)
 from tests.simprinter import SCENES, Fault, heated
 
 pytestmark = pytest.mark.spread
 ROOT = Path(__file__).resolve().parents[2]
 EXAMPLES = ROOT / "examples" / "z_calibration"
 DOCUMENT = (ROOT / "docs" / "z_calibration.md").read_text(encoding="utf-8")
-MACROS = "calibrate_macros"
-FILES = sorted([*OWNERS, MACROS])
+# Sections around CALIBRATE_Z
+MACROS, OFF, TOOLS = "calibrate_macros", "heaters_off_after_error", "tools"
+FILES = sorted([*OWNERS, MACROS, OFF, TOOLS])
 BED, EXTRUDER, SOFT = 45.0, 185.0, 150
 PRINT_START = f"PRINT_START BED={BED:g} EXTRUDER={EXTRUDER:g}"
 LIMIT = 1800.0  # printer seconds
-# Three points a side show all there is of these beds
-MESH = {"bed_mesh": {"probe_count": "3,3"}}
 # What moves or sets the Z axis anew
 UNSETTLING = r"G28|G92|QUAD_GANTRY_LEVEL|Z_TILT_ADJUST|M84|SET_GCODE_OFFSET"
 
@@ -59,9 +64,9 @@ def sections_of(name: str) -> dict[str, dict[str, str]]:
     return {s: dict(parser.items(s)) for s in parser.sections()}
 
 
-def included(path: Path, owner: Owner) -> dict[str, Any]:
-    """What the owner's printer.cfg gets more: the file, and a small mesh."""
-    return {f"include {path}": {}, **(MESH if owner.far else {})}
+def included(path: Path) -> dict[str, Any]:
+    """What the owner's printer.cfg gets more: the file, and its lines."""
+    return {f"include {path}": {}, **print_start_of(path)}
 
 
 def print_start(printer: Printer) -> list[str]:
@@ -116,7 +121,7 @@ def assert_ready_to_print(printer: Printer, owner: Owner) -> None:
 def test_print_start_ends_at_the_right_height(start, name):
     owner = OWNERS[name]
     path = EXAMPLES / f"{name}.cfg"
-    printer = start(owner.scene, changes=included(path, owner))
+    printer = start(owner.scene, changes=included(path))
     lines = print_start(printer)
     assert_soft_and_clean(lines)
     assert "is far from position_endstop" not in "\n".join(lines)
@@ -126,7 +131,7 @@ def test_print_start_ends_at_the_right_height(start, name):
 def test_next_print_starts_as_well(some_host):
     # The offset of the first one, a large one, would miss the dock
     owner = OWNERS["euclid"]
-    changes = included(EXAMPLES / "euclid.cfg", owner)
+    changes = included(EXAMPLES / "euclid.cfg")
     with Printer(some_host, owner.scene, changes) as printer:
         print_start(printer)
         printer.run("SET_GCODE_OFFSET Z_ADJUST=6 MOVE=1")
@@ -142,14 +147,17 @@ def test_every_example_is_run():
 
 
 def commands_of(name: str) -> Iterator[list[str]]:
-    """Every line of G-code in a file, in words."""
+    """Every line of G-code in a file, in words, comments included."""
+    if name in OWNERS:
+        lines = lines_of(EXAMPLES / f"{name}.cfg").splitlines()
+        yield from (line.split() for line in lines)
     for section in sections_of(name).values():
         for option, value in section.items():
             if option.endswith("gcode"):
                 yield from (line.split() for line in value.split("\n") if line)
 
 
-@pytest.mark.parametrize("name", FILES)
+@pytest.mark.parametrize("name", sorted({*FILES} - {MACROS}))
 def test_options_are_documented(name):
     current = [option.name for option in options_of(part(DOCUMENT, OPTIONS))]
     old = [option.name for option in options_of(part(DOCUMENT, "Old names"))]
@@ -158,7 +166,7 @@ def test_options_are_documented(name):
     assert used <= set(current) - set(old)
 
 
-@pytest.mark.parametrize("name", FILES)
+@pytest.mark.parametrize("name", sorted([*OWNERS, MACROS]))
 def test_parameters_are_documented(name):
     below = part(part(DOCUMENT, COMMANDS), "CALIBRATE_Z")
     known = {spans(row[0])[0] for row in rows(below)}
@@ -178,8 +186,8 @@ def test_fields_are_documented():
 
 @pytest.mark.parametrize("name", sorted(OWNERS))
 def test_nothing_moves_z_after_calibrating(name):
-    code = sections_of(name)["gcode_macro PRINT_START"]["gcode"]
-    _, calibrate, after = code.partition("CALIBRATE_Z\n")
+    code = lines_of(EXAMPLES / f"{name}.cfg")
+    _, calibrate, after = code.partition("CALIBRATE_Z  ")
     assert calibrate
     assert not re.search(UNSETTLING, after)
 
@@ -189,8 +197,8 @@ LEVELLING = ("QUAD_GANTRY_LEVEL", "Z_TILT_ADJUST")
 
 @pytest.mark.parametrize("name", sorted(OWNERS))
 def test_z_is_homed_after_levelling(name):
-    code = sections_of(name)["gcode_macro PRINT_START"]["gcode"]
-    lines = [line.strip() for line in code.splitlines()]
+    code = lines_of(EXAMPLES / f"{name}.cfg")
+    lines = [line.partition("#")[0].strip() for line in code.splitlines()]
     levelled = [n for n, line in enumerate(lines) if line in LEVELLING]
     sections = OWNERS[name].scene.sections
     assert bool(levelled) == (
@@ -221,12 +229,12 @@ def told(printer: Printer) -> str:
     [
         # Levelling lowers this gantry by more than a millimetre
         (
-            *("voron24_klicky", "    G28 Z  ", "    #"),
+            *("voron24_klicky", "#     G28 Z  ", "#     M400 #"),
             "home Z again (G28 Z) after any levelling",
         ),
         (
-            *("trident_z_tilt", "[z_calibration]\n"),
-            "[z_calibration]\nnozzle_xy_position: 183, 300\n",
+            *("trident_z_tilt", "nozzle_xy_position: 173, 300.5\n"),
+            "nozzle_xy_position: 183, 300\n",
             "check nozzle_xy_position",
         ),
         # Where the nozzle is
@@ -256,7 +264,7 @@ def test_mistake_of_an_owner_is_told(
     assert text.count(old) == 1
     path = tmp_path / f"{name}.cfg"
     path.write_text(text.replace(old, new), encoding="utf-8")
-    with Printer(some_host, owner.scene, included(path, owner)) as printer:
+    with Printer(some_host, owner.scene, included(path)) as printer:
         assert message in told(printer)
 
 
@@ -269,7 +277,7 @@ def test_mistake_of_an_owner_is_told(
 )
 def test_euclid_macros_look_at_the_probe(some_host, fault, message):
     owner = OWNERS["euclid"]
-    changes = included(EXAMPLES / "euclid.cfg", owner)
+    changes = included(EXAMPLES / "euclid.cfg")
     for number in (1, 2):
         faults = [Fault(fault, n=number)]
         with Printer(some_host, owner.scene, changes, faults) as printer:
@@ -363,14 +371,51 @@ def test_plates_have_a_switch_offset_each(macros):
     assert "No plate glass" in macros.fail("CALIBRATE_Z_FOR_PLATE PLATE=glass")
 
 
+def test_tools_keep_their_offsets(start):
+    path = EXAMPLES / f"{TOOLS}.cfg"
+    scene = heated(SCENES["voron"])
+    printer = start(scene, {f"include {path}": {}}).homed()
+    assert "No Z offset of extruder yet" in printer.fail("USE_Z_OFFSET_OF_TOOL")
+    printer.run("CALIBRATE_Z")
+    offset = printer.offset()
+    assert offset != 0.0
+    # The other tool, with one of its own
+    printer.run("SET_GCODE_OFFSET Z=0.3\nUSE_Z_OFFSET_OF_TOOL")
+    assert printer.offset() == pytest.approx(offset, abs=1e-6)
+
+
+def test_names_are_nobody_elses():
+    """No file of examples/ brings what printers have already."""
+    theirs = "PRINT_START", "PRINT_END", "G28", "M401", "M402", "CLEAN_NOZZLE"
+    shared = ("bed_mesh", "safe_z_home", "homing_override", "stepper_z")
+    for path in EXAMPLES.parent.glob("*/*.cfg"):
+        text = path.read_text(encoding="utf-8")
+        found = re.findall(r"(?m)^\[(?:gcode_macro )?(\w+)\]", text)
+        assert not {*theirs, *shared} & {*found}, path
+
+
+def test_heaters_are_turned_off_by_one_file_only():
+    for path in EXAMPLES.parent.glob("*/*.cfg"):
+        turns_off = "error_gcode" in path.read_text(encoding="utf-8")
+        assert turns_off == (path.stem == OFF), path
+
+
+def test_macro_of_the_document_is_the_example():
+    (shown,) = re.findall(
+        r"(?s)(\[gcode_macro CALIBRATE_Z_IF_NEEDED\].*?endif %}\n)", DOCUMENT
+    )
+    assert shown in text_of(MACROS)
+
+
 def test_nothing_stays_hot_after_a_failure(start):
     faults = [Fault("trigger_never", signal="z_endstop", n=4)]
     scene = heated(SCENES["voron"])
-    printer = start(scene, with_macros(), faults).homed()
+    changes = {f"include {EXAMPLES / f'{OFF}.cfg'}": {}}
+    printer = start(scene, changes, faults).homed()
     printer.machine.tolerate("nozzle_pin", 1.01)
     printer.run("M140 S40\nM104 S150")
     before = len(printer.session.console)
-    error = printer.fail("CALIBRATE_Z_IF_NEEDED")
+    error = printer.fail("CALIBRATE_Z")
     (line,) = [
         line
         for line in printer.session.console[before:]
