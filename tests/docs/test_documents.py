@@ -76,7 +76,7 @@ def old_givens(name: str, cells: list[str]) -> list[dict[str, Any]]:
     names_given = [name, name[:-2] + twin] if twin else [name]
     values = ["1"]
     if new:
-        is_pin = cells[1] == "pin"
+        is_pin = cells[1] == "MCU pin"
         values = [FREE_PIN] if is_pin else samples_of(cells[1])[0]
     return [
         {**dict.fromkeys(new), **dict.fromkeys(names_given, value)}
@@ -155,7 +155,7 @@ def wrong_ranges(running: Running, text: str) -> Found:
         if refused:
             givens = [{option.name: value} for value in values]
             yield from taken(running, option.name, givens)
-        elif option.range not in ("G-code", "pin", "folder"):
+        elif option.range not in ("G-code", "MCU pin", "folder"):
             yield f"{option.name}: a range of no known kind: {option.range}"
 
 
