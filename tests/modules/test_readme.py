@@ -200,7 +200,7 @@ def test_the_way_to_the_demo(home):
 
 # Words of Klipper, of web interfaces and of others' macros
 FOREIGN = """QUERY_ENDSTOPS QUERY_PROBE RESTORE_GCODE_STATE Internal klippy base
-smart_effector qdprobe extra_probe"""
+smart_effector qdprobe extra_probe rename_existing client macros CHAMBER"""
 KNOWN_TEXTS = [
     ROOT / "docs" / "z_calibration.md",
     ROOT / "docs" / "auto_z_offset.md",
@@ -208,6 +208,8 @@ KNOWN_TEXTS = [
     ROOT / "docs" / "messages.md",
     ROOT / "docs" / "installation.md",
     ROOT / "examples" / "z_calibration" / "calibrate_macros.cfg",
+    ROOT / "examples" / "z_calibration" / "voron24_klicky.cfg",
+    ROOT / "examples" / "auto_z_offset" / "q1_pro.cfg",
 ]
 
 
