@@ -47,7 +47,7 @@ except (ImportError, ValueError):
 # Constants
 ######################################################################
 
-__version__ = "0.3.0"
+__version__ = "1.0.0"
 
 # Of the section, and in front of every line the user is shown
 NAME = "auto_z_offset"

@@ -28,7 +28,7 @@ except (ImportError, ValueError):
     except (ImportError, ValueError):
         host = None  # load_config() tells
 
-__version__ = "0.3.0"
+__version__ = "1.0.0"
 
 ATTACHED, DOCKED, UNKNOWN = "ATTACHED", "DOCKED", "UNKNOWN"
 

@@ -34,7 +34,7 @@ except (ImportError, ValueError):
     except (ImportError, ValueError):
         host = None  # load_config_prefix() tells
 
-__version__ = "0.3.0"
+__version__ = "1.0.0"
 
 # The name of a section whose switch is [probe]
 PROBE = "probe"

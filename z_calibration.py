@@ -51,7 +51,7 @@ except (ImportError, ValueError):
 # Constants
 ######################################################################
 
-__version__ = "0.3.0"
+__version__ = "1.0.0"
 
 # Results outside these limits (mm) are refused: the homing is outdated or
 # something was touched that should not have been.

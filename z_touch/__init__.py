@@ -4,4 +4,4 @@
 # in klippy/extras on every host.
 # Copyright (C) 2026  the Z calibration developers, under the GNU GPLv3
 
-__version__ = "0.3.0"
+__version__ = "1.0.0"

@@ -207,6 +207,7 @@ KNOWN_TEXTS = [
     ROOT / "docs" / "extra_probe.md",
     ROOT / "docs" / "messages.md",
     ROOT / "docs" / "installation.md",
+    ROOT / "examples" / "moonraker.conf",
     ROOT / "examples" / "z_calibration" / "calibrate_macros.cfg",
     ROOT / "examples" / "z_calibration" / "voron24_klicky.cfg",
     ROOT / "examples" / "auto_z_offset" / "q1_pro.cfg",

@@ -7,6 +7,7 @@ in common, as printers in the field run klippy on either.
 from __future__ import annotations
 
 import ast
+import re
 import shutil
 import subprocess
 from pathlib import Path
@@ -134,6 +135,16 @@ def test_files_are_short(path):
 
 def test_what_is_shared_is_short():
     assert sum(map(line_count, SHARED)) <= LINES_OF_ALL_SHARED
+
+
+def test_version_is_that_of_the_changelog():
+    """The newest release; each module asks z_touch whether it is of the same."""
+    text = (ROOT / "CHANGELOG.md").read_text(encoding="utf-8")
+    newest = re.search(r"(?m)^## \[(\d+\.\d+\.\d+)\] - \d{4}-\d\d-\d\d$", text)
+    assert newest
+    for path in (*MODULES, ROOT / "z_touch" / "__init__.py"):
+        line = f'__version__ = "{newest[1]}"\n'
+        assert line in path.read_text(encoding="utf-8"), path
 
 
 def python2():
