@@ -9,14 +9,15 @@ import pytest
 
 ROOT = Path(__file__).resolve().parents[2]
 PAGES = (
-    "auto_z_offset",
-    "dockable_probe",
-    "extra_probe",
-    "installation",
-    "messages",
-    "migration",
-    "troubleshooting",
-    "z_calibration",
+    "README",
+    "docs/auto_z_offset",
+    "docs/dockable_probe",
+    "docs/extra_probe",
+    "docs/installation",
+    "docs/messages",
+    "docs/migration",
+    "docs/troubleshooting",
+    "docs/z_calibration",
 )
 # Word of developers -> what users read instead, unless it is in italics there
 # and says what it is
@@ -37,7 +38,7 @@ def prose(text: str) -> str:
 
 @pytest.mark.parametrize("name", PAGES)
 def test_users_read_words_that_they_know(name):
-    text = prose((ROOT / "docs" / f"{name}.md").read_text(encoding="utf-8"))
+    text = prose((ROOT / f"{name}.md").read_text(encoding="utf-8"))
     for word, better in WORDS.items():
         found = re.findall(rf"(?i)\b{word}\b.*", text)
         assert found == [], f"write {better}"

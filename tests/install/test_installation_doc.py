@@ -27,7 +27,9 @@ def typed(box: Box, lines):
     source = box.directory / "source"
     if not source.exists():
         box.clone(source)
-    script = "set -e\n" + lines.replace("ADDRESS", str(source))
+    lines = re.sub(r"ADDRESS=[^;]+", f"ADDRESS='{source}'", lines)
+    lines = re.sub(r"(?<!\$)\bADDRESS(?!=)", str(source), lines)
+    script = f"set -e\n{lines}"
     outcome = box.command(["bash", "-c", script])
     assert (outcome.code, outcome.err) == (0, ""), outcome
     return outcome.out

@@ -1,4 +1,4 @@
-"""What README.md and docs/z_calibration.md tell a new owner, done literally."""
+"""What README.md and the pages behind it tell a new owner, done literally."""
 
 from __future__ import annotations
 
@@ -10,6 +10,7 @@ from pathlib import Path
 
 import pytest
 
+from tests.docs import z_calibration_picture
 from tests.docs.documents import link_problems, part
 from tests.hostkit.environment import build_dir
 from tests.hostkit.hosts import all_hosts, missing_hosts
@@ -24,28 +25,29 @@ from tests.modules.test_z_calibration_examples import (
 ROOT = Path(__file__).resolve().parents[2]
 README = ROOT / "README.md"
 DOCUMENTS = sorted([*ROOT.glob("*.md"), *ROOT.glob("docs/*.md")])
-SETUP = {
-    README: ["Configure", "Use"],
-    ROOT / "docs" / "z_calibration.md": ["printer.cfg", "PRINT_START"],
-}
+SETUP = [README, ROOT / "docs" / "z_calibration.md"]
 
 
 def blocks(text: str, language: str = "") -> list[str]:
     """The code blocks of a text in a language, "" for none."""
-    found = re.findall(r"^```(\w*)\n(.*?)^```", text, re.S | re.M)
-    return [code for name, code in found if name == language]
+    found = re.findall(r"^( *)```(\w*)\n(.*?)^ *```", text, re.S | re.M)
+    return [
+        re.sub(rf"(?m)^{indent}", "", code)
+        for indent, name, code in found
+        if name == language
+    ]
 
 
 def settings(document: Path) -> str:
     """What a document gives for printer.cfg: its first section, its macro."""
     text = document.read_text(encoding="utf-8")
     if document == README:
-        text = text.partition("\n## z_calibration\n")[2]
-        text = text.partition("\n## auto_z_offset\n")[0]
-    found = []
-    for title in SETUP[document]:
-        found.append(blocks(part(text, title), "ini")[0])
-    return "\n".join(found)
+        section = blocks(part(text, "Set up in five steps"), "ini")[0]
+        lines = blocks(part(text, "PRINT_START"))[0].splitlines()
+        code = "".join(f"    {line}\n" for line in lines)
+        return f"{section}\n[gcode_macro PRINT_START]\ngcode:\n{code}"
+    titles = ("printer.cfg", "PRINT_START")
+    return "\n".join(blocks(part(text, t), "ini")[0] for t in titles)
 
 
 @pytest.mark.spread
@@ -101,33 +103,70 @@ def test_first_run_and_a_position_found_by_hand(start, tmp_path):
     assert printer.status("toolhead")["position"][:2] == [150.0, 150.0]
 
 
-def test_result_line_of_the_readme():
-    line = re.search(r"Z-CALIBRATION: (.*)", README.read_text())[1]
+def test_numbers_of_the_readme_are_those_of_the_picture():
+    """README, picture and document show one run."""
+    line = re.search(r"Z-CALIBRATION: .*", README.read_text())[0]
+    document = (ROOT / "docs" / "z_calibration.md").read_text(encoding="utf-8")
+    assert f"// {line}\n" in document
     heights = {k: float(v) for k, v in re.findall(r"(\w+)=([\d.]+)", line)}
-    body = heights["switch"] - heights["nozzle"] + heights["switch_offset"]
-    assert heights["offset"] == pytest.approx(heights["probe"] - body)
+    shown = z_calibration_picture.EXAMPLE._replace()
+    for name, value in shown._asdict().items():
+        assert heights[name] == pytest.approx(value), name
+    assert heights["offset"] == pytest.approx(shown.offset)
+
+
+def test_readme_is_short_and_begins_with_what_one_can_try():
+    lines = README.read_text(encoding="utf-8").splitlines()
+    assert len(lines) <= 130
+    assert {"make demo", "make test"} <= {
+        line.partition("#")[0].strip() for line in lines[:24]
+    }
+
+
+def test_the_address_stands_in_one_place():
+    """Whoever publishes it writes it once."""
+    paths = [*DOCUMENTS, *ROOT.glob("examples/**/*"), ROOT / "install.sh"]
+    texts = [p.read_text(encoding="utf-8") for p in paths if p.is_file()]
+    found = [a for text in texts for a in re.findall(r"ADDRESS=(\S+?);", text)]
+    assert len(found) == 1
+    assert sum(text.count(found[0]) for text in texts) == 1
 
 
 # Commands
 
 
+TITLE = "Trying it without a printer"
+DEVELOPING = ROOT / "docs" / "developing.md"
+TRYING = part(DEVELOPING.read_text(encoding="utf-8"), TITLE)
+
+
 def commands() -> list[str]:
-    """Every line of a shell that README shows, without comments."""
-    lines = "".join(blocks(README.read_text())).splitlines()
-    shown = [line.partition("#")[0].strip() for line in lines]
-    inline = re.findall(r"`((?:make |build/venv)[^`]*)`", README.read_text())
+    """Every line of a shell that is there to try, without comments."""
+    titles = "Install", "Z offset calibration for Klipper and Kalico"
+    text = README.read_text(encoding="utf-8")
+    first = part(text, titles[1]).partition("\n## ")[0]
+    shown = "".join(
+        code
+        for body in (first, part(text, titles[0]), TRYING)
+        for code in blocks(body)
+    )
+    lines = [line.partition("#")[0].strip() for line in shown.splitlines()]
+    inline = re.findall(r"`((?:make |build/venv)[^`]*)`", TRYING)
     inline = [" ".join(line.split()) for line in inline]
-    kept = [line for line in shown if line and not line.startswith("Z-CAL")]
-    return list(dict.fromkeys([*kept, *inline]))
+    return list(dict.fromkeys([*filter(None, lines), *inline]))
 
 
 INSTALLING = {
     # Typed by tests/install/test_installation_doc.py
-    "git clone ADDRESS ~/klipper_z_calibration",
-    "~/klipper_z_calibration/install.sh",
+    "ADDRESS=https://example.com/OWNER/NAME.git; git clone $ADDRESS"
+    " ~/klipper_z_calibration && ~/klipper_z_calibration/install.sh",
 }
 # By test_the_way_to_the_demo
-TRYING = {"cd ~/klipper_z_calibration", "make demo"}
+DEMO = {
+    "git clone ADDRESS ~/klipper_z_calibration",
+    "cd ~/klipper_z_calibration",
+    "make demo",
+}
 # What follows the command, so that it does not run this test again
 ADDED = {
     # The same with more hosts is below
@@ -143,7 +182,7 @@ EXPECTED = {
 
 
 def test_every_command_is_known():
-    assert set(commands()) == {*INSTALLING, *TRYING, *ADDED}
+    assert set(commands()) == {*INSTALLING, *DEMO, *ADDED}
 
 
 @pytest.fixture
@@ -187,7 +226,7 @@ def test_the_way_to_the_demo(home):
         " -c user.email=e@example.com commit -q -m all"
     )
     subprocess.run(begin, shell=True, cwd=origin, check=True)
-    lines = blocks(part(README.read_text(), "Try it without a printer"))[0]
+    lines = blocks(TRYING)[0]
     lines = lines.replace("ADDRESS", str(origin)).replace("make test", "true")
     env = {**os.environ, "HOME": str(home), "KLIPPER_PATH": ""}
     env["BUILD_DIR"] = str(build_dir())
