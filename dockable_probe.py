@@ -62,10 +62,9 @@ ASK_AGAIN = 0.5
 # With allow_delayed_detach it is docked so long (s) after its last use.
 DETACH_DELAY = 1.0
 
-Templates = collections.namedtuple(
-    "Templates",
+TEMPLATES = (
     "pre_attach attach post_attach pre_detach detach post_detach activate"
-    " deactivate",
+    " deactivate"
 )
 
 PLACES = ("dock", "approach", "extract", "insert", "detach")
@@ -84,12 +83,13 @@ def read_place(config, option, default=None):
     return ways.Place(*(tuple(values) + (None,))[:3])
 
 
-# dock_angle or detach_angle, with dock_safe_distance: of old, in degrees and mm
-def read_old_place(config, dock, old, new, notes):
+# Or by dock_angle or detach_angle, with dock_safe_distance: of old, in degrees
+# and mm
+def read_old_place(config, dock, notes, old, new):
     angle = options.number(config, old)
     length = options.number(config, "dock_safe_distance", above=0.0)
     if angle is None:
-        return None
+        return read_place(config, new)
     if length is None:
         what = "needs dock_safe_distance; better write " + new
         raise options.config_error(config, old, what)
@@ -98,17 +98,15 @@ def read_old_place(config, dock, old, new, notes):
     )
     text = "options '%s' and 'dock_safe_distance' are now '%s: %.1f, %.1f'"
     notes.append(text % (old, new, x, y))
-    return ways.Place(x, y, None)
+    return read_place(config, new, ways.Place(x, y, None))
 
 
 # In the order of PLACES
 def read_places(config, notes):
     dock = read_place(config, "dock_position")
-    read_old = functools.partial(read_old_place, config, dock)
-    old = read_old("dock_angle", "approach_position", notes)
-    approach = read_place(config, "approach_position", old)
-    old = read_old("detach_angle", "detach_position", notes)
-    detach = read_place(config, "detach_position", old)
+    read_old = functools.partial(read_old_place, config, dock, notes)
+    approach = read_old("dock_angle", "approach_position")
+    detach = read_old("detach_angle", "detach_position")
     extract = read_place(config, "extract_position", approach)
     insert = read_place(config, "insert_position", extract)
     return dock, approach, extract, insert, detach
@@ -121,9 +119,7 @@ def read_fixed_z(config, places):
     if given is None:
         return all(place.z is None for place in places)
     if not given and places[0].z is None:
-        what = (
-            "is False: dock_position needs the Z of the dock, as third number"
-        )
+        what = "is False: dock_position needs the Z of the dock as third number"
         raise options.config_error(config, "dock_fixed_z", what)
     return given
 
@@ -221,8 +217,7 @@ class Sensors(object):
     def __init__(self, config, machine, printer):
         self.host = machine
         self.pin = Sense("pin", printer.make_endstop(config, "pin"), False)
-        # Besides 'pin'
-        self.senses = []
+        self.senses = []  # besides 'pin'
         check_open = config.getboolean("check_open_attach", None)
         for name, when_attached in (
             ("probe_sense_pin", True),
@@ -242,27 +237,32 @@ class Sensors(object):
                 " probe_sense_pin or dock_sense_pin" % (config.get_name(),)
             )
         self.all = self.senses + ([self.pin] if check_open else [])
-        # They were seen to change when the probe was last fetched
-        self.proven = False
-        self.last = UNKNOWN
+        # 'left': where we have put the probe, and they were seen to change
+        self.left = self.last = UNKNOWN
 
     def state(self, print_time, senses):
         attached = [
             self.reads(s, print_time) == s.when_attached for s in senses
         ]
-        self.last = UNKNOWN
-        if all(attached):
-            self.last = ATTACHED
-        elif not any(attached):
-            self.last = DOCKED
+        some = UNKNOWN if any(attached) else DOCKED
+        self.last = ATTACHED if all(attached) else some
         return self.last
 
     def reads(self, sense, print_time):
         return bool(sense.endstop.query_endstop(print_time))
 
-    # After all moves
-    def look(self):
-        return self.state(self.host.after_moves(), self.all)
+    # After all moves so far; those of 'go_on' need not wait for the answer
+    def look(self, go_on=None):
+        print_time = self.host.after_moves()
+        if go_on is not None:
+            go_on()
+        return self.state(print_time, self.all)
+
+    # The same, but the head need not stop to see the probe where it was left
+    def look_again(self):
+        if self.state(self.host.now(), self.all) == self.left != UNKNOWN:
+            return self.left
+        return self.look()
 
     # What the pins read, for people
     def describe(self):
@@ -281,8 +281,7 @@ class Ways(object):
         dock = settings.dock
         lanes = [ways.direction(dock, getattr(settings, n)) for n in PLACES[1:]]
         self.zone = ways.Zone(dock.x, dock.y, settings.radius, lanes)
-        # Z was lifted where nobody knows it
-        self.is_lifted = False
+        self.is_lifted = False  # where nobody knows Z
         # What the Z motors had moved when Z was homed with the probe
         self.homed_at = None
         register = machine.printer.register_event_handler
@@ -349,10 +348,8 @@ class Ways(object):
         place = [
             min(max(xy, low), high) for xy, (low, high) in zip(place, limits)
         ]
-        way = [place]
         try:
-            if self.zone.radius > 0.0:
-                way = ways.way_around(here, place, self.zone, limits, via)
+            way = ways.way_around(here, place, self.zone, limits, via)
         except ways.NoWay:
             raise probe_error(
                 self.host,
@@ -389,11 +386,11 @@ class Ways(object):
         self.to_z_of(place)
         touching.move_xy(self.host, place.x, place.y, speed)
 
-    # Back to where the head was, not lower than 'lowest'
-    def go_back(self, place, lowest):
+    # Over where the head was, and down there, not lower than 'lowest'
+    def go_back(self, place, lowest=None):
         self.lift_for_dock()
         self.travel(place, self.settings.travel_speed)
-        if None not in (place.z, self.here().z):
+        if None not in (lowest, place.z, self.here().z):
             self.to_height(max(place.z, lowest))
 
 
@@ -401,12 +398,18 @@ def probe_error(machine, text):
     return machine.printer.command_error("%s: %s" % (machine.name, text))
 
 
+# What takes the probe from one state into the other: parts of the way, and what
+# templates are called
+Trip = collections.namedtuple("Trip", "before after into out gcode done")
+FETCH = Trip(DOCKED, ATTACHED, "APPROACH", "EXTRACT", "attach", "fetched")
+STOW = Trip(ATTACHED, DOCKED, "INSERT", "DETACH", "detach", "docked")
+
 REMEDIES = {
-    "fetched": (
+    FETCH: (
         "look whether the probe is in the dock and meets the head where"
         " dock_position is; check the pins with GET_PROBE_STATUS"
     ),
-    "docked": (
+    STOW: (
         "look whether it came off: if it did, what reads ATTACHED never changes;"
         " check pins and wires with GET_PROBE_STATUS and QUERY_PROBE, otherwise"
         " dock_position and detach_position"
@@ -421,93 +424,98 @@ class Docking(object):
         self.sensors = sensors
         self.ways = ways
         self.templates = templates
-        # It was docked last, by us
-        self.is_docked = False
 
     def say(self, text):
         self.host.gcode.respond_info("%s: %s" % (self.host.name, text))
 
-    # Puts the probe on the head; returns whether the head went for it.  What
-    # reads "attached" has changed on the way out of the dock, then.
-    def attach(self):
-        sensors = self.sensors
-        state = sensors.look()
-        if state == ATTACHED and sensors.proven:
-            return False
+    # Puts the probe on the head, and goes back to 'goal' where there is one.
+    # What reads "attached" has changed on the way out of the dock, then.
+    def attach(self, goal=None):
+        sensors, state = self.sensors, self.sensors.look_again()
+        if state == sensors.left == ATTACHED:
+            return
         self.ways.require_homed()
         self.ways.lift_for_dock()
-        if state != DOCKED or not self.is_docked:
+        if not state == sensors.left == DOCKED:
             # Where the probe is pressed it looked as if it was not there
             state = sensors.look()
+        if not state == sensors.left == ATTACHED:
+            self.fetch(state, goal)
+        if goal is not None:
+            self.ways.go_back(goal, travel_height(self.settings))
+
+    def fetch(self, state, goal):
         if state == ATTACHED:
-            if sensors.proven:
-                return True
             self.say("it reads attached, which proves nothing; docking it")
             self.dock()
             state = DOCKED
-        self.is_docked = sensors.proven = False
-        self.templates.pre_attach.run_gcode_from_command()
-        closed = sensors.reads(sensors.pin, self.host.now())
-        parts = "APPROACH", self.templates.attach, "EXTRACT"
-        self.repeat(state, DOCKED, ATTACHED, parts, "fetched")
-        self.templates.post_attach.run_gcode_from_command()
-        sensors.proven = True
-        if not closed:
+        if not self.sensors.reads(self.sensors.pin, self.host.now()):
             self.say(
                 "'pin' reads open without the probe, too: if it breaks, nothing"
                 " stops the nozzle; wire it as normally closed, and set"
                 " check_open_attach: True"
             )
-        return True
+        self.make(FETCH, state, goal)
 
-    # Puts the probe into the dock; returns whether the head went there.
-    def dock(self):
+    # Puts the probe into the dock, and goes back to 'goal' where there is one
+    def dock(self, goal=None):
         sensors, z = self.sensors, self.ways.here().z
-        state = sensors.look()
-        if state == DOCKED and not (self.is_docked or sensors.senses):
+        state = sensors.look_again()
+        if state == DOCKED and not (sensors.left == DOCKED or sensors.senses):
             self.ways.lift(travel_height(self.settings))  # or it is pressed
             state = sensors.look()
         if state == DOCKED:
             self.ways.to_height(z)
-            return False
+            return
         self.ways.require_homed()
         self.ways.lift_for_dock()
-        sensors.proven = False
-        self.templates.pre_detach.run_gcode_from_command()
-        parts = "INSERT", self.templates.detach, "DETACH"
-        self.repeat(state, ATTACHED, DOCKED, parts, "docked")
-        self.is_docked = True
-        self.templates.post_detach.run_gcode_from_command()
-        return True
+        self.make(STOW, state, goal)
+        if goal is not None:
+            self.ways.go_back(goal, 0.0)
+
+    def run(self, name):
+        if name in self.templates:
+            self.templates[name].run_gcode_from_command()
+
+    # post_..._gcode runs beside the dock
+    def make(self, trip, state, goal):
+        self.sensors.left, go_on = UNKNOWN, None
+        self.run("pre_" + trip.gcode)
+        if goal is not None and "post_" + trip.gcode not in self.templates:
+            go_on = functools.partial(self.ways.go_back, goal)
+        self.repeat(trip, state, go_on)
+        self.run("post_" + trip.gcode)
+        self.sensors.left = trip.after
 
     # The parts are commands, as a macro may stand in for one
-    def in_and_out(self, before, template, after):
+    def in_and_out(self, trip):
         leg = self.host.gcode.run_script_from_command
-        leg("MOVE_TO_%s_PROBE" % (before,))
+        leg("MOVE_TO_%s_PROBE" % (trip.into,))
         leg("MOVE_TO_DOCK_PROBE")
-        leave = functools.partial(leg, "MOVE_TO_%s_PROBE" % (after,))
+        leave = functools.partial(leg, "MOVE_TO_%s_PROBE" % (trip.out,))
         with running.always(self.host, leave, "leaving the dock"):
-            template.run_gcode_from_command()
+            self.run(trip.gcode)
 
-    # Take the probe from one state into the other; 'state' was seen just before
-    def repeat(self, state, before, after, parts, what):
-        retries = self.settings.retries
+    # 'state' was seen just before
+    def repeat(self, trip, state, go_on):
+        look, retries = self.sensors.look, self.settings.retries
         for attempt in range(retries + 1):
             if state == UNKNOWN:
                 self.host.toolhead.dwell(ASK_AGAIN)
-                state = self.sensors.look()
-            if state == before:
-                self.in_and_out(*parts)
-                state = self.sensors.look()
-            if state == after:
+                state = look()
+            if state == trip.before:
+                self.in_and_out(trip)
+                state = look(go_on)
+                state = state if state == trip.after else look()
+            if state == trip.after:
                 return
             seen = "the probe was not %s, it is %s (%s)"
-            seen %= (what, state, self.sensors.describe())
+            seen %= (trip.done, state, self.sensors.describe())
             if attempt < retries:
                 self.say("%s; try %d of %d" % (seen, attempt + 2, retries + 1))
-                state = self.sensors.look()
+                state = look()
         self.ways.lift_for_dock()
-        raise probe_error(self.host, "%s; %s" % (seen, REMEDIES[what]))
+        raise probe_error(self.host, "%s; %s" % (seen, REMEDIES[trip]))
 
 
 # What happens around commands that probe; see probe_host.Facade
@@ -523,15 +531,14 @@ class Prober(object):
         self.auto = auto
         self.is_held = False  # by ATTACH_PROBE
         self.ways_down = 0  # that homing still has to go
-        # The docking that is to come
-        self.delayed = None
+        self.clear_z = 0.0  # toolhead Z, the probe just off what it has touched
+        self.delayed = None  # the docking that is to come
 
     # Lowest toolhead Z of a probing move
     def floor(self, is_homing=False):
         axis = self.host.z_axis
         position_min = axis.position_min if axis else -1e6
-        lowest = position_min if is_homing else self.settings.lowest
-        return max(lowest, position_min)
+        return max(position_min, -1e6 if is_homing else self.settings.lowest)
 
     # Of homing: as deep as any touch, then hardly deeper than the first one.
     # Counted by the motors, as homing and others say of Z what they like.
@@ -543,24 +550,26 @@ class Prober(object):
 
     def begin(self, is_homing):
         self.delayed = None
-        self.ways_down = 2 if is_homing else 0
+        self.ways_down, self.clear_z = 2 if is_homing else 0, 0.0
         goal = self.ways.here()
         if is_homing and self.home_place is not None:
             goal = goal._replace(x=self.home_place[0], y=self.home_place[1])
         if not self.auto:
-            state = self.sensors.look()
-            if state != ATTACHED or not self.sensors.proven:
+            state = self.sensors.look_again()
+            if not state == self.sensors.left == ATTACHED:
                 off = "is %s and auto_attach_detach is off: run ATTACH_PROBE"
                 raise self.lost(off % (state,))
-        fetched = self.auto and self.docking.attach()
-        if fetched or not self.ways.is_at(goal):
+        if self.auto:
+            self.docking.attach(goal)
+        if not self.ways.is_at(goal):
             self.ways.go_back(goal, travel_height(self.settings))
-        if not self.settings.each_sample:
-            self.run_still("activate")
+        self.run_still("activate", False)
 
-    def run_still(self, name):
+    def run_still(self, name, of_touch):
+        if of_touch != self.settings.each_sample:
+            return
         before = self.host.toolhead.get_position()[:3]
-        getattr(self.docking.templates, name).run_gcode_from_command()
+        self.docking.run(name)
         if self.host.toolhead.get_position()[:3] != before:
             text = "the head moved in %s_gcode; move it in another option"
             raise probe_error(self.host, text % (name,))
@@ -571,15 +580,14 @@ class Prober(object):
         sensors, senses = self.sensors, self.sensors.senses
         if senses and sensors.state(self.host.now(), senses) != ATTACHED:
             raise self.lost("is not ready")
-        if not sensors.proven:
+        if sensors.left != ATTACHED:
             raise self.lost("was not seen to be fetched")
-        if self.settings.each_sample:
-            self.run_still("activate")
+        self.run_still("activate", True)
 
     def after_move(self, moved, triggered):
         sensors = self.sensors
-        if self.settings.each_sample:
-            self.run_still("deactivate")
+        self.clear_z = self.host.z() + self.settings.retract
+        self.run_still("deactivate", True)
         senses = sensors.senses
         if senses and sensors.state(self.host.now(), senses) != ATTACHED:
             raise self.lost("was lost in a touch")
@@ -590,7 +598,15 @@ class Prober(object):
             self.ways.homed_at = self.ways.motors_z()
             self.ways_down = 1
         elif self.ways_down:
-            self.homed_into_nothing()
+            # The host turns the motors off then
+            sensors.left = UNKNOWN
+            distance = self.settings.retract + REACH
+            self.ways.printer.hop(distance, self.settings.lift_speed)
+            self.docking.say(
+                "nothing where the bed was; look whether the switch clicks, and"
+                " home again: it is docked and fetched to see that, and finds"
+                " any bed"
+            )
         elif not triggered and touching.is_at(self.host, self.settings.lowest):
             self.docking.say(
                 "nothing down to z=%.3f, where the nozzle is just clear of the"
@@ -598,18 +614,8 @@ class Prober(object):
                 % (self.settings.lowest,)
             )
 
-    # The host turns the motors off then
-    def homed_into_nothing(self):
-        self.sensors.proven = False
-        distance = self.settings.retract + REACH
-        self.ways.printer.hop(distance, self.settings.lift_speed)
-        self.docking.say(
-            "nothing where the bed was; look whether the switch clicks, and home"
-            " again: it is docked and fetched to see that, and finds any bed"
-        )
-
     def lost(self, what):
-        self.sensors.proven = False
+        self.sensors.left = UNKNOWN
         return probe_error(
             self.host,
             "the probe %s, at z=%.3f (%s); where it is lost or pressed, raise"
@@ -620,18 +626,18 @@ class Prober(object):
 
     # The command has probed, or failed
     def end(self):
-        self.ways_down = 0
+        homed, self.ways_down = self.ways_down, 0
         if not self.ways.is_homed("xy") or self.host.printer.is_shutdown():
             return
         here = self.ways.here()
         if here.z is not None:
-            # The bed may lie higher than Z=0
+            # The bed may lie higher than Z=0, and Z is said to be another now
             height = travel_height(self.settings)
-            if touching.is_at(self.host, self.settings.lowest):
+            top = here.z + self.settings.retract if homed else self.clear_z
+            if homed or touching.is_at(self.host, self.settings.lowest):
                 here = here._replace(z=height)  # Not back down to nothing
-            self.ways.lift(max(height, here.z + self.settings.retract))
-        if not self.settings.each_sample:
-            self.run_still("deactivate")
+            self.ways.lift(max(height, top))
+        self.run_still("deactivate", False)
         if self.sensors.look() != ATTACHED:
             raise self.lost("was lost, what was measured is wrong")
         if self.is_held or not self.auto:
@@ -642,8 +648,7 @@ class Prober(object):
             self.dock_and_return(here)
 
     def dock_and_return(self, here):
-        if self.docking.dock() and self.settings.restore:
-            self.ways.go_back(here, 0.0)
+        self.docking.dock(here if self.settings.restore else None)
 
     def dock_later(self):
         wanted = self.delayed = object()
@@ -702,8 +707,11 @@ class DockableProbe(object):
         self.settings = settings
         self.sensors = Sensors(config, machine, self.probe_host)
         self.ways = Ways(machine, self.probe_host, settings)
-        load = functools.partial(templates.load_template, config)
-        loaded = Templates(*[load(n + "_gcode", "") for n in Templates._fields])
+        loaded = {
+            name: templates.load_template(config, name + "_gcode")
+            for name in TEMPLATES.split()
+            if config.get(name + "_gcode", "").strip()
+        }
         self.docking = Docking(settings, self.sensors, self.ways, loaded)
         auto = config.getboolean("auto_attach_detach", True)
         place = read_home_place(config, settings)
@@ -807,9 +815,7 @@ class DockableProbe(object):
     cmd_QUERY_DOCKABLE_PROBE_help = cmd_GET_PROBE_STATUS_help
     cmd_QUERY_DOCKABLE_PROBE = cmd_GET_PROBE_STATUS
 
-    cmd_SET_PROBE_STATUS_help = (
-        "Tell that the probe was attached or docked by hand"
-    )
+    cmd_SET_PROBE_STATUS_help = "Tell where you have put the probe by hand"
 
     def cmd_SET_PROBE_STATUS(self, gcmd):
         state, states = gcmd.get("STATE").upper(), (ATTACHED, DOCKED, UNKNOWN)
@@ -820,34 +826,29 @@ class DockableProbe(object):
             text = "STATE=%s, but the probe is %s (%s); put it there first"
             text %= (state, seen, self.sensors.describe())
             raise probe_error(self.host, text)
-        self.docking.is_docked = self.sensors.proven = False
+        self.sensors.left = UNKNOWN
         self.prober.hold(state == ATTACHED)
 
-    cmd_SET_DOCKABLE_PROBE_help = (
-        "Switch fetching and docking by itself on or off"
-    )
+    cmd_SET_DOCKABLE_PROBE_help = "Switch going to the dock by itself on or off"
 
     def cmd_SET_DOCKABLE_PROBE(self, gcmd):
-        name = "AUTO_ATTACH_DETACH"
-        auto = options.param_int(gcmd, name, None, minval=0, maxval=1)
-        if auto is not None:
-            self.prober.auto = bool(auto)
+        name, auto = "AUTO_ATTACH_DETACH", self.prober.auto
+        auto = options.param_int(gcmd, name, auto, minval=0, maxval=1)
+        self.prober.auto = bool(auto)
 
     cmd_ATTACH_PROBE_help = "Fetch the probe"
 
     def cmd_ATTACH_PROBE(self, gcmd):
-        here = self.ways.here()
         self.prober.hold(False)
-        if self.docking.attach() and self.settings.restore:
-            self.ways.go_back(here, travel_height(self.settings))
+        here = self.ways.here()
+        self.docking.attach(here if self.settings.restore else None)
         self.prober.hold(True)
 
     cmd_DETACH_PROBE_help = "Dock the probe"
 
     def cmd_DETACH_PROBE(self, gcmd=None):
-        here = self.ways.here()
         self.prober.hold(False)
-        self.prober.dock_and_return(here)
+        self.prober.dock_and_return(self.ways.here())
 
     # Of this name for Kalico's safe_z_home, since 2026-02-24 (9500bd614)
     detach_probe = cmd_DETACH_PROBE

@@ -187,6 +187,7 @@ def test_where_z_is_homed_with_the_probe(start, changes, place):
     for touch in touches:
         assert (touch.x, touch.y) == pytest.approx(place, abs=0.02)
     assert where(printer) == "docked"
+    assert printer.session.position()[2] >= CLEAR
     # Z=0 is where the nozzle meets the bed
     gap = printer.gap((150.0, 150.0))
     assert gap == pytest.approx(0.0, abs=0.02)

@@ -282,6 +282,21 @@ def test_back_or_not(start):
     assert printer.session.position()[:2] == pytest.approx(DETACH)
 
 
+def test_head_is_not_lifted_again(start):
+    # The host has lifted it from the last point of the mesh
+    changes = {"moves": {}, "force_move": {"enable_force_move": "True"}}
+    changes.update(section(**QUICK))
+    printer = start(SWITCH, changes, modules=with_moves()).homed()
+    printer.run("G1 X150 Y150 Z20 F6000\nM400")
+    ends = moves(printer, "BED_MESH_CALIBRATE PROBE_COUNT=3,3\nBED_MESH_CLEAR")
+    first = [z for _, _, z in ends].index(10.0)
+    assert {z for _, _, z in ends[first:] if z > HANG + 0.1} == {10.0}
+    # It is lifted from a bed that is higher than Z=0
+    ends = moves(printer, "SET_KINEMATIC_POSITION Z=16\nG1 Z20\nPROBE")
+    low = [z for x, y, z in ends if (x, y) == DOCK]
+    assert min(low) == pytest.approx(HANG + 6.0 + 2.0, abs=0.2)
+
+
 def test_distance_to_the_dock(start):
     for safe, y in (("0", 300.0), ("10", 298.0), (None, 270.0)):
         printer = recording(start, safe_dock_distance=safe)
@@ -314,8 +329,10 @@ def test_templates_in_their_order(start):
         "detach",
         "post_detach",
     ]
+    at = "{printer.toolhead.position[:2]|map('int')|join('/')}"
     options = {
-        f"{name}_gcode": f"\n  RESPOND MSG={name}\n  M400" for name in names
+        f"{name}_gcode": f'\n  RESPOND MSG="{at} {name}"\n  M400'
+        for name in names
     }
     changes = {
         "respond": {},
@@ -324,7 +341,12 @@ def test_templates_in_their_order(start):
     faults = [Fault("attach_fails"), Fault("dock_fails")]
     printer = start(SWITCH, changes, faults=faults).homed()
     lines = printer.run("G1 X150 Y150 Z20 F6000\nPROBE")
-    told = [line.split()[-1] for line in lines if line.split()[-1] in names]
+    words = [line.split()[-2:] for line in lines if line.split()[-1] in names]
+    told = [name for _, name in words]
+    # Beside the dock, as they may have moves that lead out from there
+    places = {name: place for place, name in words}
+    assert places["post_attach"] == "50/270"
+    assert places["post_detach"] == "90/308"
     assert told == [
         # Those at the dock again with each attempt, the others once
         "pre_attach",

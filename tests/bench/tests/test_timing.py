@@ -108,10 +108,11 @@ def test_cycles_are_timed_with_the_gcode_of_the_user(one_host):
         assert run.samples == 6
 
 
-# Seconds that other modules take, at least, on their hosts: docs/performance.md
+# Seconds that other modules take on their hosts, at least: docs/performance.md.
+# Where the head stood still for each look at the probe a mesh took 73.8.
 @pytest.mark.parametrize(
     ("command", "others", "touches"),
-    [(ATTACH_AND_DETACH, 8.0, 0), (HOME_AND_MESH, 76.8, 27)],
+    [(ATTACH_AND_DETACH, 7.0, 0), (HOME_AND_MESH, 73.0, 27)],
     ids=["trip", "mesh"],
 )
 def test_probe_is_fetched_quickly(
