@@ -178,7 +178,8 @@ def cycles_plan(scene: Scene, changes: Sections) -> Plan:
 
     One touch of each in a cycle, down from the travel height, at `speed` all
     the way: there is no option for a faster one, and none for the speed of
-    travel, which is the fastest of the printer.
+    travel, which is the fastest of the printer. At the end the nozzle stands
+    over the point that was measured, for a sheet of paper.
     """
     config = _read(scene, changes)
     own, probe = config["auto_z_offset"], config["probe"]
@@ -207,7 +208,7 @@ def cycles_plan(scene: Scene, changes: Sections) -> Plan:
     for top in tops:
         stops.append(touch("sensor", POINT, sensor_z, top, slow))
         stops.append(touch("probe", beside, probe_z, travel_z, limits.z_accel))
-    return Plan(stops, travel_z, limits.velocity, limits)
+    return Plan(stops, travel_z, limits.velocity, limits, end=POINT)
 
 
 # dockable_probe

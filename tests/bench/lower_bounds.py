@@ -3,15 +3,15 @@
 It consists of the moves that no module can do without at the configured
 speeds: at each place the way up to the travel height and across (not where the
 head is there already), down to where the samples begin, the samples with the
-lifts between them, and a last lift. It knows the true heights and
-accelerations, but nothing of what a host needs to stop, ask or plan.
+lifts between them, a last lift, and the way to where the head has to stand at
+the end. It knows the true heights and accelerations, but nothing of what a host needs to stop, ask or plan.
 """
 
 from __future__ import annotations
 
 import math
 from collections.abc import Sequence
-from typing import NamedTuple, Union
+from typing import NamedTuple, Optional, Union
 
 
 class Limits(NamedTuple):
@@ -48,7 +48,8 @@ class Plan(NamedTuple):
     """What a command has to do, in the frame of the configuration.
 
     end_z: height at the end. prepare: seconds that the user's own G-code takes
-    above the first place, before the head goes down.
+    above the first place, before the head goes down. end: where the head has
+    to stand at the end (mm), None: over the last place.
     """
 
     stops: Sequence[Stop]
@@ -56,6 +57,7 @@ class Plan(NamedTuple):
     travel_speed: float
     limits: Limits
     prepare: float = 0.0
+    end: Optional[tuple[float, float]] = None
 
 
 class Part(NamedTuple):
@@ -104,7 +106,13 @@ def lower_bound(
     up = max(0.0, plan.end_z - start[2])
     limits, last = plan.limits, plan.stops[-1]
     seconds = z_seconds(limits, up, last.lift_speed, limits.z_accel)
-    return (*parts, Part("end", "lift", seconds))
+    parts.append(Part("end", "lift", seconds))
+    if plan.end is not None:
+        away = math.dist(plan.end, (last.x, last.y))
+        speed = min(plan.travel_speed, limits.velocity)
+        back = move_seconds(away, speed, limits.accel)
+        parts.append(Part("end", "travel", back))
+    return tuple(parts)
 
 
 def _stop_seconds(

@@ -78,6 +78,14 @@ def test_bound_of_one_site():
     )
 
 
+def test_way_to_where_the_head_has_to_stand():
+    back = bound(SIMPLE._replace(end=(80.0, 40.0)), 0.0, 0.0, 10.0)
+    assert back.pop(("end", "travel")) == pytest.approx(
+        1.05
+    )  # 50 mm at 50 mm/s
+    assert back == bound(SIMPLE, 0.0, 0.0, 10.0)
+
+
 def test_way_that_is_not_needed_takes_no_time():
     there = bound(SIMPLE, 30.0, 40.0, 15.0)
     assert there["pin", "lift"] == there["pin", "travel"] == 0.0
@@ -149,5 +157,7 @@ def test_plan_of_auto_z_calibrate():
     for stop, other in zip(plan.stops, wanted):
         assert stop[1:] == pytest.approx(other[1:])
     assert plan.end_z == pytest.approx(3.6787)
+    # There the nozzle stands over the point that was measured
+    assert plan.end == sensor[1:3]
     # No option for the speed of travel: the fastest there is
     assert plan.travel_speed == 300.0
