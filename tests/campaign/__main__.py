@@ -2,6 +2,7 @@
 
     python -m tests.campaign [--host NAME] [--job NAME] [--case TEXT]
         [--seed N] [--only faults|printers] [--printers N]
+        [--module FILE | --builtin]
         [--json FILE] [--markdown FILE]
 
 Each case runs on one of the hosts, another for another case; EVERY_HOST=1: on
@@ -9,6 +10,10 @@ all of them. For each command it prints how many faults it was given, how the
 command ended, and the worst penetration: how much deeper (mm) than in a good
 run each site was pressed. What was not survived is printed with the command
 that repeats it.
+
+--module and --builtin: the same for a dockable_probe of others, as far as they
+have what is broken; only harm is judged: something was hit, the printer is shut
+down, the result is wrong.
 """
 
 from __future__ import annotations
@@ -27,12 +32,19 @@ from typing import Any, Optional
 
 from tests.campaign import reliability_tables
 from tests.campaign.drawn_printers import MODULES, Report
-from tests.campaign.fault_cases import REFUSED, RIGHT, SHUT_DOWN
-from tests.campaign.jobs import JOBS
+from tests.campaign.fault_cases import REFUSED, RIGHT, SHUT_DOWN, Setting
+from tests.campaign.jobs import COMPARED, JOBS
 from tests.campaign.running import attempt_all, draw_all, figures, plan
 from tests.hostkit.hosts import Host, find_hosts
 
 _ENDS = (RIGHT, REFUSED, SHUT_DOWN)
+
+
+def others(options: argparse.Namespace) -> Optional[dict[str, Path]]:
+    """The modules of others that the command line asks for."""
+    if options.module is not None:
+        return {"dockable_probe": options.module}
+    return {} if options.builtin else None
 
 
 def row(found: dict[str, Any]) -> str:
@@ -62,12 +74,17 @@ def run_faults(
     say(f"{'':30}{'runs':>6}{'survived':>10}{heads}")
     table = []
     every = bool(os.environ.get("EVERY_HOST"))
-    for job in [job for job in JOBS if options.job in job]:
+    modules = others(options)
+    setting = Setting(options.seed, modules, modules is not None)
+    jobs = [job for job in JOBS if options.job in job]
+    if setting.of_others:
+        jobs = [job for job in jobs if job in COMPARED]
+    for job in jobs:
         shares = [
             (0, 1) if every else (part, len(hosts))
             for part in range(len(hosts))
         ]
-        make = partial(plan, options.seed, options.case, job)
+        make = partial(plan, setting, options.case, job)
         done = attempt_all(pool, list(pool.map(make, hosts, shares)))
         table.append(figures(job, done))
         say(row(table[-1]))
@@ -102,6 +119,17 @@ def parse(arguments: Optional[Sequence[str]]) -> argparse.Namespace:
     parser.add_argument("--job", default="", help="part of a command's name")
     parser.add_argument("--case", default="", help="part of a case's text")
     parser.add_argument("--seed", type=int, default=0, help="of all noise")
+    parser.add_argument(
+        "--module",
+        type=Path,
+        metavar="FILE",
+        help="faults of this dockable_probe.py instead of ours",
+    )
+    parser.add_argument(
+        "--builtin",
+        action="store_true",
+        help="faults of the host's own dockable_probe instead of ours",
+    )
     parser.add_argument("--only", choices=("faults", "printers"))
     parser.add_argument(
         "--printers", type=int, default=300, help="random ones for each module"

@@ -40,6 +40,7 @@ class Job:
     toolhead Z after a failure, at least. is_homing: after a failure nobody
     knows where the head is. told: what it may leave behind: status fields that
     tell what was seen last; "pending", where the host has a result already.
+    is_long: of the operations of a kind only the first, the middle and the last.
     """
 
     name: str
@@ -57,6 +58,25 @@ class Job:
     only: tuple[str, ...] = ()
     is_homing: bool = False
     told: tuple[str, ...] = ()
+    is_long: bool = False
+
+    def of_others(self, is_builtin: bool) -> Job:
+        """The same with a host's own module, or with the plugin for v0.12.
+
+        They need a few options that ours does not.
+        """
+        name, changes = self.module, dict(self.changes)
+        own = {**(self.scene.sections[name] or {}), **changes.get(name, {})}
+        if is_builtin:
+            own["z_hop"] = f"{dockable_probe.CLEAR:g}"
+        else:
+            own["dock_fixed_z"] = "True"
+            own["dock_position"] = f"{own['dock_position']}, 0"
+            home = self.scene.sections.get("safe_z_home")
+            if home:
+                own["safe_z_position"] = home["home_xy_position"]
+                changes["safe_z_home"] = None
+        return replace(self, changes={**changes, name: own})
 
     def state(self, printer: Printer) -> dict[str, Any]:
         """All that a failure must leave as it was."""
@@ -238,6 +258,16 @@ UNPUBLISHED = (
 UNPUBLISHED_FAULTS = ("attach_fails", "dock_fails")
 
 
+# What a dockable probe of others can do, too, with the options that all have
+COMPARED = (
+    "PROBE, dockable, tried again",
+    "BED_MESH_CALIBRATE, dockable",
+    "QUAD_GANTRY_LEVEL, dockable",
+    "SCREWS_TILT_CALCULATE, dockable",
+    "G28, dockable",
+)
+
+
 def _extra_probe_jobs() -> list[Job]:
     # It lies there all the time; what a hand does is not broken here
     scene = extra_probe.membrane(laid=True)
@@ -348,10 +378,10 @@ def _dockable_probe_jobs() -> list[Job]:
         ),
         other("PROBE", name="PROBE, dockable, tried again", changes=both),
         # A mesh is there before the probe is docked
-        other(mesh, told=(*probe.told, "pending")),
-        other("QUAD_GANTRY_LEVEL"),
-        other("Z_TILT_ADJUST", scene=level),
-        other("SCREWS_TILT_CALCULATE"),
+        other(mesh, told=(*probe.told, "pending"), is_long=True),
+        other("QUAD_GANTRY_LEVEL", is_long=True),
+        other("Z_TILT_ADJUST", scene=level, is_long=True),
+        other("SCREWS_TILT_CALCULATE", is_long=True),
         other("G28", is_homing=True, again="G28"),
     ]
 

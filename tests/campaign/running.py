@@ -20,7 +20,7 @@ class Plan(NamedTuple):
 
     host: Host
     job: str
-    seed: int
+    setting: Setting
     good: fault_cases.GoodRun
     cases: tuple[Case, ...]
 
@@ -49,29 +49,29 @@ class Done(NamedTuple):
 
 
 def plan(
-    seed: int, text: str, job: str, host: Host, share: tuple[int, int]
+    setting: Setting, text: str, name: str, host: Host, share: tuple[int, int]
 ) -> Plan:
     """The cases of a command with the text that are a host's turn.
 
     share: which of how many parts of all.
     """
-    good = fault_cases.good_run(host, JOBS[job], Setting(seed))
+    job = setting.job(name)
+    good = fault_cases.good_run(host, job, setting)
     part, parts = share
     chosen = [
         case
-        for case in fault_cases.cases(JOBS[job], good)
+        for case in fault_cases.cases(job, good)
         if text in str(case) and zlib.crc32(str(case).encode()) % parts == part
     ]
-    return Plan(host, job, seed, good, tuple(chosen))
+    return Plan(host, name, setting, good, tuple(chosen))
 
 
 def attempt(task: tuple[Plan, Case]) -> Done:
     """Run one case."""
     whole, case = task
-    outcome = fault_cases.attempt(
-        whole.host, case, whole.good, Setting(whole.seed)
-    )
-    return Done(whole.host.name, whole.seed, outcome)
+    setting = whole.setting
+    outcome = fault_cases.attempt(whole.host, case, whole.good, setting)
+    return Done(whole.host.name, setting.seed, outcome)
 
 
 def attempt_all(pool: Executor, plans: Iterable[Plan]) -> list[Done]:

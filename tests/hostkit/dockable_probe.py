@@ -19,6 +19,29 @@ SWITCH = DOCK_SCENES["dock_gantry_switch"]
 SENSED = DOCK_SCENES["dock_sensed"]
 FRAME = DOCK_SCENES["dock_frame"]
 BED = DOCK_SCENES["dock_bed"]
+# How Z comes to be homed with the probe, and where the head stands then
+HOMING = {
+    # Over the middle of the axes: of X 0 to 300, of Y 0 to 310
+    "middle": ({"safe_z_home": None}, (152.0, 130.25)),
+    "safe_z_position": (
+        {
+            "safe_z_home": None,
+            "dockable_probe": {"safe_z_position": "100, 90"},
+        },
+        (100.0, 90.0),
+    ),
+    "safe_z_home": ({}, (152.0, 125.25)),
+    "homing_override": (
+        {
+            "safe_z_home": None,
+            "homing_override": {
+                "axes": "z",
+                "gcode": "\n  G28 X Y\n  G90\n  G1 X120 Y130 F6000\n  G28 Z",
+            },
+        },
+        (120.0, 130.0),
+    ),
+}
 # A pair of points, each three samples, is enough where it is not about more
 QUICK = {"samples": "1"}
 

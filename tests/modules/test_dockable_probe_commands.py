@@ -10,6 +10,7 @@ from tests.hostkit.dockable_probe import (
     FRAME,
     GANTRY,
     HANG,
+    HOMING,
     QUICK,
     SENSED,
     SWITCH,
@@ -150,33 +151,9 @@ def test_never_low_with_the_probe_on(start):
     )
 
 
-@pytest.mark.parametrize(
-    ("changes", "place"),
-    [
-        # Over the middle of the axes: of X 0 to 300, of Y 0 to 310
-        ({"safe_z_home": None}, (152.0, 130.25)),
-        (
-            {
-                "safe_z_home": None,
-                **section(safe_z_position="100, 90"),
-            },
-            (100.0, 90.0),
-        ),
-        ({}, (152.0, 125.25)),
-        (
-            {
-                "safe_z_home": None,
-                "homing_override": {
-                    "axes": "z",
-                    "gcode": "\n  G28 X Y\n  G90\n  G1 X120 Y130 F6000\n  G28 Z",
-                },
-            },
-            (120.0, 130.0),
-        ),
-    ],
-    ids=["middle", "safe_z_position", "safe_z_home", "homing_override"],
-)
-def test_where_z_is_homed_with_the_probe(start, changes, place):
+@pytest.mark.parametrize("way", HOMING)
+def test_where_z_is_homed_with_the_probe(start, way):
+    changes, place = HOMING[way]
     printer = start(GANTRY, changes).homed()
     touches = [
         touch

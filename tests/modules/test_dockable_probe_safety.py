@@ -13,6 +13,7 @@ from tests.hostkit.dockable_probe import (
     FRAME,
     GANTRY,
     HANG,
+    HOMING,
     QUICK,
     SENSED,
     SWITCH,
@@ -57,10 +58,11 @@ def with_probe(scene, **changes):
 # Before the first touch: what reads "attached" has to change
 
 
-def test_stuck_open_before_the_first_homing(start):
+@pytest.mark.parametrize("way", HOMING)
+def test_stuck_open_before_the_first_homing(start, way):
     # As if the probe were on the head for ever: the classical crash
     fault = Fault("stuck_open", signal="probe", t=0.0)
-    printer = ready(start(GANTRY, faults=[fault]))
+    printer = ready(start(GANTRY, HOMING[way][0], faults=[fault]))
     text = printer.fail("G28")
     assert "the probe was not docked, it is ATTACHED (pin reads open)" in text
     assert "never changes" in text
