@@ -978,8 +978,11 @@ class AutoZOffset(object):
         self.known.check_frame()
         take = functools.partial(self.take_cycle, run, bed, results)
         corrections = self.collect_cycles(take)
-        method = self.settings.sampling.result
-        z_offset = sampling.summarize(corrections, method)
+        touches = self.settings.sampling
+        middle = sampling.summarize(corrections, "median")
+        # An outlier is not averaged; without one these are all
+        near = [c for c in corrections if abs(c - middle) <= touches.tolerance]
+        z_offset = sampling.summarize(near or corrections, touches.result)
         check_correction(z_offset)
         # So that "move Z to 0, try a sheet of paper" is at this point
         run.go_to(bed)
@@ -1012,9 +1015,8 @@ class AutoZOffset(object):
             raise errors.CalibrationError("cycles: %s" % (msg,))
         spread = max(corrections) - min(corrections)
         if spread > touches.tolerance:
-            text = (
-                "they differ by %.4f mm, the touches of one by %.4f at most; %s"
-            )
+            text = "they differ by %.4f mm, the touches of one by %.4f at most,"
+            text += " what is farther from the median is left out; %s"
             say(text % (spread, touches.tolerance, DIFFER))
         return corrections
 
@@ -1072,10 +1074,8 @@ class AutoZOffset(object):
             % (z_offset, before, options.SAVE_HINT)
         )
         if abs(z_offset - before) > KNOWN_MARGIN:
-            text = (
-                "that is %.3f mm away from before; was AUTO_Z_LOAD_OFFSET run,"
-                " and Z homed with the probe?"
-            )
+            text = "that is %.3f mm away from before; was AUTO_Z_LOAD_OFFSET"
+            text += " run, and Z homed with the probe?"
             self.tell(text % (abs(z_offset - before),))
 
     def tell(self, text):

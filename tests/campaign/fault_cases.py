@@ -471,8 +471,9 @@ class Trial:
             printer.run(
                 f"SET_GCODE_VARIABLE MACRO={TEMPLATE} VARIABLE=fail_at VALUE=-1"
             )
-        printer.run(f"{self._job.again}\nSET_GCODE_OFFSET Z={OFFSET}\nM400")
+        again = f"{self._job.again}\nSET_GCODE_OFFSET Z={OFFSET}\nM400"
         try:
+            printer.run(again)
             printer.run(f"{self._job.script}\nM400")
         except GcodeError as error:
             self.outcome.problems.append(f"the next run: {error}")

@@ -33,6 +33,9 @@ def test_cycles_that_differ_like_noise_are_told_not_refused(start):
     lines = printer.homed().run("AUTO_Z_CALIBRATE")
     assert len(told(lines, "cycles: they differ by 0.1")) == 1
     assert told(lines, "the touches of one by 0.0250 at most")
+    # Not averaged with what the two others agree on
+    found = printer.status("auto_z_offset")["probe_z_correction"]
+    assert found == pytest.approx(CORRECTION, abs=2.0 * MICROSTEP)
     assert told(printer.run("AUTO_Z_CALIBRATE"), "they differ") == []
 
 
