@@ -3,12 +3,20 @@
 from __future__ import annotations
 
 from functools import lru_cache
+from pathlib import Path
 
 import pytest
 
 from tests.campaign import fault_cases
-from tests.campaign.fault_cases import REFUSED, RIGHT, SHUT_DOWN, Setting
-from tests.campaign.jobs import JOBS
+from tests.campaign.fault_cases import (
+    REFUSED,
+    RIGHT,
+    SHUT_DOWN,
+    GoodRun,
+    Setting,
+)
+from tests.campaign.jobs import COMPARED, JOBS
+from tests.campaign.operations import Operation
 from tests.campaign.tests.planting import planted
 from tests.hostkit.printer import module_files
 
@@ -90,6 +98,38 @@ def test_lost_board_is_told_first(host, nth):
     outcome = attempt(host, ATTACHING, "mcu_silent", "", nth, "query")
     assert outcome.ended == SHUT_DOWN
     assert outcome.problems == []
+
+
+MESH = "BED_MESH_CALIBRATE, dockable"
+
+
+def test_long_command_is_broken_at_its_ends_and_in_the_middle():
+    touches = [Operation("touch", "probe", at) for at in range(5)]
+    operations = [touches[0], Operation("move", "z", 9), *touches[1:]]
+    good = GoodRun(tuple(operations), 0, {"attach": 2, "dock": 0}, {}, 0.0)
+    found = list(fault_cases.cases(JOBS[MESH], good))
+    # 0 is before the first one
+    assert {c.at for c in found if c.fault == "stuck_open"} == {0, 1, 2, 4, 6}
+    assert {c.at for c in found if c.fault == "attach_fails"} == {1, 2}
+
+
+def test_others_get_options_that_ours_does_without():
+    assert Setting().job(MESH) is JOBS[MESH]
+    plugin = Setting(0, {"dockable_probe": Path("x")}, True).job(MESH).changes
+    assert plugin["dockable_probe"]["dock_position"] == "50, 308, 0"
+    assert plugin["safe_z_home"] is None
+    builtin = Setting(0, {}, True).job(MESH).changes
+    assert builtin["dockable_probe"]["z_hop"] == "8.9"
+    assert set(COMPARED) < set(JOBS)
+
+
+def test_only_harm_is_judged_of_others(one_host):
+    case, good = case_of(one_host, DOCKABLE, "attach_fails")
+    good = good._replace(gap=1.0)
+    setting = Setting(0, module_files(), True)
+    wrong = case._replace(fault="stuck_closed", at=0, subject="probe")
+    assert fault_cases.attempt(one_host, wrong, good, setting).problems == []
+    assert fault_cases.attempt(one_host, wrong, good).problems
 
 
 def test_every_operation_gets_every_fault(one_host):
