@@ -884,8 +884,7 @@ class AutoZOffset(object):
     cmd_AUTO_Z_HOME_Z_help = "Set Z to z_offset where the bed sensor triggers"
 
     def cmd_AUTO_Z_HOME_Z(self, gcmd):
-        touches = self.settings.sampling.samples
-        z = self.measuring(gcmd, touches, self.home_z)
+        z = self.measuring(gcmd, self.settings.sampling.samples, self.home_z)
         self.known.home_mark = self.known.mark
         z_offset = self.settings.z_offset
         gcmd.respond_info(
@@ -955,10 +954,9 @@ class AutoZOffset(object):
     def cmd_AUTO_Z_CALIBRATE(self, gcmd):
         settings = self.settings
         touches = 2 * settings.sampling.samples * settings.offset_samples
-        results, z_offset = self.measuring(gcmd, touches, self.calibrate)
-        self.results = results
+        self.results, z_offset = self.measuring(gcmd, touches, self.calibrate)
         self.save(z_offset)
-        corrections = [result.correction for result in results]
+        corrections = [result.correction for result in self.results]
         gcmd.respond_info(
             "AUTO_Z_CALIBRATE: %s of %d, range %.6f: probe_z_correction:"
             " %.6f\n%s"
@@ -980,7 +978,6 @@ class AutoZOffset(object):
         corrections = self.collect_cycles(take)
         touches = self.settings.sampling
         middle = sampling.summarize(corrections, "median")
-        # An outlier is not averaged; without one these are all
         near = [c for c in corrections if abs(c - middle) <= touches.tolerance]
         z_offset = sampling.summarize(near or corrections, touches.result)
         check_correction(z_offset)
@@ -1015,8 +1012,10 @@ class AutoZOffset(object):
             raise errors.CalibrationError("cycles: %s" % (msg,))
         spread = max(corrections) - min(corrections)
         if spread > touches.tolerance:
-            text = "they differ by %.4f mm, the touches of one by %.4f at most,"
-            text += " what is farther from the median is left out; %s"
+            text = (
+                "they differ by %.4f mm, the touches of one by %.4f at most,"
+                " what is farther from the median is left out; %s"
+            )
             say(text % (spread, touches.tolerance, DIFFER))
         return corrections
 
@@ -1074,9 +1073,10 @@ class AutoZOffset(object):
             % (z_offset, before, options.SAVE_HINT)
         )
         if abs(z_offset - before) > KNOWN_MARGIN:
-            text = "that is %.3f mm away from before; was AUTO_Z_LOAD_OFFSET"
-            text += " run, and Z homed with the probe?"
-            self.tell(text % (abs(z_offset - before),))
+            self.tell(
+                "that is %.3f mm away from before; was AUTO_Z_LOAD_OFFSET run,"
+                " and Z homed with the probe?" % (abs(z_offset - before),)
+            )
 
     def tell(self, text):
         if text:

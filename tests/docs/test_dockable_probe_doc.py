@@ -55,7 +55,7 @@ def options() -> set[str]:
         for name in literals(SOURCE) | literals(SHARED)
         if re.fullmatch(r"[a-z]+(_[a-z]+)*", name)
     }
-    templates = re.search(r'"Templates",\s+"([^"]+)"\s+"([^"]+)"', SOURCE)
+    templates = re.search(r'TEMPLATES = \(\s+"([^"]+)"\s+"([^"]+)"', SOURCE)
     names = " ".join(templates.groups()).split()
     found |= {f"{name}_gcode" for name in names}
     found |= {"probe_sense_pin", "dock_sense_pin"}

@@ -33,6 +33,9 @@ MESH = {
     "mesh_max": "200,200",
     "probe_count": "3,3",
 }
+# The lowest trigger of the bed sensor that owners of a Q1 Pro have reported, and
+# the room (mm) that braking takes below it
+REPORTED, BRAKING = -2.74, 1.0
 LEVELLING = {
     "z_positions": "\n  -30,122\n  275,122",
     "points": "\n  40,122\n  190,122",
@@ -128,3 +131,13 @@ def test_print_start_loads_what_the_module_has_saved(name):
 
 def test_every_example_is_run():
     assert {path.stem for path in EXAMPLES.glob("*.cfg")} == set(MACHINES)
+
+
+def test_q1_pro_as_its_owners_have_it():
+    read = configparser.ConfigParser(interpolation=None, delimiters=(":",))
+    read.read_string((EXAMPLES / "q1_pro.cfg").read_text(encoding="utf-8"))
+    floor = read["auto_z_offset"].getfloat("probe_z_min")
+    assert -5.0 < floor < REPORTED - BRAKING
+    # Without power the sensor reads triggered
+    pin = read["output_pin bed_sensor"]
+    assert (pin["value"], pin["shutdown_value"]) == ("1", "1")
