@@ -41,6 +41,8 @@ OTHERS = {
 # Names, and beginnings of lines
 NO_MESSAGES = {
     "get_mcu add_stepper get_steppers home_start query_endstop",
+    "pre_attach attach post_attach pre_detach detach post_detach activate"
+    " deactivate",
     "// action:prompt_",
     "footer_button <...>|<...>|<...>",
     "EXTRA_PROBE_<...> PROBE=",
