@@ -531,3 +531,8 @@ def test_gantry_homes_with_a_hop_of_its_own(start):
     z = printer.machine.tip().z
     printer.run("G28 X Y\nATTACH_PROBE")
     assert printer.machine.tip().z == pytest.approx(z + CLEAR, abs=0.01)
+    # Once, until the motors are off and it may have sunk
+    printer.run("DETACH_PROBE")
+    assert printer.machine.tip().z == pytest.approx(z + CLEAR, abs=0.01)
+    printer.run("M84\nG28 X Y\nATTACH_PROBE")
+    assert printer.machine.tip().z == pytest.approx(z + 2 * CLEAR, abs=0.01)

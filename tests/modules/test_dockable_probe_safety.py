@@ -247,6 +247,16 @@ def test_probe_lost_at_the_last_touch(start):
     assert_safe(printer)
 
 
+def test_not_back_down_to_nothing(start):
+    # Beside the bed; the bare nozzle would be left 1.9 mm over it
+    bed = replace(SWITCH.world.bed, x_max=200.0)
+    printer = start(SWITCH.with_world(bed=bed), section(**QUICK)).homed()
+    printer.run("G1 X250 Y150 Z20 F6000")
+    assert "No trigger" in printer.fail("PROBE")
+    assert where(printer) == "docked"
+    assert printer.session.position()[2] == pytest.approx(CLEAR)
+
+
 @pytest.mark.some
 @pytest.mark.parametrize("n", [2, 3, 4, 6])
 @pytest.mark.parametrize("level", ["stuck_open", "stuck_closed"])

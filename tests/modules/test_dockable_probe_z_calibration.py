@@ -29,8 +29,10 @@ WAYS = pytest.mark.parametrize(
         z_section(start_gcode="ATTACH_PROBE", end_gcode="DETACH_PROBE"),
         z_section(before_switch_gcode="ATTACH_PROBE"),
         {"dockable_probe": {"auto_attach_detach": "False"}},
+        # The bed is looked at first, in a session of its own
+        {"dockable_probe": {"z_offset": "0"}},
     ],
-    ids=["by itself", "told", "before the switch", "not automatic"],
+    ids=["by itself", "told", "before the switch", "not automatic", "length"],
 )
 
 
