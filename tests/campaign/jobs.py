@@ -132,6 +132,8 @@ def _z_calibration_jobs() -> list[Job]:
         scene=scene,
         signals=("z_endstop", "probe"),
         point=(150.0, 150.0),
+        # A refusal is a line of it
+        told=("history",),
         margins={
             "nozzle_pin": FLOOR_MARGIN,
             "body_pin": FLOOR_MARGIN,

@@ -67,7 +67,7 @@ def nonsense(case: Case) -> list[str]:
     words = option.range
     if words == "G-code":
         return TEMPLATES
-    if words == "pin":
+    if words == "MCU pin":
         return PINS
     if words == "folder":
         return ["", " "]

@@ -45,8 +45,10 @@ def test_console_shows_the_calibration(lab):
     for site in SITES:
         touch = f"// z_calibration: {site}: touched at z="
         assert sum(line.startswith(touch) for line in said) == 3, said
-    assert said[-1].startswith("// Z-CALIBRATION: ")
-    assert said[-1].endswith(f"new offset={offset:.6f}")
+    result, worth = said[-2:]
+    assert result.startswith("// Z-CALIBRATION: probe=")
+    assert result.endswith(f"new offset={offset:.6f}")
+    assert worth.startswith(f"// Z-CALIBRATION: --> new offset={offset:.6f} +-")
 
 
 def test_status_changes_while_a_calibration_runs(lab):
