@@ -587,7 +587,7 @@ class Known(object):
     # sets Z does.
     def is_sensor_frame(self):
         mark = self.home_mark
-        return mark is not None and mark[0] == self.frame.count
+        return mark is not None and mark[0] == len(self.frame.noted)
 
     # The correction of the probe means nothing there.
     def check_frame(self):

@@ -36,14 +36,15 @@ import logging
 import math
 
 try:
-    from .z_touch import adaptive, errors, frame, host, options, places
-    from .z_touch import recording, running, sampling, templates, touching
+    from .z_touch import adaptive, corrections, errors, frame, host
+    from .z_touch import options, places, recording, running, sampling
+    from .z_touch import templates, touching
 except (ImportError, ValueError):
     try:
         # A plugin of Kalico since 2026-01-02 (2c9b0b4de)
-        from ..extras.z_touch import adaptive, errors, frame, host, options
-        from ..extras.z_touch import places, recording, running, sampling
-        from ..extras.z_touch import templates, touching
+        from ..extras.z_touch import adaptive, corrections, errors, frame
+        from ..extras.z_touch import host, options, places, recording
+        from ..extras.z_touch import running, sampling, templates, touching
     except (ImportError, ValueError):
         host = None  # load_config() tells
 
@@ -102,6 +103,9 @@ NO_CHANGE = 0.0000001
 # What the offset may be off by (mm, 95 %) with samples: auto
 TARGET_UNCERTAINTY = 0.008
 
+# What a plate or a material may need (mm) on top of what was measured
+LARGEST_ADJUST = 0.5
+
 # An offset of more than this (mm) is worth correcting in position_endstop.
 LARGE_OFFSET = 0.2
 
@@ -155,12 +159,6 @@ def check_offset(result, margins):
         " levelling, then check the three positions and position_endstop"
         % ((result.offset, low, high) + result[:3])
     )
-
-
-# The height Z=0 of the nozzle was moved to by the user is the offset that is
-# right; the difference belongs to switch_offset.
-def corrected_switch_offset(switch_offset, z, z_offset):
-    return switch_offset - (z - z_offset)
 
 
 # Expected heights (toolhead Z, mm; None: no idea): 'last' is the last good
@@ -879,8 +877,11 @@ class Calibration(object):
 
 
 # The last run that was applied: its Result, the frame that was measured in, and
-# what was odd; what it is worth (mm at 95 %, None: nobody knows)
-Last = collections.namedtuple("Last", "result mark warnings uncertainty")
+# what was odd; what it is worth (mm at 95 %, None: nobody knows); what Z_ADJUST
+# added, and the G-code offset that came of it (mm)
+Last = collections.namedtuple(
+    "Last", "result mark warnings uncertainty z_adjust applied"
+)
 
 # What nozzle and body press, and its name in messages
 Pin = collections.namedtuple("Pin", "endstop name")
@@ -905,13 +906,14 @@ class ZCalibration(object):
         self.templates = templates.load_templates(config)
         # Of the run that is under way; of the last one that was applied
         self.measured = None
-        self.last = Last(None, None, (), None)
+        self.last = Last(None, None, (), None, 0.0, 0.0)
         self.last_query = False
         register = self.printer.register_event_handler
         register("klippy:connect", self.connect)
         register("klippy:ready", self.tell_notes)
         running.register_commands(self.host, self)
         running.register_commands(self.host, self.recorder)
+        corrections.Corrections(config, self)
 
     # Set-up
     def read_pin(self, config):
@@ -1026,15 +1028,17 @@ class ZCalibration(object):
     # end_gcode the heights are of the run that is under way.
     def get_status(self, eventtime):
         result = self.measured or self.last.result
+        adjust = 0.0 if self.measured else self.last.z_adjust
         reason = "not applied yet" if self.measured else self.why_not()
         status = {
             "last_query": self.last_query,
-            "last_z_offset": 0.0 if result is None else result.offset,
+            "last_z_offset": 0.0 if result is None else result.offset + adjust,
             "last_result": {} if result is None else dict(result._asdict()),
             "valid": not reason,
             "reason": reason,
             "warnings": list(self.last.warnings),
             "uncertainty": self.last.uncertainty,
+            "z_adjust": self.last.z_adjust,
             "history": self.recorder.history.status,
         }
         status.update(self.runner.watch.status())
@@ -1081,11 +1085,12 @@ class ZCalibration(object):
         # What end_gcode adds stays; what it restores is not added
         now = self.host.gcode_offset()
         added = 0.0 if abs(now - before) < NO_CHANGE else now - at_end
-        self.use_offset(last.result.offset + added)
+        z_offset = last.result.offset + last.z_adjust + added
+        self.use_offset(z_offset)
         if abs(added) >= NO_CHANGE:
             text = "end_gcode changed the G-code Z offset by %.6f: it is %.6f"
-            self.runner.watch.say(text % (added, last.result.offset + added))
-        return last
+            self.runner.watch.say(text % (added, z_offset))
+        return last._replace(applied=self.host.gcode_offset())
 
     # end_gcode runs before the offset is applied: the way to the dock does
     # not shift with the offset, and a probe that could not be put away
@@ -1095,6 +1100,9 @@ class ZCalibration(object):
         settings = self.settings._replace(
             switch_offset=self.switch_offset(gcmd, self.settings.switch_offset)
         )
+        z_adjust = options.param_number(
+            gcmd, "Z_ADJUST", 0.0, minval=-LARGEST_ADJUST, maxval=LARGEST_ADJUST
+        )
         sites = places.Places(machine, settings).of_command(gcmd)
         run = self.start_run(settings, sites, self.recorder.plan)
         run.learned = self.recorder.history.summary
@@ -1103,7 +1111,8 @@ class ZCalibration(object):
         with self.ready(run):
             result = self.measure(run)
             worth = run.plan.uncertainty()
-            last = Last(result, self.frame.mark(), run.warnings, worth)
+            mark = self.frame.mark()
+            last = Last(result, mark, run.warnings, worth, z_adjust, 0.0)
             check_offset(result, settings.offset_margins)
             self.measured = result
             at_end = machine.gcode_offset()
@@ -1197,6 +1206,11 @@ class ZCalibration(object):
             gcmd.respond_info(
                 "Z-CALIBRATION: --> new offset=%.6f +-%.3f"
                 % (result.offset, last.uncertainty)
+            )
+        if last.z_adjust:
+            gcmd.respond_info(
+                "Z-CALIBRATION: with Z_ADJUST=%.3f the offset is %.6f"
+                % (last.z_adjust, result.offset + last.z_adjust)
             )
         homed_z = self.settings.position_endstop
         if homed_z is not None and abs(result.offset) > LARGE_OFFSET:
@@ -1314,46 +1328,6 @@ class ZCalibration(object):
         watch.wanted = pin.samples
         with running.always(self.host, run.lift, "lifting"):
             return run.sample_nozzle()
-
-    # CALCULATE_SWITCH_OFFSET
-    cmd_CALCULATE_SWITCH_OFFSET_help = (
-        "Calculate switch_offset with the nozzle moved to where Z=0 should be"
-    )
-
-    def cmd_CALCULATE_SWITCH_OFFSET(self, gcmd):
-        try:
-            self.calculate_switch_offset(gcmd)
-        except errors.CalibrationError as e:
-            raise gcmd.error("z_calibration: %s" % (e,))
-
-    def calculate_switch_offset(self, gcmd):
-        result, reason = self.last.result, self.why_not()
-        if reason:
-            raise errors.CalibrationError(
-                "%s; run CALIBRATE_Z first, then move the nozzle to where Z=0"
-                " should be" % (reason,)
-            )
-        old = self.switch_offset(gcmd, result.switch_offset)
-        z = self.host.z()
-        new = corrected_switch_offset(old, z, result.offset)
-        text = (
-            "switch_offset=%.3f - (current_z=%.3f - z_offset=%.3f)"
-            " --> new switch_offset=%.3f" % (old, z, result.offset, new)
-        )
-        if new < 0.0:
-            raise errors.CalibrationError(
-                "%s, which cannot be negative; the nozzle is still too far"
-                " from the bed, or the pin does not press the switch body"
-                % (text,)
-            )
-        gcmd.respond_info("z_calibration: " + text)
-        if options.param_int(gcmd, "SAVE", 0):
-            text = "%.3f" % (new,)
-            options.save(self.printer, "z_calibration", "switch_offset", text)
-            gcmd.respond_info(
-                "z_calibration: switch_offset: %s\n%s"
-                % (text, options.SAVE_HINT)
-            )
 
 
 def load_config(config):

@@ -2,6 +2,7 @@
 # Copyright (C) 2026  the Z calibration developers, under the GNU GPLv3
 HOMED_OR_SET = "Z was homed again or set"
 LEVELLED = "the Z motors were levelled"
+MOTORS_OFF = "the motors were turned off"
 
 # Every probing move may shift the frame by a part of a microstep; what adds
 # up to less than this (mm) is neither homing nor levelling.
@@ -12,8 +13,8 @@ DATUM_NOISE = 0.02
 class Frame(object):
     def __init__(self, host):
         self.host = host
-        self.count = 0
-        self.latest = ""
+        # What happened, in words
+        self.noted = []
         # Of the last time Z was set
         self.datum = []
         register = host.printer.register_event_handler
@@ -22,15 +23,17 @@ class Frame(object):
         register("stepper_enable:motor_off", self._off)
 
     def mark(self):
-        return self.count, self.host.z_datum()
+        return len(self.noted), self.host.z_datum()
 
-    # Why heights of before do not hold; empty: they do
-    def moved_since(self, mark):
+    # Why heights of before do not hold; empty: they do.  'besides' counts as
+    # nothing.
+    def moved_since(self, mark, besides=None):
         count, datum = mark
         motors = self._motors(datum)
-        if count == self.count or motors == LEVELLED:
+        noted = [what for what in self.noted[count:] if what != besides]
+        if not noted or motors == LEVELLED:
             return motors
-        return self.latest
+        return noted[-1]
 
     # Homing sets Z somewhere else at first, on every host; it may come back
     # to where it was.
@@ -48,11 +51,10 @@ class Frame(object):
 
     # With a print time until 2026; nobody needs it
     def _off(self, *unused):
-        self._note("the motors were turned off")
+        self._note(MOTORS_OFF)
 
     def _note(self, what):
-        self.count += 1
-        self.latest = what
+        self.noted.append(what)
 
     def _motors(self, datum):
         shifts = [a - b for a, b in zip(self.host.z_datum(), datum)]

@@ -133,6 +133,7 @@ class Recorder(object):
             offset=round(last.result.offset, 6),
             uncertainty=None if worth is None else round(worth, 6),
             switch_offset=last.result.switch_offset,
+            z_adjust=last.z_adjust,
             warnings=list(last.warnings),
         )
 

@@ -65,6 +65,7 @@ def test_result_line_and_status_hold_the_heights(start):
         "reason": "not calibrated yet",
         "warnings": [],
         "uncertainty": None,
+        "z_adjust": 0.0,
         "history": {
             "runs": 0,
             "results": [],

@@ -27,6 +27,8 @@ IMPORTABLE = {
     "errno",
     "fcntl",
     "functools",
+    "glob",
+    "io",
     "json",
     "logging",
     "math",
@@ -57,8 +59,8 @@ LINES_OF_A_SHARED_FILE = 400
 # 600 for a probe on every host and the ways around its dock, 300 for what a
 # result is worth and how many touches it takes, 1000 for the history, what it
 # says and its picture, 400 for writing it, and the places of z_calibration, 400
-# for whole cycles
-LINES_OF_ALL_SHARED = 3965
+# for whole cycles, 300 for corrections and what SAVE_CONFIG cannot write
+LINES_OF_ALL_SHARED = 4300
 LINES_OF_A_FUNCTION = 40
 METHODS = 30
 ATTRIBUTES = 12

@@ -11,6 +11,7 @@ from hypothesis import strategies as st
 
 from tests.modules.unit.loading import load
 from z_touch import templates
+from z_touch.corrections import corrected_switch_offset
 from z_touch.templates import attaches_probe
 
 zc = load("z_calibration")
@@ -207,28 +208,28 @@ class TestCorrectedSwitchOffset:
         ],
     )
     def test_table(self, switch_offset, z, z_offset, expected):
-        new = zc.corrected_switch_offset(switch_offset, z, z_offset)
+        new = corrected_switch_offset(switch_offset, z, z_offset)
         assert new == expected
 
     @given(results, shifts)
     def test_gives_the_offset_that_was_moved_to(self, result, z):
         p, s, n, so = result[:4]
-        new = zc.corrected_switch_offset(so, z, zc.offset(p, s, n, so))
+        new = corrected_switch_offset(so, z, zc.offset(p, s, n, so))
         assert zc.offset(p, s, n, new) == z
 
     @given(machines, exact(0, 3))
     def test_finds_the_travel_of_a_modelled_machine(self, machine, wrong):
         p, s, n = machine.result()[:3]
         found = zc.offset(p, s, n, wrong)
-        new = zc.corrected_switch_offset(wrong, machine.bed, found)
+        new = corrected_switch_offset(wrong, machine.bed, found)
         assert new == machine.travel
 
     @given(travels, shifts, shifts, distances)
     def test_signs(self, so, z, z_offset, more):
-        plain = zc.corrected_switch_offset(so, z, z_offset)
-        assert zc.corrected_switch_offset(so, z - more, z_offset) > plain
-        assert zc.corrected_switch_offset(so, z, z_offset - more) < plain
-        assert zc.corrected_switch_offset(so + more, z, z_offset) > plain
+        plain = corrected_switch_offset(so, z, z_offset)
+        assert corrected_switch_offset(so, z - more, z_offset) > plain
+        assert corrected_switch_offset(so, z, z_offset - more) < plain
+        assert corrected_switch_offset(so + more, z, z_offset) > plain
 
 
 LAST = zc.Result(

@@ -1,0 +1,211 @@
+"""Baby steps, the Save button, Z_ADJUST: what users change after CALIBRATE_Z."""
+
+from __future__ import annotations
+
+import functools
+import json
+from contextlib import ExitStack
+
+import pytest
+
+from tests.hostkit.printer import Printer
+from tests.hostkit.z_calibration import (
+    MICROSTEP,
+    SWITCH_OFFSET,
+    calibration,
+    section,
+    touched_sites,
+)
+
+pytestmark = pytest.mark.spread
+
+SAVE = "Z_CALIBRATION_SAVE_GCODE_OFFSET"
+ENDSTOP, PROBE = "Z_OFFSET_APPLY_ENDSTOP", "Z_OFFSET_APPLY_PROBE"
+RAISE = "SET_GCODE_OFFSET Z_ADJUST=0.02 MOVE=1"
+# 0.06 mm are between nozzle and bed at Z=0
+USUAL_GAP = 0.06
+
+
+def pending(printer):
+    return printer.status("configfile")["save_config_pending_items"]
+
+
+@pytest.mark.quick
+@pytest.mark.each_host
+def test_baby_steps_are_there_again_in_the_next_run(start):
+    printer = start().homed()
+    calibration(printer)
+    printer.run(RAISE)
+    lines = printer.run(SAVE)
+    assert lines[0] == (
+        "// z_calibration: switch_offset=0.440 - (G-code offset=0.180 - 0.160"
+        " of CALIBRATE_Z) --> new switch_offset=0.420"
+    )
+    assert lines[1] == "// z_calibration: switch_offset: 0.420"
+    assert pending(printer) == {"z_calibration": {"switch_offset": "0.420"}}
+    # Nothing has moved, and nothing counts twice
+    assert printer.offset() == pytest.approx(0.18)
+    text = "// z_calibration: nothing was changed with baby steps since"
+    assert printer.run(SAVE)[0].startswith(text)
+    result, _ = calibration(printer)
+    assert result[3:] == pytest.approx((0.42, 0.18), abs=0.001)
+    gap = USUAL_GAP + 0.02
+    assert printer.gap() == pytest.approx(gap, abs=2 * MICROSTEP)
+    # Later ones count from the run of now
+    printer.run("SET_GCODE_OFFSET Z_ADJUST=-0.05")
+    assert printer.run(f"{SAVE} SAVE=0")[0].endswith("new switch_offset=0.470")
+    assert pending(printer)["z_calibration"] == {"switch_offset": "0.420"}
+    assert calibration(printer)[0][3] == 0.47
+
+
+def test_two_corrections_of_one_run_add_up(start):
+    printer = start().homed()
+    # Of the run itself, not of the section
+    calibration(printer, "CALIBRATE_Z SWITCH_OFFSET=0.5")
+    printer.run(f"{RAISE}\n{SAVE}\n{RAISE}\n{SAVE}")
+    assert pending(printer)["z_calibration"] == {"switch_offset": "0.460"}
+
+
+@pytest.mark.parametrize("button", [ENDSTOP, PROBE])
+def test_button_that_saves_baby_steps(start, button):
+    printer = start(changes=section(save_button="switch_offset")).homed()
+    # As the host has it, until there is a result
+    printer.run(f"{RAISE}\n{button}\nSET_GCODE_OFFSET Z=0")
+    own = pending(printer)
+    assert list(own) == ["probe" if button == PROBE else "stepper_z"]
+    calibration(printer)
+    # After a print
+    printer.run(f"{RAISE}\nM84")
+    lines = printer.run(button)
+    assert "// z_calibration: switch_offset: 0.420" in lines
+    saved = {**own, "z_calibration": {"switch_offset": "0.420"}}
+    assert pending(printer) == saved
+    # What is unlikely is not for a button
+    printer.run("SET_GCODE_OFFSET Z=1")
+    assert "or the G-code offset is none of CALIBRATE_Z" in printer.fail(button)
+    # Homed again: the host's
+    printer.run(f"G28\nM84\nSET_GCODE_OFFSET Z=0.3\n{button}")
+    assert pending(printer) != saved
+
+
+@pytest.mark.parametrize("button", [ENDSTOP, PROBE])
+def test_button_that_saves_in_vain_is_told_of_once(start, button):
+    printer = start().homed()
+    hint = f"CALIBRATE_Z measures anew what {button} saves: the baby step of"
+    assert hint not in "\n".join(printer.run(button))
+    calibration(printer)
+    assert hint not in "\n".join(printer.run(button))
+    printer.run(RAISE)
+    text = "\n".join(printer.run(button))
+    assert f"{hint} +0.020 is gone then" in text
+    assert "'save_button: switch_offset' in section 'z_calibration'" in text
+    assert "z_calibration" not in pending(printer)
+    assert pending(printer)
+    assert hint not in "\n".join(printer.run(button))
+
+
+@pytest.fixture(scope="module")
+def calibrated():
+    """host -> a printer on it that was calibrated."""
+    with ExitStack() as stack:
+
+        @functools.cache
+        def on(host):
+            printer = stack.enter_context(Printer(host))
+            calibration(printer.homed())
+            return printer
+
+        yield on
+
+
+@pytest.mark.parametrize(
+    ("offset", "script", "words"),
+    [
+        ("0.61", f"{SAVE} FORCE=1", "which cannot be negative"),
+        ("-0.35", SAVE, "a change of more than 0.5 mm is none of baby steps"),
+        ("0", SAVE, "the G-code offset is 0, not that of CALIBRATE_Z"),
+        ("0.2", f"{SAVE} SAVE=often", "SAVE=often"),
+        ("0.2", f"{SAVE} FORCE=x", "FORCE=x"),
+        ("0.2", "CALIBRATE_Z Z_ADJUST=0.51", "Z_ADJUST"),
+        ("0.2", "CALIBRATE_Z Z_ADJUST=-0.51", "Z_ADJUST"),
+        ("0.2", "CALIBRATE_Z Z_ADJUST=nan", "Z_ADJUST"),
+    ],
+)
+def test_refused(host, calibrated, offset, script, words):
+    printer = calibrated(host)
+    printer.run(f"SET_GCODE_OFFSET Z={offset}")
+    before = len(printer.machine.truth.touches)
+    assert words in printer.fail(script)
+    assert pending(printer) == {}
+    assert printer.offset() == pytest.approx(float(offset))
+    assert touched_sites(printer, before) == []
+
+
+@pytest.mark.parametrize(
+    ("script", "reason"),
+    [
+        ("", "not calibrated yet"),
+        ("CALIBRATE_Z\nG28 Z\nM84", "Z was homed again"),
+    ],
+)
+def test_baby_steps_count_from_a_result(start, script, reason):
+    printer = start().homed()
+    printer.run(script)
+    printer.run("SET_GCODE_OFFSET Z_ADJUST=0.02")
+    text = printer.fail(SAVE)
+    assert text.startswith(f"z_calibration: {reason}; baby steps count from")
+    assert pending(printer) == {}
+
+
+def test_force_takes_a_large_one(start):
+    printer = start().homed()
+    calibration(printer)
+    printer.run(f"SET_GCODE_OFFSET Z=-0.4\n{SAVE} FORCE=1")
+    assert pending(printer)["z_calibration"] == {"switch_offset": "1.000"}
+
+
+def test_option_in_an_included_file_is_named(start, tmp_path):
+    path = tmp_path / "mine.cfg"
+    path.write_text(f"[z_calibration]\nswitch_offset: {SWITCH_OFFSET}\n")
+    changes = {f"include {path}": {}, **section(switch_offset=None)}
+    printer = start(changes=changes).homed()
+    calibration(printer)
+    lines = printer.run(f"{RAISE}\n{SAVE}")
+    text = "\n".join(lines)
+    assert "SAVE_CONFIG cannot change switch_offset: it is in line 2 of" in text
+    assert (
+        "mine.cfg, an included file. Write there 'switch_offset: 0.420'" in text
+    )
+    # Nothing that would keep SAVE_CONFIG from all the rest
+    assert pending(printer) == {}
+    assert calibration(printer)[0][3] == 0.42
+
+
+def test_adjustment_of_a_plate(start):
+    changes = section(offset_margins="-0.2, 0.2")
+    printer = start(changes=changes).homed()
+    lines = printer.run("CALIBRATE_Z Z_ADJUST=0.1")
+    # 0.16 is within the margins, 0.26 is not
+    text = "// Z-CALIBRATION: with Z_ADJUST=0.100 the offset is 0.260000"
+    assert text in lines
+    status = printer.status("z_calibration")
+    assert status["z_adjust"] == 0.1
+    assert status["last_z_offset"] == pytest.approx(0.26, abs=0.001)
+    assert status["last_result"]["offset"] == pytest.approx(0.16, abs=0.001)
+    gap = USUAL_GAP + 0.1
+    assert printer.gap() == pytest.approx(gap, abs=2 * MICROSTEP)
+    # It is no baby step, and nothing is learned from it
+    text = "// z_calibration: nothing was changed with baby steps since"
+    assert printer.run(SAVE)[0].startswith(text)
+    beside = "G1 X20 Y305 F6000\nG1 Z0.1 F900\nM400"
+    (answer,) = printer.run(f"{beside}\nCALCULATE_SWITCH_OFFSET")
+    assert "(current_z=0.360 - z_offset=0.260)" in answer
+    printer.run("G1 Z20 F900")
+    result, _ = calibration(printer)
+    assert result[-1] == pytest.approx(0.16, abs=0.001)
+    assert printer.status("z_calibration")["z_adjust"] == 0.0
+    printer.session.wait(1.0)
+    folder = printer.session.data / "config" / "z_calibration"
+    path = folder / "history.jsonl"
+    runs = [json.loads(line) for line in path.read_text().splitlines()]
+    assert [run["z_adjust"] for run in runs] == [0.1, 0.0]
