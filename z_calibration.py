@@ -38,13 +38,14 @@ import math
 try:
     from .z_touch import adaptive, corrections, errors, frame, host
     from .z_touch import options, places, recording, running, sampling
-    from .z_touch import templates, touching
+    from .z_touch import setup, templates, touching
 except (ImportError, ValueError):
     try:
         # A plugin of Kalico since 2026-01-02 (2c9b0b4de)
         from ..extras.z_touch import adaptive, corrections, errors, frame
         from ..extras.z_touch import host, options, places, recording
-        from ..extras.z_touch import running, sampling, templates, touching
+        from ..extras.z_touch import running, sampling, setup, templates
+        from ..extras.z_touch import touching
     except (ImportError, ValueError):
         host = None  # load_config() tells
 
@@ -780,12 +781,23 @@ class Calibration(object):
             self.clean(why)
             self.sample_nozzle()
 
+    # Where the touches of the nozzle, of the switch, of the bed end at the latest
+    def floor(self, nozzle_z=None, switch_z=None):
+        settings = self.settings
+        if nozzle_z is None:
+            expected_z = expect_nozzle(settings, self.last, self.holds)
+            return nozzle_floor(settings, expected_z)
+        if switch_z is None:
+            expected_z = expect_switch(settings, nozzle_z, self.last)
+            return switch_floor(settings, nozzle_z, expected_z)
+        return bed_floor(settings, nozzle_z, switch_z)
+
     def sample_nozzle(self):
         self.watch.enter("nozzle")
         settings = self.settings
         nozzle = NozzleMeasurement(self, self.sites.nozzle, settings.pin)
         expected_z = expect_nozzle(settings, self.last, self.holds)
-        floor = nozzle_floor(settings, expected_z)
+        floor = self.floor()
         return nozzle.samples(self.travel_z, expected_z, floor)
 
     def site_of_switch(self):
@@ -797,7 +809,7 @@ class Calibration(object):
     def measure_switch(self, nozzle_z):
         settings, switch = self.settings, self.site_of_switch()
         expected_z = expect_switch(settings, nozzle_z, self.last)
-        floor = switch_floor(settings, nozzle_z, expected_z)
+        floor = self.floor(nozzle_z)
         if expected_z is None:
             floor = self.floor_from_bed(nozzle_z, floor)
         try:
@@ -867,7 +879,7 @@ class Calibration(object):
         settings = self.settings
         expected_z = expect_bed(settings, nozzle_z, switch_z, self.last)
         self.travel_z = travel_height_to_bed(settings, nozzle_z, switch_z)
-        floor = bed_floor(settings, nozzle_z, switch_z)
+        floor = self.floor(nozzle_z, switch_z)
         return self.site_of_bed().measure(self.travel_z, expected_z, floor)
 
 
@@ -914,6 +926,7 @@ class ZCalibration(object):
         running.register_commands(self.host, self)
         running.register_commands(self.host, self.recorder)
         corrections.Corrections(config, self)
+        setup.Setup(self)
 
     # Set-up
     def read_pin(self, config):
@@ -1054,8 +1067,8 @@ class ZCalibration(object):
         value = options.param_number(gcmd, "SWITCH_OFFSET", default, minval=0.0)
         if value is None:
             raise errors.CalibrationError(
-                "no switch_offset: set it in section 'z_calibration', or add"
-                " SWITCH_OFFSET=mm"
+                "no switch_offset: run Z_CALIBRATION_SETUP, set it in section"
+                " 'z_calibration', or add SWITCH_OFFSET=mm"
             )
         return value
 

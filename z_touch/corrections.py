@@ -18,7 +18,7 @@ SAVE_BUTTON = {"off": False, "switch_offset": True}
 # More (mm) is no baby step, or a typing error
 LARGEST_STEP = 0.5
 
-# Less (mm) is rounding
+# Less (mm) than this is rounding
 NO_CHANGE = 0.0000005
 
 # The G-code offset that CALIBRATE_Z, or a correction since, has left, and the

@@ -7,6 +7,9 @@
 #
 #   // action:prompt_begin HEADLINE
 #   // action:prompt_text TEXT
+#   // action:prompt_button_group_start
+#   // action:prompt_button LABEL|G-CODE|COLOUR
+#   // action:prompt_button_group_end
 #   // action:prompt_footer_button LABEL|G-CODE|COLOUR
 #   // action:prompt_show
 #   // action:prompt_end
@@ -19,6 +22,24 @@ PREFIX = "// action:prompt_"
 # Nothing in a text may end the line, or the part of a button that it is in.
 def plain(text):
     return " ".join(str(text).split()).replace("|", "/")
+
+
+# The lines of a dialog.  Buttons are (label, G-code, colour), those of a group
+# stand in a row; one text, as KlipperScreen shows only the last.
+def lines(headline, text, footer, groups=()):
+    yield PREFIX + "begin " + plain(headline)
+    yield PREFIX + "text " + plain(text)
+    for group in groups:
+        yield PREFIX + "button_group_start"
+        for button in group:
+            yield PREFIX + "button " + "|".join(button)
+        yield PREFIX + "button_group_end"
+    for button in footer:
+        yield PREFIX + "footer_button " + "|".join(button)
+    yield PREFIX + "show"
+
+
+END = PREFIX + "end"
 
 
 # 'command' is the G-code of the beginning and of both answers: it has %s for
@@ -37,25 +58,22 @@ class Dialog(object):
     def waits_for(self):
         return "" if self.question is None else self.question.asks
 
-    # After close().  'question' has the word 'asks'.  One text, as KlipperScreen
-    # shows only the last.
+    # After close().  'question' has the word 'asks'.
     def ask(self, question, headline, sentences):
         self.say(" ".join([headline + "."] + sentences))
         self.say("then %s, or %s" % (self.go_on, self.abort))
-        self._send("begin " + plain(headline))
-        self._send("text " + plain(" ".join(sentences)))
         go_on = "%s QUESTION=%s" % (self.go_on, question.asks)
-        for label, gcode, colour in (
+        footer = (
             ("Continue", go_on, "primary"),
             ("Abort", self.abort, "error"),
-        ):
-            self._send("footer_button %s|%s|%s" % (label, gcode, colour))
-        self._send("show")
+        )
+        for line in lines(headline, " ".join(sentences), footer):
+            self.host.gcode.respond_raw(line)
         self.question = question
 
     def close(self):
         self.question = None
-        self._send("end")
+        self.host.gcode.respond_raw(END)
 
     # What was asked, which is over then
     def answered(self, gcmd):
@@ -74,6 +92,3 @@ class Dialog(object):
             text = "%s: QUESTION=%s is not what is asked now, which is %s"
             raise gcmd.error(text % (self.host.name, asked, waits_for))
         return self.answered(gcmd)
-
-    def _send(self, text):
-        self.host.gcode.respond_raw(PREFIX + text)

@@ -149,5 +149,8 @@ ELSEWHERE = {
 
 
 def no_place(name):
-    text = "no place for the %s: set %s_xy_position%s, or add %s_POSITION=X,Y"
+    text = (
+        "no place for the %s: run Z_CALIBRATION_SETUP, set %s_xy_position%s, or"
+        " add %s_POSITION=X,Y"
+    )
     return text % (name, name, ELSEWHERE[name], name.upper())

@@ -16,6 +16,8 @@ LINE = re.compile(r"// action:prompt_(\S+) *(.*)")
 COLOURS = ("primary", "secondary", "info", "warning", "error")
 # Words that fit, see MacroPrompt of Mainsail: 400 pixels wide
 LONGEST_HEADLINE = 40
+# A row of a group
+BUTTONS_OF_A_GROUP, LONGEST_OF_A_GROUP = 4, 6
 
 
 @dataclass
@@ -25,13 +27,20 @@ class Shown:
     headline: str
     texts: list[str] = field(default_factory=list)
     footer_buttons: list[tuple[str, str, str]] = field(default_factory=list)
+    groups: list[list[tuple[str, str, str]]] = field(default_factory=list)
     is_open: bool = False
+
+    def gcode(self, label: str) -> str:
+        """What the button of that name sends."""
+        buttons = [*self.footer_buttons, *sum(self.groups, [])]
+        (found,) = [gcode for name, gcode, _ in buttons if name == label]
+        return found
 
 
 def dialogs_of(lines: Iterable[str]) -> list[Shown]:
     """What interfaces show, in order. AssertionError: not the grammar."""
     shown: list[Shown] = []
-    building = None
+    building, in_group = None, False
     for kind, text in (m.groups() for m in map(LINE.fullmatch, lines) if m):
         if kind == "begin":
             # An older KlipperScreen would ignore it
@@ -49,8 +58,24 @@ def dialogs_of(lines: Iterable[str]) -> list[Shown]:
             label, gcode, colour = text.split("|")
             assert 0 < len(label) <= 10 and gcode and colour in COLOURS
             building.footer_buttons.append((label, gcode, colour))
+        elif kind == "button_group_start":
+            assert building is not None and not in_group and not text
+            building.groups.append([])
+            in_group = True
+        elif kind == "button":
+            # Fluidd ignores groups, and shows what is in them
+            assert in_group
+            label, gcode, colour = text.split("|")
+            assert 0 < len(label) <= LONGEST_OF_A_GROUP
+            assert gcode and colour in COLOURS
+            building.groups[-1].append((label, gcode, colour))
+        elif kind == "button_group_end":
+            assert in_group and not text
+            assert 0 < len(building.groups[-1]) <= BUTTONS_OF_A_GROUP
+            in_group = False
         elif kind == "show":
             assert building is not None and building.footer_buttons
+            assert not in_group
             assert not text
             building.is_open = True
             shown.append(building)

@@ -165,6 +165,11 @@ class Machine:
         self.rig.settle(self.simulation.clock.now())
         self.world.lay_membrane(is_laid)
 
+    def hold(self, signal: str, level: Optional[bool]) -> None:
+        """Keep a signal asserted or not by hand, from now on; None: let go."""
+        self.rig.settle(self.simulation.clock.now())
+        self.world.hold(signal, level)
+
     def close(self) -> None:
         """Give everything back."""
         self.simulation.close()

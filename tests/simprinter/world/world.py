@@ -41,6 +41,7 @@ class World:
         "_ceiling",
         "_drift",
         "_faults",
+        "_held",
         "_keeper",
         "_last_t",
         "_last_xy",
@@ -80,6 +81,8 @@ class World:
         self._last_t = -math.inf
         # Something near the plate has yet to be let go
         self._low = False
+        # Kept so by hand
+        self._held: dict[str, bool] = {}
         self._next_fault = self._expect_faults()
 
     @property
@@ -94,7 +97,15 @@ class World:
 
     def level(self, signal: str, t: float, pose: Sequence[float]) -> bool:
         """Whether the signal would be asserted at time t and pose.  Pure."""
+        if signal in self._held:
+            return self._held[signal]
         return self._parts.lines[signal].level(t, pose)
+
+    def hold(self, signal: str, level: Optional[bool]) -> None:
+        """A hand keeps the signal asserted or not; None: it lets go."""
+        self._held.pop(signal, None)
+        if level is not None:
+            self._held[signal] = level
 
     def latency(self, signal: str) -> float:
         """Seconds from the physical change to the level at the board."""

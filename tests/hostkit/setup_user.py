@@ -1,0 +1,149 @@
+"""Somebody who sets z_calibration up by the buttons of its dialogs."""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Callable, Iterable
+from typing import Optional
+
+from tests.hostkit.dialogs import Shown, dialogs_of
+from tests.hostkit.printer import RunningPrinter
+from tests.simprinter import Machine
+
+SETUP = "Z_CALIBRATION_SETUP"
+# As the section is before anything is known
+EMPTY = {
+    "nozzle_xy_position": None,
+    "switch_xy_position": None,
+    "bed_xy_position": None,
+    "switch_offset": None,
+}
+JOGS = (10.0, 1.0, 0.1)
+
+
+def open_dialog(console: Iterable[str]) -> Optional[Shown]:
+    """What an interface shows that has seen these lines."""
+    shown = [dialog for dialog in dialogs_of(console) if dialog.is_open]
+    assert len(shown) <= 1
+    return shown[0] if shown else None
+
+
+def presses(distance: float, jogs: Iterable[float] = JOGS) -> list[float]:
+    """Which buttons lead so far (mm)."""
+    found = []
+    for jog in jogs:
+        count = int(abs(distance) / jog + 1e-6)
+        found += [jog if distance > 0 else -jog] * count
+        distance -= count * (jog if distance > 0 else -jog)
+    return found
+
+
+class User:
+    """Reads dialogs, presses buttons and switches, looks at the nozzle."""
+
+    def __init__(self, printer: RunningPrinter, pin: str = "z_endstop"):
+        """pin: the signal of what the nozzle presses."""
+        self.printer = printer
+        self.machine: Machine = printer.machine
+        self.pin = pin
+
+    def dialog(self) -> Optional[Shown]:
+        """The one that is open."""
+        return open_dialog(self.printer.session.console)
+
+    def begin(self) -> None:
+        """The command that all begins with."""
+        self.printer.run(SETUP)
+
+    def step(self) -> str:
+        """The step that is asked, in the word of the console."""
+        gcode = self.dialog().footer_buttons[0][1]
+        return re.search(r"STEP=(\w+)", gcode)[1]
+
+    def press(self, label: str) -> list[str]:
+        """Press a button; the console lines."""
+        return self.printer.run(self.dialog().gcode(label))
+
+    def refused(self, label: str) -> str:
+        """Press a button that must fail; the error's text."""
+        return self.printer.fail(self.dialog().gcode(label))
+
+    def by_hand(
+        self, signal: str, label: str = "Watch", level: bool = True
+    ) -> list[str]:
+        """Press a switch and let go, once the button was pressed."""
+        session = self.printer.session
+        command = session.begin(self.dialog().gcode(label))
+        session.wait(1.0)
+        before = self.machine.world.level
+        assert before is not None
+        self.machine.hold(signal, level)
+        session.wait(0.5)
+        self.machine.hold(signal, None)
+        return session.finish(command)
+
+    def jog(self, axis: str, distance: float, jogs: Iterable[float] = JOGS):
+        """By the buttons."""
+        for step in presses(distance, jogs):
+            self.press(f"{axis}{step:+g}")
+
+    def jog_to(self, x: float, y: float) -> None:
+        """The head there, as near as the buttons lead."""
+        here = self.printer.session.position()
+        self.jog("X", round(x - here[0], 1))
+        self.jog("Y", round(y - here[1], 1))
+
+    def test_switches(self, is_fixed: bool = False) -> None:
+        """Both, and the probe off the head."""
+        self.by_hand(self.pin)
+        if is_fixed:
+            self.press("Skip")
+        else:
+            self.machine.hold("probe", True)
+            self.press("Next")
+        # Attached by hand
+        self.machine.hold("probe", False)
+        session = self.printer.session
+        command = session.begin(self.dialog().gcode("Watch"))
+        session.wait(1.0)
+        self.machine.hold("probe", True)
+        session.wait(0.5)
+        self.machine.hold("probe", False)
+        session.finish(command)
+        self.machine.hold("probe", None)
+
+    def set_places(
+        self, nozzle: tuple[float, float], switch: tuple[float, float]
+    ) -> None:
+        """Home, nozzle, switch; the bed as it is proposed; all looks right."""
+        self.press("Home")
+        self.jog_to(*nozzle)
+        self.press("Here")
+        self.press("Attach")
+        self.jog_to(*switch)
+        for label in ("Here", "Here", "Yes", "Yes", "Yes"):
+            self.press(label)
+
+    def touch(self) -> None:
+        """All three."""
+        for _ in range(3):
+            self.press("Touch")
+
+    def gap(self) -> float:
+        """True mm from the nozzle to the bed below it."""
+        tip = self.machine.tip()
+        now = self.machine.rig.seconds(self.machine.simulation.clock.now())
+        return self.machine.truth.true_gap(tip.x, tip.y, tip.z, now)
+
+    def lower_to_the_sheet(self, paper: float = 0.1) -> None:
+        """Until the sheet is held."""
+        for step in (0.1, 0.05, 0.01):
+            while self.gap() > paper + step:
+                self.press(f"Z-{step:g}")
+
+    def until(self, step: str, actions: Iterable[Callable[[], None]]) -> None:
+        """Go on until a step is asked."""
+        for action in actions:
+            if self.step() == step:
+                return
+            action()
