@@ -13,39 +13,28 @@ from .dialogs import END
 from .errors import CalibrationError
 from .setup_hands import Hands
 from .setup_result import found, summary, values
-from .setup_ways import OVER_SHEET, PLACES, Ways
+from .setup_touches import State, Touches
+from .setup_ways import OVER_SHEET, PLACES, TOUCHES, Ways
 
 # Where the head stands at a step
 PLACE_OF = {prefix + name: name for name in PLACES for prefix in ("", "look_")}
+
+# Steps that use heights of before
+NEED_HEIGHTS = ("touch_switch", "touch_bed", "gap", "paper")
 
 # Heights that are known before a site is touched
 TOUCHED = {"touch_nozzle": 0, "touch_switch": 1, "touch_bed": 2}
 
 
-# How far somebody has come; nothing of it is saved before the last step.
-class State(object):
-    def __init__(self):
-        self.step = "pin"
-        # The head has got to where the step begins
-        self.arrived = True
-        self.mark = None
-        # A start_gcode has run since the last end_gcode
-        self.fetched = False
-        # touching.Site, heights (mm) and samples, by name
-        self.sites = {}
-        self.heights = {}
-        self.samples = {}
-        self.switch_offset = None
-
-
+# 'module' is the object behind [z_calibration].
 class Setup(object):
-    # 'module' as above
     def __init__(self, module):
         self.module = module
         self.host = module.host
         self.saver = saving.Saver(module.host)
         self.ways = Ways(module)
         self.hands = Hands(module, self.saver)
+        self.touches = Touches(module, self.ways, self.hands)
         # None: no set-up is under way
         self.state = None
         running.register_commands(module.host, self)
@@ -61,6 +50,8 @@ class Setup(object):
             self.ask()
             return
         if self.state is None:
+            # It may be one of before a restart
+            self.host.gcode.respond_raw(END)
             raise gcmd.error(
                 "%s: no set-up is under way, a restart ends it, too; nothing"
                 " was saved. Begin with %s" % (self.host.name, steps.COMMAND)
@@ -88,12 +79,7 @@ class Setup(object):
         is_jog = any(gcmd.get(axis, "").strip() for axis in "XYZ")
         work = self.jog if is_jog else self.go_on
         try:
-            self.module.runner.run(
-                gcmd,
-                functools.partial(self.kept_offset, work, gcmd),
-                "setup",
-                0,
-            )
+            self.run(gcmd, functools.partial(work, gcmd, self.state))
         except self.host.printer.command_error as e:
             if not self.host.printer.is_shutdown() and self.state is not None:
                 self.ask(str(e))
@@ -102,51 +88,65 @@ class Setup(object):
             self.ask()
 
     # What start_gcode and end_gcode do to the G-code offset is undone
-    def kept_offset(self, work, gcmd):
-        before = self.host.gcode_offset()
-        work(gcmd)
-        if self.host.gcode_offset() != before:
-            self.host.set_gcode_offset(before)
+    def run(self, gcmd, work):
+        def keep_offset():
+            before = self.host.gcode_offset()
+            work()
+            if self.host.gcode_offset() != before:
+                self.host.set_gcode_offset(before)
 
-    def jog(self, gcmd):
-        self.require_arrived()
-        self.ways.jog(gcmd, self.state, self.hands.is_attached())
+        self.module.runner.run(gcmd, keep_offset, "setup", 0)
 
-    def go_on(self, gcmd):
-        state = self.state
-        self.check_frame()
+    def jog(self, gcmd, state):
+        if not state.arrived:
+            raise CalibrationError(
+                "the head has not got to this place yet; answer the question"
+            )
+        self.check_heights(state)
+        self.ways.jog(gcmd, state, self.hands.is_attached())
+
+    def go_on(self, gcmd, state):
+        if state.step == "gap" and self.switch_type(gcmd):
+            state.step = "save"
+            return
+        answer = gcmd.get("ANSWER", "").strip().upper()
+        following = steps.follow(state.step, answer)
+        self.check_heights(state)
         if not state.arrived:
             self.enter(state.step)
             state.arrived = True
             return
-        answer = gcmd.get("ANSWER", "").strip().upper()
-        if state.step == "gap" and self.switch_type(gcmd):
-            state.step = "save"
-            return
-        following = steps.follow(state.step, answer)
-        do = getattr(self, "do_" + state.step, None)
-        if do is not None and not answer:
-            do(gcmd)
+        if not answer:
+            self.work_of(state.step)(gcmd, state)
         if self.state is not None:
             state.step, state.arrived = following, False
             self.enter(following)
             state.arrived = True
 
-    def require_arrived(self):
-        if not self.state.arrived:
-            raise CalibrationError(
-                "the head has not got to this place yet; answer the question"
-            )
+    def work_of(self, name):
+        touches, ways = self.touches, self.ways
+        return {
+            "pin": self.hands.test_pin,
+            "off": self.hands.test_off,
+            "probe": self.hands.test_probe,
+            "home": touches.home,
+            "nozzle": ways.take_place,
+            "attach": touches.attach,
+            "switch": ways.take_place,
+            "bed": ways.take_place,
+            "touch_nozzle": touches.touch_nozzle,
+            "touch_switch": touches.touch_switch,
+            "touch_bed": touches.touch_bed,
+            "paper": self.measure_paper,
+            "save": self.save,
+        }.get(name, lambda gcmd, state: None)
 
-    # Heights hold no more where Z was homed again; places do
-    def check_frame(self):
-        state = self.state
-        if state.mark is None:
+    # They hold no more where Z was homed again; places do
+    def check_heights(self, state):
+        if state.mark is None or state.step not in NEED_HEIGHTS:
             return
-        running.check_homed(self.host)
         moved = self.module.frame.moved_since(state.mark)
-        state.mark = self.module.frame.mark()
-        if moved and state.step in ("touch_switch", "touch_bed", "paper"):
+        if moved:
             state.step, state.arrived = "touch_nozzle", True
             text = "%s: the heights hold no more, the first touches begin again"
             raise CalibrationError(text % (moved,))
@@ -171,15 +171,16 @@ class Setup(object):
             "goal": self.goal(steps.after(name)),
             "back_goal": self.goal(back) if back in PLACES else "",
             "found": found(state),
-            "floor": "",
+            "floor": 0.0,
+            "touches": TOUCHES,
             "paper_z": 0.0,
             "values": "",
             "not_saved": "",
         }
         if name.startswith("touch_"):
             z = [state.heights.get(site) for site in PLACES[:2]]
-            floor = self.ways.run(state.sites).floor(*z[: TOUCHED[name]])
-            facts["floor"] = "at Z=%.2f" % (floor,)
+            run = self.ways.run(state.sites)
+            facts["floor"] = run.floor(*z[: TOUCHED[name]])
         if name in ("gap", "paper"):
             facts["paper_z"] = self.ways.contact(state) + OVER_SHEET
         if name == "save":
@@ -219,93 +220,6 @@ class Setup(object):
             self.ways.places().check_reach(site)
             self.ways.go(site.x, site.y)
 
-    def do_pin(self, gcmd):
-        self.hands.test_pin(gcmd)
-
-    def do_off(self, gcmd):
-        self.hands.test_off()
-
-    def do_probe(self, gcmd):
-        self.hands.test_probe(gcmd)
-
-    def do_home(self, gcmd):
-        homed = self.host.toolhead_status()["homed_axes"]
-        if any(axis not in homed for axis in "xyz"):
-            self.host.gcode.run_script_from_command("G28")
-        running.check_homed(self.host)
-        self.state.mark = self.module.frame.mark()
-
-    def take_place(self, name):
-        self.state.sites[name] = self.ways.here(name, self.state)
-
-    def do_nozzle(self, gcmd):
-        self.take_place("nozzle")
-        self.ways.lift()
-
-    def do_switch(self, gcmd):
-        self.take_place("switch")
-
-    def do_bed(self, gcmd):
-        self.take_place("bed")
-
-    def fetch(self, *parts):
-        state, module = self.state, self.module
-        state.fetched = True
-        for part in parts:
-            module.run_template(part)
-        running.check_homed(self.host)
-        state.mark = module.frame.mark()
-
-    def put_away(self):
-        if self.state.fetched:
-            self.module.run_template("end")
-            self.state.fetched = False
-            running.check_homed(self.host)
-
-    def do_attach(self, gcmd):
-        self.ways.lift()
-        if self.hands.is_attached():
-            return
-        with self.module.holding_probe():
-            self.fetch("start", "before_switch")
-        if not self.hands.is_attached():
-            raise CalibrationError(
-                "the probe reads triggered: neither start_gcode nor"
-                " before_switch_gcode has attached it; attach it by hand, or"
-                " correct them"
-            )
-
-    def do_touch_nozzle(self, gcmd):
-        state = self.state
-        self.ways.lift()
-        state.heights, state.samples = {}, {}
-        with self.module.holding_probe():
-            self.put_away()
-            self.fetch("start")
-            self.touch("nozzle", lambda run: run.measure_nozzle())
-
-    def do_touch_switch(self, gcmd):
-        state, nozzle_z = self.state, self.state.heights["nozzle"]
-        with self.module.holding_probe():
-            self.ways.lift()
-            self.module.attach_probe(state.mark)
-            run = self.touch("switch", lambda run: run.measure_switch(nozzle_z))
-        if run.warnings:
-            raise CalibrationError("; ".join(run.warnings))
-
-    def do_touch_bed(self, gcmd):
-        z = [self.state.heights[name] for name in PLACES[:2]]
-        with self.module.holding_probe():
-            self.touch("bed", lambda run: run.measure_bed(*z))
-            self.put_away()
-
-    def touch(self, name, measure):
-        run = self.ways.run(self.state.sites)
-        with running.always(self.host, run.lift, "lifting"):
-            self.state.heights[name] = measure(run)
-        self.state.samples[name] = list(run.plan.samples[name])
-        return run
-
     # Whether the switch_offset was told
     def switch_type(self, gcmd):
         name = gcmd.get("TYPE", "").strip().upper()
@@ -333,15 +247,15 @@ class Setup(object):
             )
         self.state.switch_offset = value
 
-    def do_paper(self, gcmd):
-        contact = self.ways.contact(self.state)
+    def measure_paper(self, gcmd, state):
+        contact = self.ways.contact(state)
         self.use_switch_offset(steps.from_paper(contact, self.host.z()))
         self.ways.lift()
 
-    def do_save(self, gcmd):
+    def save(self, gcmd, state):
         saved = [
             self.saver.save(self.host.name, option, text)
-            for option, text in values(self.ways, self.state)
+            for option, text in values(self.ways, state)
         ]
         self.close()
         if any(saved):
@@ -353,19 +267,9 @@ class Setup(object):
 
     def abort(self, gcmd):
         state = self.state
-        self.host.gcode.respond_raw(END)
-
-        def leave(gcmd):
-            if state.mark is not None:
-                self.ways.lift()
-                with self.module.holding_probe():
-                    self.put_away()
-
-        try:
-            work = functools.partial(self.kept_offset, leave, gcmd)
-            self.module.runner.run(gcmd, work, "setup", 0)
-        finally:
-            self.state = None
+        self.close()
+        work = functools.partial(self.touches.leave, gcmd, state)
+        self.run(gcmd, work)
         gcmd.respond_info(
             "%s: the set-up has ended, nothing was saved" % (self.host.name,)
         )

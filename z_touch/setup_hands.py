@@ -26,14 +26,14 @@ class Hands(object):
         probe, now = self.host.probe_endstop(), self.host.after_moves()
         return not probe.query_endstop(now)
 
-    def test_pin(self, gcmd):
+    def test_pin(self, gcmd, state):
         pin, probe = self.module.pin, self.host.probe_endstop()
         own = self.host.name, "endstop_pin"
         if pin.name == "the Z endstop":
             own = self.host.z_axis.section, "endstop_pin"
         self.watch(gcmd, pin.name, own, pin.endstop, probe)
 
-    def test_off(self):
+    def test_off(self, gcmd, state):
         if self.is_attached():
             raise CalibrationError(
                 "the probe reads as if it were attached: it is not wired as"
@@ -41,7 +41,7 @@ class Hands(object):
                 % (self.remedy(*self.probe_option()),)
             )
 
-    def test_probe(self, gcmd):
+    def test_probe(self, gcmd, state):
         probe, pin = self.host.probe_endstop(), self.module.pin.endstop
         self.watch(gcmd, "the probe", self.probe_option(), probe, pin)
 

@@ -45,9 +45,10 @@ def step(name, headline, text, go_on, more=(), back=None, axes=""):
 
 
 HERE = "Move the head with the buttons, or as you like, until %s. "
-TOUCHES = (
-    "'Touch' %s, and lowers the head slowly, %d times. Keep a hand on the"
-    " emergency stop. Where nothing is met, a touch ends %s. "
+TOUCH = (
+    "'Touch' lifts the head to Z=%%(travel_z).1f, %s, and lowers it slowly,"
+    " %%(touches)d times. Where nothing is met, a touch ends at Z=%%(floor).2f."
+    " Keep a hand on the emergency stop."
 )
 
 ALL = (
@@ -151,11 +152,10 @@ ALL = (
         "touch_nozzle",
         "First touches of the nozzle",
         "Clean the nozzle. "
-        + TOUCHES
+        + TOUCH
         % (
-            "runs end_gcode if the probe was fetched, start_gcode",
-            5,
-            "%(floor)s",
+            "runs end_gcode if the probe was fetched, runs start_gcode, goes"
+            " over the pin"
         ),
         "Touch",
         back="nozzle",
@@ -164,12 +164,10 @@ ALL = (
         "touch_switch",
         "First touches of the switch",
         "%(found)s "
-        + TOUCHES
+        + TOUCH
         % (
-            "runs before_switch_gcode, looks at the bed how long the"
-            " probe is where z_offset of [probe] does not say",
-            5,
-            "%(floor)s",
+            "runs before_switch_gcode, goes over the pin (over the bed before"
+            " if z_offset of the probe does not say how long it is)"
         ),
         "Touch",
         back="switch",
@@ -178,8 +176,8 @@ ALL = (
         "touch_bed",
         "First touches of the bed",
         "%(found)s "
-        + TOUCHES % ("goes to the bed", 5, "%(floor)s")
-        + "After that end_gcode puts the probe away.",
+        + TOUCH % ("goes over the bed",)
+        + " After that end_gcode puts the probe away.",
         "Touch",
         back="bed",
     ),
@@ -189,7 +187,7 @@ ALL = (
         "%(found)s Which switch is in the probe? Take its button, or on"
         " the console TYPE=D2F, TYPE=SSG or VALUE=mm. 'Paper' lifts the"
         " head to Z=%(travel_z).1f and goes with the nozzle over the"
-        " bed, down to Z=%(paper_z).2f, about 1 to 2 mm above it.",
+        " bed, down to Z=%(paper_z).2f, about 2 to 3 mm above it.",
         "Paper",
     ),
     step(

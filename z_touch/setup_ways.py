@@ -22,8 +22,13 @@ USUAL_SWITCH_OFFSET = 0.5
 CLEAR = 1.0
 CLEAR_OF_UNKNOWN = 3.0
 
+# A smaller z_offset (mm) of the probe was never measured; what it may hang below
+# the nozzle then
+MEASURED = 2.0
+UNMEASURED = 11.0
+
 # The nozzle stands so high (mm) over the highest bed there may be
-OVER_SHEET = 1.0
+OVER_SHEET = 2.0
 
 # Nearer (mm) than this to the dock is in it
 DOCK_NEAR = 15.0
@@ -138,7 +143,9 @@ class Ways(object):
         hangs = 0.0
         if attached or step == "switch":
             # With what the plunger hangs lower than its trigger
-            hangs = max(settings.z_offset, 2.0) + CLEAR
+            hangs = settings.z_offset + CLEAR
+            if settings.z_offset < MEASURED:
+                hangs = UNMEASURED
         return max(pin_z, 0.0) + hangs + clear
 
     def jog(self, gcmd, state, attached):
@@ -170,8 +177,10 @@ class Ways(object):
         x, y, z = self.host.toolhead.get_position()[:3]
         gcmd.respond_info("X=%.3f Y=%.3f Z=%.3f" % (x, y, z))
 
-    # The place the head stands at, checked
-    def here(self, name, state):
+    # The place the head stands at
+    def take_place(self, gcmd, state):
+        running.check_homed(self.host)
+        name = state.step
         x, y = [round(a, 3) for a in self.host.toolhead.get_position()[:2]]
         site = touching.Site(name, x, y, "The place of the %s" % (name,))
         places = self.places()
@@ -189,7 +198,8 @@ class Ways(object):
         if name == "bed":
             places.check_apart(state.sites["switch"], site)
         self.check_dock(site)
-        return site
+        self.lift()
+        state.sites[name] = site
 
     # The host's own text, as the option is one of several modules
     def check_dock(self, site):

@@ -43,7 +43,9 @@ def test_from_an_empty_section_to_the_true_gap(start):
     printer.run("G28")
     result, _ = calibration(printer)
     settings = printer.status("configfile")["settings"]["z_calibration"]
-    assert settings["nozzle_xy_position"] == pytest.approx((226.0, 20.0), abs=0.06)
+    assert settings["nozzle_xy_position"] == pytest.approx(
+        (226.0, 20.0), abs=0.06
+    )
     # Paper is as exact as its steps, and its gap is in switch_offset
     assert result[3] == pytest.approx(0.7, abs=0.015)
     x, y = settings["bed_xy_position"]

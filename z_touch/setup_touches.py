@@ -1,0 +1,112 @@
+# Homing, the probe and the first touches of Z_CALIBRATION_SETUP.
+# Copyright (C) 2026  the Z calibration developers, under the GNU GPLv3
+from . import running
+from .errors import CalibrationError
+from .setup_ways import PLACES
+
+
+# How far somebody has come; nothing of it is saved before the last step.
+class State(object):
+    def __init__(self):
+        self.step = "pin"
+        # The head has got to where the step begins
+        self.arrived = True
+        # Of the frame of the heights
+        self.mark = None
+        # A start_gcode has run since the last end_gcode
+        self.fetched = False
+        # touching.Site, heights (mm) and samples, by name
+        self.sites = {}
+        self.heights = {}
+        self.samples = {}
+        self.switch_offset = None
+
+
+class Touches(object):
+    # 'module' is the object behind [z_calibration]
+    def __init__(self, module, ways, hands):
+        self.module = module
+        self.host = module.host
+        self.ways = ways
+        self.hands = hands
+
+    def is_homed(self):
+        homed = self.host.toolhead_status()["homed_axes"]
+        return all(axis in homed for axis in "xyz")
+
+    def home(self, gcmd, state):
+        if not self.is_homed():
+            self.host.gcode.run_script_from_command("G28")
+        running.check_homed(self.host)
+        state.mark = self.module.frame.mark()
+
+    def attach(self, gcmd, state):
+        self.ways.lift()
+        if self.hands.is_attached():
+            return
+        with self.module.holding_probe():
+            self.fetch(state, "start", "before_switch")
+        if not self.hands.is_attached():
+            raise CalibrationError(
+                "the probe reads triggered: neither start_gcode nor"
+                " before_switch_gcode has attached it; attach it by hand, or"
+                " correct them"
+            )
+
+    def fetch(self, state, *parts):
+        state.fetched = True
+        for part in parts:
+            self.module.run_template(part)
+        running.check_homed(self.host)
+        state.mark = self.module.frame.mark()
+
+    def put_away(self, state):
+        if state.fetched:
+            self.module.run_template("end")
+            state.fetched = False
+
+    def touch_nozzle(self, gcmd, state):
+        self.ways.lift()
+        state.heights, state.samples = {}, {}
+        with self.module.holding_probe():
+            self.put_away(state)
+            self.fetch(state, "start")
+            self.touch(state, "nozzle", lambda run: run.measure_nozzle())
+
+    def touch_switch(self, gcmd, state):
+        nozzle_z = state.heights["nozzle"]
+        with self.module.holding_probe():
+            self.ways.lift()
+            self.module.attach_probe(state.mark)
+            self.touch(
+                state, "switch", lambda run: run.measure_switch(nozzle_z)
+            )
+
+    def touch_bed(self, gcmd, state):
+        z = [state.heights[name] for name in PLACES[:2]]
+        with self.module.holding_probe():
+            self.touch(state, "bed", lambda run: run.measure_bed(*z))
+            self.put_away(state)
+
+    def touch(self, state, name, measure):
+        run = self.ways.run(state.sites)
+        with running.always(self.host, run.lift, "lifting"):
+            state.heights[name] = measure(run)
+        state.samples[name] = list(run.plan.samples[name])
+        if name == "switch" and run.warnings:
+            # The plunger was pressed, too: another place is needed
+            raise CalibrationError("; ".join(run.warnings))
+
+    # The printer as before; of one that is not homed nothing can be moved
+    def leave(self, gcmd, state):
+        if state.mark is None:
+            return
+        if self.is_homed():
+            self.ways.lift()
+            with self.module.holding_probe():
+                self.put_away(state)
+        elif state.fetched:
+            gcmd.respond_info(
+                "%s: not homed, so nothing was moved; the probe may still be on"
+                " the head" % (self.host.name,)
+            )
