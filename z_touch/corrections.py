@@ -19,7 +19,7 @@ SAVE_BUTTON = {"off": False, "switch_offset": True}
 LARGEST_STEP = 0.5
 
 # Less (mm) than this is rounding
-NO_CHANGE = 0.0000005
+NO_STEP = 0.0000005
 
 # The G-code offset that CALIBRATE_Z, or a correction since, has left, and the
 # switch_offset that belongs to it (mm)
@@ -93,11 +93,11 @@ class Corrections(object):
             return
         change = self.host.gcode_offset() - self.current().offset
         handler(gcmd)
-        if holds and abs(change) > NO_CHANGE and not self.hinted:
+        if holds and abs(change) > NO_STEP and not self.hinted:
             self.hinted = True
             gcmd.respond_info(
                 "%s: CALIBRATE_Z measures anew what %s saves: the baby step of"
-                " %+.3f is gone then. Z_CALIBRATION_SAVE_GCODE_OFFSET keeps it,"
+                " %.3f is gone then. Z_CALIBRATION_SAVE_GCODE_OFFSET keeps it,"
                 " 'save_button: switch_offset' in section '%s' makes this"
                 " button do so" % (self.host.name, name, change, self.host.name)
             )
@@ -143,7 +143,7 @@ class Corrections(object):
                 " correct the first layer" % (reason,)
             )
         base, z_offset = self.current(), self.host.gcode_offset()
-        if abs(z_offset - base.offset) < NO_CHANGE:
+        if abs(z_offset - base.offset) < NO_STEP:
             text = "%s: nothing was changed with baby steps since CALIBRATE_Z"
             gcmd.respond_info(text % (self.host.name,))
             return

@@ -14,7 +14,7 @@ from .errors import CalibrationError
 from .setup_hands import Hands
 from .setup_result import found, summary, values
 from .setup_touches import State, Touches
-from .setup_ways import OVER_SHEET, PLACES, TOUCHES, Ways
+from .setup_ways import FIRST_TOUCHES, OVER_SHEET, PLACES, Ways
 
 # Where the head stands at a step
 PLACE_OF = {prefix + name: name for name in PLACES for prefix in ("", "look_")}
@@ -106,7 +106,7 @@ class Setup(object):
         self.ways.jog(gcmd, state, self.hands.is_attached())
 
     def go_on(self, gcmd, state):
-        if state.step == "gap" and self.switch_type(gcmd):
+        if self.switch_type(gcmd):
             state.step = "save"
             return
         answer = gcmd.get("ANSWER", "").strip().upper()
@@ -126,7 +126,7 @@ class Setup(object):
     def work_of(self, name):
         touches, ways = self.touches, self.ways
         return {
-            "pin": self.hands.test_pin,
+            "pin": self.test_pin,
             "off": self.hands.test_off,
             "probe": self.hands.test_probe,
             "home": touches.home,
@@ -137,6 +137,7 @@ class Setup(object):
             "touch_nozzle": touches.touch_nozzle,
             "touch_switch": touches.touch_switch,
             "touch_bed": touches.touch_bed,
+            "gap": self.check_sheet,
             "paper": self.measure_paper,
             "save": self.save,
         }.get(name, lambda gcmd, state: None)
@@ -166,13 +167,13 @@ class Setup(object):
         state, name = self.state, self.state.step
         back = steps.STEPS[name].back
         facts = {
-            "patience": steps.PATIENCE,
+            "patience": steps.HAND_PATIENCE,
             "travel_z": self.ways.travel_z(),
-            "goal": self.goal(steps.after(name)),
+            "goal": "" if name == "gap" else self.goal(steps.after(name)),
             "back_goal": self.goal(back) if back in PLACES else "",
             "found": found(state),
             "floor": 0.0,
-            "touches": TOUCHES,
+            "touches": FIRST_TOUCHES,
             "paper_z": 0.0,
             "values": "",
             "not_saved": "",
@@ -189,9 +190,14 @@ class Setup(object):
 
     # The move that a step begins with, in words; empty: none
     def goal(self, name):
+        text = "the head lifts to Z=%.1f" % (self.ways.travel_z(),)
+        if name == "paper":
+            goal = self.ways.sheet(self.state)
+            return "%s, moves to X=%.1f Y=%.1f and down to Z=%.2f" % (
+                (text,) + goal
+            )
         if name not in PLACE_OF:
             return ""
-        text = "the head lifts to Z=%.1f" % (self.ways.travel_z(),)
         site = self.ways.candidate(PLACE_OF[name], self.state)
         if site is None:
             return text
@@ -203,11 +209,6 @@ class Setup(object):
     def enter(self, name):
         state = self.state
         if name == "paper":
-            if self.hands.is_attached():
-                raise CalibrationError(
-                    "the probe is attached, the nozzle cannot reach the sheet;"
-                    " take it off, or take the type of the switch"
-                )
             x, y, z = self.ways.sheet(state)
             self.ways.go(x, y)
             speed = self.module.settings.pin.lift_speed
@@ -219,6 +220,20 @@ class Setup(object):
                 return
             self.ways.places().check_reach(site)
             self.ways.go(site.x, site.y)
+
+    # After G28 the nozzle may stand on it
+    def test_pin(self, gcmd, state):
+        if self.touches.is_homed():
+            self.ways.lift()
+        self.hands.test_pin(gcmd, state)
+
+    def check_sheet(self, gcmd, state):
+        self.ways.sheet(state)
+        if self.hands.is_attached():
+            raise CalibrationError(
+                "the probe is attached, the nozzle cannot reach the sheet; take"
+                " it off, or take the type of the switch"
+            )
 
     # Whether the switch_offset was told
     def switch_type(self, gcmd):
@@ -232,6 +247,8 @@ class Setup(object):
             )
         value = steps.SWITCHES.get(name, value)
         if value is not None:
+            if self.state.step != "gap":
+                raise CalibrationError("TYPE and VALUE belong to STEP=GAP")
             self.use_switch_offset(value)
         return value is not None
 

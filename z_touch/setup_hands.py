@@ -4,14 +4,14 @@ from . import setup_steps as steps
 from .errors import CalibrationError
 
 # How often (s) a switch is looked at
-LOOK = 0.1
+LOOK_INTERVAL = 0.1
 
 VERDICTS = {
-    "pressed already": "reads pressed before anything presses it",
+    "early": "reads pressed before anything presses it",
     "nothing": "did not change",
     "other": "did not change, but the other switch did: the pins are mixed up",
     "both": "changed together with the other switch: both are on one pin",
-    "not released": "was pressed and has not come back",
+    "held": "was pressed and has not come back",
 }
 
 
@@ -62,7 +62,7 @@ class Hands(object):
                 option,
                 pin,
                 section,
-                self.saver.where(section, option) or "of no file",
+                self.saver.where(section, option),
                 option,
                 steps.inverted(pin),
             )
@@ -71,7 +71,8 @@ class Hands(object):
     # Until something is pressed by hand and let go
     def watch(self, gcmd, name, option, endstop, other):
         reactor, host = self.host.printer.get_reactor(), self.host
-        end, readings = host.eventtime() + steps.PATIENCE, []
+        end, readings = host.eventtime() + steps.HAND_PATIENCE, []
+        host.toolhead.wait_moves()
         gcmd.respond_info("%s: watching %s ..." % (host.name, name))
         while True:
             now = host.after_moves()
@@ -82,11 +83,11 @@ class Hands(object):
                 )
             )
             verdict = steps.judge(readings)
-            if verdict in ("good", "pressed already"):
+            if verdict in ("good", "early"):
                 break
             if host.eventtime() >= end:
                 break
-            reactor.pause(host.eventtime() + LOOK)
+            reactor.pause(host.eventtime() + LOOK_INTERVAL)
         if verdict != "good":
             text = "%s %s; check %s" % (
                 name,

@@ -11,21 +11,21 @@ from .errors import CalibrationError
 from .places import LARGEST_SWITCH_DISTANCE, Places, Sites
 
 # First touches: mm/s, and how often
-SLOW = 2.0
-TOUCHES = 5
+SLOW_SPEED = 2.0
+FIRST_TOUCHES = 5
 
 # For the floors of the first touches (mm), until it is known
 USUAL_SWITCH_OFFSET = 0.5
 
 # As near (mm) the head comes over the pin by jogging, and over one whose height
 # nobody knows yet
-CLEAR = 1.0
-CLEAR_OF_UNKNOWN = 3.0
+CLEAR_OF_PIN = 1.0
+CLEAR_OF_UNKNOWN_PIN = 3.0
 
 # A smaller z_offset (mm) of the probe was never measured; what it may hang below
 # the nozzle then
-MEASURED = 2.0
-UNMEASURED = 11.0
+LEAST_MEASURED = 2.0
+UNMEASURED_HANGS = 11.0
 
 # The nozzle stands so high (mm) over the highest bed there may be
 OVER_SHEET = 2.0
@@ -47,20 +47,20 @@ class Ways(object):
     def settings(self):
         settings = self.module.settings
         pin, probe = settings.pin, settings.probe
-        slow = functools.partial(self.slow, speed=min(SLOW, pin.speed))
+        slow = functools.partial(self.slow, speed=min(SLOW_SPEED, pin.speed))
         if settings.switch_offset is None:
             settings = settings._replace(switch_offset=USUAL_SWITCH_OFFSET)
         return settings._replace(
             pin=slow(pin),
             probe=slow(probe),
-            probing_speed=min(settings.probing_speed, 2.0 * SLOW),
+            probing_speed=min(settings.probing_speed, 2.0 * SLOW_SPEED),
             first_fast=False,
         )
 
     @staticmethod
     def slow(sampling, speed):
         return sampling._replace(
-            samples=TOUCHES,
+            samples=FIRST_TOUCHES,
             tolerance=float("inf"),
             result="median",
             speed=speed,
@@ -135,17 +135,17 @@ class Ways(object):
     # How low (mm) the head may be moved by hand at a step
     def jog_floor(self, step, attached):
         settings = self.module.settings
-        pin_z, clear = settings.position_endstop, CLEAR
+        pin_z, clear = settings.position_endstop, CLEAR_OF_PIN
         if pin_z is None:
-            pin_z, clear = 0.0, CLEAR_OF_UNKNOWN
+            pin_z, clear = 0.0, CLEAR_OF_UNKNOWN_PIN
         if step == "bed":
             return self.travel_z()
         hangs = 0.0
         if attached or step == "switch":
             # With what the plunger hangs lower than its trigger
-            hangs = settings.z_offset + CLEAR
-            if settings.z_offset < MEASURED:
-                hangs = UNMEASURED
+            hangs = settings.z_offset + CLEAR_OF_PIN
+            if settings.z_offset < LEAST_MEASURED:
+                hangs = UNMEASURED_HANGS
         return max(pin_z, 0.0) + hangs + clear
 
     def jog(self, gcmd, state, attached):

@@ -18,6 +18,8 @@ ROOT = Path(__file__).resolve().parents[2]
 VALUE = "<...>"
 # What these say is drawn, not told
 PICTURES = ("plots.py", "report.py")
+# What these ask explains itself
+DIALOGS = ("setup_texts.py",)
 
 
 def trees(name: str) -> list[ast.Module]:
@@ -26,7 +28,7 @@ def trees(name: str) -> list[ast.Module]:
     pending = [ROOT / f"{name}.py"]
     while pending:
         path = pending.pop()
-        is_picture = path.name in PICTURES
+        is_picture = path.name in (*PICTURES, *DIALOGS)
         if path in found or is_picture or not path.exists():
             continue
         found[path] = ast.parse(path.read_text(encoding="utf-8"))

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import re
-from collections.abc import Callable, Iterable
+from collections.abc import Iterable
 from typing import Optional
 
 from tests.hostkit.dialogs import Shown, dialogs_of
@@ -69,17 +69,22 @@ class User:
         return self.printer.fail(self.dialog().gcode(label))
 
     def by_hand(
-        self, signal: str, label: str = "Watch", level: bool = True
+        self,
+        signal: str,
+        *,
+        after: Optional[bool] = None,
+        others: Iterable[str] = (),
     ) -> list[str]:
-        """Press a switch and let go, once the button was pressed."""
+        """Watch, press a switch, and others, and let go; after: as it is then."""
         session = self.printer.session
-        command = session.begin(self.dialog().gcode(label))
-        session.wait(1.0)
-        before = self.machine.world.level
-        assert before is not None
-        self.machine.hold(signal, level)
-        session.wait(0.5)
-        self.machine.hold(signal, None)
+        command = session.begin(self.dialog().gcode("Watch"))
+        # A head that is homed is lifted at first
+        session.run_until(command, lambda: "watching" in session.console[-1])
+        session.wait(0.3)
+        for pressed in (True, after):
+            for name in (signal, *others):
+                self.machine.hold(name, pressed)
+            session.wait(0.3)
         return session.finish(command)
 
     def jog(self, axis: str, distance: float, jogs: Iterable[float] = JOGS):
@@ -96,20 +101,17 @@ class User:
     def test_switches(self, is_fixed: bool = False) -> None:
         """Both, and the probe off the head."""
         self.by_hand(self.pin)
+        self.test_probe(is_fixed)
+
+    def test_probe(self, is_fixed: bool = False) -> None:
+        """Off the head, on it and pressed, and where it belongs again."""
         if is_fixed:
             self.press("Skip")
         else:
             self.machine.hold("probe", True)
             self.press("Next")
-        # Attached by hand
-        self.machine.hold("probe", False)
-        session = self.printer.session
-        command = session.begin(self.dialog().gcode("Watch"))
-        session.wait(1.0)
-        self.machine.hold("probe", True)
-        session.wait(0.5)
-        self.machine.hold("probe", False)
-        session.finish(command)
+            self.machine.hold("probe", False)
+        self.by_hand("probe", after=False)
         self.machine.hold("probe", None)
 
     def set_places(
@@ -140,10 +142,3 @@ class User:
         for step in (0.1, 0.05, 0.01):
             while self.gap() > paper + step:
                 self.press(f"Z-{step:g}")
-
-    def until(self, step: str, actions: Iterable[Callable[[], None]]) -> None:
-        """Go on until a step is asked."""
-        for action in actions:
-            if self.step() == step:
-                return
-            action()

@@ -97,7 +97,7 @@ def test_button_that_saves_in_vain_is_told_of_once(start, button):
     assert hint not in "\n".join(printer.run(button))
     printer.run(RAISE)
     text = "\n".join(printer.run(button))
-    assert f"{hint} +0.020 is gone then" in text
+    assert f"{hint} 0.020 is gone then" in text
     assert "'save_button: switch_offset' in section 'z_calibration'" in text
     assert "z_calibration" not in pending(printer)
     assert pending(printer)

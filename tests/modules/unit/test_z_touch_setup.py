@@ -138,9 +138,9 @@ NO, YES = False, True
     [
         ([(NO, YES)], "nothing"),
         ([(NO, YES), (NO, YES)], "nothing"),
-        ([(NO, YES), (YES, YES)], "not released"),
+        ([(NO, YES), (YES, YES)], "held"),
         ([(NO, YES), (YES, YES), (NO, YES)], "good"),
-        ([(YES, NO), (NO, NO)], "pressed already"),
+        ([(YES, NO), (NO, NO)], "early"),
         ([(NO, NO), (NO, YES), (NO, NO)], "other"),
         ([(NO, NO), (YES, YES), (NO, NO)], "both"),
         # Not at the same moment
@@ -175,7 +175,7 @@ def test_jog_within_the_limits_or_towards_them(start, distance, end):
 @pytest.mark.parametrize(
     ("start", "distance", "words"),
     [
-        (5.0, 5.1, "X=.5.1 would lead to 10.100, outside 0.000 to 10.000"),
+        (5.0, 5.1, "X=5.1 would lead to 10.100, outside 0.000 to 10.000"),
         (5.0, -5.1, "outside"),
         (-1.0, -0.1, "would lead to -1.100"),
         (5.0, 10.1, "at most 10 mm at once"),
