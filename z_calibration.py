@@ -128,7 +128,7 @@ Settings = collections.namedtuple(
     "nozzle switch switch_xy_offsets bed wiggle switch_offset"
     " attach_after_nozzle first_fast"
     " offset_margins travel_margin position_endstop position_min position_max"
-    " safe_z_height speed probing_speed z_offset pin probe target",
+    " safe_z_height speed probing_speed z_offset pin probe target save_button",
 )
 
 
@@ -416,6 +416,9 @@ def read_settings(config, z_axis, own_pin, old_names):
         pin=pin,
         probe=bed,
         target=read_target(config, pin, old_names),
+        save_button=config.getchoice(
+            "save_button", corrections.SAVE_BUTTON, "off"
+        ),
         # From the probe and the axes, when klippy connects
         position_max=None,
         z_offset=None,
@@ -925,7 +928,7 @@ class ZCalibration(object):
         register("klippy:ready", self.tell_notes)
         running.register_commands(self.host, self)
         running.register_commands(self.host, self.recorder)
-        corrections.Corrections(config, self)
+        corrections.Corrections(self)
         setup.Setup(self)
 
     # Set-up

@@ -63,11 +63,10 @@ def check_steps(base, z_offset, force):
 
 # 'module' is the object behind [z_calibration].
 class Corrections(object):
-    def __init__(self, config, module):
+    def __init__(self, module):
         self.module = module
         self.host = module.host
         self.saver = saving.Saver(module.host)
-        self.takes_button = config.getchoice("save_button", SAVE_BUTTON, "off")
         # Which of the module's results was corrected, and what came of it
         self.corrected = None
         self.base = None
@@ -88,7 +87,7 @@ class Corrections(object):
 
     def pressed(self, name, handler, gcmd):
         holds = not self.why_not()
-        if holds and self.takes_button:
+        if holds and self.module.settings.save_button:
             self.run(gcmd, self.save_steps, True, False)
             return
         change = self.host.gcode_offset() - self.current().offset
@@ -107,7 +106,7 @@ class Corrections(object):
         try:
             work(gcmd, *args)
         except CalibrationError as e:
-            raise gcmd.error("%s: %s" % (self.host.name, e))
+            raise gcmd.error("z_calibration: %s" % (e,))
 
     # Why there is nothing that baby steps could be counted from; empty: there
     # is.  After a print the motors may be off.
