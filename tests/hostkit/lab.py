@@ -15,7 +15,7 @@ from contextlib import ExitStack, contextmanager
 from dataclasses import replace
 from fnmatch import fnmatch
 from pathlib import Path
-from typing import Optional
+from typing import Optional, Union
 
 from tests.hostkit.environment import REPO_ROOT, clean_environment, run
 from tests.hostkit.hosts import Host, Installed
@@ -29,7 +29,7 @@ from tests.hostkit.trees import (
     put_module,
     put_shared,
 )
-from tests.simprinter import SCENES, Machine, heated
+from tests.simprinter import SCENES, Machine, Scene, heated
 
 # How much faster than a real printer the simulated one lives
 SPEED = 20.0
@@ -93,7 +93,11 @@ class Lab:
     """
 
     def __init__(
-        self, host: Host, python: Path, directory: Path, scene: str = "voron"
+        self,
+        host: Host,
+        python: Path,
+        directory: Path,
+        scene: Union[str, Scene] = "voron",
     ):
         """python: the one that has Moonraker."""
         self.host = host
@@ -104,7 +108,8 @@ class Lab:
         self.klipper = self.home / firmware_of(host).lower()
         self.module_dir = self.klipper / host.layout.module_dir
         self.printer: Optional[RunningPrinter] = None
-        self._scene = heated(SCENES[scene])
+        scene = SCENES[scene] if isinstance(scene, str) else scene
+        self._scene = heated(scene)
         self._sources = directory / "sources"
         self._releases = 0
         self._life = ExitStack()

@@ -60,6 +60,14 @@ class User:
         gcode = self.dialog().footer_buttons[0][1]
         return re.search(r"STEP=(\w+)", gcode)[1]
 
+    def position(self) -> list[float]:
+        """Where the head is, in klippy's frame, mm."""
+        return self.printer.session.position()
+
+    def hold(self, signal: str, level: Optional[bool]) -> None:
+        """Keep a switch pressed or not; None: let go."""
+        self.machine.hold(signal, level)
+
     def press(self, label: str) -> list[str]:
         """Press a button; the console lines."""
         return self.printer.run(self.dialog().gcode(label))
@@ -83,7 +91,7 @@ class User:
         session.wait(0.3)
         for pressed in (True, after):
             for name in (signal, *others):
-                self.machine.hold(name, pressed)
+                self.hold(name, pressed)
             session.wait(0.3)
         return session.finish(command)
 
@@ -94,7 +102,7 @@ class User:
 
     def jog_to(self, x: float, y: float) -> None:
         """The head there, as near as the buttons lead."""
-        here = self.printer.session.position()
+        here = self.position()
         self.jog("X", round(x - here[0], 1))
         self.jog("Y", round(y - here[1], 1))
 
@@ -108,11 +116,11 @@ class User:
         if is_fixed:
             self.press("Skip")
         else:
-            self.machine.hold("probe", True)
+            self.hold("probe", True)
             self.press("Next")
-            self.machine.hold("probe", False)
+            self.hold("probe", False)
         self.by_hand("probe", after=False)
-        self.machine.hold("probe", None)
+        self.hold("probe", None)
 
     def set_places(
         self, nozzle: tuple[float, float], switch: tuple[float, float]

@@ -202,7 +202,6 @@ def test_hands_on_the_wrong_switch(start):
     command = printer.session.begin(user.dialog().gcode("Watch"))
     printer.session.wait(1.0)
     assert printer.status("z_calibration")["phase"] == "setup"
-    assert "a measurement is under way (setup)" in printer.fail("CALIBRATE_Z")
     with pytest.raises(GcodeError, match="the Z endstop did not change; check"):
         printer.session.finish(command)
     for signal, others, words in (

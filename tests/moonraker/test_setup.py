@@ -1,0 +1,92 @@
+"""Z_CALIBRATION_SETUP through Moonraker, by buttons only."""
+
+from __future__ import annotations
+
+import threading
+import time
+from dataclasses import replace
+
+import pytest
+
+from tests.hostkit.lab import Lab
+from tests.hostkit.moonraker import MoonrakerError
+from tests.hostkit.setup_user import EMPTY, SETUP, User, open_dialog
+from tests.hostkit.z_calibration import MICROSTEP
+from tests.simprinter import SCENES
+
+# Real seconds that a hand needs
+HAND = 0.25
+
+
+@pytest.fixture(scope="module")
+def lab(request, moonraker_python, tmp_path_factory):
+    """A printer that knows start_gcode and end_gcode only."""
+    scene = SCENES["cartesian"]
+    own = {**scene.sections["z_calibration"], **EMPTY}
+    scene = replace(scene, sections={**scene.sections, "z_calibration": own})
+    directory = tmp_path_factory.mktemp("lab")
+    with Lab(request.param, moonraker_python, directory, scene) as lab:
+        lab.install()
+        lab.obey()
+        yield lab
+
+
+class WebUser(User):
+    """Sees and sends what a web interface does."""
+
+    def __init__(self, lab: Lab):
+        super().__init__(lab.printer)
+        self.lab = lab
+
+    def dialog(self):
+        store = self.lab.moonraker.get("/server/gcode_store")["gcode_store"]
+        said = [e["message"] for e in store if e["type"] == "response"]
+        return open_dialog(said)
+
+    def begin(self):
+        self.lab.moonraker.run(SETUP)
+
+    def press(self, label):
+        return self.lab.moonraker.run(self.dialog().gcode(label))
+
+    def position(self):
+        return self.lab.moonraker.status("toolhead")["position"]
+
+    def hold(self, signal, level):
+        with self.lab.standing() as printer:
+            printer.machine.hold(signal, level)
+
+    def by_hand(self, signal, *, after=None, others=()):
+        watching = threading.Thread(target=self.press, args=["Watch"])
+        watching.start()
+        for level in (True, after):
+            time.sleep(HAND)
+            self.hold(signal, level)
+        watching.join()
+
+
+def test_empty_section_to_the_true_gap(lab):
+    user = WebUser(lab)
+    user.begin()
+    user.test_switches()
+    user.set_places((226.0, 20.0), (254.0, 14.5))
+    user.touch()
+    assert user.step() == "GAP"
+    user.press("SSG")
+    assert "switch_offset: 0.700" in user.dialog().texts[0]
+    save = user.dialog().gcode("Save")
+    with lab.moonraker.listen() as listener:
+        user.press("Save")
+        listener.collect("notify_klippy_disconnected", lambda _: True)
+        listener.collect("notify_klippy_ready", lambda _: True)
+    # Of a page that was loaded before
+    assert user.dialog() is None
+    with pytest.raises(MoonrakerError) as caught:
+        lab.moonraker.run(save)
+    assert "no set-up is under way" in caught.value.text
+    lab.moonraker.run("G28\nCALIBRATE_Z")
+    settings = lab.moonraker.status("configfile")["settings"]
+    point = tuple(settings["z_calibration"]["bed_xy_position"])
+    with lab.standing() as printer:
+        gap = printer.gap(point)
+    assert gap == pytest.approx(0.0, abs=2 * MICROSTEP)
