@@ -715,8 +715,10 @@ class Calibration(object):
     def know(self, last, holds):
         self.last = last
         self.holds = holds
-        # Follows what the run learns; the head is lifted to it
-        pin_z = expect_nozzle(self.settings, last, holds)
+        self.rise_over(expect_nozzle(self.settings, last, holds))
+
+    # Follows what the run learns; the head is lifted to it
+    def rise_over(self, pin_z):
         self.travel_z = travel_height(self.settings, pin_z, self.body())
 
     # switch - nozzle (mm) of the probe that was there last, or None
@@ -729,7 +731,7 @@ class Calibration(object):
             # Nobody will attach it later: say so before anything is touched
             self.check_probe_attached()
         nozzle_z = self.measure_nozzle()
-        self.travel_z = travel_height(settings, nozzle_z, self.body())
+        self.rise_over(nozzle_z)
         self.lift()
         self.watch.enter("before_switch_gcode")
         attach_probe()

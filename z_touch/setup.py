@@ -168,7 +168,7 @@ class Setup(object):
         back = steps.STEPS[name].back
         facts = {
             "patience": steps.HAND_PATIENCE,
-            "travel_z": self.ways.travel_z(),
+            "travel_z": self.ways.travel_z(state),
             "goal": "" if name == "gap" else self.goal(steps.after(name)),
             "back_goal": self.goal(back) if back in PLACES else "",
             "found": found(state),
@@ -180,7 +180,7 @@ class Setup(object):
         }
         if name.startswith("touch_"):
             z = [state.heights.get(site) for site in PLACES[:2]]
-            run = self.ways.run(state.sites)
+            run = self.ways.run(state)
             facts["floor"] = run.floor(*z[: TOUCHED[name]])
         if name in ("gap", "paper"):
             facts["paper_z"] = self.ways.contact(state) + OVER_SHEET
@@ -190,7 +190,7 @@ class Setup(object):
 
     # The move that a step begins with, in words; empty: none
     def goal(self, name):
-        text = "the head lifts to Z=%.1f" % (self.ways.travel_z(),)
+        text = "the head lifts to Z=%.1f" % (self.ways.travel_z(self.state),)
         if name == "paper":
             goal = self.ways.sheet(self.state)
             return "%s, moves to X=%.1f Y=%.1f and down to Z=%.2f" % (
@@ -210,21 +210,21 @@ class Setup(object):
         state = self.state
         if name == "paper":
             x, y, z = self.ways.sheet(state)
-            self.ways.go(x, y)
+            self.ways.go(state, x, y, False)
             speed = self.module.settings.pin.lift_speed
             self.host.toolhead.manual_move([None, None, z], speed)
         elif name in PLACE_OF:
             site = self.ways.candidate(PLACE_OF[name], state)
             if site is None:
-                self.ways.lift()
+                self.ways.lift(state)
                 return
             self.ways.places().check_reach(site)
-            self.ways.go(site.x, site.y)
+            self.ways.go(state, site.x, site.y, site.name != "bed")
 
     # After G28 the nozzle may stand on it
     def test_pin(self, gcmd, state):
         if self.touches.is_homed():
-            self.ways.lift()
+            self.ways.lift(state)
         self.hands.test_pin(gcmd, state)
 
     def check_sheet(self, gcmd, state):
@@ -267,7 +267,7 @@ class Setup(object):
     def measure_paper(self, gcmd, state):
         contact = self.ways.contact(state)
         self.use_switch_offset(steps.from_paper(contact, self.host.z()))
-        self.ways.lift()
+        self.ways.lift(state)
 
     def save(self, gcmd, state):
         saved = [

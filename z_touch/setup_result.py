@@ -46,6 +46,10 @@ def values(ways, state):
             site = site._replace(x=site.x + x, y=site.y + y)
         found.append((name + "_xy_position", steps.as_pair(site)))
     found.append(("switch_offset", "%.3f" % (state.switch_offset,)))
+    travel_z = ways.travel_z(state)
+    if settings.position_endstop is None and travel_z > settings.safe_z_height:
+        # CALIBRATE_Z does not know how high that pin is
+        found.append(("safe_z_height", "%.1f" % (travel_z + 0.05,)))
     count = steps.repeatability(list(state.samples.values()))[1]
     own = (settings.pin.samples, settings.probe.samples)
     if AUTO not in own and min(own) < count:

@@ -15,6 +15,8 @@ class State(object):
         self.mark = None
         # A start_gcode has run since the last end_gcode
         self.fetched = False
+        # Toolhead Z (mm) that the pin lies below
+        self.below = None
         # touching.Site, heights (mm) and samples, by name
         self.sites = {}
         self.heights = {}
@@ -41,7 +43,7 @@ class Touches(object):
         state.mark = self.module.frame.mark()
 
     def attach(self, gcmd, state):
-        self.ways.lift()
+        self.ways.lift(state)
         if self.hands.is_attached():
             return
         with self.module.holding_probe():
@@ -66,7 +68,7 @@ class Touches(object):
             state.fetched = False
 
     def touch_nozzle(self, gcmd, state):
-        self.ways.lift()
+        self.ways.lift(state)
         state.heights, state.samples = {}, {}
         with self.module.holding_probe():
             self.put_away(state)
@@ -76,7 +78,7 @@ class Touches(object):
     def touch_switch(self, gcmd, state):
         nozzle_z = state.heights["nozzle"]
         with self.module.holding_probe():
-            self.ways.lift()
+            self.ways.lift(state)
             self.module.attach_probe(state.mark)
             self.touch(
                 state, "switch", lambda run: run.measure_switch(nozzle_z)
@@ -89,7 +91,7 @@ class Touches(object):
             self.put_away(state)
 
     def touch(self, state, name, measure):
-        run = self.ways.run(state.sites)
+        run = self.ways.run(state)
         with running.always(self.host, run.lift, "lifting"):
             state.heights[name] = measure(run)
         state.samples[name] = list(run.plan.samples[name])
@@ -102,7 +104,7 @@ class Touches(object):
         if state.mark is None:
             return
         if self.is_homed():
-            self.ways.lift()
+            self.ways.lift(state)
             with self.module.holding_probe():
                 self.put_away(state)
         elif state.fetched:

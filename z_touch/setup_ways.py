@@ -67,15 +67,23 @@ class Ways(object):
         )
 
     # What measures, knowing nothing of earlier runs; it has the travel height
-    def run(self, sites):
-        sites = Sites(*[sites.get(name) for name in PLACES])
+    def run(self, state):
+        sites = Sites(*[state.sites.get(name) for name in PLACES])
         plan = self.module.recorder.make_plan(None)
         run = self.module.start_run(self.settings(), sites, plan)
         run.know(None, False)
+        run.rise_over(self.pin_z(state))
         return run
 
-    def travel_z(self):
-        return self.run({}).travel_z
+    def travel_z(self, state):
+        return self.run(state).travel_z
+
+    # No higher than this is the pin (mm); None: nobody knows
+    def pin_z(self, state):
+        homed_z = self.module.settings.position_endstop
+        if homed_z is None:
+            homed_z = state.below
+        return state.heights.get("nozzle", homed_z)
 
     def places(self):
         return Places(self.host, self.module.settings)
@@ -106,16 +114,17 @@ class Ways(object):
         limits = self.host.axis_limits()
         return [min(max(a, low), high) for a, (low, high) in zip(xy, limits)]
 
-    def lift(self):
+    def lift(self, state):
         running.check_homed(self.host)
-        self.run({}).lift()
+        self.run(state).lift()
 
-    # X first: a dock is more often beside the pin than in front of it
-    def go(self, x, y):
-        self.lift()
+    # Over the pin X first, as a dock is more often beside it than in front of it
+    def go(self, state, x, y, to_pin):
+        self.lift(state)
         speed = self.module.settings.speed
-        before_y = self.host.toolhead.get_position()[1]
-        touching.move_xy(self.host, x, before_y, speed)
+        if to_pin:
+            before_y = self.host.toolhead.get_position()[1]
+            touching.move_xy(self.host, x, before_y, speed)
         touching.move_xy(self.host, x, y, speed)
 
     # Where the nozzle stands over the point of the bed, and how high
@@ -133,18 +142,18 @@ class Ways(object):
         return z["bed"] - (z["switch"] - z["nozzle"])
 
     # How low (mm) the head may be moved by hand at a step
-    def jog_floor(self, step, attached):
-        settings = self.module.settings
-        pin_z, clear = settings.position_endstop, CLEAR_OF_PIN
+    def jog_floor(self, state, attached):
+        z_offset, pin_z = self.module.settings.z_offset, self.pin_z(state)
+        if state.step == "bed":
+            return self.travel_z(state)
+        clear = CLEAR_OF_PIN
         if pin_z is None:
             pin_z, clear = 0.0, CLEAR_OF_UNKNOWN_PIN
-        if step == "bed":
-            return self.travel_z()
         hangs = 0.0
-        if attached or step == "switch":
+        if attached or state.step == "switch":
             # With what the plunger hangs lower than its trigger
-            hangs = settings.z_offset + CLEAR_OF_PIN
-            if settings.z_offset < LEAST_MEASURED:
+            hangs = z_offset + CLEAR_OF_PIN
+            if z_offset < LEAST_MEASURED:
                 hangs = UNMEASURED_HANGS
         return max(pin_z, 0.0) + hangs + clear
 
@@ -160,7 +169,7 @@ class Ways(object):
                 raise CalibrationError("%s stays as it is here" % (axis,))
             low, high = limits[i]
             if axis == "Z":
-                low = self.jog_floor(state.step, attached)
+                low = self.jog_floor(state, attached)
                 if state.step == "paper":
                     contact = self.contact(state)
                     low = steps.paper_floor(contact, here[2], distance)
@@ -179,7 +188,6 @@ class Ways(object):
 
     # The place the head stands at
     def take_place(self, gcmd, state):
-        running.check_homed(self.host)
         name = state.step
         x, y = [round(a, 3) for a in self.host.toolhead.get_position()[:2]]
         site = touching.Site(name, x, y, "The place of the %s" % (name,))
@@ -198,7 +206,10 @@ class Ways(object):
         if name == "bed":
             places.check_apart(state.sites["switch"], site)
         self.check_dock(site)
-        self.lift()
+        if name == "nozzle":
+            # The pin is no higher than the nozzle over it
+            state.below = self.host.z()
+        self.lift(state)
         state.sites[name] = site
 
     # The host's own text, as the option is one of several modules

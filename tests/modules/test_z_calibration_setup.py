@@ -2,9 +2,11 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import pytest
 
-from tests.hostkit.dockable_probe import where
+from tests.hostkit.dockable_probe import SWITCH, trips, where
 from tests.hostkit.session import GcodeError
 from tests.hostkit.setup_user import EMPTY, SETUP, User
 from tests.hostkit.z_calibration import (
@@ -13,6 +15,8 @@ from tests.hostkit.z_calibration import (
     section,
     touched_sites,
 )
+from tests.simprinter import SCENES
+from tests.simprinter.docks import calibrating
 
 pytestmark = pytest.mark.spread
 
@@ -50,6 +54,8 @@ def test_from_an_empty_section_to_the_true_gap(start):
     printer.run("G28")
     result, _ = calibration(printer)
     settings = printer.status("configfile")["settings"]["z_calibration"]
+    # The probe over the middle, as nothing says where else
+    assert settings["bed_xy_position"] == pytest.approx((125.0, 110.5))
     assert settings["nozzle_xy_position"] == pytest.approx(
         (226.0, 20.0), abs=0.06
     )
@@ -64,7 +70,10 @@ def test_separate_pin_in_no_section_and_a_switch_from_the_list(start, tmp_path):
     path = tmp_path / "tools.cfg"
     path.write_text("[z_calibration]\nswitch_offset: 0.1\n")
     changes = empty(options={"switch_offset": None})
-    printer = start("separate_pin", changes={f"include {path}": {}, **changes})
+    # The pin higher than the probe hangs
+    scene = SCENES["separate_pin"]
+    scene = scene.with_world(pin=replace(scene.world.pin, z=10.9012))
+    printer = start(scene, changes={f"include {path}": {}, **changes})
     printer.session.require_ready()
     user = User(printer, "nozzle_endstop")
     user.begin()
@@ -97,6 +106,8 @@ def test_separate_pin_in_no_section_and_a_switch_from_the_list(start, tmp_path):
         in text
     )
     assert text.endswith("tools.cfg.")
+    # As high as that CALIBRATE_Z has to pass
+    assert "safe_z_height: 21.6" in text
     assert "All in all: good; samples: 3 is enough." in text
     printer.session.restart(user.dialog().gcode("Save"))
     path.write_text("[z_calibration]\nswitch_offset: 0.5\n")
@@ -140,8 +151,17 @@ def advance(user, step):
         user.press(label)
 
 
+def assert_slow(printer):
+    """At most 2 mm/s over the 5 mm that the head is lifted in between."""
+    for site in ("nozzle_pin", "body_pin"):
+        times = [t.t for t in printer.machine.truth.touches if t.site == site]
+        assert times[-1] - times[-2] > 2.5, site
+
+
 def test_abort_leaves_the_printer_as_it_was(start):
-    changes = empty()
+    changes = empty(options={"probing_second_speed": "9"})
+    # After G28 the nozzle stays on the pin
+    changes["safe_z_home"] = {"z_hop": None}
     # What the owner's G-code adds is taken back, too
     changes["gcode_macro DOCK_PROBE"] = {
         "gcode": "\n  SET_GCODE_OFFSET Z_ADJUST=0.3\n  SET_PIN PIN=probe_magnet"
@@ -162,6 +182,7 @@ def test_abort_leaves_the_printer_as_it_was(start):
         if step == "PAPER":
             # Up to here, and no further
             user.press("Z-0.1")
+            assert_slow(printer)
         lines = user.press("Abort")
         assert any(
             "the set-up has ended, nothing was saved" in li for li in lines
@@ -199,11 +220,14 @@ def test_hands_on_the_wrong_switch(start):
     # The dialog says so, as it hides the console
     assert text in user.dialog().texts[0]
     hold(user.pin, False)
+    clock = printer.machine.simulation.clock
+    began = clock.now()
     command = printer.session.begin(user.dialog().gcode("Watch"))
     printer.session.wait(1.0)
     assert printer.status("z_calibration")["phase"] == "setup"
     with pytest.raises(GcodeError, match="the Z endstop did not change; check"):
         printer.session.finish(command)
+    assert 19.5e9 < clock.now() - began < 21.5e9
     for signal, others, words in (
         ("probe", [], "did not change, but the other switch did: the pins are"),
         (user.pin, ["probe"], "changed together with the other switch"),
@@ -334,3 +358,39 @@ def test_not_during_a_print(start, tmp_path):
     printer.run("SDCARD_PRINT_FILE FILENAME=long.gcode")
     for script in (SETUP, f"{SETUP} STEP=PIN"):
         assert printer.fail(script) == "z_calibration: not during a print"
+
+
+def test_pin_that_presses_the_plunger(start):
+    scene = SCENES["cartesian"]
+    probe = replace(scene.world.mag_probe, plunger_on_pin=True)
+    printer = start(scene.with_world(mag_probe=probe), changes=empty())
+    printer.session.require_ready()
+    user = User(printer)
+    advance(user, "TOUCH_SWITCH")
+    assert "the pin presses the plunger of the probe" in user.refused("Touch")
+    # To another place then
+    user.press("Back")
+    assert user.step() == "SWITCH"
+
+
+def test_probe_that_fetches_itself(start):
+    printer = start(calibrating(SWITCH), changes=empty())
+    printer.session.require_ready()
+    user = User(printer)
+    user.begin()
+    user.test_switches()
+    user.press("Home")
+    printer.run("G90\nG1 X206 Y306 F12000")
+    for label in ("Here", "Attach", "Here"):
+        user.press(label)
+    assert where(printer) == "attached"
+    for label in ("Here", "Yes", "Yes", "Yes", "Touch"):
+        user.press(label)
+    user.press("Touch")
+    user.press("Touch")
+    assert where(printer) == "docked"
+    user.press("SSG")
+    assert user.step() == "SAVE"
+    user.press("Abort")
+    assert trips(printer) == ["attach", "dock"] * 2
+    assert pending(printer) == {}

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from types import SimpleNamespace
+
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
@@ -9,6 +11,9 @@ from hypothesis import strategies as st
 from tests.hostkit.dialogs import dialogs_of
 from z_touch import setup_steps as steps
 from z_touch.errors import CalibrationError
+from z_touch.setup_touches import State
+from z_touch.setup_ways import Ways
+from z_touch.touching import Site
 
 FACTS = {
     "patience": 20.0,
@@ -224,3 +229,52 @@ def test_lower_towards_the_sheet_in_small_steps_only():
     assert steps.paper_floor(0.3, 1.0, -1.0) == pytest.approx(0.4)
     assert steps.paper_floor(0.3, 0.2, -1.0) == 0.2
     assert steps.paper_floor(0.3, 0.2, -0.1) == -1.2
+
+
+@pytest.mark.parametrize(
+    ("pin", "z_offset", "step", "attached", "floor"),
+    [
+        (1.5, 6.5, "nozzle", False, 2.5),
+        (-1.0, 6.5, "nozzle", False, 1.0),
+        # A separate one
+        (None, 6.5, "nozzle", False, 3.0),
+        # With the length of the probe, and of its free plunger
+        (1.5, 6.5, "nozzle", True, 10.0),
+        (1.5, 6.5, "switch", True, 10.0),
+        (1.5, 0.0, "switch", True, 13.5),
+        (1.5, 1.9, "switch", False, 13.5),
+    ],
+)
+def test_how_low_the_head_is_moved(pin, z_offset, step, attached, floor):
+    settings = SimpleNamespace(position_endstop=pin, z_offset=z_offset)
+    ways = Ways(SimpleNamespace(host=None, settings=settings))
+    state = State()
+    state.step = step
+    assert ways.jog_floor(state, attached) == floor
+    # What is known of the pin since
+    state.below = 9.0
+    if pin is None:
+        assert ways.jog_floor(state, attached) == 10.0
+    state.heights["nozzle"] = 8.0
+    assert ways.pin_z(state) == 8.0
+
+
+def ways_with(config):
+    """On a printer with this printer.cfg."""
+    configfile = SimpleNamespace(
+        get_status=lambda eventtime: {"config": config}
+    )
+    printer = SimpleNamespace(lookup_object=lambda name: configfile)
+    host = SimpleNamespace(printer=printer, eventtime=lambda: 0.0)
+    return Ways(SimpleNamespace(host=host))
+
+
+@pytest.mark.parametrize("text", ["50, 308", "50,308,12"])
+def test_place_in_the_dock(text):
+    ways = ways_with({"dockable_probe": {"dock_position": text}})
+    site = Site("bed", 60.0, 300.0, "The place of the bed")
+    words = "The place of the bed is 12.8 mm from dock_position; choose one"
+    with pytest.raises(CalibrationError, match=words):
+        ways.check_dock(site)
+    ways.check_dock(site._replace(x=65.1, y=308.0))
+    ways_with({}).check_dock(site)
