@@ -35,10 +35,9 @@ def pending(printer):
 
 @pytest.mark.each_host
 def test_from_an_empty_section_to_the_true_gap(start):
-    # Z is homed beside the middle of the pin
-    home = {"safe_z_home": {"home_xy_position": "227.3, 20.4"}}
-    printer = start("cartesian", changes=empty(**home))
-    printer.session.require_ready()
+    # Z is homed beside the middle of the pin, and the nozzle stays on it
+    home = {"home_xy_position": "227.3, 20.4", "z_hop": None}
+    printer = start("cartesian", changes=empty(safe_z_home=home)).homed()
     user = User(printer)
     user.begin()
     user.test_switches()
@@ -107,7 +106,7 @@ def test_separate_pin_in_no_section_and_a_switch_from_the_list(start, tmp_path):
     )
     assert text.endswith("tools.cfg.")
     # As high as that CALIBRATE_Z has to pass
-    assert "safe_z_height: 21.6" in text
+    assert "safe_z_height: 21.5" in text
     assert "All in all: good; samples: 3 is enough." in text
     printer.session.restart(user.dialog().gcode("Save"))
     path.write_text("[z_calibration]\nswitch_offset: 0.5\n")
@@ -160,8 +159,6 @@ def assert_slow(printer):
 
 def test_abort_leaves_the_printer_as_it_was(start):
     changes = empty(options={"probing_second_speed": "9"})
-    # After G28 the nozzle stays on the pin
-    changes["safe_z_home"] = {"z_hop": None}
     # What the owner's G-code adds is taken back, too
     changes["gcode_macro DOCK_PROBE"] = {
         "gcode": "\n  SET_GCODE_OFFSET Z_ADJUST=0.3\n  SET_PIN PIN=probe_magnet"
