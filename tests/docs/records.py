@@ -72,6 +72,12 @@ Z_CALIBRATION = Module(
         "PRINT_START BED=40 EXTRUDER=160": "// Z-CALIBRATION: probe=7.315"
         " - (switch=8.315 - nozzle=1.900 + switch_offset=0.440)"
         " --> new offset=0.460000",
+        "SET_GCODE_OFFSET Z_ADJUST=0.02": None,
+        "Z_CALIBRATION_SAVE_GCODE_OFFSET": SHOWN,
+        "Z_CALIBRATION_SETUP": SHOWN,
+        "Z_CALIBRATION_SETUP STEP=PIN Z=+1": None,
+        "Z_CALIBRATION_SETUP STEP=PIN ANSWER=NO": None,
+        "Z_CALIBRATION_SETUP STEP=ABORT": None,
     },
     old="Old names",
     given=("bed_xy_position", "switch_offset"),
@@ -97,7 +103,7 @@ Z_CALIBRATION = Module(
         "bed_xy_position": "`zero_reference_position` of `[bed_mesh]`",
         "history": "`z_calibration`",
     },
-    phases=frozenset({"clean_gcode"}),
+    phases=frozenset({"clean_gcode", "setup"}),
 )
 
 AUTO_Z_OFFSET = Module(

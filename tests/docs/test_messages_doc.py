@@ -37,6 +37,9 @@ OTHERS = {
     "<...> needs the head at <...>=<...><...>, outside its <...> to <...>;"
     " <...>",
     "Option '<...>: <...>,<...>' in section '<...>'",
+    "then <...>, or <...>",
+    "<...>: nothing was asked; begin with <...>",
+    "<...>: QUESTION=<...> is not what is asked now, which is <...>",
 }
 # Names, and beginnings of lines
 NO_MESSAGES = {

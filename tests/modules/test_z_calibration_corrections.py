@@ -218,14 +218,14 @@ def test_plates_of_the_document(start, tmp_path):
     text = (DOCS / "z_calibration.md").read_text(encoding="utf-8")
     changes = {
         f"gcode_macro {name}": ini_blocks(text)[f"gcode_macro {name}"]
-        for name in ("SET_PLATE", "CALIBRATE_Z_FOR_PLATE")
+        for name in ("KEEP_PLATE", "CALIBRATE_Z_ON_PLATE")
     }
     changes["save_variables"] = {"filename": str(tmp_path / "kept.cfg")}
     printer = start(changes=changes).homed()
     printer.run(
-        "SET_PLATE PLATE=Textured Z=0.03\nSET_PLATE PLATE=satin Z=-0.01"
+        "KEEP_PLATE PLATE=Textured Z=0.03\nKEEP_PLATE PLATE=satin Z=-0.01"
     )
     for plate, z_adjust in (("textured", 0.03), ("SATIN", -0.01), ("new", 0)):
-        printer.run(f"CALIBRATE_Z_FOR_PLATE PLATE={plate}")
+        printer.run(f"CALIBRATE_Z_ON_PLATE PLATE={plate}")
         assert printer.status("z_calibration")["z_adjust"] == z_adjust
         assert printer.offset() == pytest.approx(0.16 + z_adjust, abs=0.001)

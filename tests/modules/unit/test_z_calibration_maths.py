@@ -118,6 +118,7 @@ def make_settings(**changes):
         "pin": make_sampling(),
         "probe": make_sampling(),
         "target": 0.008,
+        "save_button": False,
     }
     return zc.Settings(**dict(values, **changes))
 
