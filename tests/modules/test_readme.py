@@ -42,7 +42,9 @@ def settings(document: Path) -> str:
     """What a document gives for printer.cfg: its first section, its macro."""
     text = document.read_text(encoding="utf-8")
     if document == README:
-        section = blocks(part(text, "Set up in five steps"), "ini")[0]
+        # What the set-up has found
+        found = (SETUP[1]).read_text(encoding="utf-8")
+        section = blocks(part(found, "printer.cfg"), "ini")[0]
         lines = blocks(part(text, "PRINT_START"))[0].splitlines()
         code = "".join(f"    {line}\n" for line in lines)
         return f"{section}\n[gcode_macro PRINT_START]\ngcode:\n{code}"
@@ -64,6 +66,21 @@ def test_shortest_way_ends_at_the_right_height(start, tmp_path, document):
     lines = print_start(printer)
     assert_soft_and_clean(lines)
     assert_ready_to_print(printer, owner)
+
+
+@pytest.mark.spread
+def test_section_of_the_readme_is_enough_to_begin(start, tmp_path):
+    text = README.read_text(encoding="utf-8")
+    file = tmp_path / "mine.cfg"
+    file.write_text(blocks(part(text, "Set up in five steps"), "ini")[0])
+    owner = OWNERS["voron24_klicky"]
+    printer = start(owner.scene, changes={f"include {file}": {}})
+    printer.session.require_ready()
+    lines = printer.run("Z_CALIBRATION_SETUP")
+    assert "// action:prompt_show" in lines
+    assert "nothing was saved" in "\n".join(
+        printer.run("Z_CALIBRATION_SETUP STEP=ABORT")
+    )
 
 
 def typed(title: str) -> list[str]:
