@@ -265,6 +265,7 @@ KNOWN_TEXTS = [
     ROOT / "docs" / "installation.md",
     ROOT / "examples" / "moonraker.conf",
     ROOT / "examples" / "z_calibration" / "calibrate_macros.cfg",
+    ROOT / "examples" / "z_calibration" / "plates.cfg",
     ROOT / "examples" / "z_calibration" / "voron24_klicky.cfg",
     ROOT / "examples" / "auto_z_offset" / "q1_pro.cfg",
 ]

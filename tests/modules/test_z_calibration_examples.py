@@ -6,7 +6,6 @@ lines in PRINT_START, which the slicer calls.
 
 from __future__ import annotations
 
-import ast
 import configparser
 import re
 from collections.abc import Iterator
@@ -42,7 +41,8 @@ EXAMPLES = ROOT / "examples" / "z_calibration"
 DOCUMENT = (ROOT / "docs" / "z_calibration.md").read_text(encoding="utf-8")
 # Sections around CALIBRATE_Z
 MACROS, OFF, TOOLS = "calibrate_macros", "heaters_off_after_error", "tools"
-FILES = sorted([*OWNERS, MACROS, OFF, TOOLS])
+PLATES = "plates"
+FILES = sorted([*OWNERS, MACROS, OFF, TOOLS, PLATES])
 BED, EXTRUDER, SOFT = 45.0, 185.0, 150
 PRINT_START = f"PRINT_START BED={BED:g} EXTRUDER={EXTRUDER:g}"
 LIMIT = 1800.0  # printer seconds
@@ -157,7 +157,7 @@ def commands_of(name: str) -> Iterator[list[str]]:
                 yield from (line.split() for line in value.split("\n") if line)
 
 
-@pytest.mark.parametrize("name", sorted({*FILES} - {MACROS}))
+@pytest.mark.parametrize("name", sorted({*FILES} - {MACROS, PLATES}))
 def test_options_are_documented(name):
     current = [option.name for option in options_of(part(DOCUMENT, OPTIONS))]
     old = [option.name for option in options_of(part(DOCUMENT, "Old names"))]
@@ -166,7 +166,7 @@ def test_options_are_documented(name):
     assert used <= set(current) - set(old)
 
 
-@pytest.mark.parametrize("name", sorted([*OWNERS, MACROS]))
+@pytest.mark.parametrize("name", sorted([*OWNERS, MACROS, PLATES]))
 def test_parameters_are_documented(name):
     below = part(part(DOCUMENT, COMMANDS), "CALIBRATE_Z")
     known = {spans(row[0])[0] for row in rows(below)}
@@ -360,15 +360,24 @@ def test_bed_is_not_measured_elsewhere_with_a_mesh(start):
     assert measured(printer, f"BED_MESH_CLEAR\n{script}")
 
 
-def test_plates_have_a_switch_offset_each(macros):
-    text = sections_of(MACROS)["gcode_macro CALIBRATE_Z_FOR_PLATE"]
-    plates = ast.literal_eval(text["variable_switch_offset"])
-    true = macros.scene.world.mag_probe.switch_offset
-    for plate, switch_offset in plates.items():
-        macros.run(f"CALIBRATE_Z_FOR_PLATE PLATE={plate}")
-        gap = true - switch_offset
-        assert macros.gap() == pytest.approx(gap, abs=2 * MICROSTEP)
-    assert "No plate glass" in macros.fail("CALIBRATE_Z_FOR_PLATE PLATE=glass")
+def test_plates_keep_their_baby_steps(start, tmp_path):
+    path = EXAMPLES / f"{PLATES}.cfg"
+    variables = {"filename": str(tmp_path / "variables.cfg")}
+    changes = {f"include {path}": {}, "save_variables": variables}
+    printer = start(changes=changes).homed()
+    assert "CALIBRATE_Z_ON_PLATE first" in printer.fail("KEEP_Z_OF_PLATE")
+    printer.run("CALIBRATE_Z_ON_PLATE PLATE=Textured")
+    plain = printer.offset()
+    printer.run("SET_GCODE_OFFSET Z_ADJUST=0.03\nKEEP_Z_OF_PLATE")
+    # Also after a restart, and nothing counts twice
+    printer.session.restart("RESTART")
+    printer.run("G28\nCALIBRATE_Z_ON_PLATE PLATE=textured")
+    assert printer.offset() == pytest.approx(plain + 0.03, abs=2 * MICROSTEP)
+    printer.run("SET_GCODE_OFFSET Z_ADJUST=-0.01\nKEEP_Z_OF_PLATE")
+    printer.run("CALIBRATE_Z_ON_PLATE PLATE=textured")
+    assert printer.offset() == pytest.approx(plain + 0.02, abs=2 * MICROSTEP)
+    printer.run("CALIBRATE_Z_ON_PLATE")
+    assert printer.offset() == pytest.approx(plain, abs=2 * MICROSTEP)
 
 
 def test_tools_keep_their_offsets(start):
