@@ -68,10 +68,13 @@ class Setup(object):
         self.check_not_printing(gcmd)
         self.answered(gcmd)
 
-    def check_not_printing(self, gcmd):
+    def is_printing(self):
         stats = self.host.printer.lookup_object("print_stats", None)
         status = stats.get_status(self.host.eventtime()) if stats else {}
-        if status.get("state") in ("printing", "paused"):
+        return status.get("state") in ("printing", "paused")
+
+    def check_not_printing(self, gcmd):
+        if self.is_printing():
             raise gcmd.error("%s: not during a print" % (self.host.name,))
 
     # A jog leaves the dialog as it is; after an error it says why
@@ -112,7 +115,7 @@ class Setup(object):
         answer = gcmd.get("ANSWER", "").strip().upper()
         following = steps.follow(state.step, answer)
         self.check_heights(state)
-        if not state.arrived:
+        if not (state.arrived or answer):
             self.enter(state.step)
             state.arrived = True
             return
@@ -285,7 +288,8 @@ class Setup(object):
     def abort(self, gcmd):
         state = self.state
         self.close()
-        work = functools.partial(self.touches.leave, gcmd, state)
+        leave, busy = self.touches.leave, self.is_printing()
+        work = functools.partial(leave, gcmd, state, busy)
         self.run(gcmd, work)
         gcmd.respond_info(
             "%s: the set-up has ended, nothing was saved" % (self.host.name,)

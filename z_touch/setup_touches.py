@@ -99,16 +99,18 @@ class Touches(object):
             # The plunger was pressed, too: another place is needed
             raise CalibrationError("; ".join(run.warnings))
 
-    # The printer as before; of one that is not homed nothing can be moved
-    def leave(self, gcmd, state):
+    # The printer as before.  A print would go on where the head was lifted to;
+    # of a printer that is not homed nothing can be moved
+    def leave(self, gcmd, state, is_printing):
         if state.mark is None:
             return
-        if self.is_homed():
+        if self.is_homed() and not is_printing:
             self.ways.lift(state)
             with self.module.holding_probe():
                 self.put_away(state)
         elif state.fetched:
             gcmd.respond_info(
-                "%s: not homed, so nothing was moved; the probe may still be on"
-                " the head" % (self.host.name,)
+                "%s: %s, so nothing was moved; the probe may still be on the"
+                " head"
+                % (self.host.name, "printing" if is_printing else "not homed")
             )

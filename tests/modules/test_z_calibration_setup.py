@@ -334,6 +334,14 @@ def test_places_that_cannot_be_and_a_probe_that_is_lost(start):
     assert printer.session.position()[:2] == pytest.approx((226.0, 20.0))
     for label in ("Here", "Attach", "Here"):
         user.press(label)
+    printer.run("DOCK_PROBE\nM84")
+    assert "not homed" in user.refused("Back")
+    printer.run("G28")
+    # Back from where the head has not got to
+    user.press("Back")
+    assert user.step() == "NOZZLE"
+    for label in ("Here", "Attach", "Here"):
+        user.press(label)
     # The point of the bed beside the pin
     bed = printer.session.position()
     printer.run("G1 X250 Y15 F6000")
@@ -351,10 +359,19 @@ def test_not_during_a_print(start, tmp_path):
     changes = {**empty(), "virtual_sdcard": {"path": str(tmp_path)}}
     printer = start("cartesian", changes=changes)
     printer.session.require_ready()
-    printer.run(SETUP)
+    user = User(printer)
+    advance(user, "SWITCH")
+    printer.run("G91\nG1 Z-5 F600\nG90")
+    at = printer.session.position()
     printer.run("SDCARD_PRINT_FILE FILENAME=long.gcode")
-    for script in (SETUP, f"{SETUP} STEP=PIN"):
+    for script in (SETUP, f"{SETUP} STEP=SWITCH"):
         assert printer.fail(script) == "z_calibration: not during a print"
+    # The print would go on at another height
+    lines = "\n".join(user.press("Abort"))
+    assert "printing, so nothing was moved; the probe may still be" in lines
+    assert printer.session.position() == at
+    assert where(printer) == "attached"
+    assert user.dialog() is None
 
 
 def test_pin_that_presses_the_plunger(start):
