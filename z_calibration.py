@@ -1100,9 +1100,10 @@ class ZCalibration(object):
     def calibrate_and_apply(self, gcmd):
         before = self.host.gcode_offset()
         last, at_end = self.calibrate(gcmd)
-        # What end_gcode adds stays; what it restores is not added
+        # What end_gcode adds stays; what it restores or resets is not added
         now = self.host.gcode_offset()
-        added = 0.0 if abs(now - before) < NO_CHANGE else now - at_end
+        is_back = min(abs(now - before), abs(now)) < NO_CHANGE
+        added = 0.0 if is_back else now - at_end
         z_offset = last.result.offset + last.z_adjust + added
         self.use_offset(z_offset)
         if abs(added) >= NO_CHANGE:

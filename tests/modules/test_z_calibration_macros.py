@@ -63,6 +63,15 @@ def test_what_end_gcode_adds_to_the_offset_stays(start):
     assert told in "\n".join(lines)
 
 
+def test_an_offset_that_end_gcode_resets_is_not_taken_away(start):
+    # Such as that of the print before
+    changes = section(end_gcode="SET_GCODE_OFFSET Z=0")
+    printer = start(changes=changes).homed()
+    printer.run("SET_GCODE_OFFSET Z=0.5")
+    result, _ = calibration(printer)
+    assert printer.offset() == pytest.approx(result[-1], abs=1e-6)
+
+
 def test_an_offset_that_end_gcode_restores_is_not_added(start):
     changes = section(
         start_gcode="\n  SAVE_GCODE_STATE NAME=mine\n  SET_GCODE_OFFSET Z=0",
