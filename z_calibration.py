@@ -74,6 +74,10 @@ SMALLEST_Z_OFFSET = 2.0
 # z_offset or a safe_z_height that is right.
 UNMEASURED_PROBE = 10.0
 
+# So high (mm) a pin of its own may stand that nobody has measured; the probe
+# passes it before the nozzle touches it.
+UNMEASURED_PIN = 10.0
+
 # The free plunger hangs this much (mm) lower than the point at which it
 # triggers; no micro switch has a longer pretravel.
 FREE_PLUNGER = 1.0
@@ -128,7 +132,8 @@ Settings = collections.namedtuple(
     "nozzle switch switch_xy_offsets bed wiggle switch_offset"
     " attach_after_nozzle first_fast"
     " offset_margins travel_margin position_endstop position_min position_max"
-    " safe_z_height speed probing_speed z_offset pin probe target save_button",
+    " safe_z_height speed probing_speed z_offset pin probe target save_button"
+    " unmeasured_pin",
 )
 
 
@@ -237,14 +242,16 @@ def default_safe_z(probe_z_offset):
     return safe_z if safe_z >= SMALLEST_SAFE_Z else FALLBACK_SAFE_Z
 
 
-# Over a pin at pin_z, and the bed, with a probe whose body hangs 'body' below
-# the nozzle.
+# Over a pin at pin_z (None: nobody knows), and the bed, with a probe whose body
+# hangs 'body' below the nozzle.
 def travel_height(settings, pin_z, body):
+    if pin_z is None:
+        pin_z = settings.unmeasured_pin
     hangs = max(settings.z_offset, UNMEASURED_PROBE)
     if body is not None:
         hangs = body + settings.switch_offset + FREE_PLUNGER
     # The bed lies at about 0
-    clear = max(pin_z or 0.0, 0.0) + hangs + settings.travel_margin
+    clear = max(pin_z, 0.0) + hangs + settings.travel_margin
     return min(max(settings.safe_z_height, clear), settings.position_max)
 
 
@@ -264,10 +271,15 @@ def complete(settings, probe, z_offset, position_max):
         z_offset=z_offset,
         position_max=position_max,
     )
-    if settings.safe_z_height is None:
-        safe_z = default_safe_z(z_offset)
-        settings = settings._replace(safe_z_height=safe_z)
-    return settings
+    if settings.safe_z_height is not None:
+        return settings._replace(unmeasured_pin=0.0)
+    # A probe that comes after the nozzle finds the pin measured
+    is_passed = settings.position_endstop is None
+    is_passed = is_passed and not settings.attach_after_nozzle
+    return settings._replace(
+        safe_z_height=default_safe_z(z_offset),
+        unmeasured_pin=UNMEASURED_PIN if is_passed else 0.0,
+    )
 
 
 # A record with the values of another one where it has none
@@ -416,12 +428,11 @@ def read_settings(config, z_axis, own_pin, old_names):
         pin=pin,
         probe=bed,
         target=read_target(config, pin, old_names),
-        save_button=config.getchoice(
-            "save_button", corrections.SAVE_BUTTON, "off"
-        ),
+        save_button=corrections.read_button(config),
         # From the probe and the axes, when klippy connects
         position_max=None,
         z_offset=None,
+        unmeasured_pin=None,
     )
 
 
@@ -1010,7 +1021,7 @@ class ZCalibration(object):
         # Both must fit, the one the user wants and the one the pin needs
         settings, high = self.settings, self.settings.position_max
         free = settings._replace(position_max=float("inf"))
-        above_pin = travel_height(free, settings.position_endstop, None)
+        above_pin = travel_height(free, settings.position_endstop or 0.0, None)
         for height, remedy in (
             (settings.safe_z_height, "safe_z_height"),
             (above_pin, "position_endstop there, travel_margin"),
@@ -1030,6 +1041,16 @@ class ZCalibration(object):
             self.runner.watch.say(note)
         for text in places.Places(self.host, self.settings).missing():
             self.runner.watch.say(text)
+        if self.settings.unmeasured_pin:
+            self.runner.watch.say(
+                "until endstop_pin is touched the head travels at z=%.1f, enough"
+                " for a pin of %g mm; where it is higher run"
+                " Z_CALIBRATION_SETUP, or set safe_z_height"
+                % (
+                    travel_height(self.settings, None, None),
+                    self.settings.unmeasured_pin,
+                )
+            )
         bed, zero = self.settings.bed, self.host.mesh_zero()
         if bed is None or zero is None:
             return

@@ -26,6 +26,11 @@ NO_STEP = 0.0000005
 Base = collections.namedtuple("Base", "offset switch_offset")
 
 
+# Whether the buttons save into switch_offset
+def read_button(config):
+    return config.getchoice("save_button", SAVE_BUTTON, "off")
+
+
 # The height Z=0 of the nozzle was moved to by the user is the offset that is
 # right; the difference belongs to switch_offset.
 def corrected_switch_offset(switch_offset, z, z_offset):

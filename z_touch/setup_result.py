@@ -47,7 +47,8 @@ def values(ways, state):
         found.append((name + "_xy_position", steps.as_pair(site)))
     found.append(("switch_offset", "%.3f" % (state.switch_offset,)))
     travel_z = ways.travel_z(state)
-    if settings.position_endstop is None and travel_z > settings.safe_z_height:
+    is_higher = travel_z > settings.safe_z_height or settings.unmeasured_pin
+    if settings.position_endstop is None and is_higher:
         # CALIBRATE_Z does not know how high that pin is
         found.append(("safe_z_height", "%.1f" % (travel_z + 0.05,)))
     count = steps.repeatability(list(state.samples.values()))[1]

@@ -110,7 +110,6 @@ class Touches(object):
                 self.put_away(state)
         elif state.fetched:
             gcmd.respond_info(
-                "%s: %s, so nothing was moved; the probe may still be on the"
-                " head"
-                % (self.host.name, "printing" if is_printing else "not homed")
+                "%s: printing or not homed, so nothing was moved; the probe may"
+                " still be on the head" % (self.host.name,)
             )

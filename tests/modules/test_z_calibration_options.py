@@ -883,6 +883,18 @@ def test_pin_of_its_own_is_known_after_a_good_run(start, between, n):
     assert f"(stopped at z={result[2] - 1.0:.3f})" in text
 
 
+def test_pin_of_its_own_that_stands_high_is_passed(start):
+    # 9 mm; the probe, which hangs 6.4 mm, is on the head all the time
+    scene = SCENES["separate_pin"]
+    high = replace(scene.world.pin, z=9.3012)
+    printer = start(scene.with_world(pin=high)).homed()
+    told = "until endstop_pin is touched the head travels at z=21.0, enough for"
+    assert told in "\n".join(printer.session.console)
+    calibration(printer)
+    assert printer.gap() == pytest.approx(0.06, abs=2 * MICROSTEP)
+    assert printer.machine.truth.drag("body_pin") == 0.0
+
+
 def test_pin_of_its_own_that_stands_high_is_met_ready_to_stop(start):
     # Nobody knows its height, and the head comes from above
     scene = SCENES["separate_pin"]

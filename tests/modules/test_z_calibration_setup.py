@@ -368,7 +368,7 @@ def test_not_during_a_print(start, tmp_path):
         assert printer.fail(script) == "z_calibration: not during a print"
     # The print would go on at another height
     lines = "\n".join(user.press("Abort"))
-    assert "printing, so nothing was moved; the probe may still be" in lines
+    assert "printing or not homed, so nothing was moved; the probe" in lines
     assert printer.session.position() == at
     assert where(printer) == "attached"
     assert user.dialog() is None

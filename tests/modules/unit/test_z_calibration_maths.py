@@ -119,6 +119,7 @@ def make_settings(**changes):
         "probe": make_sampling(),
         "target": 0.008,
         "save_button": False,
+        "unmeasured_pin": 0.0,
     }
     return zc.Settings(**dict(values, **changes))
 
@@ -777,6 +778,24 @@ class TestComplete:
         assert self.complete(chosen) == chosen._replace(
             probe=PROBE, z_offset=6.5, position_max=250.0
         )
+
+    @pytest.mark.parametrize(
+        ("changes", "pin", "height"),
+        [
+            ({}, 10.0, 21.0),
+            ({"safe_z_height": 15.0}, 0.0, 15.0),
+            ({"attach_after_nozzle": True}, 0.0, 13.0),
+            ({"position_endstop": 0.5}, 0.0, 13.0),
+        ],
+    )
+    def test_a_pin_that_nobody_has_measured(self, changes, pin, height):
+        left_open = {"safe_z_height": None, "position_endstop": None}
+        settings = make_settings(**{**left_open, **changes})
+        found = self.complete(settings)
+        assert found.unmeasured_pin == pin
+        assert zc.travel_height(found, None, None) == height
+        # Once it is known
+        assert zc.travel_height(found, 0.5, None) == max(height - pin, 13.0)
 
     @pytest.mark.parametrize("name", zc.sampling.Sampling._fields)
     def test_the_probe_fills_what_is_open_and_only_that(self, name):
