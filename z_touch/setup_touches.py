@@ -79,7 +79,10 @@ class Touches(object):
         nozzle_z = state.heights["nozzle"]
         with self.module.holding_probe():
             self.ways.lift(state)
-            self.module.attach_probe(state.mark)
+            # An earlier try may have fetched it
+            late = self.module.settings.attach_after_nozzle
+            if not (late and self.hands.is_attached()):
+                self.module.attach_probe(state.mark)
             self.touch(
                 state, "switch", lambda run: run.measure_switch(nozzle_z)
             )

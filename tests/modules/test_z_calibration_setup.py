@@ -377,11 +377,19 @@ def test_not_during_a_print(start, tmp_path):
 def test_pin_that_presses_the_plunger(start):
     scene = SCENES["cartesian"]
     probe = replace(scene.world.mag_probe, plunger_on_pin=True)
-    printer = start(scene.with_world(mag_probe=probe), changes=empty())
+    fetch = {"before_switch_gcode": "\n  ATTACH_PROBE\n  RESPOND MSG=fetched"}
+    changes = {"respond": {}, **empty(options=fetch)}
+    printer = start(scene.with_world(mag_probe=probe), changes=changes)
     printer.session.require_ready()
     user = User(printer)
     advance(user, "TOUCH_SWITCH")
-    assert "the pin presses the plunger of the probe" in user.refused("Touch")
+    seen = len(printer.session.console)
+    for _ in range(2):
+        text = user.refused("Touch")
+        assert "the pin presses the plunger of the probe" in text
+    # What is on the head is not fetched again
+    console = printer.session.console[seen:]
+    assert sum("fetched" in line for line in console) == 1
     # To another place then
     user.press("Back")
     assert user.step() == "SWITCH"
