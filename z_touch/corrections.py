@@ -76,6 +76,8 @@ class Corrections(object):
         self.corrected = None
         self.base = None
         self.hinted = False
+        # A switch_offset that counts, and was not handed to SAVE_CONFIG
+        self.unsaved = None
         register = module.host.printer.register_event_handler
         register("klippy:connect", self.take_buttons)
         running.register_commands(module.host, self)
@@ -91,13 +93,16 @@ class Corrections(object):
                 gcode.register_command(name, ours, desc=text)
 
     def pressed(self, name, handler, gcmd):
-        holds = not self.why_not()
-        if holds and self.module.settings.save_button:
+        reason, ours = self.why_not(), self.module.settings.save_button
+        if ours and not reason:
             self.run(gcmd, self.save_steps, True, False)
             return
         change = self.host.gcode_offset() - self.current().offset
         handler(gcmd)
-        if holds and abs(change) > NO_STEP and not self.hinted:
+        if ours:
+            text = "%s: %s: %s saves as ever, nothing goes into switch_offset"
+            gcmd.respond_info(text % (self.host.name, reason, name))
+        elif not reason and abs(change) > NO_STEP and not self.hinted:
             self.hinted = True
             gcmd.respond_info(
                 "%s: CALIBRATE_Z measures anew what %s saves: the baby step of"
@@ -150,14 +155,21 @@ class Corrections(object):
         if abs(z_offset - base.offset) < NO_STEP:
             text = "%s: nothing was changed with baby steps since CALIBRATE_Z"
             gcmd.respond_info(text % (self.host.name,))
+            self.keep(is_saved)
             return
         new, text = check_steps(base, z_offset, force)
         new = round(new, 3)
         self.base = Base(z_offset, new)
         self.module.settings = self.module.settings._replace(switch_offset=new)
         gcmd.respond_info("%s: %s" % (self.host.name, text))
-        if is_saved:
-            self.saver.save(self.host.name, "switch_offset", "%.3f" % (new,))
+        self.unsaved = new
+        self.keep(is_saved)
+
+    def keep(self, is_saved):
+        if is_saved and self.unsaved is not None:
+            text = "%.3f" % (self.unsaved,)
+            if self.saver.save(self.host.name, "switch_offset", text):
+                self.unsaved = None
 
     # CALCULATE_SWITCH_OFFSET
     cmd_CALCULATE_SWITCH_OFFSET_help = (

@@ -59,6 +59,9 @@ def test_baby_steps_are_there_again_in_the_next_run(start):
     assert printer.run(f"{SAVE} SAVE=0")[0].endswith("new switch_offset=0.470")
     assert pending(printer)["z_calibration"] == {"switch_offset": "0.420"}
     assert calibration(printer)[0][3] == 0.47
+    # What was not handed over yet is, also without another one
+    printer.run(SAVE)
+    assert pending(printer)["z_calibration"] == {"switch_offset": "0.470"}
 
 
 def test_two_corrections_of_one_run_add_up(start):
@@ -87,8 +90,10 @@ def test_button_that_saves_baby_steps(start, button):
     printer.run("SET_GCODE_OFFSET Z=1")
     assert "or the G-code offset is none of CALIBRATE_Z" in printer.fail(button)
     # Homed again: the host's
-    printer.run(f"G28\nM84\nSET_GCODE_OFFSET Z=0.3\n{button}")
+    lines = printer.run(f"G28\nM84\nSET_GCODE_OFFSET Z=0.3\n{button}")
     assert pending(printer) != saved
+    text = f"{button} saves as ever, nothing goes into switch_offset"
+    assert text in "\n".join(lines)
 
 
 @pytest.mark.parametrize("button", [ENDSTOP, PROBE])
