@@ -114,6 +114,8 @@ class Setup(object):
             return
         answer = gcmd.get("ANSWER", "").strip().upper()
         following = steps.follow(state.step, answer)
+        if state.step == "off":
+            state.is_fixed = answer == "SKIP"
         self.check_heights(state)
         if not (state.arrived or answer):
             self.enter(state.step)
@@ -147,7 +149,14 @@ class Setup(object):
 
     # They hold no more where Z was homed again; places do
     def check_heights(self, state):
-        if state.mark is None or state.step not in NEED_HEIGHTS:
+        if state.mark is None:
+            return
+        if not self.touches.is_homed() and self.hands.is_attached():
+            raise CalibrationError(
+                "not homed, and the probe is on the head: unless Z is homed with"
+                " it, put it away first; then home all axes (G28)"
+            )
+        if state.step not in NEED_HEIGHTS:
             return
         moved = self.module.frame.moved_since(state.mark)
         if moved:

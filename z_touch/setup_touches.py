@@ -15,6 +15,8 @@ class State(object):
         self.mark = None
         # A start_gcode has run since the last end_gcode
         self.fetched = False
+        # The probe stays on the head
+        self.is_fixed = False
         # Toolhead Z (mm) that the pin lies below
         self.below = None
         # touching.Site, heights (mm) and samples, by name
@@ -38,6 +40,12 @@ class Touches(object):
 
     def home(self, gcmd, state):
         if not self.is_homed():
+            on_pin = self.module.settings.position_endstop is not None
+            if on_pin and not state.is_fixed and self.hands.is_attached():
+                raise CalibrationError(
+                    "the probe is on the head, and would hit the bed before the"
+                    " nozzle meets the pin; put it away, or run G28 yourself"
+                )
             self.host.gcode.run_script_from_command("G28")
         running.check_homed(self.host)
         state.mark = self.module.frame.mark()

@@ -307,7 +307,13 @@ def test_places_that_cannot_be_and_a_probe_that_is_lost(start):
     printer = start("cartesian", changes=changes)
     printer.session.require_ready()
     user = User(printer)
-    advance(user, "NOZZLE")
+    advance(user, "HOME")
+    printer.machine.hold("probe", False)
+    assert "the probe is on the head, and would hit" in user.refused("Home")
+    assert printer.status("toolhead")["homed_axes"] == ""
+    printer.machine.hold("probe", None)
+    user.press("Home")
+    assert user.step() == "NOZZLE"
     at = printer.session.position()
     # Not homed any more
     printer.run("M84")
@@ -334,8 +340,11 @@ def test_places_that_cannot_be_and_a_probe_that_is_lost(start):
     assert printer.session.position()[:2] == pytest.approx((226.0, 20.0))
     for label in ("Here", "Attach", "Here"):
         user.press(label)
-    printer.run("DOCK_PROBE\nM84")
-    assert "not homed" in user.refused("Back")
+    printer.run("M84")
+    text = user.refused("Back")
+    assert "not homed, and the probe is on the head: unless Z is homed" in text
+    printer.run("DOCK_PROBE")
+    assert "not homed: X" in user.refused("Back")
     printer.run("G28")
     # Back from where the head has not got to
     user.press("Back")
