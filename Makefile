@@ -21,6 +21,7 @@
 # PYTEST_WORKERS       tests run at the same time (default 3)
 # PYTEST_ARGS          further arguments for pytest, such as -k or a file
 # BENCH_ARGS           arguments for make bench, such as --seeds 10 or --builtin
+# DEMO_ARGS            arguments for make demo, such as --record FILE.svg
 # FAULTS_ARGS          arguments for make faults, such as --seed 7
 
 PYTHON ?= python3
@@ -28,6 +29,7 @@ BUILD_DIR ?= build
 PYTEST_WORKERS ?= 3
 PYTEST_ARGS ?=
 BENCH_ARGS ?=
+DEMO_ARGS ?=
 FAULTS_ARGS ?=
 export BUILD_DIR
 
@@ -48,7 +50,7 @@ quick: prepared lint
 	ONE_HOST=1 $(TOOLS)/python -m pytest -n 2 -m quick tests/modules
 
 demo: tools
-	$(TOOLS)/python -m tests.demo
+	$(TOOLS)/python -m tests.demo $(DEMO_ARGS)
 
 speed: prepared
 	$(TOOLS)/python -m tests.bench.speed

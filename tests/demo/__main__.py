@@ -1,9 +1,11 @@
 """A calibration to watch: real klippy on a simulated printer.
 
-    python -m tests.demo [--host NAME] [--scene NAME] [--svg PATH] [--list]
+    python -m tests.demo [--host NAME] [--scene NAME] [--svg PATH]
+                         [--record PATH] [--list]
 
 Shows the console as klippy prints it, then what Z=0 was really worth before
-and after, and draws what was measured. Every number comes from the run.
+and after, and draws what was measured, with --record as an animated picture,
+too. Every number comes from the run.
 """
 
 from __future__ import annotations
@@ -16,6 +18,8 @@ from collections.abc import Sequence
 from pathlib import Path
 from typing import NamedTuple, Optional
 
+from tests.demo import animation
+from tests.demo.recording import Recorder, axis_of
 from tests.docs.pictures import mm
 from tests.docs.z_calibration_picture import MEANING, Touches, draw
 from tests.hostkit.environment import build_dir
@@ -98,7 +102,7 @@ class ShownPrinter(Printer):
 class Outcome(NamedTuple):
     """What one run has shown, mm and printer seconds.
 
-    touches: by site, of CALIBRATE_Z alone.
+    touches: by site, of CALIBRATE_Z alone, as is the recording.
     """
 
     result: Touches
@@ -106,6 +110,7 @@ class Outcome(NamedTuple):
     after: float
     touches: Counter
     calibrating: float
+    recording: Recorder
 
 
 def rehearse(printer: ShownPrinter) -> Outcome:
@@ -118,14 +123,40 @@ def rehearse(printer: ShownPrinter) -> Outcome:
     truth = printer.machine.truth
     count = len(truth.touches)
     watch = Stopwatch(printer.machine.simulation)
-    printer.run("CALIBRATE_Z")
+    with Recorder(printer.machine) as recording:
+        printer.run("CALIBRATE_Z")
     _, calibrating = watch.seconds()
     touches = Counter(touch.site for touch in truth.touches[count:])
     print("--- and how far is it now?", flush=True)
     after = printer.gap()
     result = dict(printer.status("z_calibration")["last_result"])
     del result["offset"]
-    return Outcome(Touches(**result), before, after, touches, calibrating)
+    measured = Touches(**result)
+    return Outcome(measured, before, after, touches, calibrating, recording)
+
+
+def recorded(printer: ShownPrinter, outcome: Outcome) -> animation.Run:
+    """What the animated picture is made of."""
+    scene, truth = printer.scene, printer.machine.truth
+    x, y = printer.bed_point()
+
+    def surface(*xy: float) -> float:
+        return -truth.true_gap(*xy, 0.0)
+
+    bed = scene.world.bed
+    if axis_of(scene) == 0:
+        ends = [(end, surface(end, y)) for end in (bed.x_min, bed.x_max)]
+    else:
+        ends = [(end, surface(x, end)) for end in (bed.y_min, bed.y_max)]
+    return animation.Run(
+        scene,
+        outcome.recording.moments,
+        outcome.recording.marks,
+        outcome.result,
+        surface(x, y) + outcome.before,
+        ends,
+        (outcome.before, outcome.after, scene.formula_gap()),
+    )
 
 
 def verdict(gap: float, predicted: float, microstep: float) -> Optional[str]:
@@ -178,10 +209,12 @@ def demonstrate(
     scene: Scene,
     svg: Path,
     changes: Optional[Sections] = None,
+    record: Optional[Path] = None,
 ) -> int:
     """Run the demo on a host; the exit code.
 
-    changes: to the scene's configuration, see Scene.config.
+    changes: to the scene's configuration, see Scene.config. record: where the
+    animated picture goes, if anywhere.
     """
     klippy = f"{firmware_of(host)} {host.version}"
     print(f"Host     {host.name}: {klippy}")
@@ -191,6 +224,7 @@ def demonstrate(
         watch = Stopwatch(printer.machine.simulation)
         printer.session.require_ready()
         outcome = rehearse(printer)
+        run = recorded(printer, outcome)
         real, virtual = watch.seconds()
     problem = report(printer, outcome)
     print(
@@ -198,7 +232,6 @@ def demonstrate(
         f" {virtual:.1f} in {real:.1f} real seconds,"
         f" {virtual / real:.0f} times as fast"
     )
-    svg.parent.mkdir(parents=True, exist_ok=True)
     heading = f"CALIBRATE_Z of {klippy} on a simulated printer: {scene.name}"
     picture = draw(
         outcome.result,
@@ -211,14 +244,23 @@ def demonstrate(
             MEANING[1],
         ),
     )
-    svg.write_text(picture, encoding="utf-8")
-    here = Path.cwd()
-    shown = svg.relative_to(here) if svg.is_relative_to(here) else svg
-    print(f"Picture  {shown}")
+    write("Picture ", svg, picture)
+    if record is not None:
+        heading = f"CALIBRATE_Z by real klippy, simulated printer: {scene.name}"
+        write("Recording", record, animation.draw(run, heading))
     if problem is not None:
         print(f"\nFAILED: {problem}")
         return 1
     return 0
+
+
+def write(what: str, path: Path, text: str) -> None:
+    """Write a picture, and say where it is."""
+    path.parent.mkdir(parents=True, exist_ok=True)
+    path.write_text(text, encoding="utf-8")
+    here = Path.cwd()
+    shown = path.relative_to(here) if path.is_relative_to(here) else path
+    print(f"{what} {shown}")
 
 
 def choose_host(name: Optional[str]) -> Host:
@@ -260,6 +302,12 @@ def _arguments(words: Optional[Sequence[str]]) -> argparse.Namespace:
         help="where the picture goes (demo/calibration.svg in BUILD_DIR)",
     )
     parser.add_argument(
+        "--record",
+        metavar="PATH",
+        type=Path,
+        help="where an animated picture of the run goes",
+    )
+    parser.add_argument(
         "--list", action="store_true", help="show hosts and scenes only"
     )
     return parser.parse_args(words)
@@ -283,7 +331,8 @@ def main(words: Optional[Sequence[str]] = None) -> int:
             return _list()
         svg = arguments.svg or build_dir() / "demo" / "calibration.svg"
         host = choose_host(arguments.host)
-        return demonstrate(host, SHOWN[arguments.scene], svg)
+        scene = SHOWN[arguments.scene]
+        return demonstrate(host, scene, svg, record=arguments.record)
     except GcodeError as error:
         print(f"!! {error}")
     except CrashError as error:
