@@ -3,6 +3,7 @@
 #   make test     prepare the hosts, lint, run all tests
 #   make quick    lint, what needs no host, each command on one: a minute
 #   make demo     watch a calibration on a simulated printer
+#   make printer  a simulated printer to play with, in any web interface
 #   make faults   break something at every operation, draw printers at random
 #   make hosts    prepare and list the klippy hosts, and Moonraker
 #   make speed    how much faster than a printer the simulation runs
@@ -22,6 +23,7 @@
 # PYTEST_ARGS          further arguments for pytest, such as -k or a file
 # BENCH_ARGS           arguments for make bench, such as --seeds 10 or --builtin
 # DEMO_ARGS            arguments for make demo, such as --record FILE.svg
+# PRINTER_ARGS         arguments for make printer, such as --scene extra_probe
 # FAULTS_ARGS          arguments for make faults, such as --seed 7
 
 PYTHON ?= python3
@@ -30,6 +32,7 @@ PYTEST_WORKERS ?= 3
 PYTEST_ARGS ?=
 BENCH_ARGS ?=
 DEMO_ARGS ?=
+PRINTER_ARGS ?=
 FAULTS_ARGS ?=
 export BUILD_DIR
 
@@ -40,7 +43,7 @@ SOURCES = $(wildcard *.py z_touch/*.py)
 COMPILE = import sys; [compile(open(f).read(), f, 'exec') for f in sys.argv[1:]]
 
 # Test files import each other as tests.*, from the root of the repository.
-.PHONY: test quick demo speed bench faults hosts prepared lint format tools
+.PHONY: test quick demo printer speed bench faults hosts prepared lint format tools
 .PHONY: clean
 
 test: prepared lint
@@ -51,6 +54,9 @@ quick: prepared lint
 
 demo: tools
 	$(TOOLS)/python -m tests.demo $(DEMO_ARGS)
+
+printer: tools
+	$(TOOLS)/python -m tests.playground $(PRINTER_ARGS)
 
 speed: prepared
 	$(TOOLS)/python -m tests.bench.speed

@@ -23,14 +23,8 @@ from tests.demo.recording import Recorder, axis_of
 from tests.docs.pictures import mm
 from tests.docs.z_calibration_picture import MEANING, Touches, draw
 from tests.hostkit.environment import build_dir
-from tests.hostkit.hosts import (
-    Host,
-    HostError,
-    checkout_hosts,
-    find_hosts,
-    missing_hosts,
-)
-from tests.hostkit.printer import Printer, firmware_of
+from tests.hostkit.hosts import Host, HostError, find_hosts
+from tests.hostkit.printer import Printer, choose_host, firmware_of
 from tests.hostkit.session import GcodeError, SessionError
 from tests.simprinter import SCENES, Scene
 from tests.simprinter.clock import ClockError
@@ -261,25 +255,6 @@ def write(what: str, path: Path, text: str) -> None:
     here = Path.cwd()
     shown = path.relative_to(here) if path.is_relative_to(here) else path
     print(f"{what} {shown}")
-
-
-def choose_host(name: Optional[str]) -> Host:
-    """The host of that name; without one a checkout, Klipper before others.
-
-    Raises HostError if there is none.
-    """
-    # One host is enough here, so one that is missing is no reason to stop
-    os.environ.setdefault("ALLOW_MISSING_HOSTS", "1")
-    if name is None:
-        hosts = checkout_hosts() or find_hosts()
-        return min(hosts, key=lambda host: firmware_of(host) != "Klipper")
-    hosts = find_hosts()
-    for host in hosts:
-        if host.name == name:
-            return host
-    known = ", ".join(host.name for host in hosts)
-    unknown = f"there is no host {name!r}, only {known}"
-    raise HostError(missing_hosts().get(name, unknown))
 
 
 def _arguments(words: Optional[Sequence[str]]) -> argparse.Namespace:

@@ -11,6 +11,7 @@ import os
 import re
 import shutil
 from collections.abc import Iterator, Mapping
+from concurrent.futures import Future
 from contextlib import ExitStack, contextmanager
 from dataclasses import replace
 from fnmatch import fnmatch
@@ -98,8 +99,9 @@ class Lab:
         python: Path,
         directory: Path,
         scene: Union[str, Scene] = "voron",
+        speed: float = SPEED,
     ):
-        """python: the one that has Moonraker."""
+        """python: the one that has Moonraker. speed: of the printer's life."""
         self.host = host
         self.directory = directory
         self.home = directory / "home"
@@ -110,6 +112,8 @@ class Lab:
         self.printer: Optional[RunningPrinter] = None
         scene = SCENES[scene] if isinstance(scene, str) else scene
         self._scene = heated(scene)
+        self._speed = speed
+        self._living: Optional[Future] = None
         self._sources = directory / "sources"
         self._releases = 0
         self._life = ExitStack()
@@ -118,7 +122,7 @@ class Lab:
         self._make_klipper()
         self._make_checkout()
         self._make_configs()
-        self.moonraker = Moonraker(python, self.data, self._port, self._env)
+        self.moonraker = self._make_moonraker(python)
 
     def __enter__(self) -> Lab:
         for name in ("klipper", "moonraker"):
@@ -193,10 +197,13 @@ class Lab:
         options = ("--quiet", "--tags", "--set-upstream")
         self.git(folder, "push", *options, "origin", branch)
 
-    def _make_configs(self) -> None:
-        self._port = free_port()
-        conf = _MOONRAKER_CONF.format(port=self._port, data=self.data)
+    def _make_moonraker(self, python: Path) -> Moonraker:
+        port = free_port()
+        conf = _MOONRAKER_CONF.format(port=port, data=self.data)
         (self.data / "config" / "moonraker.conf").write_text(conf)
+        return Moonraker(python, self.data, port, self._env)
+
+    def _make_configs(self) -> None:
         # Klippy gets one with its serial device when it is started
         text = self._installed().config + self._config({})
         (self.data / "config" / "printer.cfg").write_text(text)
@@ -284,14 +291,19 @@ class Lab:
         try:
             yield self.printer
         finally:
-            self._life.enter_context(self.printer.session.living(SPEED))
+            self._begin_to_live()
 
     def start_klipper(self) -> None:
         """Have klippy on the printer, as at boot."""
         machine = Machine(self._scene, app=firmware_of(self.host))
         self.printer = RunningPrinter(machine, self._begin)
         self.printer.session.require_ready()
-        self._life.enter_context(self.printer.session.living(SPEED))
+        self._begin_to_live()
+
+    def _begin_to_live(self) -> None:
+        assert self.printer is not None
+        living = self.printer.session.living(self._speed)
+        self._living = self._life.enter_context(living)
 
     def _begin(self, machine: Machine) -> LiveSession:
         installed = self._installed()

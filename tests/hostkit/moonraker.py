@@ -41,10 +41,16 @@ class Moonraker:
     """One Moonraker on its data directory, and HTTP requests to it."""
 
     def __init__(
-        self, python: Path, data: Path, port: int, env: Mapping[str, str]
+        self,
+        python: Path,
+        data: Path,
+        port: int,
+        env: Mapping[str, str],
+        address: str = _HOST,
     ):
-        """data: has config/moonraker.conf with this port."""
+        """data: has config/moonraker.conf with this port and address."""
         self.port = port
+        self._address = address
         self._command = [str(python), "-m", "moonraker", "-d", str(data)]
         self._output = data / "logs" / "moonraker-output.txt"
         self._log = data / "logs" / "moonraker.log"
@@ -117,7 +123,7 @@ class Moonraker:
 
     def listen(self) -> Listener:
         """A websocket connection; to be closed."""
-        return Listener(f"ws://{_HOST}:{self.port}/websocket")
+        return Listener(f"ws://{self._address}:{self.port}/websocket")
 
     def tail(self, lines: int = 40) -> str:
         """The end of its log and of what it printed."""
@@ -131,7 +137,7 @@ class Moonraker:
     def _request(self, kind: str, path: str, params: dict[str, Any]) -> Any:
         answer = self._client.request(
             kind,
-            f"http://{_HOST}:{self.port}{path}",
+            f"http://{self._address}:{self.port}{path}",
             params=params,
             timeout=_ANSWER_LIMIT,
         )

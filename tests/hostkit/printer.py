@@ -2,12 +2,19 @@
 
 from __future__ import annotations
 
+import os
 from collections.abc import Callable, Iterable, Mapping
 from contextlib import ExitStack
 from pathlib import Path
 from typing import Any, Optional, Union
 
-from tests.hostkit.hosts import Host
+from tests.hostkit.hosts import (
+    Host,
+    HostError,
+    checkout_hosts,
+    find_hosts,
+    missing_hosts,
+)
 from tests.hostkit.session import GcodeError, LiveSession
 from tests.simprinter import SCENES, Fault, Machine, RealClock, Scene
 from tests.simprinter.scenes import Sections
@@ -26,6 +33,25 @@ def firmware_of(host: Host) -> str:
     """The firmware a host insists on."""
     plugins = host.layout.module_dir.endswith("plugins")
     return "Kalico" if plugins else "Klipper"
+
+
+def choose_host(name: Optional[str]) -> Host:
+    """The host of that name; without one a checkout, Klipper before others.
+
+    Raises HostError if there is none.
+    """
+    # One host is enough here, so one that is missing is no reason to stop
+    os.environ.setdefault("ALLOW_MISSING_HOSTS", "1")
+    if name is None:
+        hosts = checkout_hosts() or find_hosts()
+        return min(hosts, key=lambda host: firmware_of(host) != "Klipper")
+    hosts = find_hosts()
+    for host in hosts:
+        if host.name == name:
+            return host
+    known = ", ".join(host.name for host in hosts)
+    unknown = f"there is no host {name!r}, only {known}"
+    raise HostError(missing_hosts().get(name, unknown))
 
 
 def has_kinematics(host: Host, scene: Scene) -> bool:

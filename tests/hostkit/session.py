@@ -7,7 +7,7 @@ import shutil
 import tempfile
 import threading
 from collections.abc import Callable, Iterator, Mapping
-from concurrent.futures import ThreadPoolExecutor
+from concurrent.futures import Future, ThreadPoolExecutor
 from contextlib import contextmanager
 from pathlib import Path
 from typing import Any, NamedTuple, Optional
@@ -148,13 +148,14 @@ class LiveSession:
         self._process.remove()
 
     @contextmanager
-    def living(self, speed: float) -> Iterator[None]:
+    def living(self, speed: float) -> Iterator[Future]:
         """Let the printer live by itself, in real time but so much faster.
 
         For those who talk to klippy over its socket. Until this is left, a
         thread runs the simulation, and neither the session nor the machine is
-        for others. Raises SessionError on leaving if the printer could not
-        live that long.
+        for others, but peers of the simulation live in it. Raises SessionError
+        on leaving if the printer could not live that long; what it gives is
+        done as soon as that is so.
         """
         simulation = self._simulation
         simulation.pace = Pace(simulation.clock, speed)
@@ -165,7 +166,7 @@ class LiveSession:
             )
             self._is_living = True
             try:
-                yield
+                yield life
             finally:
                 leaving.set()
                 failure = life.exception()

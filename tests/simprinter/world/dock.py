@@ -160,6 +160,7 @@ class Keeper:
     """
 
     __slots__ = (
+        "_at_first",
         "_dock",
         "_falls_from",
         "_faults",
@@ -179,7 +180,8 @@ class Keeper:
         tell: Callable[[float, str], None],
         generator: random.Random,
     ) -> None:
-        self._holder = Holder(ProbeState(spec.initial))
+        self._at_first = ProbeState(spec.initial)
+        self._holder = Holder(self._at_first)
         self._dock = None if dock is None else Dock(dock)
         self._faults = faults
         self._tell = tell
@@ -275,6 +277,11 @@ class Keeper:
         """It falls off at time t, not before now, if the head has it then."""
         if self._holder.held(t):
             self._holder.change(t, ProbeState.LOST, 0.0)
+
+    def bring_back(self, t: float) -> None:
+        """If it is lost, somebody puts it where it was at first."""
+        if self._holder.at(t) is ProbeState.LOST:
+            self._holder.change(t, self._at_first, 0.0)
 
     def _change(self, t: float, state: ProbeState, delay: float) -> None:
         self._holder.change(t, state, delay)

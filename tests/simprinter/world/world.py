@@ -135,6 +135,11 @@ class World:
         if self._keeper is not None:
             self._keeper.lose(t)
 
+    def bring_probe_back(self, t: float) -> None:
+        """A lost probe is put where it was at first, at time t."""
+        if self._keeper is not None:
+            self._keeper.bring_back(t)
+
     def lay_membrane(self, is_laid: bool) -> None:
         """Somebody lays the membrane switch on the plate, or takes it away."""
         self._builder.membrane_is_laid = is_laid

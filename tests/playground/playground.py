@@ -1,0 +1,204 @@
+"""A printer to play with: the lab of the tests, with a watcher in it."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from contextlib import suppress
+from dataclasses import replace
+from pathlib import Path
+from typing import NamedTuple, Optional
+
+from tests.hostkit.hosts import Host
+from tests.hostkit.lab import Lab
+from tests.hostkit.moonraker import Moonraker
+from tests.hostkit.printer import firmware_of
+from tests.hostkit.session import LiveSession, SessionError
+from tests.playground import commands, network
+from tests.playground.watcher import Watcher
+from tests.simprinter import SCENES, Machine, Scene
+from tests.simprinter.docks import DOCK_SCENES, calibrating
+from tests.simprinter.world import CrashError
+
+# By the module that they show; all other scenes go by their names
+SHOWN = {
+    "z_calibration": SCENES["voron"],
+    "auto_z_offset": SCENES["qidi"],
+    "dockable_probe": calibrating(DOCK_SCENES["dock_gantry_switch"]),
+    "extra_probe": SCENES["membrane"],
+}
+KNOWN = {**SHOWN, **SCENES}
+
+# What a web interface expects, and what its buttons call
+_MACROS = {
+    "respond": {},
+    "gcode_macro PAUSE": {
+        "rename_existing": "BASE_PAUSE",
+        "gcode": "\n  BASE_PAUSE",
+    },
+    "gcode_macro RESUME": {
+        "rename_existing": "BASE_RESUME",
+        "gcode": "\n  BASE_RESUME",
+    },
+    "gcode_macro CANCEL_PRINT": {
+        "rename_existing": "BASE_CANCEL_PRINT",
+        "gcode": "\n  TURN_OFF_HEATERS\n  BASE_CANCEL_PRINT",
+    },
+}
+_CONF = """\
+[server]
+host: {listen}
+port: {port}
+klippy_uds_address: {data}/comms/klippy.sock
+
+[authorization]
+trusted_clients:
+{trusted}
+cors_domains:
+{origins}
+
+[machine]
+provider: systemd_cli
+validate_service: False
+
+[announcements]
+dev_mode: True
+
+[update_manager]
+enable_auto_refresh: False
+enable_system_updates: False
+"""
+
+
+def dressed(scene: Scene) -> Scene:
+    """The same with what a web interface expects."""
+    return replace(scene, sections={**_MACROS, **scene.sections})
+
+
+class Door(NamedTuple):
+    """Where Moonraker listens, and to whom besides its own machine.
+
+    port: or the next that is free. origins: of web pages from elsewhere.
+    """
+
+    listen: str = network.LOOPBACK
+    port: int = 7125
+    origins: Sequence[str] = ()
+
+
+class Playground(Lab):
+    """Use as a context manager.
+
+    say: shows a line.
+    """
+
+    def __init__(
+        self,
+        host: Host,
+        python: Path,
+        directory: Path,
+        scene: Scene,
+        speed: float,
+        door: Door,
+        say: Callable[[str], None],
+    ):
+        self._door = door
+        self._say = say
+        self.watcher: Optional[Watcher] = None
+        self._serials: dict[str, str] = {}
+        super().__init__(host, python, directory, dressed(scene), speed)
+
+    @property
+    def url(self) -> str:
+        """Where Moonraker answers."""
+        listen = self._door.listen
+        host = network.LOOPBACK if listen == network.EVERYWHERE else listen
+        return f"http://{host}:{self.moonraker.port}"
+
+    def _make_moonraker(self, python: Path) -> Moonraker:
+        listen, wanted_port, more = self._door
+        trusted = network.trusted(listen)
+        port = network.free_port(listen, wanted_port)
+        conf = _CONF.format(
+            listen=listen,
+            port=port,
+            data=self.data,
+            trusted=_lines(trusted),
+            origins=_lines(network.origins(listen, more)),
+        )
+        (self.data / "config" / "moonraker.conf").write_text(conf)
+        return Moonraker(python, self.data, port, self._env, trusted[0])
+
+    def set_up(self) -> None:
+        """Run install.sh, and do the restarts that it asks for."""
+        # Kalico has a module of that name of its own
+        forced = firmware_of(self.host) == "Kalico" and self._has_dock()
+        options = ("--modules", "dockable_probe z_calibration", "--force")
+        self.install(*(options if forced else ()))
+        self.obey()
+
+    def _has_dock(self) -> bool:
+        return "dockable_probe" in self._scene.sections
+
+    def has_ended(self) -> Optional[BaseException]:
+        """Why the printer cannot go on, if it cannot."""
+        living = self._living
+        if living is None or not living.done():
+            return None
+        return living.exception() or SessionError("the printer has ended")
+
+    def do(self, line: str) -> None:
+        """Do what was typed, in the simulation."""
+        watcher = self.watcher
+        if watcher is None:
+            self._say("there is no printer yet")
+            return
+
+        def act() -> None:
+            try:
+                self._say(commands.run(line, watcher, self._scene))
+            except commands.CommandError as error:
+                self._say(f"!! {error}")
+
+        watcher.order(act)
+
+    # The printer is switched off and on with a restart of klippy's service
+
+    def _begin(self, machine: Machine) -> LiveSession:
+        session = super()._begin(machine)
+        socket = self.data / "comms" / "klippy.sock"
+        self.watcher = Watcher(machine, socket, self._point(), self._say)
+        machine.simulation.peers.append(self.watcher)
+        return session
+
+    def _config(self, serials: dict[str, str]) -> str:
+        """printer.cfg as its owner has left it; serial devices are new."""
+        file = self.data / "config" / "printer.cfg"
+        own = self._installed().config
+        if not self._serials:
+            text = super()._config(serials)
+        else:
+            text = file.read_text().removeprefix(own)
+            for name, device in serials.items():
+                text = text.replace(self._serials[name], device)
+        self._serials = dict(serials)
+        return text
+
+    def _stop_klipper(self) -> None:
+        self.watcher = None
+        # Crashes have been told, and klippy may have ended with Ctrl-C
+        with suppress(CrashError, SessionError):
+            super()._stop_klipper()
+
+    def _point(self) -> tuple[float, float]:
+        """Where on the bed the gap is told."""
+        section = self._scene.sections.get("z_calibration") or {}
+        place = section.get("bed_xy_position")
+        if place is None:
+            bed = self._scene.world.bed
+            return (bed.x_min + bed.x_max) / 2, (bed.y_min + bed.y_max) / 2
+        x, y = map(float, place.split(","))
+        return x, y
+
+
+def _lines(words: Sequence[str]) -> str:
+    return "\n".join(f"    {word}" for word in words)
