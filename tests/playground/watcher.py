@@ -26,10 +26,10 @@ SITES = {
 _LOOK_EVERY = 5_000_000
 # Printer nanoseconds after which the machine is looked at, if nobody did
 _SETTLE_EVERY = 100_000_000
-# Real seconds between two questions for the G-code Z, and for which the head
-# has to stand before its Z counts
+# Printer nanoseconds for which the head has to stand before its Z counts, and
+# real seconds between two questions for it
+_STANDS = 500_000_000
 _ASK_EVERY = 2.0
-_STANDS = 0.4
 # Changes of the true gap that are not told, mm
 _SAME = 0.0005
 
@@ -132,6 +132,15 @@ class _Contacts:
             self._tell(f"{axis} endstop{at}")
             return
         self._open[touch.site] = (touch, touch.z)
+        # The world may have been told of it a little after it happened
+        since = self._machine.simulation.clock.now() - round(
+            (self._seconds() - touch.t) * 1e9
+        )
+        self._looked = min(self._looked, since)
+
+    def _seconds(self) -> float:
+        machine = self._machine
+        return machine.rig.seconds(machine.simulation.clock.now())
 
     def _follow(self, now: int) -> None:
         """Until what is pressed is left again: how deep it got."""
@@ -175,25 +184,30 @@ class _Gap:
         self._point = point
         self._tell = tell
         self._tip: Optional[Pose] = None
-        self._stands_since = self._asked = time.monotonic()
+        self._stands_since = machine.simulation.clock.now()
+        self._asked = time.monotonic()
         self._question: Optional[tuple[int, int]] = None
         self._told: Optional[float] = None
 
     def look(self) -> bool:
         """Ask klippy, or use its answer; whether it was spoken to."""
         now, tip = time.monotonic(), self._machine.tip()
+        clock = self._machine.simulation.clock.now()
         if tip != self._tip:
-            self._tip, self._stands_since = tip, now
+            self._tip, self._stands_since = tip, clock
             self._question = None
         if self._question is not None:
             self._take_answer()
             return False
         asked_for = self.is_wanted or now - self._asked >= _ASK_EVERY
-        stands = now - self._stands_since >= _STANDS
+        stands = clock - self._stands_since >= _STANDS
         if not (asked_for and stands and self._api.connected()):
             return False
         self._asked = now
-        objects = {"gcode_move": ["gcode_position"], "toolhead": ["homed_axes"]}
+        objects = {
+            "gcode_move": ["gcode_position"],
+            "toolhead": ["homed_axes", "print_time", "estimated_print_time"],
+        }
         number = self._api.request("objects/query", {"objects": objects})
         self._question = (number, self._api.connections)
         return True
@@ -212,8 +226,12 @@ class _Gap:
             self._question = None  # klippy has restarted
 
     def _tell_gap(self, status: dict) -> None:
+        toolhead = status["toolhead"]
+        # Moves that are still to come have changed the G-code Z already
+        if toolhead["print_time"] > toolhead["estimated_print_time"]:
+            return
         wanted, self.is_wanted = self.is_wanted, False
-        if "z" not in status.get("toolhead", {}).get("homed_axes", ""):
+        if "z" not in toolhead["homed_axes"]:
             self._told = None
             if wanted:
                 self._tell("true gap: not known before Z is homed")

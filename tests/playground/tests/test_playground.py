@@ -161,7 +161,7 @@ def test_wire_breaks_by_command_and_is_repaired(first):
     before = len(first.output)
     assert first.run("G28").ok
     deep = first.until(r"nozzle on the pin .* (\S+) mm deep", before)
-    assert float(deep[1]) == pytest.approx(0.3, abs=0.02)
+    assert float(deep[1]) == pytest.approx(0.3, abs=0.02), first.output
     first.type("repair", "^all is as good as new")
 
 
