@@ -267,6 +267,13 @@ class Lab:
     # What systemd does
 
     def obey(self) -> list[str]:
+        """Restart what systemctl was told to, and wait until all is ready."""
+        names = self.restart_asked()
+        if names:
+            self.moonraker.wait_until_ready()
+        return names
+
+    def restart_asked(self) -> list[str]:
         """Restart what systemctl was told to since the last time."""
         requests = self.directory / "restarts"
         names = requests.read_text().split() if requests.exists() else []
@@ -279,8 +286,6 @@ class Lab:
             else:
                 self.moonraker.stop()
                 self.moonraker.start()
-        if names:
-            self.moonraker.wait_until_ready()
         return names
 
     @contextmanager

@@ -70,7 +70,13 @@ class Moonraker:
                 stdout=output,
                 stderr=output,
             )
-        self.wait_until(lambda: self.get("/server/info"), "Moonraker answers")
+        try:
+            self.wait_until(
+                lambda: self.get("/server/info"), "Moonraker answers"
+            )
+        except BaseException:  # Ctrl-C, too
+            self.stop()
+            raise
 
     def stop(self) -> None:
         """End it if it runs."""

@@ -8,6 +8,7 @@ import tempfile
 import threading
 from collections.abc import Callable, Iterator, Mapping
 from concurrent.futures import Future, ThreadPoolExecutor
+from concurrent.futures import TimeoutError as NotYetError
 from contextlib import contextmanager
 from pathlib import Path
 from typing import Any, NamedTuple, Optional
@@ -23,6 +24,9 @@ _START_LIMIT = 120.0  # printer seconds
 _ASK_STATE_EVERY = 5.0
 _BATCH_LIMIT = 3600.0
 _LIFETIME = 1e6
+# Real seconds in which a printer that lives by itself comes to rest; klippy
+# alone may compute for a minute
+_REST_LIMIT = 90.0
 _REST = Path(__file__).with_name("extras") / "rest.py"
 
 
@@ -161,18 +165,30 @@ class LiveSession:
         simulation.pace = Pace(simulation.clock, speed)
         leaving = threading.Event()
         with ThreadPoolExecutor(1) as pool:
-            life = pool.submit(
-                simulation.run_until, leaving.is_set, _LIFETIME, "living"
-            )
-            self._is_living = True
             try:
+                life = pool.submit(
+                    simulation.run_until, leaving.is_set, _LIFETIME, "living"
+                )
+                self._is_living = True
                 yield life
             finally:
                 leaving.set()
-                failure = life.exception()
+                failure = self._end_of(life)
                 self._is_living = False
                 simulation.pace = None
                 self._require_well(failure)
+
+    def _end_of(self, life: Future) -> Optional[BaseException]:
+        """Wait for it; why it has failed. Klippy has to go if it lasts."""
+        try:
+            return life.exception(_REST_LIMIT)
+        except NotYetError:
+            self.kill()
+            life.exception(_REST_LIMIT)
+            return SessionError(
+                f"living: no rest within {_REST_LIMIT:.0f} s, klippy was"
+                f" ended\n{self._tail()}"
+            )
 
     @property
     def _simulation(self) -> Simulation:
