@@ -18,6 +18,7 @@ import signal
 import sys
 import tempfile
 from collections.abc import Sequence
+from contextlib import suppress
 from pathlib import Path
 from typing import Optional
 
@@ -33,6 +34,8 @@ from tests.simprinter.simulation import SimulationError
 
 # Real seconds between two looks at what systemd would have to do
 _LOOK_EVERY = 0.2
+# Ctrl-C, kill, a terminal that is closed
+_ENDS = (signal.SIGINT, signal.SIGTERM, signal.SIGHUP)
 
 
 def say(text: str) -> None:
@@ -70,7 +73,7 @@ def play(playground: Playground) -> int:
         if failure is not None:
             say(f"!! the printer cannot go on: {failure}")
             return 1
-        for name in playground.obey():
+        for name in playground.restart_asked():
             say(f"restarted {name}")
 
 
@@ -162,10 +165,19 @@ def run(arguments: argparse.Namespace) -> int:
                 return play(playground)
             finally:
                 # Once is enough; what follows takes a second
-                signal.signal(signal.SIGINT, signal.SIG_IGN)
-                signal.signal(signal.SIGTERM, signal.SIG_IGN)
+                for number in _ENDS:
+                    signal.signal(number, signal.SIG_IGN)
     finally:
+        end_all_of(directory)
         shutil.rmtree(directory, ignore_errors=True)
+
+
+def end_all_of(directory: Path) -> None:
+    """End what an early Ctrl-C has left: all that was given this folder."""
+    for folder in Path("/proc").glob("[0-9]*"):
+        with suppress(OSError):
+            if os.fsencode(directory) in (folder / "environ").read_bytes():
+                os.kill(int(folder.name), signal.SIGKILL)
 
 
 def _stop(*_unused: object) -> None:
@@ -175,9 +187,9 @@ def _stop(*_unused: object) -> None:
 def main(words: Optional[Sequence[str]] = None) -> int:
     """Run a playground; the exit code."""
     arguments = _arguments(words)
-    signal.signal(signal.SIGTERM, _stop)
     # A shell that starts it in the background has it ignore Ctrl-C
-    signal.signal(signal.SIGINT, _stop)
+    for number in _ENDS:
+        signal.signal(number, _stop)
     try:
         say("Preparing (the first time takes a minute) ...")
         if arguments.list:

@@ -70,14 +70,22 @@ def origins(listen: str, more: Sequence[str]) -> list[str]:
     return [*own, *more]
 
 
-def free_port(listen: str, wanted: int) -> int:
-    """The wanted port, or the first behind it that nobody uses."""
+def reserved_port(listen: str, wanted: int) -> tuple[int, socket.socket]:
+    """The wanted port, or the first behind it that nobody uses.
+
+    Until what comes with it is closed, no other playground takes that port:
+    Moonraker listens some seconds later only.
+    """
     for port in range(wanted, min(wanted + 200, 65536)):
-        with socket.socket() as probe:
-            probe.setsockopt(socket.SOL_SOCKET, socket.SO_REUSEADDR, 1)
-            try:
+        claim = socket.socket(socket.AF_UNIX)
+        try:
+            # A name without a file, which ends with its process
+            claim.bind(f"\0z-offset-playground-{port}")
+            with socket.socket() as probe:
+                probe.setsockopt(socket.SOL_SOCKET, socket.SO_REUSEADDR, 1)
                 probe.bind((listen, port))
-            except OSError:
-                continue
-            return port
+        except OSError:
+            claim.close()
+            continue
+        return port, claim
     raise AddressError(f"{listen} has no free port from {wanted} on")

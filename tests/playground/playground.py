@@ -74,6 +74,17 @@ def dressed(scene: Scene) -> Scene:
     return replace(scene, sections={**_MACROS, **scene.sections})
 
 
+def point_of(scene: Scene) -> tuple[float, float]:
+    """Where on the bed the gap is told, X and Y in mm."""
+    section = scene.sections.get("z_calibration") or {}
+    place = section.get("bed_xy_position")
+    if place is None:
+        bed = scene.world.bed
+        return (bed.x_min + bed.x_max) / 2, (bed.y_min + bed.y_max) / 2
+    x, y = map(float, place.split(","))
+    return x, y
+
+
 class Door(NamedTuple):
     """Where Moonraker listens, and to whom besides its own machine.
 
@@ -117,7 +128,7 @@ class Playground(Lab):
     def _make_moonraker(self, python: Path) -> Moonraker:
         listen, wanted_port, more = self._door
         trusted = network.trusted(listen)
-        port = network.free_port(listen, wanted_port)
+        port, self._claim = network.reserved_port(listen, wanted_port)
         conf = _CONF.format(
             listen=listen,
             port=port,
@@ -135,6 +146,12 @@ class Playground(Lab):
         options = ("--modules", "dockable_probe z_calibration", "--force")
         self.install(*(options if forced else ()))
         self.obey()
+
+    def __exit__(self, *error: object) -> None:
+        try:
+            super().__exit__(*error)
+        finally:
+            self._claim.close()
 
     def _has_dock(self) -> bool:
         return "dockable_probe" in self._scene.sections
@@ -163,10 +180,21 @@ class Playground(Lab):
 
     # The printer is switched off and on with a restart of klippy's service
 
+    def start_klipper(self) -> None:
+        """As at boot; with a mistake in printer.cfg klippy waits for RESTART."""
+        try:
+            super().start_klipper()
+        except SessionError as error:
+            if self.printer is None:
+                raise
+            self._say(f"!! {str(error).splitlines()[0]}")
+            self._begin_to_live()
+
     def _begin(self, machine: Machine) -> LiveSession:
         session = super()._begin(machine)
         socket = self.data / "comms" / "klippy.sock"
-        self.watcher = Watcher(machine, socket, self._point(), self._say)
+        point = point_of(self._scene)
+        self.watcher = Watcher(machine, socket, point, self._say)
         machine.simulation.peers.append(self.watcher)
         return session
 
@@ -184,20 +212,12 @@ class Playground(Lab):
         return text
 
     def _stop_klipper(self) -> None:
-        self.watcher = None
+        watcher, self.watcher = self.watcher, None
         # Crashes have been told, and klippy may have ended with Ctrl-C
         with suppress(CrashError, SessionError):
             super()._stop_klipper()
-
-    def _point(self) -> tuple[float, float]:
-        """Where on the bed the gap is told."""
-        section = self._scene.sections.get("z_calibration") or {}
-        place = section.get("bed_xy_position")
-        if place is None:
-            bed = self._scene.world.bed
-            return (bed.x_min + bed.x_max) / 2, (bed.y_min + bed.y_max) / 2
-        x, y = map(float, place.split(","))
-        return x, y
+        if watcher is not None:
+            watcher.close()
 
 
 def _lines(words: Sequence[str]) -> str:

@@ -78,8 +78,15 @@ class Watcher:
         return self._api.fileno()
 
     def settled(self) -> bool:
-        """Whether klippy and it have heard each other."""
-        return self._api.settled()
+        """Never holds up the time.
+
+        Klippy that restarts sleeps before it hears what was said meanwhile.
+        """
+        return True
+
+    def close(self) -> None:
+        """Hang up."""
+        self._api.close()
 
     def pump(self) -> bool:
         """Do what was ordered, look, and tell."""
@@ -226,16 +233,17 @@ class _Gap:
             self._question = None  # klippy has restarted
 
     def _tell_gap(self, status: dict) -> None:
-        toolhead = status["toolhead"]
-        # Moves that are still to come have changed the G-code Z already
-        if toolhead["print_time"] > toolhead["estimated_print_time"]:
-            return
-        wanted, self.is_wanted = self.is_wanted, False
-        if "z" not in toolhead["homed_axes"]:
-            self._told = None
+        # Where printer.cfg has a mistake there is none
+        toolhead, wanted = status["toolhead"], self.is_wanted
+        if "z" not in (toolhead.get("homed_axes") or ""):
+            self._told, self.is_wanted = None, False
             if wanted:
                 self._tell("true gap: not known before Z is homed")
             return
+        # Moves that are still to come have changed the G-code Z already
+        if toolhead["print_time"] > toolhead["estimated_print_time"]:
+            return
+        self.is_wanted = False
         z = status["gcode_move"]["gcode_position"][2]
         gap = self._machine.gap_at_zero(z, self._point)
         if self._told is None or abs(gap - self._told) > _SAME or wanted:
