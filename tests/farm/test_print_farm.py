@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import ast
 import json
 import os
 import re
@@ -12,18 +13,24 @@ import time
 from contextlib import ExitStack
 from dataclasses import replace
 from pathlib import Path
+from tempfile import TemporaryDirectory
 
 import pytest
 
-from tests.farm.broker import Broker
+from tests.docs.documents import rows, spans
+from tests.farm.broker import LIMIT, Broker, find_program
 from tests.hostkit.hosts import all_hosts, missing_hosts
 from tests.hostkit.lab import Lab
 from tests.hostkit.moonraker import MoonrakerError
 from tests.hostkit.moonraker_package import find_moonraker
+from tests.modules.unit.loading import load
+from tests.modules.unit.runs import make_runs
 from tests.simprinter import SCENES, Fault
 from tests.simprinter.world import NoiseSpec
 
-EXAMPLES = Path(__file__).resolve().parents[2] / "examples" / "print_farm"
+ROOT = Path(__file__).resolve().parents[2]
+EXAMPLES = ROOT / "examples" / "print_farm"
+DOCUMENT = ROOT / "docs" / "print_farm.md"
 # Seconds of a run that the machine may lose by itself
 SLACK = 20.0
 AT_ONCE = """\
@@ -134,41 +141,99 @@ def value_at(path, message):
     return value
 
 
-def test_each_series_is_of_a_field_that_is_published():
-    for name, path in series().items():
+def keys_of_status(module):
+    """The names that a module's get_status() gives, by its source."""
+    tree = ast.parse((ROOT / f"{module}.py").read_text(encoding="utf-8"))
+    (method,) = (
+        node
+        for node in ast.walk(tree)
+        if isinstance(node, ast.FunctionDef) and node.name == "get_status"
+    )
+    literal = next(n for n in ast.walk(method) if isinstance(n, ast.Dict))
+    return [ast.literal_eval(key) for key in literal.keys]
+
+
+def real_status():
+    """What the modules publish after some runs, by their own code."""
+    module = load("z_touch.history")
+    history = module.History(None, module.File("", 50), "printer.cfg", None)
+    refused = {"ok": False, "time": 1.8e9, "reason": "odd", "sites": {}}
+    runs = [*make_runs(8), {**make_runs(1)[0], **refused}]
+    summary = load("z_touch.trend").summarize(runs)
+    history._take(runs, summary, [])  # noqa: SLF001
+    known = {
+        "z_calibration": {
+            "last_z_offset": 0.16,
+            "last_result": result_of("z_calibration"),
+            "warnings": ["a", "b"],
+            "uncertainty": 0.006,
+            "history": history.status,
+        },
+        "auto_z_offset": {"probe_z_correction": 0.1, "spread": 0.02},
+    }
+    return {
+        module: {name: known[module].get(name) for name in names}
+        for module, names in (
+            (module, keys_of_status(module)) for module in known
+        )
+    }
+
+
+def result_of(module):
+    fields = load(module).Result._fields
+    return {name: number / 10 for number, name in enumerate(fields)}
+
+
+def test_every_field_and_series_is_one_of_the_code():
+    status = real_status()
+    for name in asked_for():
+        module, field = name.split(".")
+        assert field in status[module], f"{name} is not published"
+    found = series()
+    for name, path in found.items():
         _, module, field, *_ = path.split(".")
         assert name.startswith(f"{module}_")
         assert f"{module}.{field}" in asked_for(), path
+        value = value_at(path, {"status": status})
+        assert isinstance(value, (bool, int, float)), f"{name}: {path}"
+    values = {n: value_at(p, {"status": status}) for n, p in found.items()}
+    assert values["z_calibration_run_ok"] is False
+    assert values["z_calibration_run_time"] == 1.8e9
+    assert values["z_calibration_runs"] == 9
+    assert values["z_calibration_warnings"] == 2
 
 
-def test_series_survive_nested_and_missing_values():
-    run = {"time": 5.5, "ok": False, "offset": None}
-    status = {
-        "last_z_offset": 0.16,
-        "uncertainty": None,
-        "warnings": ["a", "b"],
-        "last_result": {"nozzle": 1.6, "switch": 8.0},
-        "history": {
-            "runs": 2,
-            "results": [{"time": 1.0, "ok": True}, run],
-            "spread": {"nozzle": 0.001, "switch": None, "bed": 0.002},
-            "switch_nozzle": 6.4,
-        },
+def test_document_names_what_there_is():
+    text = DOCUMENT.read_text(encoding="utf-8")
+    described, fields = set(), set()
+    files, names, alerts, *_ = (
+        [row for row in rows(part)]
+        for part in re.split(r"\n\n(?!\|)", text)
+        if "\n|---" in part
+    )
+    for row in names:
+        first, *more = spans(row[0])
+        module = re.match("z_calibration|auto_z_offset", first)[0]
+        stem = first.rpartition("_")[0]
+        described |= {first, *(stem + name for name in more)}
+        fields |= {f"{module}.{f.split('.')[0]}" for f in spans(row[1])}
+    assert described == set(series())
+    assert fields == {
+        ".".join(path.split(".")[1:3]) for path in series().values()
     }
+    assert {spans(row[0])[0] for row in alerts} == set(
+        re.findall(r"alert: (\w+)", example("alerts.yml"))
+    )
+    listed = {name for row in files for name in spans(row[0])}
+    assert listed == {path.name for path in EXAMPLES.iterdir()}
+
+
+def test_a_message_may_lack_whatever_has_not_changed():
+    status = {"uncertainty": None, "history": {"results": []}}
     message = {"status": {"z_calibration": status}}
-    found = {name: value_at(path, message) for name, path in series().items()}
-    assert {k: v for k, v in found.items() if v is not None} == {
-        "z_calibration_run_time": 5.5,
-        "z_calibration_run_ok": False,
-        "z_calibration_offset": 0.16,
-        "z_calibration_nozzle": 1.6,
-        "z_calibration_switch": 8.0,
-        "z_calibration_switch_nozzle": 6.4,
-        "z_calibration_spread_nozzle": 0.001,
-        "z_calibration_spread_bed": 0.002,
-        "z_calibration_runs": 2,
-        "z_calibration_warnings": 2,
-    }
+    assert not any(
+        value_at(path, message) is not None for path in series().values()
+    )
 
 
 def test_dashboard_and_alerts_use_series_that_exist():
@@ -251,24 +316,24 @@ def scenes():
 
 
 @pytest.fixture
-def farm(tmp_path):
+def farm():
     """(broker, printers by name), all homed."""
-    program = shutil.which("mosquitto") or shutil.which(
-        "mosquitto", path="/usr/sbin"
-    )
+    program = find_program()
     if program is None:
-        pytest.skip("NOT TESTED: there is no mosquitto (Debian: mosquitto)")
+        pytest.skip("NOT TESTED: neither mosquitto nor amqtt is to be had")
     python = find_moonraker()
     if python is None:
         pytest.skip(f"NOT TESTED: {missing_hosts()['moonraker']}")
     with ExitStack() as stack:
-        broker = stack.enter_context(Broker(program, tmp_path, python))
+        # pytest's are too long for the name of a socket
+        folder = stack.enter_context(TemporaryDirectory(prefix="farm-"))
+        broker = stack.enter_context(Broker(program, Path(folder), python))
         printers = {}
         for name, scene in scenes().items():
-            folder = tmp_path / name
-            folder.mkdir()
+            home = Path(folder, name)
+            home.mkdir()
             lab = FarmPrinter(
-                name, broker, all_hosts()[-1], python, folder, scene
+                name, broker, all_hosts()[-1], python, home, scene
             )
             printers[name] = stack.enter_context(lab)
             lab.copy_by_hand("z_calibration")
@@ -278,13 +343,28 @@ def farm(tmp_path):
         yield broker, printers
 
 
+def newest(broker, printer):
+    """The last number of each of its series."""
+    found = {}
+    for message in broker.messages():
+        if message.printer == printer:
+            content = {"status": message.status}
+            values = {n: value_at(p, content) for n, p in series().items()}
+            found.update({n: v for n, v in values.items() if v is not None})
+    return found
+
+
+def arrived(broker, printer):
+    return [result["offset"] for result in broker.results(printer)]
+
+
 @pytest.mark.skipif(
     not os.environ.get("EVERY_HOST"), reason="a minute or more: EVERY_HOST=1"
 )
-@pytest.mark.timeout(280)
+@pytest.mark.timeout(600)
 def test_each_run_of_each_printer_arrives_once(farm):
     broker, printers = farm
-    good, worn, lost = printers["good"], printers["worn"], printers["lost"]
+    good, lost = printers["good"], printers["lost"]
     with lost.standing() as printer:
         machine = printer.machine
         now = machine.rig.seconds(machine.simulation.clock.now())
@@ -298,27 +378,47 @@ def test_each_run_of_each_printer_arrives_once(farm):
     with pytest.raises(MoonrakerError, match="the probe reads triggered"):
         lost.moonraker.run("CALIBRATE_Z")
     for name, results in wanted.items():
-        broker.until(lambda name=name: len(broker.results(name)) >= 2, name)
-        arrived = [result["offset"] for result in broker.results(name)]
-        assert arrived == pytest.approx(results)
+        broker.until(lambda n=name: len(arrived(broker, n)) >= 2, name)
+        broker.until(
+            lambda n=name: newest(broker, n).get("z_calibration_runs") == 2,
+            f"the history of {name}",
+        )
+        assert arrived(broker, name) == pytest.approx(results)
+        assert newest(broker, name)["z_calibration_run_ok"] is True
     assert wanted["good"][0] - wanted["good"][1] == pytest.approx(0.01)
-    assert broker.results("lost") == []
+    varies = "z_calibration_spread_switch"
+    assert newest(broker, "worn")[varies] > newest(broker, "good")[varies]
+    broker.until(
+        lambda: newest(broker, "lost").get("z_calibration_run_ok") is False,
+        "the refusal",
+    )
+    assert arrived(broker, "lost") == []
 
     # Away in the middle of a run: that goes on, and the printer knows it
     _, usual = good.calibrated(0.46)
     timer = threading.Timer(0.5, broker.stop)
     timer.start()
-    offset, seconds = good.calibrated(0.47)
+    missed, seconds = good.calibrated(0.47)
     timer.join()
-    assert offset == pytest.approx(wanted["good"][0] - 0.03)
+    assert missed == pytest.approx(wanted["good"][0] - 0.03)
     assert seconds < usual + SLACK
-    # Back again: what comes next arrives, once
+    # Back again: what comes next arrives, once, with what was missed
     broker.start()
-    last = worn.calibrated(0.48)[0]
-    known = len(broker.results("good"))
-    end = time.monotonic() + 60
-    while len(broker.results("worn")) < 3 and time.monotonic() < end:
-        last = worn.calibrated(0.48 + time.monotonic() % 1 / 100)[0]
-    arrived = [result["offset"] for result in broker.results("worn")]
-    assert arrived[-1] == pytest.approx(last)
-    assert len(broker.results("good")) == known
+    for name in ("worn", "good"):
+        known, end = len(arrived(broker, name)), time.monotonic() + LIMIT
+        offset = 0.48
+        while len(arrived(broker, name)) == known:
+            assert time.monotonic() < end, f"nothing arrives from {name}"
+            last = printers[name].calibrated(offset)[0]
+            offset += 0.001
+        assert arrived(broker, name)[-1] == pytest.approx(last)
+        results = arrived(broker, name)
+        assert len(set(results)) == len(results)
+    histories = [
+        message.status["z_calibration"]["history"]["results"]
+        for message in broker.messages()
+        if "history" in message.status.get("z_calibration", {})
+        and message.printer == "good"
+    ]
+    kept = [run["offset"] for run in histories[-1]]
+    assert any(offset == pytest.approx(missed) for offset in kept)
