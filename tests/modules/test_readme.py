@@ -135,7 +135,7 @@ def test_numbers_of_the_readme_are_those_of_the_picture():
 def test_readme_is_short_and_begins_with_what_one_can_try():
     lines = README.read_text(encoding="utf-8").splitlines()
     assert len(lines) <= 130
-    assert {"make demo", "make test"} <= {
+    assert {"make demo", "make printer", "make test"} <= {
         line.partition("#")[0].strip() for line in lines[:24]
     }
 
@@ -186,12 +186,15 @@ DEMO = {
 }
 # What follows the command, so that it does not run this test again
 ADDED = {
+    # By tests/playground
+    "make printer": " --dry-run",
     # The same with more hosts is below
     "make test": " --dry-run",
     "KLIPPER_PATH=~/klipper:~/kalico make test": " PYTEST_ARGS=--version",
     "build/venv/bin/python -m tests.demo --help": "",
 }
 EXPECTED = {
+    "make printer": r"-m tests\.playground",
     "make test": r"-m pytest -n \d",
     "KLIPPER_PATH=~/klipper:~/kalico make test": r"klipper@klipper.*\nkalico@",
     "build/venv/bin/python -m tests.demo --help": r"--scene",
