@@ -77,10 +77,13 @@ class Setup(object):
         if self.is_printing():
             raise gcmd.error("%s: not during a print" % (self.host.name,))
 
-    # A jog leaves the dialog as it is; after an error it says why
+    # A jog leaves the dialog as it is; after an error it says why.  For longer
+    # work it closes: it would cover the emergency stop of a web interface.
     def answered(self, gcmd):
         is_jog = any(gcmd.get(axis, "").strip() for axis in "XYZ")
         work = self.jog if is_jog else self.go_on
+        if not is_jog:
+            self.host.gcode.respond_raw(END)
         try:
             self.run(gcmd, functools.partial(work, gcmd, self.state))
         except self.host.printer.command_error as e:
@@ -123,6 +126,8 @@ class Setup(object):
             return
         if not answer:
             self.work_of(state.step)(gcmd, state)
+        elif state.step == "paper":
+            self.ways.lift(state)
         if self.state is not None:
             state.step, state.arrived = following, False
             self.enter(following)

@@ -73,6 +73,8 @@ class Hands(object):
         reactor, host = self.host.printer.get_reactor(), self.host
         end, readings = host.eventtime() + steps.HAND_PATIENCE, []
         host.toolhead.wait_moves()
+        for line in steps.while_watching(name):
+            host.gcode.respond_raw(line)
         gcmd.respond_info("%s: watching %s ..." % (host.name, name))
         while True:
             now = host.after_moves()

@@ -101,11 +101,11 @@ def buttons(name):
 # The dialog of a step, and the same for the console.  'late': what the head has
 # yet to do before the step can be answered.
 def ask(name, facts, problem="", late=""):
-    groups = jog_groups(name)
+    groups, answers = jog_groups(name), buttons(name)
     if name == "gap":
-        groups.append(
-            [(t, command(name, TYPE=t), "secondary") for t in SWITCHES]
-        )
+        types = [(t, command(name, TYPE=t), "secondary") for t in SWITCHES]
+        groups.append(types)
+        answers = types + answers
     text = STEPS[name].text % facts
     if late:
         text = "The head is not there yet. '%s': %s, then this is asked again."
@@ -116,10 +116,19 @@ def ask(name, facts, problem="", late=""):
         text = "Not done: %s. %s" % (problem.rstrip("."), text)
     shown = list(lines(STEPS[name].headline, text, buttons(name), groups))
     said = ["%s: %s" % (STEPS[name].headline, text)]
-    said += ["%s: %s" % (label, gcode) for label, gcode, _ in buttons(name)]
+    said += ["%s: %s" % (label, gcode) for label, gcode, _ in answers]
     if STEPS[name].axes:
         said.append("move the head: %s" % (command(name, Z="+0.1"),))
     return shown, "\n".join(said)
+
+
+# The dialog until something is pressed by hand; all that it can answer waits.
+def while_watching(name):
+    text = (
+        "Press %s by hand now and let go, within %d seconds. What comes next is"
+        " shown by itself." % (name, HAND_PATIENCE)
+    )
+    return lines("Press it now", text, [("Abort", ABORT, "error")])
 
 
 # What a hand has done to a switch, from pairs: whether it and another one read

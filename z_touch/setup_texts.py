@@ -4,14 +4,14 @@ import collections
 
 # 'text' is filled in from facts; 'answers' are (label, word, colour), the first
 # one without a word; 'back' is the step that BACK leads to; 'axes' are those
-# with buttons to jog.
+# with buttons to jog.  At the foot of a dialog, "secondary" looks switched off.
 Step = collections.namedtuple("Step", "name headline text answers back axes")
 
 
 def step(name, headline, text, go_on, more=(), back=None, axes=""):
     answers = ((go_on, "", "primary"),) + tuple(more)
     if back is not None:
-        answers += (("Back", "BACK", "secondary"),)
+        answers += (("Back", "BACK", "warning"),)
     return Step(name, headline, text, answers, back, axes)
 
 
@@ -39,7 +39,7 @@ ALL = (
         "Take the probe off the head, then 'Next'. 'Skip' where it"
         " cannot be taken off.",
         "Next",
-        [("Skip", "SKIP", "secondary")],
+        [("Skip", "SKIP", "warning")],
     ),
     step(
         "probe",
@@ -156,18 +156,19 @@ ALL = (
     step(
         "gap",
         "Which switch has the probe?",
-        "%(found)s Which switch is in the probe? Take its button, or on"
-        " the console TYPE=D2F, TYPE=SSG or VALUE=mm. 'Paper' lifts the"
-        " head to Z=%(travel_z).1f and goes with the nozzle over the"
-        " bed, down to Z=%(paper_z).2f, about 2 to 3 mm above it.",
+        "%(found)s Which switch is in the probe? Take its button. The value"
+        " of another one goes in on the console: Z_CALIBRATION_SETUP STEP=GAP"
+        " VALUE=mm. Or 'Paper' lifts the head to Z=%(travel_z).1f and goes"
+        " with the nozzle over the bed, down to Z=%(paper_z).2f, about 2 to"
+        " 3 mm above it.",
         "Paper",
     ),
     step(
         "paper",
         "Nozzle to the sheet",
         "Lay a sheet of paper on the bed. Lower the nozzle with the"
-        " buttons until it just holds the sheet. 'Here' keeps that"
-        " and lifts the head to Z=%(travel_z).1f.",
+        " buttons until it just holds the sheet. 'Here' keeps that."
+        " 'Here' and 'Back' lift the head to Z=%(travel_z).1f.",
         "Here",
         back="gap",
         axes="Z",
@@ -175,8 +176,9 @@ ALL = (
     step(
         "save",
         "Save",
-        "%(found)s 'Save' hands this to SAVE_CONFIG, which writes"
-        " printer.cfg and restarts Klipper: %(values)s.%(not_saved)s",
+        "%(found)s After this, home (G28) and run CALIBRATE_Z. 'Save' hands"
+        " this to SAVE_CONFIG, which writes printer.cfg and restarts Klipper:"
+        " %(values)s.%(not_saved)s",
         "Save",
         back="gap",
     ),

@@ -43,6 +43,12 @@ def test_from_an_empty_section_to_the_true_gap(start):
     user.test_switches()
     user.set_places(**CARTESIAN)
     user.touch()
+    # Nobody leaves the nozzle as low as that
+    height = user.position()[2]
+    user.press("Paper")
+    assert user.position()[2] < height - 1.0
+    user.press("Back")
+    assert user.position()[2] > height
     user.press("Paper")
     user.lower_to_the_sheet()
     user.press("Here")
@@ -268,6 +274,8 @@ def assert_heights_and_probe_are_watched(user):
     printer.session.run_until(
         command, lambda: len(touched_sites(printer)) > seen + 1
     )
+    # It would be in the way of the emergency stop
+    assert user.dialog() is None
     machine = printer.machine
     machine.world.lose_probe(
         machine.rig.seconds(machine.simulation.clock.now())

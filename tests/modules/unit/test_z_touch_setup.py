@@ -46,6 +46,8 @@ def test_dialog_and_console_say_the_same(name):
     )
     for label, gcode, _ in shown.footer_buttons:
         assert f"{label}: {gcode}" in said
+    # On the dark page that one cannot be told from a button out of use
+    assert "secondary" not in {b[2] for b in shown.footer_buttons}
     assert shown.footer_buttons[-1][1] == "Z_CALIBRATION_SETUP STEP=ABORT"
     others = [b for group in shown.groups for b in group]
     own = f"Z_CALIBRATION_SETUP STEP={name.upper()}"
@@ -133,6 +135,13 @@ def test_jog_buttons_are_of_four_and_lead_both_ways():
     assert not dialog("home")[0].groups
     (types,) = dialog("gap")[0].groups
     assert [b[1][-8:] for b in types] == ["TYPE=D2F", "TYPE=SSG"]
+    assert "D2F: Z_CALIBRATION_SETUP STEP=GAP TYPE=D2F" in dialog("gap")[1]
+
+
+def test_dialog_while_watching_cannot_watch_twice():
+    (shown,) = dialogs_of(steps.while_watching("the probe"))
+    assert shown.texts[0].startswith("Press the probe by hand now")
+    assert [b[0] for b in shown.footer_buttons] == ["Abort"]
 
 
 NO, YES = False, True
