@@ -10,6 +10,8 @@ from tests.simprinter import Fault, Scene
 from tests.simprinter.simulation import Pace
 
 SLOWEST, FASTEST = 1.0, 20.0
+# The printer's seconds for which a hand presses a switch
+_PRESSED = 2.0
 
 
 class CommandError(Exception):
@@ -87,6 +89,22 @@ def _late(watcher: Watcher, scene: Scene, words: list[str]) -> str:
     return f"{name} triggers {mm:g} mm too deep from now on"
 
 
+def _press(watcher: Watcher, scene: Scene, words: list[str]) -> str:
+    name = words[0]
+    _pin_of(scene, name)
+    hold = watcher.machine.hold
+    hold(name, True)
+    watcher.later(_PRESSED, lambda: hold(name, None))
+    return f"a hand presses {name} for {_PRESSED:g} s"
+
+
+def _attach(watcher: Watcher, scene: Scene, words: list[str]) -> str:
+    if scene.world.mag_probe is None:
+        raise CommandError("this printer has no probe to put on the head")
+    watcher.machine.world.put_probe_on(watcher.seconds())
+    return "the probe is on the head"
+
+
 def _drop(watcher: Watcher, scene: Scene, words: list[str]) -> str:
     if scene.world.mag_probe is None:
         raise CommandError("this printer has no probe that could fall off")
@@ -134,6 +152,8 @@ COMMANDS = {
     "break": Command("WIRE", "a wire breaks", _break),
     "short": Command("WIRE", "a wire touches ground", _short),
     "late": Command("WIRE MM", "a sensor gets slack", _late),
+    "press": Command("WIRE", "press a switch by hand, let go", _press),
+    "attach": Command("", "put the probe on the head by hand", _attach),
     "drop": Command("", "the probe falls off", _drop),
     "repair": Command("", "take all faults back", _repair),
     "lay": Command(

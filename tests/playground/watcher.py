@@ -52,6 +52,8 @@ class Watcher:
         self._orders: queue.SimpleQueue[Callable[[], None]] = (
             queue.SimpleQueue()
         )
+        # What is to be done at a time of the printer (s)
+        self._later: list[tuple[float, Callable[[], None]]] = []
         self._api = ApiClient(socket)
         self._contacts = _Contacts(machine, self.tell)
         self._gap = _Gap(machine, self._api, point, self.tell)
@@ -59,6 +61,10 @@ class Watcher:
     def order(self, action: Callable[[], None]) -> None:
         """Have something done to the machine, soon; for other threads."""
         self._orders.put(action)
+
+    def later(self, seconds: float, action: Callable[[], None]) -> None:
+        """Have something done when so many of the printer's seconds are over."""
+        self._later.append((self.seconds() + seconds, action))
 
     def ask_gap(self) -> None:
         """Tell the true gap as soon as the head stands."""
@@ -93,6 +99,9 @@ class Watcher:
         moved = self._api.pump()
         while not self._orders.empty():
             self._orders.get()()
+        for due in [due for due in self._later if due[0] <= self.seconds()]:
+            self._later.remove(due)
+            due[1]()
         self._contacts.look()
         return self._gap.look() or moved
 

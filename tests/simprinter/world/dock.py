@@ -283,6 +283,11 @@ class Keeper:
         if self._holder.at(t) is ProbeState.LOST:
             self._holder.change(t, self._at_first, 0.0)
 
+    def put_on(self, t: float) -> None:
+        """Somebody puts it on the head, wherever it was."""
+        if not self._holder.held(t):
+            self._change(t, ProbeState.ATTACHED, 0.0)
+
     def _change(self, t: float, state: ProbeState, delay: float) -> None:
         self._holder.change(t, state, delay)
         self._settle(t)

@@ -140,6 +140,11 @@ class World:
         if self._keeper is not None:
             self._keeper.bring_back(t)
 
+    def put_probe_on(self, t: float) -> None:
+        """Somebody puts the probe on the head at time t."""
+        if self._keeper is not None:
+            self._keeper.put_on(t)
+
     def lay_membrane(self, is_laid: bool) -> None:
         """Somebody lays the membrane switch on the plate, or takes it away."""
         self._builder.membrane_is_laid = is_laid
