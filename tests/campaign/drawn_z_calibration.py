@@ -224,8 +224,8 @@ class ZCalibration(Drawn):
         return replace(self, probe=probe, mistake=mistake)
 
     @property
-    def pin_samples(self) -> int:
-        """How often nozzle and body touch the pin."""
+    def wanted_samples(self) -> int:
+        """How often each place is touched, the bed, too."""
         return self.options.samples or self.sampling.samples
 
     @property
@@ -351,11 +351,11 @@ class ZCalibration(Drawn):
 
     @property
     def sites(self) -> dict[str, tuple[tuple[float, float], int]]:
-        wanted = self.pin_samples
+        wanted = self.wanted_samples
         return {
             "nozzle_pin": ((self.pin.x, PIN_Y), wanted),
             "body_pin": (self.switch_head, wanted),
-            "probe_bed": (self.probe_head, self.sampling.samples),
+            "probe_bed": (self.probe_head, wanted),
         }
 
     def place(self, touches: Sequence[Touch]) -> tuple[float, float]:
