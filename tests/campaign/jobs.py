@@ -243,23 +243,6 @@ def _auto_z_offset_jobs() -> list[Job]:
     ]
 
 
-# They came after the figures of docs/reliability.md; the next whole run has them
-UNPUBLISHED = (
-    "EXTRA_PROBE_CALIBRATE, first of all",
-    "EXTRA_PROBE_CALIBRATE",
-    "EXTRA_PROBE",
-    "PROBE, dockable",
-    "PROBE, dockable, with sensors",
-    "PROBE, dockable, tried again",
-    "BED_MESH_CALIBRATE, dockable",
-    "QUAD_GANTRY_LEVEL, dockable",
-    "Z_TILT_ADJUST, dockable",
-    "SCREWS_TILT_CALCULATE, dockable",
-    "G28, dockable",
-)
-UNPUBLISHED_FAULTS = ("attach_fails", "dock_fails")
-
-
 # What a dockable probe of others can do, too, with the options that all have
 COMPARED = (
     "PROBE, dockable, tried again",
@@ -323,7 +306,7 @@ def _extra_probe_jobs() -> list[Job]:
 # All of a dockable probe that are no touch's: those of a touch are the host's
 _LOST = (
     *("stuck_open", "stuck_closed", "probe_falls", "mcu_silent", "cancel"),
-    *UNPUBLISHED_FAULTS,
+    *("attach_fails", "dock_fails"),
 )
 
 
