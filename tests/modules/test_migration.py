@@ -2,6 +2,9 @@
 
 from __future__ import annotations
 
+import re
+from pathlib import Path
+
 import pytest
 
 from tests.hostkit.auto_z_offset import MICROSTEP, POINT, told
@@ -9,6 +12,8 @@ from tests.modules.example_owners import OWNERS
 from tests.simprinter import SCENES
 
 pytestmark = pytest.mark.spread
+
+DOCS = Path(__file__).resolve().parents[2] / "docs"
 
 # As the file of Klicky has it: names of 2021, the probe attached late, and a
 # macro around the command
@@ -91,3 +96,27 @@ def test_freedis_section_as_the_document_changes_it(start):
     printer.run("PRINT_START BED=40 HOTEND=180")
     gap = 0.07 - scene.piezo_depth(9.49)
     assert printer.gap(POINT) == pytest.approx(gap, abs=4 * MICROSTEP)
+
+
+def test_line_that_stops_the_original_module_is_named(start):
+    # Which is what our own correction leaves behind
+    printer = start("qidi", changes={}).homed()
+    printer.run("AUTO_Z_CALIBRATE")
+    pending = printer.status("configfile")["save_config_pending_items"]
+    (name,) = set(pending["auto_z_offset"]) - {"probe_z_correction"}
+    text = (DOCS / "auto_z_offset.md").read_text(encoding="utf-8")
+    assert f"delete the line `#*# {name} = ...`" in text
+
+
+def test_locked_probe_is_put_away_as_documented(start):
+    owner = OWNERS["voron_late_probe"]
+    text = (DOCS / "z_calibration.md").read_text(encoding="utf-8")
+    (line,) = re.findall(r"`error_gcode: (\w+)`", text)
+    # Of a locked probe Klicky's own Dock_Probe does nothing
+    own = {"end_gcode": "G4 P1", "error_gcode": line, "max_deviation": "0.01"}
+    section = {**KLICKY["z_calibration"], **own}
+    changes = {**KLICKY, "z_calibration": section}
+    printer = start(owner.scene, changes=changes).homed()
+    assert "outside offset_margins" in printer.fail("CALIBRATE_Z")
+    kinds = [event.kind for event in printer.machine.truth.events]
+    assert kinds == ["attach", "dock"]
