@@ -122,6 +122,22 @@ def test_calibration_is_seen_touch_by_touch_with_all_faults(play):
     assert played.gap(shown) == pytest.approx(scene.formula_gap(), abs=3e-3)
 
 
+def test_hand_presses_a_switch_and_puts_the_probe_on(play):
+    played = play("z_calibration")
+    query = played.printer.homed().run
+    played.type("drop")
+    played.shown("lost")
+    assert "TRIGGERED" in query("QUERY_PROBE")[-1]
+    assert played.type("attach") == "the probe is on the head"
+    assert "open" in query("QUERY_PROBE")[-1]
+    assert played.type("press probe") == "a hand presses probe for 2 s"
+    assert "TRIGGERED" in query("QUERY_PROBE")[-1]
+    # It lets go
+    played.shown()
+    assert "open" in query("QUERY_PROBE")[-1]
+    assert played.type("press nothing").startswith("!! no wire nothing, only")
+
+
 def test_gap_that_is_asked_for_waits_until_klippy_is_done(play):
     played = play("z_calibration")
     session = played.printer.session
