@@ -23,13 +23,17 @@ from tests.demo.recording import Recorder, axis_of
 from tests.docs.pictures import mm
 from tests.docs.z_calibration_picture import MEANING, Touches, draw
 from tests.hostkit.environment import build_dir
-from tests.hostkit.hosts import Host, HostError, find_hosts
-from tests.hostkit.printer import Printer, choose_host, firmware_of
-from tests.hostkit.session import GcodeError, SessionError
+from tests.hostkit.hosts import Host, find_hosts
+from tests.hostkit.printer import (
+    NO_PRINTER,
+    Printer,
+    choose_host,
+    firmware_of,
+)
+from tests.hostkit.session import GcodeError
 from tests.simprinter import SCENES, Scene
-from tests.simprinter.clock import ClockError
 from tests.simprinter.scenes import Sections
-from tests.simprinter.simulation import SimulationError, Stopwatch
+from tests.simprinter.simulation import Stopwatch
 from tests.simprinter.world import CrashError
 
 # How far (Z microsteps) the true gap may be off what the formula predicts
@@ -312,13 +316,7 @@ def main(words: Optional[Sequence[str]] = None) -> int:
         print(f"!! {error}")
     except CrashError as error:
         print(f"\nFAILED: {error}")
-    except (
-        ClockError,
-        HostError,
-        OSError,
-        SessionError,
-        SimulationError,
-    ) as error:
+    except NO_PRINTER as error:
         print(f"error: {error}", file=sys.stderr)
     return 1
 

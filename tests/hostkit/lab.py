@@ -10,7 +10,7 @@ from __future__ import annotations
 import os
 import re
 import shutil
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterator, Mapping, Sequence
 from concurrent.futures import Future
 from contextlib import ExitStack, contextmanager
 from dataclasses import replace
@@ -64,14 +64,13 @@ _GITCONFIG = """
 # Announcements are read from files, not from the internet
 _MOONRAKER_CONF = """\
 [server]
-host: 127.0.0.1
+host: {listen}
 port: {port}
 klippy_uds_address: {data}/comms/klippy.sock
 
 [authorization]
-trusted_clients:
-    127.0.0.1
-
+trusted_clients:{trusted}
+{cors}
 [machine]
 provider: systemd_cli
 validate_service: False
@@ -199,9 +198,26 @@ class Lab:
 
     def _make_moonraker(self, python: Path) -> Moonraker:
         port = free_port()
-        conf = _MOONRAKER_CONF.format(port=port, data=self.data)
-        (self.data / "config" / "moonraker.conf").write_text(conf)
+        self._write_moonraker_conf(port)
         return Moonraker(python, self.data, port, self._env)
+
+    def _write_moonraker_conf(
+        self,
+        port: int,
+        listen: str = "127.0.0.1",
+        trusted: Sequence[str] = ("127.0.0.1",),
+        origins: Sequence[str] = (),
+    ) -> None:
+        """origins: of the web pages that may ask."""
+        cors = f"cors_domains:{_listed(origins)}\n" if origins else ""
+        conf = _MOONRAKER_CONF.format(
+            listen=listen,
+            port=port,
+            data=self.data,
+            trusted=_listed(trusted),
+            cors=cors,
+        )
+        (self.data / "config" / "moonraker.conf").write_text(conf)
 
     def _make_configs(self) -> None:
         # Klippy gets one with its serial device when it is started
@@ -360,3 +376,7 @@ def _files_but_ignored_ones() -> list[str]:
         inner = Path(folder).relative_to(REPO_ROOT)
         found += [str(inner / name) for name in files]
     return found
+
+
+def _listed(words: Sequence[str]) -> str:
+    return "".join(f"\n    {word}" for word in words)

@@ -15,11 +15,15 @@ from tests.hostkit.hosts import (
     find_hosts,
     missing_hosts,
 )
-from tests.hostkit.session import GcodeError, LiveSession
+from tests.hostkit.session import GcodeError, LiveSession, SessionError
 from tests.simprinter import SCENES, Fault, Machine, RealClock, Scene
+from tests.simprinter.clock import ClockError
 from tests.simprinter.scenes import Sections
+from tests.simprinter.simulation import SimulationError
 
 _ROOT = Path(__file__).resolve().parents[2]
+# Why there is no simulated printer, or none any more
+NO_PRINTER = (ClockError, HostError, OSError, SessionError, SimulationError)
 MODULES = ("z_calibration", "auto_z_offset", "dockable_probe", "extra_probe")
 
 

@@ -2,15 +2,12 @@
 
 from __future__ import annotations
 
-import functools
 import re
 import statistics
-from contextlib import ExitStack
 from dataclasses import replace
 
 import pytest
 
-from tests.hostkit.printer import Printer
 from tests.hostkit.z_calibration import (
     MICROSTEP,
     PIN,
@@ -116,20 +113,6 @@ WRONG = [
     ),
     ("CALCULATE_SWITCH_OFFSET SWITCH_OFFSET=-1", "SWITCH_OFFSET"),
 ]
-
-
-@pytest.fixture(scope="module")
-def calibrated():
-    """host -> a printer on it that was calibrated, for what changes nothing."""
-    with ExitStack() as stack:
-
-        @functools.cache
-        def on(host):
-            printer = stack.enter_context(Printer(host))
-            calibration(printer.homed())
-            return printer
-
-        yield on
 
 
 @pytest.mark.parametrize(("script", "words"), WRONG)

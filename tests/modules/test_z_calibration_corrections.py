@@ -2,15 +2,12 @@
 
 from __future__ import annotations
 
-import functools
 import json
-from contextlib import ExitStack
 from pathlib import Path
 
 import pytest
 
 from tests.docs.documents import ini_blocks
-from tests.hostkit.printer import Printer
 from tests.hostkit.z_calibration import (
     MICROSTEP,
     SWITCH_OFFSET,
@@ -110,20 +107,6 @@ def test_button_that_saves_in_vain_is_told_of_once(start, button):
     assert "z_calibration" not in pending(printer)
     assert pending(printer)
     assert hint not in "\n".join(printer.run(button))
-
-
-@pytest.fixture(scope="module")
-def calibrated():
-    """host -> a printer on it that was calibrated."""
-    with ExitStack() as stack:
-
-        @functools.cache
-        def on(host):
-            printer = stack.enter_context(Printer(host))
-            calibration(printer.homed())
-            return printer
-
-        yield on
 
 
 @pytest.mark.parametrize(

@@ -419,7 +419,10 @@ def test_probe_that_fetches_itself(start):
     user.begin()
     user.test_switches()
     user.press("Home")
-    printer.run("G90\nG1 X206 Y306 F12000")
+    # In front of the dock
+    printer.run("G90\nG1 X50 Y270 F12000\nG1 Y294")
+    assert "14.0 mm from dock_position" in user.refused("Here")
+    printer.run("G1 Y270\nG1 X206\nG1 Y306")
     for label in ("Here", "Attach", "Here"):
         user.press(label)
     assert where(printer) == "attached"

@@ -22,15 +22,12 @@ from contextlib import suppress
 from pathlib import Path
 from typing import Optional
 
-from tests.hostkit.hosts import HostError, find_hosts
+from tests.hostkit.hosts import find_hosts
 from tests.hostkit.moonraker_package import find_moonraker
-from tests.hostkit.printer import choose_host, firmware_of
-from tests.hostkit.session import SessionError
+from tests.hostkit.printer import NO_PRINTER, choose_host, firmware_of
 from tests.playground import network
 from tests.playground.commands import COMMANDS, speed_of
 from tests.playground.playground import KNOWN, SHOWN, Door, Playground
-from tests.simprinter.clock import ClockError
-from tests.simprinter.simulation import SimulationError
 
 # Real seconds between two looks at what systemd would have to do
 _LOOK_EVERY = 0.2
@@ -201,15 +198,7 @@ def main(words: Optional[Sequence[str]] = None) -> int:
     except KeyboardInterrupt:
         say("ended")
         return 0
-    except (
-        ClockError,
-        HostError,
-        OSError,
-        SessionError,
-        SimulationError,
-        ValueError,
-        network.AddressError,
-    ) as error:
+    except (*NO_PRINTER, ValueError, network.AddressError) as error:
         print(f"error: {error}", file=sys.stderr)
     return 1
 

@@ -44,29 +44,6 @@ _MACROS = {
         "gcode": "\n  TURN_OFF_HEATERS\n  BASE_CANCEL_PRINT",
     },
 }
-_CONF = """\
-[server]
-host: {listen}
-port: {port}
-klippy_uds_address: {data}/comms/klippy.sock
-
-[authorization]
-trusted_clients:
-{trusted}
-cors_domains:
-{origins}
-
-[machine]
-provider: systemd_cli
-validate_service: False
-
-[announcements]
-dev_mode: True
-
-[update_manager]
-enable_auto_refresh: False
-enable_system_updates: False
-"""
 
 
 def dressed(scene: Scene) -> Scene:
@@ -129,14 +106,8 @@ class Playground(Lab):
         listen, wanted_port, more = self._door
         trusted = network.trusted(listen)
         port, self._claim = network.reserved_port(listen, wanted_port)
-        conf = _CONF.format(
-            listen=listen,
-            port=port,
-            data=self.data,
-            trusted=_lines(trusted),
-            origins=_lines(network.origins(listen, more)),
-        )
-        (self.data / "config" / "moonraker.conf").write_text(conf)
+        origins = network.origins(listen, more)
+        self._write_moonraker_conf(port, listen, trusted, origins)
         return Moonraker(python, self.data, port, self._env, trusted[0])
 
     def set_up(self) -> None:
@@ -218,7 +189,3 @@ class Playground(Lab):
             super()._stop_klipper()
         if watcher is not None:
             watcher.close()
-
-
-def _lines(words: Sequence[str]) -> str:
-    return "\n".join(f"    {word}" for word in words)

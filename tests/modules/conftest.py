@@ -1,0 +1,27 @@
+"""Printers that several tests of a file share."""
+
+from __future__ import annotations
+
+import functools
+from collections.abc import Callable, Iterator
+from contextlib import ExitStack
+
+import pytest
+
+from tests.hostkit.hosts import Host
+from tests.hostkit.printer import Printer
+from tests.hostkit.z_calibration import calibration
+
+
+@pytest.fixture(scope="module")
+def calibrated() -> Iterator[Callable[[Host], Printer]]:
+    """A printer on a host that was calibrated, for what leaves it so."""
+    with ExitStack() as stack:
+
+        @functools.cache
+        def on(host: Host) -> Printer:
+            printer = stack.enter_context(Printer(host))
+            calibration(printer.homed())
+            return printer
+
+        yield on
