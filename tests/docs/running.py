@@ -58,7 +58,7 @@ class Running:
         scene = replace(scene, sections={**listener, **scene.sections})
         modules = with_extras("listener")
         self.printer = Printer(host, scene, modules=modules)
-        self._loads: dict[str, Load] = {}
+        self._loads: dict[frozenset, Load] = {}
         self._steps: dict[str, list[Step]] = {}
         self._gaps: dict[str, float] = {}
         # Names of options, and by command those of its parameters
@@ -85,21 +85,22 @@ class Running:
 
     def load(self, **own: Optional[str]) -> Load:
         """The module with what is required and these options."""
-        config = self.config(self.plain, {self.module.name: own})
-        if config not in self._loads:
+        key = frozenset(own.items())
+        if key not in self._loads:
+            config = self.config(self.plain, {self.module.name: own})
             session = self.printer.session
             before = len(session.console)
             state, message = session.reload(config)
             is_ready = state == "ready"
             assert is_ready or own, message
             listener = self._listen() if is_ready else {}
-            self._loads[config] = Load(
+            self._loads[key] = Load(
                 "" if is_ready else message,
                 session.console[before:],
                 listener.get("kept", {}),
                 self.printer.status("configfile"),
             )
-        return self._loads[config]
+        return self._loads[key]
 
     def _listen(self) -> dict[str, Any]:
         status = self.printer.status("listener")

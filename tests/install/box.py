@@ -6,6 +6,7 @@ import os
 import re
 import shutil
 import subprocess
+import tempfile
 from collections.abc import Iterable, Mapping
 from pathlib import Path
 from typing import NamedTuple, Optional, Union
@@ -22,6 +23,9 @@ ORIGIN = "https://example.com/somebody/z-calibration.git"
 MODULES = sorted(module_files())
 KALICO_SHIPS = ("z_calibration", "dockable_probe")
 OVERRIDE = "[danger_options]\nallow_plugin_override: True\n"
+
+# The first clone of this repository, which the others are copies of
+_CLONE: list[tempfile.TemporaryDirectory] = []
 
 # Notes its call; answers with what lies in the file of that name
 FAKE = """#!/usr/bin/env bash
@@ -113,7 +117,12 @@ class Box:
 
     def clone(self, folder: Path) -> Path:
         """A clone of this repository, as far as the script needs it."""
-        folder.mkdir(parents=True)
+        if not _CLONE:
+            _CLONE.append(tempfile.TemporaryDirectory(prefix="clone-"))
+            self._make_clone(Path(_CLONE[0].name))
+        return shutil.copytree(_CLONE[0].name, folder, symlinks=True)
+
+    def _make_clone(self, folder: Path) -> None:
         for file in (REPO / "install.sh", *module_files().values()):
             shutil.copy2(file, folder)
         shutil.copytree(
@@ -123,7 +132,6 @@ class Box:
         )
         self.commit(folder)
         self.git(folder, "remote", "add", "origin", ORIGIN)
-        return folder
 
     def commit(self, folder: Path) -> None:
         """Make a folder a repository with all that is in it."""
