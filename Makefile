@@ -47,7 +47,7 @@ COMPILE = import sys; [compile(open(f).read(), f, 'exec') for f in sys.argv[1:]]
 .PHONY: clean
 
 test: prepared lint
-	$(TOOLS)/python -m pytest -n $(PYTEST_WORKERS) $(PYTEST_ARGS)
+	$(TOOLS)/python -m pytest -n $(PYTEST_WORKERS) --dist worksteal $(PYTEST_ARGS)
 
 quick: prepared lint
 	ONE_HOST=1 $(TOOLS)/python -m pytest -n 2 -m quick tests/modules

@@ -19,6 +19,8 @@ EMPTY = {
     "switch_offset": None,
 }
 JOGS = (10.0, 1.0, 0.1)
+# Where nozzle and body of the switch are over the pin of that scene
+CARTESIAN = {"NOZZLE": (226.0, 20.0), "SWITCH": (254.0, 14.5)}
 
 
 def open_dialog(console: Iterable[str]) -> Optional[Shown]:
@@ -134,6 +136,30 @@ class User:
         self.jog_to(*switch)
         for label in ("Here", "Here", "Yes", "Yes", "Yes"):
             self.press(label)
+
+    def go_on(self) -> None:
+        """Do what a step asks of one who sets the scene "cartesian" up."""
+        step = self.step()
+        if step == "PIN":
+            self.by_hand(self.pin)
+        elif step == "OFF":
+            self.hold("probe", True)
+            self.press("Next")
+        elif step == "PROBE":
+            self.hold("probe", False)
+            self.by_hand("probe", after=False)
+            self.hold("probe", None)
+        else:
+            if step in CARTESIAN:
+                self.jog_to(*CARTESIAN[step])
+            elif step == "PAPER":
+                self.lower_to_the_sheet()
+            self.press(self.dialog().footer_buttons[0][0])
+
+    def go_to(self, step: str) -> None:
+        """As far as a step."""
+        while self.step() != step:
+            self.go_on()
 
     def touch(self) -> None:
         """All three."""

@@ -2,17 +2,20 @@
 
 from __future__ import annotations
 
+import os
 import threading
 import time
 from dataclasses import replace
 
 import pytest
 
+from tests.hostkit.dockable_probe import where
 from tests.hostkit.lab import Lab
 from tests.hostkit.moonraker import MoonrakerError
 from tests.hostkit.setup_user import EMPTY, SETUP, User, open_dialog
 from tests.hostkit.z_calibration import MICROSTEP
 from tests.simprinter import SCENES
+from z_touch.setup_steps import ORDER
 
 # Real seconds that a hand needs
 HAND = 0.25
@@ -56,6 +59,10 @@ class WebUser(User):
         with self.lab.standing() as printer:
             printer.machine.hold(signal, level)
 
+    def gap(self):
+        with self.lab.standing():
+            return super().gap()
+
     def by_hand(self, signal, *, after=None, others=()):
         watching = threading.Thread(target=self.press, args=["Watch"])
         watching.start()
@@ -63,6 +70,26 @@ class WebUser(User):
             time.sleep(HAND)
             self.hold(signal, level)
         watching.join()
+
+
+@pytest.mark.skipif(
+    "EVERY_HOST" not in os.environ, reason="two minutes: EVERY_HOST=1"
+)
+@pytest.mark.timeout(600)
+def test_abort_at_each_step(lab):
+    user = WebUser(lab)
+    for step in (name.upper() for name in ORDER):
+        user.begin()
+        user.go_to(step)
+        user.press("Abort")
+        assert user.dialog() is None
+        with pytest.raises(MoonrakerError) as caught:
+            lab.moonraker.run(f"{SETUP} STEP={step}")
+        assert "no set-up is under way" in caught.value.text
+        configfile = lab.moonraker.status("configfile")
+        assert configfile["save_config_pending_items"] == {}
+        with lab.standing() as printer:
+            assert where(printer) == "docked"
 
 
 def test_empty_section_to_the_true_gap(lab):

@@ -1,0 +1,117 @@
+"""Z_CALIBRATION_SETUP disturbed at each of its steps, and aborted there."""
+
+from __future__ import annotations
+
+import pytest
+
+from tests.hostkit.dockable_probe import where
+from tests.hostkit.session import GcodeError
+from tests.hostkit.setup_user import EMPTY, SETUP, User
+from tests.hostkit.z_calibration import section
+from tests.simprinter import SCENES
+from z_touch.setup_steps import ORDER
+
+pytestmark = pytest.mark.spread
+
+STEPS = [name.upper() for name in ORDER]
+# From which step on it is noticed, and the last one that needs what is broken.
+# A G28 with a dead endstop is the host's own, and ends below the axis
+DISTURBANCES = {
+    "motors off": ("NOZZLE", "PAPER"),
+    "probe lost": ("SWITCH", "TOUCH_BED"),
+    "pin pressed": ("PIN", "TOUCH_BED"),
+    "pin released": ("NOZZLE", "TOUCH_SWITCH"),
+    "probe pressed": ("HOME", "TOUCH_BED"),
+    "probe released": ("HOME", "GAP"),
+}
+CASES = [
+    (disturbance, step)
+    for disturbance, (first, last) in DISTURBANCES.items()
+    for step in STEPS[STEPS.index(first) : STEPS.index(last) + 1]
+    # Nothing is on the head there
+    if (disturbance, step) != ("probe lost", "TOUCH_SWITCH")
+]
+
+
+@pytest.fixture
+def at_step(start):
+    """at_step(step): one who has come so far from an empty section."""
+
+    def begun(step):
+        printer = start("cartesian", changes=section(**EMPTY))
+        printer.session.require_ready()
+        user = User(printer)
+        user.begin()
+        user.go_to(step)
+        printer.run("SET_GCODE_OFFSET Z=0.1")
+        return user
+
+    return begun
+
+
+def disturb(user, disturbance):
+    """What stays so from now on."""
+    machine = user.machine
+    if disturbance == "motors off":
+        user.printer.run("M84")
+    elif disturbance == "probe lost":
+        now = machine.rig.seconds(machine.simulation.clock.now())
+        machine.world.lose_probe(now)
+    else:
+        what, level = disturbance.split()
+        user.hold(user.pin if what == "pin" else what, level == "pressed")
+    # Of the floors of a first run
+    machine.tolerate("nozzle_pin", 1.02)
+    machine.tolerate("body_pin", 1.02)
+    machine.tolerate("body_bed", 1.02)
+
+
+def assert_aborted(user):
+    """Nothing is left of it, and the head is up."""
+    printer = user.printer
+    said = "\n".join(user.press("Abort"))
+    assert "the set-up has ended, nothing was saved" in said
+    assert user.dialog() is None
+    assert printer.status("configfile")["save_config_pending_items"] == {}
+    assert printer.offset() == pytest.approx(0.1)
+    assert "no set-up is under way" in printer.fail(f"{SETUP} STEP=PIN")
+    if printer.status("toolhead")["homed_axes"] == "xyz":
+        assert printer.session.position()[2] > 11.4
+
+
+@pytest.mark.some
+@pytest.mark.parametrize(("disturbance", "step"), CASES)
+def test_disturbed_at_a_step(at_step, disturbance, step):
+    user = at_step(step)
+    disturb(user, disturbance)
+    # At this step or at one that follows
+    with pytest.raises(GcodeError):
+        while user.step() != "SAVE":
+            user.go_on()
+    assert "Not done: " in user.dialog().texts[0]
+    assert_aborted(user)
+
+
+@pytest.mark.some
+@pytest.mark.parametrize("step", STEPS)
+def test_aborted_at_a_step(at_step, step):
+    user = at_step(step)
+    assert_aborted(user)
+    assert where(user.printer) == "docked"
+
+
+def test_button_pressed_twice(at_step):
+    user = at_step("PIN")
+    for step in STEPS[:-1]:
+        asked = f"STEP={step} is not what is asked now"
+        again = user.dialog().footer_buttons[0][1]
+        assert user.step() == step
+        user.go_on()
+        touches = len(user.machine.truth.touches)
+        assert asked.lower() in user.printer.fail(again).lower()
+        assert len(user.machine.truth.touches) == touches
+    user.printer.session.restart(user.dialog().gcode("Save"))
+    own = user.printer.status("configfile")["settings"]["z_calibration"]
+    real = SCENES["cartesian"].world.mag_probe.switch_offset
+    # Paper is as exact as its steps
+    assert own["switch_offset"] == pytest.approx(real, abs=0.015)
