@@ -256,6 +256,7 @@ def test_copies_by_hand_are_kept(machine, klipper):
     assert (kept[1] / "mine.py").read_text() == "mine = 2\n"
 
 
+@pytest.mark.some
 @pytest.mark.parametrize("options", [[], ["--force"]])
 @pytest.mark.parametrize("path", [PLACE, f"klippy/extras/{NAME}/__init__.py"])
 @pytest.mark.parametrize("is_linked", [False, True])

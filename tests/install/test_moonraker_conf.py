@@ -267,6 +267,7 @@ def test_checkout_that_cannot_be_updated(machine, conf, klipper, command):
 # Files that cannot be read or written
 
 
+@pytest.mark.some
 @pytest.mark.parametrize(
     ("text", "options", "is_needed"),
     [

@@ -94,6 +94,7 @@ def test_no_service_of_that_kind(machine):
 # Prints
 
 
+@pytest.mark.some
 @pytest.mark.parametrize("options", [[], ["-m", "CONF"], ["--no-moonraker"]])
 @pytest.mark.parametrize("is_install", [True, False])
 @pytest.mark.parametrize("answer", ["idle", ""])

@@ -25,7 +25,7 @@ from tests.hostkit.printer import module_files
 pytestmark = pytest.mark.timeout(300)
 
 TIMED = (CALIBRATE_Z, AUTO_Z_CALIBRATE)
-RUNS = timing.RUNS[:2]
+RUNS = timing.RUNS[:1]
 CELL = re.compile(r"(\d+\.\d\d)/(\d+\.\d\d)=(\d+\.\d\d)")
 
 MODULES = {
