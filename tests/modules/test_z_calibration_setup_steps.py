@@ -97,6 +97,7 @@ def test_disturbed_at_a_step(at_step, disturbance, step):
 def test_aborted_at_a_step(at_step, step):
     user = at_step(step)
     assert_aborted(user)
+    user.printer.run("M400")
     assert where(user.printer) == "docked"
 
 
