@@ -33,7 +33,7 @@ def test_calibration_leaves_the_right_gap(lab):
         assert printer.gap() == pytest.approx(
             printer.scene.formula_gap(), abs=MICROSTEP
         )
-        assert printer.machine.board.journal.late == []
+        assert printer.machine.board.journal.shutdowns == []
 
 
 def test_console_shows_the_calibration(lab):

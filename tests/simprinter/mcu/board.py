@@ -22,11 +22,25 @@ CLOCK_FREQ = 10**9 // TICK_NS
 _FIRST_WRAP = 20
 _STATS_NS = 5 * 10**9
 PORTS = "ABCDEFGHI"
-SHUTDOWN_REASONS = ("Command request", "Unknown oid", "Bad command")
+# Items in the queue that steppers and outputs share
+MOVE_COUNT = 1024
+SHUTDOWN_REASONS = (
+    "Command request",
+    "Timer too close",
+    "Move queue overflow",
+    "Stepper too far in past",
+    "Can't reset time when stepper active",
+    "Missed scheduling of next digital out event",
+    "Scheduled digital out event will exceed max_duration",
+    "Missed scheduling of next hard pwm event",
+    "Scheduled pwm event will exceed max_duration",
+    "update_digital_out not valid with active queue",
+    "ADC out of range",
+)
 
 
-class BoardError(Exception):
-    """The host asked for what no correct host asks for."""
+class ShutdownError(Exception):
+    """What firmware shuts down for; the text is one of SHUTDOWN_REASONS."""
 
 
 def command(text: str, in_shutdown: bool = False) -> Callable:
@@ -58,6 +72,10 @@ class Peripheral:
     def reset(self) -> None:
         """The board reboots: forget everything configured."""
 
+    def waiting(self, clock: int) -> int:
+        """How many items of the move queue are taken at a clock."""
+        return 0
+
 
 def pin_numbers() -> dict[str, Any]:
     """The enumeration of the board's pins: PA0 to PI15."""
@@ -87,6 +105,7 @@ class Crystal(NamedTuple):
 
 
 USUAL_CRYSTAL = Crystal()
+_REASON_IDS = {text: i + 1 for i, text in enumerate(SHUTDOWN_REASONS)}
 
 
 class Board(Peripheral):
@@ -127,6 +146,7 @@ class Board(Peripheral):
         self.is_silent: Callable[[], bool] = lambda: False
         self.state = ConfigState()
         self.journal = Journal()
+        self._moves = 0  # items taken at most
         self._schedule_stats()
 
     def _collect(self, app: str, clock_freq: int) -> Dictionary:
@@ -146,8 +166,7 @@ class Board(Peripheral):
             "PWM_MAX": 255,
             "MCU": "simulated",
         }
-        strings = {text: i + 1 for i, text in enumerate(SHUTDOWN_REASONS)}
-        enums = {"pin": pin_numbers(), "static_string_id": strings}
+        enums = {"pin": pin_numbers(), "static_string_id": _REASON_IDS}
         return Dictionary(commands, responses, constants, enums, app)
 
     # Time
@@ -176,6 +195,23 @@ class Board(Peripheral):
         heapq.heappush(self._events, (clock, next(self._order), event))
         return event
 
+    def require_in_time(self, clock: int) -> None:
+        """Raises ShutdownError if a command for this clock comes too late."""
+        if clock < self.clock():
+            raise ShutdownError("Timer too close")
+
+    def take_move(self) -> None:
+        """Take an item of the move queue.
+
+        Counted anew only where it might be full: items come back by themselves.
+        """
+        if self._moves >= MOVE_COUNT:
+            now = self.clock()
+            self._moves = sum(part.waiting(now) for part in self._parts)
+            if self._moves >= MOVE_COUNT:
+                raise ShutdownError("Move queue overflow")
+        self._moves += 1
+
     def next_event_ns(self) -> int | None:
         """When something is due on the board, ns."""
         while self._events and self._events[0][2].action is None:
@@ -189,7 +225,7 @@ class Board(Peripheral):
             clock, _, event = heapq.heappop(self._events)
             if event.action is not None:
                 ran = True
-                event.action(clock)
+                self._carry_out(event.action, clock)
         return ran
 
     # Messages
@@ -202,25 +238,34 @@ class Board(Peripheral):
                 return
             handler = self._handlers[name]
             if self.state.is_shutdown and not handler.in_shutdown:
-                self.respond("is_shutdown", static_string_id=1)
+                number = self.state.shutdown_id
+                self.respond("is_shutdown", static_string_id=number)
                 continue
-            handler(*values)
+            self._carry_out(handler, *values)
+
+    def _carry_out(self, action: Callable, *values: Any) -> None:
+        try:
+            action(*values)
+        except ShutdownError as reason:
+            self.shut_down(str(reason))
 
     def respond(self, name: str, **values: Any) -> None:
         """Send a response."""
         if not self.is_silent():
             self.send(self.dictionary.response(name, values))
 
-    def shut_down(self) -> None:
+    def shut_down(self, reason: str = "Command request") -> None:
         """Stop everything, as for an emergency stop."""
-        if self.state.is_shutdown:
+        state = self.state
+        if state.is_shutdown:
             return
-        self.state.is_shutdown = True
-        self.journal.shutdowns += 1
+        state.is_shutdown, state.shutdown_id = True, _REASON_IDS[reason]
+        self.journal.shutdowns.append(reason)
         for part in self._parts:
             part.stop()
         clock = self.clock() & 0xFFFFFFFF
-        self.respond("shutdown", clock=clock, static_string_id=1)
+        number = state.shutdown_id
+        self.respond("shutdown", clock=clock, static_string_id=number)
 
     def _schedule_stats(self) -> None:
         ticks = _STATS_NS // self._tick_ns
@@ -255,7 +300,7 @@ class Board(Peripheral):
             is_config=int(state.is_config),
             crc=state.crc,
             is_shutdown=int(state.is_shutdown),
-            move_count=1024,
+            move_count=MOVE_COUNT,
         )
 
     @command("allocate_oids count=%c")
@@ -306,6 +351,7 @@ class ConfigState:
     def __init__(self) -> None:
         self.is_config = False
         self.is_shutdown = False
+        self.shutdown_id = 0
         self.crc = 0
         self.oid_count = 0
 
@@ -314,7 +360,5 @@ class Journal:
     """What happened to the board; tests read it."""
 
     def __init__(self) -> None:
-        self.shutdowns = 0
+        self.shutdowns: list[str] = []  # their reasons
         self.resets = 0
-        # Ticks by which commands came too late for their time
-        self.late: list[int] = []

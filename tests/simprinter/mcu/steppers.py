@@ -6,7 +6,7 @@ import bisect
 import math
 from typing import Protocol
 
-from .board import Peripheral, command
+from .board import Peripheral, ShutdownError, command
 
 _CLOCK = 0xFFFFFFFF
 
@@ -67,6 +67,10 @@ class StepTrack:
         steps = steps_in(clock - start, interval, count, add)
         return before + sign * steps
 
+    def waiting(self, clock: int) -> int:
+        """How many of the moves have not begun at a clock."""
+        return len(self._begins) - bisect.bisect_right(self._begins, clock)
+
     def begins_by(self, clock: int) -> bool:
         """Whether any move that is known begins by a clock."""
         return bool(self._begins) and clock >= self._begins[0]
@@ -121,6 +125,10 @@ def steps_in(elapsed: int, interval: int, count: int, add: int) -> int:
     return guess
 
 
+def _too_far_in_past(_clock: int) -> None:
+    raise ShutdownError("Stepper too far in past")
+
+
 class Stepper:
     """One configured stepper."""
 
@@ -165,6 +173,11 @@ class Steppers(Peripheral):
         """Forget the configuration."""
         self.by_oid.clear()
 
+    def waiting(self, clock: int) -> int:
+        """Moves that are to come."""
+        steppers = self.by_oid.values()
+        return sum(stepper.track.waiting(clock) for stepper in steppers)
+
     def halt(self, stepper: Stepper, clock: int) -> None:
         """Stop a motor at a clock; it then waits for a new step clock."""
         self._drive.settle(self.board.ns(clock))
@@ -185,6 +198,7 @@ class Steppers(Peripheral):
 
     @command("queue_step oid=%c interval=%u count=%hu add=%hi")
     def _queue_step(self, oid: int, interval: int, count: int, add: int):
+        self.board.take_move()
         stepper = self.by_oid.get(oid)
         # Some are on their way when the board is reset
         if stepper is None or stepper.needs_reset:
@@ -198,10 +212,12 @@ class Steppers(Peripheral):
             # Only the 32-bit sum is sure to be near to now: the base may be 0
             # or so long ago that the interval has wrapped
             first = self.board.widen((base + interval) & _CLOCK)
+            self.board.require_in_time(first)
             start = first - interval
-        late = self.board.clock() - (start + interval)
-        if late > 0:
-            self.board.journal.late.append(late)
+        elif interval > _CLOCK // 2:
+            # Found out when the move before it has ended
+            self.board.schedule(start, _too_far_in_past)
+            return
         sign = 1 if stepper.direction else -1
         begin = track.append(interval, count, add, sign, start)
         self._drive.steps_queued(self.board.ns(begin))
@@ -215,6 +231,8 @@ class Steppers(Peripheral):
     def _reset_clock(self, oid: int, clock: int) -> None:
         stepper = self.by_oid.get(oid)
         if stepper is not None:
+            if stepper.track.last_clock > self.board.clock():
+                raise ShutdownError("Can't reset time when stepper active")
             stepper.step_clock = clock
             stepper.needs_reset = False
 

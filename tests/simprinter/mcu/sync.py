@@ -33,6 +33,7 @@ class Trsync:
         self.expire_reason = expire_reason
         self._report_ticks = ticks
         if ticks:
+            self._board.require_in_time(clock)
             self._report = self._board.schedule(clock, self._periodic)
 
     def set_timeout(self, clock: int) -> None:
@@ -41,6 +42,7 @@ class Trsync:
             return
         if self._expire:
             self._expire.cancel()
+        self._board.require_in_time(clock)
         self._expire = self._board.schedule(clock, self._expired)
 
     def trigger(self, reason: int, clock: int) -> None:
@@ -306,6 +308,7 @@ class Endstops(Peripheral):
         if not sample_count:
             return
         start = self.board.widen(clock)
+        self.board.require_in_time(start)
         search = Search(start, rest_ticks, sample_ticks, sample_count)
         search.wanted = bool(pin_value)
         trsync = self._trsyncs.by_oid[trsync_oid]
@@ -313,7 +316,7 @@ class Endstops(Peripheral):
         endstop.search = search
         endstop.homing = True
         self._sense.armed(endstop.pin, self.board.ns(start))
-        self._look_at(endstop, max(start, self.board.clock()))
+        self._look_at(endstop, start)
 
     @command("endstop_query_state oid=%c")
     def _query(self, oid: int) -> None:

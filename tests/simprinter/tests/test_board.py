@@ -129,7 +129,7 @@ def test_board_that_is_shut_down_refuses_commands(bench, lamp):
     # Told once
     ((name, values),) = bench.answers
     assert (name, values["clock"]) == ("shutdown", bench.now() & LOW32)
-    assert bench.board.journal.shutdowns == 1
+    assert bench.board.journal.shutdowns == ["Command request"]
     bench.tell("switch_lamp oid=1 on=1")
     assert bench.answers[1:] == [("is_shutdown", {"static_string_id": 1})]
     assert lamp.heard == ["stop"]

@@ -39,7 +39,7 @@ def test_two_runs_are_equal_to_the_last_digit(host, scene, script, count):
                 (list(printer.machine.truth.touches), printer.machine.tip())
             )
             for board in printer.machine.boards.values():
-                assert board.journal.late == []
+                assert board.journal.shutdowns == []
     (first, at), (second, there) = found
     assert len(first) > count
     assert at == there
@@ -57,7 +57,7 @@ def test_motor_that_rested_longer_than_the_clock_wraps(start):
     before = printer.gap()
     printer.session.wait(130.0)
     assert printer.gap() == before
-    assert printer.machine.board.journal.late == []
+    assert printer.machine.board.journal.shutdowns == []
 
 
 def test_klippy_that_is_not_on_the_clock_is_noticed(host, monkeypatch):
@@ -91,19 +91,24 @@ def test_real_time_gives_the_same_gap(one_host):
     def gap(real_time):
         options = {"changes": changes, "real_time": real_time}
         with Printer(one_host, "cartesian", **options) as printer:
-            printer.homed().run("CALIBRATE_Z")
-            return printer.gap()
+            try:
+                printer.homed().run("CALIBRATE_Z")
+                return printer.gap()
+            finally:
+                shutdowns.extend(printer.machine.board.journal.shutdowns)
 
+    shutdowns = []
     expected = gap(False)
     late = ""
     for _ in range(2):
         try:
             assert gap(True) == pytest.approx(expected, abs=MICROSTEP)
             return
-        except (GcodeError, CrashError) as error:
+        except (GcodeError, SessionError, CrashError) as error:
             # In real time a busy machine may be late; only that is forgiven
             late = str(error)
-            if "ommunication" not in late and isinstance(error, GcodeError):
+            was_late = "ommunication" in late or "Timer too close" in shutdowns
+            if not was_late and not isinstance(error, CrashError):
                 raise
     pytest.skip(f"this machine is too busy for real time: {late}")
 
@@ -166,7 +171,7 @@ def test_motors_may_be_on_the_other_board(start):
     wanted = printer.scene.formula_gap()
     assert printer.gap() == pytest.approx(wanted, abs=2 * MICROSTEP)
     for board in printer.machine.boards.values():
-        assert board.journal.late == []
+        assert board.journal.shutdowns == []
 
 
 def test_clock_of_the_other_board_is_found_out(start):
@@ -209,6 +214,27 @@ def test_heater_heats_in_printer_time(start):
     )
 
 
+def test_heater_that_nobody_refreshes_goes_out(start):
+    printer = start(heated(SCENES["voron"]))
+    printer.session.require_ready()
+    printer.run("M140 S60")
+    printer.session.wait(20.0)
+    machine = printer.machine
+    machine.board.is_silent = lambda: True
+    machine.world.expect_faults()
+    # The host allows 3 or 5 s; after that it only cools down
+    printer.session.wait(6.0)
+    reason = "Missed scheduling of next digital out event"
+    assert machine.board.journal.shutdowns == [reason]
+    hot = machine.rig.heaters["bed"]
+    celsius = []
+    for _ in range(2):
+        printer.session.wait(1.0)
+        hot.advance(machine.simulation.clock.now())
+        celsius.append(hot.celsius)
+    assert 30.0 < celsius[1] < celsius[0]
+
+
 @pytest.mark.some
 @pytest.mark.parametrize("command", ["RESTART", "FIRMWARE_RESTART"])
 @pytest.mark.parametrize("scene", ["voron", "voron_two_boards"])
@@ -232,7 +258,7 @@ def test_emergency_stop_and_recovery(start):
     state, message = printer.session.state()
     assert state == "shutdown"
     assert "M112" in message
-    assert printer.machine.board.journal.shutdowns == 1
+    assert printer.machine.board.journal.shutdowns == ["Command request"]
     at = printer.machine.tip()
     printer.session.wait(2.0)
     assert printer.machine.tip() == at

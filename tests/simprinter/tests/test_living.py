@@ -45,7 +45,7 @@ def test_others_are_served_and_time_passes(start):
         passed = time_now - first
         assert 5.0 < passed <= SPEED * (time.monotonic() - began)
     assert printer.session.position()[0] == pytest.approx(100.0)
-    assert printer.machine.board.journal.late == []
+    assert printer.machine.board.journal.shutdowns == []
     # Afterwards the clock jumps again
     began = time.monotonic()
     printer.session.wait(100.0)

@@ -32,13 +32,13 @@ def microstep(printer):
 
 
 def require_z_level(printer):
-    """All Z motors were stopped at once, and no command was late."""
+    """All Z motors were stopped at once, and no board shut down."""
     printer.session.wait(0.5)
     travel = printer.machine.rig.travel(printer.machine.simulation.clock.now())
     heights = [travel[motor] for motor, _, _ in printer.scene.z_motors]
     assert max(heights) - min(heights) == pytest.approx(0.0, abs=1e-9)
     for board in printer.machine.boards.values():
-        assert board.journal.late == []
+        assert board.journal.shutdowns == []
 
 
 @pytest.mark.parametrize("name", SCENES)

@@ -251,7 +251,7 @@ def test_motor_that_has_rested(bench, seconds, resets):
         assert bench.position(OID) == position
     # Sensors look back by their latency, so what was before must not change
     assert bench.mechanics.the_track.at(last - 1) == 4
-    assert bench.board.journal.late == []
+    assert bench.board.journal.shutdowns == []
 
 
 @pytest.mark.parametrize("stop", ["halt", "shutdown"])
@@ -297,8 +297,52 @@ def test_reboot_keeps_the_motor_and_counts_from_there(bench):
         assert bench.position(OID) == 0
 
 
-def test_late_steps_are_counted_and_made(bench):
-    bench.move(OID, bench.now() - 3000, 1000, 5)
-    assert bench.board.journal.late == [2000]
+@pytest.mark.parametrize("late", [0, 1])
+def test_motor_at_rest_is_told_in_time(bench, late):
+    bench.move(OID, bench.now() - 1000 - late, 1000, 5)
     bench.run_to(bench.now() + 5000)
-    assert bench.position(OID) == 5
+    if late:
+        assert bench.shutdown() == "Timer too close"
+    else:
+        assert bench.position(OID) == 5
+
+
+def test_step_before_the_one_before_it(bench):
+    start = bench.now()
+    bench.move(OID, start, 1000, 5)
+    bench.queue(OID, -(CLOCK_FREQ // 100) & LOW32)
+    bench.run_to(start + 4999)
+    assert bench.board.journal.shutdowns == []
+    bench.run_to(start + 5000)
+    assert bench.shutdown() == "Stepper too far in past"
+
+
+def test_step_clock_of_a_moving_motor_stays(bench):
+    start = bench.now()
+    bench.move(OID, start, 1000, 5)
+    bench.run_to(start + 5000)
+    bench.reset_clock(OID, start + 6000)
+    bench.queue(OID, 1000)
+    assert bench.board.journal.shutdowns == []
+    bench.reset_clock(OID, 0)
+    assert bench.shutdown() == "Can't reset time when stepper active"
+
+
+def test_move_queue_has_an_end(bench):
+    size = bench.ask("get_config")["move_count"]
+    start = bench.now()
+    bench.move(OID, start, 1000, 2)
+    # The first is no longer in the queue, and what has begun leaves it
+    for _ in range(size):
+        bench.queue(OID, 1000, 2)
+    bench.run_to(start + 10_000)
+    for _ in range(5):
+        bench.queue(OID, 1000, 2)
+    assert bench.board.journal.shutdowns == []
+    bench.queue(OID, 1000, 2)
+    assert bench.shutdown() == "Move queue overflow"
+    # A shutdown empties it
+    bench.tell("clear_shutdown")
+    bench.move(OID, bench.now(), 1000, 1)
+    bench.run_to(bench.now() + 1000)
+    assert bench.position(OID) == 11

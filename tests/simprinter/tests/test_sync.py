@@ -271,6 +271,22 @@ def test_timeout_triggers_unless_it_is_put_off(bench):
     assert bench.said("trsync_state") == [report]
 
 
+@pytest.mark.parametrize("late", [0, 1])
+@pytest.mark.parametrize(
+    "command",
+    [
+        lambda bench, clock: bench.arm(clock, 1000),
+        lambda bench, clock: bench.set_timeout(clock),
+        lambda bench, clock: bench.home(clock, Settings(10, 2, 100)),
+    ],
+    ids=["report", "timeout", "endstop"],
+)
+def test_what_comes_too_late_shuts_down(bench, command, late):
+    bench.arm()
+    command(bench, bench.now() - late)
+    assert bench.board.journal.shutdowns == ["Timer too close"] * late
+
+
 def test_shutdown_disarms(bench):
     bench.arm(bench.now() + 1000, 1000)
     bench.home(bench.now(), Settings(10, 2, 100))

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import json
 from types import SimpleNamespace
 from typing import Any, Optional
 
@@ -88,6 +89,18 @@ class Bench:
             self.ns = max(self.ns, due)
             self.board.run_due()
         self.ns = max(self.ns, end)
+
+    def shutdown(self) -> str:
+        """The reason that the board gave for its only shutdown."""
+        (answer,) = self.said("shutdown")
+        (reason,) = self.board.journal.shutdowns
+        told = json.loads(self.board.dictionary.json)["enumerations"]
+        number = told["static_string_id"][reason]
+        # The second time as an answer to whatever it is asked to do
+        self.tell("finalize_config crc=1")
+        assert self.said("is_shutdown")[-1] == {"static_string_id": number}
+        assert answer["static_string_id"] == number
+        return reason
 
     # Its steppers
 
