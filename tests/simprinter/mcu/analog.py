@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable
 
-from .board import Event, Peripheral, command
+from .board import Event, Peripheral, ShutdownError, command
 
 _ADC_MAX = 4095
 
@@ -46,20 +46,29 @@ class AnalogInputs(Peripheral):
         rest_ticks: int,
         *limits: int,
     ) -> None:
+        low, high, checks = limits
         if oid in self._events:
             self._events.pop(oid).cancel()
         if not count:
             return
 
+        wrong = 0
+
         def sample(now: int) -> None:
+            nonlocal wrong
             level = self._read(self._pins[oid], self.board.ns(now))
+            value = round(level * _ADC_MAX) * count
+            wrong = 0 if low <= value <= high else wrong + 1
+            if wrong and wrong >= checks:
+                raise ShutdownError("ADC out of range")
             self._events[oid] = self.board.schedule(now + rest_ticks, sample)
             self.board.respond(
                 "analog_in_state",
                 oid=oid,
                 next_clock=(now + rest_ticks) & 0xFFFFFFFF,
-                value=round(level * _ADC_MAX) * count,
+                value=value,
             )
 
-        start = max(self.board.widen(clock), self.board.clock())
+        start = self.board.widen(clock)
+        self.board.require_in_time(start)
         self._events[oid] = self.board.schedule(start, sample)

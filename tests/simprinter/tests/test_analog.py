@@ -22,11 +22,11 @@ class AnalogBench(Bench):
         assert pin == PIN
         return self.volts(self.board.clock_at(ns))
 
-    def query(self, clock: int, count: int = 8) -> None:
+    def query(self, clock: int, count: int = 8, checks: int = 9) -> None:
         self.tell(
             f"query_analog_in oid={OID} clock={clock} sample_ticks=50"
-            f" sample_count={count} rest_ticks=1000 min_value=0"
-            " max_value=65535 range_check_count=0"
+            f" sample_count={count} rest_ticks=1000 min_value=80"
+            f" max_value={4000 * 8} range_check_count={checks}"
         )
 
     def states(self) -> list[tuple[int, int]]:
@@ -66,3 +66,19 @@ def test_count_of_zero_another_query_and_a_shutdown_end_it(bench):
         end()
         bench.run_to(bench.now() + 5000)
         assert len(bench.states()) == count + 1
+
+
+@pytest.mark.parametrize("level", [0.001, 0.99])
+def test_out_of_range_for_a_while_shuts_down(bench, level):
+    start = bench.now()
+    bench.volts = lambda clock: level if clock != start + 1000 else 0.5
+    bench.query(start, checks=3)
+    bench.run_to(start + 3999)
+    assert bench.board.journal.shutdowns == []
+    bench.run_to(start + 4000)
+    assert bench.shutdown() == "ADC out of range"
+
+
+def test_query_that_comes_too_late(bench):
+    bench.query(bench.now() - 1)
+    assert bench.shutdown() == "Timer too close"
