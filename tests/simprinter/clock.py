@@ -30,27 +30,26 @@ class ClockError(Exception):
     """The clock library cannot be built or used on this machine."""
 
 
-def build_library(directory: Path) -> Path:
-    """Compile vclock.c into directory unless that was done before.
+def build_library(directory: Path, source: Path = _SOURCE) -> Path:
+    """Compile a library into directory unless that was done before.
 
     Raises ClockError with the compiler's words.
     """
-    source = _SOURCE.read_bytes()
-    key = hashlib.sha256(source).hexdigest()[:16]
-    target = directory / f"vclock-{key}.so"
+    key = hashlib.sha256(source.read_bytes()).hexdigest()[:16]
+    target = directory / f"{source.stem}-{key}.so"
     if target.exists():
         return target
     directory.mkdir(parents=True, exist_ok=True)
     with tempfile.TemporaryDirectory(dir=directory) as scratch:
-        made = Path(scratch) / "vclock.so"
+        made = Path(scratch) / "library.so"
         command = ["gcc", "-O2", "-Wall", "-Wextra", "-shared", "-fPIC"]
-        command += ["-o", str(made), str(_SOURCE), "-ldl", "-lpthread"]
+        command += ["-o", str(made), str(source), "-ldl", "-lpthread"]
         try:
             run = subprocess.run(command, capture_output=True, text=True)
         except FileNotFoundError as error:
             raise ClockError("gcc is needed: install it") from error
         if run.returncode:
-            raise ClockError(f"vclock.c does not compile:\n{run.stderr}")
+            raise ClockError(f"{source.name} does not compile:\n{run.stderr}")
         made.rename(target)  # atomic: several test workers may build at once
     return target
 

@@ -9,6 +9,7 @@ from typing import Optional, Union
 
 from .clock import RealClock, VirtualClock
 from .faults import Fault, Faults
+from .firmware import FirmwareBoard
 from .mcu.analog import AnalogInputs
 from .mcu.board import Board
 from .mcu.outputs import Outputs
@@ -46,8 +47,11 @@ class Machine:
         faults: Iterable[Fault] = (),
         clock: Optional[Union[VirtualClock, RealClock]] = None,
         app: str = "Klipper",
+        firmware: Optional[Path] = None,
     ):
         """app: the host the boards' firmware was made for.
+
+        firmware: a program that takes the place of each board.
 
         clock defaults to a virtual one.
         """
@@ -64,12 +68,17 @@ class Machine:
         self.rig = Rig(self.world, kinematics, scene.wiring, begin, now_ns)
         self.drivers: dict[str, Tmc2209] = {}
         self._last_change: dict[str, tuple[bytes, bool]] = {}
-        self.boards: dict[str, Board] = {}
+        self.boards: dict[str, Union[Board, FirmwareBoard]] = {}
         self.links: dict[str, Link] = {}
         for name, spec in scene.wiring.all_boards().items():
-            board = self.boards[name] = self._make_board(name, spec, app)
             latency_ns = round(spec.latency * 1e9)
-            self.links[name] = self.simulation.add_board(board, latency_ns)
+            if firmware is None:
+                board = self._make_board(name, spec, app)
+                link = self.simulation.add_board(board, latency_ns)
+            else:
+                board = self._make_program(name, firmware)
+                link = self.simulation.add_program(board, latency_ns)
+            self.boards[name], self.links[name] = board, link
         self.board, self.link = self.boards[MAIN], self.links[MAIN]
 
     def _require_known_boards(self) -> None:
@@ -102,6 +111,10 @@ class Machine:
         port.board = board
         self.rig.on_steps.append(endstops.steps_queued)
         return board
+
+    def _make_program(self, name: str, program: Path) -> FirmwareBoard:
+        now_ns, directory = self.simulation.clock.now, build_directory()
+        return FirmwareBoard(now_ns, program, directory, self.rig, name)
 
     def _make_drivers(self, wiring: Wiring) -> dict[tuple[int, int], Tmc2209]:
         by_pin = {}

@@ -6,11 +6,12 @@ import os
 import select
 import time
 from collections.abc import Callable, Iterable
-from typing import Protocol
+from typing import Protocol, Union
 
 from .clock import NEVER, RealClock, VirtualClock
+from .firmware import FirmwareBoard
 from .mcu.board import Board
-from .wire.link import Link
+from .wire.link import Link, RawLink
 
 # Klippy may compute this long (s, real) without falling asleep once; only a
 # dead end takes longer
@@ -69,7 +70,8 @@ class Simulation:
 
     def __init__(self, clock: VirtualClock | RealClock):
         self.clock = clock
-        self._boards: list[Board] = []
+        self._boards: list[Union[Board, FirmwareBoard]] = []
+        self._programs: list[FirmwareBoard] = []
         self._links: list[tuple[Link, int]] = []
         self.peers: list[Peer] = []
         self.pace: Pace | None = None  # a virtual clock jumps freely without
@@ -81,8 +83,21 @@ class Simulation:
 
     def add_board(self, board: Board, latency_ns: int = 0) -> Link:
         """Give a board its serial line, with its latency."""
+        return self._connect(board, Link(board.receive, latency_ns, self.now))
+
+    def add_program(self, board: FirmwareBoard, latency_ns: int = 0) -> Link:
+        """The same for a program, which lives on a virtual clock only."""
+        link = RawLink(board.receive, latency_ns, self.now)
+        board.hang_up = link.hang_up
+        self._programs.append(board)
+        return self._connect(board, link)
+
+    def now(self) -> int:
+        """Where the clock stands, ns."""
+        return self.clock.now()
+
+    def _connect(self, board: Union[Board, FirmwareBoard], link: Link) -> Link:
         clock = self.clock
-        link = Link(board.receive, latency_ns, clock.now)
         index = clock.add_tty(link.device)
         if isinstance(clock, VirtualClock):
             # Most of the time nobody has spoken, and reading costs more
@@ -166,6 +181,8 @@ class Simulation:
         # to move the clock if they did
         wakes = clock.wakes()
         if self._quiet():
+            if self._programs and not self._programs_rest(wakes):
+                return False
             now = clock.now()
             target = now if finished else self._target(end_ns)
             if target >= NEVER:
@@ -174,6 +191,8 @@ class Simulation:
                 raise SimulationError(f"{what}: nobody waits for anything")
             if self._is_held_back(target):
                 return False
+            if target > now:
+                target = self._live_until(target)
             moved = clock.advance(max(target, now), wakes)
             self.jumps += moved and not finished
             return moved and finished
@@ -184,6 +203,29 @@ class Simulation:
                 f"{what}: klippy is busy for {_STALL_LIMIT:.0f} s of real time"
             )
         return False
+
+    def _programs_rest(self, wakes: int) -> bool:
+        """Let programs hear what klippy has said; whether none had to.
+
+        Klippy, too, must be at rest: nobody may wake while programs live.
+        """
+        clock = self.clock
+        assert isinstance(clock, VirtualClock)
+        if not clock.advance(clock.now(), wakes) or clock.wakes() != wakes:
+            return False
+        return not any([program.listen() for program in self._programs])
+
+    def _live_until(self, target_ns: int) -> int:
+        """Let programs live until then, or until one speaks; the time then."""
+        while self._programs:
+            first, *others = sorted(self._programs, key=FirmwareBoard.deadline)
+            if first.deadline() > target_ns:
+                break
+            limit = min([target_ns, *(other.deadline() for other in others)])
+            reached = first.live_until(limit)
+            if first.next_event_ns() is not None:
+                return reached
+        return target_ns
 
     def _is_held_back(self, target_ns: int) -> bool:
         """Whether the pace forbids this time; if so, some time has passed.
@@ -217,6 +259,8 @@ class Simulation:
         clock = self.clock
         assert isinstance(clock, VirtualClock)
         target = min(clock.next_deadline(), self._next_event(NEVER))
+        if self._programs:
+            return min(target, end_ns)
         return target if target >= NEVER else min(target, end_ns)
 
     def _require_joined(self, what: str) -> None:
@@ -262,6 +306,8 @@ class Simulation:
         """Hang up all lines and give the clock back."""
         for link, _ in self._links:
             link.close()
+        for program in self._programs:
+            program.close()
         if self.process_fd >= 0:
             os.close(self.process_fd)
         self.clock.close()

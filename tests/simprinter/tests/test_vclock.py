@@ -476,10 +476,9 @@ def test_library_is_built_once(tmp_path):
 def test_library_that_cannot_be_built(tmp_path, monkeypatch):
     wrong = tmp_path / "wrong.c"
     wrong.write_text("int main(void) { return nonsense; }\n")
-    monkeypatch.setattr(clock, "_SOURCE", wrong)
     with pytest.raises(clock.ClockError, match="nonsense"):
-        clock.build_library(tmp_path / "new")
+        clock.build_library(tmp_path / "new", wrong)
     assert list((tmp_path / "new").iterdir()) == []
     monkeypatch.setenv("PATH", str(tmp_path))
     with pytest.raises(clock.ClockError, match="gcc is needed"):
-        clock.build_library(tmp_path / "new")
+        clock.build_library(tmp_path / "new", wrong)

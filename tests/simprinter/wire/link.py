@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import os
+import select
 import tempfile
 import tty
 from collections import deque
@@ -137,3 +138,23 @@ class Link:
         os.close(self._slave)
         os.unlink(self.path)
         os.rmdir(self._dir)
+
+
+class RawLink(Link):
+    """The same for a program that frames and acknowledges blocks itself.
+
+    on_content is called with bytes as they arrive.
+    """
+
+    def _feed(self, data: bytes) -> None:
+        self._on_content(data)
+
+    def send(self, content: bytes) -> None:
+        """Send bytes."""
+        self._write(content)
+
+    def hang_up(self) -> None:
+        """The program has ended: its end of the line is closed."""
+        self.is_spoken_to = lambda: False
+        with select.epoll() as never_ready:
+            os.dup2(never_ready.fileno(), self._master)

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 import zlib
+from collections.abc import Mapping
 from typing import Any
 
 # Integers, whatever their declared width, travel in the same variable-length
@@ -127,13 +128,23 @@ class Dictionary:
 
         Raises ValueError for a number that was never declared.
         """
-        found = []
-        pos = 0
-        while pos < len(content):
-            ident, pos = decode_int(content, pos)
-            message = self.commands.get(ident)
-            if message is None:
-                raise ValueError(f"unknown command number {ident}")
-            values, pos = message.decode(content, pos)
-            found.append((message.name, values))
-        return found
+        return parse(self.commands, content)
+
+
+def parse(
+    commands: Mapping[int, Message], content: bytes
+) -> list[tuple[str, list]]:
+    """Commands in a block as (name, values in declared order).
+
+    Raises ValueError for a number that was never declared.
+    """
+    found = []
+    pos = 0
+    while pos < len(content):
+        ident, pos = decode_int(content, pos)
+        message = commands.get(ident)
+        if message is None:
+            raise ValueError(f"unknown command number {ident}")
+        values, pos = message.decode(content, pos)
+        found.append((message.name, values))
+    return found
