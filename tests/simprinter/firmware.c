@@ -40,7 +40,7 @@
 // Lines of one chip, as the program numbers its pins
 #define CHIP_LINES 288
 
-enum { STARTED, ASLEEP, LOOKS };
+enum { STARTED, ASLEEP, LOOKS, FULL };
 
 // To the simulator; events and console bytes follow
 struct report {
@@ -324,7 +324,7 @@ static void
 set_line(int pin, int level)
 {
     if (num_events == MAX_EVENTS)
-        fail("too many steps without a rest");
+        report(FULL, 0);
     events[num_events++] = now << 13 | pin << 1 | !!level;
 }
 

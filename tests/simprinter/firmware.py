@@ -33,7 +33,7 @@ _SOURCE = Path(__file__).with_name("firmware.c")
 # What firmware.c says and is told
 _REPORT = struct.Struct("4i2q")
 _ANSWER = struct.Struct("2q2i")
-_STARTED, _ASLEEP, _LOOKS = range(3)
+_STARTED, _ASLEEP, _LOOKS, _FULL = range(4)
 # A program may compute this long (s, real) without a rest
 _STALL_LIMIT = 60.0
 _SECOND = 10**9

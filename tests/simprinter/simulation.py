@@ -227,6 +227,16 @@ class Simulation:
                 return reached
         return target_ns
 
+    def stop_klippy(self, seconds: float) -> None:
+        """Klippy, at rest, does not run for so long, but programs do."""
+        end_ns = self.now() + round(seconds * 1e9)
+        for program in self._programs:
+            while program.deadline() <= end_ns:
+                program.live_until(end_ns)
+        clock = self.clock
+        assert isinstance(clock, VirtualClock)
+        clock.advance(end_ns, clock.wakes())
+
     def _is_held_back(self, target_ns: int) -> bool:
         """Whether the pace forbids this time; if so, some time has passed.
 

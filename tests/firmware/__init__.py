@@ -1,0 +1,1 @@
+"""Klippy with the micro-controller program of its own: make test-firmware."""

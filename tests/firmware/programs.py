@@ -1,0 +1,182 @@
+"""The programs that the user has built, each host's own, and printers on it."""
+
+from __future__ import annotations
+
+import os
+import re
+from collections.abc import Iterable, Iterator
+from pathlib import Path
+from typing import NamedTuple, Optional
+
+from tests.campaign.jobs import JOBS
+from tests.hostkit import extra_probe
+from tests.hostkit.hosts import Host
+from tests.hostkit.printer import (
+    Printer,
+    RunningPrinter,
+    firmware_of,
+    module_files,
+)
+from tests.hostkit.session import GcodeError, LiveSession
+from tests.simprinter import SCENES, Fault, Machine, Scene, build_directory
+from tests.simprinter.firmware import (
+    DataDictionary,
+    data_dictionary,
+    gpio_names,
+)
+from tests.simprinter.scenes import Sections
+
+NOT_GIVEN = (
+    "no micro-controller program is given: make test-firmware"
+    " FIRMWARE=~/klipper/out/klipper.elf"
+)
+
+
+def given() -> list[Path]:
+    """The programs that FIRMWARE names, separated by colons."""
+    entries = os.environ.get("FIRMWARE", "").split(":")
+    return [Path(entry).expanduser().resolve() for entry in entries if entry]
+
+
+def dictionary(program: Path) -> DataDictionary:
+    """What a program says of itself."""
+    return data_dictionary(program, build_directory())
+
+
+def program_for(host: Host) -> Optional[Path]:
+    """The program of the host's own version, else the first it would take."""
+    app = firmware_of(host)
+    fitting = [one for one in given() if dictionary(one).app == app]
+    return min(fitting, key=lambda one: not _is_own(one, host), default=None)
+
+
+def _is_own(program: Path, host: Host) -> bool:
+    version = dictionary(program).version
+    # 283 commits after a release: what packages call .dev283
+    commits = f"{version}-".split("-")[1]
+    described = re.sub(r"-0-g\w+|-dirty.*", "", version)
+    return described == host.version or host.version.endswith(f".dev{commits}")
+
+
+class FirmwarePrinter(RunningPrinter):
+    """A printer as Printer, with a program in place of each board."""
+
+    def __init__(
+        self,
+        host: Host,
+        scene: Scene,
+        changes: Optional[Sections] = None,
+        faults: Iterable[Fault] = (),
+    ):
+        """On the host's own program."""
+        program = program_for(host)
+        assert program is not None
+        installed = host.install(module_files())
+        machine = Machine(scene, faults=faults, firmware=program)
+        config = gpio_names(scene.config(machine.serials, changes))
+        super().__init__(
+            machine, lambda machine: LiveSession(installed, machine, config)
+        )
+
+
+class Run(NamedTuple):
+    """What is run on both; name: of the command, or of a scene."""
+
+    name: str
+    scene: Scene
+    script: str
+    changes: Sections
+
+
+def has_drivers(scene: Scene) -> bool:
+    """Whether motors hang on drivers that klippy speaks to."""
+    return any(motor.uart for motor in scene.wiring.motors.values())
+
+
+def _commands() -> Iterator[Run]:
+    """Every command of the campaign that needs no drivers."""
+    for job in JOBS.values():
+        if not has_drivers(job.scene):
+            script = "\n".join(("G28", job.before, job.script, "M400"))
+            yield Run(job.name, job.scene, script, job.changes)
+
+
+# What a scene's module does, by its section
+_SCRIPTS = {
+    "z_calibration": "CALIBRATE_Z",
+    "auto_z_offset": "AUTO_Z_CALIBRATE",
+    extra_probe.NAME: "\n".join(
+        (extra_probe.CALIBRATE,) + 2 * (extra_probe.CONTINUE,)
+    ),
+}
+
+
+def _scenes() -> Iterator[Run]:
+    """Every scene without drivers, its module's own command."""
+    for name, scene in SCENES.items():
+        if has_drivers(scene):
+            continue
+        if scene.world.membrane is not None:
+            scene = extra_probe.membrane(name, laid=True)
+        (script,) = (_SCRIPTS[s] for s in _SCRIPTS if s in scene.sections)
+        yield Run(
+            f"{name}: {script.split()[0]}", scene, f"G28\n{script}\nM400", {}
+        )
+
+
+RUNS = {run.name: run for run in (*_commands(), *_scenes())}
+
+
+# Not all of it is what a healthy printer does: a dead switch is pressed far
+_FAR = 10.0
+_SITES = ("body_bed", "body_pin", "nozzle_bed", "nozzle_pin", "probe_bed")
+
+
+class Record(NamedTuple):
+    """What a run has come to, exactly.
+
+    lines: on the console, with every height, and the error. touches: where and
+    at which height (mm) each site was pressed. steps: of each motor at the
+    end.
+    """
+
+    lines: list[str]
+    touches: list[tuple[str, float]]
+    steps: dict[str, int]
+    offset: float
+
+
+def record(printer: RunningPrinter, script: str) -> Record:
+    """Run it. Raises AssertionError if a fault has not struck."""
+    machine, session = printer.machine, printer.session
+    for site in (*_SITES, "nozzle_membrane") if machine.faults else ():
+        machine.tolerate(site, _FAR)
+    session.require_ready()
+    before, end = len(session.console), []
+    try:
+        printer.run(script)
+    except GcodeError as error:
+        end = [f"!! {error}"]
+    if session.state()[0] == "ready":
+        # A refused command may still lift the head
+        printer.run("M400")
+    session.wait(0.5)
+    assert not machine.faults.unfired()
+    return Record(
+        # Messages name pins, which have other names on a program
+        [gpio_names(line) for line in (*session.console[before:], *end)],
+        [(touch.site, touch.trigger_z) for touch in machine.truth.touches],
+        {name: axis.track.position for name, axis in machine.rig.axes.items()},
+        printer.offset(),
+    )
+
+
+def both(
+    host: Host, run: Run, faults: Iterable[Fault] = ()
+) -> tuple[Record, Record]:
+    """On our own board, and on the host's program."""
+    records = []
+    for kind in (Printer, FirmwarePrinter):
+        with kind(host, run.scene, run.changes, faults) as printer:
+            records.append(record(printer, run.script))
+    return records[0], records[1]
