@@ -5,6 +5,7 @@
 #   make demo     watch a calibration on a simulated printer
 #   make printer  a simulated printer to play with, in any web interface
 #   make faults   break something at every operation, draw printers at random
+#   make test-firmware  the same commands on micro-controller programs of yours
 #   make hosts    prepare and list the klippy hosts, and Moonraker
 #   make speed    how much faster than a printer the simulation runs
 #   make bench    time, error and cost of calibrations, as text and as a chart
@@ -14,6 +15,8 @@
 #
 # KLIPPER_PATH         Klipper or Kalico checkouts to test on, a:b:c
 #                      (default ~/klipper where it exists; empty for none)
+# FIRMWARE             programs that you have built, for make test-firmware:
+#                      a/klipper.elf:b/klipper.elf
 # ALLOW_MISSING_HOSTS  1: do without hosts, or Moonraker, that cannot be
 #                      downloaded
 # EVERY_HOST, CORPUS   1 and all: long tables and the configurations of real
@@ -43,11 +46,15 @@ SOURCES = $(wildcard *.py z_touch/*.py)
 COMPILE = import sys; [compile(open(f).read(), f, 'exec') for f in sys.argv[1:]]
 
 # Test files import each other as tests.*, from the root of the repository.
-.PHONY: test quick demo printer speed bench faults hosts prepared lint format tools
-.PHONY: clean
+.PHONY: test test-firmware quick demo printer speed bench faults hosts prepared
+.PHONY: lint format tools clean
 
 test: prepared lint
 	$(TOOLS)/python -m pytest -n $(PYTEST_WORKERS) --dist worksteal $(PYTEST_ARGS)
+
+test-firmware: prepared
+	FIRMWARE="$(FIRMWARE)" $(TOOLS)/python -m pytest -n $(PYTEST_WORKERS) \
+		tests/firmware $(PYTEST_ARGS)
 
 quick: prepared lint
 	ONE_HOST=1 $(TOOLS)/python -m pytest -n 2 -m quick tests/modules

@@ -13,6 +13,7 @@ collect_ignore_glob = [] if given() else ["test_firmware_*.py"]
 @pytest.fixture(autouse=True)
 def fitting(request: pytest.FixtureRequest) -> None:
     """A host that no program is for has nothing to run on."""
-    host = request.node.callspec.params.get("host") if given() else None
+    callspec = getattr(request.node, "callspec", None)
+    host = callspec.params.get("host") if callspec and given() else None
     if isinstance(host, Host) and program_for(host) is None:
         pytest.skip(f"no program that {host.name} would take is given")

@@ -101,6 +101,7 @@ class Dictionary:
         identify = Message(1, "identify offset=%u count=%c")
         self.responses = {answer.name: answer}
         self.commands = {identify.ident: identify}
+        self.constants = constants
         for text in responses:
             message = Message(1 + len(self.responses), text)
             self.responses[message.name] = message
