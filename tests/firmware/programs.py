@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 import os
 import re
 from collections.abc import Iterable, Iterator
@@ -15,6 +16,7 @@ from tests.hostkit.printer import (
     Printer,
     RunningPrinter,
     firmware_of,
+    has_kinematics,
     module_files,
 )
 from tests.hostkit.session import GcodeError, LiveSession
@@ -127,6 +129,7 @@ def _scenes() -> Iterator[Run]:
 RUNS = {run.name: run for run in (*_commands(), *_scenes())}
 
 
+MICROSTEP = 0.0025
 # Not all of it is what a healthy printer does: a dead switch is pressed far
 _FAR = 10.0
 _SITES = ("body_bed", "body_pin", "nozzle_bed", "nozzle_pin", "probe_bed")
@@ -180,3 +183,42 @@ def both(
         with kind(host, run.scene, run.changes, faults) as printer:
             records.append(record(printer, run.script))
     return records[0], records[1]
+
+
+_NUMBER = re.compile(r"-?\d+\.\d+")
+
+
+def difference(own: Record, real: Record) -> float:
+    """By how much (mm) a height differs at most; infinity if anything else."""
+    texts = [[_NUMBER.sub("#", line) for line in r.lines] for r in (own, real)]
+    places = [[site for site, _ in r.touches] for r in (own, real)]
+    steps = [abs(own.steps[name] - real.steps[name]) for name in own.steps]
+    if texts[0] != texts[1] or places[0] != places[1] or max(steps) > 1:
+        return math.inf
+    pairs = zip(_heights(own), _heights(real))
+    return max(abs(one - other) for one, other in pairs)
+
+
+def _heights(found: Record) -> list[float]:
+    told = [float(n) for line in found.lines for n in _NUMBER.findall(line)]
+    return [*told, *(z for _, z in found.touches), found.offset]
+
+
+def allowed(run: Run) -> float:
+    """How much they may differ, mm.
+
+    Of two boards the host guesses how far apart their clocks are: what stops
+    the motors of another one may fall on the other side of a step.
+    """
+    return 0.0 if not run.scene.wiring.boards else MICROSTEP + 1e-6
+
+
+def compare(host: Host, name: str) -> str:
+    """How many touches, and by how much heights differ, um."""
+    run = RUNS[name]
+    if not has_kinematics(host, run.scene):
+        return "-"
+    own, real = both(host, run)
+    off = difference(own, real)
+    mark = "" if off <= allowed(run) else " WRONG"
+    return f"{len(own.touches)}: {off * 1e3:g}{mark}"

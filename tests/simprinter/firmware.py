@@ -117,7 +117,7 @@ class Process:
         try:
             self._channel.sendall(answer + heard)
         except OSError as error:
-            raise FirmwareError(self._why()) from error
+            raise FirmwareError(self._why("has ended")) from error
 
     def _receive(self) -> tuple[int, int, bytes]:
         """(kind, pin, bytes on its console) of what it reports."""
@@ -136,15 +136,14 @@ class Process:
             try:
                 more = self._channel.recv(size - len(data))
             except OSError as error:
-                raise FirmwareError(self._why()) from error
+                raise FirmwareError(self._why("is busy")) from error
             if not more:
-                raise FirmwareError(self._why())
+                raise FirmwareError(self._why("has ended"))
             data += more
         return data
 
-    def _why(self) -> str:
+    def _why(self, state: str) -> str:
         printed = self._output.read_text(errors="replace").strip()
-        state = "is busy" if self._popen.poll() is None else "has ended"
         return f"the firmware {state}: {printed or 'it has said nothing'}"
 
     def close(self) -> None:

@@ -1,0 +1,74 @@
+"""The table of docs/reliability.md, and how fast it is.
+
+    FIRMWARE=... python -m tests.firmware [--markdown FILE] [--workers N]
+
+runs everything on each host, on our own board and on the host's program, and
+compares every height.
+"""
+
+from __future__ import annotations
+
+import argparse
+import statistics
+import sys
+from concurrent.futures import ProcessPoolExecutor
+from multiprocessing import get_context
+from pathlib import Path
+
+from tests.bench.performance_tables import put, table
+from tests.firmware.programs import (
+    RUNS,
+    FirmwarePrinter,
+    compare,
+    dictionary,
+    program_for,
+)
+from tests.hostkit.hosts import Host, find_hosts
+from tests.simprinter.simulation import Stopwatch
+
+BEGIN = "<!-- firmware: written by python -m tests.firmware, not by hand -->"
+END = "<!-- end of firmware -->"
+
+
+def speed(host: Host) -> float:
+    """Printer seconds per real second of G28 and CALIBRATE_Z."""
+    with FirmwarePrinter(host, RUNS["CALIBRATE_Z"].scene) as printer:
+        printer.session.require_ready()
+        watch = Stopwatch(printer.machine.simulation)
+        printer.run("G28\nCALIBRATE_Z\nM400")
+        real, virtual = watch.seconds()
+    return virtual / real
+
+
+def main() -> int:
+    """Print or write the table; the exit code is 0 if nothing differs."""
+    parser = argparse.ArgumentParser(prog="python -m tests.firmware")
+    parser.add_argument("--markdown", type=Path, help="put it there")
+    parser.add_argument("--workers", type=int, default=2)
+    options = parser.parse_args()
+    hosts = [host for host in find_hosts() if program_for(host)]
+    cells: dict[str, list[str]] = {}
+    with ProcessPoolExecutor(options.workers, get_context("spawn")) as pool:
+        for name in RUNS:
+            cells[name] = list(pool.map(compare, hosts, [name] * len(hosts)))
+            print(name, *cells[name], sep="  ", flush=True)  # noqa: T201
+    heads = ["command or scene", *(heading(host) for host in hosts)]
+    rows = [[name, *row] for name, row in cells.items()]
+    text = "\n".join(table(heads, rows))
+    if options.markdown is not None:
+        put(options.markdown, BEGIN, END, text)
+    for host in hosts:
+        ratio = statistics.median(speed(host) for _ in range(3))
+        print(f"{host.name}: {ratio:.1f} times real time")  # noqa: T201
+    return int("WRONG" in text)
+
+
+def heading(host: Host) -> str:
+    """A host and its program."""
+    program = program_for(host)
+    assert program is not None
+    return f"{host.name}, firmware {dictionary(program).version}"
+
+
+if __name__ == "__main__":
+    sys.exit(main())
