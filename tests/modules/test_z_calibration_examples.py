@@ -368,6 +368,11 @@ def test_plates_keep_their_baby_steps(start, tmp_path):
     assert "CALIBRATE_Z_ON_PLATE first" in printer.fail("KEEP_Z_OF_PLATE")
     printer.run("CALIBRATE_Z_ON_PLATE PLATE=Textured")
     plain = printer.offset()
+    # As at the end of many a print
+    for script in ("Z=0", "Z_ADJUST=0.51"):
+        printer.run(f"SET_GCODE_OFFSET {script}")
+        assert "something has reset" in printer.fail("KEEP_Z_OF_PLATE")
+        printer.run(f"SET_GCODE_OFFSET Z={plain}")
     printer.run("SET_GCODE_OFFSET Z_ADJUST=0.03\nKEEP_Z_OF_PLATE")
     # Also after a restart, and nothing counts twice
     printer.session.restart("RESTART")
