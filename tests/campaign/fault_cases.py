@@ -11,7 +11,7 @@ import re
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
-from typing import Any, NamedTuple, Optional
+from typing import Any, NamedTuple, Optional, Union
 
 from tests.campaign.jobs import (
     JOBS,
@@ -31,6 +31,8 @@ from tests.simprinter.world.truth import CrashError
 
 # A fault of a move strikes when it is under way, s
 INTO_A_MOVE = 0.05
+# A host has missed a silent board after this long, s
+_MISSED = 15.0
 # Triggers are so much (mm) too early or late
 _OFF = 0.3
 # A right gap: two microsteps
@@ -75,6 +77,10 @@ _SHUT_DOWN_CAUSES = {
     r"|Exception in flush_handler",
     "cancel": r"webhooks request",
 }
+# After these a sensor tells of nothing any more
+_DEAD = ("stuck_open", "trigger_never", "probe_falls")
+# Between the two of a pair
+PLUS = " + "
 # How a command may end
 RIGHT, REFUSED, SHUT_DOWN = "right", "refused", "shut down"
 
@@ -94,6 +100,31 @@ class Case(NamedTuple):
     def __str__(self) -> str:
         subject = f" {self.subject}" if self.subject else ""
         return f"{self.job} @{self.at}: {self.fault}{subject}"
+
+    @property
+    def parts(self) -> tuple[Case, ...]:
+        """All single ones."""
+        return (self,)
+
+
+class Pair(NamedTuple):
+    """Two faults in one run of a command."""
+
+    first: Case
+    second: Case
+
+    def __str__(self) -> str:
+        return PLUS.join(map(str, self))
+
+    @property
+    def job(self) -> str:
+        """The command's name."""
+        return self.first.job
+
+    @property
+    def parts(self) -> tuple[Case, ...]:
+        """All single ones."""
+        return tuple(self)
 
 
 class Setting(NamedTuple):
@@ -139,17 +170,23 @@ class GoodRun(NamedTuple):
 class Outcome:
     """How a case went.
 
-    struck: whether there was such an operation; hosts may need one more or
-    less than in the good run. depths: mm by which each site was pressed deeper
+    struck: whether there were such operations; hosts may need one more or
+    less than in the good run, and the first of two may end it. depths: mm by which each site was pressed deeper
     than in a good run. problems: what must not be; empty if it was survived.
     """
 
-    case: Case
+    case: Union[Case, Pair]
     ended: str = ""
     struck: bool = False
     message: str = ""
     depths: Mapping[str, float] = field(default_factory=dict)
     problems: list[str] = field(default_factory=list)
+
+    def is_blind(self) -> bool:
+        """Whether two sensors were dead at once."""
+        dead = [p for p in self.case.parts if p.fault in _DEAD]
+        sensors = {part.subject or "probe" for part in dead}
+        return self.struck and len(sensors) > 1
 
 
 class Saboteur:
@@ -204,6 +241,9 @@ class Saboteur:
         if operation.kind == "move":
             moment += round(INTO_A_MOVE * 1e9)
         t = machine.rig.seconds(moment)
+        if fault == "mcu_silent":
+            # Who waits for something else to go wrong sees it by then
+            self._stop_ns = moment + round(_MISSED * 1e9)
         if fault == "cancel":
             self._stop_ns = moment
         elif fault == "probe_falls":
@@ -306,10 +346,21 @@ def _templates(printer: Printer) -> int:
     return int(printer.status(f"gcode_macro {TEMPLATE}").get("n", 0))
 
 
+def _fail(printer: Printer, fail_at: Mapping[int, int]) -> None:
+    """Which templates fail, and how."""
+    value = str(dict(fail_at)).replace(" ", "")
+    printer.run(
+        f"SET_GCODE_VARIABLE MACRO={TEMPLATE} VARIABLE=fail_at VALUE={value}"
+    )
+
+
 def attempt(
-    host: Host, case: Case, good: GoodRun, setting: Setting = PLAIN
+    host: Host,
+    case: Union[Case, Pair],
+    good: GoodRun,
+    setting: Setting = PLAIN,
 ) -> Outcome:
-    """Let one fault strike and judge what happens."""
+    """Let one fault or two strike and judge what happens."""
     job = setting.job(case.job)
     trial = Trial(job, case, good)
     try:
@@ -329,11 +380,12 @@ def attempt(
 
 
 class Trial:
-    """One command with one fault, and its judgement."""
+    """One command with its faults, and its judgement."""
 
-    def __init__(self, job: Job, case: Case, good: GoodRun):
+    def __init__(self, job: Job, case: Union[Case, Pair], good: GoodRun):
         self._job = job
-        self._case = case
+        self._parts = case.parts
+        self._faults = [part.fault for part in case.parts]
         self._good = good
         self._state_message = ""
         self.outcome = Outcome(case)
@@ -359,38 +411,39 @@ class Trial:
             self._judge_next_run(printer)
 
     def _run_command(self, printer: Printer) -> None:
-        case, session = self._case, printer.session
-        saboteur = Saboteur(printer.machine, case, self._good)
-        Watch(printer.machine, saboteur.tell)
+        session = printer.session
+        saboteurs = [
+            Saboteur(printer.machine, part, self._good) for part in self._parts
+        ]
         self._set_template(printer)
-        saboteur.begin()
+        for saboteur in saboteurs:
+            Watch(printer.machine, saboteur.tell)
+            saboteur.begin()
         command = session.begin(f"{self._job.script}\nM400")
         try:
-            if case.fault == "cancel":
-                session.run_until(command, saboteur.stop_is_due)
-                session.stop()
+            if "cancel" in self._faults:
+                session.run_until(
+                    command, lambda: any(s.stop_is_due() for s in saboteurs)
+                )
+                if any(saboteur.stop_is_due() for saboteur in saboteurs):
+                    session.stop()
             session.finish(command)
             self.outcome.ended = RIGHT
         except GcodeError as error:
             self.outcome.message = str(error)
             self.outcome.ended = REFUSED
-        self.outcome.struck = saboteur.end()
-        # A host takes seconds to miss a board
-        session.wait(15.0 if case.fault == "mcu_silent" else 1.0)
+        self.outcome.struck = all([saboteur.end() for saboteur in saboteurs])
+        session.wait(_MISSED if "mcu_silent" in self._faults else 1.0)
         state, self._state_message = session.state()
         if state != "ready":
             self.outcome.ended = SHUT_DOWN
 
     def _set_template(self, printer: Printer) -> None:
-        if not self._case.fault.startswith("template"):
-            return
-        fail_at = _templates(printer) + self._case.at
-        how = RAISES if self._case.fault.endswith("raises") else LEAVES
-        for name, value in (("fail_at", fail_at), ("how", how)):
-            printer.run(
-                f"SET_GCODE_VARIABLE MACRO={TEMPLATE} VARIABLE={name}"
-                f" VALUE={value}"
-            )
+        ways = {"template raises": RAISES, "template leaves": LEAVES}
+        fails = [part for part in self._parts if part.fault in ways]
+        if fails:
+            done = _templates(printer)
+            _fail(printer, {done + p.at: ways[p.fault] for p in fails})
 
     # Judgement
 
@@ -401,10 +454,11 @@ class Trial:
     def _judge_shut_down(
         self, printer: Printer, before: Mapping[str, Any]
     ) -> None:
-        case, session = self._case, printer.session
-        words = _SHUT_DOWN_CAUSES.get(case.fault)
-        self._require(words is not None, "the printer is shut down")
-        self._require_words(self._state_message, words or "")
+        session = printer.session
+        causes = [_SHUT_DOWN_CAUSES.get(fault) for fault in self._faults]
+        words = [cause for cause in causes if cause]
+        self._require(bool(words), "the printer is shut down")
+        self._require_words(self._state_message, words)
         if self.outcome.message:
             self._require(
                 "Internal error on" not in self.outcome.message, "is hidden"
@@ -414,7 +468,8 @@ class Trial:
             session.config_text() == before["printer.cfg"],
             "printer.cfg has changed",
         )
-        if case.fault == "cancel":
+        if "cancel" in self._faults and "mcu_silent" not in self._faults:
+            printer.machine.repair()
             session.restart("FIRMWARE_RESTART")
             self._require(printer.offset() == 0.0, "an offset is in force")
 
@@ -450,13 +505,13 @@ class Trial:
         )
 
     def _judge_words(self) -> None:
-        case = self._case
-        self._require_words(self.outcome.message, _CAUSES[case.fault])
+        words = [_CAUSES[fault] for fault in self._faults]
+        self._require_words(self.outcome.message, words)
 
-    def _require_words(self, message: str, words: str) -> None:
+    def _require_words(self, message: str, words: Sequence[str]) -> None:
         self._require(
-            re.search(words, message) is not None,
-            f"{message!r} does not name the cause ({words})",
+            re.search("|".join(words), message) is not None,
+            f"{message!r} does not name the cause ({'|'.join(words)})",
         )
 
     def _is_lost(self, printer: Printer) -> bool:
@@ -469,10 +524,8 @@ class Trial:
     def _judge_next_run(self, printer: Printer) -> None:
         """Everything works again when the fault is gone."""
         printer.machine.repair()
-        if self._case.fault.startswith("template"):
-            printer.run(
-                f"SET_GCODE_VARIABLE MACRO={TEMPLATE} VARIABLE=fail_at VALUE=-1"
-            )
+        if any(fault.startswith("template") for fault in self._faults):
+            _fail(printer, {})
         again = f"{self._job.again}\nSET_GCODE_OFFSET Z={OFFSET}\nM400"
         try:
             printer.run(again)

@@ -11,14 +11,14 @@ from tests.hostkit.printer import Printer
 from tests.simprinter import SCENES, Scene
 from tests.simprinter.scenes import Sections
 
-# Runs wherever the modules run G-code of their owner's
+# Runs wherever the modules run G-code of their owner's; how it fails, by number
 TEMPLATE = "_OPERATION"
 RAISES, LEAVES = 1, 2
 _TEMPLATE_MACRO = """
   SET_GCODE_VARIABLE MACRO=_OPERATION VARIABLE=n VALUE={n + 1}
-  {% if n + 1 == fail_at and how == 1 %}
+  {% if fail_at.get(n + 1) == 1 %}
     {action_raise_error("template %d fails" % (n + 1))}
-  {% elif n + 1 == fail_at %}
+  {% elif fail_at.get(n + 1) == 2 %}
     G90
     G1 X9999
   {% endif %}"""
@@ -110,8 +110,7 @@ def _with_templates(module: str, **templates: str) -> dict[str, Any]:
         "respond": {},
         f"gcode_macro {TEMPLATE}": {
             "variable_n": "0",
-            "variable_fail_at": "-1",
-            "variable_how": "1",
+            "variable_fail_at": "{}",
             "gcode": _TEMPLATE_MACRO,
         },
         module: {
