@@ -1,7 +1,7 @@
 """Every fault at every operation, then printers at random: make faults.
 
     python -m tests.campaign [--host NAME] [--job NAME] [--case TEXT]
-        [--seed N] [--only faults|printers] [--printers N]
+        [--seed N] [--only faults|printers] [--printers N] [--pairs N]
         [--module FILE | --builtin]
         [--json FILE] [--markdown FILE]
 
@@ -10,6 +10,10 @@ all of them. For each command it prints how many faults it was given, how the
 command ended, and the worst penetration: how much deeper (mm) than in a good
 run each site was pressed. What was not survived is printed with the command
 that repeats it.
+
+--pairs: as many pairs of these faults, drawn by the seed, instead of one at a
+time; those with both sensors dead are listed with the depth at which they
+ended. A pair is repeated by its text as --case.
 
 --module and --builtin: the same for a dockable_probe of others, as far as they
 have what is broken; only harm is judged: something was hit, the printer is shut
@@ -34,7 +38,14 @@ from tests.campaign import reliability_tables
 from tests.campaign.drawn_printers import MODULES, Report
 from tests.campaign.fault_cases import REFUSED, RIGHT, SHUT_DOWN, Setting
 from tests.campaign.jobs import COMPARED, JOBS
-from tests.campaign.running import attempt_all, draw_all, figures, plan
+from tests.campaign.running import (
+    Plan,
+    attempt_all,
+    draw_all,
+    draw_pairs,
+    figures,
+    plan,
+)
 from tests.hostkit.hosts import Host, find_hosts
 
 _ENDS = (RIGHT, REFUSED, SHUT_DOWN)
@@ -50,13 +61,18 @@ def others(options: argparse.Namespace) -> Optional[dict[str, Path]]:
 def row(found: dict[str, Any]) -> str:
     """A command's line of the table."""
     ends = "".join(f"{found['ended'][end]:>11}" for end in _ENDS)
-    worst = "  ".join(
-        f"{site} {depth:.2f}/{JOBS[found['job']].margins[site]:.2f}"
-        for site, depth in found["worst"].items()
-    )
     return (
         f"{found['job']:30}{found['runs']:>6}{found['survived']:>10}{ends}"
-        f"  {worst}"
+        f"  {depths_text(found['job'], found['worst'])}"
+    )
+
+
+def depths_text(job: str, depths: Mapping[str, float]) -> str:
+    """How deep each site was pressed, and how deep it may be."""
+    margins = JOBS[job].margins
+    return "  ".join(
+        f"{site} {depth:.2f}/{margins[site]:.2f}"
+        for site, depth in depths.items()
     )
 
 
@@ -79,15 +95,29 @@ def run_faults(
     jobs = [job for job in JOBS if options.job in job]
     if setting.of_others:
         jobs = [job for job in jobs if job in COMPARED]
-    for job in jobs:
+
+    def planned(job: str) -> list[Plan]:
+        whole = every or options.pairs
         shares = [
-            (0, 1) if every else (part, len(hosts))
+            (0, 1) if whole else (part, len(hosts))
             for part in range(len(hosts))
         ]
         make = partial(plan, setting, options.case, job)
-        done = attempt_all(pool, list(pool.map(make, hosts, shares)))
+        return list(pool.map(make, hosts, shares))
+
+    plans: dict[str, list[Plan]] = {}
+    if options.pairs:
+        every_one = [one for job in jobs for one in planned(job)]
+        for one in draw_pairs(every_one, options.pairs, options.seed):
+            plans.setdefault(one.job, []).append(one)
+    for job in jobs:
+        done = attempt_all(pool, plans[job] if plans else planned(job))
         table.append(figures(job, done))
         say(row(table[-1]))
+        for one in table[-1]["blind"]:
+            depths = depths_text(job, one["depths"])
+            say(f"  both sensors dead: {one['case']} on {one['host']}:")
+            say(f"    {one['reason'] or one['ended']}; {depths}")
         # A run that is broken off leaves what it has found
         write_json(options, {"seed": options.seed}, table, {})
         for one in done:
@@ -134,6 +164,9 @@ def parse(arguments: Optional[Sequence[str]]) -> argparse.Namespace:
     parser.add_argument(
         "--printers", type=int, default=300, help="random ones for each module"
     )
+    parser.add_argument(
+        "--pairs", type=int, default=0, help="two faults at a time, so often"
+    )
     parser.add_argument("--workers", type=int, default=3)
     parser.add_argument("--json", type=Path, help="write the figures there")
     parser.add_argument(
@@ -154,7 +187,7 @@ def main(arguments: Optional[Sequence[str]] = None) -> int:
     with ProcessPoolExecutor(options.workers, context) as pool:
         if options.only != "printers":
             table = run_faults(pool, hosts, options)
-        if options.only != "faults":
+        if options.only != "faults" and not options.pairs:
             reports = run_printers(pool, hosts, options)
     about = {
         "hosts": [host.name for host in hosts],
@@ -192,14 +225,18 @@ def write_json(
     reports: Mapping[str, Report],
 ) -> dict[str, Any]:
     """All figures, written to a file where that is wanted."""
-    report = {
-        "about": about,
-        "faults": list(table),
-        "printers": {
+    report = {}
+    if options.json is not None and options.json.exists():
+        report = json.loads(options.json.read_text())
+    if options.pairs:
+        report["pairs"] = {"about": about, "faults": list(table)}
+    else:
+        report["about"] = about
+        report["faults"] = list(table)
+        report["printers"] = {
             name: {"hosts": about["hosts"], **vars(r)}
             for name, r in reports.items()
-        },
-    }
+        }
     if options.json is not None:
         options.json.write_text(json.dumps(report, indent=1) + "\n")
     return report

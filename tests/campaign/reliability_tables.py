@@ -8,6 +8,7 @@ from typing import Any
 
 from tests.bench.performance_tables import put, table
 from tests.campaign.fault_cases import REFUSED, RIGHT, SHUT_DOWN
+from tests.campaign.judge import shape
 
 BEGIN = "<!-- figures: written by make faults, not by hand -->"
 END = "<!-- end of the figures -->"
@@ -31,15 +32,32 @@ def depths_text(worst: Mapping[str, float]) -> str:
     return ", ".join(f"{name} {depth:.2f}" for name, depth in named)
 
 
-def faults_table(figures: Figures) -> list[str]:
+def faults_table(figures: Figures, what: str = "faults") -> list[str]:
     """A line for each command."""
-    heads = ["command", "worst penetration, mm", "faults", "survived"]
+    heads = ["command", "worst penetration, mm", what, "survived"]
     heads += [RIGHT, REFUSED, SHUT_DOWN]
     rows = []
     for found in figures["faults"]:
         ended = [found["ended"].get(e, 0) for e in (RIGHT, REFUSED, SHUT_DOWN)]
         numbers = map(str, (found["runs"], found["survived"], *ended))
         rows.append([found["job"], depths_text(found["worst"]), *numbers])
+    return table(heads, rows)
+
+
+def pairs_table(figures: Figures) -> list[str]:
+    """Two sensors dead at once: how it ends, and where."""
+    groups: dict[tuple[str, str], list[Figures]] = {}
+    for found in figures["faults"]:
+        for one in found["blind"]:
+            words = shape(one["reason"] or one["ended"])
+            groups.setdefault((found["job"], words), []).append(one)
+    rows = []
+    for (job, words), ones in groups.items():
+        worst = {
+            s: max(o["depths"][s] for o in ones) for s in ones[0]["depths"]
+        }
+        rows.append([job, words, depths_text(worst), str(len(ones))])
+    heads = ["both sensors dead in", "the reason", "stopped at, mm", "pairs"]
     return table(heads, rows)
 
 
@@ -102,11 +120,20 @@ def hosts_text(parts: Iterable[Figures]) -> str:
 
 def render(figures: Figures) -> str:
     """All that stands between the markers."""
+    pairs, found = [], figures.get("pairs")
+    if found:
+        seed = f"Seed {found['about']['seed']}. "
+        pairs = [
+            ["### Pairs of faults", "", seed + hosts_text(found["faults"])],
+            faults_table(found, "pairs"),
+            pairs_table(found),
+        ]
     parts = [
         [f"Seed {figures['about']['seed']}."],
         ["### Faults", "", hosts_text(figures["faults"])],
         faults_table(figures),
         kinds_table(figures),
+        *pairs,
         ["### Random printers", "", hosts_text(figures["printers"].values())],
         printers_table(figures),
     ]

@@ -2,15 +2,16 @@
 
 from __future__ import annotations
 
+import random
 import zlib
 from collections import Counter
 from collections.abc import Iterable, Sequence
 from concurrent.futures import Executor
-from typing import Any, NamedTuple
+from typing import Any, NamedTuple, Union
 
 from tests.campaign import drawn_printers, fault_cases
 from tests.campaign.drawn_printers import Report
-from tests.campaign.fault_cases import Case, Outcome, Setting
+from tests.campaign.fault_cases import PLUS, Case, Outcome, Pair, Setting
 from tests.campaign.jobs import JOBS
 from tests.hostkit.hosts import Host
 
@@ -22,7 +23,7 @@ class Plan(NamedTuple):
     job: str
     setting: Setting
     good: fault_cases.GoodRun
-    cases: tuple[Case, ...]
+    cases: tuple[Union[Case, Pair], ...]
 
 
 class Done(NamedTuple):
@@ -58,6 +59,12 @@ def plan(
     job = setting.job(name)
     good = fault_cases.good_run(host, job, setting)
     part, parts = share
+    if PLUS in text:
+        found = {str(case): case for case in fault_cases.cases(job, good)}
+        both = [found[one] for one in text.split(PLUS) if one in found]
+        return Plan(
+            host, name, setting, good, (Pair(*both),) if both[1:] else ()
+        )
     chosen = [
         case
         for case in fault_cases.cases(job, good)
@@ -66,7 +73,21 @@ def plan(
     return Plan(host, name, setting, good, tuple(chosen))
 
 
-def attempt(task: tuple[Plan, Case]) -> Done:
+def draw_pairs(plans: Sequence[Plan], count: int, seed: int) -> list[Plan]:
+    """Any two of a plan's cases, count pairs in all, each another one."""
+    generator = random.Random(seed)
+    weights = [len(one.cases) for one in plans]
+    count = min(count, sum(n * (n - 1) // 2 for n in weights))
+    pairs: list[dict[Pair, None]] = [{} for _ in plans]
+    while sum(map(len, pairs)) < count:
+        (at,) = generator.choices(range(len(plans)), weights)
+        chosen = generator.sample(range(weights[at]), 2)
+        first, second = (plans[at].cases[one] for one in sorted(chosen))
+        pairs[at][Pair(first, second)] = None
+    return [one._replace(cases=tuple(p)) for one, p in zip(plans, pairs)]
+
+
+def attempt(task: tuple[Plan, Union[Case, Pair]]) -> Done:
     """Run one case."""
     whole, case = task
     setting = whole.setting
@@ -93,8 +114,19 @@ def figures(job: str, done: Sequence[Done]) -> dict[str, Any]:
         "runs": len(outcomes),
         "survived": sum(not o.problems for o in outcomes),
         "missed": sum(not o.struck for o in outcomes),
-        "faults": Counter(o.case.fault for o in outcomes),
+        "faults": Counter(p.fault for o in outcomes for p in o.case.parts),
         "ended": Counter(o.ended for o in outcomes),
+        "blind": [
+            {
+                "case": str(one.outcome.case),
+                "host": one.host,
+                "ended": one.outcome.ended,
+                "reason": one.outcome.message,
+                "depths": one.outcome.depths,
+            }
+            for one in done
+            if one.outcome.is_blind()
+        ],
         "worst": {
             site: max((o.depths.get(site, 0.0) for o in outcomes), default=0.0)
             for site in sites

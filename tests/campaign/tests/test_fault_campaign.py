@@ -12,11 +12,14 @@ from tests.campaign.fault_cases import (
     REFUSED,
     RIGHT,
     SHUT_DOWN,
+    Case,
     GoodRun,
+    Pair,
     Setting,
 )
 from tests.campaign.jobs import COMPARED, JOBS
 from tests.campaign.operations import Operation
+from tests.campaign.running import Plan, draw_pairs, plan
 from tests.campaign.tests.planting import planted
 from tests.hostkit.printer import module_files
 
@@ -98,6 +101,87 @@ def test_lost_board_is_told_first(host, nth):
     outcome = attempt(host, ATTACHING, "mcu_silent", "", nth, "query")
     assert outcome.ended == SHUT_DOWN
     assert outcome.problems == []
+
+
+# Two cases of a job as above, how it ends, whether both have struck
+PAIRS = [
+    # Of two sensors nothing is known any more; the first one is told
+    (
+        (Z, "stuck_open", "probe", 0, ""),
+        (Z, "trigger_never", "z_endstop", 0, ""),
+        REFUSED,
+        True,
+    ),
+    (
+        (Z, "stuck_open", "z_endstop", 0, "touch"),
+        (Z, "cancel", "", -1, "touch"),
+        REFUSED,
+        False,
+    ),
+    (
+        (Z, "mcu_silent", "", 3, "move"),
+        (Z, "cancel", "", -1, ""),
+        SHUT_DOWN,
+        False,
+    ),
+    (
+        (Z, "stuck_closed", "probe", 0, ""),
+        (Z, "cancel", "", 1, ""),
+        SHUT_DOWN,
+        True,
+    ),
+    # The second fails in the clean-up after the first
+    (
+        (ATTACHING, "template raises", "", 2, ""),
+        (ATTACHING, "template leaves", "", 3, ""),
+        REFUSED,
+        True,
+    ),
+]
+
+
+def pair_of(host, first, second):
+    (one, good), (other, _) = case_of(host, *first), case_of(host, *second)
+    return Pair(one, other), good
+
+
+@pytest.mark.some
+@pytest.mark.parametrize("which", PAIRS, ids=lambda w: "-".join(map(str, w)))
+def test_pair_is_survived(some_host, which):
+    first, second, ended, both = which
+    pair, good = pair_of(some_host, first, second)
+    outcome = fault_cases.attempt(some_host, pair, good)
+    assert outcome.problems == []
+    assert (outcome.ended, outcome.struck) == (ended, both)
+    assert outcome.is_blind() == (which is PAIRS[0])
+
+
+def test_pair_is_judged_and_shown_again(one_host):
+    first, second = (Z, "trigger_never", "z_endstop", 1), (Z, "stuck_open")
+    pair, good = pair_of(one_host, first, second)
+    good = good._replace(depths=dict.fromkeys(good.depths, -1.0))
+    outcome = fault_cases.attempt(one_host, pair, good)
+    assert "the machine was hurt" in outcome.problems[0]
+    again = plan(Setting(), str(pair), Z, one_host, (0, 1)).cases
+    assert again == (pair,)
+
+
+def test_pairs_are_drawn_over_all_commands():
+    def one(job, count):
+        cases = tuple(Case(job, at, "cancel") for at in range(count))
+        return Plan(None, job, Setting(), None, cases)
+
+    plans = [one(Z, 60), one(AUTO, 20), one(MESH, 2)]
+    drawn = draw_pairs(plans, 80, 5)
+    assert drawn == draw_pairs(plans, 80, 5) != draw_pairs(plans, 80, 6)
+    counts = [len(part.cases) for part in drawn]
+    assert sum(counts) == 80
+    assert counts[0] > counts[1] > counts[2]
+    pairs = [pair for part in drawn for pair in part.cases]
+    assert len(set(pairs)) == 80
+    assert all(a.job == b.job and a.at < b.at for a, b in pairs)
+    # No more than there are
+    assert len(draw_pairs([one(MESH, 3)], 9, 1)[0].cases) == 3
 
 
 MESH = "BED_MESH_CALIBRATE, dockable"
