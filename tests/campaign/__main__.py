@@ -114,6 +114,8 @@ def run_faults(
         done = attempt_all(pool, plans[job] if plans else planned(job))
         table.append(figures(job, done))
         say(row(table[-1]))
+        for text in table[-1]["agreed"]:
+            say(f"  both touches wrong alike: {text}")
         for one in table[-1]["blind"]:
             depths = depths_text(job, one["depths"])
             say(f"  both sensors dead: {one['case']} on {one['host']}:")

@@ -35,6 +35,9 @@ INTO_A_MOVE = 0.05
 _MISSED = 15.0
 # Triggers are so much (mm) too early or late
 _OFF = 0.3
+# With both sensors dead the probe's body is pressed so deep (mm) at most, and
+# the nozzle no deeper than ever
+BLIND_BODY = 5.2
 # A right gap: two microsteps
 GAP_ERROR = 0.0051
 _STEP = 0.0026
@@ -173,6 +176,7 @@ class Outcome:
     struck: whether there were such operations; hosts may need one more or
     less than in the good run, and the first of two may end it. depths: mm by which each site was pressed deeper
     than in a good run. problems: what must not be; empty if it was survived.
+    error: of the gap that it ended with, mm.
     """
 
     case: Union[Case, Pair]
@@ -181,12 +185,25 @@ class Outcome:
     message: str = ""
     depths: Mapping[str, float] = field(default_factory=dict)
     problems: list[str] = field(default_factory=list)
+    error: float = 0.0
 
     def is_blind(self) -> bool:
         """Whether two sensors were dead at once."""
-        dead = [p for p in self.case.parts if p.fault in _DEAD]
-        sensors = {part.subject or "probe" for part in dead}
-        return self.struck and len(sensors) > 1
+        return self.struck and is_blind(self.case)
+
+
+def is_blind(case: Union[Case, Pair]) -> bool:
+    """Whether this takes two sensors."""
+    dead = [part for part in case.parts if part.fault in _DEAD]
+    return len({part.subject or "probe" for part in dead}) > 1
+
+
+def agree(case: Union[Case, Pair]) -> bool:
+    """Whether two touches are wrong by the same amount."""
+    lies = {part[2:] for part in case.parts}
+    (fault, _), *others = lies
+    alike = len(case.parts) > 1 and not others
+    return alike and fault in ("trigger_early", "trigger_late")
 
 
 class Saboteur:
@@ -366,6 +383,8 @@ def attempt(
     try:
         with _printer(host, job, setting) as printer:
             for site, margin in job.margins.items():
+                if is_blind(case) and not site.startswith("nozzle"):
+                    margin = max(margin, BLIND_BODY)
                 printer.machine.tolerate(
                     site, good.depths[site] + margin + _STEP
                 )
@@ -502,8 +521,12 @@ class Trial:
 
     def _judge_right(self, printer: Printer) -> None:
         gap, good = self._job.gap(printer), self._good.gap
+        self.outcome.error = error = abs(gap - good)
+        if self._job.samples == 2 and agree(self.outcome.case):
+            # The only two that are compared: nothing can tell
+            error = min(error, abs(error - _OFF))
         self._require(
-            abs(gap - good) < GAP_ERROR,
+            error < GAP_ERROR,
             f"the gap is {gap:.4f}, which should be {good:.4f}",
         )
 

@@ -41,6 +41,7 @@ class Job:
     knows where the head is. told: what it may leave behind: status fields that
     tell what was seen last; "pending", where the host has a result already.
     is_long: of the operations of a kind only the first, the middle and the last.
+    samples: as many touches, or rounds of them, are compared with each other.
     """
 
     name: str
@@ -59,6 +60,7 @@ class Job:
     is_homing: bool = False
     told: tuple[str, ...] = ()
     is_long: bool = False
+    samples: int = 3
 
     def of_others(self, is_builtin: bool) -> Job:
         """The same with a host's own module, or with the plugin for v0.12.
@@ -147,6 +149,7 @@ def _z_calibration_jobs() -> list[Job]:
         plain,
         name="CALIBRATE_Z, attaching",
         scene=cartesian,
+        samples=2,
         point=(110.0, 110.0),
         lift=3.9,
         again="DOCK_PROBE",
@@ -192,6 +195,7 @@ def _auto_z_offset_jobs() -> list[Job]:
         script="AUTO_Z_PROBE",
         scene=scene,
         signals=("bed_sensor", "probe"),
+        samples=2,
         point=auto_z_offset.POINT,
         margins={"nozzle_bed": FLOOR_MARGIN},
         lift=3.6,

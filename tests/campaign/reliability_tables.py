@@ -123,9 +123,15 @@ def render(figures: Figures) -> str:
     pairs, found = [], figures.get("pairs")
     if found:
         seed = f"Seed {found['about']['seed']}. "
+        agreed = sum(len(one["agreed"]) for one in found["faults"])
+        alike = (
+            f"In {agreed} of them the only two touches that are compared were"
+            " wrong by the same amount, and so was the gap: no touch can tell."
+        )
         pairs = [
             ["### Pairs of faults", "", seed + hosts_text(found["faults"])],
             faults_table(found, "pairs"),
+            [alike],
             pairs_table(found),
         ]
     parts = [

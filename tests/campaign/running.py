@@ -127,6 +127,12 @@ def figures(job: str, done: Sequence[Done]) -> dict[str, Any]:
             for one in done
             if one.outcome.is_blind()
         ],
+        # Wrong by what no touch can tell
+        "agreed": [
+            str(o.case)
+            for o in outcomes
+            if o.error >= fault_cases.GAP_ERROR and not o.problems
+        ],
         "worst": {
             site: max((o.depths.get(site, 0.0) for o in outcomes), default=0.0)
             for site in sites

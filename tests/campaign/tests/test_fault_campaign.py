@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from functools import lru_cache
 from pathlib import Path
 
@@ -112,6 +113,13 @@ PAIRS = [
         REFUSED,
         True,
     ),
+    # Looks at the bed how long the probe is, with a probe that is dead
+    (
+        (Z, "trigger_never", "z_endstop", 5, ""),
+        (Z, "trigger_never", "probe", 0, ""),
+        REFUSED,
+        True,
+    ),
     (
         (Z, "stuck_open", "z_endstop", 0, "touch"),
         (Z, "cancel", "", -1, "touch"),
@@ -153,7 +161,24 @@ def test_pair_is_survived(some_host, which):
     outcome = fault_cases.attempt(some_host, pair, good)
     assert outcome.problems == []
     assert (outcome.ended, outcome.struck) == (ended, both)
-    assert outcome.is_blind() == (which is PAIRS[0])
+    assert outcome.is_blind() == (which in PAIRS[:2])
+
+
+@pytest.mark.parametrize("fault", ["trigger_early", "trigger_late"])
+@pytest.mark.parametrize("samples", [2, 3])
+def test_two_touches_that_agree(one_host, monkeypatch, fault, samples):
+    name = "AUTO_Z_HOME_Z"
+    job = replace(JOBS[name], samples=samples)
+    monkeypatch.setitem(JOBS, name, job)
+    pair, good = pair_of(
+        one_host,
+        (name, fault, "bed_sensor", 0),
+        (name, fault, "bed_sensor", 1),
+    )
+    outcome = fault_cases.attempt(one_host, pair, good)
+    # Only where no third could have told
+    assert bool(outcome.problems) == (samples == 3)
+    assert outcome.error == pytest.approx(0.3, abs=0.01)
 
 
 def test_pair_is_judged_and_shown_again(one_host):
