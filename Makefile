@@ -27,7 +27,7 @@
 # BENCH_ARGS           arguments for make bench, such as --seeds 10 or --builtin
 # DEMO_ARGS            arguments for make demo, such as --record FILE.svg
 # PRINTER_ARGS         arguments for make printer, such as --scene extra_probe
-# FAULTS_ARGS          arguments for make faults, such as --seed 7
+# FAULTS_ARGS          arguments for make faults, such as --seed 7 or --pairs 2000
 
 PYTHON ?= python3
 BUILD_DIR ?= build

@@ -65,5 +65,6 @@ def test_document_says_what_is_judged(document):
         f"within {fault_cases.GAP_ERROR:.3f} mm of that of a run without",
         f"strikes {fault_cases.INTO_A_MOVE * 1e3:g} ms into it",
         "at most half may be refused",
+        f"pressed up to {fault_cases.BLIND_BODY:g} mm deeper",
     ):
         assert words in text, words
