@@ -189,14 +189,17 @@ _NUMBER = re.compile(r"-?\d+\.\d+")
 
 
 def difference(own: Record, real: Record) -> float:
-    """By how much (mm) a height differs at most; infinity if anything else."""
+    """By how much (mm) a height or a motor's end differs at most.
+
+    Infinity if anything else does.
+    """
     texts = [[_NUMBER.sub("#", line) for line in r.lines] for r in (own, real)]
     places = [[site for site, _ in r.touches] for r in (own, real)]
     steps = [abs(own.steps[name] - real.steps[name]) for name in own.steps]
-    if texts[0] != texts[1] or places[0] != places[1] or max(steps) > 1:
+    if texts[0] != texts[1] or places[0] != places[1]:
         return math.inf
     pairs = zip(_heights(own), _heights(real))
-    return max(abs(one - other) for one, other in pairs)
+    return max(max(steps) * MICROSTEP, *(abs(a - b) for a, b in pairs))
 
 
 def _heights(found: Record) -> list[float]:
