@@ -57,7 +57,10 @@ _PROBE = r"the probe (was not fetched|was not docked|is not ready|was lost)"
 _CAUSES = {
     # Before before_switch_gcode a probe has to read triggered
     "stuck_open": _DEAD + r"|is attached already|" + _PROBE,
-    "stuck_closed": _TRIGGERED + r"|before the head moved|" + _PROBE,
+    # On the way down it is a trigger in mid air
+    "stuck_closed": _TRIGGERED
+    + r"|before the head moved|sees the bed at|"
+    + _PROBE,
     "trigger_never": _DEAD,
     "trigger_early": _HEIGHTS,
     "trigger_late": _HEIGHTS,
@@ -81,7 +84,7 @@ _SHUT_DOWN_CAUSES = {
     "cancel": r"webhooks request",
 }
 # After these a sensor tells of nothing any more
-_DEAD = ("stuck_open", "trigger_never", "probe_falls")
+_BLINDING = ("stuck_open", "trigger_never", "probe_falls")
 # Between the two of a pair
 PLUS = " + "
 # How a command may end
@@ -92,7 +95,8 @@ class Case(NamedTuple):
     """One fault at one operation.
 
     at: number of the operation, 0 before the first; of the template or the
-    trip to the dock for their faults. subject: signal, board or driver where there are several.
+    trip to the dock for their faults. subject: signal, board or driver where
+    there are several.
     """
 
     job: str
@@ -174,9 +178,9 @@ class Outcome:
     """How a case went.
 
     struck: whether there were such operations; hosts may need one more or
-    less than in the good run, and the first of two may end it. depths: mm by which each site was pressed deeper
-    than in a good run. problems: what must not be; empty if it was survived.
-    error: of the gap that it ended with, mm.
+    less than in the good run, and the first of two may end it. depths: mm by
+    which each site was pressed deeper than in a good run. problems: what must
+    not be; empty if it was survived. error: of the gap that it ended with, mm.
     """
 
     case: Union[Case, Pair]
@@ -194,7 +198,7 @@ class Outcome:
 
 def is_blind(case: Union[Case, Pair]) -> bool:
     """Whether this takes two sensors."""
-    dead = [part for part in case.parts if part.fault in _DEAD]
+    dead = [part for part in case.parts if part.fault in _BLINDING]
     return len({part.subject or "probe" for part in dead}) > 1
 
 
