@@ -50,7 +50,8 @@ COMPILE = import sys; [compile(open(f).read(), f, 'exec') for f in sys.argv[1:]]
 .PHONY: lint format tools clean
 
 test: prepared lint
-	$(TOOLS)/python -m pytest -n $(PYTEST_WORKERS) --dist worksteal $(PYTEST_ARGS)
+	$(TOOLS)/python -m pytest -n $(PYTEST_WORKERS) \
+		--dist loadfile --no-loadscope-reorder $(PYTEST_ARGS)
 
 test-firmware: prepared
 	FIRMWARE="$(FIRMWARE)" $(TOOLS)/python -m pytest -n $(PYTEST_WORKERS) \

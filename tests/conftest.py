@@ -13,6 +13,8 @@ from operator import attrgetter
 
 import pytest
 from hypothesis import HealthCheck, settings
+from xdist.remote import Producer
+from xdist.scheduler import LoadFileScheduling
 
 from tests.hostkit import load_errors, starting
 from tests.hostkit.hosts import Host, all_hosts, missing_hosts
@@ -51,7 +53,7 @@ def pytest_collection_modifyitems(
 
     On another one for another case. EVERY_HOST=1: on each; so do those marked
     `each_host`, where all others in their file are spread. Of one marked
-    `some`, some of the cases run without it.
+    `some`, some of the cases run without it; one marked `long` does not.
     """
     if not os.environ.get("EVERY_HOST"):
         left_out = _left_out(items)
@@ -59,6 +61,10 @@ def pytest_collection_modifyitems(
         others = [item for item in items if item not in chosen]
         config.hook.pytest_deselected(items=others)
         items[:] = [item for item in items if item in chosen]
+        for item in items:
+            for mark in item.iter_markers("long"):
+                reason = f"{mark.args[0]}: EVERY_HOST=1"
+                item.add_marker(pytest.mark.skip(reason=reason))
     for item in items:
         if item.path.parent.name == "unit":
             item.add_marker("quick")
@@ -72,7 +78,7 @@ def _left_out(items: list[pytest.Item]) -> set[pytest.Item]:
     """What does not run of the tests marked `some`, on whichever host.
 
     Half of a table's cases run; of 6 and more every third, of 16 and more
-    every fourth.
+    every fourth; or every nth, where the mark gives n.
     """
     cases: dict[str, list[str]] = {}
     marked = [item for item in items if item.get_closest_marker("some")]
@@ -81,12 +87,16 @@ def _left_out(items: list[pytest.Item]) -> set[pytest.Item]:
         table = cases.setdefault(case.partition("[")[0], [])
         if case not in table:
             table.append(case)
-    return {item for item in marked if not _is_chosen(_case(item), cases)}
+    return {item for item in marked if not _is_chosen(item, cases)}
 
 
-def _is_chosen(case: str, cases: dict[str, list[str]]) -> bool:
+def _is_chosen(item: pytest.Item, cases: dict[str, list[str]]) -> bool:
+    case = _case(item)
     table = cases[case.partition("[")[0]]
-    step = 2 + (len(table) >= 6) + (len(table) >= 16)
+    mark = item.get_closest_marker("some")
+    assert mark is not None
+    usual = 2 + (len(table) >= 6) + (len(table) >= 16)
+    step = mark.args[0] if mark.args else usual
     number = table.index(case)
     # Shifted in each round, as the last option has as few values
     return (number + number // step) % step == 0
@@ -111,6 +121,23 @@ def _drawn(case: str) -> Host:
     """The host of a case that runs on one."""
     hosts = all_hosts()
     return hosts[zlib.crc32(case.encode()) % len(hosts)]
+
+
+@pytest.hookimpl(optionalhook=True)
+def pytest_xdist_make_scheduler(
+    config: pytest.Config, log: Producer
+) -> LoadFileScheduling:
+    """A file stays in one process, and so does what files share for long."""
+    return _ByFile(config, log)
+
+
+class _ByFile(LoadFileScheduling):
+    # Making a printer with Moonraker takes seconds
+    _TOGETHER = re.compile(r"tests/moonraker/test_(?!dialogs|setup)")
+
+    def _split_scope(self, nodeid: str) -> str:
+        found = self._TOGETHER.match(nodeid)
+        return found[0] if found else super()._split_scope(nodeid)
 
 
 @pytest.fixture

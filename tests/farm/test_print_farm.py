@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import ast
 import json
-import os
 import re
 import shutil
 import subprocess
@@ -370,9 +369,7 @@ def kept(broker):
     return [run["offset"] for run in histories[-1]]
 
 
-@pytest.mark.skipif(
-    not os.environ.get("EVERY_HOST"), reason="a minute or more: EVERY_HOST=1"
-)
+@pytest.mark.long("a minute or more")
 @pytest.mark.timeout(600)
 def test_each_run_of_each_printer_arrives_once(farm):
     broker, printers = farm

@@ -325,6 +325,7 @@ def test_klipper_in_a_bigger_repository(box):
     assert "klippy" not in exclude.read_text()
 
 
+@pytest.mark.some
 @pytest.mark.parametrize("text", ["# mine\n*.bak\n", "*.bak", "", None])
 def test_lines_of_others_in_the_exclude_file_stay(machine, klipper, text):
     klipper.exclude.unlink()
@@ -368,6 +369,7 @@ def test_kalico_needs_the_override(box):
     box.installed()
 
 
+@pytest.mark.some
 @pytest.mark.parametrize(
     ("name", "line", "is_allowed"),
     [
@@ -508,6 +510,7 @@ def test_extras_that_cannot_be_written(machine, klipper):
     folder.chmod(0o755)
 
 
+@pytest.mark.some
 @pytest.mark.parametrize(
     ("options", "message"),
     [

@@ -62,6 +62,7 @@ def test_file_keeps_its_identity(machine, conf):
         assert (after.st_ino, after.st_mode) == (before.st_ino, before.st_mode)
 
 
+@pytest.mark.some
 @pytest.mark.parametrize(
     "places",
     [
@@ -115,6 +116,7 @@ def test_no_moonraker(machine, conf):
 # A section that is there
 
 
+@pytest.mark.some
 @pytest.mark.parametrize(
     ("old", "new"),
     [
@@ -139,6 +141,7 @@ def test_section_that_is_right_stays(machine, conf, old, new):
     assert machine.restarted() == ["klipper"]
 
 
+@pytest.mark.some
 @pytest.mark.parametrize(
     "line",
     [
@@ -155,6 +158,7 @@ def test_what_only_looks_like_it_does_not_count(machine, conf, line):
     assert conf.read_text().endswith(f"\n\n{MARK}{SECTION}")
 
 
+@pytest.mark.some
 @pytest.mark.parametrize(
     "include",
     ["more.conf", "conf.d/*.conf", "ABSOLUTE/conf.d/a b.conf", "first.conf"],

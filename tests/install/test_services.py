@@ -62,6 +62,7 @@ def test_stopped_service_stays_stopped(machine):
     assert machine.restarted() == BOTH
 
 
+@pytest.mark.some
 @pytest.mark.parametrize(
     ("state", "options", "is_restarted"),
     [
@@ -134,6 +135,7 @@ def test_more_printers_than_moonrakers_that_answer(machine):
     assert machine.restarted() == ["moonraker-1"]
 
 
+@pytest.mark.some
 @pytest.mark.parametrize(
     ("server", "address"),
     [
@@ -190,6 +192,7 @@ BUSY = "A print is running: nothing restarted"
 UNKNOWN = "no Moonraker tells"
 
 
+@pytest.mark.some
 @pytest.mark.parametrize(
     ("code", "info", "query", "said"),
     [

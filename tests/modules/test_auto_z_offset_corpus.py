@@ -104,6 +104,7 @@ def test_broken_entry_is_refused(entry, host):
         added[option] = MENDED[option]
 
 
+@pytest.mark.some
 @each(FAULTY, 5)
 def test_mended_entry_calibrates(entry, host):
     added = {name: MENDED[name] for name in BROKEN[entry.index]}

@@ -89,7 +89,7 @@ def test_axes_must_be_homed(some_host, command, script):
 KINDS = ("trigger_never", "stuck_open", "stuck_closed")
 
 
-@pytest.mark.some
+@pytest.mark.some(8)
 @pytest.mark.parametrize("saved", [None, "-1.12"])
 @pytest.mark.parametrize("signal", ["bed_sensor", "probe"])
 @pytest.mark.parametrize("n", [1, 2, 3])
@@ -434,6 +434,7 @@ def test_prepare_gcode_that_leaves_the_head_below(start):
     assert "(stopped at z=-1.100)" in text
 
 
+@pytest.mark.some
 @pytest.mark.parametrize("command", MEASURING)
 def test_measurement_inside_a_measurement(some_host, command):
     changes = section(prepare_gcode=f"{PREPARE}\n  AUTO_Z_{command}")
@@ -616,6 +617,7 @@ def test_driver_that_is_better_left_alone(start, tmp_path, own, command, calls):
 # The connection
 
 
+@pytest.mark.some
 @pytest.mark.parametrize("board", ["U_1", "mcu"])
 def test_lost_connection_is_the_only_end_of_the_printer(start, board):
     # Half a second before the nozzle is on the bed, or the probe sees it

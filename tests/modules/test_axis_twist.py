@@ -39,6 +39,7 @@ def compensation(host, scene, start_x, end_x, *heights):
     raise AssertionError(f"{host.name} takes no [axis_twist_compensation]")
 
 
+@pytest.mark.some
 @pytest.mark.parametrize("home", [MEASURED, FAR])
 def test_corrected_probe_on_a_twisted_axis(host, home):
     inductive = SCENES["qidi"].world.inductive

@@ -96,6 +96,7 @@ def test_bed_on_three_screws_is_levelled(start):
     assert printer.machine.truth.min_gap > HANG - 2.5
 
 
+@pytest.mark.some
 @SCENES
 def test_home_and_mesh(start, scene):
     printer = start(scene, section(**QUICK)).homed()
@@ -106,6 +107,7 @@ def test_home_and_mesh(start, scene):
     assert printer.run("GET_PROBE_STATUS")[0].endswith("Probe Status: DOCKED")
 
 
+@pytest.mark.some
 @SCENES
 def test_attached_until_it_is_detached(start, scene):
     printer = start(scene, section(**QUICK)).homed()

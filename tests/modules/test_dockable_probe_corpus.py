@@ -23,6 +23,7 @@ def test_all_of_them():
     assert len(GOOD) == 25
 
 
+@pytest.mark.some
 @pytest.mark.parametrize("index", GOOD if WHOLE else GOOD[::8])
 def test_home_and_mesh(start, index):
     printer = start(scene_of(index)).homed()

@@ -55,6 +55,7 @@ def test_calibrate_z(start, changes):
     assert_calibrated(start(SCENE, changes).homed())
 
 
+@pytest.mark.some
 @pytest.mark.each_host
 @WAYS
 def test_calibrate_z_with_the_one_that_the_host_has(start, host, changes):

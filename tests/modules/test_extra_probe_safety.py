@@ -493,6 +493,7 @@ def test_something_high_on_the_bed(start):
 # The end of the printer
 
 
+@pytest.mark.some
 @pytest.mark.parametrize("after", [0.0, 0.2, 1.0, 3.0])
 def test_emergency_stop(start, after):
     printer = asked(start)

@@ -224,6 +224,7 @@ def told(printer: Printer) -> str:
     return str(caught.value)
 
 
+@pytest.mark.some
 @pytest.mark.parametrize(
     ("name", "old", "new", "message"),
     [

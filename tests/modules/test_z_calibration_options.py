@@ -650,9 +650,9 @@ def longer(pin, bed=0.0):
         ),
     ],
 )
-def test_speeds(some_host, changes, more):
-    usual = usual_spans(some_host)
-    changed = spans(some_host, changes)
+def test_speeds(one_host, changes, more):
+    usual = usual_spans(one_host)
+    changed = spans(one_host, changes)
     found = {part: changed[part] - usual[part] for part in more}
     assert found == pytest.approx(more, abs=0.25)
 

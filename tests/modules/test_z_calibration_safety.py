@@ -492,6 +492,7 @@ def test_head_is_up_when_the_session_ends(start):
     assert float(stowed[-1].split()[-1]) == pytest.approx(13.8, abs=0.01)
 
 
+@pytest.mark.some
 @pytest.mark.parametrize(
     ("template", "command"),
     [
@@ -546,7 +547,7 @@ CASES = [
 ]
 
 
-@pytest.mark.some
+@pytest.mark.some(8)
 @pytest.mark.parametrize(("kind", "signal", "n"), CASES)
 def test_single_fault_of_a_sensor(some_host, kind, signal, n):
     options = {"mm": 0.3} if kind == "trigger_early" else {}

@@ -60,15 +60,15 @@ def fall_silent(machine, begin):
     machine.boards["zboard"].is_silent = is_silent
 
 
-def test_lost_message_is_no_missing_trigger(host):
+def test_lost_message_is_no_missing_trigger(one_host):
     # The body is 0.75 mm lower than z_offset says, so 0.25 mm above the floor
     scene = "voron_two_boards"
     changes = {"probe": {"z_offset": f"{BODY + 0.44 + 0.75}"}}
-    with Printer(host, scene, changes) as printer:
+    with Printer(one_host, scene, changes) as printer:
         calibration(printer.homed())
         touches = printer.machine.truth.touches
         begin = min(t.t for t in touches if t.site == "body_pin") - 0.08
-    with Printer(host, scene, changes) as printer:
+    with Printer(one_host, scene, changes) as printer:
         fall_silent(printer.homed().machine, begin)
         text = printer.fail("CALIBRATE_Z")
         assert text.startswith("z_calibration: switch: ")

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import os
 import threading
 import time
 from dataclasses import replace
@@ -78,9 +77,7 @@ class WebUser(User):
         watching.join()
 
 
-@pytest.mark.skipif(
-    "EVERY_HOST" not in os.environ, reason="two minutes: EVERY_HOST=1"
-)
+@pytest.mark.long("two minutes")
 @pytest.mark.timeout(600)
 def test_abort_at_each_step(lab):
     user = WebUser(lab)

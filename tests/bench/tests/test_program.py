@@ -22,7 +22,7 @@ from tests.hostkit.hosts import find_hosts
 from tests.hostkit.printer import module_files
 
 # One run of the program is behind most of them
-pytestmark = pytest.mark.timeout(300)
+pytestmark = [pytest.mark.timeout(300), pytest.mark.long("half a minute")]
 
 TIMED = (CALIBRATE_Z, AUTO_Z_CALIBRATE)
 RUNS = timing.RUNS[:1]

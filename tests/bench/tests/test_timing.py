@@ -60,6 +60,7 @@ def test_standard_machine_is_calibrated_in_time(host):
     assert again.start[:2] == pytest.approx((152.0, 125.25))
 
 
+@pytest.mark.long("some seconds")
 def test_quick_touches_are_counted_and_are_no_samples(one_host):
     quick = {"samples": "2", "probing_first_fast": "true"}
     section = {**STANDARD["z_calibration"], **quick}
@@ -88,6 +89,7 @@ def test_lower_bound_ends_where_the_touches_are(one_host):
         assert last.y == pytest.approx(stop.y, abs=0.02)
 
 
+@pytest.mark.long("some seconds")
 def test_accuracy_is_timed(one_host):
     for run in measured(one_host, PROBE_Z_ACCURACY):
         assert run.ratio > 1.0

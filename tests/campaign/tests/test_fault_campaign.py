@@ -85,7 +85,7 @@ CASES = [
 ]
 
 
-@pytest.mark.some
+@pytest.mark.some(9)
 @pytest.mark.parametrize("which", CASES, ids=lambda w: "-".join(map(str, w)))
 def test_fault_is_survived(some_host, which):
     outcome = attempt(some_host, *which[:5])
@@ -96,6 +96,7 @@ def test_fault_is_survived(some_host, which):
         assert outcome.message
 
 
+@pytest.mark.some
 @pytest.mark.parametrize("nth", [1, 2])
 def test_lost_board_is_told_first(host, nth):
     # Moving after it may be an error of the host's own
@@ -164,6 +165,7 @@ def test_pair_is_survived(some_host, which):
     assert outcome.is_blind() == (which in PAIRS[:2])
 
 
+@pytest.mark.some(4)
 @pytest.mark.parametrize("fault", ["trigger_early", "trigger_late"])
 @pytest.mark.parametrize("samples", [2, 3])
 def test_two_touches_that_agree(one_host, monkeypatch, fault, samples):

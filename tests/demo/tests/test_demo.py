@@ -16,6 +16,8 @@ from tests.docs.pictures import mm
 from tests.hostkit.environment import build_dir
 from tests.simprinter import SCENES
 
+pytestmark = pytest.mark.spread
+
 ROOT = Path(__file__).resolve().parents[3]
 MICROSTEP = 0.0025
 RESULT = re.compile(

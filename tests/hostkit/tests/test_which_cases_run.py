@@ -63,6 +63,8 @@ def test_each_case_runs_on_one_host(all_cases, chosen):
         SHARED,
         "test_axes_must_be_homed",
         "test_driver_that_does_not_answer",
+        "test_lost_connection_is_the_only_end_of_the_printer",
+        "test_measurement_inside_a_measurement",
         "test_trigger_in_mid_air",
         "test_trigger_that_is_late",
     }
@@ -72,6 +74,7 @@ def test_share_of_a_table_has_every_value(all_cases, chosen):
     full = {plain(name) for name in all_cases if name.startswith(SHARED)}
     share = {plain(name) for name in chosen if name.startswith(SHARED)}
     assert share < full
-    assert len(share) == -(-len(full) // 4)
+    # The mark says every eighth, shifted in each round
+    assert len(share) == len(full) // 9
     for value in ("-None]", "--1.12]", "[trigger_never", "[stuck_open", "-3-"):
         assert any(value in name for name in share), value

@@ -178,9 +178,7 @@ def test_start_home_and_end(port):
         assert_ends(shown, signal.SIGINT)
 
 
-@pytest.mark.skipif(
-    not os.environ.get("EVERY_HOST"), reason="half a minute: EVERY_HOST=1"
-)
+@pytest.mark.long("half a minute")
 @pytest.mark.timeout(5 * LIMIT)
 def test_second_start_beside_the_first_and_mistakes(port):
     page = "http://page.example"
@@ -221,9 +219,7 @@ def test_second_start_beside_the_first_and_mistakes(port):
         assert_ends(first, signal.SIGTERM)
 
 
-@pytest.mark.skipif(
-    not os.environ.get("EVERY_HOST"), reason="ten seconds: EVERY_HOST=1"
-)
+@pytest.mark.long("ten seconds")
 @pytest.mark.parametrize("seconds", [0.0, 1.0, 2.0, 3.0])
 def test_end_before_all_has_begun_leaves_nothing(port, seconds, tmp_path):
     environment = {**os.environ, "TMPDIR": str(tmp_path)}

@@ -26,6 +26,7 @@ def untimed(touch):
     return touch.site, touch.x, touch.y, touch.trigger_z
 
 
+@pytest.mark.spread
 @pytest.mark.parametrize(
     ("scene", "script", "count"),
     [("cartesian", SCRIPT, 12), ("voron_two_boards", "G28 Z", 1)],
@@ -72,6 +73,7 @@ def test_klippy_that_is_not_on_the_clock_is_noticed(host, monkeypatch):
         printer.session.require_ready()
 
 
+@pytest.mark.long("half a minute")
 def test_real_time_gives_the_same_gap(one_host):
     # Quick enough to be waited for
     changes = {
