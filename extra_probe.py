@@ -143,8 +143,8 @@ class OwnSwitch(object):
             try:
                 return head.touch(self._endstop, lowest, head.sampling.speed)
             except errors.CalibrationError as e:
-                text = "%s; press it by hand and look with %s"
-                raise e.__class__(text % (e, self.query))
+                hint = "press it by hand and look with %s" % (self.query,)
+                raise e.advised(hint)
 
     @contextlib.contextmanager
     def _active(self, is_wanted):

@@ -541,7 +541,7 @@ class Measurement(object):
             wanted = ""
             if self.expected_z is not None:
                 wanted = ", expected a trigger at z=%.3f" % (self.expected_z,)
-            raise e.__class__("%s%s; %s" % (e, wanted, self.remedy))
+            raise e.advised(self.remedy, wanted)
 
     # Up to where the next touch begins
     def retract(self):

@@ -5,12 +5,20 @@ import contextlib
 
 # A condition that ends the run
 class CalibrationError(Exception):
-    pass
+    # The same, with more about it, and what to look at
+    def advised(self, hint, more=""):
+        return self.__class__("%s%s; %s" % (self, more, hint))
 
 
 # A touch that went down to its floor without a trigger
 class NoTrigger(CalibrationError):
     pass
+
+
+# A touch that a late message has ended: nothing about the sensor or its place
+class MessageLost(CalibrationError):
+    def advised(self, hint, more=""):
+        return self
 
 
 # No series of samples agreed

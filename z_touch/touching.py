@@ -8,11 +8,17 @@ import collections
 import contextlib
 import functools
 
-from .errors import CalibrationError, NoTrigger
+from .errors import CalibrationError, MessageLost, NoTrigger
 from .running import always
 
 # How every host since 2021-08-17 (1dc2ab048) begins this error
 NO_TRIGGER = "No trigger"
+# As old: a board of the motors did not hear in time of the endstop's board
+NO_MESSAGE = "Communication timeout during"
+TOO_SLOW = (
+    "the computer or the line to a board was too slow for a moment: run it"
+    " again, and look into klippy.log if it comes back"
+)
 
 # A trigger this close (mm) to the start is none: the sensor was pressed.
 # Less than any microstep is long, more than rounding.
@@ -96,7 +102,7 @@ class Head(object):
             pass_on_shutdown(host, e)
             ended = NO_TRIGGER in str(e) and is_at(host, z)
             kind = NoTrigger if ended else CalibrationError
-            raise kind("%s (stopped at z=%.3f)" % (e, host.z()))
+            raise self._stopped(e, kind)
         return self._pressed(start_z, trigger_z, trigger_z)
 
     # The same by the host's own probing, see probing(); returns Probed.
@@ -106,11 +112,17 @@ class Head(object):
             probed = probe_once()
         except host.printer.command_error as e:
             pass_on_shutdown(host, e)
-            text = "%s (stopped at z=%.3f); check with QUERY_PROBE and PROBE"
-            raise CalibrationError(text % (e, host.z()))
+            hint = "check with QUERY_PROBE and PROBE"
+            raise self._stopped(e, CalibrationError).advised(hint)
         # QIDI's hosts answer a probe that is pressed already with a result
         self._pressed(start_z, host.z(), probed.z)
         return probed
+
+    def _stopped(self, error, kind):
+        stopped = kind("%s (stopped at z=%.3f)" % (error, self.host.z()))
+        if NO_MESSAGE not in str(error):
+            return stopped
+        return MessageLost(stopped.advised(TOO_SLOW))
 
     # A touch goes down, whatever it is told
     def check_above(self, floor):

@@ -14,7 +14,12 @@ TEXT = DOCUMENT.read_text(encoding="utf-8")
 NAMES = ("z_calibration", "auto_z_offset", "extra_probe", "dockable_probe")
 # Of z_touch: for options and phases that only others have, and what is looked
 # for in messages
-LOOKED_FOR = {"No trigger", "samples_tolerance is", "cycles_tolerance is"}
+LOOKED_FOR = {
+    "No trigger",
+    "Communication timeout during",
+    "samples_tolerance is",
+    "cycles_tolerance is",
+}
 OTHERS = {
     "Z was homed again",
     "Z was homed again or set",

@@ -73,6 +73,9 @@ def test_lost_message_is_no_missing_trigger(one_host):
         text = printer.fail("CALIBRATE_Z")
         assert text.startswith("z_calibration: switch: ")
         assert "Communication timeout during homing" in text
+        # No fault of the switch, nor of its place
+        assert "run it again" in text
+        assert "switch_xy_position" not in text
         stopped = float(text.split("(stopped at z=")[1].split(")")[0])
         assert 0.25 < stopped - (1.6 + BODY - 0.25) < 0.5
         # Nobody looks at the bed how long the probe is
