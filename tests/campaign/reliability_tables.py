@@ -2,13 +2,13 @@
 
 from __future__ import annotations
 
+import re
 from collections.abc import Iterable, Mapping
 from pathlib import Path
 from typing import Any
 
 from tests.bench.performance_tables import put, table
 from tests.campaign.fault_cases import REFUSED, RIGHT, SHUT_DOWN
-from tests.campaign.judge import shape
 
 BEGIN = "<!-- figures: written by make faults, not by hand -->"
 END = "<!-- end of the figures -->"
@@ -49,7 +49,8 @@ def pairs_table(figures: Figures) -> list[str]:
     groups: dict[tuple[str, str], list[Figures]] = {}
     for found in figures["faults"]:
         for one in found["blind"]:
-            words = shape(one["reason"] or one["ended"])
+            # What it was; not where, nor what to do next
+            words = re.split(r" \(|[,;] ", one["reason"] or one["ended"])[0]
             groups.setdefault((found["job"], words), []).append(one)
     rows = []
     for (job, words), ones in groups.items():
