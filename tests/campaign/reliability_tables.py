@@ -134,6 +134,7 @@ def render(figures: Figures) -> str:
             faults_table(found, "pairs"),
             [alike],
             pairs_table(found),
+            ["*right*: a dead sensor was not yet, or no more, asked for."],
         ]
     parts = [
         [f"Seed {figures['about']['seed']}."],

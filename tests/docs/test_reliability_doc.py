@@ -14,6 +14,7 @@ from tests.campaign.drawn_printers import MODULES, MOST_REFUSED
 DOCS = Path(__file__).resolve().parents[2] / "docs"
 # Of each module, in the figures and in a run of one's own
 LEAST_PRINTERS = 300
+LEAST_PAIRS, HOSTS = 2000, 5
 USUAL_PRINTERS = 300
 
 
@@ -42,6 +43,17 @@ def test_every_command_was_tried_with_every_fault(figures):
         assert found["runs"] == found["survived"] > 0
         kinds |= set(found["faults"])
     assert kinds == set(reliability_tables.KINDS)
+
+
+def test_pairs_are_enough(figures):
+    pairs = figures["pairs"]
+    assert [found["job"] for found in pairs["faults"]] == list(jobs.JOBS)
+    assert sum(found["runs"] for found in pairs["faults"]) >= LEAST_PAIRS
+    hosts = {host for found in pairs["faults"] for host in found["hosts"]}
+    assert len(hosts) == HOSTS
+    for found in pairs["faults"]:
+        assert found["runs"] == found["survived"]
+        assert all(one["reason"] or one["ended"] for one in found["blind"])
 
 
 def test_random_printers_are_enough(figures):
