@@ -339,8 +339,8 @@ class SensorMeasurement(object):
             raise errors.NoTrigger(
                 "%s; check that prepare_gcode turns the sensor on, that 'pin:"
                 " %s' is the sensor's (QUERY_ENDSTOPS while you press the bed),"
-                " and that the bed is not below the floor of this touch, which"
-                " is %s" % (e, sensor.pin, self.reason(floor))
+                " and that the bed is not below the lowest point of this touch,"
+                " which is %s" % (e, sensor.pin, self.reason(floor))
             )
         except errors.CalibrationError:
             if touching.is_at(self.host, start_z):

@@ -53,7 +53,7 @@ SOFT_TEMPERATURE = 60.0  # C; here the plastic of a membrane begins to melt
 MAX_TEMPERATURE = 120.0  # C; a nozzle that is hotter is refused
 
 DIFFER = "clean the nozzle, and check what it touches for play"
-TOO_LOW = "begin higher up, or with a lower floor"
+TOO_LOW = "begin higher up, or with a lower FLOOR"
 
 # What the user configured: mm, mm/s, degrees C; None is not given.  'saved_z':
 # what the last saved calibration made of Homing.z.

@@ -10,6 +10,7 @@ from collections import Counter
 from collections.abc import Callable, Iterator
 from contextlib import ExitStack
 from operator import attrgetter
+from typing import Optional
 
 import pytest
 from hypothesis import HealthCheck, settings
@@ -126,9 +127,9 @@ def _drawn(case: str) -> Host:
 @pytest.hookimpl(optionalhook=True)
 def pytest_xdist_make_scheduler(
     config: pytest.Config, log: Producer
-) -> LoadFileScheduling:
-    """A file stays in one process, and so does what files share for long."""
-    return _ByFile(config, log)
+) -> Optional[LoadFileScheduling]:
+    """With files that stay in one process, so does what files share."""
+    return _ByFile(config, log) if config.option.dist == "loadfile" else None
 
 
 class _ByFile(LoadFileScheduling):

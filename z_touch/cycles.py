@@ -68,7 +68,7 @@ CAUSES = {
     " the switch of the pin",
     "probe": "touches of the bed vary by %.4f mm, those of the pin do not;"
     " exchange the probe's switch",
-    "play": "touches of all sites vary alike, by %.4f mm: check the Z axis for"
+    "play": "touches of all three vary alike, by %.4f mm: check the Z axis for"
     " play",
     "homing": "all heights shift together by %.4f mm from cycle to cycle, which"
     " leaves the offset as it is; home again after levelling",

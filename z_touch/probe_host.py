@@ -295,7 +295,7 @@ class ProbeHost(object):
             self.probe.z_position = max(self.probe.z_position, device.floor())
             knows = hasattr(self.probe, "drop_first_result")
             if not knows and config.getboolean("drop_first_result", False):
-                self.notes.append("drop_first_result is ignored on this host")
+                self.notes.append("drop_first_result needs a newer Klipper")
         register("homing:home_rails_end", self._homing_ends)
         register("klippy:mcu_identify", self._add_z_steppers)
         try:

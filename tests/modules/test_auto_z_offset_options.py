@@ -152,7 +152,7 @@ def test_floor(start, axis, own, z, why):
     text = printer.homed().fail("AUTO_Z_MEASURE_OFFSET")
     assert "bed sensor: No trigger" in text
     assert f"(stopped at z={z:.3f})" in text
-    assert f"the floor of this touch, which is {why}" in text
+    assert f"the lowest point of this touch, which is {why}" in text
     assert printer.machine.truth.min_gap == pytest.approx(1.2695 + z, abs=STEPS)
     ignored = told(printer.session.console, f"'probe_z_min: {own}' is ignored")
     assert len(ignored) == (1 if own and float(own) < z else 0)
