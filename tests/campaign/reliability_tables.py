@@ -132,7 +132,7 @@ def render(figures: Figures) -> str:
         pairs = [
             ["### Pairs of faults", "", seed + hosts_text(found["faults"])],
             faults_table(found, "pairs"),
-            [alike],
+            *([[alike]] if agreed else []),
             pairs_table(found),
             ["*right*: a dead sensor was not yet, or no more, asked for."],
         ]
