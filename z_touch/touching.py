@@ -13,11 +13,11 @@ from .running import always
 
 # How every host since 2021-08-17 (1dc2ab048) begins this error
 NO_TRIGGER = "No trigger"
-# As old: a board of the motors did not hear in time of the endstop's board
-NO_MESSAGE = "Communication timeout during"
-TOO_SLOW = (
-    "the computer or the line to a board was too slow for a moment: run it"
-    " again, and look into klippy.log if it comes back"
+# The same where boards did not hear of each other in time, or one is gone
+NOT_HEARD = ("Communication timeout during", "Unable to obtain")
+LATE = (
+    "a board was not heard in time, as the computer or the line to it is too"
+    " slow or broken: run it again, and look into klippy.log if it comes back"
 )
 
 # A trigger this close (mm) to the start is none: the sensor was pressed.
@@ -120,9 +120,9 @@ class Head(object):
 
     def _stopped(self, error, kind):
         stopped = kind("%s (stopped at z=%.3f)" % (error, self.host.z()))
-        if NO_MESSAGE not in str(error):
-            return stopped
-        return MessageLost(stopped.advised(TOO_SLOW))
+        if any(words in str(error) for words in NOT_HEARD):
+            return MessageLost(stopped.advised(LATE))
+        return stopped
 
     # A touch goes down, whatever it is told
     def check_above(self, floor):

@@ -17,6 +17,7 @@ NAMES = ("z_calibration", "auto_z_offset", "extra_probe", "dockable_probe")
 LOOKED_FOR = {
     "No trigger",
     "Communication timeout during",
+    "Unable to obtain",
     "samples_tolerance is",
     "cycles_tolerance is",
 }

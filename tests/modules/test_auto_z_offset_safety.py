@@ -116,7 +116,12 @@ def test_single_fault_of_a_sensor(some_host, kind, signal, n, saved):
             deepest += UNKNOWN if saved is None else KNOWN
         assert lowest(printer) <= deepest + STEPS
         if dead:
-            words = ["No trigger", "prepare_gcode", "'pin: PC1'", "floor of"]
+            words = [
+                "No trigger",
+                "prepare_gcode",
+                "'pin: PC1'",
+                "lowest point",
+            ]
         elif signal == "bed_sensor":
             words = ["reads triggered at z=", "QUERY_ENDSTOPS"]
         elif kind == "stuck_closed":

@@ -536,6 +536,9 @@ def test_board_of_the_membrane_that_falls_silent(some_host):
             printer.machine.tolerate(site, DEEP)
         text = printer.fail(CONTINUE)
         assert "Internal error" not in text
+        # Its switch need not be pressed by hand
+        assert "a board was not heard in time" in text
+        assert "by hand" not in text
         assert printer.machine.faults.unfired() == []
 
 
