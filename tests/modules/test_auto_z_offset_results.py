@@ -185,7 +185,6 @@ def test_probe_where_the_head_is(start):
 
 
 @pytest.mark.quick
-@pytest.mark.each_host
 @pytest.mark.parametrize("z_offset", [0.2, -0.1])
 def test_home_z_sets_z_only(start, z_offset):
     changes = section(z_offset=str(z_offset))
@@ -247,7 +246,6 @@ def test_users_macro_takes_part_in_applying(start):
 
 
 @pytest.mark.quick
-@pytest.mark.each_host
 def test_babysteps_are_saved(start):
     printer = start("qidi").homed()
     printer.run("AUTO_Z_CALIBRATE\nSET_GCODE_OFFSET Z_ADJUST=-0.05")
@@ -380,7 +378,6 @@ def test_current_that_the_user_has_set_comes_back(start):
     assert state(printer)["currents"] == before
 
 
-@pytest.mark.each_host
 @pytest.mark.parametrize(
     ("probe_accel", "before", "low"), [(50, 1234.5, 50), (500, 300, 300)]
 )

@@ -77,7 +77,6 @@ def test_offsets_are_calibrated_as_with_any_probe(start):
     assert where(printer) == "docked"
 
 
-@pytest.mark.each_host
 def test_bed_on_three_screws_is_levelled(start):
     # The dock is in the frame, at whatever height of the bed
     printer = start(FRAME, section(**QUICK)).homed()

@@ -432,7 +432,6 @@ def test_docked_before_z_is_homed(start):
         assert trips(printer) == ["attach", *docked]
 
 
-@pytest.mark.each_host
 def test_samples(start):
     printer = start(SWITCH, section(samples="1", samples_tolerance_retries="0"))
     printer.homed()

@@ -272,7 +272,6 @@ def test_switch_that_dies_at_a_touch(start, n, level):
 
 # As QUAD_GANTRY_LEVEL between two G28 does: the head is where it was said to
 # be, or said to be somewhere else
-@pytest.mark.each_host
 @pytest.mark.parametrize("script", ["G1 Z60", "SET_KINEMATIC_POSITION Z=2"])
 def test_switch_that_dies_before_z_is_homed_again(start, script):
     changes = {"force_move": {"enable_force_move": "True"}, **section(**QUICK)}

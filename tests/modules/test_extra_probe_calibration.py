@@ -154,7 +154,6 @@ def test_sampling_is_that_of_the_section(start, own):
 # Saved
 
 
-@pytest.mark.each_host
 @pytest.mark.parametrize("scene", SCENE_NAMES)
 def test_saved_and_homed_again(start, scene):
     name, option, before = HOMED_AT[scene]
@@ -585,7 +584,6 @@ def test_membrane_that_is_the_probe(start, save):
     assert gap_is_right(printer)
 
 
-@pytest.mark.each_host
 def test_floor_of_a_membrane_that_is_the_probe(start):
     printer = start("membrane", changes=as_probe(position_min="0.2")).homed()
     printer.run("EXTRA_PROBE_CALIBRATE PROBE=probe")

@@ -113,6 +113,7 @@ def test_nonsense_is_a_configuration_error(host, case):
         assert f"'{module}" in message, (value, message)
 
 
+@pytest.mark.some(3)
 @pytest.mark.parametrize(
     "case", CASES, ids=lambda c: f"{c.module}-{c.option.name}"
 )

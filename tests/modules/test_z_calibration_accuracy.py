@@ -54,7 +54,7 @@ CAUSES = {
 }
 
 
-@pytest.mark.some
+@pytest.mark.some(5)
 @pytest.mark.parametrize("name", CAUSES)
 def test_each_cause_is_told(start, name):
     cause = CAUSES[name]
@@ -67,7 +67,6 @@ def test_each_cause_is_told(start, name):
 
 
 @pytest.mark.quick
-@pytest.mark.each_host
 def test_whole_cycles_are_measured_and_nothing_is_applied(start):
     printer = start(cartesian()).homed()
     printer.run("SET_GCODE_OFFSET Z=0.123 MOVE=0")

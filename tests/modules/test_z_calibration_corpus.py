@@ -71,7 +71,7 @@ def test_entry_calibrates(entry, host):
     check_calibration(host, build(entry, host))
 
 
-@pytest.mark.some
+@pytest.mark.some(4)
 @each([entry for entry in WORKING if "z_offset" in probe_of(entry)], 6)
 def test_z_offset_need_not_be_right(entry, host):
     z_offset = float(probe_of(entry)["z_offset"])

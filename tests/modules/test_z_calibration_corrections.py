@@ -31,7 +31,6 @@ def pending(printer):
 
 
 @pytest.mark.quick
-@pytest.mark.each_host
 def test_baby_steps_are_there_again_in_the_next_run(start):
     printer = start().homed()
     calibration(printer)

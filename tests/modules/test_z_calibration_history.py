@@ -76,7 +76,6 @@ def with_past(tmp_path):
 
 
 @pytest.mark.quick
-@pytest.mark.each_host
 def test_each_run_says_what_it_is_worth_and_leaves_a_line(start):
     printer = start().homed()
     lines = printer.run("CALIBRATE_Z")

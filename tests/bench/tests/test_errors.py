@@ -130,6 +130,7 @@ def test_error_is_that_of_the_gap_and_not_of_what_is_reported(
     assert after - before == pytest.approx(20.0, abs=0.1)
 
 
+@pytest.mark.long("some seconds")
 def test_sensors_that_are_early_each_time(one_host, monkeypatch):
     """The bed seems higher by as much; the probe is early in homing, too."""
     monkeypatch.setattr(errors, "OUTLIER_CHANCE", 1.0)
@@ -139,6 +140,7 @@ def test_sensors_that_are_early_each_time(one_host, monkeypatch):
     assert found == pytest.approx(wanted, abs=2.0 * MICROSTEP_UM)
 
 
+@pytest.mark.long("some seconds")
 def test_refusal_and_failure_are_told_apart(one_host, no_outliers, tmp_path):
     found = run_trial(trial(one_host, "pin", Condition(30.0)))
     refusal = found[CALIBRATE_Z.name]

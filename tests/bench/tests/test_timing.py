@@ -72,6 +72,7 @@ def test_quick_touches_are_counted_and_are_no_samples(one_host):
         assert (counts, run.samples) == ([3, 3, 3], 6)
 
 
+@pytest.mark.long("some seconds")
 def test_lower_bound_ends_where_the_touches_are(one_host):
     scene = CALIBRATE_Z.scene
     plan = CALIBRATE_Z.plan(scene, STANDARD)

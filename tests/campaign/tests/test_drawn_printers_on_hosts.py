@@ -53,7 +53,7 @@ def test_random_printers_are_right_or_refused(host, module):
     assert not problems, "\n".join(problems)
 
 
-@pytest.mark.some
+@pytest.mark.some(4)
 @pytest.mark.timeout(600)
 @pytest.mark.parametrize("name", PLANTED)
 def test_planted_fault_is_found(some_host, tmp_path, name):

@@ -304,7 +304,7 @@ PLANTED = {
 }
 
 
-@pytest.mark.some
+@pytest.mark.some(5)
 @pytest.mark.parametrize("name", PLANTED)
 def test_module_that_does_it_wrong_is_found(some_host, tmp_path, name):
     which, around, problem = PLANTED[name]
