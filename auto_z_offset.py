@@ -472,8 +472,7 @@ class Run(object):
             script = "G90" if absolute else "G91"
             self.host.gcode.run_script_from_command(script)
 
-    # Toolhead Z (mm) of the bed sensor's trigger, where the head is.  The
-    # head is on its way up then, see check_left().
+    # Toolhead Z (mm) of its trigger; the head goes up then, see check_left().
     def measure_sensor(self):
         self.watch.enter("bed sensor")
         sensor = SensorMeasurement(self)
@@ -597,18 +596,19 @@ class Known(object):
                 " hold there; home Z with the probe (G28) first"
             )
 
-    # The correction is the G-code offset only where the probe sees the bed
-    # at about 0.
+    # The correction is the offset only where the probe sees the bed at about 0.
     def stale(self, result):
-        bed_z = result.probe - result.probe_z_offset
-        homed_bed_z = self.homed_bed_z()
-        if abs(bed_z - homed_bed_z) <= STALE_Z:
+        bed_z, wanted = result.probe - result.probe_z_offset, self.homed_bed_z()
+        if abs(bed_z - wanted) <= STALE_Z:
             return ""
         text = "the probe sees the bed at z=%.3f instead of %.3f; %s"
-        remedy = "home Z again (G28) after any levelling, over this point"
+        remedy = (
+            "check the probe with QUERY_PROBE, and home Z again (G28) after any"
+            " levelling, over this point"
+        )
         if not self.homes_with_probe:
             remedy = "the correction holds with a bed mesh of this probe only"
-        return text % (bed_z, homed_bed_z, remedy)
+        return text % (bed_z, wanted, remedy)
 
 
 ######################################################################

@@ -119,10 +119,10 @@ class Head(object):
         return probed
 
     def _stopped(self, error, kind):
-        stopped = kind("%s (stopped at z=%.3f)" % (error, self.host.z()))
-        if any(words in str(error) for words in NOT_HEARD):
-            return MessageLost(stopped.advised(LATE))
-        return stopped
+        text = "%s (stopped at z=%.3f)" % (error, self.host.z())
+        if any(words in text for words in NOT_HEARD):
+            return MessageLost("%s; %s" % (text, LATE))
+        return kind(text)
 
     # A touch goes down, whatever it is told
     def check_above(self, floor):

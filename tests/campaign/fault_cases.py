@@ -59,7 +59,7 @@ _CAUSES = {
     "stuck_open": _DEAD + r"|is attached already|" + _PROBE,
     # On the way down it is a trigger in mid air
     "stuck_closed": _TRIGGERED
-    + r"|before the head moved|sees the bed at|"
+    + r"|before the head moved|check the probe with QUERY_PROBE|"
     + _PROBE,
     "trigger_never": _DEAD,
     "trigger_early": _HEIGHTS,

@@ -26,8 +26,10 @@ def begun(printer, seconds):
     """CALIBRATE_Z on a homed printer, so long (s) after its begin."""
     session = printer.homed().session
     command = session.begin("CALIBRATE_Z\nM400")
-    end = session.machine.simulation.now() + round(seconds * 1e9)
-    session.run_until(command, lambda: session.machine.simulation.now() >= end)
+    end = session.machine.simulation.clock.now() + round(seconds * 1e9)
+    session.run_until(
+        command, lambda: session.machine.simulation.clock.now() >= end
+    )
     return command
 
 

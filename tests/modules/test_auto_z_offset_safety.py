@@ -291,7 +291,8 @@ def test_probe_that_sees_the_bed_elsewhere(start, shift):
     printer.run(f"SET_KINEMATIC_POSITION Z={z + shift}")
     text, before, after = before_and_after(printer)
     words = f"the probe sees the bed at z={shift:.3f}"
-    assert f"{words} instead of 0.000; home Z again (G28) after" in text
+    assert f"{words} instead of 0.000; check the probe with QUERY_PROBE" in text
+    assert "home Z again (G28) after" in text
     assert after == before
     # Nothing is applied by this one
     assert told(printer.run("AUTO_Z_MEASURE_OFFSET"), words)

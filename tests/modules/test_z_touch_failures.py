@@ -50,14 +50,14 @@ def test_pin_that_is_shared_on_purpose(host, user, pin):
         printer.session.require_ready()
 
 
-def fall_silent(machine, begin):
-    """Nobody hears from the board of the Z switch for a moment."""
+def fall_silent(machine, begin, board="zboard"):
+    """Nobody hears from a board for a moment."""
 
     def is_silent():
         now = machine.rig.seconds(machine.simulation.clock.now())
         return begin < now < begin + 0.12
 
-    machine.boards["zboard"].is_silent = is_silent
+    machine.boards[board].is_silent = is_silent
 
 
 def test_lost_message_is_no_missing_trigger(one_host):
@@ -98,6 +98,19 @@ def test_lost_message_near_the_start_is_no_pressed_switch(one_host):
     # Older ones say 'homing probe'
     assert "Communication timeout during homing" in text, text
     assert "(stopped at" in text
+
+
+def test_lost_message_while_the_host_probes(one_host):
+    with Printer(one_host, "qidi_two_boards") as printer:
+        printer.homed().run("AUTO_Z_MEASURE_OFFSET")
+        begin = printer.machine.truth.touches[-1].t - 0.08
+    with Printer(one_host, "qidi_two_boards") as printer:
+        fall_silent(printer.homed().machine, begin, "U_1")
+        text = printer.fail("AUTO_Z_MEASURE_OFFSET")
+        assert text.startswith("auto_z_offset: probe: ")
+        assert "a board was not heard in time" in text
+        assert "QUERY_PROBE" not in text
+        printer.run("AUTO_Z_MEASURE_OFFSET")
 
 
 def test_clean_up_that_meets_an_error_of_the_host_is_the_end(start, tmp_path):

@@ -18,8 +18,8 @@ from tests.hostkit.printer import firmware_of
 def pytest_generate_tests(metafunc: pytest.Metafunc) -> None:
     """One host for each place where modules belong, or each of them.
 
-    Of these one for all tests that share a lab, where they are not marked
-    `each_host`: making one takes seconds.
+    Of these one for a test, another for another, where it is not marked
+    `each_host`; one for all of a file that has a lab of its own.
     """
     for name, scope in (("lab", "package"), ("copied_lab", "function")):
         if name not in metafunc.fixturenames:
@@ -30,11 +30,10 @@ def pytest_generate_tests(metafunc: pytest.Metafunc) -> None:
             if "each_host" not in {
                 m.name for m in metafunc.definition.own_markers
             }:
-                path = metafunc.definition.path
-                # A file with a lab of its own
-                own = name in vars(metafunc.module)
-                place = path.name if own else path.parent.name
-                turn = zlib.crc32(place.encode())
+                nodeid = metafunc.definition.nodeid
+                if name in vars(metafunc.module):
+                    nodeid = nodeid.partition("::")[0]
+                turn = zlib.crc32(nodeid.encode())
                 hosts = [hosts[turn % len(hosts)]]
         ids = [host.name for host in hosts]
         metafunc.parametrize(name, hosts, ids=ids, indirect=True, scope=scope)

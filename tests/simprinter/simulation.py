@@ -83,18 +83,16 @@ class Simulation:
 
     def add_board(self, board: Board, latency_ns: int = 0) -> Link:
         """Give a board its serial line, with its latency."""
-        return self._connect(board, Link(board.receive, latency_ns, self.now))
+        return self._connect(
+            board, Link(board.receive, latency_ns, self.clock.now)
+        )
 
     def add_program(self, board: FirmwareBoard, latency_ns: int = 0) -> Link:
         """The same for a program, which lives on a virtual clock only."""
-        link = RawLink(board.receive, latency_ns, self.now)
+        link = RawLink(board.receive, latency_ns, self.clock.now)
         board.hang_up = link.hang_up
         self._programs.append(board)
         return self._connect(board, link)
-
-    def now(self) -> int:
-        """Where the clock stands, ns."""
-        return self.clock.now()
 
     def _connect(self, board: Union[Board, FirmwareBoard], link: Link) -> Link:
         clock = self.clock
@@ -229,7 +227,7 @@ class Simulation:
 
     def stop_klippy(self, seconds: float) -> None:
         """Klippy, at rest, does not run for so long, but programs do."""
-        end_ns = self.now() + round(seconds * 1e9)
+        end_ns = self.clock.now() + round(seconds * 1e9)
         for program in self._programs:
             while program.deadline() <= end_ns:
                 program.live_until(end_ns)

@@ -105,44 +105,33 @@ def test_lost_board_is_told_first(host, nth):
     assert outcome.problems == []
 
 
-# Two cases of a job as above, how it ends, whether both have struck
+# Two cases of a job (fault, subject, which, at what), how it ends, whether both
+# have struck
 PAIRS = [
     # Of two sensors nothing is known any more; the first one is told
-    (
-        (Z, "stuck_open", "probe", 0, ""),
-        (Z, "trigger_never", "z_endstop", 0, ""),
-        REFUSED,
-        True,
-    ),
+    (Z, ("stuck_open", "probe"), ("trigger_never", "z_endstop"), REFUSED, True),
     # Looks at the bed how long the probe is, with a probe that is dead
     (
-        (Z, "trigger_never", "z_endstop", 5, ""),
-        (Z, "trigger_never", "probe", 0, ""),
+        Z,
+        ("trigger_never", "z_endstop", 5),
+        ("trigger_never", "probe"),
         REFUSED,
         True,
     ),
     (
-        (Z, "stuck_open", "z_endstop", 0, "touch"),
-        (Z, "cancel", "", -1, "touch"),
+        Z,
+        ("stuck_open", "z_endstop", 0, "touch"),
+        ("cancel", "", -1, "touch"),
         REFUSED,
         False,
     ),
-    (
-        (Z, "mcu_silent", "", 3, "move"),
-        (Z, "cancel", "", -1, ""),
-        SHUT_DOWN,
-        False,
-    ),
-    (
-        (Z, "stuck_closed", "probe", 0, ""),
-        (Z, "cancel", "", 1, ""),
-        SHUT_DOWN,
-        True,
-    ),
+    (Z, ("mcu_silent", "", 3, "move"), ("cancel", "", -1), SHUT_DOWN, False),
+    (Z, ("stuck_closed", "probe"), ("cancel", "", 1), SHUT_DOWN, True),
     # The second fails in the clean-up after the first
     (
-        (ATTACHING, "template raises", "", 2, ""),
-        (ATTACHING, "template leaves", "", 3, ""),
+        ATTACHING,
+        ("template raises", "", 2),
+        ("template leaves", "", 3),
         REFUSED,
         True,
     ),
@@ -157,8 +146,8 @@ def pair_of(host, first, second):
 @pytest.mark.some
 @pytest.mark.parametrize("which", PAIRS, ids=lambda w: "-".join(map(str, w)))
 def test_pair_is_survived(some_host, which):
-    first, second, ended, both = which
-    pair, good = pair_of(some_host, first, second)
+    job, first, second, ended, both = which
+    pair, good = pair_of(some_host, (job, *first), (job, *second))
     outcome = fault_cases.attempt(some_host, pair, good)
     assert outcome.problems == []
     assert (outcome.ended, outcome.struck) == (ended, both)
