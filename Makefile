@@ -40,7 +40,7 @@ FAULTS_ARGS ?=
 export BUILD_DIR
 
 TOOLS = $(BUILD_DIR)/venv/bin
-SOURCES = $(wildcard *.py z_touch/*.py)
+SOURCES = $(wildcard *.py z_touch/*.py z_touch/*/*.py)
 
 # Python 2.7 refuses what vermin allows, such as a comma behind *args
 COMPILE = import sys; [compile(open(f).read(), f, 'exec') for f in sys.argv[1:]]
@@ -61,23 +61,23 @@ quick: prepared lint
 	ONE_HOST=1 $(TOOLS)/python -m pytest -n 2 -m quick tests/modules
 
 demo: tools
-	$(TOOLS)/python -m tests.demo $(DEMO_ARGS)
+	$(TOOLS)/python -m tools.demo $(DEMO_ARGS)
 
 printer: tools
-	$(TOOLS)/python -m tests.playground $(PRINTER_ARGS)
+	$(TOOLS)/python -m tools.playground $(PRINTER_ARGS)
 
 speed: prepared
-	$(TOOLS)/python -m tests.bench.speed
+	$(TOOLS)/python -m tools.bench.speed
 
 bench: prepared
-	$(TOOLS)/python -m tests.bench $(BENCH_ARGS)
-	$(TOOLS)/python -m tests.bench.automatic
+	$(TOOLS)/python -m tools.bench $(BENCH_ARGS)
+	$(TOOLS)/python -m tools.bench.automatic
 
 faults: prepared
-	$(TOOLS)/python -m tests.campaign $(FAULTS_ARGS)
+	$(TOOLS)/python -m tools.campaign $(FAULTS_ARGS)
 
 hosts:
-	@$(PYTHON) -m tests.hostkit.prepare
+	@$(PYTHON) -m simprinter.hosts.prepare
 
 # At the same time: a tenth to a quarter less time on an empty machine
 prepared:
@@ -90,7 +90,7 @@ lint: tools
 	@for python in ~/.pyenv/versions/2.7*/bin/python2.7 python2.7; do \
 		$$python -c "" 2>/dev/null && exec $$python -c "$(COMPILE)" $(SOURCES); \
 	done; echo "NOT COMPILED by Python 2.7, which is not to be had: $(SOURCES)"
-	$(TOOLS)/shellcheck install.sh .ci/run tests/hostkit/services/*
+	$(TOOLS)/shellcheck install.sh .ci/run tools/kit/services/*
 
 format: tools
 	$(TOOLS)/ruff check --fix .
@@ -98,7 +98,7 @@ format: tools
 
 # Quick when everything is there: it compares a stamp.
 tools:
-	@$(PYTHON) -m tests.hostkit.environment "$(BUILD_DIR)/venv" \
+	@$(PYTHON) -m simprinter.hosts.environment "$(BUILD_DIR)/venv" \
 		tests/requirements.txt
 
 # Only a directory that the build made itself is removed.

@@ -14,7 +14,7 @@ from pathlib import Path
 from tests.docs.pictures import Drawing
 
 PICTURE = Path(__file__).resolve().parents[2] / "docs" / "dockable_probe.svg"
-ways = importlib.import_module("z_touch.ways")
+ways = importlib.import_module("z_touch.dockable_probe.detour")
 
 WIDTH, HEIGHT = 760, 470
 PANEL = (16, 60, WIDTH - 16, HEIGHT - 16)

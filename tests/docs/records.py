@@ -6,8 +6,8 @@ from collections.abc import Mapping
 from types import ModuleType
 from typing import NamedTuple, Optional
 
+from simprinter.scenes import Sections
 from tests.docs import auto_z_offset_picture, z_calibration_picture
-from tests.simprinter.scenes import Sections
 
 # An answer that is the document's own block of code
 SHOWN = "as the document shows it"

@@ -8,9 +8,10 @@ from __future__ import annotations
 import random
 from pathlib import Path
 
-from tests.modules.unit.runs import make_run, make_runs
-from tests.modules.unit.test_z_touch_cycles import RandomPrinter
-from z_touch import cycles, report
+from tests.unit.runs import make_run, make_runs
+from tests.unit.test_z_touch_cycles import RandomPrinter
+from z_touch.history import report
+from z_touch.uncertainty import cycles
 
 DOCS = Path(__file__).resolve().parents[2] / "docs"
 # Noon, so that it is the same day nearly everywhere

@@ -8,14 +8,14 @@ from dataclasses import replace
 from functools import cached_property
 from typing import Any, NamedTuple, Optional
 
+from simprinter import SCENES
+from simprinter.hosts.hosts import Host
+from simprinter.hosts.session import GcodeError
+from simprinter.scenes import Sections
 from tests.docs.documents import ini_blocks
 from tests.docs.records import Module
-from tests.hostkit.auto_z_offset import with_extras
-from tests.hostkit.hosts import Host
-from tests.hostkit.printer import Printer
-from tests.hostkit.session import GcodeError
-from tests.simprinter import SCENES
-from tests.simprinter.scenes import Sections
+from tools.kit.auto_z_offset import with_extras
+from tools.kit.printer import Printer
 
 Options = Mapping[str, Optional[str]]
 

@@ -17,9 +17,9 @@ from tests.docs.documents import normal
 ROOT = Path(__file__).resolve().parents[2]
 VALUE = "<...>"
 # What these say is drawn, not told
-PICTURES = ("plots.py", "report.py")
+PICTURES = ("svg.py", "report.py")
 # What these ask explains itself
-DIALOGS = ("setup_texts.py",)
+DIALOGS = ("texts.py",)
 
 
 def trees(name: str) -> list[ast.Module]:
@@ -34,10 +34,17 @@ def trees(name: str) -> list[ast.Module]:
         found[path] = ast.parse(path.read_text(encoding="utf-8"))
         for node in ast.walk(found[path]):
             if isinstance(node, ast.ImportFrom) and node.level:
-                words = (node.module or "").split(".")
-                words += [alias.name for alias in node.names]
-                pending += [ROOT / "z_touch" / f"{word}.py" for word in words]
+                pending += imported(path, node)
     return list(found.values())
+
+
+def imported(path: Path, node: ast.ImportFrom) -> list[Path]:
+    """The files below z_touch that a relative import may mean."""
+    folder = path.parents[node.level - 1]
+    if node.module is not None:
+        folder = folder.joinpath(*node.module.split("."))
+    files = [folder / f"{alias.name}.py" for alias in node.names]
+    return [folder.with_suffix(".py"), *files]
 
 
 def is_silent(node: ast.AST) -> bool:

@@ -11,10 +11,12 @@ from tests.docs.documents import link_problems
 
 ROOT = Path(__file__).resolve().parents[2]
 DOCUMENT = ROOT / "docs" / "dockable_probe.md"
-MODULE = ROOT / "dockable_probe.py"
+MODULE = ROOT / "z_touch" / "dockable_probe" / "module.py"
 TEXT = DOCUMENT.read_text(encoding="utf-8")
 SOURCE = MODULE.read_text(encoding="utf-8")
-SHARED = (ROOT / "z_touch" / "probe_host.py").read_text(encoding="utf-8")
+SHARED = (ROOT / "z_touch" / "dockable_probe" / "virtual_probe.py").read_text(
+    encoding="utf-8"
+)
 READERS = {
     "number",
     "pair",

@@ -35,7 +35,7 @@ from tests.docs.documents import (
 from tests.docs.records import AUTO_Z_OFFSET, MODULES, SHOWN, Z_CALIBRATION
 from tests.docs.running import Options, Running, Step, differ
 from tests.docs.sources import constants
-from tests.hostkit.auto_z_offset import POINT
+from tools.kit.auto_z_offset import POINT
 
 DOCS = Path(__file__).resolve().parents[2] / "docs"
 FLOORS = "How low can a touch go?"

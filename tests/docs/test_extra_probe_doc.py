@@ -26,7 +26,7 @@ from tests.docs.test_documents import (
     wrong_options,
     wrong_ranges,
 )
-from tests.hostkit.extra_probe import ABORT, CALIBRATE, CONTINUE, NAME
+from tools.kit.extra_probe import ABORT, CALIBRATE, CONTINUE, NAME
 
 TEXT = (DOCS / "extra_probe.md").read_text(encoding="utf-8")
 ABOVE = "G90\nG1 Z5 F900\nG1 X30 Y20 F6000"

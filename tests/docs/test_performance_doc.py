@@ -7,9 +7,9 @@ from pathlib import Path
 
 import pytest
 
-from tests.bench import chart, performance_tables
-from tests.bench.commands import ATTACH_AND_DETACH, COMMANDS, HOME_AND_MESH
-from tests.bench.errors import OUTLIER, OUTLIER_CHANCE, UM
+from tools.bench import chart, performance_tables
+from tools.bench.commands import ATTACH_AND_DETACH, COMMANDS, HOME_AND_MESH
+from tools.bench.errors import OUTLIER, OUTLIER_CHANCE, UM
 
 DOCS = Path(__file__).resolve().parents[2] / "docs"
 

@@ -7,9 +7,9 @@ from pathlib import Path
 
 import pytest
 
-from tests.campaign import fault_cases, jobs, reliability_tables
-from tests.campaign.__main__ import parse
-from tests.campaign.drawn_printers import MODULES, MOST_REFUSED
+from tools.campaign import fault_cases, jobs, reliability_tables
+from tools.campaign.__main__ import parse
+from tools.campaign.drawn_printers import MODULES, MOST_REFUSED
 
 DOCS = Path(__file__).resolve().parents[2] / "docs"
 # Of each module, in the figures and in a run of one's own

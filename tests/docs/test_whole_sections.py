@@ -13,11 +13,11 @@ from typing import NamedTuple
 
 import pytest
 
+from simprinter.hosts.hosts import Host
 from tests.docs.documents import OPTIONS, part, rows, spans
 from tests.docs.test_dockable_probe_doc import options as module_options
-from tests.hostkit.dockable_probe import SWITCH
-from tests.hostkit.hosts import Host
-from tests.hostkit.printer import Printer
+from tools.kit.dockable_probe import SWITCH
+from tools.kit.printer import Printer
 
 DOCS = Path(__file__).resolve().parents[2] / "docs"
 WHOLE = "The whole section"

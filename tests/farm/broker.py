@@ -11,8 +11,8 @@ from collections.abc import Callable
 from pathlib import Path
 from typing import Any, NamedTuple, Optional
 
-from tests.hostkit.environment import UnavailableError, cached_environment
-from tests.hostkit.moonraker import free_port
+from simprinter.hosts.environment import UnavailableError, cached_environment
+from simprinter.hosts.moonraker import free_port
 
 LIMIT = 60.0
 _MOSQUITTO = """\

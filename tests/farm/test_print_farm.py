@@ -16,16 +16,16 @@ from tempfile import TemporaryDirectory
 
 import pytest
 
+from simprinter import SCENES, Fault
+from simprinter.hosts.hosts import all_hosts, missing_hosts
+from simprinter.hosts.moonraker import MoonrakerError
+from simprinter.hosts.moonraker_package import find_moonraker
+from simprinter.world import NoiseSpec
 from tests.docs.documents import rows, spans
 from tests.farm.broker import LIMIT, Broker, find_program
-from tests.hostkit.hosts import all_hosts, missing_hosts
-from tests.hostkit.lab import Lab
-from tests.hostkit.moonraker import MoonrakerError
-from tests.hostkit.moonraker_package import find_moonraker
-from tests.modules.unit.loading import load
-from tests.modules.unit.runs import make_runs
-from tests.simprinter import SCENES, Fault
-from tests.simprinter.world import NoiseSpec
+from tests.unit.loading import load
+from tests.unit.runs import make_runs
+from tools.kit.lab import Lab
 
 ROOT = Path(__file__).resolve().parents[2]
 EXAMPLES = ROOT / "examples" / "print_farm"
@@ -142,7 +142,9 @@ def value_at(path, message):
 
 def keys_of_status(module):
     """The names that a module's get_status() gives, by its source."""
-    tree = ast.parse((ROOT / f"{module}.py").read_text(encoding="utf-8"))
+    tree = ast.parse(
+        (ROOT / "z_touch" / module / "module.py").read_text("utf-8")
+    )
     (method,) = (
         node
         for node in ast.walk(tree)
@@ -154,11 +156,11 @@ def keys_of_status(module):
 
 def real_status():
     """What the modules publish after some runs, by their own code."""
-    module = load("z_touch.history")
+    module = load("z_touch.history.file")
     history = module.History(None, module.File("", 50), "printer.cfg", None)
     refused = {"ok": False, "time": 1.8e9, "reason": "odd", "sites": {}}
     runs = [*make_runs(8), {**make_runs(1)[0], **refused}]
-    summary = load("z_touch.trend").summarize(runs)
+    summary = load("z_touch.history.trend").summarize(runs)
     history._take(runs, summary, [])  # noqa: SLF001
     known = {
         "z_calibration": {

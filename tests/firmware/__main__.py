@@ -15,7 +15,8 @@ from concurrent.futures import ProcessPoolExecutor
 from multiprocessing import get_context
 from pathlib import Path
 
-from tests.bench.performance_tables import put, table
+from simprinter.hosts.hosts import Host, find_hosts
+from simprinter.simulation import Stopwatch
 from tests.firmware.programs import (
     RUNS,
     FirmwarePrinter,
@@ -23,8 +24,7 @@ from tests.firmware.programs import (
     dictionary,
     program_for,
 )
-from tests.hostkit.hosts import Host, find_hosts
-from tests.simprinter.simulation import Stopwatch
+from tools.bench.performance_tables import put, table
 
 BEGIN = "<!-- firmware: written by python -m tests.firmware, not by hand -->"
 END = "<!-- end of firmware -->"

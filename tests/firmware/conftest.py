@@ -4,8 +4,8 @@ from __future__ import annotations
 
 import pytest
 
+from simprinter.hosts.hosts import Host
 from tests.firmware.programs import given, program_for
-from tests.hostkit.hosts import Host
 
 collect_ignore_glob = [] if given() else ["test_firmware_*.py"]
 

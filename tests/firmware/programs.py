@@ -9,24 +9,24 @@ from collections.abc import Iterable, Iterator
 from pathlib import Path
 from typing import NamedTuple, Optional
 
-from tests.campaign.jobs import JOBS
-from tests.hostkit import extra_probe
-from tests.hostkit.hosts import Host
-from tests.hostkit.printer import (
+from simprinter import SCENES, Fault, Machine, Scene, build_directory
+from simprinter.firmware import (
+    DataDictionary,
+    data_dictionary,
+    gpio_names,
+)
+from simprinter.hosts.hosts import Host
+from simprinter.hosts.session import GcodeError, LiveSession
+from simprinter.scenes import Sections
+from tools.campaign.jobs import JOBS
+from tools.kit import extra_probe
+from tools.kit.printer import (
     Printer,
     RunningPrinter,
     firmware_of,
     has_kinematics,
     module_files,
 )
-from tests.hostkit.session import GcodeError, LiveSession
-from tests.simprinter import SCENES, Fault, Machine, Scene, build_directory
-from tests.simprinter.firmware import (
-    DataDictionary,
-    data_dictionary,
-    gpio_names,
-)
-from tests.simprinter.scenes import Sections
 
 NOT_GIVEN = (
     "no micro-controller program is given: make test-firmware"

@@ -4,8 +4,8 @@ from __future__ import annotations
 
 import pytest
 
+from simprinter import SCENES, Machine
 from tests.firmware.programs import dictionary, given
-from tests.simprinter import SCENES, Machine
 
 # What differs from board to board
 _OWN_CONSTANTS = {"MCU", "PWM_MAX"}

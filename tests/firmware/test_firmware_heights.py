@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import pytest
 
+from simprinter import Fault
 from tests.firmware.programs import (
     RUNS,
     FirmwarePrinter,
@@ -12,8 +13,7 @@ from tests.firmware.programs import (
     difference,
     record,
 )
-from tests.hostkit.printer import has_kinematics
-from tests.simprinter import Fault
+from tools.kit.printer import has_kinematics
 
 # Where a fault strikes: the third touch of a sensor, or the only one
 _AT = {"membrane": 2, "bed_sensor": 2}

@@ -9,8 +9,8 @@ import threading
 
 import pytest
 
+from simprinter.hosts.session import GcodeError
 from tests.firmware.programs import RUNS, FirmwarePrinter, record
-from tests.hostkit.session import GcodeError
 
 pytestmark = pytest.mark.spread
 RUN = RUNS["CALIBRATE_Z"]

@@ -11,8 +11,8 @@ from collections.abc import Iterable, Mapping
 from pathlib import Path
 from typing import NamedTuple, Optional, Union
 
-from tests.hostkit.printer import module_files
-from tests.hostkit.trees import SHARED
+from tools.kit.printer import FOLDER, module_files
+from tools.kit.printer import MODULES as NAMES
 
 REPO = Path(__file__).resolve().parents[2]
 NOBODY = 65534
@@ -20,7 +20,7 @@ NOBODY = 65534
 TOOLS = """awk bash cat cp date dirname env find git grep id ln mktemp mv
 readlink rm sed sort"""
 ORIGIN = "https://example.com/somebody/z-calibration.git"
-MODULES = sorted(module_files())
+MODULES = sorted(NAMES)
 KALICO_SHIPS = ("z_calibration", "dockable_probe")
 OVERRIDE = "[danger_options]\nallow_plugin_override: True\n"
 
@@ -123,11 +123,14 @@ class Box:
         return shutil.copytree(_CLONE[0].name, folder, symlinks=True)
 
     def _make_clone(self, folder: Path) -> None:
-        for file in (REPO / "install.sh", *module_files().values()):
+        for file in (
+            REPO / "install.sh",
+            *(REPO / f"{name}.py" for name in MODULES),
+        ):
             shutil.copy2(file, folder)
         shutil.copytree(
-            SHARED,
-            folder / SHARED.name,
+            module_files()[FOLDER],
+            folder / FOLDER,
             ignore=shutil.ignore_patterns("__pycache__"),
         )
         self.commit(folder)
@@ -302,7 +305,7 @@ class Klipper:
 
     def place(self, name: str = "z_calibration.py") -> Path:
         """Where a module's link belongs, or the folder's."""
-        folder = "klippy/extras" if name == SHARED.name else self.modules
+        folder = "klippy/extras" if name == FOLDER else self.modules
         return self.path / folder / name
 
     def links(self) -> dict[str, str]:
@@ -322,7 +325,7 @@ class Klipper:
         """
         kept = "plugins" in self.place("dockable_probe.py").parts
         ours = [m for m in modules if not (kept and m == "dockable_probe")]
-        names = [f"{module}.py" for module in ours] + [SHARED.name]
+        names = [f"{module}.py" for module in ours] + [FOLDER]
         folder = self.path / "klippy"
         places = {self.place(n).relative_to(folder): n for n in names}
         return {

@@ -660,7 +660,7 @@ def test_dry_run_refuses_the_same(machine, klipper):
 
 def test_shellcheck():
     shellcheck = Path(sys.executable).with_name("shellcheck")
-    services = sorted((REPO / "tests" / "hostkit" / "services").iterdir())
+    services = sorted((REPO / "tools" / "kit" / "services").iterdir())
     subprocess.run([shellcheck, REPO / "install.sh", *services], check=True)
 
 

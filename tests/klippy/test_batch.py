@@ -13,9 +13,9 @@ from pathlib import Path
 
 import pytest
 
-from tests.hostkit.printer import firmware_of, module_files
-from tests.hostkit.session import run_file_output
-from tests.simprinter import SCENES, Machine, RealClock
+from simprinter import SCENES, Machine, RealClock
+from simprinter.hosts.session import run_file_output
+from tools.kit.printer import firmware_of, module_files
 
 _HERE = Path(__file__).parent
 _DICTIONARY = "simulated.dict"

@@ -8,9 +8,9 @@ from contextlib import ExitStack
 
 import pytest
 
-from tests.hostkit.hosts import Host
-from tests.hostkit.printer import Printer
-from tests.hostkit.z_calibration import calibration
+from simprinter.hosts.hosts import Host
+from tools.kit.printer import Printer
+from tools.kit.z_calibration import calibration
 
 
 @pytest.fixture(scope="module")

@@ -12,8 +12,8 @@ from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any, Optional
 
-from tests.simprinter import SCENES, Scene, heated
-from tests.simprinter.world import (
+from simprinter import SCENES, Scene, heated
+from simprinter.world import (
     AxisSwitchSpec,
     BedSpec,
     DockSpec,

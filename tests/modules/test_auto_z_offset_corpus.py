@@ -1,14 +1,14 @@
-"""[auto_z_offset] sections of real printers, see tests/hostkit/corpus.py."""
+"""[auto_z_offset] sections of real printers, see tools/kit/corpus.py."""
 
 from __future__ import annotations
 
 import pytest
 
-from tests.hostkit.auto_z_offset import MICROSTEP
-from tests.hostkit.auto_z_offset_corpus import build
-from tests.hostkit.corpus import WHOLE, each, load
-from tests.hostkit.printer import Printer
-from tests.hostkit.z_calibration import refusal
+from tools.kit.auto_z_offset import MICROSTEP
+from tools.kit.auto_z_offset_corpus import build
+from tools.kit.corpus import WHOLE, each, load
+from tools.kit.printer import Printer
+from tools.kit.z_calibration import refusal
 
 pytestmark = [] if WHOLE else pytest.mark.spread
 ENTRIES = load("auto_z_offset")

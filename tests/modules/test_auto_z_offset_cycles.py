@@ -6,7 +6,9 @@ from dataclasses import replace
 
 import pytest
 
-from tests.hostkit.auto_z_offset import (
+from simprinter import SCENES, Fault
+from simprinter.world import NoiseSpec
+from tools.kit.auto_z_offset import (
     CORRECTION,
     MICROSTEP,
     formulas,
@@ -16,9 +18,7 @@ from tests.hostkit.auto_z_offset import (
     told,
     touches,
 )
-from tests.hostkit.printer import module_files
-from tests.simprinter import SCENES, Fault
-from tests.simprinter.world import NoiseSpec
+from tools.kit.printer import module_files
 
 pytestmark = pytest.mark.spread
 

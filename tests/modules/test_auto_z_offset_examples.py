@@ -14,10 +14,10 @@ from pathlib import Path
 
 import pytest
 
-from tests.hostkit.auto_z_offset import MICROSTEP, POINT, told
-from tests.hostkit.corpus import indented
+from simprinter import SCENES
 from tests.modules.example_owners import lines_of, print_start_of
-from tests.simprinter import SCENES
+from tools.kit.auto_z_offset import MICROSTEP, POINT, told
+from tools.kit.corpus import indented
 
 EXAMPLES = Path(__file__).resolve().parents[2] / "examples" / "auto_z_offset"
 # Scene, and the file's pins with those of the scene

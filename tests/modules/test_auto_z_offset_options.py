@@ -7,7 +7,8 @@ from dataclasses import replace
 
 import pytest
 
-from tests.hostkit.auto_z_offset import (
+from simprinter import SCENES, Fault
+from tools.kit.auto_z_offset import (
     AIR_GAP,
     DEPTH,
     MICROSTEP,
@@ -25,9 +26,8 @@ from tests.hostkit.auto_z_offset import (
     with_extras,
     world,
 )
-from tests.hostkit.printer import Printer
-from tests.hostkit.z_calibration import refusal
-from tests.simprinter import SCENES, Fault
+from tools.kit.printer import Printer
+from tools.kit.z_calibration import refusal
 
 pytestmark = pytest.mark.spread
 

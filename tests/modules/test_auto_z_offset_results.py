@@ -6,7 +6,8 @@ from dataclasses import replace
 
 import pytest
 
-from tests.hostkit.auto_z_offset import (
+from simprinter import SCENES
+from tools.kit.auto_z_offset import (
     AIR_GAP,
     CORRECTION,
     DEPTH,
@@ -24,8 +25,7 @@ from tests.hostkit.auto_z_offset import (
     true_gap,
     with_extras,
 )
-from tests.hostkit.printer import Printer, has_kinematics
-from tests.simprinter import SCENES
+from tools.kit.printer import Printer, has_kinematics
 
 pytestmark = pytest.mark.spread
 

@@ -4,7 +4,10 @@ from __future__ import annotations
 
 import pytest
 
-from tests.hostkit.auto_z_offset import (
+from simprinter import SCENES, Fault
+from simprinter.hosts.session import GcodeError
+from simprinter.mcu.tmc import IFCNT
+from tools.kit.auto_z_offset import (
     DEPTH,
     HOMING_ARMS,
     MICROSTEP,
@@ -19,11 +22,8 @@ from tests.hostkit.auto_z_offset import (
     touches,
     true_gap,
 )
-from tests.hostkit.printer import Printer, module_files
-from tests.hostkit.session import GcodeError
-from tests.hostkit.z_calibration import refusal
-from tests.simprinter import SCENES, Fault
-from tests.simprinter.mcu.tmc import IFCNT
+from tools.kit.printer import Printer, module_files
+from tools.kit.z_calibration import refusal
 
 pytestmark = pytest.mark.spread
 

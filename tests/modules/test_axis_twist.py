@@ -6,11 +6,11 @@ from dataclasses import replace
 
 import pytest
 
-from tests.hostkit.auto_z_offset import PROBE_PLACE, true_gap, world
-from tests.hostkit.load_errors import load
-from tests.hostkit.printer import Printer
-from tests.hostkit.z_calibration import BED, MICROSTEP, TRIGGER, calibration
-from tests.simprinter import SCENES
+from simprinter import SCENES
+from tools.kit.auto_z_offset import PROBE_PLACE, true_gap, world
+from tools.kit.load_errors import load
+from tools.kit.printer import Printer
+from tools.kit.z_calibration import BED, MICROSTEP, TRIGGER, calibration
 
 # Both measurements of auto_z_offset have their heights there, and 0.15 mm
 MEASURED = PROBE_PLACE

@@ -4,7 +4,8 @@ from __future__ import annotations
 
 import pytest
 
-from tests.hostkit.dockable_probe import (
+from simprinter import Fault
+from tools.kit.dockable_probe import (
     BED,
     CLEAR,
     FRAME,
@@ -18,8 +19,7 @@ from tests.hostkit.dockable_probe import (
     trips,
     where,
 )
-from tests.hostkit.z_calibration import with_moves
-from tests.simprinter import Fault
+from tools.kit.z_calibration import with_moves
 
 pytestmark = pytest.mark.spread
 

@@ -4,9 +4,9 @@ from __future__ import annotations
 
 import pytest
 
-from tests.hostkit.corpus import WHOLE
-from tests.hostkit.dockable_probe import GANTRY, refusal, trips, where
-from tests.hostkit.dockable_probe_corpus import (
+from tools.kit.corpus import WHOLE
+from tools.kit.dockable_probe import GANTRY, refusal, trips, where
+from tools.kit.dockable_probe_corpus import (
     BROKEN,
     ENTRIES,
     scene_of,

@@ -7,10 +7,10 @@ from pathlib import Path
 
 import pytest
 
-from tests.hostkit.dockable_probe import BED, GANTRY, SWITCH, trips, where
+from simprinter import heated
 from tests.modules.example_owners import print_start_of
 from tests.modules.test_auto_z_offset_examples import sections_of
-from tests.simprinter import heated
+from tools.kit.dockable_probe import BED, GANTRY, SWITCH, trips, where
 
 EXAMPLES = Path(__file__).resolve().parents[2] / "examples" / "dockable_probe"
 MACHINES = {

@@ -4,7 +4,9 @@ from __future__ import annotations
 
 import pytest
 
-from tests.hostkit.dockable_probe import (
+from simprinter import Fault
+from simprinter.hosts.hosts import Host
+from tools.kit.dockable_probe import (
     BED,
     CLEAR,
     GANTRY,
@@ -17,9 +19,7 @@ from tests.hostkit.dockable_probe import (
     trips,
     where,
 )
-from tests.hostkit.hosts import Host
-from tests.hostkit.z_calibration import with_moves
-from tests.simprinter import Fault
+from tools.kit.z_calibration import with_moves
 
 pytestmark = pytest.mark.spread
 

@@ -14,10 +14,10 @@ import pytest
 from hypothesis import HealthCheck, Phase, assume, event, given, settings
 from hypothesis import strategies as st
 
-from tests.hostkit.dockable_probe import GANTRY, QUICK, trips, where
-from tests.hostkit.printer import Printer
-from tests.hostkit.session import GcodeError
-from tests.simprinter.world import DockSpec
+from simprinter.hosts.session import GcodeError
+from simprinter.world import DockSpec
+from tools.kit.dockable_probe import GANTRY, QUICK, trips, where
+from tools.kit.printer import Printer
 
 X, Y = (0.0, 300.0), (-5.0, 310.0)
 # Where X and Y are homed, and the way there

@@ -6,7 +6,10 @@ from dataclasses import replace
 
 import pytest
 
-from tests.hostkit.dockable_probe import (
+from simprinter import Fault
+from simprinter.docks import DOCK_SCENES
+from simprinter.hosts.session import GcodeError
+from tools.kit.dockable_probe import (
     BED,
     CLEAR,
     FLOOR,
@@ -22,9 +25,6 @@ from tests.hostkit.dockable_probe import (
     trips,
     where,
 )
-from tests.hostkit.session import GcodeError
-from tests.simprinter import Fault
-from tests.simprinter.docks import DOCK_SCENES
 
 pytestmark = pytest.mark.spread
 

@@ -4,11 +4,11 @@ from __future__ import annotations
 
 import pytest
 
-from tests.hostkit.dockable_probe import SWITCH, trips, where
-from tests.hostkit.printer import module_files
-from tests.hostkit.z_calibration import calibration
-from tests.simprinter import Fault
-from tests.simprinter.docks import HANG, calibrating
+from simprinter import Fault
+from simprinter.docks import HANG, calibrating
+from tools.kit.dockable_probe import SWITCH, trips, where
+from tools.kit.printer import FOLDER, module_files
+from tools.kit.z_calibration import calibration
 
 pytestmark = pytest.mark.spread
 
@@ -61,7 +61,8 @@ def test_calibrate_z(start, changes):
 def test_calibrate_z_with_the_one_that_the_host_has(start, host, changes):
     if not host.layout.module_dir.endswith("plugins"):
         pytest.skip("only Kalico has a dockable_probe of its own")
-    ours = {"z_calibration": module_files()["z_calibration"]}
+    files = module_files()
+    ours = {name: files[name] for name in ("z_calibration", FOLDER)}
     assert_calibrated(start(SCENE, changes, modules=ours).homed())
 
 

@@ -6,8 +6,10 @@ from dataclasses import replace
 
 import pytest
 
-from tests.hostkit.dialogs import dialogs_of
-from tests.hostkit.extra_probe import (
+from simprinter import SCENES, heated
+from simprinter.world import AxisSwitchSpec, NoiseSpec
+from tools.kit.dialogs import dialogs_of
+from tools.kit.extra_probe import (
     ABORT,
     BED,
     CALIBRATE,
@@ -25,10 +27,8 @@ from tests.hostkit.extra_probe import (
     touch,
     true_gap,
 )
-from tests.hostkit.printer import has_kinematics
-from tests.hostkit.z_calibration import refusal, with_moves
-from tests.simprinter import SCENES, heated
-from tests.simprinter.world import AxisSwitchSpec, NoiseSpec
+from tools.kit.printer import has_kinematics
+from tools.kit.z_calibration import refusal, with_moves
 
 pytestmark = pytest.mark.spread
 

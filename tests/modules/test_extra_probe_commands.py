@@ -7,7 +7,9 @@ import statistics
 
 import pytest
 
-from tests.hostkit.extra_probe import (
+from simprinter import SCENES, Fault
+from simprinter.world import NoiseSpec
+from tools.kit.extra_probe import (
     BED,
     CALIBRATE,
     MICROSTEP,
@@ -19,11 +21,9 @@ from tests.hostkit.extra_probe import (
     section,
     state,
 )
-from tests.hostkit.load_errors import load
-from tests.hostkit.printer import Printer, has_kinematics, module_files
-from tests.hostkit.z_calibration import refusal, with_moves
-from tests.simprinter import SCENES, Fault
-from tests.simprinter.world import NoiseSpec
+from tools.kit.load_errors import load
+from tools.kit.printer import Printer, has_kinematics, module_files
+from tools.kit.z_calibration import refusal, with_moves
 
 pytestmark = pytest.mark.spread
 

@@ -10,7 +10,8 @@ from pathlib import Path
 
 import pytest
 
-from tests.hostkit.extra_probe import (
+from simprinter import SCENES, Fault, heated
+from tools.kit.extra_probe import (
     BED,
     CONTINUE,
     MICROSTEP,
@@ -18,7 +19,6 @@ from tests.hostkit.extra_probe import (
     PROBE_BED,
     true_gap,
 )
-from tests.simprinter import SCENES, Fault, heated
 
 EXAMPLES = Path(__file__).resolve().parents[2] / "examples" / "extra_probe"
 # The scene that each is for, what it is to save, and from which value on

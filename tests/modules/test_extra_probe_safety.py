@@ -7,8 +7,11 @@ from __future__ import annotations
 
 import pytest
 
-from tests.hostkit.dialogs import dialogs_of
-from tests.hostkit.extra_probe import (
+from simprinter import SCENES, Fault
+from simprinter.hosts.session import GcodeError
+from simprinter.world import AxisSwitchSpec, NoiseSpec
+from tools.kit.dialogs import dialogs_of
+from tools.kit.extra_probe import (
     ABORT,
     BED,
     CALIBRATE,
@@ -24,10 +27,7 @@ from tests.hostkit.extra_probe import (
     touch,
     true_gap,
 )
-from tests.hostkit.printer import Printer
-from tests.hostkit.session import GcodeError
-from tests.simprinter import SCENES, Fault
-from tests.simprinter.world import AxisSwitchSpec, NoiseSpec
+from tools.kit.printer import Printer
 
 pytestmark = pytest.mark.spread
 

@@ -7,9 +7,9 @@ from pathlib import Path
 
 import pytest
 
-from tests.hostkit.auto_z_offset import MICROSTEP, POINT, told
+from simprinter import SCENES
 from tests.modules.example_owners import OWNERS
-from tests.simprinter import SCENES
+from tools.kit.auto_z_offset import MICROSTEP, POINT, told
 
 pytestmark = pytest.mark.spread
 

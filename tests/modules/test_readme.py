@@ -10,17 +10,17 @@ from pathlib import Path
 
 import pytest
 
+from simprinter.hosts.environment import build_dir
+from simprinter.hosts.hosts import all_hosts, missing_hosts
 from tests.docs import z_calibration_picture
 from tests.docs.documents import link_problems, part
-from tests.hostkit.environment import build_dir
-from tests.hostkit.hosts import all_hosts, missing_hosts
-from tests.hostkit.lab import copy_own_files
 from tests.modules.example_owners import OWNERS
 from tests.modules.test_z_calibration_examples import (
     assert_ready_to_print,
     assert_soft_and_clean,
     print_start,
 )
+from tools.kit.lab import copy_own_files
 
 ROOT = Path(__file__).resolve().parents[2]
 README = ROOT / "README.md"
@@ -186,18 +186,18 @@ DEMO = {
 }
 # What follows the command, so that it does not run this test again
 ADDED = {
-    # By tests/playground
+    # By tools/playground
     "make printer": " --dry-run",
     # The same with more hosts is below
     "make test": " --dry-run",
     "KLIPPER_PATH=~/klipper:~/kalico make test": " PYTEST_ARGS=--version",
-    "build/venv/bin/python -m tests.demo --help": "",
+    "build/venv/bin/python -m tools.demo --help": "",
 }
 EXPECTED = {
     "make printer": r"-m tests\.playground",
     "make test": r"-m pytest -n \d",
     "KLIPPER_PATH=~/klipper:~/kalico make test": r"klipper@klipper.*\nkalico@",
-    "build/venv/bin/python -m tests.demo --help": r"--scene",
+    "build/venv/bin/python -m tools.demo --help": r"--scene",
 }
 
 

@@ -19,9 +19,9 @@ from tests.docs.documents import (
     part,
     samples_of,
 )
-from tests.hostkit.extra_probe import NAME
-from tests.hostkit.load_errors import load
-from tests.hostkit.z_calibration import refusal
+from tools.kit.extra_probe import NAME
+from tools.kit.load_errors import load
+from tools.kit.z_calibration import refusal
 
 ROOT = Path(__file__).resolve().parents[2]
 SCENES = {

@@ -9,12 +9,12 @@ from typing import NamedTuple
 
 import pytest
 
-from tests.hostkit.z_calibration import (
+from simprinter import SCENES, Fault
+from simprinter.world import DriftSpec, NoiseSpec, OozeSpec
+from tools.kit.z_calibration import (
     section,
     touched_sites,
 )
-from tests.simprinter import SCENES, Fault
-from tests.simprinter.world import DriftSpec, NoiseSpec, OozeSpec
 
 pytestmark = pytest.mark.spread
 

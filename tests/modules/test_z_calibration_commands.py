@@ -8,7 +8,8 @@ from dataclasses import replace
 
 import pytest
 
-from tests.hostkit.z_calibration import (
+from simprinter import SCENES
+from tools.kit.z_calibration import (
     MICROSTEP,
     PIN,
     SWITCH_OFFSET,
@@ -18,7 +19,6 @@ from tests.hostkit.z_calibration import (
     touched_sites,
     with_dead_pin,
 )
-from tests.simprinter import SCENES
 
 pytestmark = pytest.mark.spread
 

@@ -1,13 +1,13 @@
-"""[z_calibration] sections of real printers, see tests/hostkit/corpus.py."""
+"""[z_calibration] sections of real printers, see tools/kit/corpus.py."""
 
 from __future__ import annotations
 
 import pytest
 
-from tests.hostkit.corpus import WHOLE, each, load
-from tests.hostkit.printer import Printer
-from tests.hostkit.z_calibration import MICROSTEP, refusal
-from tests.hostkit.z_calibration_corpus import (
+from tools.kit.corpus import WHOLE, each, load
+from tools.kit.printer import Printer
+from tools.kit.z_calibration import MICROSTEP, refusal
+from tools.kit.z_calibration_corpus import (
     VIRTUAL_ENDSTOP,
     build,
     homes_with_probe,

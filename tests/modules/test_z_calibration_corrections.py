@@ -8,7 +8,7 @@ from pathlib import Path
 import pytest
 
 from tests.docs.documents import ini_blocks
-from tests.hostkit.z_calibration import (
+from tools.kit.z_calibration import (
     MICROSTEP,
     SWITCH_OFFSET,
     calibration,

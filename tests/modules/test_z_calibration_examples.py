@@ -14,6 +14,8 @@ from typing import Any
 
 import pytest
 
+from simprinter import SCENES, Fault, heated
+from simprinter.hosts.session import GcodeError
 from tests.docs.documents import (
     COMMANDS,
     OPTIONS,
@@ -23,9 +25,6 @@ from tests.docs.documents import (
     rows,
     spans,
 )
-from tests.hostkit.printer import Printer
-from tests.hostkit.session import GcodeError
-from tests.hostkit.z_calibration import MICROSTEP, touched_sites
 from tests.modules.example_owners import (
     CLEAN_NOZZLE,
     OWNERS,
@@ -33,7 +32,8 @@ from tests.modules.example_owners import (
     lines_of,
     print_start_of,
 )
-from tests.simprinter import SCENES, Fault, heated
+from tools.kit.printer import Printer
+from tools.kit.z_calibration import MICROSTEP, touched_sites
 
 pytestmark = pytest.mark.spread
 ROOT = Path(__file__).resolve().parents[2]

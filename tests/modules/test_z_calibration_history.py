@@ -10,14 +10,14 @@ from xml.etree import ElementTree as ET
 
 import pytest
 
-from tests.hostkit.z_calibration import (
+from simprinter import SCENES, Fault, heated
+from simprinter.world import NoiseSpec, OozeSpec
+from tests.unit.runs import make_runs
+from tools.kit.z_calibration import (
     assert_unharmed,
     calibration,
     section,
 )
-from tests.modules.unit.runs import make_runs
-from tests.simprinter import SCENES, Fault, heated
-from tests.simprinter.world import NoiseSpec, OozeSpec
 
 pytestmark = pytest.mark.spread
 

@@ -6,8 +6,9 @@ from dataclasses import replace
 
 import pytest
 
-from tests.hostkit.printer import Printer
-from tests.hostkit.z_calibration import (
+from simprinter import SCENES
+from tools.kit.printer import Printer
+from tools.kit.z_calibration import (
     PIN,
     assert_unharmed,
     calibration,
@@ -15,7 +16,6 @@ from tests.hostkit.z_calibration import (
     section,
     with_moves,
 )
-from tests.simprinter import SCENES
 
 pytestmark = pytest.mark.spread
 

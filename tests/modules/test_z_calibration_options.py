@@ -13,9 +13,10 @@ from dataclasses import replace
 
 import pytest
 
-from tests.hostkit.load_errors import load
-from tests.hostkit.printer import Printer
-from tests.hostkit.z_calibration import (
+from simprinter import SCENES, Fault
+from tools.kit.load_errors import load
+from tools.kit.printer import Printer
+from tools.kit.z_calibration import (
     BED,
     BODY,
     MICROSTEP,
@@ -32,7 +33,6 @@ from tests.hostkit.z_calibration import (
     with_extra,
     with_moves,
 )
-from tests.simprinter import SCENES, Fault
 
 pytestmark = pytest.mark.spread
 

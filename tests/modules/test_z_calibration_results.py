@@ -8,14 +8,16 @@ from dataclasses import replace
 
 import pytest
 
-from tests.hostkit.printer import (
+from simprinter import SCENES, Fault, Machine
+from simprinter.hosts.session import run_batch
+from simprinter.world import Pose
+from tools.kit.printer import (
     Printer,
     firmware_of,
     has_kinematics,
     module_files,
 )
-from tests.hostkit.session import run_batch
-from tests.hostkit.z_calibration import (
+from tools.kit.z_calibration import (
     BED,
     BODY,
     MICROSTEP,
@@ -34,8 +36,6 @@ from tests.hostkit.z_calibration import (
     with_dead_pin,
     with_extra,
 )
-from tests.simprinter import SCENES, Fault, Machine
-from tests.simprinter.world import Pose
 
 pytestmark = pytest.mark.spread
 

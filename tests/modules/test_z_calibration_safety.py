@@ -6,9 +6,11 @@ from dataclasses import replace
 
 import pytest
 
-from tests.hostkit.printer import Printer, has_kinematics
-from tests.hostkit.session import GcodeError
-from tests.hostkit.z_calibration import (
+from simprinter import SCENES, Fault
+from simprinter.hosts.session import GcodeError
+from simprinter.world import DriftSpec
+from tools.kit.printer import Printer, has_kinematics
+from tools.kit.z_calibration import (
     BED,
     BODY,
     MICROSTEP,
@@ -23,8 +25,6 @@ from tests.hostkit.z_calibration import (
     with_dead_pin,
     with_extra,
 )
-from tests.simprinter import SCENES, Fault
-from tests.simprinter.world import DriftSpec
 
 pytestmark = pytest.mark.spread
 

@@ -6,17 +6,17 @@ from dataclasses import replace
 
 import pytest
 
-from tests.hostkit.dockable_probe import SWITCH, trips, where
-from tests.hostkit.session import GcodeError
-from tests.hostkit.setup_user import EMPTY, SETUP, User
-from tests.hostkit.z_calibration import (
+from simprinter import SCENES
+from simprinter.docks import calibrating
+from simprinter.hosts.session import GcodeError
+from tools.kit.dockable_probe import SWITCH, trips, where
+from tools.kit.setup_user import EMPTY, SETUP, User
+from tools.kit.z_calibration import (
     MICROSTEP,
     calibration,
     section,
     touched_sites,
 )
-from tests.simprinter import SCENES
-from tests.simprinter.docks import calibrating
 
 pytestmark = pytest.mark.spread
 

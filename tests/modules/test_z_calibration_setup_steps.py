@@ -4,12 +4,12 @@ from __future__ import annotations
 
 import pytest
 
-from tests.hostkit.dockable_probe import where
-from tests.hostkit.session import GcodeError
-from tests.hostkit.setup_user import EMPTY, SETUP, User
-from tests.hostkit.z_calibration import section
-from tests.simprinter import SCENES
-from z_touch.setup_steps import ORDER
+from simprinter import SCENES
+from simprinter.hosts.session import GcodeError
+from tools.kit.dockable_probe import where
+from tools.kit.setup_user import EMPTY, SETUP, User
+from tools.kit.z_calibration import section
+from z_touch.guide.steps import ORDER
 
 pytestmark = pytest.mark.spread
 

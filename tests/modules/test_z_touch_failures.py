@@ -6,8 +6,9 @@ from dataclasses import replace
 
 import pytest
 
-from tests.hostkit.printer import Printer
-from tests.hostkit.z_calibration import (
+from simprinter import SCENES, heated
+from tools.kit.printer import Printer
+from tools.kit.z_calibration import (
     BODY,
     calibration,
     refusal,
@@ -15,7 +16,6 @@ from tests.hostkit.z_calibration import (
     touched_sites,
     with_extra,
 )
-from tests.simprinter import SCENES, heated
 
 pytestmark = pytest.mark.spread
 

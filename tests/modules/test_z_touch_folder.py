@@ -6,10 +6,10 @@ import shutil
 
 import pytest
 
-from tests.hostkit.printer import firmware_of, module_files
-from tests.hostkit.session import LiveSession
-from tests.hostkit.trees import SHARED, SHARED_PARENT, link_tree
-from tests.simprinter import SCENES, Machine
+from simprinter import SCENES, Machine
+from simprinter.hosts.session import LiveSession
+from simprinter.hosts.trees import FOLDER_PARENT, link_tree
+from tools.kit.printer import FOLDER, firmware_of, module_files
 
 
 def other_version(folder):
@@ -21,7 +21,7 @@ def other_version(folder):
 
 DAMAGES = {
     "missing": shutil.rmtree,
-    "half copied": lambda folder: (folder / "errors.py").unlink(),
+    "half copied": lambda folder: (folder / "core" / "errors.py").unlink(),
     "of another version": other_version,
 }
 
@@ -34,7 +34,7 @@ DAMAGES = {
 def test_one_sentence_says_what_to_do(host, tmp_path, module, scene, damage):
     tree = tmp_path / "tree"
     link_tree(host.install(module_files()).cwd, tree)
-    damage(tree / SHARED_PARENT / SHARED.name)
+    damage(tree / FOLDER_PARENT / FOLDER)
     with Machine(SCENES[scene], app=firmware_of(host)) as machine:
         config = machine.scene.config(machine.serials)
         with LiveSession(host.at(tree), machine, config) as session:

@@ -9,10 +9,10 @@ from pathlib import Path
 
 import pytest
 
-from tests.hostkit.hosts import all_hosts, missing_hosts
-from tests.hostkit.lab import Lab
-from tests.hostkit.moonraker_package import find_moonraker
-from tests.hostkit.printer import firmware_of
+from simprinter.hosts.hosts import all_hosts, missing_hosts
+from simprinter.hosts.moonraker_package import find_moonraker
+from tools.kit.lab import Lab
+from tools.kit.printer import firmware_of
 
 
 def pytest_generate_tests(metafunc: pytest.Metafunc) -> None:

@@ -6,7 +6,7 @@ import itertools
 
 import pytest
 
-from tests.hostkit.moonraker import MoonrakerError
+from simprinter.hosts.moonraker import MoonrakerError
 from tests.moonraker.updates import calibrated
 
 MICROSTEP = 0.0025

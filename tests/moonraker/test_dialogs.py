@@ -8,17 +8,17 @@ from __future__ import annotations
 
 import pytest
 
-from tests.hostkit.dialogs import dialogs_of
-from tests.hostkit.extra_probe import (
+from simprinter.hosts.moonraker import MoonrakerError
+from tests.moonraker.updates import restarted
+from tools.kit.dialogs import dialogs_of
+from tools.kit.extra_probe import (
     CALIBRATE,
     CONTINUE,
     MICROSTEP,
     NAME,
     POINT,
 )
-from tests.hostkit.lab import Lab
-from tests.hostkit.moonraker import MoonrakerError
-from tests.moonraker.updates import restarted
+from tools.kit.lab import Lab
 
 
 @pytest.fixture(scope="package")

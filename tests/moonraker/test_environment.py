@@ -6,9 +6,9 @@ from pathlib import Path
 
 import pytest
 
-from tests.hostkit import moonraker_package
-from tests.hostkit.environment import HostError, UnavailableError, run
-from tests.hostkit.hosts import missing_hosts
+from simprinter.hosts import moonraker_package
+from simprinter.hosts.environment import HostError, UnavailableError, run
+from simprinter.hosts.hosts import missing_hosts
 
 # A machine that has no libsodium, neither by that name nor elsewhere
 WITHOUT_LIBSODIUM = """

@@ -4,9 +4,9 @@ from __future__ import annotations
 
 import pytest
 
-from tests.hostkit.printer import module_files
-from tests.hostkit.trees import SHARED, SHARED_PARENT
+from simprinter.hosts.trees import FOLDER_PARENT
 from tests.moonraker.updates import calibrated, refreshed, restarted
+from tools.kit.printer import FOLDER, MODULES
 
 
 @pytest.mark.each_host
@@ -14,9 +14,9 @@ def test_klippy_has_the_modules_of_the_checkout(lab):
     # Where the host has a dockable_probe of its own, it stays
     kept = lab.klipper / "klippy" / "extras" / "dockable_probe.py"
     own = {kept.stem} if kept.exists() and not kept.is_symlink() else set()
-    names = set(module_files()) - own
+    names = set(MODULES) - own
     links = [lab.module_dir / f"{name}.py" for name in names]
-    for link in (*links, lab.klipper / SHARED_PARENT / SHARED.name):
+    for link in (*links, lab.klipper / FOLDER_PARENT / FOLDER):
         assert link.is_symlink()
         assert link.resolve() == (lab.checkout / link.name).resolve()
     objects = lab.moonraker.get("/printer/objects/list")["objects"]

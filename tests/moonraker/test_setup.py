@@ -8,13 +8,13 @@ from dataclasses import replace
 
 import pytest
 
-from tests.hostkit.dockable_probe import where
-from tests.hostkit.lab import Lab
-from tests.hostkit.moonraker import MoonrakerError
-from tests.hostkit.setup_user import EMPTY, SETUP, User, open_dialog
-from tests.hostkit.z_calibration import MICROSTEP
-from tests.simprinter import SCENES
-from z_touch.setup_steps import ORDER
+from simprinter import SCENES
+from simprinter.hosts.moonraker import MoonrakerError
+from tools.kit.dockable_probe import where
+from tools.kit.lab import Lab
+from tools.kit.setup_user import EMPTY, SETUP, User, open_dialog
+from tools.kit.z_calibration import MICROSTEP
+from z_touch.guide.steps import ORDER
 
 BEGIN = "action:prompt_begin"
 PRESS = "Press it now"

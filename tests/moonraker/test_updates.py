@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import pytest
 
-from tests.hostkit.moonraker import MoonrakerError
+from simprinter.hosts.moonraker import MoonrakerError
 from tests.moonraker.updates import (
     calibrated,
     refreshed,

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from typing import Any
 
-from tests.hostkit.lab import Lab
+from tools.kit.lab import Lab
 
 
 def refreshed(lab: Lab, name: str = "z_calibration") -> dict[str, Any]:

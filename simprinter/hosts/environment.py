@@ -1,0 +1,285 @@
+"""Python environments and the commands run in them.
+
+    python -m simprinter.hosts.environment DIRECTORY REQUIREMENTS_FILE
+
+makes an environment for the tools.  Needs the standard library only, as it
+runs before anything is installed.
+"""
+
+from __future__ import annotations
+
+import contextlib
+import fcntl
+import hashlib
+import os
+import shutil
+import subprocess
+import sys
+import tempfile
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+if TYPE_CHECKING:
+    from collections.abc import Iterator, Mapping, Sequence
+
+REPO_ROOT = Path(__file__).resolve().parents[2]
+
+# How much of a failed command's output goes into the error.
+OUTPUT_LINES = 25
+
+# A machine without network should learn it in seconds, not minutes.
+PIP_OPTIONS = (
+    "--disable-pip-version-check",
+    "--no-input",
+    "--quiet",
+    "--retries=2",
+    "--timeout=20",
+)
+
+# Klippy up to 2023 calls RawConfigParser.readfp, which Python 3.12 removed, and
+# is to run there unmodified.  Python executes such a line from a .pth file.
+OLD_NAMES = (
+    "import configparser as c;"
+    " c.RawConfigParser.readfp = c.RawConfigParser.read_file\n"
+)
+
+# The signature is prescribed, see https://bford.info/cachedir/
+CACHEDIR_TAG = "Signature: 8a477f597d28d172789f06886806bc55\n"
+
+
+class HostError(Exception):
+    """A host or an environment cannot be prepared; the text says why."""
+
+
+class UnavailableError(HostError):
+    """A package cannot be had from the package index."""
+
+
+def build_dir() -> Path:
+    """The directory for everything that is built, made where missing.
+
+    It is `build` in the repository, or what BUILD_DIR names; a relative
+    BUILD_DIR is taken from the root of the repository.  Raises HostError for
+    a path that the hosts cannot be built in.
+    """
+    directory = REPO_ROOT / (os.environ.get("BUILD_DIR") or "build")
+    if any(character.isspace() for character in str(directory)):
+        # Klippy gives gcc the paths of its sources through a shell, unquoted.
+        raise HostError(
+            f"klippy cannot be built in {directory}, as there is a space in"
+            " the path; set BUILD_DIR to a directory without"
+        )
+    tag = directory / "CACHEDIR.TAG"
+    if not tag.exists():
+        directory.mkdir(parents=True, exist_ok=True)
+        tag.write_text(CACHEDIR_TAG, encoding="ascii")
+    return directory
+
+
+def clean_environment(
+    additions: Mapping[str, str] | None = None,
+) -> dict[str, str]:
+    """The environment without what changes how Python, git or gcc behave.
+
+    PYTHONPATH and its like belong to the process that runs the tests, and git
+    sets GIT_DIR for a test run started from one of its hooks.
+    """
+    environment = {
+        name: value
+        for name, value in os.environ.items()
+        if not name.startswith(("PYTHON", "GIT_", "OVERRIDE_"))
+        and name not in ("LD_PRELOAD", "VIRTUAL_ENV", "__PYVENV_LAUNCHER__")
+    }
+    environment.update(additions or {})
+    return environment
+
+
+def run(
+    argv: Sequence[str | Path],
+    purpose: str,
+    cwd: Path | None = None,
+    additions: Mapping[str, str] | None = None,
+    env: Mapping[str, str] | None = None,
+) -> str:
+    """Run a command and return what it printed.
+
+    additions: to the environment; env: all of it.  Raises HostError with
+    `purpose` and the end of the output if the command is missing or fails.
+    """
+    try:
+        done = subprocess.run(
+            [str(word) for word in argv],
+            cwd=cwd,
+            env=clean_environment(additions) if env is None else env,
+            stdin=subprocess.DEVNULL,
+            stdout=subprocess.PIPE,
+            stderr=subprocess.STDOUT,
+            encoding="utf-8",
+            errors="replace",
+            check=False,
+        )
+    except OSError as error:
+        raise HostError(f"{purpose}: {error}") from error
+    if done.returncode:
+        tail = "\n".join(done.stdout.splitlines()[-OUTPUT_LINES:])
+        raise HostError(
+            f"{purpose}: {Path(argv[0]).name} ended with exit code"
+            f" {done.returncode}\n{tail}"
+        )
+    return done.stdout
+
+
+@contextlib.contextmanager
+def locked(path: Path) -> Iterator[None]:
+    """Hold the lock file `path` against other processes and threads."""
+    path.parent.mkdir(parents=True, exist_ok=True)
+    with open(path, "w", encoding="ascii") as lock:
+        fcntl.flock(lock, fcntl.LOCK_EX)
+        yield
+
+
+@contextlib.contextmanager
+def staged(target: Path) -> Iterator[Path]:
+    """A new directory that becomes `target` once the block has succeeded.
+
+    So whoever finds `target` finds it complete, also after a power cut.
+    """
+    target.parent.mkdir(parents=True, exist_ok=True)
+    staging = Path(tempfile.mkdtemp(prefix=".new-", dir=target.parent))
+    try:
+        staging.chmod(0o755)
+        yield staging
+        staging.rename(target)
+    finally:
+        shutil.rmtree(staging, ignore_errors=True)
+
+
+def klippy_startup() -> str:
+    """What Python has to do first for any klippy to run on it."""
+    return OLD_NAMES if sys.version_info >= (3, 12) else ""
+
+
+def environment_key(requirements: Sequence[str], startup: str = "") -> str:
+    """Names the environment with these requirements on this Python."""
+    parts = ["%d.%d" % sys.version_info[:2], sys.base_prefix, startup]
+    parts += sorted(requirements)
+    return hashlib.sha256("\n".join(parts).encode()).hexdigest()[:12]
+
+
+def klippy_environment(requirements: Sequence[str]) -> Path:
+    """The interpreter of the klippy environment with these requirements."""
+    return cached_environment(requirements, klippy_startup())
+
+
+def cached_environment(requirements: Sequence[str], startup: str = "") -> Path:
+    """The interpreter of the environment with these requirements.
+
+    It is made where it is missing.  For `startup` and errors see `ensure`.
+    """
+    key = environment_key(requirements, startup)
+    return ensure(build_dir() / "envs" / key, requirements, startup)
+
+
+def ensure(
+    directory: Path, requirements: Sequence[str], startup: str = ""
+) -> Path:
+    """Make the environment `directory` unless it is there; return its Python.
+
+    `startup` is a line of code that this Python runs whenever it starts.
+    Raises HostError if this Python cannot make environments, and
+    UnavailableError if a requirement cannot be installed.
+    """
+    python = directory / "bin" / "python"
+    stamp = directory / "requirements.stamp"
+    key = environment_key(requirements, startup)
+
+    def is_ready() -> bool:
+        # `python` is a link that dangles once its base is uninstalled.
+        return (
+            python.exists()
+            and stamp.exists()
+            and stamp.read_text(encoding="ascii") == key
+        )
+
+    if is_ready():
+        return python
+    with locked(directory.with_name(directory.name + ".lock")):
+        if not is_ready():
+            _create(directory)
+            _install(python, requirements)
+            if startup:
+                _write_startup(python, startup)
+            stamp.write_text(key, encoding="ascii")
+    return python
+
+
+def _create(directory: Path) -> None:
+    commands = [
+        [sys.executable, "-m", "venv", directory],
+        ["virtualenv", "--python", sys.executable, directory],
+        [sys.executable, "-m", "virtualenv", directory],
+    ]
+    for command in commands:
+        shutil.rmtree(directory, ignore_errors=True)
+        try:
+            run(command, "new environment")
+            run([directory / "bin" / "python", "-m", "pip", "--version"], "pip")
+        except HostError:
+            continue
+        return
+    shutil.rmtree(directory, ignore_errors=True)
+    raise HostError(
+        f"{sys.executable} cannot make a virtual environment: install the"
+        " package python3-venv (Debian: apt install python3-venv), or"
+        " virtualenv"
+    )
+
+
+def _install(python: Path, requirements: Sequence[str]) -> None:
+    try:
+        run(
+            [python, "-m", "pip", "install", *PIP_OPTIONS]
+            + ["--prefer-binary", *requirements],
+            f"installation of {', '.join(requirements)}",
+        )
+    except HostError as error:
+        raise UnavailableError(str(error)) from error
+
+
+def _write_startup(python: Path, startup: str) -> None:
+    program = "import sysconfig; print(sysconfig.get_path('purelib'))"
+    folder = run([python, "-c", program], "folder of the packages").strip()
+    file = Path(folder) / "startup.pth"
+    file.write_text(startup, encoding="ascii")
+
+
+def read_requirements(path: Path) -> list[str]:
+    """The requirements in a file, one in each line, without comments."""
+    lines = path.read_text(encoding="utf-8").splitlines()
+    stripped = (line.partition("#")[0].strip() for line in lines)
+    return [line for line in stripped if line]
+
+
+def check_python() -> None:
+    """Raises SystemExit where this Python is too old for the tests."""
+    if sys.version_info < (3, 9):
+        sys.exit("the tests need Python 3.9 or newer; set PYTHON to one")
+
+
+def main() -> int:
+    check_python()
+    if len(sys.argv) != 3:
+        sys.exit(
+            "usage: python -m simprinter.hosts.environment DIR REQUIREMENTS"
+        )
+    try:
+        build_dir()
+        directory = Path(sys.argv[1]).absolute()
+        ensure(directory, read_requirements(Path(sys.argv[2])))
+    except HostError as error:
+        sys.exit(f"error: {error}")
+    return 0
+
+
+if __name__ == "__main__":
+    sys.exit(main())

@@ -1,0 +1,159 @@
+"""Every scene is a whole machine on which real klippy homes and measures.
+
+On those with a piezo bed auto_z_offset's own tests do so.
+"""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import pytest
+
+from simprinter import SCENES, Fault, heated
+from tools.kit.printer import Printer, has_kinematics
+
+CALIBRATING = [n for n in SCENES if "z_calibration" in SCENES[n].sections]
+MICROSTEP = 0.0025
+# Klippy retries a register's write so often
+ATTEMPTS = 5
+
+
+def ready(start, host, scene, **options):
+    """A printer, or a skipped test where the host cannot have it."""
+    if not has_kinematics(host, scene):
+        kinematics = scene.sections["printer"]["kinematics"]
+        pytest.skip(f"{host.name} has no {kinematics}")
+    return start(scene, **options)
+
+
+def microstep(printer):
+    """What one microstep of a Z motor moves, mm."""
+    return printer.scene.wiring.motors["z"].step_dist
+
+
+def require_z_level(printer):
+    """All Z motors were stopped at once, and no board shut down."""
+    printer.session.wait(0.5)
+    travel = printer.machine.rig.travel(printer.machine.simulation.clock.now())
+    heights = [travel[motor] for motor, _, _ in printer.scene.z_motors]
+    assert max(heights) - min(heights) == pytest.approx(0.0, abs=1e-9)
+    for board in printer.machine.boards.values():
+        assert board.journal.shutdowns == []
+
+
+@pytest.mark.parametrize("name", SCENES)
+def test_wiring_and_configuration_name_the_same_pins(name):
+    scene = heated(SCENES[name])
+    assert scene.name == name
+    written = [
+        value
+        for options in scene.sections.values()
+        for key, value in (options or {}).items()
+        if key.endswith("pin")
+    ]
+    wired = [
+        *scene.wiring.inputs.values(),
+        *scene.wiring.outputs.values(),
+        *(heater.pin for heater in scene.wiring.heaters.values()),
+        *(pin for m in scene.wiring.motors.values() for pin in m.pins()),
+    ]
+    assert set(wired) <= set(written)
+    assert len(set(written)) == len(written)
+
+
+@pytest.mark.some
+@pytest.mark.spread
+@pytest.mark.parametrize("name", CALIBRATING)
+def test_calibration_ends_at_the_gap_of_the_formula(start, host, name):
+    printer = ready(start, host, SCENES[name]).homed()
+    require_z_level(printer)
+    wanted = printer.scene.formula_gap()
+    # It would be no wonder otherwise
+    assert abs(printer.gap() - wanted) > 10 * microstep(printer)
+    printer.run("CALIBRATE_Z\nG1 X150 Y150 Z20 F3000\nM400")
+    printer.session.wait(0.5)
+    # Half a belt that ran on would carry the head aside as well as down
+    assert printer.machine.tip().x == pytest.approx(150.0, abs=0.02)
+    assert printer.gap() == pytest.approx(wanted, abs=2 * microstep(printer))
+    samples = int(printer.scene.number("probe", "samples"))
+    for site in ("nozzle_pin", "body_pin", "probe_bed"):
+        assert printer.machine.truth.touch_count(site) >= samples
+
+
+# z_calibration is left out where it cannot know the machine yet
+def test_separate_pin_has_an_input_of_its_own(start):
+    """Another section takes z_calibration's place."""
+    scene = SCENES["separate_pin"]
+    reader = {
+        "step_pin": "PD0",
+        "dir_pin": "PD1",
+        "rotation_distance": "40",
+        "microsteps": "16",
+        "endstop_pin": scene.sections["z_calibration"]["endstop_pin"],
+    }
+    changes = {"z_calibration": None, "manual_stepper reader": reader}
+    printer = start(scene, changes, modules={}).homed()
+    # Z is homed with the probe, about whose length its owner is wrong
+    probe = scene.world.mag_probe
+    wanted = probe.body_drop + probe.switch_offset
+    wanted -= scene.number("probe", "z_offset")
+    gap = printer.gap((150.0, 150.0))
+    assert gap == pytest.approx(wanted, abs=MICROSTEP)
+    assert printer.machine.truth.touch_count("nozzle_pin") == 0
+    pin = scene.world.pin
+    trigger = pin.z - scene.world.bed.z0 - gap
+    seen = []
+    for height in (trigger + 0.02, trigger - 0.02, trigger + 0.02):
+        printer.run(f"G1 X{pin.x} Y{pin.y} F6000\nG1 Z{height} F300\nM400")
+        seen.append("reader:TRIGGERED" in printer.run("QUERY_ENDSTOPS")[-1])
+    assert seen == [False, True, False]
+
+
+def test_kinematics_that_a_host_does_not_have(start, host):
+    assert has_kinematics(host, SCENES["voron"])
+    assert has_kinematics(host, SCENES["corexz"])
+    sections = {**SCENES["voron"].sections, "printer": {"kinematics": "spiral"}}
+    unknown = replace(SCENES["voron"], sections=sections)
+    assert not has_kinematics(host, unknown)
+    state, _ = start("generic").session.start()
+    expected = has_kinematics(host, SCENES["generic"])
+    assert state == ("ready" if expected else "error")
+
+
+def set_current(printer, amperes):
+    """Ask for a current; what the driver does once it has it, A RMS."""
+    printer.run(f"SET_TMC_CURRENT STEPPER=stepper_z CURRENT={amperes}")
+    printer.session.wait(0.2)
+    return printer.machine.drivers["z"].current()[1:]
+
+
+@pytest.mark.spread
+@pytest.mark.parametrize("tries", [ATTEMPTS - 1, ATTEMPTS, "change"])
+def test_writes_to_a_driver_that_are_lost(host, tries):
+    """One less than klippy's attempts is not even noticed."""
+    changes = {"auto_z_offset": None}
+    with Printer(host, "qidi", changes, modules={}) as printer:
+        printer.session.require_ready()
+        # A change is lost however often klippy tries it again
+        if tries == "change":
+            faults = [Fault("tmc_change_lost", driver="z")]
+        else:
+            faults = [
+                Fault("tmc_write_error", driver="z", n=n)
+                for n in range(1, tries + 1)
+            ]
+        for fault in faults:
+            printer.machine.faults.add(fault)
+        driver = printer.machine.drivers["z"]
+        before = driver.current()[1:]
+        if tries == ATTEMPTS - 1:
+            assert set_current(printer, 0.4) != before
+        else:
+            text = printer.fail("SET_TMC_CURRENT STEPPER=stepper_z CURRENT=0.4")
+            assert "Unable to write tmc uart 'stepper_z'" in text
+            assert driver.current()[1:] == before
+        # Nothing is left to fail. Another value: Kalico takes the first one
+        # for set
+        before = driver.current()[1:]
+        assert set_current(printer, 0.5) != before
+        assert printer.machine.faults.unfired() == []

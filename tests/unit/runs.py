@@ -1,0 +1,54 @@
+"""Runs of a printer, as the history has them."""
+
+from __future__ import annotations
+
+import os
+import random
+import statistics
+
+from z_touch.history import file as history
+
+HEIGHTS = {"nozzle": 1.6, "switch": 8.015, "bed": 7.015}
+STEP = 0.0025
+# EVERY_HOST=1: as many printers at random as the documents speak of
+EVERY = bool(os.environ.get("EVERY_HOST"))
+
+
+def make_run(draw: random.Random, noise: float = 0.003, **options) -> dict:
+    """A good one.
+
+    touches: of each site; homing: its noise (mm), the same at each site; moved:
+    mm by site; worn: other noise by site; the rest replaces what is recorded.
+    """
+    touches, homing = options.pop("touches", 2), options.pop("homing", 0.003)
+    moved, worn = options.pop("moved", {}), options.pop("worn", {})
+    shift, sites = draw.gauss(0.0, homing), {}
+    for name, height in HEIGHTS.items():
+        z = height + shift + moved.get(name, 0.0)
+        sigma = worn.get(name, noise)
+        samples = [
+            (z + draw.gauss(0.0, sigma)) // STEP * STEP for _ in range(touches)
+        ]
+        sites[name] = history.site_record(
+            samples, statistics.mean(samples), STEP
+        )
+    run = {
+        "ok": True,
+        "time": 1.7e9,
+        "printer": "printer.cfg",
+        "sites": sites,
+        "offset": 0.16,
+        "uncertainty": 0.006,
+        "switch_offset": 0.44,
+        "temperatures": {"extruder": 150.0, "heater_bed": 60.0},
+        "reason": "",
+    }
+    return {**run, **options}
+
+
+def make_runs(count: int, seed: int = 1, **options) -> list[dict]:
+    draw = random.Random(seed)
+    return [
+        make_run(draw, **{"time": 1.7e9 + 9e4 * i, **options})
+        for i in range(count)
+    ]

@@ -1,0 +1,205 @@
+"""What vermin, ruff and a compiler cannot say of the doors and of z_touch.
+
+`make lint` holds them to the syntax and the library that Python 2.7 and 3 have
+in common, as printers in the field run klippy on either.
+"""
+
+from __future__ import annotations
+
+import ast
+import re
+import shutil
+import subprocess
+from pathlib import Path
+
+import pytest
+
+ROOT = Path(__file__).resolve().parents[2]
+DOORS = sorted(ROOT.glob("*.py"))
+ROOMS = sorted(ROOT.glob("z_touch/**/*.py"))
+SOURCES = [*DOORS, *ROOMS]
+
+# Which room may import which, besides itself; a door goes into the room of its
+# section.  What is missing here would turn the house into a heap.
+ARROWS = {
+    "z_calibration.py": {"core", "guide", "z_calibration"},
+    "auto_z_offset.py": {"core", "auto_z_offset"},
+    "dockable_probe.py": {"core", "dockable_probe"},
+    "extra_probe.py": {"core", "extra_probe"},
+    "core": set(),
+    "uncertainty": {"core"},
+    "history": {"core", "uncertainty"},
+    "z_calibration": {"core", "uncertainty", "history"},
+    "guide": {"core", "z_calibration"},
+    "auto_z_offset": {"core"},
+    "dockable_probe": {"core"},
+    "extra_probe": {"core"},
+}
+
+# Of the standard library, what is in Python 2.7 and 3 under the same name
+IMPORTABLE = {
+    "__future__",
+    "collections",
+    "contextlib",
+    "errno",
+    "fcntl",
+    "functools",
+    "glob",
+    "io",
+    "json",
+    "logging",
+    "math",
+    "os",
+    "re",
+    "sys",
+    "threading",
+    "time",
+}
+# To find the host's own [probe], which ours is made of
+OF_ONE_FILE = {"virtual_probe.py": {"importlib"}}
+# What a door tells of a room that cannot be loaded
+OF_DOORS = {"traceback"}
+
+# Kalico greps for the first and calls what it takes for a function; the second
+# switches the host's check for pins used twice off; the third marked copies.
+FORBIDDEN = ("register_components", "allow_multi_use_pin", "# --- shared")
+
+LINES_OF_A_FILE = 600
+LINES_OF_A_FUNCTION = 40
+METHODS = 30
+ATTRIBUTES = 12
+
+sources = pytest.mark.parametrize(
+    "path", SOURCES, ids=lambda path: str(path.relative_to(ROOT))
+)
+
+
+def line_count(path):
+    return len(path.read_text().splitlines())
+
+
+def nodes(path, *kinds):
+    found = ast.walk(ast.parse(path.read_text()))
+    return [node for node in found if isinstance(node, kinds)]
+
+
+def test_there_are_sources():
+    assert len(DOORS) == 4 and len(ROOMS) > len(ARROWS)
+
+
+@sources
+def test_only_plain_characters_and_no_word_that_hosts_take_amiss(path):
+    text = path.read_bytes().decode("ascii")
+    assert [word for word in FORBIDDEN if word in text] == []
+
+
+def room_of(path):
+    """The room that a file is in; a door is one of its own."""
+    inside = path.relative_to(ROOT).parts
+    return inside[1] if len(inside) > 2 else inside[-1]
+
+
+def rooms_imported(path):
+    """The rooms that the relative imports of a file lead to."""
+    for node in nodes(path, ast.ImportFrom):
+        if not node.level:
+            continue
+        parts = [part for part in (node.module or "").split(".") if part]
+        if path in DOORS:
+            parts = parts[parts.index("z_touch") + 1 :]
+            yield parts[0] if parts else node.names[0].name
+        elif node.level == 1:
+            yield room_of(path)
+        elif parts:
+            yield parts[0]
+
+
+@sources
+def test_only_the_library_is_imported(path):
+    names = {a.name for node in nodes(path, ast.Import) for a in node.names}
+    names |= {
+        node.module for node in nodes(path, ast.ImportFrom) if not node.level
+    }
+    allowed = IMPORTABLE | OF_ONE_FILE.get(path.name, set())
+    if path in DOORS:
+        allowed |= OF_DOORS
+    assert names - allowed == set()
+    assert "__import__" not in path.read_text()
+
+
+@sources
+def test_rooms_lead_only_where_the_plan_of_the_house_says(path):
+    """Imports in a `try` or inside a function included."""
+    room = room_of(path)
+    allowed = ARROWS.get(room, set()) | {room}
+    assert set(rooms_imported(path)) - allowed == set()
+
+
+@sources
+def test_classes_have_a_base(path):
+    """Without one, Python 2.7 makes a class of another kind."""
+    assert [n.name for n in nodes(path, ast.ClassDef) if not n.bases] == []
+
+
+@sources
+def test_functions_are_short(path):
+    functions = nodes(path, ast.FunctionDef)
+    lengths = [(n.end_lineno - n.lineno + 1, n.name) for n in functions]
+    assert [pair for pair in lengths if pair[0] > LINES_OF_A_FUNCTION] == []
+
+
+@sources
+def test_classes_are_small(path):
+    for node in nodes(path, ast.ClassDef):
+        methods = [n for n in node.body if isinstance(n, ast.FunctionDef)]
+        attributes = {
+            n.attr
+            for n in ast.walk(node)
+            if isinstance(n, ast.Attribute)
+            and isinstance(n.ctx, ast.Store)
+            and isinstance(n.value, ast.Name)
+            and n.value.id == "self"
+        }
+        assert len(methods) <= METHODS, node.name
+        assert len(attributes) <= ATTRIBUTES, (node.name, attributes)
+
+
+@sources
+def test_files_are_short(path):
+    assert line_count(path) <= LINES_OF_A_FILE
+
+
+def test_version_is_that_of_the_changelog():
+    """The newest release; each module asks z_touch whether it is of the same."""
+    text = (ROOT / "CHANGELOG.md").read_text(encoding="utf-8")
+    newest = re.search(r"(?m)^## \[(\d+\.\d+\.\d+)\] - \d{4}-\d\d-\d\d$", text)
+    assert newest
+    for path in (*DOORS, ROOT / "z_touch" / "__init__.py"):
+        line = f'__version__ = "{newest[1]}"\n'
+        assert line in path.read_text(encoding="utf-8"), path
+
+
+def python2():
+    """A Python 2.7, or a skipped test."""
+    found = sorted(Path.home().glob(".pyenv/versions/2.7*/bin/python2.7"))
+    # A version manager's own may only say that it is not installed
+    for python in (*found, shutil.which("python2.7")):
+        if python and not subprocess.run([python, "-c", ""]).returncode:
+            return python
+    pytest.skip("no Python 2.7 on the PATH or in ~/.pyenv/versions")
+
+
+@pytest.mark.parametrize("name", [path.stem for path in DOORS])
+def test_module_imports_on_python2(name, tmp_path):
+    """As klippy does, of a package."""
+    (tmp_path / "extras").mkdir()
+    (tmp_path / "extras" / "__init__.py").touch()
+    for path in (*DOORS, ROOT / "z_touch"):
+        (tmp_path / "extras" / path.name).symlink_to(path)
+    command = [
+        python2(),
+        "-B",
+        "-c",
+        f"import extras.{name} as m; assert not m.FAULT and not m.MIXED, m.FAULT",
+    ]
+    subprocess.run(command, cwd=tmp_path, check=True)

@@ -1,0 +1,98 @@
+"""Baby steps into switch_offset, and where printer.cfg has an option: pure."""
+
+from __future__ import annotations
+
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from z_touch.core.errors import CalibrationError
+from z_touch.core.saving import places
+from z_touch.z_calibration.corrections import Base, check_steps
+
+BASE = Base(0.16, 0.44)
+
+
+@given(st.floats(-1, 1), st.floats(0.3, 2), st.floats(-0.25, 0.25))
+def test_next_calibration_gives_the_offset_of_the_baby_steps(
+    z_offset, switch_offset, change
+):
+    base = Base(z_offset, switch_offset)
+    new, _ = check_steps(base, z_offset + change, True)
+    # offset = something measured - switch_offset
+    measured = z_offset + switch_offset
+    assert measured - new == pytest.approx(z_offset + change)
+
+
+def test_answer_has_old_change_and_new():
+    new, text = check_steps(BASE, 0.18, False)
+    assert new == pytest.approx(0.42)
+    assert text == (
+        "switch_offset=0.440 - (G-code offset=0.180 - 0.160 of CALIBRATE_Z)"
+        " --> new switch_offset=0.420"
+    )
+
+
+@pytest.mark.parametrize(
+    ("z_offset", "force", "words"),
+    [
+        (0.61, True, "new switch_offset=-0.010, which cannot be negative"),
+        (0.61, False, "cannot be negative"),
+        (-0.35, False, "a change of more than 0.5 mm"),
+        (0.0, False, "the G-code offset is 0"),
+    ],
+)
+def test_what_cannot_be_is_refused(z_offset, force, words):
+    with pytest.raises(CalibrationError, match=words):
+        check_steps(BASE, z_offset, force)
+
+
+@pytest.mark.parametrize("z_offset", [-0.35, 0.0])
+def test_force_helps_against_what_is_only_unlikely(z_offset):
+    assert check_steps(BASE, z_offset, True)[0] > 0.0
+
+
+@pytest.mark.parametrize("z_offset", [-0.33, 0.59])
+def test_half_a_millimetre_is_allowed(z_offset):
+    assert check_steps(BASE, z_offset, False)[0] >= 0.0
+
+
+MAIN = """
+[stepper_z]
+switch_offset: 7
+[include tools/*.cfg]
+[include missing.cfg]
+[z_calibration]  # mine
+#switch_offset: 0.1
+  switch_offset: 0.2
+Switch_Offset = 0.3
+[probe]
+switch_offset: 8
+#*# <-- SAVE_CONFIG -->
+#*# [z_calibration]
+#*# switch_offset = 0.4
+"""
+
+
+def test_places_of_an_option(tmp_path):
+    (tmp_path / "tools").mkdir()
+    path = tmp_path / "printer.cfg"
+    path.write_text(MAIN)
+    for name in "ba":
+        text = f"[include ../printer.cfg]\n[z_calibration]\nspeed: {name}"
+        (tmp_path / "tools" / f"{name}.cfg").write_text(text)
+    (tmp_path / "tools" / "c.cfg").write_text(
+        "[z_calibration]\n\nswitch_offset:\n [probe]\n"
+    )
+
+    def found(option):
+        return [
+            (p.path[len(str(tmp_path)) + 1 :], p.line)
+            for p in places(str(path), "z_calibration", option)
+        ]
+
+    # As klippy reads them, each file once
+    assert found("speed") == [("tools/a.cfg", 3), ("tools/b.cfg", 3)]
+    assert found("switch_offset") == [("tools/c.cfg", 3), ("printer.cfg", 9)]
+    assert found("samples") == []
+    assert places("/nowhere/printer.cfg", "z_calibration", "speed") == []

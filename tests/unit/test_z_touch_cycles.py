@@ -1,0 +1,265 @@
+"""z_touch/uncertainty/cycles.py: its figures, and its verdict on printers at random."""
+
+from __future__ import annotations
+
+import math
+import random
+import statistics
+from collections import Counter
+from pathlib import Path
+
+import pytest
+
+from z_touch.core.sampling import AUTO, Sampling
+from z_touch.history import recorder as recording
+from z_touch.uncertainty import cycles
+from z_touch.uncertainty.cycles import Cycle
+
+DOCUMENT = Path(__file__).resolve().parents[2] / "docs" / "z_calibration.md"
+STEP = 0.0025
+HEIGHTS = {"nozzle": 1.6, "switch": 8.0, "bed": 7.0}
+# Between two touches and before those of a site; at the end of a cycle, s
+TOUCH, WAY, END = 1.7, 3.0, 4.0
+
+
+class RandomPrinter:
+    """One with a cause that makes its heights vary, and little else."""
+
+    def __init__(self, draw: random.Random, cause: str) -> None:
+        self.draw, self.cause, self.t = draw, cause, 0.0
+        self.noise = {name: draw.uniform(0.0005, 0.004) for name in HEIGHTS}
+        self.noise["switch"] = self.noise["nozzle"]
+        worn = {"pin": ("nozzle", "switch"), "probe": ("bed",)}.get(cause, ())
+        self.noise.update(dict.fromkeys(worn, draw.uniform(0.012, 0.02)))
+        self.play = draw.uniform(0.03, 0.08) * (cause == "play")
+        self.ooze = self.most = draw.uniform(0.02, 0.1) * (cause == "nozzle")
+        self.kept, self.flow = draw.uniform(0.3, 0.8), draw.uniform(0.01, 0.05)
+        self.heat = draw.uniform(-2e-6, 2e-6)
+        if cause == "heat":
+            self.heat = draw.choice((-1, 1)) * draw.uniform(0.0005, 0.002)
+        self.warm = draw.choice((("nozzle",), ("bed",), ("nozzle", "switch")))
+
+    def cycle(self, touches: int = 3) -> Cycle:
+        draw = self.draw
+        seat = draw.gauss(0.0, 0.04) * (self.cause == "seat")
+        home = draw.gauss(0.0, 0.03) * (self.cause == "homing")
+        found = {}
+        for site, height in HEIGHTS.items():
+            z = height + home + (seat if site != "nozzle" else 0.0)
+            self.pass_by(WAY)
+            found[site] = [self.touch(site, z) for _ in range(touches)]
+        self.pass_by(END)
+        return Cycle(self.t, *found.values(), 0.44)
+
+    def pass_by(self, seconds: float) -> None:
+        self.t += seconds
+        grown = self.ooze + self.most * self.flow * seconds
+        self.ooze = min(self.most, grown)
+
+    def touch(self, site: str, z: float) -> float:
+        self.pass_by(TOUCH)
+        z += self.draw.gauss(0.0, self.noise[site])
+        z += self.draw.uniform(0.0, self.play)
+        if site in self.warm:
+            z += self.heat * self.t
+        if site == "nozzle":
+            z += self.ooze
+            self.ooze *= self.kept
+        return z // STEP * STEP
+
+
+def verdicts(cause: str, count: int, printers: int = 200) -> Counter:
+    draw = random.Random(cause)
+    return Counter(
+        cycles.judge([p.cycle() for _ in range(count)]).cause
+        for p in (RandomPrinter(draw, cause) for _ in range(printers))
+    )
+
+
+# Of 200 printers each so many causes are told
+FOUND = {
+    "none": 200,
+    "nozzle": 195,
+    "heat": 200,
+    "seat": 200,
+    "pin": 198,
+    "probe": 198,
+    "play": 199,
+    "homing": 200,
+}
+
+
+@pytest.mark.parametrize("cause", FOUND)
+def test_cause_is_found_and_none_other_is_told(cause):
+    told = verdicts(cause, 10)
+    assert told[cause] == FOUND[cause]
+    assert set(told) <= {cause, "none"}
+
+
+def test_document_says_how_many_are_found():
+    text = " ".join(DOCUMENT.read_text(encoding="utf-8").split())
+    missed = 200 * len(FOUND) - sum(FOUND.values())
+    assert f"On {200 * len(FOUND)} simulated printers" in text
+    assert f"; {missed} times the true one was too small" in text
+
+
+def test_few_cycles_tell_no_cause():
+    assert set(verdicts("heat", 5, 20)) == {"few"}
+    assert verdicts("heat", 6, 20) == {"heat": 20}
+
+
+@pytest.mark.parametrize("touches", [2, 5])
+@pytest.mark.parametrize("cause", ["none", "seat", "heat", "probe"])
+def test_other_numbers_of_touches(cause, touches):
+    draw = random.Random(5)
+    for _ in range(20):
+        printer = RandomPrinter(draw, cause)
+        found = [printer.cycle(touches) for _ in range(10)]
+        assert cycles.judge(found).cause in (cause, "none")
+
+
+def only(**worn: float) -> list[Cycle]:
+    """Cycles whose sites vary by so much (mm), touch by touch."""
+    draw = random.Random(1)
+    return [
+        Cycle(
+            20.0 * i,
+            *[
+                [z + draw.gauss(0.0, worn.get(site, 0.001)) for _ in range(3)]
+                for site, z in HEIGHTS.items()
+            ],
+            0.44,
+        )
+        for i in range(10)
+    ]
+
+
+@pytest.mark.parametrize(
+    ("worn", "cause", "words"),
+    [
+        ({}, "none", "nothing stands out"),
+        ({"nozzle": 0.02}, "tip", "clean the nozzle"),
+        ({"switch": 0.02}, "body", "seat the probe"),
+        ({"nozzle": 0.02, "switch": 0.02}, "pin", "switch of the pin"),
+        ({"bed": 0.02}, "probe", "the probe's switch"),
+        (dict.fromkeys(HEIGHTS, 0.02), "play", "the Z axis for play"),
+        (dict.fromkeys(HEIGHTS, 0.003), "none", "nothing to do"),
+    ],
+)
+def test_sites_that_vary(worn, cause, words):
+    verdict = cycles.judge(only(**worn))
+    assert (verdict.cause, words in verdict.text) == (cause, True)
+
+
+@pytest.mark.parametrize(
+    ("sites", "cause"),
+    [
+        (("nozzle",), "alone"),
+        (("switch",), "alone"),
+        (("bed",), "alone"),
+        (("switch", "bed"), "seat"),
+        (("nozzle", "switch", "bed"), "homing"),
+    ],
+)
+def test_sites_that_shift_from_cycle_to_cycle(sites, cause):
+    draw = random.Random(2)
+    found = []
+    for cycle in only():
+        shift = draw.gauss(0.0, 0.03)
+        moved = {s: [z + shift for z in getattr(cycle, s)] for s in sites}
+        found.append(cycle._replace(**moved))
+    verdict = cycles.judge(found)
+    assert verdict.cause == cause
+    assert cause != "alone" or f"only the {sites[0]} shifts" in verdict.text
+
+
+def test_nozzle_that_shifts_while_z_is_homed_is_no_matter_of_the_probe():
+    draw = random.Random(3)
+    found = []
+    for cycle in only():
+        home, tip = draw.gauss(0.0, 0.02), draw.gauss(0.0, 0.04)
+        moved = {"nozzle": home + tip, "switch": home, "bed": home}
+        shifted = {
+            s: [z + shift for z in getattr(cycle, s)]
+            for s, shift in moved.items()
+        }
+        found.append(cycle._replace(**shifted))
+    assert cycles.judge(found).cause == "none"
+
+
+def test_first_touches_that_are_all_higher_are_no_dirt():
+    found = [
+        c._replace(**{s: [z + 0.01, z, z] for s, z in HEIGHTS.items()})
+        for c in only() * 6
+    ]
+    assert cycles.judge(found).cause == "none"
+    found = [c._replace(nozzle=[1.61, 1.6, 1.6]) for c in only()]
+    assert cycles.judge(found).cause == "nozzle"
+
+
+# Figures
+
+
+def test_figures_of_a_series():
+    z = [1.6, 1.604, 1.602, 1.61]
+    found = [
+        Cycle(30.0 * i, [v, v + 0.002], [8.0, 8.0], [7.0, 7.0], 0.44)
+        for i, v in enumerate(z)
+    ]
+    nozzle, switch, _, offset = cycles.series(found)
+    assert nozzle.name == "nozzle"
+    assert nozzle.mean == pytest.approx(statistics.mean(z) + 0.001)
+    assert nozzle.sd == pytest.approx(statistics.stdev(z))
+    assert nozzle.range == pytest.approx(0.01)
+    assert nozzle.touch == pytest.approx(0.002 / 2**0.5)
+    slope = statistics.linear_regression([0, 0.5, 1, 1.5], z).slope
+    assert nozzle.drift == pytest.approx(slope)
+    squares = [0.004**2, 0.002**2, 0.008**2]
+    assert nozzle.consecutive == pytest.approx((sum(squares) / 6) ** 0.5)
+    assert (switch.sd, switch.touch) == (0.0, 0.0)
+    assert offset.touch is None
+    assert offset.mean == pytest.approx(7.0 - (8.0 - nozzle.mean + 0.44))
+
+
+def test_drift_and_noise_are_told_apart():
+    noisy = only(nozzle=0.004)
+    (nozzle, *_) = cycles.series(noisy)
+    assert nozzle.consecutive > 0.6 * nozzle.sd
+    warm = [
+        c._replace(nozzle=[z + 0.01 * i for z in c.nozzle])
+        for i, c in enumerate(only())
+    ]
+    (nozzle, *_) = cycles.series(warm)
+    assert nozzle.consecutive < 0.4 * nozzle.sd
+    assert nozzle.drift == pytest.approx(0.03, rel=0.1)
+
+
+def test_uncertainty_of_one_calibration():
+    found = only()
+    sd = statistics.stdev(cycles.offsets(found))
+    assert cycles.uncertainty(found, 0.0) == pytest.approx(2.262 * sd, rel=0.01)
+    wide = cycles.uncertainty(found, 0.02)
+    assert wide == pytest.approx(2.262 * math.hypot(sd, 0.01), rel=0.01)
+
+
+def test_all_is_told():
+    lines = list(cycles.tell(only(), STEP, 21.25))
+    assert [line.split(":")[0] for line in lines] == [
+        "nozzle",
+        "switch",
+        "bed",
+        "offset",
+        "one CALIBRATE_Z",
+        "verdict",
+    ]
+    assert lines[0].startswith("nozzle: mean 1.60")
+    assert "of a touch 0.00" in lines[0] and "touch" not in lines[3]
+    assert lines[4].endswith(" mm, 21.2 s")
+
+
+@pytest.mark.parametrize(("samples", "taken"), [(AUTO, 3), (1, 3), (4, 4)])
+def test_touches_of_a_cycle_are_enough_to_vary(samples, taken):
+    wanted = Sampling(samples, 0.01, 3, "median", 2.0, 4.0, 6.0)
+    assert recording.for_cycles(wanted) == wanted._replace(
+        samples=taken, tolerance=math.inf, result="average"
+    )

@@ -1,0 +1,404 @@
+"""z_touch/history/file.py: the file, whatever happens to it, and its threads."""
+
+from __future__ import annotations
+
+import gc
+import json
+import os
+import random
+import resource
+import threading
+import time
+
+import pytest
+
+from tests.unit.runs import make_run, make_runs
+from z_touch.history import file as history
+from z_touch.uncertainty import estimate as uncertainty
+
+
+@pytest.fixture
+def file(tmp_path):
+    return history.File(str(tmp_path / "z_calibration"), 10)
+
+
+def add(file, count, **changes):
+    for run in make_runs(count, **changes):
+        file.append(run)
+
+
+def whole(file):
+    with open(file.path, "rb") as f:
+        data = f.read()
+    assert data.endswith(b"\n")
+    return [json.loads(line) for line in data.splitlines()]
+
+
+# The file
+
+
+def test_runs_are_read_as_they_were_written(file):
+    runs = make_runs(3)
+    for run in runs:
+        file.append(run)
+    assert file.read() == (runs, 0)
+
+
+def test_no_file_is_no_run(file):
+    assert file.read() == ([], 0)
+
+
+def test_oldest_runs_go(file):
+    for number in range(13):
+        file.append(make_run(random.Random(1), time=number))
+    assert [run["time"] for run in whole(file)] == list(range(3, 13))
+    assert [run["time"] for run in file.read()[0]] == list(range(3, 13))
+
+
+def test_line_cut_by_a_power_loss_costs_itself_only(file):
+    add(file, 3)
+    with open(file.path, "r+b") as f:
+        f.truncate(len(f.read()) - 40)
+    file.append(make_run(random.Random(1), time=99.0))
+    runs, damaged = file.read()
+    assert (len(runs), damaged) == (3, 1)
+    assert runs[-1]["time"] == 99.0
+
+
+@pytest.mark.parametrize(
+    "line",
+    [
+        b"",
+        b"hello",
+        b"[]",
+        b"\xff\xfe\x00",
+        b'{"ok": 1}',
+        b'{"ok": true, "time": 1, "sites": {}}',
+        b'{"ok": false, "time": "now", "sites": {}}',
+        b'{"ok": false, "time": NaN, "sites": {}}',
+        b'{"ok": false, "time": 1e300, "sites": {}}',
+        b'{"ok": false, "time": 1, "sites": {"nozzle": 1.6}}',
+        b'{"ok": false, "time": 1, "sites": {"pin": {}}}',
+        b'{"ok": false, "time": 1, "sites": {"nozzle": {"z": 1, "sd": 0,'
+        b' "n": 2, "samples": ["a"]}}}',
+        b'{"ok": false, "time": 1, "sites": []}',
+        b'{"ok": false, "time": 1, "sites": {}, "temperatures": [1]}',
+        b'{"ok": false, "time": 1, "sites": {}, "temperatures": {"a": "b"}}',
+        b'{"ok": false, "time": 1, "sites": {}, "uncertainty": "much"}',
+        b'{"ok": false, "time": 1, "sites": {}, "wear": 5}',
+        b'{"ok": false, "time": 1, "sites": {}, "cycles": "none"}',
+        b'{"ok": false, "time": 1, "sites": {}, "cycles": [{"bed": ["a"]}]}',
+    ],
+)
+def test_line_edited_by_hand_is_left_out_and_stays(file, line):
+    add(file, 2)
+    with open(file.path, "ab") as f:
+        f.write(line + b"\r\n")
+    file.append(make_run(random.Random(1)))
+    runs, damaged = file.read()
+    assert (len(runs), damaged) == (3, 1 if line else 0)
+    with open(file.path, "rb") as f:
+        assert line in f.read()
+
+
+def test_refused_run_may_lack_sites(file):
+    run = {"ok": False, "time": 1, "sites": {}, "reason": "nothing"}
+    file.append(run)
+    assert file.read() == ([run], 0)
+
+
+def test_full_disk_leaves_every_line_whole(file):
+    add(file, 3)
+    with open(file.path, "rb") as f:
+        before = f.read()
+    limits = resource.getrlimit(resource.RLIMIT_FSIZE)
+    resource.setrlimit(resource.RLIMIT_FSIZE, (len(before) + 50, limits[1]))
+    try:
+        with pytest.raises(OSError):
+            add(file, 1)
+    finally:
+        resource.setrlimit(resource.RLIMIT_FSIZE, limits)
+    with open(file.path, "rb") as f:
+        assert f.read() == before
+    add(file, 1)
+    assert len(whole(file)) == 4
+
+
+def test_oldest_stay_where_they_cannot_go(file):
+    add(file, 10)
+    os.mkdir(file.path + ".new")
+    with pytest.raises(OSError):
+        add(file, 1)
+    assert len(whole(file)) == 11
+    os.rmdir(file.path + ".new")
+    add(file, 1)
+    assert len(whole(file)) == 10
+
+
+def test_two_printers_write_into_one_folder(tmp_path):
+    files = [history.File(str(tmp_path), 1000) for _ in range(4)]
+
+    def write(file):
+        add(file, 25)
+
+    threads = [threading.Thread(target=write, args=(f,)) for f in files]
+    for thread in threads:
+        thread.start()
+    for thread in threads:
+        thread.join()
+    assert len(whole(files[0])) == 100
+    # And with the oldest going all the time
+    for file in files:
+        file.limit = 5
+    threads = [threading.Thread(target=write, args=(f,)) for f in files]
+    for thread in threads:
+        thread.start()
+    for thread in threads:
+        thread.join()
+    assert len(whole(files[0])) == 5
+
+
+def test_records_of_a_site():
+    found = history.site_record([1.0, 1.001, 1.05, 1.002], 1.0012, 0.0025)
+    assert found == {
+        "z": 1.0012,
+        "sd": 0.001,
+        "n": 3,
+        "samples": [1.0, 1.001, 1.05, 1.002],
+    }
+
+
+def test_spread_is_that_of_the_last_twenty_good_runs():
+    worn = {"bed": 0.03}
+    runs = make_runs(5, worn=worn, touches=5) + make_runs(20, 2, touches=3)
+    runs += [make_run(random.Random(3), worn=worn, ok=False)]
+    spread = history.past_spread(runs, "bed")
+    assert spread.dof == 40
+    assert spread.variance**0.5 == pytest.approx(0.003, rel=0.4)
+    assert history.past_spread([], "bed") == uncertainty.UNKNOWN
+
+
+# On klippy's main thread
+
+
+class Reactor:
+    """Keeps what a thread hands over."""
+
+    def __init__(self):
+        self.calls = []
+        self.deaf = False
+
+    def register_async_callback(self, callback):
+        self.calls.append(callback)
+
+    def run(self, deadline=5.0):
+        """What is handed over until all threads have ended."""
+        end = time.monotonic() + deadline
+        while threading.active_count() > 1 and time.monotonic() < end:
+            time.sleep(0.005)
+        for callback in self.calls:
+            callback(0.0)
+        self.calls = []
+
+
+class Owner:
+    """A printer's history, and what its owner is told."""
+
+    def __init__(self, file, printer="printer.cfg"):
+        self.told, self.reactor = [], Reactor()
+        self.history = history.History(
+            self.reactor, file, printer, self.told.append
+        )
+
+    def begin(self):
+        self.history.begin()
+        self.reactor.run()
+        return self
+
+    def add(self, *runs):
+        for run in runs:
+            self.history.add(dict(run))
+            self.reactor.run()
+
+
+def test_runs_survive_a_restart(file):
+    owner = Owner(file).begin()
+    owner.add(*make_runs(6))
+    assert owner.told == []
+    status = owner.history.status
+    again = Owner(file).begin().history.status
+    assert again == status
+    assert status["runs"] == 6
+    assert status["results"][-1] == {
+        "time": 1.7e9 + 9e4 * 5,
+        "ok": True,
+        "offset": 0.16,
+        "uncertainty": 0.006,
+        "reason": "",
+    }
+    assert status["switch_nozzle"] == pytest.approx(6.415, abs=0.01)
+    assert status["spread"]["bed"] == pytest.approx(0.003, rel=0.8)
+
+
+def test_run_that_ends_before_all_was_read_is_kept(file):
+    add(file, 3)
+    owner = Owner(file)
+    owner.history.begin()
+    while not owner.reactor.calls:
+        time.sleep(0.001)
+    owner.add(make_run(random.Random(1), time=99.0))
+    assert owner.history.status["runs"] == 4
+    assert owner.history.status["results"][-1]["time"] == 99.0
+
+
+def test_end_of_klippy_waits_for_no_thread(file):
+    owner, seen = Owner(file), []
+    owner.history.in_thread(
+        lambda: seen.append(threading.current_thread().daemon)
+    )
+    owner.reactor.run()
+    assert seen == [True]
+
+
+def test_nothing_is_known_at_first(file):
+    assert Owner(file).begin().history.status == {
+        "runs": 0,
+        "results": [],
+        "spread": {"nozzle": None, "switch": None, "bed": None},
+        "switch_nozzle": None,
+    }
+
+
+def test_order_is_that_of_the_file_whatever_the_clock_says(file):
+    owner = Owner(file).begin()
+    times = [5e8, 4e8, 0.0, 3e8]
+    owner.add(*[make_run(random.Random(1), time=time) for time in times])
+    again = Owner(file).begin().history
+    assert [run["time"] for run in again.runs] == times
+    assert again.status == owner.history.status
+
+
+def test_only_the_last_ten_results_are_shown(tmp_path):
+    owner = Owner(history.File(str(tmp_path), 100)).begin()
+    owner.add(*make_runs(12))
+    assert len(owner.history.status["results"]) == 10
+    assert owner.history.status["runs"] == 12
+
+
+def test_printers_of_one_folder_know_their_own_runs_only(file):
+    Owner(file, "a.cfg").add(*make_runs(2))
+    Owner(file, "b.cfg").add(*make_runs(3))
+    assert len(whole(file)) == 5
+    assert Owner(file, "a.cfg").begin().history.status["runs"] == 2
+    assert Owner(file, "b.cfg").begin().history.status["runs"] == 3
+
+
+def test_accuracy_runs_are_kept_and_do_not_count(file):
+    owner = Owner(file).begin()
+    owner.add(make_run(random.Random(1), cycles=[]))
+    assert len(whole(file)) == 1
+    assert owner.history.status["runs"] == 0
+    assert Owner(file).begin().history.status["runs"] == 0
+
+
+def test_wear_is_told_and_written_with_the_run_that_shows_it(tmp_path):
+    file = history.File(str(tmp_path), 1000)
+    draw = random.Random(6)
+    runs = [make_run(draw, moved={"switch": 1e-4 * n}) for n in range(100)]
+    for run in runs[:-1]:
+        run["wear"] = []
+    with open(file.path, "w") as f:
+        f.writelines(json.dumps(run) + "\n" for run in runs[:-1])
+    owner = Owner(file).begin()
+    owner.add(runs[-1])
+    assert any("switch - nozzle has drifted" in text for text in owner.told)
+    assert "switch - nozzle" in whole(file)[-1]["wear"]
+    owner.told.clear()
+    owner.add(make_run(draw, moved={"switch": 0.01}))
+    assert owner.told == []
+
+
+@pytest.mark.parametrize("is_file", [False, True])
+def test_no_folder_to_write_to_is_told_once(tmp_path, is_file):
+    folder = tmp_path / "z_calibration"
+    if is_file:
+        folder.write_text("mine")
+    else:
+        (folder / history.FILE).mkdir(parents=True)
+    owner = Owner(history.File(str(folder), 10)).begin()
+    owner.add(*make_runs(3))
+    assert len(owner.told) == 1
+    assert "the history cannot be kept" in owner.told[0]
+    assert "history: none" in owner.told[0]
+    # What was measured counts nevertheless
+    assert owner.history.status["runs"] == 3
+
+
+def test_damaged_lines_are_told(file):
+    add(file, 2)
+    with open(file.path, "ab") as f:
+        f.write(b"oops\n")
+    owner = Owner(file).begin()
+    assert owner.told == [f"1 damaged lines of {file.path} are left out"]
+    assert owner.history.status["runs"] == 2
+
+
+def test_what_cannot_be_written_is_told_and_no_error(file):
+    owner = Owner(file).begin()
+    owner.add(make_run(random.Random(1), duration=float("nan")))
+    assert (
+        len(owner.told) == 1 and "the history cannot be kept" in owner.told[0]
+    )
+    owner.add(*make_runs(1))
+    assert len(whole(file)) == 1
+
+
+def test_history_that_is_off_does_nothing(tmp_path):
+    owner = Owner(None).begin()
+    owner.add(*make_runs(3))
+    assert owner.history.status["runs"] == 0
+    assert list(tmp_path.iterdir()) == []
+
+
+def test_main_thread_is_never_held_for_five_ms(tmp_path, monkeypatch):
+    """Between two pauses the thread may keep the interpreter from it.
+
+    In processor time, as this machine has other work, too.
+    """
+    file = history.File(str(tmp_path), 1000)
+    with open(file.path, "w") as f:
+        runs = make_runs(1000, touches=3)
+        f.writelines(json.dumps(run) + "\n" for run in runs)
+    stretches, began = [], [0.0]
+
+    def pause():
+        stretches.append(time.thread_time() - began[0])
+        began[0] = time.thread_time()
+
+    def measure(call, *args):
+        began[0] = time.thread_time()
+        call(*args)
+        pause()
+
+    monkeypatch.setattr(history, "pause", pause)
+    owner = Owner(file)
+    monkeypatch.setattr(owner.history, "in_thread", measure)
+
+    def longest(work, *args):
+        stretches.clear()
+        measure(work, *args)
+        calls, owner.reactor.calls = owner.reactor.calls, []
+        for callback in calls:
+            measure(callback, 0.0)
+        return max(stretches)
+
+    # As klippy does, which collects garbage when it is idle
+    gc.disable()
+    try:
+        assert longest(owner.history.begin) < 0.005
+        assert owner.history.status["runs"] == 1000
+        assert len(stretches) > 100
+        assert longest(owner.history.add, make_run(random.Random(1))) < 0.005
+        assert len(stretches) > 20
+    finally:
+        gc.enable()

@@ -1,0 +1,289 @@
+"""The steps of Z_CALIBRATION_SETUP: what is asked, what follows, what is refused."""
+
+from __future__ import annotations
+
+from types import SimpleNamespace
+
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from tools.kit.dialogs import dialogs_of
+from z_touch.core.errors import CalibrationError
+from z_touch.core.touching import Site
+from z_touch.guide import steps
+from z_touch.guide.head import Ways
+from z_touch.guide.touches import State
+
+FACTS = {
+    "patience": 20.0,
+    "travel_z": 17.0,
+    "goal": "the head lifts to Z=17.0 and moves to X=1.0 Y=2.0",
+    "back_goal": "",
+    "found": "The nozzle repeats within 0.0025 mm.",
+    "floor": -0.5,
+    "touches": 5,
+    "paper_z": 2.5,
+    "values": "switch_offset: 0.5",
+    "not_saved": "",
+}
+every_step = pytest.mark.parametrize("name", steps.ORDER)
+
+
+def dialog(name, **changes):
+    shown, said = steps.ask(name, {**FACTS, **changes})
+    (found,) = dialogs_of(shown)
+    return found, said
+
+
+@every_step
+def test_dialog_and_console_say_the_same(name):
+    shown, said = dialog(name)
+    assert shown.texts[0] in said
+    # One is known by what it sends
+    assert len({b[1] for b in shown.footer_buttons}) == len(
+        shown.footer_buttons
+    )
+    for label, gcode, _ in shown.footer_buttons:
+        assert f"{label}: {gcode}" in said
+    # On the dark page that one cannot be told from a button out of use
+    assert "secondary" not in {b[2] for b in shown.footer_buttons}
+    assert shown.footer_buttons[-1][1] == "Z_CALIBRATION_SETUP STEP=ABORT"
+    others = [b for group in shown.groups for b in group]
+    own = f"Z_CALIBRATION_SETUP STEP={name.upper()}"
+    for _, gcode, _ in [*shown.footer_buttons[:-1], *others]:
+        assert gcode.startswith(own)
+
+
+@every_step
+def test_move_that_follows_is_announced(name):
+    follows = steps.after(name)
+    moves = [
+        "nozzle",
+        "switch",
+        "bed",
+        "look_nozzle",
+        "look_switch",
+        "look_bed",
+    ]
+    shown, _ = dialog(name)
+    # Of what follows "nozzle", only the one after its G-code moves the head
+    assert (FACTS["goal"] in shown.texts[0]) == (follows in moves), follows
+    back, _ = dialog(name, back_goal="the head flies")
+    assert back.texts[0].endswith("'Back': the head flies.")
+
+
+def test_problem_comes_first_and_a_late_head_is_told_of():
+    shown, _ = steps.ask("switch", FACTS, "no luck.", "the head goes there")
+    (found,) = dialogs_of(shown)
+    assert found.texts == [
+        "Not done: no luck. The head is not there yet. 'Here': the head goes"
+        " there, then this is asked again."
+    ]
+
+
+def test_way_forward_leads_through_all_steps():
+    name, passed = "pin", ["pin"]
+    while name != "save":
+        name = steps.follow(name, "")
+        passed.append(name)
+    assert passed == steps.ORDER
+    assert steps.follow("save", "") == "save"
+    assert steps.follow("off", "SKIP") == "probe"
+
+
+@pytest.mark.parametrize(
+    ("name", "before"),
+    [
+        ("probe", "off"),
+        ("switch", "nozzle"),
+        ("bed", "switch"),
+        *((f"look_{site}", site) for site in ("nozzle", "switch", "bed")),
+        *((f"touch_{site}", site) for site in ("nozzle", "switch", "bed")),
+        ("paper", "gap"),
+        ("save", "gap"),
+    ],
+)
+def test_way_back(name, before):
+    assert steps.follow(name, "BACK") == before
+
+
+@pytest.mark.parametrize(
+    ("name", "answer"), [("pin", "BACK"), ("pin", "SKIP"), ("save", "YES")]
+)
+def test_answer_that_nobody_asked_for(name, answer):
+    words = f"ANSWER={answer} is none of STEP={name}: none"
+    with pytest.raises(CalibrationError, match=words):
+        steps.follow(name, answer)
+
+
+def test_jog_buttons_are_of_four_and_lead_both_ways():
+    shown, _ = dialog("nozzle")
+    labels = [[b[0] for b in group] for group in shown.groups]
+    assert labels == [
+        ["X-10", "X+10", "Y-10", "Y+10"],
+        ["X-1", "X+1", "Y-1", "Y+1"],
+        ["X-0.1", "X+0.1", "Y-0.1", "Y+0.1"],
+        ["Z-10", "Z+10", "Z-1", "Z+1"],
+        ["Z-0.1", "Z+0.1"],
+    ]
+    assert shown.gcode("Y-10") == "Z_CALIBRATION_SETUP STEP=NOZZLE Y=-10"
+    shown, _ = dialog("paper")
+    assert [b[0] for group in shown.groups for b in group] == [
+        *("Z-0.1", "Z+0.1", "Z-0.05", "Z+0.05", "Z-0.01", "Z+0.01")
+    ]
+    assert not dialog("home")[0].groups
+    (types,) = dialog("gap")[0].groups
+    assert [b[1][-8:] for b in types] == ["TYPE=D2F", "TYPE=SSG"]
+    assert "D2F: Z_CALIBRATION_SETUP STEP=GAP TYPE=D2F" in dialog("gap")[1]
+
+
+def test_dialog_while_watching_cannot_watch_twice():
+    (shown,) = dialogs_of(steps.while_watching("the probe"))
+    assert shown.texts[0].startswith("Press the probe by hand now")
+    assert [b[0] for b in shown.footer_buttons] == ["Abort"]
+
+
+NO, YES = False, True
+
+
+@pytest.mark.parametrize(
+    ("readings", "verdict"),
+    [
+        ([(NO, YES)], "nothing"),
+        ([(NO, YES), (NO, YES)], "nothing"),
+        ([(NO, YES), (YES, YES)], "held"),
+        ([(NO, YES), (YES, YES), (NO, YES)], "good"),
+        ([(YES, NO), (NO, NO)], "early"),
+        ([(NO, NO), (NO, YES), (NO, NO)], "other"),
+        ([(NO, NO), (YES, YES), (NO, NO)], "both"),
+        # Not at the same moment
+        ([(NO, NO), (YES, NO), (NO, YES)], "both"),
+    ],
+)
+def test_what_a_hand_has_done(readings, verdict):
+    assert steps.judge(readings) == verdict
+
+
+@pytest.mark.parametrize(
+    ("pin", "other"),
+    [
+        ("^PC2", "^!PC2"),
+        ("^!PC2", "^PC2"),
+        ("!^ tool:PB1", "^ tool:PB1"),
+        ("PC2", "!PC2"),
+    ],
+)
+def test_other_polarity(pin, other):
+    assert steps.inverted(pin) == other
+
+
+@pytest.mark.parametrize(
+    ("start", "distance", "end"),
+    [(5.0, 5.0, 10.0), (5.0, -5.0, 0.0), (-1.0, 1.0, 0.0), (12.0, -1.0, 11.0)],
+)
+def test_jog_within_the_limits_or_towards_them(start, distance, end):
+    assert steps.jogged("X", start, distance, 0.0, 10.0) == end
+
+
+@pytest.mark.parametrize(
+    ("start", "distance", "words"),
+    [
+        (5.0, 5.1, "X=5.1 would lead to 10.100, outside 0.000 to 10.000"),
+        (5.0, -5.1, "outside"),
+        (-1.0, -0.1, "would lead to -1.100"),
+        (5.0, 10.1, "at most 10 mm at once"),
+        (5.0, -10.1, "at most 10 mm at once"),
+    ],
+)
+def test_jog_too_far(start, distance, words):
+    with pytest.raises(CalibrationError, match=words):
+        steps.jogged("X", start, distance, 0.0, 10.0)
+
+
+@pytest.mark.parametrize(
+    ("deviation", "word", "count"),
+    [
+        (0.0, "good", 3),
+        (0.004, "good", 3),
+        (0.006, "fair", 5),
+        (0.02, "poor", 10),
+    ],
+)
+def test_repeatability_and_samples(deviation, word, count):
+    good, bad = [1.0, 1.0], [2.0 - deviation, 2.0 + deviation]
+    found, samples = steps.repeatability([good, bad, []])
+    assert found.startswith(word)
+    assert samples == count
+
+
+@given(st.floats(-1, 1), st.floats(0, 1.5))
+def test_paper_gives_back_the_switch_offset(contact, switch_offset):
+    # The bed is switch_offset lower, the sheet is held 0.1 above it
+    z = contact - switch_offset + steps.PAPER
+    assert steps.from_paper(contact, z) == pytest.approx(
+        switch_offset, abs=6e-4
+    )
+
+
+@pytest.mark.parametrize("wrong", [-0.01, 1.51])
+def test_paper_where_no_switch_would_be(wrong):
+    with pytest.raises(CalibrationError, match="is that of no switch"):
+        steps.from_paper(0.3, 0.3 - wrong + steps.PAPER)
+
+
+def test_lower_towards_the_sheet_in_small_steps_only():
+    # The bed may lie at 0.3 or lower
+    assert steps.paper_floor(0.3, 2.3, -1.0) == -1.2
+    assert steps.paper_floor(0.3, 1.0, -1.0) == pytest.approx(0.4)
+    assert steps.paper_floor(0.3, 0.2, -1.0) == 0.2
+    assert steps.paper_floor(0.3, 0.2, -0.1) == -1.2
+
+
+@pytest.mark.parametrize(
+    ("pin", "z_offset", "step", "attached", "floor"),
+    [
+        (1.5, 6.5, "nozzle", False, 2.5),
+        (-1.0, 6.5, "nozzle", False, 1.0),
+        # A separate one
+        (None, 6.5, "nozzle", False, 3.0),
+        # With the length of the probe, and of its free plunger
+        (1.5, 6.5, "nozzle", True, 10.0),
+        (1.5, 6.5, "switch", True, 10.0),
+        (1.5, 0.0, "switch", True, 13.5),
+        (1.5, 1.9, "switch", False, 13.5),
+    ],
+)
+def test_how_low_the_head_is_moved(pin, z_offset, step, attached, floor):
+    settings = SimpleNamespace(position_endstop=pin, z_offset=z_offset)
+    ways = Ways(SimpleNamespace(host=None, settings=settings))
+    state = State()
+    state.step = step
+    assert ways.jog_floor(state, attached) == floor
+    # What is known of the pin since
+    state.below = 9.0
+    if pin is None:
+        assert ways.jog_floor(state, attached) == 10.0
+    state.heights["nozzle"] = 8.0
+    assert ways.pin_z(state) == 8.0
+
+
+def ways_with(config):
+    """On a printer with this printer.cfg."""
+    configfile = SimpleNamespace(
+        get_status=lambda eventtime: {"config": config}
+    )
+    printer = SimpleNamespace(lookup_object=lambda name: configfile)
+    host = SimpleNamespace(printer=printer, eventtime=lambda: 0.0)
+    return Ways(SimpleNamespace(host=host))
+
+
+@pytest.mark.parametrize("text", ["50, 308", "50,308,12"])
+def test_place_in_the_dock(text):
+    ways = ways_with({"dockable_probe": {"dock_position": text}})
+    site = Site("bed", 60.0, 300.0, "The place of the bed")
+    words = "The place of the bed is 12.8 mm from dock_position; choose one"
+    with pytest.raises(CalibrationError, match=words):
+        ways.check_dock(site)
+    ways.check_dock(site._replace(x=65.1, y=308.0))
+    ways_with({}).check_dock(site)

@@ -1,0 +1,248 @@
+"""Every fault at every operation, then printers at random: make faults.
+
+    python -m tools.campaign [--host NAME] [--job NAME] [--case TEXT]
+        [--seed N] [--only faults|printers] [--printers N] [--pairs N]
+        [--module FILE | --builtin]
+        [--json FILE] [--markdown FILE]
+
+Each case runs on one of the hosts, another for another case; EVERY_HOST=1: on
+all of them. For each command it prints how many faults it was given, how the
+command ended, and the worst penetration: how much deeper (mm) than in a good
+run each site was pressed. What was not survived is printed with the command
+that repeats it.
+
+--pairs: as many pairs of these faults, drawn by the seed, instead of one at a
+time; those with both sensors dead are listed with the depth at which they
+ended. A pair is repeated by its text as --case.
+
+--module and --builtin: the same for a dockable_probe of others, as far as they
+have what is broken; only harm is judged: something was hit, the printer is shut
+down, the result is wrong.
+"""
+
+from __future__ import annotations
+
+import argparse
+import json
+import os
+import sys
+import time
+from collections.abc import Mapping, Sequence
+from concurrent.futures import Executor, ProcessPoolExecutor
+from functools import partial
+from multiprocessing import get_context
+from pathlib import Path
+from typing import Any, Optional
+
+from simprinter.hosts.hosts import Host, find_hosts
+from tools.campaign import reliability_tables
+from tools.campaign.drawn_printers import MODULES, Report
+from tools.campaign.fault_cases import REFUSED, RIGHT, SHUT_DOWN, Setting
+from tools.campaign.jobs import COMPARED, JOBS
+from tools.campaign.running import (
+    Plan,
+    attempt_all,
+    draw_all,
+    draw_pairs,
+    figures,
+    plan,
+)
+
+_ENDS = (RIGHT, REFUSED, SHUT_DOWN)
+
+
+def others(options: argparse.Namespace) -> Optional[dict[str, Path]]:
+    """The modules of others that the command line asks for."""
+    if options.module is not None:
+        return {"dockable_probe": options.module}
+    return {} if options.builtin else None
+
+
+def row(found: dict[str, Any]) -> str:
+    """A command's line of the table."""
+    ends = "".join(f"{found['ended'][end]:>11}" for end in _ENDS)
+    return (
+        f"{found['job']:30}{found['runs']:>6}{found['survived']:>10}{ends}"
+        f"  {depths_text(found['job'], found['worst'])}"
+    )
+
+
+def depths_text(job: str, depths: Mapping[str, float]) -> str:
+    """How deep each site was pressed, and how deep it may be."""
+    margins = JOBS[job].margins
+    return "  ".join(
+        f"{site} {depth:.2f}/{margins[site]:.2f}"
+        for site, depth in depths.items()
+    )
+
+
+def say(text: str) -> None:
+    """A line for people, at once."""
+    print(text, flush=True)
+
+
+def run_faults(
+    pool: Executor, hosts: Sequence[Host], options: argparse.Namespace
+) -> list[dict[str, Any]]:
+    """All commands; prints as it goes."""
+    heads = "".join(f"{end:>11}" for end in _ENDS)
+    say("Faults: ended as; worst penetration beyond a good run's / margin, mm")
+    say(f"{'':30}{'runs':>6}{'survived':>10}{heads}")
+    table = []
+    every = bool(os.environ.get("EVERY_HOST"))
+    modules = others(options)
+    setting = Setting(options.seed, modules, modules is not None)
+    jobs = [job for job in JOBS if options.job in job]
+    if setting.of_others:
+        jobs = [job for job in jobs if job in COMPARED]
+
+    def planned(job: str) -> list[Plan]:
+        whole = every or options.pairs
+        shares = [
+            (0, 1) if whole else (part, len(hosts))
+            for part in range(len(hosts))
+        ]
+        make = partial(plan, setting, options.case, job)
+        return list(pool.map(make, hosts, shares))
+
+    plans: dict[str, list[Plan]] = {}
+    if options.pairs:
+        every_one = [one for job in jobs for one in planned(job)]
+        for one in draw_pairs(every_one, options.pairs, options.seed):
+            plans.setdefault(one.job, []).append(one)
+    for job in jobs:
+        done = attempt_all(pool, plans[job] if plans else planned(job))
+        table.append(figures(job, done))
+        say(row(table[-1]))
+        for text in table[-1]["agreed"]:
+            say(f"  both touches wrong alike: {text}")
+        for one in table[-1]["blind"]:
+            depths = depths_text(job, one["depths"])
+            say(f"  both sensors dead: {one['case']} on {one['host']}:")
+            say(f"    {one['reason'] or one['ended']}; {depths}")
+        # A run that is broken off leaves what it has found
+        write_json(options, {"seed": options.seed}, table, {})
+        for one in done:
+            if one.outcome.problems:
+                say(one.text())
+    return table
+
+
+def run_printers(
+    pool: Executor, hosts: Sequence[Host], options: argparse.Namespace
+) -> dict[str, Report]:
+    """Random printers for all modules; prints as it goes."""
+    reports = {}
+    for module in MODULES:
+        # Hypothesis' seeds, none of them 0
+        first = options.seed * options.printers + 1
+        reports[module] = draw_all(pool, module, hosts, options.printers, first)
+        say(f"\n{module}\n{reports[module].text()}")
+    return reports
+
+
+def parse(arguments: Optional[Sequence[str]]) -> argparse.Namespace:
+    """The command line."""
+    parser = argparse.ArgumentParser(
+        prog="python -m tools.campaign",
+        description="Faults and random printers, on real klippies.",
+    )
+    parser.add_argument("--host", default="", help="part of the hosts' names")
+    parser.add_argument("--job", default="", help="part of a command's name")
+    parser.add_argument("--case", default="", help="part of a case's text")
+    parser.add_argument("--seed", type=int, default=0, help="of all noise")
+    parser.add_argument(
+        "--module",
+        type=Path,
+        metavar="FILE",
+        help="faults of this dockable_probe.py instead of ours",
+    )
+    parser.add_argument(
+        "--builtin",
+        action="store_true",
+        help="faults of the host's own dockable_probe instead of ours",
+    )
+    parser.add_argument("--only", choices=("faults", "printers"))
+    parser.add_argument(
+        "--printers", type=int, default=300, help="random ones for each module"
+    )
+    parser.add_argument(
+        "--pairs", type=int, default=0, help="two faults at a time, so often"
+    )
+    parser.add_argument("--workers", type=int, default=3)
+    parser.add_argument("--json", type=Path, help="write the figures there")
+    parser.add_argument(
+        "--markdown", type=Path, help="put the tables into this document"
+    )
+    return parser.parse_args(arguments)
+
+
+def main(arguments: Optional[Sequence[str]] = None) -> int:
+    """Run it all; the exit code is 0 if everything was survived."""
+    options = parse(arguments)
+    hosts = [host for host in find_hosts() if options.host in host.name]
+    say(f"hosts: {', '.join(host.name for host in hosts)}")
+    began = time.monotonic()
+    table, reports = [], {}
+    # What a worker has imported must not be forked
+    context = get_context("spawn")
+    with ProcessPoolExecutor(options.workers, context) as pool:
+        if options.only != "printers":
+            table = run_faults(pool, hosts, options)
+        if options.only != "faults" and not options.pairs:
+            reports = run_printers(pool, hosts, options)
+    about = {
+        "hosts": [host.name for host in hosts],
+        "seed": options.seed,
+        "minutes": (time.monotonic() - began) / 60.0,
+    }
+    report = write_json(options, about, table, reports)
+    if options.markdown is not None:
+        reliability_tables.update(options.markdown, report)
+    return 0 if is_well(about, table, reports) else 1
+
+
+def is_well(
+    about: dict[str, Any],
+    table: Sequence[dict[str, Any]],
+    reports: Mapping[str, Report],
+) -> bool:
+    """Say and return whether everything is as it must be."""
+    runs = sum(found["runs"] for found in table)
+    survived = sum(found["survived"] for found in table)
+    problems = sum(len(report.problems()) for report in reports.values())
+    drawn = sum(report.runs for report in reports.values())
+    say(
+        f"\n{survived} of {runs} faults survived; {drawn} random printers,"
+        f" {problems} problems; seed {about['seed']},"
+        f" {about['minutes']:.1f} min"
+    )
+    return runs + drawn > 0 and survived == runs and not problems
+
+
+def write_json(
+    options: argparse.Namespace,
+    about: dict[str, Any],
+    table: Sequence[dict[str, Any]],
+    reports: Mapping[str, Report],
+) -> dict[str, Any]:
+    """All figures, written to a file where that is wanted."""
+    report = {}
+    if options.json is not None and options.json.exists():
+        report = json.loads(options.json.read_text())
+    if options.pairs:
+        report["pairs"] = {"about": about, "faults": list(table)}
+    else:
+        report["about"] = about
+        report["faults"] = list(table)
+        report["printers"] = {
+            name: {"hosts": about["hosts"], **vars(r)}
+            for name, r in reports.items()
+        }
+    if options.json is not None:
+        options.json.write_text(json.dumps(report, indent=1) + "\n")
+    return report
+
+
+if __name__ == "__main__":
+    sys.exit(main())

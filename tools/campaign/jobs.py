@@ -1,0 +1,385 @@
+"""The commands that are put to the test, each on a machine that suits it."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass, field, replace
+from typing import Any, Optional
+
+from simprinter import SCENES, Scene
+from simprinter.scenes import Sections
+from tools.kit import auto_z_offset, dockable_probe, extra_probe
+from tools.kit.printer import Printer
+
+# Runs wherever the modules run G-code of their owner's; how it fails, by number
+TEMPLATE = "_OPERATION"
+RAISES, LEAVES = 1, 2
+_TEMPLATE_MACRO = """
+  SET_GCODE_VARIABLE MACRO=_OPERATION VARIABLE=n VALUE={n + 1}
+  {% if fail_at.get(n + 1) == 1 %}
+    {action_raise_error("template %d fails" % (n + 1))}
+  {% elif fail_at.get(n + 1) == 2 %}
+    G90
+    G1 X9999
+  {% endif %}"""
+
+# The floor of a touch is so far (mm) below where a trigger is expected
+FLOOR_MARGIN = 1.0
+OFFSET = 0.123
+
+
+@dataclass(frozen=True)
+class Job:
+    """One command; as good as it gets, and what a failure may do.
+
+    before: G-code after G28, such as an earlier run; again: before the next
+    run, when the fault is gone. signals: the sensors it uses. margins: by
+    site, mm that a touch may be deeper than in a good run. ideal: true gap at
+    G-code Z=0 afterwards, None: it does not change. only: these faults, if it
+    is there for some. point: of the bed where the gap is looked at. lift:
+    toolhead Z after a failure, at least. is_homing: after a failure nobody
+    knows where the head is. told: what it may leave behind: status fields that
+    tell what was seen last; "pending", where the host has a result already.
+    is_long: of the operations of a kind only the first, the middle and the last.
+    samples: as many touches, or rounds of them, are compared with each other.
+    """
+
+    name: str
+    module: str
+    script: str
+    scene: Scene
+    signals: tuple[str, ...]
+    point: tuple[float, float]
+    margins: Mapping[str, float]
+    lift: float
+    ideal: Optional[float] = None
+    changes: Sections = field(default_factory=dict)
+    before: str = ""
+    again: str = ""
+    only: tuple[str, ...] = ()
+    is_homing: bool = False
+    told: tuple[str, ...] = ()
+    is_long: bool = False
+    samples: int = 3
+
+    def of_others(self, is_builtin: bool) -> Job:
+        """The same with a host's own module, or with the plugin for v0.12.
+
+        They need a few options that ours does not.
+        """
+        name, changes = self.module, dict(self.changes)
+        own = {**(self.scene.sections[name] or {}), **changes.get(name, {})}
+        if is_builtin:
+            own["z_hop"] = f"{dockable_probe.CLEAR:g}"
+        else:
+            own["dock_fixed_z"] = "True"
+            own["dock_position"] = f"{own['dock_position']}, 0"
+            home = self.scene.sections.get("safe_z_home")
+            if home:
+                own["safe_z_position"] = home["home_xy_position"]
+                changes["safe_z_home"] = None
+        return replace(self, changes={**changes, name: own})
+
+    def state(self, printer: Printer) -> dict[str, Any]:
+        """All that a failure must leave as it was."""
+        session = printer.session
+        drivers = printer.machine.drivers
+        status = printer.status(self.module)
+        found = {
+            "offset": printer.offset(),
+            "max_accel": printer.status("toolhead")["max_accel"],
+            "homed": printer.status("toolhead")["homed_axes"],
+            "currents": {n: d.current()[1:] for n, d in drivers.items()},
+            "absolute": printer.status("gcode_move")["absolute_coordinates"],
+            "status": {k: v for k, v in status.items() if k not in self.told},
+            "pending": auto_z_offset.pending(printer),
+            "printer.cfg": session.config_text(),
+        }
+        return {k: v for k, v in found.items() if k not in self.told}
+
+    def gap(self, printer: Printer) -> float:
+        """True gap (mm) that G-code Z=0 stands for; the head stands."""
+        z = printer.status("gcode_move")["gcode_position"][2]
+        return printer.machine.gap_at_zero(z, self.point)
+
+
+def _with_templates(module: str, **templates: str) -> dict[str, Any]:
+    """Changes that let every template of a scene be counted.
+
+    templates: option of the module, and what it does already.
+    """
+    return {
+        "respond": {},
+        f"gcode_macro {TEMPLATE}": {
+            "variable_n": "0",
+            "variable_fail_at": "{}",
+            "gcode": _TEMPLATE_MACRO,
+        },
+        module: {
+            option: "".join(
+                f"\n  {line}" for line in (TEMPLATE, *text.strip().splitlines())
+            )
+            for option, text in templates.items()
+        },
+    }
+
+
+def _z_calibration_jobs() -> list[Job]:
+    scene, cartesian = SCENES["voron"], SCENES["cartesian"]
+    plain = Job(
+        name="CALIBRATE_Z",
+        module="z_calibration",
+        script="CALIBRATE_Z",
+        scene=scene,
+        signals=("z_endstop", "probe"),
+        point=(150.0, 150.0),
+        # A refusal is a line of it
+        told=("history",),
+        margins={
+            "nozzle_pin": FLOOR_MARGIN,
+            "body_pin": FLOOR_MARGIN,
+            "body_bed": FLOOR_MARGIN,
+            # Its trigger is expected from z_offset, which may be a bit off
+            "probe_bed": FLOOR_MARGIN + 0.2,
+        },
+        lift=13.7,
+        ideal=scene.formula_gap(),
+    )
+    attaching = replace(
+        plain,
+        name="CALIBRATE_Z, attaching",
+        scene=cartesian,
+        samples=2,
+        point=(110.0, 110.0),
+        lift=3.9,
+        again="DOCK_PROBE",
+        ideal=cartesian.formula_gap(),
+        changes=_with_templates(
+            plain.module,
+            start_gcode="",
+            before_switch_gcode="ATTACH_PROBE",
+            end_gcode="DOCK_PROBE",
+            offset_gcode="SET_GCODE_OFFSET Z={params.Z} MOVE=0",
+        ),
+    )
+    accuracy = replace(
+        plain,
+        name="PROBE_Z_ACCURACY",
+        script="PROBE_Z_ACCURACY SAMPLES=3",
+        ideal=None,
+    )
+    switch_offset = replace(
+        attaching,
+        name="CALCULATE_SWITCH_OFFSET",
+        script="CALCULATE_SWITCH_OFFSET",
+        before="CALIBRATE_Z\nG90\nG1 X110 Y110 F9000\nG1 Z0.3 F600",
+        lift=0.2,
+        ideal=None,
+    )
+    return [plain, attaching, accuracy, switch_offset]
+
+
+def _auto_z_offset_jobs() -> list[Job]:
+    scene = SCENES["qidi"]
+    own = scene.sections["auto_z_offset"] or {}
+    changes = _with_templates(
+        "auto_z_offset", prepare_gcode=own["prepare_gcode"] or ""
+    )
+    changes["auto_z_offset"]["offset_samples"] = "2"
+    # A single touch that sets Z has nothing to be compared with
+    twice = {**changes["auto_z_offset"], "samples": "2"}
+    position_min = float((scene.sections["stepper_z"] or {})["position_min"])
+    probe = Job(
+        name="AUTO_Z_PROBE",
+        module="auto_z_offset",
+        script="AUTO_Z_PROBE",
+        scene=scene,
+        signals=("bed_sensor", "probe"),
+        samples=2,
+        point=auto_z_offset.POINT,
+        margins={"nozzle_bed": FLOOR_MARGIN},
+        lift=3.6,
+        changes=changes,
+        before="AUTO_Z_PROBE",
+    )
+    calibrate = replace(
+        probe,
+        name="AUTO_Z_CALIBRATE",
+        script="AUTO_Z_CALIBRATE",
+        ideal=scene.piezo_gap(),
+    )
+    return [
+        probe,
+        replace(
+            probe,
+            name="AUTO_Z_HOME_Z",
+            script="AUTO_Z_HOME_Z",
+            # Z=0 is z_offset below where the sensor has triggered
+            ideal=OFFSET - auto_z_offset.DEPTH - auto_z_offset.AIR_GAP,
+            changes={**changes, "auto_z_offset": twice},
+        ),
+        replace(
+            probe, name="AUTO_Z_MEASURE_OFFSET", script="AUTO_Z_MEASURE_OFFSET"
+        ),
+        calibrate,
+        # What differs from the other one is the dead sensor: the first touch
+        # of all has no floor but the axis's
+        replace(
+            calibrate,
+            name="AUTO_Z_CALIBRATE, first of all",
+            before="",
+            margins={"nozzle_bed": auto_z_offset.SENSOR - position_min},
+            only=("stuck_open", "trigger_never", "trigger_late"),
+        ),
+        replace(
+            calibrate,
+            name="AUTO_Z_LOAD_OFFSET",
+            script="AUTO_Z_LOAD_OFFSET",
+            before="AUTO_Z_CALIBRATE\nSET_GCODE_OFFSET Z=0",
+        ),
+        replace(
+            probe,
+            name="AUTO_Z_SAVE_GCODE_OFFSET",
+            script="AUTO_Z_SAVE_GCODE_OFFSET",
+            before="AUTO_Z_CALIBRATE\nSET_GCODE_OFFSET Z_ADJUST=0.01",
+        ),
+    ]
+
+
+# What a dockable probe of others can do, too, with the options that all have
+COMPARED = (
+    "PROBE, dockable, tried again",
+    "BED_MESH_CALIBRATE, dockable",
+    "QUAD_GANTRY_LEVEL, dockable",
+    "SCREWS_TILT_CALCULATE, dockable",
+    "G28, dockable",
+)
+
+
+def _extra_probe_jobs() -> list[Job]:
+    # It lies there all the time; what a hand does is not broken here
+    scene = extra_probe.membrane(laid=True)
+    first = Job(
+        name="EXTRA_PROBE_CALIBRATE, first of all",
+        module=extra_probe.NAME,
+        script="\n".join(
+            (
+                extra_probe.CALIBRATE,
+                extra_probe.CONTINUE,
+                extra_probe.CONTINUE,
+            )
+        ),
+        scene=scene,
+        signals=("membrane",),
+        point=extra_probe.POINT,
+        # Down to 1 mm below Z=0, with the bed above it
+        margins={
+            "nozzle_membrane": 1.0 + extra_probe.BED + extra_probe.THICKNESS,
+            "nozzle_bed": 1.0 + extra_probe.BED,
+        },
+        lift=9.99,
+        ideal=0.0,
+        before="G90\nG1 Z10 F900\nG1 X30 Y20 F6000",
+        again="G90\nG1 Z10 F900",
+        only=("stuck_open", "trigger_never", "trigger_late"),
+    )
+    # The bed is at Z=0, and that was saved
+    homed = f"{-extra_probe.BED:.3f}"
+    changes = _with_templates(
+        extra_probe.NAME, activate_gcode="", deactivate_gcode=""
+    )
+    changes["stepper_z"] = {"position_endstop": homed}
+    changes[extra_probe.NAME]["saved_homing_z"] = homed
+    calibrate = replace(
+        first,
+        name="EXTRA_PROBE_CALIBRATE",
+        margins={"nozzle_membrane": 0.125, "nozzle_bed": 0.0},
+        changes=changes,
+        only=(),
+    )
+    probe = replace(
+        calibrate,
+        name="EXTRA_PROBE",
+        script="EXTRA_PROBE PROBE=membrane SAMPLES=2",
+        ideal=None,
+    )
+    return [probe, calibrate, first]
+
+
+# All of a dockable probe that are no touch's: those of a touch are the host's
+_LOST = (
+    *("stuck_open", "stuck_closed", "probe_falls", "mcu_silent", "cancel"),
+    *("attach_fails", "dock_fails"),
+)
+
+
+def _dockable_probe_jobs() -> list[Job]:
+    # A dead switch is found 5 mm below where it should have triggered
+    floor = dockable_probe.HANG - dockable_probe.FLOOR
+    quick = dockable_probe.QUICK
+    probe = Job(
+        name="PROBE, dockable",
+        module="dockable_probe",
+        script="PROBE",
+        scene=dockable_probe.GANTRY,
+        signals=("probe",),
+        point=(150.0, 150.0),
+        margins={"probe_bed": floor, "body_bed": floor},
+        lift=dockable_probe.CLEAR - 0.01,
+        changes=_with_templates(
+            "dockable_probe",
+            pre_attach_gcode="",
+            attach_gcode="",
+            post_attach_gcode="",
+            activate_gcode="",
+            deactivate_gcode="",
+            pre_detach_gcode="",
+            detach_gcode="",
+            post_detach_gcode="",
+        ),
+        before="G90\nG1 X150 Y150 Z20 F6000",
+        again="G90\nG1 X150 Y150 Z20 F6000",
+        told=("last_status", "last_z_result", "last_probe_position"),
+    )
+    plain = replace(probe, changes=dockable_probe.section(**quick))
+    both = dockable_probe.section(dock_retries="1", **quick)
+    sensed, frame = dockable_probe.SENSED, dockable_probe.FRAME
+    # The gap is looked at wherever the head stands then
+    level = frame.with_world(
+        bed=replace(frame.world.bed, slope_x=0.0, slope_y=0.0)
+    )
+    signals = ("probe", "probe_sense", "dock_sense")
+    mesh = "BED_MESH_CALIBRATE PROBE_COUNT=3,3\nBED_MESH_CLEAR"
+
+    def other(script: str, **changes: Any) -> Job:
+        name = f"{script.split()[0]}, dockable"
+        fields = {"name": name, "script": script, "only": _LOST, **changes}
+        return replace(plain, **fields)
+
+    return [
+        probe,
+        other(
+            "PROBE",
+            name="PROBE, dockable, with sensors",
+            scene=sensed,
+            signals=signals,
+        ),
+        other("PROBE", name="PROBE, dockable, tried again", changes=both),
+        # A mesh is there before the probe is docked
+        other(mesh, told=(*probe.told, "pending"), is_long=True),
+        other("QUAD_GANTRY_LEVEL", is_long=True),
+        other("Z_TILT_ADJUST", scene=level, is_long=True),
+        other("SCREWS_TILT_CALCULATE", is_long=True),
+        other("G28", is_homing=True, again="G28"),
+    ]
+
+
+JOBS = {
+    job.name: job
+    for job in (
+        *_z_calibration_jobs(),
+        *_auto_z_offset_jobs(),
+        *_extra_probe_jobs(),
+        *_dockable_probe_jobs(),
+    )
+}

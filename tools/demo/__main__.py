@@ -1,0 +1,325 @@
+"""A calibration to watch: real klippy on a simulated printer.
+
+    python -m tools.demo [--host NAME] [--scene NAME] [--svg PATH]
+                         [--record PATH] [--list]
+
+Shows the console as klippy prints it, then what Z=0 was really worth before
+and after, and draws what was measured, with --record as an animated picture,
+too. Every number comes from the run.
+"""
+
+from __future__ import annotations
+
+import argparse
+import os
+import sys
+from collections import Counter
+from collections.abc import Sequence
+from pathlib import Path
+from typing import NamedTuple, Optional
+
+from simprinter import SCENES, Scene
+from simprinter.hosts.environment import build_dir
+from simprinter.hosts.hosts import Host, find_hosts
+from simprinter.hosts.session import GcodeError
+from simprinter.scenes import Sections
+from simprinter.simulation import Stopwatch
+from simprinter.world import CrashError
+from tests.docs.pictures import mm
+from tests.docs.z_calibration_picture import MEANING, Touches, draw
+from tools.demo import animation
+from tools.demo.recording import Recorder, axis_of
+from tools.kit.printer import (
+    NO_PRINTER,
+    Printer,
+    choose_host,
+    firmware_of,
+)
+
+# How far (Z microsteps) the true gap may be off what the formula predicts
+ALLOWED_MICROSTEPS = 2
+
+# It is z_calibration that is shown
+SHOWN = {
+    name: scene
+    for name, scene in SCENES.items()
+    if "z_calibration" in scene.sections
+}
+TOUCHES = {
+    "nozzle_pin": "nozzle on the pin",
+    "body_pin": "switch body on the pin",
+    "probe_bed": "probe on the bed",
+    "nozzle_bed": "nozzle on the bed",
+}
+
+
+class ShownConsole:
+    """Prints what klippy answers at the moment it does.
+
+    Takes part in the simulation like an API client that only listens.
+    """
+
+    def __init__(self, lines: list[str]):
+        """lines: the console, which grows."""
+        self._lines = lines
+        self._shown = len(lines)
+
+    def fileno(self) -> int:
+        """There is nothing to wait for."""
+        return -1
+
+    def pump(self) -> bool:
+        """Print what is new. Nobody else has to be told."""
+        for line in self._lines[self._shown :]:
+            print(line, flush=True)
+        self._shown = len(self._lines)
+        return False
+
+    def settled(self) -> bool:
+        """Never holds up the time."""
+        return True
+
+
+class ShownPrinter(Printer):
+    """A printer whose console is shown."""
+
+    def show(self) -> None:
+        """Show the console from now on."""
+        console = ShownConsole(self.session.console)
+        self.machine.simulation.peers.append(console)
+
+    def run(self, script: str) -> list[str]:
+        """Run G-code line by line, as typed."""
+        answers = []
+        for line in script.splitlines():
+            print(f"> {line}", flush=True)
+            answers += super().run(line)
+        return answers
+
+
+class Outcome(NamedTuple):
+    """What one run has shown, mm and printer seconds.
+
+    touches: by site, of CALIBRATE_Z alone, as is the recording.
+    """
+
+    result: Touches
+    before: float
+    after: float
+    touches: Counter
+    calibrating: float
+    recording: Recorder
+
+
+def rehearse(printer: ShownPrinter) -> Outcome:
+    """Home, measure the gap, calibrate, measure again."""
+    printer.show()
+    printer.run("G28")
+    print("--- how far from the bed is the nozzle at Z=0, really?", flush=True)
+    before = printer.gap()
+    print("--- calibrate", flush=True)
+    truth = printer.machine.truth
+    count = len(truth.touches)
+    watch = Stopwatch(printer.machine.simulation)
+    with Recorder(printer.machine) as recording:
+        printer.run("CALIBRATE_Z")
+    _, calibrating = watch.seconds()
+    touches = Counter(touch.site for touch in truth.touches[count:])
+    print("--- and how far is it now?", flush=True)
+    after = printer.gap()
+    result = dict(printer.status("z_calibration")["last_result"])
+    del result["offset"]
+    measured = Touches(**result)
+    return Outcome(measured, before, after, touches, calibrating, recording)
+
+
+def recorded(printer: ShownPrinter, outcome: Outcome) -> animation.Run:
+    """What the animated picture is made of."""
+    scene, truth = printer.scene, printer.machine.truth
+    x, y = printer.bed_point()
+
+    def surface(*xy: float) -> float:
+        return -truth.true_gap(*xy, 0.0)
+
+    bed = scene.world.bed
+    if axis_of(scene) == 0:
+        ends = [(end, surface(end, y)) for end in (bed.x_min, bed.x_max)]
+    else:
+        ends = [(end, surface(x, end)) for end in (bed.y_min, bed.y_max)]
+    return animation.Run(
+        scene,
+        outcome.recording.moments,
+        outcome.recording.marks,
+        outcome.result,
+        surface(x, y) + outcome.before,
+        ends,
+        (outcome.before, outcome.after, scene.formula_gap()),
+    )
+
+
+def verdict(gap: float, predicted: float, microstep: float) -> Optional[str]:
+    """What is wrong with a gap (mm), None if it is as predicted."""
+    allowed = ALLOWED_MICROSTEPS * microstep
+    off = gap - predicted
+    # The gap is a difference of heights: 1e-9 is for their rounding
+    if abs(off) <= allowed + 1e-9:
+        return None
+    return (
+        f"the true gap is {gap:.4f} mm, the formula predicts {predicted:.4f}"
+        f" mm: {abs(off):.4f} mm too {'large' if off > 0 else 'small'},"
+        f" {allowed:.4f} mm are allowed"
+    )
+
+
+def report(printer: ShownPrinter, outcome: Outcome) -> Optional[str]:
+    """Print what came out; returns what is wrong with it, if anything."""
+    scene = printer.scene
+    microstep = scene.wiring.motors["z"].step_dist
+    predicted = scene.formula_gap()
+    configured = outcome.result.switch_offset
+    problem = verdict(outcome.after, predicted, microstep)
+    x, y = printer.bed_point()
+    inside = "  (inside the bed)" if outcome.before < 0 else ""
+    print(
+        f"\nTrue nozzle-to-bed gap at G-code Z=0, over X{x:g} Y{y:g}\n"
+        f"  before      {outcome.before:+.4f} mm{inside}\n"
+        f"  after       {outcome.after:+.4f} mm\n"
+        f"  predicted   {predicted:+.4f} mm  (this switch's real"
+        f" {configured + predicted:.3f} - switch_offset {configured:.3f})"
+    )
+    if problem is None:
+        print(
+            f"  OK: after and predicted differ by"
+            f" {abs(outcome.after - predicted):.4f} mm;"
+            f" {ALLOWED_MICROSTEPS * microstep:.4f} mm"
+            f" ({ALLOWED_MICROSTEPS} microsteps) are allowed"
+        )
+    print("\nTouches during CALIBRATE_Z")
+    for site, words in TOUCHES.items():
+        print(f"  {words:24}{outcome.touches[site]}")
+    nearest = printer.machine.truth.min_gap
+    print(f"  nearest the nozzle ever came to the bed: {nearest:.3f} mm")
+    return problem
+
+
+def demonstrate(
+    host: Host,
+    scene: Scene,
+    svg: Path,
+    changes: Optional[Sections] = None,
+    record: Optional[Path] = None,
+) -> int:
+    """Run the demo on a host; the exit code.
+
+    changes: to the scene's configuration, see Scene.config. record: where the
+    animated picture goes, if anywhere.
+    """
+    klippy = f"{firmware_of(host)} {host.version}"
+    print(f"Host     {host.name}: {klippy}")
+    print(f"Printer  {scene.name}: {scene.kinematics}, simulated\n")
+    print("Console (> is typed, // and !! is what klippy answers)", flush=True)
+    with ShownPrinter(host, scene, changes) as printer:
+        watch = Stopwatch(printer.machine.simulation)
+        printer.session.require_ready()
+        outcome = rehearse(printer)
+        run = recorded(printer, outcome)
+        real, virtual = watch.seconds()
+    problem = report(printer, outcome)
+    print(
+        f"\nTime     CALIBRATE_Z {outcome.calibrating:.1f} printer seconds; all"
+        f" {virtual:.1f} in {real:.1f} real seconds,"
+        f" {virtual / real:.0f} times as fast"
+    )
+    heading = f"CALIBRATE_Z of {klippy} on a simulated printer: {scene.name}"
+    picture = draw(
+        outcome.result,
+        heading,
+        heading,
+        (
+            "The true gap between nozzle and bed at G-code Z=0:"
+            f" {mm(outcome.before)} mm before, {mm(outcome.after)} mm after;"
+            f" {mm(scene.formula_gap())} mm predicted.",
+            MEANING[1],
+        ),
+    )
+    write("Picture ", svg, picture)
+    if record is not None:
+        heading = f"CALIBRATE_Z by real klippy, simulated printer: {scene.name}"
+        write("Recording", record, animation.draw(run, heading))
+    if problem is not None:
+        print(f"\nFAILED: {problem}")
+        return 1
+    return 0
+
+
+def write(what: str, path: Path, text: str) -> None:
+    """Write a picture, and say where it is."""
+    path.parent.mkdir(parents=True, exist_ok=True)
+    path.write_text(text, encoding="utf-8")
+    here = Path.cwd()
+    shown = path.relative_to(here) if path.is_relative_to(here) else path
+    print(f"{what} {shown}")
+
+
+def _arguments(words: Optional[Sequence[str]]) -> argparse.Namespace:
+    parser = argparse.ArgumentParser(
+        prog="python -m tools.demo",
+        description="CALIBRATE_Z by real klippy on a simulated printer",
+    )
+    parser.add_argument("--host", metavar="NAME", help="klippy to run")
+    parser.add_argument(
+        "--scene",
+        metavar="NAME",
+        choices=sorted(SHOWN),
+        default="voron",
+        help=f"simulated machine: {', '.join(sorted(SHOWN))}",
+    )
+    parser.add_argument(
+        "--svg",
+        metavar="PATH",
+        type=Path,
+        help="where the picture goes (demo/calibration.svg in BUILD_DIR)",
+    )
+    parser.add_argument(
+        "--record",
+        metavar="PATH",
+        type=Path,
+        help="where an animated picture of the run goes",
+    )
+    parser.add_argument(
+        "--list", action="store_true", help="show hosts and scenes only"
+    )
+    return parser.parse_args(words)
+
+
+def _list() -> int:
+    os.environ.setdefault("ALLOW_MISSING_HOSTS", "1")
+    for host in find_hosts():
+        print(f"host   {host.name}: {firmware_of(host)} {host.version}")
+    for scene in SHOWN.values():
+        print(f"scene  {scene.name}: {scene.kinematics}")
+    return 0
+
+
+def main(words: Optional[Sequence[str]] = None) -> int:
+    """Run the demo; the exit code."""
+    arguments = _arguments(words)
+    try:
+        print("Preparing (the first time takes a minute) ...", flush=True)
+        if arguments.list:
+            return _list()
+        svg = arguments.svg or build_dir() / "demo" / "calibration.svg"
+        host = choose_host(arguments.host)
+        scene = SHOWN[arguments.scene]
+        return demonstrate(host, scene, svg, record=arguments.record)
+    except GcodeError as error:
+        print(f"!! {error}")
+    except CrashError as error:
+        print(f"\nFAILED: {error}")
+    except NO_PRINTER as error:
+        print(f"error: {error}", file=sys.stderr)
+    return 1
+
+
+if __name__ == "__main__":
+    sys.exit(main())

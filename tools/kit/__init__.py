@@ -1,0 +1,1 @@
+"""What tests and tools have in common about our modules."""

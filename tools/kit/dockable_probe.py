@@ -1,0 +1,83 @@
+"""What tests of [dockable_probe] have in common."""
+
+from __future__ import annotations
+
+from typing import Any, Optional, Union
+
+from simprinter.hosts.hosts import Host
+from tools.kit.load_errors import load
+from tools.kit.printer import Printer
+from simprinter import Scene
+from simprinter.docks import DOCK_SCENES, HANG
+
+# Toolhead Z (mm): as low as the probe may travel
+CLEAR = HANG + 2.0
+# A dead switch is pressed until the floor of the touch
+FLOOR = HANG - 5.0
+GANTRY = DOCK_SCENES["dock_gantry"]
+SWITCH = DOCK_SCENES["dock_gantry_switch"]
+SENSED = DOCK_SCENES["dock_sensed"]
+FRAME = DOCK_SCENES["dock_frame"]
+BED = DOCK_SCENES["dock_bed"]
+# How Z comes to be homed with the probe, and where the head stands then
+HOMING = {
+    # Over the middle of the axes: of X 0 to 300, of Y 0 to 310
+    "middle": ({"safe_z_home": None}, (152.0, 130.25)),
+    "safe_z_position": (
+        {
+            "safe_z_home": None,
+            "dockable_probe": {"safe_z_position": "100, 90"},
+        },
+        (100.0, 90.0),
+    ),
+    "safe_z_home": ({}, (152.0, 125.25)),
+    "homing_override": (
+        {
+            "safe_z_home": None,
+            "homing_override": {
+                "axes": "z",
+                "gcode": "\n  G28 X Y\n  G90\n  G1 X120 Y130 F6000\n  G28 Z",
+            },
+        },
+        (120.0, 130.0),
+    ),
+}
+# A pair of points, each three samples, is enough where it is not about more
+QUICK = {"samples": "1"}
+
+
+def section(**options: Optional[str]) -> dict[str, Any]:
+    """Changes to [dockable_probe] only."""
+    return {"dockable_probe": options}
+
+
+def where(printer: Printer) -> str:
+    """Where the probe really is."""
+    printer.session.wait(0.3)
+    machine = printer.machine
+    # What it has done up to now is settled
+    assert machine.truth is not None
+    now = machine.rig.seconds(machine.simulation.clock.now())
+    return machine.world.probe_state(now)
+
+
+def trips(printer: Printer, start: int = 0) -> list[str]:
+    """What became of the probe, in order: attach, dock, lost ..."""
+    return [event.kind for event in printer.machine.truth.events[start:]]
+
+
+def assert_safe(printer: Printer) -> None:
+    """What holds after every failure."""
+    assert printer.session.state()[0] == "ready"
+    # The nozzle never went where the bed is
+    assert printer.machine.truth.min_gap > 0.5
+
+
+def refusal(
+    host: Host, changes: dict[str, Any], scene: Union[str, Scene] = GANTRY
+) -> str:
+    """The message klippy stops with; it is not an internal error."""
+    state, message = load(host, changes, scene)
+    assert state == "error", message
+    assert "Internal error" not in message
+    return message

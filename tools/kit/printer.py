@@ -1,0 +1,59 @@
+"""A simulated printer with our modules on it."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Mapping
+from pathlib import Path
+from typing import Optional, Union
+
+from simprinter import Fault, Scene
+from simprinter.hosts import printer
+from simprinter.hosts.hosts import Host
+from simprinter.hosts.printer import (
+    NO_PRINTER,
+    RunningPrinter,
+    choose_host,
+    firmware_of,
+    has_kinematics,
+)
+from simprinter.scenes import Sections
+
+__all__ = [
+    "FOLDER",
+    "MODULES",
+    "NO_PRINTER",
+    "Printer",
+    "RunningPrinter",
+    "choose_host",
+    "firmware_of",
+    "has_kinematics",
+    "module_files",
+]
+
+ROOT = Path(__file__).resolve().parents[2]
+MODULES = ("z_calibration", "auto_z_offset", "dockable_probe", "extra_probe")
+# Of the rooms behind them
+FOLDER = "z_touch"
+
+
+def module_files() -> dict[str, Path]:
+    """All that this repository puts beside klippy's own, by name."""
+    found = {name: ROOT / f"{name}.py" for name in MODULES}
+    return {**found, FOLDER: ROOT / FOLDER}
+
+
+class Printer(printer.Printer):
+    """A scene's machine with a host and our modules on it."""
+
+    def __init__(
+        self,
+        host: Host,
+        scene: Union[str, Scene] = "voron",
+        changes: Optional[Sections] = None,
+        faults: Iterable[Fault] = (),
+        seed: int = 0,
+        modules: Optional[Mapping[str, Path]] = None,
+        real_time: bool = False,
+    ):
+        modules = module_files() if modules is None else modules
+        super().__init__(host, scene, changes, faults, seed, modules, real_time)

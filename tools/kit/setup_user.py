@@ -1,0 +1,179 @@
+"""Somebody who sets z_calibration up by the buttons of its dialogs."""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Iterable
+from typing import Optional
+
+from simprinter import Machine
+from tools.kit.dialogs import Shown, dialogs_of
+from tools.kit.printer import RunningPrinter
+
+SETUP = "Z_CALIBRATION_SETUP"
+# As the section is before anything is known
+EMPTY = {
+    "nozzle_xy_position": None,
+    "switch_xy_position": None,
+    "bed_xy_position": None,
+    "switch_offset": None,
+}
+JOGS = (10.0, 1.0, 0.1)
+# Where nozzle and body of the switch are over the pin of that scene
+CARTESIAN = {"NOZZLE": (226.0, 20.0), "SWITCH": (254.0, 14.5)}
+
+
+def open_dialog(console: Iterable[str]) -> Optional[Shown]:
+    """What an interface shows that has seen these lines."""
+    shown = [dialog for dialog in dialogs_of(console) if dialog.is_open]
+    assert len(shown) <= 1
+    return shown[0] if shown else None
+
+
+def presses(distance: float, jogs: Iterable[float] = JOGS) -> list[float]:
+    """Which buttons lead so far (mm)."""
+    found = []
+    for jog in jogs:
+        count = int(abs(distance) / jog + 1e-6)
+        found += [jog if distance > 0 else -jog] * count
+        distance -= count * (jog if distance > 0 else -jog)
+    return found
+
+
+class User:
+    """Reads dialogs, presses buttons and switches, looks at the nozzle."""
+
+    def __init__(self, printer: RunningPrinter, pin: str = "z_endstop"):
+        """pin: the signal of what the nozzle presses."""
+        self.printer = printer
+        self.machine: Machine = printer.machine
+        self.pin = pin
+
+    def dialog(self) -> Optional[Shown]:
+        """The one that is open."""
+        return open_dialog(self.printer.session.console)
+
+    def begin(self) -> None:
+        """The command that all begins with."""
+        self.printer.run(SETUP)
+
+    def step(self) -> str:
+        """The step that is asked, in the word of the console."""
+        gcode = self.dialog().footer_buttons[0][1]
+        return re.search(r"STEP=(\w+)", gcode)[1]
+
+    def position(self) -> list[float]:
+        """Where the head is, in klippy's frame, mm."""
+        return self.printer.session.position()
+
+    def hold(self, signal: str, level: Optional[bool]) -> None:
+        """Keep a switch pressed or not; None: let go."""
+        self.machine.hold(signal, level)
+
+    def press(self, label: str) -> list[str]:
+        """Press a button; the console lines."""
+        return self.printer.run(self.dialog().gcode(label))
+
+    def refused(self, label: str) -> str:
+        """Press a button that must fail; the error's text."""
+        return self.printer.fail(self.dialog().gcode(label))
+
+    def by_hand(
+        self,
+        signal: str,
+        *,
+        after: Optional[bool] = None,
+        others: Iterable[str] = (),
+    ) -> list[str]:
+        """Watch, press a switch, and others, and let go; after: as it is then."""
+        session = self.printer.session
+        command = session.begin(self.dialog().gcode("Watch"))
+        # A head that is homed is lifted at first
+        session.run_until(command, lambda: "watching" in session.console[-1])
+        assert self.dialog().headline == "Press it now"
+        session.wait(0.3)
+        for pressed in (True, after):
+            for name in (signal, *others):
+                self.hold(name, pressed)
+            session.wait(0.3)
+        return session.finish(command)
+
+    def jog(self, axis: str, distance: float, jogs: Iterable[float] = JOGS):
+        """By the buttons."""
+        for step in presses(distance, jogs):
+            self.press(f"{axis}{step:+g}")
+
+    def jog_to(self, x: float, y: float) -> None:
+        """The head there, as near as the buttons lead."""
+        here = self.position()
+        self.jog("X", round(x - here[0], 1))
+        self.jog("Y", round(y - here[1], 1))
+
+    def test_switches(self, is_fixed: bool = False) -> None:
+        """Both, and the probe off the head."""
+        self.by_hand(self.pin)
+        self.test_probe(is_fixed)
+
+    def test_probe(self, is_fixed: bool = False) -> None:
+        """Off the head, on it and pressed, and where it belongs again."""
+        if is_fixed:
+            self.press("Skip")
+        else:
+            self.hold("probe", True)
+            self.press("Next")
+            self.hold("probe", False)
+        self.by_hand("probe", after=False)
+        self.hold("probe", None)
+
+    def set_places(
+        self, nozzle: tuple[float, float], switch: tuple[float, float]
+    ) -> None:
+        """Home, nozzle, switch; the bed as it is proposed; all looks right."""
+        self.press("Home")
+        self.jog_to(*nozzle)
+        self.press("Here")
+        self.press("Attach")
+        self.jog_to(*switch)
+        for label in ("Here", "Here", "Yes", "Yes", "Yes"):
+            self.press(label)
+
+    def go_on(self) -> None:
+        """Do what a step asks of one who sets the scene "cartesian" up."""
+        step = self.step()
+        if step == "PIN":
+            self.by_hand(self.pin)
+        elif step == "OFF":
+            self.hold("probe", True)
+            self.press("Next")
+        elif step == "PROBE":
+            self.hold("probe", False)
+            self.by_hand("probe", after=False)
+            self.hold("probe", None)
+        else:
+            if step in CARTESIAN:
+                self.jog_to(*CARTESIAN[step])
+            elif step == "PAPER":
+                self.lower_to_the_sheet()
+            self.press(self.dialog().footer_buttons[0][0])
+
+    def go_to(self, step: str) -> None:
+        """As far as a step."""
+        while self.step() != step:
+            self.go_on()
+
+    def touch(self) -> None:
+        """All three."""
+        for _ in range(3):
+            self.press("Touch")
+
+    def gap(self) -> float:
+        """True mm from the nozzle to the bed below it."""
+        tip = self.machine.tip()
+        now = self.machine.rig.seconds(self.machine.simulation.clock.now())
+        return self.machine.truth.true_gap(tip.x, tip.y, tip.z, now)
+
+    def lower_to_the_sheet(self, paper: float = 0.1) -> None:
+        """Until the sheet is held."""
+        for step in (0.1, 0.05, 0.01):
+            while self.gap() > paper + step:
+                self.press(f"Z-{step:g}")

@@ -1,0 +1,130 @@
+"""What tests of [z_calibration] have in common."""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any, Optional, Union
+
+import pytest
+
+from simprinter.hosts.hosts import Host
+from tools.kit.load_errors import load
+from tools.kit.printer import Printer, module_files
+from simprinter import Fault, Scene
+
+MICROSTEP = 0.0025
+RESULT = re.compile(
+    r"Z-CALIBRATION: probe=(\S+) - \(switch=(\S+) - nozzle=(\S+)"
+    r" \+ switch_offset=(\S+)\) --> new offset=(\S+)"
+)
+# Heights of the voron scene in klippy's frame, mm
+PIN = 1.6
+BED = PIN - (1.9012 - 0.4)
+BODY = 6.415
+TRIGGER = BODY + 0.5
+SWITCH_OFFSET = 0.44
+
+
+def section(**options: Optional[str]) -> dict[str, Any]:
+    """Changes to [z_calibration] only."""
+    return {"z_calibration": options}
+
+
+def result_of(lines: list[str]) -> tuple[float, ...]:
+    """The numbers of the result line: probe, switch, nozzle, so, offset."""
+    found = [m for m in map(RESULT.search, lines) if m]
+    assert len(found) == 1, lines
+    return tuple(map(float, found[0].groups()))
+
+
+def touched_sites(printer: Printer, start: int = 0) -> list[str]:
+    """Sites touched in order, without the homing of X and Y."""
+    return [
+        touch.site
+        for touch in printer.machine.truth.touches[start:]
+        if not touch.site.endswith("endstop")
+    ]
+
+
+def calibration(
+    printer: Printer, script: str = "CALIBRATE_Z"
+) -> tuple[tuple[float, ...], list[str]]:
+    """Run it; the result, and the sites touched by it."""
+    before = len(printer.machine.truth.touches)
+    lines = printer.run(script)
+    return result_of(lines), touched_sites(printer, before)
+
+
+def lowest_tip(printer: Printer) -> float:
+    """True height of the tip over the bed at its lowest, mm."""
+    return printer.machine.truth.min_gap
+
+
+def assert_unharmed(printer: Printer, offset: float = 0.0) -> None:
+    """What holds after every failure."""
+    assert printer.session.state()[0] == "ready"
+    assert printer.offset() == pytest.approx(offset)
+    printer.session.wait(2.0)
+    assert printer.session.position()[2] >= 13.7
+
+
+def marker(name: str, body: str = "") -> dict[str, str]:
+    """A macro that leaves a line on the console."""
+    code = f"\n  RESPOND MSG={name}"
+    if body:
+        code += f"\n  {body}"
+    return {"gcode": code}
+
+
+def marked(*names: str, **bodies: str) -> dict[str, Any]:
+    """Macros for the three templates, each leaving a line."""
+    changes = {"respond": {}}
+    for name in names:
+        changes[f"gcode_macro {name}"] = marker(name, bodies.get(name, ""))
+    return changes
+
+
+def with_dead_pin(start: Callable, n: int = 4, **options: Any) -> Printer:
+    """A homed printer whose nozzle pin is dead at its n-th arming."""
+    fault = Fault("trigger_never", signal="z_endstop", n=n)
+    printer = start(faults=[fault], **options)
+    printer.machine.tolerate("nozzle_pin", 1.01)
+    return printer.homed()
+
+
+def with_extra(folder: Path, code: str) -> dict[str, Path]:
+    """Modules to install so that the section [extra] runs this code.
+
+    Once every object is there: printer, probe, homing, gcode, toolhead.
+    """
+    body = "".join(f"        {line}\n" for line in code.strip().splitlines())
+    source = folder / "extra.py"
+    source.write_text(
+        "def load_config(config):\n"
+        "    printer = config.get_printer()\n"
+        "    def change():\n"
+        "        look_up = printer.lookup_object\n"
+        "        probe, homing = look_up('probe'), look_up('homing')\n"
+        "        gcode, toolhead = look_up('gcode'), look_up('toolhead')\n"
+        f"{body}"
+        "    printer.register_event_handler('klippy:mcu_identify', change)\n"
+    )
+    return {**module_files(), "extra": source}
+
+
+def with_moves() -> dict[str, Path]:
+    """Modules to install so that the section [moves] records every move."""
+    source = Path(__file__).with_name("extras") / "moves.py"
+    return {**module_files(), "moves": source}
+
+
+def refusal(
+    host: Host, changes: dict[str, Any], scene: Union[str, Scene] = "voron"
+) -> str:
+    """The message klippy stops with; it is not an internal error."""
+    state, message = load(host, changes, scene)
+    assert state == "error", message
+    assert "Internal error" not in message
+    return message

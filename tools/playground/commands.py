@@ -1,0 +1,168 @@
+"""What can be typed while a playground runs: its faults, and repairs."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping
+from typing import NamedTuple
+
+from simprinter import Fault, Scene
+from simprinter.simulation import Pace
+from tools.playground.watcher import Watcher
+
+SLOWEST, FASTEST = 1.0, 20.0
+# The printer's seconds for which a hand presses a switch
+_PRESSED = 2.0
+
+
+class CommandError(Exception):
+    """What was typed cannot be done; the text says why."""
+
+
+class Command(NamedTuple):
+    """words: how it is typed, after its name."""
+
+    words: str
+    help: str
+    run: Callable[[Watcher, Scene, list[str]], str]
+
+
+def speed_of(text: str) -> float:
+    """A speed as it is typed. Raises ValueError."""
+    speed = float(text)
+    if not SLOWEST <= speed <= FASTEST:
+        raise ValueError(f"{text} is not from {SLOWEST:g} to {FASTEST:g}")
+    return speed
+
+
+def run(line: str, watcher: Watcher, scene: Scene) -> str:
+    """Do what was typed; what to show. Raises CommandError."""
+    name, *words = line.split()
+    if name not in COMMANDS:
+        raise CommandError(f"{name}: unknown, 'help' lists the commands")
+    command = COMMANDS[name]
+    needed = command.words.split()
+    if len(words) != len(needed):
+        raise CommandError(f"usage: {name} {command.words}".rstrip())
+    try:
+        return command.run(watcher, scene, words)
+    except ValueError as error:
+        raise CommandError(f"{name}: {error}") from error
+
+
+def wires(scene: Scene) -> Mapping[str, str]:
+    """The wires that can break: the signal and its pin."""
+    return scene.wiring.inputs
+
+
+def _pin_of(scene: Scene, name: str) -> str:
+    known = wires(scene)
+    if name not in known:
+        raise CommandError(f"no wire {name}, only {', '.join(known)}")
+    return known[name]
+
+
+def _stick(watcher: Watcher, name: str, is_asserted: bool) -> str:
+    kind = "stuck_closed" if is_asserted else "stuck_open"
+    fault = Fault(kind, signal=name, t=watcher.seconds())
+    watcher.machine.break_down(fault)
+    return "always triggered" if is_asserted else "never triggered"
+
+
+def _break(watcher: Watcher, scene: Scene, words: list[str]) -> str:
+    pin = _pin_of(scene, words[0])
+    # A pull-up makes an open wire read high; without one it may be anything
+    reads_high = "^" in pin
+    state = _stick(watcher, words[0], reads_high and "!" not in pin)
+    return f"the wire of {words[0]} is broken: {state}"
+
+
+def _short(watcher: Watcher, scene: Scene, words: list[str]) -> str:
+    state = _stick(watcher, words[0], "!" in _pin_of(scene, words[0]))
+    return f"the wire of {words[0]} is shorted to ground: {state}"
+
+
+def _late(watcher: Watcher, scene: Scene, words: list[str]) -> str:
+    name, mm = words[0], float(words[1])
+    _pin_of(scene, name)
+    fault = Fault("trigger_late", 1, True, signal=name, mm=mm)
+    watcher.machine.break_down(fault)
+    return f"{name} triggers {mm:g} mm too deep from now on"
+
+
+def _press(watcher: Watcher, scene: Scene, words: list[str]) -> str:
+    name = words[0]
+    _pin_of(scene, name)
+    hold = watcher.machine.hold
+    hold(name, True)
+    watcher.later(_PRESSED, lambda: hold(name, None))
+    return f"a hand presses {name} for {_PRESSED:g} s"
+
+
+def _attach(watcher: Watcher, scene: Scene, words: list[str]) -> str:
+    if scene.world.mag_probe is None:
+        raise CommandError("this printer has no probe to put on the head")
+    watcher.machine.world.put_probe_on(watcher.seconds())
+    return "the probe is on the head"
+
+
+def _drop(watcher: Watcher, scene: Scene, words: list[str]) -> str:
+    if scene.world.mag_probe is None:
+        raise CommandError("this printer has no probe that could fall off")
+    world = watcher.machine.world
+    if world.probe_state(watcher.seconds()) != "attached":
+        raise CommandError("the head does not carry the probe now")
+    world.lose_probe(watcher.seconds())
+    return "the probe has fallen off; 'repair' puts it back"
+
+
+def _membrane(watcher: Watcher, scene: Scene, is_laid: bool) -> str:
+    if scene.world.membrane is None:
+        raise CommandError("this printer has no membrane switch")
+    watcher.machine.lay_membrane(is_laid)
+    return "the membrane lies on the bed" if is_laid else "the bed is free"
+
+
+def _repair(watcher: Watcher, scene: Scene, words: list[str]) -> str:
+    watcher.machine.repair()
+    watcher.machine.world.bring_probe_back(watcher.seconds())
+    return "all is as good as new"
+
+
+def _gap(watcher: Watcher, scene: Scene, words: list[str]) -> str:
+    watcher.ask_gap()
+    return "the true gap, as soon as the head stands:"
+
+
+def _speed(watcher: Watcher, scene: Scene, words: list[str]) -> str:
+    speed = speed_of(words[0])
+    simulation = watcher.machine.simulation
+    simulation.pace = Pace(simulation.clock, speed)
+    return f"{speed:g} times as fast as a real printer"
+
+
+def _help(watcher: Watcher, scene: Scene, words: list[str]) -> str:
+    lines = [
+        f"  {name + ' ' + command.words:16} {command.help}"
+        for name, command in COMMANDS.items()
+    ]
+    return "\n".join([*lines, f"Wires: {', '.join(wires(scene))}"])
+
+
+COMMANDS = {
+    "break": Command("WIRE", "a wire breaks", _break),
+    "short": Command("WIRE", "a wire touches ground", _short),
+    "late": Command("WIRE MM", "a sensor gets slack", _late),
+    "press": Command("WIRE", "press a switch by hand, let go", _press),
+    "attach": Command("", "put the probe on the head by hand", _attach),
+    "drop": Command("", "the probe falls off", _drop),
+    "repair": Command("", "take all faults back", _repair),
+    "lay": Command(
+        "", "lay the membrane on the bed", lambda w, s, _: _membrane(w, s, True)
+    ),
+    "take": Command(
+        "", "take the membrane away", lambda w, s, _: _membrane(w, s, False)
+    ),
+    "gap": Command("", "the true gap at Z=0", _gap),
+    "speed": Command("N", "1 to 20 times real time", _speed),
+    "help": Command("", "this list", _help),
+}

@@ -1,0 +1,264 @@
+"""Lives in the simulation of a playground: tells what happens, does as told."""
+
+from __future__ import annotations
+
+import queue
+import time
+from collections.abc import Callable
+from pathlib import Path
+from typing import Optional
+
+from simprinter import Machine
+from simprinter.hosts.api import ApiClient, ApiError
+from simprinter.world import Pose, Touch
+
+SITES = {
+    "nozzle_pin": "nozzle on the pin",
+    "body_pin": "probe body on the pin",
+    "plunger_pin": "plunger on the pin's housing",
+    "probe_bed": "probe on the bed",
+    "body_bed": "probe BODY on the bed",
+    "nozzle_bed": "nozzle on the bed",
+    "nozzle_membrane": "nozzle on the membrane",
+    "inductive_bed": "probe senses the bed",
+}
+# Printer nanoseconds between two looks at what presses something
+_LOOK_EVERY = 5_000_000
+# Printer nanoseconds after which the machine is looked at, if nobody did
+_SETTLE_EVERY = 100_000_000
+# Printer nanoseconds for which the head has to stand before its Z counts, and
+# real seconds between two questions for it
+_STANDS = 500_000_000
+_ASK_EVERY = 2.0
+# Changes of the true gap that are not told, mm
+_SAME = 0.0005
+
+
+class Watcher:
+    """Takes part in the simulation like an API client.
+
+    say: shows a line. point: X and Y of the bed at which the gap is told, mm.
+    """
+
+    def __init__(
+        self,
+        machine: Machine,
+        socket: Path,
+        point: tuple[float, float],
+        say: Callable[[str], None],
+    ):
+        self.machine = machine
+        self._say = say
+        self._orders: queue.SimpleQueue[Callable[[], None]] = (
+            queue.SimpleQueue()
+        )
+        # What is to be done at a time of the printer (s)
+        self._later: list[tuple[float, Callable[[], None]]] = []
+        self._api = ApiClient(socket)
+        self._contacts = _Contacts(machine, self.tell)
+        self._gap = _Gap(machine, self._api, point, self.tell)
+
+    def order(self, action: Callable[[], None]) -> None:
+        """Have something done to the machine, soon; for other threads."""
+        self._orders.put(action)
+
+    def later(self, seconds: float, action: Callable[[], None]) -> None:
+        """Have something done when so many of the printer's seconds are over."""
+        self._later.append((self.seconds() + seconds, action))
+
+    def ask_gap(self) -> None:
+        """Tell the true gap as soon as the head stands."""
+        self._gap.is_wanted = True
+
+    def tell(self, text: str) -> None:
+        """Show a line, with the printer's time."""
+        self._say(f"{self.seconds():9.1f} s  {text}")
+
+    def seconds(self) -> float:
+        """The printer's time."""
+        machine = self.machine
+        return machine.rig.seconds(machine.simulation.clock.now())
+
+    def fileno(self) -> int:
+        """Readable when klippy has said something."""
+        return self._api.fileno()
+
+    def settled(self) -> bool:
+        """Never holds up the time.
+
+        Klippy that restarts sleeps before it hears what was said meanwhile.
+        """
+        return True
+
+    def close(self) -> None:
+        """Hang up."""
+        self._api.close()
+
+    def pump(self) -> bool:
+        """Do what was ordered, look, and tell."""
+        moved = self._api.pump()
+        while not self._orders.empty():
+            self._orders.get()()
+        for due in [due for due in self._later if due[0] <= self.seconds()]:
+            self._later.remove(due)
+            due[1]()
+        self._contacts.look()
+        return self._gap.look() or moved
+
+
+class _Contacts:
+    """Tells of touches, of what became of the probe, of crashes."""
+
+    def __init__(self, machine: Machine, tell: Callable[[str], None]):
+        self._machine = machine
+        self._tell = tell
+        self._touches = self._events = 0
+        self._crashes: dict[tuple[str, str], float] = {}
+        self._settled = machine.simulation.clock.now()
+        # What is pressed now: its touch, the lowest place of the head since
+        self._open: dict[str, tuple[Touch, float]] = {}
+        self._looked = self._settled
+
+    def look(self) -> None:
+        machine = self._machine
+        now = machine.simulation.clock.now()
+        if now - self._settled >= _SETTLE_EVERY:
+            self._settled = now
+            machine.rig.settle(now)
+        truth = machine.world.truth
+        for touch in truth.touches[self._touches :]:
+            self._begin(touch)
+        self._touches = len(truth.touches)
+        for event in truth.events[self._events :]:
+            self._tell(f"probe: {event.kind.replace('_', ' ')}")
+        self._events = len(truth.events)
+        self._follow(now)
+        for crash in truth.crashes():
+            key = (crash.site, crash.kind)
+            # Told again when it gets much worse only
+            if crash.depth > 1.5 * self._crashes.get(key, 0.0):
+                self._crashes[key] = crash.depth
+                self._tell(f"CRASH: {crash}")
+
+    def _begin(self, touch: Touch) -> None:
+        if touch.site not in SITES:
+            axis = "XYZ"["xyz".index(touch.site[0])]
+            # Where Z is, is another thing for everybody
+            at = "" if axis == "Z" else f", at {axis}{touch.trigger_z:.2f}"
+            self._tell(f"{axis} endstop{at}")
+            return
+        self._open[touch.site] = (touch, touch.z)
+        # The world may have been told of it a little after it happened
+        since = self._machine.simulation.clock.now() - round(
+            (self._seconds() - touch.t) * 1e9
+        )
+        self._looked = min(self._looked, since)
+
+    def _seconds(self) -> float:
+        machine = self._machine
+        return machine.rig.seconds(machine.simulation.clock.now())
+
+    def _follow(self, now: int) -> None:
+        """Until what is pressed is left again: how deep it got."""
+        machine = self._machine
+        while self._open and self._looked < now:
+            self._looked = min(now, self._looked + _LOOK_EVERY)
+            pose = machine.rig.pose(self._looked)
+            for site, (touch, lowest) in tuple(self._open.items()):
+                if machine.rig.seconds(self._looked) < touch.t:
+                    continue
+                self._open[site] = (touch, min(lowest, pose.z))
+                if pose.z > touch.trigger_z:
+                    del self._open[site]
+                    self._tell_touch(touch, min(lowest, pose.z))
+        self._looked = now
+
+    def _tell_touch(self, touch: Touch, lowest: float) -> None:
+        truth = self._machine.world.truth
+        x, y, z = touch.x, touch.y, touch.trigger_z
+        above = truth.true_gap(x, y, z, touch.t)
+        deep = max(0.0, z - lowest)
+        self._tell(
+            f"{SITES[touch.site]:24} X{x:.1f} Y{y:.1f}, tip {above:+.3f} mm"
+            f" above the bed, {deep:.3f} mm deep"
+        )
+
+
+class _Gap:
+    """Tells the true gap between nozzle and bed that G-code Z=0 stands for."""
+
+    def __init__(
+        self,
+        machine: Machine,
+        api: ApiClient,
+        point: tuple[float, float],
+        tell: Callable[[str], None],
+    ):
+        self.is_wanted = False
+        self._machine = machine
+        self._api = api
+        self._point = point
+        self._tell = tell
+        self._tip: Optional[Pose] = None
+        self._stands_since = machine.simulation.clock.now()
+        self._asked = time.monotonic()
+        self._question: Optional[tuple[int, int]] = None
+        self._told: Optional[float] = None
+
+    def look(self) -> bool:
+        """Ask klippy, or use its answer; whether it was spoken to."""
+        now, tip = time.monotonic(), self._machine.tip()
+        clock = self._machine.simulation.clock.now()
+        if tip != self._tip:
+            self._tip, self._stands_since = tip, clock
+            self._question = None
+        if self._question is not None:
+            self._take_answer()
+            return False
+        asked_for = self.is_wanted or now - self._asked >= _ASK_EVERY
+        stands = clock - self._stands_since >= _STANDS
+        if not (asked_for and stands and self._api.connected()):
+            return False
+        self._asked = now
+        objects = {
+            "gcode_move": ["gcode_position"],
+            "toolhead": ["homed_axes", "print_time", "estimated_print_time"],
+        }
+        number = self._api.request("objects/query", {"objects": objects})
+        self._question = (number, self._api.connections)
+        return True
+
+    def _take_answer(self) -> None:
+        assert self._question is not None
+        number, connections = self._question
+        if self._api.answered(number):
+            self._question = None
+            try:
+                status = self._api.answer(number)["status"]
+            except ApiError:
+                return
+            self._tell_gap(status)
+        elif self._api.connections != connections:
+            self._question = None  # klippy has restarted
+
+    def _tell_gap(self, status: dict) -> None:
+        # Where printer.cfg has a mistake there is none
+        toolhead, wanted = status["toolhead"], self.is_wanted
+        if "z" not in (toolhead.get("homed_axes") or ""):
+            self._told, self.is_wanted = None, False
+            if wanted:
+                self._tell("true gap: not known before Z is homed")
+            return
+        # Moves that are still to come have changed the G-code Z already
+        if toolhead["print_time"] > toolhead["estimated_print_time"]:
+            return
+        self.is_wanted = False
+        z = status["gcode_move"]["gcode_position"][2]
+        gap = self._machine.gap_at_zero(z, self._point)
+        if self._told is None or abs(gap - self._told) > _SAME or wanted:
+            self._told = gap
+            where = "above the bed" if gap >= 0 else "IN THE BED"
+            x, y = self._point
+            self._tell(
+                f"true gap: Z=0 is {abs(gap):.3f} mm {where} at X{x:g} Y{y:g}"
+            )

@@ -1,0 +1,175 @@
+# One place to touch: get there, come down, touch, come up again.
+# Copyright (C) 2026  the Z calibration developers, under the GNU GPLv3
+#
+# Every height is a toolhead Z: the position, in mm and in the frame that the
+# last homing defined, at which a touch triggered.  G-code offset, bed mesh and
+# skew play no part in it.  Up is positive.  Speeds are in mm/s.
+from __future__ import absolute_import
+
+import collections
+import contextlib
+import functools
+
+from .errors import CalibrationError, MessageLost, NoTrigger
+from .running import always
+
+# How every host since 2021-08-17 (1dc2ab048) begins this error
+NO_TRIGGER = "No trigger"
+# The same where boards did not hear of each other in time, or one is gone
+NOT_HEARD = ("Communication timeout during", "Unable to obtain")
+LATE = (
+    "a board was not heard in time, as the computer or the line to it is too"
+    " slow or broken: run it again, and look into klippy.log if it comes back"
+)
+
+# A trigger this close (mm) to the start is none: the sensor was pressed.
+# Less than any microstep is long, more than rounding.
+NO_TRAVEL = 0.0001
+
+# Something to touch (mm): the word used in messages, where the head stands for
+# it, and where the user has said so.
+Site = collections.namedtuple("Site", "name x y origin")
+
+
+def option_site(config, name, option, pair):
+    origin = "Option '%s: %g,%g' in section '%s'"
+    origin %= (option, pair[0], pair[1], config.get_name())
+    return Site(name, pair[0], pair[1], origin)
+
+
+# 'shift' says why the head is elsewhere than the user's point.
+def check_reach(host, site, remedy, shift=""):
+    for axis, xy, (low, high) in zip("XY", site[1:3], host.axis_limits()):
+        if not low <= xy <= high:
+            raise CalibrationError(
+                "%s needs the head at %s=%.3f%s, outside its %.3f to %.3f; %s"
+                % (site.origin, axis, xy, shift, low, high, remedy)
+            )
+
+
+# Motors stop on whole steps, so not exactly there
+def is_at(host, z):
+    steps = [s.get_step_dist() for s in host.z_steppers()]
+    return abs(host.z() - z) <= 2.0 * max(steps)
+
+
+# The end of the printer is nothing that a hint of ours would mend
+def pass_on_shutdown(host, error):
+    if host.printer.is_shutdown():
+        raise error
+
+
+# Never down, and not where Z is not known (any more)
+def raise_to(host, z, speed):
+    if host.z() < z and "z" in host.toolhead_status()["homed_axes"]:
+        host.toolhead.manual_move([None, None, z], speed)
+
+
+def move_xy(host, x, y, speed):
+    if tuple(host.toolhead.get_position()[:2]) != (x, y):
+        host.toolhead.manual_move([x, y], speed)
+
+
+# The head at one place, and whether it still presses what it has touched.
+class Head(object):
+    # 'remedy': what to do where the head is too low for a touch
+    def __init__(self, host, sampling, remedy):
+        self.host = host
+        self.sampling = sampling
+        self.remedy = remedy
+        # Where the last touch triggered; None: the head was lifted since
+        self.pressed_z = None
+
+    # Down to z where nothing should be yet.  None, or the toolhead Z where
+    # the endstop triggered nevertheless.
+    def come_down(self, endstop, z, speed):
+        if self.host.z() <= z:
+            return None
+        try:
+            return self._move_down(endstop, z, speed)
+        except NoTrigger:
+            return None
+
+    # Down until the endstop triggers; returns the toolhead Z of the trigger.
+    # Raises NoTrigger at the floor.
+    def touch(self, endstop, floor, speed):
+        self.check_above(floor)
+        return self._move_down(endstop, floor, speed)
+
+    def _move_down(self, endstop, z, speed):
+        host, start_z = self.host, self.host.z()
+        try:
+            trigger_z = host.probing_move(endstop, z, speed)
+        except host.printer.command_error as e:
+            pass_on_shutdown(host, e)
+            ended = NO_TRIGGER in str(e) and is_at(host, z)
+            kind = NoTrigger if ended else CalibrationError
+            raise self._stopped(e, kind)
+        return self._pressed(start_z, trigger_z, trigger_z)
+
+    # The same by the host's own probing, see probing(); returns Probed.
+    def probe(self, probe_once):
+        host, start_z = self.host, self.host.z()
+        try:
+            probed = probe_once()
+        except host.printer.command_error as e:
+            pass_on_shutdown(host, e)
+            hint = "check with QUERY_PROBE and PROBE"
+            raise self._stopped(e, CalibrationError).advised(hint)
+        # QIDI's hosts answer a probe that is pressed already with a result
+        self._pressed(start_z, host.z(), probed.z)
+        return probed
+
+    def _stopped(self, error, kind):
+        text = "%s (stopped at z=%.3f)" % (error, self.host.z())
+        if any(words in text for words in NOT_HEARD):
+            return MessageLost("%s; %s" % (text, LATE))
+        return kind(text)
+
+    # A touch goes down, whatever it is told
+    def check_above(self, floor):
+        z = self.host.z()
+        if z <= floor:
+            text = "the head is at z=%.3f, this touch ends at z=%.3f already; "
+            raise CalibrationError(text % (z, floor) + self.remedy)
+
+    def _pressed(self, start_z, end_z, trigger_z):
+        if start_z - end_z <= NO_TRAVEL:
+            raise CalibrationError(
+                "triggered at z=%.3f before the head moved: the sensor was"
+                " pressed or is not attached" % (start_z,)
+            )
+        self.pressed_z = trigger_z
+        return trigger_z
+
+    # Down to z in the air above what was touched before
+    def move_down(self, z, speed):
+        if self.host.z() > z:
+            self.host.toolhead.manual_move([None, None, z], speed)
+
+    # Up to where the next touch begins
+    def retract(self):
+        if self.pressed_z is not None:
+            self.lift(self.pressed_z + self.sampling.retract_dist)
+
+    def lift(self, z):
+        self.pressed_z = None
+        raise_to(self.host, z, self.sampling.lift_speed)
+
+
+# A session of the host's own probing that ends each touch at 'floor' and lifts
+# the head to 'top' before it ends: the host may stow or dock the probe then.
+# Yields a function that touches once, for Head.probe(); None where the host
+# cannot be told about the floor.
+@contextlib.contextmanager
+def probing(head, floor, top, **params):
+    host = head.host
+    # One by one: what is wanted of several is looked at between them
+    params["SAMPLES"] = "1"
+    probe_once, end = host.start_probing(params)
+    # An error inside activate_gcode makes the host end the session by itself;
+    # ending it again is then an error that must not be shown.
+    session = always(host, end, "ending the probe session")
+    lift = always(host, functools.partial(head.lift, top), "lifting")
+    with session, host.probe_floor(floor) as limited, lift:
+        yield probe_once if limited else None

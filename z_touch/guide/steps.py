@@ -1,0 +1,205 @@
+# The steps of Z_CALIBRATION_SETUP: what each asks, and what follows.  Pure.
+# Copyright (C) 2026  the Z calibration developers, under the GNU GPLv3
+from __future__ import absolute_import, division
+
+import collections
+import math
+
+from ..core.dialogs import lines
+from ..core.errors import CalibrationError
+from ..core.sampling import accuracy
+from .texts import STEPS
+
+COMMAND = "Z_CALIBRATION_SETUP"
+
+# Seconds to press something by hand
+HAND_PATIENCE = 20.0
+
+# Of a sheet of paper (mm)
+PAPER = 0.1
+
+# From the body to the trigger point (mm): common switches, and what none has
+SWITCHES = collections.OrderedDict((("D2F", 0.5), ("SSG", 0.7)))
+LARGEST_SWITCH_OFFSET = 1.5
+
+# Steps (mm) of the buttons that move the head
+JOGS = (10.0, 1.0, 0.1)
+LARGEST_JOG = 10.0
+FINE_JOGS = (0.1, 0.05, 0.01)
+
+# What the offset should vary by at most (mm, 95 %), and the touches that a site
+# has at least and at most
+WANTED_UNCERTAINTY = 0.01
+FEWEST_SAMPLES = 3
+MOST_SAMPLES = 10
+
+ORDER = list(STEPS)
+
+
+# In the order; the last one stays
+def after(name):
+    return (ORDER + ORDER[-1:])[ORDER.index(name) + 1]
+
+
+# The step after an answer
+def follow(name, answer):
+    words = [word for label, word, colour in STEPS[name].answers]
+    if answer not in words:
+        raise CalibrationError(
+            "ANSWER=%s is none of STEP=%s: %s"
+            % (answer, name, ", ".join(word or "none" for word in words))
+        )
+    if answer == "BACK":
+        return STEPS[name].back
+    return after(name)
+
+
+def command(name, answer="", **params):
+    words = [COMMAND, "STEP=" + name.upper()]
+    if answer:
+        words.append("ANSWER=" + answer)
+    words += ["%s=%s" % item for item in sorted(params.items())]
+    return " ".join(words)
+
+
+ABORT = COMMAND + " STEP=ABORT"
+
+
+def jog_button(name, axis, distance):
+    text = "%+g" % (distance,)
+    return axis + text, command(name, **{axis: text}), "secondary"
+
+
+# Rows of buttons that move the head: four fit
+def jog_groups(name):
+    axes, groups = STEPS[name].axes, []
+    for distance in JOGS if "X" in axes else ():
+        groups.append(
+            [
+                jog_button(name, axis, sign * distance)
+                for axis in "XY"
+                for sign in (-1, 1)
+            ]
+        )
+    steps = JOGS if "X" in axes else FINE_JOGS
+    for pair in (steps[:2], steps[2:]) if axes else ():
+        groups.append(
+            [jog_button(name, "Z", s * d) for d in pair for s in (-1, 1)]
+        )
+    return groups
+
+
+# The answers as (label, G-code, colour)
+def buttons(name):
+    found = [
+        (label, command(name, word), colour)
+        for label, word, colour in STEPS[name].answers
+    ]
+    return found + [("Abort", ABORT, "error")]
+
+
+# The dialog of a step, and the same for the console.  'late': what the head has
+# yet to do before the step can be answered.
+def ask(name, facts, problem="", late=""):
+    groups, answers = jog_groups(name), buttons(name)
+    if name == "gap":
+        types = [(t, command(name, TYPE=t), "secondary") for t in SWITCHES]
+        groups.append(types)
+        answers = types + answers
+    text = STEPS[name].text % facts
+    if late:
+        text = "The head is not there yet. '%s': %s, then this is asked again."
+        text %= (STEPS[name].answers[0][0], late)
+    if facts["back_goal"]:
+        text += " 'Back': %s." % (facts["back_goal"],)
+    if problem:
+        text = "Not done: %s. %s" % (problem.rstrip("."), text)
+    shown = list(lines(STEPS[name].headline, text, buttons(name), groups))
+    said = ["%s: %s" % (STEPS[name].headline, text)]
+    said += ["%s: %s" % (label, gcode) for label, gcode, _ in answers]
+    if STEPS[name].axes:
+        said.append("move the head: %s" % (command(name, Z="+0.1"),))
+    return shown, "\n".join(said)
+
+
+# The dialog until something is pressed by hand; all that it can answer waits.
+def while_watching(name):
+    text = (
+        "Press %s by hand now and let go, within %d seconds. What comes next is"
+        " shown by itself." % (name, HAND_PATIENCE)
+    )
+    return lines("Press it now", text, [("Abort", ABORT, "error")])
+
+
+# What a hand has done to a switch, from pairs: whether it and another one read
+# triggered, the first before anything was pressed.
+def judge(readings):
+    (own_before, other_before), readings = readings[0], readings[1:]
+    if own_before:
+        return "early"
+    own = [own for own, other in readings]
+    other = any(other != other_before for own, other in readings)
+    if True not in own:
+        return "other" if other else "nothing"
+    if other:
+        return "both"
+    return "good" if not own[-1] else "held"
+
+
+# The option's text with the other polarity
+def inverted(pin):
+    pin = pin.strip()
+    if "!" in pin:
+        return pin.replace("!", "", 1)
+    marks = len(pin) - len(pin.lstrip("^~ "))
+    return pin[:marks] + "!" + pin[marks:]
+
+
+# What a jog leads to (mm), refused where it would go beyond (low, high).
+def jogged(axis, start, distance, low, high):
+    if abs(distance) > LARGEST_JOG:
+        text = "%s=%g: the head is moved by at most %g mm at once"
+        raise CalibrationError(text % (axis, distance, LARGEST_JOG))
+    # Out of a place beyond the limit, too
+    end = start + distance
+    low, high = min(low, start), max(high, start)
+    if not low - 1e-6 <= end <= high + 1e-6:
+        text = "%s=%g would lead to %.3f, outside %.3f to %.3f; nothing moves"
+        raise CalibrationError(text % (axis, distance, end, low, high))
+    return end
+
+
+# How well touches repeat, in a word, and how many a site should have
+def repeatability(samples):
+    worst = max(accuracy(z)[5] for z in samples if z)
+    # Three sites, and each is averaged
+    needed = 3.0 * (2.0 * worst / WANTED_UNCERTAINTY) ** 2
+    count = max(FEWEST_SAMPLES, min(MOST_SAMPLES, int(math.ceil(needed))))
+    word = "good" if needed <= FEWEST_SAMPLES else "fair"
+    if needed > MOST_SAMPLES:
+        word = "poor: clean the nozzle, look for play"
+    return word, count
+
+
+# switch_offset (mm) with the nozzle at z where it holds the sheet: 'contact' is
+# the toolhead Z of the bed with a switch_offset of 0.
+def from_paper(contact, z):
+    found = round(contact - (z - PAPER), 3) + 0.0
+    if not 0.0 <= found <= LARGEST_SWITCH_OFFSET:
+        raise CalibrationError(
+            "a switch_offset of %.3f is that of no switch (0 to %g mm); does"
+            " the nozzle hold the sheet, and the pin press the body?"
+            % (found, LARGEST_SWITCH_OFFSET)
+        )
+    return found
+
+
+# The lowest z (mm) of a jog with the sheet: above all beds in small steps only
+def paper_floor(contact, z, distance):
+    if distance < -FINE_JOGS[0] - 1e-6 and z + distance < contact + PAPER:
+        return min(z, contact + PAPER)
+    return contact - LARGEST_SWITCH_OFFSET
+
+
+def as_pair(site):
+    return "%.3f, %.3f" % (site.x, site.y)

@@ -1,0 +1,282 @@
+# What several whole cycles of a calibration say: pure functions; mm, s.
+# Copyright (C) 2026  the Z calibration developers, under the GNU GPLv3
+#
+# Touches of one site in one cycle vary by the noise of a touch.  What varies
+# more from cycle to cycle comes from what is done between them: the probe is
+# attached anew, something grows, Z is homed.  The heights tell which:
+#
+#   the nozzle's first touch higher than the next ones    something sticks to it
+#   a straight line in time                               it grows
+#   switch and bed together, not the nozzle               the seat of the probe
+#   one of them only                                      what holds it
+#   touches of nozzle and switch, not of the bed          the switch of the pin
+#   touches of the bed only                               the probe's switch
+#   touches of all three                                  play of Z
+#   all three together, from cycle to cycle               homing, or lost steps
+from __future__ import absolute_import, division
+
+import collections
+import math
+
+from ..core.sampling import summarize
+from .estimate import pool, spread_of, t_factor
+
+# One cycle: when it ended, and the samples of each site
+Cycle = collections.namedtuple("Cycle", "time nozzle switch bed switch_offset")
+
+# Of a series of heights: 'drift' in mm per minute, 'consecutive' is the
+# standard deviation by the differences of neighbours, which a drift leaves
+# nearly as it is, 'touch' that of one touch (None: of no site)
+Series = collections.namedtuple(
+    "Series", "name mean sd range drift consecutive touch"
+)
+
+# What is found: the sentence, and a word for it
+Verdict = collections.namedtuple("Verdict", "cause text")
+
+# Less (mm) is no matter
+GOOD_TOUCH = 0.007
+GOOD_SHIFT = 0.008
+
+# So many times the others a site is the one that varies
+DOMINATES = 2.5
+
+# Cycles that can tell a cause from chance
+LEAST_CYCLES = 6
+
+# From so many standard errors on something is there
+SURE = 5.0
+
+# A cause that acts from cycle to cycle makes them vary so many times more than
+# touches do
+MORE_THAN_TOUCHES = 3.0
+
+# A first touch that is pressed flat loses within a cycle at least this part of
+# what changes from one to the next; heat, which has more time for that, less
+FLATTENED = 0.3
+
+CAUSES = {
+    "nozzle": "the nozzle's first touches are %.4f mm higher than its next"
+    " ones: something sticks to it; clean the nozzle",
+    "heat": "the %s drifts by %.4f mm per minute: something still grows; let it"
+    " warm up",
+    "seat": "switch and bed shift together by %.4f mm from cycle to cycle: the"
+    " probe hangs elsewhere each time; seat the probe",
+    "alone": "only the %s shifts, by %.4f mm from cycle to cycle: check what"
+    " holds it, and that it is clean",
+    "pin": "touches of the pin vary by %.4f mm, those of the bed do not; exchange"
+    " the switch of the pin",
+    "probe": "touches of the bed vary by %.4f mm, those of the pin do not;"
+    " exchange the probe's switch",
+    "play": "touches of all three vary alike, by %.4f mm: check the Z axis for"
+    " play",
+    "homing": "all heights shift together by %.4f mm from cycle to cycle, which"
+    " leaves the offset as it is; home again after levelling",
+    "tip": "only the nozzle's touches vary, by %.4f mm; clean the nozzle",
+    "body": "only touches with the probe's body vary, by %.4f mm; seat the probe",
+    "few": "%d cycles are too few for one; take %d or more",
+    "none": "nothing stands out, the %s varies most (%.4f mm); nothing to do",
+}
+
+SITES = ("nozzle", "switch", "bed")
+
+
+def heights(cycles, site):
+    return [summarize(getattr(cycle, site), "average") for cycle in cycles]
+
+
+def offsets(cycles):
+    parts = zip(*[heights(cycles, site) for site in SITES])
+    found = zip(parts, cycles)
+    return [bed - (s - n + c.switch_offset) for (n, s, bed), c in found]
+
+
+def touch_noise(cycles, site):
+    spreads = [spread_of(getattr(cycle, site)) for cycle in cycles]
+    return math.sqrt(pool(spreads).variance)
+
+
+def deviation(values):
+    return math.sqrt(spread_of(values).variance)
+
+
+# By the differences of neighbours: von Neumann, Annals of Mathematical
+# Statistics 12 (1941)
+def consecutive(values):
+    squares = [(b - a) ** 2 for a, b in zip(values, values[1:])]
+    return math.sqrt(math.fsum(squares) / (2.0 * len(squares)))
+
+
+# Slope (mm/s), its standard error, and what a straight line leaves (mm, sd)
+def line(times, values):
+    middle = math.fsum(times) / len(times)
+    mean = math.fsum(values) / len(values)
+    square = math.fsum((t - middle) ** 2 for t in times)
+    if not square:
+        return 0.0, float("inf"), deviation(values)
+    slope = (
+        math.fsum((t - middle) * (v - mean) for t, v in zip(times, values))
+        / square
+    )
+    rest = [v - slope * (t - middle) for t, v in zip(times, values)]
+    sd = deviation(rest)
+    return slope, sd / math.sqrt(square), sd
+
+
+def series(cycles):
+    times = [cycle.time for cycle in cycles]
+    found = []
+    for name in SITES + ("offset",):
+        is_site = name != "offset"
+        values = heights(cycles, name) if is_site else offsets(cycles)
+        found.append(
+            Series(
+                name,
+                math.fsum(values) / len(values),
+                deviation(values),
+                max(values) - min(values),
+                60.0 * line(times, values)[0],
+                consecutive(values),
+                touch_noise(cycles, name) if is_site else None,
+            )
+        )
+    return found
+
+
+# What a single calibration may be off by (mm at 95 %), as its cycles vary
+def uncertainty(cycles, step):
+    values = offsets(cycles)
+    u = math.sqrt(spread_of(values).variance + step**2 / 4.0)
+    return t_factor(len(values) - 1) * u
+
+
+# How much higher each first touch of a site is than the next ones
+def excesses(cycles, site):
+    found = []
+    for cycle in cycles:
+        first, rest = getattr(cycle, site)[0], getattr(cycle, site)[1:]
+        if rest:
+            found.append(first - math.fsum(rest) / len(rest))
+    return found
+
+
+# One after the other, the ones that disturb the others first
+def judge(cycles):
+    if len(cycles) < LEAST_CYCLES:
+        return Verdict("few", CAUSES["few"] % (len(cycles), LEAST_CYCLES))
+    for find in (sticks, grows, shifts_alone, shifts, touches):
+        found = find(cycles)
+        if found is not None:
+            return found
+    name, most = max(
+        ((site, touch_noise(cycles, site)) for site in SITES),
+        key=lambda pair: pair[1],
+    )
+    return Verdict("none", CAUSES["none"] % (name, most))
+
+
+def sticks(cycles):
+    found = excesses(cycles, "nozzle")
+    if not found:
+        return None
+    # Most of it may be pressed flat in the first cycles
+    mean = math.fsum(found) / len(found)
+    noise = max(touch_noise(cycles, "switch"), touch_noise(cycles, "bed"))
+    error = noise * math.sqrt(1.5 / len(found))
+    z = heights(cycles, "nozzle")
+    change = abs(z[-1] - z[0]) / (len(z) - 1)
+    others = max(
+        abs(math.fsum(e) / len(e))
+        for e in (excesses(cycles, "switch"), excesses(cycles, "bed"))
+    )
+    if mean < max(SURE * error, GOOD_TOUCH / 2.0, FLATTENED * change):
+        return None
+    if mean < DOMINATES * others:
+        return None
+    return Verdict("nozzle", CAUSES["nozzle"] % (mean,))
+
+
+def grows(cycles):
+    # Few cycles lie on a line by chance, one of the five series at least
+    sure = SURE * (t_factor(len(cycles) - 2) / t_factor(float("inf"))) ** 3
+    times, found = [cycle.time for cycle in cycles], []
+    z = dict((site, heights(cycles, site)) for site in SITES)
+    bodies = [s - n for s, n in zip(z["switch"], z["nozzle"])]
+    named = [(site, z[site]) for site in SITES]
+    named += [("switch - nozzle", bodies), ("offset", offsets(cycles))]
+    for name, values in named:
+        slope, error, rest = line(times, values)
+        shift = abs(slope) * (times[-1] - times[0])
+        is_sure = abs(slope) > sure * error
+        if is_sure and shift > max(GOOD_SHIFT, MORE_THAN_TOUCHES * rest):
+            found.append((shift, name, 60.0 * slope))
+    if not found:
+        return None
+    shift, name, drift = max(found)
+    return Verdict("heat", CAUSES["heat"] % (name, drift))
+
+
+def shifts(cycles):
+    z = dict((site, heights(cycles, site)) for site in SITES)
+    n = len(cycles[0].nozzle)
+    noise = dict((site, touch_noise(cycles, site)) for site in SITES)
+    bodies = [s - n for s, n in zip(z["switch"], z["nozzle"])]
+    probes = [b - s for b, s in zip(z["bed"], z["switch"])]
+    both = math.sqrt((noise["switch"] ** 2 + noise["nozzle"] ** 2) / n)
+    seat = deviation(bodies)
+    limit = max(GOOD_SHIFT, MORE_THAN_TOUCHES * both)
+    is_switch = deviation(z["switch"]) > deviation(z["nozzle"])
+    if is_switch and seat > max(limit, DOMINATES * deviation(probes)):
+        return Verdict("seat", CAUSES["seat"] % (seat,))
+    together = deviation([math.fsum(h) / 3.0 for h in zip(*z.values())])
+    apart = max(seat, deviation(probes))
+    limit = MORE_THAN_TOUCHES * max(noise.values()) / math.sqrt(n)
+    if together > max(GOOD_SHIFT, limit, DOMINATES * apart):
+        return Verdict("homing", CAUSES["homing"] % (together,))
+    return None
+
+
+def shifts_alone(cycles):
+    found = dict((s, deviation(heights(cycles, s))) for s in SITES)
+    alone = max(SITES, key=found.get)
+    most = found.pop(alone)
+    noise = touch_noise(cycles, alone) / math.sqrt(len(cycles[0].nozzle))
+    limit = max(GOOD_SHIFT, MORE_THAN_TOUCHES * noise)
+    if most > max(limit, DOMINATES * max(found.values())):
+        return Verdict("alone", CAUSES["alone"] % (alone, most))
+    return None
+
+
+def touches(cycles):
+    nozzle, switch, bed = (touch_noise(cycles, site) for site in SITES)
+    most, least = max(nozzle, switch, bed), min(nozzle, switch, bed)
+    if most < GOOD_TOUCH:
+        return None
+    pin = min(nozzle, switch)
+    for cause, is_it in (
+        ("probe", bed > DOMINATES * max(nozzle, switch)),
+        ("pin", pin > max(GOOD_TOUCH, DOMINATES * bed)),
+        ("tip", nozzle > DOMINATES * max(switch, bed)),
+        ("body", switch > DOMINATES * max(nozzle, bed)),
+        ("play", least > GOOD_TOUCH and most < DOMINATES * least),
+    ):
+        if is_it:
+            return Verdict(cause, CAUSES[cause] % (most,))
+    return None
+
+
+# Lines for the console
+def tell(cycles, step, seconds):
+    for one in series(cycles):
+        text = (
+            "%s: mean %.6f, standard deviation %.6f, range %.6f, drift %.6f"
+            " per minute, consecutive difference %.6f"
+        ) % one[:-1]
+        if one.touch is not None:
+            text += ", of a touch %.6f" % (one.touch,)
+        yield text
+    yield "one CALIBRATE_Z: +-%.4f mm, %.1f s" % (
+        uncertainty(cycles, step),
+        seconds,
+    )
+    yield "verdict: %s" % (judge(cycles).text,)

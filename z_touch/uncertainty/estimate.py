@@ -1,0 +1,185 @@
+# What a measured offset is worth: pure functions; mm, and mm^2 for variances.
+# Copyright (C) 2026  the Z calibration developers, under the GNU GPLv3
+#
+# The standard uncertainty u of an offset, of which 95 % of all runs are within
+# t * u of the truth, t of Student's distribution:
+#
+#   u^2 = sum over the sites of (s^2 * c / n + r^2)  +  (step / 2)^2
+#
+#   s      spread of one touch: of this run's samples at the site, pooled with
+#          that of its earlier runs
+#   n, c   touches; 1 for their average, more for their median, see MEDIAN_OF_10
+#   r      what rounding to whole steps leaves in an average, see rounding();
+#          a median is no better than step / sqrt(12)
+#   step   of the Z motors: a touch ends on the step after the one at which it
+#          triggered, half a step too low on average, which nobody corrects
+#
+# The sum, the pooling and the degrees of freedom of t are those of the Guide to
+# the Expression of Uncertainty in Measurement (JCGM 100:2008): 5.1.2, H.3.6
+# and G.4.1 (Welch and Satterthwaite); the uncorrected half step as in F.2.4.5.
+from __future__ import absolute_import, division
+
+import collections
+import math
+
+from ..core.sampling import summarize
+
+# Of a single touch: its variance, and in how many degrees of freedom that is
+# known
+Spread = collections.namedtuple("Spread", "variance dof")
+
+# Of one site: height, its variance and degrees of freedom (dof), the samples
+# that count, and their own spread
+Estimate = collections.namedtuple("Estimate", "z variance dof kept own")
+
+UNKNOWN = Spread(0.0, 0)
+
+# Student's t for 95 % on both sides, by degrees of freedom
+T_95 = (
+    (1, 12.706),
+    (2, 4.303),
+    (3, 3.182),
+    (4, 2.776),
+    (5, 2.571),
+    (6, 2.447),
+    (8, 2.306),
+    (10, 2.228),
+    (15, 2.131),
+    (30, 2.042),
+    (float("inf"), 1.960),
+)
+
+# Variance of the median of n normal samples, times n: Teichroew, Annals of
+# Mathematical Statistics 27 (1956); its limit for many is pi / 2
+MEDIAN_OF_10 = (1, 1, 1.346, 1.193, 1.434, 1.288, 1.473, 1.346, 1.495, 1.383)
+
+# The usual noise (mm) of a switch, for whoever knows nothing better
+USUAL_NOISE = 0.004
+
+# Median of the absolute deviations from the median -> standard deviation, of
+# many, and how much more for n = 1, 2 ... 10: Croux and Rousseeuw, Computational
+# Statistics 1 (1992)
+MAD_FACTOR = 1.4826
+MAD_OF_10 = (1.0, 1.196, 1.495, 1.363, 1.206, 1.2, 1.14, 1.129, 1.107, 1.087)
+
+# From so many standard deviations on a touch is an outlier: one in 2000 of
+# normal ones is
+OUTLIER = 3.5
+
+# The spread of this run may be so many times the variance of its history, by
+# its degrees of freedom, before that counts no more: 1 % of F with 20 below
+F_99 = (8.1, 5.85, 4.94, 4.43, 4.1, 3.87, 3.7, 3.56, 3.46)
+
+
+# Linear in 1 / dof, within 1 %
+def t_factor(dof):
+    if dof <= T_95[0][0]:
+        return T_95[0][1]
+    for (low, t_low), (high, t_high) in zip(T_95, T_95[1:]):
+        if dof <= high:
+            part = (1.0 / low - 1.0 / dof) / (1.0 / low - 1.0 / high)
+            return t_low + part * (t_high - t_low)
+    return T_95[-1][1]
+
+
+# Variance of an average or median of n, in variances of one touch
+def reduction(n, method):
+    if method == "average":
+        return 1.0 / n
+    return (
+        MEDIAN_OF_10[n - 1] if n <= len(MEDIAN_OF_10) else math.pi / 2.0
+    ) / n
+
+
+# The variance that rounding to whole steps leaves in an average of many: noise
+# of more than a step takes it away, without noise it is step^2 / 12.  The
+# Fourier series of the rounding error under normal noise: Widrow and Kollar,
+# Quantization Noise (2008), chapter 4.
+def rounding(variance, step):
+    noise = max(0.0, variance - step**2 / 12.0)
+    left = 0.0
+    for k in range(1, 6):
+        exponent = -noise * (2.0 * math.pi * k / step) ** 2
+        left += math.exp(max(exponent, -700.0)) / k**2
+    return left * step**2 / (2.0 * math.pi**2)
+
+
+def spread_of(samples):
+    dof = len(samples) - 1
+    if dof < 1:
+        return UNKNOWN
+    mean = math.fsum(samples) / len(samples)
+    squares = math.fsum((z - mean) ** 2 for z in samples)
+    return Spread(squares / dof, dof)
+
+
+def pool(spreads):
+    spreads = [s for s in spreads if s.dof > 0]
+    dof = sum(s.dof for s in spreads)
+    if not dof:
+        return UNKNOWN
+    return Spread(math.fsum(s.variance * s.dof for s in spreads) / dof, dof)
+
+
+# Whether this run is no noisier than its history.  Touches that always end on
+# the same step have a variance of 0, and may end on the next one.
+def is_usual(own, past, step):
+    if not (own.dof and past.dof):
+        return True
+    limit = F_99[min(own.dof, len(F_99)) - 1]
+    return own.variance <= limit * max(past.variance, step**2 / 4.0)
+
+
+# The samples without those that are far from all others, in their order: first
+# by their median, then, as that is a poor measure for few, by what is left.
+def without_outliers(samples, past, step):
+    if len(samples) < 3:
+        return list(samples)
+    middle = summarize(samples, "median")
+    distances = [abs(z - middle) for z in samples]
+    usual = math.sqrt(past.variance) if past.dof else USUAL_NOISE
+    usual = max(usual, step / 2.0)
+    few = MAD_OF_10[min(len(samples), len(MAD_OF_10)) - 1]
+    now = few * MAD_FACTOR * summarize(distances, "median")
+    kept = within(samples, middle, max(usual, now))
+    now = math.sqrt(spread_of(kept).variance)
+    return within(samples, summarize(kept, "average"), max(usual, now))
+
+
+def within(samples, middle, noise):
+    return [z for z in samples if abs(z - middle) <= OUTLIER * noise]
+
+
+# Of samples that all count
+def estimate(samples, past, step, method):
+    own, n = spread_of(samples), len(samples)
+    spread = pool((own, past)) if is_usual(own, past, step) else own
+    variance = spread.variance * reduction(n, method)
+    if spread.dof and method == "median":
+        # One of the samples, or two: as rounded as any of them is
+        variance = max(variance, step**2 / 12.0)
+    elif spread.dof:
+        variance += rounding(spread.variance, step)
+    z = summarize(samples, method)
+    return Estimate(z, variance, spread.dof, list(samples), own)
+
+
+# Of samples of which some may be outliers, and whose number depends on what
+# they say: without a history that costs about two degrees of freedom.
+def robust_estimate(samples, past, step):
+    kept = without_outliers(samples, past, step)
+    found = estimate(kept, past, step, "average")
+    if 2 < found.dof <= found.own.dof:
+        found = found._replace(dof=found.dof - 2)
+    return found
+
+
+# Of the offset (mm, 95 %); None where nothing is known of some site
+def expanded(estimates, step):
+    if not all(e.dof for e in estimates):
+        return None
+    parts = [e.variance for e in estimates]
+    below = math.fsum(v**2 / e.dof for v, e in zip(parts, estimates))
+    total = math.fsum(parts)
+    dof = total**2 / below if below else float("inf")
+    return t_factor(dof) * math.sqrt(total + step**2 / 4.0)

@@ -1,0 +1,207 @@
+# How switch_offset is corrected: by where the nozzle was moved to, by baby steps.
+# Copyright (C) 2026  the Z calibration developers, under the GNU GPLv3
+#
+# A larger switch_offset moves the nozzle closer to the bed, a larger G-code
+# offset moves it away:
+#
+#   new switch_offset = old - change of the G-code offset
+from __future__ import absolute_import
+
+import collections
+import functools
+
+from ..core import frame, options, running, saving
+from ..core.errors import CalibrationError
+
+# What the web interfaces send when their user saves the Z offset
+BUTTONS = ("Z_OFFSET_APPLY_ENDSTOP", "Z_OFFSET_APPLY_PROBE")
+SAVE_BUTTON = {"off": False, "switch_offset": True}
+
+# More (mm) is no baby step, or a typing error
+LARGEST_STEP = 0.5
+
+# Less (mm) than this is rounding
+NO_STEP = 0.0000005
+
+# The G-code offset that CALIBRATE_Z, or a correction since, has left, and the
+# switch_offset that belongs to it (mm)
+Base = collections.namedtuple("Base", "offset switch_offset")
+
+
+# Whether the buttons save into switch_offset
+def read_button(config):
+    return config.getchoice("save_button", SAVE_BUTTON, "off")
+
+
+# The height Z=0 of the nozzle was moved to by the user is the offset that is
+# right; the difference belongs to switch_offset.
+def corrected_switch_offset(switch_offset, z, z_offset):
+    return switch_offset - (z - z_offset)
+
+
+# 'z_offset': the G-code offset now
+def check_steps(base, z_offset, force):
+    change = z_offset - base.offset
+    new = corrected_switch_offset(base.switch_offset, z_offset, base.offset)
+    text = (
+        "switch_offset=%.3f - (G-code offset=%.3f - %.3f of CALIBRATE_Z)"
+        " --> new switch_offset=%.3f" % (base[1], z_offset, base[0], new)
+    )
+    if new < 0.0:
+        raise CalibrationError(
+            "%s, which cannot be negative: the pin does not press the switch"
+            " body, or the G-code offset is none of CALIBRATE_Z" % (text,)
+        )
+    if force:
+        return new, text
+    if not z_offset:
+        raise CalibrationError(
+            "the G-code offset is 0, not that of CALIBRATE_Z with baby steps:"
+            " something has reset it; set it again with SET_GCODE_OFFSET, or"
+            " add FORCE=1 if 0 is right"
+        )
+    if abs(change) > LARGEST_STEP:
+        raise CalibrationError(
+            "%s: a change of more than %g mm is none of baby steps; check the"
+            " probe, or add FORCE=1" % (text, LARGEST_STEP)
+        )
+    return new, text
+
+
+# 'module' is the object behind [z_calibration].
+class Corrections(object):
+    def __init__(self, module):
+        self.module = module
+        self.host = module.host
+        self.saver = saving.Saver(module.host)
+        # Which of the module's results was corrected, and what came of it
+        self.corrected = None
+        self.base = None
+        self.hinted = False
+        # A switch_offset that counts, and was not handed to SAVE_CONFIG
+        self.unsaved = None
+        register = module.host.printer.register_event_handler
+        register("klippy:connect", self.take_buttons)
+        running.register_commands(module.host, self)
+
+    # The commands of the host: whoever sends them is asked first
+    def take_buttons(self):
+        gcode = self.host.gcode
+        for name in BUTTONS:
+            handler = gcode.register_command(name, None)
+            if handler is not None:
+                ours = functools.partial(self.pressed, name, handler)
+                text = gcode.gcode_help.get(name)
+                gcode.register_command(name, ours, desc=text)
+
+    def pressed(self, name, handler, gcmd):
+        reason, ours = self.why_not(), self.module.settings.save_button
+        if ours and not reason:
+            self.run(gcmd, self.save_steps, True, False)
+            return
+        change = self.host.gcode_offset() - self.current().offset
+        handler(gcmd)
+        if ours:
+            text = "%s: %s: %s saves as ever, nothing goes into switch_offset"
+            gcmd.respond_info(text % (self.host.name, reason, name))
+        elif not reason and abs(change) > NO_STEP and not self.hinted:
+            self.hinted = True
+            gcmd.respond_info(
+                "%s: CALIBRATE_Z measures anew what %s saves: the baby step of"
+                " %.3f is gone then. Z_CALIBRATION_SAVE_GCODE_OFFSET keeps it,"
+                " 'save_button: switch_offset' in section '%s' makes this"
+                " button do so" % (self.host.name, name, change, self.host.name)
+            )
+
+    def run(self, gcmd, work, *args):
+        self.module.runner.check_idle(gcmd)
+        try:
+            work(gcmd, *args)
+        except CalibrationError as e:
+            raise gcmd.error("z_calibration: %s" % (e,))
+
+    # Why there is nothing that baby steps could be counted from; empty: there
+    # is.  After a print the motors may be off.
+    def why_not(self):
+        module = self.module
+        if module.last.result is None:
+            return module.why_not()
+        return module.frame.moved_since(module.last.mark, frame.MOTORS_OFF)
+
+    def current(self):
+        last = self.module.last
+        if last is not self.corrected:
+            result = last.result
+            self.corrected = last
+            self.base = Base(last.applied, result and result.switch_offset)
+        return self.base
+
+    # Z_CALIBRATION_SAVE_GCODE_OFFSET
+    cmd_Z_CALIBRATION_SAVE_GCODE_OFFSET_help = (
+        "Take baby steps over into switch_offset"
+    )
+
+    def cmd_Z_CALIBRATION_SAVE_GCODE_OFFSET(self, gcmd):
+        is_saved = bool(options.param_int(gcmd, "SAVE", 1))
+        force = bool(options.param_int(gcmd, "FORCE", 0))
+        self.run(gcmd, self.save_steps, is_saved, force)
+
+    def save_steps(self, gcmd, is_saved, force):
+        reason = self.why_not()
+        if reason:
+            raise CalibrationError(
+                "%s; baby steps count from the last CALIBRATE_Z: run it, then"
+                " correct the first layer" % (reason,)
+            )
+        base, z_offset = self.current(), self.host.gcode_offset()
+        if abs(z_offset - base.offset) < NO_STEP:
+            text = "%s: nothing was changed with baby steps since CALIBRATE_Z"
+            gcmd.respond_info(text % (self.host.name,))
+            self.keep(is_saved)
+            return
+        new, text = check_steps(base, z_offset, force)
+        new = round(new, 3)
+        self.base = Base(z_offset, new)
+        self.module.settings = self.module.settings._replace(switch_offset=new)
+        gcmd.respond_info("%s: %s" % (self.host.name, text))
+        self.unsaved = new
+        self.keep(is_saved)
+
+    def keep(self, is_saved):
+        if is_saved and self.unsaved is not None:
+            text = "%.3f" % (self.unsaved,)
+            if self.saver.save(self.host.name, "switch_offset", text):
+                self.unsaved = None
+
+    # CALCULATE_SWITCH_OFFSET
+    cmd_CALCULATE_SWITCH_OFFSET_help = (
+        "Calculate switch_offset with the nozzle moved to where Z=0 should be"
+    )
+
+    def cmd_CALCULATE_SWITCH_OFFSET(self, gcmd):
+        self.run(gcmd, self.calculate)
+
+    def calculate(self, gcmd):
+        module, last = self.module, self.module.last
+        reason = module.why_not()
+        if reason:
+            raise CalibrationError(
+                "%s; run CALIBRATE_Z first, then move the nozzle to where Z=0"
+                " should be" % (reason,)
+            )
+        old = module.switch_offset(gcmd, last.result.switch_offset)
+        z, z_offset = self.host.z(), last.result.offset + last.z_adjust
+        new = corrected_switch_offset(old, z, z_offset)
+        text = (
+            "switch_offset=%.3f - (current_z=%.3f - z_offset=%.3f)"
+            " --> new switch_offset=%.3f" % (old, z, z_offset, new)
+        )
+        if new < 0.0:
+            raise CalibrationError(
+                "%s, which cannot be negative; the nozzle is still too far"
+                " from the bed, or the pin does not press the switch body"
+                % (text,)
+            )
+        gcmd.respond_info("%s: %s" % (self.host.name, text))
+        if options.param_int(gcmd, "SAVE", 0):
+            self.saver.save(self.host.name, "switch_offset", "%.3f" % (new,))
