@@ -34,7 +34,7 @@ words = st.text(st.characters(exclude_categories=["Cs"]), max_size=30)
 def dialog(lines, said):
     """One that writes its lines, and what it says, into lists."""
     gcode = SimpleNamespace(respond_raw=lines.append)
-    host = SimpleNamespace(gcode=gcode, name="it")
+    host = SimpleNamespace(gcode=gcode, section="it")
     return Dialog(host, said.append, "DO_%s PROBE=a")
 
 

@@ -9,6 +9,7 @@ import math
 
 from .. import __version__
 from ..core import (
+    endstops,
     errors,
     frame,
     host,
@@ -219,7 +220,7 @@ class BedSensor(object):
         self.host = machine
         self.pin = config.get("pin")
         remedy = "give the pin of the bed sensor, as in 'pin: U_1:PC1'"
-        self.endstop = machine.make_endstop(config, "pin", remedy)
+        self.endstop = machine.endstops.make(config, "pin", remedy)
         # Exist when klippy connects
         self.motors = None
 
@@ -372,7 +373,7 @@ class ProbeMeasurement(object):
                 return self.homed_z(self.head.probe(probe_once))
             # A host unknown to us: its probing would go on to position_min
             speed = self.settings.sampling.speed
-            return self.head.touch(self.host.probe_endstop(), floor, speed)
+            return self.head.touch(self.host.probing.endstop(), floor, speed)
         except errors.CalibrationError as e:
             if not touching.is_at(self.host, floor):
                 raise
@@ -383,7 +384,10 @@ class ProbeMeasurement(object):
 
     # As G28, from which the correction is counted, or else the mesh sees it
     def homed_z(self, probed):
-        if self.known.homes_with_probe and not self.host.homes_with_twist():
+        if (
+            self.known.homes_with_probe
+            and not self.host.probing.homes_with_twist()
+        ):
             return probed.z
         return probed.z + probed.twist
 
@@ -478,7 +482,7 @@ class Run(object):
         self.check_left()
         probe_z = ProbeMeasurement(self).measure(sensor_z)
         self.lift()
-        probe_z_offset = self.host.probe.get_offsets()[2]
+        probe_z_offset = self.host.probing.offsets()[2]
         parts = (sensor_z, probe_z, probe_z_offset, self.settings.z_offset)
         return Result(*parts + (correction(*parts),))
 
@@ -492,7 +496,7 @@ class Known(object):
         self.frame = frame.Frame(machine)
         # A host that homes Z with the probe believes what the probe says
         pin = machine.z_axis.endstop_pin
-        self.homes_with_probe = host.chip_of(pin) == "probe"
+        self.homes_with_probe = endstops.chip_of(pin) == "probe"
         # None: never measured; and the z_offset of the probe that it was
         # measured with, None: not known.  The documented default of 0 means
         # that, too.
@@ -511,7 +515,7 @@ class Known(object):
     def follow_probe(self):
         if self.correction is None or self.corrected_z_offset is None:
             return ""
-        z_offset = self.host.probe.get_offsets()[2]
+        z_offset = self.host.probing.offsets()[2]
         moved = z_offset - self.corrected_z_offset
         if abs(moved) < SAVED_DIGIT:
             return ""
@@ -530,11 +534,11 @@ class Known(object):
         homed_z = self.host.z_axis.position_endstop
         if homed_z is None or not self.homes_with_probe:
             return 0.0
-        return homed_z - self.host.probe.get_offsets()[2]
+        return homed_z - self.host.probing.offsets()[2]
 
     # and where it triggers
     def homed_probe_z(self):
-        return self.homed_bed_z() + self.host.probe.get_offsets()[2]
+        return self.homed_bed_z() + self.host.probing.offsets()[2]
 
     def touched(self, sensor_z):
         self.sensor_z = sensor_z
@@ -726,7 +730,7 @@ class AutoZOffset(object):
 
     def check_probe(self):
         machine = self.host
-        if machine.probe is None:
+        if machine.probing.probe is None:
             raise self.printer.config_error(
                 "Section 'probe' is missing: auto_z_offset corrects the"
                 " inductive probe that Z is homed with"
@@ -734,14 +738,14 @@ class AutoZOffset(object):
         lookup = functools.partial(self.printer.lookup_object, default=None)
         special = [lookup(name) for name in ("bltouch", "smart_effector")]
         # One that may be touched without the host's own procedure
-        is_plain = special == [None, None] and machine.probe_endstop()
-        if machine.probe_limit()[0] is None and not is_plain:
+        is_plain = special == [None, None] and machine.probing.endstop()
+        if machine.probing.limit()[0] is None and not is_plain:
             raise self.printer.config_error(
                 "Section 'probe' (%s): this probe cannot be told how far down"
                 " to look, a missing trigger would drive the nozzle into the"
                 " bed; auto_z_offset needs a [probe], [smart_effector] or"
                 " [bltouch], or remove section 'auto_z_offset'"
-                % (machine.probe.__class__.__name__,)
+                % (machine.probing.probe.__class__.__name__,)
             )
 
     def note_speed(self):
@@ -791,7 +795,7 @@ class AutoZOffset(object):
         return touching.Site("bed", middle[0], middle[1], origin)
 
     def probe_site(self, bed):
-        x_offset, y_offset = self.host.probe.get_offsets()[:2]
+        x_offset, y_offset = self.host.probing.offsets()[:2]
         origin = "%s, with the probe above it," % (bed.origin,)
         x, y = bed.x - x_offset, bed.y - y_offset
         return touching.Site("probe", x, y, origin)
@@ -827,7 +831,7 @@ class AutoZOffset(object):
                 "activate_gcode is not run, the bed sensor may be off; move it"
                 " into prepare_gcode"
             )
-        if self.host.is_manual_probing():
+        if self.host.probing.is_manual_probing():
             raise errors.CalibrationError(
                 "a manual probe is under way; end it with ACCEPT or ABORT first"
             )
@@ -1003,7 +1007,7 @@ class AutoZOffset(object):
         self.known.correction = z_offset
         for option, value in (
             ("probe_z_correction", z_offset),
-            ("corrected_probe_z_offset", self.host.probe.get_offsets()[2]),
+            ("corrected_probe_z_offset", self.host.probing.offsets()[2]),
         ):
             options.save(self.printer, NAME, option, "%.6f" % (value,))
 

@@ -112,7 +112,7 @@ class Motors(object):
         texts = [
             "%s: the current of %s could not be set back: %s; run"
             " SET_TMC_CURRENT STEPPER=%s CURRENT=%.3f or FIRMWARE_RESTART"
-            % (self.host.name, name, error, name, amps[name])
+            % (self.host.section, name, error, name, amps[name])
             for name, error in sorted(failed.items())
         ]
         for text in texts:

@@ -81,7 +81,7 @@ class Dialog(object):
         self.close()
         if question is None:
             text = "%s: nothing was asked; begin with %s"
-            raise gcmd.error(text % (self.host.name, self.begin))
+            raise gcmd.error(text % (self.host.section, self.begin))
         return question
 
     # The same of CONTINUE.  A button that is pressed twice must not answer
@@ -90,5 +90,5 @@ class Dialog(object):
         asked, waits_for = gcmd.get("QUESTION", "").strip(), self.waits_for()
         if waits_for and asked not in ("", waits_for):
             text = "%s: QUESTION=%s is not what is asked now, which is %s"
-            raise gcmd.error(text % (self.host.name, asked, waits_for))
+            raise gcmd.error(text % (self.host.section, asked, waits_for))
         return self.answered(gcmd)

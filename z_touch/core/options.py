@@ -2,6 +2,7 @@
 # Copyright (C) 2026  the Z calibration developers, under the GNU GPLv3
 from __future__ import absolute_import
 
+import collections
 import functools
 import math
 
@@ -89,6 +90,196 @@ class OldNames(object):
         return found
 
 
+######################################################################
+# Options as a table
+######################################################################
+
+# A row: how a value is written and read (Kind); what it is where the option is
+# left out, None for "something else decides"; limits as the host's getters take
+# them (minval, maxval, above, below); its unit, one sentence for the document,
+# and the names that the option had.
+Option = collections.namedtuple(
+    "Option", "name kind default limits unit text old"
+)
+
+# What an owner writes, in words; read(config, name, row); and values that must
+# be refused, besides those outside the limits of a row
+Kind = collections.namedtuple("Kind", "word read nonsense")
+
+
+def option(name, kind, default, unit, text, old=(), **limits):
+    return Option(name, kind, default, limits, unit, text, old)
+
+
+def _read_number(config, name, row):
+    return number(config, name, row.default, **row.limits)
+
+
+def _read_count(config, name, row):
+    return config.getint(name, row.default, **row.limits)
+
+
+def _read_flag(config, name, row):
+    return config.getboolean(name, row.default)
+
+
+def _read_text(config, name, row):
+    return config.get(name, row.default)
+
+
+def _read_pair(config, name, row):
+    return pair(config, name)
+
+
+def _read_margins(config, name, row):
+    return margins(config, name, row.default)
+
+
+def _read_samples(config, name, row):
+    count = samples(config)
+    return row.default if count is None else count
+
+
+NUMBER = Kind("number", _read_number, ("many", "nan", "inf", "1,5"))
+COUNT = Kind("whole number", _read_count, ("many", "1.5"))
+FLAG = Kind("True or False", _read_flag, ("maybe",))
+TEXT = Kind("text", _read_text, ())
+PAIR = Kind("X, Y", _read_pair, ("100", "1, 2, 3", "a, b", "nan, 1"))
+MARGINS = Kind("low, high", _read_margins, ("1, -1", "1, 2, 3", "nan", "0"))
+SAMPLES = Kind("whole number or auto", _read_samples, ("0", "1.5", "some"))
+
+
+# One of some words, each for a value
+def choice(values):
+    def read(config, name, row):
+        return config.getchoice(name, values, row.default)
+
+    words = sorted(word for word in values if word is not None)
+    return Kind(" or ".join(words), read, ("neither",))
+
+
+RESULT = choice(RESULTS)
+
+
+# A record of all options of a table by their names, and of 'also', what follows
+# from them or comes when klippy connects
+def record(name, rows, also=""):
+    return collections.namedtuple(
+        name, [row.name for row in rows] + also.split()
+    )
+
+
+# The values of all rows by their names.  'defaults' are those that other
+# sections decide; 'old_names' is told of options under the names of old.
+def read(config, rows, old_names=None, **defaults):
+    old_names = old_names or OldNames(config)
+    return {
+        row.name: row.kind.read(
+            config,
+            old_names.name_of(row.name, *row.old),
+            row._replace(default=defaults.get(row.name, row.default)),
+        )
+        for row in rows
+    }
+
+
+# Values (text) that a row must not accept
+def nonsense(row):
+    limits = row.limits
+    outside = [
+        "%g" % (limits[name] + step,)
+        for name, step in (("minval", -1), ("above", 0), ("maxval", 1))
+        if name in limits
+    ]
+    return list(row.kind.nonsense) + outside
+
+
+######################################################################
+# Sampling, as [probe] has it in options and in parameters
+######################################################################
+
+# On every host; lift_speed is as speed where it is left out
+PROBE_OPTIONS = (
+    option("samples", COUNT, 1, "", "How often a point is touched.", minval=1),
+    option(
+        "samples_tolerance",
+        NUMBER,
+        0.1,
+        "mm",
+        "By how much the touches of a point may differ.",
+        minval=0.0,
+    ),
+    option(
+        "samples_tolerance_retries",
+        COUNT,
+        0,
+        "",
+        "How often the touches of a point begin again if they differ by more.",
+        minval=0,
+    ),
+    option(
+        "samples_result",
+        RESULT,
+        "average",
+        "",
+        "What becomes of the touches of a point.",
+    ),
+    option("speed", NUMBER, 5.0, "mm/s", "Of a touch.", above=0.0),
+    option(
+        "sample_retract_dist",
+        NUMBER,
+        2.0,
+        "mm",
+        "How far the head is lifted between two touches.",
+        above=0.0,
+    ),
+    option("lift_speed", NUMBER, None, "mm/s", "Of the way up.", above=0.0),
+)
+
+
+def read_sampling(config, **defaults):
+    given = read(config, PROBE_OPTIONS, **defaults)
+    return Sampling(
+        samples=given["samples"],
+        tolerance=given["samples_tolerance"],
+        retries=given["samples_tolerance_retries"],
+        result=given["samples_result"],
+        speed=given["speed"],
+        retract_dist=given["sample_retract_dist"],
+        lift_speed=given["lift_speed"] or given["speed"],
+    )
+
+
+# The same, with another record for what is left out
+def as_defaults(found):
+    return {
+        "samples": found.samples,
+        "samples_tolerance": found.tolerance,
+        "samples_tolerance_retries": found.retries,
+        "samples_result": found.result,
+        "speed": found.speed,
+        "sample_retract_dist": found.retract_dist,
+        "lift_speed": found.lift_speed,
+    }
+
+
+def param_sampling(gcmd, own):
+    get = functools.partial(param_number, gcmd)
+    count = functools.partial(param_int, gcmd)
+    result = gcmd.get("SAMPLES_RESULT", "").strip().lower() or own.result
+    if result not in RESULTS:
+        raise param_error(gcmd, "SAMPLES_RESULT", "median or average")
+    return Sampling(
+        samples=count("SAMPLES", own.samples, minval=1),
+        tolerance=get("SAMPLES_TOLERANCE", own.tolerance, minval=0.0),
+        retries=count("SAMPLES_TOLERANCE_RETRIES", own.retries, minval=0),
+        result=result,
+        speed=get("PROBE_SPEED", own.speed, above=0.0),
+        retract_dist=get("SAMPLE_RETRACT_DIST", own.retract_dist, above=0.0),
+        lift_speed=get("LIFT_SPEED", own.lift_speed, above=0.0),
+    )
+
+
 # Parameters of a command; a blank one counts as not given.
 
 
@@ -124,46 +315,6 @@ def param_error(gcmd, name, wanted):
     return gcmd.error(
         "Error on '%s': %s has to be %s"
         % (gcmd.get_commandline(), name, wanted)
-    )
-
-
-# Sampling, as [probe] has it in options and in parameters
-
-# Where the options are left out, on every host; lift_speed is as speed
-PROBE_SAMPLING = Sampling(1, 0.1, 0, "average", 5.0, 2.0, None)
-
-
-def read_sampling(config, defaults=PROBE_SAMPLING):
-    get = functools.partial(number, config)
-    count = config.getint
-    speed = get("speed", defaults.speed, above=0.0)
-    return Sampling(
-        samples=count("samples", defaults.samples, minval=1),
-        tolerance=get("samples_tolerance", defaults.tolerance, minval=0.0),
-        retries=count("samples_tolerance_retries", defaults.retries, minval=0),
-        result=config.getchoice("samples_result", RESULTS, defaults.result),
-        speed=speed,
-        retract_dist=get(
-            "sample_retract_dist", defaults.retract_dist, above=0.0
-        ),
-        lift_speed=get("lift_speed", defaults.lift_speed or speed, above=0.0),
-    )
-
-
-def param_sampling(gcmd, own):
-    get = functools.partial(param_number, gcmd)
-    count = functools.partial(param_int, gcmd)
-    result = gcmd.get("SAMPLES_RESULT", "").strip().lower() or own.result
-    if result not in RESULTS:
-        raise param_error(gcmd, "SAMPLES_RESULT", "median or average")
-    return Sampling(
-        samples=count("SAMPLES", own.samples, minval=1),
-        tolerance=get("SAMPLES_TOLERANCE", own.tolerance, minval=0.0),
-        retries=count("SAMPLES_TOLERANCE_RETRIES", own.retries, minval=0),
-        result=result,
-        speed=get("PROBE_SPEED", own.speed, above=0.0),
-        retract_dist=get("SAMPLE_RETRACT_DIST", own.retract_dist, above=0.0),
-        lift_speed=get("LIFT_SPEED", own.lift_speed, above=0.0),
     )
 
 

@@ -24,15 +24,15 @@ def always(host, action, what):
         except (host.printer.command_error, CalibrationError):
             if not failed:
                 raise
-            logging.exception("%s: %s failed, too", host.name, what)
+            logging.exception("%s: %s failed, too", host.section, what)
         except Exception as e:
             # Of the host, such as moving after a board was lost: the
             # printer has to end, but the first error is what is told
             if not failed:
                 raise
-            logging.exception("%s: %s failed, too", host.name, what)
+            logging.exception("%s: %s failed, too", host.section, what)
             text = "%s: %s failed after another error: %s"
-            host.printer.invoke_shutdown(text % (host.name, what, e))
+            host.printer.invoke_shutdown(text % (host.section, what, e))
 
 
 # Each cmd_NAME of a module is the command NAME, cmd_NAME_help its description.
@@ -89,7 +89,7 @@ class Watch(object):
 class Runner(object):
     def __init__(self, host):
         self.host = host
-        self.watch = Watch(host.name, host.gcode.respond_info)
+        self.watch = Watch(host.section, host.gcode.respond_info)
 
     # Returns what work() does.  After any error of it the G-code offset is as
     # it was, and failed(error) is called; what a CalibrationError says becomes
@@ -102,7 +102,7 @@ class Runner(object):
             return work()
         except CalibrationError as e:
             self._undo(before, e, failed)
-            raise gcmd.error("%s: %s" % (self.host.name, e))
+            raise gcmd.error("%s: %s" % (self.host.section, e))
         except self.host.printer.command_error as e:
             self._undo(before, e, failed)
             raise
@@ -114,7 +114,7 @@ class Runner(object):
         if self.watch.phase != "idle":
             raise gcmd.error(
                 "%s: a measurement is under way (%s); start another one when"
-                " it has ended" % (self.host.name, self.watch.phase)
+                " it has ended" % (self.host.section, self.watch.phase)
             )
 
     # Whatever the user's G-code has done to it, the offset is as before.

@@ -84,9 +84,9 @@ class Saver(object):
             say(
                 "%s: SAVE_CONFIG cannot change %s: it is in %s, an included"
                 " file. Write there '%s: %s', then RESTART"
-                % (self.host.name, option, obstacle, option, text)
+                % (self.host.section, option, obstacle, option, text)
             )
             return False
         save(self.printer, section, option, text)
-        say("%s: %s: %s\n%s" % (self.host.name, option, text, SAVE_HINT))
+        say("%s: %s: %s\n%s" % (self.host.section, option, text, SAVE_HINT))
         return True

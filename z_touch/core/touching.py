@@ -166,10 +166,10 @@ def probing(head, floor, top, **params):
     host = head.host
     # One by one: what is wanted of several is looked at between them
     params["SAMPLES"] = "1"
-    probe_once, end = host.start_probing(params)
+    probe_once, end = host.probing.start(params)
     # An error inside activate_gcode makes the host end the session by itself;
     # ending it again is then an error that must not be shown.
     session = always(host, end, "ending the probe session")
     lift = always(host, functools.partial(head.lift, top), "lifting")
-    with session, host.probe_floor(floor) as limited, lift:
+    with session, host.probing.floor(floor) as limited, lift:
         yield probe_once if limited else None

@@ -8,7 +8,7 @@ import logging
 import math
 
 from .. import __version__
-from ..core import host, options, running, templates, touching
+from ..core import endstops, host, options, running, templates, touching
 from . import detour as ways
 from . import virtual_probe as probe_host
 
@@ -198,7 +198,9 @@ Sense = collections.namedtuple("Sense", "name endstop when_attached")
 class Sensors(object):
     def __init__(self, config, machine, printer):
         self.host = machine
-        self.pin = Sense("pin", printer.make_endstop(config, "pin"), False)
+        self.pin = Sense(
+            "pin", machine.endstops.make_plain(config, "pin"), False
+        )
         self.senses = []  # besides 'pin'
         check_open = config.getboolean("check_open_attach", None)
         for name, when_attached in (
@@ -206,7 +208,7 @@ class Sensors(object):
             ("dock_sense_pin", False),
         ):
             if config.get(name, "").strip():
-                endstop = printer.make_endstop(config, name)
+                endstop = machine.endstops.make_plain(config, name)
                 self.senses.append(Sense(name, endstop, when_attached))
         if check_open is None:
             # As other plugins have it
@@ -242,7 +244,7 @@ class Sensors(object):
 
     # The same, but the head need not stop to see the probe where it was left
     def look_again(self):
-        if self.state(self.host.now(), self.all) == self.left != UNKNOWN:
+        if self.state(self.host.print_time(), self.all) == self.left != UNKNOWN:
             return self.left
         return self.look()
 
@@ -377,7 +379,7 @@ class Ways(object):
 
 
 def probe_error(machine, text):
-    return machine.printer.command_error("%s: %s" % (machine.name, text))
+    return machine.printer.command_error("%s: %s" % (machine.section, text))
 
 
 # What takes the probe from one state into the other: parts of the way, and what
@@ -408,7 +410,7 @@ class Docking(object):
         self.templates = templates
 
     def say(self, text):
-        self.host.gcode.respond_info("%s: %s" % (self.host.name, text))
+        self.host.gcode.respond_info("%s: %s" % (self.host.section, text))
 
     # Puts the probe on the head, and goes back to 'goal' where there is one.
     # What reads "attached" has changed on the way out of the dock, then.
@@ -431,7 +433,7 @@ class Docking(object):
             self.say("it reads attached, which proves nothing; docking it")
             self.dock()
             state = DOCKED
-        if not self.sensors.reads(self.sensors.pin, self.host.now()):
+        if not self.sensors.reads(self.sensors.pin, self.host.print_time()):
             self.say(
                 "'pin' reads open without the probe, too: if it breaks, nothing"
                 " stops the nozzle; wire it as normally closed, and set"
@@ -560,7 +562,7 @@ class Prober(object):
     # the move ends where it began.
     def before_move(self):
         sensors, senses = self.sensors, self.sensors.senses
-        if senses and sensors.state(self.host.now(), senses) != ATTACHED:
+        if senses and sensors.state(self.host.print_time(), senses) != ATTACHED:
             raise self.lost("is not ready")
         if sensors.left != ATTACHED:
             raise self.lost("was not seen to be fetched")
@@ -571,7 +573,7 @@ class Prober(object):
         self.clear_z = self.host.z() + self.settings.retract
         self.run_still("deactivate", True)
         senses = sensors.senses
-        if senses and sensors.state(self.host.now(), senses) != ATTACHED:
+        if senses and sensors.state(self.host.print_time(), senses) != ATTACHED:
             raise self.lost("was lost in a touch")
         if not moved:
             raise self.lost("triggered before the head moved")
@@ -683,7 +685,9 @@ class DockableProbe(object):
         self.probe_host = probe_host.ProbeHost(machine)
         old = self.old_names = options.OldNames(config)
         axis = machine.z_axis
-        is_z_endstop = bool(axis and host.chip_of(axis.endstop_pin) == "probe")
+        is_z_endstop = bool(
+            axis and endstops.chip_of(axis.endstop_pin) == "probe"
+        )
         endstop_z = axis.position_endstop if axis else None
         settings = read_settings(config, is_z_endstop, endstop_z, old)
         self.settings = settings
@@ -757,7 +761,7 @@ class DockableProbe(object):
 
     def wrong(self, name, what):
         text = "Option '%s_position' in section '%s': %s"
-        text %= (name, self.host.name, what)
+        text %= (name, self.host.section, what)
         return self.host.printer.config_error(text)
 
     def tell_notes(self):

@@ -88,7 +88,7 @@ class SessionProbe(object):
         names = "x_offset", "y_offset"
         x, y = [options.number(config, name, 0.0) for name in names]
         self.offsets = x, y, facade.z_offset
-        self.sampling = read_sampling(config)
+        self.sampling = options.read_sampling(config)
         self.drop_first = config.getboolean("drop_first_result", False)
         # Since 2025-12-20, 9ccb4d96e
         manual_probe = host_module("manual_probe")
@@ -127,7 +127,7 @@ class SessionProbe(object):
         if self.session is not None:
             raise gcmd.error(
                 "%s: a command that probes is under way; start another one"
-                " when it has ended" % (self.device.host.name,)
+                " when it has ended" % (self.device.host.section,)
             )
         # Homing comes here since 2026-05-25 (43baf9b83)
         self.device.begin(gcmd.get_command() == "G28")
@@ -178,7 +178,7 @@ class Session(object):
         try:
             heights = sampling.collect(touch, wanted, gcmd.respond_info, DIFFER)
         except SamplesDiffer as e:
-            raise gcmd.error("%s: %s" % (self.host.name, e))
+            raise gcmd.error("%s: %s" % (self.host.section, e))
         z = sampling.summarize(heights, wanted.result)
         self.results.append(self.moved(taken[-1], z - heights[-1]))
         return self.results[-1]
@@ -231,24 +231,9 @@ class Session(object):
     def end_probe_session(self):
         if self.probe.session is not self:
             raise self.host.printer.command_error(
-                "%s: the probe session has ended already" % (self.host.name,)
+                "%s: the probe session has ended already" % (self.host.section,)
             )
         self.probe.end_session()
-
-
-def read_sampling(config):
-    number = functools.partial(options.number, config)
-    speed = number("speed", 5.0, above=0.0)
-    results = {name: name for name in ("median", "average")}
-    return sampling.Sampling(
-        samples=config.getint("samples", 1, minval=1),
-        tolerance=number("samples_tolerance", 0.1, minval=0.0),
-        retries=config.getint("samples_tolerance_retries", 0, minval=0),
-        result=config.getchoice("samples_result", results, "average"),
-        speed=speed,
-        retract_dist=number("sample_retract_dist", 2.0, above=0.0),
-        lift_speed=number("lift_speed", speed, above=0.0),
-    )
 
 
 # The module of the host that is called so; it is a neighbour of the folder z_touch,
@@ -266,20 +251,6 @@ class ProbeHost(object):
         self.facade = self.probe = None
         # What the user is told
         self.notes = []
-
-    # A pin that is only looked at, or that ends a probing move
-    def make_endstop(self, config, option):
-        pin = config.get(option)
-        pins = self.printer.lookup_object("pins")
-        try:
-            return pins.setup_pin("endstop", pin)
-        except pins.error as e:
-            raise options.config_error(
-                config,
-                option,
-                "cannot be used: %s; give the pin that the switch is wired to,"
-                " such as ^PA1" % (e,),
-            )
 
     # Makes the printer's 'probe' of a device with this endstop, see Facade.
     def install(self, config, device, endstop, z_offset):
@@ -299,7 +270,7 @@ class ProbeHost(object):
             if not knows and config.getboolean("drop_first_result", False):
                 self.notes.append("drop_first_result needs a newer Klipper")
         register("homing:home_rails_end", self._homing_ends)
-        register("klippy:mcu_identify", self._add_z_steppers)
+        self.host.endstops.stops_z(self.facade)
         try:
             self.printer.add_object("probe", self.probe)
         except self.printer.config_error:
@@ -320,11 +291,6 @@ class ProbeHost(object):
         register("homing:homing_move_begin", self._move_begins)
         register("homing:homing_move_end", self._move_ends)
         register("gcode:command_error", self._command_error)
-
-    def _add_z_steppers(self):
-        self.host.toolhead = self.printer.lookup_object("toolhead")
-        for stepper in self.host.z_steppers():
-            self.facade.add_stepper(stepper)
 
     # Whether Z is homed with the probe
     def is_z_endstop(self):
@@ -370,7 +336,7 @@ class ProbeHost(object):
         try:
             self.probe.command_error()
         except self.printer.command_error:
-            logging.exception("%s: ending the session", self.host.name)
+            logging.exception("%s: ending the session", self.host.section)
 
     # Z up by a distance (mm) where nobody knows where it is, and still nobody
     # does then.

@@ -10,6 +10,7 @@ import logging
 from .. import __version__
 from ..core import (
     dialogs,
+    endstops,
     errors,
     frame,
     host,
@@ -80,17 +81,17 @@ def floor(settings, homing, axis_min, own=None):
 # itself, as it is there.
 def read_settings(config):
     number = functools.partial(options.number, config)
-    defaults, thickness = options.PROBE_SAMPLING, 0.0
+    defaults, thickness = {}, 0.0
     if config.get_name().split()[-1] == PROBE:
         probe = config.getsection(PROBE)
-        defaults = options.read_sampling(probe)
+        defaults = options.as_defaults(options.read_sampling(probe))
         thickness = options.number(probe, "z_offset", 0.0)
     place = options.pair(config, "xy_position")
     if place is not None:
         place = touching.option_site(config, "switch", "xy_position", place)
     return Settings(
         thickness=number("z_offset", thickness, minval=0.0),
-        sampling=options.read_sampling(config, defaults),
+        sampling=options.read_sampling(config, **defaults),
         position_min=number("position_min"),
         place=place,
         safe_z=number("safe_z_height", SAFE_Z, above=0.0),
@@ -106,7 +107,7 @@ class OwnSwitch(object):
         self.query = query
         remedy = "give the pin of the switch; where [probe] is the switch,"
         remedy += " the section has to be called 'extra_probe probe'"
-        self._endstop = machine.make_endstop(config, "pin", remedy)
+        self._endstop = machine.endstops.make(config, "pin", remedy)
         load = functools.partial(templates.load_template, config)
         self.activate = load("activate_gcode", "")
         self.deactivate = load("deactivate_gcode", "")
@@ -156,7 +157,7 @@ class HostSwitch(object):
         self.host = machine
 
     def endstop(self):
-        return self.host.probe_endstop()
+        return self.host.probing.endstop()
 
     @contextlib.contextmanager
     def series(self, head, lowest, top):
@@ -182,7 +183,7 @@ class ExtraProbe(object):
         self.runner = running.Runner(self.host)
         self.settings = read_settings(config)
         # What makes the object 'probe', if its section is one that we know
-        known = [s for s, _ in host.PROBE_PINS if config.has_section(s)]
+        known = [s for s, _ in endstops.PROBE_PINS if config.has_section(s)]
         self.probe_section = known[0] if known else None
         # None: nobody knows, or klippy has not connected yet
         self.homing = None
@@ -201,14 +202,16 @@ class ExtraProbe(object):
     def connect(self):
         machine = self.host
         machine.connect()
-        if hasattr(machine.probe, "get_offsets"):
-            self.probe_z_offset = machine.probe.get_offsets()[2]
+        if hasattr(machine.probing.probe, "get_offsets"):
+            self.probe_z_offset = machine.probing.offsets()[2]
         self.homing = self.find_homing()
         try:
             high, safe_z = machine.axis_limits()[2][1], self.settings.safe_z
             if safe_z > high:
                 text = "Option 'safe_z_height: %g' in section '%s' is above the"
-                fail(text + " %.3f of Z; lower it", safe_z, machine.name, high)
+                fail(
+                    text + " %.3f of Z; lower it", safe_z, machine.section, high
+                )
             if self.name == PROBE:
                 self.check_probe()
             if self.settings.place is not None:
@@ -216,28 +219,28 @@ class ExtraProbe(object):
                 touching.check_reach(machine, self.settings.place, remedy)
         except errors.CalibrationError as e:
             raise machine.printer.config_error(str(e))
-        where = "The switch of section '%s'" % (machine.name,)
-        machine.check_stops_z(self.switch.endstop(), where)
+        where = "The switch of section '%s'" % (machine.section,)
+        machine.endstops.check_stops_z(self.switch.endstop(), where)
 
     def find_homing(self):
         axis = self.host.z_axis
         homing = Homing(axis.section, "position_endstop", axis.position_endstop)
-        if host.chip_of(axis.endstop_pin) == "probe":
+        if endstops.chip_of(axis.endstop_pin) == "probe":
             homing = Homing(self.probe_section, "z_offset", self.probe_z_offset)
         return None if None in homing else homing
 
     # [probe] has to be a switch that the nozzle presses
     def check_probe(self):
         text = "Section '%s' stands for [probe], which "
-        if self.host.probe_endstop() is None:
-            fail(text + "is missing or no switch on a pin", self.host.name)
-        if host.chip_of(self.host.z_axis.endstop_pin) == "probe":
+        if self.host.probing.endstop() is None:
+            fail(text + "is missing or no switch on a pin", self.host.section)
+        if endstops.chip_of(self.host.z_axis.endstop_pin) == "probe":
             text += "homes Z, and so finds nothing new; give the switch that"
             text += " the nozzle presses a section 'extra_probe NAME'"
-            fail(text, self.host.name)
-        if any(self.host.probe.get_offsets()[:2]):
+            fail(text, self.host.section)
+        if any(self.host.probing.offsets()[:2]):
             text += "has an x_offset or y_offset: the nozzle does not press it"
-            fail(text, self.host.name)
+            fail(text, self.host.section)
 
     def get_status(self, eventtime):
         return {
@@ -370,7 +373,7 @@ class Calibration(object):
         status = stats and stats.get_status(self.host.eventtime())
         if status and status["state"] in ("printing", "paused"):
             fail("a print is under way (%s); end it first", status["state"])
-        if self.host.is_manual_probing():
+        if self.host.probing.is_manual_probing():
             fail("end the manual probe first, with ACCEPT or ABORT")
         running.check_homed(self.host)
 
@@ -468,6 +471,8 @@ class Calibration(object):
         section, option, z = self.corrected(bed_z)
         new = "%.3f" % (z,)
         options.save(self.host.printer, section, option, new)
-        options.save(self.host.printer, self.host.name, "saved_homing_z", new)
+        options.save(
+            self.host.printer, self.host.section, "saved_homing_z", new
+        )
         text = "%s: %s: %s\n%s\nUntil then the G-code offset is 0."
         gcmd.respond_info(text % (section, option, new, options.SAVE_HINT))

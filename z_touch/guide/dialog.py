@@ -54,7 +54,7 @@ class Setup(object):
             self.host.gcode.respond_raw(END)
             raise gcmd.error(
                 "%s: no set-up is under way, a restart ends it, too; nothing"
-                " was saved. Begin with %s" % (self.host.name, steps.COMMAND)
+                " was saved. Begin with %s" % (self.host.section, steps.COMMAND)
             )
         if name == "abort":
             self.abort(gcmd)
@@ -63,7 +63,7 @@ class Setup(object):
             raise gcmd.error(
                 "%s: STEP=%s is not what is asked now, which is STEP=%s; %s"
                 " shows it again"
-                % (self.host.name, name, self.state.step, steps.COMMAND)
+                % (self.host.section, name, self.state.step, steps.COMMAND)
             )
         self.check_not_printing(gcmd)
         self.answered(gcmd)
@@ -75,7 +75,7 @@ class Setup(object):
 
     def check_not_printing(self, gcmd):
         if self.is_printing():
-            raise gcmd.error("%s: not during a print" % (self.host.name,))
+            raise gcmd.error("%s: not during a print" % (self.host.section,))
 
     # A jog leaves the dialog as it is; after an error it says why.  For longer
     # work it closes: it would cover the emergency stop of a web interface.
@@ -175,7 +175,7 @@ class Setup(object):
         state = self.state
         late = "" if state.arrived else self.goal(state.step)
         shown, said = steps.ask(state.step, self.facts(), problem, late)
-        self.host.gcode.respond_info("%s: %s" % (self.host.name, said))
+        self.host.gcode.respond_info("%s: %s" % (self.host.section, said))
         self.host.gcode.respond_raw(END)
         for line in shown:
             self.host.gcode.respond_raw(line)
@@ -288,7 +288,7 @@ class Setup(object):
 
     def save(self, gcmd, state):
         saved = [
-            self.saver.save(self.host.name, option, text)
+            self.saver.save(self.host.section, option, text)
             for option, text in values(self.ways, state)
         ]
         self.close()
@@ -306,5 +306,5 @@ class Setup(object):
         work = functools.partial(leave, gcmd, state, busy)
         self.run(gcmd, work)
         gcmd.respond_info(
-            "%s: the set-up has ended, nothing was saved" % (self.host.name,)
+            "%s: the set-up has ended, nothing was saved" % (self.host.section,)
         )

@@ -25,12 +25,12 @@ class Hands(object):
         self.saver = saver
 
     def is_attached(self):
-        probe, now = self.host.probe_endstop(), self.host.after_moves()
+        probe, now = self.host.probing.endstop(), self.host.after_moves()
         return not probe.query_endstop(now)
 
     def test_pin(self, gcmd, state):
-        pin, probe = self.module.pin, self.host.probe_endstop()
-        own = self.host.name, "endstop_pin"
+        pin, probe = self.module.pin, self.host.probing.endstop()
+        own = self.host.section, "endstop_pin"
         if pin.name == "the Z endstop":
             own = self.host.z_axis.section, "endstop_pin"
         self.watch(gcmd, pin.name, own, pin.endstop, probe)
@@ -44,7 +44,7 @@ class Hands(object):
             )
 
     def test_probe(self, gcmd, state):
-        probe, pin = self.host.probe_endstop(), self.module.pin.endstop
+        probe, pin = self.host.probing.endstop(), self.module.pin.endstop
         self.watch(gcmd, "the probe", self.probe_option(), probe, pin)
 
     def probe_option(self):
@@ -77,7 +77,7 @@ class Hands(object):
         host.toolhead.wait_moves()
         for line in steps.while_watching(name):
             host.gcode.respond_raw(line)
-        gcmd.respond_info("%s: watching %s ..." % (host.name, name))
+        gcmd.respond_info("%s: watching %s ..." % (host.section, name))
         while True:
             now = host.after_moves()
             readings.append(
@@ -99,4 +99,4 @@ class Hands(object):
                 self.remedy(*option),
             )
             raise CalibrationError(text)
-        gcmd.respond_info("%s: %s works" % (host.name, name))
+        gcmd.respond_info("%s: %s works" % (host.section, name))

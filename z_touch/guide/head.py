@@ -96,7 +96,7 @@ class Ways(object):
         if name == "nozzle":
             return settings.nozzle
         nozzle = state.sites.get("nozzle")
-        x, y = self.host.probe.get_offsets()[:2]
+        x, y = self.host.probing.offsets()[:2]
         if name == "switch":
             site = places.switch_site(nozzle, settings.switch)
             if site is None and nozzle is not None:
@@ -129,7 +129,7 @@ class Ways(object):
 
     # Where the nozzle stands over the point of the bed, and how high
     def sheet(self, state):
-        bed, offsets = state.sites["bed"], self.host.probe.get_offsets()
+        bed, offsets = state.sites["bed"], self.host.probing.offsets()
         x, y = bed.x + offsets[0], bed.y + offsets[1]
         site = touching.Site("bed", x, y, "The nozzle over the sheet")
         touching.check_reach(self.host, site, "take the type of the switch")

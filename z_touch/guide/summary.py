@@ -35,7 +35,7 @@ def values(ways, state):
     settings, places = ways.module.settings, ways.places()
     sites, found = state.sites, []
     old_switch = places.switch_site(sites["nozzle"], settings.switch)
-    x, y = ways.host.probe.get_offsets()[:2]
+    x, y = ways.host.probing.offsets()[:2]
     for name, old in (
         ("nozzle", settings.nozzle),
         ("switch", old_switch),
@@ -65,7 +65,7 @@ def summary(ways, state, saver):
     saved, not_saved = [], ""
     for option, text in values(ways, state):
         line = "%s: %s" % (option, text)
-        place = saver.obstacle(ways.host.name, option)
+        place = saver.obstacle(ways.host.section, option)
         if place:
             not_saved += " SAVE_CONFIG cannot: write '%s' into %s." % (
                 (line, place)

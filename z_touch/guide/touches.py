@@ -124,5 +124,5 @@ class Touches(object):
         elif state.fetched:
             gcmd.respond_info(
                 "%s: printing or not homed, so nothing was moved; the probe may"
-                " still be on the head" % (self.host.name,)
+                " still be on the head" % (self.host.section,)
             )

@@ -84,7 +84,7 @@ class Recorder(object):
 
     # When nothing is under way
     def say(self, text):
-        self.host.gcode.respond_info("%s: %s" % (self.host.name, text))
+        self.host.gcode.respond_info("%s: %s" % (self.host.section, text))
 
     # What a run knows of its sites, for adaptive.Plan
     def make_plan(self, target):
@@ -151,7 +151,7 @@ class Recorder(object):
             fields.update(self.common(), reason=reason)
             self.history.add(fields)
         except Exception:
-            logging.exception("%s: no record of this run", self.host.name)
+            logging.exception("%s: no record of this run", self.host.section)
 
     def common(self):
         plan, now = self.plan, self.host.eventtime()
@@ -186,7 +186,7 @@ class Recorder(object):
         if self.history.file is None:
             raise gcmd.error(
                 "%s: there is no history to report of: 'history' is none"
-                % (self.host.name,)
+                % (self.host.section,)
             )
         self.draw()
 

@@ -103,14 +103,15 @@ class Corrections(object):
         handler(gcmd)
         if ours:
             text = "%s: %s: %s saves as ever, nothing goes into switch_offset"
-            gcmd.respond_info(text % (self.host.name, reason, name))
+            gcmd.respond_info(text % (self.host.section, reason, name))
         elif not reason and abs(change) > NO_STEP and not self.hinted:
             self.hinted = True
             gcmd.respond_info(
                 "%s: CALIBRATE_Z measures anew what %s saves: the baby step of"
                 " %.3f is gone then. Z_CALIBRATION_SAVE_GCODE_OFFSET keeps it,"
                 " 'save_button: switch_offset' in section '%s' makes this"
-                " button do so" % (self.host.name, name, change, self.host.name)
+                " button do so"
+                % (self.host.section, name, change, self.host.section)
             )
 
     def run(self, gcmd, work, *args):
@@ -156,21 +157,21 @@ class Corrections(object):
         base, z_offset = self.current(), self.host.gcode_offset()
         if abs(z_offset - base.offset) < NO_STEP:
             text = "%s: nothing was changed with baby steps since CALIBRATE_Z"
-            gcmd.respond_info(text % (self.host.name,))
+            gcmd.respond_info(text % (self.host.section,))
             self.keep(is_saved)
             return
         new, text = check_steps(base, z_offset, force)
         new = round(new, 3)
         self.base = Base(z_offset, new)
         self.module.settings = self.module.settings._replace(switch_offset=new)
-        gcmd.respond_info("%s: %s" % (self.host.name, text))
+        gcmd.respond_info("%s: %s" % (self.host.section, text))
         self.unsaved = new
         self.keep(is_saved)
 
     def keep(self, is_saved):
         if is_saved and self.unsaved is not None:
             text = "%.3f" % (self.unsaved,)
-            if self.saver.save(self.host.name, "switch_offset", text):
+            if self.saver.save(self.host.section, "switch_offset", text):
                 self.unsaved = None
 
     # CALCULATE_SWITCH_OFFSET
@@ -202,6 +203,6 @@ class Corrections(object):
                 " from the bed, or the pin does not press the switch body"
                 % (text,)
             )
-        gcmd.respond_info("%s: %s" % (self.host.name, text))
+        gcmd.respond_info("%s: %s" % (self.host.section, text))
         if options.param_int(gcmd, "SAVE", 0):
-            self.saver.save(self.host.name, "switch_offset", "%.3f" % (new,))
+            self.saver.save(self.host.section, "switch_offset", "%.3f" % (new,))

@@ -10,6 +10,7 @@ import math
 
 from .. import __version__
 from ..core import (
+    endstops,
     errors,
     frame,
     host,
@@ -531,7 +532,7 @@ class Measurement(object):
             )
 
     def check_probe_attached(self, print_time):
-        if self.host.probe_endstop().query_endstop(print_time):
+        if self.host.probing.endstop().query_endstop(print_time):
             raise errors.CalibrationError(
                 "the probe reads triggered: it is not attached, or not wired"
                 " as normally closed; attach it in start_gcode or"
@@ -575,10 +576,10 @@ class NozzleMeasurement(Measurement):
 
     def check_pressed(self):
         if self.settings.attach_after_nozzle:
-            self.check_probe_absent(self.host.now())
+            self.check_probe_absent(self.host.print_time())
 
     def check_probe_absent(self, print_time):
-        if not self.host.probe_endstop().query_endstop(print_time):
+        if not self.host.probing.endstop().query_endstop(print_time):
             raise errors.CalibrationError(
                 "the probe is attached already, although before_switch_gcode"
                 " is there to attach it, or it is not wired as normally"
@@ -597,7 +598,7 @@ class SwitchMeasurement(Measurement):
         self.check_probe_attached(self.host.after_moves())
 
     def explain(self):
-        if self.host.probe_endstop().query_endstop(self.host.after_moves()):
+        if self.host.probing.endstop().query_endstop(self.host.after_moves()):
             self.head.lift(self.host.z() + self.sampling.retract_dist)
             self.check_probe_attached(self.host.after_moves())
             raise errors.CalibrationError(
@@ -608,7 +609,7 @@ class SwitchMeasurement(Measurement):
 
     # Where the pin presses the plunger, too, it looks lost until lifted
     def check_pressed(self):
-        if self.host.probe_endstop().query_endstop(self.host.now()):
+        if self.host.probing.endstop().query_endstop(self.host.print_time()):
             z = self.head.pressed_z
             self.retract()
             self.check_probe_attached(self.host.after_moves())
@@ -663,7 +664,7 @@ class BedMeasurement(Measurement):
         self.check_probe_attached(print_time)
 
     def endstop(self):
-        return self.host.probe_endstop()
+        return self.host.probing.endstop()
 
     def touch_once(self, floor):
         self.head.check_above(floor)
@@ -734,7 +735,7 @@ class Calibration(object):
             self.watch.say(text)
 
     def check_probe_attached(self):
-        if self.host.probe_endstop().query_endstop(self.host.after_moves()):
+        if self.host.probing.endstop().query_endstop(self.host.after_moves()):
             # A PROBE leaves it pressed on the bed
             self.lift()
             switch = self.site_of_switch()
@@ -926,7 +927,7 @@ class ZCalibration(object):
             "give the pin of the switch that the nozzle presses, or leave the"
             " option out to use the Z endstop"
         )
-        endstop = self.host.make_endstop(config, name, remedy)
+        endstop = self.host.endstops.make(config, name, remedy)
         return Pin(endstop, "endstop_pin (%s)" % (text,))
 
     def connect(self):
@@ -935,12 +936,12 @@ class ZCalibration(object):
         where = "Option 'endstop_pin' in section 'z_calibration'"
         if self.pin is None:
             where, self.pin = self.find_pin()
-        machine.check_stops_z(self.pin.endstop, where)
+        machine.endstops.check_stops_z(self.pin.endstop, where)
         self.check_probe()
         self.settings = complete(
             self.settings,
-            machine.probe_sampling(),
-            machine.probe.get_offsets()[2],
+            machine.probing.sampling(),
+            machine.probing.offsets()[2],
             machine.axis_limits()[2][1],
         )
         try:
@@ -950,7 +951,7 @@ class ZCalibration(object):
             raise self.printer.config_error(str(e))
 
     def find_pin(self):
-        axis, endstop = self.host.z_axis, self.host.find_z_endstop()
+        axis, endstop = self.host.z_axis, self.host.endstops.find_z()
         where = "Option 'endstop_pin: %s' in section '%s'"
         where %= (axis.endstop_pin, axis.section)
         if endstop is None:
@@ -958,7 +959,7 @@ class ZCalibration(object):
                 "%s: the printer knows no endstop of that section; the Z axis"
                 " needs a switch that the nozzle can press" % (where,)
             )
-        if host.is_virtual(endstop):
+        if endstops.is_virtual(endstop):
             raise self.printer.config_error(
                 "%s is the probe: z_calibration needs a Z endstop that the"
                 " nozzle can press; set it to the pin of that switch, or give"
@@ -976,7 +977,10 @@ class ZCalibration(object):
                     " Z endstop with; z_calibration needs a switch as [probe]"
                     % (name,)
                 )
-        if self.host.probe is None or self.host.probe_endstop() is None:
+        if (
+            self.host.probing.probe is None
+            or self.host.probing.endstop() is None
+        ):
             raise self.printer.config_error(
                 "Section 'probe' is missing, or no switch on an endstop pin"
                 " that stops the Z motors; z_calibration needs a [probe] with a"

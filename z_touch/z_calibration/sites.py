@@ -109,7 +109,7 @@ class Places(object):
                 return None
             origin = "The zero reference position of section 'bed_mesh'"
             bed = touching.Site("bed", zero[0], zero[1], origin)
-        x_offset, y_offset = self.host.probe.get_offsets()[:2]
+        x_offset, y_offset = self.host.probing.offsets()[:2]
         return bed._replace(x=bed.x - x_offset, y=bed.y - y_offset)
 
     def check_reach(self, site):
