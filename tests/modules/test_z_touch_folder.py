@@ -19,19 +19,29 @@ def other_version(folder):
     file.write_text('__version__ = "0.0.1"\n')
 
 
+# What is broken, and what is told of it
 DAMAGES = {
-    "missing": shutil.rmtree,
-    "half copied": lambda folder: (folder / "core" / "errors.py").unlink(),
-    "of another version": other_version,
+    "missing": (shutil.rmtree, "is not in klippy/extras; run install.sh again"),
+    "half copied": (
+        lambda folder: (folder / "core" / "errors.py").unlink(),
+        "cannot be loaded (cannot import name 'errors'",
+    ),
+    "of another version": (
+        other_version,
+        "this module is of version 1.0.0, the folder z_touch in klippy/extras"
+        " of version 0.0.1; run install.sh again",
+    ),
 }
 
 
 @pytest.mark.spread
-@pytest.mark.parametrize("damage", DAMAGES.values(), ids=DAMAGES)
+@pytest.mark.parametrize(("damage", "told"), DAMAGES.values(), ids=DAMAGES)
 @pytest.mark.parametrize(
     ("module", "scene"), [("z_calibration", "voron"), ("auto_z_offset", "qidi")]
 )
-def test_one_sentence_says_what_to_do(host, tmp_path, module, scene, damage):
+def test_one_sentence_says_what_to_do(
+    host, tmp_path, module, scene, damage, told
+):
     tree = tmp_path / "tree"
     link_tree(host.install(module_files()).cwd, tree)
     damage(tree / FOLDER_PARENT / FOLDER)
@@ -40,8 +50,6 @@ def test_one_sentence_says_what_to_do(host, tmp_path, module, scene, damage):
         with LiveSession(host.at(tree), machine, config) as session:
             state, message = session.start()
     assert state == "error"
-    assert message.startswith(
-        f"Section '{module}': the folder z_touch that belongs to this module"
-        " is not in klippy/extras, or not of version "
-    )
-    assert "run install.sh again, or copy z_touch there, too" in message
+    assert message.startswith(f"Section '{module}': ")
+    assert told in message
+    assert "restart the Klipper service" in message
