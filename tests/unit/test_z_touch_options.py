@@ -10,7 +10,15 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from z_touch.core.errors import CalibrationError
-from z_touch.core.options import margins
+from z_touch.core.options import (
+    REQUIRED,
+    TEXT,
+    Kind,
+    Same,
+    margins,
+    option,
+    read,
+)
 from z_touch.core.templates import as_param
 
 numbers = st.integers(-640, 640).map(lambda steps: steps / 64)
@@ -69,6 +77,55 @@ def test_margins_that_are_none(values, words):
     assert str(caught.value).startswith(
         f"Option 'offset_margins' in section 'mine' {words}"
     )
+
+
+class Section:
+    """As much of a host's section as read() and TEXT need."""
+
+    error = ValueError
+
+    def __init__(self, **values):
+        self.values = values
+
+    def get_prefix_options(self, prefix):
+        return [name for name in self.values if name.startswith(prefix)]
+
+    def get(self, name, *default):
+        if name not in self.values and not default:
+            raise ValueError(f"Option '{name}' must be specified")
+        return self.values.get(name, *default)
+
+
+TABLE = (
+    option("first", TEXT, "one", "", "", old=("formerly",)),
+    option("second", TEXT, Same("first"), "", ""),
+    option("third", TEXT, REQUIRED, "", ""),
+)
+
+
+@pytest.mark.parametrize(
+    ("given", "values"),
+    [
+        ({"third": "3"}, ("one", "one", "3")),
+        ({"first": "1", "third": "3"}, ("1", "1", "3")),
+        ({"formerly": "0", "third": "3"}, ("0", "0", "3")),
+        ({"second": "2", "third": "3"}, ("one", "2", "3")),
+    ],
+)
+def test_default_may_be_the_value_of_a_row_above(given, values):
+    assert tuple(read(Section(**given), TABLE).values()) == values
+
+
+def test_required_option_is_asked_of_the_host_unless_it_has_a_default():
+    with pytest.raises(ValueError, match="Option 'third' must be specified"):
+        read(Section(), TABLE)
+    assert read(Section(), TABLE, third="three")["third"] == "three"
+
+
+def test_kind_is_told_that_an_option_is_required():
+    seen = Kind("anything", lambda config, name, row: row.default, ())
+    table = (option("some", seen, REQUIRED, "", ""),)
+    assert read(Section(some=""), table) == {"some": REQUIRED}
 
 
 @pytest.mark.parametrize(

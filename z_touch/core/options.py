@@ -94,10 +94,16 @@ class OldNames(object):
 # Options as a table
 ######################################################################
 
+# In place of a default: the option has to be given.
+REQUIRED = object()
+
+# In place of a default: the value of another option, which stands in a row above
+Same = collections.namedtuple("Same", "name")
+
 # A row: how a value is written and read (Kind); what it is where the option is
-# left out, None for "something else decides"; limits as the host's getters take
-# them (minval, maxval, above, below); its unit, one sentence for the document,
-# and the names that the option had.
+# left out, REQUIRED, Same, or None for "something else decides"; limits as the
+# host's getters take them (minval, maxval, above, below); its unit, one sentence
+# for the document, and the names that the option had.
 Option = collections.namedtuple(
     "Option", "name kind default limits unit text old"
 )
@@ -127,6 +133,11 @@ def _read_text(config, name, row):
     return config.get(name, row.default)
 
 
+# A blank one counts as not given.  The board tells whether it has this pin.
+def _read_pin(config, name, row):
+    return config.get(name, "").strip() or row.default
+
+
 def _read_pair(config, name, row):
     return pair(config, name)
 
@@ -144,6 +155,7 @@ NUMBER = Kind("number", _read_number, ("many", "nan", "inf", "1,5"))
 COUNT = Kind("whole number", _read_count, ("many", "1.5"))
 FLAG = Kind("True or False", _read_flag, ("maybe",))
 TEXT = Kind("text", _read_text, ())
+PIN = Kind("MCU pin", _read_pin, ("no:PA1", "PZ9:1"))
 PAIR = Kind("X, Y", _read_pair, ("100", "1, 2, 3", "a, b", "nan, 1"))
 MARGINS = Kind("low, high", _read_margins, ("1, -1", "1, 2, 3", "nan", "0"))
 SAMPLES = Kind("whole number or auto", _read_samples, ("0", "1.5", "some"))
@@ -173,14 +185,18 @@ def record(name, rows, also=""):
 # sections decide; 'old_names' is told of options under the names of old.
 def read(config, rows, old_names=None, **defaults):
     old_names = old_names or OldNames(config)
-    return {
-        row.name: row.kind.read(
-            config,
-            old_names.name_of(row.name, *row.old),
-            row._replace(default=defaults.get(row.name, row.default)),
-        )
-        for row in rows
-    }
+    values = {}
+    for row in rows:
+        name = old_names.name_of(row.name, *row.old)
+        default = defaults.get(row.name, row.default)
+        if default is REQUIRED:
+            # Where it is missing the host says so in its own words
+            config.get(name)
+        elif isinstance(default, Same):
+            default = values[default.name]
+        row = row._replace(default=default)
+        values[row.name] = row.kind.read(config, name, row)
+    return values
 
 
 # Values (text) that a row must not accept
@@ -233,20 +249,26 @@ PROBE_OPTIONS = (
         "How far the head is lifted between two touches.",
         above=0.0,
     ),
-    option("lift_speed", NUMBER, None, "mm/s", "Of the way up.", above=0.0),
+    option(
+        "lift_speed", NUMBER, Same("speed"), "mm/s", "Of the way up.", above=0.0
+    ),
 )
 
 
 def read_sampling(config, **defaults):
-    given = read(config, PROBE_OPTIONS, **defaults)
+    return sampling_of(read(config, PROBE_OPTIONS, **defaults))
+
+
+# The values of a table that has the PROBE_OPTIONS, as a record
+def sampling_of(values):
     return Sampling(
-        samples=given["samples"],
-        tolerance=given["samples_tolerance"],
-        retries=given["samples_tolerance_retries"],
-        result=given["samples_result"],
-        speed=given["speed"],
-        retract_dist=given["sample_retract_dist"],
-        lift_speed=given["lift_speed"] or given["speed"],
+        samples=values["samples"],
+        tolerance=values["samples_tolerance"],
+        retries=values["samples_tolerance_retries"],
+        result=values["samples_result"],
+        speed=values["speed"],
+        retract_dist=values["sample_retract_dist"],
+        lift_speed=values["lift_speed"],
     )
 
 

@@ -6,7 +6,7 @@ import collections
 import re
 
 from .errors import CalibrationError
-from .options import config_error
+from .options import Kind, config_error
 
 # What attaches a probe besides macros
 ATTACHING = ("SET_SERVO", "SET_PIN", "ATTACH_PROBE")
@@ -22,6 +22,16 @@ def load_template(config, name, default=None):
     except printer.command_error as e:
         # What newer hosts raise would come out as an internal error.
         raise config_error(config, name, "cannot be read: %s" % (e,))
+
+
+# A template; where the default is None, a blank one is None, too.
+def _read_gcode(config, name, row):
+    if row.default is None and not config.get(name, "").strip():
+        return None
+    return load_template(config, name, row.default)
+
+
+GCODE = Kind("G-code", _read_gcode, ("{", "{% if %}"))
 
 
 # In a template as '"{params.NAME}"': nothing in the text may end that string
