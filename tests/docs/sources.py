@@ -51,7 +51,9 @@ def is_silent(node: ast.AST) -> bool:
     """Whether nobody is shown the texts inside, at least not as a message."""
     if isinstance(node, ast.Call):
         called = ast.unparse(node.func)
-        return called.endswith("namedtuple") or called.startswith("logging.")
+        # A row of a table of options is told in the documents
+        declared = ("namedtuple", "option", "Kind", "record")
+        return called.endswith(declared) or called.startswith("logging.")
     if isinstance(node, ast.Assign):
         return ast.unparse(node.targets[0]).endswith("_help")
     # A docstring

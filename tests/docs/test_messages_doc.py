@@ -15,6 +15,8 @@ NAMES = ("z_calibration", "auto_z_offset", "extra_probe", "dockable_probe")
 # Of z_touch: for options and phases that only others have, and what is looked
 # for in messages
 LOOKED_FOR = {
+    "relative import",
+    "named z_touch.core",
     "No trigger",
     "Communication timeout during",
     "Unable to obtain",
@@ -38,6 +40,8 @@ OTHERS = {
     "X and Y in mm, such as 100,100",
     "median or average",
     "trying again",
+    "cannot be used: <...>; give the pin that the switch is wired to, such as"
+    " ^PA1",
     "The SAVE_CONFIG command will update the printer config file with the"
     " above and restart the printer.",
     "<...> needs the head at <...>=<...><...>, outside its <...> to <...>;"

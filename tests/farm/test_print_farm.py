@@ -181,7 +181,7 @@ def real_status():
 
 
 def result_of(module):
-    fields = load(module).Result._fields
+    fields = load(f"z_touch.{module}.module").Result._fields
     return {name: number / 10 for number, name in enumerate(fields)}
 
 

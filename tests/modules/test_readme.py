@@ -194,7 +194,7 @@ ADDED = {
     "build/venv/bin/python -m tools.demo --help": "",
 }
 EXPECTED = {
-    "make printer": r"-m tests\.playground",
+    "make printer": r"-m tools\.playground",
     "make test": r"-m pytest -n \d",
     "KLIPPER_PATH=~/klipper:~/kalico make test": r"klipper@klipper.*\nkalico@",
     "build/venv/bin/python -m tools.demo --help": r"--scene",
@@ -210,7 +210,8 @@ def home(tmp_path):
     """A home with a Kalico, and one without plugins, as Klipper has none."""
     found = [h.directory / "base" for h in all_hosts() if h.name == "kalico"]
     if not found:
-        pytest.skip(f"NOT TESTED: {missing_hosts()['kalico']}")
+        reason = missing_hosts().get("kalico", "Kalico is not the one host")
+        pytest.skip(f"NOT TESTED: {reason}")
     (base,) = found
     (tmp_path / "kalico").symlink_to(base)
     shutil.copytree(base / "klippy", tmp_path / "klipper" / "klippy")

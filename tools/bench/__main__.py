@@ -58,7 +58,7 @@ from tools.bench.timing import (
     ours,
     reason,
 )
-from tools.kit.printer import module_files
+from tools.kit.printer import given_module, module_files
 
 WORKERS = 2
 SEEDS = 50
@@ -126,7 +126,10 @@ def parse(arguments: Optional[Sequence[str]]) -> argparse.Namespace:
 
 def others(options: argparse.Namespace) -> list[Subject]:
     """What the command line asks for besides ours."""
-    found = [Subject(str(f), {"z_calibration": f}) for f in options.module]
+    found = [
+        Subject(str(file), given_module("z_calibration", file))
+        for file in options.module
+    ]
     if options.builtin:
         found.append(Subject(BUILTIN, {}))
     return found

@@ -10,7 +10,7 @@ from typing import Any, NamedTuple
 from simprinter.hosts.environment import run
 from simprinter.hosts.hosts import Host, Installed
 from simprinter.simulation import Simulation
-from tools.kit.printer import module_files
+from tools.kit.printer import MODULES, given_module, module_files
 
 LOADINGS = 11
 # Of the host, loaded the same way for scale
@@ -81,16 +81,15 @@ def loading(installed: Installed, name: str, module: str) -> dict[str, Any]:
 
 def loadings(host: Host) -> list[dict[str, Any]]:
     """Our modules on a host, and one of its own for scale."""
-    files = module_files()
-    installed = host.install(files)
+    installed = host.install(module_files())
     found = names(installed)
-    wanted = {name: f"{found.own}.{name}" for name in files}
+    wanted = {name: f"{found.own}.{name}" for name in MODULES}
     wanted[f"{STOCK} of the host"] = f"{found.extras}.{STOCK}"
     return [loading(installed, *item) for item in wanted.items()]
 
 
 def other_loading(host: Host, name: str, file: Path) -> dict[str, Any]:
     """Another z_calibration.py. Raises HostError if it cannot be loaded."""
-    installed = host.install({"z_calibration": file})
+    installed = host.install(given_module("z_calibration", file))
     module = f"{names(installed).own}.z_calibration"
     return loading(installed, name, module)

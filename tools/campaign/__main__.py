@@ -47,6 +47,7 @@ from tools.campaign.running import (
     figures,
     plan,
 )
+from tools.kit.printer import given_module
 
 _ENDS = (RIGHT, REFUSED, SHUT_DOWN)
 
@@ -54,7 +55,7 @@ _ENDS = (RIGHT, REFUSED, SHUT_DOWN)
 def others(options: argparse.Namespace) -> Optional[dict[str, Path]]:
     """The modules of others that the command line asks for."""
     if options.module is not None:
-        return {"dockable_probe": options.module}
+        return given_module("dockable_probe", options.module)
     return {} if options.builtin else None
 
 

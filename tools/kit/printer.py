@@ -26,6 +26,7 @@ __all__ = [
     "RunningPrinter",
     "choose_host",
     "firmware_of",
+    "given_module",
     "has_kinematics",
     "module_files",
 ]
@@ -40,6 +41,12 @@ def module_files() -> dict[str, Path]:
     """All that this repository puts beside klippy's own, by name."""
     found = {name: ROOT / f"{name}.py" for name in MODULES}
     return {**found, FOLDER: ROOT / FOLDER}
+
+
+def given_module(name: str, file: Path) -> dict[str, Path]:
+    """A module from any file, with the folder beside it, or else ours."""
+    beside = file.parent / FOLDER
+    return {name: file, FOLDER: beside if beside.is_dir() else ROOT / FOLDER}
 
 
 class Printer(printer.Printer):

@@ -134,10 +134,15 @@ def test_modules_go_where_the_host_expects_them(
 ):
     (host,) = named(make_checkout(tmp_path / "checkout", kalico=kalico))
     assert host.name == ("kalico@v1.2.3" if kalico else "klipper@v1.2.3")
-    installed = host.install({})
+    rooms = tmp_path / "rooms"
+    (rooms / "room").mkdir(parents=True)
+    module = rooms / "room" / "module.py"
+    module.touch()
+    installed = host.install({"door": module, "rooms": rooms})
     assert installed.module_dir == installed.cwd / folder
+    assert (installed.module_dir / "door.py").exists()
     assert ("allow_plugin_override: True" in installed.config) is kalico
-    assert (installed.cwd / "klippy/extras/z_touch/__init__.py").exists()
+    assert (installed.cwd / "klippy/extras/rooms/room/module.py").exists()
 
 
 def test_names_of_checkouts(named, tmp_path):

@@ -10,7 +10,7 @@ from pathlib import Path
 from textwrap import indent
 
 from tools.campaign.jobs import JOBS
-from tools.kit.printer import module_files
+from tools.kit.printer import given_module, module_files
 
 _AROUND = """
 
@@ -58,4 +58,4 @@ def planted(
     )
     file = folder / f"{name}.py"
     file.write_text(module_files()[name].read_text() + lines)
-    return {name: file}
+    return given_module(name, file)

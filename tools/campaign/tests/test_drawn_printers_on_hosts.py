@@ -59,7 +59,7 @@ def test_random_printers_are_right_or_refused(host, module):
 def test_planted_fault_is_found(some_host, tmp_path, name):
     command, around, words = PLANTED[name]
     modules = planted(tmp_path, command, **around)
-    (module,) = modules
+    module, _folder = modules
     report = run(
         module,
         some_host,

@@ -18,7 +18,7 @@ from tools.demo.__main__ import SHOWN, demonstrate, verdict
 
 pytestmark = pytest.mark.spread
 
-ROOT = Path(__file__).resolve().parents[2]
+ROOT = Path(__file__).resolve().parents[3]
 MICROSTEP = 0.0025
 RESULT = re.compile(
     r"Z-CALIBRATION: probe=(\S+) - \(switch=(\S+) - nozzle=(\S+)"

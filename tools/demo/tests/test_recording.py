@@ -15,7 +15,7 @@ from tools.demo.__main__ import ShownPrinter, recorded, rehearse
 from tools.demo.animation import LONGEST, Stage, draw
 from tools.demo.recording import SITES, probe_offset, thin
 
-PICTURE = Path(__file__).resolve().parents[2] / "docs" / "demo.svg"
+PICTURE = Path(__file__).resolve().parents[3] / "docs" / "demo.svg"
 SVG = "{http://www.w3.org/2000/svg}"
 FRAME = re.compile(r"([\d.]+)%\{transform:translate\(([-\d.]+)px,([-\d.]+)px")
 # Of half a picture element, and of what is left of a height's digits

@@ -22,7 +22,7 @@ from simprinter.hosts.moonraker import free_port
 from simprinter.hosts.moonraker_package import find_moonraker
 from tools.playground import network
 
-ROOT = Path(__file__).resolve().parents[2]
+ROOT = Path(__file__).resolve().parents[3]
 # Real seconds for whatever is waited for, also on a busy machine
 LIMIT = 100.0
 
