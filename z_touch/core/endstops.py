@@ -16,6 +16,15 @@ PROBE_PINS = (
 )
 
 
+# The name of the section that makes the object 'probe'; None: one that we do
+# not know, or none.
+def find_probe_section(config):
+    for name, _option in PROBE_PINS:
+        if config.has_section(name):
+            return name
+    return None
+
+
 def is_endstop(candidate):
     methods = [getattr(candidate, name, None) for name in ENDSTOP_METHODS]
     return all(callable(m) for m in methods) and bool(candidate.get_steppers())

@@ -28,12 +28,12 @@ class SamplesDiffer(CalibrationError):
     pass
 
 
-# Says in front of an error what it is about.  Samples that differ are none of
-# a series around this.
+# Says in front of an error what it is about, or only of errors of that kind.
+# Samples that differ are none of a series around this.
 @contextlib.contextmanager
-def about(name):
+def about(name, only=CalibrationError):
     try:
         yield
-    except CalibrationError as e:
+    except only as e:
         kind = NoTrigger if isinstance(e, NoTrigger) else CalibrationError
         raise kind("%s: %s" % (name, e))

@@ -5,7 +5,7 @@ from __future__ import absolute_import, division
 import collections
 import functools
 
-from .endstops import Endstops
+from .endstops import Endstops, chip_of, find_probe_section
 from .probing import Probing
 
 # The section that configures the Z axis, and its options that matter (mm,
@@ -15,6 +15,10 @@ ZAxis = collections.namedtuple(
     "section endstop_pin position_endstop position_min homing_speed"
     " second_homing_speed homing_retract_dist max_accel",
 )
+
+
+# Where Z gets its zero: section and option, and the value in force (mm)
+ZZero = collections.namedtuple("ZZero", "section option z")
 
 
 # [stepper_z], or with "kinematics: generic_cartesian" (since 2025-05-06,
@@ -74,6 +78,7 @@ class Host(object):
         self.section = config.get_name()
         self.gcode = self.printer.lookup_object("gcode")
         self.z_axis = read_z_axis(config)
+        self.probe_section = find_probe_section(config)
         self.endstops = Endstops(config, self)
         self.probing = Probing(self)
         # They exist from klippy:connect on
@@ -87,6 +92,22 @@ class Host(object):
     def z_steppers(self):
         steppers = self.toolhead.get_kinematics().get_steppers()
         return [s for s in steppers if s.is_active_axis("z")]
+
+    # Such a host believes what the probe says: after G28 the bed is where the
+    # probe sees it.
+    def homes_with_probe(self):
+        axis = self.z_axis
+        return axis is not None and chip_of(axis.endstop_pin) == "probe"
+
+    # From klippy:connect on.  None: nobody knows
+    def z_zero(self):
+        axis = self.z_axis
+        zero = ZZero(axis.section, "position_endstop", axis.position_endstop)
+        if self.homes_with_probe():
+            zero = ZZero(
+                self.probe_section, "z_offset", self.probing.z_offset()
+            )
+        return None if None in zero else zero
 
     # The point of the bed mesh that is its zero, or None
     def mesh_zero(self):
@@ -127,6 +148,20 @@ class Host(object):
             - s.get_commanded_position()
             for s in steppers
         ]
+
+    # Whether a print has begun and not ended: its state ("printing", "paused"),
+    # or empty
+    def print_state(self):
+        stats = self.printer.lookup_object("print_stats", None)
+        status = stats.get_status(self.eventtime()) if stats else {}
+        state = status.get("state", "")
+        return state if state in ("printing", "paused") else ""
+
+    # Whether SAVE_CONFIG writes options that sit in included files: only on
+    # Kalico since 2024-02-17 (09b9319ca), where it is told to
+    def saves_into_includes(self):
+        danger = self.printer.lookup_object("danger_options", None)
+        return bool(getattr(danger, "autosave_includes", False))
 
     def toolhead_status(self):
         return self.toolhead.get_status(self.eventtime())

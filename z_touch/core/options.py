@@ -199,12 +199,33 @@ def read(config, rows, old_names=None, **defaults):
     return values
 
 
+# A row of another release's option that is read, and not used; 'why' is told
+# where it is given.
+def unused(name, why):
+    return option(name, TEXT, None, "", why)
+
+
+# What the user is told of such options
+def unused_notes(config, rows):
+    given = read(config, rows)
+    return [
+        "option '%s' %s" % (row.name, row.text)
+        for row in rows
+        if given[row.name]
+    ]
+
+
 # Values (text) that a row must not accept
 def nonsense(row):
     limits = row.limits
     outside = [
         "%g" % (limits[name] + step,)
-        for name, step in (("minval", -1), ("above", 0), ("maxval", 1))
+        for name, step in (
+            ("minval", -1),
+            ("above", 0),
+            ("maxval", 1),
+            ("below", 0),
+        )
         if name in limits
     ]
     return list(row.kind.nonsense) + outside
@@ -272,7 +293,7 @@ def sampling_of(values):
     )
 
 
-# The same, with another record for what is left out
+# A record as the defaults of another section's options
 def as_defaults(found):
     return {
         "samples": found.samples,

@@ -41,6 +41,21 @@ class Probing(object):
     def offsets(self):
         return self.probe.get_offsets()
 
+    # The z_offset (mm) of the probe; 0 where there is none, or where what is
+    # called so has no offsets
+    def z_offset(self):
+        get_offsets = getattr(self.probe, "get_offsets", None)
+        return get_offsets()[2] if get_offsets else 0.0
+
+    # Where (toolhead Z, mm) the probe sees the bed right after G28: at 0, except
+    # where position_endstop counts.  Until 2024-07-04 (34732f857) and on Kalico
+    # Z is homed to that with a smart_effector; elsewhere hosts do not accept it.
+    def homed_bed_z(self):
+        homed_z = self.host.z_axis.position_endstop
+        if homed_z is None or not self.host.homes_with_probe():
+            return 0.0
+        return homed_z - self.offsets()[2]
+
     # The switch of the probe, None where it has none.  'mcu_probe' is an
     # endstop itself (moving it runs activate_gcode) until 2026-05-25
     # (43baf9b83); since then the endstop is inside it.  Looked up at each use:
@@ -143,6 +158,16 @@ class Probing(object):
             if hasattr(owner, name):
                 return owner, name
         return None, ""
+
+    # Whether every touch of this probe can end at a floor: in the host's own
+    # probing, or because its switch may be touched without that
+    def can_end_at_floor(self):
+        if self.limit()[0] is not None:
+            return True
+        special = ("bltouch", "smart_effector")
+        lookup = functools.partial(self.printer.lookup_object, default=None)
+        is_plain = [lookup(name) for name in special] == [None, None]
+        return is_plain and self.endstop() is not None
 
     # Somebody else measures; its next step starts where it left the head
     def is_manual_probing(self):

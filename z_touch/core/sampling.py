@@ -42,8 +42,9 @@ def accuracy(samples):
 
 # Call touch(), which returns a height, until the wanted number of samples
 # agrees.  A sample that does not agree starts the series again; 'say' is told.
-# Raises SamplesDiffer, with the remedy, when no retry is left.
-def collect(touch, sampling, say, remedy):
+# Raises SamplesDiffer, with the remedy, when no retry is left.  'option' is the
+# one that the tolerance comes from.
+def collect(touch, sampling, say, remedy, option="samples_tolerance"):
     retries_left = sampling.retries
     samples = []
     while len(samples) < sampling.samples:
@@ -51,10 +52,11 @@ def collect(touch, sampling, say, remedy):
         spread = max(samples) - min(samples)
         if spread <= sampling.tolerance:
             continue
-        text = "samples differ by %.4f mm, samples_tolerance is %.4f mm; %s"
+        text = "samples differ by %.4f mm, %s is %.4f mm; %s"
+        values = spread, option, sampling.tolerance
         if not retries_left:
-            raise SamplesDiffer(text % (spread, sampling.tolerance, remedy))
-        say(text % (spread, sampling.tolerance, "trying again"))
+            raise SamplesDiffer(text % (values + (remedy,)))
+        say(text % (values + ("trying again",)))
         retries_left -= 1
         samples = []
     return samples

@@ -67,9 +67,7 @@ class Saver(object):
     # The same of an option that SAVE_CONFIG refuses to write: with one of them
     # it would write nothing at all.
     def obstacle(self, section, option):
-        danger = self.printer.lookup_object("danger_options", None)
-        # Kalico since 2024-02-17 (09b9319ca)
-        if getattr(danger, "autosave_includes", False):
+        if self.host.saves_into_includes():
             return ""
         own = self._path()
         found = places(own, section, option)

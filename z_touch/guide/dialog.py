@@ -68,13 +68,8 @@ class Setup(object):
         self.check_not_printing(gcmd)
         self.answered(gcmd)
 
-    def is_printing(self):
-        stats = self.host.printer.lookup_object("print_stats", None)
-        status = stats.get_status(self.host.eventtime()) if stats else {}
-        return status.get("state") in ("printing", "paused")
-
     def check_not_printing(self, gcmd):
-        if self.is_printing():
+        if self.host.print_state():
             raise gcmd.error("%s: not during a print" % (self.host.section,))
 
     # A jog leaves the dialog as it is; after an error it says why.  For longer
@@ -302,7 +297,7 @@ class Setup(object):
     def abort(self, gcmd):
         state = self.state
         self.close()
-        leave, busy = self.touches.leave, self.is_printing()
+        leave, busy = self.touches.leave, bool(self.host.print_state())
         work = functools.partial(leave, gcmd, state, busy)
         self.run(gcmd, work)
         gcmd.respond_info(
