@@ -35,6 +35,7 @@ OTHERS = {
     "leaves no room between <...> and <...>; write the lower one first",
     "option '<...>' is ignored, '<...>' is given",
     "option '<...>' is now called '<...>'",
+    "option '<...>' <...>",
     "Error on '<...>': <...> has to be <...>",
     "a finite number",
     "X and Y in mm, such as 100,100",
