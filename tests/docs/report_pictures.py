@@ -9,7 +9,7 @@ import random
 from pathlib import Path
 
 from tests.unit.runs import make_run, make_runs
-from tests.unit.test_z_touch_cycles import RandomPrinter
+from tests.unit.test_uncertainty_cycles import RandomPrinter
 from z_touch.history import report
 from z_touch.uncertainty import cycles
 

@@ -30,10 +30,8 @@ class Hands(object):
 
     def test_pin(self, gcmd, state):
         pin, probe = self.module.pin, self.host.probing.endstop()
-        own = self.host.section, "endstop_pin"
-        if pin.name == "the Z endstop":
-            own = self.host.z_axis.section, "endstop_pin"
-        self.watch(gcmd, pin.name, own, pin.endstop, probe)
+        written = pin.section, pin.option
+        self.watch(gcmd, pin.name, written, pin.endstop, probe)
 
     def test_off(self, gcmd, state):
         if self.is_attached():

@@ -7,7 +7,7 @@ import math
 
 from ..core import options, running, touching
 from ..core.errors import CalibrationError
-from ..z_calibration.sites import LARGEST_SWITCH_DISTANCE, Places, Sites
+from ..z_calibration.sites import LARGEST_SWITCH_DISTANCE, SiteFinder, Sites
 from . import steps
 
 # First touches: mm/s, and how often
@@ -70,8 +70,7 @@ class Ways(object):
     def run(self, state):
         sites = Sites(*[state.sites.get(name) for name in PLACES])
         plan = self.module.recorder.make_plan(None)
-        run = self.module.start_run(self.settings(), sites, plan)
-        run.know(None, False)
+        run = self.module.new_calibration(self.settings(), sites, plan)
         run.rise_over(self.pin_z(state))
         return run
 
@@ -86,7 +85,7 @@ class Ways(object):
         return state.heights.get("nozzle", homed_z)
 
     def places(self):
-        return Places(self.host, self.module.settings)
+        return SiteFinder(self.host, self.module.settings)
 
     # The place that the section names, or that follows from another one; None
     def candidate(self, name, state):

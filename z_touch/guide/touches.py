@@ -56,7 +56,7 @@ class Touches(object):
         self.ways.lift(state)
         if self.hands.is_attached():
             return
-        with self.module.holding_probe():
+        with self.module.hooks.holding_probe():
             self.fetch(state, "start", "before_switch")
         if not self.hands.is_attached():
             raise CalibrationError(
@@ -68,38 +68,38 @@ class Touches(object):
     def fetch(self, state, *parts):
         state.fetched = True
         for part in parts:
-            self.module.run_template(part)
+            self.module.hooks.run_gcode(part)
         running.check_homed(self.host)
         state.mark = self.module.frame.mark()
 
     def put_away(self, state):
         if state.fetched:
-            self.module.run_template("end")
+            self.module.hooks.end()
             state.fetched = False
 
     def touch_nozzle(self, gcmd, state):
         self.ways.lift(state)
         state.heights, state.samples = {}, {}
-        with self.module.holding_probe():
+        with self.module.hooks.holding_probe():
             self.put_away(state)
             self.fetch(state, "start")
             self.touch(state, "nozzle", lambda run: run.measure_nozzle())
 
     def touch_switch(self, gcmd, state):
         nozzle_z = state.heights["nozzle"]
-        with self.module.holding_probe():
+        with self.module.hooks.holding_probe():
             self.ways.lift(state)
             # An earlier try may have fetched it
             late = self.module.settings.attach_after_nozzle
             if not (late and self.hands.is_attached()):
-                self.module.attach_probe(state.mark)
+                self.module.hooks.before_switch(state.mark)
             self.touch(
                 state, "switch", lambda run: run.measure_switch(nozzle_z)
             )
 
     def touch_bed(self, gcmd, state):
         z = [state.heights[name] for name in PLACES[:2]]
-        with self.module.holding_probe():
+        with self.module.hooks.holding_probe():
             self.touch(state, "bed", lambda run: run.measure_bed(*z))
             self.put_away(state)
 
@@ -119,7 +119,7 @@ class Touches(object):
             return
         if self.is_homed() and not is_printing:
             self.ways.lift(state)
-            with self.module.holding_probe():
+            with self.module.hooks.holding_probe():
                 self.put_away(state)
         elif state.fetched:
             gcmd.respond_info(

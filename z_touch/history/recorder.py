@@ -157,8 +157,8 @@ class Recorder(object):
         plan, now = self.plan, self.host.eventtime()
         sites, retries = {}, 0
         for site in SITES:
-            if site in plan.found:
-                samples, z = plan.samples[site], plan.found[site].z
+            if site in plan.estimates:
+                samples, z = plan.samples[site], plan.estimates[site].z
                 sites[site] = site_record(samples, z, plan.step)
                 retries += len(plan.touches[site]) - len(samples)
         return {

@@ -143,7 +143,7 @@ class Plan(object):
         # By site: its touches, those of the series that counts, its Estimate
         self.touches = {}
         self.samples = {}
-        self.found = {}
+        self.estimates = {}
         self.differed = False
 
     # How many touches there will be, if all is well
@@ -157,7 +157,7 @@ class Plan(object):
     def collect(self, site, touch, sampling, say, remedy):
         touches = self.touches[site] = []
         past = self.pasts.get(site, UNKNOWN)
-        self.found.pop(site, None)
+        self.estimates.pop(site, None)
 
         def take():
             touches.append(touch())
@@ -169,17 +169,17 @@ class Plan(object):
                 found = estimate(samples, past, self.step, sampling.result)
             else:
                 step, pasts = self.step, self.pasts
-                part = share(site, self.target, step, pasts, self.found)
+                part = share(site, self.target, step, pasts, self.estimates)
                 samples, found = collect(take, past, step, part, remedy)
         except SamplesDiffer:
             self.differed = True
             raise
-        self.samples[site], self.found[site] = samples, found
+        self.samples[site], self.estimates[site] = samples, found
         return samples
 
     # Why a site may want cleaning; empty: it does not
     def doubt(self, site):
-        touches, found = self.touches.get(site, []), self.found.get(site)
+        touches, found = self.touches.get(site, []), self.estimates.get(site)
         past = self.pasts.get(site, UNKNOWN)
         excess = first_excess(touches, past, self.step)
         if excess:
@@ -193,6 +193,6 @@ class Plan(object):
 
     # Of the offset (mm at 95 %), or None
     def uncertainty(self):
-        if any(site not in self.found for site in self.pasts):
+        if any(site not in self.estimates for site in self.pasts):
             return None
-        return expanded([self.found[s] for s in self.pasts], self.step)
+        return expanded([self.estimates[s] for s in self.pasts], self.step)

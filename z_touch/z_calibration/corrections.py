@@ -12,10 +12,10 @@ import functools
 
 from ..core import frame, options, running, saving
 from ..core.errors import CalibrationError
+from .settings import param_switch_offset
 
 # What the web interfaces send when their user saves the Z offset
 BUTTONS = ("Z_OFFSET_APPLY_ENDSTOP", "Z_OFFSET_APPLY_PROBE")
-SAVE_BUTTON = {"off": False, "switch_offset": True}
 
 # More (mm) is no baby step, or a typing error
 LARGEST_STEP = 0.5
@@ -26,11 +26,6 @@ NO_STEP = 0.0000005
 # The G-code offset that CALIBRATE_Z, or a correction since, has left, and the
 # switch_offset that belongs to it (mm)
 Base = collections.namedtuple("Base", "offset switch_offset")
-
-
-# Whether the buttons save into switch_offset
-def read_button(config):
-    return config.getchoice("save_button", SAVE_BUTTON, "off")
 
 
 # The height Z=0 of the nozzle was moved to by the user is the offset that is
@@ -124,13 +119,10 @@ class Corrections(object):
     # Why there is nothing that baby steps could be counted from; empty: there
     # is.  After a print the motors may be off.
     def why_not(self):
-        module = self.module
-        if module.last.result is None:
-            return module.why_not()
-        return module.frame.moved_since(module.last.mark, frame.MOTORS_OFF)
+        return self.module.results.why_not(frame.MOTORS_OFF)
 
     def current(self):
-        last = self.module.last
+        last = self.module.results.last
         if last is not self.corrected:
             result = last.result
             self.corrected = last
@@ -183,14 +175,14 @@ class Corrections(object):
         self.run(gcmd, self.calculate)
 
     def calculate(self, gcmd):
-        module, last = self.module, self.module.last
-        reason = module.why_not()
+        results = self.module.results
+        last, reason = results.last, results.why_not()
         if reason:
             raise CalibrationError(
                 "%s; run CALIBRATE_Z first, then move the nozzle to where Z=0"
                 " should be" % (reason,)
             )
-        old = module.switch_offset(gcmd, last.result.switch_offset)
+        old = param_switch_offset(gcmd, last.result.switch_offset)
         z, z_offset = self.host.z(), last.result.offset + last.z_adjust
         new = corrected_switch_offset(old, z, z_offset)
         text = (

@@ -16,15 +16,15 @@ LARGEST_SWITCH_DISTANCE = 100.0
 # bed: half the length of a usual micro switch.
 SWITCH_NEAR = 7.0
 
-# The places of one run: touching.Site
+# The sites of one run: touching.Site
 Sites = collections.namedtuple("Sites", "nozzle switch bed")
 
 
 # Where nozzle, switch and bed are touched, from the section, the command and
 # other sections.
-class Places(object):
-    def __init__(self, machine, settings):
-        self.host = machine
+class SiteFinder(object):
+    def __init__(self, host, settings):
+        self.host = host
         self.settings = settings
 
     # What is configured; what comes with a command is checked there.
@@ -49,9 +49,9 @@ class Places(object):
             self.bed_site(settings.bed),
         )
         names = Sites._fields
-        return [no_place(n) for n, site in zip(names, sites) if site is None]
+        return [no_site(n) for n, site in zip(names, sites) if site is None]
 
-    # The places of a run, checked.
+    # The sites of a run, checked.
     def of_command(self, gcmd):
         settings = self.settings
         nozzle = self.nozzle_of_command(gcmd)
@@ -60,7 +60,7 @@ class Places(object):
         bed = self.bed_site(self.site_param(gcmd, "bed", settings.bed))
         for site, name in ((switch, "switch"), (bed, "bed")):
             if site is None:
-                raise CalibrationError(no_place(name))
+                raise CalibrationError(no_site(name))
         self.check_reach(switch)
         self.check_reach(bed)
         self.check_apart(switch, bed)
@@ -69,7 +69,7 @@ class Places(object):
     def nozzle_of_command(self, gcmd):
         nozzle = self.site_param(gcmd, "nozzle", self.settings.nozzle)
         if nozzle is None:
-            raise CalibrationError(no_place("nozzle"))
+            raise CalibrationError(no_site("nozzle"))
         self.check_nozzle(nozzle)
         return nozzle
 
@@ -148,7 +148,7 @@ ELSEWHERE = {
 }
 
 
-def no_place(name):
+def no_site(name):
     text = (
         "no place for the %s: run Z_CALIBRATION_SETUP, set %s_xy_position%s, or"
         " add %s_POSITION=X,Y"

@@ -6,9 +6,22 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
+from tests.unit.calibrated import (
+    distances,
+    exact,
+    machines,
+    results,
+    shifts,
+    travels,
+)
 from z_touch.core.errors import CalibrationError
 from z_touch.core.saving import places
-from z_touch.z_calibration.corrections import Base, check_steps
+from z_touch.z_calibration.corrections import (
+    Base,
+    check_steps,
+    corrected_switch_offset,
+)
+from z_touch.z_calibration.heights import offset
 
 BASE = Base(0.16, 0.44)
 
@@ -96,3 +109,39 @@ def test_places_of_an_option(tmp_path):
     assert found("switch_offset") == [("tools/c.cfg", 3), ("printer.cfg", 9)]
     assert found("samples") == []
     assert places("/nowhere/printer.cfg", "z_calibration", "speed") == []
+
+
+class TestCorrectedSwitchOffset:
+    @pytest.mark.parametrize(
+        ("switch_offset", "z", "z_offset", "expected"),
+        [
+            (0.5, 0.25, 0.25, 0.5),  # it was right
+            (0.5, -0.25, 0.0, 0.75),  # the nozzle had to go lower
+            (0.5, 0.25, 0.0, 0.25),
+            (0.5, -1.25, -1.0, 0.75),
+            (0.0, 0.5, 0.0, -0.5),  # refused later on
+        ],
+    )
+    def test_table(self, switch_offset, z, z_offset, expected):
+        new = corrected_switch_offset(switch_offset, z, z_offset)
+        assert new == expected
+
+    @given(results, shifts)
+    def test_gives_the_offset_that_was_moved_to(self, result, z):
+        p, s, n, so = result[:4]
+        new = corrected_switch_offset(so, z, offset(p, s, n, so))
+        assert offset(p, s, n, new) == z
+
+    @given(machines, exact(0, 3))
+    def test_finds_the_travel_of_a_modelled_machine(self, machine, wrong):
+        p, s, n = machine.result()[:3]
+        found = offset(p, s, n, wrong)
+        new = corrected_switch_offset(wrong, machine.bed, found)
+        assert new == machine.travel
+
+    @given(travels, shifts, shifts, distances)
+    def test_signs(self, so, z, z_offset, more):
+        plain = corrected_switch_offset(so, z, z_offset)
+        assert corrected_switch_offset(so, z - more, z_offset) > plain
+        assert corrected_switch_offset(so, z, z_offset - more) < plain
+        assert corrected_switch_offset(so + more, z, z_offset) > plain

@@ -1,141 +1,30 @@
-"""The pure part of z_calibration.py: tables of edges and general properties."""
+"""The formula, expected heights, floors and travel heights: pure."""
 
 from __future__ import annotations
 
 import math
-from typing import NamedTuple
 
 import pytest
 from hypothesis import assume, given
 from hypothesis import strategies as st
 
-from tests.unit.loading import load
-from z_touch.core import templates
-from z_touch.core.templates import attaches_probe
-from z_touch.z_calibration.corrections import corrected_switch_offset
-
-zc = load("z_touch.z_calibration.module")
-
-STEP = 1 / 64
-
-
-def exact(low, high):
-    """Multiples of 1/64: their sums are exact, equality really is equality."""
-    return st.integers(int(low / STEP), int(high / STEP)).map(
-        lambda steps: steps * STEP
-    )
-
-
-heights = exact(-50, 400)
-shifts = exact(-10, 10)
-distances = exact(STEP, 10)
-travels = exact(0, 3)
-margin_pairs = st.tuples(exact(-3, 3), exact(-3, 3)).filter(
-    lambda pair: pair[0] < pair[1]
+from tests.unit.calibrated import (
+    STEP,
+    complaint,
+    distances,
+    exact,
+    expected_heights,
+    heights,
+    machines,
+    make_settings,
+    margin_pairs,
+    offsets_within_margins,
+    results,
+    settings_of,
+    shifts,
+    travels,
 )
-# Margins and an offset that they admit
-offsets_within_margins = margin_pairs.flatmap(
-    lambda margins: st.tuples(st.just(margins), exact(*margins))
-)
-results = st.builds(zc.Result, heights, heights, heights, travels, shifts)
-expected_heights = st.none() | heights
-
-
-class Machine(NamedTuple):
-    """What only the test knows; heights are toolhead Z."""
-
-    pin: float  # where the nozzle presses the pin
-    body: float  # how far the switch body hangs below the nozzle
-    travel: float  # from the body down to the plunger when it triggers
-    bed: float  # where the nozzle would meet the bed
-
-    @property
-    def switch_trigger(self):
-        return self.pin + self.body
-
-    @property
-    def bed_trigger(self):
-        return self.bed + self.body + self.travel
-
-    def shifted(self, shift):
-        """After homing at a pin that is taken to stand elsewhere."""
-        return self._replace(pin=self.pin + shift, bed=self.bed + shift)
-
-    def result(self):
-        """What a run finds."""
-        parts = (self.bed_trigger, self.switch_trigger, self.pin, self.travel)
-        return zc.Result(*parts, zc.offset(*parts))
-
-
-# Bodies that the module admits, beds inside the default margins
-machines = st.builds(
-    Machine,
-    pin=exact(-2, 5),
-    body=exact(1 + STEP, 12),
-    travel=travels,
-    bed=exact(-1 + STEP, 1 - STEP),
-)
-
-
-def make_sampling(**changes):
-    """How the pin is sampled; nothing is left to the probe."""
-    values = {
-        "samples": 3,
-        "tolerance": 0.01,
-        "retries": 0,
-        "result": "median",
-        "speed": 2.0,
-        "retract_dist": 4.0,
-        "lift_speed": 6.0,
-    }
-    return zc.sampling.Sampling(**dict(values, **changes))
-
-
-def make_settings(**changes):
-    """Settings of a plausible machine, as complete() leaves them."""
-    values = {
-        "nozzle": zc.touching.Site(
-            "nozzle", 100.0, 290.0, "nozzle_xy_position"
-        ),
-        "switch": zc.touching.Site(
-            "switch", 110.0, 290.0, "switch_xy_position"
-        ),
-        "switch_xy_offsets": None,
-        "bed": zc.touching.Site("bed", 150.0, 150.0, "bed_xy_position"),
-        "wiggle": None,
-        "switch_offset": 0.5,
-        "attach_after_nozzle": False,
-        "first_fast": False,
-        "offset_margins": (-1.0, 1.0),
-        "travel_margin": 1.0,
-        "position_endstop": 0.0,
-        "position_min": -100.0,
-        "position_max": 500.0,
-        "safe_z_height": 13.0,
-        "speed": 50.0,
-        "probing_speed": 5.0,
-        "z_offset": 6.5,
-        "pin": make_sampling(),
-        "probe": make_sampling(),
-        "target": 0.008,
-        "save_button": False,
-        "unmeasured_pin": 0.0,
-    }
-    return zc.Settings(**dict(values, **changes))
-
-
-def settings_of(machine, **changes):
-    """Settings of someone who has measured the machine."""
-    return make_settings(
-        position_endstop=machine.pin, switch_offset=machine.travel
-    )._replace(**changes)
-
-
-def complaint(function, *args):
-    """The message that a call ends with."""
-    with pytest.raises(zc.errors.CalibrationError) as caught:
-        function(*args)
-    return str(caught.value)
+from z_touch.z_calibration import heights as zc
 
 
 class TestOffset:
@@ -196,42 +85,6 @@ class TestCheckOffset:
             complaint(zc.check_offset, result, margins)
         else:
             zc.check_offset(result, margins)
-
-
-class TestCorrectedSwitchOffset:
-    @pytest.mark.parametrize(
-        ("switch_offset", "z", "z_offset", "expected"),
-        [
-            (0.5, 0.25, 0.25, 0.5),  # it was right
-            (0.5, -0.25, 0.0, 0.75),  # the nozzle had to go lower
-            (0.5, 0.25, 0.0, 0.25),
-            (0.5, -1.25, -1.0, 0.75),
-            (0.0, 0.5, 0.0, -0.5),  # refused later on
-        ],
-    )
-    def test_table(self, switch_offset, z, z_offset, expected):
-        new = corrected_switch_offset(switch_offset, z, z_offset)
-        assert new == expected
-
-    @given(results, shifts)
-    def test_gives_the_offset_that_was_moved_to(self, result, z):
-        p, s, n, so = result[:4]
-        new = corrected_switch_offset(so, z, zc.offset(p, s, n, so))
-        assert zc.offset(p, s, n, new) == z
-
-    @given(machines, exact(0, 3))
-    def test_finds_the_travel_of_a_modelled_machine(self, machine, wrong):
-        p, s, n = machine.result()[:3]
-        found = zc.offset(p, s, n, wrong)
-        new = corrected_switch_offset(wrong, machine.bed, found)
-        assert new == machine.travel
-
-    @given(travels, shifts, shifts, distances)
-    def test_signs(self, so, z, z_offset, more):
-        plain = corrected_switch_offset(so, z, z_offset)
-        assert corrected_switch_offset(so, z - more, z_offset) > plain
-        assert corrected_switch_offset(so, z, z_offset - more) < plain
-        assert corrected_switch_offset(so + more, z, z_offset) > plain
 
 
 LAST = zc.Result(
@@ -751,140 +604,3 @@ class TestTravelHeight:
         plain = zc.travel_height(settings, pin, body)
         assert zc.travel_height(settings, pin + more, body) >= plain
         assert zc.travel_height(settings, pin, body + more) >= plain
-
-
-# No two values alike, none as the pin has it
-PROBE = zc.sampling.Sampling(
-    samples=5,
-    tolerance=0.1,
-    retries=2,
-    result="average",
-    speed=7.0,
-    retract_dist=8.0,
-    lift_speed=9.0,
-)
-
-
-class TestComplete:
-    def complete(self, settings, z_offset=6.5):
-        left_open = zc.sampling.Sampling(*[None] * 7)
-        open_ends = settings._replace(
-            probe=left_open, z_offset=None, position_max=None
-        )
-        return zc.complete(open_ends, PROBE, z_offset, 250.0)
-
-    def test_what_is_set_stays(self):
-        chosen = make_settings(safe_z_height=4.0)
-        assert self.complete(chosen) == chosen._replace(
-            probe=PROBE, z_offset=6.5, position_max=250.0
-        )
-
-    @pytest.mark.parametrize(
-        ("changes", "pin", "height"),
-        [
-            ({}, 10.0, 21.0),
-            ({"safe_z_height": 15.0}, 0.0, 15.0),
-            ({"attach_after_nozzle": True}, 0.0, 13.0),
-            ({"position_endstop": 0.5}, 0.0, 13.0),
-        ],
-    )
-    def test_a_pin_that_nobody_has_measured(self, changes, pin, height):
-        left_open = {"safe_z_height": None, "position_endstop": None}
-        settings = make_settings(**{**left_open, **changes})
-        found = self.complete(settings)
-        assert found.unmeasured_pin == pin
-        assert zc.travel_height(found, None, None) == height
-        # Once it is known
-        assert zc.travel_height(found, 0.5, None) == max(height - pin, 13.0)
-
-    @pytest.mark.parametrize("name", zc.sampling.Sampling._fields)
-    def test_the_probe_fills_what_is_open_and_only_that(self, name):
-        settings = make_settings(pin=make_sampling(**{name: None}))
-        filled = make_sampling(**{name: getattr(PROBE, name)})
-        assert self.complete(settings).pin == filled
-
-    def test_the_bed_keeps_what_the_section_says(self):
-        given = zc.sampling.Sampling(*[None] * 7)._replace(samples=4)
-        settings = make_settings()._replace(probe=given)
-        found = zc.complete(settings, PROBE, 6.5, 250.0).probe
-        assert found == PROBE._replace(samples=4)
-
-    def test_the_probe_may_fill_everything(self):
-        nothing = zc.sampling.Sampling(
-            *[None] * len(zc.sampling.Sampling._fields)
-        )
-        assert self.complete(make_settings(pin=nothing)).pin == PROBE
-
-    @pytest.mark.parametrize("name", ["tolerance", "retries"])
-    def test_zero_is_a_setting(self, name):
-        pin = make_sampling(**{name: 0})
-        assert self.complete(make_settings(pin=pin)).pin == pin
-
-    @pytest.mark.parametrize(
-        ("safe_z", "z_offset", "completed"),
-        [
-            (None, 6.5, 13.0),
-            (None, 1.0, 20.0),
-            (0.5, 6.5, 0.5),
-            (4.0, 9.0, 4.0),
-        ],
-    )
-    def test_the_travel_height(self, safe_z, z_offset, completed):
-        settings = make_settings(safe_z_height=safe_z)
-        found = self.complete(settings, z_offset)
-        assert (found.safe_z_height, found.z_offset) == (completed, z_offset)
-
-
-MACROS = ["ATTACH_PROBE", "_G0"]
-
-
-class TestHoming:
-    @pytest.mark.parametrize(
-        ("gcode", "macros", "homes"),
-        [
-            ("G28", {}, True),
-            ("\n  g28 Z", {}, True),
-            ("START", {"START": "{% if x %} G28 {% endif %}"}, True),
-            ("START", {"START": "MORE", "MORE": "G28 X"}, True),
-            ("START", {"START": "MORE", "MORE": "START"}, False),
-            ("ATTACH", {"ATTACH": "G0 X1", "OTHER": "G28"}, False),
-            ("", {}, False),
-        ],
-    )
-    def test_g28_is_found_also_in_macros(self, gcode, macros, homes):
-        assert templates.homes(gcode, macros) is homes
-
-
-class TestAttachesProbe:
-    @pytest.mark.parametrize(
-        "before",
-        [
-            "ATTACH_PROBE",
-            "attach_probe",
-            "\n  G90\n  Attach_Probe;now\n  M400",
-            "{% if x %} ATTACH_PROBE X=1 {% endif %}",
-            "_g0",
-            "SET_SERVO SERVO=arm ANGLE=90",
-            "set_pin PIN=magnet VALUE=1",
-        ],
-    )
-    def test_macros_servos_and_pins_do(self, before):
-        for start in ("", "G28", "G28\n" + before):
-            assert attaches_probe(before, start, MACROS) is True
-        # What has been done already
-        start = "\n " + before.lower().replace(" ", "  ") + "\n"
-        assert attaches_probe(before, start, MACROS) is False
-
-    @pytest.mark.parametrize(
-        "before",
-        [
-            *("", " \n \n", "G0 X1", "G90\n  G1 Z20 F900\n  M400"),
-            *("M117 ATTACH_PROBE", "; ATTACH_PROBE", "G1 X1 ; ATTACH_PROBE"),
-            "{% set m = 'ATTACH_PROBE' %}\n{% if m %} G28 Z {% endif %}",
-        ],
-    )
-    def test_nothing_else_does(self, before):
-        assert attaches_probe(before, "", MACROS) is False
-
-    def test_kalico_has_a_command_for_it(self):
-        assert attaches_probe("ATTACH_PROBE", "", []) is True

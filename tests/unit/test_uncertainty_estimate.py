@@ -78,7 +78,7 @@ def automatic(printer, pasts, target):
         touch = partial(printer.touch, number)
         plan.collect(site, touch, AUTOMATIC, None, "")
     touches = sum(map(len, plan.touches.values()))
-    return [plan.found[site] for site in SITES], touches
+    return [plan.estimates[site] for site in SITES], touches
 
 
 def fixed(printer, pasts, method):

@@ -1,0 +1,252 @@
+# One run of a Z calibration: nozzle, switch and bed are touched in turn.
+#
+# Copyright (C) 2026  the Z calibration developers, under the GNU GPLv3
+#
+# Each site is approached at the travel height, which follows what the run
+# learns: first from what earlier runs say, then from the nozzle, then from the
+# switch.  No touch goes below its floor, see heights.py.
+#
+#   nozzle   ->   before_switch_gcode   ->   switch   ->   bed
+#     |                                        |
+#     |  samples differ, or the first one      |  nothing is known of the probe, or
+#     |  is higher: cleaned once               |  nothing down to where it should be:
+#     +-> nozzle                               |  one touch of the bed tells how long
+#                                              +-> the probe is, then the switch again
+from __future__ import absolute_import
+
+import collections
+
+from ..core import errors, touching
+from . import heights
+from .measuring import BedMeasurement, NozzleMeasurement, SwitchMeasurement
+
+# From here on (mm) a difference is not noise or heat: of the nozzle against
+# the height Z was homed at, or of switch minus nozzle against the last run.
+STALE_Z = 0.5
+GEOMETRY_JUMP = 0.5
+
+# What earlier runs say: the last good heights.Result or None, whether the frame
+# is still the one of that run, and switch - nozzle of many (trend.Summary or
+# None).
+Earlier = collections.namedtuple("Earlier", "last holds summary")
+NOTHING_EARLIER = Earlier(None, False, None)
+
+
+# One run: nozzle, switch, bed.
+class Calibration(object):
+    # 'settings': completed; 'pin': what nozzle and body press; 'sites': where
+    # the head stands; 'watch' is told what happens; 'plan' has the samples.
+    def __init__(self, host, settings, pin, sites, watch, plan):
+        self.host = host
+        self.settings = settings
+        self.pin = pin
+        self.sites = sites
+        self.watch = watch
+        self.plan = plan
+        self.warnings = []
+        self.know(NOTHING_EARLIER)
+
+    # Before anything is measured; the frame may move until then
+    def know(self, earlier):
+        self.earlier = earlier
+        self.rise_over(self.expect_nozzle())
+
+    # The travel height follows what is known of the pin (toolhead Z, mm, None:
+    # nobody knows its height); the head is lifted to it later.
+    def rise_over(self, pin_z):
+        self.travel_z = heights.travel_height(self.settings, pin_z, self.body())
+
+    # switch - nozzle (mm) of the probe that was there last, or None
+    def body(self):
+        last, holds, _ = self.earlier
+        return last.switch - last.nozzle if holds else None
+
+    # Returns the heights.Result.  attach_probe() comes between nozzle and
+    # switch; 'clean' as in measure_nozzle().
+    def measure(self, attach_probe, clean=None):
+        settings = self.settings
+        if not settings.attach_after_nozzle:
+            # Nobody will attach it later: say so before anything is touched
+            self.check_probe_attached()
+        nozzle_z = self.measure_nozzle(clean)
+        self.rise_over(nozzle_z)
+        self.lift()
+        self.watch.enter("before_switch_gcode")
+        attach_probe()
+        self.watch.enter("switch")
+        switch_z = self.measure_switch(nozzle_z)
+        self.check_geometry(switch_z - nozzle_z)
+        self.watch.enter("bed")
+        probe_z = self.measure_bed(nozzle_z, switch_z)
+        parts = (probe_z, switch_z, nozzle_z, settings.switch_offset)
+        return heights.Result(*parts + (heights.offset(*parts),))
+
+    # Once for all samples
+    def warn(self, text):
+        if text not in self.warnings:
+            self.warnings.append(text)
+            self.watch.say(text)
+
+    def check_probe_attached(self):
+        if self.host.probing.endstop().query_endstop(self.host.after_moves()):
+            # A PROBE leaves it pressed on the bed
+            self.lift()
+            switch = self.at_switch()
+            switch.check_probe_attached(self.host.after_moves())
+
+    def lift(self):
+        speed = self.settings.pin.lift_speed
+        touching.raise_to(self.host, self.travel_z, speed)
+
+    # Where a touch ends at the latest: toolhead Z (mm) of the nozzle; with
+    # nozzle_z of the switch; with switch_z, too, of the bed.
+    def floor(self, nozzle_z=None, switch_z=None):
+        settings = self.settings
+        if nozzle_z is None:
+            return heights.nozzle_floor(settings, self.expect_nozzle())
+        if switch_z is None:
+            expected_z = self.expect_switch(nozzle_z)
+            return heights.switch_floor(settings, nozzle_z, expected_z)
+        return heights.bed_floor(settings, nozzle_z, switch_z)
+
+    def expect_nozzle(self):
+        last, holds, _ = self.earlier
+        return heights.expect_nozzle(self.settings, last, holds)
+
+    def expect_switch(self, nozzle_z):
+        last = self.earlier.last
+        return heights.expect_switch(self.settings, nozzle_z, last)
+
+    def at_nozzle(self):
+        return NozzleMeasurement(self, self.sites.nozzle, self.settings.pin)
+
+    def at_switch(self):
+        return SwitchMeasurement(self, self.sites.switch, self.settings.pin)
+
+    def at_bed(self):
+        return BedMeasurement(self, self.sites.bed, self.settings.probe)
+
+    ##################################################################
+    # Nozzle
+    ##################################################################
+
+    # Returns toolhead Z (mm).  clean(why) cleans the nozzle; None: nothing is
+    # there to do so.
+    def measure_nozzle(self, clean=None):
+        self.sample_clean_nozzle(clean)
+        z = self.plan.estimates["nozzle"].z
+        homed_z = self.settings.position_endstop
+        if homed_z is not None and abs(z - homed_z) > STALE_Z:
+            self.warn(
+                "nozzle: z=%.3f is far from position_endstop %.3f, at which Z"
+                " was homed; home Z again (G28 Z) after any levelling"
+                % (z, homed_z)
+            )
+        return z
+
+    # Cleaned once where something seems to stick to it
+    def sample_clean_nozzle(self, clean):
+        try:
+            self.sample_nozzle()
+        except errors.CalibrationError:
+            if clean is None or not self.plan.differed:
+                raise
+        why = self.plan.doubt("nozzle")
+        if clean is not None and why:
+            self.watch.say("nozzle: %s; cleaning it, then once more" % (why,))
+            self.lift()
+            clean(why)
+            self.sample_nozzle()
+
+    # The heights of the samples (mm)
+    def sample_nozzle(self):
+        self.watch.enter("nozzle")
+        expected_z, floor = self.expect_nozzle(), self.floor()
+        return self.at_nozzle().take_samples(self.travel_z, expected_z, floor)
+
+    ##################################################################
+    # Switch
+    ##################################################################
+
+    # Returns toolhead Z (mm)
+    def measure_switch(self, nozzle_z):
+        switch = self.at_switch()
+        expected_z, floor = self.expect_switch(nozzle_z), self.floor(nozzle_z)
+        if expected_z is None:
+            floor = self.floor_from_bed(nozzle_z, floor)
+        try:
+            return switch.measure(self.travel_z, expected_z, floor)
+        except errors.NoTrigger as e:
+            if expected_z is None or switch.taken:
+                raise
+            floor = self.find_lower_floor(nozzle_z, floor, e)
+            return switch.measure(self.travel_z, None, floor)
+
+    # Nothing down to a floor that came from z_offset or from a probe that may
+    # have been exchanged: the bed tells whether that was wrong, or the switch
+    # is dead.  Raises 'error' again where the floor cannot be lower.
+    def find_lower_floor(self, nozzle_z, floor, error):
+        self.watch.say("%s; looking at the bed how long the probe is" % error)
+        hard = heights.switch_floor(self.settings, nozzle_z, None)
+        try:
+            lowest = self.lowest_switch(nozzle_z)
+        except errors.CalibrationError as e:
+            self.watch.say("%s" % (e,))
+            raise error
+        if max(lowest, hard) >= floor:
+            raise error
+        return max(lowest, hard)
+
+    # Nothing known of the probe: the bed tells how long it is before its body
+    # goes down where it may meet something else than the pin.
+    def floor_from_bed(self, nozzle_z, hard):
+        try:
+            return max(hard, self.lowest_switch(nozzle_z))
+        except errors.NoTrigger as e:
+            text = "%s; searching for the switch down to z=%.3f"
+            self.watch.say(text % (e, hard))
+            return hard
+
+    # By one touch of the bed; raises NoTrigger where that cannot be found
+    def lowest_switch(self, nozzle_z):
+        settings = self.settings
+        floor = heights.unmeasured_bed_floor(settings, nozzle_z)
+        if floor >= self.travel_z:
+            raise errors.NoTrigger(
+                "bed: with offset_margins this wide the nozzle may meet it"
+                " first, below z=%.3f" % (floor,)
+            )
+        bed_z = self.at_bed().look(self.travel_z, floor)
+        return heights.lowest_switch(settings, nozzle_z, bed_z)
+
+    # An exchanged nozzle is what the module is for; a probe that is seated
+    # badly looks the same.  'body': switch - nozzle (mm) of this run.
+    def check_geometry(self, body):
+        last, _, summary = self.earlier
+        before = body if last is None else last.switch - last.nozzle
+        if abs(body - before) > GEOMETRY_JUMP:
+            self.warn(
+                "switch - nozzle is %.3f mm and was %.3f mm in the last good"
+                " run; if neither nozzle nor probe was exchanged, check how the"
+                " probe is seated and that the nozzle is tight" % (body, before)
+            )
+        elif summary is not None and summary.departs(body):
+            self.warn(
+                "switch - nozzle is %.3f mm and was %.3f mm in earlier runs:"
+                " nozzle exchanged, or the probe is not seated"
+                % (body, summary.fingerprint.middle)
+            )
+
+    ##################################################################
+    # Bed
+    ##################################################################
+
+    # Returns toolhead Z (mm)
+    def measure_bed(self, nozzle_z, switch_z):
+        settings, last = self.settings, self.earlier.last
+        expected_z = heights.expect_bed(settings, nozzle_z, switch_z, last)
+        self.travel_z = heights.travel_height_to_bed(
+            settings, nozzle_z, switch_z
+        )
+        floor = self.floor(nozzle_z, switch_z)
+        return self.at_bed().measure(self.travel_z, expected_z, floor)

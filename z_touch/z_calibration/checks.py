@@ -1,0 +1,88 @@
+# What is wrong with a set-up, or worth telling, when klippy connects.
+# Copyright (C) 2026  the Z calibration developers, under the GNU GPLv3
+from __future__ import absolute_import
+
+import math
+
+from ..core.errors import CalibrationError
+from . import heights
+from .sites import SiteFinder
+
+# Within this distance (mm) of its zero a bed mesh is as good as zero.
+MESH_ZERO_NEAR = 1.0
+
+
+# Raises the error of a configuration whose probe cannot press the pin.
+def check_probe(host):
+    for name in ("bltouch", "smart_effector"):
+        # Neither has a switch body, and on a touch without the host's own
+        # procedure the pin of a bltouch would be retracted.
+        if host.printer.lookup_object(name, None) is not None:
+            raise host.printer.config_error(
+                "Section '%s': this probe has no switch body to press the"
+                " Z endstop with; z_calibration needs a switch as [probe]"
+                % (name,)
+            )
+    if host.probing.probe is None or host.probing.endstop() is None:
+        raise host.printer.config_error(
+            "Section 'probe' is missing, or no switch on an endstop pin"
+            " that stops the Z motors; z_calibration needs a [probe] with a"
+            " switch that can press the Z endstop"
+        )
+
+
+# Raises CalibrationError.  'settings' are completed.
+def check_settings(host, settings):
+    result = settings.probe.result
+    if result not in ("median", "average"):
+        raise CalibrationError(
+            "Option 'samples_result: %s' in section 'probe' is not known to"
+            " z_calibration; set it to median or average" % (result,)
+        )
+    check_travel_heights(host, settings)
+    SiteFinder(host, settings).check()
+
+
+# Both must fit, the one that the user wants and the one that the pin needs
+def check_travel_heights(host, settings):
+    high, homed_z = settings.position_max, settings.position_endstop or 0.0
+    unlimited = settings._replace(position_max=float("inf"))
+    above_pin = heights.travel_height(unlimited, homed_z, None)
+    for height, remedy in (
+        (settings.safe_z_height, "safe_z_height"),
+        (above_pin, "position_endstop there, travel_margin"),
+    ):
+        if height > high:
+            raise CalibrationError(
+                "The travel height of z_calibration, z=%.3f, must lie"
+                " within position_max (%.3f) of section '%s'; correct %s in"
+                " section 'z_calibration', or z_offset in section 'probe',"
+                " which is the real distance between nozzle and probe"
+                % (height, high, host.z_axis.section, remedy)
+            )
+
+
+# What the user is told at start; 'settings' are completed.
+def notes(host, settings):
+    for text in SiteFinder(host, settings).missing():
+        yield text
+    if settings.unmeasured_pin:
+        travel_z = heights.travel_height(settings, None, None)
+        yield (
+            "until endstop_pin is touched the head travels at z=%.1f, enough"
+            " for a pin of %g mm; where it is higher run"
+            " Z_CALIBRATION_SETUP, or set safe_z_height"
+            % (travel_z, settings.unmeasured_pin)
+        )
+    # With a mesh loaded, Z=0 is right where the mesh is zero.
+    bed, zero = settings.bed, host.mesh_zero()
+    if bed is None or zero is None:
+        return
+    if math.hypot(bed.x - zero[0], bed.y - zero[1]) > MESH_ZERO_NEAR:
+        yield (
+            "bed_xy_position (%.3f, %.3f) is not where the bed mesh is zero"
+            " (%.3f, %.3f): with a mesh loaded, the gap is wrong by its"
+            " height there; leave bed_xy_position out, or set"
+            " zero_reference_position of section 'bed_mesh' to it"
+            % (bed.x, bed.y, zero[0], zero[1])
+        )

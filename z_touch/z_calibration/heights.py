@@ -1,0 +1,191 @@
+# Heights of a Z calibration: the formula, what is expected, floors, travel
+# heights.  Pure functions.
+#
+# Copyright (C) 2026  the Z calibration developers, under the GNU GPLv3
+#
+# Every height is a toolhead Z in mm, see z_touch/core/touching.py: the position
+# of the head in the frame of the last homing, up is positive.  With the probe on
+# the head, three things lie below the nozzle:
+#
+#        \_/        ___ nozzle_z      where the nozzle presses the pin
+#         :
+#       [ s ]       ___ body          switch - nozzle: the body of the switch
+#         I         ___ trigger       + switch_offset: where its plunger triggers
+#         I         ___ free plunger  + FREE_PLUNGER: where the free plunger ends
+#
+# 'settings' is the record of settings.py, completed; 'last' the Result of the
+# last good run, None where there is none.
+from __future__ import absolute_import
+
+import collections
+
+from ..core.errors import CalibrationError
+
+# The switch body hangs at least this far (mm) below the nozzle tip: a probe
+# with less could not reach the bed before the nozzle does.
+BODY_BELOW_NOZZLE = 1.0
+
+# A smaller z_offset (mm) of the probe cannot have been measured on a switch.
+SMALLEST_Z_OFFSET = 2.0
+
+# What a probe that was never measured may hang below the nozzle (mm), where
+# its z_offset is no better.  Common ones hang 5 to 9 mm; long ones need a
+# z_offset or a safe_z_height that is right.
+UNMEASURED_PROBE = 10.0
+
+# The free plunger hangs this much (mm) lower than the point at which it
+# triggers; no micro switch has a longer pretravel.
+FREE_PLUNGER = 1.0
+
+# Travel height (mm) where twice the probe's z_offset is no real height.
+SMALLEST_SAFE_Z = 3.0
+FALLBACK_SAFE_Z = 20.0
+
+######################################################################
+# The result
+######################################################################
+
+# The parts and the outcome of one calibration (mm): toolhead Z of the three
+# triggers, the switch_offset that was reckoned with, and the G-code Z offset.
+Result = collections.namedtuple(
+    "Result", "probe switch nozzle switch_offset offset"
+)
+
+
+# The G-code Z offset (mm): toolhead Z where the nozzle meets the bed.  The part
+# in brackets is how far the probe triggers below the nozzle, see the door.
+def offset(probe, switch, nozzle, switch_offset):
+    return probe - (switch - nozzle + switch_offset)
+
+
+# Raises CalibrationError for an offset outside of margins (low, high).
+def check_offset(result, margins):
+    low, high = margins
+    if low <= result.offset <= high:
+        return
+    raise CalibrationError(
+        "offset %.3f is outside offset_margins %.3f to %.3f"
+        " (probe=%.3f switch=%.3f nozzle=%.3f); home Z again (G28 Z) after any"
+        " levelling, then check the three positions and position_endstop"
+        % ((result.offset, low, high) + result[:3])
+    )
+
+
+######################################################################
+# Expected heights
+######################################################################
+
+# Where a touch should trigger: toolhead Z (mm), or None where nobody knows.
+
+
+# The nozzle meets the Z endstop where Z was homed, or, more exactly, where it
+# did in the last run, as long as the frame is still the one of that run
+# ('holds').  A pin of its own is only known from the last run.
+def expect_nozzle(settings, last, holds):
+    if last is None or not (holds or settings.position_endstop is None):
+        return settings.position_endstop
+    return last.nozzle
+
+
+# The body hangs below the nozzle as in the last run; before the first one as
+# far as z_offset of the probe says, if that was ever measured.
+def expect_switch(settings, nozzle_z, last):
+    if last is not None:
+        return nozzle_z + last.switch - last.nozzle
+    if settings.z_offset < SMALLEST_Z_OFFSET:
+        return None
+    return nozzle_z + settings.z_offset - settings.switch_offset
+
+
+# The bed is where the last run had it; before the first one at an offset of 0.
+def expect_bed(settings, nozzle_z, switch_z, last):
+    gap = switch_z - nozzle_z + settings.switch_offset
+    return gap + (last.offset if last is not None else 0.0)
+
+
+######################################################################
+# Floors
+######################################################################
+
+# The lowest useful toolhead Z (mm) of each touch; none is below position_min.
+
+
+# The nozzle meets the Z endstop where Z was homed, give or take what the
+# margins allow.  Nobody knows how high a pin of its own is until it was touched.
+def nozzle_floor(settings, expected_z):
+    reach = max(settings.travel_margin, -settings.offset_margins[0])
+    homed_z = settings.position_endstop
+    if homed_z is None:
+        homed_z = expected_z
+    if homed_z is None:
+        return settings.position_min
+    return max(settings.position_min, homed_z - reach)
+
+
+# The body hangs below the nozzle, in any case; where a trigger is expected,
+# the touch ends travel_margin below it.
+def switch_floor(settings, nozzle_z, expected_z):
+    floor = max(settings.position_min, nozzle_z + BODY_BELOW_NOZZLE)
+    if expected_z is None:
+        return floor
+    return max(floor, expected_z - settings.travel_margin)
+
+
+# A bed that is lower than this would give an offset below the lower margin.
+def bed_floor(settings, nozzle_z, switch_z):
+    gap = switch_z - nozzle_z + settings.switch_offset
+    return max(settings.position_min, gap + settings.offset_margins[0])
+
+
+# Where the bed may be looked for with a probe of unknown length: the nozzle
+# meets it below the upper margin.  Where levelling has lifted the bed, it has
+# lifted the pin of the Z endstop with it.
+def unmeasured_bed_floor(settings, nozzle_z):
+    floor = settings.offset_margins[1] + BODY_BELOW_NOZZLE
+    if settings.position_endstop is not None:
+        floor += max(0.0, nozzle_z - settings.position_endstop)
+    return max(settings.position_min, floor)
+
+
+# The lowest height of the body on the pin if the probe triggered on the bed
+# at bed_z: the offset can be no larger than the upper margin.
+def lowest_switch(settings, nozzle_z, bed_z):
+    gap = bed_z - settings.offset_margins[1]
+    return nozzle_z + gap - settings.switch_offset
+
+
+######################################################################
+# Travel heights
+######################################################################
+
+# Toolhead Z (mm) at which the head moves in X and Y.  A minimum where the user
+# or z_offset has it; never above the end of the axis.
+
+
+# safe_z_height where it is left out: twice the probe's z_offset, if that is a
+# real height.
+def default_safe_z(probe_z_offset):
+    safe_z = 2.0 * probe_z_offset
+    return safe_z if safe_z >= SMALLEST_SAFE_Z else FALLBACK_SAFE_Z
+
+
+# Above a pin at pin_z (None: nobody knows) and above the bed, which lies at
+# about 0, with a probe whose body hangs 'body' (mm, None: nobody knows) below
+# the nozzle.
+def travel_height(settings, pin_z, body):
+    if pin_z is None:
+        pin_z = settings.unmeasured_pin
+    hangs = max(settings.z_offset, UNMEASURED_PROBE)
+    if body is not None:
+        hangs = body + settings.switch_offset + FREE_PLUNGER
+    clear = max(pin_z, 0.0) + hangs + settings.travel_margin
+    return min(max(settings.safe_z_height, clear), settings.position_max)
+
+
+# Above the pin and above the bed, which may lie as high as the upper margin
+# lets it, with a probe that was measured.
+def travel_height_to_bed(settings, nozzle_z, switch_z):
+    gap = switch_z - nozzle_z + settings.switch_offset
+    highest = max(nozzle_z, settings.offset_margins[1])
+    clear = highest + gap + FREE_PLUNGER + settings.travel_margin
+    return min(max(settings.safe_z_height, clear), settings.position_max)

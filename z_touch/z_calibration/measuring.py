@@ -1,0 +1,311 @@
+# One site of a Z calibration: get there, come down, touch, look, come up.
+#
+# Copyright (C) 2026  the Z calibration developers, under the GNU GPLv3
+#
+#                          nozzle           switch           bed
+#
+#   touches with           the tip          the body         the probe
+#   stopped by             the pin          the pin          the probe
+#   looked at meanwhile    the probe        the probe        the pin
+#
+# The sensor that stops a touch is looked at by the host before each move.  The
+# other one is not armed, so it is looked at here: when the head has arrived,
+# and while it presses.
+from __future__ import absolute_import
+
+import functools
+
+from ..core import errors, touching
+
+# What to do about samples that differ
+DIFFER = "clean the nozzle and check the switch for play"
+
+# What to do where the head is below the floor of a touch already
+TOO_LOW = (
+    "correct switch_offset, which is larger than any switch has it, or"
+    " position_max of the Z axis"
+)
+
+PLUNGER_PRESSED = (
+    "switch: the pin presses the plunger of the probe besides its body, which"
+    " makes the height wrong; correct switch_xy_position"
+)
+
+
+# One site: approach it, touch it, come back up.  'calibration' is the run that
+# it is part of.
+class Measurement(object):
+    # What to look at after a touch that failed
+    remedy = ""
+
+    def __init__(self, calibration, site, sampling):
+        self.host = calibration.host
+        self.settings = calibration.settings
+        self.pin = calibration.pin
+        self.plan = calibration.plan
+        # Is told of every touch
+        self.watch = calibration.watch
+        self.warn = calibration.warn
+        self.site = site
+        self.sampling = sampling
+        self.head = touching.Head(calibration.host, sampling, TOO_LOW)
+        self.expected_z = None
+        # Samples so far
+        self.taken = 0
+
+    # Returns the height: toolhead Z in mm.  'travel_z': where the head moves in
+    # X and Y; 'expected_z': where the trigger should be, None: nobody knows;
+    # 'floor': no touch goes lower.
+    def measure(self, travel_z, expected_z, floor):
+        self.take_samples(travel_z, expected_z, floor)
+        return self.plan.estimates[self.site.name].z
+
+    # The heights of the samples; more of them is in the plan.
+    def take_samples(self, travel_z, expected_z, floor):
+        self.expected_z = expected_z
+        with errors.about(self.site.name):
+            return self.touch_site(travel_z, expected_z, floor)
+
+    def touch_site(self, travel_z, expected_z, floor):
+        self.go_there(travel_z)
+        self.come_down(travel_z, expected_z, floor)
+        return self.collect(floor)
+
+    # What is to be pressed at this site
+    def endstop(self):
+        return self.pin.endstop
+
+    # Looks at the sensor that is not armed, before the first touch
+    def check_arrived(self):
+        pass
+
+    # Looks at the sensor that is not armed while the head presses the other one
+    def check_pressed(self):
+        pass
+
+    # Raises what is known of a touch that failed
+    def explain(self):
+        self.check_pin_open(self.host.after_moves())
+
+    # Up first, so that nothing is hit on the way; never down to get there.
+    def go_there(self, travel_z):
+        self.head.lift(travel_z)
+        site, speed = self.site, self.settings.speed
+        touching.move_xy(self.host, site.x, site.y, speed)
+        self.check_arrived()
+
+    # Quickly down to where every sample begins: above the expected trigger.
+    # Where nobody knows where that is, slowly from the travel height on.
+    def come_down(self, travel_z, expected_z, floor):
+        if self.settings.first_fast:
+            self.first_touch(floor)
+            return
+        top = travel_z
+        if expected_z is not None:
+            top = max(expected_z, floor) + self.sampling.retract_dist
+        speed = self.settings.probing_speed
+        self.attempt(self.head.come_down, self.endstop(), top, speed)
+
+    # The first touch gets the head down; it is no sample
+    def first_touch(self, floor):
+        speed = self.settings.probing_speed
+        self.attempt(self.head.touch, self.endstop(), floor, speed)
+
+    def collect(self, floor):
+        take = functools.partial(self.take_sample, floor)
+        name, sampling = self.site.name, self.sampling
+        return self.plan.collect(name, take, sampling, self.report, DIFFER)
+
+    def take_sample(self, floor):
+        self.retract()
+        self.attempt(self.touch_once, floor)
+        self.check_pressed()
+        self.taken += 1
+        self.watch.touched()
+        self.report("touched at z=%.6f" % (self.head.pressed_z,))
+        return self.head.pressed_z
+
+    def touch_once(self, floor):
+        self.head.touch(self.endstop(), floor, self.sampling.speed)
+
+    # Calls touch(*args).  Its error says what was expected and what to look at;
+    # where nothing triggered, or at once, the sensors may know better.
+    def attempt(self, touch, *args):
+        start_z = self.host.z()
+        try:
+            touch(*args)
+        except errors.CalibrationError as e:
+            at_start = touching.is_at(self.host, start_z)
+            if isinstance(e, errors.NoTrigger) or at_start:
+                self.explain()
+            wanted = ""
+            if self.expected_z is not None:
+                wanted = ", expected a trigger at z=%.3f" % (self.expected_z,)
+            raise e.advised(self.remedy, wanted)
+
+    # Up to where the next touch begins
+    def retract(self):
+        self.head.retract()
+
+    def report(self, text):
+        self.watch.say("%s: %s" % (self.site.name, text))
+
+    # Both sensors are asked for the state at a print time
+
+    def check_pin_open(self, print_time):
+        if self.pin.endstop.query_endstop(print_time):
+            raise errors.CalibrationError(
+                "%s reads triggered where nothing should press it; check it"
+                " with QUERY_ENDSTOPS" % (self.pin.name,)
+            )
+
+    def check_probe_attached(self, print_time):
+        if self.host.probing.endstop().query_endstop(print_time):
+            raise errors.CalibrationError(
+                "the probe reads triggered: it is not attached, or not wired"
+                " as normally closed; attach it in start_gcode or"
+                " before_switch_gcode, check it with QUERY_PROBE"
+            )
+
+
+# The nozzle tip on the pin
+class NozzleMeasurement(Measurement):
+    remedy = (
+        "home Z again (G28 Z) after any levelling; check nozzle_xy_position"
+        " and the switch there"
+    )
+
+    def touch_site(self, travel_z, expected_z, floor):
+        samples = Measurement.touch_site(self, travel_z, expected_z, floor)
+        if self.settings.wiggle is not None:
+            self.retract()
+        return samples
+
+    # A pin that sticks to the nozzle is shaken off before it is pulled up
+    def retract(self):
+        pressed = self.head.pressed_z is not None
+        self.head.retract()
+        if pressed and self.settings.wiggle is not None:
+            (x, y), speed = self.settings.wiggle, self.settings.speed
+            site = self.site
+            touching.move_xy(self.host, site.x + x, site.y + y, speed)
+            touching.move_xy(self.host, site.x, site.y, speed)
+
+    # X first: a dock is more often beside the pin than in front of it
+    def go_there(self, travel_z):
+        self.head.lift(travel_z)
+        y = self.host.toolhead.get_position()[1]
+        touching.move_xy(self.host, self.site.x, y, self.settings.speed)
+        Measurement.go_there(self, travel_z)
+
+    def check_arrived(self):
+        if self.settings.attach_after_nozzle:
+            self.check_probe_absent(self.host.after_moves())
+
+    def check_pressed(self):
+        if self.settings.attach_after_nozzle:
+            self.check_probe_absent(self.host.print_time())
+
+    def check_probe_absent(self, print_time):
+        if not self.host.probing.endstop().query_endstop(print_time):
+            raise errors.CalibrationError(
+                "the probe is attached already, although before_switch_gcode"
+                " is there to attach it, or it is not wired as normally"
+                " closed; detach it in start_gcode, check it with QUERY_PROBE"
+            )
+
+
+# The body of the probe's switch on the same pin
+class SwitchMeasurement(Measurement):
+    remedy = (
+        "check switch_xy_position, how the probe is seated, and that z_offset"
+        " in section 'probe' is about the distance of nozzle and probe"
+    )
+
+    def check_arrived(self):
+        self.check_probe_attached(self.host.after_moves())
+
+    # A probe that reads triggered is lost, or its plunger is pressed: lifting
+    # the head tells which.
+    def explain(self):
+        if self.host.probing.endstop().query_endstop(self.host.after_moves()):
+            self.head.lift(self.host.z() + self.sampling.retract_dist)
+            self.check_probe_attached(self.host.after_moves())
+            raise errors.CalibrationError(
+                "the plunger of the probe was pressed where only its body"
+                " should meet the pin; check switch_xy_position"
+            )
+        Measurement.explain(self)
+
+    # A probe whose plunger the pin presses, too, looks lost until it is lifted.
+    # The sample counts, with a warning.
+    def check_pressed(self):
+        if self.host.probing.endstop().query_endstop(self.host.print_time()):
+            z = self.head.pressed_z
+            self.retract()
+            self.check_probe_attached(self.host.after_moves())
+            self.head.pressed_z = z
+            self.warn(PLUNGER_PRESSED)
+
+
+# The probe on the print surface, through the host's own probing, told where
+# to end.
+class BedMeasurement(Measurement):
+    remedy = "check bed_xy_position, switch_offset and the probe"
+    # The host's own probing while a session lasts that ends at the floor
+    probe_once = None
+
+    def touch_site(self, travel_z, expected_z, floor):
+        self.go_there(travel_z)
+        down = functools.partial(self.come_down, travel_z, expected_z, floor)
+        return self.in_session(down, travel_z, floor, self.collect)
+
+    # One fast touch, which tells how long the probe is; returns toolhead Z (mm).
+    def look(self, travel_z, floor):
+        with errors.about(self.site.name):
+            self.go_there(travel_z)
+            self.check_probe_attached(self.host.after_moves())
+            down = functools.partial(self.first_touch, floor)
+            return self.in_session(
+                down, travel_z, floor, lambda unused: self.head.pressed_z
+            )
+
+    # Returns measure(floor), with the host's own probing begun.  down() comes
+    # before that: some hosts run deactivate_gcode after it, too, and an error in
+    # it would end the session unseen.  But outside of a session Kalico's
+    # dockable_probe lifts the head after a move.
+    def in_session(self, down, travel_z, floor, measure):
+        lookup = self.host.printer.lookup_object
+        inside = lookup("dockable_probe", None) is not None
+        if not inside:
+            down()
+        speed = {"PROBE_SPEED": "%.6f" % (self.sampling.speed,)}
+        session = touching.probing(self.head, floor, travel_z, **speed)
+        with session as self.probe_once:
+            if inside:
+                down()
+            measured = measure(floor)
+            # Here, as the host may stow or dock it at the end
+            self.leave(travel_z)
+        return measured
+
+    def leave(self, travel_z):
+        self.head.lift(travel_z)
+        print_time = self.host.after_moves()
+        self.check_pin_open(print_time)
+        self.check_probe_attached(print_time)
+
+    def endstop(self):
+        return self.host.probing.endstop()
+
+    # A host unknown to us cannot be told the floor: its probing would go on to
+    # position_min, so the module touches by itself.
+    def touch_once(self, floor):
+        self.head.check_above(floor)
+        if self.probe_once is not None:
+            self.head.probe(self.probe_once)
+        else:
+            Measurement.touch_once(self, floor)
+
+    def explain(self):
+        self.check_probe_attached(self.host.after_moves())
