@@ -1,0 +1,29 @@
+"""The settings of a room whose section leaves everything out, by its table."""
+
+from __future__ import annotations
+
+from types import ModuleType
+from typing import Any
+
+from tests.unit.loading import load
+
+options = load("z_touch.core.options")
+
+
+def values_of(rows: tuple) -> dict[str, Any]:
+    """Option -> its default; None for what must be given."""
+    values: dict[str, Any] = {}
+    for row in rows:
+        value = None if row.default is options.REQUIRED else row.default
+        if isinstance(value, options.Same):
+            value = values[value.name]
+        values[row.name] = value
+    return values
+
+
+def default_settings(room: ModuleType, **given: Any) -> Any:
+    """The record of a room's settings.py: its defaults, but for these."""
+    values = values_of(room.OPTIONS)
+    values["sampling"] = options.sampling_of(values)
+    fields = {name: values.get(name) for name in room.Settings._fields}
+    return room.Settings(**{**fields, **given})

@@ -1,0 +1,253 @@
+# EXTRA_PROBE_CALIBRATE: travel and ask, touch and ask again, apply.
+# Copyright (C) 2026  the Z calibration developers, under the GNU GPLv3
+from __future__ import absolute_import
+
+import collections
+import functools
+
+from ..core import dialogs, options, running, touching
+from ..core.errors import CalibrationError
+from ..core.frame import Frame
+from ..core.sampling import summarize
+from . import heights
+from .switches import TOO_LOW, Series
+
+TRAVEL_SPEED = 50.0  # mm/s, in XY
+SAME_PLACE = 0.1  # mm; a head further from where it was has been moved
+SOFT_TEMPERATURE = 60.0  # C; here the plastic of a membrane begins to melt
+
+# What waits for an answer: 'asks' for the "switch", or, with the height 'bed_z'
+# that was measured, for its "removal".  'floor' and 'save' are those of the
+# command, 'mark' and 'xy' (mm) where the head was when it began.
+Question = collections.namedtuple("Question", "floor save mark xy asks bed_z")
+
+
+# The commands of a calibration, and the question that is open between them.
+# 'switch' is what lies on the bed, 'runner' runs one command at a time.
+class Calibration(object):
+    def __init__(self, host, runner, name, settings, switch):
+        self.host = host
+        self.runner = runner
+        self.settings = settings
+        self.switch = switch
+        self.frame = Frame(host)
+        command = "EXTRA_PROBE_%s PROBE=" + name
+        self.dialog = dialogs.Dialog(host, runner.watch.say, command)
+        # Of the last one that was applied or saved; None: there is none
+        self.last_offset = None
+        running.register_commands(host, self, name)
+
+    # The question that is open, in one word; empty: there is none
+    def waits_for(self):
+        return self.dialog.waits_for()
+
+    def run(self, gcmd, step, *args):
+        work = functools.partial(step, gcmd, *args)
+        self.runner.run(gcmd, work, "touch", 0)
+
+    ##################################################################
+    # The beginning: travel, and ask for the switch
+    ##################################################################
+
+    cmd_EXTRA_PROBE_CALIBRATE_help = "Set the Z offset with a switch on the bed"
+
+    def cmd_EXTRA_PROBE_CALIBRATE(self, gcmd):
+        self.dialog.close()
+        self.run(gcmd, self.begin)
+
+    def begin(self, gcmd):
+        save = options.param_int(gcmd, "SAVE", 0, minval=0, maxval=1)
+        floor_param = options.param_number(gcmd, "FLOOR")
+        self.check_printer()
+        self.check_settings(save)
+        warnings = self.check_temperature()
+        self.travel()
+        self.stand_still()
+        floor, says = self.floor(floor_param)
+        xy = self.host.toolhead.get_position()[:2]
+        mark = self.frame.mark()
+        question = Question(floor, save, mark, xy, "switch", None)
+        sentences = ["Flat on the bed, the nozzle clean."] + says + warnings
+        self.dialog.ask(question, "Lay the switch below the nozzle", sentences)
+
+    def check_settings(self, save):
+        if not self.settings.z_offset:
+            raise CalibrationError(
+                "set z_offset to the thickness of the switch, in mm"
+            )
+        if save and self.host.z_zero() is None:
+            raise CalibrationError(
+                "SAVE=1: nobody knows where Z gets its zero with '%s'"
+                % (self.host.z_axis.endstop_pin,)
+            )
+
+    def travel(self):
+        settings, site = self.settings, self.settings.site
+        speed = settings.sampling.lift_speed
+        touching.raise_to(self.host, settings.safe_z_height, speed)
+        if site is not None:
+            touching.move_xy(self.host, site.x, site.y, TRAVEL_SPEED)
+
+    # The lowest point of the touches, and what the user is told of it
+    def floor(self, floor_param):
+        settings, z_zero = self.settings, self.host.z_zero()
+        axis_min = self.host.z_axis.position_min
+        floor = heights.floor(settings, z_zero, axis_min, floor_param)
+        says = ["Without a trigger the nozzle stops at z=%.3f." % (floor,)]
+        is_given = not (floor_param is None and settings.position_min is None)
+        if not (is_given or heights.is_calibrated(settings, z_zero)):
+            says.append(
+                "No calibration was saved yet, so that may be in the bed:"
+                " watch, ready to stop."
+            )
+        return floor, says
+
+    ##################################################################
+    # The answers
+    ##################################################################
+
+    cmd_EXTRA_PROBE_ABORT_help = "End a calibration, everything as before"
+
+    def cmd_EXTRA_PROBE_ABORT(self, gcmd):
+        self.dialog.answered(gcmd)
+        self.runner.watch.say("the calibration ends, nothing was changed")
+
+    cmd_EXTRA_PROBE_CONTINUE_help = "Go on with a calibration"
+
+    def cmd_EXTRA_PROBE_CONTINUE(self, gcmd):
+        question = self.dialog.continued(gcmd)
+        step = self.touch if question.bed_z is None else self.apply
+        self.run(gcmd, step, question)
+
+    ##################################################################
+    # The switch is there: touch it, and ask for its removal
+    ##################################################################
+
+    def touch(self, gcmd, question):
+        self.check_frame(question)
+        self.check_place(question)
+        for warning in self.check_temperature():
+            self.runner.watch.say(warning)
+        self.come_down()
+        trigger_z = self.measure(gcmd, question)
+        bed_z = heights.bed_height(trigger_z, self.settings.z_offset)
+        if question.save:
+            self.corrected_zero(bed_z)
+        self.stand_still()
+        sentence = (
+            "Triggered at z=%.3f, so the bed is at z=%.3f. Continue makes that"
+            " Z=0." % (trigger_z, bed_z)
+        )
+        question = question._replace(asks="removal", bed_z=bed_z)
+        self.dialog.ask(question, "Take the switch away", [sentence])
+
+    # To where the touches begin, with the switch watched on the way
+    def come_down(self):
+        host, sampling = self.host, self.settings.sampling
+        safe_z, speed = self.settings.safe_z_height, sampling.lift_speed
+        touching.raise_to(host, safe_z, speed)
+        endstop = self.switch.endstop()
+        if endstop.query_endstop(host.after_moves()):
+            raise CalibrationError(
+                "the switch reads triggered before it is touched; check it with"
+                " %s, and whether pin needs a '!'" % (self.switch.query,)
+            )
+        head = touching.Head(host, sampling, TOO_LOW)
+        head.come_down(endstop, safe_z, speed)
+        head.retract()
+
+    # The toolhead Z (mm) at which the switch triggers
+    def measure(self, gcmd, question):
+        sampling = self.settings.sampling
+        series = Series(self.host, self.switch, sampling, gcmd.respond_info)
+        triggers = series.measure(question.floor)
+        self.check_frame(question)
+        return summarize(triggers, sampling.result)
+
+    ##################################################################
+    # The switch is gone: apply what was measured, or hand it over
+    ##################################################################
+
+    def apply(self, gcmd, question):
+        self.check_frame(question)
+        bed_z, z_offset = question.bed_z, self.settings.z_offset
+        if question.save:
+            self.save(gcmd, bed_z)
+        self.host.set_gcode_offset(0.0 if question.save else bed_z)
+        self.last_offset = bed_z
+        self.runner.watch.say(
+            "trigger=%.6f - z_offset=%.3f --> new offset=%.6f"
+            % (bed_z + z_offset, z_offset, bed_z)
+        )
+
+    # What SAVE_CONFIG is to write
+    def corrected_zero(self, bed_z):
+        axis_limits = self.host.axis_limits()[2]
+        return heights.corrected_zero(self.host.z_zero(), bed_z, axis_limits)
+
+    def save(self, gcmd, bed_z):
+        section, option, z = self.corrected_zero(bed_z)
+        text = "%.3f" % (z,)
+        printer = self.host.printer
+        options.save(printer, section, option, text)
+        options.save(printer, self.host.section, "saved_homing_z", text)
+        gcmd.respond_info(
+            "%s: %s: %s\n%s\nUntil then the G-code offset is 0."
+            % (section, option, text, options.SAVE_HINT)
+        )
+
+    ##################################################################
+    # What has to be so, before and after
+    ##################################################################
+
+    def check_printer(self):
+        print_state = self.host.print_state()
+        if print_state:
+            raise CalibrationError(
+                "a print is under way (%s); end it first" % (print_state,)
+            )
+        if self.host.probing.is_manual_probing():
+            raise CalibrationError(
+                "end the manual probe first, with ACCEPT or ABORT"
+            )
+        running.check_homed(self.host)
+
+    # Returns warnings
+    def check_temperature(self):
+        temperature = self.host.nozzle_temperature()
+        limit = self.settings.max_temperature
+        if temperature > limit:
+            raise CalibrationError(
+                "the nozzle has, or is to have, %.0f C, max_temperature is"
+                " %.0f C; let it cool down" % (temperature, limit)
+            )
+        if temperature <= SOFT_TEMPERATURE:
+            return []
+        return [
+            "The nozzle has, or is to have, %.0f C: a membrane may melt."
+            % (temperature,)
+        ]
+
+    # Heights of another frame say nothing
+    def check_frame(self, question):
+        self.check_printer()
+        self.check_unchanged(self.frame.moved_since(question.mark))
+
+    # Whoever has moved the head may have moved it off the switch
+    def check_place(self, question):
+        here = zip(self.host.toolhead.get_position(), question.xy)
+        if max(abs(a - b) for a, b in here) > SAME_PLACE:
+            self.check_unchanged("the head was moved")
+
+    # 'what' has happened while the user was asked; empty: nothing
+    def check_unchanged(self, what):
+        if what:
+            raise CalibrationError(
+                "%s since the calibration began; begin again" % (what,)
+            )
+
+    # Before a hand comes near
+    def stand_still(self):
+        self.host.toolhead.wait_moves()
+        if self.host.printer.is_shutdown():
+            raise CalibrationError("ended by a shutdown of the printer")

@@ -1,0 +1,66 @@
+# The heights of [extra_probe]: the bed below a switch, and how low a touch may
+# go.  Pure functions of numbers; every height is a toolhead Z, in mm.
+# Copyright (C) 2026  the Z calibration developers, under the GNU GPLv3
+from __future__ import absolute_import, division
+
+from ..core.errors import CalibrationError
+
+# Before a calibration was saved nobody knows where the bed is: a touch ends
+# this far (mm) below Z=0.
+UNSAVED_FLOOR = -1.0
+
+# A bed this far (mm) from Z=0 was not touched: somebody pressed the switch.
+LARGEST_OFFSET = 5.0
+
+
+# The toolhead Z at which the nozzle meets the bed: the switch that lies between
+# them is z_offset thick when it triggers.  Raises CalibrationError for a bed
+# that is nowhere near Z=0.
+def bed_height(trigger_z, z_offset):
+    bed_z = trigger_z - z_offset
+    if abs(bed_z) > LARGEST_OFFSET:
+        raise CalibrationError(
+            "triggered at z=%.3f, the bed would be over %g mm from Z=0; was it"
+            " pressed by hand? If not, home Z nearer to it first"
+            % (trigger_z, LARGEST_OFFSET)
+        )
+    return bed_z
+
+
+# A saved calibration has put the bed at Z=0, give or take half the thickness of
+# the switch, unless what Z is homed at was changed since.  'z_zero' is where Z
+# gets its zero (host.ZZero), None if nobody knows.
+def is_calibrated(settings, z_zero):
+    if settings.saved_homing_z is None or z_zero is None:
+        return False
+    change = abs(settings.saved_homing_z - z_zero.z)
+    return change < settings.z_offset / 2.0
+
+
+# The lowest toolhead Z of a touch, but never below the axis: that of the
+# command, or of the section, or what is known of the bed.  Half the thickness
+# above a bed at Z=0 a switch that lies there has triggered, and the nozzle does
+# not reach a bed that is bare.
+def floor(settings, z_zero, axis_min, floor_param=None):
+    if floor_param is not None:
+        return max(floor_param, axis_min)
+    if settings.position_min is not None:
+        return max(settings.position_min, axis_min)
+    if is_calibrated(settings, z_zero):
+        return max(settings.z_offset / 2.0, axis_min)
+    return max(UNSAVED_FLOOR, axis_min)
+
+
+# Where Z gets its zero once the bed, now at bed_z, is to be at Z=0.  Raises
+# CalibrationError for a value outside the axis (low, high), with which klippy
+# would not start.
+def corrected_zero(z_zero, bed_z, axis_limits):
+    corrected = z_zero._replace(z=round(z_zero.z - bed_z, 3))
+    low, high = axis_limits
+    if not low <= corrected.z <= high:
+        raise CalibrationError(
+            "%s: %s would be %.3f, outside the %.3f to %.3f of Z; widen"
+            " position_min or position_max, or do without SAVE=1"
+            % (corrected + (low, high))
+        )
+    return corrected
