@@ -19,10 +19,19 @@
 #     ===v============         :                :  } z_offset, the air gap
 #                      =================  ===============  bed
 #
-# Both heights are toolhead Z in mm, see z_touch/core/touching.py.
+# Both heights are toolhead Z: the position, in mm and in the frame of the last
+# homing, at which the touch triggered.  G-code offset, bed mesh and skew play
+# no part in it.  Up is positive.
 #
-# z_offset is the air gap above the sensor's trigger that Z=0 shall mean; the
-# correction is applied as the G-code Z offset.
+#   probe - probe z_offset   where the probe believes the bed to be; about 0,
+#                            as Z is homed with this probe
+#   sensor                   where the bed is: the nozzle stands on it and has
+#                            pressed it down as far as the sensor needs
+#   z_offset                 air gap above that point which Z=0 shall mean;
+#                            below 0 the nozzle is inside the bed there
+#   correction               applied as the G-code Z offset: toolhead Z of
+#                            G-code Z=0, where the probe says that the bed is 0
+#
 # The correction belongs to the probe, not to the homing: the next G28 with
 # this probe makes it right again.
 from __future__ import absolute_import

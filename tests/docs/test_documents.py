@@ -372,7 +372,7 @@ def wrong_floors_of_bed(running: Running, text: str) -> Found:
 def wrong_rooms(running: Running, text: str) -> Found:
     """auto_z_offset: what a dead sensor costs, by the formulas above it."""
     known = constants("auto_z_offset")
-    (reserve,), (margin,) = known["BRAKING_RESERVE"], known["KNOWN_MARGIN"]
+    (reserve,), (margin,) = known["BRAKING_RESERVE"], known["EXPECTED_MARGIN"]
     section = part(text, BRAKING)
     for formula in (
         f"room = speed^2 / (2 * acceleration) + {reserve:g}",

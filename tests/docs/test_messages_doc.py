@@ -20,8 +20,6 @@ LOOKED_FOR = {
     "No trigger",
     "Communication timeout during",
     "Unable to obtain",
-    "samples_tolerance is",
-    "cycles_tolerance is",
 }
 OTHERS = {
     "Z was homed again",

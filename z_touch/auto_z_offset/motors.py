@@ -1,4 +1,5 @@
-# How gently the Z motors move while something is touched.
+# How gently the Z motors move while something is touched: acceleration and
+# current.  It knows how hosts differ in their motor drivers, and asks the object.
 # Copyright (C) 2026  the Z calibration developers, under the GNU GPLv3
 from __future__ import absolute_import
 
@@ -15,25 +16,36 @@ SETTLE_TIME = 0.15
 RESTORE_ATTEMPTS = 2
 
 
-# With what (mm/s^2) the head brakes in Z if 'accel' limits it, too; 0: not
+######################################################################
+# Acceleration
+######################################################################
+
+
+# With what (mm/s^2) the head brakes in Z if 'accel' limits it, too; 0: it does
+# not
 def braking_accel(host, accel):
     limits = [host.toolhead_status()["max_accel"], host.z_axis.max_accel]
     return min(limits + [accel] if accel else limits)
 
 
-# max_accel (mm/s^2) for a while; 0: as it is
+# The head is accelerated by 'accel' (mm/s^2) at most for a while; 0: as it is
 @contextlib.contextmanager
 def limited_accel(host, accel):
-    found = host.toolhead_status()["max_accel"]
-    if not 0.0 < accel < found:
+    max_accel = host.toolhead_status()["max_accel"]
+    if not 0.0 < accel < max_accel:
         yield
         return
-    text = "SET_VELOCITY_LIMIT ACCEL=%.6f"
-    script = host.gcode.run_script_from_command
-    restore = functools.partial(script, text % (found,))
+    command = "SET_VELOCITY_LIMIT ACCEL=%.6f"
+    run_script = host.gcode.run_script_from_command
+    restore = functools.partial(run_script, command % (max_accel,))
     with always(host, restore, "restoring the acceleration"):
-        script(text % (accel,))
+        run_script(command % (accel,))
         yield
+
+
+######################################################################
+# Current
+######################################################################
 
 
 # Z motors whose current may be changed, as (name for SET_TMC_CURRENT, driver):
@@ -92,22 +104,26 @@ class Motors(object):
     @contextlib.contextmanager
     def reduced(self, factor):
         drivers = self.drivers if factor < 1.0 else []
-        now = self.host.eventtime()
-        found = {n: d.get_status(now)["run_current"] for n, d in drivers}
-        less = {name: amps * factor for name, amps in found.items()}
-        restore = functools.partial(self._restore, found, less)
+        eventtime = self.host.eventtime()
+        amps = {
+            name: driver.get_status(eventtime)["run_current"]
+            for name, driver in drivers
+        }
+        reduced = {name: current * factor for name, current in amps.items()}
+        restore = functools.partial(self._restore, amps, reduced)
         with always(self.host, restore, "restoring the motor current"):
-            for error in self._set_all(less).values():
+            for error in self._set_all(reduced).values():
                 raise error
             yield
 
-    def _restore(self, amps, less):
+    # Back to 'amps', from 'reduced', both by the names of the motors
+    def _restore(self, amps, reduced):
         written = self.host.toolhead.get_last_move_time()
         failed = self._set_all(amps)
         for _ in range(RESTORE_ATTEMPTS):
             # Hosts write only what differs from what they wrote last, and
             # count a write that failed as done
-            self._set_all({name: less[name] for name in failed})
+            self._set_all({name: reduced[name] for name in failed})
             failed = self._set_all({name: amps[name] for name in failed})
         texts = [
             "%s: the current of %s could not be set back: %s; run"

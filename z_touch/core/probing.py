@@ -56,6 +56,10 @@ class Probing(object):
             return 0.0
         return homed_z - self.offsets()[2]
 
+    # Where (toolhead Z, mm) it triggers there
+    def homed_probe_z(self):
+        return self.homed_bed_z() + self.offsets()[2]
+
     # The switch of the probe, None where it has none.  'mcu_probe' is an
     # endstop itself (moving it runs activate_gcode) until 2026-05-25
     # (43baf9b83); since then the endstop is inside it.  Looked up at each use:

@@ -1,20 +1,24 @@
-"""The pure part of auto_z_offset.py: edges and rules."""
+"""z_touch/auto_z_offset/heights.py: the formula, edges and rules."""
 
 from __future__ import annotations
 
 import math
+from types import SimpleNamespace
 
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
 from tests.unit.loading import load
+from tests.unit.room_settings import default_settings
 
-az = load("z_touch.auto_z_offset.module")
-CalibrationError = az.errors.CalibrationError
+az = load("z_touch.auto_z_offset.heights")
+rows = load("z_touch.auto_z_offset.settings")
+CalibrationError = az.CalibrationError
 
 STEP = 1 / 64
 FLOOR = az.Floor(-4.0, "position_min")
+DEFAULTS = default_settings(rows)
 
 
 def exact(low, high):
@@ -72,7 +76,7 @@ def test_probe_alone_tells_how_high_the_bed_can_be():
     ],
 )
 def test_touch_before_at_the_same_place(z, before, tolerance, low):
-    sampling = az.sampling.Sampling(1, tolerance, 0, "average", 5.0, 3.0, 20.0)
+    sampling = DEFAULTS.sampling._replace(tolerance=tolerance)
     found = az.expect_again(z, before, sampling)
     assert found.low == pytest.approx(low)
     assert found.z == (z if before is None else min(z, before))
@@ -108,8 +112,8 @@ def test_touch_can_stop_within_a_millimetre(speed, accel):
     found = az.fastest_touch(speed, accel)
     assert 0.0 < found <= speed
     room = found * found / (2.0 * accel) + az.BRAKING_RESERVE
-    assert room <= az.KNOWN_MARGIN + 1e-9
-    assert found == speed or room == pytest.approx(az.KNOWN_MARGIN)
+    assert room <= az.EXPECTED_MARGIN + 1e-9
+    assert found == speed or room == pytest.approx(az.EXPECTED_MARGIN)
 
 
 def test_trigger_above_the_expected_one():
@@ -118,6 +122,59 @@ def test_trigger_above_the_expected_one():
     with pytest.raises(CalibrationError, match="0.310 mm above the exp"):
         az.check_expected(-0.69, expected)
     az.check_expected(1e6, az.NOTHING_EXPECTED)
+
+
+def test_default_speed_needs_no_limit_on_usual_machines():
+    # The Q1 Pro brakes with 500 mm/s^2
+    assert az.fastest_touch(DEFAULTS.sampling.speed, 500.0) == 5.0
+
+
+@pytest.mark.parametrize(
+    ("position_min", "probe_z_min", "floor"),
+    [
+        (-4.0, None, (-4.0, "position_min of section 'stepper_z'")),
+        (-4.0, -1.1, (-1.1, "probe_z_min")),
+        # It can only raise what the axis allows
+        (-4.0, -7.0, (-4.0, "position_min of section 'stepper_z'")),
+        (-10.0, None, (-10.0, "position_min of section 'stepper_z'")),
+        (-10.1, None, (-10.0, "the limit of auto_z_offset")),
+        (-60.0, -50.0, (-10.0, "the limit of auto_z_offset")),
+        (-60.0, -9.0, (-9.0, "probe_z_min")),
+    ],
+)
+def test_floor_of_the_section(position_min, probe_z_min, floor):
+    axis = SimpleNamespace(section="stepper_z", position_min=position_min)
+    assert az.section_floor(axis, probe_z_min) == floor
+
+
+# Cycles
+
+
+@pytest.mark.parametrize(
+    ("corrections", "counted"),
+    [
+        ([1.0], [1.0]),
+        ([1.0, 1.1, 0.9], [1.0, 1.1, 0.9]),
+        # The edge counts, what is beyond it does not
+        ([1.0, 1.0, 1.125], [1.0, 1.0, 1.125]),
+        ([1.0, 1.0, 1.126], [1.0, 1.0]),
+        ([0.7, 1.0, 1.0, 1.3], [1.0, 1.0]),
+        # Nobody knows which of two is wrong
+        ([1.0, 1.3], [1.0, 1.3]),
+        ([1.0, 1.0, 1.3, 1.3], [1.0, 1.0, 1.3, 1.3]),
+    ],
+)
+def test_outliers_do_not_count(corrections, counted):
+    assert az.without_outliers(corrections, 0.125) == counted
+
+
+@given(st.lists(heights, min_size=1, max_size=9), exact(0, 2))
+def test_something_always_counts(corrections, tolerance):
+    counted = az.without_outliers(corrections, tolerance)
+    assert counted
+    assert set(counted) <= set(corrections)
+    if max(corrections) - min(corrections) <= tolerance:
+        assert counted == corrections
 
 
 # Limits

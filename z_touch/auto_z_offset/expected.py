@@ -1,0 +1,133 @@
+# What is known before a touch: the probe's correction, and where the bed sensor
+# should trigger.
+# Copyright (C) 2026  the Z calibration developers, under the GNU GPLv3
+from __future__ import absolute_import
+
+from ..core import options
+from ..core.errors import CalibrationError
+from ..core.frame import Frame
+from .heights import (
+    EXPECTED_MARGIN,
+    NOTHING_EXPECTED,
+    expect_below_probe,
+    expect_near,
+)
+
+# From here on (mm) the probe does not see the bed where Z was homed with it:
+# the nozzle would be wrong by as much until the next homing.
+STALE_Z = 0.1
+
+# What is saved is rounded to that (mm).
+SAVED_DIGIT = 0.000001
+
+
+# By how much the probe is wrong (mm): as it was saved, or measured since.
+class Correction(object):
+    def __init__(self, host, settings):
+        self.host = host
+        # z_offset of the probe that it was measured with; None: not known
+        self.probe_z_offset = settings.corrected_probe_z_offset
+        # None: never measured.  The documented default of 0 means that, too.
+        self.z = settings.probe_z_correction
+        if self.probe_z_offset is None:
+            self.z = self.z or None
+
+    # Z_OFFSET_APPLY_PROBE and PROBE_CALIBRATE move the probe's Z=0, and the
+    # correction is counted from there.  Returns what the user is told.
+    def follow_probe(self):
+        if self.z is None or self.probe_z_offset is None:
+            return ""
+        z_offset = self.host.probing.z_offset()
+        moved = z_offset - self.probe_z_offset
+        if abs(moved) < SAVED_DIGIT:
+            return ""
+        saved_z = self.z
+        self.z = saved_z + moved
+        return (
+            "the probe's z_offset is %.3f and was %.3f when the correction was"
+            " saved: probe_z_correction %.6f is taken as %.6f"
+            % (z_offset, self.probe_z_offset, saved_z, self.z)
+        )
+
+    # Ready for SAVE_CONFIG, and in force from here on
+    def save(self, z):
+        self.z = z
+        for option, value in (
+            ("probe_z_correction", z),
+            ("corrected_probe_z_offset", self.host.probing.z_offset()),
+        ):
+            printer, section = self.host.printer, self.host.section
+            options.save(printer, section, option, "%.6f" % (value,))
+
+
+# Where the bed is expected: from touches, from the correction, and from how Z
+# was homed.
+class Expectations(object):
+    def __init__(self, host, settings, correction):
+        self.host = host
+        self.settings = settings
+        self.correction = correction
+        self.frame = Frame(host)
+        # Toolhead Z (mm) of the last trigger, and the frame it was seen in
+        self.sensor_z = self.mark = None
+        # The frame that AUTO_Z_HOME_Z has made
+        self.home_mark = None
+
+    # The bed sensor has triggered there.
+    def touched(self, sensor_z):
+        self.sensor_z = sensor_z
+        self.mark = self.frame.mark()
+
+    # Z was set by the touch that was the last one.
+    def homed_by_sensor(self):
+        self.home_mark = self.mark
+
+    # From a touch since Z was set, or from what the probe said when Z was homed
+    # with it
+    def expected(self):
+        if self.holds(self.mark):
+            return expect_near(self.sensor_z, EXPECTED_MARGIN)
+        probing = self.host.probing
+        if self.is_sensor_frame() or not self.host.homes_with_probe():
+            return NOTHING_EXPECTED
+        if self.correction.z is not None:
+            # The trigger that the correction stands for
+            z = self.correction.z - self.settings.z_offset
+            return expect_near(probing.homed_bed_z() + z, EXPECTED_MARGIN)
+        return expect_below_probe(probing.homed_probe_z())
+
+    # Whether Z is still what it was when the frame was marked.  Where the
+    # motors do not tell (empty datum), nobody knows.
+    def holds(self, mark):
+        is_told = mark is not None and bool(mark[1])
+        return is_told and not self.frame.moved_since(mark)
+
+    # Whether Z is the bed sensor's.  Levelling does not change that: only what
+    # sets Z does.
+    def is_sensor_frame(self):
+        mark = self.home_mark
+        return mark is not None and mark[0] == len(self.frame.noted)
+
+    # The correction of the probe means nothing in a frame of the bed sensor.
+    def check_frame(self):
+        if self.is_sensor_frame():
+            raise CalibrationError(
+                "Z was set by AUTO_Z_HOME_Z, a correction of the probe does not"
+                " hold there; home Z with the probe (G28) first"
+            )
+
+    # The correction is the G-code offset only where the probe sees the bed at
+    # about 0.  Returns what is wrong with that; empty: nothing.
+    def why_stale(self, result):
+        bed_z = result.probe - result.probe_z_offset
+        homed_bed_z = self.host.probing.homed_bed_z()
+        if abs(bed_z - homed_bed_z) <= STALE_Z:
+            return ""
+        remedy = "the correction holds with a bed mesh of this probe only"
+        if self.host.homes_with_probe():
+            remedy = (
+                "check the probe with QUERY_PROBE, and home Z again (G28) after"
+                " any levelling, over this point"
+            )
+        text = "the probe sees the bed at z=%.3f instead of %.3f; %s"
+        return text % (bed_z, homed_bed_z, remedy)

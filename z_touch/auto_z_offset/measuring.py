@@ -1,0 +1,335 @@
+# One measurement over a point of the bed: the nozzle on the bed until the sensor
+# below it triggers, then the probe above the same point.
+# Copyright (C) 2026  the Z calibration developers, under the GNU GPLv3
+from __future__ import absolute_import
+
+import functools
+
+from ..core import errors, running, templates, touching
+from ..core.sampling import collect, summarize
+from . import heights, motors
+
+# Above this distance (mm) a way down is quick, but ready to stop.
+FAR = 5.0
+
+# A sensor that still reads triggered after lifting is asked again then (s).
+SECOND_LOOK = 0.3
+
+# What to do about samples that differ
+DIFFER = (
+    "clean the nozzle, check that nothing shakes the bed, and see"
+    " prepare_gcode and probe_accel; a sensor that triggers late does this, too"
+)
+
+# What to do about a head that is below the floor of a touch
+TOO_LOW = (
+    "check probe_z_min, and that prepare_gcode leaves the head above the bed"
+)
+
+
+######################################################################
+# The bed sensor
+######################################################################
+
+
+# The sensor below the bed, which stops the Z motors.
+class BedSensor(object):
+    def __init__(self, config, host, pin):
+        self.host = host
+        self.pin = pin
+        remedy = "give the pin of the bed sensor, as in 'pin: U_1:PC1'"
+        self.endstop = host.endstops.make(config, "pin", remedy)
+        # Whose current is low while the nozzle goes down; from connect() on
+        self.motors = None
+
+    def connect(self):
+        self.motors = motors.Motors(self.host)
+
+    # Raises CalibrationError where the sensor reads triggered at a print time,
+    # and a moment later still.
+    def check_open(self, print_time):
+        if not self.endstop.query_endstop(print_time):
+            return
+        self.host.toolhead.dwell(SECOND_LOOK)
+        if self.endstop.query_endstop(self.host.after_moves()):
+            raise errors.CalibrationError(
+                "reads triggered at z=%.3f, where nothing should press it;"
+                " check prepare_gcode, and 'pin: %s' with QUERY_ENDSTOPS (a '!'"
+                " in front of it turns the meaning)" % (self.host.z(), self.pin)
+            )
+
+
+# The nozzle on the bed, where the head is.
+class SensorMeasurement(object):
+    # 'watch' is told of every touch; 'expected' is what is known of the bed;
+    # 'lowest_z' the lowest trigger (mm) at this site before, or None.
+    def __init__(self, sensor, settings, watch, expected, lowest_z):
+        self.host = sensor.host
+        self.sensor = sensor
+        self.settings = settings
+        self.watch = watch
+        self.expected = expected
+        self.lowest_z = lowest_z
+        self.head = touching.Head(self.host, settings.sampling, TOO_LOW)
+
+    # Returns the height: toolhead Z in mm.  From 'top' on the way down is slow
+    # where nothing is known of the bed.
+    def measure(self, top):
+        sampling = self.settings.sampling
+        with errors.about("bed sensor"):
+            self.come_down(top)
+            samples = collect(self.sample, sampling, self.report, DIFFER)
+        return summarize(samples, sampling.result)
+
+    # A trigger far above the bed is none: shaking makes them.
+    def sample(self):
+        sampling = self.settings.sampling
+        retries_left = sampling.retries
+        while True:
+            self.head.retract()
+            z = self.touch()
+            try:
+                heights.check_expected(z, self.expected)
+                break
+            except errors.CalibrationError as e:
+                if not retries_left:
+                    raise
+                self.report("%s; trying again" % (e,))
+                retries_left -= 1
+        self.expected = heights.expect_again(z, self.lowest_z, sampling)
+        self.lowest_z = self.expected.z
+        self.watch.touched()
+        self.report("triggered at z=%.6f" % (z,))
+        return z
+
+    # Down to where a touch begins: at full current, and not blindly where
+    # nothing was touched yet
+    def come_down(self, top):
+        sampling = self.settings.sampling
+        if self.lowest_z is not None:
+            top = self.lowest_z + sampling.retract_dist
+            self.head.move_down(top, sampling.lift_speed)
+        elif self.host.z() > top + FAR:
+            self.sensor.check_open(self.host.after_moves())
+            accel = motors.braking_accel(self.host, 0.0)
+            speed = heights.fastest_touch(sampling.lift_speed, accel)
+            self.head.come_down(self.sensor.endstop, top, speed)
+
+    # The current is low only while the nozzle goes down: a motor that loses
+    # a step on the way up would take Z along.
+    def touch(self):
+        sensor, settings = self.sensor, self.settings
+        accel = motors.braking_accel(self.host, settings.probe_accel)
+        speed = heights.fastest_touch(settings.sampling.speed, accel)
+        floor = heights.sensor_floor(
+            settings.floor, self.expected, speed, accel
+        )
+        less_accel = motors.limited_accel(self.host, settings.probe_accel)
+        less_current = sensor.motors.reduced(settings.z_current_factor)
+        start_z = self.host.z()
+        try:
+            with less_accel, less_current:
+                # When the moves have ended: the motors settle meanwhile
+                sensor.check_open(self.host.after_moves())
+                return self.head.touch(sensor.endstop, floor.z, speed)
+        except errors.NoTrigger as e:
+            raise e.advised(
+                "check that prepare_gcode turns the sensor on, that 'pin: %s'"
+                " is the sensor's (QUERY_ENDSTOPS while you press the bed), and"
+                " that the bed is not below the lowest point of this touch,"
+                " which is %s" % (sensor.pin, self.reason(floor))
+            )
+        except errors.CalibrationError:
+            if touching.is_at(self.host, start_z):
+                sensor.check_open(self.host.after_moves())
+            raise
+
+    def reason(self, floor):
+        if floor == self.settings.floor:
+            return floor.why
+        return "%s; add %s" % (floor.why, heights.IF_CHANGED)
+
+    def report(self, text):
+        self.watch.say("bed sensor: %s" % (text,))
+
+
+######################################################################
+# The probe
+######################################################################
+
+
+# The inductive probe over the same point of the bed, through the host's own
+# probing, told where to end.
+class ProbeMeasurement(object):
+    def __init__(self, host, settings, watch):
+        self.host = host
+        self.settings = settings
+        self.watch = watch
+        self.head = touching.Head(host, settings.sampling, TOO_LOW)
+
+    # 'floor' is the height at which the nozzle meets the bed: an inductive
+    # probe triggers above it.  Returns toolhead Z in mm.
+    def measure(self, floor):
+        with errors.about("probe"):
+            samples = self.collect(floor)
+        return summarize(samples, self.settings.sampling.result)
+
+    def collect(self, floor):
+        sampling = self.settings.sampling
+        top = self.host.z()
+        speed = "%.6f" % (sampling.speed,)
+        session = touching.probing(self.head, floor, top, PROBE_SPEED=speed)
+        with session as probe_once:
+            sample = functools.partial(self.sample, probe_once, floor)
+            return collect(sample, sampling, self.report, DIFFER)
+
+    def sample(self, probe_once, floor):
+        self.head.retract()
+        self.head.check_above(floor)
+        z = self.touch(probe_once, floor)
+        self.watch.touched()
+        self.report("triggered at z=%.6f" % (z,))
+        return z
+
+    # One that goes down to the bed is dead, or that was not the bed
+    def touch(self, probe_once, floor):
+        try:
+            if probe_once is not None:
+                return self.homed_z(self.head.probe(probe_once))
+            # A host unknown to us: its probing would go on to position_min
+            speed = self.settings.sampling.speed
+            return self.head.touch(self.host.probing.endstop(), floor, speed)
+        except errors.CalibrationError as e:
+            if not touching.is_at(self.host, floor):
+                raise
+            raise errors.NoTrigger(
+                "%s; it ends where the bed sensor triggered, z=%.3f: that was"
+                " not the bed, or the probe does not see it" % (e, floor)
+            )
+
+    # As G28, from which the correction is counted, or else the mesh sees it
+    def homed_z(self, probed):
+        probing = self.host.probing
+        if self.host.homes_with_probe() and not probing.homes_with_twist():
+            return probed.z
+        return probed.z + probed.twist
+
+    def report(self, text):
+        self.watch.say("probe: %s" % (text,))
+
+
+######################################################################
+# One run
+######################################################################
+
+
+# One command: goes to the bed, prepares the sensor, measures, lifts.
+class Run(object):
+    # 'expectations' tell where the bed is, unless the user 'accepts_change':
+    # whatever was changed since, nothing is expected then.
+    def __init__(self, sensor, settings, watch, expectations, accepts_change):
+        self.host = sensor.host
+        self.sensor = sensor
+        self.settings = settings
+        self.watch = watch
+        self.expectations = expectations
+        self.accepts_change = accepts_change
+        # They follow what the run learns: what is known of the bed, its lowest
+        # trigger, its last height, the height that the head is lifted to
+        self.expected = heights.NOTHING_EXPECTED
+        self.lowest_z = self.sensor_z = None
+        probe_z = self.host.probing.homed_probe_z()
+        self.travel_z = heights.travel_height(probe_z, settings.probe_hop)
+        # The print time at which the head had left the bed
+        self.lifted_at = 0.0
+
+    def lift(self):
+        speed = self.settings.sampling.lift_speed
+        touching.raise_to(self.host, self.travel_z, speed)
+
+    def go_to(self, site):
+        self.lift()
+        self.travel(site)
+
+    def travel(self, site):
+        speed = self.settings.travel_speed
+        touching.move_xy(self.host, site.x, site.y, speed)
+
+    # The user's G-code may have moved the head.
+    def prepare(self, site):
+        self.go_to(site)
+        self.watch.enter("prepare_gcode")
+        self.run_prepare_gcode()
+        running.check_homed(self.host)
+        # It may have homed, too
+        if not self.accepts_change:
+            self.expected = self.expectations.expected()
+        self.go_to(site)
+
+    # Relative moves must not outlive the template, also when it fails.
+    def run_prepare_gcode(self):
+        restore = functools.partial(self.set_absolute, self.is_absolute())
+        with running.always(self.host, restore, "setting G90 or G91 back"):
+            template = self.settings.prepare_gcode
+            templates.run_template(self.host, "prepare_gcode", template)
+
+    # G90 or G91 of the user's G-code
+    def is_absolute(self):
+        gcode_move = self.host.printer.lookup_object("gcode_move")
+        status = gcode_move.get_status(self.host.eventtime())
+        return status["absolute_coordinates"]
+
+    def set_absolute(self, absolute):
+        if self.is_absolute() != absolute:
+            script = "G90" if absolute else "G91"
+            self.host.gcode.run_script_from_command(script)
+
+    # Toolhead Z (mm) of the bed sensor's trigger, where the head is.  The head
+    # is on its way up then, see check_left().
+    def measure_sensor(self):
+        self.watch.enter("bed sensor")
+        measurement = SensorMeasurement(
+            self.sensor, self.settings, self.watch, self.expected, self.lowest_z
+        )
+        z = self.sensor_z = measurement.measure(self.travel_z)
+        self.expected = measurement.expected
+        self.lowest_z = measurement.lowest_z
+        self.travel_z = z + self.settings.probe_hop
+        self.lift()
+        self.lifted_at = self.host.after_moves()
+        return z
+
+    # A sensor that stays triggered has not seen the bed.  The head may be under
+    # way already: whoever looks only when it stands waits longer.
+    def check_left(self):
+        with errors.about("bed sensor"):
+            self.sensor.check_open(self.lifted_at)
+
+    def measure_sensor_alone(self):
+        z = self.measure_sensor()
+        self.check_left()
+        return z
+
+    # Both sensors over one point; returns Result.
+    def measure(self, bed, probe_site):
+        self.go_to(bed)
+        sensor_z = self.measure_sensor()
+        self.watch.enter("probe")
+        self.travel(probe_site)
+        self.check_left()
+        measurement = ProbeMeasurement(self.host, self.settings, self.watch)
+        probe_z = measurement.measure(sensor_z)
+        self.lift()
+        probe_z_offset = self.host.probing.offsets()[2]
+        parts = (sensor_z, probe_z, probe_z_offset, self.settings.z_offset)
+        return heights.Result(*parts + (heights.correction(*parts),))
+
+    # From here on Z is z_offset where the sensor has triggered, at z.  Last, so
+    # that nothing can fail in a frame that is another one.
+    def set_z(self, z):
+        z_offset = self.settings.z_offset
+        position = self.host.toolhead.get_position()
+        position[2] += z_offset - z
+        self.host.toolhead.set_position(position)
+        self.sensor_z = z_offset
+        self.travel_z = z_offset + self.settings.probe_hop
