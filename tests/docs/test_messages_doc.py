@@ -33,6 +33,10 @@ OTHERS = {
     "leaves no room between <...> and <...>; write the lower one first",
     "option '<...>' is ignored, '<...>' is given",
     "option '<...>' is now called '<...>'",
+    "options '<...>' and '<...>' are ignored, '<...>' is given",
+    "options '<...>' and '<...>' are now '<...>: <...>,<...>'",
+    "Option '<...>' in section '<...>': only one of '<...>' and '<...>' is"
+    " given; write both, better as '<...>: X,Y'",
     "option '<...>' <...>",
     "Error on '<...>': <...> has to be <...>",
     "a finite number",

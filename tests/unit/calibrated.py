@@ -8,10 +8,11 @@ import pytest
 from hypothesis import strategies as st
 
 from z_touch.core.errors import CalibrationError
+from z_touch.core.options import read
 from z_touch.core.sampling import Sampling
 from z_touch.core.touching import Site
 from z_touch.z_calibration import heights as formula
-from z_touch.z_calibration.settings import Settings
+from z_touch.z_calibration.settings import OPTIONS, Settings
 
 STEP = 1 / 64
 
@@ -88,33 +89,60 @@ def make_sampling(**changes):
     return Sampling(**dict(values, **changes))
 
 
+class Nothing:
+    """A section that leaves every option out: what is asked for is the default."""
+
+    def get_prefix_options(self, _prefix):
+        return []
+
+    def get(self, _name, default=None, **_limits):
+        return default
+
+    getfloat = getint = getboolean = getfloatlist = get
+
+    def getchoice(self, _name, choices, default):
+        return choices[default]
+
+    # G-code is a template of the printer's
+
+    def get_printer(self):
+        return self
+
+    def load_object(self, _config, _name):
+        return self
+
+    def load_template(self, _config, _name, default):
+        return default
+
+
+# As the table has them
+DEFAULTS = {
+    name: value
+    for name, value in read(Nothing(), OPTIONS).items()
+    if name in Settings._fields
+}
+
+
 def make_settings(**changes):
     """Settings of a plausible machine, as complete() leaves them."""
     values = {
-        "nozzle": Site("nozzle", 100.0, 290.0, "nozzle_xy_position"),
-        "switch": Site("switch", 110.0, 290.0, "switch_xy_position"),
-        "switch_xy_offsets": None,
-        "bed": Site("bed", 150.0, 150.0, "bed_xy_position"),
-        "wiggle": None,
+        "nozzle_xy_position": Site("nozzle", 100.0, 290.0, "the nozzle"),
+        "switch_xy_position": Site("switch", 110.0, 290.0, "the switch"),
+        "bed_xy_position": Site("bed", 150.0, 150.0, "the bed"),
         "switch_offset": 0.5,
+        "safe_z_height": 13.0,
+        "probing_speed": 5.0,
+        "pin": make_sampling(),
+        "probe": make_sampling(),
         "attach_after_nozzle": False,
-        "first_fast": False,
-        "offset_margins": (-1.0, 1.0),
-        "travel_margin": 1.0,
+        "start_homes": False,
         "position_endstop": 0.0,
         "position_min": -100.0,
         "position_max": 500.0,
-        "safe_z_height": 13.0,
-        "speed": 50.0,
-        "probing_speed": 5.0,
         "z_offset": 6.5,
-        "pin": make_sampling(),
-        "probe": make_sampling(),
-        "target": 0.008,
-        "save_button": False,
         "unmeasured_pin": 0.0,
     }
-    return Settings(**dict(values, **changes))
+    return Settings(**{**DEFAULTS, **values, **changes})
 
 
 def settings_of(machine, **changes):

@@ -1,13 +1,40 @@
-"""What the probe and the axes decide of the settings."""
+"""The table of options, and what the probe and the axes decide of the settings."""
 
 from __future__ import annotations
+
+import re
+from pathlib import Path
 
 import pytest
 
 from tests.unit.calibrated import make_sampling, make_settings
 from z_touch.core.sampling import Sampling
 from z_touch.z_calibration.heights import travel_height
-from z_touch.z_calibration.settings import complete
+from z_touch.z_calibration.settings import (
+    OPTIONS,
+    SAMPLING,
+    Settings,
+    complete,
+)
+
+TESTS = Path(__file__).resolve().parents[1] / "modules"
+
+
+@pytest.mark.parametrize("row", OPTIONS, ids=lambda row: row.name)
+def test_option_has_a_test_of_its_own(row):
+    """On a real host, where it can be ignored."""
+    tests = TESTS.glob("test_z_calibration_*.py")
+    name = re.compile(rf"\b{row.name}\b")
+    assert any(name.search(path.read_text("utf-8")) for path in tests), (
+        f"{row.name} is in none of tests/modules/test_z_calibration_*.py"
+    )
+
+
+@pytest.mark.parametrize("row", OPTIONS, ids=lambda row: row.name)
+def test_option_is_a_field_of_the_settings_or_of_a_sampling(row):
+    assert (row.name in Settings._fields) != (row.name in SAMPLING)
+    assert row.text.endswith(".")
+
 
 # No two values alike, none as the pin has it
 PROBE = Sampling(

@@ -69,25 +69,56 @@ class OldNames(object):
         self.config = config
         # What the user is told
         self.notes = []
+        # By name, what an option is given as
+        self.names = {}
 
     def is_given(self, name):
         return name in self.config.get_prefix_options(name)
 
-    # The name under which an option is given
+    # The name under which an option is given, looked up once.  An old name may
+    # be a pair, of one option for X and one for Y.
     def name_of(self, name, *old_names):
-        found = name
-        for old in old_names:
-            if not self.is_given(old):
-                continue
-            # The host refuses what nobody reads
-            self.config.get(old)
-            if self.is_given(name) or found != name:
-                text = "option '%s' is ignored, '%s' is given"
-                self.notes.append(text % (old, found))
-                continue
-            self.notes.append("option '%s' is now called '%s'" % (old, name))
-            found = old
-        return found
+        if name not in self.names:
+            self.names[name] = name
+            for old in old_names:
+                is_pair = isinstance(old, tuple)
+                look_up = self._look_up_axes if is_pair else self._look_up
+                look_up(name, old)
+        return self.names[name]
+
+    # Whether an option was given, under any of its names
+    def was_given(self, name):
+        return self.names[name] != name or self.is_given(name)
+
+    def _look_up(self, name, old):
+        if not self.is_given(old):
+            return
+        # The host refuses what nobody reads
+        self.config.get(old)
+        if self.was_given(name):
+            text = "option '%s' is ignored, '%s' is given"
+            self.notes.append(text % (old, self.names[name]))
+            return
+        self.notes.append("option '%s' is now called '%s'" % (old, name))
+        self.names[name] = old
+
+    def _look_up_axes(self, name, axes):
+        values = [number(self.config, axis) for axis in axes]
+        if values == [None, None]:
+            return
+        if None in values:
+            raise self.config.error(
+                "Option '%s' in section '%s': only one of '%s' and '%s' is"
+                " given; write both, better as '%s: X,Y'"
+                % ((name, self.config.get_name()) + axes + (name,))
+            )
+        if self.was_given(name):
+            text = "options '%s' and '%s' are ignored, '%s' is given"
+            self.notes.append(text % (axes + (self.names[name],)))
+            return
+        text = "options '%s' and '%s' are now '%s: %g,%g'"
+        self.notes.append(text % (axes + (name,) + tuple(values)))
+        self.names[name] = axes
 
 
 ######################################################################
@@ -103,7 +134,8 @@ Same = collections.namedtuple("Same", "name")
 # A row: how a value is written and read (Kind); what it is where the option is
 # left out, REQUIRED, Same, or None for "something else decides"; limits as the
 # host's getters take them (minval, maxval, above, below); its unit, one sentence
-# for the document, and the names that the option had.
+# for the document, and the names that the option had (pairs where it was one for
+# X and one for Y).
 Option = collections.namedtuple(
     "Option", "name kind default limits unit text old"
 )

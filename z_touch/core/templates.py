@@ -2,14 +2,8 @@
 # Copyright (C) 2026  the Z calibration developers, under the GNU GPLv3
 from __future__ import absolute_import
 
-import collections
-import re
-
 from .errors import CalibrationError
 from .options import Kind, config_error
-
-# What attaches a probe besides macros
-ATTACHING = ("SET_SERVO", "SET_PIN", "ATTACH_PROBE")
 
 
 def load_template(config, name, default=None):
@@ -64,65 +58,3 @@ def run_template(host, name, template, **params):
         if host.printer.is_shutdown():
             raise
         raise CalibrationError("%s: %s" % (name, e))
-
-
-# The texts of the user's macros by their names
-def read_macros(config):
-    return {
-        section.get_name().upper().split()[-1]: section.get(
-            "gcode", "", note_valid=False
-        ).upper()
-        for section in config.get_prefix_sections("gcode_macro ")
-    }
-
-
-# Not so: what start_gcode has done already
-def attaches_probe(before_switch_gcode, start_gcode, macros):
-    code = before_switch_gcode.upper()
-    if code.split() == start_gcode.upper().split():
-        return False
-    code = re.sub(r"(?s)\{%.*?%\}", "\n", code)
-    words = re.findall(r"(?m)^\s*([^\s;]+)", code)
-    return any(word in ATTACHING or word in macros for word in words)
-
-
-# Whether some G28 stands in the G-code, or in macros that it calls
-def homes(gcode, macros):
-    todo, seen = [gcode.upper()], set()
-    while todo:
-        words = set(re.findall(r"[A-Z0-9_]+", todo.pop())) - seen
-        if "G28" in words:
-            return True
-        seen |= words
-        todo += [macros[word] for word in words if word in macros]
-    return False
-
-
-# A probe that fetches and docks itself is told to, unless the user does
-def probe_gcode(config):
-    given = [config.get(p + "_gcode", "").strip() for p in ("start", "end")]
-    if any(given) or not config.has_section("dockable_probe"):
-        return {}
-    if config.get("before_switch_gcode", "").strip():
-        return {"end": "DETACH_PROBE"}
-    return {"start": "ATTACH_PROBE", "end": "DETACH_PROBE"}
-
-
-# The templates of z_calibration; those of OPTIONAL are None where they are not
-# given.
-Templates = collections.namedtuple(
-    "Templates", "start clean before_switch end offset error start_homes"
-)
-OPTIONAL = ("clean", "offset", "error")
-
-
-def load_templates(config):
-    loaded, own = [], probe_gcode(config)
-    for part in Templates._fields[:-1]:
-        name = part + "_gcode"
-        template = load_template(config, name, own.get(part, ""))
-        if part in OPTIONAL and not config.get(name, "").strip():
-            template = None
-        loaded.append(template)
-    start_gcode = config.get("start_gcode", "")
-    return Templates(*loaded + [homes(start_gcode, read_macros(config))])

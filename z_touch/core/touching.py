@@ -10,6 +10,7 @@ import collections
 import contextlib
 import functools
 
+from . import options
 from .errors import CalibrationError, MessageLost, NoTrigger
 from .running import always
 
@@ -35,6 +36,19 @@ def option_site(config, name, option, pair):
     origin = "Option '%s: %g,%g' in section '%s'"
     origin %= (option, pair[0], pair[1], config.get_name())
     return Site(name, pair[0], pair[1], origin)
+
+
+# The kind of an option that is a point (mm), as a Site of that name; under an old
+# name it may be one option for X and one for Y.  None: it is not given.
+def site_kind(name):
+    def read(config, option, row):
+        if isinstance(option, tuple):
+            point = [options.number(config, axis) for axis in option]
+            return option_site(config, name, " and ".join(option), point)
+        point = options.pair(config, option)
+        return point and option_site(config, name, option, point)
+
+    return options.Kind(options.PAIR.word, read, options.PAIR.nonsense)
 
 
 # 'shift' says why the head is elsewhere than the user's point.

@@ -54,7 +54,7 @@ class Ways(object):
             pin=slow(pin),
             probe=slow(probe),
             probing_speed=min(settings.probing_speed, 2.0 * SLOW_SPEED),
-            first_fast=False,
+            probing_first_fast=False,
         )
 
     @staticmethod
@@ -93,16 +93,16 @@ class Ways(object):
         if name in state.sites:
             return state.sites[name]
         if name == "nozzle":
-            return settings.nozzle
+            return settings.nozzle_xy_position
         nozzle = state.sites.get("nozzle")
         x, y = self.host.probing.offsets()[:2]
         if name == "switch":
-            site = places.switch_site(nozzle, settings.switch)
+            site = places.switch_site(nozzle, settings.switch_xy_position)
             if site is None and nozzle is not None:
                 x, y = self.within(nozzle.x - x, nozzle.y - y)
                 site = touching.Site(name, x, y, "The body of the switch")
             return site
-        site = places.bed_site(settings.bed)
+        site = places.bed_site(settings.bed_xy_position)
         if site is None:
             middle = [sum(a) / 2.0 for a in self.host.axis_limits()[:2]]
             x, y = self.within(middle[0] - x, middle[1] - y)

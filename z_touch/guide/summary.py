@@ -34,12 +34,14 @@ def found(state):
 def values(ways, state):
     settings, places = ways.module.settings, ways.places()
     sites, found = state.sites, []
-    old_switch = places.switch_site(sites["nozzle"], settings.switch)
+    old_switch = places.switch_site(
+        sites["nozzle"], settings.switch_xy_position
+    )
     x, y = ways.host.probing.offsets()[:2]
     for name, old in (
-        ("nozzle", settings.nozzle),
+        ("nozzle", settings.nozzle_xy_position),
         ("switch", old_switch),
-        ("bed", places.bed_site(settings.bed)),
+        ("bed", places.bed_site(settings.bed_xy_position)),
     ):
         site = sites[name]
         if old is not None and near(old, site):

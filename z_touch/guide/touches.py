@@ -57,7 +57,7 @@ class Touches(object):
         if self.hands.is_attached():
             return
         with self.module.hooks.holding_probe():
-            self.fetch(state, "start", "before_switch")
+            self.fetch(state, "start_gcode", "before_switch_gcode")
         if not self.hands.is_attached():
             raise CalibrationError(
                 "the probe reads triggered: neither start_gcode nor"
@@ -65,10 +65,10 @@ class Touches(object):
                 " correct them"
             )
 
-    def fetch(self, state, *parts):
+    def fetch(self, state, *options):
         state.fetched = True
-        for part in parts:
-            self.module.hooks.run_gcode(part)
+        for option in options:
+            self.module.hooks.run_gcode(option)
         running.check_homed(self.host)
         state.mark = self.module.frame.mark()
 
@@ -82,7 +82,7 @@ class Touches(object):
         state.heights, state.samples = {}, {}
         with self.module.hooks.holding_probe():
             self.put_away(state)
-            self.fetch(state, "start")
+            self.fetch(state, "start_gcode")
             self.touch(state, "nozzle", lambda run: run.measure_nozzle())
 
     def touch_switch(self, gcmd, state):

@@ -12,10 +12,6 @@ from ..uncertainty import adaptive, cycles
 from . import report
 from .file import SITES, File, History, site_record
 
-# Beside printer.cfg
-FOLDER = "z_calibration"
-RUNS = 1000
-
 # Touches of each site in a cycle, where their number is not given, and cycles at
 # most
 CYCLE_SAMPLES = 3
@@ -24,15 +20,13 @@ MOST_CYCLES = 200
 HEATERS = ("extruder", "heater_bed")
 
 
-def read_file(config):
-    folder = config.get("history", FOLDER).strip()
-    if not folder:
-        raise options.config_error(config, "history", "is no folder, nor none")
-    runs = config.getint("history_runs", RUNS, minval=1)
-    if folder.lower() == "none":
+# The file in a folder beside printer.cfg, of so many lines at most; None: nothing
+# is kept.
+def find_file(printer, folder, runs):
+    if folder is None:
         return None
-    own = config.get_printer().get_start_args()["config_file"]
-    beside = os.path.dirname(os.path.abspath(own))
+    config_file = printer.get_start_args()["config_file"]
+    beside = os.path.dirname(os.path.abspath(config_file))
     return File(os.path.join(beside, os.path.expanduser(folder)), runs)
 
 
@@ -64,14 +58,14 @@ def for_cycles(sampling):
 
 
 class Recorder(object):
-    def __init__(self, config, machine, version):
-        self.host = machine
-        self.printer = config.get_printer()
+    def __init__(self, host, settings, version):
+        self.host = host
+        self.printer = host.printer
         self.version = version
         name = self.printer.get_start_args().get("config_file", "")
         self.history = History(
             self.printer.get_reactor(),
-            read_file(config),
+            find_file(self.printer, settings.history, settings.history_runs),
             os.path.basename(name),
             self.say,
         )

@@ -75,7 +75,7 @@ def notes(host, settings):
             % (travel_z, settings.unmeasured_pin)
         )
     # With a mesh loaded, Z=0 is right where the mesh is zero.
-    bed, zero = settings.bed, host.mesh_zero()
+    bed, zero = settings.bed_xy_position, host.mesh_zero()
     if bed is None or zero is None:
         return
     if math.hypot(bed.x - zero[0], bed.y - zero[1]) > MESH_ZERO_NEAR:

@@ -13,40 +13,109 @@ from __future__ import absolute_import
 import contextlib
 import functools
 import logging
+import re
 
 from ..core import running, templates
 from ..core.errors import CalibrationError
+
+# What attaches a probe besides macros
+ATTACHING = ("SET_SERVO", "SET_PIN", "ATTACH_PROBE")
+
+######################################################################
+# What stands in the G-code
+######################################################################
+
+
+# The G-code where the options are left out, by their names: a dockable_probe is
+# told to fetch and dock its probe, unless the user does.
+def default_gcode(config):
+    given = [config.get(name, "") for name in ("start_gcode", "end_gcode")]
+    is_given = any(text.strip() for text in given)
+    if is_given or not config.has_section("dockable_probe"):
+        return {}
+    if config.get("before_switch_gcode", "").strip():
+        return {"end_gcode": "DETACH_PROBE"}
+    return {"start_gcode": "ATTACH_PROBE", "end_gcode": "DETACH_PROBE"}
+
+
+# What the settings say of the user's G-code, as far as its text tells
+def read_texts(config):
+    names = "start_gcode", "before_switch_gcode"
+    start, before_switch = [config.get(name, "") for name in names]
+    macros = read_macros(config)
+    return {
+        "attach_after_nozzle": attaches_probe(before_switch, start, macros),
+        "start_homes": homes(start, macros),
+    }
+
+
+# The texts of the user's macros by their names
+def read_macros(config):
+    return {
+        section.get_name().upper().split()[-1]: section.get(
+            "gcode", "", note_valid=False
+        ).upper()
+        for section in config.get_prefix_sections("gcode_macro ")
+    }
+
+
+# Whether before_switch_gcode attaches a probe, by the words that its lines begin
+# with.  What start_gcode has done already is not done again.
+def attaches_probe(before_switch_gcode, start_gcode, macros):
+    code = before_switch_gcode.upper()
+    if code.split() == start_gcode.upper().split():
+        return False
+    code = re.sub(r"(?s)\{%.*?%\}", "\n", code)
+    words = re.findall(r"(?m)^\s*([^\s;]+)", code)
+    return any(word in ATTACHING or word in macros for word in words)
+
+
+# Whether some G28 stands in the G-code, or in macros that it calls
+def homes(gcode, macros):
+    todo, seen = [gcode.upper()], set()
+    while todo:
+        words = set(re.findall(r"[A-Z0-9_]+", todo.pop())) - seen
+        if "G28" in words:
+            return True
+        seen |= words
+        todo += [macros[word] for word in words if word in macros]
+    return False
+
+
+######################################################################
+# Running it
+######################################################################
 
 
 # What the user wants to be done around the touches; each part says in its errors
 # which option it is.
 class Hooks(object):
-    # 'gcode': templates.Templates; 'frame': of the heights; 'watch' is told what
+    # 'settings' have the templates; 'frame': of the heights; 'watch' is told what
     # happens.
-    def __init__(self, host, gcode, frame, watch):
+    def __init__(self, host, settings, frame, watch):
         self.host = host
-        self.gcode = gcode
+        self.settings = settings
         self.frame = frame
         self.watch = watch
 
     @property
     def can_clean(self):
-        return self.gcode.clean is not None
+        return self.settings.clean_gcode is not None
 
     # Before the first touch.  It may home; without that the printer is homed
     # already.
     def check_before_start(self):
-        if not self.gcode.start_homes:
+        if not self.settings.start_homes:
             running.check_homed(self.host)
 
     # User G-code may home, move, or turn the motors off
     def start(self):
-        self.run_gcode("start")
+        self.run_gcode("start_gcode")
         running.check_homed(self.host)
 
     # Between nozzle and switch, whose frame must be the one of 'mark'.
     def before_switch(self, mark):
-        self.run_gcode("before_switch")
+        self.run_gcode("before_switch_gcode")
         moved = self.frame.moved_since(mark)
         if moved:
             raise CalibrationError(
@@ -58,7 +127,7 @@ class Hooks(object):
     def clean(self):
         self.watch.enter("clean_gcode")
         mark = self.frame.mark()
-        self.run_gcode("clean")
+        self.run_gcode("clean_gcode")
         moved = self.frame.moved_since(mark)
         if moved:
             raise CalibrationError(
@@ -67,29 +136,30 @@ class Hooks(object):
 
     # After the last touch, and after a failure
     def end(self):
-        self.run_gcode("end")
+        self.run_gcode("end_gcode")
 
     # What is applied is a G-code Z offset (mm)
     def apply(self, z_offset):
-        if self.gcode.offset is None:
+        if self.settings.offset_gcode is None:
             self.host.set_gcode_offset(z_offset)
             return
-        self.run_gcode("offset", Z="%.6f" % (z_offset,))
+        self.run_gcode("offset_gcode", Z="%.6f" % (z_offset,))
 
     # After a failure, last of all; an error of its own must not hide 'error'.
     def failed(self, error):
-        if self.gcode.error is None:
+        if self.settings.error_gcode is None:
             return
         self.watch.enter("error_gcode")
         try:
-            self.run_gcode("error", ERROR=error)
+            self.run_gcode("error_gcode", ERROR=error)
         except (self.host.printer.command_error, CalibrationError) as e:
             logging.exception("z_calibration: error_gcode failed, too")
             self.watch.say("after the error: %s" % (e,))
 
-    def run_gcode(self, part, **params):
-        template = getattr(self.gcode, part)
-        templates.run_template(self.host, part + "_gcode", template, **params)
+    # Runs the template of an option
+    def run_gcode(self, option, **params):
+        template = getattr(self.settings, option)
+        templates.run_template(self.host, option, template, **params)
 
     # While this lasts a dockable_probe fetches and docks nothing by itself, as
     # it would around each session of the host's probing.

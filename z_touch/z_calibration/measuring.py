@@ -97,7 +97,7 @@ class Measurement(object):
     # Quickly down to where every sample begins: above the expected trigger.
     # Where nobody knows where that is, slowly from the travel height on.
     def come_down(self, travel_z, expected_z, floor):
-        if self.settings.first_fast:
+        if self.settings.probing_first_fast:
             self.first_touch(floor)
             return
         top = travel_z
@@ -177,7 +177,7 @@ class NozzleMeasurement(Measurement):
 
     def touch_site(self, travel_z, expected_z, floor):
         samples = Measurement.touch_site(self, travel_z, expected_z, floor)
-        if self.settings.wiggle is not None:
+        if self.settings.wiggle_xy_offsets is not None:
             self.retract()
         return samples
 
@@ -185,8 +185,8 @@ class NozzleMeasurement(Measurement):
     def retract(self):
         pressed = self.head.pressed_z is not None
         self.head.retract()
-        if pressed and self.settings.wiggle is not None:
-            (x, y), speed = self.settings.wiggle, self.settings.speed
+        if pressed and self.settings.wiggle_xy_offsets is not None:
+            (x, y), speed = self.settings.wiggle_xy_offsets, self.settings.speed
             site = self.site
             touching.move_xy(self.host, site.x + x, site.y + y, speed)
             touching.move_xy(self.host, site.x, site.y, speed)

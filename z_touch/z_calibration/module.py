@@ -17,7 +17,7 @@ import functools
 import logging
 
 from .. import __version__
-from ..core import errors, frame, host, options, running, sampling, templates
+from ..core import errors, frame, host, options, running, sampling
 from ..history import recorder
 from ..uncertainty import adaptive
 from . import checks, corrections, heights
@@ -47,17 +47,12 @@ class ZCalibration(object):
         self.frame = frame.Frame(self.host)
         self.runner = running.Runner(self.host)
         self.old_names = options.OldNames(config)
+        self.settings = read_settings(config, self.host.z_axis, self.old_names)
         # None: the Z endstop, which exists when klippy connects
         self.pin = read_pin(config, self.host, self.old_names)
-        self.settings = read_settings(
-            config, self.host.z_axis, self.pin is not None, self.old_names
-        )
-        self.recorder = recorder.Recorder(config, self.host, __version__)
+        self.recorder = recorder.Recorder(self.host, self.settings, __version__)
         self.hooks = Hooks(
-            self.host,
-            templates.load_templates(config),
-            self.frame,
-            self.runner.watch,
+            self.host, self.settings, self.frame, self.runner.watch
         )
         self.results = Results(self.frame)
         register = self.host.printer.register_event_handler
@@ -159,7 +154,7 @@ class ZCalibration(object):
         settings = self.settings
         work = functools.partial(self.calibrate_and_apply, gcmd)
         self.runner.check_idle(gcmd)
-        plan = self.recorder.begin(settings.target)
+        plan = self.recorder.begin(settings.target_uncertainty)
         wanted = 2 * plan.expected(settings.pin) + plan.expected(settings.probe)
         self.results.begin()
         try:
@@ -334,7 +329,7 @@ class ZCalibration(object):
         running.check_homed(self.host)
         settings = self.settings._replace(pin=pin)
         sites = Sites(nozzle, None, None)
-        plan = self.recorder.make_plan(settings.target)
+        plan = self.recorder.make_plan(settings.target_uncertainty)
         calibration = self.new_calibration(settings, sites, plan)
         calibration.know(self.earlier())
         gcmd.respond_info(

@@ -11,19 +11,19 @@ from ..core import endstops
 Pin = collections.namedtuple("Pin", "endstop name origin section option")
 
 
-# Another switch than the Z endstop, with endstop_pin; None without.
+# Another switch than the Z endstop, with endstop_pin; None without.  'old_names'
+# have looked the option up.
 def read_pin(config, host, old_names):
-    option = old_names.name_of("endstop_pin", "calibration_endstop_pin")
-    text = config.get(option, None)
-    if text is None:
+    if not old_names.was_given("endstop_pin"):
         return None
+    option = old_names.name_of("endstop_pin")
     remedy = (
         "give the pin of the switch that the nozzle presses, or leave the"
         " option out to use the Z endstop"
     )
     return Pin(
         endstop=host.endstops.make(config, option, remedy),
-        name="endstop_pin (%s)" % (text,),
+        name="endstop_pin (%s)" % (config.get(option),),
         origin="Option 'endstop_pin' in section 'z_calibration'",
         section=config.get_name(),
         option=option,

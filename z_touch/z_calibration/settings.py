@@ -1,14 +1,18 @@
-# The options of [z_calibration], and the record of settings that comes of them.
+# The options of [z_calibration] as a table, and the settings that come of them.
 #
 # Copyright (C) 2026  the Z calibration developers, under the GNU GPLv3
+#
+# A new option is one row in OPTIONS, its use, and one test.  The settings have a
+# field for each row, but for those of SAMPLING, which become the fields 'pin'
+# and 'probe'.
 from __future__ import absolute_import
 
-import collections
-import functools
-
-from ..core import options, sampling, templates, touching
+from ..core import options, touching
 from ..core.errors import CalibrationError
-from . import heights
+from ..core.options import option
+from ..core.sampling import AUTO
+from ..core.templates import GCODE
+from . import heights, hooks
 
 # Results outside these limits (mm) are refused: the homing is outdated or
 # something was touched that should not have been.
@@ -32,24 +36,435 @@ TRAVEL_SPEED = 50.0
 # What the offset may be off by (mm, 95 %) with samples: auto
 TARGET_UNCERTAINTY = 0.008
 
+# Beside printer.cfg
+FOLDER = "z_calibration"
+RUNS = 1000
+
 # Whether the buttons that save the Z offset save into switch_offset
 SAVE_BUTTON = {"off": False, "switch_offset": True}
 
-# What the user configured: mm and mm/s.  None stands for "as the probe has
-# it" until complete() has filled it in, and for a place or a switch_offset
-# that is to come with the command; position_endstop is None where the pin is
-# not what Z is homed on.
-Settings = collections.namedtuple(
-    "Settings",
-    "nozzle switch switch_xy_offsets bed wiggle switch_offset"
-    " attach_after_nozzle first_fast"
-    " offset_margins travel_margin position_endstop position_min position_max"
-    " safe_z_height speed probing_speed z_offset pin probe target save_button"
-    " unmeasured_pin",
+######################################################################
+# Kinds of options that only this section has
+######################################################################
+
+
+def _read_shift(config, name, row):
+    shift = options.pair(config, name)
+    return shift if shift and any(shift) else None
+
+
+# Under its old name 0 was "as the probe has it"
+def _read_safe_z(config, name, row):
+    limits = {"minval": 0.0} if name in row.old else row.limits
+    return options.number(config, name, **limits) or None
+
+
+# A folder; None: there is to be none
+def _read_folder(config, name, row):
+    folder = config.get(name, row.default).strip()
+    if not folder:
+        raise options.config_error(config, name, "is no folder, nor none")
+    return None if folder.lower() == "none" else folder
+
+
+# A distance in X and Y; none at all counts as not given
+SHIFT = options.PAIR._replace(read=_read_shift)
+SAFE_Z = options.NUMBER._replace(read=_read_safe_z)
+HISTORY = options.Kind("folder", _read_folder, ("", " "))
+
+######################################################################
+# The table
+######################################################################
+
+POSITIONS = (
+    option(
+        "nozzle_xy_position",
+        touching.site_kind("nozzle"),
+        None,
+        "mm",
+        "X, Y of the head, in mm, when the nozzle is above the middle of the"
+        " metal pin. The default is home_xy_position of [safe_z_home]; there is"
+        " none with endstop_pin.",
+        old=(("probe_nozzle_x", "probe_nozzle_y"),),
+    ),
+    option(
+        "switch_xy_position",
+        touching.site_kind("switch"),
+        None,
+        "mm",
+        "X, Y of the head when the body of the probe's switch is above the same"
+        " pin, with its flat side beside the plunger.",
+        old=(("probe_switch_x", "probe_switch_y"),),
+    ),
+    option(
+        "switch_xy_offsets",
+        options.PAIR,
+        None,
+        "mm",
+        "Instead of switch_xy_position: the way from the nozzle position to it,"
+        " in mm. There is no default.",
+    ),
+    option(
+        "bed_xy_position",
+        touching.site_kind("bed"),
+        None,
+        "mm",
+        "The point of the bed that the probe touches. The default is"
+        " zero_reference_position of [bed_mesh].",
+        old=(("probe_bed_x", "probe_bed_y"),),
+    ),
+    option(
+        "wiggle_xy_offsets",
+        SHIFT,
+        None,
+        "mm",
+        "Moves the head by so much and back after each touch of the nozzle, for"
+        " a pin that sticks to it. There is no default.",
+    ),
+)
+
+RESULT = (
+    option(
+        "switch_offset",
+        options.NUMBER,
+        None,
+        "mm",
+        "How far the plunger still sticks out of the switch body when the switch"
+        " triggers, in mm. Larger: nozzle closer to the bed.",
+        minval=0.0,
+    ),
+    option(
+        "save_button",
+        options.choice(SAVE_BUTTON),
+        "off",
+        "",
+        "What the button that saves the Z offset does after a CALIBRATE_Z. off:"
+        " the same as without this module. switch_offset: it keeps baby steps"
+        " there.",
+    ),
+    option(
+        "offset_margins",
+        options.MARGINS,
+        OFFSET_MARGINS,
+        "mm",
+        "An offset (in mm) outside of these is refused.",
+        old=("max_deviation",),
+    ),
+)
+
+HEIGHTS = (
+    option(
+        "safe_z_height",
+        SAFE_Z,
+        None,
+        "mm",
+        "The head travels at least so high, in mm. The default is twice the"
+        " z_offset of [probe].",
+        old=("clearance",),
+        above=0.0,
+    ),
+    option(
+        "travel_margin",
+        options.NUMBER,
+        TRAVEL_MARGIN,
+        "mm",
+        "How much lower than expected a touch may go, and how much room is left"
+        " below the head on its way, in mm.",
+        above=0.0,
+    ),
+    option(
+        "position_min",
+        options.NUMBER,
+        None,
+        "mm",
+        "No touch goes lower, in mm. The default is position_min of"
+        " [stepper_z].",
+    ),
+    option(
+        "endstop_pin",
+        options.PIN,
+        None,
+        "",
+        "The MCU pin of another switch that nozzle and body press, such as"
+        " ^PG10. By default they press the Z endstop.",
+        old=("calibration_endstop_pin",),
+    ),
+)
+
+# What is left out of these is as in [probe]; two have other names than there.
+SAMPLING = (
+    "probing_second_speed",
+    "probing_retract_dist",
+    "lift_speed",
+    "samples",
+    "samples_tolerance",
+    "samples_tolerance_retries",
+    "samples_result",
 )
 
 
-# Let the probe and the axis decide what the user left open.
+# A row as [probe] has it, but for its default
+def probe_option(name, text, **changes):
+    (row,) = [row for row in options.PROBE_OPTIONS if row.name == name]
+    return row._replace(default=None, text=text, **changes)
+
+
+SPEEDS = (
+    option(
+        "speed",
+        options.NUMBER,
+        TRAVEL_SPEED,
+        "mm/s",
+        "Travel in X and Y, in mm/s.",
+        above=0.0,
+    ),
+    option(
+        "probing_speed",
+        options.NUMBER,
+        None,
+        "mm/s",
+        "The quick part of the way down, in mm/s. The default is homing_speed of"
+        " [stepper_z].",
+        old=("homing_speed",),
+        above=0.0,
+    ),
+    option(
+        "probing_second_speed",
+        options.NUMBER,
+        None,
+        "mm/s",
+        "The touches that count, in mm/s. The default is second_homing_speed of"
+        " [stepper_z]; on the bed it is speed of [probe].",
+        old=("second_homing_speed",),
+        above=0.0,
+    ),
+    option(
+        "probing_retract_dist",
+        options.NUMBER,
+        None,
+        "mm",
+        "Lift between two touches, in mm. The default is homing_retract_dist of"
+        " [stepper_z]; on the bed it is sample_retract_dist of [probe].",
+        old=("homing_retract_dist",),
+        above=0.0,
+    ),
+    probe_option(
+        "lift_speed",
+        "All ways up, in mm/s. The default is that of [probe].",
+    ),
+    option(
+        "probing_first_fast",
+        options.FLAG,
+        False,
+        "",
+        "true: the first touch at each place is made at probing_speed and does"
+        " not count.",
+    ),
+    probe_option(
+        "samples",
+        "Touches at each place, or auto: as many as are needed. The default"
+        " is that of [probe].",
+        kind=options.SAMPLES,
+    ),
+    option(
+        "target_uncertainty",
+        options.NUMBER,
+        TARGET_UNCERTAINTY,
+        "mm",
+        "With samples: auto, what the offset may be off by, in mm.",
+        above=0.0,
+    ),
+    probe_option(
+        "samples_tolerance",
+        "How far touches may be apart, in mm. The default is that of [probe].",
+    ),
+    probe_option(
+        "samples_tolerance_retries",
+        "How often they may start again. The default is that of [probe].",
+    ),
+    probe_option(
+        "samples_result",
+        "median or average. The default is that of [probe].",
+    ),
+)
+
+KEPT = (
+    option(
+        "history",
+        HISTORY,
+        FOLDER,
+        "",
+        "The folder, beside printer.cfg, that keeps a line for each run. none:"
+        " nothing is kept.",
+    ),
+    option(
+        "history_runs",
+        options.COUNT,
+        RUNS,
+        "",
+        "How many lines it keeps.",
+        minval=1,
+    ),
+)
+
+# Of those with a default of None it matters whether there is anything to run.
+USER_GCODE = (
+    option(
+        "start_gcode",
+        GCODE,
+        "",
+        "",
+        "Your macro that attaches the probe.",
+    ),
+    option(
+        "clean_gcode",
+        GCODE,
+        None,
+        "",
+        "Runs once in a run, if something seems to stick to the nozzle. There is"
+        " no default.",
+    ),
+    option(
+        "before_switch_gcode",
+        GCODE,
+        "",
+        "",
+        "Runs between nozzle and switch: attach the probe here, and not in"
+        " start_gcode, where it is in the way of the nozzle. There is no"
+        " default.",
+    ),
+    option(
+        "end_gcode",
+        GCODE,
+        "",
+        "",
+        "Your macro that puts the probe away; it runs after an error, too.",
+    ),
+    option(
+        "offset_gcode",
+        GCODE,
+        None,
+        "",
+        "Runs instead of SET_GCODE_OFFSET, with the offset as params.Z. There is"
+        " no default.",
+    ),
+    option(
+        "error_gcode",
+        GCODE,
+        None,
+        "",
+        "Runs last after an error, with the message as params.ERROR. There is no"
+        " default.",
+    ),
+)
+
+OPTIONS = POSITIONS + RESULT + HEIGHTS + SPEEDS + KEPT + USER_GCODE
+
+######################################################################
+# The settings
+######################################################################
+
+# mm and mm/s.  None stands for "as the probe has it" until complete() has filled
+# it in, and for a site or a switch_offset that is to come with the command.
+#
+#   pin, probe           sampling.Sampling of what is touched on the pin, and of
+#                        the bed
+#   attach_after_nozzle  before_switch_gcode attaches the probe
+#   start_homes          start_gcode homes
+#   position_endstop     toolhead Z at which the pin stops Z in homing; None: the
+#                        pin is not what Z is homed on
+#   position_max         of the Z axis
+#   z_offset             of the probe
+#   unmeasured_pin       how high the pin is taken for until it was touched
+Settings = options.record(
+    "Settings",
+    [row for row in OPTIONS if row.name not in SAMPLING],
+    "pin probe attach_after_nozzle start_homes position_endstop position_max"
+    " z_offset unmeasured_pin",
+)
+
+
+# As far as they are known before klippy connects; what the user is to be told is
+# in old_names.
+def read_settings(config, z_axis, old_names):
+    defaults = hooks.default_gcode(config)
+    defaults["probing_speed"] = z_axis.homing_speed
+    defaults["probing_second_speed"] = z_axis.second_homing_speed
+    defaults["probing_retract_dist"] = (
+        z_axis.homing_retract_dist or FALLBACK_RETRACT
+    )
+    values = options.read(config, OPTIONS, old_names, **defaults)
+    note_idle_options(values, old_names)
+    homed_z, site = None, values["nozzle_xy_position"]
+    if values["endstop_pin"] is None:
+        # None also where it is the probe that Z is homed with: refused later
+        homed_z = z_axis.position_endstop
+        values["nozzle_xy_position"] = site or read_home(config)
+    values["position_min"] = limit_position_min(
+        config, values["position_min"], z_axis, homed_z, old_names
+    )
+    pin, probe = samplings_of(values, old_names)
+    values.update(hooks.read_texts(config))
+    values.update(pin=pin, probe=probe, position_endstop=homed_z)
+    return Settings(*[values.get(name) for name in Settings._fields])
+
+
+# Where Z is homed on the pin itself, [safe_z_home] has its site.
+def read_home(config):
+    if not config.has_section("safe_z_home"):
+        return None
+    name, home = "home_xy_position", config.getsection("safe_z_home")
+    point = home.getfloatlist(name, None, count=2, note_valid=False)
+    return point and touching.option_site(home, "nozzle", name, point)
+
+
+# Of the pin and of the bed; for the bed only what is given, the rest is as the
+# probe has it.
+def samplings_of(values, old_names):
+    speed, retract = "probing_second_speed", "probing_retract_dist"
+    pin = options.sampling_of(
+        dict(values, speed=values[speed], sample_retract_dist=values[retract])
+    )
+    has = old_names.was_given
+    probe = pin._replace(
+        speed=pin.speed if has(speed) else None,
+        retract_dist=pin.retract_dist if has(retract) else None,
+    )
+    return pin, probe
+
+
+def limit_position_min(config, lowest, z_axis, homed_z, old_names):
+    if lowest is None:
+        return z_axis.position_min
+    if homed_z is not None and lowest > homed_z:
+        raise config.error(
+            "Option 'position_min' in section 'z_calibration': %.3f is above"
+            " position_endstop (%.3f) of section '%s', no touch could reach"
+            " the pin; remove it or write a smaller value"
+            % (lowest, homed_z, z_axis.section)
+        )
+    if lowest < z_axis.position_min:
+        old_names.notes.append(
+            "option 'position_min: %g' is ignored, section '%s' ends at %g"
+            % (lowest, z_axis.section, z_axis.position_min)
+        )
+    return max(lowest, z_axis.position_min)
+
+
+# Options that count only with samples: auto, or only without
+def note_idle_options(values, old_names):
+    idle, how = ("target_uncertainty",), "without"
+    if values["samples"] == AUTO:
+        idle = "samples_tolerance", "samples_tolerance_retries"
+        idle, how = idle + ("samples_result",), "with"
+    for name in idle:
+        if old_names.was_given(name):
+            text = "option '%s' is ignored %s 'samples: auto'"
+            old_names.notes.append(text % (name, how))
+
+
+# Lets the probe and the axis decide what the user has left open.  'probe':
+# sampling.Sampling; mm.
 def complete(settings, probe, z_offset, position_max):
     settings = settings._replace(
         pin=filled(settings.pin, probe),
@@ -83,151 +498,3 @@ def param_switch_offset(gcmd, default):
             " 'z_calibration', or add SWITCH_OFFSET=mm"
         )
     return value
-
-
-######################################################################
-# Options
-######################################################################
-
-
-# A Site or None: under its option, or as probe_<name>_x and _y of old
-def read_site(config, name, old_names):
-    option = name + "_xy_position"
-    olds = ["probe_%s_%s" % (name, axis) for axis in "xy"]
-    pair = options.pair(config, option)
-    old = [options.number(config, axis) for axis in olds]
-    if None in old and old != [None, None]:
-        raise config.error(
-            "Option '%s' in section '%s': only one of '%s' and '%s' is given;"
-            " write both, better as '%s: X,Y'"
-            % ((option, config.get_name()) + tuple(olds) + (option,))
-        )
-    if None not in old:
-        text, values = "options '%s' and '%s' are ignored, '%s' is given", []
-        if pair is None:
-            text, values = "options '%s' and '%s' are now '%s: %g,%g'", old
-        old_names.notes.append(text % tuple(olds + [option] + values))
-    if pair is None and None not in old:
-        return touching.option_site(config, name, " and ".join(olds), old)
-    return pair and touching.option_site(config, name, option, pair)
-
-
-# Where Z is homed on the pin itself, [safe_z_home] has its place.
-def read_nozzle_site(config, own_pin, old_names):
-    site = read_site(config, "nozzle", old_names)
-    if site is not None or own_pin or not config.has_section("safe_z_home"):
-        return site
-    home = config.getsection("safe_z_home")
-    pair = home.getfloatlist(
-        "home_xy_position", None, count=2, note_valid=False
-    )
-    return pair and touching.option_site(
-        home, "nozzle", "home_xy_position", pair
-    )
-
-
-# Of the pin; for the bed only what is given, the rest is as the probe has it.
-def read_samplings(config, z_axis, old_names):
-    number = functools.partial(options.number, config)
-    speed = old_names.name_of("probing_second_speed", "second_homing_speed")
-    retract = old_names.name_of("probing_retract_dist", "homing_retract_dist")
-    default_retract = z_axis.homing_retract_dist or FALLBACK_RETRACT
-    pin = sampling.Sampling(
-        samples=options.samples(config),
-        tolerance=number("samples_tolerance", minval=0.0),
-        retries=config.getint("samples_tolerance_retries", None, minval=0),
-        result=config.getchoice("samples_result", options.RESULTS, None),
-        speed=number(speed, z_axis.second_homing_speed, above=0.0),
-        retract_dist=number(retract, default_retract, above=0.0),
-        lift_speed=number("lift_speed", above=0.0),
-    )
-    bed = pin._replace(
-        speed=pin.speed if old_names.is_given(speed) else None,
-        retract_dist=pin.retract_dist if old_names.is_given(retract) else None,
-    )
-    return pin, bed
-
-
-def read_position_min(config, z_axis, homed_z, old_names):
-    own = options.number(config, "position_min")
-    if own is None:
-        return z_axis.position_min
-    if homed_z is not None and own > homed_z:
-        raise config.error(
-            "Option 'position_min' in section 'z_calibration': %.3f is above"
-            " position_endstop (%.3f) of section '%s', no touch could reach"
-            " the pin; remove it or write a smaller value"
-            % (own, homed_z, z_axis.section)
-        )
-    if own < z_axis.position_min:
-        old_names.notes.append(
-            "option 'position_min: %g' is ignored, section '%s' ends at %g"
-            % (own, z_axis.section, z_axis.position_min)
-        )
-    return max(own, z_axis.position_min)
-
-
-# mm at 95 %, for samples: auto
-def read_target(config, pin, old_names):
-    target = options.number(
-        config, "target_uncertainty", TARGET_UNCERTAINTY, above=0.0
-    )
-    is_auto = pin.samples == sampling.AUTO
-    idle = (
-        ("samples_tolerance", "samples_tolerance_retries", "samples_result")
-        if is_auto
-        else ("target_uncertainty",)
-    )
-    for name in idle:
-        if old_names.is_given(name):
-            text = "option '%s' is ignored %s 'samples: auto'"
-            how = "with" if is_auto else "without"
-            old_names.notes.append(text % (name, how))
-    return target
-
-
-def read_wiggle(config):
-    pair = options.pair(config, "wiggle_xy_offsets")
-    return pair if pair and any(pair) else None
-
-
-# 'own_pin' where the nozzle presses another switch than the Z endstop
-def read_settings(config, z_axis, own_pin, old_names):
-    number = functools.partial(options.number, config)
-    # None where it is the probe that Z is homed with; that is refused later
-    homed_z = None if own_pin else z_axis.position_endstop
-    speed = old_names.name_of("probing_speed", "homing_speed")
-    margins = old_names.name_of("offset_margins", "max_deviation")
-    safe_z = old_names.name_of("safe_z_height", "clearance")
-    # 0 was "as the probe has it" under the old name
-    lowest = {"minval": 0.0} if safe_z == "clearance" else {"above": 0.0}
-    pin, bed = read_samplings(config, z_axis, old_names)
-    return Settings(
-        nozzle=read_nozzle_site(config, own_pin, old_names),
-        switch=read_site(config, "switch", old_names),
-        switch_xy_offsets=options.pair(config, "switch_xy_offsets"),
-        bed=read_site(config, "bed", old_names),
-        wiggle=read_wiggle(config),
-        switch_offset=number("switch_offset", minval=0.0),
-        attach_after_nozzle=templates.attaches_probe(
-            config.get("before_switch_gcode", ""),
-            config.get("start_gcode", ""),
-            templates.read_macros(config),
-        ),
-        first_fast=config.getboolean("probing_first_fast", False),
-        offset_margins=options.margins(config, margins, OFFSET_MARGINS),
-        travel_margin=number("travel_margin", TRAVEL_MARGIN, above=0.0),
-        position_endstop=homed_z,
-        position_min=read_position_min(config, z_axis, homed_z, old_names),
-        safe_z_height=number(safe_z, **lowest) or None,
-        speed=number("speed", TRAVEL_SPEED, above=0.0),
-        probing_speed=number(speed, z_axis.homing_speed, above=0.0),
-        pin=pin,
-        probe=bed,
-        target=read_target(config, pin, old_names),
-        save_button=config.getchoice("save_button", SAVE_BUTTON, "off"),
-        # From the probe and the axes, when klippy connects
-        position_max=None,
-        z_offset=None,
-        unmeasured_pin=None,
-    )

@@ -30,10 +30,12 @@ class SiteFinder(object):
     # What is configured; what comes with a command is checked there.
     def check(self):
         settings = self.settings
-        if settings.nozzle is not None:
-            self.check_nozzle(settings.nozzle)
-        switch = self.switch_site(settings.nozzle, settings.switch)
-        bed = self.bed_site(settings.bed)
+        if settings.nozzle_xy_position is not None:
+            self.check_nozzle(settings.nozzle_xy_position)
+        switch = self.switch_site(
+            settings.nozzle_xy_position, settings.switch_xy_position
+        )
+        bed = self.bed_site(settings.bed_xy_position)
         for site in (switch, bed):
             if site is not None:
                 self.check_reach(site)
@@ -44,9 +46,9 @@ class SiteFinder(object):
     def missing(self):
         settings = self.settings
         sites = (
-            settings.nozzle,
-            settings.switch or settings.switch_xy_offsets,
-            self.bed_site(settings.bed),
+            settings.nozzle_xy_position,
+            settings.switch_xy_position or settings.switch_xy_offsets,
+            self.bed_site(settings.bed_xy_position),
         )
         names = Sites._fields
         return [no_site(n) for n, site in zip(names, sites) if site is None]
@@ -55,9 +57,11 @@ class SiteFinder(object):
     def of_command(self, gcmd):
         settings = self.settings
         nozzle = self.nozzle_of_command(gcmd)
-        switch = self.site_param(gcmd, "switch", settings.switch)
+        switch = self.site_param(gcmd, "switch", settings.switch_xy_position)
         switch = self.switch_site(nozzle, switch)
-        bed = self.bed_site(self.site_param(gcmd, "bed", settings.bed))
+        bed = self.bed_site(
+            self.site_param(gcmd, "bed", settings.bed_xy_position)
+        )
         for site, name in ((switch, "switch"), (bed, "bed")):
             if site is None:
                 raise CalibrationError(no_site(name))
@@ -67,7 +71,9 @@ class SiteFinder(object):
         return Sites(nozzle, switch, bed)
 
     def nozzle_of_command(self, gcmd):
-        nozzle = self.site_param(gcmd, "nozzle", self.settings.nozzle)
+        nozzle = self.site_param(
+            gcmd, "nozzle", self.settings.nozzle_xy_position
+        )
         if nozzle is None:
             raise CalibrationError(no_site("nozzle"))
         self.check_nozzle(nozzle)
@@ -119,9 +125,9 @@ class SiteFinder(object):
 
     def check_nozzle(self, site):
         self.check_reach(site)
-        if self.settings.wiggle is None:
+        if self.settings.wiggle_xy_offsets is None:
             return
-        x, y = self.settings.wiggle
+        x, y = self.settings.wiggle_xy_offsets
         origin = "Option 'wiggle_xy_offsets' in section 'z_calibration'"
         moved = touching.Site("nozzle", site.x + x, site.y + y, origin)
         remedy = "choose the other direction"

@@ -4,8 +4,8 @@ from __future__ import annotations
 
 import pytest
 
-from z_touch.core import templates
-from z_touch.core.templates import attaches_probe
+from z_touch.z_calibration import hooks
+from z_touch.z_calibration.hooks import attaches_probe
 
 MACROS = ["ATTACH_PROBE", "_G0"]
 
@@ -24,7 +24,7 @@ class TestHoming:
         ],
     )
     def test_g28_is_found_also_in_macros(self, gcode, macros, homes):
-        assert templates.homes(gcode, macros) is homes
+        assert hooks.homes(gcode, macros) is homes
 
 
 class TestAttachesProbe:
