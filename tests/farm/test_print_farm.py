@@ -141,17 +141,25 @@ def value_at(path, message):
 
 
 def keys_of_status(module):
-    """The names that a module's get_status() gives, by its source."""
-    tree = ast.parse(
-        (ROOT / "z_touch" / module / "module.py").read_text("utf-8")
-    )
-    (method,) = (
+    """The names that a module's status has, by the sources of its room."""
+    methods = [
         node
-        for node in ast.walk(tree)
-        if isinstance(node, ast.FunctionDef) and node.name == "get_status"
-    )
-    literal = next(n for n in ast.walk(method) if isinstance(n, ast.Dict))
-    return [ast.literal_eval(key) for key in literal.keys]
+        for path in (ROOT / "z_touch" / module).glob("*.py")
+        for node in ast.walk(ast.parse(path.read_text("utf-8")))
+        if isinstance(node, ast.FunctionDef)
+        and node.name in ("get_status", "status")
+    ]
+    nodes = [node for method in methods for node in ast.walk(method)]
+    names = [
+        k for node in nodes if isinstance(node, ast.Dict) for k in node.keys
+    ]
+    # status["name"] = ...
+    names += [
+        node.slice
+        for node in nodes
+        if isinstance(node, ast.Subscript) and isinstance(node.ctx, ast.Store)
+    ]
+    return [ast.literal_eval(name) for name in names]
 
 
 def real_status():
@@ -181,7 +189,7 @@ def real_status():
 
 
 def result_of(module):
-    fields = load(f"z_touch.{module}.module").Result._fields
+    fields = load(f"z_touch.{module}.heights").Result._fields
     return {name: number / 10 for number, name in enumerate(fields)}
 
 
