@@ -153,7 +153,7 @@ def keys_of_status(module):
     names = [
         k for node in nodes if isinstance(node, ast.Dict) for k in node.keys
     ]
-    # status["name"] = ...
+    # What is put in afterwards
     names += [
         node.slice
         for node in nodes
