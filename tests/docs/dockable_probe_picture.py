@@ -2,7 +2,7 @@
 
     python -m tests.docs.dockable_probe_picture
 
-writes it anew. The way around is the module's own.
+writes it anew. The detour is the module's own.
 """
 
 from __future__ import annotations
@@ -14,7 +14,7 @@ from pathlib import Path
 from tests.docs.pictures import Drawing
 
 PICTURE = Path(__file__).resolve().parents[2] / "docs" / "dockable_probe.svg"
-ways = importlib.import_module("z_touch.dockable_probe.detour")
+detour = importlib.import_module("z_touch.dockable_probe.detour")
 
 WIDTH, HEIGHT = 760, 470
 PANEL = (16, 60, WIDTH - 16, HEIGHT - 16)
@@ -95,8 +95,8 @@ def draw() -> str:
     title = "The way to the dock and out of it, from above"
     drawing.text("ink", (20, 40), title, font_size=20, font_weight=700)
     drawing.box("panel", PANEL, 12)
-    lanes = [ways.direction(DOCK, place) for place in (APPROACH, DETACH)]
-    zone = ways.Zone(*DOCK, RADIUS, lanes)
+    lanes = [detour.direction(DOCK, place) for place in (APPROACH, DETACH)]
+    zone = detour.Zone(*DOCK, RADIUS, lanes)
     x, y = at(DOCK)
     drawing.add(
         "circle",
@@ -108,7 +108,7 @@ def draw() -> str:
         stroke_dasharray="5 5",
     )
     drawing.box("metal", (x - 30, y - 26, x + 30, y - 10), 3)
-    points = [HEAD, *ways.way_around(HEAD, GOAL, zone, LIMITS)]
+    points = [HEAD, *detour.around(HEAD, GOAL, zone, LIMITS)]
     for a, b in zip(points, points[1:]):
         drawing.line("muted", (*at(a), *at(b)), 2.5)
     dot(drawing, "muted", HEAD)

@@ -1,4 +1,4 @@
-"""The ways of [dockable_probe]: around the dock, never through it."""
+"""The detour of [dockable_probe]: around the dock, never through it."""
 
 from __future__ import annotations
 
@@ -10,12 +10,12 @@ from hypothesis import assume, given, settings
 from hypothesis import strategies as st
 
 dockable = importlib.import_module("z_touch.dockable_probe.module")
-ways = importlib.import_module("z_touch.dockable_probe.detour")
+detour = importlib.import_module("z_touch.dockable_probe.detour")
 
 LIMITS = ((0.0, 300.0), (-5.0, 310.0))
 # The body that the head must not meet, as a part of the circle
 BODY = 0.5
-LANE = ways.LANE
+LANE = detour.LANE
 
 coordinate = st.floats(0.0, 300.0)
 point = st.tuples(coordinate, coordinate)
@@ -34,8 +34,8 @@ def zones(draw):
         end = (x + ux * radius, y + uy * radius)
         for aside in (-LANE, LANE):
             shifted = (end[0] + uy * aside, end[1] - ux * aside)
-            assume(ways.is_within(shifted, LIMITS))
-    return ways.Zone(x, y, radius, lanes)
+            assume(detour.is_within(shifted, LIMITS))
+    return detour.Zone(x, y, radius, lanes)
 
 
 def depth_in_body(xy, zone):
@@ -57,8 +57,8 @@ def along(points, step=1.5):
             yield ax + (bx - ax) * i / count, ay + (by - ay) * i / count
 
 
-def way(start, end, zone, limits=LIMITS, via=None):
-    return [start, *ways.way_around(start, end, zone, limits, via)]
+def path(start, end, zone, limits=LIMITS, via=None):
+    return [start, *detour.around(start, end, zone, limits, via)]
 
 
 def apart(xy, zone):
@@ -70,23 +70,23 @@ def apart(xy, zone):
 def test_never_a_hit_from_anywhere_to_anywhere(zone, start, end):
     assume(depth_in_body(start, zone) == 0.0)
     try:
-        points = way(start, end, zone)
-    except ways.NoWay:
+        points = path(start, end, zone)
+    except detour.NoDetour:
         # Only where the circle reaches from one end of the axes to another
         room = min(min(zone.x, 300 - zone.x), min(zone.y + 5, 310 - zone.y))
         assert room < zone.radius * 1.05
         return
     for xy in along(points):
         assert depth_in_body(xy, zone) < 1e-6, xy
-        assert ways.is_within(xy, LIMITS)
+        assert detour.is_within(xy, LIMITS)
 
 
 @settings(max_examples=250)
 @given(zone=zones(), start=point, end=point)
 def test_never_nearer_to_the_dock_than_at_the_start(zone, start, end):
     try:
-        points = way(start, end, zone)
-    except ways.NoWay:
+        points = path(start, end, zone)
+    except detour.NoDetour:
         return
     nearest = min(apart(start, zone), zone.radius)
     lane_slack = LANE if apart(start, zone) < 2 * LANE else 0.0
@@ -102,8 +102,8 @@ def test_never_nearer_to_the_dock_than_at_the_start(zone, start, end):
 @given(zone=zones(), start=point, end=point)
 def test_ends_where_it_should_or_beside_the_dock(zone, start, end):
     try:
-        points = way(start, end, zone)
-    except ways.NoWay:
+        points = path(start, end, zone)
+    except detour.NoDetour:
         return
     if apart(end, zone) >= zone.radius:
         assert points[-1] == end
@@ -113,18 +113,18 @@ def test_ends_where_it_should_or_beside_the_dock(zone, start, end):
 
 @given(zone=zones(), start=point, end=point)
 def test_straight_where_the_dock_is_not_in_the_way(zone, start, end):
-    clear = ways.least_distance(start, end, zone) >= zone.radius
+    clear = detour.least_distance(start, end, zone) >= zone.radius
     assume(clear)
-    assert way(start, end, zone) == [start, end]
+    assert path(start, end, zone) == [start, end]
 
 
-DOCK = ways.Zone(150.0, 150.0, 40.0, [(0.0, -1.0), (1.0, 0.0)])
+DOCK = detour.Zone(150.0, 150.0, 40.0, [(0.0, -1.0), (1.0, 0.0)])
 
 
 def test_the_shorter_way_around():
-    points = way((50.0, 160.0), (250.0, 160.0), DOCK)
+    points = path((50.0, 160.0), (250.0, 160.0), DOCK)
     assert min(y for _, y in points[1:-1]) > 150.0
-    length = ways.length_of(points)
+    length = detour.length_of(points)
     straight = 2 * math.sqrt(100**2 + 10**2 - 40**2)
     # Tangent, arc, tangent: hardly longer than the best there is
     tangent = math.acos(40 / math.hypot(100, 10))
@@ -134,21 +134,21 @@ def test_the_shorter_way_around():
 
 
 def test_the_way_by_the_point_that_is_wanted():
-    points = way((50.0, 160.0), (250.0, 160.0), DOCK, via=(150.0, 100.0))
+    points = path((50.0, 160.0), (250.0, 160.0), DOCK, via=(150.0, 100.0))
     assert max(y for _, y in points[1:-1]) < 150.0
 
 
 def test_the_longer_way_where_the_shorter_one_is_out_of_reach():
     dock = DOCK._replace(y=280.0)
-    points = way((50.0, 285.0), (250.0, 285.0), dock)
+    points = path((50.0, 285.0), (250.0, 285.0), dock)
     assert all(y <= 285.0 for _, y in points)
     assert len(points) > 3
 
 
 def test_no_way_at_all():
     narrow = ((0.0, 300.0), (120.0, 180.0))
-    with pytest.raises(ways.NoWay):
-        way((50.0, 150.0), (250.0, 150.0), DOCK, narrow)
+    with pytest.raises(detour.NoDetour):
+        path((50.0, 150.0), (250.0, 150.0), DOCK, narrow)
 
 
 @pytest.mark.parametrize(
@@ -163,39 +163,39 @@ def test_no_way_at_all():
     ],
 )
 def test_out_of_the_circle_first(start, out):
-    points = way(start, (150.0, 20.0), DOCK)
+    points = path(start, (150.0, 20.0), DOCK)
     assert points[1] == pytest.approx(out, abs=1e-6)
 
 
 def test_out_beside_the_dock_where_straight_out_is_out_of_reach():
     dock = DOCK._replace(x=10.0)
-    points = way((5.0, 170.0), (100.0, 300.0), dock)
-    assert ways.is_within(points[1], LIMITS)
+    points = path((5.0, 170.0), (100.0, 300.0), dock)
+    assert detour.is_within(points[1], LIMITS)
     assert apart(points[1], dock) == pytest.approx(40.0)
 
 
-def place(x, y, z=None):
-    return ways.Place(x, y, z)
+def position(x, y, z=None):
+    return detour.Position(x, y, z)
 
 
 @pytest.mark.parametrize(
     ("extract", "detach", "degrees"),
     [
-        (place(0, -40), place(40, 0), 90.0),
-        (place(0, -40), place(0, -20), 0.0),
-        (place(0, -40), place(0, 40), 180.0),
+        (position(0, -40), position(40, 0), 90.0),
+        (position(0, -40), position(0, -20), 0.0),
+        (position(0, -40), position(0, 40), 180.0),
         # Up or down first
-        (place(0, -40), place(0, -40, 30), 90.0),
-        (place(0, -40, 5), place(0, -40, 1), 90.0),
-        (place(0, -40, 5), place(0, -40, 5), 0.0),
+        (position(0, -40), position(0, -40, 30), 90.0),
+        (position(0, -40, 5), position(0, -40, 1), 90.0),
+        (position(0, -40, 5), position(0, -40, 5), 0.0),
         # Up first, both
-        (place(0, -40, 8), place(0, -40, 9), 0.0),
-        (place(0, -40, 8), place(40, 0, 9), 90.0),
+        (position(0, -40, 8), position(0, -40, 9), 0.0),
+        (position(0, -40, 8), position(40, 0, 9), 90.0),
     ],
 )
 def test_angle_between_two_ways_out(extract, detach, degrees):
-    dock = place(0, 0, 5)
-    angle = ways.strip_angle(dock, 5, extract, detach)
+    dock = position(0, 0, 5)
+    angle = detour.strip_angle(dock, 5, extract, detach)
     assert angle == pytest.approx(degrees, abs=0.01)
 
 
@@ -218,5 +218,5 @@ def test_angle_between_two_ways_out(extract, detach, degrees):
     ],
 )
 def test_lowest_touch(z_offset, with_probe, pin_z, lowest):
-    found = dockable.lowest_touch(z_offset, with_probe, pin_z)
-    assert found == pytest.approx(lowest)
+    z = dockable.lowest_touch(z_offset, with_probe, pin_z)
+    assert z == pytest.approx(lowest)

@@ -1,41 +1,61 @@
-# Ways of the head around something that it must not hit: pure functions.
+# The detour around the dock: pure geometry.
 #
 # Copyright (C) 2026  the Z calibration developers, under the GNU GPLv3
+#
+# Seen from above; (x, y) in mm are places of the toolhead, angles are radians
+# from +X towards +Y:
+#
+#                 __o__           D  the dock, the middle of a circle that the
+#               o' . - . 'o          head stays out of
+#              / '       ' \      o  corners of the detour, all of them outside
+#             / |    D    | \        of the circle
+#            /   '   |   '   \    lane: the way into the dock, or out of it;
+#           /      ' | '      \      the head leaves the circle along it when
+#        start       |        end    it starts in one
+#                   lane
 from __future__ import absolute_import, division
 
 import collections
 import math
 
-# A position nearer (mm) to the dock is none of its own.
+# A position nearer (mm) to the dock than this is the dock itself.
 SMALLEST_DISTANCE = 1.0
 
-# A head that leaves a dock is this close (mm) to the line it came along.
+# A head that leaves a dock is this close (mm) to the lane it came along.
 LANE = 3.0
 
-# The way around a dock turns by so many degrees at each corner.
+# The detour turns by at most so many degrees at each corner.
 TURN = 15.0
 
-# Of lengths (mm): what rounding makes of them.
+# What rounding makes of lengths (mm).
 ROUNDING = 1e-3
 
-# z None: as it is
-Place = collections.namedtuple("Place", "x y z")
+# An exit of the circle is looked for in so many steps to either side.
+EXITS = 32
 
-# Where the head goes only to fetch the probe and to put it back: a circle, and
-# the unit vectors of the lanes out of it.
+# Where the toolhead is or has to go (mm); z None: it stays as high as it is.
+Position = collections.namedtuple("Position", "x y z")
+
+# The circle (mm) that the head enters only to fetch the probe and to dock it,
+# and the unit vectors of the lanes that lead out of the dock.
 Zone = collections.namedtuple("Zone", "x y radius lanes")
 
 
-# Nothing leads around the dock in the reach of the axes
-class NoWay(Exception):
+# Nothing leads around the dock within the reach of the axes.
+class NoDetour(Exception):
     pass
+
+
+######################################################################
+# Directions
+######################################################################
 
 
 def distance(a, b):
     return math.hypot(a[0] - b[0], a[1] - b[1])
 
 
-# From a to b in the plane; (0, 0) where they are the same
+# The unit vector from a to b in the plane; (0, 0) where they are the same place
 def direction(a, b):
     length = distance(a, b)
     if length < SMALLEST_DISTANCE:
@@ -43,32 +63,47 @@ def direction(a, b):
     return (b[0] - a[0]) / length, (b[1] - a[1]) / length
 
 
-# How a head leaves the dock at first: Z moves before X and Y do.
-def first_leg(dock, z, place):
-    if None not in (z, place.z) and z != place.z:
-        return 0.0, 0.0, math.copysign(1.0, place.z - z)
-    return direction(dock, place) + (0.0,)
+# The unit vector (x, y, z) of how the head leaves the dock at first, on its way
+# to a position.  'z' is the height of the dock; Z moves before X and Y do.
+def first_leg(dock, z, position):
+    if None not in (z, position.z) and z != position.z:
+        return 0.0, 0.0, math.copysign(1.0, position.z - z)
+    return direction(dock, position) + (0.0,)
 
 
-# Degrees between two ways out of the dock
+# Degrees between two unit vectors
 def angle_between(a, b):
     dot = sum(p * q for p, q in zip(a, b))
     return math.degrees(math.acos(max(-1.0, min(1.0, dot))))
 
 
-# Degrees by which the way off differs from the one that takes the probe along;
-# 'z': where the dock is, or the head on its way in.
+# Degrees by which the way to 'detach' differs from the one to 'extract', which
+# takes the probe along: either the first moves differ, or those in the plane.
+# 'z' is the height of the dock, or of the head on its way in.
 def strip_angle(dock, z, extract, detach):
-    flat = [direction(dock, place) for place in (extract, detach)]
-    legs = [first_leg(dock, z, place) for place in (extract, detach)]
-    return max(angle_between(*flat), angle_between(*legs))
+    in_plane = [direction(dock, position) for position in (extract, detach)]
+    at_first = [first_leg(dock, z, position) for position in (extract, detach)]
+    return max(angle_between(*in_plane), angle_between(*at_first))
+
+
+######################################################################
+# The circle around the dock
+######################################################################
 
 
 def is_inside(point, zone):
     return distance(point, zone) < zone.radius - ROUNDING
 
 
-# Least distance of the centre of the zone to the line from a to b
+# Whether a point is in the reach of the axes, (low, high) of each
+def is_within(point, limits):
+    return all(
+        low - ROUNDING <= xy <= high + ROUNDING
+        for xy, (low, high) in zip(point, limits)
+    )
+
+
+# The least distance from the dock to the line from a to b
 def least_distance(a, b, zone):
     dx, dy = b[0] - a[0], b[1] - a[1]
     length = dx * dx + dy * dy
@@ -79,49 +114,50 @@ def least_distance(a, b, zone):
     return distance((a[0] + part * dx, a[1] + part * dy), zone)
 
 
-def is_within(point, limits):
-    return all(
-        low - ROUNDING <= xy <= high + ROUNDING
-        for xy, (low, high) in zip(point, limits)
+def on_circle(center, angle, radius):
+    return (
+        center.x + radius * math.cos(angle),
+        center.y + radius * math.sin(angle),
     )
-
-
-def on_circle(zone, angle, radius):
-    x, y = zone.x + radius * math.cos(angle), zone.y + radius * math.sin(angle)
-    return x, y
 
 
 def angle_of(point, zone):
     return math.atan2(point[1] - zone.y, point[0] - zone.x)
 
 
-# The ends of the ways straight out of the circle, the best one first: along
-# a lane where the head is in one, otherwise away from the dock.
-def ways_out(point, zone):
+# Points of the circle that a straight line leads to from inside, the best one
+# first: along a lane where the head is in one, otherwise away from the dock.
+def exits(point, zone):
     dx, dy = point[0] - zone.x, point[1] - zone.y
     for ux, uy in zone.lanes:
         along, aside = dx * ux + dy * uy, dx * uy - dy * ux
         if along >= -LANE and abs(aside) <= LANE:
             rest = math.sqrt(max(0.0, zone.radius**2 - aside**2)) - along
             yield point[0] + rest * ux, point[1] + rest * uy
-    middle = angle_of(point, zone)
-    # Further off the head would come nearer to the dock at first
+    away = angle_of(point, zone)
+    # Further off the line would come nearer to the dock at first.
     widest = math.acos(min(1.0, distance(point, zone) / zone.radius))
-    for part in range(33):
+    for part in range(EXITS + 1):
         for side in (1, -1):
-            angle = middle + side * widest * part / 32.0
+            angle = away + side * widest * part / EXITS
             yield on_circle(zone, angle, zone.radius)
 
 
-def way_out(point, zone, limits):
-    for end in ways_out(point, zone):
+# The best exit that the axes can reach; raises NoDetour.
+def find_exit(point, zone, limits):
+    for end in exits(point, zone):
         if is_within(end, limits):
             return end
-    raise NoWay()
+    raise NoDetour()
 
 
-# The corners of a way around the circle, all of it outside; 'turn' is 1 with
-# the angles, -1 against them.
+######################################################################
+# The detour
+######################################################################
+
+
+# The corners of a polygon around the circle, from the tangent of 'start' to
+# that of 'end'; 'turn' is 1 against the clock, -1 with it.
 def corners_around(start, end, zone, turn):
     angles = []
     for point, side in ((start, turn), (end, -turn)):
@@ -134,6 +170,7 @@ def corners_around(start, end, zone, turn):
     if not count:
         return []
     step = sweep / count
+    # The sides touch the circle, so the corners are outside of it.
     radius = zone.radius / math.cos(step / 2.0)
     return [
         on_circle(zone, angles[0] + turn * step * (i + 0.5), radius)
@@ -145,27 +182,27 @@ def length_of(points):
     return sum(distance(a, b) for a, b in zip(points, points[1:]))
 
 
-# The corners of the way from start to end that never gets nearer to the dock
-# than it has to; the last one is where it ends: at 'end' or, where that is
-# too near to the dock, outside beside it.  'via': None, or the point that the
-# way has to pass by.  Raises NoWay.
-def way_around(start, end, zone, limits, via=None):
-    start, end, way = tuple(start[:2]), tuple(end[:2]), []
+# The points that lead from start to end and never nearer to the dock than they
+# have to; without the start.  The last one is 'end' or, where that is in the
+# circle, the exit beside it.  Of the two sides it takes the shorter one or,
+# with 'via', the one that comes nearer to that point.  Raises NoDetour.
+def around(start, end, zone, limits, via=None):
+    start, end, points = tuple(start[:2]), tuple(end[:2]), []
     if is_inside(start, zone):
-        start = way_out(start, zone, limits)
-        way.append(start)
+        start = find_exit(start, zone, limits)
+        points.append(start)
     if is_inside(end, zone):
-        end = way_out(end, zone, limits)
+        end = find_exit(end, zone, limits)
     if least_distance(start, end, zone) >= zone.radius - ROUNDING:
-        return way + [end]
-    ways = [corners_around(start, end, zone, turn) for turn in (1, -1)]
-    ways = [w for w in ways if all(is_within(p, limits) for p in w)]
-    if not ways:
-        raise NoWay()
+        return points + [end]
+    sides = [corners_around(start, end, zone, turn) for turn in (1, -1)]
+    sides = [side for side in sides if all(is_within(c, limits) for c in side)]
+    if not sides:
+        raise NoDetour()
 
     def cost(corners):
         if via is not None:
             return min(distance(corner, via) for corner in corners)
         return length_of([start] + corners + [end])
 
-    return way + min(ways, key=cost) + [end]
+    return points + min(sides, key=cost) + [end]

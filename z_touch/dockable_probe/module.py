@@ -9,7 +9,7 @@ import math
 
 from .. import __version__
 from ..core import endstops, host, options, running, templates, touching
-from . import detour as ways
+from . import detour
 from . import virtual_probe as probe_host
 
 ATTACHED, DOCKED, UNKNOWN = "ATTACHED", "DOCKED", "UNKNOWN"
@@ -62,7 +62,7 @@ def read_place(config, option, default=None):
     if not 2 <= len(values) <= 3 or not all(map(options.is_finite, values)):
         what = "has to be 'X, Y' or 'X, Y, Z' in mm, such as 250, 295"
         raise options.config_error(config, option, what)
-    return ways.Place(*(tuple(values) + (None,))[:3])
+    return detour.Position(*(tuple(values) + (None,))[:3])
 
 
 # Or by dock_angle or detach_angle, with dock_safe_distance: of old, in degrees
@@ -75,12 +75,12 @@ def read_old_place(config, dock, notes, old, new):
     if length is None:
         what = "needs dock_safe_distance; better write " + new
         raise options.config_error(config, old, what)
-    x, y = ways.on_circle(
-        ways.Zone(dock.x, dock.y, 0, ()), math.radians(angle), length
+    x, y = detour.on_circle(
+        detour.Zone(dock.x, dock.y, 0, ()), math.radians(angle), length
     )
     text = "options '%s' and 'dock_safe_distance' are now '%s: %.1f, %.1f'"
     notes.append(text % (old, new, x, y))
-    return read_place(config, new, ways.Place(x, y, None))
+    return read_place(config, new, detour.Position(x, y, None))
 
 
 # In the order of PLACES
@@ -110,13 +110,13 @@ def check_places(config, places, notes):
     dock, approach, extract, _, detach = places
     z = approach.z if dock.z is None else dock.z
     for name, place in zip(PLACES[1:], places[1:]):
-        if ways.first_leg(dock, z, place) == (0.0, 0.0, 0.0):
+        if detour.first_leg(dock, z, place) == (0.0, 0.0, 0.0):
             what = "(%g, %g) is at dock_position; give a point some 40 mm away"
             name += "_position"
             raise options.config_error(config, name, what % place[:2])
     if config.get("detach_gcode", "").strip():
         return
-    angle = ways.strip_angle(dock, z, extract, detach)
+    angle = detour.strip_angle(dock, z, extract, detach)
     what = (
         "and extract_position (approach_position unless given) are the same way"
         " out of the dock, %.0f degrees apart: the probe %s stay on the head;"
@@ -135,8 +135,8 @@ def read_settings(config, is_z_endstop, endstop_z, old_names):
     number = functools.partial(options.number, config)
     places = read_places(config, old_names.notes)
     check_places(config, places, old_names.notes)
-    apart = [ways.distance(places[0], place) for place in places[1:]]
-    apart = min([mm for mm in apart if mm >= ways.SMALLEST_DISTANCE] or [0.0])
+    apart = [detour.distance(places[0], place) for place in places[1:]]
+    apart = min([mm for mm in apart if mm >= detour.SMALLEST_DISTANCE] or [0.0])
     restore = old_names.name_of(
         "restore_toolhead", "return_to_last_probe_position_after_detach"
     )
@@ -263,8 +263,10 @@ class Ways(object):
         self.printer = printer
         self.settings = settings
         dock = settings.dock
-        lanes = [ways.direction(dock, getattr(settings, n)) for n in PLACES[1:]]
-        self.zone = ways.Zone(dock.x, dock.y, settings.radius, lanes)
+        lanes = [
+            detour.direction(dock, getattr(settings, n)) for n in PLACES[1:]
+        ]
+        self.zone = detour.Zone(dock.x, dock.y, settings.radius, lanes)
         self.is_lifted = False  # where nobody knows Z
         # What the Z motors had moved when Z was homed with the probe
         self.homed_at = None
@@ -297,10 +299,10 @@ class Ways(object):
     # Toolhead position; Z is None where nobody knows it
     def here(self):
         x, y, z = self.host.toolhead.get_position()[:3]
-        return ways.Place(x, y, z if self.is_homed("z") else None)
+        return detour.Position(x, y, z if self.is_homed("z") else None)
 
     def is_at(self, place):
-        return ways.distance(self.here(), place) < ways.ROUNDING
+        return detour.distance(self.here(), place) < detour.ROUNDING
 
     # Z up where it is too low, never down
     def lift(self, height):
@@ -333,8 +335,8 @@ class Ways(object):
             min(max(xy, low), high) for xy, (low, high) in zip(place, limits)
         ]
         try:
-            way = ways.way_around(here, place, self.zone, limits, via)
-        except ways.NoWay:
+            way = detour.around(here, place, self.zone, limits, via)
+        except detour.NoDetour:
             raise probe_error(
                 self.host,
                 "no way from %.3f, %.3f to %.3f, %.3f around the dock in the"
@@ -753,10 +755,13 @@ class DockableProbe(object):
                 for (low, high), shift in zip(limits, self.settings.offsets)
             ]
         place = self.prober.home_place
-        if place is not None and ways.is_inside(place, self.ways.zone):
+        if place is not None and detour.is_inside(place, self.ways.zone):
             text = "%g, %g is %.1f mm from the dock; choose a point that is"
             text += " at least %.1f mm away (safe_dock_distance)"
-            apart = ways.distance(place, self.ways.zone), self.ways.zone.radius
+            apart = (
+                detour.distance(place, self.ways.zone),
+                self.ways.zone.radius,
+            )
             raise self.wrong("safe_z", text % (tuple(place) + apart))
 
     def wrong(self, name, what):
@@ -768,7 +773,7 @@ class DockableProbe(object):
         for note in self.old_names.notes + self.probe_host.notes:
             self.docking.say(note)
         dock = self.settings.dock[:2]
-        if self.mesh is not None and ways.is_within(dock, self.mesh):
+        if self.mesh is not None and detour.is_within(dock, self.mesh):
             self.docking.say(
                 "dock_position (%g, %g) lies where the head goes while the bed"
                 " mesh is probed; make the mesh smaller, or move the dock"
@@ -871,5 +876,5 @@ class DockableProbe(object):
         self.ways.require_homed("xy")
         number = functools.partial(options.param_number, gcmd)
         here, speed = self.ways.here(), self.settings.travel_speed
-        goal = ways.Place(number("X", here.x), number("Y", here.y), None)
+        goal = detour.Position(number("X", here.x), number("Y", here.y), None)
         self.ways.travel(goal, number("SPEED", speed, above=0.0))
