@@ -191,6 +191,14 @@ class Host(object):
         gcmd = self.gcode.create_gcode_command("SET_GCODE_OFFSET", line, params)
         self.printer.lookup_object("gcode_move").cmd_SET_GCODE_OFFSET(gcmd)
 
+    # Words for the user, on the console and as the error of a command
+
+    def say(self, text):
+        self.gcode.respond_info("%s: %s" % (self.section, text))
+
+    def error(self, text):
+        return self.printer.command_error("%s: %s" % (self.section, text))
+
     # Motion; toolhead coordinates (mm), mm/s
 
     def z(self):
@@ -215,3 +223,21 @@ class Host(object):
         # A method of the host since 2021-03-29 (862d3f963)
         homing = self.printer.lookup_object("homing")
         return homing.probing_move(endstop, target, speed)[2]
+
+    # Z up by a distance (mm) where nobody knows where it is, and still nobody
+    # does then.
+    def lift_unhomed(self, distance, speed):
+        kinematics = self.toolhead.get_kinematics()
+        # Axes have letters since 2025-01 (4aa550837), numbers before
+        has_letters = hasattr(kinematics, "clear_homing_state")
+        position = self.toolhead.get_position()
+        position[2] = 0.0
+        z_axis = "z" if has_letters else (2,)
+        self.toolhead.set_position(position, homing_axes=z_axis)
+        try:
+            self.toolhead.manual_move([None, None, distance], speed)
+        finally:
+            if has_letters:
+                kinematics.clear_homing_state("z")
+            elif hasattr(kinematics, "note_z_not_homed"):
+                kinematics.note_z_not_homed()

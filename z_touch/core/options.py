@@ -167,6 +167,8 @@ def _read_text(config, name, row):
 
 # A blank one counts as not given.  The board tells whether it has this pin.
 def _read_pin(config, name, row):
+    if row.default is REQUIRED:
+        return config.get(name)
     return config.get(name, "").strip() or row.default
 
 
@@ -275,7 +277,7 @@ PROBE_OPTIONS = (
         NUMBER,
         0.1,
         "mm",
-        "By how much the touches of a point may differ.",
+        "By how much the touches of a point may differ, in mm.",
         minval=0.0,
     ),
     option(
@@ -291,19 +293,24 @@ PROBE_OPTIONS = (
         RESULT,
         "average",
         "",
-        "What becomes of the touches of a point.",
+        "average or median of the touches of a point.",
     ),
-    option("speed", NUMBER, 5.0, "mm/s", "Of a touch.", above=0.0),
+    option("speed", NUMBER, 5.0, "mm/s", "Of a touch, in mm/s.", above=0.0),
     option(
         "sample_retract_dist",
         NUMBER,
         2.0,
         "mm",
-        "How far the head is lifted between two touches.",
+        "How far the head is lifted between two touches, in mm.",
         above=0.0,
     ),
     option(
-        "lift_speed", NUMBER, Same("speed"), "mm/s", "Of the way up.", above=0.0
+        "lift_speed",
+        NUMBER,
+        Same("speed"),
+        "mm/s",
+        "Of the way up, in mm/s. The default is speed.",
+        above=0.0,
     ),
 )
 
