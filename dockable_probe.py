@@ -2,14 +2,36 @@
 #
 # Copyright (C) 2026  the Z calibration developers, under the GNU GPLv3
 #
-# To fetch the probe the head goes to the approach position, from there into the
-# dock and out to the extract position; to put it back it goes to the insert
-# position, into the dock, and out to the detach position, which strips the
-# probe off.  Anywhere else it stays out of a circle around the dock.
+# Two kinds of trips, seen from above; o and D are positions of the toolhead:
 #
-# Every place is one of the toolhead, in mm; G-code offset and bed mesh play no
-# part.  What holds the probe is asked of the pins, never assumed; a pin proves
-# nothing before it was seen to change on the way out of the dock.
+#               . - - - .
+#           .'      D ----'.----> o  detach_position
+#         /         ^ |      \
+#        |          | |       |      D  dock_position, where the magnets meet
+#         \         | |      /
+#           '.      | v    .'
+#               ' - o o - '
+#   approach_position   extract_position
+#     insert_position
+#
+#   fetch   approach_position --> D --> extract_position, with the probe
+#   dock    insert_position --> D --> detach_position, which strips it off
+#
+# On every other way the head goes around the circle of safe_dock_distance.
+#
+#           \_/ ........         nozzle
+#               [p]    :         body of the probe
+#                I ....:         z_offset: from there down to where the probe
+#       ================         triggers, the bed               (> 0)
+#
+# Positions and heights are those of the toolhead in mm, in the frame that the
+# last homing defined: X to the right, Y to the back, Z up; G-code offset and
+# bed mesh play no part.  x_offset and y_offset lead from the nozzle to the
+# probe.
+#
+# What holds the probe is asked of the pins, never assumed: before it is fetched
+# and docked, after that, and before and after each touch.  A pin proves nothing
+# before it was seen to change on the way out of the dock.
 from __future__ import absolute_import
 
 import logging

@@ -9,7 +9,7 @@ import pytest
 from hypothesis import assume, given, settings
 from hypothesis import strategies as st
 
-dockable = importlib.import_module("z_touch.dockable_probe.module")
+settings_of = importlib.import_module("z_touch.dockable_probe.settings")
 detour = importlib.import_module("z_touch.dockable_probe.detour")
 
 LIMITS = ((0.0, 300.0), (-5.0, 310.0))
@@ -218,5 +218,5 @@ def test_angle_between_two_ways_out(extract, detach, degrees):
     ],
 )
 def test_lowest_touch(z_offset, with_probe, pin_z, lowest):
-    z = dockable.lowest_touch(z_offset, with_probe, pin_z)
+    z = settings_of.lowest_touch(z_offset, with_probe, pin_z)
     assert z == pytest.approx(lowest)

@@ -7,7 +7,7 @@ from types import SimpleNamespace
 
 import pytest
 
-dockable = importlib.import_module("z_touch.dockable_probe.module")
+head = importlib.import_module("z_touch.dockable_probe.moves")
 
 
 def moved(z, datum):
@@ -16,7 +16,7 @@ def moved(z, datum):
         SimpleNamespace(get_commanded_position=lambda z=z: z) for z in z
     ]
     host = SimpleNamespace(z_steppers=lambda: steppers, z_datum=lambda: datum)
-    return dockable.Ways.motors_z(SimpleNamespace(host=host))
+    return head.Moves.motors_z(SimpleNamespace(host=host))
 
 
 def test_mean_of_what_the_motors_have_moved():
@@ -32,7 +32,7 @@ def test_motors_that_move_x_too_tell_nothing():
 
 
 def test_motors_that_were_off_may_have_been_moved():
-    ways = SimpleNamespace(is_lifted=True, homed_at=3.0)
+    moves = SimpleNamespace(is_lifted=True, homed_z=3.0)
     # Some hosts tell a print time
-    dockable.Ways.forget(ways, 1.0)
-    assert (ways.is_lifted, ways.homed_at) == (False, None)
+    head.Moves.forget(moves, 1.0)
+    assert (moves.is_lifted, moves.homed_z) == (False, None)

@@ -1,24 +1,42 @@
-# What a module needs from the printer to be its probe.
+# What the host's own probing wants to see of a probe, made of ours.
 #
 # Copyright (C) 2026  the Z calibration developers, under the GNU GPLv3
-
+#
+# The host's commands (PROBE, BED_MESH_CALIBRATE, G28 with the probe) ask the
+# printer's object 'probe' to touch.  What that object is made of differs:
+#
+#   host                            'probe' is
+#   since 2024-06-10 (d4bae4dff)    our SessionProbe, around a Facade
+#   before, Kalico, QIDI            the host's PrinterProbe, around a Facade
+#
+# The Facade is an endstop to both.  Behind it is a device, prober.Prober, which
+# is told of everything that begins and ends.
 from __future__ import absolute_import
 
-import functools
 import importlib
 import logging
 
 from ..core import options, sampling
 from ..core.errors import SamplesDiffer
+from ..core.probing import SAMPLING_NAMES
 
-# How samples that differ are told
+# What to do about samples that differ
 DIFFER = "clean the nozzle, check the probe for play"
 
 
-# The endstop of a probe as the host's probing wants to see it.  'device' is
-# told of everything that begins and ends: begin(is_homing), before_move(),
-# after_move(moved, triggered), end(); way_down() is how far (mm) a homing move
-# may go that begins now, or None.
+######################################################################
+# The endstop of the probe
+######################################################################
+
+
+# The endstop of the probe as the host's probing wants to see it, and the chip
+# of pins whose z_virtual_endstop it is.  'device' has
+#   begin(is_homing), end()             around a command that probes
+#   before_move(), after_move(moved,    around each probing move
+#   triggered)
+#   floor(is_homing)                    the lowest toolhead Z of a touch
+#   homing_reach()                      how far (mm) below z_offset the homing
+#                                       move may go that comes next, or None
 class Facade(object):
     def __init__(self, device, endstop, z_offset):
         self.device = device
@@ -33,6 +51,7 @@ class Facade(object):
         self.trigger_time = self.endstop.home_wait(home_end_time)
         return self.trigger_time
 
+    # Toolhead Z of the trigger, by which homing sets Z
     def get_position_endstop(self):
         return self.z_offset
 
@@ -59,13 +78,14 @@ class Facade(object):
         homing = self.device.host.printer.lookup_object("homing")
         return homing.probing_move(self, pos, speed)
 
-    # A homing move ends at 'end', wherever it is said to begin
+    # A homing move goes down to 'end' (toolhead Z) from wherever Z is said to
+    # be: Z is set so that it ends no deeper than it may.
     def shorten(self, end):
-        way, toolhead = self.device.way_down(), self.device.host.toolhead
-        if way is not None:
-            place = toolhead.get_position()
-            place[2] = end + way
-            toolhead.set_position(place)
+        reach, toolhead = self.device.homing_reach(), self.device.host.toolhead
+        if reach is not None:
+            position = toolhead.get_position()
+            position[2] = end + reach
+            toolhead.set_position(position)
 
     # As a chip of pins
     def setup_pin(self, pin_type, pin_params):
@@ -79,49 +99,42 @@ class Facade(object):
         return self
 
 
+######################################################################
+# Sessions
+######################################################################
+
+
 # The printer's object 'probe' where the host has no class for it that takes
-# an endstop (since 2024-06-10, d4bae4dff).
+# an endstop (since 2024-06-10, d4bae4dff)
 class SessionProbe(object):
-    def __init__(self, config, device, facade, module):
-        self.device = device
+    # 'settings': settings.Settings; 'module': the host's module 'probe'
+    def __init__(self, config, facade, settings, module):
+        self.device = facade.device
         self.mcu_probe = facade
-        names = "x_offset", "y_offset"
-        x, y = [options.number(config, name, 0.0) for name in names]
-        self.offsets = x, y, facade.z_offset
-        self.sampling = options.read_sampling(config)
-        self.drop_first = config.getboolean("drop_first_result", False)
+        self.settings = settings
         # Since 2025-12-20, 9ccb4d96e
         manual_probe = host_module("manual_probe")
         self.result_class = getattr(manual_probe, "ProbeResult", None)
         gcode = config.get_printer().lookup_object("gcode")
-        self.nothing = gcode.create_gcode_command("", "", {})
+        # In place of a command: no parameter is given
+        self.no_command = gcode.create_gcode_command("", "", {})
+        # The command that probes, None where none does
         self.session = None
         # The commands of the host; the same since 2024-06-10 (8fc11b4a2)
         helper = module.ProbeCommandHelper(config, self, facade.query_endstop)
         self.get_status = helper.get_status
 
+    # X, Y and Z (mm) from the nozzle to the probe
     def get_offsets(self, gcmd=None):
-        return self.offsets
+        settings = self.settings
+        return settings.x_offset, settings.y_offset, settings.z_offset
+
+    def sampling(self, gcmd):
+        return options.param_sampling(gcmd, self.settings.sampling)
 
     def get_probe_params(self, gcmd=None):
-        gcmd, own = gcmd or self.nothing, self.sampling
-        number = functools.partial(options.param_number, gcmd)
-        count = functools.partial(options.param_int, gcmd)
-        return {
-            "probe_speed": number("PROBE_SPEED", own.speed, above=0.0),
-            "lift_speed": number("LIFT_SPEED", own.lift_speed, above=0.0),
-            "samples": count("SAMPLES", own.samples, minval=1),
-            "sample_retract_dist": number(
-                "SAMPLE_RETRACT_DIST", own.retract_dist, above=0.0
-            ),
-            "samples_tolerance": number(
-                "SAMPLES_TOLERANCE", own.tolerance, minval=0.0
-            ),
-            "samples_tolerance_retries": count(
-                "SAMPLES_TOLERANCE_RETRIES", own.retries, minval=0
-            ),
-            "samples_result": gcmd.get("SAMPLES_RESULT", own.result),
-        }
+        names = [name for name, _ in SAMPLING_NAMES]
+        return dict(zip(names, self.sampling(gcmd or self.no_command)))
 
     def start_probe_session(self, gcmd):
         if self.session is not None:
@@ -149,80 +162,33 @@ class Session(object):
     def __init__(self, probe):
         self.probe = probe
         self.host = probe.device.host
+        # Since they were pulled last
         self.results = []
 
-    # Returns the result, too: until 2024-06-14 (1591a51f7)
+    # Touches a point.  Returns the result, too: until 2024-06-14 (1591a51f7)
     def run_probe(self, gcmd):
-        params = self.probe.get_probe_params(gcmd)
-        wanted = sampling.Sampling(
-            samples=params["samples"],
-            tolerance=params["samples_tolerance"],
-            retries=params["samples_tolerance_retries"],
-            result=params["samples_result"],
-            speed=params["probe_speed"],
-            retract_dist=params["sample_retract_dist"],
-            lift_speed=params["lift_speed"],
-        )
+        wanted = self.probe.sampling(gcmd)
         # Homing takes one sample only
-        if self.probe.drop_first and gcmd.get_command() != "G28":
-            self.touch(gcmd, wanted.speed)
-            self.retract(wanted)
-        taken = []
+        is_homing = gcmd.get_command() == "G28"
+        if self.probe.settings.drop_first_result and not is_homing:
+            self._touch(gcmd, wanted.speed)
+            self._retract(wanted)
+        touches = []
 
         def touch():
-            if taken:
-                self.retract(wanted)
-            taken.append(self.touch(gcmd, wanted.speed))
-            return taken[-1][2]
+            if touches:
+                self._retract(wanted)
+            touches.append(self._touch(gcmd, wanted.speed))
+            return touches[-1][2]
 
         try:
             heights = sampling.collect(touch, wanted, gcmd.respond_info, DIFFER)
         except SamplesDiffer as e:
             raise gcmd.error("%s: %s" % (self.host.section, e))
         z = sampling.summarize(heights, wanted.result)
-        self.results.append(self.moved(taken[-1], z - heights[-1]))
-        return self.results[-1]
-
-    def touch(self, gcmd, speed):
-        homing = gcmd.get_command() == "G28"
-        if not homing and "z" not in self.host.toolhead_status()["homed_axes"]:
-            raise gcmd.error("Must home before probe")
-        facade, floor = self.probe.mcu_probe, self.probe.device.floor(homing)
-        self.host.require_running()
-        if homing:
-            facade.shorten(floor)
-        place = self.host.toolhead.get_position()
-        place[2] = min(floor, place[2])
-        result = self.result(list(facade.probing_move(place, speed)))
-        if not homing:
-            text = "probe at %.3f,%.3f is z=%.6f"
-            gcmd.respond_info(text % tuple(result[:3]))
+        result = self._shifted(touches[-1], z - heights[-1])
+        self.results.append(result)
         return result
-
-    # Records since 2026-01-21 (2a1027ce4): where the bed is, where the head
-    # was.  The event is for axis_twist_compensation, since 2024-06-20
-    # (e780049a7).
-    def result(self, place):
-        x, y, z = self.probe.offsets
-        if self.probe.result_class is None:
-            place = place[:3]
-            self.host.printer.send_event("probe:update_results", place)
-            return place
-        bed = (place[0] + x, place[1] + y, place[2] - z)
-        results = [self.probe.result_class(*(bed + tuple(place[:3])))]
-        self.host.printer.send_event("probe:update_results", results)
-        return results[0]
-
-    def moved(self, result, dz):
-        if self.probe.result_class is None:
-            return [result[0], result[1], result[2] + dz]
-        return result._replace(
-            bed_z=result.bed_z + dz, test_z=result.test_z + dz
-        )
-
-    def retract(self, wanted):
-        z = self.host.z() + wanted.retract_dist
-        self.host.toolhead.manual_move([None, None, z], wanted.lift_speed)
 
     def pull_probed_results(self):
         results, self.results = self.results, []
@@ -230,45 +196,91 @@ class Session(object):
 
     def end_probe_session(self):
         if self.probe.session is not self:
-            raise self.host.printer.command_error(
-                "%s: the probe session has ended already" % (self.host.section,)
-            )
+            raise self.host.error("the probe session has ended already")
         self.probe.end_session()
 
+    # One touch, as the host has results
+    def _touch(self, gcmd, speed):
+        is_homing = gcmd.get_command() == "G28"
+        homed_axes = self.host.toolhead_status()["homed_axes"]
+        if not is_homing and "z" not in homed_axes:
+            raise gcmd.error("Must home before probe")
+        facade = self.probe.mcu_probe
+        floor = self.probe.device.floor(is_homing)
+        self.host.require_running()
+        if is_homing:
+            facade.shorten(floor)
+        target = self.host.toolhead.get_position()
+        target[2] = min(floor, target[2])
+        result = self._result(facade.probing_move(target, speed))
+        if not is_homing:
+            text = "probe at %.3f,%.3f is z=%.6f"
+            gcmd.respond_info(text % tuple(result[:3]))
+        return result
 
-# The module of the host that is called so; it is a neighbour of the folder z_touch,
-# whatever the package is called.
+    # Records since 2026-01-21 (2a1027ce4): where the bed is, where the head
+    # was.  The event is for axis_twist_compensation, since 2024-06-20
+    # (e780049a7).
+    def _result(self, trigger):
+        head = list(trigger[:3])
+        result_class = self.probe.result_class
+        if result_class is None:
+            # Whoever hears of it may change it
+            self.host.printer.send_event("probe:update_results", head)
+            return head
+        x, y, z = self.probe.get_offsets()
+        bed = [head[0] + x, head[1] + y, head[2] - z]
+        results = [result_class(*(bed + head))]
+        self.host.printer.send_event("probe:update_results", results)
+        return results[0]
+
+    # A result by so much (mm) higher
+    def _shifted(self, result, dz):
+        if self.probe.result_class is None:
+            return [result[0], result[1], result[2] + dz]
+        return result._replace(
+            bed_z=result.bed_z + dz, test_z=result.test_z + dz
+        )
+
+    def _retract(self, wanted):
+        z = self.host.z() + wanted.retract_dist
+        self.host.toolhead.manual_move([None, None, z], wanted.lift_speed)
+
+
+######################################################################
+# The printer's object 'probe'
+######################################################################
+
+
+# The module of the host that is called so; it is a neighbour of the folder
+# z_touch, whatever the package is called.
 def host_module(name):
     return importlib.import_module("%s.%s" % (__name__.rsplit(".", 3)[0], name))
 
 
-# The only place that knows in which respects hosts differ about probes; the
-# difference is always asked of the object, never of a version number.
-class ProbeHost(object):
+# The printer's 'probe' on any host.  Here it is known in which respects hosts
+# differ about probes; the difference is always asked of the object, never of a
+# version.
+class VirtualProbe(object):
     def __init__(self, host):
         self.host = host
         self.printer = host.printer
         self.facade = self.probe = None
-        # What the user is told
+        # What the user is told when klippy is ready
         self.notes = []
 
     # Makes the printer's 'probe' of a device with this endstop, see Facade.
-    def install(self, config, device, endstop, z_offset):
+    def install(self, config, device, endstop, settings):
         register = self.printer.register_event_handler
-        self.facade = Facade(device, endstop, z_offset)
+        self.facade = Facade(device, endstop, settings.z_offset)
         # Before the host's own, that it knows what the session is for
         register("homing:home_rails_begin", self._homing_begins)
         register("gcode:command_error", self._homing_ends)
         module = host_module("probe")
         if hasattr(module, "ProbeCommandHelper"):
-            self._install_session_probe(config, device, module)
+            self._install_session_probe(config, settings, module)
         else:
-            # Until 2024-06-10 (d4bae4dff), Kalico, QIDI
-            self.probe = module.PrinterProbe(config, self.facade)
-            self.probe.z_position = max(self.probe.z_position, device.floor())
-            knows = hasattr(self.probe, "drop_first_result")
-            if not knows and config.getboolean("drop_first_result", False):
-                self.notes.append("drop_first_result needs a newer Klipper")
+            self._install_host_probe(config, settings, module)
         register("homing:home_rails_end", self._homing_ends)
         self.host.endstops.stops_z(self.facade)
         try:
@@ -280,10 +292,19 @@ class ProbeHost(object):
                 % (config.get_name(),)
             )
 
-    def _install_session_probe(self, config, device, module):
-        facade = self.facade
-        self.probe = SessionProbe(config, device, facade, module)
-        self.printer.lookup_object("pins").register_chip("probe", facade)
+    # Until 2024-06-10 (d4bae4dff), Kalico, QIDI
+    def _install_host_probe(self, config, settings, module):
+        self.probe = module.PrinterProbe(config, self.facade)
+        floor = self.facade.device.floor()
+        self.probe.z_position = max(self.probe.z_position, floor)
+        can_drop = hasattr(self.probe, "drop_first_result")
+        if settings.drop_first_result and not can_drop:
+            self.notes.append("drop_first_result needs a newer Klipper")
+
+    def _install_session_probe(self, config, settings, module):
+        self.probe = SessionProbe(config, self.facade, settings, module)
+        pins = self.printer.lookup_object("pins")
+        pins.register_chip("probe", self.facade)
         register = self.printer.register_event_handler
         # Homing comes in these events until 2026-05-25 (43baf9b83)
         register("homing:home_rails_begin", self._rails_begin)
@@ -291,6 +312,9 @@ class ProbeHost(object):
         register("homing:homing_move_begin", self._move_begins)
         register("homing:homing_move_end", self._move_ends)
         register("gcode:command_error", self._command_error)
+
+    def get_status(self, eventtime):
+        return self.probe.get_status(eventtime)
 
     # Whether Z is homed with the probe
     def is_z_endstop(self):
@@ -305,8 +329,8 @@ class ProbeHost(object):
         return rails
 
     def is_among(self, rails):
-        found = [es for rail in rails for es, name in rail.get_endstops()]
-        return self.facade in found
+        pairs = [pair for rail in rails for pair in rail.get_endstops()]
+        return self.facade in [endstop for endstop, _ in pairs]
 
     def _homing_begins(self, homing_state, rails):
         self.facade.is_homing = self.is_among(rails)
@@ -337,21 +361,3 @@ class ProbeHost(object):
             self.probe.command_error()
         except self.printer.command_error:
             logging.exception("%s: ending the session", self.host.section)
-
-    # Z up by a distance (mm) where nobody knows where it is, and still nobody
-    # does then.
-    def hop(self, distance, speed):
-        toolhead = self.host.toolhead
-        kinematics = toolhead.get_kinematics()
-        # Axes have letters since 2025-01 (4aa550837), numbers before
-        named = hasattr(kinematics, "clear_homing_state")
-        place = toolhead.get_position()
-        place[2] = 0.0
-        toolhead.set_position(place, homing_axes="z" if named else (2,))
-        try:
-            toolhead.manual_move([None, None, distance], speed)
-        finally:
-            if named:
-                kinematics.clear_homing_state("z")
-            elif hasattr(kinematics, "note_z_not_homed"):
-                kinematics.note_z_not_homed()

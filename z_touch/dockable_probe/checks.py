@@ -1,0 +1,113 @@
+# Whether the positions of [dockable_probe] lead into the dock and out of it.
+#
+# Copyright (C) 2026  the Z calibration developers, under the GNU GPLv3
+from __future__ import absolute_import, division
+
+from ..core import options
+from . import detour
+from .settings import DOCK, MIDDLE, POSITIONS, dock_height
+
+# The way out that strips the probe off turns at least so many degrees from the
+# one that takes it along; less than the second is doubtful.
+SAME_WAY = 20.0
+DOUBTFUL_WAY = 45.0
+
+
+######################################################################
+# While the configuration is read
+######################################################################
+
+
+# Whether the positions lead out of the dock, and whether detach_position strips
+# the probe off; 'notes' is told where that is doubtful
+def check_positions(config, settings, notes):
+    dock = settings.dock_position
+    z = settings.approach_position.z if dock.z is None else dock.z
+    for row in POSITIONS:
+        position = getattr(settings, row.name)
+        if detour.first_leg(dock, z, position) == (0.0, 0.0, 0.0):
+            what = "(%g, %g) is at dock_position; give a point some 40 mm away"
+            raise options.config_error(config, row.name, what % position[:2])
+    if settings.detach_gcode is not None:
+        return
+    angle = detour.strip_angle(
+        dock, z, settings.extract_position, settings.detach_position
+    )
+    what = (
+        "and extract_position (approach_position unless given) are the same way"
+        " out of the dock, %.0f degrees apart: the probe %s stay on the head;"
+        " choose one that strips it off, mostly at 90 degrees"
+        % (angle, "would" if angle < SAME_WAY else "may")
+    )
+    if angle < SAME_WAY:
+        raise options.config_error(config, "detach_position", what)
+    if angle < DOUBTFUL_WAY:
+        notes.append("detach_position " + what)
+
+
+######################################################################
+# When klippy connects
+######################################################################
+
+
+# An option that does not fit the printer, as klippy finds when it connects
+class Misfit(Exception):
+    def __init__(self, name, problem):
+        Exception.__init__(self, name, problem)
+        self.name = name
+        self.problem = problem
+
+
+# Whether the head gets to each position, and so high; 'limits' (mm) are (low,
+# high) of X, Y and Z.  Raises Misfit.
+def check_reach(settings, limits):
+    for row in (DOCK,) + POSITIONS:
+        position = getattr(settings, row.name)
+        for axis, at, (low, high) in zip("XYZ", position, limits):
+            if at is not None and not low <= at <= high:
+                raise Misfit(
+                    row.name,
+                    "%s=%.3f is outside of %.3f to %.3f, the reach of the"
+                    " axis; correct it, or the limits of the axis"
+                    % (axis, at, low, high),
+                )
+    height, highest = dock_height(settings), limits[2][1]
+    if height > highest:
+        raise Misfit(
+            DOCK.name,
+            "the way there is at z=%.3f, above position_max (%.3f); correct its"
+            " Z, z_hop or z_offset" % (height, highest),
+        )
+
+
+# Z is homed with the probe: whether it can be fetched before Z is homed, and
+# where the head stands then; returns (x, y), or None for "where it is then".
+# Raises Misfit.
+def check_homing(settings, limits):
+    if not settings.dock_fixed_z:
+        raise Misfit(
+            DOCK.name,
+            "to get there Z has to be homed, and Z is homed with the probe;"
+            " leave Z out of all positions, or set dock_fixed_z: True if the"
+            " dock is at the head's height",
+        )
+    dock, radius, xy = (
+        settings.dock_position,
+        settings.safe_dock_distance,
+        settings.home_xy,
+    )
+    if xy == MIDDLE:
+        # The probe over the middle of the axes
+        offsets = settings.x_offset, settings.y_offset
+        xy = tuple(
+            (low + high) / 2.0 - shift
+            for (low, high), shift in zip(limits, offsets)
+        )
+    if xy is not None and detour.distance(xy, dock) < radius - detour.ROUNDING:
+        raise Misfit(
+            "safe_z_position",
+            "%g, %g is %.1f mm from the dock; choose a point that is at least"
+            " %.1f mm away (safe_dock_distance)"
+            % (tuple(xy) + (detour.distance(xy, dock), radius)),
+        )
+    return xy

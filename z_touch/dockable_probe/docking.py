@@ -1,0 +1,165 @@
+# Trips to the dock: fetching the probe, and docking it.
+#
+# Copyright (C) 2026  the Z calibration developers, under the GNU GPLv3
+#
+#            in                    in the dock      out
+#
+#   fetch    MOVE_TO_APPROACH_...  attach_gcode     MOVE_TO_EXTRACT_PROBE
+#   dock     MOVE_TO_INSERT_...    detach_gcode     MOVE_TO_DETACH_PROBE
+#
+# pre_..._gcode runs before a trip, post_..._gcode after it, beside the dock.  A
+# trip that has not brought about what it should is tried dock_retries times
+# again.
+from __future__ import absolute_import
+
+import collections
+import functools
+
+from ..core import running
+from .sensors import ATTACHED, DOCKED, UNKNOWN
+from .settings import travel_height
+
+# A contradiction of pins is believed when it still is there so long (s) after.
+ASK_AGAIN = 0.5
+
+# What takes the probe from one state into the other: the parts of the way in
+# and out, what its options are called, what has become of the probe, and what
+# to look at where it has not
+Trip = collections.namedtuple(
+    "Trip", "before after way_in way_out gcode done remedy"
+)
+FETCH = Trip(
+    before=DOCKED,
+    after=ATTACHED,
+    way_in="MOVE_TO_APPROACH_PROBE",
+    way_out="MOVE_TO_EXTRACT_PROBE",
+    gcode="attach_gcode",
+    done="fetched",
+    remedy="look whether the probe is in the dock and meets the head where"
+    " dock_position is; check the pins with GET_PROBE_STATUS",
+)
+DOCK = Trip(
+    before=ATTACHED,
+    after=DOCKED,
+    way_in="MOVE_TO_INSERT_PROBE",
+    way_out="MOVE_TO_DETACH_PROBE",
+    gcode="detach_gcode",
+    done="docked",
+    remedy="look whether it came off: if it did, what reads ATTACHED never"
+    " changes; check pins and wires with GET_PROBE_STATUS and QUERY_PROBE,"
+    " otherwise dock_position and detach_position",
+)
+
+
+# Fetches the probe and docks it, and sees that it did
+class Docking(object):
+    # 'sensors': sensors.Sensors; 'moves': moves.Moves
+    def __init__(self, settings, sensors, moves):
+        self.host = moves.host
+        self.settings = settings
+        self.sensors = sensors
+        self.moves = moves
+
+    # Puts the probe on the head, and goes back to 'goal' where there is one.
+    # The pins have changed on the way out of the dock, then.
+    def fetch(self, goal=None):
+        sensors, state = self.sensors, self.sensors.confirm()
+        if state == sensors.proven == ATTACHED:
+            return
+        self.moves.require_homed()
+        self.moves.lift_for_dock()
+        if not state == sensors.proven == DOCKED:
+            # Where the probe was pressed it looked as if it were not there.
+            state = sensors.look()
+        if not state == sensors.proven == ATTACHED:
+            self._fetch_from(state, goal)
+        if goal is not None:
+            self.moves.go_back(goal, travel_height(self.settings))
+
+    def _fetch_from(self, state, goal):
+        if state == ATTACHED:
+            self.host.say("it reads attached, which proves nothing; docking it")
+            self.dock()
+            state = DOCKED
+        sensors = self.sensors
+        if not sensors.is_triggered(sensors.pin, self.host.print_time()):
+            self.host.say(
+                "'pin' reads open without the probe, too: if it breaks, nothing"
+                " stops the nozzle; wire it as normally closed, and set"
+                " check_open_attach: True"
+            )
+        self._make(FETCH, state, goal)
+
+    # Puts the probe into the dock, and goes back to 'goal' where there is one
+    def dock(self, goal=None):
+        sensors, z = self.sensors, self.moves.position().z
+        state = sensors.confirm()
+        is_certain = sensors.proven == DOCKED or sensors.senses
+        if state == DOCKED and not is_certain:
+            # Perhaps it is on the head, and pressed.
+            self.moves.lift(travel_height(self.settings))
+            state = sensors.look()
+        if state == DOCKED:
+            self.moves.go_to_height(z)
+            return
+        self.moves.require_homed()
+        self.moves.lift_for_dock()
+        self._make(DOCK, state, goal)
+        if goal is not None:
+            self.moves.go_back(goal, 0.0)
+
+    # The G-code of an option, where it is given
+    def run(self, name):
+        template = getattr(self.settings, name)
+        if template is not None:
+            template.run_gcode_from_command()
+
+    # A trip with the G-code around it.  'state' is what was seen just before.
+    def _make(self, trip, state, goal):
+        self.sensors.proven = UNKNOWN
+        after = "post_" + trip.gcode
+        go_on = None
+        if goal is not None and getattr(self.settings, after) is None:
+            go_on = functools.partial(self.moves.go_back, goal)
+        self.run("pre_" + trip.gcode)
+        self._try(trip, state, go_on)
+        self.run(after)
+        self.sensors.proven = trip.after
+
+    # Until the probe is where the trip should bring it; raises the host's
+    # error, with the head lifted, when no retry is left.  'go_on' queues the
+    # way back, which need not wait for what the pins read.
+    def _try(self, trip, state, go_on):
+        look, retries = self.sensors.look, self.settings.dock_retries
+        for attempt in range(retries + 1):
+            if state == UNKNOWN:
+                self.host.toolhead.dwell(ASK_AGAIN)
+                state = look()
+            if state == trip.before:
+                self._visit_dock(trip)
+                state = look(go_on)
+                # What chatters while the head moves is asked when it stands.
+                state = state if state == trip.after else look()
+            if state == trip.after:
+                return
+            seen = "the probe was not %s, it is %s (%s)" % (
+                trip.done,
+                state,
+                self.sensors.describe(),
+            )
+            if attempt < retries:
+                self.host.say(
+                    "%s; try %d of %d" % (seen, attempt + 2, retries + 1)
+                )
+                state = look()
+        self.moves.lift_for_dock()
+        raise self.host.error("%s; %s" % (seen, trip.remedy))
+
+    # The parts of the way are commands, so that a macro may stand in for one.
+    def _visit_dock(self, trip):
+        go = self.host.gcode.run_script_from_command
+        go(trip.way_in)
+        go("MOVE_TO_DOCK_PROBE")
+        leave = functools.partial(go, trip.way_out)
+        with running.always(self.host, leave, "leaving the dock"):
+            self.run(trip.gcode)

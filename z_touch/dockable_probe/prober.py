@@ -1,0 +1,229 @@
+# What happens around the commands that probe.
+#
+# Copyright (C) 2026  the Z calibration developers, under the GNU GPLv3
+from __future__ import absolute_import
+
+from ..core import touching
+from .sensors import ATTACHED, UNKNOWN
+from .settings import REACH, travel_height
+
+# With allow_delayed_detach the probe is docked so long (s) after its last use.
+DETACH_DELAY = 1.0
+
+# Homing goes down twice: to find the bed, and slowly again from a little above.
+FIRST, SECOND = "first", "second"
+
+# The second way down of homing ends so far (mm) below the first trigger.
+SECOND_REACH = 1.0
+
+# Lower than any axis gets (mm)
+NO_FLOOR = -1e6
+
+
+# The device behind virtual_probe.Facade: fetches the probe before the first
+# touch of a command, sees that it is there around each, and docks it at the
+# end.
+class Prober(object):
+    # 'docking': docking.Docking
+    def __init__(self, docking, settings):
+        self.host = docking.host
+        self.docking = docking
+        self.settings = settings
+        self.moves = docking.moves
+        self.sensors = docking.sensors
+        # Where the head stands while Z is homed with the probe, as klippy finds
+        # when it connects; None: where it is then
+        self.home_xy = None
+        # Whether commands fetch and dock the probe by themselves
+        self.auto = settings.auto_attach_detach
+        # Whether ATTACH_PROBE has fetched the probe to stay
+        self.is_held = False
+        # The way down of homing that comes next, None where nobody homes
+        self.homing = None
+        # Toolhead Z at which the probe is just off what it has touched
+        self.clear_z = 0.0
+        # A mark of the docking that is to come, None where none is
+        self.delayed = None
+
+    ######################################################################
+    # How deep a touch may go
+    ######################################################################
+
+    # Lowest toolhead Z of a probing move
+    def floor(self, is_homing=False):
+        axis = self.host.z_axis
+        position_min = axis.position_min if axis else NO_FLOOR
+        lowest = NO_FLOOR if is_homing else self.settings.lowest
+        return max(position_min, lowest)
+
+    # How far (mm) below z_offset the way down of homing may go that begins now:
+    # at first as deep as any touch, then hardly deeper than the first one.  It
+    # is counted by the motors, as homing and others say of Z what they like.
+    # None: nobody knows how high the head is.
+    def homing_reach(self):
+        motors_z, homed_z = self.moves.motors_z(), self.moves.homed_z
+        if motors_z is None or homed_z is None:
+            return None
+        beyond = SECOND_REACH
+        if self.homing == FIRST:
+            beyond = self.settings.z_offset - self.settings.lowest
+        return motors_z - homed_z + beyond
+
+    ######################################################################
+    # What virtual_probe tells
+    ######################################################################
+
+    # A command that probes begins
+    def begin(self, is_homing):
+        self.delayed = None
+        self.homing = FIRST if is_homing else None
+        self.clear_z = 0.0
+        goal = self.moves.position()
+        if is_homing and self.home_xy is not None:
+            goal = goal._replace(x=self.home_xy[0], y=self.home_xy[1])
+        if self.auto:
+            self.docking.fetch(goal)
+        else:
+            self._require_attached()
+        if not self.moves.is_at(goal):
+            self.moves.go_back(goal, travel_height(self.settings))
+        self._run_still("activate_gcode", each_touch=False)
+
+    def _require_attached(self):
+        state = self.sensors.confirm()
+        if not state == self.sensors.proven == ATTACHED:
+            raise self._lost(
+                "is %s and auto_attach_detach is off: run ATTACH_PROBE"
+                % (state,)
+            )
+
+    # A probing move begins.  'pin' tells by itself whether the probe is there:
+    # where it is lost, the move ends where it began.
+    def before_move(self):
+        if not self.sensors.is_sensed():
+            raise self._lost("is not ready")
+        if self.sensors.proven != ATTACHED:
+            raise self._lost("was not seen to be fetched")
+        self._run_still("activate_gcode", each_touch=True)
+
+    # A probing move has ended: whether the head has moved, and the probe
+    # triggered
+    def after_move(self, moved, triggered):
+        self.clear_z = self.host.z() + self.settings.sample_retract_dist
+        self._run_still("deactivate_gcode", each_touch=True)
+        if not self.sensors.is_sensed():
+            raise self._lost("was lost in a touch")
+        if not moved:
+            raise self._lost("triggered before the head moved")
+        if self.homing is None:
+            if not triggered and self._is_at_floor():
+                self._tell_nothing_found()
+        elif triggered:
+            # Touches elsewhere tell nothing of it: there the bed may be much
+            # higher, or the gantry lower.
+            self.moves.homed_z = self.moves.motors_z()
+            self.homing = SECOND
+        else:
+            self._end_homing_of_nothing()
+
+    # The command has probed, or failed
+    def end(self):
+        was_homing, self.homing = self.homing is not None, None
+        if not self.moves.is_homed("xy") or self.host.printer.is_shutdown():
+            return
+        goal = self.moves.position()
+        if goal.z is not None:
+            # The bed may lie higher than Z=0, and homing has set Z anew.
+            height = travel_height(self.settings)
+            clear_z = self.clear_z
+            if was_homing:
+                clear_z = goal.z + self.settings.sample_retract_dist
+            if was_homing or self._is_at_floor():
+                # Not back down to where nothing was found
+                goal = goal._replace(z=height)
+            self.moves.lift(max(height, clear_z))
+        self._run_still("deactivate_gcode", each_touch=False)
+        if self.sensors.look() != ATTACHED:
+            raise self._lost("was lost, what was measured is wrong")
+        if self.is_held or not self.auto:
+            return
+        if self.settings.allow_delayed_detach:
+            self._dock_later()
+        else:
+            self.dock_and_return(goal)
+
+    # The user's G-code, unless it belongs to the command and this is a touch,
+    # or the other way round; it must not move the head.
+    def _run_still(self, name, each_touch):
+        if each_touch != self.settings.deactivate_on_each_sample:
+            return
+        before = self.host.toolhead.get_position()[:3]
+        self.docking.run(name)
+        if self.host.toolhead.get_position()[:3] != before:
+            raise self.host.error(
+                "the head moved in %s; move it in another option" % (name,)
+            )
+
+    ######################################################################
+    # What goes wrong
+    ######################################################################
+
+    def _is_at_floor(self):
+        return touching.is_at(self.host, self.settings.lowest)
+
+    def _tell_nothing_found(self):
+        self.host.say(
+            "nothing down to z=%.3f, where the nozzle is just clear of the"
+            " bed; home Z again, level, check z_offset and the probe"
+            % (self.settings.lowest,)
+        )
+
+    # The host turns the motors off then, so the head goes up before it does.
+    def _end_homing_of_nothing(self):
+        self.sensors.proven = UNKNOWN
+        distance = self.settings.sample_retract_dist + REACH
+        self.host.lift_unhomed(distance, self.settings.lift_speed)
+        self.host.say(
+            "nothing where the bed was; look whether the switch clicks, and"
+            " home again: it is docked and fetched to see that, and finds"
+            " any bed"
+        )
+
+    def _lost(self, what):
+        self.sensors.proven = UNKNOWN
+        return self.host.error(
+            "the probe %s, at z=%.3f (%s); where it is lost or pressed, raise"
+            " the head, put it into its dock, and check it with"
+            " GET_PROBE_STATUS" % (what, self.host.z(), self.sensors.describe())
+        )
+
+    ######################################################################
+    # Docking it at the end
+    ######################################################################
+
+    # Back to 'goal', unless the owner wants the head to stay beside the dock
+    def dock_and_return(self, goal):
+        self.docking.dock(goal if self.settings.restore_toolhead else None)
+
+    # In a while, unless another command needs the probe before
+    def _dock_later(self):
+        mark = self.delayed = object()
+        reactor = self.host.printer.get_reactor()
+
+        def dock(eventtime):
+            with self.host.gcode.get_mutex():
+                if self.delayed is not mark:
+                    return
+                self.delayed = None
+                try:
+                    self.dock_and_return(self.moves.position())
+                except self.host.printer.command_error as e:
+                    # There is no command that it could be the error of.
+                    self.host.gcode.respond_raw("!! %s" % (e,))
+
+        reactor.register_callback(dock, reactor.monotonic() + DETACH_DELAY)
+
+    # Whether the probe stays on the head between commands
+    def hold(self, is_held):
+        self.delayed = None
+        self.is_held = is_held
