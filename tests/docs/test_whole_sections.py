@@ -15,25 +15,23 @@ import pytest
 
 from simprinter.hosts.hosts import Host
 from tests.docs.documents import OPTIONS, part, rows, spans
-from tests.docs.test_dockable_probe_doc import options as module_options
+from tests.docs.option_rows import default_of, value_of
+from tests.docs.test_dockable_probe_doc import SETTINGS
 from tools.kit.dockable_probe import SWITCH
 from tools.kit.printer import Printer
+from z_touch.core import options
 
 DOCS = Path(__file__).resolve().parents[2] / "docs"
 WHOLE = "The whole section"
 # Options of other releases have a table of their own
 OLD = {"z_calibration": "Old names"}
 NAMES = ("z_calibration", "auto_z_offset", "extra_probe", "dockable_probe")
-# Options of the host's [probe] are not in the table of dockable_probe
+# Options of the host's [probe] are not in the tables of these.
+SHORT = ("dockable_probe",)
 OF_PROBE = {
-    "pin": "-",
-    "x_offset": "`0.0`",
-    "y_offset": "`0.0`",
-    "speed": "`5.0`",
-    "samples": "`1`",
-    "samples_result": "`average`",
-    "samples_tolerance": "`0.1`",
-    "samples_tolerance_retries": "`0`",
+    row.name: default_of(row)
+    for row in SETTINGS.PROBE
+    if row.default is not options.REQUIRED
 }
 
 
@@ -63,7 +61,7 @@ def table_of(name: str, text: str) -> dict[str, str]:
     if name in OLD:
         body = body.replace(part(text, OLD[name]), "")
     found = {spans(row[0])[0]: row[1] for row in rows(body)}
-    return {**found, **(OF_PROBE if name == "dockable_probe" else {})}
+    return {**OF_PROBE, "pin": "-", **found} if name in SHORT else found
 
 
 def literal(default: str, table: dict[str, str]) -> str:
@@ -110,18 +108,13 @@ def test_whole_section_is_right_and_mistakes_are_found(name):
         assert list(problems(name, changed)), what
 
 
-def test_dockable_probe_has_these_options_and_defaults(one_host: Host):
-    text = (DOCS / "dockable_probe.md").read_text(encoding="utf-8")
-    lines = whole_section(text)
-    old = set(re.findall(r"`(\w+)`", text.partition("\nOld names: ")[2]))
-    assert set(lines) >= module_options() - old
-    defaults = {n: x.value for n, x in lines.items() if x.is_default}
-    changes = {"dockable_probe": dict.fromkeys(defaults)}
+def test_dockable_probe_has_these_defaults(one_host: Host):
+    """Held against the document, row by row, in test_dockable_probe_doc."""
+    rows_of = {row.name: row for row in SETTINGS.OPTIONS if value_of(row)}
+    assert len(rows_of) > 15
+    changes = {"dockable_probe": dict.fromkeys(rows_of)}
     with Printer(one_host, SWITCH, changes) as printer:
         printer.session.require_ready()
         settings = printer.status("configfile")["settings"]["dockable_probe"]
-    for option, value in defaults.items():
-        if value:
-            real = settings[option]
-            same_words = value.lower() == str(real).lower()
-            assert same_words or float(value) == real, option
+    for name, row in rows_of.items():
+        assert settings[name] == row.default, name

@@ -2,6 +2,9 @@
 
 from __future__ import annotations
 
+import importlib
+from pathlib import Path
+
 import pytest
 
 from simprinter import Fault
@@ -19,7 +22,16 @@ from tools.kit.dockable_probe import (
     trips,
     where,
 )
+from tools.kit.load_errors import load
 from tools.kit.z_calibration import with_moves
+from z_touch.core.options import REQUIRED, nonsense
+
+SETTINGS = importlib.import_module("z_touch.dockable_probe.settings")
+ROWS = pytest.mark.parametrize(
+    "row",
+    [*SETTINGS.OPTIONS, *SETTINGS.OLD_POSITIONS],
+    ids=lambda row: row.name,
+)
 
 pytestmark = pytest.mark.spread
 
@@ -51,7 +63,44 @@ def seconds(printer, script):
     return (simulation.virtual_ns - before) * 1e-9
 
 
+def test_each_option_has_a_test_of_its_own():
+    tests = Path(__file__).parent.glob("test_dockable_probe_*.py")
+    text = "".join(path.read_text(encoding="utf-8") for path in tests)
+    names = {name for row in SETTINGS.OPTIONS for name in (row.name, *row.old)}
+    assert [name for name in sorted(names) if name not in text] == []
+
+
 # Wrong ones
+
+
+# As a printer that uses each of them
+WITH_ALL = {
+    "approach_position": None,
+    "detach_position": None,
+    "dock_angle": "270",
+    "detach_angle": "0",
+    "dock_safe_distance": "38",
+}
+
+
+@ROWS
+def test_nonsense_is_refused_by_the_name_of_the_option(some_host: Host, row):
+    others = WITH_ALL if row in SETTINGS.OLD_POSITIONS else {}
+    for value in nonsense(row):
+        message = refusal(some_host, section(**{**others, row.name: value}))
+        assert row.name in message, (value, message)
+        # The host says 'dockable_probe:option' of a template.
+        assert "'dockable_probe" in message, (value, message)
+
+
+@ROWS
+def test_missing_option_is_told_or_has_a_default(some_host: Host, row):
+    state, message = load(some_host, section(**{row.name: None}), SENSED)
+    if row.default is REQUIRED:
+        words = f"Option '{row.name}' in section 'dockable_probe' must be"
+        assert words in message
+    else:
+        assert state == "ready", message
 
 
 @pytest.mark.parametrize(

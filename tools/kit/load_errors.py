@@ -10,10 +10,13 @@ from collections import OrderedDict
 from typing import Optional, Union
 
 from simprinter import SCENES, Scene
+from simprinter.docks import DOCK_SCENES
 from simprinter.hosts.hosts import Host
 from simprinter.scenes import Sections
 from tools.kit.printer import Printer
 
+# Scenes of which a printer may stay
+_KNOWN = {**SCENES, **DOCK_SCENES}
 # As many printers stay, with klippy idle, for the next configuration
 _KEPT = 3
 
@@ -29,12 +32,12 @@ def load(
 
     Raises AssertionError if the machine touches anything.
     """
-    if not isinstance(scene, str):
-        if SCENES.get(scene.name) is not scene:
-            with Printer(host, scene, changes) as printer:
-                return _judged(printer, printer.session.start())
-        scene = scene.name
-    printer = _printers.pop((host.name, scene), None) or Printer(host, scene)
+    scene = SCENES[scene] if isinstance(scene, str) else scene
+    if _KNOWN.get(scene.name) is not scene:
+        with Printer(host, scene, changes) as printer:
+            return _judged(printer, printer.session.start())
+    key = (host.name, scene.name)
+    printer = _printers.pop(key, None) or Printer(host, scene)
     try:
         config = printer.scene.config(printer.machine.serials, changes)
         found = _judged(printer, printer.session.reload(config))
@@ -42,7 +45,7 @@ def load(
         printer.session.close()
         printer.machine.close()
         raise
-    _printers[host.name, scene] = printer
+    _printers[key] = printer
     if len(_printers) > _KEPT:
         _close(_printers.popitem(last=False)[1])
     return found
