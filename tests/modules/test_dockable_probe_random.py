@@ -19,7 +19,8 @@ from simprinter.world import DockSpec
 from tools.kit.dockable_probe import GANTRY, QUICK, trips, where
 from tools.kit.printer import Printer
 
-X, Y = (0.0, 300.0), (-5.0, 310.0)
+# The reach of the axes of the scene
+X, Y = (0.0, 300.0), (0.0, 310.0)
 # Where X and Y are homed, and the way there
 CORNER = (300.0, 310.0)
 EXAMPLES = 60 if os.environ.get("EVERY_HOST") else 6
