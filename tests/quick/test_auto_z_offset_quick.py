@@ -1,0 +1,53 @@
+"""A good and a bad run of every command of auto_z_offset."""
+
+from __future__ import annotations
+
+import pytest
+
+from tests.quick.runs import Run, go_well, go_wrong, ours, started
+from tools.kit.auto_z_offset import MICROSTEP, true_gap
+
+GOOD = [
+    Run("AUTO_Z_PROBE", "the bed sensor triggered at z="),
+    Run("AUTO_Z_MEASURE_OFFSET", "--> correction=-1.12"),
+    Run("AUTO_Z_CALIBRATE", "probe_z_correction: -1.12"),
+    Run("SET_GCODE_OFFSET Z=0\nAUTO_Z_LOAD_OFFSET", "G-code Z offset is -1.12"),
+    Run("AUTO_Z_SAVE_GCODE_OFFSET", "probe_z_correction: -1.12"),
+]
+LAST = [
+    Run("SET_GCODE_OFFSET Z=0\nAUTO_Z_HOME_Z", "which is z=0.200000 now"),
+]
+
+
+def triggered(printer):
+    printer.machine.hold("bed_sensor", True)
+
+
+def shifted(printer):
+    printer.machine.hold("bed_sensor", None)
+    printer.run("AUTO_Z_HOME_Z")
+
+
+SENSOR = "bed sensor: reads triggered"
+BAD = [
+    Run("AUTO_Z_PROBE", SENSOR, triggered),
+    Run("AUTO_Z_HOME_Z", SENSOR),
+    Run("AUTO_Z_MEASURE_OFFSET", SENSOR),
+    Run("AUTO_Z_CALIBRATE", SENSOR),
+    # Z is no more what the probe says
+    Run("AUTO_Z_LOAD_OFFSET", "G28", shifted),
+    Run("AUTO_Z_SAVE_GCODE_OFFSET", "G28"),
+]
+
+
+def test_good_run_of_every_command(start):
+    printer = started(start, "qidi", {})
+    done = go_well(printer, GOOD)
+    wanted = printer.scene.piezo_gap()
+    assert true_gap(printer) == pytest.approx(wanted, abs=2 * MICROSTEP)
+    assert done | go_well(printer, LAST) == ours(printer)
+
+
+def test_bad_run_of_every_command(start):
+    printer = started(start, "qidi", {})
+    assert go_wrong(printer, BAD) == ours(printer)

@@ -1,0 +1,73 @@
+"""A good and a bad run of every command of z_calibration."""
+
+from __future__ import annotations
+
+import pytest
+
+from tests.quick.runs import Run, go_well, go_wrong, ours, started
+from tools.kit.z_calibration import MICROSTEP, section
+
+BESIDE = "G90\nG1 Z20 F900\nG1 X20 Y305 F6000\nG1 Z5 F900"
+
+
+def has_report(printer):
+    """Drawn in a thread of its own, and told when it is there."""
+    printer.session.wait(3.0)
+    return any("the report is" in line for line in printer.session.console)
+
+
+GOOD = [
+    Run("CALIBRATE_Z_ACCURACY CYCLES=2", "2 cycles are too few"),
+    Run("PROBE_Z_ACCURACY SAMPLES=2", "maximum 1.60"),
+    Run("CALIBRATE_Z", "--> new offset=0.16"),
+    Run(
+        "SET_GCODE_OFFSET Z_ADJUST=0.02\nZ_OFFSET_APPLY_PROBE",
+        "CALIBRATE_Z measures anew",
+    ),
+    Run("Z_CALIBRATION_SAVE_GCODE_OFFSET", "--> new switch_offset=0.420"),
+    Run("Z_OFFSET_APPLY_ENDSTOP", "position_endstop"),
+    Run(
+        f"CALIBRATE_Z\n{BESIDE}\nG1 Z0.04 F300\nCALCULATE_SWITCH_OFFSET",
+        "--> new switch_offset=0.3",
+    ),
+    Run("Z_CALIBRATION_REPORT", "", check=has_report),
+    Run("G28\nZ_CALIBRATION_SETUP", "action:prompt_show"),
+]
+END = "Z_CALIBRATION_SETUP STEP=ABORT"
+
+
+def pressed(printer):
+    printer.machine.hold("z_endstop", True)
+
+
+def let_go(printer):
+    printer.machine.hold("z_endstop", None)
+
+
+BAD = [
+    Run("CALCULATE_SWITCH_OFFSET", "CALIBRATE_Z"),
+    Run("Z_CALIBRATION_SAVE_GCODE_OFFSET", "CALIBRATE_Z"),
+    Run("Z_CALIBRATION_REPORT", "'history' is none"),
+    Run("Z_CALIBRATION_SETUP STEP=PIN", "no set-up is under way"),
+    Run("CALIBRATE_Z", "nozzle: the Z endstop reads triggered", pressed),
+    Run("CALIBRATE_Z_ACCURACY", "the Z endstop reads triggered"),
+    Run("PROBE_Z_ACCURACY", "the Z endstop reads triggered"),
+    Run("Z_OFFSET_APPLY_PROBE", "saves as ever", let_go, False),
+    Run("Z_OFFSET_APPLY_ENDSTOP", "saves as ever", None, False),
+]
+
+
+def test_good_run_of_every_command(start):
+    printer = started(start, "voron", {})
+    assert go_well(printer, GOOD) == ours(printer)
+    printer.run(END)
+    # The baby step counts in each run that follows
+    gap = printer.scene.formula_gap() + 0.02
+    assert printer.gap() == pytest.approx(gap, abs=2 * MICROSTEP)
+
+
+def test_bad_run_of_every_command(start):
+    changes = section(history="none", save_button="switch_offset")
+    printer = started(start, "voron", changes)
+    assert go_wrong(printer, BAD) == ours(printer)
+    assert printer.machine.truth.deepest_in_bed() == 0.0
