@@ -1,6 +1,8 @@
 # Needs python3 (3.9 or newer), gcc and make; the rest goes below BUILD_DIR.
 #
-#   make test     prepare the hosts, lint, run all tests
+#   make test     prepare the hosts, lint, run the tests: some minutes
+#   make test-all  every case on every host; make test-rest: but for those of
+#                 make test
 #   make quick    lint, what needs no host, each command on one: a minute
 #   make demo     watch a calibration on a simulated printer
 #   make printer  a simulated printer to play with, in any web interface
@@ -19,9 +21,7 @@
 #                      a/klipper.elf:b/klipper.elf
 # ALLOW_MISSING_HOSTS  1: do without hosts, or Moonraker, that cannot be
 #                      downloaded
-# EVERY_HOST, CORPUS   1 and all: long tables and the configurations of real
-#                      printers whole and on every host, not some on one each
-# ONE_HOST             1: all tests on one host, the last of make hosts
+# ONE_HOST             1: all tests on one host, the first checkout or package
 # PYTEST_WORKERS       tests run at the same time (default 3)
 # PYTEST_ARGS          further arguments for pytest, such as -k or a file
 # BENCH_ARGS           arguments for make bench, such as --seeds 10 or --builtin
@@ -46,19 +46,19 @@ SOURCES = $(wildcard *.py z_touch/*.py z_touch/*/*.py)
 COMPILE = import sys; [compile(open(f).read(), f, 'exec') for f in sys.argv[1:]]
 
 # Test files import each other as tests.*, from the root of the repository.
-.PHONY: test test-firmware quick demo printer speed bench faults hosts prepared
+.PHONY: test test-rest test-all test-firmware quick demo printer speed bench faults hosts prepared
 .PHONY: lint format tools clean
 
-test: prepared lint
-	$(TOOLS)/python -m pytest -n $(PYTEST_WORKERS) \
+test test-rest test-all: prepared lint
+	$(TOOLS)/python -m pytest --cases $(@:test-%=%) -n $(PYTEST_WORKERS) \
 		--dist loadfile --no-loadscope-reorder $(PYTEST_ARGS)
 
 test-firmware: prepared
-	FIRMWARE="$(FIRMWARE)" $(TOOLS)/python -m pytest -n $(PYTEST_WORKERS) \
-		tests/firmware $(PYTEST_ARGS)
+	FIRMWARE="$(FIRMWARE)" $(TOOLS)/python -m pytest --cases all \
+		-n $(PYTEST_WORKERS) tests/firmware $(PYTEST_ARGS)
 
 quick: prepared lint
-	ONE_HOST=1 $(TOOLS)/python -m pytest -n 2 -m quick tests/modules
+	ONE_HOST=1 $(TOOLS)/python -m pytest -n 2 tests/unit tests/quick
 
 demo: tools
 	$(TOOLS)/python -m tools.demo $(DEMO_ARGS)

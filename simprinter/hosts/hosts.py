@@ -69,8 +69,10 @@ __all__ = [
     "clean_environment",
     "find_hosts",
     "if_available",
+    "main_host",
     "missing_hosts",
     "named_checkouts",
+    "usual_hosts",
 ]
 
 # Part of every key: raise it when hosts are prepared differently.
@@ -237,12 +239,32 @@ def _search() -> tuple[list[Host], Optional[HostError]]:
 def all_hosts() -> list[Host]:
     """The same, looked for once in a process, as for each test of a run.
 
-    With ONE_HOST=1 only the last one.
+    With ONE_HOST=1 only the one that `main_host` gives.
     """
     hosts, error = _search()
     if error is not None:
         raise error
-    return hosts[-1:] if os.environ.get("ONE_HOST") else hosts
+    return _usual(hosts)[:1] if os.environ.get("ONE_HOST") else hosts
+
+
+def usual_hosts() -> list[Host]:
+    """On which of them runs what need not run on all.
+
+    The first checkout alone, as whoever has one works on that Klipper; the
+    packages, where no checkout is named.
+    """
+    return _usual(all_hosts())
+
+
+def main_host() -> Host:
+    """The one host where one is enough: the first checkout or package."""
+    return usual_hosts()[0]
+
+
+def _usual(hosts: list[Host]) -> list[Host]:
+    packages = {package.name for package in PACKAGES}
+    checkouts = [host for host in hosts if host.name not in packages]
+    return checkouts[:1] or hosts
 
 
 def _packaged_if_available(package: Package) -> Optional[Host]:

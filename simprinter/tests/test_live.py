@@ -14,9 +14,9 @@ from simprinter.hosts import session, starting
 from simprinter.hosts.session import GcodeError, SessionError
 from simprinter.scenes import OTHER_BOARD, on_board
 from simprinter.world import CrashError
+from tools.kit.cases import slow
 from tools.kit.printer import Printer
 
-pytestmark = pytest.mark.spread
 MICROSTEP = 0.0025
 # Enough to see that touches happen at the same instants of printer time
 SCRIPT = "G28\nCALIBRATE_Z\nG1 X100 Y100 Z30 F6000\nM400"
@@ -26,7 +26,6 @@ def untimed(touch):
     return touch.site, touch.x, touch.y, touch.trigger_z
 
 
-@pytest.mark.spread
 @pytest.mark.parametrize(
     ("scene", "script", "count"),
     [("cartesian", SCRIPT, 12), ("voron_two_boards", "G28 Z", 1)],
@@ -73,8 +72,8 @@ def test_klippy_that_is_not_on_the_clock_is_noticed(host, monkeypatch):
         printer.session.require_ready()
 
 
-@pytest.mark.long("half a minute")
-def test_real_time_gives_the_same_gap(one_host):
+@pytest.mark.slow
+def test_real_time_gives_the_same_gap(host):
     # Quick enough to be waited for
     changes = {
         "stepper_x": {"homing_speed": "150"},
@@ -92,7 +91,7 @@ def test_real_time_gives_the_same_gap(one_host):
 
     def gap(real_time):
         options = {"changes": changes, "real_time": real_time}
-        with Printer(one_host, "cartesian", **options) as printer:
+        with Printer(host, "cartesian", **options) as printer:
             try:
                 printer.homed().run("CALIBRATE_Z")
                 return printer.gap()
@@ -196,9 +195,9 @@ def test_other_board_silent_while_homing_stops_the_motors(start):
     assert 25.0 - machine.tip().z == pytest.approx(0.2, abs=0.1)
 
 
-def test_fault_of_an_unknown_board_is_refused(one_host):
+def test_fault_of_an_unknown_board_is_refused(host):
     with pytest.raises(ValueError, match="have boards .*'mcu'"):
-        Printer(one_host, faults=[Fault("mcu_silent", t=8.0, board="zbord")])
+        Printer(host, faults=[Fault("mcu_silent", t=8.0, board="zbord")])
 
 
 def test_heater_heats_in_printer_time(start):
@@ -237,9 +236,8 @@ def test_heater_that_nobody_refreshes_goes_out(start):
     assert 30.0 < celsius[1] < celsius[0]
 
 
-@pytest.mark.some
 @pytest.mark.parametrize("command", ["RESTART", "FIRMWARE_RESTART"])
-@pytest.mark.parametrize("scene", ["voron", "voron_two_boards"])
+@pytest.mark.parametrize("scene", [slow("voron"), "voron_two_boards"])
 def test_restart_keeps_the_motors_where_they_are(start, scene, command):
     printer = start(scene).homed()
     gap = printer.gap()

@@ -61,8 +61,7 @@ def test_wiring_and_configuration_name_the_same_pins(name):
     assert len(set(written)) == len(written)
 
 
-@pytest.mark.some
-@pytest.mark.spread
+@pytest.mark.slow
 @pytest.mark.parametrize("name", CALIBRATING)
 def test_calibration_ends_at_the_gap_of_the_formula(start, host, name):
     printer = ready(start, host, SCENES[name]).homed()
@@ -109,6 +108,7 @@ def test_separate_pin_has_an_input_of_its_own(start):
     assert seen == [False, True, False]
 
 
+@pytest.mark.every_host
 def test_kinematics_that_a_host_does_not_have(start, host):
     assert has_kinematics(host, SCENES["voron"])
     assert has_kinematics(host, SCENES["corexz"])
@@ -127,7 +127,6 @@ def set_current(printer, amperes):
     return printer.machine.drivers["z"].current()[1:]
 
 
-@pytest.mark.spread
 @pytest.mark.parametrize("tries", [ATTEMPTS - 1, ATTEMPTS, "change"])
 def test_writes_to_a_driver_that_are_lost(host, tries):
     """One less than klippy's attempts is not even noticed."""

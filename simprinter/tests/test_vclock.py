@@ -178,7 +178,6 @@ time.sleep(1)
 
 
 # Python starts a child by fork or by posix_spawn, depending on this
-@pytest.mark.some
 @pytest.mark.parametrize("close_fds", [True, False])
 def test_time_stands_still_while_a_thread_computes_or_a_child_runs(close_fds):
     child = "import time; time.sleep(0.3); print(time.time() > 1_767_300_000)"
@@ -268,7 +267,7 @@ print(good, now())
 """
 
 
-@pytest.mark.long("some seconds")
+@pytest.mark.slow
 def test_bytes_on_a_line_are_awaited():
     command = []
 

@@ -125,8 +125,8 @@ def problems(running, text):
 
 
 @pytest.mark.timeout(300)
-def test_document_is_right_and_mistakes_are_found(one_host):
-    with Hand(one_host, RECORD) as running:
+def test_document_is_right_and_mistakes_are_found(host):
+    with Hand(host, RECORD) as running:
         assert list(problems(running, TEXT)) == []
         for what, (old, new) in MISTAKES.items():
             changed, count = re.subn(old, new, TEXT)

@@ -108,12 +108,12 @@ def test_whole_section_is_right_and_mistakes_are_found(name):
         assert list(problems(name, changed)), what
 
 
-def test_dockable_probe_has_these_defaults(one_host: Host):
+def test_dockable_probe_has_these_defaults(host: Host):
     """Held against the document, row by row, in test_dockable_probe_doc."""
     rows_of = {row.name: row for row in SETTINGS.OPTIONS if value_of(row)}
     assert len(rows_of) > 15
     changes = {"dockable_probe": dict.fromkeys(rows_of)}
-    with Printer(one_host, SWITCH, changes) as printer:
+    with Printer(host, SWITCH, changes) as printer:
         printer.session.require_ready()
         settings = printer.status("configfile")["settings"]["dockable_probe"]
     for name, row in rows_of.items():

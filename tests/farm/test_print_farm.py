@@ -17,7 +17,7 @@ from tempfile import TemporaryDirectory
 import pytest
 
 from simprinter import SCENES, Fault
-from simprinter.hosts.hosts import all_hosts, missing_hosts
+from simprinter.hosts.hosts import main_host, missing_hosts
 from simprinter.hosts.moonraker import MoonrakerError
 from simprinter.hosts.moonraker_package import find_moonraker
 from simprinter.world import NoiseSpec
@@ -341,9 +341,7 @@ def farm():
         for name, scene in scenes().items():
             home = Path(folder, name)
             home.mkdir()
-            lab = FarmPrinter(
-                name, broker, all_hosts()[-1], python, home, scene
-            )
+            lab = FarmPrinter(name, broker, main_host(), python, home, scene)
             printers[name] = stack.enter_context(lab)
             lab.copy_by_hand("z_calibration")
             lab.start_klipper()
@@ -379,7 +377,7 @@ def kept(broker):
     return [run["offset"] for run in histories[-1]]
 
 
-@pytest.mark.long("a minute or more")
+@pytest.mark.slow
 @pytest.mark.timeout(600)
 def test_each_run_of_each_printer_arrives_once(farm):
     broker, printers = farm

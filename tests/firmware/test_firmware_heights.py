@@ -54,7 +54,6 @@ def test_run_is_as_on_our_board(host, name):
     assert difference(own, real) <= allowed(run)
 
 
-@pytest.mark.spread
 @pytest.mark.parametrize(
     ("name", "fault"),
     FAULTS,
@@ -65,7 +64,6 @@ def test_fault_ends_as_on_our_board(host, name, fault):
     assert real == own
 
 
-@pytest.mark.spread
 def test_two_runs_are_equal(host):
     run = RUNS["CALIBRATE_Z"]
     records = []

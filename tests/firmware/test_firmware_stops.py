@@ -12,7 +12,6 @@ import pytest
 from simprinter.hosts.session import GcodeError
 from tests.firmware.programs import RUNS, FirmwarePrinter, record
 
-pytestmark = pytest.mark.spread
 RUN = RUNS["CALIBRATE_Z"]
 MOMENTS = 20
 # CALIBRATE_Z takes a bit longer on every host, s

@@ -20,6 +20,7 @@ from tests.install.box import (
     options_in,
     snapshot,
 )
+from tools.kit.cases import slow
 
 NAME = "auto_z_offset"  # which no host ships
 PLACE = f"klippy/extras/{NAME}.py"
@@ -256,8 +257,7 @@ def test_copies_by_hand_are_kept(machine, klipper):
     assert (kept[1] / "mine.py").read_text() == "mine = 2\n"
 
 
-@pytest.mark.some
-@pytest.mark.parametrize("options", [[], ["--force"]])
+@pytest.mark.parametrize("options", [slow([]), ["--force"]])
 @pytest.mark.parametrize("path", [PLACE, f"klippy/extras/{NAME}/__init__.py"])
 @pytest.mark.parametrize("is_linked", [False, True])
 def test_part_of_klipper_is_never_replaced(
@@ -325,8 +325,9 @@ def test_klipper_in_a_bigger_repository(box):
     assert "klippy" not in exclude.read_text()
 
 
-@pytest.mark.some
-@pytest.mark.parametrize("text", ["# mine\n*.bak\n", "*.bak", "", None])
+@pytest.mark.parametrize(
+    "text", [slow("# mine\n*.bak\n"), "*.bak", slow(""), None]
+)
 def test_lines_of_others_in_the_exclude_file_stay(machine, klipper, text):
     klipper.exclude.unlink()
     if text is not None:
@@ -369,7 +370,6 @@ def test_kalico_needs_the_override(box):
     box.installed()
 
 
-@pytest.mark.some
 @pytest.mark.parametrize(
     ("name", "line", "is_allowed"),
     [
@@ -383,7 +383,9 @@ def test_kalico_needs_the_override(box):
         ("printer-20261121_174500.cfg", "allow_plugin_override: True", False),
     ],
 )
-@pytest.mark.parametrize("folder", ["printer_data/config", "klipper_config"])
+@pytest.mark.parametrize(
+    "folder", ["printer_data/config", slow("klipper_config")]
+)
 def test_override_is_read_from_the_configuration(
     box, folder, name, line, is_allowed
 ):
@@ -510,7 +512,6 @@ def test_extras_that_cannot_be_written(machine, klipper):
     folder.chmod(0o755)
 
 
-@pytest.mark.some
 @pytest.mark.parametrize(
     ("options", "message"),
     [

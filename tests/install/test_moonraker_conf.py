@@ -9,6 +9,7 @@ import shutil
 import pytest
 
 from tests.install.box import ORIGIN, snapshot
+from tools.kit.cases import slow
 
 HEADER = "[update_manager z_calibration]"
 MARK = "# Added by install.sh of z_calibration\n"
@@ -62,7 +63,6 @@ def test_file_keeps_its_identity(machine, conf):
         assert (after.st_ino, after.st_mode) == (before.st_ino, before.st_mode)
 
 
-@pytest.mark.some
 @pytest.mark.parametrize(
     "places",
     [
@@ -116,7 +116,6 @@ def test_no_moonraker(machine, conf):
 # A section that is there
 
 
-@pytest.mark.some
 @pytest.mark.parametrize(
     ("old", "new"),
     [
@@ -141,7 +140,6 @@ def test_section_that_is_right_stays(machine, conf, old, new):
     assert machine.restarted() == ["klipper"]
 
 
-@pytest.mark.some
 @pytest.mark.parametrize(
     "line",
     [
@@ -158,7 +156,6 @@ def test_what_only_looks_like_it_does_not_count(machine, conf, line):
     assert conf.read_text().endswith(f"\n\n{MARK}{SECTION}")
 
 
-@pytest.mark.some
 @pytest.mark.parametrize(
     "include",
     ["more.conf", "conf.d/*.conf", "ABSOLUTE/conf.d/a b.conf", "first.conf"],
@@ -271,7 +268,6 @@ def test_checkout_that_cannot_be_updated(machine, conf, klipper, command):
 # Files that cannot be read or written
 
 
-@pytest.mark.some
 @pytest.mark.parametrize(
     ("text", "options", "is_needed"),
     [
@@ -285,7 +281,7 @@ def test_checkout_that_cannot_be_updated(machine, conf, klipper, command):
         (OTHER_PATH, ["-u"], False),
     ],
 )
-@pytest.mark.parametrize("mode", [0o444, 0o000])
+@pytest.mark.parametrize("mode", [0o444, slow(0o000)])
 def test_file_that_cannot_be_written(
     machine, conf, text, options, is_needed, mode
 ):

@@ -12,6 +12,8 @@ from http.server import BaseHTTPRequestHandler, HTTPServer
 
 import pytest
 
+from tools.kit.cases import slow
+
 BOTH = ["klipper", "moonraker"]
 
 pytestmark = pytest.mark.usefixtures("klipper")
@@ -62,7 +64,6 @@ def test_stopped_service_stays_stopped(machine):
     assert machine.restarted() == BOTH
 
 
-@pytest.mark.some
 @pytest.mark.parametrize(
     ("state", "options", "is_restarted"),
     [
@@ -95,10 +96,11 @@ def test_no_service_of_that_kind(machine):
 # Prints
 
 
-@pytest.mark.some
-@pytest.mark.parametrize("options", [[], ["-m", "CONF"], ["--no-moonraker"]])
+@pytest.mark.parametrize(
+    "options", [slow([]), ["-m", "CONF"], ["--no-moonraker"]]
+)
 @pytest.mark.parametrize("is_install", [True, False])
-@pytest.mark.parametrize("answer", ["idle", ""])
+@pytest.mark.parametrize("answer", [slow("idle"), ""])
 def test_nothing_is_restarted_while_a_printer_prints(
     machine, options, is_install, answer
 ):
@@ -135,7 +137,6 @@ def test_more_printers_than_moonrakers_that_answer(machine):
     assert machine.restarted() == ["moonraker-1"]
 
 
-@pytest.mark.some
 @pytest.mark.parametrize(
     ("server", "address"),
     [
@@ -192,7 +193,6 @@ BUSY = "A print is running: nothing restarted"
 UNKNOWN = "no Moonraker tells"
 
 
-@pytest.mark.some
 @pytest.mark.parametrize(
     ("code", "info", "query", "said"),
     [

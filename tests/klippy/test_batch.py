@@ -65,7 +65,6 @@ def test_there_are_cases_and_all_configurations_are_used():
     assert used == set(_HERE.glob("*.cfg"))
 
 
-@pytest.mark.spread
 @pytest.mark.parametrize(("test", "config"), CASES)
 def test_batch(host, test, config):
     assert test.dictionaries == [_DICTIONARY]

@@ -20,9 +20,6 @@ from tools.kit.auto_z_offset import (
 )
 from tools.kit.printer import module_files
 
-pytestmark = pytest.mark.spread
-
-
 # Cycles that differ
 
 

@@ -90,7 +90,6 @@ def machine_of(name):
     return replace(scene, sections=kept), changes
 
 
-@pytest.mark.spread
 @pytest.mark.parametrize("name", sorted(MACHINES))
 def test_example_prints_at_the_right_height(start, name):
     scene, changes = machine_of(name)

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from contextlib import ExitStack
 from dataclasses import replace
 
 import pytest
@@ -26,24 +25,13 @@ from tools.kit.auto_z_offset import (
     with_extras,
     world,
 )
-from tools.kit.printer import Printer
+from tools.kit.cases import slow
 from tools.kit.z_calibration import refusal
-
-pytestmark = pytest.mark.spread
 
 STEPS = 2 * MICROSTEP
 PREPARE = SCENES["qidi"].sections["auto_z_offset"]["prepare_gcode"]
 # Takes no time and moves nothing
 JUST_ON = "SET_PIN PIN=bed_sensor VALUE=1"
-
-
-@pytest.fixture
-def start(some_host):
-    """start() of all tests, on one host a test: there are many tables here."""
-    with ExitStack() as stack:
-        yield lambda *args, **options: stack.enter_context(
-            Printer(some_host, *args, **options)
-        )
 
 
 def measured(printer, command="AUTO_Z_MEASURE_OFFSET"):
@@ -68,8 +56,7 @@ def moving(start, faults=(), **options):
 # Heights
 
 
-@pytest.mark.some
-@pytest.mark.parametrize("z_offset", ["0", "0.05", "0.2", "-0.1"])
+@pytest.mark.parametrize("z_offset", [slow("0"), "0.05", slow("0.2"), "-0.1"])
 def test_air_gap(start, z_offset):
     changes = section(z_offset=z_offset)
     printer = start("qidi", changes=changes).homed()
@@ -273,10 +260,14 @@ def test_sample_retract_dist(start, retract):
         assert min(abs(top - each) for each in tops) < 0.01
 
 
-@pytest.mark.some
 @pytest.mark.parametrize(
     ("result", "share"),
-    [("average", 1 / 3), ("AVERAGE", 1 / 3), ("median", 0.0), ("Median", 0.0)],
+    [
+        ("average", 1 / 3),
+        slow("AVERAGE", 1 / 3),
+        slow("median", 0.0),
+        ("Median", 0.0),
+    ],
 )
 @pytest.mark.parametrize("signal", ["bed_sensor", "probe"])
 def test_samples_result(start, result, share, signal):
@@ -557,8 +548,8 @@ NO_Z_AXIS = {
         ),
     ],
 )
-def test_wrong_set_up_is_refused(some_host, changes, words):
-    message = refusal(some_host, changes, "qidi")
+def test_wrong_set_up_is_refused(host, changes, words):
+    message = refusal(host, changes, "qidi")
     for word in words:
         assert word in message
 

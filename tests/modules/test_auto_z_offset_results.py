@@ -27,8 +27,6 @@ from tools.kit.auto_z_offset import (
 )
 from tools.kit.printer import Printer, has_kinematics
 
-pytestmark = pytest.mark.spread
-
 MACHINES = ("qidi", "qidi_two_boards", "piezo_cartesian", "piezo_generic")
 STEPS = 2 * MICROSTEP
 
@@ -36,7 +34,7 @@ STEPS = 2 * MICROSTEP
 # AUTO_Z_CALIBRATE
 
 
-@pytest.mark.each_host
+@pytest.mark.every_host
 @pytest.mark.parametrize("scene", MACHINES)
 def test_calibration_leaves_the_air_gap(host, scene):
     if not has_kinematics(host, SCENES[scene]):
@@ -62,8 +60,7 @@ def test_calibration_leaves_the_air_gap(host, scene):
             assert after[name] == before[name]
 
 
-@pytest.mark.quick
-@pytest.mark.each_host
+@pytest.mark.every_host
 def test_correction_holds_after_a_restart(start):
     printer = start("qidi").homed()
     printer.run("AUTO_Z_CALIBRATE")
@@ -97,7 +94,7 @@ def test_correction_belongs_to_the_probe(start):
     assert true_gap(printer) == pytest.approx(gap, abs=STEPS)
 
 
-@pytest.mark.each_host
+@pytest.mark.every_host
 def test_result_lines_and_status_of_a_calibration(start):
     printer = start("qidi").homed()
     found = formulas(printer.run("AUTO_Z_CALIBRATE"))
@@ -139,7 +136,6 @@ def test_prepare_gcode_runs_once_a_calibration(start):
 # AUTO_Z_MEASURE_OFFSET
 
 
-@pytest.mark.quick
 def test_measuring_applies_nothing(start):
     printer = start("qidi").homed()
     printer.run("SET_GCODE_OFFSET Z=0.3")
@@ -160,7 +156,6 @@ def test_measuring_applies_nothing(start):
 # AUTO_Z_PROBE
 
 
-@pytest.mark.quick
 def test_probe_where_the_head_is(start):
     printer = start("qidi").homed()
     assert printer.status("auto_z_offset")["last_z"] is None
@@ -184,7 +179,6 @@ def test_probe_where_the_head_is(start):
 # AUTO_Z_HOME_Z
 
 
-@pytest.mark.quick
 @pytest.mark.parametrize("z_offset", [0.2, -0.1])
 def test_home_z_sets_z_only(start, z_offset):
     changes = section(z_offset=str(z_offset))
@@ -224,7 +218,6 @@ def test_home_z_keeps_the_gcode_offset_and_says_so(start):
 # AUTO_Z_LOAD_OFFSET, AUTO_Z_SAVE_GCODE_OFFSET
 
 
-@pytest.mark.quick
 def test_loading_what_was_never_measured_says_so(start):
     printer = start("qidi").homed()
     printer.run("SET_GCODE_OFFSET Z=0.3")
@@ -245,7 +238,6 @@ def test_users_macro_takes_part_in_applying(start):
     assert printer.offset() == pytest.approx(CORRECTION, abs=STEPS)
 
 
-@pytest.mark.quick
 def test_babysteps_are_saved(start):
     printer = start("qidi").homed()
     printer.run("AUTO_Z_CALIBRATE\nSET_GCODE_OFFSET Z_ADJUST=-0.05")
@@ -266,7 +258,6 @@ def test_babysteps_are_saved(start):
     assert printer.offset() == pytest.approx(offset, abs=1e-6)
 
 
-@pytest.mark.quick
 def test_offset_that_is_none_is_not_saved_a_lost_one_is_told(start):
     printer = start("qidi").homed()
     printer.run("AUTO_Z_CALIBRATE")
@@ -284,7 +275,7 @@ def test_offset_that_is_none_is_not_saved_a_lost_one_is_told(start):
 # Motor current and acceleration
 
 
-@pytest.mark.each_host
+@pytest.mark.every_host
 @pytest.mark.parametrize(
     ("scene", "motors"),
     [
@@ -400,7 +391,7 @@ def test_acceleration_is_low_while_the_nozzle_goes_down(
 # Status while it runs
 
 
-@pytest.mark.each_host
+@pytest.mark.every_host
 def test_phase_and_progress(start):
     where = "{printer.auto_z_offset.phase}:{printer.auto_z_offset.progress}"
     code = SCENES["qidi"].sections["auto_z_offset"]["prepare_gcode"]

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from itertools import product
+
 import pytest
 
 from simprinter import SCENES, Fault
@@ -22,10 +24,9 @@ from tools.kit.auto_z_offset import (
     touches,
     true_gap,
 )
+from tools.kit.cases import all_slow_but, slow
 from tools.kit.printer import Printer, module_files
 from tools.kit.z_calibration import refusal
-
-pytestmark = pytest.mark.spread
 
 STEPS = 2 * MICROSTEP
 MEASURING = ("PROBE", "HOME_Z", "MEASURE_OFFSET", "CALIBRATE")
@@ -67,11 +68,10 @@ def probed_at(printer, seconds):
 # Not homed
 
 
-@pytest.mark.some
 @pytest.mark.parametrize("command", MEASURING)
-@pytest.mark.parametrize("script", ["", "G28 X", "G28\nM84"])
-def test_axes_must_be_homed(some_host, command, script):
-    with Printer(some_host, "qidi") as printer:
+@pytest.mark.parametrize("script", [slow(""), "G28 X", slow("G28\nM84")])
+def test_axes_must_be_homed(host, command, script):
+    with Printer(host, "qidi") as printer:
         printer.session.require_ready()
         printer.run(script)
         first = len(printer.machine.truth.touches)
@@ -89,19 +89,29 @@ def test_axes_must_be_homed(some_host, command, script):
 KINDS = ("trigger_never", "stuck_open", "stuck_closed")
 
 
-@pytest.mark.some(8)
-@pytest.mark.parametrize("saved", [None, "-1.12"])
-@pytest.mark.parametrize("signal", ["bed_sensor", "probe"])
-@pytest.mark.parametrize("n", [1, 2, 3])
-@pytest.mark.parametrize("kind", KINDS)
-def test_single_fault_of_a_sensor(some_host, kind, signal, n, saved):
+# One of each message, and of each depth of a nozzle whose sensor is dead
+@pytest.mark.parametrize(
+    ("kind", "signal", "n", "saved"),
+    all_slow_but(
+        [
+            ("trigger_never", "bed_sensor", 1, None),
+            ("stuck_open", "bed_sensor", 1, "-1.12"),
+            ("trigger_never", "bed_sensor", 2, "-1.12"),
+            ("stuck_closed", "bed_sensor", 3, None),
+            ("stuck_open", "probe", 2, None),
+            ("stuck_closed", "probe", 1, "-1.12"),
+        ],
+        product(KINDS, ("bed_sensor", "probe"), (1, 2, 3), (None, "-1.12")),
+    ),
+)
+def test_single_fault_of_a_sensor(host, kind, signal, n, saved):
     arms = n if signal == "bed_sensor" else n + HOMING_ARMS
     fault = Fault(kind, signal=signal, n=arms)
     changes = section(
         probe_z_correction=saved,
         prepare_gcode=f"{PREPARE}\n  SET_GCODE_OFFSET Z=1",
     )
-    with Printer(some_host, "qidi", changes=changes, faults=[fault]) as printer:
+    with Printer(host, "qidi", changes=changes, faults=[fault]) as printer:
         printer.machine.tolerate("nozzle_bed", UNKNOWN + 0.02)
         printer.homed()
         printer.run("SET_GCODE_OFFSET Z=0.123")
@@ -145,16 +155,15 @@ def test_trigger_a_little_above_the_bed_is_not_the_bed(start):
     assert after == before
 
 
-@pytest.mark.some
-@pytest.mark.parametrize("n", [1, 2, 3])
+@pytest.mark.parametrize("n", [1, slow(2), slow(3)])
 @pytest.mark.parametrize("retries", [0, 1])
-def test_trigger_in_mid_air(some_host, n, retries):
+def test_trigger_in_mid_air(host, n, retries):
     # Shaken: 2 mm above the bed
     fault = Fault("trigger_early", signal="bed_sensor", mm=2.0, n=n)
     changes = section(
         probe_z_correction="-1.12", samples_tolerance_retries=str(retries)
     )
-    with Printer(some_host, "qidi", changes=changes, faults=[fault]) as printer:
+    with Printer(host, "qidi", changes=changes, faults=[fault]) as printer:
         printer.homed()
         if not retries:
             text, before, after = before_and_after(printer)
@@ -181,15 +190,16 @@ def test_first_touch_in_mid_air_on_a_machine_nobody_knows(start):
     assert true_gap(printer) == pytest.approx(gap, abs=STEPS)
 
 
-@pytest.mark.some
-@pytest.mark.parametrize("n", [1, 2, 3])
-@pytest.mark.parametrize(("late", "retries"), [(0.1, 0), (0.1, 1), (0.5, 1)])
-def test_trigger_that_is_late(some_host, n, late, retries):
+@pytest.mark.parametrize("n", [1, 2, slow(3)])
+@pytest.mark.parametrize(
+    ("late", "retries"), [slow(0.1, 0), slow(0.1, 1), (0.5, 1)]
+)
+def test_trigger_that_is_late(host, n, late, retries):
     fault = Fault("trigger_late", signal="bed_sensor", mm=late, n=n)
     changes = section(
         samples_tolerance_retries=str(retries), cycles_tolerance="0.05"
     )
-    with Printer(some_host, "qidi", changes=changes, faults=[fault]) as printer:
+    with Printer(host, "qidi", changes=changes, faults=[fault]) as printer:
         printer.machine.tolerate("nozzle_bed", late + 0.02)
         printer.homed()
         # Far too late is dead; at the first touch of all it makes those that
@@ -231,7 +241,7 @@ def test_sensor_that_stays_triggered_after_the_touch(start):
     assert state(printer) == before
 
 
-@pytest.mark.each_host
+@pytest.mark.every_host
 @pytest.mark.parametrize(
     ("site", "after"), [("nozzle_bed", 1.4), ("inductive_bed", 1.6)]
 )
@@ -377,7 +387,6 @@ def test_absurd_correction_is_not_saved(start):
 # prepare_gcode
 
 
-@pytest.mark.quick
 @pytest.mark.parametrize("command", MEASURING)
 def test_prepare_gcode_that_fails(start, command):
     code = f"{PREPARE}\n  G91\n  SET_GCODE_OFFSET Z=1\n  NO_SUCH {{x.y.z}}"
@@ -440,11 +449,10 @@ def test_prepare_gcode_that_leaves_the_head_below(start):
     assert "(stopped at z=-1.100)" in text
 
 
-@pytest.mark.some
-@pytest.mark.parametrize("command", MEASURING)
-def test_measurement_inside_a_measurement(some_host, command):
+@pytest.mark.parametrize("command", all_slow_but(["PROBE"], MEASURING))
+def test_measurement_inside_a_measurement(host, command):
     changes = section(prepare_gcode=f"{PREPARE}\n  AUTO_Z_{command}")
-    with Printer(some_host, "qidi", changes=changes) as printer:
+    with Printer(host, "qidi", changes=changes) as printer:
         printer.homed()
         text, before, after = before_and_after(printer)
         assert "a measurement is under way (prepare_gcode)" in text
@@ -493,10 +501,13 @@ def test_writes_of_one_touch(start):
     assert min(seen, key=lambda s: sum(s.values())) == WRITES
 
 
-@pytest.mark.some
+# Of each driver the first write that reduces and that restores it
 @pytest.mark.parametrize(
     ("driver", "n"),
-    [(d, n) for d, count in WRITES.items() for n in range(count)],
+    all_slow_but(
+        [("z", 0), ("z1", 2)],
+        [(d, n) for d, count in WRITES.items() for n in range(count)],
+    ),
 )
 def test_driver_that_does_not_answer(host, driver, n):
     with Printer(host, "qidi") as printer:
@@ -623,7 +634,6 @@ def test_driver_that_is_better_left_alone(start, tmp_path, own, command, calls):
 # The connection
 
 
-@pytest.mark.some
 @pytest.mark.parametrize("board", ["U_1", "mcu"])
 def test_lost_connection_is_the_only_end_of_the_printer(start, board):
     # Half a second before the nozzle is on the bed, or the probe sees it
@@ -678,7 +688,7 @@ def test_smart_effector(start, n):
     check_calibration(printer, n)
 
 
-@pytest.mark.each_host
+@pytest.mark.every_host
 def test_smart_effector_that_homes_to_something_else(host, start):
     # Some hosts ask for position_endstop, and home Z to that; others refuse
     probe = dict(SCENES["qidi"].sections["probe"])
@@ -709,14 +719,14 @@ def test_smart_effector_that_homes_to_something_else(host, start):
     assert true_gap(printer) == pytest.approx(gap, abs=STEPS)
 
 
-def test_same_pin_as_the_smart_effector_is_refused(some_host):
+def test_same_pin_as_the_smart_effector_is_refused(host):
     probe = dict(SCENES["qidi"].sections["probe"])
     changes = {
         "probe": None,
         "smart_effector": {**probe, "recovery_time": "0"},
         **section(pin="PF0"),
     }
-    message = refusal(some_host, changes, "qidi")
+    message = refusal(host, changes, "qidi")
     assert "is the pin of section 'smart_effector'" in message
 
 

@@ -8,9 +8,13 @@ import pytest
 
 from simprinter import SCENES
 from tools.kit.auto_z_offset import PROBE_PLACE, true_gap, world
+from tools.kit.cases import slow
 from tools.kit.load_errors import load
 from tools.kit.printer import Printer
 from tools.kit.z_calibration import BED, MICROSTEP, TRIGGER, calibration
+
+# Hosts correct other heights with it
+pytestmark = pytest.mark.every_host
 
 # Both measurements of auto_z_offset have their heights there, and 0.15 mm
 MEASURED = PROBE_PLACE
@@ -39,8 +43,7 @@ def compensation(host, scene, start_x, end_x, *heights):
     raise AssertionError(f"{host.name} takes no [axis_twist_compensation]")
 
 
-@pytest.mark.some
-@pytest.mark.parametrize("home", [MEASURED, FAR])
+@pytest.mark.parametrize("home", [slow(MEASURED), FAR])
 def test_corrected_probe_on_a_twisted_axis(host, home):
     inductive = SCENES["qidi"].world.inductive
     scene = world(inductive=replace(inductive, twist=-TWIST))

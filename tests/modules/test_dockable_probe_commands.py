@@ -21,8 +21,6 @@ from tools.kit.dockable_probe import (
 )
 from tools.kit.z_calibration import with_moves
 
-pytestmark = pytest.mark.spread
-
 SCENES = pytest.mark.parametrize(
     "scene", [GANTRY, SWITCH, SENSED, FRAME, BED], ids=lambda scene: scene.name
 )
@@ -36,7 +34,7 @@ def moves(printer, script):
     return [tuple(end) for end in printer.status("moves")["ends"][before:]]
 
 
-@pytest.mark.each_host
+@pytest.mark.every_host
 def test_everything_that_probes(start):
     printer = start(GANTRY, section(**QUICK)).homed()
     for command in (
@@ -60,7 +58,7 @@ def test_everything_that_probes(start):
     assert printer.machine.truth.min_gap == pytest.approx(HANG, abs=0.02)
 
 
-@pytest.mark.each_host
+@pytest.mark.every_host
 def test_offsets_are_calibrated_as_with_any_probe(start):
     printer = start(GANTRY, section(**QUICK)).homed()
     printer.run("PROBE_CALIBRATE\nTESTZ Z=-1\nACCEPT")
@@ -95,7 +93,6 @@ def test_bed_on_three_screws_is_levelled(start):
     assert printer.machine.truth.min_gap > HANG - 2.5
 
 
-@pytest.mark.some
 @SCENES
 def test_home_and_mesh(start, scene):
     printer = start(scene, section(**QUICK)).homed()
@@ -106,7 +103,6 @@ def test_home_and_mesh(start, scene):
     assert printer.run("GET_PROBE_STATUS")[0].endswith("Probe Status: DOCKED")
 
 
-@pytest.mark.some
 @SCENES
 def test_attached_until_it_is_detached(start, scene):
     printer = start(scene, section(**QUICK)).homed()

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import pytest
 
-from tools.kit.corpus import WHOLE
+from tools.kit.cases import all_slow_but
 from tools.kit.dockable_probe import GANTRY, refusal, trips, where
 from tools.kit.dockable_probe_corpus import (
     BROKEN,
@@ -12,8 +12,6 @@ from tools.kit.dockable_probe_corpus import (
     scene_of,
     section_of,
 )
-
-pytestmark = pytest.mark.spread
 
 GOOD = [i for i in range(len(ENTRIES)) if i not in BROKEN]
 
@@ -23,8 +21,8 @@ def test_all_of_them():
     assert len(GOOD) == 25
 
 
-@pytest.mark.some
-@pytest.mark.parametrize("index", GOOD if WHOLE else GOOD[::8])
+# A dock at a height, old names and angles, three points of the way
+@pytest.mark.parametrize("index", all_slow_but((0, 5, 17), GOOD))
 def test_home_and_mesh(start, index):
     printer = start(scene_of(index)).homed()
     assert where(printer) in ("docked", "attached")
@@ -38,7 +36,7 @@ def test_home_and_mesh(start, index):
 
 
 @pytest.mark.parametrize("index", sorted(BROKEN))
-def test_broken_one_says_why(some_host, index):
+def test_broken_one_says_why(host, index):
     options = section_of(ENTRIES[index], index)
     changes = {
         "dockable_probe": {
@@ -49,4 +47,4 @@ def test_broken_one_says_why(some_host, index):
     }
     if "probe" in (ENTRIES[index].get("context") or {}):
         changes["probe"] = {"pin": "PF0", "z_offset": "1"}
-    assert BROKEN[index] in refusal(some_host, changes)
+    assert BROKEN[index] in refusal(host, changes)

@@ -63,7 +63,6 @@ def test_each_example_has_a_machine():
     assert {path.stem for path in EXAMPLES.glob("*.cfg")} == set(MACHINES)
 
 
-@pytest.mark.spread
 @pytest.mark.parametrize("name", MACHINES)
 def test_print_start(start, name):
     printer = start(machine_of(name))

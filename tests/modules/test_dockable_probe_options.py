@@ -33,8 +33,6 @@ ROWS = pytest.mark.parametrize(
     ids=lambda row: row.name,
 )
 
-pytestmark = pytest.mark.spread
-
 DOCK = (50.0, 308.0)
 APPROACH = (50.0, 270.0)
 DETACH = (90.0, 308.0)
@@ -84,18 +82,18 @@ WITH_ALL = {
 
 
 @ROWS
-def test_nonsense_is_refused_by_the_name_of_the_option(some_host: Host, row):
+def test_nonsense_is_refused_by_the_name_of_the_option(host: Host, row):
     others = WITH_ALL if row in SETTINGS.OLD_POSITIONS else {}
     for value in nonsense(row):
-        message = refusal(some_host, section(**{**others, row.name: value}))
+        message = refusal(host, section(**{**others, row.name: value}))
         assert row.name in message, (value, message)
         # The host says 'dockable_probe:option' of a template.
         assert "'dockable_probe" in message, (value, message)
 
 
 @ROWS
-def test_missing_option_is_told_or_has_a_default(some_host: Host, row):
-    state, message = load(some_host, section(**{row.name: None}), SENSED)
+def test_missing_option_is_told_or_has_a_default(host: Host, row):
+    state, message = load(host, section(**{row.name: None}), SENSED)
     if row.default is REQUIRED:
         words = f"Option '{row.name}' in section 'dockable_probe' must be"
         assert words in message
@@ -176,12 +174,12 @@ def test_missing_option_is_told_or_has_a_default(some_host: Host, row):
         ({"no_such_option": "1"}, "no_such_option"),
     ],
 )
-def test_wrong_option(some_host: Host, changes, words):
-    assert words in refusal(some_host, section(**changes))
+def test_wrong_option(host: Host, changes, words):
+    assert words in refusal(host, section(**changes))
 
 
-def test_two_probes(some_host: Host):
-    message = refusal(some_host, {"probe": {"pin": "PF0", "z_offset": "1"}})
+def test_two_probes(host: Host):
+    message = refusal(host, {"probe": {"pin": "PF0", "z_offset": "1"}})
     assert "probe" in message
 
 
@@ -462,7 +460,7 @@ def test_dock_where_the_mesh_is(start):
     assert "dock_position (150, 150) lies where the head goes" in lines
 
 
-@pytest.mark.each_host
+@pytest.mark.every_host
 def test_first_result_is_dropped_where_the_host_can(start):
     printer = start(
         SWITCH, section(drop_first_result="True", samples="2")

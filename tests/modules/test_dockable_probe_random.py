@@ -7,7 +7,6 @@ unit/test_dockable_probe_geometry.py.
 from __future__ import annotations
 
 import math
-import os
 from dataclasses import replace
 
 import pytest
@@ -16,6 +15,7 @@ from hypothesis import strategies as st
 
 from simprinter.hosts.session import GcodeError
 from simprinter.world import DockSpec
+from tools.kit.cases import slow
 from tools.kit.dockable_probe import GANTRY, QUICK, trips, where
 from tools.kit.printer import Printer
 
@@ -23,7 +23,6 @@ from tools.kit.printer import Printer
 X, Y = (0.0, 300.0), (0.0, 310.0)
 # Where X and Y are homed, and the way there
 CORNER = (300.0, 310.0)
-EXAMPLES = 60 if os.environ.get("EVERY_HOST") else 6
 
 coordinate = st.integers(0, 300)
 point = st.tuples(coordinate, coordinate)
@@ -80,22 +79,29 @@ def docks(draw):
 
 
 @pytest.mark.timeout(300)
-@settings(
-    max_examples=EXAMPLES,
-    # Shrinking takes minutes
-    phases=[Phase.explicit, Phase.generate],
-    derandomize=True,
-    database=None,
-    suppress_health_check=[
-        HealthCheck.function_scoped_fixture,
-        HealthCheck.filter_too_much,
-        HealthCheck.too_slow,
-    ],
-)
-@given(scene=docks(), places=st.lists(point, min_size=3, max_size=3))
-def test_dock_anywhere(some_host, scene, places):
+@pytest.mark.parametrize("count", [6, slow(60)])
+def test_dock_anywhere(host, count):
+    @settings(
+        max_examples=count,
+        # Shrinking takes minutes
+        phases=[Phase.explicit, Phase.generate],
+        derandomize=True,
+        database=None,
+        suppress_health_check=[
+            HealthCheck.filter_too_much,
+            HealthCheck.too_slow,
+        ],
+    )
+    @given(scene=docks(), places=st.lists(point, min_size=3, max_size=3))
+    def draw(scene, places):
+        fetch_touch_and_dock(host, scene, places)
+
+    draw()
+
+
+def fetch_touch_and_dock(host, scene, places):
     # Leaving the printer looks for what was hit
-    with Printer(some_host, scene) as printer:
+    with Printer(host, scene) as printer:
         try:
             printer.homed()
             run(printer, places)

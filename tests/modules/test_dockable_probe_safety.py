@@ -9,6 +9,7 @@ import pytest
 from simprinter import Fault
 from simprinter.docks import DOCK_SCENES
 from simprinter.hosts.session import GcodeError
+from tools.kit.cases import slow
 from tools.kit.dockable_probe import (
     BED,
     CLEAR,
@@ -25,8 +26,6 @@ from tools.kit.dockable_probe import (
     trips,
     where,
 )
-
-pytestmark = pytest.mark.spread
 
 MESH = "BED_MESH_CALIBRATE PROBE_COUNT=3,3"
 EXTRACT = (50.0, 270.0)
@@ -107,8 +106,7 @@ def test_reading_that_was_not_seen_to_change_again(start):
 # Each n-th attempt fails
 
 
-@pytest.mark.some
-@pytest.mark.parametrize("n", [1, 2, 3])
+@pytest.mark.parametrize("n", [slow(1), 2, slow(3)])
 @pytest.mark.parametrize("fault", ["attach_fails", "dock_fails"])
 def test_attempt_that_fails_is_tried_again(start, fault, n):
     changes = section(dock_retries="1", **QUICK)
@@ -217,10 +215,10 @@ def test_sense_that_is_stuck_from_the_start(start, signal, level):
 # Lost, or dead, at each touch
 
 
-@pytest.mark.some
-@pytest.mark.parametrize("when", ["touch", "lift"])
-@pytest.mark.parametrize("n", [1, 2, 3, 4, 7])
-@pytest.mark.parametrize("scene", [GANTRY, SENSED], ids=lambda s: s.name)
+# In homing, in PROBE, in the mesh
+@pytest.mark.parametrize("when", ["touch", slow("lift")])
+@pytest.mark.parametrize("n", [1, slow(2), 3, slow(4), 7])
+@pytest.mark.parametrize("scene", [GANTRY, slow(SENSED)], ids=lambda s: s.name)
 def test_probe_lost_at_a_touch(start, scene, n, when):
     fault = Fault("probe_falls", n=n, when=when)
     printer = ready(start(scene, section(samples="2"), faults=[fault]))
@@ -234,7 +232,7 @@ def test_probe_lost_at_a_touch(start, scene, n, when):
     assert "Mesh Bed Leveling Complete" not in printer.session.console
 
 
-@pytest.mark.each_host
+@pytest.mark.every_host
 def test_probe_lost_at_the_last_touch(start):
     # Nothing touches after it: only a look tells that the result is wrong
     printer = start(SWITCH, section(**QUICK)).homed()
@@ -257,8 +255,7 @@ def test_not_back_down_to_nothing(start):
     assert printer.session.position()[2] == pytest.approx(CLEAR)
 
 
-@pytest.mark.some
-@pytest.mark.parametrize("n", [2, 3, 4, 6])
+@pytest.mark.parametrize("n", [2, slow(3), 4, slow(6)])
 @pytest.mark.parametrize("level", ["stuck_open", "stuck_closed"])
 def test_switch_that_dies_at_a_touch(start, n, level):
     fault = Fault(level, signal="probe", n=n)
@@ -374,7 +371,6 @@ def test_sense_pin_tells_before_a_touch(start):
 # Templates that raise
 
 
-@pytest.mark.some
 @pytest.mark.parametrize(
     ("option", "state", "head"),
     [
@@ -476,12 +472,11 @@ def test_emergency_stop_at_a_touch(start):
 
 # Places around the dock, each relative to it; the way to the last one leads
 # through its body
-@pytest.mark.some
 @pytest.mark.parametrize(
-    "scene", [GANTRY, FRAME, BED], ids=lambda scene: scene.name
+    "scene", [GANTRY, FRAME, slow(BED)], ids=lambda scene: scene.name
 )
 @pytest.mark.parametrize(
-    ("right", "back"), [(-30, -8), (35, -18), (0, -28), (-2, -16)]
+    ("right", "back"), [slow(-30, -8), (35, -18), slow(0, -28), (-2, -16)]
 )
 def test_from_beside_the_dock(start, scene, right, back):
     # The crash detector knows its body

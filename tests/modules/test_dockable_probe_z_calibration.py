@@ -10,8 +10,6 @@ from tools.kit.dockable_probe import SWITCH, trips, where
 from tools.kit.printer import FOLDER, module_files
 from tools.kit.z_calibration import calibration
 
-pytestmark = pytest.mark.spread
-
 SCENE = calibrating(SWITCH)
 # What the scene's [z_calibration] says of the switch, and what is so
 GAP = 0.485 - 0.44
@@ -55,8 +53,8 @@ def test_calibrate_z(start, changes):
     assert_calibrated(start(SCENE, changes).homed())
 
 
-@pytest.mark.some
-@pytest.mark.each_host
+# Of which only Kalico has one
+@pytest.mark.every_host
 @WAYS
 def test_calibrate_z_with_the_one_that_the_host_has(start, host, changes):
     if not host.layout.module_dir.endswith("plugins"):

@@ -8,6 +8,7 @@ import pytest
 
 from simprinter import SCENES, heated
 from simprinter.world import AxisSwitchSpec, NoiseSpec
+from tools.kit.cases import slow
 from tools.kit.dialogs import dialogs_of
 from tools.kit.extra_probe import (
     ABORT,
@@ -29,8 +30,6 @@ from tools.kit.extra_probe import (
 )
 from tools.kit.printer import has_kinematics
 from tools.kit.z_calibration import refusal, with_moves
-
-pytestmark = pytest.mark.spread
 
 SCENE_NAMES = ["membrane", "membrane_and_probe"]
 BEDS = {"membrane": BED, "membrane_and_probe": PROBE_BED}
@@ -60,8 +59,7 @@ def homed_at(height):
 # The gap
 
 
-@pytest.mark.some
-@pytest.mark.each_host
+@pytest.mark.every_host
 @pytest.mark.parametrize("scene", [*SCENE_NAMES, "membrane_two_boards"])
 def test_gap_is_right_afterwards(start, scene):
     printer = start(scene).homed()
@@ -83,12 +81,11 @@ def bed_of(printer):
     return printer.status(NAME)["last_offset"]
 
 
-@pytest.mark.some
 # Below the bed, above it but below the membrane, above the membrane
-@pytest.mark.parametrize("height", [-0.45, 0.15, 0.9])
+@pytest.mark.parametrize("height", [-0.45, slow(0.15), 0.9])
 @pytest.mark.parametrize(
     ("thickness", "real", "press"),
-    [("0.25", 0.3, 0.05), ("0.3", 0.3, 0.0), ("1.0", 1.2, 0.2)],
+    [slow("0.25", 0.3, 0.05), slow("0.3", 0.3, 0.0), ("1.0", 1.2, 0.2)],
 )
 def test_wherever_the_nozzle_is_homed(start, height, thickness, real, press):
     spec = membrane(thickness=real, press=press).world.membrane
@@ -293,25 +290,24 @@ FLOOR_LINE = "Without a trigger the nozzle stops at z={:.3f}."
 UNSAVED = "No calibration was saved yet, so that may be in the bed"
 
 
-@pytest.mark.some
 @pytest.mark.parametrize(
     ("own", "params", "floor", "is_told"),
     [
         ({}, "", -1.0, True),
-        ({"position_min": "-0.3"}, "", -0.3, False),
+        slow({"position_min": "-0.3"}, "", -0.3, False),
         ({"position_min": "-0.3"}, " FLOOR=0.2", 0.2, False),
-        ({}, " FLOOR=-2", -2.0, False),
+        slow({}, " FLOOR=-2", -2.0, False),
         # The axis ends at -3
         ({}, " FLOOR=-4", -3.0, False),
         # Saved: half of 0.25 mm, or of 1 mm
-        ({"saved_homing_z": "0"}, "", 0.125, False),
+        slow({"saved_homing_z": "0"}, "", 0.125, False),
         ({"saved_homing_z": "0.12"}, "", 0.125, False),
         ({"saved_homing_z": "0", "z_offset": "1"}, "", 0.5, False),
-        ({"saved_homing_z": "0"}, " FLOOR=-1", -1.0, False),
+        slow({"saved_homing_z": "0"}, " FLOOR=-1", -1.0, False),
         ({"saved_homing_z": "0", "position_min": "-0.7"}, "", -0.7, False),
         # Something else was done to position_endstop since
         ({"saved_homing_z": "0.13"}, "", -1.0, True),
-        ({"saved_homing_z": "-2"}, "", -1.0, True),
+        slow({"saved_homing_z": "-2"}, "", -1.0, True),
     ],
 )
 def test_floor(start, own, params, floor, is_told):
@@ -503,19 +499,18 @@ def test_status_of_the_last_calibration(start):
 # The nozzle's temperature
 
 
-@pytest.mark.some
 @pytest.mark.parametrize(
     ("own", "celsius", "outcome"),
     [
         ({}, 55, ""),
         ({}, 65, "warning"),
-        ({}, 115, "warning"),
-        ({}, 125, "120 C; let it cool down"),
+        slow({}, 115, "warning"),
+        slow({}, 125, "120 C; let it cool down"),
         ({"max_temperature": "100"}, 105, "100 C; let it cool down"),
-        ({"max_temperature": "200"}, 150, "warning"),
+        slow({"max_temperature": "200"}, 150, "warning"),
     ],
 )
-@pytest.mark.parametrize("wait", [True, False])
+@pytest.mark.parametrize("wait", [slow(True), False])
 def test_temperature(start, own, celsius, outcome, wait):
     printer = start(heated(SCENES["membrane"]), changes=section(**own)).homed()
     printer.run(f"M{109 if wait else 104} S{celsius}")
@@ -565,7 +560,7 @@ def as_probe(**own):
     }
 
 
-@pytest.mark.each_host
+@pytest.mark.every_host
 @pytest.mark.parametrize("save", [False, True])
 def test_membrane_that_is_the_probe(start, save):
     printer = start("membrane", changes=as_probe()).homed()

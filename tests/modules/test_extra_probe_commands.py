@@ -9,6 +9,7 @@ import pytest
 
 from simprinter import SCENES, Fault
 from simprinter.world import NoiseSpec
+from tools.kit.cases import slow
 from tools.kit.extra_probe import (
     BED,
     CALIBRATE,
@@ -24,8 +25,6 @@ from tools.kit.extra_probe import (
 from tools.kit.load_errors import load
 from tools.kit.printer import Printer, has_kinematics, module_files
 from tools.kit.z_calibration import refusal, with_moves
-
-pytestmark = pytest.mark.spread
 
 ABOVE = "G90\nG1 Z5 F900\nG1 X30 Y20 F6000"
 PROBE = f"{ABOVE}\nEXTRA_PROBE PROBE=membrane"
@@ -386,9 +385,8 @@ def test_deactivation_after_a_failed_touch(start, each):
     assert noted(printer.session.console) == ["on", "off"]
 
 
-@pytest.mark.some
 @pytest.mark.parametrize("option", ["activate_gcode", "deactivate_gcode"])
-@pytest.mark.parametrize("each", ["true", "false"])
+@pytest.mark.parametrize("each", ["true", slow("false")])
 def test_template_that_moves_or_fails(start, option, each):
     for code, words in (
         ("G91\n  G1 Z0.5\n  G90", f"the head moved in {option}"),
@@ -483,7 +481,7 @@ def test_status_beside_a_probe_or_none(start, scene, z_offset):
     }
 
 
-def test_status_before_klippy_is_ready(some_host, tmp_path):
+def test_status_before_klippy_is_ready(host, tmp_path):
     # And beside a probe that has no offsets
     source = tmp_path / "odd.py"
     source.write_text(
@@ -501,7 +499,7 @@ def test_status_before_klippy_is_ready(some_host, tmp_path):
     )
     changes = {"odd": {}}
     modules = {**with_moves(), "odd": source}
-    with Printer(some_host, "membrane", changes, modules=modules) as printer:
+    with Printer(host, "membrane", changes, modules=modules) as printer:
         printer.session.require_ready()
         assert printer.status(NAME)["default_probe_z_offset"] == 0.0
 

@@ -65,7 +65,6 @@ def use(printer, name):
     return lines + printer.run(CONTINUE)
 
 
-@pytest.mark.spread
 @pytest.mark.parametrize("name", OWNERS)
 def test_example_ends_with_the_bed_at_zero(start, name):
     _, section, option, wanted = OWNERS[name]
@@ -85,9 +84,7 @@ def test_example_ends_with_the_bed_at_zero(start, name):
     assert true_gap(printer) == pytest.approx(0.0, abs=2 * MICROSTEP)
 
 
-@pytest.mark.some
 @pytest.mark.parametrize("name", OWNERS)
-@pytest.mark.spread
 def test_example_used_again(start, name):
     # There is nothing left to correct, and the sign would show
     printer = owned(start, name)
@@ -103,7 +100,6 @@ def test_example_used_again(start, name):
 
 
 @pytest.mark.parametrize("name", [n for n in OWNERS if n not in MACROS])
-@pytest.mark.spread
 def test_command_of_an_example_survives_a_dead_membrane(start, name):
     fault = Fault("stuck_open", signal="membrane")
     printer = owned(start, name, faults=[fault])

@@ -10,6 +10,7 @@ import pytest
 from simprinter import SCENES, Fault
 from simprinter.hosts.session import GcodeError
 from simprinter.world import AxisSwitchSpec, NoiseSpec
+from tools.kit.cases import slow
 from tools.kit.dialogs import dialogs_of
 from tools.kit.extra_probe import (
     ABORT,
@@ -28,8 +29,6 @@ from tools.kit.extra_probe import (
     true_gap,
 )
 from tools.kit.printer import Printer
-
-pytestmark = pytest.mark.spread
 
 DEEP = 3.0
 
@@ -95,9 +94,8 @@ def test_membrane_that_is_not_there_once_the_bed_is_known(start):
     assert printer.machine.truth.min_gap == pytest.approx(0.125, abs=0.01)
 
 
-@pytest.mark.some
-@pytest.mark.parametrize("n", [1, 2, 3])
-@pytest.mark.parametrize("name", ["stuck_open", "trigger_never"])
+@pytest.mark.parametrize("n", [1, slow(2), 3])
+@pytest.mark.parametrize("name", [slow("stuck_open"), "trigger_never"])
 def test_membrane_that_is_dead(start, name, n):
     fault = Fault(name, signal="membrane", n=n)
     printer = asked(start, faults=[fault])
@@ -189,15 +187,14 @@ def test_outlier_starts_the_series_again(start):
 RAISES = "\n  {action_raise_error('worn out')}"
 
 
-@pytest.mark.some
 @pytest.mark.parametrize("option", ["activate_gcode", "deactivate_gcode"])
-@pytest.mark.parametrize("each", ["true", "false"])
+@pytest.mark.parametrize("each", ["true", slow("false")])
 @pytest.mark.parametrize(
     ("code", "words"),
     [
-        (RAISES, "worn out"),
+        slow(RAISES, "worn out"),
         ("\n  G91\n  G1 Z-0.5\n  G90", "the head moved in "),
-        ("\n  {1 / 0}", "division by zero"),
+        slow("\n  {1 / 0}", "division by zero"),
         ("\n  M84", "not homed|the motors were turned off"),
         ("\n  EXTRA_PROBE PROBE=membrane", "a measurement is under way"),
         ("\n  SET_GCODE_OFFSET Z=1{action_raise_error('so')}", "so"),
@@ -297,8 +294,7 @@ SHIFT = {
 }
 
 
-@pytest.mark.some
-@pytest.mark.parametrize("after_touch", [False, True])
+@pytest.mark.parametrize("after_touch", [slow(False), True])
 @pytest.mark.parametrize(
     ("script", "words"),
     [
@@ -493,8 +489,7 @@ def test_something_high_on_the_bed(start):
 # The end of the printer
 
 
-@pytest.mark.some
-@pytest.mark.parametrize("after", [0.0, 0.2, 1.0, 3.0])
+@pytest.mark.parametrize("after", [slow(0.0), 0.2, slow(1.0), 3.0])
 def test_emergency_stop(start, after):
     printer = asked(start)
     text = printer.stopped(CONTINUE, "nozzle_membrane", after)
@@ -523,8 +518,8 @@ def test_emergency_stop_while_somebody_is_asked(start):
     assert printer.offset() == 0.0
 
 
-def test_board_of_the_membrane_that_falls_silent(some_host):
-    with Printer(some_host, "membrane_two_boards") as printer:
+def test_board_of_the_membrane_that_falls_silent(host):
+    with Printer(host, "membrane_two_boards") as printer:
         printer.homed().run(CALIBRATE)
         printer.machine.lay_membrane()
         now = printer.machine.rig.seconds(

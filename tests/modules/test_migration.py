@@ -11,8 +11,6 @@ from simprinter import SCENES
 from tests.modules.example_owners import OWNERS
 from tools.kit.auto_z_offset import MICROSTEP, POINT, told
 
-pytestmark = pytest.mark.spread
-
 DOCS = Path(__file__).resolve().parents[2] / "docs"
 
 # As the file of Klicky has it: names of 2021, the probe attached late, and a

@@ -52,7 +52,6 @@ def settings(document: Path) -> str:
     return "\n".join(blocks(part(text, t), "ini")[0] for t in titles)
 
 
-@pytest.mark.spread
 @pytest.mark.parametrize("document", SETUP, ids=lambda path: path.name)
 def test_shortest_way_ends_at_the_right_height(start, tmp_path, document):
     owner = OWNERS["voron24_klicky"]
@@ -68,7 +67,6 @@ def test_shortest_way_ends_at_the_right_height(start, tmp_path, document):
     assert_ready_to_print(printer, owner)
 
 
-@pytest.mark.spread
 def test_section_of_the_readme_is_enough_to_begin(start, tmp_path):
     text = README.read_text(encoding="utf-8")
     file = tmp_path / "mine.cfg"
@@ -90,7 +88,6 @@ def typed(title: str) -> list[str]:
     return [re.sub(r"(?m)^   ", "", lines).strip() for lines in found]
 
 
-@pytest.mark.spread
 def test_first_run_and_a_position_found_by_hand(start, tmp_path):
     owner = OWNERS["voron24_klicky"]
     document = ROOT / "docs" / "z_calibration.md"
@@ -190,12 +187,14 @@ ADDED = {
     "make printer": " --dry-run",
     # The same with more hosts is below
     "make test": " --dry-run",
+    "make test-all": " --dry-run",
     "KLIPPER_PATH=~/klipper:~/kalico make test": " PYTEST_ARGS=--version",
     "build/venv/bin/python -m tools.demo --help": "",
 }
 EXPECTED = {
     "make printer": r"-m tools\.playground",
-    "make test": r"-m pytest -n \d",
+    "make test": r"-m pytest --cases test -n \d",
+    "make test-all": r"-m pytest --cases all -n \d",
     "KLIPPER_PATH=~/klipper:~/kalico make test": r"klipper@klipper.*\nkalico@",
     "build/venv/bin/python -m tools.demo --help": r"--scene",
 }

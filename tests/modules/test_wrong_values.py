@@ -6,7 +6,7 @@ tests/docs holds against the modules.
 
 from __future__ import annotations
 
-import os
+import math
 from pathlib import Path
 from typing import NamedTuple
 
@@ -19,6 +19,7 @@ from tests.docs.documents import (
     part,
     samples_of,
 )
+from tools.kit.cases import slow
 from tools.kit.extra_probe import NAME
 from tools.kit.load_errors import load
 from tools.kit.z_calibration import refusal
@@ -75,11 +76,23 @@ def nonsense(case: Case) -> list[str]:
     return list(dict.fromkeys([*TEXTS, *refused]))
 
 
-def some_of(case: Case) -> list[str]:
-    """Every third one, by turns; EVERY_HOST=1: all."""
-    if os.environ.get("EVERY_HOST"):
-        return nonsense(case)
-    return nonsense(case)[CASES.index(case) % 3 :: 3]
+def telling(case: Case) -> list[str]:
+    """What only this option's own limits refuse, or else the first of all."""
+    limits = [text for text in nonsense(case) if is_number(text)]
+    return limits or nonsense(case)[:1]
+
+
+def others(case: Case) -> list[str]:
+    """The rest of it, which the reading of each kind of value refuses."""
+    return [text for text in nonsense(case) if text not in telling(case)]
+
+
+def is_number(text: str) -> bool:
+    """Whether it is a finite one."""
+    try:
+        return math.isfinite(float(text))
+    except ValueError:
+        return False
 
 
 def message_of(host, case, value):
@@ -100,26 +113,26 @@ def message_of(host, case, value):
         ) from None
 
 
-@pytest.mark.spread
 @pytest.mark.parametrize(
     "case", CASES, ids=lambda c: f"{c.module}-{c.option.name}"
 )
-def test_nonsense_is_a_configuration_error(host, case):
+@pytest.mark.parametrize("texts", [telling, slow(others)])
+def test_nonsense_is_a_configuration_error(host, case, texts):
     name, module = case.option.name, case.module
-    for value in some_of(case):
+    for value in texts(case):
         message = message_of(host, case, value)
         assert name in message, (value, message)
         # The host says 'module:option' of a template
         assert f"'{module}" in message, (value, message)
 
 
-@pytest.mark.some(3)
+@pytest.mark.slow
 @pytest.mark.parametrize(
     "case", CASES, ids=lambda c: f"{c.module}-{c.option.name}"
 )
-def test_what_is_missing_is_told_or_has_a_default(some_host, case):
+def test_what_is_missing_is_told_or_has_a_default(host, case):
     state, message = load(
-        some_host,
+        host,
         {case.section: {case.option.name: None}},
         SCENES[case.module],
     )

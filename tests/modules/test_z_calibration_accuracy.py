@@ -11,12 +11,11 @@ import pytest
 
 from simprinter import SCENES, Fault
 from simprinter.world import DriftSpec, NoiseSpec, OozeSpec
+from tools.kit.cases import all_slow_but
 from tools.kit.z_calibration import (
     section,
     touched_sites,
 )
-
-pytestmark = pytest.mark.spread
 
 MIDDLING = 0.002
 WORN = 0.015
@@ -54,8 +53,9 @@ CAUSES = {
 }
 
 
-@pytest.mark.some(5)
-@pytest.mark.parametrize("name", CAUSES)
+@pytest.mark.parametrize(
+    "name", all_slow_but(["nothing", "ooze", "loose probe"], CAUSES)
+)
 def test_each_cause_is_told(start, name):
     cause = CAUSES[name]
     printer = start(cartesian(**cause.scene)).homed()
@@ -66,7 +66,6 @@ def test_each_cause_is_told(start, name):
     assert cause.words in lines[-1]
 
 
-@pytest.mark.quick
 def test_whole_cycles_are_measured_and_nothing_is_applied(start):
     printer = start(cartesian()).homed()
     printer.run("SET_GCODE_OFFSET Z=0.123 MOVE=0")

@@ -20,8 +20,6 @@ from tools.kit.z_calibration import (
     with_dead_pin,
 )
 
-pytestmark = pytest.mark.spread
-
 # Behind the bed, where the probe has nothing to stand on
 BESIDE = "G1 Z20 F900\nG1 X20 Y305 F6000\nG1 Z5 F900"
 
@@ -192,7 +190,6 @@ def noisy():
     return scene.with_world(pin=replace(scene.world.pin, noise=noise))
 
 
-@pytest.mark.quick
 def test_accuracy_figures_are_those_of_the_touches(start):
     printer = start(noisy(), seed=3).homed()
     lines = printer.run("PROBE_Z_ACCURACY SAMPLES=6")
@@ -268,7 +265,6 @@ def test_accuracy_needs_homed_axes_and_an_absent_probe(start):
     assert touched_sites(printer, before) == []
 
 
-@pytest.mark.quick
 def test_accuracy_has_a_floor_and_lifts(start):
     printer = with_dead_pin(start, 5)
     text = printer.fail("PROBE_Z_ACCURACY")
@@ -280,7 +276,6 @@ def test_accuracy_has_a_floor_and_lifts(start):
 # CALCULATE_SWITCH_OFFSET
 
 
-@pytest.mark.quick
 def test_new_switch_offset_gives_the_gap_that_was_wanted(start):
     # 0.06 mm are between nozzle and bed at Z=0; 0.1 is wanted
     printer = start().homed()
@@ -342,7 +337,6 @@ def test_new_switch_offset_needs_a_calibration_that_holds(
     assert printer.status("configfile")["save_config_pending"] is False
 
 
-@pytest.mark.quick
 def test_switch_offset_cannot_become_negative(start):
     printer = start().homed()
     calibration(printer)

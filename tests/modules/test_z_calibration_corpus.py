@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import pytest
 
-from tools.kit.corpus import WHOLE, each, load
+from tools.kit.corpus import each, load
 from tools.kit.printer import Printer
 from tools.kit.z_calibration import MICROSTEP, refusal
 from tools.kit.z_calibration_corpus import (
@@ -14,7 +14,6 @@ from tools.kit.z_calibration_corpus import (
     probe_of,
 )
 
-pytestmark = [] if WHOLE else pytest.mark.spread
 ENTRIES = load("z_calibration")
 
 # How far a probe's body may hang, beside the usual (mm)
@@ -66,20 +65,21 @@ def check_calibration(host, machine):
     assert gap == pytest.approx(machine.gap, abs=2 * MICROSTEP)
 
 
-@each(WORKING, 24)
+# Beacon and z_tilt, old names of all options, nearly every other option
+@each(WORKING, (15, 21, 44))
 def test_entry_calibrates(entry, host):
     check_calibration(host, build(entry, host))
 
 
-@pytest.mark.some(4)
-@each([entry for entry in WORKING if "z_offset" in probe_of(entry)], 6)
+# A z_offset of 0, one that fits, one that is much too long
+@each([n for n in WORKING if "z_offset" in probe_of(n)], (21, 41, 115))
 def test_z_offset_need_not_be_right(entry, host):
     z_offset = float(probe_of(entry)["z_offset"])
     body = max(OTHER_BODIES, key=lambda body: abs(body - z_offset))
     check_calibration(host, build(entry, host, body))
 
 
-@each([entry for entry in WORKING if homes_with_probe(entry)], 6)
+@each([entry for entry in WORKING if homes_with_probe(entry)], (15, 83))
 def test_probe_as_z_endstop_is_refused(entry, host):
     machine = build(entry, host).with_virtual_endstop()
     message = refusal(host, {}, machine.scene)
@@ -89,7 +89,7 @@ def test_probe_as_z_endstop_is_refused(entry, host):
     assert "endstop_pin in section 'z_calibration'" in message
 
 
-@each([entry for entry in ENTRIES if entry.index in BROKEN])
+@each([entry for entry in ENTRIES if entry.index in BROKEN], BROKEN)
 def test_broken_entry_is_refused(entry, host):
     message = refusal(host, {}, build(entry, host).scene)
     # The documentation's text stands in all of the last one's options

@@ -16,8 +16,6 @@ from tools.kit.z_calibration import (
     touched_sites,
 )
 
-pytestmark = pytest.mark.spread
-
 SAVE = "Z_CALIBRATION_SAVE_GCODE_OFFSET"
 ENDSTOP, PROBE = "Z_OFFSET_APPLY_ENDSTOP", "Z_OFFSET_APPLY_PROBE"
 RAISE = "SET_GCODE_OFFSET Z_ADJUST=0.02 MOVE=1"
@@ -30,7 +28,6 @@ def pending(printer):
     return printer.status("configfile")["save_config_pending_items"]
 
 
-@pytest.mark.quick
 def test_baby_steps_are_there_again_in_the_next_run(start):
     printer = start().homed()
     calibration(printer)

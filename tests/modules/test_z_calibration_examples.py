@@ -35,7 +35,6 @@ from tests.modules.example_owners import (
 from tools.kit.printer import Printer
 from tools.kit.z_calibration import MICROSTEP, touched_sites
 
-pytestmark = pytest.mark.spread
 ROOT = Path(__file__).resolve().parents[2]
 EXAMPLES = ROOT / "examples" / "z_calibration"
 DOCUMENT = (ROOT / "docs" / "z_calibration.md").read_text(encoding="utf-8")
@@ -128,11 +127,11 @@ def test_print_start_ends_at_the_right_height(start, name):
     assert_ready_to_print(printer, owner)
 
 
-def test_next_print_starts_as_well(some_host):
+def test_next_print_starts_as_well(host):
     # The offset of the first one, a large one, would miss the dock
     owner = OWNERS["euclid"]
     changes = included(EXAMPLES / "euclid.cfg")
-    with Printer(some_host, owner.scene, changes) as printer:
+    with Printer(host, owner.scene, changes) as printer:
         print_start(printer)
         printer.run("SET_GCODE_OFFSET Z_ADJUST=6 MOVE=1")
         print_start(printer)
@@ -224,7 +223,6 @@ def told(printer: Printer) -> str:
     return str(caught.value)
 
 
-@pytest.mark.some
 @pytest.mark.parametrize(
     ("name", "old", "new", "message"),
     [
@@ -258,14 +256,12 @@ def told(printer: Printer) -> str:
         ),
     ],
 )
-def test_mistake_of_an_owner_is_told(
-    some_host, tmp_path, name, old, new, message
-):
+def test_mistake_of_an_owner_is_told(host, tmp_path, name, old, new, message):
     owner, text = OWNERS[name], text_of(name)
     assert text.count(old) == 1
     path = tmp_path / f"{name}.cfg"
     path.write_text(text.replace(old, new), encoding="utf-8")
-    with Printer(some_host, owner.scene, included(path)) as printer:
+    with Printer(host, owner.scene, included(path)) as printer:
         assert message in told(printer)
 
 
@@ -276,12 +272,12 @@ def test_mistake_of_an_owner_is_told(
         ("dock_fails", "Probe deployed, not stowed"),
     ],
 )
-def test_euclid_macros_look_at_the_probe(some_host, fault, message):
+def test_euclid_macros_look_at_the_probe(host, fault, message):
     owner = OWNERS["euclid"]
     changes = included(EXAMPLES / "euclid.cfg")
     for number in (1, 2):
         faults = [Fault(fault, n=number)]
-        with Printer(some_host, owner.scene, changes, faults) as printer:
+        with Printer(host, owner.scene, changes, faults) as printer:
             assert message in told(printer)
 
 

@@ -19,8 +19,6 @@ from tools.kit.z_calibration import (
     section,
 )
 
-pytestmark = pytest.mark.spread
-
 WORTH = re.compile(r"Z-CALIBRATION: --> new offset=(\S+) \+-(\d\.\d{3})$")
 NOZZLE = (206.0, 306.0)
 BRUSH = (120.0, 300.0)
@@ -75,7 +73,6 @@ def with_past(tmp_path):
 # What a run is worth, and its line
 
 
-@pytest.mark.quick
 def test_each_run_says_what_it_is_worth_and_leaves_a_line(start):
     printer = start().homed()
     lines = printer.run("CALIBRATE_Z")

@@ -17,8 +17,6 @@ from tools.kit.z_calibration import (
     with_moves,
 )
 
-pytestmark = pytest.mark.spread
-
 # A z_calibration without an offset of its own would say 0.16 here
 OFFSET = 0.16
 

@@ -8,12 +8,12 @@ from __future__ import annotations
 import functools
 import math
 import re
-from contextlib import ExitStack
 from dataclasses import replace
 
 import pytest
 
 from simprinter import SCENES, Fault
+from tools.kit.cases import slow
 from tools.kit.load_errors import load
 from tools.kit.printer import Printer
 from tools.kit.z_calibration import (
@@ -33,17 +33,6 @@ from tools.kit.z_calibration import (
     with_extra,
     with_moves,
 )
-
-pytestmark = pytest.mark.spread
-
-
-@pytest.fixture
-def start(some_host):
-    """start() of all tests, on one host a test: there are many tables here."""
-    with ExitStack() as stack:
-        yield lambda *args, **options: stack.enter_context(
-            Printer(some_host, *args, **options)
-        )
 
 
 @pytest.fixture
@@ -143,7 +132,7 @@ def test_bed_beside_the_endstop(start):
         # Rows of the mesh go there and back: the sixth is the middle's end
         pytest.param(
             *("relative_reference_index", "5", (40, 140)),
-            marks=pytest.mark.each_host,
+            marks=pytest.mark.every_host,
         ),
     ],
 )
@@ -182,7 +171,6 @@ gcode.register_command("ADAPT", adapt)
         assert place_of("probe_bed", printer, before) == (102, 85.25)
 
 
-@pytest.mark.some
 @pytest.mark.parametrize(
     ("bed", "zero", "is_told"),
     [
@@ -426,8 +414,9 @@ def test_travel_height_clears_a_bed_as_high_as_the_margin(watched):
     assert travel_heights(printer)[-1] == pytest.approx(expected, abs=0.01)
 
 
-@pytest.mark.some
-@pytest.mark.parametrize("z_offset", ["0", "-1.1", "1.49", "2.0", "4.0"])
+@pytest.mark.parametrize(
+    "z_offset", ["0", slow("-1.1"), "1.49", "2.0", slow("4.0")]
+)
 def test_wrong_z_offset_drags_nothing(start, z_offset):
     changes = {"moves": {}, "probe": {"z_offset": z_offset}}
     printer = start(changes=changes, modules=with_moves()).homed()
@@ -440,16 +429,15 @@ def test_wrong_z_offset_drags_nothing(start, z_offset):
     assert max(travel_heights(printer)[:2]) == pytest.approx(high, abs=0.01)
 
 
-@pytest.mark.some
 @pytest.mark.parametrize(
     ("n", "options", "floor"),
     [
         # Two armings belong to G28, one to the way down to each site
-        (4, {}, PIN - 1.0),
+        slow(4, {}, PIN - 1.0),
         (6, {}, PIN - 1.0),
-        (4, {"travel_margin": "0.5"}, PIN - 1.0),
+        slow(4, {"travel_margin": "0.5"}, PIN - 1.0),
         (4, {"travel_margin": "0.5", "offset_margins": "-0.3,0.3"}, PIN - 0.5),
-        (4, {"offset_margins": "-0.3,0.3"}, PIN - 1.0),
+        slow(4, {"offset_margins": "-0.3,0.3"}, PIN - 1.0),
         (4, {"travel_margin": "1.5"}, PIN - 1.5),
         (4, {"offset_margins": "-2,2"}, PIN - 2.0),
         (4, {"position_min": "1.2", "offset_margins": "-2,2"}, 1.2),
@@ -504,12 +492,11 @@ def test_floor_of_the_switch(start, options, floor):
     assert "looking at the bed how long the probe is" in console
 
 
-@pytest.mark.some
 @pytest.mark.parametrize(
     ("options", "below"),
     [({}, 1.0), ({"offset_margins": "-0.4,1"}, 0.4)],
 )
-@pytest.mark.parametrize("n", [2, 3, 4])
+@pytest.mark.parametrize("n", [2, slow(3), slow(4)])
 def test_floor_of_the_bed(start, options, below, n):
     faults = [Fault("trigger_never", signal="probe", n=n)]
     printer = start(changes=section(**options), faults=faults)
@@ -650,9 +637,9 @@ def longer(pin, bed=0.0):
         ),
     ],
 )
-def test_speeds(one_host, changes, more):
-    usual = usual_spans(one_host)
-    changed = spans(one_host, changes)
+def test_speeds(host, changes, more):
+    usual = usual_spans(host)
+    changed = spans(host, changes)
     found = {part: changed[part] - usual[part] for part in more}
     assert found == pytest.approx(more, abs=0.25)
 
@@ -681,12 +668,10 @@ def test_first_fast_touch_is_one_more(start):
     assert sites == ["nozzle_pin"] * 4 + ["body_pin"] * 4 + ["probe_bed"] * 4
 
 
-def test_first_fast_touch_is_fast(some_host):
+def test_first_fast_touch_is_fast(host):
     # From the travel height down to the pin at 8 mm/s
-    slow = spans(
-        some_host, section(probing_first_fast="true", probing_speed="2")
-    )
-    fast = spans(some_host, section(probing_first_fast="true"))
+    slow = spans(host, section(probing_first_fast="true", probing_speed="2"))
+    fast = spans(host, section(probing_first_fast="true"))
     for part, way in (
         ("nozzle to switch", 13.8 - PIN - BODY),
         ("switch to bed", 13.8 - BED - TRIGGER),

@@ -11,6 +11,7 @@ import pytest
 from simprinter import SCENES, Fault, Machine
 from simprinter.hosts.session import run_batch
 from simprinter.world import Pose
+from tools.kit.cases import slow
 from tools.kit.printer import (
     Printer,
     firmware_of,
@@ -37,13 +38,10 @@ from tools.kit.z_calibration import (
     with_extra,
 )
 
-pytestmark = pytest.mark.spread
-
 # The measurement
 
 
-@pytest.mark.quick
-@pytest.mark.each_host
+@pytest.mark.every_host
 @pytest.mark.parametrize("scene", ["voron", "cartesian"])
 def test_gap_is_what_the_formula_predicts(start, scene):
     printer = start(scene).homed()
@@ -52,7 +50,7 @@ def test_gap_is_what_the_formula_predicts(start, scene):
     assert printer.gap() == pytest.approx(predicted, abs=2 * MICROSTEP)
 
 
-@pytest.mark.each_host
+@pytest.mark.every_host
 def test_result_line_and_status_hold_the_heights(start):
     printer = start()
     printer.session.require_ready()
@@ -160,7 +158,7 @@ def test_offset_replaces_an_earlier_one_and_a_second_run_agrees(start):
     assert printer.offset() == pytest.approx(second[-1], abs=1e-6)
 
 
-@pytest.mark.each_host
+@pytest.mark.every_host
 def test_samples_come_from_the_probe(start):
     printer = start(changes={"probe": {"samples": "4"}}).homed()
     _, sites = calibration(printer)
@@ -191,7 +189,7 @@ def test_retries_end(start):
     assert_unharmed(printer)
 
 
-@pytest.mark.each_host
+@pytest.mark.every_host
 def test_bed_is_sampled_with_the_probes_own_settings(start):
     changes = {"probe": {"samples_tolerance_retries": "0"}}
     # Homing and the two other sites arm the endstop, not the probe: its first
@@ -308,7 +306,7 @@ AXIS_OPTIONS = (
 )
 
 
-@pytest.mark.each_host
+@pytest.mark.every_host
 @pytest.mark.parametrize("name", ["z", "lift"])
 def test_axis_of_generic_cartesian(host, name):
     if not has_kinematics(host, SCENES["generic"]):
@@ -389,7 +387,6 @@ def test_templates_run_in_order_and_once(start):
     assert printer.machine.world.probe_state(0.0) == "docked"
 
 
-@pytest.mark.some
 @pytest.mark.parametrize("broken", ["FIRST", "SECOND", "LAST"])
 def test_template_that_fails_ends_the_run(start, broken):
     bodies = {broken: "{ action_raise_error('no luck') }"}
@@ -518,8 +515,7 @@ def test_unhomed_printer_does_not_move(start, homed):
     assert printer.session.state()[0] == "ready"
 
 
-@pytest.mark.quick
-@pytest.mark.each_host
+@pytest.mark.every_host
 def test_probe_that_is_not_attached_never_goes_down(start):
     changes = section(before_switch_gcode=None)
     printer = start("cartesian", changes=changes).homed()
@@ -580,9 +576,9 @@ def test_endstop_that_is_pressed_already_is_not_touched(start):
     assert printer.session.state()[0] == "ready"
 
 
-@pytest.mark.some
 @pytest.mark.parametrize(
-    ("n", "site"), [(3, "nozzle"), (4, "nozzle"), (7, "switch"), (8, "switch")]
+    ("n", "site"),
+    [slow(3, "nozzle"), (4, "nozzle"), (7, "switch"), slow(8, "switch")],
 )
 def test_endstop_that_closes_while_a_touch_begins(start, n, site):
     fault = Fault("stuck_closed", signal="z_endstop", n=n)
@@ -790,7 +786,7 @@ STRANGE = {
 }
 
 
-@pytest.mark.each_host
+@pytest.mark.every_host
 @pytest.mark.parametrize(("code", "words"), STRANGE.values(), ids=STRANGE)
 def test_host_that_is_not_as_expected(host, tmp_path, code, words):
     modules = with_extra(tmp_path, code)
@@ -801,7 +797,7 @@ def test_host_that_is_not_as_expected(host, tmp_path, code, words):
         assert "Internal error" not in message
 
 
-@pytest.mark.each_host
+@pytest.mark.every_host
 def test_heights_are_those_of_the_trigger_not_of_the_halt(start, tmp_path):
     # As with endstop and motors on boards of their own, only more so
     code = """

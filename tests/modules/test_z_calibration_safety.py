@@ -9,6 +9,7 @@ import pytest
 from simprinter import SCENES, Fault
 from simprinter.hosts.session import GcodeError
 from simprinter.world import DriftSpec
+from tools.kit.cases import all_slow_but, slow
 from tools.kit.printer import Printer, has_kinematics
 from tools.kit.z_calibration import (
     BED,
@@ -26,8 +27,6 @@ from tools.kit.z_calibration import (
     with_extra,
 )
 
-pytestmark = pytest.mark.spread
-
 
 def voron(**mag_probe):
     """The voron scene with another probe on it."""
@@ -40,20 +39,19 @@ def voron(**mag_probe):
 # A z_offset that is wrong
 
 
-@pytest.mark.some
 @pytest.mark.parametrize(
     ("body", "z_offset"),
     [
         # Never measured: nothing, less than nothing, the template's
         (6.415, "0"),
-        (6.415, "-1.1"),
-        (5.2, "0.096"),
-        (4.9, "6.9"),
+        slow(6.415, "-1.1"),
+        slow(5.2, "0.096"),
+        slow(4.9, "6.9"),
         # Much too long: the switch is looked for too high up at first
-        (5.2, "9.04"),
+        slow(5.2, "9.04"),
         (5.2, "20"),
         (8.9, "6.42"),
-        (6.415, "2.0"),
+        slow(6.415, "2.0"),
     ],
 )
 def test_wrong_z_offset_does_not_matter(start, body, z_offset):
@@ -317,18 +315,17 @@ def validity(printer):
     return status["valid"], status["reason"]
 
 
-@pytest.mark.some
 @pytest.mark.parametrize(
     ("script", "reason"),
     [
         ("G28 X Y", ""),
-        ("G1 X20 Y20 Z60 F6000\nG1 Z30", ""),
-        ("SET_GCODE_OFFSET Z=0", ""),
+        slow("G1 X20 Y20 Z60 F6000\nG1 Z30", ""),
+        slow("SET_GCODE_OFFSET Z=0", ""),
         ("G1 X150 Y120 Z20 F6000\nPROBE_ACCURACY SAMPLES=20\nG1 Z20", ""),
         ("G28 Z", "Z was homed again"),
-        ("G28", "Z was homed again"),
+        slow("G28", "Z was homed again"),
         ("M84", "the motors were turned off"),
-        ("M84\nG28", "Z was homed again"),
+        slow("M84\nG28", "Z was homed again"),
         ("SHIFT", "Z was homed again or set"),
     ],
 )
@@ -492,19 +489,18 @@ def test_head_is_up_when_the_session_ends(start):
     assert float(stowed[-1].split()[-1]) == pytest.approx(13.8, abs=0.01)
 
 
-@pytest.mark.some
 @pytest.mark.parametrize(
     ("template", "command"),
     [
-        ("start_gcode", "CALIBRATE_Z"),
+        slow("start_gcode", "CALIBRATE_Z"),
         ("end_gcode", "PROBE_Z_ACCURACY"),
         ("error_gcode", "CALIBRATE_Z"),
         ("offset_gcode", "PROBE_Z_ACCURACY"),
     ],
 )
-def test_measurement_inside_a_measurement(some_host, template, command):
+def test_measurement_inside_a_measurement(host, template, command):
     changes = section(**{template: command})
-    with Printer(some_host, changes=changes) as printer:
+    with Printer(host, changes=changes) as printer:
         printer.homed()
         if template == "error_gcode":
             printer.fail("CALIBRATE_Z SWITCH_OFFSET=x")
@@ -547,12 +543,25 @@ CASES = [
 ]
 
 
-@pytest.mark.some(8)
-@pytest.mark.parametrize(("kind", "signal", "n"), CASES)
-def test_single_fault_of_a_sensor(some_host, kind, signal, n):
+# Once at each site in each way, the way down and a sample in turn
+@pytest.mark.parametrize(
+    ("kind", "signal", "n"),
+    all_slow_but(
+        [
+            ("trigger_never", "z_endstop", 4),
+            ("trigger_early", "z_endstop", 8),
+            ("stuck_open", "z_endstop", 7),
+            ("stuck_closed", "z_endstop", 10),
+            ("trigger_early", "probe", 3),
+            ("stuck_closed", "probe", 2),
+        ],
+        CASES,
+    ),
+)
+def test_single_fault_of_a_sensor(host, kind, signal, n):
     options = {"mm": 0.3} if kind == "trigger_early" else {}
     fault = Fault(kind, signal=signal, n=n, **options)
-    with Printer(some_host, faults=[fault]) as printer:
+    with Printer(host, faults=[fault]) as printer:
         # A dead switch is pressed: 1 mm into the pin, and never the nozzle
         # into the bed
         for site in ("nozzle_pin", "body_pin", "body_bed"):
@@ -575,13 +584,12 @@ def test_single_fault_of_a_sensor(some_host, kind, signal, n):
         assert printer.machine.truth.deepest_in_bed() == 0.0
 
 
-@pytest.mark.some
-@pytest.mark.parametrize("k", range(1, 7))
-@pytest.mark.parametrize("when", ["touch", "lift"])
-def test_probe_that_falls_off(some_host, k, when):
+@pytest.mark.parametrize("k", all_slow_but([2, 3, 6], range(1, 7)))
+@pytest.mark.parametrize("when", ["touch", slow("lift")])
+def test_probe_that_falls_off(host, k, when):
     # 3 body touches, then 3 samples on the bed
     fault = Fault("probe_falls", n=k, when=when)
-    with Printer(some_host, faults=[fault]) as printer:
+    with Printer(host, faults=[fault]) as printer:
         for site in ("body_pin", "body_bed"):
             printer.machine.tolerate(site, 1.0 + MICROSTEP)
         text = printer.homed().fail("CALIBRATE_Z")
@@ -618,7 +626,7 @@ def test_emergency_stop_is_told_without_hints(start):
     assert text == "Probing failed due to printer shutdown"
 
 
-@pytest.mark.each_host
+@pytest.mark.every_host
 @pytest.mark.parametrize("site", ["nozzle_pin", "probe_bed"])
 def test_emergency_stop_before_a_touch_hangs_no_host(start, site):
     # Klipper of 2026 waits there for a trigger that never comes, and
@@ -644,15 +652,14 @@ def test_pin_of_its_own_has_no_place_to_fall_back_to(start):
 # Every kind of machine
 
 
-@pytest.mark.some
 @pytest.mark.parametrize(
     "scene",
     [
         "voron_two_boards",
-        "hybrid",
+        slow("hybrid"),
         "corexz",
         # Few hosts have it
-        pytest.param("generic", marks=pytest.mark.each_host),
+        pytest.param("generic", marks=pytest.mark.every_host),
         "separate_pin",
     ],
 )

@@ -18,8 +18,6 @@ from tools.kit.z_calibration import (
     touched_sites,
 )
 
-pytestmark = pytest.mark.spread
-
 # Where the nozzle and the body of the switch are over the pin
 CARTESIAN = {"nozzle": (226.0, 20.0), "switch": (254.0, 14.5)}
 
@@ -33,7 +31,7 @@ def pending(printer):
     return printer.status("configfile")["save_config_pending_items"]
 
 
-@pytest.mark.each_host
+@pytest.mark.every_host
 def test_from_an_empty_section_to_the_true_gap(start):
     # Z is homed beside the middle of the pin, and the nozzle stays on it
     home = {"home_xy_position": "227.3, 20.4", "z_hop": None}

@@ -6,12 +6,11 @@ import pytest
 
 from simprinter import SCENES
 from simprinter.hosts.session import GcodeError
+from tools.kit.cases import all_slow_but
 from tools.kit.dockable_probe import where
 from tools.kit.setup_user import EMPTY, SETUP, User
 from tools.kit.z_calibration import section
 from z_touch.guide.steps import ORDER
-
-pytestmark = pytest.mark.spread
 
 STEPS = [name.upper() for name in ORDER]
 # From which step on it is noticed, and the last one that needs what is broken.
@@ -79,8 +78,21 @@ def assert_aborted(user):
         assert printer.session.position()[2] > 11.4
 
 
-@pytest.mark.some
-@pytest.mark.parametrize(("disturbance", "step"), CASES)
+# Each once, at steps that ask, look and touch
+@pytest.mark.parametrize(
+    ("disturbance", "step"),
+    all_slow_but(
+        [
+            ("motors off", "LOOK_NOZZLE"),
+            ("probe lost", "TOUCH_BED"),
+            ("pin pressed", "TOUCH_NOZZLE"),
+            ("pin released", "TOUCH_SWITCH"),
+            ("probe pressed", "ATTACH"),
+            ("probe released", "LOOK_BED"),
+        ],
+        CASES,
+    ),
+)
 def test_disturbed_at_a_step(at_step, disturbance, step):
     user = at_step(step)
     disturb(user, disturbance)
@@ -92,8 +104,9 @@ def test_disturbed_at_a_step(at_step, disturbance, step):
     assert_aborted(user)
 
 
-@pytest.mark.some
-@pytest.mark.parametrize("step", STEPS)
+@pytest.mark.parametrize(
+    "step", all_slow_but(["OFF", "ATTACH", "TOUCH_SWITCH", "SAVE"], STEPS)
+)
 def test_aborted_at_a_step(at_step, step):
     user = at_step(step)
     assert_aborted(user)

@@ -17,8 +17,6 @@ from tools.kit.z_calibration import (
     with_extra,
 )
 
-pytestmark = pytest.mark.spread
-
 USERS = [("heater_bed", "PH1"), ("output_pin lamp", "PH5")]
 
 
@@ -31,7 +29,7 @@ def sharing(user, pin, order, **first):
     return replace(SCENES["voron"], name="sharing", sections=sections)
 
 
-@pytest.mark.each_host
+@pytest.mark.every_host
 @pytest.mark.parametrize("order", [list, reversed])
 @pytest.mark.parametrize(("user", "pin"), USERS)
 def test_pin_that_something_else_uses(host, user, pin, order):
@@ -60,15 +58,15 @@ def fall_silent(machine, begin, board="zboard"):
     machine.boards[board].is_silent = is_silent
 
 
-def test_lost_message_is_no_missing_trigger(one_host):
+def test_lost_message_is_no_missing_trigger(host):
     # The body is 0.75 mm lower than z_offset says, so 0.25 mm above the floor
     scene = "voron_two_boards"
     changes = {"probe": {"z_offset": f"{BODY + 0.44 + 0.75}"}}
-    with Printer(one_host, scene, changes) as printer:
+    with Printer(host, scene, changes) as printer:
         calibration(printer.homed())
         touches = printer.machine.truth.touches
         begin = min(t.t for t in touches if t.site == "body_pin") - 0.08
-    with Printer(one_host, scene, changes) as printer:
+    with Printer(host, scene, changes) as printer:
         fall_silent(printer.homed().machine, begin)
         text = printer.fail("CALIBRATE_Z")
         assert text.startswith("z_calibration: switch: ")
@@ -84,15 +82,15 @@ def test_lost_message_is_no_missing_trigger(one_host):
         calibration(printer)
 
 
-def test_lost_message_near_the_start_is_no_pressed_switch(one_host):
+def test_lost_message_near_the_start_is_no_pressed_switch(host):
     # Samples begin 0.4 mm above the last trigger, and the pin is pressed when
     # the motors stop
     scene, changes = "voron_two_boards", section(probing_retract_dist="0.4")
-    with Printer(one_host, scene, changes) as printer:
+    with Printer(host, scene, changes) as printer:
         calibration(printer.homed())
         touches = printer.machine.truth.touches
         begin = [t.t for t in touches if t.site == "nozzle_pin"][-1] - 0.012
-    with Printer(one_host, scene, changes) as printer:
+    with Printer(host, scene, changes) as printer:
         fall_silent(printer.homed().machine, begin)
         text = printer.fail("CALIBRATE_Z")
     # Older ones say 'homing probe'
@@ -100,11 +98,11 @@ def test_lost_message_near_the_start_is_no_pressed_switch(one_host):
     assert "(stopped at" in text
 
 
-def test_lost_message_while_the_host_probes(one_host):
-    with Printer(one_host, "qidi_two_boards") as printer:
+def test_lost_message_while_the_host_probes(host):
+    with Printer(host, "qidi_two_boards") as printer:
         printer.homed().run("AUTO_Z_MEASURE_OFFSET")
         begin = printer.machine.truth.touches[-1].t - 0.08
-    with Printer(one_host, "qidi_two_boards") as printer:
+    with Printer(host, "qidi_two_boards") as printer:
         fall_silent(printer.homed().machine, begin, "U_1")
         text = printer.fail("AUTO_Z_MEASURE_OFFSET")
         assert text.startswith("auto_z_offset: probe: ")

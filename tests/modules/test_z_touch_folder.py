@@ -34,7 +34,6 @@ DAMAGES = {
 }
 
 
-@pytest.mark.spread
 @pytest.mark.parametrize(("damage", "told"), DAMAGES.values(), ids=DAMAGES)
 @pytest.mark.parametrize(
     ("module", "scene"), [("z_calibration", "voron"), ("auto_z_offset", "qidi")]

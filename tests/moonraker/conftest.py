@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-import os
-import zlib
 from collections.abc import Iterator
 from pathlib import Path
 
@@ -12,31 +10,16 @@ import pytest
 from simprinter.hosts.hosts import all_hosts, missing_hosts
 from simprinter.hosts.moonraker_package import find_moonraker
 from tools.kit.lab import Lab
-from tools.kit.printer import firmware_of
 
 
 def pytest_generate_tests(metafunc: pytest.Metafunc) -> None:
-    """One host for each place where modules belong, or each of them.
-
-    Of these one for a test, another for another, where it is not marked
-    `each_host`; one for all of a file that has a lab of its own.
-    """
+    """A lab on each host."""
     for name, scope in (("lab", "package"), ("copied_lab", "function")):
-        if name not in metafunc.fixturenames:
-            continue
-        hosts = all_hosts()
-        if not os.environ.get("EVERY_HOST"):
-            hosts = list({firmware_of(host): host for host in hosts}.values())
-            if "each_host" not in {
-                m.name for m in metafunc.definition.own_markers
-            }:
-                nodeid = metafunc.definition.nodeid
-                if name in vars(metafunc.module):
-                    nodeid = nodeid.partition("::")[0]
-                turn = zlib.crc32(nodeid.encode())
-                hosts = [hosts[turn % len(hosts)]]
-        ids = [host.name for host in hosts]
-        metafunc.parametrize(name, hosts, ids=ids, indirect=True, scope=scope)
+        if name in metafunc.fixturenames:
+            ids = [host.name for host in all_hosts()]
+            metafunc.parametrize(
+                name, all_hosts(), ids=ids, indirect=True, scope=scope
+            )
 
 
 @pytest.fixture(scope="session")

@@ -77,7 +77,7 @@ class WebUser(User):
         watching.join()
 
 
-@pytest.mark.long("two minutes")
+@pytest.mark.slow
 @pytest.mark.timeout(600)
 def test_abort_at_each_step(lab):
     user = WebUser(lab)

@@ -11,6 +11,7 @@ from tests.moonraker.updates import (
     restarted,
     status_of,
 )
+from tools.kit.cases import slow
 
 
 def help_text(lab):
@@ -57,8 +58,7 @@ def test_update_restarts_klippy_onto_the_new_commit(current):
     assert status["is_valid"] and status["pristine"]
 
 
-@pytest.mark.some
-@pytest.mark.parametrize("command", ["RESTART", "FIRMWARE_RESTART"])
+@pytest.mark.parametrize("command", ["RESTART", slow("FIRMWARE_RESTART")])
 def test_klippy_that_is_not_restarted_works_with_the_old_module(
     current, command
 ):

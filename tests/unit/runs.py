@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import os
 import random
 import statistics
 
@@ -10,8 +9,6 @@ from z_touch.history import file as history
 
 HEIGHTS = {"nozzle": 1.6, "switch": 8.015, "bed": 7.015}
 STEP = 0.0025
-# EVERY_HOST=1: as many printers at random as the documents speak of
-EVERY = bool(os.environ.get("EVERY_HOST"))
 
 
 def make_run(draw: random.Random, noise: float = 0.003, **options) -> dict:

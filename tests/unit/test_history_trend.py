@@ -6,7 +6,8 @@ import random
 
 import pytest
 
-from tests.unit.runs import EVERY, make_run, make_runs
+from tests.unit.runs import make_run, make_runs
+from tools.kit.cases import slow
 from z_touch.history import trend
 
 
@@ -78,10 +79,11 @@ def test_noise_does_not_make_two_odd_runs_another_nozzle():
 @pytest.mark.parametrize(
     ("noise", "touches"), [(0.001, 2), (0.003, 2), (0.01, 5)]
 )
-def test_no_wear_is_told_of_a_printer_without_it(noise, touches):
+@pytest.mark.parametrize("printers", [1, slow(8)])
+def test_no_wear_is_told_of_a_printer_without_it(noise, touches, printers):
     """A look at every tenth run; those between see nearly the same."""
     found, draw = [], random.Random(f"{noise}")
-    for _ in range(8 if EVERY else 1):
+    for _ in range(printers):
         runs = []
         for number in range(500):
             run = make_run(draw, noise, touches=touches)
@@ -108,9 +110,10 @@ def first_told(draw, make):
     return None, {}
 
 
-def test_drift_of_ten_um_is_found_within_a_hundred_runs():
+@pytest.mark.parametrize("printers", [4, slow(24)])
+def test_drift_of_ten_um_is_found_within_a_hundred_runs(printers):
     draw = random.Random(4)
-    for _ in range(24 if EVERY else 4):
+    for _ in range(printers):
         number, worn = first_told(draw, drifting)
         assert number is not None
         assert set(worn) <= {"switch - nozzle", "probe - switch"}

@@ -3,10 +3,10 @@
     python -m tools.campaign [--host NAME] [--job NAME] [--case TEXT]
         [--seed N] [--only faults|printers] [--printers N] [--pairs N]
         [--module FILE | --builtin]
-        [--json FILE] [--markdown FILE]
+        [--every-host] [--json FILE] [--markdown FILE]
 
-Each case runs on one of the hosts, another for another case; EVERY_HOST=1: on
-all of them. For each command it prints how many faults it was given, how the
+Each case runs on one of the hosts, another for another case; with --every-host
+on all of them. For each command it prints how many faults it was given, how the
 command ended, and the worst penetration: how much deeper (mm) than in a good
 run each site was pressed. What was not survived is printed with the command
 that repeats it.
@@ -24,7 +24,6 @@ from __future__ import annotations
 
 import argparse
 import json
-import os
 import sys
 import time
 from collections.abc import Mapping, Sequence
@@ -90,7 +89,6 @@ def run_faults(
     say("Faults: ended as; worst penetration beyond a good run's / margin, mm")
     say(f"{'':30}{'runs':>6}{'survived':>10}{heads}")
     table = []
-    every = bool(os.environ.get("EVERY_HOST"))
     modules = others(options)
     setting = Setting(options.seed, modules, modules is not None)
     jobs = [job for job in JOBS if options.job in job]
@@ -98,7 +96,7 @@ def run_faults(
         jobs = [job for job in jobs if job in COMPARED]
 
     def planned(job: str) -> list[Plan]:
-        whole = every or options.pairs
+        whole = options.every_host or options.pairs
         shares = [
             (0, 1) if whole else (part, len(hosts))
             for part in range(len(hosts))
@@ -162,6 +160,9 @@ def parse(arguments: Optional[Sequence[str]]) -> argparse.Namespace:
         "--builtin",
         action="store_true",
         help="faults of the host's own dockable_probe instead of ours",
+    )
+    parser.add_argument(
+        "--every-host", action="store_true", help="each case on all of them"
     )
     parser.add_argument("--only", choices=("faults", "printers"))
     parser.add_argument(

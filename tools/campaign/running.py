@@ -39,14 +39,15 @@ class Done(NamedTuple):
         case, ended = outcome.case, outcome.ended
         repeat = (
             f"python -m tools.campaign --only faults --host '{self.host}'"
-            f" --seed {self.seed} --job '{case.job}' --case '{case}'"
+            f" --every-host --seed {self.seed} --job '{case.job}'"
+            f" --case '{case}'"
         )
         lines = [
             f"{case} on {self.host}: {ended}",
             outcome.message,
             *outcome.problems,
         ]
-        return "\n    ".join([*lines, f"EVERY_HOST=1 {repeat}"])
+        return "\n    ".join([*lines, repeat])
 
 
 def plan(

@@ -1,23 +1,18 @@
 """Sections of real printers, see tests/corpus; machines are made of them.
 
 The configuration is the entry's, the machine behind it a healthy printer.
-Some entries run, each on one of the hosts; with CORPUS=all in the environment
-all do, on every host.
+make test runs a few of them, make test-all all.
 """
 
 from __future__ import annotations
 
 import json
-import os
-from collections.abc import Mapping, Sequence
+from collections.abc import Container, Mapping, Sequence
 from dataclasses import dataclass
-from operator import attrgetter
 from pathlib import Path
 from typing import Any, Optional
 
 import pytest
-
-WHOLE = os.environ.get("CORPUS") == "all"
 
 _FILES = Path(__file__).resolve().parents[2] / "tests" / "corpus"
 # Not on every host; means nothing without a print
@@ -62,10 +57,17 @@ def load(module: str) -> list[Entry]:
     ]
 
 
-def each(entries: Sequence[Entry], share: int = 1) -> Any:
-    """Runs a test with one of `share` entries; with CORPUS=all with all."""
-    some = entries if WHOLE else entries[::share]
-    return pytest.mark.parametrize("entry", some, ids=attrgetter("index"))
+def each(entries: Sequence[Entry], usual: Container[int]) -> Any:
+    """Runs a test with each entry, in make test with those of these numbers."""
+    cases = [
+        pytest.param(
+            entry,
+            marks=() if entry.index in usual else pytest.mark.slow,
+            id=str(entry.index),
+        )
+        for entry in entries
+    ]
+    return pytest.mark.parametrize("entry", cases)
 
 
 def chosen(options: Mapping[str, str], names: str) -> Options:

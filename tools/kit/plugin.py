@@ -2,23 +2,30 @@
 
 from __future__ import annotations
 
+import functools
 import gc
-import os
+import itertools
 import re
-import zlib
 from collections import Counter
 from collections.abc import Callable, Iterator
 from contextlib import ExitStack
 from operator import attrgetter
+from pathlib import Path
 from typing import Optional
 
 import pytest
 from hypothesis import HealthCheck, settings
 from xdist.remote import Producer
 from xdist.scheduler import LoadFileScheduling
+from xdist.workermanage import WorkerController
 
 from simprinter.hosts import starting
-from simprinter.hosts.hosts import Host, all_hosts, missing_hosts
+from simprinter.hosts.hosts import (
+    Host,
+    all_hosts,
+    missing_hosts,
+    usual_hosts,
+)
 from tools.kit import load_errors
 from tools.kit.printer import MODULES, Printer
 
@@ -29,10 +36,13 @@ settings.register_profile(
 settings.load_profile("untimed")
 
 
-def pytest_sessionfinish() -> None:
+def pytest_sessionfinish(session: pytest.Session) -> None:
     """End what was kept for the next configuration, and the next start."""
     load_errors.close()
     starting.close()
+    output = getattr(session.config, "workeroutput", None)
+    if output is not None and _LEFT in session.config.stash:
+        output["left"] = session.config.stash[_LEFT]
 
 
 def pytest_collection_finish() -> None:
@@ -40,89 +50,87 @@ def pytest_collection_finish() -> None:
     gc.freeze()
 
 
+def pytest_addoption(parser: pytest.Parser) -> None:
+    """Which part of all cases: make test, make test-rest or make test-all."""
+    parser.addoption(
+        "--cases",
+        choices=("test", "rest", "all"),
+        default="test",
+        help="of make test; what it leaves out; both, as of tests that are"
+        " named with ::",
+    )
+
+
 def pytest_generate_tests(metafunc: pytest.Metafunc) -> None:
-    """Each host in turn as `host`; EVERY_HOST=1: as `some_host`, too."""
-    names = ["host", "some_host"] if os.environ.get("EVERY_HOST") else ["host"]
-    for name in names:
-        if name in metafunc.fixturenames:
-            metafunc.parametrize(name, all_hosts(), ids=attrgetter("name"))
+    """Each host in turn as `host`."""
+    if "host" in metafunc.fixturenames:
+        metafunc.parametrize("host", all_hosts(), ids=attrgetter("name"))
 
 
+_LEFT = pytest.StashKey[int]()
+
+
+# What -k and the like leave out is nothing that make test-all would run
+@pytest.hookimpl(trylast=True)
 def pytest_collection_modifyitems(
     config: pytest.Config, items: list[pytest.Item]
 ) -> None:
-    """Of a test marked `spread`, each case runs on one of the hosts.
-
-    On another one for another case. EVERY_HOST=1: on each; so do those marked
-    `each_host`, where all others in their file are spread. Of one marked
-    `some`, some of the cases run without it; one marked `long` does not.
-    """
-    if not os.environ.get("EVERY_HOST"):
-        left_out = _left_out(items)
-        chosen = {i for i in items if i not in left_out and _is_its_turn(i)}
-        others = [item for item in items if item not in chosen]
+    """Leave out what --cases does, and count it."""
+    cases = config.option.cases
+    # Whoever names a test wants to see it run
+    if any("::" in name for name in config.args):
+        cases = "all"
+    if cases != "all":
+        wanted = {item: _is_in_make_test(item) for item in items}
+        others = [n for n in items if wanted[n] is (cases == "rest")]
         config.hook.pytest_deselected(items=others)
-        items[:] = [item for item in items if item in chosen]
-        for item in items:
-            for mark in item.iter_markers("long"):
-                reason = f"{mark.args[0]}: EVERY_HOST=1"
-                item.add_marker(pytest.mark.skip(reason=reason))
+        items[:] = [n for n in items if wanted[n] is (cases == "test")]
+        if cases == "test":
+            config.stash[_LEFT] = len(others)
     for item in items:
-        if item.path.parent.name == "unit":
-            item.add_marker("quick")
-        callspec = getattr(item, "callspec", None)
-        for value in callspec.params.values() if callspec else ():
-            if isinstance(value, Host):
-                _noted(item, value)
+        host = _host_of(item)
+        if host is not None:
+            # The reports of a test say on which it was
+            item.user_properties.append(("host", host.name))
 
 
-def _left_out(items: list[pytest.Item]) -> set[pytest.Item]:
-    """What does not run of the tests marked `some`, on whichever host.
+def _is_in_make_test(item: pytest.Item) -> bool:
+    """All but what is slow, on the host of its file or on every host."""
+    if item.get_closest_marker("slow") is not None:
+        return False
+    host = _host_of(item)
+    return (
+        host is None
+        or item.get_closest_marker("every_host") is not None
+        or host == usual_host(item.path)
+    )
 
-    Half of a table's cases run; of 6 and more every third, of 16 and more
-    every fourth; or every nth, where the mark gives n.
+
+def _host_of(item: pytest.Item) -> Optional[Host]:
+    """What a test was given, by whatever name."""
+    callspec = getattr(item, "callspec", None)
+    values = callspec.params.values() if callspec else ()
+    return next((value for value in values if isinstance(value, Host)), None)
+
+
+@functools.cache
+def usual_host(file: Path) -> Host:
+    """Where the tests of a file run in make test.
+
+    On the first checkout; where none is named, the files of a folder take the
+    packages in turn, in the order of their names.
     """
-    cases: dict[str, list[str]] = {}
-    marked = [item for item in items if item.get_closest_marker("some")]
-    for item in marked:
-        case = _case(item)
-        table = cases.setdefault(case.partition("[")[0], [])
-        if case not in table:
-            table.append(case)
-    return {item for item in marked if not _is_chosen(item, cases)}
+    hosts = usual_hosts()
+    files = sorted(file.parent.glob("test_*.py"))
+    return dict(zip(files, itertools.cycle(hosts)))[file]
 
 
-def _is_chosen(item: pytest.Item, cases: dict[str, list[str]]) -> bool:
-    case = _case(item)
-    table = cases[case.partition("[")[0]]
-    mark = item.get_closest_marker("some")
-    assert mark is not None
-    usual = 2 + (len(table) >= 6) + (len(table) >= 16)
-    step = mark.args[0] if mark.args else usual
-    number = table.index(case)
-    # Shifted in each round, as the last option has as few values
-    return (number + number // step) % step == 0
-
-
-def _case(item: pytest.Item) -> str:
-    """Its name without that of its host."""
-    host = getattr(item, "callspec", None) and item.callspec.params.get("host")
-    return item.nodeid.replace(host.name, "") if host else item.nodeid
-
-
-def _is_its_turn(item: pytest.Item) -> bool:
-    host = getattr(item, "callspec", None) and item.callspec.params.get("host")
-    if host is None or item.get_closest_marker("spread") is None:
-        return True
-    if item.get_closest_marker("each_host") is not None:
-        return True
-    return _drawn(_case(item)) is host
-
-
-def _drawn(case: str) -> Host:
-    """The host of a case that runs on one."""
-    hosts = all_hosts()
-    return hosts[zlib.crc32(case.encode()) % len(hosts)]
+@pytest.hookimpl(optionalhook=True)
+def pytest_testnodedown(node: WorkerController) -> None:
+    """What a worker of xdist has left out: each collects everything."""
+    output = getattr(node, "workeroutput", {})
+    if "left" in output:
+        node.config.stash[_LEFT] = output["left"]
 
 
 @pytest.hookimpl(optionalhook=True)
@@ -140,24 +148,6 @@ class _ByFile(LoadFileScheduling):
     def _split_scope(self, nodeid: str) -> str:
         found = self._TOGETHER.match(nodeid)
         return found[0] if found else super()._split_scope(nodeid)
-
-
-@pytest.fixture
-def some_host(request: pytest.FixtureRequest) -> Host:
-    """One of the hosts, another for another test: for long tables."""
-    return _noted(request.node, _drawn(request.node.nodeid))
-
-
-@pytest.fixture
-def one_host(request: pytest.FixtureRequest) -> Host:
-    """Any host, for what takes long and does not depend on it."""
-    return _noted(request.node, all_hosts()[-1])
-
-
-def _noted(item: pytest.Item, host: Host) -> Host:
-    """The same host; the reports of a test say on which it was."""
-    item.user_properties.append(("host", host.name))
-    return host
 
 
 @pytest.fixture
@@ -206,3 +196,13 @@ def pytest_terminal_summary(
     for row in rows:
         line = "  ".join(map(str.ljust, row, widths))
         terminalreporter.line(line.rstrip())
+
+
+# Behind the last line of pytest itself
+@pytest.hookimpl(trylast=True)
+def pytest_unconfigure(config: pytest.Config) -> None:
+    """How much make test has left out."""
+    left = config.stash.get(_LEFT, 0)
+    reporter = config.pluginmanager.get_plugin("terminalreporter")
+    if left and reporter is not None:
+        reporter.write_line(f"{left} cases left to make test-all")

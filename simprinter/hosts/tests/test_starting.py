@@ -82,6 +82,7 @@ def test_forked_klippy_finds_itself_as_if_started(look, started):
     assert forked == plain
 
 
+@pytest.mark.every_host
 def test_forked_klippy_does_the_same(host, started):
     def heights(printer):
         printer.homed().run("CALIBRATE_Z")
@@ -95,10 +96,10 @@ def test_forked_klippy_does_the_same(host, started):
         assert heights(printer) == forked
 
 
-def test_numbers_of_descriptors_may_be_high(one_host):
+def test_numbers_of_descriptors_may_be_high(host):
     """As those of one printer are where seven others live."""
     with ExitStack() as stack:
         while stack.enter_context(open(os.devnull)).fileno() < 530:
             pass
-        printer = stack.enter_context(Printer(one_host))
+        printer = stack.enter_context(Printer(host))
         printer.session.require_ready()

@@ -1,80 +1,104 @@
-"""Which cases of long tables run without EVERY_HOST."""
+"""Which cases make test runs, which it leaves out, and that both are all."""
 
 from __future__ import annotations
 
-import os
 import subprocess
 import sys
 
 import pytest
 
 from simprinter.hosts.environment import REPO_ROOT
-from simprinter.hosts.hosts import find_hosts
+from simprinter.hosts.hosts import all_hosts, usual_hosts
+from tools.kit.plugin import usual_host
 
-# Spread over the hosts, with tables of which some cases run
-FILE = "tests/modules/test_auto_z_offset_safety.py"
-SHARED = "test_single_fault_of_a_sensor"
-# Marked each_host
-NOT_SPREAD = ("emergency_stop", "homes_to_something_else")
+FILE = """
+import pytest
 
 
-def collected(**environment):
-    """Names of the cases, without that of the host; one for each item."""
-    known = {k: v for k, v in os.environ.items() if k != "EVERY_HOST"}
-    command = [sys.executable, "-m", "pytest", "--collect-only", "-q"]
+def test_without_a_host():
+    pass
+
+
+@pytest.mark.parametrize("n", [1, pytest.param(2, marks=pytest.mark.slow)])
+def test_table(host, n):
+    pass
+
+
+@pytest.mark.every_host
+@pytest.mark.parametrize("n", [1, pytest.param(2, marks=pytest.mark.slow)])
+def test_what_hosts_differ_in(host, n):
+    pass
+
+
+@pytest.mark.slow
+def test_long():
+    pass
+"""
+
+
+@pytest.fixture(scope="module")
+def file(tmp_path_factory):
+    path = tmp_path_factory.mktemp("some") / "test_some.py"
+    path.write_text(FILE)
+    return path
+
+
+def run(*words):
+    """What pytest says."""
+    command = [sys.executable, "-m", "pytest", "-c", "pyproject.toml"]
+    command += map(str, words)
     done = subprocess.run(
-        [*command, "-p", "no:xdist", FILE],
-        cwd=REPO_ROOT,
-        env={**known, **environment},
-        capture_output=True,
-        text=True,
-        check=True,
+        command, cwd=REPO_ROOT, capture_output=True, text=True, check=False
     )
-    lines = [line for line in done.stdout.splitlines() if "::" in line]
-    # The name of one may begin with that of another
-    names = [host.name for host in find_hosts()]
-    for name in sorted(names, key=len, reverse=True):
-        lines = [line.replace(name, "HOST") for line in lines]
-    return [line.partition("::")[2] for line in lines]
+    assert done.returncode == 0, done.stdout + done.stderr
+    return done.stdout
 
 
-@pytest.fixture(scope="module")
-def all_cases():
-    return set(collected(EVERY_HOST="1"))
+def collected(*words):
+    """Names of the cases, in their order."""
+    lines = run("--collect-only", "-q", "-p", "no:xdist", *words).splitlines()
+    return [line.partition("::")[2] for line in lines if "::" in line]
 
 
-@pytest.fixture(scope="module")
-def chosen():
-    return collected()
+def test_make_test_runs_what_is_quick_and_what_hosts_differ_in(file):
+    names = [host.name for host in all_hosts()]
+    one = usual_host(file).name
+    assert collected(file) == [
+        "test_without_a_host",
+        f"test_table[{one}-1]",
+        *(f"test_what_hosts_differ_in[{name}-1]" for name in names),
+    ]
 
 
-def plain(name):
-    """A case that says its host or, of a table for some host, does not."""
-    return name.replace("HOST-", "").replace("[HOST]", "").replace("-HOST", "")
+def test_rest_is_all_others(file):
+    cases = [collected(file, "--cases", part) for part in ("test", "rest")]
+    everything = collected(file, "--cases", "all")
+    assert len(everything) == 2 + 4 * len(all_hosts())
+    assert len(set(everything)) == len(everything)
+    assert sorted(sum(cases, [])) == sorted(everything)
+    assert not {*cases[0]} & {*cases[1]}
 
 
-def test_each_case_runs_on_one_host(all_cases, chosen):
-    once = [n for n in chosen if not any(word in n for word in NOT_SPREAD)]
-    assert len(once) == len(set(once))
-    found = {plain(name) for name in chosen}
-    left_out = {name for name in all_cases if plain(name) not in found}
-    # Only tables marked `some` lose anything
-    assert {name.partition("[")[0] for name in left_out} == {
-        SHARED,
-        "test_axes_must_be_homed",
-        "test_driver_that_does_not_answer",
-        "test_lost_connection_is_the_only_end_of_the_printer",
-        "test_measurement_inside_a_measurement",
-        "test_trigger_in_mid_air",
-        "test_trigger_that_is_late",
-    }
+@pytest.mark.parametrize("workers", [0, 2])
+def test_what_is_left_is_counted_in_the_last_line(file, workers):
+    # What nobody has asked for is not left
+    lines = run(file, "-n", workers, "-k", "long or without").splitlines()
+    assert lines[-1] == "1 cases left to make test-all"
 
 
-def test_share_of_a_table_has_every_value(all_cases, chosen):
-    full = {plain(name) for name in all_cases if name.startswith(SHARED)}
-    share = {plain(name) for name in chosen if name.startswith(SHARED)}
-    assert share < full
-    # The mark says every eighth, shifted in each round
-    assert len(share) == len(full) // 9
-    for value in ("-None]", "--1.12]", "[trigger_never", "[stuck_open", "-3-"):
-        assert any(value in name for name in share), value
+def test_nothing_is_left_by_make_test_all(file):
+    out = run(file, "--cases", "all", "-k", "long or without")
+    assert "2 passed" in out and "left to" not in out
+
+
+def test_whoever_names_a_test_sees_it_run(file):
+    assert collected(f"{file}::test_long") == ["test_long"]
+
+
+def test_files_take_turns_where_there_are_packages_only(tmp_path, monkeypatch):
+    files = [tmp_path / f"test_{letter}.py" for letter in "abcd"]
+    for path in files:
+        path.touch()
+    hosts = usual_hosts()
+    turns = [hosts[i % len(hosts)] for i in range(4)]
+    assert [usual_host(path) for path in files] == turns

@@ -70,8 +70,8 @@ def trial(host, procedure, condition=NONE, seed=3):
     return Trial(host, ours(module), procedure, condition, seed)
 
 
-def test_sums_keep_conditions_apart(one_host):
-    first, second = (trial(one_host, "pin", c) for c in CONDITIONS[:2])
+def test_sums_keep_conditions_apart(host):
+    first, second = (trial(host, "pin", c) for c in CONDITIONS[:2])
     refusal, crash = NoError("no", True), NoError("hurt", False)
     outcomes = [1.0, refusal, -5.0, 4.0, crash, refusal]
     trials = [first] * len(outcomes) + [second]
@@ -106,9 +106,9 @@ def no_outliers(monkeypatch):
 
 @pytest.mark.parametrize("procedure", PROCEDURES)
 def test_error_without_noise_is_below_two_microsteps(
-    some_host, procedure, no_outliers
+    host, procedure, no_outliers
 ):
-    found = run_trial(trial(some_host, procedure))
+    found = run_trial(trial(host, procedure))
     names = [n for m in PROCEDURES[procedure].measurements for n in m.names]
     assert list(found) == names
     for error in found.values():
@@ -116,39 +116,39 @@ def test_error_without_noise_is_below_two_microsteps(
 
 
 def test_error_is_that_of_the_gap_and_not_of_what_is_reported(
-    one_host, monkeypatch, no_outliers
+    host, monkeypatch, no_outliers
 ):
     """20 um are added to the offset after it was calculated and told."""
-    before = run_trial(trial(one_host, "pin"))[CALIBRATE_Z.name]
+    before = run_trial(trial(host, "pin"))[CALIBRATE_Z.name]
     more = "SET_GCODE_OFFSET Z={params.Z|float + 0.02} MOVE=0"
     section = {**CALIBRATE_Z.changes["z_calibration"], "offset_gcode": more}
     changes = {**CALIBRATE_Z.changes, "z_calibration": section}
     command = CALIBRATE_Z._replace(changes=changes)
     procedure = PROCEDURES["pin"]._replace(command=command)
     monkeypatch.setitem(PROCEDURES, "pin", procedure)
-    after = run_trial(trial(one_host, "pin"))[CALIBRATE_Z.name]
+    after = run_trial(trial(host, "pin"))[CALIBRATE_Z.name]
     assert after - before == pytest.approx(20.0, abs=0.1)
 
 
-@pytest.mark.long("some seconds")
-def test_sensors_that_are_early_each_time(one_host, monkeypatch):
+@pytest.mark.slow
+def test_sensors_that_are_early_each_time(host, monkeypatch):
     """The bed seems higher by as much; the probe is early in homing, too."""
     monkeypatch.setattr(errors, "OUTLIER_CHANCE", 1.0)
-    found = run_trial(trial(one_host, "pin"))
-    found.update(run_trial(trial(one_host, "piezo")))
+    found = run_trial(trial(host, "pin"))
+    found.update(run_trial(trial(host, "piezo")))
     wanted = {name: OUTLIER * 1000.0 for name in found} | {CORRECTION: 0.0}
     assert found == pytest.approx(wanted, abs=2.0 * MICROSTEP_UM)
 
 
-@pytest.mark.long("some seconds")
-def test_refusal_and_failure_are_told_apart(one_host, no_outliers, tmp_path):
-    found = run_trial(trial(one_host, "pin", Condition(30.0)))
+@pytest.mark.slow
+def test_refusal_and_failure_are_told_apart(host, no_outliers, tmp_path):
+    found = run_trial(trial(host, "pin", Condition(30.0)))
     refusal = found[CALIBRATE_Z.name]
     assert refusal.refused
     assert "samples differ by # mm" in refusal.text
     file = tmp_path / "other.py"
     file.write_text("def load_config(config):\n    raise config.error('no')\n")
     other = Subject("other", {"z_calibration": file})
-    found = run_trial(Trial(one_host, other, "pin", NONE, 0))
+    found = run_trial(Trial(host, other, "pin", NONE, 0))
     assert list(found) == [CALIBRATE_Z.name]
     assert not found[CALIBRATE_Z.name].refused

@@ -14,7 +14,7 @@ from types import SimpleNamespace
 
 import pytest
 
-from simprinter.hosts.hosts import find_hosts
+from simprinter.hosts.hosts import main_host
 from tools.bench import __main__ as bench
 from tools.bench import cost, timing
 from tools.bench.commands import AUTO_Z_CALIBRATE, CALIBRATE_Z
@@ -22,7 +22,7 @@ from tools.bench.timing import Subject, attempt
 from tools.kit.printer import module_files
 
 # One run of the program is behind most of them
-pytestmark = [pytest.mark.timeout(300), pytest.mark.long("half a minute")]
+pytestmark = [pytest.mark.timeout(300), pytest.mark.slow]
 
 TIMED = (CALIBRATE_Z, AUTO_Z_CALIBRATE)
 RUNS = timing.RUNS[:1]
@@ -75,7 +75,7 @@ def run_program(folder):
             shutil.copy(module_files()["z_calibration"], files[name])
         else:
             files[name].write_text(text)
-    host = find_hosts()[-1].name
+    host = main_host().name
     # The one that works comes last, after all that do not
     order = sorted(files, key=lambda name: name == "same")
     options = [word for name in order for word in ("--module", files[name])]
@@ -204,12 +204,12 @@ def test_unknown_host_is_said(capsys):
     assert "no such host" in capsys.readouterr().out
 
 
-def test_own_failure_is_the_programs(monkeypatch, capsys, one_host, tmp_path):
+def test_own_failure_is_the_programs(monkeypatch, capsys, host, tmp_path):
     missing = Subject("ours", {"z_calibration": tmp_path / "missing.py"})
-    assert "there is no file" in attempt(one_host, missing, CALIBRATE_Z)
+    assert "there is no file" in attempt(host, missing, CALIBRATE_Z)
     monkeypatch.setattr(bench, "ours", lambda module: missing)
     monkeypatch.setattr(bench, "COMMANDS", (CALIBRATE_Z,))
-    options = ["--host", one_host.name, "--seeds", "0", "--no-chart"]
+    options = ["--host", host.name, "--seeds", "0", "--no-chart"]
     with in_folder(tmp_path):
         assert bench.main(options) == 1
     assert "there is no file" in capsys.readouterr().out

@@ -60,24 +60,24 @@ def test_standard_machine_is_calibrated_in_time(host):
     assert again.start[:2] == pytest.approx((152.0, 125.25))
 
 
-@pytest.mark.long("some seconds")
-def test_quick_touches_are_counted_and_are_no_samples(one_host):
+@pytest.mark.slow
+def test_quick_touches_are_counted_and_are_no_samples(host):
     quick = {"samples": "2", "probing_first_fast": "true"}
     section = {**STANDARD["z_calibration"], **quick}
     changes = {**STANDARD, "z_calibration": section}
     command = CALIBRATE_Z._replace(changes=changes)
-    for run in measured(one_host, command):
+    for run in measured(host, command):
         # A quick touch at each site, then two
         counts = [run.touches[site] for site in CALIBRATE_Z.sites]
         assert (counts, run.samples) == ([3, 3, 3], 6)
 
 
-@pytest.mark.long("some seconds")
-def test_lower_bound_ends_where_the_touches_are(one_host):
+@pytest.mark.slow
+def test_lower_bound_ends_where_the_touches_are(host):
     scene = CALIBRATE_Z.scene
     plan = CALIBRATE_Z.plan(scene, STANDARD)
     with Printer(
-        one_host, scene, changes=STANDARD, modules=module_files()
+        host, scene, changes=STANDARD, modules=module_files()
     ) as printer:
         printer.homed().run("CALIBRATE_Z\nM400")
         touches = printer.machine.truth.touches
@@ -90,17 +90,17 @@ def test_lower_bound_ends_where_the_touches_are(one_host):
         assert last.y == pytest.approx(stop.y, abs=0.02)
 
 
-@pytest.mark.long("some seconds")
-def test_accuracy_is_timed(one_host):
-    for run in measured(one_host, PROBE_Z_ACCURACY):
+@pytest.mark.slow
+def test_accuracy_is_timed(host):
+    for run in measured(host, PROBE_Z_ACCURACY):
         assert run.ratio > 1.0
         assert run.touches == {"nozzle_pin": ACCURACY_SAMPLES}
         assert run.samples == ACCURACY_SAMPLES
         assert run.cpu > 0.0
 
 
-def test_cycles_are_timed_with_the_gcode_of_the_user(one_host):
-    for run in measured(one_host, AUTO_Z_CALIBRATE):
+def test_cycles_are_timed_with_the_gcode_of_the_user(host):
+    for run in measured(host, AUTO_Z_CALIBRATE):
         prepare = [p.seconds for p in run.parts if p.what == "prepare"]
         # Eight moves of 0.6 mm in it, at 500 mm/s^2 at most
         assert prepare[0] > 8 * 2.0 * (0.6 / 500.0) ** 0.5
@@ -118,18 +118,16 @@ def test_cycles_are_timed_with_the_gcode_of_the_user(one_host):
     [(ATTACH_AND_DETACH, 7.0, 0), (HOME_AND_MESH, 73.0, 27)],
     ids=["trip", "mesh"],
 )
-def test_probe_is_fetched_quickly(
-    one_host, monkeypatch, command, others, touches
-):
+def test_probe_is_fetched_quickly(host, monkeypatch, command, others, touches):
     monkeypatch.setattr(timing, "RUNS", RUNS[:1])
-    (run,) = measured(one_host, command)
+    (run,) = measured(host, command)
     assert run.ratio > 1.0
     assert run.seconds < others
     assert run.touches.get("probe_bed", 0) == touches
 
 
-def test_cpu_is_that_of_klippy(one_host):
-    with Printer(one_host) as printer:
+def test_cpu_is_that_of_klippy(host):
+    with Printer(host) as printer:
         printer.session.require_ready()
         simulation = printer.machine.simulation
         before = cpu_seconds(simulation)

@@ -69,7 +69,7 @@ def test_same_seed_draws_the_same_printers(any_host, judged, module):
     assert len(set(seen)) == 5
 
 
-@pytest.mark.long("ten seconds")
+@pytest.mark.slow
 @pytest.mark.parametrize("module", MODULES)
 def test_draws_are_of_all_kinds(any_host, judged, module):
     seen = judged(lambda drawn: drawn.scene and RIGHT)

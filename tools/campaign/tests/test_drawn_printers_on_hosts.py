@@ -9,6 +9,7 @@ import pytest
 
 from tools.campaign.drawn_printers import MODULES, run
 from tools.campaign.tests.planting import planted
+from tools.kit.cases import all_slow_but
 
 # On each host, always the same ones
 PRINTERS = 3
@@ -45,7 +46,6 @@ for option in ("samples", "offset_samples"):
 }
 
 
-@pytest.mark.spread
 @pytest.mark.timeout(600)
 @pytest.mark.parametrize("module", MODULES)
 def test_random_printers_are_right_or_refused(host, module):
@@ -53,16 +53,15 @@ def test_random_printers_are_right_or_refused(host, module):
     assert not problems, "\n".join(problems)
 
 
-@pytest.mark.some(4)
 @pytest.mark.timeout(600)
-@pytest.mark.parametrize("name", PLANTED)
-def test_planted_fault_is_found(some_host, tmp_path, name):
+@pytest.mark.parametrize("name", all_slow_but(["gap"], PLANTED))
+def test_planted_fault_is_found(host, tmp_path, name):
     command, around, words = PLANTED[name]
     modules = planted(tmp_path, command, **around)
     module, _folder = modules
     report = run(
         module,
-        some_host,
+        host,
         ENOUGH,
         seed=1,
         modules=modules,

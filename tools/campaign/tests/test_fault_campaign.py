@@ -22,6 +22,7 @@ from tools.campaign.jobs import COMPARED, JOBS
 from tools.campaign.operations import Operation
 from tools.campaign.running import Plan, draw_pairs, plan
 from tools.campaign.tests.planting import planted
+from tools.kit.cases import all_slow_but, slow
 from tools.kit.printer import module_files
 
 Z, ATTACHING = "CALIBRATE_Z", "CALIBRATE_Z, attaching"
@@ -85,10 +86,10 @@ CASES = [
 ]
 
 
-@pytest.mark.some(9)
+@pytest.mark.slow
 @pytest.mark.parametrize("which", CASES, ids=lambda w: "-".join(map(str, w)))
-def test_fault_is_survived(some_host, which):
-    outcome = attempt(some_host, *which[:5])
+def test_fault_is_survived(host, which):
+    outcome = attempt(host, *which[:5])
     assert outcome.problems == []
     assert outcome.struck
     assert outcome.ended == which[5]
@@ -96,8 +97,7 @@ def test_fault_is_survived(some_host, which):
         assert outcome.message
 
 
-@pytest.mark.some
-@pytest.mark.parametrize("nth", [1, 2])
+@pytest.mark.parametrize("nth", [1, slow(2)])
 def test_lost_board_is_told_first(host, nth):
     # Moving after it may be an error of the host's own
     outcome = attempt(host, ATTACHING, "mcu_silent", "", nth, "query")
@@ -143,42 +143,41 @@ def pair_of(host, first, second):
     return Pair(one, other), good
 
 
-@pytest.mark.some
+@pytest.mark.slow
 @pytest.mark.parametrize("which", PAIRS, ids=lambda w: "-".join(map(str, w)))
-def test_pair_is_survived(some_host, which):
+def test_pair_is_survived(host, which):
     job, first, second, ended, both = which
-    pair, good = pair_of(some_host, (job, *first), (job, *second))
-    outcome = fault_cases.attempt(some_host, pair, good)
+    pair, good = pair_of(host, (job, *first), (job, *second))
+    outcome = fault_cases.attempt(host, pair, good)
     assert outcome.problems == []
     assert (outcome.ended, outcome.struck) == (ended, both)
     assert outcome.is_blind() == (which in PAIRS[:2])
 
 
-@pytest.mark.some(4)
-@pytest.mark.parametrize("fault", ["trigger_early", "trigger_late"])
-@pytest.mark.parametrize("samples", [2, 3])
-def test_two_touches_that_agree(one_host, monkeypatch, fault, samples):
+@pytest.mark.parametrize("fault", [slow("trigger_early"), "trigger_late"])
+@pytest.mark.parametrize("samples", [slow(2), 3])
+def test_two_touches_that_agree(host, monkeypatch, fault, samples):
     name = "AUTO_Z_HOME_Z"
     job = replace(JOBS[name], samples=samples)
     monkeypatch.setitem(JOBS, name, job)
     pair, good = pair_of(
-        one_host,
+        host,
         (name, fault, "bed_sensor", 0),
         (name, fault, "bed_sensor", 1),
     )
-    outcome = fault_cases.attempt(one_host, pair, good)
+    outcome = fault_cases.attempt(host, pair, good)
     # Only where no third could have told
     assert bool(outcome.problems) == (samples == 3)
     assert outcome.error == pytest.approx(0.3, abs=0.01)
 
 
-def test_pair_is_judged_and_shown_again(one_host):
+def test_pair_is_judged_and_shown_again(host):
     first, second = (Z, "trigger_never", "z_endstop", 1), (Z, "stuck_open")
-    pair, good = pair_of(one_host, first, second)
+    pair, good = pair_of(host, first, second)
     good = good._replace(depths=dict.fromkeys(good.depths, -1.0))
-    outcome = fault_cases.attempt(one_host, pair, good)
+    outcome = fault_cases.attempt(host, pair, good)
     assert "the machine was hurt" in outcome.problems[0]
-    again = plan(Setting(), str(pair), Z, one_host, (0, 1)).cases
+    again = plan(Setting(), str(pair), Z, host, (0, 1)).cases
     assert again == (pair,)
 
 
@@ -223,17 +222,17 @@ def test_others_get_options_that_ours_does_without():
     assert set(COMPARED) < set(JOBS)
 
 
-def test_only_harm_is_judged_of_others(one_host):
-    case, good = case_of(one_host, DOCKABLE, "attach_fails")
+def test_only_harm_is_judged_of_others(host):
+    case, good = case_of(host, DOCKABLE, "attach_fails")
     good = good._replace(gap=1.0)
     setting = Setting(0, module_files(), True)
     wrong = case._replace(fault="stuck_closed", at=0, subject="probe")
-    assert fault_cases.attempt(one_host, wrong, good, setting).problems == []
-    assert fault_cases.attempt(one_host, wrong, good).problems
+    assert fault_cases.attempt(host, wrong, good, setting).problems == []
+    assert fault_cases.attempt(host, wrong, good).problems
 
 
-def test_every_operation_gets_every_fault(one_host):
-    job, good = JOBS[AUTO], good_run(one_host, AUTO)
+def test_every_operation_gets_every_fault(host):
+    job, good = JOBS[AUTO], good_run(host, AUTO)
     kinds = {operation.kind for operation in good.operations}
     assert kinds == {"touch", "query", "move", "write"}
     # Begin, and up to its end: bed sensor and probe, each stuck in both ways,
@@ -293,15 +292,14 @@ PLANTED = {
 }
 
 
-@pytest.mark.some(5)
-@pytest.mark.parametrize("name", PLANTED)
-def test_module_that_does_it_wrong_is_found(some_host, tmp_path, name):
+@pytest.mark.parametrize(
+    "name", all_slow_but(["head stays down", "result is wrong"], PLANTED)
+)
+def test_module_that_does_it_wrong_is_found(host, tmp_path, name):
     which, around, problem = PLANTED[name]
-    case, good = case_of(some_host, *which)
+    case, good = case_of(host, *which)
     modules = module_files() | planted(
         tmp_path, JOBS[case.job].script, **around
     )
-    outcome = fault_cases.attempt(
-        some_host, case, good, Setting(modules=modules)
-    )
+    outcome = fault_cases.attempt(host, case, good, Setting(modules=modules))
     assert problem in "\n".join(outcome.problems), outcome

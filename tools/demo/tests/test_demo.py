@@ -16,8 +16,6 @@ from simprinter.hosts.environment import build_dir
 from tests.docs.pictures import mm
 from tools.demo.__main__ import SHOWN, demonstrate, verdict
 
-pytestmark = pytest.mark.spread
-
 ROOT = Path(__file__).resolve().parents[3]
 MICROSTEP = 0.0025
 RESULT = re.compile(

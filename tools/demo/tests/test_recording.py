@@ -9,7 +9,7 @@ from pathlib import Path
 import pytest
 
 from simprinter import SCENES
-from simprinter.hosts.hosts import all_hosts
+from simprinter.hosts.hosts import main_host
 from tests.docs.pictures import mm
 from tools.demo.__main__ import ShownPrinter, recorded, rehearse
 from tools.demo.animation import LONGEST, Stage, draw
@@ -29,7 +29,7 @@ def run(request):
 
     On any host: it is the machine that is looked at.
     """
-    with ShownPrinter(all_hosts()[-1], request.param) as printer:
+    with ShownPrinter(main_host(), request.param) as printer:
         printer.session.require_ready()
         return recorded(printer, rehearse(printer))
 

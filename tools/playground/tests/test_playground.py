@@ -17,7 +17,7 @@ from typing import Optional
 import pytest
 import requests
 
-from simprinter.hosts.hosts import all_hosts, missing_hosts
+from simprinter.hosts.hosts import main_host, missing_hosts
 from simprinter.hosts.moonraker import free_port
 from simprinter.hosts.moonraker_package import find_moonraker
 from tools.playground import network
@@ -33,7 +33,7 @@ class Terminal:
     def __init__(self, *options: str, env: Optional[dict] = None):
         self._popen = subprocess.Popen(
             [sys.executable, "-m", "tools.playground", "--speed", "20"]
-            + ["--host", all_hosts()[-1].name, *options],
+            + ["--host", main_host().name, *options],
             cwd=ROOT,
             env=env,
             stdin=subprocess.PIPE,
@@ -178,7 +178,7 @@ def test_start_home_and_end(port):
         assert_ends(shown, signal.SIGINT)
 
 
-@pytest.mark.long("half a minute")
+@pytest.mark.slow
 @pytest.mark.timeout(5 * LIMIT)
 def test_second_start_beside_the_first_and_mistakes(port):
     page = "http://page.example"
@@ -219,7 +219,7 @@ def test_second_start_beside_the_first_and_mistakes(port):
         assert_ends(first, signal.SIGTERM)
 
 
-@pytest.mark.long("ten seconds")
+@pytest.mark.slow
 @pytest.mark.parametrize("seconds", [0.0, 1.0, 2.0, 3.0])
 def test_end_before_all_has_begun_leaves_nothing(port, seconds, tmp_path):
     environment = {**os.environ, "TMPDIR": str(tmp_path)}

@@ -59,7 +59,7 @@ class Played:
 
 
 @pytest.fixture
-def play(some_host, tmp_path, monkeypatch):
+def play(host, tmp_path, monkeypatch):
     """play(name of a scene): a Played, ready."""
     # Never waits for the time of day
     monkeypatch.setattr(watcher, "_ASK_EVERY", 0.0)
@@ -68,7 +68,7 @@ def play(some_host, tmp_path, monkeypatch):
 
         def begin(name: str) -> Played:
             scene = dressed(SHOWN[name])
-            printer = stack.enter_context(Printer(some_host, scene, files))
+            printer = stack.enter_context(Printer(host, scene, files))
             played = Played(printer, [])
             stack.callback(played.close)
             printer.session.require_ready()
