@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import functools
 import math
 import os
 import re
@@ -46,10 +47,23 @@ def dictionary(program: Path) -> DataDictionary:
 
 
 def program_for(host: Host) -> Optional[Path]:
-    """The program of the host's own version, else the first it would take."""
-    app = firmware_of(host)
-    fitting = [one for one in given() if dictionary(one).app == app]
-    return min(fitting, key=lambda one: not _is_own(one, host), default=None)
+    """The program of the host's own version, else the first it speaks with."""
+    programs = sorted(given(), key=lambda one: not _is_own(one, host))
+    return next((p for p in programs if not why_not(host, p)), None)
+
+
+@functools.cache
+def why_not(host: Host, program: Path) -> str:
+    """What a host says of a program that it does not speak with, or nothing."""
+    app = dictionary(program).app
+    if app != firmware_of(host):
+        return f"it is of {app}"
+    scene = RUNS["CALIBRATE_Z"].scene
+    with FirmwarePrinter(host, scene, program=program) as printer:
+        if printer.session.start()[0] == "ready":
+            return ""
+        # What is shown is of all protocol errors the same
+        return re.findall(r"\berror: (mcu .*)", printer.session.log())[-1]
 
 
 def _is_own(program: Path, host: Host) -> bool:
@@ -69,9 +83,10 @@ class FirmwarePrinter(RunningPrinter):
         scene: Scene,
         changes: Optional[Sections] = None,
         faults: Iterable[Fault] = (),
+        program: Optional[Path] = None,
     ):
-        """On the host's own program."""
-        program = program_for(host)
+        """program: without one the host's own."""
+        program = program or program_for(host)
         assert program is not None
         installed = host.install(module_files())
         machine = Machine(scene, faults=faults, firmware=program)

@@ -5,7 +5,7 @@ from __future__ import annotations
 import pytest
 
 from simprinter import SCENES, Machine
-from tests.firmware.programs import dictionary, given
+from tests.firmware.programs import dictionary, given, program_for, why_not
 
 # What differs from board to board
 _OWN_CONSTANTS = {"MCU", "PWM_MAX"}
@@ -34,6 +34,13 @@ def by_name(messages):
 @pytest.fixture(params=given(), ids=lambda path: path.parents[1].name)
 def program(request):
     return dictionary(request.param)
+
+
+@pytest.mark.every_host
+def test_host_speaks_with_a_program(host):
+    if program_for(host) is None:
+        reasons = "; ".join(f"{p}: {why_not(host, p)}" for p in given())
+        pytest.skip(f"{host.name} speaks with no program given: {reasons}")
 
 
 @pytest.mark.parametrize("part", ["commands", "responses"])
