@@ -72,5 +72,5 @@ def load_config(config):
     if MIXED:
         raise config.error("Section '%s': %s" % (config.get_name(), MIXED))
     calibration = module.ZCalibration(config)
-    dialog.Setup(calibration)
+    dialog.Setup(calibration.interface)
     return calibration

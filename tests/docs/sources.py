@@ -10,7 +10,7 @@ import re
 from collections.abc import Iterator
 from functools import lru_cache
 from pathlib import Path
-from typing import Any
+from typing import Any, Optional
 
 from tests.docs.documents import normal
 
@@ -35,7 +35,59 @@ def trees(name: str) -> list[ast.Module]:
         for node in ast.walk(found[path]):
             if isinstance(node, ast.ImportFrom) and node.level:
                 pending += imported(path, node)
-    return list(found.values())
+    return joined(list(found.values()))
+
+
+class Joining(ast.NodeTransformer):
+    """Makes one text of those that are added: advice that has a name."""
+
+    def __init__(self, named: dict[str, str]) -> None:
+        self.named = named
+        self.used: set[str] = set()
+
+    def text_of(self, node: ast.expr) -> Optional[str]:
+        """The text that an expression is; None: it is something else."""
+        if isinstance(node, ast.Constant) and isinstance(node.value, str):
+            return node.value
+        if isinstance(node, ast.BinOp) and isinstance(node.op, ast.Add):
+            parts = [self.text_of(node.left), self.text_of(node.right)]
+            return None if None in parts else "".join(map(str, parts))
+        name = ast.unparse(node).rpartition(".")[2]
+        if name in self.named:
+            self.used.add(name)
+        return self.named.get(name)
+
+    def visit_BinOp(self, node: ast.BinOp) -> ast.AST:
+        text = self.text_of(node)
+        if isinstance(node.op, ast.Add) and text is not None:
+            return ast.Constant(text)
+        return self.generic_visit(node)
+
+
+def joined(found: list[ast.Module]) -> list[ast.Module]:
+    """The sources with whole texts where these are put together of advice."""
+    named = {
+        ast.unparse(node.targets[0]): node.value.value
+        for tree in found
+        for node in tree.body
+        if isinstance(node, ast.Assign)
+        and isinstance(node.value, ast.Constant)
+        and isinstance(node.value.value, str)
+        # No prefix of lines for another program
+        and not node.value.value.startswith("//")
+    }
+    joining = Joining(named)
+    for tree in found:
+        joining.visit(tree)
+    # Advice is told with what it is for
+    for tree in found:
+        tree.body = [
+            node
+            for node in tree.body
+            if not isinstance(node, ast.Assign)
+            or ast.unparse(node.targets[0]) not in joining.used
+        ]
+    return found
 
 
 def imported(path: Path, node: ast.ImportFrom) -> list[Path]:

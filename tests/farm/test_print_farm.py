@@ -168,7 +168,7 @@ def real_status():
     history = module.History(None, module.File("", 50), "printer.cfg", None)
     refused = {"ok": False, "time": 1.8e9, "reason": "odd", "sites": {}}
     runs = [*make_runs(8), {**make_runs(1)[0], **refused}]
-    summary = load("z_touch.history.trend").summarize(runs)
+    summary = load("z_touch.history.trend").summarize_runs(runs)
     history._take(runs, summary, [])  # noqa: SLF001
     known = {
         "z_calibration": {

@@ -11,6 +11,7 @@ from z_touch.core.errors import CalibrationError
 from z_touch.core.options import read
 from z_touch.core.sampling import Sampling
 from z_touch.core.touching import Site
+from z_touch.uncertainty.adaptive import FixedCount
 from z_touch.z_calibration import heights as formula
 from z_touch.z_calibration.settings import OPTIONS, Settings
 
@@ -134,6 +135,7 @@ def make_settings(**changes):
         "probing_speed": 5.0,
         "pin": make_sampling(),
         "probe": make_sampling(),
+        "counting": FixedCount(),
         "attach_after_nozzle": False,
         "start_homes": False,
         "position_endstop": 0.0,

@@ -12,15 +12,15 @@ from tools.kit.dialogs import dialogs_of
 from z_touch.core.errors import CalibrationError
 from z_touch.core.touching import Site
 from z_touch.guide import steps
-from z_touch.guide.head import Ways
-from z_touch.guide.touches import State
+from z_touch.guide.head import GuidedHead
+from z_touch.guide.state import State
 
 FACTS = {
     "patience": 20.0,
     "travel_z": 17.0,
     "goal": "the head lifts to Z=17.0 and moves to X=1.0 Y=2.0",
     "back_goal": "",
-    "found": "The nozzle repeats within 0.0025 mm.",
+    "repeats": "The nozzle repeats within 0.0025 mm.",
     "floor": -0.5,
     "touches": 5,
     "paper_z": 2.5,
@@ -256,34 +256,34 @@ def test_lower_towards_the_sheet_in_small_steps_only():
 )
 def test_how_low_the_head_is_moved(pin, z_offset, step, attached, floor):
     settings = SimpleNamespace(position_endstop=pin, z_offset=z_offset)
-    ways = Ways(SimpleNamespace(host=None, settings=settings))
+    head = GuidedHead(SimpleNamespace(host=None, settings=lambda: settings))
     state = State()
     state.step = step
-    assert ways.jog_floor(state, attached) == floor
+    assert head.jog_floor(state, attached) == floor
     # What is known of the pin since
-    state.below = 9.0
+    state.pin_below = 9.0
     if pin is None:
-        assert ways.jog_floor(state, attached) == 10.0
+        assert head.jog_floor(state, attached) == 10.0
     state.heights["nozzle"] = 8.0
-    assert ways.pin_z(state) == 8.0
+    assert head.pin_z(state) == 8.0
 
 
-def ways_with(config):
+def head_with(config):
     """On a printer with this printer.cfg."""
     configfile = SimpleNamespace(
         get_status=lambda eventtime: {"config": config}
     )
     printer = SimpleNamespace(lookup_object=lambda name: configfile)
     host = SimpleNamespace(printer=printer, eventtime=lambda: 0.0)
-    return Ways(SimpleNamespace(host=host))
+    return GuidedHead(SimpleNamespace(host=host))
 
 
 @pytest.mark.parametrize("text", ["50, 308", "50,308,12"])
 def test_place_in_the_dock(text):
-    ways = ways_with({"dockable_probe": {"dock_position": text}})
+    head = head_with({"dockable_probe": {"dock_position": text}})
     site = Site("bed", 60.0, 300.0, "The place of the bed")
     words = "The place of the bed is 12.8 mm from dock_position; choose one"
     with pytest.raises(CalibrationError, match=words):
-        ways.check_dock(site)
-    ways.check_dock(site._replace(x=65.1, y=308.0))
-    ways_with({}).check_dock(site)
+        head.check_dock(site)
+    head.check_dock(site._replace(x=65.1, y=308.0))
+    head_with({}).check_dock(site)

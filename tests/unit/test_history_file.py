@@ -172,10 +172,10 @@ def test_spread_is_that_of_the_last_twenty_good_runs():
     worn = {"bed": 0.03}
     runs = make_runs(5, worn=worn, touches=5) + make_runs(20, 2, touches=3)
     runs += [make_run(random.Random(3), worn=worn, ok=False)]
-    spread = history.past_spread(runs, "bed")
+    spread = history.spread_in(runs, "bed")
     assert spread.dof == 40
     assert spread.variance**0.5 == pytest.approx(0.003, rel=0.4)
-    assert history.past_spread([], "bed") == uncertainty.UNKNOWN
+    assert history.spread_in([], "bed") == uncertainty.UNKNOWN
 
 
 # On klippy's main thread

@@ -23,8 +23,8 @@ def body(run):
 
 
 def test_fingerprint_wants_five_runs():
-    assert trend.summarize(make_runs(4)).fingerprint.middle is None
-    known = trend.summarize(make_runs(5)).fingerprint
+    assert trend.summarize_runs(make_runs(4)).fingerprint.middle is None
+    known = trend.summarize_runs(make_runs(5)).fingerprint
     assert known.middle == pytest.approx(6.415, abs=0.01)
     assert known.sigma < 0.01
     # It follows what changes slowly
@@ -54,23 +54,25 @@ def test_one_run_that_departs_is_forgotten_two_are_another_nozzle():
     other = {"switch": 0.2, "bed": 0.2}
     draw = random.Random(2)
     odd = [make_run(draw, moved=other) for _ in range(4)]
-    known = trend.summarize(before)
+    known = trend.summarize_runs(before)
     assert known.since == 0
-    assert trend.summarize([*before, odd[0]]).fingerprint == known.fingerprint
-    more = trend.summarize([*before, odd[0], *make_runs(3, 3)])
+    assert (
+        trend.summarize_runs([*before, odd[0]]).fingerprint == known.fingerprint
+    )
+    more = trend.summarize_runs([*before, odd[0], *make_runs(3, 3)])
     assert (more.since, more.fingerprint.runs) == (0, 23)
-    fresh = trend.summarize([*before, *odd])
+    fresh = trend.summarize_runs([*before, *odd])
     assert (fresh.since, fresh.fingerprint.runs) == (20, 4)
     # Runs that were refused have no say
     refused = make_run(draw, ok=False, moved={"switch": 9.0})
-    assert trend.summarize([*before, refused, refused]) == known
+    assert trend.summarize_runs([*before, refused, refused]) == known
 
 
 def test_noise_does_not_make_two_odd_runs_another_nozzle():
     before = make_runs(20)
     draw = random.Random(2)
     odd = [make_run(draw, moved={"switch": z}) for z in (0.2, 0.4)]
-    assert trend.summarize([*before, *odd]).since == 0
+    assert trend.summarize_runs([*before, *odd]).since == 0
 
 
 # Wear

@@ -135,6 +135,155 @@ def test_rooms_lead_only_where_the_plan_of_the_house_says(path):
     assert set(rooms_imported(path)) - allowed == set()
 
 
+# Objects of a room that others in it fill in: the progress of a set-up, a page that
+# is drawn, a thread of the library.
+FILLED_IN = {
+    "guide": {"state", "self.state"},
+    "history": {"page", "self.page", "thread"},
+    # Wraps a command, so that its parameters are numbers
+    "auto_z_offset": {"gcmd"},
+    # The toolhead exists later
+    "core": {"self.host"},
+}
+# Where objects still change each other
+NOT_YET = ("dockable_probe",)
+
+
+def changed_from_outside(text, allowed=frozenset()):
+    """Attributes that are set, or deleted, on another object than self."""
+    for node in ast.walk(ast.parse(text)):
+        is_set = isinstance(node, ast.Attribute) and isinstance(
+            node.ctx, (ast.Store, ast.Del)
+        )
+        if is_set and ast.unparse(node.value) not in {"self", *allowed}:
+            yield ast.unparse(node)
+
+
+@sources
+def test_an_object_is_changed_by_itself_only(path):
+    room = room_of(path)
+    if room not in NOT_YET:
+        text = path.read_text()
+        assert list(changed_from_outside(text, FILLED_IN.get(room, ()))) == []
+
+
+# Who has z_calibration's interface instead of the object behind the section
+INTERFACE = ROOT / "z_touch" / "z_calibration" / "interface.py"
+CORRECTIONS = INTERFACE.with_name("corrections.py")
+INTERFACE_USERS = [*sorted(ROOT.glob("z_touch/guide/*.py")), CORRECTIONS]
+# What these may import of the room, besides functions and records
+OF_THE_ROOM = {"settings", "sites"}
+# Records, of which all may be read, and the adapter to the host
+RECORDS = {"settings", "pin", "last", "host"}
+# Public for all their underscores
+OF_NAMED_TUPLES = {"_replace", "_asdict", "_fields"}
+# What the interface makes: one dot further is their business
+MADE = {"section", "calibration", "finder"}
+
+
+def public_names(path, name):
+    """The methods and attributes of a class that others may use."""
+    (node,) = (n for n in nodes(path, ast.ClassDef) if n.name == name)
+    methods = {n.name for n in node.body if isinstance(n, ast.FunctionDef)}
+    attributes = {
+        n.attr
+        for n in ast.walk(node)
+        if isinstance(n, ast.Attribute)
+        and isinstance(n.ctx, ast.Store)
+        and ast.unparse(n.value) == "self"
+    }
+    return {n for n in methods | attributes if not n.startswith("_")}
+
+
+def chain_of(node):
+    """a.b().c -> [a, b, c], where self.a counts as a; empty: no name at all."""
+    names = []
+    while isinstance(node, (ast.Attribute, ast.Call)):
+        if isinstance(node, ast.Attribute):
+            names.insert(0, node.attr)
+            node = node.value
+        else:
+            node = node.func
+    if not isinstance(node, ast.Name):
+        return []
+    return names if node.id == "self" else [node.id, *names]
+
+
+def reached_into(text):
+    """Where a user of the interface goes further than that."""
+    offered = public_names(INTERFACE, "Interface")
+    for node in ast.walk(ast.parse(text)):
+        if isinstance(node, ast.ImportFrom) and node.level:
+            inside = (node.module or "").rpartition("z_calibration")
+            if inside[1] and inside[2].strip(".") not in OF_THE_ROOM:
+                yield ast.unparse(node)
+        if not isinstance(node, ast.Attribute):
+            continue
+        head, *rest = chain_of(node) or [""]
+        hidden = {name for name in rest if name.startswith("_")}
+        if hidden - OF_NAMED_TUPLES:
+            yield ast.unparse(node)
+        if head not in MADE or not rest:
+            continue
+        if head == "section" and rest[0] not in offered:
+            yield ast.unparse(node)
+        first = rest.pop(0) if head == "section" else head
+        if first not in RECORDS and len(rest) > 1:
+            yield ast.unparse(node)
+
+
+@pytest.mark.parametrize("path", INTERFACE_USERS, ids=lambda path: path.name)
+def test_a_room_reaches_into_no_other(path):
+    assert list(reached_into(path.read_text())) == []
+
+
+REACHES = (
+    "from ..z_calibration.module import ZCalibration",
+    "from ..z_calibration import module",
+    "self.section._section.settings",
+    "section.results.last",
+    "self.section.runner.watch.phase",
+    "self.section.new_calibration(a, b, c).plan.samples",
+    "calibration.plan.samples['bed']",
+    "self.section.site_finder().host.toolhead",
+)
+CHANGES = (
+    "self.module.settings = settings",
+    "section.settings().speed = 1",
+    "calibration.travel_z += 1",
+    "del self.section.host",
+    "run.clean, x = clean, 1",
+)
+
+
+def test_reaching_into_another_room_is_found():
+    assert INTERFACE_USERS[:-1]
+    for text in REACHES:
+        assert list(reached_into(text)), text
+    for text in CHANGES:
+        assert list(changed_from_outside(text)), text
+
+
+def test_interface_shows_nothing_of_the_object_behind_it():
+    """Methods, and the host, which everybody has; a room is handed only that."""
+    shown = public_names(INTERFACE, "Interface")
+    methods = {n.name for n in nodes(INTERFACE, ast.FunctionDef)}
+    assert shown - methods == {"host"}
+    made = [
+        ast.unparse(node)
+        for path in (
+            ROOT / "z_calibration.py",
+            INTERFACE.with_name("module.py"),
+        )
+        for node in nodes(path, ast.Call)
+        if ast.unparse(node.func) in ("dialog.Setup", "corrections.Corrections")
+    ]
+    assert made == [
+        "dialog.Setup(calibration.interface)",
+        "corrections.Corrections(self.interface)",
+    ]
+
+
 @sources
 def test_classes_have_a_base(path):
     """Without one, Python 2.7 makes a class of another kind."""

@@ -10,8 +10,6 @@ from pathlib import Path
 
 import pytest
 
-from z_touch.core.sampling import AUTO, Sampling
-from z_touch.history import recorder as recording
 from z_touch.uncertainty import cycles
 from z_touch.uncertainty.cycles import Cycle
 
@@ -255,11 +253,3 @@ def test_all_is_told():
     assert lines[0].startswith("nozzle: mean 1.60")
     assert "of a touch 0.00" in lines[0] and "touch" not in lines[3]
     assert lines[4].endswith(" mm, 21.2 s")
-
-
-@pytest.mark.parametrize(("samples", "taken"), [(AUTO, 3), (1, 3), (4, 4)])
-def test_touches_of_a_cycle_are_enough_to_vary(samples, taken):
-    wanted = Sampling(samples, 0.01, 3, "median", 2.0, 4.0, 6.0)
-    assert recording.for_cycles(wanted) == wanted._replace(
-        samples=taken, tolerance=math.inf, result="average"
-    )

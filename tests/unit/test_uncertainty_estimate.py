@@ -69,11 +69,12 @@ class Runs(NamedTuple):
 
 
 SITES = ("nozzle", "switch", "bed")
-AUTOMATIC = Sampling(AUTO, 0.0, 0, "median", 2.0, 4.0, 6.0)
+AUTOMATIC = Sampling(None, 0.0, 0, "median", 2.0, 4.0, 6.0)
 
 
 def automatic(printer, pasts, target):
-    plan = adaptive.Plan(STEP, dict(zip(SITES, pasts)), target)
+    counting = adaptive.Automatic(target)
+    plan = adaptive.Plan(STEP, dict(zip(SITES, pasts)), counting)
     for number, site in enumerate(SITES):
         touch = partial(printer.touch, number)
         plan.collect(site, touch, AUTOMATIC, None, "")
@@ -186,7 +187,7 @@ SHARE = 0.004**2
 
 def collected(values, past=QUIET, share=SHARE):
     touches = iter(values)
-    samples, found = adaptive.collect(
+    samples, found = adaptive.collect_enough(
         lambda: next(touches), past, STEP, share, "look there"
     )
     return len(samples), round(found.z, 6)
@@ -260,11 +261,12 @@ def test_what_one_site_leaves_is_for_the_others():
 def test_sites_that_vary_alike_are_known_together():
     spreads = [Spread(v * 1e-6, 20) for v in (4.0, 7.0, 10.0)]
     pasts = dict(zip(SITES, spreads))
-    found = adaptive.Plan(STEP, pasts, 0.008).pasts
+    counting = adaptive.Automatic(0.008)
+    found = adaptive.Plan(STEP, pasts, counting).earlier
     assert found == dict.fromkeys(SITES, Spread(pytest.approx(7e-6), 60))
     for other in (Spread(12e-6, 20), UNKNOWN):
         unlike = {**pasts, "bed": other}
-        assert adaptive.Plan(STEP, unlike, 0.008).pasts == unlike
+        assert adaptive.Plan(STEP, unlike, counting).earlier == unlike
 
 
 def test_half_a_step_is_no_part_to_share():
@@ -277,7 +279,8 @@ def test_half_a_step_is_no_part_to_share():
 
 
 def doubt(values, past=UNKNOWN, samples=AUTO, tolerance=0.01, retries=0):
-    plan = adaptive.Plan(STEP, {"nozzle": past}, 0.008)
+    counting = adaptive.choose(samples, 0.008)
+    plan = adaptive.Plan(STEP, {"nozzle": past}, counting)
     wanted = Sampling(samples, tolerance, retries, "median", 2.0, 4.0, 6.0)
     touches = iter(values)
     with suppress(SamplesDiffer):
@@ -319,7 +322,8 @@ def test_nozzle_that_may_be_dirty(values, options, text):
 
 
 def test_touch_that_fails_is_no_dirt():
-    plan = adaptive.Plan(STEP, {"nozzle": UNKNOWN}, 0.008)
+    counting = adaptive.Automatic(0.008)
+    plan = adaptive.Plan(STEP, {"nozzle": UNKNOWN}, counting)
 
     def touch():
         raise NoTrigger("nothing there")
@@ -330,18 +334,50 @@ def test_touch_that_fails_is_no_dirt():
 
 
 def test_nothing_is_worth_anything_before_all_is_measured():
-    plan = adaptive.Plan(STEP, dict.fromkeys(SITES, QUIET), 0.008)
+    counting = adaptive.Automatic(0.008)
+    plan = adaptive.Plan(STEP, dict.fromkeys(SITES, QUIET), counting)
     for number, site in enumerate(SITES):
         assert plan.uncertainty() is None
         plan.collect(site, lambda: 1.0, AUTOMATIC, None, "")
         assert len(plan.samples) == number + 1
     assert plan.uncertainty() == pytest.approx(0.006, abs=0.002)
     assert plan.expected(AUTOMATIC) == adaptive.LEAST
-    assert adaptive.Plan(STEP, {"bed": UNKNOWN}, 0.01).expected(AUTOMATIC) == 5
-    assert (
-        adaptive.Plan(STEP, {}, 0.01).expected(AUTOMATIC._replace(samples=3))
-        == 3
-    )
+    at_first = adaptive.Plan(STEP, {"bed": UNKNOWN}, counting)
+    assert at_first.expected(AUTOMATIC) == 5
+    fixed_count = adaptive.Plan(STEP, {}, adaptive.FixedCount())
+    assert fixed_count.expected(AUTOMATIC._replace(samples=3)) == 3
+
+
+# Who decides
+
+
+def test_option_decides_once_who_counts():
+    automatic = adaptive.choose(AUTO, 0.004)
+    assert (automatic.target, automatic.count) == (0.004, None)
+    for samples in (None, 4):
+        assert adaptive.choose(samples, 0.004).count == samples
+
+
+@pytest.mark.parametrize(
+    ("samples", "spread", "cycles"), [(1, 1, 3), (2, 2, 2), (7, 7, 7)]
+)
+def test_fixed_count_is_that_of_the_sampling(samples, spread, cycles):
+    counting = adaptive.FixedCount()
+    sampling = AUTOMATIC._replace(samples=samples)
+    assert counting.for_spread(sampling) == spread
+    # A single touch has no spread
+    assert counting.for_cycles(sampling) == cycles
+    other = AUTOMATIC._replace(samples=5)
+    assert counting.is_exceeded(6, [sampling, other])
+    assert counting.is_exceeded(5, [sampling, other]) == (samples < 5)
+
+
+def test_automatic_count_is_none_of_the_sampling():
+    counting = adaptive.Automatic(0.008)
+    sampling = AUTOMATIC._replace(samples=7)
+    assert counting.for_spread(sampling) == adaptive.MOST
+    assert counting.for_cycles(sampling) == adaptive.CYCLE_SAMPLES
+    assert not counting.is_exceeded(100, [sampling])
 
 
 # Formulas

@@ -2,13 +2,16 @@
 
 from __future__ import annotations
 
+import math
 import re
 from pathlib import Path
 
 import pytest
 
 from tests.unit.calibrated import make_sampling, make_settings
-from z_touch.core.sampling import Sampling
+from z_touch.core.sampling import AUTO, Sampling
+from z_touch.uncertainty import adaptive
+from z_touch.z_calibration import accuracy
 from z_touch.z_calibration.heights import travel_height
 from z_touch.z_calibration.settings import (
     OPTIONS,
@@ -114,3 +117,22 @@ class TestComplete:
         settings = make_settings(safe_z_height=safe_z)
         found = self.complete(settings, z_offset)
         assert (found.safe_z_height, found.z_offset) == (completed, z_offset)
+
+
+@pytest.mark.parametrize(("samples", "taken"), [(AUTO, 3), (1, 3), (4, 4)])
+def test_touches_of_a_cycle_are_enough_to_vary(samples, taken):
+    settings = make_settings(counting=adaptive.choose(samples, 0.008))
+    # With samples: auto the count of [probe] is nobody's
+    count = settings.counting.count or 7
+    settings = settings._replace(
+        pin=make_sampling(samples=count), probe=make_sampling(samples=count)
+    )
+    found = accuracy.for_cycles(settings)
+    assert (
+        found.pin
+        == found.probe
+        == settings.pin._replace(
+            samples=taken, tolerance=math.inf, result="average"
+        )
+    )
+    assert found.counting.for_spread(found.pin) == taken

@@ -73,6 +73,10 @@ class Watch(object):
     def enter(self, phase):
         self.phase = phase
 
+    # How many touches there will be, where that is known later
+    def expect(self, wanted):
+        self.wanted = wanted
+
     # Samples that are taken again do not count twice
     def touched(self):
         self.done = min(self.done + 1, self.wanted)

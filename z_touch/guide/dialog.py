@@ -1,8 +1,15 @@
 # Z_CALIBRATION_SETUP: from an empty section to the first result, by dialogs.
+#
 # Copyright (C) 2026  the Z calibration developers, under the GNU GPLv3
 #
-# Each step is a command of its own, see setup_steps.py: it does what the step
-# before has announced, and asks for the next one.
+# Each step is a command of its own, see steps.py: it does what the step before
+# has announced, and asks for the next one.
+#
+#   pin -> off -> probe -> home                 hands: wires and polarity
+#   nozzle -> attach -> switch -> bed           head: the sites, by its buttons
+#   look_nozzle -> look_switch -> look_bed      the sites once more
+#   touch_nozzle -> touch_switch -> touch_bed   touches, slow
+#   gap (-> paper) -> save                      switch_offset, SAVE_CONFIG
 from __future__ import absolute_import, division
 
 import functools
@@ -12,37 +19,40 @@ from ..core.dialogs import END
 from ..core.errors import CalibrationError
 from . import steps
 from .hands import Hands
-from .head import FIRST_TOUCHES, OVER_SHEET, PLACES, Ways
-from .summary import found, summary, values
-from .touches import State, Touches
+from .head import FIRST_TOUCHES, OVER_SHEET, GuidedHead
+from .state import SITES, State
+from .summary import Summary, repeats
+from .touches import Touches
 
-# Where the head stands at a step
-PLACE_OF = {prefix + name: name for name in PLACES for prefix in ("", "look_")}
+# Over which site the head stands at a step
+SITE_OF = {prefix + name: name for name in SITES for prefix in ("", "look_")}
+
+# Which site a step touches
+TOUCHED = {"touch_" + name: name for name in SITES}
 
 # Steps that use heights of before
 NEED_HEIGHTS = ("touch_switch", "touch_bed", "gap", "paper")
 
-# Heights that are known before a site is touched
-TOUCHED = {"touch_nozzle": 0, "touch_switch": 1, "touch_bed": 2}
 
-
-# 'module' is the object behind [z_calibration].
+# The command, and the set-up that is under way.
 class Setup(object):
-    def __init__(self, module):
-        self.module = module
-        self.host = module.host
-        self.saver = saving.Saver(module.host)
-        self.ways = Ways(module)
-        self.hands = Hands(module, self.saver)
-        self.touches = Touches(module, self.ways, self.hands)
+    # 'section': z_calibration's interface.Interface
+    def __init__(self, section):
+        self.section = section
+        self.host = section.host
+        saver = saving.Saver(section.host)
+        self.head = GuidedHead(section)
+        self.hands = Hands(section, saver)
+        self.touches = Touches(section, self.head, self.hands)
+        self.summary = Summary(section, self.head, saver)
         # None: no set-up is under way
         self.state = None
-        running.register_commands(module.host, self)
+        running.register_commands(section.host, self)
 
     cmd_Z_CALIBRATION_SETUP_help = "Set up the Z calibration, step by step"
 
     def cmd_Z_CALIBRATION_SETUP(self, gcmd):
-        self.module.runner.check_idle(gcmd)
+        self.section.check_idle(gcmd)
         name = gcmd.get("STEP", "").strip().lower()
         if not name:
             self.check_not_printing(gcmd)
@@ -80,7 +90,7 @@ class Setup(object):
         if not is_jog:
             self.host.gcode.respond_raw(END)
         try:
-            self.run(gcmd, functools.partial(work, gcmd, self.state))
+            self.perform(gcmd, functools.partial(work, gcmd, self.state))
         except self.host.printer.command_error as e:
             if not self.host.printer.is_shutdown() and self.state is not None:
                 self.ask(str(e))
@@ -89,14 +99,18 @@ class Setup(object):
             self.ask()
 
     # What start_gcode and end_gcode do to the G-code offset is undone
-    def run(self, gcmd, work):
+    def perform(self, gcmd, work):
         def keep_offset():
             before = self.host.gcode_offset()
             work()
             if self.host.gcode_offset() != before:
                 self.host.set_gcode_offset(before)
 
-        self.module.runner.run(gcmd, keep_offset, "setup", 0)
+        self.section.run_command(gcmd, keep_offset, "setup")
+
+    ##################################################################
+    # Answers
+    ##################################################################
 
     def jog(self, gcmd, state):
         if not state.arrived:
@@ -104,8 +118,9 @@ class Setup(object):
                 "the head has not got to this place yet; answer the question"
             )
         self.check_heights(state)
-        self.ways.jog(gcmd, state, self.hands.is_attached())
+        self.head.jog(gcmd, state, self.hands.is_attached())
 
+    # Does what was announced, then moves the head to where the next step begins
     def go_on(self, gcmd, state):
         if self.switch_type(gcmd):
             state.step = "save"
@@ -122,23 +137,24 @@ class Setup(object):
         if not answer:
             self.work_of(state.step)(gcmd, state)
         elif state.step == "paper":
-            self.ways.lift(state)
+            self.head.lift(state)
         if self.state is not None:
             state.step, state.arrived = following, False
             self.enter(following)
             state.arrived = True
 
+    # work(gcmd, state) of a step; most only ask
     def work_of(self, name):
-        touches, ways = self.touches, self.ways
+        touches, head = self.touches, self.head
         return {
             "pin": self.test_pin,
             "off": self.hands.test_off,
             "probe": self.hands.test_probe,
             "home": touches.home,
-            "nozzle": ways.take_place,
+            "nozzle": head.take_site,
             "attach": touches.attach,
-            "switch": ways.take_place,
-            "bed": ways.take_place,
+            "switch": head.take_site,
+            "bed": head.take_site,
             "touch_nozzle": touches.touch_nozzle,
             "touch_switch": touches.touch_switch,
             "touch_bed": touches.touch_bed,
@@ -147,7 +163,7 @@ class Setup(object):
             "save": self.save,
         }.get(name, lambda gcmd, state: None)
 
-    # They hold no more where Z was homed again; places do
+    # Heights hold no more where Z was homed again; sites do
     def check_heights(self, state):
         if state.mark is None:
             return
@@ -158,13 +174,15 @@ class Setup(object):
             )
         if state.step not in NEED_HEIGHTS:
             return
-        moved = self.module.frame.moved_since(state.mark)
+        moved = self.section.moved_since(state.mark)
         if moved:
             state.step, state.arrived = "touch_nozzle", True
             text = "%s: the heights hold no more, the first touches begin again"
             raise CalibrationError(text % (moved,))
 
+    ##################################################################
     # What is shown
+    ##################################################################
 
     def ask(self, problem=""):
         state = self.state
@@ -175,72 +193,71 @@ class Setup(object):
         for line in shown:
             self.host.gcode.respond_raw(line)
 
+    # What the texts of the steps are filled in with
     def facts(self):
         state, name = self.state, self.state.step
         back = steps.STEPS[name].back
         facts = {
             "patience": steps.HAND_PATIENCE,
-            "travel_z": self.ways.travel_z(state),
+            "travel_z": self.head.travel_z(state),
             "goal": "" if name == "gap" else self.goal(steps.after(name)),
-            "back_goal": self.goal(back) if back in PLACES else "",
-            "found": found(state),
+            "back_goal": self.goal(back) if back in SITES else "",
+            "repeats": repeats(state),
             "floor": 0.0,
             "touches": FIRST_TOUCHES,
             "paper_z": 0.0,
             "values": "",
             "not_saved": "",
         }
-        if name.startswith("touch_"):
-            z = [state.heights.get(site) for site in PLACES[:2]]
-            run = self.ways.run(state)
-            facts["floor"] = run.floor(*z[: TOUCHED[name]])
+        if name in TOUCHED:
+            before = state.heights_before(TOUCHED[name])
+            facts["floor"] = self.head.calibration(state).floor(*before)
         if name in ("gap", "paper"):
-            facts["paper_z"] = self.ways.contact(state) + OVER_SHEET
+            facts["paper_z"] = state.contact() + OVER_SHEET
         if name == "save":
-            facts.update(summary(self.ways, state, self.saver))
+            facts.update(self.summary.facts(state))
         return facts
 
     # The move that a step begins with, in words; empty: none
     def goal(self, name):
-        text = "the head lifts to Z=%.1f" % (self.ways.travel_z(self.state),)
+        text = "the head lifts to Z=%.1f" % (self.head.travel_z(self.state),)
         if name == "paper":
-            goal = self.ways.sheet(self.state)
+            goal = self.head.over_sheet(self.state)
             return "%s, moves to X=%.1f Y=%.1f and down to Z=%.2f" % (
                 (text,) + goal
             )
-        if name not in PLACE_OF:
+        if name not in SITE_OF:
             return ""
-        site = self.ways.candidate(PLACE_OF[name], self.state)
+        site = self.head.candidate(SITE_OF[name], self.state)
         if site is None:
             return text
         return "%s and moves to X=%.1f Y=%.1f" % (text, site.x, site.y)
 
+    ##################################################################
     # What the steps do
+    ##################################################################
 
     # The head to where a step begins
     def enter(self, name):
         state = self.state
         if name == "paper":
-            x, y, z = self.ways.sheet(state)
-            self.ways.go(state, x, y, False)
-            speed = self.module.settings.pin.lift_speed
-            self.host.toolhead.manual_move([None, None, z], speed)
-        elif name in PLACE_OF:
-            site = self.ways.candidate(PLACE_OF[name], state)
+            self.head.go_over_sheet(state)
+        elif name in SITE_OF:
+            site = self.head.candidate(SITE_OF[name], state)
             if site is None:
-                self.ways.lift(state)
+                self.head.lift(state)
                 return
-            self.ways.places().check_reach(site)
-            self.ways.go(state, site.x, site.y, site.name != "bed")
+            self.section.site_finder().check_reach(site)
+            self.head.go(state, site.x, site.y, site.name != "bed")
 
     # After G28 the nozzle may stand on it
     def test_pin(self, gcmd, state):
         if self.touches.is_homed():
-            self.ways.lift(state)
+            self.head.lift(state)
         self.hands.test_pin(gcmd, state)
 
     def check_sheet(self, gcmd, state):
-        self.ways.sheet(state)
+        self.head.over_sheet(state)
         if self.hands.is_attached():
             raise CalibrationError(
                 "the probe is attached, the nozzle cannot reach the sheet; take"
@@ -265,8 +282,8 @@ class Setup(object):
         return value is not None
 
     def use_switch_offset(self, value):
-        z_offset = self.ways.contact(self.state) - value
-        low, high = self.module.settings.offset_margins
+        z_offset = self.state.contact() - value
+        low, high = self.section.settings().offset_margins
         if not low <= z_offset <= high:
             raise CalibrationError(
                 "with switch_offset=%.3f the offset is %.3f, outside"
@@ -277,17 +294,18 @@ class Setup(object):
         self.state.switch_offset = value
 
     def measure_paper(self, gcmd, state):
-        contact = self.ways.contact(state)
+        contact = state.contact()
         self.use_switch_offset(steps.from_paper(contact, self.host.z()))
-        self.ways.lift(state)
+        self.head.lift(state)
+
+    ##################################################################
+    # The end
+    ##################################################################
 
     def save(self, gcmd, state):
-        saved = [
-            self.saver.save(self.host.section, option, text)
-            for option, text in values(self.ways, state)
-        ]
+        is_saved = self.summary.save(state)
         self.close()
-        if any(saved):
+        if is_saved:
             self.host.gcode.run_script_from_command("SAVE_CONFIG")
 
     def close(self):
@@ -295,11 +313,10 @@ class Setup(object):
         self.host.gcode.respond_raw(END)
 
     def abort(self, gcmd):
-        state = self.state
+        state, is_printing = self.state, bool(self.host.print_state())
         self.close()
-        leave, busy = self.touches.leave, bool(self.host.print_state())
-        work = functools.partial(leave, gcmd, state, busy)
-        self.run(gcmd, work)
+        leave = self.touches.leave
+        self.perform(gcmd, functools.partial(leave, gcmd, state, is_printing))
         gcmd.respond_info(
             "%s: the set-up has ended, nothing was saved" % (self.host.section,)
         )

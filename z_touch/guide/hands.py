@@ -1,4 +1,4 @@
-# What is pressed by hand in Z_CALIBRATION_SETUP.
+# What is pressed by hand in Z_CALIBRATION_SETUP: the pin, the probe.
 # Copyright (C) 2026  the Z calibration developers, under the GNU GPLv3
 from __future__ import absolute_import
 
@@ -8,6 +8,7 @@ from . import steps
 # How often (s) a switch is looked at
 LOOK_INTERVAL = 0.1
 
+# What a hand has done, see steps.judge(), and what that says of the wiring
 VERDICTS = {
     "early": "reads pressed before anything presses it",
     "nothing": "did not change",
@@ -17,21 +18,24 @@ VERDICTS = {
 }
 
 
+# Watches the two switches while a hand presses one of them.
 class Hands(object):
-    # 'module' is the object behind [z_calibration]
-    def __init__(self, module, saver):
-        self.module = module
-        self.host = module.host
+    # 'section': interface.Interface; 'saver': saving.Saver, which knows where an
+    # option is written
+    def __init__(self, section, saver):
+        self.section = section
+        self.host = section.host
         self.saver = saver
 
+    # By the probe's switch, which reads triggered where it is not
     def is_attached(self):
-        probe, now = self.host.probing.endstop(), self.host.after_moves()
-        return not probe.query_endstop(now)
+        probe = self.host.probing.endstop()
+        return not probe.query_endstop(self.host.after_moves())
 
     def test_pin(self, gcmd, state):
-        pin, probe = self.module.pin, self.host.probing.endstop()
-        written = pin.section, pin.option
-        self.watch(gcmd, pin.name, written, pin.endstop, probe)
+        pin, probe = self.section.pin(), self.host.probing.endstop()
+        option = pin.section, pin.option
+        self.watch(gcmd, pin.name, option, pin.endstop, probe)
 
     def test_off(self, gcmd, state):
         if self.is_attached():
@@ -42,59 +46,53 @@ class Hands(object):
             )
 
     def test_probe(self, gcmd, state):
-        probe, pin = self.host.probing.endstop(), self.module.pin.endstop
+        probe, pin = self.host.probing.endstop(), self.section.pin().endstop
         self.watch(gcmd, "the probe", self.probe_option(), probe, pin)
 
+    # Section and option of the probe's pin
     def probe_option(self):
-        own = self.configured()
-        name = "probe" if "pin" in own.get("probe", {}) else "dockable_probe"
-        return name, "pin"
+        probe = self.configured().get("probe", {})
+        return "probe" if "pin" in probe else "dockable_probe", "pin"
 
+    # What printer.cfg has: texts by section and option
     def configured(self):
         configfile = self.host.printer.lookup_object("configfile")
         return configfile.get_status(self.host.eventtime())["config"]
 
     def remedy(self, section, option):
         pin = self.configured().get(section, {}).get(option, "")
-        return (
-            "'%s: %s' in section '%s' (%s); the other polarity is '%s: %s'"
-            % (
-                option,
-                pin,
-                section,
-                self.saver.where(section, option),
-                option,
-                steps.inverted(pin),
-            )
-        )
+        written = self.saver.where(section, option)
+        text = "'%s: %s' in section '%s' (%s); the other polarity is '%s: %s'"
+        other = steps.inverted(pin)
+        return text % (option, pin, section, written, option, other)
 
-    # Until something is pressed by hand and let go
+    # Until something is pressed by hand and let go.  Raises CalibrationError
+    # where it was not 'endstop', or not only that; 'option' is that of its pin.
     def watch(self, gcmd, name, option, endstop, other):
-        reactor, host = self.host.printer.get_reactor(), self.host
-        end, readings = host.eventtime() + steps.HAND_PATIENCE, []
+        host = self.host
         host.toolhead.wait_moves()
         for line in steps.while_watching(name):
             host.gcode.respond_raw(line)
         gcmd.respond_info("%s: watching %s ..." % (host.section, name))
-        while True:
-            now = host.after_moves()
-            readings.append(
-                (
-                    bool(endstop.query_endstop(now)),
-                    bool(other.query_endstop(now)),
-                )
-            )
-            verdict = steps.judge(readings)
-            if verdict in ("good", "early"):
-                break
-            if host.eventtime() >= end:
-                break
-            reactor.pause(host.eventtime() + LOOK_INTERVAL)
+        verdict = self.look_until(
+            host.eventtime() + steps.HAND_PATIENCE, endstop, other
+        )
         if verdict != "good":
-            text = "%s %s; check %s" % (
-                name,
-                VERDICTS[verdict],
-                self.remedy(*option),
+            raise CalibrationError(
+                "%s %s; check %s"
+                % (name, VERDICTS[verdict], self.remedy(*option))
             )
-            raise CalibrationError(text)
         gcmd.respond_info("%s: %s works" % (host.section, name))
+
+    # The verdict of steps.judge(), at the latest at an eventtime
+    def look_until(self, deadline, endstop, other):
+        reactor, host = self.host.printer.get_reactor(), self.host
+        readings = []
+        while True:
+            print_time = host.after_moves()
+            pair = [e.query_endstop(print_time) for e in (endstop, other)]
+            readings.append(tuple(map(bool, pair)))
+            verdict = steps.judge(readings)
+            if verdict in ("good", "early") or host.eventtime() >= deadline:
+                return verdict
+            reactor.pause(host.eventtime() + LOOK_INTERVAL)

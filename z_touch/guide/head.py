@@ -1,14 +1,15 @@
-# The head on its ways between the places of Z_CALIBRATION_SETUP.
+# The head between the sites of Z_CALIBRATION_SETUP: at a safe height, and slow.
 # Copyright (C) 2026  the Z calibration developers, under the GNU GPLv3
 from __future__ import absolute_import, division
 
-import functools
 import math
 
 from ..core import options, running, touching
 from ..core.errors import CalibrationError
-from ..z_calibration.sites import LARGEST_SWITCH_DISTANCE, SiteFinder, Sites
+from ..z_calibration.settings import with_counts
+from ..z_calibration.sites import LARGEST_SWITCH_DISTANCE, Sites
 from . import steps
+from .state import SITES
 
 # First touches: mm/s, and how often
 SLOW_SPEED = 2.0
@@ -33,116 +34,177 @@ OVER_SHEET = 2.0
 # Nearer (mm) than this to the dock is in it
 DOCK_NEAR = 15.0
 
-PLACES = ("nozzle", "switch", "bed")
+TAKE_THE_TYPE = "take the type of the switch"
 
 
-# At a safe height, and slow
-class Ways(object):
-    # 'module' is the object behind [z_calibration]
-    def __init__(self, module):
-        self.module = module
-        self.host = module.host
+# A sampling for first touches, at 'speed' (mm/s) or as slow as it is
+def slow(sampling, speed):
+    return sampling._replace(
+        samples=FIRST_TOUCHES,
+        tolerance=float("inf"),
+        result="median",
+        speed=min(SLOW_SPEED, speed),
+    )
 
-    # As CALIBRATE_Z has them, but slow
-    def settings(self):
-        settings = self.module.settings
+
+# Moves the head over the sites, and by hand.
+class GuidedHead(object):
+    # 'section': interface.Interface
+    def __init__(self, section):
+        self.section = section
+        self.host = section.host
+
+    # The settings in force, but slow
+    def slow_settings(self):
+        settings = self.section.settings()
         pin, probe = settings.pin, settings.probe
-        slow = functools.partial(self.slow, speed=min(SLOW_SPEED, pin.speed))
         if settings.switch_offset is None:
             settings = settings._replace(switch_offset=USUAL_SWITCH_OFFSET)
-        return settings._replace(
-            pin=slow(pin),
-            probe=slow(probe),
+        settings = settings._replace(
             probing_speed=min(settings.probing_speed, 2.0 * SLOW_SPEED),
             probing_first_fast=False,
         )
+        speed = pin.speed
+        return with_counts(settings, slow(pin, speed), slow(probe, speed))
 
-    @staticmethod
-    def slow(sampling, speed):
-        return sampling._replace(
-            samples=FIRST_TOUCHES,
-            tolerance=float("inf"),
-            result="median",
-            speed=speed,
-        )
+    # What touches the sites: a Calibration that knows nothing of earlier runs
+    def calibration(self, state):
+        sites = Sites(*[state.sites.get(name) for name in SITES])
+        settings, pin_z = self.slow_settings(), self.pin_z(state)
+        return self.section.new_calibration(settings, sites, pin_z)
 
-    # What measures, knowing nothing of earlier runs; it has the travel height
-    def run(self, state):
-        sites = Sites(*[state.sites.get(name) for name in PLACES])
-        plan = self.module.recorder.make_plan(None)
-        run = self.module.new_calibration(self.settings(), sites, plan)
-        run.rise_over(self.pin_z(state))
-        return run
-
+    # Toolhead Z (mm) at which the head moves over pin and bed
     def travel_z(self, state):
-        return self.run(state).travel_z
+        return self.calibration(state).travel_z
 
-    # No higher than this is the pin (mm); None: nobody knows
+    # No higher than this is the pin (toolhead Z, mm); None: nobody knows
     def pin_z(self, state):
-        homed_z = self.module.settings.position_endstop
+        homed_z = self.section.settings().position_endstop
         if homed_z is None:
-            homed_z = state.below
+            homed_z = state.pin_below
         return state.heights.get("nozzle", homed_z)
 
-    def places(self):
-        return SiteFinder(self.host, self.module.settings)
+    ##################################################################
+    # Sites
+    ##################################################################
 
-    # The place that the section names, or that follows from another one; None
+    # The site that the section names, or that follows from another one; None:
+    # there is none yet
     def candidate(self, name, state):
-        settings, places = self.module.settings, self.places()
+        settings = self.section.settings()
         if name in state.sites:
             return state.sites[name]
         if name == "nozzle":
             return settings.nozzle_xy_position
-        nozzle = state.sites.get("nozzle")
-        x, y = self.host.probing.offsets()[:2]
         if name == "switch":
-            site = places.switch_site(nozzle, settings.switch_xy_position)
-            if site is None and nozzle is not None:
-                x, y = self.within(nozzle.x - x, nozzle.y - y)
-                site = touching.Site(name, x, y, "The body of the switch")
-            return site
-        site = places.bed_site(settings.bed_xy_position)
+            return self.switch_candidate(state.sites.get("nozzle"))
+        finder = self.section.site_finder()
+        site = finder.bed_site(settings.bed_xy_position)
         if site is None:
-            middle = [sum(a) / 2.0 for a in self.host.axis_limits()[:2]]
-            x, y = self.within(middle[0] - x, middle[1] - y)
-            site = touching.Site(name, x, y, "The middle of the bed")
+            middle = [sum(axis) / 2.0 for axis in self.host.axis_limits()[:2]]
+            site = self.with_probe(name, middle, "The middle of the bed")
         return site
 
-    def within(self, *xy):
-        limits = self.host.axis_limits()
-        return [min(max(a, low), high) for a, (low, high) in zip(xy, limits)]
+    # The body is about where the probe is, until somebody has looked
+    def switch_candidate(self, nozzle):
+        finder = self.section.site_finder()
+        position = self.section.settings().switch_xy_position
+        site = finder.switch_site(nozzle, position)
+        if site is None and nozzle is not None:
+            xy = nozzle.x, nozzle.y
+            site = self.with_probe("switch", xy, "The body of the switch")
+        return site
 
+    # Where the head stands to have the probe at xy, as far as it reaches
+    def with_probe(self, name, xy, origin):
+        limits, offsets = self.host.axis_limits(), self.host.probing.offsets()
+        x, y = [
+            min(max(a - offset, low), high)
+            for a, offset, (low, high) in zip(xy, offsets, limits)
+        ]
+        return touching.Site(name, x, y, origin)
+
+    # Keeps the site that the head stands at
+    def take_site(self, gcmd, state):
+        name = state.step
+        x, y = [round(a, 3) for a in self.host.toolhead.get_position()[:2]]
+        site = touching.Site(name, x, y, "The place of the %s" % (name,))
+        self.check_site(site, state)
+        if name == "nozzle":
+            # The pin is no higher than the nozzle over it
+            state.pin_below = self.host.z()
+        self.lift(state)
+        state.sites[name] = site
+
+    def check_site(self, site, state):
+        finder = self.section.site_finder()
+        if site.name == "nozzle":
+            finder.check_nozzle(site)
+        else:
+            finder.check_reach(site)
+        nozzle = state.sites.get("nozzle", site)
+        apart = math.hypot(site.x - nozzle.x, site.y - nozzle.y)
+        if site.name == "switch" and not 0.0 < apart <= LARGEST_SWITCH_DISTANCE:
+            raise CalibrationError(
+                "the switch cannot be %.1f mm from the nozzle; move the head"
+                " until its body is over the pin" % (apart,)
+            )
+        if site.name == "bed":
+            finder.check_apart(state.sites["switch"], site)
+        self.check_dock(site)
+
+    # The host's own text, as the option is one of several modules
+    def check_dock(self, site):
+        configfile = self.host.printer.lookup_object("configfile")
+        status = configfile.get_status(self.host.eventtime())
+        dockable = status["config"].get("dockable_probe", {})
+        parts = dockable.get("dock_position", "").split(",")[:2]
+        dock = [float(part) for part in parts if part.strip()]
+        if len(dock) < 2:
+            return
+        apart = math.hypot(site.x - dock[0], site.y - dock[1])
+        if apart < DOCK_NEAR:
+            raise CalibrationError(
+                "%s is %.1f mm from dock_position; choose one at least %g mm"
+                " away" % (site.origin, apart, DOCK_NEAR)
+            )
+
+    ##################################################################
+    # Moves
+    ##################################################################
+
+    # Never down
     def lift(self, state):
         running.check_homed(self.host)
-        self.run(state).lift()
+        self.calibration(state).lift()
 
-    # Over the pin X first, as a dock is more often beside it than in front of it
+    # Lifted to (x, y); over the pin X first, as a dock is more often beside it
+    # than in front of it.
     def go(self, state, x, y, to_pin):
         self.lift(state)
-        speed = self.module.settings.speed
+        speed = self.section.settings().speed
         if to_pin:
-            before_y = self.host.toolhead.get_position()[1]
-            touching.move_xy(self.host, x, before_y, speed)
+            start_y = self.host.toolhead.get_position()[1]
+            touching.move_xy(self.host, x, start_y, speed)
         touching.move_xy(self.host, x, y, speed)
 
     # Where the nozzle stands over the point of the bed, and how high
-    def sheet(self, state):
+    def over_sheet(self, state):
         bed, offsets = state.sites["bed"], self.host.probing.offsets()
         x, y = bed.x + offsets[0], bed.y + offsets[1]
         site = touching.Site("bed", x, y, "The nozzle over the sheet")
-        touching.check_reach(self.host, site, "take the type of the switch")
-        return x, y, self.contact(state) + OVER_SHEET
+        touching.check_reach(self.host, site, TAKE_THE_TYPE)
+        return x, y, state.contact() + OVER_SHEET
 
-    # Toolhead Z of the bed, if switch_offset were 0
-    @staticmethod
-    def contact(state):
-        z = state.heights
-        return z["bed"] - (z["switch"] - z["nozzle"])
+    def go_over_sheet(self, state):
+        x, y, z = self.over_sheet(state)
+        self.go(state, x, y, False)
+        speed = self.section.settings().pin.lift_speed
+        self.host.toolhead.manual_move([None, None, z], speed)
 
-    # How low (mm) the head may be moved by hand at a step
+    # How low (toolhead Z, mm) the head may be moved by hand at a step
     def jog_floor(self, state, attached):
-        z_offset, pin_z = self.module.settings.z_offset, self.pin_z(state)
+        z_offset, pin_z = self.section.settings().z_offset, self.pin_z(state)
         if state.step == "bed":
             return self.travel_z(state)
         clear = CLEAR_OF_PIN
@@ -156,74 +218,36 @@ class Ways(object):
                 hangs = UNMEASURED_HANGS
         return max(pin_z, 0.0) + hangs + clear
 
+    # Moves by the X, Y and Z of the command (mm), up first
     def jog(self, gcmd, state, attached):
         running.check_homed(self.host)
-        here, end = self.host.toolhead.get_position(), [None, None, None]
-        limits = self.host.axis_limits()
-        for i, axis in enumerate("XYZ"):
-            distance = options.param_number(gcmd, axis)
-            if distance is None:
-                continue
-            if axis not in steps.STEPS[state.step].axes:
-                raise CalibrationError("%s stays as it is here" % (axis,))
-            low, high = limits[i]
-            if axis == "Z":
-                low = self.jog_floor(state, attached)
-                if state.step == "paper":
-                    contact = self.contact(state)
-                    low = steps.paper_floor(contact, here[2], distance)
-            end[i] = steps.jogged(axis, here[i], distance, low, high)
-        speed = self.module.settings.pin.lift_speed
-        if end[2] is not None and end[2] > here[2]:
-            self.host.toolhead.manual_move([None, None, end[2]], speed)
+        toolhead, settings = self.host.toolhead, self.section.settings()
+        speed, start = settings.pin.lift_speed, toolhead.get_position()
+        end = [
+            self.jog_end(gcmd, state, attached, i, start[i]) for i in range(3)
+        ]
+        if end[2] is not None and end[2] > start[2]:
+            toolhead.manual_move([None, None, end[2]], speed)
         if end[:2] != [None, None]:
-            self.host.toolhead.manual_move(end, self.module.settings.speed)
+            toolhead.manual_move(end, settings.speed)
         elif end[2] is not None:
-            self.host.toolhead.manual_move(end, speed)
+            toolhead.manual_move(end, speed)
         # Whoever looks decides on the next one
-        self.host.toolhead.wait_moves()
-        x, y, z = self.host.toolhead.get_position()[:3]
+        toolhead.wait_moves()
+        x, y, z = toolhead.get_position()[:3]
         gcmd.respond_info("X=%.3f Y=%.3f Z=%.3f" % (x, y, z))
 
-    # The place the head stands at
-    def take_place(self, gcmd, state):
-        name = state.step
-        x, y = [round(a, 3) for a in self.host.toolhead.get_position()[:2]]
-        site = touching.Site(name, x, y, "The place of the %s" % (name,))
-        places = self.places()
-        if name == "nozzle":
-            places.check_nozzle(site)
-        else:
-            places.check_reach(site)
-        nozzle = state.sites.get("nozzle", site)
-        apart = math.hypot(site.x - nozzle.x, site.y - nozzle.y)
-        if name == "switch" and not 0.0 < apart <= LARGEST_SWITCH_DISTANCE:
-            raise CalibrationError(
-                "the switch cannot be %.1f mm from the nozzle; move the head"
-                " until its body is over the pin" % (apart,)
-            )
-        if name == "bed":
-            places.check_apart(state.sites["switch"], site)
-        self.check_dock(site)
-        if name == "nozzle":
-            # The pin is no higher than the nozzle over it
-            state.below = self.host.z()
-        self.lift(state)
-        state.sites[name] = site
-
-    # The host's own text, as the option is one of several modules
-    def check_dock(self, site):
-        configfile = self.host.printer.lookup_object("configfile")
-        status = configfile.get_status(self.host.eventtime())
-        text = (
-            status["config"].get("dockable_probe", {}).get("dock_position", "")
-        )
-        dock = [float(part) for part in text.split(",")[:2] if part.strip()]
-        if len(dock) < 2:
-            return
-        apart = math.hypot(site.x - dock[0], site.y - dock[1])
-        if apart < DOCK_NEAR:
-            raise CalibrationError(
-                "%s is %.1f mm from dock_position; choose one at least %g mm"
-                " away" % (site.origin, apart, DOCK_NEAR)
-            )
+    # Where an axis (0 to 2) ends (mm); None: it stays.  Raises CalibrationError.
+    def jog_end(self, gcmd, state, attached, number, start):
+        axis = "XYZ"[number]
+        distance = options.param_number(gcmd, axis)
+        if distance is None:
+            return None
+        if axis not in steps.STEPS[state.step].axes:
+            raise CalibrationError("%s stays as it is here" % (axis,))
+        low, high = self.host.axis_limits()[number]
+        if axis == "Z" and state.step == "paper":
+            low = steps.paper_floor(state.contact(), start, distance)
+        elif axis == "Z":
+            low = self.jog_floor(state, attached)
+        return steps.jogged(axis, start, distance, low, high)

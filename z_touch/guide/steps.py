@@ -35,8 +35,12 @@ MOST_SAMPLES = 10
 
 ORDER = list(STEPS)
 
+######################################################################
+# The order
+######################################################################
 
-# In the order; the last one stays
+
+# The step that comes next in the order; the last one stays.
 def after(name):
     return (ORDER + ORDER[-1:])[ORDER.index(name) + 1]
 
@@ -65,6 +69,11 @@ def command(name, answer="", **params):
 ABORT = COMMAND + " STEP=ABORT"
 
 
+######################################################################
+# Dialogs
+######################################################################
+
+
 def jog_button(name, axis, distance):
     text = "%+g" % (distance,)
     return axis + text, command(name, **{axis: text}), "secondary"
@@ -91,11 +100,11 @@ def jog_groups(name):
 
 # The answers as (label, G-code, colour)
 def buttons(name):
-    found = [
+    answers = [
         (label, command(name, word), colour)
         for label, word, colour in STEPS[name].answers
     ]
-    return found + [("Abort", ABORT, "error")]
+    return answers + [("Abort", ABORT, "error")]
 
 
 # The dialog of a step, and the same for the console.  'late': what the head has
@@ -131,19 +140,24 @@ def while_watching(name):
     return lines("Press it now", text, [("Abort", ABORT, "error")])
 
 
-# What a hand has done to a switch, from pairs: whether it and another one read
-# triggered, the first before anything was pressed.
+######################################################################
+# What is judged
+######################################################################
+
+
+# What a hand has done to a switch, in a word.  'readings' are pairs: whether it and
+# the other one read triggered; the first pair is of before anything was pressed.
 def judge(readings):
-    (own_before, other_before), readings = readings[0], readings[1:]
-    if own_before:
+    (this_before, other_before), readings = readings[0], readings[1:]
+    if this_before:
         return "early"
-    own = [own for own, other in readings]
-    other = any(other != other_before for own, other in readings)
-    if True not in own:
+    pressed = [this for this, other in readings]
+    other = any(other != other_before for this, other in readings)
+    if True not in pressed:
         return "other" if other else "nothing"
     if other:
         return "both"
-    return "good" if not own[-1] else "held"
+    return "good" if not pressed[-1] else "held"
 
 
 # The option's text with the other polarity
@@ -160,7 +174,7 @@ def jogged(axis, start, distance, low, high):
     if abs(distance) > LARGEST_JOG:
         text = "%s=%g: the head is moved by at most %g mm at once"
         raise CalibrationError(text % (axis, distance, LARGEST_JOG))
-    # Out of a place beyond the limit, too
+    # Back from beyond a limit is allowed, too
     end = start + distance
     low, high = min(low, start), max(high, start)
     if not low - 1e-6 <= end <= high + 1e-6:
@@ -184,14 +198,14 @@ def repeatability(samples):
 # switch_offset (mm) with the nozzle at z where it holds the sheet: 'contact' is
 # the toolhead Z of the bed with a switch_offset of 0.
 def from_paper(contact, z):
-    found = round(contact - (z - PAPER), 3) + 0.0
-    if not 0.0 <= found <= LARGEST_SWITCH_OFFSET:
+    switch_offset = round(contact - (z - PAPER), 3) + 0.0
+    if not 0.0 <= switch_offset <= LARGEST_SWITCH_OFFSET:
         raise CalibrationError(
             "a switch_offset of %.3f is that of no switch (0 to %g mm); does"
             " the nozzle hold the sheet, and the pin press the body?"
-            % (found, LARGEST_SWITCH_OFFSET)
+            % (switch_offset, LARGEST_SWITCH_OFFSET)
         )
-    return found
+    return switch_offset
 
 
 # The lowest z (mm) of a jog with the sheet: above all beds in small steps only

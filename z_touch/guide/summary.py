@@ -1,12 +1,11 @@
-# What Z_CALIBRATION_SETUP has found out, and what of it is saved.
+# What Z_CALIBRATION_SETUP tells of its touches, and what it saves.
 # Copyright (C) 2026  the Z calibration developers, under the GNU GPLv3
 from __future__ import absolute_import
 
 import math
 
-from ..core.sampling import AUTO
 from . import steps
-from .head import PLACES
+from .state import SITES
 
 # More (mm) than this is another place
 SAME_PLACE = 0.01
@@ -16,62 +15,86 @@ def near(a, b):
     return math.hypot(a.x - b.x, a.y - b.y) <= SAME_PLACE
 
 
-# What the last touches say
-def found(state):
+# How well the last touches repeat, in a sentence; empty before the first ones
+def repeats(state):
     samples = state.samples
     if not samples:
         return ""
-    name = [site for site in PLACES if site in samples][-1]
+    name = [site for site in SITES if site in samples][-1]
     text = "The %s repeats within %.4f mm."
     text %= (name, max(samples[name]) - min(samples[name]))
-    if len(samples) == len(PLACES):
+    if len(samples) == len(SITES):
         text += " All in all: %s; samples: %d is enough."
         text %= steps.repeatability(list(samples.values()))
     return text
 
 
-# What differs from the section, as pairs of option and text
-def values(ways, state):
-    settings, places = ways.module.settings, ways.places()
-    sites, found = state.sites, []
-    old_switch = places.switch_site(
-        sites["nozzle"], settings.switch_xy_position
-    )
-    x, y = ways.host.probing.offsets()[:2]
-    for name, old in (
-        ("nozzle", settings.nozzle_xy_position),
-        ("switch", old_switch),
-        ("bed", places.bed_site(settings.bed_xy_position)),
-    ):
-        site = sites[name]
-        if old is not None and near(old, site):
-            continue
-        if name == "bed":
-            site = site._replace(x=site.x + x, y=site.y + y)
-        found.append((name + "_xy_position", steps.as_pair(site)))
-    found.append(("switch_offset", "%.3f" % (state.switch_offset,)))
-    travel_z = ways.travel_z(state)
-    is_higher = travel_z > settings.safe_z_height or settings.unmeasured_pin
-    if settings.position_endstop is None and is_higher:
-        # CALIBRATE_Z does not know how high that pin is
-        found.append(("safe_z_height", "%.1f" % (travel_z + 0.05,)))
-    count = steps.repeatability(list(state.samples.values()))[1]
-    own = (settings.pin.samples, settings.probe.samples)
-    if AUTO not in own and min(own) < count:
-        found.append(("samples", "%d" % (count,)))
-    return found
+# Collects what of the State has to be saved.
+class Summary(object):
+    # 'section': interface.Interface; 'head': head.GuidedHead; 'saver':
+    # saving.Saver
+    def __init__(self, section, head, saver):
+        self.section = section
+        self.host = section.host
+        self.head = head
+        self.saver = saver
 
+    # What differs from the section, as pairs of option and text
+    def values(self, state):
+        settings = self.section.settings()
+        values = self.sites(state)
+        values.append(("switch_offset", "%.3f" % (state.switch_offset,)))
+        travel_z = self.head.travel_z(state)
+        is_higher = travel_z > settings.safe_z_height or settings.unmeasured_pin
+        if settings.position_endstop is None and is_higher:
+            # CALIBRATE_Z does not know how high that pin is
+            values.append(("safe_z_height", "%.1f" % (travel_z + 0.05,)))
+        count = steps.repeatability(list(state.samples.values()))[1]
+        samplings = settings.pin, settings.probe
+        if settings.counting.is_exceeded(count, samplings):
+            values.append(("samples", "%d" % (count,)))
+        return values
 
-# The same in words: what SAVE_CONFIG writes, and what it cannot
-def summary(ways, state, saver):
-    saved, not_saved = [], ""
-    for option, text in values(ways, state):
-        line = "%s: %s" % (option, text)
-        place = saver.obstacle(ways.host.section, option)
-        if place:
-            not_saved += " SAVE_CONFIG cannot: write '%s' into %s." % (
-                (line, place)
-            )
-        else:
-            saved.append(line)
-    return {"values": "; ".join(saved), "not_saved": not_saved}
+    # The sites that are others than those of the section
+    def sites(self, state):
+        settings, finder = self.section.settings(), self.section.site_finder()
+        configured = (
+            settings.nozzle_xy_position,
+            finder.switch_site(
+                state.sites["nozzle"], settings.switch_xy_position
+            ),
+            finder.bed_site(settings.bed_xy_position),
+        )
+        values, (x, y) = [], self.host.probing.offsets()[:2]
+        for name, old in zip(SITES, configured):
+            site = state.sites[name]
+            if old is not None and near(old, site):
+                continue
+            if name == "bed":
+                # The option is a point of the bed, the site one of the head
+                site = site._replace(x=site.x + x, y=site.y + y)
+            values.append((name + "_xy_position", steps.as_pair(site)))
+        return values
+
+    # What SAVE_CONFIG writes, and what it cannot, in words
+    def facts(self, state):
+        saved, not_saved = [], ""
+        for option, text in self.values(state):
+            line = "%s: %s" % (option, text)
+            obstacle = self.saver.obstacle(self.host.section, option)
+            if obstacle:
+                not_saved += " SAVE_CONFIG cannot: write '%s' into %s." % (
+                    (line, obstacle)
+                )
+            else:
+                saved.append(line)
+        return {"values": "; ".join(saved), "not_saved": not_saved}
+
+    # Hands it to SAVE_CONFIG; whether that will write any of it
+    def save(self, state):
+        return any(
+            [
+                self.saver.save(self.host.section, option, text)
+                for option, text in self.values(state)
+            ]
+        )

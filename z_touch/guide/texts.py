@@ -137,7 +137,7 @@ ALL = (
     step(
         "touch_switch",
         "First touches of the switch",
-        "%(found)s "
+        "%(repeats)s "
         + TOUCH
         % (
             "runs before_switch_gcode, goes over the pin (over the bed before"
@@ -149,7 +149,7 @@ ALL = (
     step(
         "touch_bed",
         "First touches of the bed",
-        "%(found)s "
+        "%(repeats)s "
         + TOUCH % ("goes over the bed",)
         + " After that end_gcode puts the probe away.",
         "Touch",
@@ -158,7 +158,7 @@ ALL = (
     step(
         "gap",
         "Which switch has the probe?",
-        "%(found)s Which switch is in the probe? Take its button. The value"
+        "%(repeats)s Which switch is in the probe? Take its button. The value"
         " of another one goes in on the console: Z_CALIBRATION_SETUP STEP=GAP"
         " VALUE=mm. Or 'Paper' lifts the head to Z=%(travel_z).1f and goes"
         " with the nozzle over the bed, down to Z=%(paper_z).2f, about 2 to"
@@ -178,7 +178,7 @@ ALL = (
     step(
         "save",
         "Save",
-        "%(found)s After this, home (G28) and run CALIBRATE_Z. 'Save' hands"
+        "%(repeats)s After this, home (G28) and run CALIBRATE_Z. 'Save' hands"
         " this to SAVE_CONFIG, which writes printer.cfg and restarts Klipper:"
         " %(values)s.%(not_saved)s",
         "Save",

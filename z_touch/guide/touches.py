@@ -4,36 +4,15 @@ from __future__ import absolute_import
 
 from ..core import running
 from ..core.errors import CalibrationError
-from .head import PLACES
 
 
-# How far somebody has come; nothing of it is saved before the last step.
-class State(object):
-    def __init__(self):
-        self.step = "pin"
-        # The head has got to where the step begins
-        self.arrived = True
-        # Of the frame of the heights
-        self.mark = None
-        # A start_gcode has run since the last end_gcode
-        self.fetched = False
-        # The probe stays on the head
-        self.is_fixed = False
-        # Toolhead Z (mm) that the pin lies below
-        self.below = None
-        # touching.Site, heights (mm) and samples, by name
-        self.sites = {}
-        self.heights = {}
-        self.samples = {}
-        self.switch_offset = None
-
-
+# Homes, fetches the probe, touches each site, and leaves the printer as before.
 class Touches(object):
-    # 'module' is the object behind [z_calibration]
-    def __init__(self, module, ways, hands):
-        self.module = module
-        self.host = module.host
-        self.ways = ways
+    # 'section': interface.Interface; 'head': head.GuidedHead; 'hands': hands.Hands
+    def __init__(self, section, head, hands):
+        self.section = section
+        self.host = section.host
+        self.head = head
         self.hands = hands
 
     def is_homed(self):
@@ -42,7 +21,7 @@ class Touches(object):
 
     def home(self, gcmd, state):
         if not self.is_homed():
-            on_pin = self.module.settings.position_endstop is not None
+            on_pin = self.section.settings().position_endstop is not None
             if on_pin and not state.is_fixed and self.hands.is_attached():
                 raise CalibrationError(
                     "the probe is on the head, and would hit the bed before the"
@@ -50,14 +29,21 @@ class Touches(object):
                 )
             self.host.gcode.run_script_from_command("G28")
         running.check_homed(self.host)
-        state.mark = self.module.frame.mark()
+        state.mark = self.section.mark()
 
+    ##################################################################
+    # The probe
+    ##################################################################
+
+    # Unless it is on the head already
     def attach(self, gcmd, state):
-        self.ways.lift(state)
+        self.head.lift(state)
         if self.hands.is_attached():
             return
-        with self.module.hooks.holding_probe():
-            self.fetch(state, "start_gcode", "before_switch_gcode")
+        with self.section.holding_probe():
+            self.fetch(state)
+            self.section.fetch_late(None)
+            state.mark = self.section.mark()
         if not self.hands.is_attached():
             raise CalibrationError(
                 "the probe reads triggered: neither start_gcode nor"
@@ -65,64 +51,65 @@ class Touches(object):
                 " correct them"
             )
 
-    def fetch(self, state, *options):
-        state.fetched = True
-        for option in options:
-            self.module.hooks.run_gcode(option)
-        running.check_homed(self.host)
-        state.mark = self.module.frame.mark()
+    def fetch(self, state):
+        state.is_fetched = True
+        self.section.fetch()
+        state.mark = self.section.mark()
 
     def put_away(self, state):
-        if state.fetched:
-            self.module.hooks.end()
-            state.fetched = False
-
-    def touch_nozzle(self, gcmd, state):
-        self.ways.lift(state)
-        state.heights, state.samples = {}, {}
-        with self.module.hooks.holding_probe():
-            self.put_away(state)
-            self.fetch(state, "start_gcode")
-            self.touch(state, "nozzle", lambda run: run.measure_nozzle())
-
-    def touch_switch(self, gcmd, state):
-        nozzle_z = state.heights["nozzle"]
-        with self.module.hooks.holding_probe():
-            self.ways.lift(state)
-            # An earlier try may have fetched it
-            late = self.module.settings.attach_after_nozzle
-            if not (late and self.hands.is_attached()):
-                self.module.hooks.before_switch(state.mark)
-            self.touch(
-                state, "switch", lambda run: run.measure_switch(nozzle_z)
-            )
-
-    def touch_bed(self, gcmd, state):
-        z = [state.heights[name] for name in PLACES[:2]]
-        with self.module.hooks.holding_probe():
-            self.touch(state, "bed", lambda run: run.measure_bed(*z))
-            self.put_away(state)
-
-    def touch(self, state, name, measure):
-        run = self.ways.run(state)
-        with running.always(self.host, run.lift, "lifting"):
-            state.heights[name] = measure(run)
-        state.samples[name] = list(run.plan.samples[name])
-        if name == "switch" and run.warnings:
-            # The plunger was pressed, too: another place is needed
-            raise CalibrationError("; ".join(run.warnings))
+        if state.is_fetched:
+            self.section.put_away()
+            state.is_fetched = False
 
     # The printer as before.  A print would go on where the head was lifted to;
-    # of a printer that is not homed nothing can be moved
+    # of a printer that is not homed nothing can be moved.
     def leave(self, gcmd, state, is_printing):
         if state.mark is None:
             return
         if self.is_homed() and not is_printing:
-            self.ways.lift(state)
-            with self.module.hooks.holding_probe():
+            self.head.lift(state)
+            with self.section.holding_probe():
                 self.put_away(state)
-        elif state.fetched:
+        elif state.is_fetched:
             gcmd.respond_info(
                 "%s: printing or not homed, so nothing was moved; the probe may"
                 " still be on the head" % (self.host.section,)
             )
+
+    ##################################################################
+    # First touches
+    ##################################################################
+
+    def touch_nozzle(self, gcmd, state):
+        self.head.lift(state)
+        state.heights, state.samples = {}, {}
+        with self.section.holding_probe():
+            self.put_away(state)
+            self.fetch(state)
+            self.touch(state, "nozzle")
+
+    def touch_switch(self, gcmd, state):
+        with self.section.holding_probe():
+            self.head.lift(state)
+            # An earlier try may have fetched it
+            is_late = self.section.settings().attach_after_nozzle
+            if not (is_late and self.hands.is_attached()):
+                self.section.fetch_late(state.mark)
+            self.touch(state, "switch")
+
+    def touch_bed(self, gcmd, state):
+        with self.section.holding_probe():
+            self.touch(state, "bed")
+            self.put_away(state)
+
+    # Touches a site, and lifts the head
+    def touch(self, state, name):
+        calibration = self.head.calibration(state)
+        with running.always(self.host, calibration.lift, "lifting"):
+            state.heights[name] = calibration.measure_site(
+                name, *state.heights_before(name)
+            )
+        state.samples[name] = list(calibration.samples(name))
+        if name == "switch" and calibration.warnings:
+            # The plunger was pressed, too: another place is needed
+            raise CalibrationError("; ".join(calibration.warnings))

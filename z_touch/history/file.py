@@ -15,7 +15,13 @@ import os
 import threading
 import time
 
-from ..uncertainty import estimate as uncertainty
+from ..uncertainty.estimate import (
+    UNKNOWN,
+    Spread,
+    pool,
+    spread_of,
+    without_outliers,
+)
 from . import trend
 
 SITES = ("nozzle", "switch", "bed")
@@ -33,11 +39,22 @@ RESULTS = 10
 RECENT = 20
 
 
+# Gives way to klippy's main thread
 def pause():
     time.sleep(PAUSE)
 
 
-# What no printer and no clock has is none, either
+######################################################################
+# Records
+######################################################################
+
+# A run is a dict: 'ok', 'time' (s since 1970), 'printer', 'reason', 'sites' by
+# name with 'z', 'sd', 'n' and 'samples' (mm), 'temperatures' (C), and, of a good
+# one, 'offset', 'uncertainty' and 'switch_offset' (mm).  One of
+# CALIBRATE_Z_ACCURACY has 'cycles', too.
+
+
+# A number that no printer and no clock has is none, either
 def is_number(value):
     good = isinstance(value, (int, float)) and not isinstance(value, bool)
     return good and abs(value) < 1e12
@@ -47,7 +64,7 @@ def are_numbers(values):
     return isinstance(values, list) and all(map(is_number, values))
 
 
-# A line as a record, or None: whoever edits it by hand may write anything
+# A line as a record, or None: whoever edits the file by hand may write anything
 def parse(line):
     try:
         record = json.loads(line.decode("utf-8"))
@@ -94,10 +111,11 @@ def are_cycles(cycles):
     )
 
 
-# Of a site's samples: its height, how many of them count and their spread
+# What a record has of a site: its height (mm), its samples, how many of them count
+# and how they vary
 def site_record(samples, z, step):
-    kept = uncertainty.without_outliers(samples, uncertainty.UNKNOWN, step)
-    spread = uncertainty.spread_of(kept)
+    kept = without_outliers(samples, UNKNOWN, step)
+    spread = spread_of(kept)
     return {
         "z": round(z, 6),
         "sd": round(math.sqrt(spread.variance), 6),
@@ -106,13 +124,18 @@ def site_record(samples, z, step):
     }
 
 
-# Of one touch at a site, by the good runs
-def past_spread(runs, site):
-    found = [run["sites"][site] for run in runs if run["ok"]][-RECENT:]
-    return uncertainty.pool(
-        uncertainty.Spread(max(s["sd"], 0.0) ** 2, max(int(s["n"]) - 1, 0))
-        for s in found
+# The Spread of one touch at a site, by the latest good runs
+def spread_in(runs, site):
+    measured = [run["sites"][site] for run in runs if run["ok"]][-RECENT:]
+    return pool(
+        Spread(max(s["sd"], 0.0) ** 2, max(int(s["n"]) - 1, 0))
+        for s in measured
     )
+
+
+######################################################################
+# The file
+######################################################################
 
 
 # The file; every method may raise IOError or OSError.
@@ -172,14 +195,15 @@ class File(object):
     def _drop_oldest(self):
         with open(self.path, "rb") as f:
             data = f.read()
-        place, drop = 0, data.count(b"\n") - self.limit
+        begin, drop = 0, data.count(b"\n") - self.limit
         for _ in range(drop):
-            place = data.index(b"\n", place) + 1
-        if place:
-            replace(self.path, data[place:])
+            begin = data.index(b"\n", begin) + 1
+        if begin:
+            replace(self.path, data[begin:])
 
 
-# By a file that takes its place: all of it, or as before
+# Writes a file anew, by another one that takes its place: it has all of the data,
+# or stays as it was.
 def replace(path, data):
     path = os.path.realpath(path)
     new = path + ".new"
@@ -217,6 +241,11 @@ class Turn(object):
         os.close(self.fd)
 
 
+######################################################################
+# The runs of a printer
+######################################################################
+
+
 # The runs of one printer, on klippy's main thread
 class History(object):
     # 'file': None where nothing is kept.  say(text) is called on the main
@@ -228,7 +257,7 @@ class History(object):
         self.printer = printer
         self.say = say
         self.runs = []
-        self.summary = trend.summarize([])
+        self.summary = trend.summarize_runs([])
         self.told = set()
         self.status = {}
         self.lock = threading.Lock()
@@ -239,7 +268,8 @@ class History(object):
         if self.file is not None:
             self.in_thread(self._read)
 
-    # The thread ends with its work: klippy's end waits for nobody
+    # Calls work(*args) in a thread, which ends with that: klippy's end waits for
+    # nobody.
     def in_thread(self, work, *args):
         thread = threading.Thread(target=self._guard, args=(work, args))
         thread.daemon = True
@@ -278,7 +308,7 @@ class History(object):
             text = "%d damaged lines of %s are left out"
             self.later(self.warn, text % (damaged, self.file.path))
         runs = self._of_this_printer(records)
-        self.later(self._take, runs, trend.summarize(runs, pause), [])
+        self.later(self._take, runs, trend.summarize_runs(runs, pause), [])
 
     def _of_this_printer(self, records):
         return [
@@ -307,7 +337,7 @@ class History(object):
         worn = trend.wear(runs, pause)
         record["wear"] = [name for name, text in worn]
         texts = [text for name, text in worn]
-        self.later(self._take, None, trend.summarize(runs, pause), texts)
+        self.later(self._take, None, trend.summarize_runs(runs, pause), texts)
         self.file.append(record)
 
     # 'runs' None: they are here already
@@ -320,9 +350,9 @@ class History(object):
         for text in texts:
             self.say(text)
 
-    # Of one touch at each site
+    # The Spread of one touch by site
     def spreads(self):
-        return dict((site, past_spread(self.runs, site)) for site in SITES)
+        return dict((site, spread_in(self.runs, site)) for site in SITES)
 
     def _show(self):
         spreads = self.spreads()

@@ -1,4 +1,4 @@
-# What a module writes into its history, and what users ask of it.
+# What [z_calibration] writes into its history, and what users ask of it.
 # Copyright (C) 2026  the Z calibration developers, under the GNU GPLv3
 from __future__ import absolute_import
 
@@ -6,16 +6,9 @@ import logging
 import os
 import time
 
-from ..core import options
-from ..core.sampling import AUTO
 from ..uncertainty import adaptive, cycles
 from . import report
 from .file import SITES, File, History, site_record
-
-# Touches of each site in a cycle, where their number is not given, and cycles at
-# most
-CYCLE_SAMPLES = 3
-MOST_CYCLES = 200
 
 HEATERS = ("extruder", "heater_bed")
 
@@ -30,34 +23,10 @@ def find_file(printer, folder, runs):
     return File(os.path.join(beside, os.path.expanduser(folder)), runs)
 
 
-# What CALIBRATE_Z_ACCURACY was asked for: how often, whether the probe is
-# attached and Z homed each time, and how to touch
-class Wanted(object):
-    def __init__(self, gcmd, settings):
-        count = options.param_int
-        self.cycles = count(gcmd, "CYCLES", 10, minval=2, maxval=MOST_CYCLES)
-        self.attach = bool(count(gcmd, "ATTACH", 1))
-        self.home = bool(count(gcmd, "HOME", 0))
-        if self.home and not self.attach:
-            raise gcmd.error(
-                "HOME=1 needs ATTACH=1: the probe is put away to home"
-            )
-        self.settings = settings._replace(
-            pin=for_cycles(settings.pin), probe=for_cycles(settings.probe)
-        )
-
-
-# The spread is what is asked for, and a single touch has none
-def for_cycles(sampling):
-    samples = sampling.samples
-    if samples in (AUTO, 1):
-        samples = CYCLE_SAMPLES
-    return sampling._replace(
-        samples=samples, tolerance=float("inf"), result="average"
-    )
-
-
+# Of a run that is under way: when it began (eventtime), its adaptive.Plan, and why
+# the nozzle was cleaned.
 class Recorder(object):
+    # 'settings' name the folder; 'version' of the modules
     def __init__(self, host, settings, version):
         self.host = host
         self.printer = host.printer
@@ -69,7 +38,6 @@ class Recorder(object):
             os.path.basename(name),
             self.say,
         )
-        # Of the run that is under way
         self.plan = None
         self.began = 0.0
         self.cleaned = ""
@@ -80,49 +48,53 @@ class Recorder(object):
     def say(self, text):
         self.host.gcode.respond_info("%s: %s" % (self.host.section, text))
 
-    # What a run knows of its sites, for adaptive.Plan
-    def make_plan(self, target):
+    # What a run knows of its sites.  'counting': adaptive.FixedCount or Automatic
+    def make_plan(self, counting):
         step = max(s.get_step_dist() for s in self.host.z_steppers())
-        spreads = self.history.spreads()
-        return adaptive.Plan(step, spreads, target)
+        return adaptive.Plan(step, self.history.spreads(), counting)
 
-    def begin(self, target):
-        self.plan = self.make_plan(target)
+    def begin(self, counting):
+        self.plan = self.make_plan(counting)
         self.began = self.host.eventtime()
         self.cleaned = ""
         return self.plan
 
-    # The one that has just ended, of CALIBRATE_Z_ACCURACY
+    def note_cleaning(self, why):
+        self.cleaned = why
+
+    # The cycles.Cycle that has just ended
     def cycle(self, switch_offset):
         samples = [self.plan.samples[site] for site in SITES]
         return cycles.Cycle(self.host.eventtime(), *samples + [switch_offset])
 
-    def tell_cycles(self, gcmd, found):
+    # CALIBRATE_Z_ACCURACY has ended; 'measured': its cycles.Cycle
+    def tell_cycles(self, gcmd, measured):
         step = self.plan.step
-        seconds = (self.host.eventtime() - self.began) / len(found)
-        for line in cycles.tell(found, step, seconds):
+        seconds = (self.host.eventtime() - self.began) / len(measured)
+        for line in cycles.tell(measured, step, seconds):
             gcmd.respond_info("CALIBRATE_Z_ACCURACY: %s" % (line,))
-        offsets = cycles.offsets(found)
+        offsets = cycles.offsets(measured)
         self.add(
             ok=True,
             reason="",
             offset=round(sum(offsets) / len(offsets), 6),
-            uncertainty=round(cycles.uncertainty(found, step), 6),
-            switch_offset=found[-1].switch_offset,
+            uncertainty=round(cycles.uncertainty(measured, step), 6),
+            switch_offset=measured[-1].switch_offset,
             warnings=[],
-            verdict=cycles.judge(found).text,
+            verdict=cycles.judge(measured).text,
             cycles=[
                 dict(
                     (site, [round(z, 6) for z in getattr(cycle, site)])
                     for site in SITES
                 )
-                for cycle in found
+                for cycle in measured
             ],
         )
         if self.history.file is not None:
             self.draw()
 
-    # 'last': what the module keeps of it
+    # CALIBRATE_Z has ended well.  'last' has the result, its uncertainty,
+    # z_adjust and warnings.
     def good(self, last):
         worth = last.uncertainty
         self.add(
@@ -147,8 +119,9 @@ class Recorder(object):
         except Exception:
             logging.exception("%s: no record of this run", self.host.section)
 
+    # What a record has of good and of refused runs
     def common(self):
-        plan, now = self.plan, self.host.eventtime()
+        plan, eventtime = self.plan, self.host.eventtime()
         sites, retries = {}, 0
         for site in SITES:
             if site in plan.estimates:
@@ -158,21 +131,23 @@ class Recorder(object):
         return {
             "time": round(time.time(), 1),
             "revision": self.version,
-            "duration": round(now - self.began, 2),
-            "temperatures": self.temperatures(now),
+            "duration": round(eventtime - self.began, 2),
+            "temperatures": self.temperatures(eventtime),
             "sites": sites,
             "retries": retries,
             "cleaned": self.cleaned,
         }
 
-    def temperatures(self, now):
-        found = {}
-        for name in HEATERS:
-            heater = self.printer.lookup_object(name, None)
-            if heater is not None:
-                status = heater.get_status(now)
-                found[name] = round(status["temperature"], 1)
-        return found
+    # By the names of HEATERS (C)
+    def temperatures(self, eventtime):
+        heaters = [
+            (name, self.printer.lookup_object(name, None)) for name in HEATERS
+        ]
+        return {
+            name: round(heater.get_status(eventtime)["temperature"], 1)
+            for name, heater in heaters
+            if heater is not None
+        }
 
     cmd_Z_CALIBRATION_REPORT_help = "Draw the history of the Z calibration"
 
@@ -189,6 +164,5 @@ class Recorder(object):
         self.history.in_thread(self.write_report)
 
     def write_report(self):
-        file = self.history.file
-        path = report.write(file, self.history.printer)
+        path = report.write(self.history.file, self.history.printer)
         self.history.later(self.say, "the report is %s" % (path,))

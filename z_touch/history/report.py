@@ -13,8 +13,8 @@ import sys
 import time
 
 from ..core.sampling import summarize
-from . import file as history
 from . import trend
+from .file import SITES, parse, pause, replace
 from .svg import GAP, LEFT, Curve, Page, Plot, day
 
 # The newest reports are kept
@@ -26,7 +26,7 @@ USAGE = "python3 -m z_touch.history.report history.jsonl [report.svg]\n"
 # Points that a noisy curve is smoothed to
 SMOOTH = 60
 
-SITE_COLOURS = tuple(zip(history.SITES, "abc"))
+SITE_COLOURS = tuple(zip(SITES, "abc"))
 
 
 def draw(page, title, curves, runs, marks=()):
@@ -49,10 +49,12 @@ def draw(page, title, curves, runs, marks=()):
 
 # At both ends and in the middle, each once
 def dates_of(runs):
-    found = [day(runs[i]["time"]) for i in (0, len(runs) // 2, -1)]
-    if found[1] in (found[0], found[2]):
-        found[1] = ""
-    return found if found[0] != found[2] else [found[0], "", ""]
+    first, middle, last = [
+        day(runs[i]["time"]) for i in (0, len(runs) // 2, -1)
+    ]
+    if first == last:
+        return [first, "", ""]
+    return [first, "" if middle in (first, last) else middle, last]
 
 
 # Of good runs only
@@ -62,26 +64,26 @@ def values_of(runs, value):
 
 # In um, each the mean of the values up to it where there are many
 def smooth(values, pause):
-    count, found = max(1, len(values) // SMOOTH), []
+    count, means = max(1, len(values) // SMOOTH), []
     for i in range(len(values)):
         if i % 100 == 0:
             pause()
         part = values[max(0, i + 1 - count) : i + 1]
         part = [1000.0 * v for v in part if v is not None]
-        found.append(sum(part) / len(part) if part else None)
-    return found
+        means.append(sum(part) / len(part) if part else None)
+    return means
 
 
 # Around the fingerprint, since nozzle and probe are the ones they are
 def band_of(runs, pause):
-    known, since, _ = trend.summarize(runs, pause)
-    if known.middle is None:
+    (middle, sigma, _), since, _ = trend.summarize_runs(runs, pause)
+    if middle is None:
         return None
-    far = max(trend.FAR_SIGMA * known.sigma, trend.FAR)
+    far = max(trend.FAR_SIGMA * sigma, trend.FAR)
     band, good = [], 0
     for run in runs:
         there = good >= since
-        band.append((known.middle - far, known.middle + far) if there else None)
+        band.append((middle - far, middle + far) if there else None)
         good += run["ok"]
     return band
 
@@ -214,7 +216,7 @@ def svg(records, pause=trend.no_pause):
 
 
 # Beside the history; returns its path.  The oldest reports go.
-def write(file, printer, pause=history.pause):
+def write(file, printer, pause=pause):
     records, _ = file.read()
     records = [r for r in records if r.get("printer") == printer]
     text = svg(records, pause)
@@ -222,7 +224,7 @@ def write(file, printer, pause=history.pause):
     if not os.path.isdir(file.folder):
         os.makedirs(file.folder)
     path = os.path.join(file.folder, name)
-    history.replace(path, text.encode("ascii"))
+    replace(path, text.encode("ascii"))
     old = re.compile(r"report-\d{8}-\d{6}\.svg$")
     names = [n for n in os.listdir(file.folder) if old.match(n) and n != name]
     for other in sorted(names)[: max(0, len(names) + 1 - KEPT)]:
@@ -240,7 +242,7 @@ def main(words):
     records = []
     with open(words[0], "rb") as f:
         for line in f.read().splitlines():
-            records.append(history.parse(line))
+            records.append(parse(line))
     records = [record for record in records if record is not None]
     # Of several printers the one that ran last
     printer = records[-1].get("printer") if records else None

@@ -38,14 +38,14 @@ Curve = collections.namedtuple("Curve", "name colour values band")
 
 # In XML, without what it cannot hold
 def escaped(text):
-    found = []
+    letters = []
     for c in "%s" % (text,):
         code = ord(c)
         if c in "&<>" or 0xA0 <= code < 0xD800:
-            found.append("&#%d;" % (code,))
+            letters.append("&#%d;" % (code,))
         else:
-            found.append(str(c) if 0x20 <= code < 0x7F else "?")
-    return "".join(found)
+            letters.append(str(c) if 0x20 <= code < 0x7F else "?")
+    return "".join(letters)
 
 
 # In lines of whole words, of which the last one is cut where there are more
@@ -144,8 +144,8 @@ class Plot(object):
                 '<path d="M%d %.1fH%d" class="g"/>', LEFT, y, WIDTH - RIGHT
             )
             page.text(LEFT - 6, y + 4, "s e", text)
-        for place, css, text in zip((0, 0.5, 1), ("s", "s m", "s e"), dates):
-            x = LEFT + place * (WIDTH - LEFT - RIGHT)
+        for part, css, text in zip((0, 0.5, 1), ("s", "s m", "s e"), dates):
+            x = LEFT + part * (WIDTH - LEFT - RIGHT)
             page.text(x, bottom + 14, css, text)
         page.y = bottom + BELOW + GAP
 
@@ -176,12 +176,12 @@ class Plot(object):
         )
 
     def path(self, points):
-        found = []
+        corners = []
         for number, (i, v) in enumerate(points):
             if number % 200 == 0:
                 self.page.pause()
-            found.append("%.1f,%.1f" % (self.x(i), self.y(v)))
-        return " ".join(found)
+            corners.append("%.1f,%.1f" % (self.x(i), self.y(v)))
+        return " ".join(corners)
 
     def band(self, curve):
         there = [(i, b) for i, b in enumerate(curve.band) if b is not None]

@@ -1,4 +1,4 @@
-# What many runs say of a printer: pure functions on its records (history.py).
+# What many runs say of a printer: pure functions on its records (file.py).
 # Copyright (C) 2026  the Z calibration developers, under the GNU GPLv3
 #
 # switch - nozzle depends on neither homing nor bed: it is the fingerprint of
@@ -10,7 +10,7 @@ from __future__ import absolute_import, division
 import collections
 import math
 
-from ..core.sampling import summarize as middle_of
+from ..core.sampling import summarize
 from ..uncertainty.estimate import MAD_FACTOR
 
 # mm; None where there are too few runs
@@ -51,6 +51,10 @@ GROWTH_TIMES = 1.5
 
 # Only runs are compared that were as hot (K)
 AS_HOT = 10.0
+
+
+# Functions of a run: the height of a site, switch - nozzle, and how the touches of
+# a site vary (mm)
 
 
 def height(site):
@@ -106,8 +110,8 @@ def fingerprint_of(values):
     if len(values) < LEAST_RUNS:
         return NO_FINGERPRINT._replace(runs=len(values))
     values = values[-LATEST_RUNS:]
-    middle = middle_of(values, "median")
-    far = middle_of([abs(v - middle) for v in values], "median")
+    middle = summarize(values, "median")
+    far = summarize([abs(v - middle) for v in values], "median")
     return Fingerprint(middle, MAD_FACTOR * far, len(values))
 
 
@@ -118,16 +122,16 @@ def departs(value, fingerprint):
     return abs(value - fingerprint.middle) > limit
 
 
-# Two runs in a row that depart from all before, and agree with each other, are
+# The Summary of runs.  Two in a row that depart from all before, and agree with each other, are
 # the first ones of another nozzle or probe.
-def summarize(runs, pause=no_pause):
+def summarize_runs(runs, pause=no_pause):
     values, since, off = [], 0, None
     good = [run for run in runs if run["ok"]]
     for number, run in enumerate(good):
         if number % 5 == 0:
             pause()
-        value, known = body(run), fingerprint_of(values)
-        if not departs(value, known):
+        value = body(run)
+        if not departs(value, fingerprint_of(values)):
             values, off = values + [value], None
         elif off is not None and abs(value - off) <= FAR:
             values, off, since = [off, value], None, number - 1
@@ -156,7 +160,7 @@ def kendall(values, pause=no_pause):
 def thirds(values):
     third = len(values) // 3
     ends = values[:third], values[-third:]
-    return [middle_of(part, "median") for part in ends]
+    return [summarize(part, "median") for part in ends]
 
 
 def is_as_hot(run, other):
@@ -170,15 +174,15 @@ def is_as_hot(run, other):
 
 # The latest ones that are comparable with the last, and were not told of yet
 def comparable(good, pause):
-    found = []
+    latest = []
     for number, run in enumerate(reversed(good)):
         if number % 20 == 0:
             pause()
         if is_as_hot(run, good[-1]):
-            found.append(run)
-        if len(found) == TREND_RUNS:
+            latest.append(run)
+        if len(latest) == TREND_RUNS:
             break
-    return found[::-1]
+    return latest[::-1]
 
 
 def since_told(name, runs):
@@ -191,8 +195,8 @@ def since_told(name, runs):
 # What is significant since it was told last: pairs of name and text
 def wear(runs, pause=no_pause):
     good = [run for run in runs if run["ok"]]
-    like = comparable(good[summarize(good, pause).since :], pause)
-    found = []
+    since = summarize_runs(good, pause).since
+    like, told = comparable(good[since:], pause), []
     for name, value, remedy in HEIGHTS + SPREADS:
         values = [value(run) for run in since_told(name, like)]
         pause()
@@ -201,8 +205,8 @@ def wear(runs, pause=no_pause):
         is_height = name in [entry[0] for entry in HEIGHTS]
         text = (shifted if is_height else grown)(name, values, pause)
         if text:
-            found.append((name, "%s: %s" % (text, remedy)))
-    return found
+            told.append((name, "%s: %s" % (text, remedy)))
+    return told
 
 
 def shifted(name, values, pause):

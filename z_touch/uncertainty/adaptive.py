@@ -1,12 +1,19 @@
-# How many touches a site needs.
+# How many touches a site gets: a fixed count, or as many as the result needs.
+#
 # Copyright (C) 2026  the Z calibration developers, under the GNU GPLv3
+#
+# With samples: auto the target is what the offset may be off by (mm at 95 %).
+# Its square is shared among the sites, after what nobody can average away:
+#
+#   target^2 - (step / 2)^2  >=  sum over the sites of t^2 * variance
+#
+# A site is touched until its part is no more than its share, see share().
 from __future__ import absolute_import, division
 
 import math
 
 from ..core.errors import SamplesDiffer
-from ..core.sampling import AUTO
-from ..core.sampling import collect as collect_some
+from ..core.sampling import AUTO, collect
 from .estimate import (
     UNKNOWN,
     USUAL_NOISE,
@@ -46,61 +53,74 @@ FAR_ONES = 3
 # An outlier wants three that speak against it
 AGAINST_ONE = 3
 
+# Touches of each site in a cycle, where their number is not given
+CYCLE_SAMPLES = 3
+
+
+######################################################################
+# As many as are needed
+######################################################################
+
+# 'earlier': the Spread of one touch at a site in earlier runs, or by site.
+
 
 # The part of the variance at 95 % (mm^2) that a site may have: no less than its
 # third, more where the sites before it have left some, by its noise as far as
-# that is known.  'target': mm at 95 %; 'pasts': Spread by site; 'found': the
-# other sites' Estimate.
-def share(site, target, step, pasts, found):
+# that is known.  'target': mm at 95 %; 'measured': Estimates of the sites that
+# come before.
+def share(site, target, step, earlier, measured):
     # Half a step is not to be averaged away
     whole = max(target**2 - (step / 2.0) ** 2, 0.0)
-    left = whole - math.fsum(cost(estimate) for estimate in found.values())
-    todo = [name for name in pasts if name not in found]
-    noises = [math.sqrt(pasts[name].variance) for name in todo]
+    left = whole - math.fsum(cost(estimate) for estimate in measured.values())
+    todo = [name for name in earlier if name not in measured]
+    noises = [math.sqrt(earlier[name].variance) for name in todo]
     part = 1.0 / len(todo)
-    if all(is_known(pasts[name]) for name in todo) and sum(noises):
-        part = math.sqrt(pasts[site].variance) / math.fsum(noises)
-    return max(left * part, whole / len(pasts))
+    if all(is_known(earlier[name]) for name in todo) and sum(noises):
+        part = math.sqrt(earlier[site].variance) / math.fsum(noises)
+    return max(left * part, whole / len(earlier))
 
 
 # Sites that vary alike, as far as one can tell, are known better together: the
-# number of touches follows chance less then.  'pasts': Spread by site
-def together(pasts):
-    variances = [past.variance for past in pasts.values()]
-    if not variances or not all(map(is_known, pasts.values())):
-        return pasts
+# number of touches follows chance less then.
+def together(earlier):
+    variances = [spread.variance for spread in earlier.values()]
+    if not variances or not all(map(is_known, earlier.values())):
+        return earlier
     if max(variances) > ALIKE * min(variances):
-        return pasts
-    return dict.fromkeys(pasts, pool(pasts.values()))
+        return earlier
+    return dict.fromkeys(earlier, pool(earlier.values()))
 
 
-def is_known(past):
-    return past.dof >= HISTORY
+# Whether there are enough touches behind a Spread
+def is_known(earlier):
+    return earlier.dof >= HISTORY
 
 
-# With a history the other sites are known as well: t is of all three
+# The part of the variance at 95 % (mm^2) that a site has.  With a history the
+# other sites are known as well: t is of all three.
 def cost(estimate):
-    own = estimate.dof <= estimate.own.dof
-    dof = estimate.dof if own else 3 * estimate.dof
+    is_alone = estimate.dof <= estimate.spread.dof
+    dof = estimate.dof if is_alone else 3 * estimate.dof
     return t_factor(dof) ** 2 * estimate.variance
 
 
-# Whether the samples are enough for a share, and what they say: Estimate
-def judge(samples, past, step, share):
-    past = past if is_known(past) else UNKNOWN
-    found = robust_estimate(samples, past, step)
-    known = is_known(past) and is_usual(found.own, past, step)
-    least = LEAST if known else LEAST_AT_FIRST
-    outliers = len(samples) - len(found.kept)
+# Whether the samples are enough for a share, and their Estimate
+def judge(samples, earlier, step, share):
+    earlier = earlier if is_known(earlier) else UNKNOWN
+    result = robust_estimate(samples, earlier, step)
+    usual = is_known(earlier) and is_usual(result.spread, earlier, step)
+    least = LEAST if usual else LEAST_AT_FIRST
+    outliers = len(samples) - len(result.kept)
     if outliers:
         least = max(least, AGAINST_ONE * outliers)
-    enough = len(found.kept) >= least and cost(found) <= share
-    return enough, found
+    enough = len(result.kept) >= least and cost(result) <= share
+    return enough, result
 
 
-def check(samples, found, remedy):
-    far = [z for z in samples if abs(z - found.z) > SOMETHING_MOVES]
-    noise = math.sqrt(found.own.variance)
+# Raises SamplesDiffer where the samples differ by more than noise
+def check(samples, result, remedy):
+    far = [z for z in samples if abs(z - result.z) > SOMETHING_MOVES]
+    noise = math.sqrt(result.spread.variance)
     if noise > SOMETHING_MOVES or len(far) >= FAR_ONES:
         raise SamplesDiffer(
             "something moves: %d touches lie up to %.4f mm apart, which is no"
@@ -108,55 +128,140 @@ def check(samples, found, remedy):
         )
 
 
-# Call touch(), which returns a height, until the site has its share.  Returns
+# Call touch(), which returns a height (mm), until the site has its share.  Returns
 # all samples and the Estimate.  Raises SamplesDiffer, with the remedy.
-def collect(touch, past, step, share, remedy):
+def collect_enough(touch, earlier, step, share, remedy):
     samples = []
     while True:
         samples.append(touch())
-        enough, found = judge(samples, past, step, share)
+        enough, result = judge(samples, earlier, step, share)
         if enough or len(samples) >= MOST:
-            check(samples, found, remedy)
-            return samples, found
+            check(samples, result, remedy)
+            return samples, result
 
 
 # What sticks to a nozzle is pressed flat by its first touch: by how much (mm)
 # that was higher than the next ones, 0 where it is no more than noise.
-def first_excess(samples, past, step):
+def first_excess(samples, earlier, step):
     rest = samples[1:]
     if not rest:
         return 0.0
-    noise = math.sqrt(pool((spread_of(rest), past)).variance)
-    noise = max(noise, step / 2.0 if is_known(past) else USUAL_NOISE)
+    noise = math.sqrt(pool((spread_of(rest), earlier)).variance)
+    noise = max(noise, step / 2.0 if is_known(earlier) else USUAL_NOISE)
     mean = math.fsum(rest) / len(rest)
     limit = STICKS * noise * math.sqrt(1.0 + 1.0 / len(rest))
     return samples[0] - mean if samples[0] - mean > limit else 0.0
 
 
+######################################################################
+# Who decides
+######################################################################
+
+# One of two objects, chosen once by the option samples.  'sampling' is
+# sampling.Sampling of the site.
+
+
+# As many touches as the user, or [probe], has set.
+class FixedCount(object):
+    # Options that count for nothing then; they do with, or without, 'samples: auto'
+    idle = ("target_uncertainty",)
+    idle_how = "without"
+
+    # 'count': of the section; None: as [probe] has it
+    def __init__(self, count=None):
+        self.count = count
+
+    # How many touches there will be, if all is well
+    def expected(self, plan, sampling):
+        return sampling.samples
+
+    # Where their spread is what is asked for
+    def for_spread(self, sampling):
+        return sampling.samples
+
+    # In each of several cycles; a single touch has no spread
+    def for_cycles(self, sampling):
+        return sampling.samples if sampling.samples > 1 else CYCLE_SAMPLES
+
+    # Whether so many are more than all of the sites get
+    def is_exceeded(self, count, samplings):
+        return min(sampling.samples for sampling in samplings) < count
+
+    # Samples of a site, and their Estimate.  Raises SamplesDiffer.
+    def collect(self, plan, site, touch, sampling, say, remedy):
+        samples = collect(touch, sampling, say, remedy)
+        earlier = plan.earlier_at(site)
+        result = estimate(samples, earlier, plan.step, sampling.result)
+        return samples, result
+
+
+# As many touches as the result needs (samples: auto); how far those of [probe]
+# may be apart, and what becomes of them, plays no part.
+class Automatic(object):
+    idle = ("samples_tolerance", "samples_tolerance_retries", "samples_result")
+    idle_how = "with"
+    count = None
+
+    # 'target': mm at 95 %
+    def __init__(self, target):
+        self.target = target
+
+    def expected(self, plan, sampling):
+        known = all(map(is_known, plan.earlier.values()))
+        return LEAST if known else LEAST_AT_FIRST
+
+    def for_spread(self, sampling):
+        return MOST
+
+    def for_cycles(self, sampling):
+        return CYCLE_SAMPLES
+
+    def is_exceeded(self, count, samplings):
+        return False
+
+    def collect(self, plan, site, touch, sampling, say, remedy):
+        step, measured = plan.step, plan.estimates
+        part = share(site, self.target, step, plan.earlier, measured)
+        earlier = plan.earlier_at(site)
+        return collect_enough(touch, earlier, step, part, remedy)
+
+
+# By the options samples and target_uncertainty
+def choose(samples, target):
+    return Automatic(target) if samples == AUTO else FixedCount(samples)
+
+
+######################################################################
+# One run
+######################################################################
+
+
 # The touches of one run, and what they say.
 class Plan(object):
-    # 'pasts': Spread by site; 'target': mm at 95 %, for samples: auto
-    def __init__(self, step, pasts, target):
+    # 'step': of the Z motors (mm); 'earlier': Spread by site; 'counting': FixedCount
+    # or Automatic
+    def __init__(self, step, earlier, counting):
         self.step = step
-        self.pasts = together(pasts)
-        self.target = target
+        self.earlier = together(earlier)
+        self.counting = counting
         # By site: its touches, those of the series that counts, its Estimate
         self.touches = {}
         self.samples = {}
         self.estimates = {}
         self.differed = False
 
-    # How many touches there will be, if all is well
-    def expected(self, sampling):
-        if sampling.samples != AUTO:
-            return sampling.samples
-        known = all(is_known(past) for past in self.pasts.values())
-        return LEAST if known else LEAST_AT_FIRST
+    # Spread of one touch at a site in earlier runs
+    def earlier_at(self, site):
+        return self.earlier.get(site, UNKNOWN)
 
-    # The samples of a site; more by 'touches', 'samples' and 'found'
+    def expected(self, sampling):
+        return self.counting.expected(self, sampling)
+
+    # The samples of a site, from touch(), which returns a height (mm); more by
+    # 'touches', 'samples' and 'estimates'.  Raises SamplesDiffer, with the
+    # remedy.
     def collect(self, site, touch, sampling, say, remedy):
         touches = self.touches[site] = []
-        past = self.pasts.get(site, UNKNOWN)
         self.estimates.pop(site, None)
 
         def take():
@@ -164,35 +269,31 @@ class Plan(object):
             return touches[-1]
 
         try:
-            if sampling.samples != AUTO:
-                samples = collect_some(take, sampling, say, remedy)
-                found = estimate(samples, past, self.step, sampling.result)
-            else:
-                step, pasts = self.step, self.pasts
-                part = share(site, self.target, step, pasts, self.estimates)
-                samples, found = collect(take, past, step, part, remedy)
+            self.samples[site], self.estimates[site] = self.counting.collect(
+                self, site, take, sampling, say, remedy
+            )
         except SamplesDiffer:
             self.differed = True
             raise
-        self.samples[site], self.estimates[site] = samples, found
-        return samples
+        return self.samples[site]
 
     # Why a site may want cleaning; empty: it does not
     def doubt(self, site):
-        touches, found = self.touches.get(site, []), self.estimates.get(site)
-        past = self.pasts.get(site, UNKNOWN)
-        excess = first_excess(touches, past, self.step)
+        touches, result = self.touches.get(site, []), self.estimates.get(site)
+        earlier = self.earlier_at(site)
+        excess = first_excess(touches, earlier, self.step)
         if excess:
             text = "the first touch was %.4f mm higher than the next ones"
             return text % (excess,)
-        if found is None:
+        if result is None:
             return DOUBT if self.differed else ""
-        is_one = len(found.kept) == len(touches)
-        usual = is_one and is_usual(found.own, past, self.step)
+        all_count = len(result.kept) == len(touches)
+        usual = all_count and is_usual(result.spread, earlier, self.step)
         return "" if usual else DOUBT
 
-    # Of the offset (mm at 95 %), or None
+    # Of the offset (mm at 95 %); None where a site was not measured, or nothing
+    # is known of its spread.
     def uncertainty(self):
-        if any(site not in self.estimates for site in self.pasts):
+        if any(site not in self.estimates for site in self.earlier):
             return None
-        return expanded([self.estimates[s] for s in self.pasts], self.step)
+        return expanded([self.estimates[s] for s in self.earlier], self.step)

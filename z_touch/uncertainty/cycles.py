@@ -21,7 +21,8 @@ import math
 from ..core.sampling import summarize
 from .estimate import pool, spread_of, t_factor
 
-# One cycle: when it ended, and the samples of each site
+# One cycle: when it ended (s), the samples of each site, toolhead Z (mm), and the
+# switch_offset that was reckoned with (mm)
 Cycle = collections.namedtuple("Cycle", "time nozzle switch bed switch_offset")
 
 # Of a series of heights: 'drift' in mm per minute, 'consecutive' is the
@@ -31,7 +32,7 @@ Series = collections.namedtuple(
     "Series", "name mean sd range drift consecutive touch"
 )
 
-# What is found: the sentence, and a word for it
+# The cause that dominates, in a word, and the sentence that the user is told
 Verdict = collections.namedtuple("Verdict", "cause text")
 
 # Less (mm) is no matter
@@ -81,27 +82,38 @@ CAUSES = {
 SITES = ("nozzle", "switch", "bed")
 
 
+######################################################################
+# Figures
+######################################################################
+
+
+# The height of a site in each cycle (mm)
 def heights(cycles, site):
     return [summarize(getattr(cycle, site), "average") for cycle in cycles]
 
 
+# The offset of each cycle (mm)
 def offsets(cycles):
     parts = zip(*[heights(cycles, site) for site in SITES])
-    found = zip(parts, cycles)
-    return [bed - (s - n + c.switch_offset) for (n, s, bed), c in found]
+    return [
+        bed - (switch - nozzle + cycle.switch_offset)
+        for (nozzle, switch, bed), cycle in zip(parts, cycles)
+    ]
 
 
+# Standard deviation (mm) of one touch within a cycle
 def touch_noise(cycles, site):
     spreads = [spread_of(getattr(cycle, site)) for cycle in cycles]
     return math.sqrt(pool(spreads).variance)
 
 
+# Standard deviation
 def deviation(values):
     return math.sqrt(spread_of(values).variance)
 
 
-# By the differences of neighbours: von Neumann, Annals of Mathematical
-# Statistics 12 (1941)
+# Standard deviation by the differences of neighbours: von Neumann, Annals of
+# Mathematical Statistics 12 (1941)
 def consecutive(values):
     squares = [(b - a) ** 2 for a, b in zip(values, values[1:])]
     return math.sqrt(math.fsum(squares) / (2.0 * len(squares)))
@@ -123,13 +135,13 @@ def line(times, values):
     return slope, sd / math.sqrt(square), sd
 
 
+# The Series of each site and of the offset
 def series(cycles):
-    times = [cycle.time for cycle in cycles]
-    found = []
+    times, figures = [cycle.time for cycle in cycles], []
     for name in SITES + ("offset",):
         is_site = name != "offset"
         values = heights(cycles, name) if is_site else offsets(cycles)
-        found.append(
+        figures.append(
             Series(
                 name,
                 math.fsum(values) / len(values),
@@ -140,7 +152,7 @@ def series(cycles):
                 touch_noise(cycles, name) if is_site else None,
             )
         )
-    return found
+    return figures
 
 
 # What a single calibration may be off by (mm at 95 %), as its cycles vary
@@ -150,24 +162,30 @@ def uncertainty(cycles, step):
     return t_factor(len(values) - 1) * u
 
 
-# How much higher each first touch of a site is than the next ones
+# How much higher (mm) each first touch of a site is than the next ones
 def excesses(cycles, site):
-    found = []
+    values = []
     for cycle in cycles:
         first, rest = getattr(cycle, site)[0], getattr(cycle, site)[1:]
         if rest:
-            found.append(first - math.fsum(rest) / len(rest))
-    return found
+            values.append(first - math.fsum(rest) / len(rest))
+    return values
 
 
-# One after the other, the ones that disturb the others first
+######################################################################
+# The verdict
+######################################################################
+
+
+# Looks for one cause after the other, those that disturb the others first.
+# Returns the Verdict.
 def judge(cycles):
     if len(cycles) < LEAST_CYCLES:
         return Verdict("few", CAUSES["few"] % (len(cycles), LEAST_CYCLES))
     for find in (sticks, grows, shifts_alone, shifts, touches):
-        found = find(cycles)
-        if found is not None:
-            return found
+        verdict = find(cycles)
+        if verdict is not None:
+            return verdict
     name, most = max(
         ((site, touch_noise(cycles, site)) for site in SITES),
         key=lambda pair: pair[1],
@@ -175,14 +193,15 @@ def judge(cycles):
     return Verdict("none", CAUSES["none"] % (name, most))
 
 
+# Something sticks to the nozzle: its first touch is higher than the next ones.
+# Most of it may be pressed flat in the first cycles.
 def sticks(cycles):
-    found = excesses(cycles, "nozzle")
-    if not found:
+    values = excesses(cycles, "nozzle")
+    if not values:
         return None
-    # Most of it may be pressed flat in the first cycles
-    mean = math.fsum(found) / len(found)
+    mean = math.fsum(values) / len(values)
     noise = max(touch_noise(cycles, "switch"), touch_noise(cycles, "bed"))
-    error = noise * math.sqrt(1.5 / len(found))
+    error = noise * math.sqrt(1.5 / len(values))
     z = heights(cycles, "nozzle")
     change = abs(z[-1] - z[0]) / (len(z) - 1)
     others = max(
@@ -196,10 +215,11 @@ def sticks(cycles):
     return Verdict("nozzle", CAUSES["nozzle"] % (mean,))
 
 
+# Something grows: a straight line in time.  Few cycles lie on one by chance, one of
+# the five series at least.
 def grows(cycles):
-    # Few cycles lie on a line by chance, one of the five series at least
     sure = SURE * (t_factor(len(cycles) - 2) / t_factor(float("inf"))) ** 3
-    times, found = [cycle.time for cycle in cycles], []
+    times, drifts = [cycle.time for cycle in cycles], []
     z = dict((site, heights(cycles, site)) for site in SITES)
     bodies = [s - n for s, n in zip(z["switch"], z["nozzle"])]
     named = [(site, z[site]) for site in SITES]
@@ -209,13 +229,15 @@ def grows(cycles):
         shift = abs(slope) * (times[-1] - times[0])
         is_sure = abs(slope) > sure * error
         if is_sure and shift > max(GOOD_SHIFT, MORE_THAN_TOUCHES * rest):
-            found.append((shift, name, 60.0 * slope))
-    if not found:
+            drifts.append((shift, name, 60.0 * slope))
+    if not drifts:
         return None
-    shift, name, drift = max(found)
+    shift, name, drift = max(drifts)
     return Verdict("heat", CAUSES["heat"] % (name, drift))
 
 
+# Several sites shift together from cycle to cycle: switch and bed with the seat of
+# the probe, all three with the homing of Z.
 def shifts(cycles):
     z = dict((site, heights(cycles, site)) for site in SITES)
     n = len(cycles[0].nozzle)
@@ -236,17 +258,19 @@ def shifts(cycles):
     return None
 
 
+# One site shifts from cycle to cycle, and no other.
 def shifts_alone(cycles):
-    found = dict((s, deviation(heights(cycles, s))) for s in SITES)
-    alone = max(SITES, key=found.get)
-    most = found.pop(alone)
+    deviations = dict((s, deviation(heights(cycles, s))) for s in SITES)
+    alone = max(SITES, key=deviations.get)
+    most = deviations.pop(alone)
     noise = touch_noise(cycles, alone) / math.sqrt(len(cycles[0].nozzle))
     limit = max(GOOD_SHIFT, MORE_THAN_TOUCHES * noise)
-    if most > max(limit, DOMINATES * max(found.values())):
+    if most > max(limit, DOMINATES * max(deviations.values())):
         return Verdict("alone", CAUSES["alone"] % (alone, most))
     return None
 
 
+# The touches within a cycle vary: a switch, or play.
 def touches(cycles):
     nozzle, switch, bed = (touch_noise(cycles, site) for site in SITES)
     most, least = max(nozzle, switch, bed), min(nozzle, switch, bed)
@@ -265,7 +289,12 @@ def touches(cycles):
     return None
 
 
-# Lines for the console
+######################################################################
+# In words
+######################################################################
+
+
+# Lines for the console.  'seconds': how long one cycle took
 def tell(cycles, step, seconds):
     for one in series(cycles):
         text = (

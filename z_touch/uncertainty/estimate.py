@@ -28,9 +28,9 @@ from ..core.sampling import summarize
 # known
 Spread = collections.namedtuple("Spread", "variance dof")
 
-# Of one site: height, its variance and degrees of freedom (dof), the samples
-# that count, and their own spread
-Estimate = collections.namedtuple("Estimate", "z variance dof kept own")
+# Of one site: height (mm), its variance and degrees of freedom (dof), the samples
+# that count, and the Spread of these alone
+Estimate = collections.namedtuple("Estimate", "z variance dof kept spread")
 
 UNKNOWN = Spread(0.0, 0)
 
@@ -71,7 +71,7 @@ OUTLIER = 3.5
 F_99 = (8.1, 5.85, 4.94, 4.43, 4.1, 3.87, 3.7, 3.56, 3.46)
 
 
-# Linear in 1 / dof, within 1 %
+# Student's t, linear in 1 / dof between the entries, within 1 %
 def t_factor(dof):
     if dof <= T_95[0][0]:
         return T_95[0][1]
@@ -104,6 +104,7 @@ def rounding(variance, step):
     return left * step**2 / (2.0 * math.pi**2)
 
 
+# Of the samples of one site in one run
 def spread_of(samples):
     dof = len(samples) - 1
     if dof < 1:
@@ -113,6 +114,7 @@ def spread_of(samples):
     return Spread(squares / dof, dof)
 
 
+# Of several runs together
 def pool(spreads):
     spreads = [s for s in spreads if s.dof > 0]
     dof = sum(s.dof for s in spreads)
@@ -123,58 +125,62 @@ def pool(spreads):
 
 # Whether this run is no noisier than its history.  Touches that always end on
 # the same step have a variance of 0, and may end on the next one.
-def is_usual(own, past, step):
-    if not (own.dof and past.dof):
+def is_usual(spread, earlier, step):
+    if not (spread.dof and earlier.dof):
         return True
-    limit = F_99[min(own.dof, len(F_99)) - 1]
-    return own.variance <= limit * max(past.variance, step**2 / 4.0)
+    limit = F_99[min(spread.dof, len(F_99)) - 1]
+    return spread.variance <= limit * max(earlier.variance, step**2 / 4.0)
 
 
 # The samples without those that are far from all others, in their order: first
 # by their median, then, as that is a poor measure for few, by what is left.
-def without_outliers(samples, past, step):
+# 'earlier': Spread of one touch in earlier runs.
+def without_outliers(samples, earlier, step):
     if len(samples) < 3:
         return list(samples)
     middle = summarize(samples, "median")
     distances = [abs(z - middle) for z in samples]
-    usual = math.sqrt(past.variance) if past.dof else USUAL_NOISE
+    usual = math.sqrt(earlier.variance) if earlier.dof else USUAL_NOISE
     usual = max(usual, step / 2.0)
     few = MAD_OF_10[min(len(samples), len(MAD_OF_10)) - 1]
-    now = few * MAD_FACTOR * summarize(distances, "median")
-    kept = within(samples, middle, max(usual, now))
-    now = math.sqrt(spread_of(kept).variance)
-    return within(samples, summarize(kept, "average"), max(usual, now))
+    noise = few * MAD_FACTOR * summarize(distances, "median")
+    kept = within(samples, middle, max(usual, noise))
+    noise = math.sqrt(spread_of(kept).variance)
+    return within(samples, summarize(kept, "average"), max(usual, noise))
 
 
 def within(samples, middle, noise):
     return [z for z in samples if abs(z - middle) <= OUTLIER * noise]
 
 
-# Of samples that all count
-def estimate(samples, past, step, method):
-    own, n = spread_of(samples), len(samples)
-    spread = pool((own, past)) if is_usual(own, past, step) else own
-    variance = spread.variance * reduction(n, method)
-    if spread.dof and method == "median":
+# The Estimate of a site from samples that all count
+def estimate(samples, earlier, step, method):
+    spread, n = spread_of(samples), len(samples)
+    usual = is_usual(spread, earlier, step)
+    pooled = pool((spread, earlier)) if usual else spread
+    variance = pooled.variance * reduction(n, method)
+    if pooled.dof and method == "median":
         # One of the samples, or two: as rounded as any of them is
         variance = max(variance, step**2 / 12.0)
-    elif spread.dof:
-        variance += rounding(spread.variance, step)
+    elif pooled.dof:
+        variance += rounding(pooled.variance, step)
     z = summarize(samples, method)
-    return Estimate(z, variance, spread.dof, list(samples), own)
+    return Estimate(z, variance, pooled.dof, list(samples), spread)
 
 
-# Of samples of which some may be outliers, and whose number depends on what
-# they say: without a history that costs about two degrees of freedom.
-def robust_estimate(samples, past, step):
-    kept = without_outliers(samples, past, step)
-    found = estimate(kept, past, step, "average")
-    if 2 < found.dof <= found.own.dof:
-        found = found._replace(dof=found.dof - 2)
-    return found
+# The Estimate of a site from samples of which some may be outliers, and whose
+# number depends on what they say: without a history that costs about two degrees
+# of freedom.
+def robust_estimate(samples, earlier, step):
+    kept = without_outliers(samples, earlier, step)
+    result = estimate(kept, earlier, step, "average")
+    if 2 < result.dof <= result.spread.dof:
+        result = result._replace(dof=result.dof - 2)
+    return result
 
 
-# Of the offset (mm, 95 %); None where nothing is known of some site
+# What the offset may be off by (mm, 95 %), from the Estimates of all sites; None
+# where nothing is known of the spread of one.
 def expanded(estimates, step):
     if not all(e.dof for e in estimates):
         return None

@@ -98,6 +98,20 @@ class Calibration(object):
         speed = self.settings.pin.lift_speed
         touching.raise_to(self.host, self.travel_z, speed)
 
+    # Returns toolhead Z (mm) of one site; 'before' are the heights of those that
+    # come before it.
+    def measure_site(self, name, *before):
+        measure = {
+            "nozzle": self.measure_nozzle,
+            "switch": self.measure_switch,
+            "bed": self.measure_bed,
+        }
+        return measure[name](*before)
+
+    # The heights (mm) that were touched at a site
+    def samples(self, name):
+        return self.plan.samples[name]
+
     # Where a touch ends at the latest: toolhead Z (mm) of the nozzle; with
     # nozzle_z of the switch; with switch_z, too, of the bed.
     def floor(self, nozzle_z=None, switch_z=None):
@@ -137,11 +151,11 @@ class Calibration(object):
         z = self.plan.estimates["nozzle"].z
         homed_z = self.settings.position_endstop
         if homed_z is not None and abs(z - homed_z) > STALE_Z:
-            self.warn(
+            text = (
                 "nozzle: z=%.3f is far from position_endstop %.3f, at which Z"
-                " was homed; home Z again (G28 Z) after any levelling"
-                % (z, homed_z)
+                " was homed; " + heights.HOME_AGAIN
             )
+            self.warn(text % (z, homed_z))
         return z
 
     # Cleaned once where something seems to stick to it

@@ -1,4 +1,6 @@
-# How switch_offset is corrected: by where the nozzle was moved to, by baby steps.
+# How switch_offset is corrected: by baby steps, or by where the nozzle was moved
+# to.
+#
 # Copyright (C) 2026  the Z calibration developers, under the GNU GPLv3
 #
 # A larger switch_offset moves the nozzle closer to the bed, a larger G-code
@@ -23,18 +25,20 @@ LARGEST_STEP = 0.5
 # Less (mm) than this is rounding
 NO_STEP = 0.0000005
 
-# The G-code offset that CALIBRATE_Z, or a correction since, has left, and the
-# switch_offset that belongs to it (mm)
+# What baby steps are counted from: the G-code offset that CALIBRATE_Z, or a
+# correction since, has left, and the switch_offset that belongs to it (mm)
 Base = collections.namedtuple("Base", "offset switch_offset")
 
 
-# The height Z=0 of the nozzle was moved to by the user is the offset that is
-# right; the difference belongs to switch_offset.
+# The height (toolhead Z, mm) that the user has moved the nozzle's Z=0 to is the
+# offset that is right; what it differs by from z_offset belongs to switch_offset.
 def corrected_switch_offset(switch_offset, z, z_offset):
     return switch_offset - (z - z_offset)
 
 
-# 'z_offset': the G-code offset now
+# Returns the new switch_offset (mm), and how it was calculated.  'z_offset': the
+# G-code offset (mm) with the baby steps; 'force': an unlikely one is right.
+# Raises CalibrationError.
 def check_steps(base, z_offset, force):
     change = z_offset - base.offset
     new = corrected_switch_offset(base.switch_offset, z_offset, base.offset)
@@ -63,21 +67,22 @@ def check_steps(base, z_offset, force):
     return new, text
 
 
-# 'module' is the object behind [z_calibration].
+# The commands that correct switch_offset, and the buttons that may do so.
 class Corrections(object):
-    def __init__(self, module):
-        self.module = module
-        self.host = module.host
-        self.saver = saving.Saver(module.host)
-        # Which of the module's results was corrected, and what came of it
+    # 'section': interface.Interface
+    def __init__(self, section):
+        self.section = section
+        self.host = section.host
+        self.saver = saving.Saver(section.host)
+        # Which results.Last was corrected, and what came of it
         self.corrected = None
         self.base = None
         self.hinted = False
         # A switch_offset that counts, and was not handed to SAVE_CONFIG
         self.unsaved = None
-        register = module.host.printer.register_event_handler
+        register = self.host.printer.register_event_handler
         register("klippy:connect", self.take_buttons)
-        running.register_commands(module.host, self)
+        running.register_commands(self.host, self)
 
     # The commands of the host: whoever sends them is asked first
     def take_buttons(self):
@@ -85,18 +90,19 @@ class Corrections(object):
         for name in BUTTONS:
             handler = gcode.register_command(name, None)
             if handler is not None:
-                ours = functools.partial(self.pressed, name, handler)
+                press = functools.partial(self.press, name, handler)
                 text = gcode.gcode_help.get(name)
-                gcode.register_command(name, ours, desc=text)
+                gcode.register_command(name, press, desc=text)
 
-    def pressed(self, name, handler, gcmd):
-        reason, ours = self.why_not(), self.module.settings.save_button
-        if ours and not reason:
-            self.run(gcmd, self.save_steps, True, False)
+    # A button was pressed; 'handler' is the host's own command
+    def press(self, name, handler, gcmd):
+        reason, keeps = self.why_not(), self.section.settings().save_button
+        if keeps and not reason:
+            self.answer(gcmd, self.save_steps, True, False)
             return
         change = self.host.gcode_offset() - self.current().offset
         handler(gcmd)
-        if ours:
+        if keeps:
             text = "%s: %s: %s saves as ever, nothing goes into switch_offset"
             gcmd.respond_info(text % (self.host.section, reason, name))
         elif not reason and abs(change) > NO_STEP and not self.hinted:
@@ -109,8 +115,10 @@ class Corrections(object):
                 % (self.host.section, name, change, self.host.section)
             )
 
-    def run(self, gcmd, work, *args):
-        self.module.runner.check_idle(gcmd)
+    # Calls work(gcmd, *args); what a CalibrationError says becomes the error of the
+    # command.
+    def answer(self, gcmd, work, *args):
+        self.section.check_idle(gcmd)
         try:
             work(gcmd, *args)
         except CalibrationError as e:
@@ -119,10 +127,11 @@ class Corrections(object):
     # Why there is nothing that baby steps could be counted from; empty: there
     # is.  After a print the motors may be off.
     def why_not(self):
-        return self.module.results.why_not(frame.MOTORS_OFF)
+        return self.section.why_not(frame.MOTORS_OFF)
 
+    # The Base of the last run
     def current(self):
-        last = self.module.results.last
+        last = self.section.last()
         if last is not self.corrected:
             result = last.result
             self.corrected = last
@@ -137,7 +146,7 @@ class Corrections(object):
     def cmd_Z_CALIBRATION_SAVE_GCODE_OFFSET(self, gcmd):
         is_saved = bool(options.param_int(gcmd, "SAVE", 1))
         force = bool(options.param_int(gcmd, "FORCE", 0))
-        self.run(gcmd, self.save_steps, is_saved, force)
+        self.answer(gcmd, self.save_steps, is_saved, force)
 
     def save_steps(self, gcmd, is_saved, force):
         reason = self.why_not()
@@ -155,11 +164,12 @@ class Corrections(object):
         new, text = check_steps(base, z_offset, force)
         new = round(new, 3)
         self.base = Base(z_offset, new)
-        self.module.settings = self.module.settings._replace(switch_offset=new)
+        self.section.use_switch_offset(new)
         gcmd.respond_info("%s: %s" % (self.host.section, text))
         self.unsaved = new
         self.keep(is_saved)
 
+    # Hands it to SAVE_CONFIG, if that is wanted
     def keep(self, is_saved):
         if is_saved and self.unsaved is not None:
             text = "%.3f" % (self.unsaved,)
@@ -172,11 +182,10 @@ class Corrections(object):
     )
 
     def cmd_CALCULATE_SWITCH_OFFSET(self, gcmd):
-        self.run(gcmd, self.calculate)
+        self.answer(gcmd, self.calculate)
 
     def calculate(self, gcmd):
-        results = self.module.results
-        last, reason = results.last, results.why_not()
+        last, reason = self.section.last(), self.section.why_not()
         if reason:
             raise CalibrationError(
                 "%s; run CALIBRATE_Z first, then move the nozzle to where Z=0"

@@ -37,6 +37,9 @@ UNMEASURED_PROBE = 10.0
 # triggers; no micro switch has a longer pretravel.
 FREE_PLUNGER = 1.0
 
+# What to do about a frame that may be outdated
+HOME_AGAIN = "home Z again (G28 Z) after any levelling"
+
 # Travel height (mm) where twice the probe's z_offset is no real height.
 SMALLEST_SAFE_Z = 3.0
 FALLBACK_SAFE_Z = 20.0
@@ -63,12 +66,13 @@ def check_offset(result, margins):
     low, high = margins
     if low <= result.offset <= high:
         return
-    raise CalibrationError(
+    text = (
         "offset %.3f is outside offset_margins %.3f to %.3f"
-        " (probe=%.3f switch=%.3f nozzle=%.3f); home Z again (G28 Z) after any"
-        " levelling, then check the three positions and position_endstop"
-        % ((result.offset, low, high) + result[:3])
+        " (probe=%.3f switch=%.3f nozzle=%.3f); "
+        + HOME_AGAIN
+        + ", then check the three positions and position_endstop"
     )
+    raise CalibrationError(text % ((result.offset, low, high) + result[:3]))
 
 
 ######################################################################

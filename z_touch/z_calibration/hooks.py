@@ -21,6 +21,15 @@ from ..core.errors import CalibrationError
 # What attaches a probe besides macros
 ATTACHING = ("SET_SERVO", "SET_PIN", "ATTACH_PROBE")
 
+# What the user is told where his G-code has moved the frame of the heights
+BEFORE = "do it before CALIBRATE_Z"
+MOVED_IN_CLEAN = "%s in clean_gcode; " + BEFORE
+MOVED_IN_BEFORE_SWITCH = (
+    "%s in before_switch_gcode: nozzle and switch cannot be compared then; "
+    + BEFORE
+)
+MOVED_IN_END = "%s in end_gcode: the offset does not hold then; " + BEFORE
+
 ######################################################################
 # What stands in the G-code
 ######################################################################
@@ -113,26 +122,25 @@ class Hooks(object):
         self.run_gcode("start_gcode")
         running.check_homed(self.host)
 
-    # Between nozzle and switch, whose frame must be the one of 'mark'.
-    def before_switch(self, mark):
+    # Between nozzle and switch, whose frame must be the one of 'mark'; None: nothing
+    # was measured yet.
+    def before_switch(self, mark=None):
         self.run_gcode("before_switch_gcode")
-        moved = self.frame.moved_since(mark)
-        if moved:
-            raise CalibrationError(
-                "%s in before_switch_gcode: nozzle and switch cannot be"
-                " compared then; do it before CALIBRATE_Z" % (moved,)
-            )
+        if mark is not None:
+            self.check_frame(mark, MOVED_IN_BEFORE_SWITCH)
         running.check_homed(self.host)
 
     def clean(self):
         self.watch.enter("clean_gcode")
         mark = self.frame.mark()
         self.run_gcode("clean_gcode")
+        self.check_frame(mark, MOVED_IN_CLEAN)
+
+    # Raises CalibrationError where the frame has moved since a mark
+    def check_frame(self, mark, text):
         moved = self.frame.moved_since(mark)
         if moved:
-            raise CalibrationError(
-                "%s in clean_gcode; do it before CALIBRATE_Z" % (moved,)
-            )
+            raise CalibrationError(text % (moved,))
 
     # After the last touch, and after a failure
     def end(self):

@@ -16,6 +16,7 @@ from __future__ import absolute_import
 import functools
 
 from ..core import errors, touching
+from .heights import HOME_AGAIN
 
 # What to do about samples that differ
 DIFFER = "clean the nozzle and check the switch for play"
@@ -25,6 +26,8 @@ TOO_LOW = (
     "correct switch_offset, which is larger than any switch has it, or"
     " position_max of the Z axis"
 )
+
+LOOK_AT_PROBE = "check it with QUERY_PROBE"
 
 PLUNGER_PRESSED = (
     "switch: the pin presses the plunger of the probe besides its body, which"
@@ -119,11 +122,12 @@ class Measurement(object):
     def take_sample(self, floor):
         self.retract()
         self.attempt(self.touch_once, floor)
+        z = self.head.pressed_z
         self.check_pressed()
         self.taken += 1
         self.watch.touched()
-        self.report("touched at z=%.6f" % (self.head.pressed_z,))
-        return self.head.pressed_z
+        self.report("touched at z=%.6f" % (z,))
+        return z
 
     def touch_once(self, floor):
         self.head.touch(self.endstop(), floor, self.sampling.speed)
@@ -164,16 +168,13 @@ class Measurement(object):
             raise errors.CalibrationError(
                 "the probe reads triggered: it is not attached, or not wired"
                 " as normally closed; attach it in start_gcode or"
-                " before_switch_gcode, check it with QUERY_PROBE"
+                " before_switch_gcode, " + LOOK_AT_PROBE
             )
 
 
 # The nozzle tip on the pin
 class NozzleMeasurement(Measurement):
-    remedy = (
-        "home Z again (G28 Z) after any levelling; check nozzle_xy_position"
-        " and the switch there"
-    )
+    remedy = HOME_AGAIN + "; check nozzle_xy_position and the switch there"
 
     def touch_site(self, travel_z, expected_z, floor):
         samples = Measurement.touch_site(self, travel_z, expected_z, floor)
@@ -211,7 +212,7 @@ class NozzleMeasurement(Measurement):
             raise errors.CalibrationError(
                 "the probe is attached already, although before_switch_gcode"
                 " is there to attach it, or it is not wired as normally"
-                " closed; detach it in start_gcode, check it with QUERY_PROBE"
+                " closed; detach it in start_gcode, " + LOOK_AT_PROBE
             )
 
 
@@ -241,10 +242,8 @@ class SwitchMeasurement(Measurement):
     # The sample counts, with a warning.
     def check_pressed(self):
         if self.host.probing.endstop().query_endstop(self.host.print_time()):
-            z = self.head.pressed_z
             self.retract()
             self.check_probe_attached(self.host.after_moves())
-            self.head.pressed_z = z
             self.warn(PLUNGER_PRESSED)
 
 

@@ -8,7 +8,9 @@
 #   calibration   one run: nozzle, switch, bed
 #   hooks         the user's G-code around it
 #   results       the last run that was applied, and whether it holds
+#   interface     what the guide and the corrections may ask of all that
 #   corrections   baby steps back into switch_offset
+#   accuracy      how often to touch where the spread is the question
 #   recorder      the history of all runs
 from __future__ import absolute_import, division
 
@@ -19,10 +21,10 @@ import logging
 from .. import __version__
 from ..core import errors, frame, host, options, running, sampling
 from ..history import recorder
-from ..uncertainty import adaptive
-from . import checks, corrections, heights
+from . import accuracy, checks, corrections, heights
 from .calibration import Calibration, Earlier
-from .hooks import Hooks
+from .hooks import MOVED_IN_END, Hooks
+from .interface import Interface
 from .pin import find_pin, read_pin
 from .results import Last, Results
 from .settings import complete, param_switch_offset, read_settings
@@ -60,7 +62,9 @@ class ZCalibration(object):
         register("klippy:ready", self.tell_notes)
         running.register_commands(self.host, self)
         running.register_commands(self.host, self.recorder)
-        corrections.Corrections(self)
+        # For the guide and the corrections
+        self.interface = Interface(self)
+        corrections.Corrections(self.interface)
 
     ##################################################################
     # Set-up and status
@@ -95,6 +99,10 @@ class ZCalibration(object):
         status["history"] = self.recorder.history.status
         status.update(self.runner.watch.status())
         return status
+
+    # From now on (mm)
+    def use_switch_offset(self, switch_offset):
+        self.settings = self.settings._replace(switch_offset=switch_offset)
 
     ##################################################################
     # One run
@@ -132,7 +140,7 @@ class ZCalibration(object):
         return calibration.measure(attach, clean)
 
     def clean_nozzle(self, why):
-        self.recorder.cleaned = why
+        self.recorder.note_cleaning(why)
         self.hooks.clean()
 
     # Of CALIBRATE_Z and CALIBRATE_Z_ACCURACY; 'error' is what they end with
@@ -154,7 +162,7 @@ class ZCalibration(object):
         settings = self.settings
         work = functools.partial(self.calibrate_and_apply, gcmd)
         self.runner.check_idle(gcmd)
-        plan = self.recorder.begin(settings.target_uncertainty)
+        plan = self.recorder.begin(settings.counting)
         wanted = 2 * plan.expected(settings.pin) + plan.expected(settings.probe)
         self.results.begin()
         try:
@@ -162,7 +170,7 @@ class ZCalibration(object):
                 gcmd, work, "start_gcode", wanted, self.failed
             )
         finally:
-            self.results.measured = None
+            self.results.note(None)
         self.results.keep(last)
         self.report(gcmd, last)
         self.recorder.good(last)
@@ -207,14 +215,11 @@ class ZCalibration(object):
                 applied=0.0,
             )
             heights.check_offset(result, settings.offset_margins)
-            self.results.measured = result
+            self.results.note(result)
             at_end = self.host.gcode_offset()
         running.check_homed(self.host)
         if self.frame.moved_since(last.mark) == frame.LEVELLED:
-            raise errors.CalibrationError(
-                "%s in end_gcode: the offset does not hold then; do it before"
-                " CALIBRATE_Z" % (frame.LEVELLED,)
-            )
+            raise errors.CalibrationError(MOVED_IN_END % (frame.LEVELLED,))
         return last, at_end
 
     def report(self, gcmd, last):
@@ -254,15 +259,13 @@ class ZCalibration(object):
     cmd_CALIBRATE_Z_ACCURACY_help = "Repeat whole calibrations, apply nothing"
 
     def cmd_CALIBRATE_Z_ACCURACY(self, gcmd):
-        wanted = recorder.Wanted(gcmd, self.settings)
-        work = functools.partial(self.measure_cycles, gcmd, wanted)
-        touches = 2 * wanted.settings.pin.samples
-        touches += wanted.settings.probe.samples
+        params = accuracy.CycleParams(gcmd, self.settings)
+        work = functools.partial(self.measure_cycles, gcmd, params)
         self.runner.check_idle(gcmd)
-        self.recorder.begin(None)
+        self.recorder.begin(params.settings.counting)
         before = self.host.gcode_offset()
         cycles = self.runner.run(
-            gcmd, work, "start_gcode", wanted.cycles * touches, self.failed
+            gcmd, work, "start_gcode", params.touches(), self.failed
         )
         # What end_gcode adds belongs to a run that is applied
         if self.host.gcode_offset() != before:
@@ -270,25 +273,22 @@ class ZCalibration(object):
         self.recorder.tell_cycles(gcmd, cycles)
 
     # Returns a cycles.Cycle for each
-    def measure_cycles(self, gcmd, wanted):
-        settings, attach = wanted.settings, wanted.attach
-        settings = settings._replace(
-            switch_offset=param_switch_offset(gcmd, settings.switch_offset)
-        )
-        if not attach and settings.attach_after_nozzle:
+    def measure_cycles(self, gcmd, params):
+        settings = params.with_switch_offset(gcmd)
+        if not params.attach and settings.attach_after_nozzle:
             raise errors.CalibrationError(
                 "ATTACH=0 needs the probe on the head all the time: attach it"
                 " in start_gcode, not in before_switch_gcode"
             )
         sites = SiteFinder(self.host, settings).of_command(gcmd)
         cycles = []
-        while len(cycles) < wanted.cycles:
-            if wanted.home:
+        while len(cycles) < params.cycles:
+            if params.home:
                 self.host.gcode.run_script_from_command("G28 Z")
             plan = self.recorder.plan
             calibration = self.new_calibration(settings, sites, plan)
             with self.prepared(calibration):
-                for _ in range(1 if attach else wanted.cycles):
+                for _ in range(1 if params.attach else params.cycles):
                     self.measure(calibration)
                     cycles.append(self.recorder.cycle(settings.switch_offset))
                     self.runner.watch.say("cycle %d is done" % (len(cycles),))
@@ -309,35 +309,21 @@ class ZCalibration(object):
             % sampling.accuracy(samples)
         )
 
+    # Returns the heights of the samples (mm)
     def measure_accuracy(self, gcmd):
-        pin, watch = self.settings.pin, self.runner.watch
-        number = functools.partial(options.param_number, gcmd)
-        count = pin.samples
-        if count == sampling.AUTO:
-            count = adaptive.MOST
-        pin = pin._replace(
-            samples=options.param_int(gcmd, "SAMPLES", count, minval=1),
-            speed=number("PROBE_SPEED", pin.speed, above=0.0),
-            lift_speed=number("LIFT_SPEED", pin.lift_speed, above=0.0),
-            retract_dist=number(
-                "SAMPLE_RETRACT_DIST", pin.retract_dist, above=0.0
-            ),
-            # The spread is what is asked for
-            tolerance=float("inf"),
-        )
-        nozzle = SiteFinder(self.host, self.settings).nozzle_of_command(gcmd)
+        settings = accuracy.for_nozzle(gcmd, self.settings)
+        nozzle = SiteFinder(self.host, settings).nozzle_of_command(gcmd)
         running.check_homed(self.host)
-        settings = self.settings._replace(pin=pin)
+        plan = self.recorder.make_plan(settings.counting)
         sites = Sites(nozzle, None, None)
-        plan = self.recorder.make_plan(settings.target_uncertainty)
         calibration = self.new_calibration(settings, sites, plan)
         calibration.know(self.earlier())
         gcmd.respond_info(
             "PROBE_Z_ACCURACY at X:%(x).3f Y:%(y).3f (samples=%(samples)d"
             " retract=%(retract_dist).3f speed=%(speed).1f"
             " lift_speed=%(lift_speed).1f)"
-            % dict(pin._asdict(), x=nozzle.x, y=nozzle.y)
+            % dict(settings.pin._asdict(), x=nozzle.x, y=nozzle.y)
         )
-        watch.wanted = pin.samples
+        self.runner.watch.expect(settings.pin.samples)
         with running.always(self.host, calibration.lift, "lifting"):
             return calibration.sample_nozzle()

@@ -25,8 +25,13 @@ class Results(object):
         # The last run has ended well
         self.is_good = False
 
+    # A run begins
     def begin(self):
         self.is_good = False
+
+    # The heights.Result of the run that is under way, None: there is none
+    def note(self, measured):
+        self.measured = measured
 
     # A run has ended well
     def keep(self, last):

@@ -10,8 +10,8 @@ from __future__ import absolute_import
 from ..core import options, touching
 from ..core.errors import CalibrationError
 from ..core.options import option
-from ..core.sampling import AUTO
 from ..core.templates import GCODE
+from ..uncertainty import adaptive
 from . import heights, hooks
 
 # Results outside these limits (mm) are refused: the homing is outdated or
@@ -369,6 +369,8 @@ OPTIONS = POSITIONS + RESULT + HEIGHTS + SPEEDS + KEPT + USER_GCODE
 #
 #   pin, probe           sampling.Sampling of what is touched on the pin, and of
 #                        the bed
+#   counting             how many touches that are: adaptive.FixedCount, or
+#                        adaptive.Automatic with samples: auto
 #   attach_after_nozzle  before_switch_gcode attaches the probe
 #   start_homes          start_gcode homes
 #   position_endstop     toolhead Z at which the pin stops Z in homing; None: the
@@ -379,7 +381,7 @@ OPTIONS = POSITIONS + RESULT + HEIGHTS + SPEEDS + KEPT + USER_GCODE
 Settings = options.record(
     "Settings",
     [row for row in OPTIONS if row.name not in SAMPLING],
-    "pin probe attach_after_nozzle start_homes position_endstop position_max"
+    "pin probe counting attach_after_nozzle start_homes position_endstop position_max"
     " z_offset unmeasured_pin",
 )
 
@@ -394,7 +396,8 @@ def read_settings(config, z_axis, old_names):
         z_axis.homing_retract_dist or FALLBACK_RETRACT
     )
     values = options.read(config, OPTIONS, old_names, **defaults)
-    note_idle_options(values, old_names)
+    counting = adaptive.choose(values["samples"], values["target_uncertainty"])
+    note_idle_options(counting, old_names)
     homed_z, site = None, values["nozzle_xy_position"]
     if values["endstop_pin"] is None:
         # None also where it is the probe that Z is homed with: refused later
@@ -403,9 +406,11 @@ def read_settings(config, z_axis, old_names):
     values["position_min"] = limit_position_min(
         config, values["position_min"], z_axis, homed_z, old_names
     )
+    values["samples"] = counting.count
     pin, probe = samplings_of(values, old_names)
     values.update(hooks.read_texts(config))
-    values.update(pin=pin, probe=probe, position_endstop=homed_z)
+    values.update(pin=pin, probe=probe, counting=counting)
+    values["position_endstop"] = homed_z
     return Settings(*[values.get(name) for name in Settings._fields])
 
 
@@ -451,16 +456,12 @@ def limit_position_min(config, lowest, z_axis, homed_z, old_names):
     return max(lowest, z_axis.position_min)
 
 
-# Options that count only with samples: auto, or only without
-def note_idle_options(values, old_names):
-    idle, how = ("target_uncertainty",), "without"
-    if values["samples"] == AUTO:
-        idle = "samples_tolerance", "samples_tolerance_retries"
-        idle, how = idle + ("samples_result",), "with"
-    for name in idle:
+# Options that count for nothing, as samples is auto, or is not
+def note_idle_options(counting, old_names):
+    for name in counting.idle:
         if old_names.was_given(name):
             text = "option '%s' is ignored %s 'samples: auto'"
-            old_names.notes.append(text % (name, how))
+            old_names.notes.append(text % (name, counting.idle_how))
 
 
 # Lets the probe and the axis decide what the user has left open.  'probe':
@@ -487,6 +488,12 @@ def complete(settings, probe, z_offset, position_max):
 def filled(record, other):
     pairs = zip(record, other)
     return record._make(b if a is None else a for a, b in pairs)
+
+
+# The settings with a fixed number of touches: 'pin' and 'probe' are the samplings
+def with_counts(settings, pin, probe):
+    counting = adaptive.FixedCount()
+    return settings._replace(pin=pin, probe=probe, counting=counting)
 
 
 # SWITCH_OFFSET of a command (mm), or else 'default', or else the user is asked

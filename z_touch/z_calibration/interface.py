@@ -1,0 +1,102 @@
+# What other parts may ask of [z_calibration]: the guide, and the corrections.
+# Copyright (C) 2026  the Z calibration developers, under the GNU GPLv3
+from __future__ import absolute_import
+
+from .calibration import Calibration
+from .sites import SiteFinder
+
+
+# The section as the guide and the corrections see it.  They get records and
+# objects of their own from it; the object behind the section is not theirs, and
+# only use_switch_offset() changes something in there.
+class Interface(object):
+    # 'section': the object behind [z_calibration]
+    def __init__(self, section):
+        self.host = section.host
+        self._section = section
+
+    ##################################################################
+    # Settings
+    ##################################################################
+
+    # The settings.Settings in force
+    def settings(self):
+        return self._section.settings
+
+    # From now on it is this one (mm)
+    def use_switch_offset(self, switch_offset):
+        self._section.use_switch_offset(switch_offset)
+
+    # What nozzle and body press: pin.Pin
+    def pin(self):
+        return self._section.pin
+
+    # Finds and checks sites by the settings in force
+    def site_finder(self):
+        return SiteFinder(self.host, self.settings())
+
+    ##################################################################
+    # One command at a time
+    ##################################################################
+
+    # Raises the command's error unless nothing is under way
+    def check_idle(self, gcmd):
+        self._section.runner.check_idle(gcmd)
+
+    # Returns what work() does; see running.Runner.  The status shows 'phase'
+    # meanwhile.
+    def run_command(self, gcmd, work, phase):
+        return self._section.runner.run(gcmd, work, phase, 0)
+
+    ##################################################################
+    # Touches
+    ##################################################################
+
+    # A Calibration that knows nothing of earlier runs, to touch single sites and
+    # to lift the head.  'settings' may be others than those in force; the pin is
+    # no higher than pin_z (toolhead Z, mm; None: nobody knows).
+    def new_calibration(self, settings, sites, pin_z):
+        section = self._section
+        plan = section.recorder.make_plan(settings.counting)
+        pin, watch = section.pin, section.runner.watch
+        calibration = Calibration(self.host, settings, pin, sites, watch, plan)
+        calibration.rise_over(pin_z)
+        return calibration
+
+    # A context in which a probe that fetches itself stays where it is
+    def holding_probe(self):
+        return self._section.hooks.holding_probe()
+
+    # Runs start_gcode, which may fetch the probe
+    def fetch(self):
+        self._section.hooks.start()
+
+    # Runs before_switch_gcode, which fetches it late; 'mark' is of the frame that
+    # must be the same after it, None: any frame will do.
+    def fetch_late(self, mark):
+        self._section.hooks.before_switch(mark)
+
+    # Runs end_gcode
+    def put_away(self):
+        self._section.hooks.end()
+
+    ##################################################################
+    # What was measured
+    ##################################################################
+
+    # Of the frame as it is
+    def mark(self):
+        return self._section.frame.mark()
+
+    # What has moved the frame since then, in words; empty: nothing
+    def moved_since(self, mark):
+        return self._section.frame.moved_since(mark)
+
+    # The results.Last run that was applied
+    def last(self):
+        return self._section.results.last
+
+    # Why that does not hold (any more), in words; empty: it does.  'besides'
+    # counts as nothing.
+    def why_not(self, besides=None):
+        return self._section.results.why_not(besides)
