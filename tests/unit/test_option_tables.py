@@ -1,0 +1,54 @@
+"""The tables of options of [auto_z_offset] and [extra_probe]."""
+
+from __future__ import annotations
+
+import re
+from pathlib import Path
+
+import pytest
+
+from tests.unit.loading import load
+from tests.unit.room_settings import default_settings
+from z_touch.core.options import PROBE_OPTIONS
+
+TESTS = Path(__file__).resolve().parents[1] / "modules"
+ROOMS = {
+    name: load(f"z_touch.{name}.settings")
+    for name in ("auto_z_offset", "extra_probe")
+}
+SAMPLING = {row.name for row in PROBE_OPTIONS}
+ROWS = [
+    pytest.param(name, row, id=f"{name}-{row.name}")
+    for name, room in ROOMS.items()
+    for row in (*room.OPTIONS, *getattr(room, "UNUSED_OPTIONS", ()))
+]
+
+
+@pytest.mark.parametrize(("name", "row"), ROWS)
+def test_option_has_a_test_of_its_own(name, row):
+    """On a real host, where it can be ignored."""
+    word = re.compile(rf"\b{row.name}\b")
+    tests = TESTS.glob(f"test_{name}_*.py")
+    assert any(word.search(path.read_text("utf-8")) for path in tests), (
+        f"{row.name} is in none of tests/modules/test_{name}_*.py"
+    )
+
+
+@pytest.mark.parametrize("name", ROOMS)
+def test_every_option_has_one_row_and_one_sentence(name):
+    rows = ROOMS[name].OPTIONS
+    assert len({row.name for row in rows}) == len(rows)
+    assert [row.name for row in rows if not row.text.endswith((".", "?"))] == []
+
+
+@pytest.mark.parametrize("name", ROOMS)
+def test_every_option_is_in_a_record(name):
+    """Those of sampling are Sampling."""
+    room = ROOMS[name]
+    fields = set(room.Settings._fields)
+    if name == "extra_probe":
+        fields |= set(room.SwitchSettings._fields)
+    names = {row.name for row in room.OPTIONS}
+    assert names - fields == SAMPLING
+    assert fields.isdisjoint(SAMPLING)
+    default_settings(room)
