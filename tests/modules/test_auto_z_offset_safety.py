@@ -57,11 +57,11 @@ def assert_lifted(printer):
     assert gap > 3.6
 
 
-def probed_at(printer, seconds):
-    """The printer after AUTO_Z_PROBE at this time, homed before."""
+def probed_at(printer, seconds, command="AUTO_Z_PROBE"):
+    """The printer after a command at this time, homed before."""
     rig, clock = printer.machine.rig, printer.machine.simulation.clock
     printer.session.wait(seconds - rig.seconds(clock.now()))
-    printer.run("AUTO_Z_PROBE")
+    printer.run(command)
     return printer
 
 
@@ -238,6 +238,23 @@ def test_sensor_that_stays_triggered_after_the_touch(start):
     with pytest.raises(GcodeError) as error:
         probed_at(printer, 60.0)
     assert "bed sensor: reads triggered at z=3.6" in str(error.value)
+    assert state(printer) == before
+
+
+def test_sensor_that_stays_triggered_is_seen_before_the_probe_comes(start):
+    # It would be what the probe is compared with
+    command = "AUTO_Z_MEASURE_OFFSET"
+    printer = probed_at(start("qidi").homed(), 60.0, command)
+    (touch,) = [t for t in touches(printer) if t.site == "nozzle_bed"]
+    fault = Fault("stuck_closed", signal="bed_sensor", t=touch.t + 0.1)
+    printer = start("qidi", faults=[fault]).homed()
+    first = len(printer.machine.truth.touches)
+    before = state(printer)
+    with pytest.raises(GcodeError) as error:
+        probed_at(printer, 60.0, command)
+    assert "bed sensor: reads triggered at z=3.6" in str(error.value)
+    # The probe, beside the nozzle, comes down with it, and not again
+    assert sites(printer, first) == ["inductive_bed", "nozzle_bed"]
     assert state(printer) == before
 
 

@@ -579,6 +579,21 @@ def test_membrane_that_is_the_probe(start, save):
     assert gap_is_right(printer)
 
 
+def test_speed_of_a_membrane_that_is_the_probe(start):
+    # 9 mm down from safe_z_height, at 3 mm/s as [probe], or as the section says
+    took = []
+    for speed in (None, "0.5"):
+        changes = as_probe(speed=speed, samples="1")
+        printer = start("membrane", changes=changes).homed()
+        printer.run("EXTRA_PROBE_CALIBRATE PROBE=probe")
+        printer.machine.lay_membrane()
+        clock = printer.machine.simulation.clock
+        before = clock.now()
+        printer.run("EXTRA_PROBE_CONTINUE PROBE=probe\nM400")
+        took.append((clock.now() - before) * 1e-9)
+    assert took[1] - took[0] == pytest.approx(9.3 / 0.5 - 9.3 / 3.0, abs=1.0)
+
+
 def test_floor_of_a_membrane_that_is_the_probe(start):
     printer = start("membrane", changes=as_probe(position_min="0.2")).homed()
     printer.run("EXTRA_PROBE_CALIBRATE PROBE=probe")

@@ -64,7 +64,7 @@ class AutoZOffset(object):
     # Empty: nothing is to be told
     def tell(self, text):
         if text:
-            self.host.gcode.respond_info("%s: %s" % (self.host.section, text))
+            self.host.say(text)
 
     ##################################################################
     # Status
@@ -241,17 +241,17 @@ class AutoZOffset(object):
         script = "SET_GCODE_OFFSET Z=%.6f MOVE=0" % (gcode_offset,)
         self.host.gcode.run_script_from_command(script)
 
-    def check_probe_frame(self, gcmd):
+    def check_probe_frame(self):
         try:
             self.expectations.check_frame()
         except CalibrationError as e:
-            raise gcmd.error("%s: %s" % (self.host.section, e))
+            raise self.host.error(str(e))
 
     # AUTO_Z_LOAD_OFFSET
     cmd_AUTO_Z_LOAD_OFFSET_help = "Apply the probe's correction"
 
     def cmd_AUTO_Z_LOAD_OFFSET(self, gcmd):
-        self.check_probe_frame(gcmd)
+        self.check_probe_frame()
         z = self.correction.z or 0.0
         bed_z = self.host.probing.homed_bed_z()
         self.apply_offset(z + bed_z)
@@ -274,14 +274,13 @@ class AutoZOffset(object):
     cmd_AUTO_Z_SAVE_GCODE_OFFSET_help = "Save the G-code Z offset in force"
 
     def cmd_AUTO_Z_SAVE_GCODE_OFFSET(self, gcmd):
-        self.check_probe_frame(gcmd)
+        self.check_probe_frame()
         before = self.correction.z or 0.0
         z = self.host.gcode_offset() - self.host.probing.homed_bed_z()
         if abs(z) > heights.LARGEST_OFFSET:
-            raise gcmd.error(
-                "%s: a G-code Z offset of %.3f is no correction of a probe; up"
-                " to %g mm can be saved"
-                % (self.host.section, z, heights.LARGEST_OFFSET)
+            raise self.host.error(
+                "a G-code Z offset of %.3f is no correction of a probe; up to"
+                " %g mm can be saved" % (z, heights.LARGEST_OFFSET)
             )
         self.correction.save(z)
         gcmd.respond_info(

@@ -2,9 +2,10 @@
 # Copyright (C) 2026  the Z calibration developers, under the GNU GPLv3
 from __future__ import absolute_import
 
-from ..core import options, touching
+from ..core import options
 from ..core.options import REQUIRED, option, unused
 from ..core.templates import GCODE
+from ..core.touching import site_kind
 from .heights import LARGEST_OFFSET, inside_bed, section_floor
 
 # A smaller hop (mm) leaves an inductive probe triggered.
@@ -81,7 +82,7 @@ SENSOR_OPTIONS = (
 TRAVEL_OPTIONS = (
     option(
         "bed_xy_position",
-        options.PAIR,
+        site_kind("bed"),
         None,
         "mm",
         "The point of the bed to measure. The default is the middle of the"
@@ -231,31 +232,27 @@ UNUSED_OPTIONS = (
 # The record
 ######################################################################
 
-# 'sampling' is made of its options; 'site' is bed_xy_position, None for the
-# middle of the axes; 'floor' the lowest point of all touches; and whether the
-# G-code is there that powered the sensor with the original module.
+# mm, mm/s and mm/s^2; bed_xy_position is None for the middle of the axes.
+#
+#   sampling             what the options of sampling become
+#   floor                heights.Floor, the lowest point of all touches
+#   lost_activate_gcode  the G-code is given that powered the sensor with the
+#                        original module
 Settings = options.record(
     "Settings",
     SENSOR_OPTIONS + TRAVEL_OPTIONS + CYCLE_OPTIONS,
-    also="sampling site floor lost_activate_gcode",
+    also="sampling floor lost_activate_gcode",
 )
 
 
 def read_settings(config, z_axis):
     values = options.read(config, OPTIONS)
-    sampling = options.sampling_of(values)
-    for row in SAMPLING_OPTIONS:
-        del values[row.name]
-    site, pair = None, values["bed_xy_position"]
-    if pair is not None:
-        site = touching.option_site(config, "bed", "bed_xy_position", pair)
     values.update(
-        sampling=sampling,
-        site=site,
+        sampling=options.sampling_of(values),
         floor=section_floor(z_axis, values["probe_z_min"]),
         lost_activate_gcode=bool(config.get("activate_gcode", "").strip()),
     )
-    return Settings(**values)
+    return Settings(**{name: values[name] for name in Settings._fields})
 
 
 # What the user is told of his section when klippy is ready

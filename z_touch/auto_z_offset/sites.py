@@ -13,8 +13,8 @@ OUT_OF_REACH = (
 
 # The nozzle over the point of the section, or over the middle of the axes
 def bed_site(host, settings):
-    if settings.site is not None:
-        return settings.site
+    if settings.bed_xy_position is not None:
+        return settings.bed_xy_position
     (x_min, x_max), (y_min, y_max) = host.axis_limits()[:2]
     middle = (x_min + x_max) / 2.0, (y_min + y_max) / 2.0
     origin = "The middle of the axes"

@@ -82,7 +82,7 @@ class Calibration(object):
             )
 
     def travel(self):
-        settings, site = self.settings, self.settings.site
+        settings, site = self.settings, self.settings.xy_position
         speed = settings.sampling.lift_speed
         touching.raise_to(self.host, settings.safe_z_height, speed)
         if site is not None:

@@ -57,9 +57,9 @@ class ExtraProbe(object):
             self.check_safe_z()
             if self.name == PROBE:
                 self.check_probe()
-            if self.settings.site is not None:
+            if self.settings.xy_position is not None:
                 remedy = "choose a point that it can reach"
-                touching.check_reach(host, self.settings.site, remedy)
+                touching.check_reach(host, self.settings.xy_position, remedy)
         except CalibrationError as e:
             raise host.printer.config_error(str(e))
         where = "The switch of section '%s'" % (host.section,)

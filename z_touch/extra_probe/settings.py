@@ -2,9 +2,10 @@
 # Copyright (C) 2026  the Z calibration developers, under the GNU GPLv3
 from __future__ import absolute_import
 
-from ..core import options, touching
+from ..core import options
 from ..core.options import REQUIRED, option
 from ..core.templates import GCODE
+from ..core.touching import site_kind
 
 # The name of a section whose switch is [probe]
 PROBE = "probe"
@@ -41,7 +42,7 @@ SWITCH_OPTIONS = (
         options.FLAG,
         True,
         "",
-        "false: both run once, before the first and after the last touch.",
+        "False: both run once, before the first and after the last touch.",
     ),
 )
 
@@ -59,7 +60,7 @@ CALIBRATION_OPTIONS = (
     ),
     option(
         "xy_position",
-        options.PAIR,
+        site_kind("switch"),
         None,
         "mm",
         "Where the nozzle touches. By default it is where the head is.",
@@ -105,9 +106,9 @@ OPTIONS = SWITCH_OPTIONS + SAMPLING_OPTIONS + CALIBRATION_OPTIONS
 # Records
 ######################################################################
 
-# What every such section has.  'sampling' is made of its options; 'site' is
-# xy_position, None where it is not given.
-Settings = options.record("Settings", CALIBRATION_OPTIONS, also="sampling site")
+# What every such section has, with what its options of sampling become.  None is
+# not given.
+Settings = options.record("Settings", CALIBRATION_OPTIONS, also="sampling")
 
 # What a switch on a pin of its own has besides; the G-code as templates
 SwitchSettings = options.record("SwitchSettings", SWITCH_OPTIONS)
@@ -123,12 +124,7 @@ def read_settings(config):
         probe = config.getsection(PROBE)
         defaults = options.as_defaults(options.read_sampling(probe))
         defaults["z_offset"] = options.number(probe, "z_offset", 0.0)
-    site, values = None, options.read(config, CALIBRATION_OPTIONS, **defaults)
-    if values["xy_position"] is not None:
-        site = touching.option_site(
-            config, "switch", "xy_position", values["xy_position"]
-        )
-    sampling = options.sampling_of(
-        options.read(config, SAMPLING_OPTIONS, **defaults)
-    )
-    return Settings(sampling=sampling, site=site, **values)
+    rows = SAMPLING_OPTIONS + CALIBRATION_OPTIONS
+    values = options.read(config, rows, **defaults)
+    values["sampling"] = options.sampling_of(values)
+    return Settings(**{name: values[name] for name in Settings._fields})
