@@ -60,6 +60,20 @@ OF_ONE_FILE = {"virtual_probe.py": {"importlib"}}
 # What a door tells of a room that cannot be loaded
 OF_DOORS = {"traceback"}
 
+# Where it is known how hosts differ, as docs/developing.md has it
+OF_HOSTS = {
+    "core/host.py",
+    "core/endstops.py",
+    "core/probing.py",
+    "core/frame.py",
+    "auto_z_offset/motors.py",
+    "dockable_probe/virtual_probe.py",
+}
+# It has a method that Kalico calls, and asks nothing.
+CALLED_BY_HOSTS = {"dockable_probe/module.py"}
+# Date and commit of a change of the host
+CHANGE = re.compile(r"# .*\b20\d\d-\d\d(-\d\d)? \([0-9a-f]{9}\)")
+
 # Kalico greps for the first and calls what it takes for a function; the second
 # switches the host's check for pins used twice off; the third marked copies.
 FORBIDDEN = ("register_components", "allow_multi_use_pin", "# --- shared")
@@ -288,6 +302,33 @@ def test_interface_shows_nothing_of_the_object_behind_it():
 def test_classes_have_a_base(path):
     """Without one, Python 2.7 makes a class of another kind."""
     assert [n.name for n in nodes(path, ast.ClassDef) if not n.bases] == []
+
+
+def in_z_touch(path):
+    """As the document of developers names it, without the folder."""
+    return path.relative_to(ROOT / "z_touch").as_posix()
+
+
+@pytest.mark.parametrize("path", ROOMS, ids=in_z_touch)
+def test_only_some_files_know_how_hosts_differ(path):
+    if in_z_touch(path) in OF_HOSTS:
+        return
+    asked = [
+        node.lineno
+        for node in nodes(path, ast.Call)
+        if isinstance(node.func, ast.Name)
+        # getattr() with a default asks, too
+        and (node.func.id, len(node.args)) in (("hasattr", 2), ("getattr", 3))
+    ]
+    assert asked == []
+    if in_z_touch(path) not in CALLED_BY_HOSTS:
+        assert not CHANGE.search(path.read_text())
+
+
+def test_these_files_are_named_to_developers():
+    text = (ROOT / "docs" / "developing.md").read_text(encoding="utf-8")
+    named = re.findall(r"(?m)^  - `z_touch/(\S+\.py)`", text)
+    assert set(named) == OF_HOSTS and len(named) == len(OF_HOSTS)
 
 
 @sources

@@ -17,6 +17,21 @@ ZAxis = collections.namedtuple(
 )
 
 
+# How every host since 2021-08-17 (1dc2ab048) begins the error of a probing move
+# that has reached its end
+NO_TRIGGER = "No trigger"
+# The same where boards did not hear of each other in time, or one is gone
+NOT_HEARD = ("Communication timeout during", "Unable to obtain")
+
+
+def has_no_trigger(error):
+    return NO_TRIGGER in str(error)
+
+
+def was_not_heard(error):
+    return any(words in str(error) for words in NOT_HEARD)
+
+
 # Where Z gets its zero: section and option, and the value in force (mm)
 ZZero = collections.namedtuple("ZZero", "section option z")
 

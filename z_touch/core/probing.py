@@ -163,6 +163,12 @@ class Probing(object):
                 return owner, name
         return None, ""
 
+    # Whether a [dockable_probe], ours or Kalico's, fetches and docks the probe
+    # around each session
+    def attaches_by_itself(self):
+        dockable = self.printer.lookup_object("dockable_probe", None)
+        return bool(getattr(dockable, "auto_attach_detach", False))
+
     # Whether every touch of this probe can end at a floor: in the host's own
     # probing, or because its switch may be touched without that
     def can_end_at_floor(self):

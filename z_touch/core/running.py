@@ -38,15 +38,18 @@ def always(host, action, what):
 # Each cmd_NAME of a module is the command NAME, cmd_NAME_help its description.
 # 'probe': of several modules the one that PROBE=... means.
 def register_commands(host, module, probe=None):
-    for attribute in dir(module):
-        text = getattr(module, attribute + "_help", None)
-        if attribute.startswith("cmd_") and text is not None:
-            name, handler = attribute[4:], getattr(module, attribute)
-            if probe is None:
-                host.gcode.register_command(name, handler, desc=text)
-                continue
-            register = host.gcode.register_mux_command
-            register(name, "PROBE", probe, handler, desc=text)
+    attributes = dir(module)
+    for attribute in attributes:
+        help_attribute = attribute + "_help"
+        if not attribute.startswith("cmd_") or help_attribute not in attributes:
+            continue
+        name, handler = attribute[4:], getattr(module, attribute)
+        text = getattr(module, help_attribute)
+        if probe is None:
+            host.gcode.register_command(name, handler, desc=text)
+            continue
+        register = host.gcode.register_mux_command
+        register(name, "PROBE", probe, handler, desc=text)
 
 
 def check_homed(host):

@@ -12,12 +12,10 @@ import functools
 
 from . import options
 from .errors import CalibrationError, MessageLost, NoTrigger
+from .host import has_no_trigger, was_not_heard
 from .running import always
 
-# How every host since 2021-08-17 (1dc2ab048) begins this error
-NO_TRIGGER = "No trigger"
-# The same where boards did not hear of each other in time, or one is gone
-NOT_HEARD = ("Communication timeout during", "Unable to obtain")
+# What to do about a board that was not heard
 LATE = (
     "a board was not heard in time, as the computer or the line to it is too"
     " slow or broken: run it again, and look into klippy.log if it comes back"
@@ -116,7 +114,7 @@ class Head(object):
             trigger_z = host.probing_move(endstop, z, speed)
         except host.printer.command_error as e:
             pass_on_shutdown(host, e)
-            ended = NO_TRIGGER in str(e) and is_at(host, z)
+            ended = has_no_trigger(e) and is_at(host, z)
             kind = NoTrigger if ended else CalibrationError
             raise self._stopped(e, kind)
         return self._pressed(start_z, trigger_z, trigger_z)
@@ -136,7 +134,7 @@ class Head(object):
 
     def _stopped(self, error, kind):
         text = "%s (stopped at z=%.3f)" % (error, self.host.z())
-        if any(words in text for words in NOT_HEARD):
+        if was_not_heard(error):
             return MessageLost("%s; %s" % (text, LATE))
         return kind(text)
 

@@ -173,8 +173,7 @@ class Hooks(object):
     # it would around each session of the host's probing.
     @contextlib.contextmanager
     def holding_probe(self):
-        dockable = self.host.printer.lookup_object("dockable_probe", None)
-        if not getattr(dockable, "auto_attach_detach", False):
+        if not self.host.probing.attaches_by_itself():
             yield
             return
         script = self.host.gcode.run_script_from_command
