@@ -25,7 +25,7 @@
 # PYTEST_WORKERS       tests run at the same time (default 3)
 # PYTEST_ARGS          further arguments for pytest, such as -k or a file
 # BENCH_ARGS           arguments for make bench, such as --seeds 10 or --builtin
-# DEMO_ARGS            arguments for make demo, such as --record FILE.svg
+# DEMO_ARGS            arguments for make demo, such as --scene cartesian
 # PRINTER_ARGS         arguments for make printer, such as --scene extra_probe
 # FAULTS_ARGS          arguments for make faults, such as --seed 7 or --pairs 2000
 

@@ -3,11 +3,9 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from types import ModuleType
 from typing import NamedTuple, Optional
 
 from simprinter.scenes import Sections
-from tests.docs import auto_z_offset_picture, z_calibration_picture
 
 # An answer that is the document's own block of code
 SHOWN = "as the document shows it"
@@ -16,8 +14,7 @@ SHOWN = "as the document shows it"
 class Module(NamedTuple):
     """A module, its document, and a printer on which both can be tried.
 
-    picture: draws the run that all numbers are of. steps: G-code to run with
-    the document's sections and with `surroundings`; each with the line that
+    steps: G-code to run with the document's sections and with `surroundings`; each with the line that
     its answer has to have, if any. old: the heading of options of other
     releases. given: the only options of the module without a default that are
     always there. sources: of what its defaults are taken from, no two alike.
@@ -26,7 +23,6 @@ class Module(NamedTuple):
     """
 
     name: str
-    picture: ModuleType
     scene: str
     surroundings: Sections
     steps: Mapping[str, Optional[str]]
@@ -41,7 +37,6 @@ _DWELL = {"gcode": "G4 P1"}
 
 Z_CALIBRATION = Module(
     name="z_calibration",
-    picture=z_calibration_picture,
     scene="voron",
     surroundings={
         "respond": {},
@@ -108,7 +103,6 @@ Z_CALIBRATION = Module(
 
 AUTO_Z_OFFSET = Module(
     name="auto_z_offset",
-    picture=auto_z_offset_picture,
     scene="qidi",
     surroundings={
         "respond": {},

@@ -9,7 +9,6 @@ from pathlib import Path
 
 import pytest
 
-from tests.docs.dockable_probe_picture import PICTURE, draw
 from tests.docs.documents import OPTIONS, link_problems, part, rows, spans
 from tests.docs.option_rows import default_of, problems_of_lines, range_of
 
@@ -110,7 +109,3 @@ def test_commands_are_all_there():
 
 def test_links():
     assert link_problems(TEXT, DOCUMENT) == []
-
-
-def test_picture_is_what_the_script_draws():
-    assert PICTURE.read_text(encoding="utf-8") == draw()

@@ -32,6 +32,7 @@ from tests.docs.documents import (
     shown_answers,
     spans,
 )
+from tests.docs.pictures import numbers
 from tests.docs.records import AUTO_Z_OFFSET, MODULES, SHOWN, Z_CALIBRATION
 from tests.docs.running import Options, Running, Step, differ
 from tests.docs.sources import constants
@@ -261,10 +262,10 @@ def filled(formula: str, values: dict[str, float]) -> str:
 
 def wrong_terms(running: Running, text: str) -> Found:
     """The table of heights is the picture, and the picture is the run."""
-    example = running.module.picture.EXAMPLE
+    shown = numbers(running.module.name)
     result = running.status(text)["last_result"]
     for name, value in result.items():
-        if getattr(example, name) != pytest.approx(value, abs=1e-6):
+        if shown.get(name) != pytest.approx(value, abs=1e-6):
             yield f"the picture: {name} is {value}"
     table = rows(part(text, "What is measured?"))
     terms = {row[0]: row[1] for row in table if len(row) == 3}
@@ -288,10 +289,10 @@ def wrong_formulas(running: Running, text: str) -> Found:
     for line in complete:
         if line.replace(" ", "") not in written:
             yield f"formula: {line}"
-    for numbers in written:
-        left, right = numbers.split("=")
+    for line in written:
+        left, right = line.split("=")
         if float(left) != pytest.approx(eval(right)):
-            yield f"formula: {numbers}"
+            yield f"formula: {line}"
 
 
 # Floors
@@ -359,13 +360,13 @@ def wrong_floors_of_bed(running: Running, text: str) -> Found:
     real = [sensor, *at, again, first.floors["probe"][0]]
     yield from unlike_numbers("floors", real, floors_of(text, 3))
     # As far above what is expected as below
-    known, example = constants("auto_z_offset"), running.module.picture.EXAMPLE
+    known, shown = constants("auto_z_offset"), numbers("auto_z_offset")
     (above,) = known["ABOVE_PROBE"]
     table = rows(part(text, FLOORS))
     high = [float(row[3].split(" to ")[1]) for row in table if " to " in row[3]]
-    mirrored = [2 * example.sensor - z for z in (*at[1:], again)]
+    mirrored = [2 * shown["sensor"] - z for z in (*at[1:], again)]
     yield from unlike_numbers(
-        "triggers", [example.probe + above, *mirrored], high
+        "triggers", [shown["probe"] + above, *mirrored], high
     )
 
 
@@ -391,7 +392,7 @@ def wrong_rooms(running: Running, text: str) -> Found:
 def wrong_gap(running: Running, text: str) -> Found:
     """auto_z_offset: the true gap of the picture, in the middle of the axes."""
     gap = running.gap("AUTO_Z_CALIBRATE", POINT)
-    wanted = running.module.picture.EXAMPLE.gap
+    wanted = numbers("auto_z_offset")["true_gap"]
     # Two microsteps, and what is left of them
     yield from unlike_numbers("gap", [gap], [wanted], 6e-3)
 

@@ -11,8 +11,8 @@ from types import SimpleNamespace
 
 import pytest
 
-from tests.docs import extra_probe_picture
 from tests.docs.documents import STATUS, ini_blocks, part, rows, spans
+from tests.docs.pictures import numbers
 from tests.docs.records import SHOWN, Module
 from tests.docs.running import Running
 from tests.docs.test_documents import (
@@ -33,7 +33,6 @@ ABOVE = "G90\nG1 Z5 F900\nG1 X30 Y20 F6000"
 
 RECORD = Module(
     name=NAME,
-    picture=extra_probe_picture,
     scene="membrane",
     surroundings={"respond": {}},
     steps={
@@ -103,14 +102,16 @@ def wrong_status(running, text):
 
 def wrong_terms(text):
     """The table and the formula are the picture."""
-    example = extra_probe_picture.EXAMPLE
+    shown = numbers("extra_probe")
     table = rows(part(text, "What is measured?"))
     terms = {row[0]: row[1] for row in table if re.match(r"[\d.]+$", row[1])}
     for name in ("trigger", "z_offset", "offset"):
-        if terms.get(name) != f"{getattr(example, name):.3f}":
-            yield f"{name} is {getattr(example, name)}"
-    numbers = (example.offset, example.trigger, example.z_offset)
-    if "{:.3f}  = {:.3f} - {:.3f}".format(*numbers) not in text:
+        if terms.get(name) != f"{shown[name]:.3f}":
+            yield f"{name} is {shown[name]}"
+    if (
+        "{offset:.3f}  = {trigger:.3f} - {z_offset:.3f}".format(**shown)
+        not in text
+    ):
         yield "formula"
 
 

@@ -12,8 +12,8 @@ import pytest
 
 from simprinter.hosts.environment import build_dir
 from simprinter.hosts.hosts import all_hosts, missing_hosts
-from tests.docs import z_calibration_picture
 from tests.docs.documents import link_problems, part
+from tests.docs.pictures import numbers
 from tests.modules.example_owners import OWNERS
 from tests.modules.test_z_calibration_examples import (
     assert_ready_to_print,
@@ -123,10 +123,7 @@ def test_numbers_of_the_readme_are_those_of_the_picture():
     document = (ROOT / "docs" / "z_calibration.md").read_text(encoding="utf-8")
     assert f"// {line}\n" in document
     heights = {k: float(v) for k, v in re.findall(r"(\w+)=([\d.]+)", line)}
-    shown = z_calibration_picture.EXAMPLE._replace()
-    for name, value in shown._asdict().items():
-        assert heights[name] == pytest.approx(value), name
-    assert heights["offset"] == pytest.approx(shown.offset)
+    assert heights == pytest.approx(numbers("z_calibration"))
 
 
 def test_readme_is_short_and_begins_with_what_one_can_try():

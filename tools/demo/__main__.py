@@ -1,11 +1,9 @@
 """A calibration to watch: real klippy on a simulated printer.
 
-    python -m tools.demo [--host NAME] [--scene NAME] [--svg PATH]
-                         [--record PATH] [--list]
+    python -m tools.demo [--host NAME] [--scene NAME] [--svg PATH] [--list]
 
 Shows the console as klippy prints it, then what Z=0 was really worth before
-and after, and draws what was measured, with --record as an animated picture,
-too. Every number comes from the run.
+and after, and draws what was measured. Every number comes from the run.
 """
 
 from __future__ import annotations
@@ -25,10 +23,7 @@ from simprinter.hosts.session import GcodeError
 from simprinter.scenes import Sections
 from simprinter.simulation import Stopwatch
 from simprinter.world import CrashError
-from tests.docs.pictures import mm
-from tests.docs.z_calibration_picture import MEANING, Touches, draw
-from tools.demo import animation
-from tools.demo.recording import Recorder, axis_of
+from tools.kit import charts
 from tools.kit.printer import (
     NO_PRINTER,
     Printer,
@@ -100,15 +95,14 @@ class ShownPrinter(Printer):
 class Outcome(NamedTuple):
     """What one run has shown, mm and printer seconds.
 
-    touches: by site, of CALIBRATE_Z alone, as is the recording.
+    result: last_result of the module. touches: by site, of CALIBRATE_Z alone.
     """
 
-    result: Touches
+    result: dict[str, float]
     before: float
     after: float
     touches: Counter
     calibrating: float
-    recording: Recorder
 
 
 def rehearse(printer: ShownPrinter) -> Outcome:
@@ -121,40 +115,13 @@ def rehearse(printer: ShownPrinter) -> Outcome:
     truth = printer.machine.truth
     count = len(truth.touches)
     watch = Stopwatch(printer.machine.simulation)
-    with Recorder(printer.machine) as recording:
-        printer.run("CALIBRATE_Z")
+    printer.run("CALIBRATE_Z")
     _, calibrating = watch.seconds()
     touches = Counter(touch.site for touch in truth.touches[count:])
     print("--- and how far is it now?", flush=True)
     after = printer.gap()
-    result = dict(printer.status("z_calibration")["last_result"])
-    del result["offset"]
-    measured = Touches(**result)
-    return Outcome(measured, before, after, touches, calibrating, recording)
-
-
-def recorded(printer: ShownPrinter, outcome: Outcome) -> animation.Run:
-    """What the animated picture is made of."""
-    scene, truth = printer.scene, printer.machine.truth
-    x, y = printer.bed_point()
-
-    def surface(*xy: float) -> float:
-        return -truth.true_gap(*xy, 0.0)
-
-    bed = scene.world.bed
-    if axis_of(scene) == 0:
-        ends = [(end, surface(end, y)) for end in (bed.x_min, bed.x_max)]
-    else:
-        ends = [(end, surface(x, end)) for end in (bed.y_min, bed.y_max)]
-    return animation.Run(
-        scene,
-        outcome.recording.moments,
-        outcome.recording.marks,
-        outcome.result,
-        surface(x, y) + outcome.before,
-        ends,
-        (outcome.before, outcome.after, scene.formula_gap()),
-    )
+    result = printer.status("z_calibration")["last_result"]
+    return Outcome(result, before, after, touches, calibrating)
 
 
 def verdict(gap: float, predicted: float, microstep: float) -> Optional[str]:
@@ -176,7 +143,7 @@ def report(printer: ShownPrinter, outcome: Outcome) -> Optional[str]:
     scene = printer.scene
     microstep = scene.wiring.motors["z"].step_dist
     predicted = scene.formula_gap()
-    configured = outcome.result.switch_offset
+    configured = outcome.result["switch_offset"]
     problem = verdict(outcome.after, predicted, microstep)
     x, y = printer.bed_point()
     inside = "  (inside the bed)" if outcome.before < 0 else ""
@@ -207,12 +174,10 @@ def demonstrate(
     scene: Scene,
     svg: Path,
     changes: Optional[Sections] = None,
-    record: Optional[Path] = None,
 ) -> int:
     """Run the demo on a host; the exit code.
 
-    changes: to the scene's configuration, see Scene.config. record: where the
-    animated picture goes, if anywhere.
+    changes: to the scene's configuration, see Scene.config.
     """
     klippy = f"{firmware_of(host)} {host.version}"
     print(f"Host     {host.name}: {klippy}")
@@ -222,7 +187,6 @@ def demonstrate(
         watch = Stopwatch(printer.machine.simulation)
         printer.session.require_ready()
         outcome = rehearse(printer)
-        run = recorded(printer, outcome)
         real, virtual = watch.seconds()
     problem = report(printer, outcome)
     print(
@@ -231,34 +195,26 @@ def demonstrate(
         f" {virtual / real:.0f} times as fast"
     )
     heading = f"CALIBRATE_Z of {klippy} on a simulated printer: {scene.name}"
-    picture = draw(
-        outcome.result,
-        heading,
-        heading,
-        (
-            "The true gap between nozzle and bed at G-code Z=0:"
-            f" {mm(outcome.before)} mm before, {mm(outcome.after)} mm after;"
-            f" {mm(scene.formula_gap())} mm predicted.",
-            MEANING[1],
-        ),
-    )
-    write("Picture ", svg, picture)
-    if record is not None:
-        heading = f"CALIBRATE_Z by real klippy, simulated printer: {scene.name}"
-        write("Recording", record, animation.draw(run, heading))
+    draw(heading, scene, outcome, svg)
     if problem is not None:
         print(f"\nFAILED: {problem}")
         return 1
     return 0
 
 
-def write(what: str, path: Path, text: str) -> None:
-    """Write a picture, and say where it is."""
-    path.parent.mkdir(parents=True, exist_ok=True)
-    path.write_text(text, encoding="utf-8")
+def draw(heading: str, scene: Scene, outcome: Outcome, svg: Path) -> None:
+    """Draw what was measured, and what it is worth; say where it is."""
+    svg.parent.mkdir(parents=True, exist_ok=True)
+    bars = {
+        **outcome.result,
+        "true gap before": outcome.before,
+        "true gap after": outcome.after,
+        "predicted gap": scene.formula_gap(),
+    }
+    charts.draw_bars(heading, list(bars), {"mm": list(bars.values())}, svg)
     here = Path.cwd()
-    shown = path.relative_to(here) if path.is_relative_to(here) else path
-    print(f"{what} {shown}")
+    shown = svg.relative_to(here) if svg.is_relative_to(here) else svg
+    print(f"Picture  {shown}")
 
 
 def _arguments(words: Optional[Sequence[str]]) -> argparse.Namespace:
@@ -279,12 +235,6 @@ def _arguments(words: Optional[Sequence[str]]) -> argparse.Namespace:
         metavar="PATH",
         type=Path,
         help="where the picture goes (demo/calibration.svg in BUILD_DIR)",
-    )
-    parser.add_argument(
-        "--record",
-        metavar="PATH",
-        type=Path,
-        help="where an animated picture of the run goes",
     )
     parser.add_argument(
         "--list", action="store_true", help="show hosts and scenes only"
@@ -311,7 +261,7 @@ def main(words: Optional[Sequence[str]] = None) -> int:
         svg = arguments.svg or build_dir() / "demo" / "calibration.svg"
         host = choose_host(arguments.host)
         scene = SHOWN[arguments.scene]
-        return demonstrate(host, scene, svg, record=arguments.record)
+        return demonstrate(host, scene, svg)
     except GcodeError as error:
         print(f"!! {error}")
     except CrashError as error:
