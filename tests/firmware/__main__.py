@@ -1,6 +1,6 @@
-"""The table of docs/reliability.md, and how fast it is.
+"""The figures of docs/reliability.md, and how fast it is.
 
-    FIRMWARE=... python -m tests.firmware [--markdown FILE] [--workers N]
+    FIRMWARE=... python -m tests.firmware [--json FILE] [--workers N]
 
 runs everything on each host, on our own board and on the host's program, and
 compares every height.
@@ -9,6 +9,7 @@ compares every height.
 from __future__ import annotations
 
 import argparse
+import json
 import statistics
 import sys
 from concurrent.futures import ProcessPoolExecutor
@@ -24,10 +25,6 @@ from tests.firmware.programs import (
     dictionary,
     program_for,
 )
-from tools.bench.performance_tables import put, table
-
-BEGIN = "<!-- firmware: written by python -m tests.firmware, not by hand -->"
-END = "<!-- end of firmware -->"
 
 
 def speed(host: Host) -> float:
@@ -41,9 +38,9 @@ def speed(host: Host) -> float:
 
 
 def main() -> int:
-    """Print or write the table; the exit code is 0 if nothing differs."""
+    """Print or write the figures; the exit code is 0 if nothing differs."""
     parser = argparse.ArgumentParser(prog="python -m tests.firmware")
-    parser.add_argument("--markdown", type=Path, help="put it there")
+    parser.add_argument("--json", type=Path, help="write them there")
     parser.add_argument("--workers", type=int, default=2)
     options = parser.parse_args()
     hosts = [host for host in find_hosts() if program_for(host)]
@@ -54,9 +51,9 @@ def main() -> int:
             print(name, *cells[name], sep="  ", flush=True)  # noqa: T201
     heads = ["command or scene", *(heading(host) for host in hosts)]
     rows = [[name, *row] for name, row in cells.items()]
-    text = "\n".join(table(heads, rows))
-    if options.markdown is not None:
-        put(options.markdown, BEGIN, END, text)
+    text = json.dumps({"heads": heads, "rows": rows}, indent=1)
+    if options.json is not None:
+        options.json.write_text(text + "\n", encoding="utf-8")
     for host in hosts:
         ratio = statistics.median(speed(host) for _ in range(3))
         print(f"{host.name}: {ratio:.1f} times real time")  # noqa: T201

@@ -2,7 +2,6 @@
 
     python -m tools.bench [--host NAME] [--module FILE] [--builtin]
         [--seeds N] [--errors-on NAME] [--json FILE] [--chart FILE]
-        [--markdown FILE] [--no-chart] [--figures FILE]
 
 On the standard machine of every host it measures CALIBRATE_Z,
 PROBE_Z_ACCURACY and AUTO_Z_CALIBRATE:
@@ -36,7 +35,7 @@ from typing import Any, Optional
 
 from simprinter.hosts.environment import REPO_ROOT, HostError, build_dir
 from simprinter.hosts.hosts import Host, find_hosts
-from tools.bench import chart, performance_tables, text
+from tools.bench import chart, tables
 from tools.bench.commands import CALIBRATE_Z, COMMANDS, Command
 from tools.bench.cost import loadings, other_loading
 from tools.bench.errors import (
@@ -50,15 +49,9 @@ from tools.bench.errors import (
     run_trial,
     summaries,
 )
-from tools.bench.timing import (
-    OURS,
-    Run,
-    Subject,
-    attempt,
-    ours,
-    reason,
-)
+from tools.bench.timing import OURS, Subject, attempt, ours, reason
 from tools.kit.printer import given_module, module_files
+from tools.kit.tables import plain
 
 WORKERS = 2
 SEEDS = 50
@@ -102,12 +95,6 @@ def parse(arguments: Optional[Sequence[str]]) -> argparse.Namespace:
         "--seeds", type=int, default=SEEDS, help="for the errors; 0: none"
     )
     parser.add_argument(
-        "--figures",
-        type=Path,
-        metavar="FILE",
-        help="measure nothing, write again what was written with --json",
-    )
-    parser.add_argument(
         "--errors-on",
         action="append",
         metavar="NAME",
@@ -115,12 +102,6 @@ def parse(arguments: Optional[Sequence[str]]) -> argparse.Namespace:
     )
     parser.add_argument("--json", type=Path, help="write the figures there")
     parser.add_argument("--chart", type=Path, help="draw the chart there")
-    parser.add_argument(
-        "--markdown", type=Path, help="put the tables into this document"
-    )
-    parser.add_argument(
-        "--no-chart", action="store_true", help="needs no matplotlib"
-    )
     return parser.parse_args(arguments)
 
 
@@ -152,29 +133,26 @@ def time_command(
 ) -> list[dict[str, Any]]:
     """All times of a command, for a file; printed."""
     modules = subjects(command, besides)
-    width = max([4, *(len(f"ours / {m.name}") for m in modules[1:])])
-    output.say("", *text.timing_head(command, width))
-    figures: list[dict[str, Any]] = []
-    runs: list[Run] = []
-    for host in hosts:
-        output.say(host.name)
-        outcomes = {m.name: attempt(host, m, command) for m in modules}
-        output.say(*text.timing_rows(command, outcomes, width))
-        for module, outcome in outcomes.items():
-            failure = outcome if isinstance(outcome, str) else None
-            done = [] if isinstance(outcome, str) else outcome
-            runs += done
-            figures.append(
-                {
-                    "host": host.name,
-                    "module": module,
-                    "command": command.name,
-                    "failure": failure,
-                    "runs": [run.figures() for run in done],
-                }
-            )
-    output.say(*text.bound_tables(command, runs))
-    return figures
+    outcomes = {
+        (host.name, module.name): attempt(host, module, command)
+        for host in hosts
+        for module in modules
+    }
+    output.say("", tables.times(command, outcomes))
+    done = [o for o in outcomes.values() if not isinstance(o, str)]
+    output.say(tables.bounds(command, [run for runs in done for run in runs]))
+    return [
+        {
+            "host": host,
+            "module": module,
+            "command": command.name,
+            "failure": outcome if isinstance(outcome, str) else None,
+            "runs": []
+            if isinstance(outcome, str)
+            else [run.figures() for run in outcome],
+        }
+        for (host, module), outcome in outcomes.items()
+    ]
 
 
 def cost_figures(
@@ -270,7 +248,7 @@ def measure_all(
     besides = others(options)
     figures: dict[str, Any] = {"about": about(hosts)}
     figures["costs"] = cost_figures(hosts, besides, output)
-    output.say(*text.cost_lines(figures["costs"]))
+    output.say(tables.costs(figures["costs"], plain))
     timings = figures["timings"] = []
     for command in COMMANDS:
         timings += time_command(command, hosts, besides, output)
@@ -281,10 +259,10 @@ def measure_all(
         is_meant = any(n in host.name for n in options.errors_on or [""])
         if options.seeds and is_meant:
             of_host = error_figures(host, timings, besides, options.seeds)
-            output.say("", *text.error_lines(of_host))
+            output.say("", tables.errors(of_host, plain))
             errors += of_host
             write_json(figures, folder() / "performance.json")
-    output.say(*text.reason_lines(errors))
+    output.say(tables.reasons(errors))
     return figures
 
 
@@ -305,42 +283,30 @@ def write_json(figures: dict[str, Any], file: Path) -> None:
 
 def write_files(
     options: argparse.Namespace, figures: dict[str, Any], output: Output
-) -> bool:
-    """What was asked for, and copies below BUILD_DIR; whether all is well."""
+) -> None:
+    """What was asked for, and copies below BUILD_DIR."""
     for file in filter(None, (folder() / "performance.json", options.json)):
         write_json(figures, file)
-    if options.markdown is not None:
-        performance_tables.update(options.markdown, figures)
-    if not options.no_chart:
-        try:
-            drawn = (folder() / "performance.svg", options.chart)
-            chart.draw(figures, [file for file in drawn if file is not None])
-        except HostError as error:
-            output.say(f"no chart: {error}")
-            return False
-    if output.lines:
-        (folder() / "performance.txt").write_text(
-            "\n".join(output.lines) + "\n", encoding="utf-8"
-        )
+    for file in filter(None, (folder() / "performance.svg", options.chart)):
+        chart.draw(figures, file)
+    (folder() / "performance.txt").write_text(
+        "\n".join(output.lines) + "\n", encoding="utf-8"
+    )
     print(f"also in {folder()}: performance.txt, .json, .svg")  # noqa: T201
-    return True
 
 
 def main(arguments: Optional[Sequence[str]] = None) -> int:
     """Measure, print, write; return the exit code."""
     options = parse(arguments)
     output = Output()
-    if options.figures is not None:
-        figures = json.loads(options.figures.read_text(encoding="utf-8"))
-        return 0 if write_files(options, figures, output) else 1
     hosts = [host for host in find_hosts() if options.host in host.name]
     if not hosts:
         output.say(f"no host has {options.host!r} in its name")
         return 1
     figures = measure_all(options, hosts, output)
-    written = write_files(options, figures, output)
+    write_files(options, figures, output)
     own = [t for t in figures["timings"] if t["module"] == OURS]
-    return 0 if written and not any(t["failure"] for t in own) else 1
+    return int(any(timing["failure"] for timing in own))
 
 
 if __name__ == "__main__":

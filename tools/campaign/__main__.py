@@ -3,7 +3,7 @@
     python -m tools.campaign [--host NAME] [--job NAME] [--case TEXT]
         [--seed N] [--only faults|printers] [--printers N] [--pairs N]
         [--module FILE | --builtin]
-        [--every-host] [--json FILE] [--markdown FILE]
+        [--every-host] [--json FILE]
 
 Each case runs on one of the hosts, another for another case; with --every-host
 on all of them. For each command it prints how many faults it was given, how the
@@ -34,7 +34,6 @@ from pathlib import Path
 from typing import Any, Optional
 
 from simprinter.hosts.hosts import Host, find_hosts
-from tools.campaign import reliability_tables
 from tools.campaign.drawn_printers import MODULES, Report
 from tools.campaign.fault_cases import REFUSED, RIGHT, SHUT_DOWN, Setting
 from tools.campaign.jobs import COMPARED, JOBS
@@ -173,9 +172,6 @@ def parse(arguments: Optional[Sequence[str]]) -> argparse.Namespace:
     )
     parser.add_argument("--workers", type=int, default=3)
     parser.add_argument("--json", type=Path, help="write the figures there")
-    parser.add_argument(
-        "--markdown", type=Path, help="put the tables into this document"
-    )
     return parser.parse_args(arguments)
 
 
@@ -198,9 +194,7 @@ def main(arguments: Optional[Sequence[str]] = None) -> int:
         "seed": options.seed,
         "minutes": (time.monotonic() - began) / 60.0,
     }
-    report = write_json(options, about, table, reports)
-    if options.markdown is not None:
-        reliability_tables.update(options.markdown, report)
+    write_json(options, about, table, reports)
     return 0 if is_well(about, table, reports) else 1
 
 
@@ -227,10 +221,12 @@ def write_json(
     about: dict[str, Any],
     table: Sequence[dict[str, Any]],
     reports: Mapping[str, Report],
-) -> dict[str, Any]:
-    """All figures, written to a file where that is wanted."""
+) -> None:
+    """All figures, where they are wanted; of the file what is not of them."""
+    if options.json is None:
+        return
     report = {}
-    if options.json is not None and options.json.exists():
+    if options.json.exists():
         report = json.loads(options.json.read_text())
     if options.pairs:
         report["pairs"] = {"about": about, "faults": list(table)}
@@ -241,9 +237,7 @@ def write_json(
             name: {"hosts": about["hosts"], **vars(r)}
             for name, r in reports.items()
         }
-    if options.json is not None:
-        options.json.write_text(json.dumps(report, indent=1) + "\n")
-    return report
+    options.json.write_text(json.dumps(report, indent=1) + "\n")
 
 
 if __name__ == "__main__":

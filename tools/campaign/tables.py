@@ -1,17 +1,15 @@
-"""The campaign's figures as tables of a document, between two markers."""
+"""The campaign's figures as tables of a document."""
 
 from __future__ import annotations
 
+import json
 import re
 from collections.abc import Iterable, Mapping
 from pathlib import Path
 from typing import Any
 
-from tools.bench.performance_tables import put, table
 from tools.campaign.fault_cases import REFUSED, RIGHT, SHUT_DOWN
-
-BEGIN = "<!-- figures: written by make faults, not by hand -->"
-END = "<!-- end of the figures -->"
+from tools.kit.tables import markdown
 
 # Sites (as the truth calls them) whose depth is how far the nozzle, or what
 # hangs below it, was driven too far
@@ -32,7 +30,7 @@ def depths_text(worst: Mapping[str, float]) -> str:
     return ", ".join(f"{name} {depth:.2f}" for name, depth in named)
 
 
-def faults_table(figures: Figures, what: str = "faults") -> list[str]:
+def faults_table(figures: Figures, what: str = "faults") -> str:
     """A line for each command."""
     heads = ["command", "worst penetration, mm", what, "survived"]
     heads += [RIGHT, REFUSED, SHUT_DOWN]
@@ -41,10 +39,10 @@ def faults_table(figures: Figures, what: str = "faults") -> list[str]:
         ended = [found["ended"].get(e, 0) for e in (RIGHT, REFUSED, SHUT_DOWN)]
         numbers = map(str, (found["runs"], found["survived"], *ended))
         rows.append([found["job"], depths_text(found["worst"]), *numbers])
-    return table(heads, rows)
+    return markdown(heads, rows)
 
 
-def pairs_table(figures: Figures) -> list[str]:
+def pairs_table(figures: Figures) -> str:
     """Two sensors dead at once: how it ends, and where."""
     groups: dict[tuple[str, str], list[Figures]] = {}
     for found in figures["faults"]:
@@ -59,10 +57,10 @@ def pairs_table(figures: Figures) -> list[str]:
         }
         rows.append([job, words, depths_text(worst), str(len(ones))])
     heads = ["both sensors dead in", "the reason", "stopped at, mm", "pairs"]
-    return table(heads, rows)
+    return markdown(heads, rows)
 
 
-def printers_table(figures: Figures) -> list[str]:
+def printers_table(figures: Figures) -> str:
     """A line for each module."""
     heads = ["module", "deepest in the bed, mm", "printers", "right gap"]
     heads += ["refused", "wrong gap", "healthy", "refused of them"]
@@ -81,17 +79,17 @@ def printers_table(figures: Figures) -> list[str]:
         )
         depth = f"{found['penetration']:.3f}"
         rows.append([name, depth, *map(str, numbers)])
-    return table(heads, rows)
+    return markdown(heads, rows)
 
 
-def kinds_table(figures: Figures) -> list[str]:
+def kinds_table(figures: Figures) -> str:
     """How many faults of each kind there were, over all commands."""
     counts: dict[str, int] = {}
     for found in figures["faults"]:
         for kind, count in found["faults"].items():
             counts[kind] = counts.get(kind, 0) + count
     rows = [[kind, KINDS[kind], str(n)] for kind, n in sorted(counts.items())]
-    return table(["fault", "what happens", "runs"], rows)
+    return markdown(["fault", "what happens", "runs"], rows)
 
 
 KINDS = {
@@ -119,38 +117,35 @@ def hosts_text(parts: Iterable[Figures]) -> str:
     return f"Each on one of these hosts: {', '.join(hosts)}."
 
 
-def render(figures: Figures) -> str:
-    """All that stands between the markers."""
-    pairs, found = [], figures.get("pairs")
-    if found:
-        seed = f"Seed {found['about']['seed']}. "
-        agreed = sum(len(one["agreed"]) for one in found["faults"])
-        alike = (
-            f"In {agreed} of them the only two touches that are compared were"
-            " wrong by the same amount, and so was the gap: no touch can tell."
-        )
-        pairs = [
-            ["### Pairs of faults", "", seed + hosts_text(found["faults"])],
-            faults_table(found, "pairs"),
-            *([[alike]] if agreed else []),
-            pairs_table(found),
-            ["*right*: a dead sensor was not yet, or no more, asked for."],
-        ]
+def pairs_parts(found: Figures) -> list[str]:
+    """What came of the pairs."""
+    agreed = sum(len(one["agreed"]) for one in found["faults"])
+    alike = (
+        f"In {agreed} of them the only two touches that are compared were"
+        " wrong by the same amount, and so was the gap: no touch can tell."
+    )
+    return [
+        "### Pairs of faults",
+        f"Seed {found['about']['seed']}. {hosts_text(found['faults'])}",
+        faults_table(found, "pairs"),
+        *([alike] if agreed else []),
+        pairs_table(found),
+        "*right*: a dead sensor was not yet, or no more, asked for.",
+    ]
+
+
+def render(file: str) -> str:
+    """The tables of a document, from the figures in a file."""
+    figures = json.loads(Path(file).read_text(encoding="utf-8"))
     parts = [
-        [f"Seed {figures['about']['seed']}."],
-        ["### Faults", "", hosts_text(figures["faults"])],
+        f"\nSeed {figures['about']['seed']}.",
+        "### Faults",
+        hosts_text(figures["faults"]),
         faults_table(figures),
         kinds_table(figures),
-        *pairs,
-        ["### Random printers", "", hosts_text(figures["printers"].values())],
+        *(pairs_parts(figures["pairs"]) if "pairs" in figures else []),
+        "### Random printers",
+        hosts_text(figures["printers"].values()),
         printers_table(figures),
     ]
-    return "\n\n".join("\n".join(part) for part in parts)
-
-
-def update(file: Path, figures: Figures) -> None:
-    """Replace the figures of a document.
-
-    Raises ValueError if the markers are missing.
-    """
-    put(file, BEGIN, END, render(figures))
+    return "\n\n".join(parts) + "\n"
