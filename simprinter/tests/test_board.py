@@ -124,54 +124,6 @@ def test_what_is_due_comes_before_what_arrives(bench, lamp):
 # Configuration and shutdown
 
 
-def test_board_that_is_shut_down_refuses_commands(bench, lamp):
-    bench.tell("emergency_stop", "emergency_stop")
-    # Told once
-    ((name, values),) = bench.answers
-    assert (name, values["clock"]) == ("shutdown", bench.now() & LOW32)
-    assert bench.board.journal.shutdowns == ["Command request"]
-    bench.tell("switch_lamp oid=1 on=1")
-    assert bench.answers[1:] == [("is_shutdown", {"static_string_id": 1})]
-    assert lamp.heard == ["stop"]
-    # It still answers what a host needs to find out and to get on
-    assert bench.ask("get_config")["is_shutdown"] == 1
-    assert bench.ask("get_clock") == {"clock": bench.now() & LOW32}
-    assert bench.ask("get_uptime")["clock"] == bench.now() & LOW32
-    assert bench.ask("identify offset=0 count=4")["data"]
-    bench.tell("clear_shutdown")
-    assert bench.ask("get_config")["is_shutdown"] == 0
-    bench.tell("switch_lamp oid=1 on=1")
-    assert lamp.heard == ["stop", "1=1"]
-
-
-@pytest.mark.parametrize("was_shut_down", [False, True])
-def test_reset_forgets_the_configuration(bench, lamp, was_shut_down):
-    ran = []
-    bench.tell("finalize_config crc=5")
-    bench.board.schedule(bench.now() + 100, ran.append)
-    if was_shut_down:
-        bench.tell("emergency_stop")
-        lamp.heard.clear()
-    bench.tell("reset")
-    assert lamp.heard == ["stop", "reset"]
-    assert bench.ask("get_config")["is_config"] == 0
-    assert bench.ask("get_config")["is_shutdown"] == 0
-    assert bench.board.journal.resets == 1
-    # The clock goes on, and so do the board's own events
-    bench.tell("finalize_config crc=6")
-    bench.run_to(bench.now() + 6 * CLOCK_FREQ)
-    assert ran == []
-    assert len(bench.said("stats")) == 1
-
-
-def test_commands_of_one_block_run_in_order(bench, lamp):
-    switch = "switch_lamp oid=1 on=1"
-    bench.tell(switch, "emergency_stop", switch)
-    assert lamp.heard == ["1=1", "stop"]
-    said = [name for name, _ in bench.answers]
-    assert said == ["lamp_state", "shutdown", "is_shutdown"]
-
-
 # The fault: silence
 
 

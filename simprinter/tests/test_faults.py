@@ -98,6 +98,11 @@ def test_wrong_faults_are_refused(args, message):
         Fault(**args)
 
 
+def test_fault_of_a_signal_that_is_not_there_is_refused():
+    with pytest.raises(ValueError, match="no such signal"):
+        make(MAG, Fault("trigger_never", signal="bed_sensor"))
+
+
 def over_pin(*faults: Fault) -> Driver:
     driver = Driver(make(MAG, *faults))
     driver.go(*OVER_PIN)

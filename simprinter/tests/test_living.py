@@ -9,8 +9,6 @@ from contextlib import closing
 
 import pytest
 
-from simprinter.hosts.session import SessionError
-
 SPEED = 20.0
 END = b"\x03"
 
@@ -50,33 +48,3 @@ def test_others_are_served_and_time_passes(start):
     began = time.monotonic()
     printer.session.wait(100.0)
     assert time.monotonic() - began < 100.0 / SPEED
-
-
-def test_nobody_else_may_run_it(start):
-    printer = start()
-    session = printer.session
-    session.require_ready()
-    uses = (
-        lambda: session.run("M400"),
-        lambda: session.call("info", {}),
-        lambda: session.wait(1.0),
-        lambda: session.restart("RESTART"),
-        lambda: session.living(SPEED).__enter__(),
-    )
-    with session.living(SPEED):
-        for use in uses:
-            with pytest.raises(SessionError, match="lives by itself"):
-                use()
-    assert session.state()[0] == "ready"
-
-
-def test_end_of_klippy_is_told_on_leaving(start):
-    printer = start()
-    session = printer.session
-    session.require_ready()
-    with (
-        pytest.raises(SessionError, match="^living: klippy has ended\n"),
-        session.living(SPEED),
-    ):
-        session.kill()
-        time.sleep(0.5)

