@@ -2,9 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import replace
 from functools import lru_cache
-from pathlib import Path
 
 import pytest
 
@@ -13,14 +11,10 @@ from tools.campaign.fault_cases import (
     REFUSED,
     RIGHT,
     SHUT_DOWN,
-    Case,
-    GoodRun,
     Pair,
     Setting,
 )
-from tools.campaign.jobs import COMPARED, JOBS
-from tools.campaign.operations import Operation
-from tools.campaign.running import Plan, draw_pairs, plan
+from tools.campaign.jobs import JOBS
 from tools.campaign.tests.planting import planted
 from tools.kit.cases import all_slow_but, slow
 from tools.kit.printer import module_files
@@ -152,108 +146,6 @@ def test_pair_is_survived(host, which):
     assert outcome.problems == []
     assert (outcome.ended, outcome.struck) == (ended, both)
     assert outcome.is_blind() == (which in PAIRS[:2])
-
-
-@pytest.mark.parametrize("fault", [slow("trigger_early"), "trigger_late"])
-@pytest.mark.parametrize("samples", [slow(2), 3])
-def test_two_touches_that_agree(host, monkeypatch, fault, samples):
-    name = "AUTO_Z_HOME_Z"
-    job = replace(JOBS[name], samples=samples)
-    monkeypatch.setitem(JOBS, name, job)
-    pair, good = pair_of(
-        host,
-        (name, fault, "bed_sensor", 0),
-        (name, fault, "bed_sensor", 1),
-    )
-    outcome = fault_cases.attempt(host, pair, good)
-    # Only where no third could have told
-    assert bool(outcome.problems) == (samples == 3)
-    assert outcome.error == pytest.approx(0.3, abs=0.01)
-
-
-def test_pair_is_judged_and_shown_again(host):
-    first, second = (Z, "trigger_never", "z_endstop", 1), (Z, "stuck_open")
-    pair, good = pair_of(host, first, second)
-    good = good._replace(depths=dict.fromkeys(good.depths, -1.0))
-    outcome = fault_cases.attempt(host, pair, good)
-    assert "the machine was hurt" in outcome.problems[0]
-    again = plan(Setting(), str(pair), Z, host, (0, 1)).cases
-    assert again == (pair,)
-
-
-def test_pairs_are_drawn_over_all_commands():
-    def one(job, count):
-        cases = tuple(Case(job, at, "cancel") for at in range(count))
-        return Plan(None, job, Setting(), None, cases)
-
-    plans = [one(Z, 60), one(AUTO, 20), one(MESH, 2)]
-    drawn = draw_pairs(plans, 80, 5)
-    assert drawn == draw_pairs(plans, 80, 5) != draw_pairs(plans, 80, 6)
-    counts = [len(part.cases) for part in drawn]
-    assert sum(counts) == 80
-    assert counts[0] > counts[1] > counts[2]
-    pairs = [pair for part in drawn for pair in part.cases]
-    assert len(set(pairs)) == 80
-    assert all(a.job == b.job and a.at < b.at for a, b in pairs)
-    # No more than there are
-    assert len(draw_pairs([one(MESH, 3)], 9, 1)[0].cases) == 3
-
-
-MESH = "BED_MESH_CALIBRATE, dockable"
-
-
-def test_long_command_is_broken_at_its_ends_and_in_the_middle():
-    touches = [Operation("touch", "probe", at) for at in range(5)]
-    operations = [touches[0], Operation("move", "z", 9), *touches[1:]]
-    good = GoodRun(tuple(operations), 0, {"attach": 2, "dock": 0}, {}, 0.0)
-    found = list(fault_cases.cases(JOBS[MESH], good))
-    # 0 is before the first one
-    assert {c.at for c in found if c.fault == "stuck_open"} == {0, 1, 2, 4, 6}
-    assert {c.at for c in found if c.fault == "attach_fails"} == {1, 2}
-
-
-def test_others_get_options_that_ours_does_without():
-    assert Setting().job(MESH) is JOBS[MESH]
-    plugin = Setting(0, {"dockable_probe": Path("x")}, True).job(MESH).changes
-    assert plugin["dockable_probe"]["dock_position"] == "50, 308, 0"
-    assert plugin["safe_z_home"] is None
-    builtin = Setting(0, {}, True).job(MESH).changes
-    assert builtin["dockable_probe"]["z_hop"] == "8.9"
-    assert set(COMPARED) < set(JOBS)
-
-
-def test_only_harm_is_judged_of_others(host):
-    case, good = case_of(host, DOCKABLE, "attach_fails")
-    good = good._replace(gap=1.0)
-    setting = Setting(0, module_files(), True)
-    wrong = case._replace(fault="stuck_closed", at=0, subject="probe")
-    assert fault_cases.attempt(host, wrong, good, setting).problems == []
-    assert fault_cases.attempt(host, wrong, good).problems
-
-
-def test_every_operation_gets_every_fault(host):
-    job, good = JOBS[AUTO], good_run(host, AUTO)
-    kinds = {operation.kind for operation in good.operations}
-    assert kinds == {"touch", "query", "move", "write"}
-    # Begin, and up to its end: bed sensor and probe, each stuck in both ways,
-    # the board, and the host
-    found = list(fault_cases.cases(job, good))
-    for at in range(len(good.operations) + 1):
-        here = {(c.fault, c.subject) for c in found if c.at == at}
-        assert here >= {
-            ("stuck_open", "bed_sensor"),
-            ("stuck_closed", "probe"),
-            ("mcu_silent", "mcu"),
-            ("cancel", ""),
-        }
-    touches = [o for o in good.operations if o.kind == "touch"]
-    assert len(touches) == 4
-    assert sum(c.fault == "trigger_late" for c in found) == 4
-    writes = [o for o in good.operations if o.kind == "write"]
-    assert sum(c.fault == "tmc_change_lost" for c in found) == len(writes)
-    assert len(found) == len(set(found))
-    # Each template in both ways
-    assert sum(c.fault.startswith("template") for c in found) == 2
 
 
 # A module that does something wrong, each to be found by one case: the case,

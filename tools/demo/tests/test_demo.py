@@ -14,7 +14,7 @@ import pytest
 from simprinter import SCENES
 from simprinter.hosts.environment import build_dir
 from tests.docs.pictures import DOCS, MINUS
-from tools.demo.__main__ import SHOWN, demonstrate, verdict
+from tools.demo.__main__ import demonstrate
 
 ROOT = Path(__file__).resolve().parents[3]
 MICROSTEP = 0.0025
@@ -90,37 +90,3 @@ def test_wrong_gap_is_told_and_ends_in_1(host, tmp_path, capsys):
     assert last.startswith("FAILED: the true gap is ")
     assert "too small, 0.0050 mm are allowed" in last
     assert ET.parse(picture)
-
-
-def test_unknown_host_is_an_error_with_the_names(host):
-    run = demo("--host", "nobody")
-    assert run.returncode == 1
-    assert "no host 'nobody'" in run.stderr
-    assert host.name in run.stderr
-
-
-def test_list_names_hosts_and_scenes(host):
-    run = demo("--list")
-    assert run.returncode == 0
-    for name in (host.name, *SHOWN):
-        assert re.search(
-            rf"^(host|scene) +{re.escape(name)}:", run.stdout, re.M
-        )
-    assert "qidi" not in run.stdout
-
-
-@pytest.mark.parametrize(
-    "off, good",
-    [
-        (0.0, True),
-        (0.005, True),
-        (-0.005, True),
-        (0.0051, False),
-        (-0.0051, False),
-    ],
-)
-def test_verdict_allows_two_microsteps(off, good):
-    problem = verdict(0.06 + off, 0.06, MICROSTEP)
-    assert (problem is None) == good
-    if problem:
-        assert ("too large" in problem) == (off > 0)

@@ -5,7 +5,6 @@ from __future__ import annotations
 import os
 import re
 import signal
-import socket
 import subprocess
 import sys
 import time
@@ -64,14 +63,6 @@ class Terminal:
             assert self._popen.poll() is None, self.output
             time.sleep(0.1)
         raise AssertionError(f"{pattern} is not in {self.output}")
-
-    def until_ready(self) -> None:
-        """Wait until Moonraker says that klippy is ready."""
-        end, state = time.monotonic() + LIMIT, ""
-        while state != "ready":
-            assert time.monotonic() < end, f"klippy is {state}: {self.output}"
-            time.sleep(0.2)
-            state = self.get("/server/info").json()["result"]["klippy_state"]
 
     def type(self, line: str, answer: str) -> None:
         """Type a line and wait for what it shows."""
@@ -178,80 +169,6 @@ def test_start_home_and_end(port):
         assert_ends(shown, signal.SIGINT)
 
 
-@pytest.mark.slow
-@pytest.mark.timeout(5 * LIMIT)
-def test_second_start_beside_the_first_and_mistakes(port):
-    page = "http://page.example"
-    options = ("--scene", "extra_probe", "--port", port, "--origin", page)
-    with terminal("--port", port) as first, terminal(*options) as second:
-        assert second.url != first.url
-        allowed = second.get("/server/info", Origin=page).headers
-        assert allowed["Access-Control-Allow-Origin"] == page
-        assert second.run("G28\nEXTRA_PROBE_CALIBRATE PROBE=membrane").ok
-        second.type("lay", "^the membrane lies on the bed")
-        assert second.run("EXTRA_PROBE_CONTINUE PROBE=membrane").ok
-        second.until("nozzle on the membrane")
-        second.type("take", "^the bed is free")
-        assert second.run("EXTRA_PROBE_CONTINUE PROBE=membrane").ok
-        second.until(r"true gap: Z=0 is 0\.00\d mm")
-        assert_ends(second, signal.SIGINT)
-
-        # printer.cfg is as its owner left it, good or bad
-        assert first.run("G28").ok
-        printer = first.config / "printer.cfg"
-        good = printer.read_text()
-        printer.write_text(good + "\n[mistake]\n")
-        assert first.post("/machine/services/restart", service="klipper").ok
-        first.until("^!! error: Section 'mistake' is not a valid config")
-        first.until("^restarted klipper")
-        macro = "\n[gcode_macro HELLO]\ngcode:\n    M118 hello\n"
-        text = printer.read_text().replace("\n[mistake]\n", macro)
-        printer.write_text(text)
-        before = len(first.output)
-        assert first.post("/machine/services/restart", service="klipper").ok
-        first.until("^restarted klipper", before)
-        first.until_ready()
-        assert first.run("HELLO\nG28").ok
-        first.type("speed 2", "^2 times as fast")
-        begin = time.monotonic()
-        assert first.run("G4 P4000\nM400").ok
-        assert time.monotonic() - begin > 1.5
-        assert_ends(first, signal.SIGTERM)
-
-
-@pytest.mark.slow
-@pytest.mark.parametrize("seconds", [0.0, 1.0, 2.0, 3.0])
-def test_end_before_all_has_begun_leaves_nothing(port, seconds, tmp_path):
-    environment = {**os.environ, "TMPDIR": str(tmp_path)}
-    with closing(Terminal("--port", port, env=environment)) as shown:
-        shown.until("^Starting klippy and Moonraker")
-        time.sleep(seconds)
-        # The one process only, as 'kill' does
-        os.kill(shown.pid, signal.SIGTERM)
-        assert shown.ended() == 0
-        assert shown.processes() == []
-    assert list(tmp_path.glob("playground-*")) == []
-
-
-def test_port_is_reserved_before_anybody_listens():
-    wanted = free_port()
-    port, claim = network.reserved_port(network.LOOPBACK, wanted)
-    with claim:
-        assert port == wanted
-        other, its_claim = network.reserved_port(network.LOOPBACK, wanted)
-        its_claim.close()
-        assert other > wanted
-    again, claim = network.reserved_port(network.LOOPBACK, wanted)
-    claim.close()
-    assert again == wanted
-    with socket.socket() as taken:
-        taken.bind((network.LOOPBACK, wanted))
-        taken.listen()
-        other, claim = network.reserved_port(network.LOOPBACK, wanted)
-        claim.close()
-        assert other > wanted
-
-
 def test_listening_address_decides_who_needs_no_password(monkeypatch):
     networks = {"127.0.0.1": "127.0.0.0/8", "10.1.2.3": "10.1.0.0/16"}
     networks = {
@@ -267,8 +184,3 @@ def test_listening_address_decides_who_needs_no_password(monkeypatch):
     assert not [o for o in network.origins("127.0.0.1", []) if "10.1" in o]
     assert "*://10.1.2.3:*" in network.origins("10.1.2.3", [])
     assert "*://10.1.2.3" in network.origins("0.0.0.0", [])
-
-
-def test_own_networks_have_loopback():
-    found = network.own_networks()
-    assert str(found["127.0.0.1"]) == "127.0.0.0/8"
