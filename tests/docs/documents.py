@@ -9,27 +9,37 @@ from functools import lru_cache
 from pathlib import Path
 from typing import NamedTuple
 
+from markdown_it import MarkdownIt
+from markdown_it.tree import SyntaxTreeNode
+
 OPTIONS = "Which options are there?"
 COMMANDS = "Which commands are there?"
 STATUS = "What can macros read?"
+_MARKDOWN = MarkdownIt("commonmark").enable("table")
 
 
 @lru_cache
+def nodes(text: str, kind: str) -> list[SyntaxTreeNode]:
+    """Its parts of a kind, such as links, in their order."""
+    tree = SyntaxTreeNode(_MARKDOWN.parse(text))
+    return [node for node in tree.walk() if node.type == kind]
+
+
+def blocks(text: str, language: str) -> list[str]:
+    """Its blocks of code in a language."""
+    fences = nodes(text, "fence")
+    return [fence.content for fence in fences if fence.info == language]
+
+
 def headings(text: str) -> list[tuple[int, str, str]]:
     """(level, title, what stands below it up to a heading as high)."""
-    block = re.compile(r"```.*?```", re.DOTALL)
-    plain = block.sub(lambda match: "\n" * match[0].count("\n"), text)
-    lines, plain_lines = text.splitlines(), plain.splitlines()
-    found = [
-        (number, len(match[1]), match[2])
-        for number, line in enumerate(plain_lines)
-        if (match := re.match(r"(#+) (.*)", line))
-    ]
+    lines, found = text.splitlines(), nodes(text, "heading")
     result = []
-    for number, level, title in found:
-        ends = [n for n, other, _ in found if n > number and other <= level]
-        end = ends[0] if ends else len(lines)
-        result.append((level, title, "\n".join(lines[number + 1 : end])))
+    for number, node in enumerate(found):
+        after = (n for n in found[number + 1 :] if n.tag <= node.tag)
+        end = next((n.map[0] for n in after), len(lines))
+        below = "\n".join(lines[node.map[1] : end])
+        result.append((int(node.tag[1:]), node.children[0].content, below))
     return result
 
 
@@ -41,18 +51,14 @@ def part(text: str, title: str) -> str:
 
 def rows(text: str) -> Iterator[list[str]]:
     """The cells of every row of every table, without the table's heading."""
-    lines = text.splitlines()
-    for number, line in enumerate(lines):
-        after = lines[number + 1] if number + 1 < len(lines) else ""
-        if line.startswith("|") and not (
-            line.startswith("|---") or after.startswith("|---")
-        ):
-            yield [cell.strip() for cell in line.strip("|").split("|")]
+    for body in nodes(text, "tbody"):
+        for row in body.children:
+            yield [cell.children[0].content for cell in row.children]
 
 
 def spans(text: str) -> list[str]:
     """What is written as code."""
-    return re.findall(r"`([^`]+)`", text)
+    return [node.content for node in nodes(text, "code_inline")]
 
 
 def names(text: str) -> set[str]:
@@ -128,7 +134,9 @@ def anchors(text: str) -> set[str]:
 def link_problems(text: str, document: Path) -> list[str]:
     """Links to files and headings that are not there."""
     found = []
-    for target in re.findall(r"\]\(([^)]+)\)", text):
+    targets = [str(link.attrs["href"]) for link in nodes(text, "link")]
+    targets += [str(image.attrs["src"]) for image in nodes(text, "image")]
+    for target in targets:
         path, _, anchor = target.partition("#")
         if target.startswith("http"):
             continue
@@ -147,7 +155,7 @@ def ini_blocks(text: str) -> dict[str, dict[str, str]]:
     """Every section that the document shows."""
     parser = configparser.ConfigParser(delimiters=":", interpolation=None)
     # Values keep their indentation; in a template it does not matter
-    for block in re.findall(r"```ini\n(.*?)```", text, re.DOTALL):
+    for block in blocks(text, "ini"):
         parser.read_string(block)
     return {
         name: {
@@ -160,5 +168,5 @@ def ini_blocks(text: str) -> dict[str, dict[str, str]]:
 
 def shown_answers(text: str) -> dict[str, list[str]]:
     """What the console answers to a command, in its blocks of code."""
-    blocks = re.findall(r"```\n> (.*?)\n(.*?)```", text, re.DOTALL)
-    return {command: answer.splitlines() for command, answer in blocks}
+    found = [block.splitlines() for block in blocks(text, "")]
+    return {lines[0][2:]: lines[1:] for lines in found if lines[0][:2] == "> "}

@@ -79,10 +79,13 @@ def modules_of(cell: str) -> list[str]:
 
 def problems(text: str) -> Iterator[str]:
     """Messages that are missing, too many, or at the wrong module."""
+    for line in re.findall(r"(?m)^\|.*", text):
+        if line.count("|") != 5:
+            yield f"no message, module, meaning and remedy: {line}"
     table = list(rows(text))
     for row in table:
-        if len(row) != 4 or not set(modules_of(row[1])) <= set(NAMES):
-            yield f"no message, module, meaning and remedy: {row}"
+        if not set(modules_of(row[1])) <= set(NAMES):
+            yield f"no module: {row}"
             return
     for name in NAMES:
         known = messages(name)

@@ -222,7 +222,7 @@ def write_json(
     table: Sequence[dict[str, Any]],
     reports: Mapping[str, Report],
 ) -> None:
-    """All figures, where they are wanted; of the file what is not of them."""
+    """All figures to a file, if wanted; what they do not replace in it stays."""
     if options.json is None:
         return
     report = {}
