@@ -20,9 +20,21 @@ def value_of(row: Any) -> str:
         return ""
     if isinstance(default, options.Same):
         return ""
+    if isinstance(default, tuple):
+        return ", ".join(f"{value:g}" for value in default)
     if isinstance(default, float):
         return f"{default:g}"
     return str(default)
+
+
+def same_value(text: str, row: Any) -> bool:
+    """Whether an owner's text is the default, however a number is written."""
+    wanted = value_of(row)
+    try:
+        written, real = text.split(","), wanted.split(",")
+        return list(map(float, written)) == list(map(float, real))
+    except ValueError:
+        return text.lower() == wanted.lower()
 
 
 def default_of(row: Any) -> str:
@@ -64,7 +76,7 @@ def problems_of_lines(text: str, table: tuple[Any, ...]) -> Iterator[str]:
         row = by_name[name]
         if normal(comment.replace("#", "")) != normal(row.text):
             yield f"{name}: {comment!r}, it is {row.text!r}"
-        if mark and value.strip() != value_of(row):
+        if mark and not same_value(value.strip(), row):
             yield f"{name}: {value!r}, it is {value_of(row)!r}"
         if not mark and not value.strip():
             yield f"{name}: an empty value"
