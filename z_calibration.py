@@ -21,7 +21,10 @@
 #        I                    I                :       its plunger, pressed
 #     ===I======       =======I===      ===========    bed; I is the pin
 #
-# Every height is a toolhead Z in mm, see z_touch/core/touching.py.
+# Every height is a toolhead Z in mm: the position, in the frame that the last
+# homing defined, at which a touch triggered.  G-code offset, bed mesh and skew
+# play no part in it.  Up is positive; a touch that is reached lower down has the
+# smaller height.
 #
 #   switch - nozzle   how far the switch body hangs below the nozzle  (> 0)
 #   switch_offset     from the body to the trigger point above it     (>= 0)

@@ -111,7 +111,9 @@ def expect_bed(settings, nozzle_z, switch_z, last):
 # Floors
 ######################################################################
 
-# The lowest useful toolhead Z (mm) of each touch; none is below position_min.
+# The lowest toolhead Z (mm) of each touch.  None goes lower than a usable result can
+# lie, nor below position_min: a lost probe or a dead switch then ends with the
+# nozzle in the air.
 
 
 # The nozzle meets the Z endstop where Z was homed, give or take what the
@@ -127,7 +129,8 @@ def nozzle_floor(settings, expected_z):
 
 
 # The body hangs below the nozzle, in any case; where a trigger is expected,
-# the touch ends travel_margin below it.
+# the touch ends travel_margin below it.  The probe's z_offset would be tighter, but
+# many configurations hold a value there that was never measured.
 def switch_floor(settings, nozzle_z, expected_z):
     floor = max(settings.position_min, nozzle_z + BODY_BELOW_NOZZLE)
     if expected_z is None:

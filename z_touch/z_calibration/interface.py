@@ -2,7 +2,6 @@
 # Copyright (C) 2026  the Z calibration developers, under the GNU GPLv3
 from __future__ import absolute_import
 
-from .calibration import Calibration
 from .sites import SiteFinder
 
 
@@ -56,10 +55,8 @@ class Interface(object):
     # to lift the head.  'settings' may be others than those in force; the pin is
     # no higher than pin_z (toolhead Z, mm; None: nobody knows).
     def new_calibration(self, settings, sites, pin_z):
-        section = self._section
-        plan = section.recorder.make_plan(settings.counting)
-        pin, watch = section.pin, section.runner.watch
-        calibration = Calibration(self.host, settings, pin, sites, watch, plan)
+        plan = self._section.recorder.make_plan(settings.counting)
+        calibration = self._section.new_calibration(settings, sites, plan)
         calibration.rise_over(pin_z)
         return calibration
 

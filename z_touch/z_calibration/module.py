@@ -19,7 +19,8 @@ import functools
 import logging
 
 from .. import __version__
-from ..core import errors, frame, host, options, running, sampling
+from ..core import errors, frame, options, running, sampling
+from ..core.host import Host, check_z_axis
 from ..history import recorder
 from . import accuracy, checks, corrections, heights
 from .calibration import Calibration, Earlier
@@ -44,8 +45,8 @@ LARGE_OFFSET = 0.2
 class ZCalibration(object):
     def __init__(self, config):
         logging.info("z_calibration %s", __version__)
-        self.host = host.Host(config)
-        host.check_z_axis(config, self.host.z_axis)
+        self.host = Host(config)
+        check_z_axis(config, self.host.z_axis)
         self.frame = frame.Frame(self.host)
         self.runner = running.Runner(self.host)
         self.old_names = options.OldNames(config)
@@ -71,22 +72,22 @@ class ZCalibration(object):
     ##################################################################
 
     def connect(self):
-        machine = self.host
-        machine.connect()
+        host = self.host
+        host.connect()
         if self.pin is None:
-            self.pin = find_pin(machine)
-        machine.endstops.check_stops_z(self.pin.endstop, self.pin.origin)
-        checks.check_probe(machine)
+            self.pin = find_pin(host)
+        host.endstops.check_stops_z(self.pin.endstop, self.pin.origin)
+        checks.check_probe(host)
         self.settings = complete(
             self.settings,
-            machine.probing.sampling(),
-            machine.probing.offsets()[2],
-            machine.axis_limits()[2][1],
+            host.probing.sampling(),
+            host.probing.offsets()[2],
+            host.axis_limits()[2][1],
         )
         try:
-            checks.check_settings(machine, self.settings)
+            checks.check_settings(host, self.settings)
         except errors.CalibrationError as e:
-            raise machine.printer.config_error(str(e))
+            raise host.printer.config_error(str(e))
 
     def tell_notes(self):
         for note in self.old_names.notes:
@@ -116,10 +117,9 @@ class ZCalibration(object):
     # is compared with (trend.Summary or None).
     @contextlib.contextmanager
     def prepared(self, calibration, summary=None):
-        machine = self.host
         self.hooks.check_before_start()
-        dock = running.always(machine, self.put_away, "end_gcode")
-        lift = running.always(machine, calibration.lift, "lifting")
+        dock = running.always(self.host, self.put_away, "end_gcode")
+        lift = running.always(self.host, calibration.lift, "lifting")
         with self.hooks.holding_probe(), dock, lift:
             self.hooks.start()
             calibration.know(self.earlier(summary))

@@ -76,25 +76,46 @@ HISTORY = options.Kind("folder", _read_folder, ("", " "))
 # The table
 ######################################################################
 
+
+# A touching.Site, which had one option for X and one for Y
+def site_option(name, text):
+    site = name.split("_")[0]
+    axes = tuple("probe_%s_%s" % (site, axis) for axis in "xy")
+    kind = touching.site_kind(site)
+    return option(name, kind, None, "mm", text, old=(axes,))
+
+
+def mm_option(name, default, text, old=(), **limits):
+    return option(name, options.NUMBER, default, "mm", text, old, **limits)
+
+
+def speed_option(name, default, text, old=()):
+    kind = options.NUMBER
+    return option(name, kind, default, "mm/s", text, old, above=0.0)
+
+
+# A row as [probe] has it, but for its default
+def probe_option(name, text, **changes):
+    (row,) = [row for row in options.PROBE_OPTIONS if row.name == name]
+    return row._replace(default=None, text=text, **changes)
+
+
+# Where the default is None it matters whether there is anything to run.
+def gcode_option(name, default, text):
+    return option(name, GCODE, default, "", text)
+
+
 POSITIONS = (
-    option(
+    site_option(
         "nozzle_xy_position",
-        touching.site_kind("nozzle"),
-        None,
-        "mm",
         "X, Y of the head, in mm, when the nozzle is above the middle of the"
         " metal pin. The default is home_xy_position of [safe_z_home]; there is"
         " none with endstop_pin.",
-        old=(("probe_nozzle_x", "probe_nozzle_y"),),
     ),
-    option(
+    site_option(
         "switch_xy_position",
-        touching.site_kind("switch"),
-        None,
-        "mm",
         "X, Y of the head when the body of the probe's switch is above the same"
         " pin, with its flat side beside the plunger.",
-        old=(("probe_switch_x", "probe_switch_y"),),
     ),
     option(
         "switch_xy_offsets",
@@ -104,14 +125,10 @@ POSITIONS = (
         "Instead of switch_xy_position: the way from the nozzle position to it,"
         " in mm. There is no default.",
     ),
-    option(
+    site_option(
         "bed_xy_position",
-        touching.site_kind("bed"),
-        None,
-        "mm",
         "The point of the bed that the probe touches. The default is"
         " zero_reference_position of [bed_mesh].",
-        old=(("probe_bed_x", "probe_bed_y"),),
     ),
     option(
         "wiggle_xy_offsets",
@@ -124,11 +141,9 @@ POSITIONS = (
 )
 
 RESULT = (
-    option(
+    mm_option(
         "switch_offset",
-        options.NUMBER,
         None,
-        "mm",
         "How far the plunger still sticks out of the switch body when the switch"
         " triggers, in mm. Larger: nozzle closer to the bed.",
         minval=0.0,
@@ -163,20 +178,16 @@ HEIGHTS = (
         old=("clearance",),
         above=0.0,
     ),
-    option(
+    mm_option(
         "travel_margin",
-        options.NUMBER,
         TRAVEL_MARGIN,
-        "mm",
         "How much lower than expected a touch may go, and how much room is left"
         " below the head on its way, in mm.",
         above=0.0,
     ),
-    option(
+    mm_option(
         "position_min",
-        options.NUMBER,
         None,
-        "mm",
         "No touch goes lower, in mm. The default is position_min of"
         " [stepper_z].",
     ),
@@ -202,47 +213,29 @@ SAMPLING = (
     "samples_result",
 )
 
-
-# A row as [probe] has it, but for its default
-def probe_option(name, text, **changes):
-    (row,) = [row for row in options.PROBE_OPTIONS if row.name == name]
-    return row._replace(default=None, text=text, **changes)
-
-
 SPEEDS = (
-    option(
+    speed_option(
         "speed",
-        options.NUMBER,
         TRAVEL_SPEED,
-        "mm/s",
         "Travel in X and Y, in mm/s.",
-        above=0.0,
     ),
-    option(
+    speed_option(
         "probing_speed",
-        options.NUMBER,
         None,
-        "mm/s",
         "The quick part of the way down, in mm/s. The default is homing_speed of"
         " [stepper_z].",
         old=("homing_speed",),
-        above=0.0,
     ),
-    option(
+    speed_option(
         "probing_second_speed",
-        options.NUMBER,
         None,
-        "mm/s",
         "The touches that count, in mm/s. The default is second_homing_speed of"
         " [stepper_z]; on the bed it is speed of [probe].",
         old=("second_homing_speed",),
-        above=0.0,
     ),
-    option(
+    mm_option(
         "probing_retract_dist",
-        options.NUMBER,
         None,
-        "mm",
         "Lift between two touches, in mm. The default is homing_retract_dist of"
         " [stepper_z]; on the bed it is sample_retract_dist of [probe].",
         old=("homing_retract_dist",),
@@ -266,11 +259,9 @@ SPEEDS = (
         " is that of [probe].",
         kind=options.SAMPLES,
     ),
-    option(
+    mm_option(
         "target_uncertainty",
-        options.NUMBER,
         TARGET_UNCERTAINTY,
-        "mm",
         "With samples: auto, what the offset may be off by, in mm.",
         above=0.0,
     ),
@@ -307,52 +298,39 @@ KEPT = (
     ),
 )
 
-# Of those with a default of None it matters whether there is anything to run.
 USER_GCODE = (
-    option(
+    gcode_option(
         "start_gcode",
-        GCODE,
-        "",
         "",
         "Your macro that attaches the probe.",
     ),
-    option(
+    gcode_option(
         "clean_gcode",
-        GCODE,
         None,
-        "",
         "Runs once in a run, if something seems to stick to the nozzle. There is"
         " no default.",
     ),
-    option(
+    gcode_option(
         "before_switch_gcode",
-        GCODE,
-        "",
         "",
         "Runs between nozzle and switch: attach the probe here, and not in"
         " start_gcode, where it is in the way of the nozzle. There is no"
         " default.",
     ),
-    option(
+    gcode_option(
         "end_gcode",
-        GCODE,
-        "",
         "",
         "Your macro that puts the probe away; it runs after an error, too.",
     ),
-    option(
+    gcode_option(
         "offset_gcode",
-        GCODE,
         None,
-        "",
         "Runs instead of SET_GCODE_OFFSET, with the offset as params.Z. There is"
         " no default.",
     ),
-    option(
+    gcode_option(
         "error_gcode",
-        GCODE,
         None,
-        "",
         "Runs last after an error, with the message as params.ERROR. There is no"
         " default.",
     ),
