@@ -11,27 +11,28 @@ from ..z_calibration.sites import LARGEST_SWITCH_DISTANCE, Sites
 from . import steps
 from .state import SITES
 
-# First touches: mm/s, and how often
+# The first touches of a site: at most so fast (mm/s), and so many
 SLOW_SPEED = 2.0
 FIRST_TOUCHES = 5
 
-# For the floors of the first touches (mm), until it is known
+# The switch_offset (mm) by which floors are calculated until it is known
 USUAL_SWITCH_OFFSET = 0.5
 
-# As near (mm) the head comes over the pin by jogging, and over one whose height
-# nobody knows yet
+# By jogging nothing comes nearer (mm) to the pin, nor to where it may be as long as
+# nobody knows its height.
 CLEAR_OF_PIN = 1.0
 CLEAR_OF_UNKNOWN_PIN = 3.0
 
-# A smaller z_offset (mm) of the probe was never measured; what it may hang below
-# the nozzle then
+# A smaller z_offset (mm) of the probe was never measured; the probe may hang so far
+# (mm) below the nozzle then.
 LEAST_MEASURED = 2.0
 UNMEASURED_HANGS = 11.0
 
-# The nozzle stands so high (mm) over the highest bed there may be
+# The nozzle comes down to so high (mm) above the highest bed that there may be, to
+# meet the sheet of paper by small steps from there.
 OVER_SHEET = 2.0
 
-# Nearer (mm) than this to the dock is in it
+# A site nearer (mm) than this to dock_position is in the dock
 DOCK_NEAR = 15.0
 
 TAKE_THE_TYPE = "take the type of the switch"

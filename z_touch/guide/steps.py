@@ -15,14 +15,16 @@ COMMAND = "Z_CALIBRATION_SETUP"
 # Seconds to press something by hand
 HAND_PATIENCE = 20.0
 
-# Of a sheet of paper (mm)
+# A sheet of paper is so thick (mm)
 PAPER = 0.1
 
-# From the body to the trigger point (mm): common switches, and what none has
+# From the body to the trigger point (mm): of common switches, and more than any
+# has
 SWITCHES = collections.OrderedDict((("D2F", 0.5), ("SSG", 0.7)))
 LARGEST_SWITCH_OFFSET = 1.5
 
-# Steps (mm) of the buttons that move the head
+# By how much (mm) the buttons move the head; more than the largest is refused, and
+# the fine ones are for the sheet of paper.
 JOGS = (10.0, 1.0, 0.1)
 LARGEST_JOG = 10.0
 FINE_JOGS = (0.1, 0.05, 0.01)

@@ -21,12 +21,12 @@ def repeats(state):
     if not samples:
         return ""
     name = [site for site in SITES if site in samples][-1]
-    text = "The %s repeats within %.4f mm."
-    text %= (name, max(samples[name]) - min(samples[name]))
-    if len(samples) == len(SITES):
-        text += " All in all: %s; samples: %d is enough."
-        text %= steps.repeatability(list(samples.values()))
-    return text
+    spread = max(samples[name]) - min(samples[name])
+    last = "The %s repeats within %.4f mm." % (name, spread)
+    if len(samples) < len(SITES):
+        return last
+    text = " All in all: %s; samples: %d is enough."
+    return last + text % steps.repeatability(list(samples.values()))
 
 
 # Collects what of the State has to be saved.

@@ -44,7 +44,8 @@ TREND_RUNS = 100
 # of 7e-6 at each look
 TREND_SIGMA = 4.5
 
-# and, as a shift of heights (mm) or growth of a spread (mm and times)
+# A trend is told from so large a shift of heights (mm) on, or growth of a spread (mm
+# and times)
 SHIFT = 0.006
 GROWTH = 0.001
 GROWTH_TIMES = 1.5
