@@ -206,6 +206,15 @@ def test_home_z_sets_z_only(start, z_offset):
     assert printer.session.state()[0] == "ready"
 
 
+def test_home_z_leaves_the_head_a_hop_above_a_bed_that_was_high(start):
+    # Counted from the new Z: in the old frame it would be 1.5 mm more
+    printer = start("qidi", changes={"probe": {"z_offset": "3"}}).homed()
+    lines = printer.run("AUTO_Z_HOME_Z")
+    assert told(lines, "triggered at z=1.68")
+    z = printer.status("toolhead")["position"][2]
+    assert z == pytest.approx(AIR_GAP + 5.0, abs=1e-6)
+
+
 def test_home_z_keeps_the_gcode_offset_and_says_so(start):
     printer = start("qidi").homed()
     assert not told(printer.run("AUTO_Z_HOME_Z"), "stays, on top of this")
