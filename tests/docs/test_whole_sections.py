@@ -6,7 +6,6 @@ in test_documents; those of dockable_probe are asked for here.
 
 from __future__ import annotations
 
-import importlib
 import re
 from collections.abc import Iterator
 from pathlib import Path
@@ -16,7 +15,7 @@ import pytest
 
 from simprinter.hosts.hosts import Host
 from tests.docs.documents import OPTIONS, part, rows, spans
-from tests.docs.option_rows import default_of, problems_of_lines, value_of
+from tests.docs.option_rows import default_of, value_of
 from tests.docs.test_dockable_probe_doc import SETTINGS
 from tools.kit.dockable_probe import SWITCH
 from tools.kit.printer import Printer
@@ -107,20 +106,6 @@ def test_whole_section_is_right_and_mistakes_are_found(name):
         changed, count = re.subn(old, new, text, count=1)
         assert count, what
         assert list(problems(name, changed)), what
-
-
-@pytest.mark.parametrize("name", ["auto_z_offset", "extra_probe"])
-def test_whole_section_is_the_rows_of_the_source(name):
-    text = (DOCS / f"{name}.md").read_text(encoding="utf-8")
-    table = importlib.import_module(f"z_touch.{name}.settings").OPTIONS
-    assert list(problems_of_lines(text, table)) == []
-    for what, (old, new) in {
-        **MISTAKES,
-        "other words": (r"(?m)^(#lift_speed:.*\n#   )(.*)", r"\1So: \2"),
-    }.items():
-        changed, count = re.subn(old, new, text, count=1)
-        assert count, what
-        assert list(problems_of_lines(changed, table)), what
 
 
 def test_dockable_probe_has_these_defaults(host: Host):

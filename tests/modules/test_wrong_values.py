@@ -1,28 +1,26 @@
 """Every option with every kind of nonsense: refused when klippy starts.
 
-What a range excludes is taken from the tables of the documents, which
-tests/docs holds against the modules.
+What a limit excludes is taken from the tables of options; of z_calibration, whose
+old names have limits of their own, from the table of its document, which tests/docs
+holds against the module.
 """
 
 from __future__ import annotations
 
+import importlib
 import math
 from pathlib import Path
 from typing import NamedTuple
 
 import pytest
 
-from tests.docs.documents import (
-    OPTIONS,
-    Option,
-    options_of,
-    part,
-    samples_of,
-)
+from tests.docs.documents import OPTIONS, options_of, part, samples_of
 from tools.kit.cases import slow
 from tools.kit.extra_probe import NAME
 from tools.kit.load_errors import load
 from tools.kit.z_calibration import refusal
+from z_touch.core import options
+from z_touch.core.templates import GCODE
 
 ROOT = Path(__file__).resolve().parents[2]
 SCENES = {
@@ -42,30 +40,24 @@ UNKNOWN_PINS = ["PZ77", "PC1,PC2", "13.5"]
 
 
 class Case(NamedTuple):
-    """An option of a module, as its document has it."""
+    """An option of a module, what it must not accept, and whether it is required."""
 
     module: str
-    option: Option
+    name: str
+    nonsense: list[str]
+    required: bool = False
 
     @property
     def section(self) -> str:
         """Where the option stands."""
         return SECTIONS.get(self.module, self.module)
 
-
-def documented(module: str) -> list[Case]:
-    """All that the tables of options have, old names, too."""
-    text = (ROOT / "docs" / f"{module}.md").read_text(encoding="utf-8")
-    return [Case(module, option) for option in options_of(part(text, OPTIONS))]
+    def __str__(self) -> str:
+        return f"{self.module}-{self.name}"
 
 
-CASES = [case for module in SCENES for case in documented(module)]
-
-
-def nonsense(case: Case) -> list[str]:
-    """Texts that are none of what the option's range allows."""
-    option = case.option
-    words = option.range
+def excluded(words: str) -> list[str]:
+    """Texts that are none of what a range of a document allows."""
     if words == "G-code":
         return TEMPLATES
     if words == "MCU pin":
@@ -73,18 +65,56 @@ def nonsense(case: Case) -> list[str]:
     if words == "folder":
         return ["", " "]
     _, refused = samples_of(words)
-    return list(dict.fromkeys([*TEXTS, *refused]))
+    return [*TEXTS, *refused]
+
+
+def refused_by(row: options.Option) -> list[str]:
+    """Texts that a row of a table must not accept."""
+    if row.kind is GCODE:
+        return [*TEMPLATES, *options.nonsense(row)]
+    if row.kind is options.PIN:
+        return [*PINS, *options.nonsense(row)]
+    return [*TEXTS, *options.nonsense(row)]
+
+
+def documented(module: str) -> list[Case]:
+    """All that the tables of its document have, old names, too."""
+    text = (ROOT / "docs" / f"{module}.md").read_text(encoding="utf-8")
+    return [
+        Case(module, option.name, list(dict.fromkeys(excluded(option.range))))
+        for option in options_of(part(text, OPTIONS))
+    ]
+
+
+def declared(module: str) -> list[Case]:
+    """All that its settings.py has."""
+    return [
+        Case(
+            module,
+            row.name,
+            list(dict.fromkeys(refused_by(row))),
+            row.default is options.REQUIRED,
+        )
+        for row in importlib.import_module(f"z_touch.{module}.settings").OPTIONS
+    ]
+
+
+CASES = [
+    *documented("z_calibration"),
+    *declared("auto_z_offset"),
+    *declared("extra_probe"),
+]
 
 
 def telling(case: Case) -> list[str]:
     """What only this option's own limits refuse, or else the first of all."""
-    limits = [text for text in nonsense(case) if is_number(text)]
-    return limits or nonsense(case)[:1]
+    limits = [text for text in case.nonsense if is_number(text)]
+    return limits or case.nonsense[:1]
 
 
 def others(case: Case) -> list[str]:
     """The rest of it, which the reading of each kind of value refuses."""
-    return [text for text in nonsense(case) if text not in telling(case)]
+    return [text for text in case.nonsense if text not in telling(case)]
 
 
 def is_number(text: str) -> bool:
@@ -97,28 +127,24 @@ def is_number(text: str) -> bool:
 
 def message_of(host, case, value):
     """What klippy stops with for one value of an option."""
-    own = {case.option.name: value}
-    if case.option.name.startswith("probe_") and case.module[0] == "z":
+    own = {case.name: value}
+    if case.name.startswith("probe_") and case.module[0] == "z":
         # Half of a position is another mistake
-        other = {"x": "y", "y": "x"}.get(case.option.name[-1])
+        other = {"x": "y", "y": "x"}.get(case.name[-1])
         if other:
-            own[case.option.name[:-1] + other] = "150"
-            site = case.option.name.split("_")[1]
+            own[case.name[:-1] + other] = "150"
+            site = case.name.split("_")[1]
             own[f"{site}_xy_position"] = None
     try:
         return refusal(host, {case.section: own}, SCENES[case.module])
     except AssertionError as error:
-        raise AssertionError(
-            f"{case.option.name}: {value!r}: {error}"
-        ) from None
+        raise AssertionError(f"{case.name}: {value!r}: {error}") from None
 
 
-@pytest.mark.parametrize(
-    "case", CASES, ids=lambda c: f"{c.module}-{c.option.name}"
-)
+@pytest.mark.parametrize("case", CASES, ids=str)
 @pytest.mark.parametrize("texts", [telling, slow(others)])
 def test_nonsense_is_a_configuration_error(host, case, texts):
-    name, module = case.option.name, case.module
+    name, module = case.name, case.module
     for value in texts(case):
         message = message_of(host, case, value)
         assert name in message, (value, message)
@@ -127,29 +153,18 @@ def test_nonsense_is_a_configuration_error(host, case, texts):
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize(
-    "case", CASES, ids=lambda c: f"{c.module}-{c.option.name}"
-)
+@pytest.mark.parametrize("case", CASES, ids=str)
 def test_what_is_missing_is_told_or_has_a_default(host, case):
     state, message = load(
         host,
-        {case.section: {case.option.name: None}},
+        {case.section: {case.name: None}},
         SCENES[case.module],
     )
     if state != "ready":
         assert "Internal error" not in message
-        assert case.option.name in message
+        assert case.name in message
         assert f"'{case.section}'" in message
-    assert (state == "ready") is (
-        (case.module, case.option.name) not in REQUIRED
-    )
-
-
-REQUIRED = {
-    ("auto_z_offset", "pin"),
-    ("auto_z_offset", "prepare_gcode"),
-    ("extra_probe", "pin"),
-}
+    assert (state == "ready") is not case.required
 
 
 @pytest.mark.parametrize(
