@@ -39,39 +39,33 @@ import traceback
 
 __version__ = "1.0.0"
 
-FAULT = None
+# Why this module cannot be used, for the user and for klippy.log; empty: it can
+FAULT, TRACE, copies = "", "", None
 try:
-    from .z_touch.core import copies
-    from .z_touch.dockable_probe import module
-except ImportError as e:
-    FAULT = e, traceback.format_exc()
-    try:
-        # A plugin of Kalico since 2026-01-02 (2c9b0b4de)
+    if "plugins" in __name__.split("."):
+        # Kalico since 2026-01-02 (2c9b0b4de); the folder is in klippy/extras
         from ..extras.z_touch.core import copies
         from ..extras.z_touch.dockable_probe import module
-
-        FAULT = None
-    except (ImportError, ValueError) as e:
-        # Nothing is above Klipper's extras
-        if "relative import" not in str(e):
-            FAULT = e, traceback.format_exc()
-
-# Now, as Python keeps what is loaded over a RESTART
-MIXED = "" if FAULT else copies.why_mixed(__file__, __version__)
+    else:
+        from .z_touch.core import copies
+        from .z_touch.dockable_probe import module
+except Exception as e:  # noqa: BLE001
+    # Whatever it is: klippy would call it internal, or not tell what it is
+    TRACE, what = traceback.format_exc(), "cannot be loaded (%s)" % (e,)
+    if str(e).endswith(("z_touch'", "named z_touch.core")):
+        what = "is not in klippy/extras"
+    FAULT = (
+        "the folder z_touch that belongs to this module %s; run install.sh"
+        " again, or copy all of z_touch to klippy/extras, then restart the"
+        " Klipper service" % (what,)
+    )
+if copies is not None:
+    # Also where a room was not loaded: its core may be of before an update
+    FAULT = copies.why_mixed(__file__, __version__) or FAULT
 
 
 def load_config(config):
-    if FAULT is not None:
-        error, trace = FAULT
-        logging.error("z_touch cannot be loaded:\n%s", trace)
-        what = "cannot be loaded (%s)" % (error,)
-        if str(error).endswith(("z_touch'", "named z_touch.core")):
-            what = "is not in klippy/extras"
-        raise config.error(
-            "Section '%s': the folder z_touch that belongs to this module %s;"
-            " run install.sh again, or copy z_touch there, too, then restart"
-            " the Klipper service" % (config.get_name(), what)
-        )
-    if MIXED:
-        raise config.error("Section '%s': %s" % (config.get_name(), MIXED))
+    if FAULT:
+        logging.error("z_touch: %s\n%s", FAULT, TRACE)
+        raise config.error("Section '%s': %s" % (config.get_name(), FAULT))
     return module.DockableProbe(config)

@@ -156,7 +156,7 @@ choose_modules() {
         for name in $MODULES; do
             [ ! -f "$here/$name.py" ] || known+="${known:+ }$name"
         done
-        [ -n "$known" ] && [ -d "$here/${SHARED##*/}" ] ||
+        [ -n "$known" ] && [ -f "$here/${SHARED##*/}/__init__.py" ] ||
             fail "$ENVIRONMENT" "$here has no module or no ${SHARED##*/}; run" \
                 "the script from a complete clone"
     fi

@@ -246,10 +246,12 @@ class LiveSession:
         self._begin_anew(command)
         self.require_ready()
 
-    def reload(self, config: str) -> tuple[str, str]:
+    def reload(
+        self, config: str, command: str = "FIRMWARE_RESTART"
+    ) -> tuple[str, str]:
         """Give klippy and its boards another printer.cfg; (state, message)."""
         self._process.write_config(config)
-        self._begin_anew("FIRMWARE_RESTART")
+        self._begin_anew(command)
         return self.start()
 
     def _begin_anew(self, command: str) -> None:

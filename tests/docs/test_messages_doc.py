@@ -15,7 +15,6 @@ NAMES = ("z_calibration", "auto_z_offset", "extra_probe", "dockable_probe")
 # Of z_touch: for options and phases that only others have, and what is looked
 # for in messages
 LOOKED_FOR = {
-    "relative import",
     "named z_touch.core",
     "No trigger",
     "Communication timeout during",

@@ -488,13 +488,17 @@ def test_not_from_a_pipe(machine, klipper):
     assert "run the script from a clone" in outcome.err
 
 
-@pytest.mark.parametrize("missing", ["z_touch", "modules"])
+@pytest.mark.parametrize("missing", ["z_touch", "its files", "modules"])
 def test_not_from_an_incomplete_clone(machine, klipper, missing):
+    folder = machine.checkout / "z_touch"
     if missing == "modules":
         for name in MODULES:
             (machine.checkout / f"{name}.py").unlink()
     else:
-        shutil.rmtree(machine.checkout / "z_touch")
+        shutil.rmtree(folder)
+    if missing == "its files":
+        # What git leaves behind when they go
+        (folder / "core" / "__pycache__").mkdir(parents=True)
     err = machine.refused(3)
     assert f"{machine.checkout} has no module or no z_touch; run" in err
 

@@ -83,6 +83,13 @@ def test_example_is_the_section_of_the_script(machine, klipper):
     assert "\n".join(kept) + "\n" == section
 
 
+def test_nobody_is_sent_to_releases_that_there_are_not():
+    """Without a tag, `channel: stable` says "up to date" for ever."""
+    for file in (README, EXAMPLE, *DOCUMENT.parent.glob("*.md")):
+        assert "channel:" not in file.read_text(encoding="utf-8"), file
+    assert "channel:" not in SCRIPT
+
+
 def test_kalico(home):
     kalico = home.kalico("kalico")
     lines = cloned(commands(TEXT, "On Kalico"))
