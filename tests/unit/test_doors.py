@@ -6,6 +6,7 @@ have the names of one host or another. In tests/modules real klippies do.
 
 from __future__ import annotations
 
+import os
 import re
 import shutil
 import subprocess
@@ -22,8 +23,7 @@ EXTRAS, PACKAGED, PLUGINS = "extras", "klippy.extras", "klippy.plugins"
 
 PRELUDE = """
 from __future__ import print_function
-import importlib, os, shutil, sys
-sys.dont_write_bytecode = True
+import importlib, os, sys
 def fault(name, package=sys.argv[1]):
     return importlib.import_module(package + "." + name).FAULT
 """
@@ -62,6 +62,8 @@ class House:
         done = subprocess.run(
             [*command, str(self.rooms), str(self.doors)],
             cwd=self.top,
+            # With bytecode, as klippy has it
+            env={**os.environ, "PYTHONDONTWRITEBYTECODE": ""},
             capture_output=True,
             encoding="utf-8",
             check=False,
@@ -146,19 +148,27 @@ def test_folder_without_a_face_is_incomplete(house):
 
 CHANGED = "the folder z_touch was changed, as by an update, after Klipper"
 ERRORS = 'os.path.join(sys.argv[2], "core", "errors.py")'
+MODULE = 'os.path.join(sys.argv[2], "extra_probe", "module.py")'
 
 
 @pytest.mark.parametrize(
     ("update", "is_refused"),
     [
         (f"open({ERRORS}, 'a').write('# new')", True),
+        (
+            f"open({ERRORS}, 'a').write('NEW = 1')\n"
+            f"open({MODULE}, 'a').write('from ..core.errors import NEW')",
+            True,
+        ),
         (f"os.remove({ERRORS})", True),
         (f"os.utime({ERRORS}, (1e9, 1e9))", False),
         (f"open({ERRORS} + '~.py', 'w').write('')", False),
     ],
-    ids=["changed", "gone", "written again", "a new file"],
+    ids=["changed", "a new name", "gone", "written again", "a new file"],
 )
 def test_what_was_loaded_before_is_what_is_there(house, update, is_refused):
+    # Once before, so that Python 2 loads bytecode and names it
+    house.fault("auto_z_offset")
     first, second = house.run(
         f"print(fault('auto_z_offset'))\n{update}\nprint(fault('extra_probe'))"
     )
@@ -183,16 +193,15 @@ print(fault("extra_probe"))
 
 def test_what_came_in_after_an_update_is_not_forgotten(house):
     """The update is taken back, but its rooms have been loaded."""
-    room = 'os.path.join(sys.argv[2], "extra_probe", "module.py")'
     faults = house.run(
         f"""
 print(fault("auto_z_offset"))
-old, room = open({ERRORS}).read(), open({room}).read()
+errors, module = open({ERRORS}).read(), open({MODULE}).read()
 open({ERRORS}, "a").write("# new")
-open({room}, "a").write("# new")
+open({MODULE}, "a").write("# new")
 print(fault("extra_probe"))
-open({ERRORS}, "w").write(old)
-open({room}, "w").write(room)
+open({ERRORS}, "w").write(errors)
+open({MODULE}, "w").write(module)
 print(fault("dockable_probe"))
 """
     )
