@@ -4,8 +4,11 @@ another one, or changed since Klipper has loaded it.
 
 from __future__ import annotations
 
+import io
 import os
 import shutil
+import subprocess
+import tarfile
 from collections.abc import Iterator
 from contextlib import contextmanager
 from pathlib import Path
@@ -13,6 +16,7 @@ from pathlib import Path
 import pytest
 
 from simprinter import SCENES, Machine
+from simprinter.hosts.environment import REPO_ROOT
 from simprinter.hosts.hosts import Host
 from simprinter.hosts.session import LiveSession
 from simprinter.hosts.trees import FOLDER_PARENT, link_tree
@@ -214,6 +218,41 @@ def test_section_added_after_an_update_needs_the_service(home, update):
     with home.service(AUTO) as session:
         session.require_ready()
         session.run("G28\nCALIBRATE_Z")
+
+
+# auto_z_offset and z_calibration of it have the version that they have today
+FLAT = "78f40567881e1f6a9f0e01a47a00c984e7436ff2"
+
+
+@pytest.mark.spread
+def test_section_added_after_the_update_that_brings_the_rooms(home):
+    """From files that are gone, by which no door of today was loaded."""
+    newest = home.clone("newest")
+    clone = home.folder / "clone"
+    clone.mkdir()
+    check_out(FLAT, clone)
+    home.link(clone, "auto_z_offset", "z_calibration", FOLDER)
+    with home.service(ONLY_AUTO) as session:
+        session.require_ready()
+        shutil.rmtree(clone)
+        newest.rename(clone)
+        config = home.config(session.machine, AUTO)
+        state, message = session.reload(config, "RESTART")
+        assert state == "error"
+        assert message.startswith(f"Section 'z_calibration': {CHANGED}")
+
+
+def check_out(commit, folder):
+    """The modules of a commit of this repository, where it has its history."""
+    git = ["git", "-c", "safe.directory=*", "-C", str(REPO_ROOT)]
+    names = ["auto_z_offset.py", "z_calibration.py", FOLDER]
+    done = subprocess.run(
+        [*git, "archive", commit, *names], capture_output=True, check=False
+    )
+    if done.returncode:
+        pytest.skip(f"NOT TESTED: no commit {commit[:7]} in this clone")
+    with tarfile.open(fileobj=io.BytesIO(done.stdout)) as archive:
+        archive.extractall(folder, filter="data")
 
 
 def touched(clone):
