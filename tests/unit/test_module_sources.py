@@ -65,6 +65,7 @@ OF_HOSTS = {
     "core/endstops.py",
     "core/probing.py",
     "core/frame.py",
+    "core/copies.py",
     "auto_z_offset/motors.py",
     "dockable_probe/virtual_probe.py",
 }
