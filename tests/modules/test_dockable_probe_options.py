@@ -253,7 +253,7 @@ def test_speed(start, option, script):
 
 def test_default_speeds(start):
     none = {"travel_speed": None, "attach_speed": None, "detach_speed": None}
-    printer = recording(start, speed="10", **none)
+    printer = recording(start, speed="10", lift_speed="40", **none)
     # 170 and 156 mm at 50 mm/s, twice 38 at 10
     taken = seconds(printer, "ATTACH_PROBE")
     assert 76 / 10 + 2 * 155 / 50 < taken < 76 / 10 + 2 * 160 / 50 + 2.0
@@ -552,6 +552,16 @@ def test_pin_has_a_say_beside_a_dock_sense_pin(start):
     fault = Fault("stuck_open", signal="probe", t=0.0)
     for given, is_asked in ((None, True), ("False", False)):
         options = {"check_open_attach": given, "probe_sense_pin": None}
+        printer = start(SENSED, section(**options), faults=[fault])
+        printer.session.require_ready()
+        text = printer.run("GET_PROBE_STATUS")[0]
+        assert ("UNKNOWN" in text) is is_asked
+
+
+def test_pin_has_no_say_beside_both_unless_it_is_given_one(start):
+    fault = Fault("stuck_open", signal="probe", t=0.0)
+    for given, is_asked in ((None, False), ("True", True)):
+        options = {"check_open_attach": given}
         printer = start(SENSED, section(**options), faults=[fault])
         printer.session.require_ready()
         text = printer.run("GET_PROBE_STATUS")[0]
