@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import importlib
+import re
 from pathlib import Path
 
 import pytest
@@ -64,8 +65,10 @@ def seconds(printer, script):
 def test_each_option_has_a_test_of_its_own():
     tests = Path(__file__).parent.glob("test_dockable_probe_*.py")
     text = "".join(path.read_text(encoding="utf-8") for path in tests)
+    given = set(re.findall(r'\b([a-z_]+)(?:=|": )', text))
+    given |= set(re.findall(r'"([a-z_]+)"[,)]', text))
     names = {name for row in SETTINGS.OPTIONS for name in (row.name, *row.old)}
-    assert [name for name in sorted(names) if name not in text] == []
+    assert sorted(names - given) == []
 
 
 # Wrong ones
@@ -108,17 +111,11 @@ def test_missing_option_is_told_or_has_a_default(host: Host, row):
         ({"pin": "no:PA1"}, "give the pin that the switch is wired to"),
         ({"probe_sense_pin": "PZ9:1"}, "'probe_sense_pin'"),
         ({"dock_sense_pin": "foo:1"}, "Option 'dock_sense_pin'"),
-        ({"z_offset": None}, "z_offset"),
         ({"z_offset": "nan"}, "'z_offset' in section 'dockable_probe' is not"),
         ({"check_open_attach": None}, "nothing tells whether the probe is"),
         ({"check_open_attach": "False"}, "set check_open_attach: True"),
-        ({"dock_position": None}, "dock_position"),
-        ({"approach_position": None}, "approach_position"),
-        ({"detach_position": None}, "detach_position"),
-        ({"dock_position": "50"}, "'dock_position' in section"),
         ({"dock_position": "50, 60, 70, 80"}, "has to be 'X, Y' or 'X, Y, Z'"),
         ({"dock_position": "50, inf"}, "has to be 'X, Y' or 'X, Y, Z'"),
-        ({"approach_position": "50, x"}, "approach_position"),
         ({"approach_position": "50, 308"}, "is at dock_position"),
         ({"extract_position": "50.1, 308"}, "'extract_position' in section"),
         ({"detach_position": "50, 308"}, "'detach_position' in section"),
@@ -127,7 +124,6 @@ def test_missing_option_is_told_or_has_a_default(host: Host, row):
             "0 degrees apart: the probe would stay on the head",
         ),
         ({"dock_fixed_z": "False"}, "dock_position needs the Z of the dock"),
-        ({"dock_fixed_z": "perhaps"}, "dock_fixed_z"),
         ({"dock_position": "50, 311"}, "'dock_position' in section"),
         ({"approach_position": "-1, 308"}, "X=-1.000 is outside of 0.000 to"),
         ({"detach_position": "50, 320"}, "Y=320.000 is outside"),
@@ -138,7 +134,6 @@ def test_missing_option_is_told_or_has_a_default(host: Host, row):
             "the way there is at z=283.900, above position_max (280.000)",
         ),
         ({"z_hop": "281"}, "above position_max"),
-        ({"z_hop": "-1"}, "z_hop"),
         (
             {"dock_position": "50, 308, 20"},
             "to get there Z has to be homed, and Z is homed with the probe",
@@ -147,29 +142,7 @@ def test_missing_option_is_told_or_has_a_default(host: Host, row):
             {"safe_z_position": "60, 290"},
             "60, 290 is 20.6 mm from the dock",
         ),
-        ({"safe_z_position": "60"}, "safe_z_position"),
         ({"safe_dock_distance": "41"}, "safe_dock_distance"),
-        ({"safe_dock_distance": "-1"}, "safe_dock_distance"),
-        ({"safe_position": "1"}, "safe_position"),
-        ({"travel_speed": "0"}, "travel_speed"),
-        ({"attach_speed": "-1"}, "attach_speed"),
-        ({"detach_speed": "inf"}, "detach_speed"),
-        ({"lift_speed": "0"}, "lift_speed"),
-        ({"speed": "0"}, "speed"),
-        ({"sample_retract_dist": "0"}, "sample_retract_dist"),
-        ({"samples": "0"}, "samples"),
-        ({"samples_result": "best"}, "samples_result"),
-        ({"samples_tolerance": "-1"}, "samples_tolerance"),
-        ({"samples_tolerance_retries": "-1"}, "samples_tolerance_retries"),
-        ({"x_offset": "nan"}, "x_offset"),
-        ({"dock_retries": "-1"}, "dock_retries"),
-        ({"restore_toolhead": "maybe"}, "restore_toolhead"),
-        ({"allow_delayed_detach": "2"}, "allow_delayed_detach"),
-        ({"auto_attach_detach": "x"}, "auto_attach_detach"),
-        ({"detach_dockable_before_z_home": "x"}, "detach_dockable"),
-        ({"deactivate_on_each_sample": "x"}, "deactivate_on_each_sample"),
-        ({"drop_first_result": "x"}, "drop_first_result"),
-        ({"pre_attach_gcode": "{% if %}"}, "pre_attach_gcode"),
         ({"dock_angle": "0"}, "needs dock_safe_distance"),
         ({"no_such_option": "1"}, "no_such_option"),
     ],
@@ -511,6 +484,26 @@ def test_samples(start):
         assert wrong.split("=")[0] in printer.fail(f"PROBE {wrong}")
     # Kalico's PROBE does not look at it for one sample
     assert "LIFT_SPEED" in printer.fail("PROBE_ACCURACY LIFT_SPEED=0")
+
+
+def test_samples_by_options(start):
+    for options, z in (
+        ({"samples_result": "median", "samples_tolerance": "0.07"}, 7.0),
+        ({"samples_result": "average", "samples_tolerance": "0.07"}, 7.02),
+        ({"samples_tolerance": "0.05"}, None),
+    ):
+        series = {"samples": "3", "samples_tolerance_retries": "0"}
+        printer = start(SWITCH, section(**series, **options)).homed()
+        printer.run("G1 X150 Y150 Z20 F6000\nM400")
+        printer.machine.break_down(
+            Fault("trigger_early", signal="probe", mm=0.06, n=2)
+        )
+        if z is None:
+            assert "samples_tolerance" in printer.fail("PROBE")
+            continue
+        printer.run("PROBE")
+        last = printer.status("probe")["last_z_result"]
+        assert last == pytest.approx(z, abs=0.006)
 
 
 def test_probing_speeds_of_a_command(start):
