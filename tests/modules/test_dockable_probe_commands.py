@@ -135,6 +135,16 @@ def test_probe_that_is_pressed_is_not_fetched_again(start):
     assert where(printer) == "attached"
 
 
+def test_probe_that_is_pressed_until_the_head_has_gone_up_is_there(start):
+    changes = section(auto_attach_detach="False", **QUICK)
+    printer = start(SWITCH, changes).homed()
+    press = f"G90\nG1 X150 Y150 Z20 F6000\nG1 Z{HANG - 0.2} F300"
+    printer.run(f"ATTACH_PROBE\n{press}\nM400")
+    # The pin is read while the head goes up, and again when it is there.
+    printer.run("G1 Z20 F600\nPROBE")
+    assert where(printer) == "attached"
+
+
 def test_never_low_with_the_probe_on(start):
     printer = start(GANTRY, section(**QUICK), modules=with_moves()).homed()
     printer.run("G1 X150 Y150 Z3 F6000\nM400")
