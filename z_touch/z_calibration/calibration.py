@@ -87,6 +87,7 @@ class Calibration(object):
             self.warnings.append(text)
             self.watch.say(text)
 
+    # Raises CalibrationError; a probe that is pressed is lifted off first
     def check_probe_attached(self):
         if self.host.probing.endstop().query_endstop(self.host.after_moves()):
             # A PROBE leaves it pressed on the bed
@@ -94,6 +95,7 @@ class Calibration(object):
             switch = self.at_switch()
             switch.check_probe_attached(self.host.after_moves())
 
+    # To the travel height, never down
     def lift(self):
         speed = self.settings.pin.lift_speed
         touching.raise_to(self.host, self.travel_z, speed)
@@ -123,6 +125,8 @@ class Calibration(object):
             return heights.switch_floor(settings, nozzle_z, expected_z)
         return heights.bed_floor(settings, nozzle_z, switch_z)
 
+    # Where nozzle and switch should trigger (toolhead Z, mm); None: nobody knows
+
     def expect_nozzle(self):
         last, holds, _ = self.earlier
         return heights.expect_nozzle(self.settings, last, holds)
@@ -130,6 +134,8 @@ class Calibration(object):
     def expect_switch(self, nozzle_z):
         last = self.earlier.last
         return heights.expect_switch(self.settings, nozzle_z, last)
+
+    # What touches each site
 
     def at_nozzle(self):
         return NozzleMeasurement(self, self.sites.nozzle, self.settings.pin)

@@ -25,6 +25,10 @@ LARGEST_STEP = 0.5
 # Less (mm) than this is rounding
 NO_STEP = 0.0000005
 
+######################################################################
+# Maths
+######################################################################
+
 # What baby steps are counted from: the G-code offset that CALIBRATE_Z, or a
 # correction since, has left, and the switch_offset that belongs to it (mm)
 Base = collections.namedtuple("Base", "offset switch_offset")
@@ -65,6 +69,11 @@ def check_steps(base, z_offset, force):
             " probe, or add FORCE=1" % (text, LARGEST_STEP)
         )
     return new, text
+
+
+######################################################################
+# Commands and buttons
+######################################################################
 
 
 # The commands that correct switch_offset, and the buttons that may do so.
@@ -138,7 +147,10 @@ class Corrections(object):
             self.base = Base(last.applied, result and result.switch_offset)
         return self.base
 
+    ##################################################################
     # Z_CALIBRATION_SAVE_GCODE_OFFSET
+    ##################################################################
+
     cmd_Z_CALIBRATION_SAVE_GCODE_OFFSET_help = (
         "Take baby steps over into switch_offset"
     )
@@ -148,6 +160,7 @@ class Corrections(object):
         force = bool(options.param_int(gcmd, "FORCE", 0))
         self.answer(gcmd, self.save_steps, is_saved, force)
 
+    # Raises CalibrationError where there is nothing to count from
     def save_steps(self, gcmd, is_saved, force):
         reason = self.why_not()
         if reason:
@@ -176,7 +189,10 @@ class Corrections(object):
             if self.saver.save(self.host.section, "switch_offset", text):
                 self.unsaved = None
 
+    ##################################################################
     # CALCULATE_SWITCH_OFFSET
+    ##################################################################
+
     cmd_CALCULATE_SWITCH_OFFSET_help = (
         "Calculate switch_offset with the nozzle moved to where Z=0 should be"
     )
@@ -184,6 +200,7 @@ class Corrections(object):
     def cmd_CALCULATE_SWITCH_OFFSET(self, gcmd):
         self.answer(gcmd, self.calculate)
 
+    # The nozzle stands where the user wants Z=0 to be
     def calculate(self, gcmd):
         last, reason = self.section.last(), self.section.why_not()
         if reason:

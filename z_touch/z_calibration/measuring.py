@@ -69,6 +69,7 @@ class Measurement(object):
         with errors.about(self.site.name):
             return self.touch_site(travel_z, expected_z, floor)
 
+    # All of it, in the order in which it is done
     def touch_site(self, travel_z, expected_z, floor):
         self.go_there(travel_z)
         self.come_down(travel_z, expected_z, floor)
@@ -114,11 +115,13 @@ class Measurement(object):
         speed = self.settings.probing_speed
         self.attempt(self.head.touch, self.endstop(), floor, speed)
 
+    # The heights of the samples, as many as the plan wants
     def collect(self, floor):
         take = functools.partial(self.take_sample, floor)
         name, sampling = self.site.name, self.sampling
         return self.plan.collect(name, take, sampling, self.report, DIFFER)
 
+    # One height: toolhead Z in mm
     def take_sample(self, floor):
         self.retract()
         self.attempt(self.touch_once, floor)
@@ -154,7 +157,9 @@ class Measurement(object):
     def report(self, text):
         self.watch.say("%s: %s" % (self.site.name, text))
 
-    # Both sensors are asked for the state at a print time
+    ##################################################################
+    # The two sensors, as they are at a print time
+    ##################################################################
 
     def check_pin_open(self, print_time):
         if self.pin.endstop.query_endstop(print_time):
@@ -288,6 +293,7 @@ class BedMeasurement(Measurement):
             self.leave(travel_z)
         return measured
 
+    # Both sensors must be free again above the bed
     def leave(self, travel_z):
         self.head.lift(travel_z)
         print_time = self.host.after_moves()

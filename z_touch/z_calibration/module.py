@@ -71,6 +71,7 @@ class ZCalibration(object):
     # Set-up and status
     ##################################################################
 
+    # A wrong set-up ends the start of klippy
     def connect(self):
         host = self.host
         host.connect()
@@ -109,6 +110,7 @@ class ZCalibration(object):
     # One run
     ##################################################################
 
+    # A Calibration; 'plan': adaptive.Plan of its touches
     def new_calibration(self, settings, sites, plan):
         watch = self.runner.watch
         return Calibration(self.host, settings, self.pin, sites, watch, plan)
@@ -125,10 +127,12 @@ class ZCalibration(object):
             calibration.know(self.earlier(summary))
             yield
 
+    # After the last touch, and after a failure
     def put_away(self):
         self.runner.watch.enter("end_gcode")
         self.hooks.end()
 
+    # What the next run knows before it begins
     def earlier(self, summary=None):
         holds = not self.results.why_not()
         return Earlier(self.results.last.result, holds, summary)
@@ -222,6 +226,7 @@ class ZCalibration(object):
             raise errors.CalibrationError(MOVED_IN_END % (frame.LEVELLED,))
         return last, at_end
 
+    # What the user is told at the end
     def report(self, gcmd, last):
         result = last.result
         moved = self.results.why_not()

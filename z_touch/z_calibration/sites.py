@@ -1,5 +1,15 @@
 # Where z_calibration touches: nozzle and switch on the pin, the probe on the bed.
+#
 # Copyright (C) 2026  the Z calibration developers, under the GNU GPLv3
+#
+#            parameter          option                 or else
+#
+#   nozzle   NOZZLE_POSITION    nozzle_xy_position     home_xy_position
+#   switch   SWITCH_POSITION    switch_xy_position     nozzle + switch_xy_offsets
+#   bed      BED_POSITION       bed_xy_position        the zero of the bed mesh
+#
+# A site is where the head stands, in mm.  Users name the bed where the probe is to
+# touch it; its site is that point less the probe's offset.
 from __future__ import absolute_import, division
 
 import collections
@@ -16,25 +26,42 @@ LARGEST_SWITCH_DISTANCE = 100.0
 # bed: half the length of a usual micro switch.
 SWITCH_NEAR = 7.0
 
+# Where else than in <name>_xy_position a site can be set
+ELSEWHERE = {
+    "nozzle": "",
+    "switch": " or switch_xy_offsets",
+    "bed": ", or zero_reference_position in section 'bed_mesh'",
+}
+
 # The sites of one run: touching.Site
 Sites = collections.namedtuple("Sites", "nozzle switch bed")
 
 
-# Where nozzle, switch and bed are touched, from the section, the command and
-# other sections.
+# What the user is told where nothing says where a site is
+def no_site(name):
+    text = (
+        "no place for the %s: run Z_CALIBRATION_SETUP, set %s_xy_position%s, or"
+        " add %s_POSITION=X,Y"
+    )
+    return text % (name, name, ELSEWHERE[name], name.upper())
+
+
+# Finds the sites, and checks them.  Raises CalibrationError.
 class SiteFinder(object):
     def __init__(self, host, settings):
         self.host = host
         self.settings = settings
 
-    # What is configured; what comes with a command is checked there.
+    ##################################################################
+    # Of the section
+    ##################################################################
+
+    # What is configured must be right; what comes with a command is checked then.
     def check(self):
-        settings = self.settings
-        if settings.nozzle_xy_position is not None:
-            self.check_nozzle(settings.nozzle_xy_position)
-        switch = self.switch_site(
-            settings.nozzle_xy_position, settings.switch_xy_position
-        )
+        settings, nozzle = self.settings, self.settings.nozzle_xy_position
+        if nozzle is not None:
+            self.check_nozzle(nozzle)
+        switch = self.switch_site(nozzle, settings.switch_xy_position)
         bed = self.bed_site(settings.bed_xy_position)
         for site in (switch, bed):
             if site is not None:
@@ -42,7 +69,7 @@ class SiteFinder(object):
         if None not in (switch, bed):
             self.check_apart(switch, bed)
 
-    # What has to come with each command, as nothing else says where it is
+    # What has to come with each command, in words
     def missing(self):
         settings = self.settings
         sites = (
@@ -53,15 +80,15 @@ class SiteFinder(object):
         names = Sites._fields
         return [no_site(n) for n, site in zip(names, sites) if site is None]
 
-    # The sites of a run, checked.
+    ##################################################################
+    # Of a command
+    ##################################################################
+
+    # The Sites of a run
     def of_command(self, gcmd):
-        settings = self.settings
         nozzle = self.nozzle_of_command(gcmd)
-        switch = self.site_param(gcmd, "switch", settings.switch_xy_position)
-        switch = self.switch_site(nozzle, switch)
-        bed = self.bed_site(
-            self.site_param(gcmd, "bed", settings.bed_xy_position)
-        )
+        switch = self.switch_site(nozzle, self.given(gcmd, "switch"))
+        bed = self.bed_site(self.given(gcmd, "bed"))
         for site, name in ((switch, "switch"), (bed, "bed")):
             if site is None:
                 raise CalibrationError(no_site(name))
@@ -71,23 +98,27 @@ class SiteFinder(object):
         return Sites(nozzle, switch, bed)
 
     def nozzle_of_command(self, gcmd):
-        nozzle = self.site_param(
-            gcmd, "nozzle", self.settings.nozzle_xy_position
-        )
+        nozzle = self.given(gcmd, "nozzle")
         if nozzle is None:
             raise CalibrationError(no_site("nozzle"))
         self.check_nozzle(nozzle)
         return nozzle
 
-    def site_param(self, gcmd, name, default):
+    # The point that the user has named: in the command, or else in the section
+    def given(self, gcmd, name):
         param = name.upper() + "_POSITION"
-        pair = options.param_pair(gcmd, param)
-        if pair is None:
-            return default
-        origin = "%s=%g,%g" % ((param,) + pair)
-        return touching.Site(name, pair[0], pair[1], origin)
+        point = options.param_pair(gcmd, param)
+        if point is None:
+            return getattr(self.settings, name + "_xy_position")
+        origin = "%s=%g,%g" % ((param,) + point)
+        return touching.Site(name, point[0], point[1], origin)
 
-    # Of the nozzle, from a Site or None
+    ##################################################################
+    # What follows from other sections
+    ##################################################################
+
+    # From what is given, or else from the nozzle's site; either may be None, and
+    # so may be the result.
     def switch_site(self, nozzle, switch):
         offsets = self.settings.switch_xy_offsets
         if switch is not None or offsets is None:
@@ -106,8 +137,7 @@ class SiteFinder(object):
         origin = "Option 'switch_xy_offsets: %g,%g' in section 'z_calibration'"
         return touching.Site("switch", x, y, origin % tuple(offsets))
 
-    # The bed is named where the probe is to touch it, the other sites where
-    # the head is to stand.
+    # From the point of the bed, or else from the mesh; None: there is neither.
     def bed_site(self, bed):
         if bed is None:
             zero = self.host.mesh_zero()
@@ -118,20 +148,26 @@ class SiteFinder(object):
         x_offset, y_offset = self.host.probing.offsets()[:2]
         return bed._replace(x=bed.x - x_offset, y=bed.y - y_offset)
 
+    ##################################################################
+    # Checks
+    ##################################################################
+
+    # The head must be able to stand there
     def check_reach(self, site):
         remedy = "choose a point that it can reach"
         shift = ", the probe's offset included" if site.name == "bed" else ""
         touching.check_reach(self.host, site, remedy, shift)
 
+    # The head is also moved aside there, with wiggle_xy_offsets
     def check_nozzle(self, site):
         self.check_reach(site)
         if self.settings.wiggle_xy_offsets is None:
             return
         x, y = self.settings.wiggle_xy_offsets
         origin = "Option 'wiggle_xy_offsets' in section 'z_calibration'"
-        moved = touching.Site("nozzle", site.x + x, site.y + y, origin)
+        aside = touching.Site("nozzle", site.x + x, site.y + y, origin)
         remedy = "choose the other direction"
-        touching.check_reach(self.host, moved, remedy)
+        touching.check_reach(self.host, aside, remedy)
 
     # The floor of the bed lies below the pin: a body that is still on it
     # would be pressed down to there.
@@ -144,19 +180,3 @@ class SiteFinder(object):
                 " a point of the bed at least %g mm away"
                 % (bed.origin, apart, SWITCH_NEAR)
             )
-
-
-# Where else than in <name>_xy_position a place can be set
-ELSEWHERE = {
-    "nozzle": "",
-    "switch": " or switch_xy_offsets",
-    "bed": ", or zero_reference_position in section 'bed_mesh'",
-}
-
-
-def no_site(name):
-    text = (
-        "no place for the %s: run Z_CALIBRATION_SETUP, set %s_xy_position%s, or"
-        " add %s_POSITION=X,Y"
-    )
-    return text % (name, name, ELSEWHERE[name], name.upper())
