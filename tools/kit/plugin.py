@@ -28,6 +28,7 @@ from simprinter.hosts.hosts import (
 )
 from tools.kit import load_errors
 from tools.kit.printer import MODULES, Printer
+from tools.kit.tables import plain
 
 # A machine that is busy is no failure
 settings.register_profile(
@@ -191,11 +192,8 @@ def pytest_terminal_summary(
         rows.append([host, *(cell(host, name) for name in columns)])
     for host in missing_hosts() if {*hosts} - {_NO_HOST} else ():
         rows.append([host, *("MISSING" for _ in columns)])
-    widths = [max(map(len, column)) for column in zip(*rows)]
     terminalreporter.section("hosts")
-    for row in rows:
-        line = "  ".join(map(str.ljust, row, widths))
-        terminalreporter.line(line.rstrip())
+    terminalreporter.line(plain(rows[0], rows[1:]))
 
 
 # Behind the last line of pytest itself
