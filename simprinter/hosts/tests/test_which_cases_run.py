@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import functools
 import subprocess
 import sys
 
@@ -43,6 +44,7 @@ def file(tmp_path_factory):
     return path
 
 
+@functools.cache
 def run(*words):
     """What pytest says."""
     command = [sys.executable, "-m", "pytest", "-c", "pyproject.toml"]
