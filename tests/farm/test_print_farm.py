@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import ast
 import json
+import random
 import re
 import shutil
 import subprocess
@@ -25,6 +26,10 @@ from tests.docs.documents import rows, spans
 from tests.farm.broker import LIMIT, Broker, find_program
 from tests.unit.loading import load
 from tests.unit.runs import make_runs
+from tools.farm import __main__ as farm_tool
+from tools.farm import servers
+from tools.farm.printers import Printer
+from tools.farm.telegraf import Telegraf, value_at
 from tools.kit.lab import Lab
 
 ROOT = Path(__file__).resolve().parents[2]
@@ -48,6 +53,8 @@ tests:
         values: '0.031x20'
       - series: 'z_calibration_warnings{{printer="worn"}}'
         values: '1x20'
+      - series: 'printer_online{{printer="good"}}'
+        values: '1x20'
     promql_expr_test:
       - expr: sort_desc(ALERTS{{alertstate="firing"}})
         eval_time: 15m
@@ -60,6 +67,55 @@ tests:
             value: 1
           - labels: 'ALERTS{{alertname="OffsetUncertain",
               alertstate="firing", printer="worn", severity="ticket"}}'
+            value: 1
+"""
+# Who is away, and of whom nothing is known: "mute" is connected, "gone" was
+AWAY = """\
+rule_files: [{rules}]
+evaluation_interval: 1h
+tests:
+  - interval: 1h
+    input_series:
+      - series: 'up{{job="printers"}}'
+        values: '0x30'
+      - series: 'printer_online{{printer="good"}}'
+        values: '1x30'
+      - series: 'z_calibration_run_ok{{printer="good"}}'
+        values: '1x30'
+      - series: 'printer_online{{printer="mute"}}'
+        values: '1x30'
+      - series: 'printer_online{{printer="gone"}}'
+        values: '0x30'
+      - series: 'z_calibration_run_time{{printer="old"}}'
+        values: '-1123200x30'
+      - series: 'z_calibration_run_time{{printer="good"}}'
+        values: '0x30'
+    promql_expr_test:
+      - expr: sort_desc(ALERTS{{alertstate="firing"}})
+        eval_time: 28h
+        exp_samples:
+          - labels: 'ALERTS{{alertname="NoNumbers",
+              alertstate="firing", printer="mute", severity="ticket"}}'
+            value: 1
+          - labels: 'ALERTS{{alertname="NotCalibrated",
+              alertstate="firing", printer="old", severity="ticket"}}'
+            value: 1
+          - labels: 'ALERTS{{alertname="PrinterAway",
+              alertstate="firing", printer="gone", severity="ticket"}}'
+            value: 1
+          - labels: 'ALERTS{{alertname="TelegrafAway",
+              alertstate="firing", job="printers", severity="page"}}'
+            value: 1
+  - interval: 1h
+    input_series:
+      - series: 'printer_online{{printer="gone"}}'
+        values: '0x5'
+    promql_expr_test:
+      - expr: ALERTS{{alertstate="firing"}}
+        eval_time: 3h
+        exp_samples:
+          - labels: 'ALERTS{{alertname="NoPrinters",
+              alertstate="firing", severity="page"}}'
             value: 1
 """
 LATER = """\
@@ -110,34 +166,35 @@ def asked_for():
     return found
 
 
+def telegraf():
+    """The stand-in, with our telegraf.conf."""
+    return Telegraf(example("telegraf.conf"))
+
+
+def fields():
+    """What telegraf.conf makes: the options of a field by its series."""
+    return {
+        f"{block['measurement_name']}_{field['rename']}": field
+        for each in telegraf().inputs
+        for block in each["json_v2"]
+        for field in block["field"]
+    }
+
+
 def series():
-    """What telegraf.conf makes: (measurement_name, path) by the series."""
-    found, measurement = {}, None
-    for block in example("telegraf.conf").split("[[")[1:]:
-        options = dict(re.findall(r'^ *(\w+) = "(.*)"$', block, re.M))
-        if "measurement_name" in options:
-            measurement = options["measurement_name"]
-        elif "path" in options:
-            assert "optional = true" in block
-            found[f"{measurement}_{options['rename']}"] = options["path"]
-    return found
+    """Of the modules: the path of each series in a message."""
+    return {
+        name: field["path"]
+        for name, field in fields().items()
+        if field["path"].startswith("status.")
+    }
 
 
-def value_at(path, message):
-    """What Telegraf finds at a path of a message; None: nothing."""
-    value = message
-    for word in path.split("."):
-        if word == "#":
-            value = len(value)
-        elif word == "@reverse":
-            value = value[::-1]
-        elif isinstance(value, list):
-            value = value[int(word)] if int(word) < len(value) else None
-        else:
-            value = value.get(word)
-        if value is None:
-            return None
-    return value
+def published(status, name="a", part="klipper"):
+    """What Prometheus is shown of a message, by the series."""
+    conf = telegraf()
+    conf.take(f"{name}/{part}/status", json.dumps(status))
+    return conf.series
 
 
 def keys_of_status(module):
@@ -205,16 +262,58 @@ def test_every_field_and_series_is_one_of_the_code():
         assert f"{module}.{field}" in asked_for(), path
         value = value_at(path, {"status": status})
         assert isinstance(value, (bool, int, float)), f"{name}: {path}"
-    values = {n: value_at(p, {"status": status}) for n, p in found.items()}
-    assert values["z_calibration_run_ok"] is False
+    shown = published({"status": status})
+    # Every one of them is a number
+    assert {name for name, _ in shown} == set(found)
+    values = {name: value for (name, _), value in shown.items()}
+    assert values["z_calibration_run_ok"] == 0.0
     assert values["z_calibration_run_time"] == 1.8e9
     assert values["z_calibration_runs"] == 9
     assert values["z_calibration_warnings"] == 2
 
 
+@pytest.mark.parametrize(
+    ("name", "labels"),
+    [
+        ("printer-01", {"printer": "printer-01"}),
+        ("hall-2/printer-01", {"hall": "hall-2", "printer": "printer-01"}),
+        ("a/b/c", None),
+    ],
+)
+def test_printer_is_named_by_its_topic(name, labels):
+    status = {"status": {"z_calibration": {"uncertainty": 0.01}}}
+    shown = [dict(tags) for _, tags in published(status, name)]
+    assert shown == ([] if labels is None else [labels])
+    online = published({"server": "online"}, name, "moonraker")
+    gone = published({"server": "offline"}, name, "moonraker")
+    wanted = [] if labels is None else [1.0]
+    assert list(online.values()) == wanted
+    assert list(gone.values()) == [0.0] * len(wanted)
+
+
+def test_numbers_are_shown_to_this_computer_only():
+    output = telegraf().output
+    assert output["listen"].startswith("127.0.0.1:")
+    assert output["metric_version"] == 2
+
+
+def test_first_metric_version_drops_what_is_no_number():
+    """So a field of ours with a boolean has to say that it is a number."""
+    conf = telegraf()
+    conf.output["metric_version"] = 1
+    run = {"ok": False, "time": 1.0}
+    history = {"history": {"results": [run]}}
+    message = {"status": {"z_calibration": history}}
+    conf.take("a/klipper/status", json.dumps(message))
+    assert {name for name, _ in conf.series} >= {
+        "z_calibration_run_ok",
+        "z_calibration_run_time",
+    }
+
+
 def test_document_names_what_there_is():
     text = DOCUMENT.read_text(encoding="utf-8")
-    described, fields = set(), set()
+    described, named = set(), set()
     files, names, alerts, *_ = (
         [row for row in rows(part)]
         for part in re.split(r"\n\n(?!\|)", text)
@@ -222,12 +321,15 @@ def test_document_names_what_there_is():
     )
     for row in names:
         first, *more = spans(row[0])
+        if first.startswith("printer_"):
+            described.add(first)
+            continue
         module = re.match("z_calibration|auto_z_offset", first)[0]
         stem = first.rpartition("_")[0]
         described |= {first, *(stem + name for name in more)}
-        fields |= {f"{module}.{f.split('.')[0]}" for f in spans(row[1])}
-    assert described == set(series())
-    assert fields == {
+        named |= {f"{module}.{f.split('.')[0]}" for f in spans(row[1])}
+    assert described == set(fields())
+    assert named == {
         ".".join(path.split(".")[1:3]) for path in series().values()
     }
     assert {spans(row[0])[0] for row in alerts} == set(
@@ -239,10 +341,7 @@ def test_document_names_what_there_is():
 
 def test_a_message_may_lack_whatever_has_not_changed():
     status = {"uncertainty": None, "history": {"results": []}}
-    message = {"status": {"z_calibration": status}}
-    assert not any(
-        value_at(path, message) is not None for path in series().values()
-    )
+    assert published({"status": {"z_calibration": status}}) == {}
 
 
 def test_dashboard_and_alerts_use_series_that_exist():
@@ -254,8 +353,10 @@ def test_dashboard_and_alerts_use_series_that_exist():
     (variable,) = dashboard["templating"]["list"]
     text = " ".join([*expressions, variable["query"]["query"]])
     text += example("alerts.yml")
-    used = set(re.findall(r"\b(?:z_calibration|auto_z_offset)_\w+", text))
-    assert used and used <= set(series())
+    used = set(
+        re.findall(r"\b(?:z_calibration|auto_z_offset|printer)_\w+", text)
+    )
+    assert used and used <= set(fields())
     (source,) = dashboard["__inputs"]
     for panel in panels:
         assert panel["datasource"]["uid"] == f"${{{source['name']}}}"
@@ -269,8 +370,8 @@ def test_alerts_fire_for_worn_and_refused_only(tmp_path):
         pytest.skip("NOT TESTED: there is no promtool (Debian: prometheus)")
     config = [promtool, "check", "config", EXAMPLES / "prometheus.yml"]
     subprocess.run(config, check=True, capture_output=True)
-    files = [tmp_path / "at_once.yml", tmp_path / "later.yml"]
-    for file, text in zip(files, (AT_ONCE, LATER)):
+    files = [tmp_path / f"{name}.yml" for name in ("at_once", "away", "later")]
+    for file, text in zip(files, (AT_ONCE, AWAY, LATER)):
         file.write_text(text.format(rules=EXAMPLES / "alerts.yml"))
     run = subprocess.run(
         [promtool, "test", "rules", *files], capture_output=True, text=True
@@ -353,13 +454,12 @@ def farm():
 
 def newest(broker, printer):
     """The last number of each of its series."""
-    found = {}
+    conf = telegraf()
     for message in broker.messages():
         if message.printer == printer:
-            content = {"status": message.status}
-            values = {n: value_at(p, content) for n, p in series().items()}
-            found.update({n: v for n, v in values.items() if v is not None})
-    return found
+            content = json.dumps({"status": message.status})
+            conf.take(f"{printer}/klipper/status", content)
+    return {name: value for (name, _), value in conf.series.items()}
 
 
 def arrived(broker, printer):
@@ -401,12 +501,12 @@ def test_each_run_of_each_printer_arrives_once(farm):
             f"the history of {name}",
         )
         assert arrived(broker, name) == pytest.approx(results)
-        assert newest(broker, name)["z_calibration_run_ok"] is True
+        assert newest(broker, name)["z_calibration_run_ok"] == 1.0
     assert wanted["good"][0] - wanted["good"][1] == pytest.approx(0.01)
     varies = "z_calibration_spread_switch"
     assert newest(broker, "worn")[varies] > newest(broker, "good")[varies]
     broker.until(
-        lambda: newest(broker, "lost").get("z_calibration_run_ok") is False,
+        lambda: newest(broker, "lost").get("z_calibration_run_ok") == 0.0,
         "the refusal",
     )
     assert arrived(broker, "lost") == []
@@ -438,3 +538,81 @@ def test_each_run_of_each_printer_arrives_once(farm):
         lambda: any(offset == pytest.approx(missed) for offset in kept(broker)),
         "the missed run in the history",
     )
+
+
+@pytest.fixture
+def alerting(tmp_path):
+    """(broker, Telegraf's stand-in, Prometheus), which looks each second."""
+    missing = [n for n in ("mosquitto", "prometheus") if not servers.program(n)]
+    if missing:
+        pytest.skip(f"NOT TESTED: no {', '.join(missing)} (Debian has them)")
+    with ExitStack() as stack:
+        # Mosquitto becomes somebody else, who may not look into pytest's
+        folder = Path(stack.enter_context(TemporaryDirectory(prefix="farm-")))
+        broker = stack.enter_context(servers.mosquitto(folder))
+        relay = stack.enter_context(servers.telegraf(broker.port))
+        yield (
+            broker,
+            relay,
+            stack.enter_context(servers.prometheus(folder, relay.port, 1.0)),
+        )
+
+
+def state_of(prometheus, alert, printer):
+    """Of an alert: "", "pending" or "firing"."""
+    for each in servers.ask(prometheus.port, "alerts")["alerts"]:
+        labels = each["labels"]
+        if (labels["alertname"], labels.get("printer")) == (alert, printer):
+            return each["state"]
+    return ""
+
+
+@pytest.mark.long("half a minute")
+def test_refusal_becomes_an_alert(alerting):
+    broker, relay, prometheus = alerting
+    printer = Printer("hall-1/lost", broker.port, random.Random(0))
+    printer.client.loop_start()
+
+    def becomes(alert, state):
+        def done():
+            return state_of(prometheus, alert, "lost") == state
+
+        servers.until(done, f"{alert} {state!r}")
+
+    try:
+        printer.online()
+        # Nothing is known of it yet
+        becomes("NoNumbers", "pending")
+        printer.calibrated()
+        becomes("NoNumbers", "")
+        assert state_of(prometheus, "CalibrationRefused", "lost") == ""
+        printer.calibrated(False)
+        becomes("CalibrationRefused", "firing")
+        printer.calibrated()
+        becomes("CalibrationRefused", "")
+        # Its numbers are gone, and that is told
+        relay.stop()
+        servers.until(
+            lambda: state_of(prometheus, "TelegrafAway", None), "TelegrafAway"
+        )
+        relay.start()
+        becomes("NoNumbers", "pending")
+        printer.calibrated(False)
+        becomes("CalibrationRefused", "firing")
+        becomes("NoNumbers", "")
+    finally:
+        printer.client.disconnect()
+        printer.client.loop_stop()
+
+
+def test_many_printers_at_once():
+    """The tool behind the table of the document, in short."""
+    missing = [n for n in ("mosquitto", "prometheus") if not servers.program(n)]
+    if missing:
+        pytest.skip(f"NOT TESTED: no {', '.join(missing)} (Debian has them)")
+    with TemporaryDirectory(prefix="farm-") as folder:
+        crowd = farm_tool.row(5, 0.1, Path(folder), 0, interval=4.0, every=1.0)
+    cells = dict(zip(farm_tool.HEADERS, crowd))
+    # Three messages for each run, and the refusals were told
+    assert float(cells["messages/s"]) == pytest.approx(3 * 4 / 4.0, rel=0.5)
+    assert 0.0 <= float(cells["worst"]) < 30.0
