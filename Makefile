@@ -13,6 +13,7 @@
 #   make bench    time, error and cost of calibrations, as text and as a chart
 #   make lint     style and syntax only
 #   make format   bring the sources into shape
+#   make update-pins  newer versions of what is downloaded
 #   make clean    remove all that was built
 #
 # KLIPPER_PATH         Klipper or Kalico checkouts to test on, a:b:c
@@ -47,7 +48,7 @@ COMPILE = import sys; [compile(open(f).read(), f, 'exec') for f in sys.argv[1:]]
 
 # Test files import each other as tests.*, from the root of the repository.
 .PHONY: test test-rest test-all test-firmware quick demo printer speed bench faults hosts prepared
-.PHONY: lint format tools clean
+.PHONY: lint format tools update-pins clean
 
 test test-rest test-all: prepared lint
 	$(TOOLS)/python -m pytest --cases $(@:test-%=%) -n $(PYTEST_WORKERS) \
@@ -60,8 +61,9 @@ test-firmware: prepared
 quick: prepared lint
 	ONE_HOST=1 $(TOOLS)/python -m pytest -n 2 tests/unit tests/quick
 
-demo: tools
-	$(TOOLS)/python -m tools.demo $(DEMO_ARGS)
+# Without the tools: they would take longer than the demo
+demo:
+	@$(PYTHON) -m tools.demo $(DEMO_ARGS)
 
 printer: tools
 	$(TOOLS)/python -m tools.playground $(PRINTER_ARGS)
@@ -90,7 +92,7 @@ lint: tools
 	@for python in ~/.pyenv/versions/2.7*/bin/python2.7 python2.7; do \
 		$$python -c "" 2>/dev/null && exec $$python -c "$(COMPILE)" $(SOURCES); \
 	done; echo "NOT COMPILED by Python 2.7, which is not to be had: $(SOURCES)"
-	$(TOOLS)/shellcheck install.sh .ci/run tools/kit/services/*
+	$(TOOLS)/shellcheck -x install.sh .ci/run tools/kit/services/*
 
 format: tools
 	$(TOOLS)/ruff check --fix .
@@ -98,10 +100,22 @@ format: tools
 
 # Quick when everything is there: it compares a stamp.
 tools:
-	@$(PYTHON) -m simprinter.hosts.environment "$(BUILD_DIR)/venv" \
-		tests/requirements.txt
+	@$(PYTHON) -m simprinter.hosts.environment "$(BUILD_DIR)/venv" tools
+
+# Other versions of all that is downloaded, with the hashes of their files
+update-pins:
+	@$(PYTHON) -m simprinter.hosts.environment "$(BUILD_DIR)/pins" pins
+	cd requirements && for name in *.in; do \
+		"$(abspath $(BUILD_DIR))/pins/bin/uv" pip compile --quiet --upgrade \
+			--universal --generate-hashes --no-header --no-annotate \
+			--python-version $$(sed -n 's/^# Python //p' $$name | grep . || echo 3.9) \
+			$$(grep -qx '# no-deps' $$name && echo --no-deps) \
+			--output-file $${name%.in}.txt $$name; \
+	done
 
 # Only a directory that the build made itself is removed.
 clean:
-	test ! -e "$(BUILD_DIR)" || test -e "$(BUILD_DIR)/CACHEDIR.TAG"
+	@test ! -e "$(BUILD_DIR)" || test -e "$(BUILD_DIR)/.made-for-this-build" || \
+		{ echo "$(BUILD_DIR) was not made by this build: remove what you want" \
+		"to be gone by hand" >&2; exit 1; }
 	rm -rf -- "$(BUILD_DIR)"

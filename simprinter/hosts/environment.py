@@ -1,6 +1,6 @@
 """Python environments and the commands run in them.
 
-    python -m simprinter.hosts.environment DIRECTORY REQUIREMENTS_FILE
+    python -m simprinter.hosts.environment DIRECTORY NAME
 
 makes an environment for the tools.  Needs the standard library only, as it
 runs before anything is installed.
@@ -24,6 +24,10 @@ if TYPE_CHECKING:
 
 REPO_ROOT = Path(__file__).resolve().parents[2]
 
+# What each environment holds: NAME.in says what is wanted, NAME.txt which files
+# of the package index that is, with their hashes ("make update-pins")
+REQUIREMENTS = REPO_ROOT / "requirements"
+
 # How much of a failed command's output goes into the error.
 OUTPUT_LINES = 25
 
@@ -46,6 +50,13 @@ OLD_NAMES = (
 # The signature is prescribed, see https://bford.info/cachedir/
 CACHEDIR_TAG = "Signature: 8a477f597d28d172789f06886806bc55\n"
 
+# In a folder that was made for the build, or that was empty when it began: only
+# such a one may be removed as a whole. `make clean` looks for it, too.
+STAMP = ".made-for-this-build"
+STAMP_TEXT = """\
+All in this folder was made by the build of klipper_z_calibration; "make clean" removes it.
+"""
+
 
 class HostError(Exception):
     """A host or an environment cannot be prepared; the text says why."""
@@ -60,7 +71,8 @@ def build_dir() -> Path:
 
     It is `build` in the repository, or what BUILD_DIR names; a relative
     BUILD_DIR is taken from the root of the repository.  Raises HostError for
-    a path that the hosts cannot be built in.
+    a path that the hosts cannot be built in, and for a folder with something
+    in it that the build has not made: it would be removed with the rest.
     """
     directory = REPO_ROOT / (os.environ.get("BUILD_DIR") or "build")
     if any(character.isspace() for character in str(directory)):
@@ -69,11 +81,27 @@ def build_dir() -> Path:
             f"klippy cannot be built in {directory}, as there is a space in"
             " the path; set BUILD_DIR to a directory without"
         )
-    tag = directory / "CACHEDIR.TAG"
-    if not tag.exists():
-        directory.mkdir(parents=True, exist_ok=True)
-        tag.write_text(CACHEDIR_TAG, encoding="ascii")
+    if not (directory / STAMP).exists():
+        _make_ours(directory)
     return directory
+
+
+def _make_ours(directory: Path) -> None:
+    try:
+        directory.mkdir(parents=True, exist_ok=True)
+        names = {path.name for path in directory.iterdir()}
+    except OSError as error:
+        raise HostError(f"no folder for the build: {error}") from error
+    if not (directory / STAMP).exists() and names - {STAMP, "CACHEDIR.TAG"}:
+        raise HostError(
+            f"{directory} holds something already, so it cannot become the"
+            ' folder of the build, which "make clean" removes as a whole. Name'
+            " a new or empty one: BUILD_DIR=FOLDER. If it is left from a build"
+            " before November 2026, remove it"
+        )
+    # Where several begin at the same time, one is enough
+    (directory / STAMP).write_text(STAMP_TEXT, encoding="ascii")
+    (directory / "CACHEDIR.TAG").write_text(CACHEDIR_TAG, encoding="ascii")
 
 
 def clean_environment(
@@ -159,30 +187,33 @@ def klippy_startup() -> str:
     return OLD_NAMES if sys.version_info >= (3, 12) else ""
 
 
-def environment_key(requirements: Sequence[str], startup: str = "") -> str:
+def pins(name: str) -> Path:
+    """The file with the requirements of that name, each pinned by hashes."""
+    return REQUIREMENTS / f"{name}.txt"
+
+
+def environment_key(name: str, startup: str = "") -> str:
     """Names the environment with these requirements on this Python."""
     parts = ["%d.%d" % sys.version_info[:2], sys.base_prefix, startup]
-    parts += sorted(requirements)
+    parts.append(pins(name).read_text(encoding="ascii"))
     return hashlib.sha256("\n".join(parts).encode()).hexdigest()[:12]
 
 
-def klippy_environment(requirements: Sequence[str]) -> Path:
+def klippy_environment(name: str) -> Path:
     """The interpreter of the klippy environment with these requirements."""
-    return cached_environment(requirements, klippy_startup())
+    return cached_environment(name, klippy_startup())
 
 
-def cached_environment(requirements: Sequence[str], startup: str = "") -> Path:
+def cached_environment(name: str, startup: str = "") -> Path:
     """The interpreter of the environment with these requirements.
 
     It is made where it is missing.  For `startup` and errors see `ensure`.
     """
-    key = environment_key(requirements, startup)
-    return ensure(build_dir() / "envs" / key, requirements, startup)
+    key = environment_key(name, startup)
+    return ensure(build_dir() / "envs" / key, name, startup)
 
 
-def ensure(
-    directory: Path, requirements: Sequence[str], startup: str = ""
-) -> Path:
+def ensure(directory: Path, name: str, startup: str = "") -> Path:
     """Make the environment `directory` unless it is there; return its Python.
 
     `startup` is a line of code that this Python runs whenever it starts.
@@ -191,7 +222,7 @@ def ensure(
     """
     python = directory / "bin" / "python"
     stamp = directory / "requirements.stamp"
-    key = environment_key(requirements, startup)
+    key = environment_key(name, startup)
 
     def is_ready() -> bool:
         # `python` is a link that dangles once its base is uninstalled.
@@ -206,7 +237,7 @@ def ensure(
     with locked(directory.with_name(directory.name + ".lock")):
         if not is_ready():
             _create(directory)
-            _install(python, requirements)
+            _install(python, name)
             if startup:
                 _write_startup(python, startup)
             stamp.write_text(key, encoding="ascii")
@@ -235,12 +266,13 @@ def _create(directory: Path) -> None:
     )
 
 
-def _install(python: Path, requirements: Sequence[str]) -> None:
+def _install(python: Path, name: str) -> None:
     try:
+        # What is downloaded is what was looked at, and none of it runs here
         run(
             [python, "-m", "pip", "install", *PIP_OPTIONS]
-            + ["--prefer-binary", *requirements],
-            f"installation of {', '.join(requirements)}",
+            + ["--require-hashes", "--only-binary=:all:", "-r", pins(name)],
+            f"installation of requirements/{name}.txt",
         )
     except HostError as error:
         raise UnavailableError(str(error)) from error
@@ -253,13 +285,6 @@ def _write_startup(python: Path, startup: str) -> None:
     file.write_text(startup, encoding="ascii")
 
 
-def read_requirements(path: Path) -> list[str]:
-    """The requirements in a file, one in each line, without comments."""
-    lines = path.read_text(encoding="utf-8").splitlines()
-    stripped = (line.partition("#")[0].strip() for line in lines)
-    return [line for line in stripped if line]
-
-
 def check_python() -> None:
     """Raises SystemExit where this Python is too old for the tests."""
     if sys.version_info < (3, 9):
@@ -269,13 +294,11 @@ def check_python() -> None:
 def main() -> int:
     check_python()
     if len(sys.argv) != 3:
-        sys.exit(
-            "usage: python -m simprinter.hosts.environment DIR REQUIREMENTS"
-        )
+        sys.exit("usage: python -m simprinter.hosts.environment DIRECTORY NAME")
     try:
         build_dir()
         directory = Path(sys.argv[1]).absolute()
-        ensure(directory, read_requirements(Path(sys.argv[2])))
+        ensure(directory, sys.argv[2])
     except HostError as error:
         sys.exit(f"error: {error}")
     return 0

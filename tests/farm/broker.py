@@ -72,7 +72,7 @@ def find_program() -> Optional[Program]:
     if found is not None:
         return Program(found, _MOSQUITTO)
     try:
-        python = cached_environment(("amqtt>=0.11.3,<0.13",))
+        python = cached_environment("amqtt")
     except UnavailableError:
         return None
     return Program(str(python.with_name("amqtt")), _AMQTT)

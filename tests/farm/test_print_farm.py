@@ -567,7 +567,7 @@ def state_of(prometheus, alert, printer):
     return ""
 
 
-@pytest.mark.long("half a minute")
+@pytest.mark.slow
 def test_refusal_becomes_an_alert(alerting):
     broker, relay, prometheus = alerting
     printer = Printer("hall-1/lost", broker.port, random.Random(0))
