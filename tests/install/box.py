@@ -17,8 +17,8 @@ from tools.kit.printer import MODULES as NAMES
 REPO = Path(__file__).resolve().parents[2]
 NOBODY = 65534
 # All that the script may use; a real sudo or systemctl is out of reach
-TOOLS = """awk bash cat cp date dirname env find git grep id ln mktemp mv
-readlink rm sed sort"""
+TOOLS = """awk bash cat cp date dirname env find flock git grep id ln mktemp mv
+paste readlink rm sed sort tr wc"""
 ORIGIN = "https://example.com/somebody/z-calibration.git"
 MODULES = sorted(NAMES)
 KALICO_SHIPS = ("z_calibration", "dockable_probe")
@@ -48,7 +48,7 @@ esac
 """
 )
 SUDO = FAKE + '[ "$1" != -n ] || shift\nexec "$@"\n'
-# What the program says of the Moonraker at an address
+# What the program says of the Moonraker at an address: two units and a state
 PYTHON = """#!/usr/bin/env bash
 url=${*: -1}
 echo "python3 $url" >>"$BOX/calls"
@@ -133,6 +133,7 @@ class Box:
             folder / FOLDER,
             ignore=shutil.ignore_patterns("__pycache__"),
         )
+        shutil.copytree(REPO / "installer", folder / "installer")
         self.commit(folder)
         self.git(folder, "remote", "add", "origin", ORIGIN)
 
@@ -182,7 +183,9 @@ class Box:
     ) -> None:
         """Services and what each Moonraker says; "" if it is silent.
 
-        stopped: those of the services that do not run.
+        One that knows its units says "klipper-1 moonraker-1 idle", another one
+        only what its printer does. stopped: those of the services that do not
+        run.
         """
         names = list(units)
         active = [name for name in names if name not in stopped]
@@ -190,7 +193,7 @@ class Box:
             ("units", [f"{name}.service" for name in names]),
             ("active", active),
             ("state", [state]),
-            ("answer", [answer]),
+            ("answer", [self._said(answer)] if answer else []),
         ):
             text = "".join(f"{line}\n" for line in lines)
             (self.directory / name).write_text(text)
@@ -200,7 +203,12 @@ class Box:
 
     def answers(self, port: int, answer: str) -> None:
         """What the Moonraker at that port says."""
-        (self.directory / f"answer-{port}").write_text(f"{answer}\n")
+        text = f"{self._said(answer)}\n" if answer else ""
+        (self.directory / f"answer-{port}").write_text(text)
+
+    @staticmethod
+    def _said(answer: str) -> str:
+        return answer if " " in answer else f"- - {answer}"
 
     def calls(self, program: str = "") -> list[str]:
         """Calls of the fakes so far."""

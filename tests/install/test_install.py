@@ -379,23 +379,39 @@ def test_kalico_needs_the_override(box):
         ("printer.cfg", "allow_plugin_override: False", False),
         ("printer.cfg", "#allow_plugin_override: True", False),
         ("printer.cfg", "allow_plugin_override: Trueish", False),
-        # A copy that SAVE_CONFIG has left
+        ("printer.cfg", "[other]\nallow_plugin_override: True", False),
+        # In none that the printer includes
+        ("unused.cfg", "allow_plugin_override: True", False),
         ("printer-20261121_174500.cfg", "allow_plugin_override: True", False),
     ],
 )
 @pytest.mark.parametrize(
     "folder", ["printer_data/config", slow("klipper_config")]
 )
-def test_override_is_read_from_the_configuration(
+def test_override_is_read_from_what_the_printer_reads(
     box, folder, name, line, is_allowed
 ):
     kalico = box.kalico()
+    cfg = box.write(f"{folder}/printer.cfg", "[include more/*.cfg]\n")
     box.write(f"{folder}/{name}", f"[danger_options]\n{line}\n")
     if is_allowed:
         box.installed()
         assert kalico.links() == kalico.expected(*MODULES)
     else:
-        box.refused(4)
+        assert f"Add to {cfg} first, or Kalico will not" in box.refused(4)
+
+
+def test_each_printer_has_to_allow_it(box):
+    kalico = box.kalico()
+    box.conf("printer_1_data/config").with_name("printer.cfg").write_text(
+        OVERRIDE
+    )
+    second = box.conf("printer_2_data/config").with_name("printer.cfg")
+    second.write_text("[printer]\n")
+    assert f"Add to {second} first, or Kalico will not start" in box.refused(4)
+    second.write_text(OVERRIDE)
+    box.installed()
+    assert kalico.links() == kalico.expected(*MODULES)
 
 
 def test_kalico_keeps_its_own_dockable_probe_unless_asked(box):
@@ -606,7 +622,7 @@ def test_link_to_what_the_checkout_has_no_more_goes(machine, klipper, missing):
 
 
 def test_uninstall_leaves_what_is_not_ours(machine, klipper):
-    klipper.place().symlink_to("/somewhere/z_calibration.py")
+    klipper.place().symlink_to(machine.write("theirs.py", "theirs = 1\n"))
     klipper.place(f"{NAME}.py").write_text("mine = 1\n")
     klipper.place("z_touch").mkdir()
     before = snapshot(machine.home)
@@ -660,13 +676,117 @@ def test_dry_run_refuses_the_same(machine, klipper):
     machine.refused(4, "--dry-run")
 
 
+# A clone that was moved, and a module that is gone
+
+
+@pytest.mark.parametrize("options", [[], ["--uninstall"]])
+def test_links_of_a_clone_that_was_moved(machine, either, options):
+    machine.installed()
+    moved = machine.checkout.rename(machine.home / "moved")
+    machine.checkout = moved
+    out = machine.installed(*options)
+    if options:
+        assert either.links() == {}
+        assert "Removing z_touch from klippy/extras... [OK, which led to" in out
+        assert either.status() == ""
+    else:
+        assert either.links() == either.expected(*MODULES)
+
+
+@pytest.mark.parametrize("options", [[], ["--uninstall"]])
+def test_link_of_a_module_that_an_update_has_removed(machine, klipper, options):
+    (machine.checkout / "old_module.py").touch()
+    place = klipper.place("old_module.py")
+    place.symlink_to(machine.checkout / "old_module.py")
+    theirs = klipper.place("theirs.py")
+    theirs.symlink_to(machine.home / "gone.py")
+    (machine.checkout / "old_module.py").unlink()
+    assert "Removing old_module.py from" in machine.installed(*options)
+    assert not os.path.lexists(place)
+    # Not ours, so none of our business
+    assert os.path.lexists(theirs)
+
+
+def test_lines_of_git_go_with_their_links(machine, klipper):
+    before = klipper.exclude.read_text()
+    machine.installed()
+    assert klipper.exclude.read_text() != before
+    machine.installed("--uninstall", "--modules", NAME)
+    text = klipper.exclude.read_text()
+    assert f"{NAME}.py" not in text and "/klippy/extras/z_touch" in text
+    machine.installed("--uninstall")
+    assert klipper.exclude.read_text().strip() == before.strip()
+
+
+# Two checkouts
+
+
+def test_modules_of_two_checkouts_are_not_mixed(machine, klipper):
+    machine.installed()
+    other = machine.clone(machine.home / "other")
+    script = other / "install.sh"
+    before = klipper.links()
+    outcome = machine.run("--modules", NAME, "--force", script=script)
+    assert outcome.code == 4
+    assert "its version and this one cannot be mixed" in outcome.err
+    assert klipper.links() == before
+    told = re.search(r'--modules "([^"]*)" --force', outcome.err).group(1)
+    outcome = machine.run(
+        "--modules", " ".join(MODULES), "--force", script=script
+    )
+    assert outcome.code == 0, outcome
+    assert {os.path.dirname(to) for to in klipper.links().values()} == {
+        str(other)
+    }
+    assert set(told.split()) <= set(MODULES)
+
+
+def test_what_was_put_aside_is_named_at_the_end(machine, klipper):
+    klipper.place().write_text("theirs = 1\n")
+    machine.installed("--force")
+    (kept,) = klipper.place().parent.glob("z_calibration.py.bak-*")
+    assert f"{kept} was kept when ours came" in machine.installed("-u")
+
+
+def test_which_klipper_was_taken(box):
+    box.klipper(), box.kalico("kalico")
+    out = box.installed()
+    assert f"{box.home}/klipper is taken; -k '{box.home}/kalico' takes" in out
+    assert "is taken" not in box.installed("-k", str(box.home / "klipper"))
+
+
 # The script as such
+
+
+@pytest.mark.parametrize("shell", ["sh", "bash --posix", "dash"])
+def test_any_shell_may_be_named(machine, klipper, shell):
+    real = shutil.which(shell.split()[0])
+    if real is None:
+        pytest.skip(f"no {shell} here")
+    words = [real, *shell.split()[1:], str(machine.checkout / "install.sh")]
+    outcome = machine.command(words)
+    assert (outcome.code, outcome.err) == (0, "")
+    assert klipper.links() == klipper.expected(*MODULES)
+
+
+def test_output_that_is_cut_off_stops_nothing(machine, klipper):
+    script = machine.checkout / "install.sh"
+    outcome = machine.command(
+        ["bash", "-c", f"set -o pipefail; '{script}' | true"]
+    )
+    assert outcome.code == 0, outcome
+    assert klipper.links() == klipper.expected(*MODULES)
+    assert machine.restarted() == ["klipper", "moonraker"]
 
 
 def test_shellcheck():
     shellcheck = Path(sys.executable).with_name("shellcheck")
     services = sorted((REPO / "tools" / "kit" / "services").iterdir())
-    subprocess.run([shellcheck, REPO / "install.sh", *services], check=True)
+    subprocess.run(
+        [shellcheck, "-x", REPO / "install.sh", *services],
+        cwd=REPO,
+        check=True,
+    )
 
 
 def test_script_can_be_run():
@@ -686,5 +806,7 @@ def test_unexpected_failure_is_told(machine, klipper):
     machine.failing("ln")
     outcome = machine.run()
     assert outcome.code == 1
-    assert re.findall(r"Error: (unexpected failure in line) \d+", outcome.err)
+    assert re.findall(
+        r"Error: unexpected failure in (\S+), line \d+", outcome.err
+    )
     assert "Linking" not in outcome.out

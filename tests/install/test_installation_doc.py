@@ -13,7 +13,10 @@ DOCUMENT = REPO / "docs" / "installation.md"
 README = REPO / "README.md"
 EXAMPLE = REPO / "examples" / "moonraker.conf"
 TEXT = DOCUMENT.read_text()
-SCRIPT = (REPO / "install.sh").read_text()
+SCRIPT = "".join(
+    path.read_text()
+    for path in (REPO / "install.sh", *sorted(REPO.glob("installer/*.sh")))
+)
 
 
 def commands(text, title, language="sh"):

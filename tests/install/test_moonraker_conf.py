@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import configparser
 import re
-import shutil
 
 import pytest
 
@@ -60,7 +59,8 @@ def test_file_keeps_its_identity(machine, conf):
         machine.installed(*options)
         after = real.stat()
         assert conf.is_symlink()
-        assert (after.st_ino, after.st_mode) == (before.st_ino, before.st_mode)
+        assert after.st_mode == before.st_mode
+        assert [path.name for path in real.parent.glob(".real*")] == []
 
 
 @pytest.mark.parametrize(
@@ -310,50 +310,90 @@ def test_folder_that_cannot_be_written(machine, conf, text, options):
 
 
 @pytest.mark.parametrize(
-    ("text", "options"), [(SECTION, ["-u"]), (OTHER_PATH, ["-f"])]
+    ("text", "options"),
+    [(SECTION, ["-u"]), (OTHER_PATH, ["-f"]), ("[server]\n", [])],
 )
-def test_full_disk_loses_nothing(machine, conf, text, options):
+@pytest.mark.parametrize(
+    ("program", "words"), [("cat", "*/new"), ("cp", "*"), ("mv", "*")]
+)
+def test_full_disk_loses_nothing(machine, conf, text, options, program, words):
+    """Written beside, then put in its place: half of it is never seen."""
     conf.write_text(text)
-    machine.failing("cat", "*/new")
+    machine.failing(program, words)
     outcome = machine.run(*options)
     assert outcome.code == 1
-    kept = re.search(r"its old text is in (.*)", outcome.err).group(1)
-    assert (conf.parent / kept).read_text() == text
-    conf.write_text(text)
-    machine.failing("cp")
-    assert machine.run(*options).code == 1
+    assert f"{conf}, which is as it was; is the disk full?" in outcome.err
     assert conf.read_text() == text
+    left = {path.name for path in conf.parent.iterdir()}
+    assert not any(name.startswith(".") for name in left)
 
 
-# Other machines
-
-AWKS = {
-    "mawk": ["mawk"],
-    "gawk": ["gawk"],
-    "original-awk": ["original-awk"],
-    "busybox": ["busybox", "awk"],
-}
-FOUND = [name for name in AWKS if shutil.which(AWKS[name][0])]
+# Two at once
 
 
-def test_there_is_an_awk():
-    assert FOUND
+def test_second_run_waits_for_the_first(machine, conf):
+    """Else both would find no section, and each would add one."""
+    # Slow enough for the second one to begin meanwhile
+    machine.fake("date", '#!/usr/bin/env bash\nexec /bin/date "$@"\n')
+    script = f"'{machine.checkout}/install.sh' --no-restart"
+    both = f"{script} >one 2>&1 & {script} >two 2>&1; wait; cat one two"
+    outcome = machine.command(["bash", "-c", f"cd '{machine.home}'; {both}"])
+    assert outcome.code == 0
+    assert conf.read_text().count(HEADER) == 1, outcome.out
+    assert "already there" in outcome.out
 
 
-@pytest.mark.parametrize("name", FOUND)
-def test_every_awk_does_the_same(machine, conf, name):
-    program, *applet = AWKS[name]
-    words = " ".join([shutil.which(program), *applet])
-    machine.fake("awk", f'#!/usr/bin/env bash\nexec {words} "$@"\n')
-    # Bytes of no UTF-8 are none of its business
-    machine.locale = "C.UTF-8"
-    rest = b"[server]\nport: 1\n#\xff\n\n[next]\n"
-    section = OTHER_PATH.encode() + b"\n"
-    conf.write_bytes(rest.replace(b"[next]", section + b"[next]"))
-    out = machine.installed("--force")
-    assert conf.read_bytes() == rest + f"\n{MARK}{SECTION}".encode()
-    assert machine.calls("python3") == ["python3 http://127.0.0.1:1"]
+@pytest.mark.parametrize("extra", [HEADER, "[update_manager z_calibration ]"])
+def test_section_that_is_there_twice(machine, conf, extra):
+    twice = f"[server]\n\n{MARK}{SECTION}\n{extra}\npath: ~/old\n\n[n]\na: 1\n"
+    conf.write_text(twice)
+    err = machine.refused(4)
+    assert f"[{HEADER[1:-1]}] is there 2 times, in {conf}, and Moonraker" in err
+    assert "--force leaves one" in err
+    machine.installed("--force")
+    text = conf.read_text()
+    assert text == f"[server]\n\n[n]\na: 1\n\n{MARK}{SECTION}"
+    conf.write_text(twice)
+    machine.installed("--uninstall")
+    assert conf.read_text() == "[server]\n\n[n]\na: 1\n"
+
+
+def test_section_with_a_blank_is_ours(machine, conf):
+    conf.write_text(SECTION.replace("calibration]", "calibration ]"))
     assert THERE in machine.installed()
     machine.installed("-u")
-    assert conf.read_bytes() == rest
-    assert "warning" not in out
+    assert conf.read_text() == ""
+
+
+# What is written
+
+
+@pytest.mark.parametrize(
+    "address",
+    [
+        "https://ghp_secret@example.com/somebody/z-calibration.git",
+        "https://me:secret@example.com/somebody/z-calibration.git",
+    ],
+)
+def test_token_in_the_address_stays_where_it_is(machine, conf, address):
+    machine.git(machine.checkout, "remote", "set-url", "origin", address)
+    out = machine.installed()
+    assert conf.read_text() == f"[server]\n\n{MARK}{SECTION}"
+    assert "secret" not in out
+    assert (
+        "has a name or a password in it; moonraker.conf gets it without" in out
+    )
+
+
+def test_branch_of_the_checkout_is_followed(machine, conf):
+    machine.git(machine.checkout, "checkout", "-q", "-b", "next")
+    out = machine.installed()
+    assert "is on branch next, not main: updates are those of next" in out
+    assert "\nprimary_branch: next\n" in conf.read_text()
+    machine.git(machine.checkout, "checkout", "-q", "main")
+    out = machine.installed()
+    assert "(branch next), not" in out and "--force replaces that" in out
+    machine.git(machine.checkout, "checkout", "-q", "--detach")
+    assert "at a commit of no branch; Moonraker is told branch main" in (
+        machine.installed("--force")
+    )

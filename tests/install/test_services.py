@@ -12,8 +12,6 @@ from http.server import BaseHTTPRequestHandler, HTTPServer
 
 import pytest
 
-from tools.kit.cases import slow
-
 BOTH = ["klipper", "moonraker"]
 
 pytestmark = pytest.mark.usefixtures("klipper")
@@ -48,8 +46,10 @@ UNITS = [
 
 def test_every_instance(machine):
     machine.systemd(UNITS)
-    for port in (7126, 7127):
+    machine.answers(7125, "klipper moonraker idle")
+    for port, name in ((7126, "1"), (7127, "big")):
         machine.conf(f"printer_{port}_data/config", f"[server]\nport: {port}\n")
+        machine.answers(port, f"klipper-{name} moonraker-{name} idle")
     machine.installed()
     assert machine.restarted() == [
         *("klipper", "klipper-1", "klipper-big"),
@@ -96,45 +96,96 @@ def test_no_service_of_that_kind(machine):
 # Prints
 
 
+TWO = ["klipper-1", "klipper-2", "moonraker-1", "moonraker-2"]
+WAIT = "a print is running. When it has ended: sudo systemctl restart"
+ASK = "no Moonraker tells whether a print is running. When it is not: sudo"
+
+
+@pytest.mark.parametrize("options", [[], ["-m", "CONF"], ["--no-moonraker"]])
 @pytest.mark.parametrize(
-    "options", [slow([]), ["-m", "CONF"], ["--no-moonraker"]]
+    ("first", "second", "restarted", "said"),
+    [
+        ("klipper-1 moonraker-1 idle", "klipper-2 moonraker-2 idle", "12", {}),
+        (
+            "klipper-1 moonraker-1 idle",
+            "klipper-2 moonraker-2 busy",
+            "1",
+            {"2": WAIT},
+        ),
+        # One that does not see its Klipper, which may print for somebody else
+        (
+            "klipper-1 moonraker-1 unknown",
+            "klipper-2 moonraker-2 idle",
+            "2",
+            {"1": ASK},
+        ),
+        # One that does not answer: another one's answer says nothing of it
+        ("", "klipper-2 moonraker-2 idle", "2", {"1": ASK}),
+        ("klipper-1 moonraker-1 idle", "", "1", {"2": ASK}),
+        # Nobody knows whose it is
+        ("idle", "klipper-2 moonraker-2 idle", "2", {"1": ASK}),
+        (
+            "klipper moonraker idle",
+            "klipper moonraker idle",
+            "",
+            {"1": ASK, "2": ASK},
+        ),
+        # Two that speak of the same one
+        (
+            "klipper-1 moonraker-1 idle",
+            "klipper-1 moonraker-1 busy",
+            "",
+            {"1": WAIT, "2": ASK},
+        ),
+    ],
 )
-@pytest.mark.parametrize("is_install", [True, False])
-@pytest.mark.parametrize("answer", [slow("idle"), ""])
-def test_nothing_is_restarted_while_a_printer_prints(
-    machine, options, is_install, answer
+def test_each_printer_is_restarted_by_what_its_own_moonraker_says(
+    machine, options, first, second, restarted, said
 ):
-    """Also one whose Moonraker is not changed, or that is not asked first."""
     machine.conf("printer_2_data/config", "[server]\nport: 7126\n")
-    options = [word.replace("CONF", str(machine.conf())) for word in options]
+    words = [word.replace("CONF", str(machine.conf())) for word in options]
+    machine.systemd(TWO)
+    machine.answers(7125, first)
+    machine.answers(7126, second)
+    out = machine.installed(*words)
+    kinds = ["klipper"] + ["moonraker"] * (options != ["--no-moonraker"])
+    names = [f"{kind}-{number}" for kind in kinds for number in "12"]
+    assert machine.restarted() == [n for n in names if n[-1] in restarted]
+    for name in names:
+        if name[-1] in said:
+            assert f"{name} not restarted: {said[name[-1]]}" in out
+
+
+def test_printer_that_does_not_run_prints_nothing(machine):
+    """Two printers, of which one is off: its answer is no other's."""
+    machine.conf("printer_2_data/config", "[server]\nport: 7126\n")
+    machine.systemd(TWO, stopped=["klipper-2"])
+    machine.answers(7125, "")
+    machine.answers(7126, "klipper-2 moonraker-2 unknown")
+    out = machine.installed()
+    assert machine.restarted() == []
+    assert f"klipper-1 not restarted: {ASK}" in out
+    assert "klipper-2 not restarted: it does not run" in out
+
+
+@pytest.mark.parametrize("is_install", [True, False])
+def test_nothing_is_restarted_while_a_printer_prints(machine, is_install):
     if not is_install:
         machine.installed("--no-restart")
-        options.append("-u")
-    machine.systemd(answer=answer)
-    machine.answers(7126, "busy")
-    out = machine.installed(*options)
+    machine.systemd(answer="busy")
+    out = machine.installed(*([] if is_install else ["-u"]))
     assert machine.restarted() == []
-    is_said = "A print is running: nothing restarted. When it has" in out
-    assert is_said is (is_install or "--no-moonraker" not in options)
+    assert f"moonraker not restarted: {WAIT} moonraker" in out
+    assert (f"klipper not restarted: {WAIT} klipper" in out) is is_install
 
 
 @pytest.mark.parametrize("stopped", [["klipper"], []])
 def test_moonraker_that_does_not_tell(machine, stopped):
     machine.systemd(answer="", stopped=stopped)
     out = machine.installed()
-    text = "no Moonraker tells whether a print is running. When it is not: sudo"
-    assert (f"klipper not restarted: {text}" in out) is not stopped
-    assert machine.restarted() == ["moonraker"]
-
-
-def test_more_printers_than_moonrakers_that_answer(machine):
-    machine.systemd(["klipper-1", "klipper-2", "klipper-mcu", "moonraker-1"])
-    # The same Moonraker once more
-    machine.conf("old_data/config")
-    out = machine.installed()
-    for name in ("klipper-1", "klipper-2"):
-        assert f"{name} not restarted: no Moonraker tells" in out
-    assert machine.restarted() == ["moonraker-1"]
+    assert (f"klipper not restarted: {ASK}" in out) is not stopped
+    # With no Klipper that runs nobody prints
+    assert machine.restarted() == (["moonraker"] if stopped else [])
 
 
 @pytest.mark.parametrize(
@@ -189,7 +240,7 @@ def objects(print_stats, idle_timeout="Idle"):
 
 
 RESTARTED = "Restarting klipper... [OK]"
-BUSY = "A print is running: nothing restarted"
+BUSY = "klipper not restarted: a print is running"
 UNKNOWN = "no Moonraker tells"
 
 
@@ -204,7 +255,10 @@ UNKNOWN = "no Moonraker tells"
         (200, *objects("standby", "Printing"), BUSY),
         # With no [virtual_sdcard] something else sends the print
         (200, *objects(None), UNKNOWN),
-        (200, {"klippy_state": "disconnected"}, None, RESTARTED),
+        # It may print for somebody else, or from another socket
+        (200, {"klippy_state": "disconnected"}, None, UNKNOWN),
+        (200, {"klippy_state": "startup"}, None, UNKNOWN),
+        (200, {"klippy_state": "shutdown"}, None, RESTARTED),
         # As after an update that has removed the links
         (200, {"klippy_state": "error"}, None, RESTARTED),
         (401, *objects("standby"), UNKNOWN),

@@ -1,0 +1,293 @@
+# shellcheck shell=bash
+# Part of install.sh: links into Klipper or Kalico.
+
+# A place is where a link may be, from the directory of Klipper on.
+
+# Those of our modules, and the folder unless another module needs it
+places() {
+    local name dir is_needed=""
+    for name in $MODULES; do
+        for dir in klippy/extras klippy/plugins; do
+            case " $modules " in
+                *" $name "*) say "$dir/$name.py" ;;
+                *) ! is_ours "$dir/$name.py" || is_needed=$uninstall ;;
+            esac
+        done
+    done
+    [ -n "$is_needed" ] || say "$SHARED"
+}
+
+# Where a link has to be; in the other one of Kalico's folders it must not
+is_wanted() {
+    [ -z "$uninstall" ] && [[ $1 = "$SHARED" || ${1%/*} = "$folder" ]]
+}
+
+# Whether it, or a package of that name, is part of Klipper
+is_tracked() {
+    [ "$git_prefix" != - ] &&
+        [ -n "$(git -C "$klipper" ls-files -- "$1" "${1%.py}")" ]
+}
+
+# A link into this checkout, also one to a file that is gone
+is_ours() {
+    [ -L "$klipper/$1" ] && [[ $(readlink -f -- "$klipper/$1") = "$here"/* ]]
+}
+
+# A link to a file that is gone is of use to nobody
+is_foreign() { [ -e "$klipper/$1" ] && ! is_ours "$1"; }
+
+# Links that lead nowhere: into this checkout, from which an update has removed a
+# file, or under a name of ours into one that was moved or renamed. Kalico does
+# not even start with one in its plugins.
+dangling() {
+    local dir file
+    for dir in klippy/extras klippy/plugins; do
+        for file in "$klipper/$dir"/*; do
+            [ -L "$file" ] && [ ! -e "$file" ] || continue
+            if [[ $(readlink -m -- "$file") = "$here"/* ]] ||
+                is_our_name "${file##*/}"; then
+                say "$dir/${file##*/}"
+            fi
+        done
+    done
+}
+
+is_our_name() {
+    [[ $1 = "${SHARED##*/}" || " $MODULES " = *" ${1%.py} "* && $1 = *.py ]]
+}
+
+set_up_links() {
+    local place emptied=""
+    [ -n "$uninstall" ] || check_one_checkout
+    for place in $(dangling); do
+        # What belongs there is linked below, in one step
+        ! is_wanted_here "$place" || continue
+        unlink_place "$place" "$(strange_target "$place")"
+        emptied+=" $place"
+    done
+    for place in $(places); do
+        if is_wanted "$place"; then
+            link "$place"
+        elif is_ours "$place" && [[ $emptied != *" $place"* ]]; then
+            unlink_place "$place"
+            emptied+=" $place"
+        fi
+    done
+    [ -n "$uninstall" ] || check_kalico
+    [ -z "$uninstall" ] || name_backups
+    [ "$git_prefix" = - ] || set_up_exclude "$emptied"
+}
+
+# Where a link leads, if that is not this checkout
+strange_target() {
+    local target
+    target=$(readlink -m -- "$klipper/$1")
+    [[ $target = "$here"/* ]] || say "which led to $target"
+}
+
+# Whether link() takes care of it
+is_wanted_here() {
+    is_wanted "$1" && [[ " $(places | tr '\n' ' ')" = *" $1 "* ]]
+}
+
+# unlink_place PLACE DETAIL
+unlink_place() {
+    needs_writable "$klipper/${1%/*}"
+    ! is_tracked "$1" || note "$1 is part of this Klipper. To restore it:" \
+        "git -C '$klipper' checkout -- '$1'"
+    change rm -- "$klipper/$1"
+    report "Removing ${1##*/} from ${1%/*}" "${2:-}"
+    links_changed=1
+}
+
+# Two versions side by side fail in the middle of a command: all modules come
+# from the checkout that the folder comes from.
+check_one_checkout() {
+    local name dir file other
+    for name in $MODULES; do
+        for dir in klippy/extras klippy/plugins; do
+            file="$klipper/$dir/$name.py"
+            [[ " $modules " != *" $name "* ]] && [ -L "$file" ] &&
+                [ -e "$file" ] || continue
+            other=$(dirname -- "$(readlink -f -- "$file")")
+            [ "$other" != "$here" ] && [ -d "$other/${SHARED##*/}" ] || continue
+            problem "$CONFLICT" "$file is a link to another checkout, $other;" \
+                "its version and this one cannot be mixed"
+            explain "Name $name, too, and change all of them to this checkout:" \
+                "--modules \"$modules $name\" --force"
+        done
+    done
+}
+
+# What --force has put aside
+name_backups() {
+    local name dir file conf
+    for name in $MODULES "${SHARED##*/}"; do
+        for dir in klippy/extras klippy/plugins; do
+            for file in "$klipper/$dir/$name".bak-* \
+                "$klipper/$dir/$name".py.bak-*; do
+                [ ! -e "$file" ] || note "$file was kept when ours came; it is" \
+                    "yours to rename or remove"
+            done
+        done
+    done
+    for conf in "${every_conf[@]}"; do
+        for file in "$conf".bak-*; do
+            [ ! -e "$file" ] || note "$file is an old text of moonraker.conf"
+        done
+    done
+}
+
+link() {
+    local file="$klipper/$1" name=${1##*/} kept detail=""
+    local action="Linking $name into ${1%/*}"
+    if is_tracked "$1"; then
+        problem "$CONFLICT" "$1 is part of this Klipper; replacing it would" \
+            "block Klipper updates. Leave it out with --modules"
+        return 0
+    elif is_ours "$1" && [ "$file" -ef "$here/$name" ]; then
+        say "$action... [OK, already linked]"
+        return 0
+    elif is_foreign "$1" && [ -z "$force" ]; then
+        refuse_to_replace "$1"
+        return 0
+    fi
+    needs_writable "${file%/*}"
+    ! is_foreign "$1" || note "$(difference "$name")"
+    if [ -L "$file" ]; then
+        detail="pointed to $(readlink -- "$file") before"
+    elif [ -e "$file" ]; then
+        kept=$(backup_name "$file")
+        detail="old one kept as ${kept##*/}"
+        change mv -- "$file" "$kept"
+    fi
+    # Not into the directory that an old link points to
+    change ln -sfn -- "$here/$name" "$file"
+    report "$action" "$detail"
+    links_changed=1
+}
+
+refuse_to_replace() {
+    local file="$klipper/$1" name=${1##*/} target="" updater=""
+    if [ -L "$file" ]; then
+        target=$(readlink -f -- "$file")
+        updater=$(updater_of "$target")
+        problem "$CONFLICT" "$file belongs to somebody else: it is a link to" \
+            "$target"
+    else
+        problem "$CONFLICT" "$file is no link, so this script has not made it"
+    fi
+    explain "$(difference "$name")"
+    [ -z "$updater" ] || explain "Its updates come by $updater, which is of no" \
+        "use any more once ours is there"
+    explain "To change to ours: --force, which keeps a file or folder as" \
+        "$name.bak- and the time; or rm -r '$file' and run this again"
+    [ "$1" = "$SHARED" ] || explain "To leave it there: name the others with" \
+        "--modules"
+}
+
+# What is new to users of another one of that name
+difference() {
+    case $1 in
+        auto_z_offset.py)
+            say "With ours, z_offset of [auto_z_offset] has the opposite sign" \
+                "(-0.1 there is 0.1 here); calibrated_z_offset," \
+                "activate_gcode, deactivate_gcode, x_offset and y_offset are" \
+                "ignored. See $here/docs/auto_z_offset.md, How do I migrate"
+            ;;
+        *.py) say "What differs with ours is in $here/docs/migration.md" ;;
+        *) say "Our modules need that of this checkout" ;;
+    esac
+}
+
+# updater_of FILE: the section that updates it, and where that is
+updater_of() {
+    local conf file section option value
+    for conf in "${every_conf[@]}"; do
+        while IFS=$'\t' read -r file section option value; do
+            [ "${section%% *}/$option" = update_manager/path ] || continue
+            value=$(readlink -f -- "${value/#\~/$HOME}") || continue
+            [[ $1 != "$value"/?* ]] || say "[$section] in $file"
+        done < <(settings "$conf")
+    done
+}
+
+# Kalico does not start with two modules of one name, unless it is told to.
+check_kalico() {
+    local name shipped="" others=""
+    [ "$folder" = klippy/plugins ] && [ -z "$force" ] || return 0
+    for name in $modules; do
+        if is_tracked "klippy/extras/$name.py"; then
+            shipped+="${shipped:+ and }$name"
+        elif is_foreign "klippy/extras/$name.py"; then
+            refuse_to_replace "klippy/extras/$name.py"
+        else
+            others+="${others:+ }$name"
+        fi
+    done
+    [ -n "$shipped" ] || return 0
+    local lacking
+    lacking=$(printers_without_override)
+    [ -n "$lacking" ] || return 0
+    problem "$CONFLICT" "Kalico ships its own $shipped. Add to" \
+        "${lacking//$'\n'/ and to } first, or Kalico will not start:"
+    printf '\n[danger_options]\nallow_plugin_override: True\n\n' >&2
+    explain "Then run this again; --force links in any case." \
+        "${others:+Without it: --modules \"$others\"}"
+}
+
+# The printer.cfg of each printer that does not let plugins replace what Kalico
+# ships, in itself or in what it includes
+printers_without_override() {
+    local conf cfg value files=()
+    for conf in "${every_conf[@]}"; do
+        files+=("${conf%/*}/printer.cfg")
+    done
+    mapfile -t files < <(each_once "${files[@]}" \
+        "$HOME"/*_data/config/printer.cfg \
+        "$HOME"/klipper_config/{,*/}printer.cfg)
+    [ "${#files[@]}" -gt 0 ] || say "printer.cfg"
+    for cfg in "${files[@]}"; do
+        value=$(setting "$cfg" danger_options allow_plugin_override)
+        [[ ${value,,} =~ ^(true|yes|on|1)$ ]] || say "$cfg"
+    done
+}
+
+# set_up_exclude REMOVED: git's list of files that are not Klipper's. If it
+# cannot be written, git shows what is harmless.
+set_up_exclude() {
+    local file place new=""
+    file=$(git -C "$klipper" rev-parse --git-path info/exclude)
+    [[ $file = /* ]] || file="$klipper/$file"
+    for place in $(places); do
+        ! is_wanted "$place" ||
+            git -C "$klipper" check-ignore -q -- "$place" ||
+            new+=$'\n'"/$git_prefix$place"
+    done
+    if [ -n "$new" ]; then
+        if change append "$MARK$new" "$file" 2>/dev/null; then
+            report "Excluding the links from git status" "in $file"
+        else
+            note "cannot write to $file; git will list the links as new files"
+        fi
+    fi
+    [ -z "$1" ] || [ ! -f "$file" ] || change clean_exclude "$file" "$1"
+}
+
+# clean_exclude FILE PLACES: the lines of links that are gone, and our mark where
+# no line follows it
+# shellcheck disable=SC2329 # called by change
+clean_exclude() {
+    awk -v gone="$2 " -v prefix="/$git_prefix" -v mark="$MARK" '
+        index($0, prefix) == 1 &&
+            index(gone, " " substr($0, length(prefix) + 1) " ") { next }
+        { line[++n] = $0 }
+        END {
+            for (i = 1; i <= n; i++) {
+                if (index(line[i], mark) == 1 && index(line[i + 1], prefix) != 1)
+                    continue
+                print line[i]
+            }
+        }' "$1" >"$scratch/new"
+    replace "$1" 2>/dev/null || true
+}
