@@ -61,9 +61,10 @@ test-firmware: prepared
 quick: prepared lint
 	ONE_HOST=1 $(TOOLS)/python -m pytest -n 2 tests/unit tests/quick
 
-# Without the tools: they would take longer than the demo
+# Without the linters and what else the tests need
 demo:
-	@$(PYTHON) -m tools.demo $(DEMO_ARGS)
+	@$(PYTHON) -m simprinter.hosts.environment "$(BUILD_DIR)/demo-venv" demo
+	$(BUILD_DIR)/demo-venv/bin/python -m tools.demo $(DEMO_ARGS)
 
 printer: tools
 	$(TOOLS)/python -m tools.playground $(PRINTER_ARGS)

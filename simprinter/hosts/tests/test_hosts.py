@@ -22,8 +22,9 @@ def build(tmp_path, monkeypatch):
     shared = hostkit.build_dir() / "envs"
     directory = tmp_path / "build"
     directory.mkdir()
-    (directory / "envs").symlink_to(shared.resolve())
     monkeypatch.setenv("BUILD_DIR", str(directory))
+    hostkit.build_dir()
+    (directory / "envs").symlink_to(shared.resolve())
     monkeypatch.setenv("KLIPPER_PATH", "")
     monkeypatch.delenv("ALLOW_MISSING_HOSTS", raising=False)
     return directory
