@@ -11,12 +11,14 @@ from simprinter.world import NoiseSpec
 from tools.kit.auto_z_offset import (
     CORRECTION,
     MICROSTEP,
+    PROBE_PLACE,
     formulas,
     seconds,
     section,
     state,
     told,
     touches,
+    with_extras,
 )
 from tools.kit.printer import module_files
 
@@ -76,6 +78,62 @@ def test_travel_speed(start):
     more = seconds(slow, "AUTO_Z_CALIBRATE")
     more -= seconds(usual, "AUTO_Z_CALIBRATE")
     assert more > 5 * 18.0 * (1 / 10 - 1 / 100)
+
+
+# The section of a Q1 Pro with the original module, which takes 35.7 s there
+OWNERS = section(
+    probe_hop="10",
+    offset_samples="4",
+    sample_retract_dist="5",
+    prepare_gcode="""
+  G90
+  G0 Z3
+  G91
+  SET_PIN PIN=bed_sensor VALUE=0
+  M400
+  {% for iteration in range(20) %}
+  G1 Z0.6 F7000
+  G1 Z-0.6 F7000
+  {% endfor %}
+  G1 Z3
+  M400
+  G90
+  SET_PIN PIN=bed_sensor VALUE=1""",
+)
+
+
+@pytest.mark.every_host
+def test_four_cycles_of_an_owner(start):
+    printer = start("qidi", changes=OWNERS).homed()
+    taken = seconds(printer, "AUTO_Z_CALIBRATE")
+    assert taken <= 27.0
+    found = printer.status("auto_z_offset")["corrections"]
+    assert found == pytest.approx([CORRECTION] * 4, abs=2 * MICROSTEP)
+
+
+@pytest.mark.parametrize(
+    ("before", "params", "options", "above"),
+    [
+        ("", "", {}, 2.0),
+        # 2.5 mm until the probe has its speed, and as much again
+        ("", "", {"speed": "50"}, 5.0),
+        # Nobody knows where the probe triggers
+        ("AUTO_Z_HOME_Z", "", {}, None),
+        ("", "ACCEPT_CHANGE=1", {}, None),
+    ],
+)
+def test_way_down_of_the_probe(start, before, params, options, above):
+    changes = {"moves": {}, **section(probe_hop="8", **options)}
+    modules = with_extras("moves")
+    printer = start("qidi", changes=changes, modules=modules).homed()
+    printer.run(before)
+    first = len(printer.status("moves")["ends"])
+    result = formulas(printer.run(f"AUTO_Z_MEASURE_OFFSET {params}"))[-1]
+    ends = printer.status("moves")["ends"][first:]
+    there = [z for x, y, z in ends if [x, y] == list(PROBE_PLACE)]
+    # The head arrives, goes down quickly, and is lifted
+    quick = [] if above is None else [result.probe + above]
+    assert there[1:-1] == pytest.approx(quick, abs=0.02)
 
 
 # The sensor after a touch

@@ -158,8 +158,8 @@ def test_trigger_a_little_above_the_bed_is_not_the_bed(start):
 @pytest.mark.parametrize("n", [1, slow(2), slow(3)])
 @pytest.mark.parametrize("retries", [0, 1])
 def test_trigger_in_mid_air(host, n, retries):
-    # Shaken: 2 mm above the bed
-    fault = Fault("trigger_early", signal="bed_sensor", mm=2.0, n=n)
+    # Shaken: 1.5 mm above the bed
+    fault = Fault("trigger_early", signal="bed_sensor", mm=1.5, n=n)
     changes = section(
         probe_z_correction="-1.12", samples_tolerance_retries=str(retries)
     )

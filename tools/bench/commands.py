@@ -173,11 +173,16 @@ PREPARED: Sections = {
 }
 
 
+# So far (mm) above a trigger whose height is known a touch begins
+KNOWN_TOUCH = 2.0
+
+
 def cycles_plan(scene: Scene, changes: Sections) -> Plan:
     """What AUTO_Z_CALIBRATE has to do: bed sensor and probe in turn.
 
-    One touch of each in a cycle, down from the travel height, at `speed` all
-    the way: there is no option for a faster one, and none for the speed of
+    One touch of each in a cycle, down from the travel height at `lift_speed` to
+    KNOWN_TOUCH above the trigger, but the first one of the nozzle, of which
+    nothing is known, at `speed` all the way. There is no option for the speed of
     travel, which is the fastest of the printer. At the end the nozzle stands
     over the point that was measured, for a sheet of paper.
     """
@@ -194,20 +199,20 @@ def cycles_plan(scene: Scene, changes: Sections) -> Plan:
     slow = own.getfloat("probe_accel")
     x_offset, y_offset = probe.getfloat("x_offset"), probe.getfloat("y_offset")
     beside = POINT[0] - x_offset, POINT[1] - y_offset
-    one = (own.getfloat("speed"), 1, own.getfloat("speed"))
     lift_speed = own.getfloat("lift_speed")
-
-    def touch(
-        name: str, at: tuple[float, float], z: float, top: float, accel: float
-    ) -> Stop:
-        return Stop(name, *at, z, top, *one, top - z, lift_speed, accel)
+    one = (lift_speed, 1, own.getfloat("speed"))
 
     first = max(probe_z, 0.0) + hop
-    tops = [first] + [travel_z] * (own.getint("offset_samples") - 1)
-    stops = []
-    for top in tops:
-        stops.append(touch("sensor", POINT, sensor_z, top, slow))
-        stops.append(touch("probe", beside, probe_z, travel_z, limits.z_accel))
+    sensor = Stop(
+        *("sensor", *POINT, sensor_z, travel_z, *one),
+        *(KNOWN_TOUCH, lift_speed, slow),
+    )
+    probe_stop = Stop(
+        *("probe", *beside, probe_z, travel_z, *one),
+        *(KNOWN_TOUCH, lift_speed, limits.z_accel),
+    )
+    stops = [sensor, probe_stop] * own.getint("offset_samples")
+    stops[0] = sensor._replace(travel_z=first, retract=first - sensor_z)
     return Plan(stops, travel_z, limits.velocity, limits, end=POINT)
 
 

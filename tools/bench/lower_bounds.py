@@ -27,8 +27,8 @@ class Stop(NamedTuple):
     """A place: where the head stands (mm), where it triggers, how often.
 
     travel_z: height at which the head gets there; from it down to the samples
-    at approach_speed, which begin retract above the trigger. accel: in Z on
-    the way down (mm/s^2).
+    at approach_speed, which begin retract above the trigger. accel: in Z in
+    the samples (mm/s^2).
     """
 
     name: str
@@ -131,7 +131,7 @@ def _stop_seconds(
         z_seconds(limits, up, stop.lift_speed, limits.z_accel),
         move_seconds(away, travel_speed, limits.accel),
         prepare,
-        z_seconds(limits, down, stop.approach_speed, stop.accel),
+        z_seconds(limits, down, stop.approach_speed, limits.z_accel),
         stop.samples * touch,
         (stop.samples - 1) * retract,
     )

@@ -96,6 +96,13 @@ class Expectations(object):
             return expect_near(probing.homed_bed_z() + z, EXPECTED_MARGIN)
         return expect_below_probe(probing.homed_probe_z())
 
+    # Where (toolhead Z, mm) the probe should trigger, as Z was homed with it;
+    # None: it was not.
+    def probe_z(self):
+        if self.is_sensor_frame() or not self.host.homes_with_probe():
+            return None
+        return self.host.probing.homed_probe_z()
+
     # Whether Z is still what it was when the frame was marked.  Where the
     # motors do not tell (empty datum), nobody knows.
     def holds(self, mark):

@@ -34,6 +34,11 @@ TOUCH_MARGIN = 0.3
 # when it triggers this much (mm) lower than expected.
 BRAKING_RESERVE = 0.1
 
+# So far (mm) above a trigger whose height is known a touch begins, after a quick
+# way down: more than noise, heat and the slope of a bed, and no more than hosts
+# lift a probe between two samples.
+APPROACH = 2.0
+
 # A trigger of the bed sensor this far (mm) above the probe's is not the bed.
 ABOVE_PROBE = 0.5
 
@@ -150,6 +155,12 @@ def section_floor(z_axis, probe_z_min):
 def fastest_touch(speed, accel):
     room = EXPECTED_MARGIN - BRAKING_RESERVE
     return min(speed, math.sqrt(2.0 * accel * room))
+
+
+# How far (mm) above its trigger a touch begins: the head has its speed (mm/s)
+# after half of that at the latest, as a sensor is later the faster it is touched.
+def approach(speed, accel):
+    return max(APPROACH, speed * speed / accel)
 
 
 # The head needs room (mm) to stop at the floor: where the trigger is expected

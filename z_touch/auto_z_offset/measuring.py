@@ -107,7 +107,9 @@ class SensorMeasurement(object):
     def come_down(self, top):
         sampling = self.settings.sampling
         if self.lowest_z is not None:
-            top = self.lowest_z + sampling.retract_dist
+            speed, accel = self.speed_and_accel()
+            above = heights.approach(speed, accel)
+            top = self.lowest_z + min(sampling.retract_dist, above)
             self.head.move_down(top, sampling.lift_speed)
         elif self.host.z() > top + FAR:
             self.sensor.check_open(self.host.after_moves())
@@ -115,12 +117,16 @@ class SensorMeasurement(object):
             speed = heights.fastest_touch(sampling.lift_speed, accel)
             self.head.come_down(self.sensor.endstop, top, speed)
 
+    # Of a touch, mm/s and mm/s^2
+    def speed_and_accel(self):
+        accel = motors.braking_accel(self.host, self.settings.probe_accel)
+        return heights.fastest_touch(self.settings.sampling.speed, accel), accel
+
     # The current is low only while the nozzle goes down: a motor that loses
     # a step on the way up would take Z along.
     def touch(self):
         sensor, settings = self.sensor, self.settings
-        accel = motors.braking_accel(self.host, settings.probe_accel)
-        speed = heights.fastest_touch(settings.sampling.speed, accel)
+        speed, accel = self.speed_and_accel()
         floor = heights.sensor_floor(
             settings.floor, self.expected, speed, accel
         )
@@ -168,20 +174,32 @@ class ProbeMeasurement(object):
         self.head = touching.Head(host, settings.sampling, TOO_LOW)
 
     # 'floor' is the height at which the nozzle meets the bed: an inductive
-    # probe triggers above it.  Returns toolhead Z in mm.
-    def measure(self, floor):
+    # probe triggers above it.  'expected_z' is where it does so, None: nobody
+    # knows.  Returns toolhead Z in mm.
+    def measure(self, floor, expected_z):
         with errors.about("probe"):
-            samples = self.collect(floor)
+            samples = self.collect(floor, expected_z)
         return summarize(samples, self.settings.sampling.result)
 
-    def collect(self, floor):
+    def collect(self, floor, expected_z):
         sampling = self.settings.sampling
         top = self.host.z()
         speed = "%.6f" % (sampling.speed,)
         session = touching.probing(self.head, floor, top, PROBE_SPEED=speed)
         with session as probe_once:
+            self.come_down(floor, expected_z)
             sample = functools.partial(self.sample, probe_once, floor)
             return collect(sample, sampling, self.report, DIFFER)
+
+    # Quickly to where a touch begins, through air: the nozzle has just met the
+    # bed lower down.
+    def come_down(self, floor, expected_z):
+        if expected_z is not None:
+            sampling = self.settings.sampling
+            accel = motors.braking_accel(self.host, 0.0)
+            above = heights.approach(sampling.speed, accel)
+            top = max(floor, expected_z) + above
+            self.head.move_down(top, sampling.lift_speed)
 
     def sample(self, probe_once, floor):
         self.head.retract()
@@ -235,9 +253,10 @@ class Run(object):
         self.expectations = expectations
         self.accepts_change = accepts_change
         # They follow what the run learns: what is known of the bed, its lowest
-        # trigger, its last height, the height that the head is lifted to
+        # trigger, its last height, that of the probe, the height that the head
+        # is lifted to
         self.expected = heights.NOTHING_EXPECTED
-        self.lowest_z = self.sensor_z = None
+        self.lowest_z = self.sensor_z = self.probe_z = None
         probe_z = self.host.probing.homed_probe_z()
         self.travel_z = heights.travel_height(probe_z, settings.probe_hop)
         # The print time at which the head had left the bed
@@ -264,6 +283,7 @@ class Run(object):
         # It may have homed, too
         if not self.accepts_change:
             self.expected = self.expectations.expected()
+            self.probe_z = self.expectations.probe_z()
         self.go_to(site)
 
     # Relative moves must not outlive the template, also when it fails.
@@ -318,7 +338,8 @@ class Run(object):
         self.travel(probe_site)
         self.check_left()
         measurement = ProbeMeasurement(self.host, self.settings, self.watch)
-        probe_z = measurement.measure(sensor_z)
+        probe_z = measurement.measure(sensor_z, self.probe_z)
+        self.probe_z = probe_z
         self.lift()
         probe_z_offset = self.host.probing.offsets()[2]
         parts = (sensor_z, probe_z, probe_z_offset, self.settings.z_offset)

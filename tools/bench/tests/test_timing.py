@@ -40,7 +40,8 @@ def test_cycles_are_timed_with_the_gcode_of_the_user(host):
         # Eight moves of 0.6 mm in it, at 500 mm/s^2 at most
         assert prepare[0] > 8 * 2.0 * (0.6 / 500.0) ** 0.5
         assert not any(prepare[1:])
-        assert 1.0 < run.ratio <= 1.5
+        # It stands still around each touch of the bed sensor
+        assert 1.0 < run.ratio <= 1.7
         # Three cycles; on its way to the bed the nozzle takes the probe along
         assert run.touches == {"nozzle_bed": 3, "inductive_bed": 6}
         assert run.samples == 6
