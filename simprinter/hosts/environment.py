@@ -19,6 +19,8 @@ import tempfile
 from pathlib import Path
 from typing import TYPE_CHECKING
 
+from simprinter.hosts import needs
+
 if TYPE_CHECKING:
     from collections.abc import Iterator, Mapping, Sequence
 
@@ -53,6 +55,8 @@ CACHEDIR_TAG = "Signature: 8a477f597d28d172789f06886806bc55\n"
 # In a folder that was made for the build, or that was empty when it began: only
 # such a one may be removed as a whole. `make clean` looks for it, too.
 STAMP = ".made-for-this-build"
+# What linters and pytest leave where they run before anything was built
+CACHES = {"CACHEDIR.TAG", "pytest_cache", "ruff_cache"}
 STAMP_TEXT = """\
 All in this folder was made by the build of klipper_z_calibration; "make clean" removes it.
 """
@@ -92,7 +96,7 @@ def _make_ours(directory: Path) -> None:
         names = {path.name for path in directory.iterdir()}
     except OSError as error:
         raise HostError(f"no folder for the build: {error}") from error
-    if not (directory / STAMP).exists() and names - {STAMP, "CACHEDIR.TAG"}:
+    if not (directory / STAMP).exists() and names - CACHES - {STAMP}:
         raise HostError(
             f"{directory} holds something already, so it cannot become the"
             ' folder of the build, which "make clean" removes as a whole. Name'
@@ -217,8 +221,8 @@ def ensure(directory: Path, name: str, startup: str = "") -> Path:
     """Make the environment `directory` unless it is there; return its Python.
 
     `startup` is a line of code that this Python runs whenever it starts.
-    Raises HostError if this Python cannot make environments, and
-    UnavailableError if a requirement cannot be installed.
+    Raises HostError if there is no gcc or this Python cannot make environments,
+    and UnavailableError if a requirement cannot be installed.
     """
     python = directory / "bin" / "python"
     stamp = directory / "requirements.stamp"
@@ -236,12 +240,22 @@ def ensure(directory: Path, name: str, startup: str = "") -> Path:
         return python
     with locked(directory.with_name(directory.name + ".lock")):
         if not is_ready():
+            _check_needs(name)
             _create(directory)
             _install(python, name)
             if startup:
                 _write_startup(python, startup)
             stamp.write_text(key, encoding="ascii")
     return python
+
+
+def _check_needs(name: str) -> None:
+    problem = needs.missing_compiler()
+    if problem:
+        raise HostError(problem)
+    problem = needs.missing_index(pins(name), clean_environment())
+    if problem:
+        raise UnavailableError(problem)
 
 
 def _create(directory: Path) -> None:

@@ -22,8 +22,8 @@ from simprinter.hosts.trees import python_version
 def main() -> int:
     """Print one line for each host; return the exit code."""
     check_python()
-    missing_hosts(forget=True)
     try:
+        missing_hosts(forget=True)
         with ThreadPoolExecutor() as pool:
             found = pool.submit(find_moonraker)
             hosts = find_hosts()

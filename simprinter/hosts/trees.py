@@ -22,6 +22,7 @@ from simprinter.hosts.environment import (
     pins,
     run,
 )
+from simprinter.hosts.needs import missing_compiler
 
 if TYPE_CHECKING:
     from collections.abc import Iterable, Iterator
@@ -222,11 +223,9 @@ def compile_tree(tree: Path, python: Path, layout: Layout) -> None:
 
     Raises HostError if there is no C compiler or the helper does not compile.
     """
-    if shutil.which("gcc") is None:
-        raise HostError(
-            "the C helper of klippy needs gcc: install gcc and the headers of"
-            " the C library (Debian: apt install gcc libc6-dev)"
-        )
+    problem = missing_compiler()
+    if problem:
+        raise HostError(problem)
     run(
         [python, *layout.build_helper],
         "build of klippy's C helper",
