@@ -211,6 +211,24 @@ def _bed() -> Scene:
     ).with_world(dock=replace(switch.world.dock, lifted=False, z=12.3, top=12))
 
 
+def _above() -> Scene:
+    """The same, but the probe is taken up out of the dock, which is left that
+    way; the head has to be 24.3 mm high over the dock or beside it."""
+    bed = _bed()
+    assert bed.world.dock is not None
+    options = {
+        **(bed.sections["dockable_probe"] or {}),
+        "approach_position": "50, 308, 30",
+        "safe_dock_distance": "40",
+    }
+    dock = replace(bed.world.dock, approach=(0.0, 0.0, 1.0))
+    return replace(
+        bed,
+        name="dock_above",
+        sections={**bed.sections, "dockable_probe": options},
+    ).with_world(dock=dock)
+
+
 def calibrating(scene: Scene) -> Scene:
     """The same with the voron's [z_calibration], nothing said of the probe."""
     section = SCENES["voron"].sections["z_calibration"]
@@ -220,5 +238,12 @@ def calibrating(scene: Scene) -> Scene:
 
 DOCK_SCENES = {
     scene.name: scene
-    for scene in (_gantry_switch(), _gantry(), _sensed(), _frame(), _bed())
+    for scene in (
+        _gantry_switch(),
+        _gantry(),
+        _sensed(),
+        _frame(),
+        _bed(),
+        _above(),
+    )
 }

@@ -118,6 +118,10 @@ class Dock:
         for ux, uy, _ in (spec.approach, spec.release, *spec.lanes):
             length = math.hypot(ux, uy)
             if not length:
+                # Straight up from the middle
+                depth = min(depth, math.hypot(dx, dy) - spec.lane)
+                if depth <= 0.0:
+                    return 0.0
                 continue
             along = (dx * ux + dy * uy) / length
             aside = abs(dx * uy - dy * ux) / length - spec.lane

@@ -32,7 +32,8 @@ def test_motors_that_move_x_too_tell_nothing():
 
 
 def test_motors_that_were_off_may_have_been_moved():
-    moves = SimpleNamespace(is_lifted=True, homed_z=3.0)
+    trace = SimpleNamespace(forget=lambda: None)
+    moves = SimpleNamespace(lifted=9.0, homed_z=3.0, trace=trace)
     # Some hosts tell a print time
     head.Moves.forget(moves, 1.0)
-    assert (moves.is_lifted, moves.homed_z) == (False, None)
+    assert (moves.lifted, moves.homed_z) == (0.0, None)

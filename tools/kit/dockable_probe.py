@@ -19,6 +19,7 @@ SWITCH = DOCK_SCENES["dock_gantry_switch"]
 SENSED = DOCK_SCENES["dock_sensed"]
 FRAME = DOCK_SCENES["dock_frame"]
 BED = DOCK_SCENES["dock_bed"]
+ABOVE = DOCK_SCENES["dock_above"]
 # How Z comes to be homed with the probe, and where the head stands then
 HOMING = {
     # Over the middle of the axes: of X 0 to 300, of Y 0 to 310

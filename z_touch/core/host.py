@@ -124,6 +124,18 @@ class Host(object):
             )
         return None if None in zero else zero
 
+    # The axis (0: X, 1: Y) that a homing move of these rails goes along, with the
+    # first motor of the rail moving as far as the head does.  None: another
+    # axis, or a machine that moves in another way, such as a delta.
+    def homed_axis(self, rails):
+        all_rails = getattr(self.toolhead.get_kinematics(), "rails", [])
+        if len(rails) != 1 or len(all_rails) < 3 or not self.z_datum():
+            return None
+        for axis in (0, 1):
+            if all_rails[axis] is rails[0]:
+                return axis
+        return None
+
     # The point of the bed mesh that is its zero, or None
     def mesh_zero(self):
         mesh = self.printer.lookup_object("bed_mesh", None)

@@ -23,6 +23,9 @@ DOUBTFUL_WAY = 45.0
 def check_positions(config, settings, notes):
     dock = settings.dock_position
     z = settings.approach_position.z if dock.z is None else dock.z
+    if settings.dock_fixed_z:
+        # No move to a position changes Z, whatever the third numbers are
+        z = None
     for row in POSITIONS:
         position = getattr(settings, row.name)
         if detour.first_leg(dock, z, position) == (0.0, 0.0, 0.0):
@@ -102,6 +105,13 @@ def check_homing(settings, limits):
         xy = tuple(
             (low + high) / 2.0 - shift
             for (low, high), shift in zip(limits, offsets)
+        )
+    if xy is not None and not detour.is_within(xy, limits):
+        raise Misfit(
+            "safe_z_position",
+            "%g, %g is outside of %.3f to %.3f and %.3f to %.3f, the reach of X"
+            " and Y; choose a point of the head where the probe is over the bed"
+            % (tuple(xy) + tuple(limits[0]) + tuple(limits[1])),
         )
     if xy is not None and detour.distance(xy, dock) < radius - detour.ROUNDING:
         raise Misfit(

@@ -13,6 +13,10 @@
 #           /      ' | '      \      the head leaves the circle along it when
 #        start       |        end    it starts in one
 #                   lane
+#
+# A way that ends in the circle ends where a straight way out of it would: from
+# there the head may go straight in, and on that line it never comes nearer to
+# the dock than it is in the end.
 from __future__ import absolute_import, division
 
 import collections
@@ -37,7 +41,8 @@ EXITS = 32
 Position = collections.namedtuple("Position", "x y z")
 
 # The circle (mm) that the head enters only to fetch the probe and to dock it,
-# and the unit vectors of the lanes that lead out of the dock.
+# and the unit vectors of the lanes that lead out of the dock; (0, 0) is one that
+# leads straight up.
 Zone = collections.namedtuple("Zone", "x y radius lanes")
 
 
@@ -95,6 +100,11 @@ def is_inside(point, zone):
     return distance(point, zone) < zone.radius - ROUNDING
 
 
+# Whether that is the dock itself
+def is_in_dock(point, zone):
+    return distance(point, zone) < SMALLEST_DISTANCE
+
+
 # Whether a point is in the reach of the axes, (low, high) of each
 def is_within(point, limits):
     return all(
@@ -127,14 +137,18 @@ def angle_of(point, zone):
 
 # Points of the circle that a straight line leads to from inside, the best one
 # first: along a lane where the head is in one, otherwise away from the dock.
-def exits(point, zone):
+# 'other' is the other end of the way: that side is nearest from straight above
+# a dock that is left upwards.
+def exits(point, zone, other):
     dx, dy = point[0] - zone.x, point[1] - zone.y
+    is_above = (0.0, 0.0) in zone.lanes and is_in_dock(point, zone)
     for ux, uy in zone.lanes:
         along, aside = dx * ux + dy * uy, dx * uy - dy * ux
-        if along >= -LANE and abs(aside) <= LANE:
+        is_in_lane = along >= -LANE and abs(aside) <= LANE
+        if is_in_lane and not is_above and (ux, uy) != (0.0, 0.0):
             rest = math.sqrt(max(0.0, zone.radius**2 - aside**2)) - along
             yield point[0] + rest * ux, point[1] + rest * uy
-    away = angle_of(point, zone)
+    away = angle_of(other if is_above else point, zone)
     # Further off the line would come nearer to the dock at first.
     widest = math.acos(min(1.0, distance(point, zone) / zone.radius))
     for part in range(EXITS + 1):
@@ -144,11 +158,27 @@ def exits(point, zone):
 
 
 # The best exit that the axes can reach; raises NoDetour.
-def find_exit(point, zone, limits):
-    for end in exits(point, zone):
+def find_exit(point, zone, limits, other):
+    for end in exits(point, zone, other):
         if is_within(end, limits):
             return end
     raise NoDetour()
+
+
+# Where a straight line from a to b crosses the circle, in that order
+def crossings(a, b, zone):
+    length = distance(a, b)
+    if not length:
+        return
+    ux, uy = (b[0] - a[0]) / length, (b[1] - a[1]) / length
+    along = (zone.x - a[0]) * ux + (zone.y - a[1]) * uy
+    aside = (zone.x - a[0]) * uy - (zone.y - a[1]) * ux
+    if abs(aside) >= zone.radius:
+        return
+    half = math.sqrt(zone.radius**2 - aside**2)
+    for way in (along - half, along + half):
+        if 0.0 <= way <= length:
+            yield a[0] + way * ux, a[1] + way * uy
 
 
 ######################################################################
@@ -189,10 +219,10 @@ def length_of(points):
 def around(start, end, zone, limits, via=None):
     start, end, points = tuple(start[:2]), tuple(end[:2]), []
     if is_inside(start, zone):
-        start = find_exit(start, zone, limits)
+        start = find_exit(start, zone, limits, other=end)
         points.append(start)
     if is_inside(end, zone):
-        end = find_exit(end, zone, limits)
+        end = find_exit(end, zone, limits, other=start)
     if least_distance(start, end, zone) >= zone.radius - ROUNDING:
         return points + [end]
     sides = [corners_around(start, end, zone, turn) for turn in (1, -1)]
@@ -206,3 +236,22 @@ def around(start, end, zone, limits, via=None):
         return length_of([start] + corners + [end])
 
     return points + min(sides, key=cost) + [end]
+
+
+# The same for a head that stands where homing X and Y has left it: where nothing
+# else leads out, such as from a corner behind the dock, it goes back the way it
+# came, no further than it has to.  'trace' are the moves of that homing, each an
+# axis (0: X) and how far (mm) the head went along it.
+def out_of_corner(start, end, zone, limits, trace, via=None):
+    came, place = [], tuple(start[:2])
+    for axis, moved in reversed(trace):
+        back = list(place)
+        back[axis] -= moved
+        for stop in list(crossings(place, back, zone)) + [tuple(back)]:
+            try:
+                return came + [stop] + around(stop, end, zone, limits, via)
+            except NoDetour:
+                continue
+        place = tuple(back)
+        came.append(place)
+    raise NoDetour()

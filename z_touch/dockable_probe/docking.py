@@ -95,8 +95,9 @@ class Docking(object):
         sensors, z = self.sensors, self.moves.position().z
         state = sensors.confirm()
         is_certain = sensors.proven == DOCKED or sensors.senses
-        if state == DOCKED and not is_certain:
-            # Perhaps it is on the head, and pressed.
+        if state == DOCKED and not is_certain and z is not None:
+            # Perhaps it is on the head, and pressed.  Where nobody knows Z the
+            # head would go up at each look.
             self.moves.lift(travel_height(self.settings))
             state = sensors.look()
         if state == DOCKED:

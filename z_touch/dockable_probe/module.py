@@ -76,10 +76,15 @@ class DockableProbe(object):
         is_z = 2 in homing_state.get_axes()
         if not self.detach_dockable_before_z_home or not is_z:
             return
-        if self.virtual_probe.is_among(rails):
+        if self.virtual_probe.is_z_endstop():
             return
         if self.moves.is_homed("xy"):
             self.detach_probe()
+
+    # Before Z is homed: the head ends where it was.  Of this name for Kalico's
+    # safe_z_home, since 2026-02-24 (9500bd614)
+    def detach_probe(self):
+        self.prober.dock_and_come_back()
 
     # Of this name for Kalico's safe_z_home
     @property
@@ -148,12 +153,9 @@ class DockableProbe(object):
 
     cmd_DETACH_PROBE_help = "Dock the probe"
 
-    def cmd_DETACH_PROBE(self, gcmd=None):
+    def cmd_DETACH_PROBE(self, gcmd):
         self.prober.hold(False)
         self.prober.dock_and_return(self.moves.position())
-
-    # Of this name for Kalico's safe_z_home, since 2026-02-24 (9500bd614)
-    detach_probe = cmd_DETACH_PROBE
 
     cmd_MOVE_TO_APPROACH_PROBE_help = "Move to approach_position"
 
@@ -163,10 +165,15 @@ class DockableProbe(object):
     cmd_MOVE_TO_DOCK_PROBE_help = "Move into the dock"
 
     def cmd_MOVE_TO_DOCK_PROBE(self, gcmd):
-        beside = self.settings.approach_position
-        if self.sensors.last_state == ATTACHED:
-            beside = self.settings.insert_position
-        self.moves.go_in(beside)
+        settings, moves = self.settings, self.moves
+        beside = settings.approach_position
+        # From where the head stands, where that is before the dock already
+        if not moves.is_at(beside) and (
+            moves.is_at(settings.insert_position)
+            or self.sensors.look() == ATTACHED
+        ):
+            beside = settings.insert_position
+        moves.go_in(beside)
 
     cmd_MOVE_TO_EXTRACT_PROBE_help = "Move out of the dock, with the probe"
 

@@ -7,6 +7,57 @@ from ..core import touching
 from . import detour
 from .settings import POSITIONS, dock_height
 
+# A place so near (mm) is where homing has left the head: hosts correct it by part
+# of a step after the event that tells the end.
+NEAR_END = 0.5
+
+
+# The way that homing X and Y has come: clear of the dock, as the head went there.
+# It holds until X or Y is homed again, or the motors are off.
+class Trace(object):
+    def __init__(self, host):
+        self.host = host
+        register = host.printer.register_event_handler
+        register("homing:home_rails_begin", self._begins)
+        register("homing:home_rails_end", self._ends)
+        self.forget()
+
+    def forget(self):
+        # Each an axis (0: X) and how far (mm) the head has gone along it
+        self.moves = []
+        # Where it has ended; the motor's place (mm) where the next one began
+        self.end = self.begun_at = None
+
+    # The moves that have led to that place; empty: homing has ended elsewhere
+    def to(self, place):
+        if self.end is None or detour.distance(place, self.end) > NEAR_END:
+            return []
+        return self.moves
+
+    def _begins(self, homing_state, rails):
+        if self.host.homed_axis(rails) is None:
+            return
+        self.moves = list(self.to(self.host.toolhead.get_position()))
+        # Nothing is known of a homing that fails
+        self.end = None
+        self.begun_at = self._motor(rails)
+
+    def _ends(self, homing_state, rails):
+        axis = self.host.homed_axis(rails)
+        if axis is None or self.begun_at is None:
+            return
+        moved = abs(self._motor(rails) - self.begun_at)
+        is_up = rails[0].get_homing_info().positive_dir
+        self.moves.append((axis, moved if is_up else -moved))
+        self.end = tuple(self.host.toolhead.get_position()[:2])
+        self.begun_at = None
+
+    # Whatever the host believes of X and Y: they are set in homing
+    def _motor(self, rails):
+        self.host.toolhead.flush_step_generation()
+        stepper = rails[0].get_steppers()[0]
+        return stepper.get_mcu_position() * stepper.get_step_dist()
+
 
 # The head, and what is known of how high it is
 class Moves(object):
@@ -24,18 +75,21 @@ class Moves(object):
                 for row in POSITIONS
             ],
         )
-        # Where nobody knows Z: whether the head was lifted for the dock
-        self.is_lifted = False
+        # Where nobody knows Z: how far (mm) the head was lifted for the dock
+        self.lifted = 0.0
         # Where the Z motors were, see motors_z(), when Z was homed with the
         # probe
         self.homed_z = None
+        # How homing X and Y has come to where the head stands
+        self.trace = Trace(host)
         register = host.printer.register_event_handler
         register("stepper_enable:motor_off", self.forget)
 
     # The motors are off: the head may be moved by hand, or sink.  Some hosts
     # tell the print time.
     def forget(self, *unused):
-        self.is_lifted, self.homed_z = False, None
+        self.lifted, self.homed_z = 0.0, None
+        self.trace.forget()
 
     ######################################################################
     # Where the head is
@@ -80,14 +134,15 @@ class Moves(object):
     ######################################################################
 
     # Z up to a height where the head is lower, never down.  Where nobody knows
-    # Z, so much up, once until Z is homed or the motors are off.
+    # Z, so much up in all, until Z is homed or the motors are off.
     def lift(self, height):
         if self.is_homed("z"):
-            self.is_lifted = False
+            self.lifted = 0.0
             touching.raise_to(self.host, height, self.settings.lift_speed)
-        elif not self.is_lifted:
-            self.host.lift_unhomed(height, self.settings.lift_speed)
-            self.is_lifted = True
+        elif self.lifted < height:
+            more = height - self.lifted
+            self.host.lift_unhomed(more, self.settings.lift_speed)
+            self.lifted = height
 
     def lift_for_dock(self):
         self.lift(dock_height(self.settings))
@@ -107,16 +162,15 @@ class Moves(object):
     # To the dock and back
     ######################################################################
 
-    # To X and Y of a position, around the dock
-    def travel(self, position, speed):
+    # To X and Y of a position, around the dock; with 'into' also where that is in
+    # the circle, otherwise to its edge
+    def travel(self, position, speed, into=False):
         start, limits = self.position(), self.host.axis_limits()[:2]
-        # After homing the head stands a part of a step beyond the limit.
-        goal = tuple(
-            min(max(xy, low), high) for xy, (low, high) in zip(position, limits)
-        )
-        via = self.settings.safe_position
+        goal = self._within_reach(position, limits)
+        self._leave_upwards()
+        is_there = into and detour.distance(start, goal) < NEAR_END
         try:
-            points = detour.around(start, goal, self.zone, limits, via)
+            points = [] if is_there else self._way(start[:2], goal, limits)
         except detour.NoDetour:
             raise self.host.error(
                 "no way from %.3f, %.3f to %.3f, %.3f around the dock in the"
@@ -124,14 +178,66 @@ class Moves(object):
                 " safe_dock_distance (%.3f)"
                 % (start[:2] + goal + (self.zone.radius,))
             )
-        for x, y in points:
+        for x, y in points + [goal] * into:
             touching.move_xy(self.host, x, y, speed)
 
-    # To a position outside of the dock, high enough for what hangs on the head
+    # Around the dock; out of the corner where homing has put the head, or back
+    # into it, along the way that homing came, where nothing else leads there
+    def _way(self, start, goal, limits):
+        zone, via = self.zone, self.settings.safe_position
+        try:
+            return detour.around(start, goal, zone, limits, via)
+        except detour.NoDetour:
+            if self.trace.to(start):
+                trace = self.trace.to(start)
+                return detour.out_of_corner(
+                    start, goal, zone, limits, trace, via
+                )
+            out = detour.out_of_corner(
+                goal, start, zone, limits, self.trace.to(goal), via
+            )
+            return out[::-1]
+
+    # After homing the head stands a part of a step beyond the limit.
+    def _within_reach(self, position, limits):
+        steppers = self.host.toolhead.get_kinematics().get_steppers()
+        step = max(stepper.get_step_dist() for stepper in steppers)
+        step += detour.ROUNDING
+        for axis, xy, (low, high) in zip("XY", position, limits):
+            if not low - step <= xy <= high + step:
+                raise self.host.error(
+                    "%s=%.3f is outside of %.3f to %.3f, the reach of the axis;"
+                    " choose a place inside" % (axis, xy, low, high)
+                )
+        return tuple(
+            min(max(xy, low), high) for xy, (low, high) in zip(position, limits)
+        )
+
+    # Out of a dock that is entered from above the way is up, at first.
+    def _leave_upwards(self):
+        start = self.position()
+        if self.settings.dock_fixed_z or start.z is None:
+            return
+        if not self.is_in_dock(start):
+            return
+        for row in POSITIONS:
+            position = getattr(self.settings, row.name)
+            if self.is_in_dock(position) and position.z is not None:
+                self.lift(position.z)
+
+    # Whether X and Y are those of the dock itself
+    def is_in_dock(self, position):
+        return detour.is_in_dock(position, self.zone)
+
+    # To a position of the dock's, high enough for what hangs on the head.  Of a
+    # dock that has a height of its own it may be above the head, where the way
+    # up is clear of the dock, and below, where only the place itself is.
     def go_beside(self, position):
         self.require_homed()
         self.lift_for_dock()
-        self.travel(position, self.settings.travel_speed)
+        if not self.settings.dock_fixed_z and position.z is not None:
+            self.lift(position.z)
+        self.travel(position, self.settings.travel_speed, into=True)
         self.go_to_z_of(position)
 
     # Into the dock, straight from a position outside of it
@@ -154,9 +260,11 @@ class Moves(object):
         touching.move_xy(self.host, position.x, position.y, speed)
 
     # Back over where the head was, and down there, but not lower than 'lowest';
-    # 'lowest' None: only over it
+    # 'lowest' None: only over it.  Not back into the dock itself, but to the
+    # very place beside it: somebody means to touch there.
     def go_back(self, position, lowest=None):
         self.lift_for_dock()
-        self.travel(position, self.settings.travel_speed)
+        into = not self.is_in_dock(position)
+        self.travel(position, self.settings.travel_speed, into)
         if None not in (lowest, position.z, self.position().z):
             self.go_to_height(max(position.z, lowest))

@@ -81,6 +81,12 @@ class Prober(object):
         goal = self.moves.position()
         if is_homing and self.home_xy is not None:
             goal = goal._replace(x=self.home_xy[0], y=self.home_xy[1])
+        if self.moves.is_in_dock(goal):
+            raise self.host.error(
+                "the head stands in the dock (X=%.3f Y=%.3f), where nothing can"
+                " be touched; move it away first, as MOVE_TO_APPROACH_PROBE"
+                " does" % goal[:2]
+            )
         if self.auto:
             self.docking.fetch(goal)
         else:
@@ -204,6 +210,12 @@ class Prober(object):
     # Back to 'goal', unless the owner wants the head to stay beside the dock
     def dock_and_return(self, goal):
         self.docking.dock(goal if self.settings.restore_toolhead else None)
+
+    # For somebody who goes down next, where the head stands now: there it is
+    # again, whatever the owner wants of the commands.
+    def dock_and_come_back(self):
+        self.hold(False)
+        self.docking.dock(self.moves.position())
 
     # In a while, unless another command needs the probe before
     def _dock_later(self):

@@ -1,0 +1,279 @@
+"""Where [dockable_probe] takes the head: to the very point, and on which way."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import pytest
+
+from simprinter.world import Pose
+from tools.kit.dockable_probe import (
+    ABOVE,
+    CLEAR,
+    GANTRY,
+    QUICK,
+    SWITCH,
+    refusal,
+    section,
+    trips,
+    where,
+)
+from tools.kit.z_calibration import with_moves
+
+pytestmark = pytest.mark.every_host
+
+EXTRACT = (50.0, 270.0)
+DETACH = (90.0, 308.0)
+# In the circle of the dock, clear of the dock itself; the second one with the
+# probe over the bed
+BESIDE = (80.0, 300.0)
+PROBED = (62.0, 274.0)
+
+
+def started(start, scene, changes=None, **options):
+    """A printer that records its moves, not homed."""
+    changes = {
+        "moves": {},
+        **section(**{**QUICK, **options}),
+        **(changes or {}),
+    }
+    printer = start(scene, changes, modules=with_moves())
+    printer.session.require_ready()
+    return printer
+
+
+def moves(printer, script):
+    """Where each move of a script has ended."""
+    before = len(printer.status("moves")["ends"])
+    printer.run(script)
+    return [tuple(end) for end in printer.status("moves")["ends"][before:]]
+
+
+def at(printer):
+    printer.session.wait(1.0)
+    return printer.session.position()[:2]
+
+
+def last_touch(printer, site):
+    touches = [t for t in printer.machine.truth.touches if t.site == site]
+    return touches[-1].x, touches[-1].y
+
+
+# Z goes down where the head was put
+
+
+@pytest.mark.parametrize("restore", ["True", "False"])
+@pytest.mark.parametrize("point", [BESIDE, (206.0, 306.0)])
+def test_on_the_pin_after_docking(start, point, restore):
+    pin = replace(SWITCH.world.pin, x=point[0], y=point[1])
+    home = {"safe_z_home": {"home_xy_position": "%g, %g" % point}}
+    printer = started(
+        start,
+        SWITCH.with_world(pin=pin),
+        home,
+        detach_dockable_before_z_home="True",
+        restore_toolhead=restore,
+    ).homed()
+    printer.run("G1 X150 Y150 Z20 F6000\nATTACH_PROBE\nG28 Z")
+    assert trips(printer) == ["attach", "dock"]
+    assert last_touch(printer, "nozzle_pin") == pytest.approx(point, abs=0.02)
+    assert printer.machine.truth.min_gap > 0.0
+
+
+@pytest.mark.parametrize("held", [True, False])
+@pytest.mark.parametrize("restore", ["True", "False"])
+def test_probed_where_the_head_was(start, held, restore):
+    printer = started(start, SWITCH, restore_toolhead=restore).homed()
+    printer.run("G1 X150 Y150 Z20 F6000\n" + "ATTACH_PROBE" * held)
+    printer.run("G1 X%g Y%g\nPROBE" % PROBED)
+    assert last_touch(printer, "probe_bed") == pytest.approx(PROBED, abs=0.02)
+    stays = held or restore == "True"
+    assert at(printer) == pytest.approx(PROBED if stays else DETACH)
+
+
+def test_homed_with_the_probe_where_the_head_was(start):
+    home = {"safe_z_home": {"home_xy_position": "62, 274", "z_hop": "10"}}
+    printer = started(start, GANTRY, home).homed()
+    assert last_touch(printer, "probe_bed") == pytest.approx(PROBED, abs=0.02)
+
+
+def test_nothing_is_touched_in_the_dock(start):
+    printer = started(start, SWITCH).homed()
+    printer.run("G1 Z20\nMOVE_TO_DOCK_PROBE")
+    touches = len(printer.machine.truth.touches)
+    text = printer.fail("PROBE")
+    assert "the head stands in the dock (X=50.000 Y=308.000)" in text
+    assert len(printer.machine.truth.touches) == touches
+    # What only fetches it ends beside the dock
+    printer.run("ATTACH_PROBE")
+    assert at(printer) == pytest.approx(EXTRACT)
+
+
+# Out of reach
+
+
+@pytest.mark.parametrize("point", ["150, 350", "-1, 100"])
+def test_homing_point_out_of_reach(host, point):
+    text = refusal(host, section(safe_z_position=point))
+    assert "'safe_z_position' in section 'dockable_probe'" in text
+    assert (
+        f"{point} is outside of 0.000 to 300.000 and 0.000 to 310.000" in text
+    )
+
+
+@pytest.mark.parametrize(
+    ("place", "words"),
+    [
+        ("X=999", "X=999.000 is outside of 0.000 to 300.000"),
+        ("Y=-0.1", "Y=-0.100 is outside of 0.000 to 310.000"),
+    ],
+)
+def test_move_out_of_reach(start, place, words):
+    printer = started(start, SWITCH).homed()
+    before = printer.session.position()
+    assert words in printer.fail(f"MOVE_AVOIDING_DOCK {place}")
+    assert printer.session.position() == before
+    # Rounded by less than a step
+    printer.run("MOVE_AVOIDING_DOCK X=300.01")
+    assert printer.session.position()[0] == pytest.approx(300.0)
+
+
+# Up and down
+
+
+def heights(printer, script):
+    """True Z of the nozzle after each line."""
+    found = []
+    for line in script.split("\n"):
+        printer.run(line)
+        found.append(printer.machine.tip().z)
+    return found
+
+
+def test_docked_probe_stays_docked_without_a_move(start):
+    printer = started(start, GANTRY, {"safe_z_home": None})
+    script = "DETACH_PROBE\nM84\nDETACH_PROBE\nG28 X Y\nDETACH_PROBE"
+    z = printer.machine.tip().z
+    assert heights(printer, script) == pytest.approx([z] * 5)
+
+
+def test_hop_of_the_owner_after_a_docking(start):
+    printer = started(start, GANTRY, {"safe_z_home": None}, z_hop="31")
+    z = printer.machine.tip().z
+    printer.run("G28 X Y\nDETACH_PROBE\nATTACH_PROBE")
+    assert printer.machine.tip().z == pytest.approx(z + 31.0, abs=0.01)
+
+
+# A dock with a height of its own
+
+
+@pytest.mark.parametrize(
+    ("approach", "way"),
+    [
+        # Through the body of the dock, were it reached from below
+        ("50, 306.5, 30", [(50.0, 306.5, 30.0), (50.0, 308.0, 12.0)]),
+        ("50, 308, 30", [(50.0, 308.0, 30.0), (50.0, 308.0, 12.0)]),
+    ],
+)
+def test_dock_that_is_entered_from_above(start, approach, way):
+    printer = started(
+        start, ABOVE, approach_position=approach, safe_dock_distance=None
+    ).homed()
+    printer.run("G1 X150 Y150 Z20 F6000\nM400")
+    ends = moves(printer, "ATTACH_PROBE")
+    assert ends[0] == (150.0, 150.0, 30.0)
+    assert [end for end in ends if end in way][:2] == way
+    assert where(printer) == "attached"
+    assert ends[-1] == (150.0, 150.0, 20.0)
+    ends = moves(printer, "DETACH_PROBE")
+    assert [end for end in ends if end in way][:2] == way
+    assert (90.0, 308.0, 12.0) in ends
+    assert where(printer) == "docked"
+    # From within, too
+    printer.run("MOVE_TO_DOCK_PROBE\nATTACH_PROBE")
+    assert where(printer) == "attached"
+
+
+def test_way_around_a_dock_that_is_entered_from_above(start):
+    printer = started(start, ABOVE).homed()
+    printer.run("G1 X5 Y200 Z30 F6000\nG1 Y300\nATTACH_PROBE")
+    printer.run("G1 X120 Y300\nDETACH_PROBE")
+    assert trips(printer) == ["attach", "dock"]
+    assert at(printer) == pytest.approx((120.0, 300.0))
+
+
+def test_positions_without_a_way_out(host):
+    # The third number counts for nothing there
+    changes = section(
+        dock_position="50, 308, 5",
+        approach_position="50, 308, 30",
+        dock_fixed_z="True",
+    )
+    text = refusal(host, changes, SWITCH)
+    assert (
+        "'approach_position' in section 'dockable_probe' (50, 308) is at"
+        in (text)
+    )
+
+
+# Step by step
+
+
+def test_into_the_dock_from_where_the_head_stands(start):
+    # As the document sets it up; nobody has looked at the pins
+    dock = replace(SWITCH.world.dock, lanes=((-15.0, -35.0, 0.0),))
+    scene = SWITCH.with_world(dock=dock)
+    printer = started(start, scene, insert_position="35, 273").homed()
+    printer.run("G1 X150 Y150 Z20 F6000\nMOVE_TO_APPROACH_PROBE")
+    assert moves(printer, "MOVE_TO_DOCK_PROBE") == [(50.0, 308.0, 20.0)]
+    printer.run("MOVE_TO_EXTRACT_PROBE\nMOVE_TO_INSERT_PROBE")
+    assert moves(printer, "MOVE_TO_DOCK_PROBE") == [(50.0, 308.0, 20.0)]
+    printer.run("MOVE_TO_EXTRACT_PROBE\nG1 X150 Y150\nM400")
+    # From elsewhere by what hangs on the head now
+    ends = moves(printer, "MOVE_TO_DOCK_PROBE")
+    assert (35.0, 273.0, 20.0) in ends
+    printer.run("MOVE_TO_DETACH_PROBE\nM400")
+    assert where(printer) == "docked"
+
+
+# Homing ends beside the dock
+
+
+def in_the_corner(start, x, y, begin):
+    """X and Y were homed beside this dock; they began there."""
+    dock = replace(
+        GANTRY.world.dock, x=x, y=y, release=(-1.0, 0.0, 0.0), body=15.0
+    )
+    printer = started(
+        start,
+        replace(GANTRY.with_world(dock=dock), start=Pose(*begin, 12.0)),
+        dock_position=f"{x}, {y}",
+        approach_position=f"{x}, {y - 38}",
+        detach_position=f"{x - 40}, {y}",
+        safe_z_position="150, 130",
+    )
+    printer.run("G28 X Y")
+    assert at(printer) == pytest.approx((300.0, 310.0), abs=0.02)
+    return printer
+
+
+@pytest.mark.parametrize(
+    "dock",
+    # The corner is in the circle, and it is behind it
+    [(280.0, 288.0), (268.0, 278.0)],
+)
+def test_out_of_the_corner_as_homing_came(start, dock):
+    printer = in_the_corner(start, *dock, begin=(200.0, 120.0))
+    printer.run("ATTACH_PROBE")
+    assert at(printer) == pytest.approx((300.0, 310.0), abs=0.02)
+    printer.run("MOVE_AVOIDING_DOCK X=150 Y=150\nDETACH_PROBE")
+    assert trips(printer) == ["attach", "dock"]
+    assert at(printer) == pytest.approx((150.0, 150.0))
+
+
+def test_no_further_out_of_the_corner_than_homing_came(start):
+    printer = in_the_corner(start, 280.0, 288.0, begin=(299.0, 300.0))
+    z = printer.machine.tip().z
+    assert "no way from 300." in printer.fail("ATTACH_PROBE")
+    assert at(printer) == pytest.approx((300.0, 310.0), abs=0.02)
+    assert printer.machine.tip().z == pytest.approx(z + CLEAR, abs=0.01)
