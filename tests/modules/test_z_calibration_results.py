@@ -59,6 +59,7 @@ def test_result_line_and_status_hold_the_heights(start):
         "last_query": False,
         "last_z_offset": 0.0,
         "last_result": {},
+        "measured": False,
         "valid": False,
         "reason": "not calibrated yet",
         "warnings": [],

@@ -320,7 +320,6 @@ def validity(printer):
     [
         ("G28 X Y", ""),
         slow("G1 X20 Y20 Z60 F6000\nG1 Z30", ""),
-        slow("SET_GCODE_OFFSET Z=0", ""),
         ("G1 X150 Y120 Z20 F6000\nPROBE_ACCURACY SAMPLES=20\nG1 Z20", ""),
         ("G28 Z", "Z was homed again"),
         slow("G28", "Z was homed again"),

@@ -63,6 +63,7 @@ OF_DOORS = {"traceback"}
 OF_HOSTS = {
     "core/host.py",
     "core/endstops.py",
+    "core/features.py",
     "core/probing.py",
     "core/frame.py",
     "core/copies.py",

@@ -6,6 +6,7 @@ import collections
 import functools
 
 from .endstops import Endstops, chip_of, find_probe_section
+from .features import Features
 from .probing import Probing
 
 # The section that configures the Z axis, and its options that matter (mm,
@@ -83,8 +84,8 @@ def check_z_axis(config, z_axis):
         )
 
 
-# The host, klippy, as one section sees it.  This file, endstops.py and probing.py
-# are where it is known in which respects hosts differ; the difference is always
+# The host, klippy, as one section sees it.  This file, endstops.py, features.py and
+# probing.py are where it is known in which respects hosts differ; the difference is always
 # asked of the object, never of a version number.
 class Host(object):
     def __init__(self, config):
@@ -96,6 +97,7 @@ class Host(object):
         self.probe_section = find_probe_section(config)
         self.endstops = Endstops(config, self)
         self.probing = Probing(self)
+        self.features = Features(self)
         # They exist from klippy:connect on
         self.toolhead = self.mcu = None
 
@@ -134,16 +136,6 @@ class Host(object):
         for axis in (0, 1):
             if all_rails[axis] is rails[0]:
                 return axis
-        return None
-
-    # The point of the bed mesh that is its zero, or None
-    def mesh_zero(self):
-        mesh = self.printer.lookup_object("bed_mesh", None)
-        calibrate = getattr(mesh, "bmc", None)
-        # A part of its own since 2024-06-19 (f2df011c6)
-        for owner in (getattr(calibrate, "probe_mgr", None), calibrate):
-            if getattr(owner, "zero_ref_pos", None) is not None:
-                return tuple(owner.zero_ref_pos)[:2]
         return None
 
     # State
@@ -193,9 +185,13 @@ class Host(object):
     def toolhead_status(self):
         return self.toolhead.get_status(self.eventtime())
 
+    # The section of the extruder that is active; empty: the printer has none
+    def extruder(self):
+        return self.toolhead_status().get("extruder") or ""
+
     # Degrees C that the nozzle has or is to have, whichever is more
     def nozzle_temperature(self):
-        name = self.toolhead_status().get("extruder")
+        name = self.extruder()
         extruder = name and self.printer.lookup_object(name, None)
         status = extruder.get_status(self.eventtime()) if extruder else {}
         return max(status.get("temperature", 0.0), status.get("target", 0.0))
@@ -217,6 +213,11 @@ class Host(object):
         line = "SET_GCODE_OFFSET Z=%s MOVE=0" % (params["Z"],)
         gcmd = self.gcode.create_gcode_command("SET_GCODE_OFFSET", line, params)
         self.printer.lookup_object("gcode_move").cmd_SET_GCODE_OFFSET(gcmd)
+
+    # The same unless it is that already
+    def replace_gcode_offset(self, z_offset):
+        if self.gcode_offset() != z_offset:
+            self.set_gcode_offset(z_offset)
 
     # Words for the user, on the console and as the error of a command
 

@@ -128,7 +128,6 @@ class Runner(object):
     def _undo(self, offset, error, failed):
         if self.host.printer.is_shutdown():
             return
-        if self.host.gcode_offset() != offset:
-            self.host.set_gcode_offset(offset)
+        self.host.replace_gcode_offset(offset)
         if failed is not None:
             failed(error)

@@ -90,23 +90,14 @@ class Setup(object):
         if not is_jog:
             self.host.gcode.respond_raw(END)
         try:
-            self.perform(gcmd, functools.partial(work, gcmd, self.state))
+            answer = functools.partial(work, gcmd, self.state)
+            self.section.run_command(gcmd, answer, "setup")
         except self.host.printer.command_error as e:
             if not self.host.printer.is_shutdown() and self.state is not None:
                 self.ask(str(e))
             raise
         if self.state is not None and not is_jog:
             self.ask()
-
-    # What start_gcode and end_gcode do to the G-code offset is undone
-    def perform(self, gcmd, work):
-        def keep_offset():
-            before = self.host.gcode_offset()
-            work()
-            if self.host.gcode_offset() != before:
-                self.host.set_gcode_offset(before)
-
-        self.section.run_command(gcmd, keep_offset, "setup")
 
     ##################################################################
     # Answers
@@ -316,7 +307,8 @@ class Setup(object):
         state, is_printing = self.state, bool(self.host.print_state())
         self.close()
         leave = self.touches.leave
-        self.perform(gcmd, functools.partial(leave, gcmd, state, is_printing))
+        work = functools.partial(leave, gcmd, state, is_printing)
+        self.section.run_command(gcmd, work, "setup")
         gcmd.respond_info(
             "%s: the set-up has ended, nothing was saved" % (self.host.section,)
         )

@@ -74,15 +74,30 @@ def notes(host, settings):
             " Z_CALIBRATION_SETUP, or set safe_z_height"
             % (travel_z, settings.unmeasured_pin)
         )
-    # With a mesh loaded, Z=0 is right where the mesh is zero.
-    bed, zero = settings.bed_xy_position, host.mesh_zero()
-    if bed is None or zero is None:
-        return
-    if math.hypot(bed.x - zero[0], bed.y - zero[1]) > MESH_ZERO_NEAR:
-        yield (
-            "bed_xy_position (%.3f, %.3f) is not where the bed mesh is zero"
-            " (%.3f, %.3f): with a mesh loaded, the gap is wrong by its"
-            " height there; leave bed_xy_position out, or set"
-            " zero_reference_position of section 'bed_mesh' to it"
-            % (bed.x, bed.y, zero[0], zero[1])
+    text = mesh_note(host, settings)
+    if text:
+        yield text
+
+
+# What a mesh that is loaded after CALIBRATE_Z does to the gap; empty: nothing
+def mesh_note(host, settings):
+    bed, zero = settings.bed_xy_position, host.features.mesh_zero()
+    option = host.features.mesh_zero_option()
+    if bed is None or host.printer.lookup_object("bed_mesh", None) is None:
+        return ""
+    if zero is None:
+        return (
+            "section 'bed_mesh' has no %s: a mesh that is loaded after"
+            " CALIBRATE_Z makes the gap wrong by its height at bed_xy_position"
+            " (%.3f, %.3f); set it to that point, or load the mesh before"
+            % (option, bed.x, bed.y)
         )
+    if math.hypot(bed.x - zero[0], bed.y - zero[1]) <= MESH_ZERO_NEAR:
+        return ""
+    return (
+        "bed_xy_position (%.3f, %.3f) is not where the bed mesh is zero"
+        " (%.3f, %.3f): a mesh that is loaded after CALIBRATE_Z makes the gap"
+        " wrong by its height there; load it before, leave bed_xy_position"
+        " out, or set %s of section 'bed_mesh' to it"
+        % (bed.x, bed.y, zero[0], zero[1], option)
+    )

@@ -136,7 +136,7 @@ class Corrections(object):
     # Why there is nothing that baby steps could be counted from; empty: there
     # is.  After a print the motors may be off.
     def why_not(self):
-        return self.section.why_not(frame.MOTORS_OFF)
+        return self.section.why_not_right(frame.MOTORS_OFF)
 
     # The Base of the last run
     def current(self):
@@ -202,14 +202,14 @@ class Corrections(object):
 
     # The nozzle stands where the user wants Z=0 to be
     def calculate(self, gcmd):
-        last, reason = self.section.last(), self.section.why_not()
+        last, reason = self.section.last(), self.section.why_not_right()
         if reason:
             raise CalibrationError(
                 "%s; run CALIBRATE_Z first, then move the nozzle to where Z=0"
                 " should be" % (reason,)
             )
         old = param_switch_offset(gcmd, last.result.switch_offset)
-        z, z_offset = self.host.z(), last.result.offset + last.z_adjust
+        z, z_offset = self.host.features.z(), last.applied
         new = corrected_switch_offset(old, z, z_offset)
         text = (
             "switch_offset=%.3f - (current_z=%.3f - z_offset=%.3f)"

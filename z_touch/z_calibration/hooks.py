@@ -106,6 +106,21 @@ class Hooks(object):
         self.settings = settings
         self.frame = frame
         self.watch = watch
+        # How G-code reads coordinates where each of them begins; None: as it does
+        # by then
+        self.modes = None
+
+    # While this lasts G-code reads coordinates as it does now wherever a template
+    # begins, and when it ends: one that fails between its G91 and G90 makes no
+    # other one drive off.
+    @contextlib.contextmanager
+    def keeping_modes(self):
+        self.modes = self.host.features.modes()
+        try:
+            yield
+        finally:
+            self.host.features.set_modes(self.modes)
+            self.modes = None
 
     @property
     def can_clean(self):
@@ -166,6 +181,8 @@ class Hooks(object):
 
     # Runs the template of an option
     def run_gcode(self, option, **params):
+        if self.modes is not None:
+            self.host.features.set_modes(self.modes)
         template = getattr(self.settings, option)
         templates.run_template(self.host, option, template, **params)
 

@@ -42,10 +42,10 @@ class Interface(object):
     def check_idle(self, gcmd):
         self._section.runner.check_idle(gcmd)
 
-    # Returns what work() does; see running.Runner.  The status shows 'phase'
-    # meanwhile.
+    # Returns what work() does, which meets no G-code offset and leaves none; see
+    # running.Runner.  The status shows 'phase' meanwhile.
     def run_command(self, gcmd, work, phase):
-        return self._section.runner.run(gcmd, work, phase, 0)
+        return self._section.run_without_offset(gcmd, work, phase, 0)
 
     ##################################################################
     # Touches
@@ -93,7 +93,7 @@ class Interface(object):
     def last(self):
         return self._section.results.last
 
-    # Why that does not hold (any more), in words; empty: it does.  'besides'
-    # counts as nothing.
-    def why_not(self, besides=None):
-        return self._section.results.why_not(besides)
+    # Why its offset is not right (any more), in words; empty: it is, even if
+    # another one is set now.  'besides' counts as nothing.
+    def why_not_right(self, besides=None):
+        return self._section.results.why_not_right(besides)

@@ -7,6 +7,7 @@
 #   pin, sites    what is touched, and where the head stands for it
 #   calibration   one run: nozzle, switch, bed
 #   hooks         the user's G-code around it
+#   shifts        what Klipper's own features add to Z where the bed was measured
 #   results       the last run that was applied, and whether it holds
 #   interface     what the guide and the corrections may ask of all that
 #   corrections   baby steps back into switch_offset
@@ -27,12 +28,16 @@ from .calibration import Calibration, Earlier
 from .hooks import MOVED_IN_END, Hooks
 from .interface import Interface
 from .pin import find_pin, read_pin
-from .results import Last, Results
+from .results import NOTHING, Results
 from .settings import complete, param_switch_offset, read_settings
+from .shifts import Shifts
 from .sites import SiteFinder, Sites
 
 # Less (mm) is rounding.
 NO_CHANGE = 0.0000001
+
+# How far (mm) last_z_offset may be rounded by an end_gcode that applies it itself
+OWN_DIGITS = 0.0006
 
 # What a plate or a material may need (mm) on top of what was measured
 LARGEST_ADJUST = 0.5
@@ -57,7 +62,7 @@ class ZCalibration(object):
         self.hooks = Hooks(
             self.host, self.settings, self.frame, self.runner.watch
         )
-        self.results = Results(self.frame)
+        self.results = Results(self.host, self.frame)
         register = self.host.printer.register_event_handler
         register("klippy:connect", self.connect)
         register("klippy:ready", self.tell_notes)
@@ -115,6 +120,23 @@ class ZCalibration(object):
         watch = self.runner.watch
         return Calibration(self.host, settings, self.pin, sites, watch, plan)
 
+    # Returns what work() does, see running.Runner.  G-code has the same modes in each
+    # template and afterwards.
+    def run(self, gcmd, work, phase, wanted, failed=None):
+        # A template of a run that is under way must not end what that keeps
+        self.runner.check_idle(gcmd)
+        with self.hooks.keeping_modes():
+            return self.runner.run(gcmd, work, phase, wanted, failed)
+
+    # The same for a command that applies nothing: templates meet no G-code offset,
+    # and what they make of it is undone.
+    def run_without_offset(self, gcmd, work, phase, wanted, failed=None):
+        def work_without():
+            with self.host.features.without_offset():
+                return work()
+
+        return self.run(gcmd, work_without, phase, wanted, failed)
+
     # What is around the touches of a run.  'summary': what its switch - nozzle
     # is compared with (trend.Summary or None).
     @contextlib.contextmanager
@@ -134,7 +156,7 @@ class ZCalibration(object):
 
     # What the next run knows before it begins
     def earlier(self, summary=None):
-        holds = not self.results.why_not()
+        holds = not self.results.why_outdated()
         return Earlier(self.results.last.result, holds, summary)
 
     # Returns the heights.Result
@@ -151,9 +173,10 @@ class ZCalibration(object):
     def failed(self, error):
         self.recorder.refused(error)
         measured = self.results.measured
+        self.results.note(None)
         if measured is not None:
             text = "the measured offset %.6f was not applied"
-            self.runner.watch.say(text % (measured.offset,))
+            self.runner.watch.say(text % (measured.result.offset,))
         self.hooks.failed(error)
 
     ##################################################################
@@ -170,9 +193,7 @@ class ZCalibration(object):
         wanted = 2 * plan.expected(settings.pin) + plan.expected(settings.probe)
         self.results.begin()
         try:
-            last = self.runner.run(
-                gcmd, work, "start_gcode", wanted, self.failed
-            )
+            last = self.run(gcmd, work, "start_gcode", wanted, self.failed)
         finally:
             self.results.note(None)
         self.results.keep(last)
@@ -181,21 +202,35 @@ class ZCalibration(object):
 
     # Returns the results.Last
     def calibrate_and_apply(self, gcmd):
-        before = self.host.gcode_offset()
-        last, at_end = self.calibrate(gcmd)
-        # What end_gcode adds stays; what it restores or resets is not added
-        after = self.host.gcode_offset()
-        is_back = min(abs(after - before), abs(after)) < NO_CHANGE
-        added = 0.0 if is_back else after - at_end
-        z_offset = last.result.offset + last.z_adjust + added
-        self.hooks.apply(z_offset)
+        features, say = self.host.features, self.runner.watch.say
+        states = features.saved_offsets()
+        with features.without_offset():
+            last, added = self.calibrate(gcmd)
+        shifts = Shifts(self.host, last)
+        z_offset = shifts.offset()
+        if abs(added - z_offset) <= OWN_DIGITS:
+            # end_gcode has applied last_z_offset by itself
+            added = 0.0
+        for _, text in shifts.lines():
+            say(text)
+        moved = features.moved_by_g92()
+        if abs(moved) >= NO_CHANGE:
+            features.undo_g92()
+            say("G92 had moved Z=0 by %.3f mm: undone, as G28 does" % (moved,))
+        self.hooks.apply(z_offset + added)
         if abs(added) >= NO_CHANGE:
             text = "end_gcode changed the G-code Z offset by %.6f: it is %.6f"
-            self.runner.watch.say(text % (added, z_offset))
-        return last._replace(applied=self.host.gcode_offset())
+            say(text % (added, z_offset + added))
+        return last._replace(
+            z_offset=z_offset + added,
+            applied=self.host.gcode_offset(),
+            height=features.height(*last.point),
+            states=states,
+            warnings=last.warnings + shifts.warnings(),
+        )
 
-    # Returns the results.Last, not applied yet, and the G-code offset (mm) that
-    # end_gcode has met.  That runs before the offset is applied: the way to the
+    # Returns the results.Last, not applied yet, and what end_gcode has added to the
+    # G-code offset (mm).  That runs before the offset is applied: the way to the
     # dock does not shift with the offset, and a probe that could not be put away
     # leaves everything as it was.
     def calibrate(self, gcmd):
@@ -205,31 +240,35 @@ class ZCalibration(object):
         z_adjust = options.param_number(
             gcmd, "Z_ADJUST", 0.0, minval=-LARGEST_ADJUST, maxval=LARGEST_ADJUST
         )
-        sites = SiteFinder(self.host, settings).of_command(gcmd)
+        finder = SiteFinder(self.host, settings)
+        sites = finder.of_command(gcmd)
         calibration = self.new_calibration(settings, sites, self.recorder.plan)
         clean = self.clean_nozzle if self.hooks.can_clean else None
         with self.prepared(calibration, self.recorder.history.summary):
             result = self.measure(calibration, clean)
-            last = Last(
+            last = NOTHING._replace(
                 result=result,
                 mark=self.frame.mark(),
                 warnings=calibration.warnings,
                 uncertainty=calibration.plan.uncertainty(),
                 z_adjust=z_adjust,
-                applied=0.0,
+                point=finder.bed_point(sites.bed),
+                extruder=self.host.extruder(),
             )
             heights.check_offset(result, settings.offset_margins)
-            self.results.note(result)
+            z_offset = Shifts(self.host, last).offset()
+            self.results.note(last._replace(z_offset=z_offset))
             at_end = self.host.gcode_offset()
+        added = self.host.gcode_offset() - at_end
         running.check_homed(self.host)
         if self.frame.moved_since(last.mark) == frame.LEVELLED:
             raise errors.CalibrationError(MOVED_IN_END % (frame.LEVELLED,))
-        return last, at_end
+        return last, added
 
     # What the user is told at the end
     def report(self, gcmd, last):
         result = last.result
-        moved = self.results.why_not()
+        moved = self.results.why_outdated()
         if moved:
             self.runner.watch.say(
                 "%s after measuring, in end_gcode or offset_gcode: the offset"
@@ -249,6 +288,9 @@ class ZCalibration(object):
                 "Z-CALIBRATION: with Z_ADJUST=%.3f the offset is %.6f"
                 % (last.z_adjust, result.offset + last.z_adjust)
             )
+        if abs(last.z_offset - result.offset - last.z_adjust) >= NO_CHANGE:
+            text = "Z-CALIBRATION: --> G-code Z offset %.6f"
+            gcmd.respond_info(text % (last.z_offset,))
         homed_z = self.settings.position_endstop
         if homed_z is not None and abs(result.offset) > LARGE_OFFSET:
             gcmd.respond_info(
@@ -268,13 +310,9 @@ class ZCalibration(object):
         work = functools.partial(self.measure_cycles, gcmd, params)
         self.runner.check_idle(gcmd)
         self.recorder.begin(params.settings.counting)
-        before = self.host.gcode_offset()
-        cycles = self.runner.run(
+        cycles = self.run_without_offset(
             gcmd, work, "start_gcode", params.touches(), self.failed
         )
-        # What end_gcode adds belongs to a run that is applied
-        if self.host.gcode_offset() != before:
-            self.host.set_gcode_offset(before)
         self.recorder.tell_cycles(gcmd, cycles)
 
     # Returns a cycles.Cycle for each
@@ -307,7 +345,7 @@ class ZCalibration(object):
 
     def cmd_PROBE_Z_ACCURACY(self, gcmd):
         work = functools.partial(self.measure_accuracy, gcmd)
-        samples = self.runner.run(gcmd, work, "nozzle", 0)
+        samples = self.run_without_offset(gcmd, work, "nozzle", 0)
         gcmd.respond_info(
             "probe z accuracy results: maximum %.6f, minimum %.6f, range"
             " %.6f, average %.6f, median %.6f, standard deviation %.6f"

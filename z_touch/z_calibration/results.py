@@ -4,57 +4,120 @@ from __future__ import absolute_import
 
 import collections
 
-# The last run that was applied: its heights.Result, the mark of the frame that it
-# was measured in, and what was odd; what it is worth (mm at 95 %, None: nobody
-# knows); what Z_ADJUST added, and the G-code offset that came of it (mm).
+# The last run that was applied:
+#
+#   result       its heights.Result
+#   mark         of the frame that it was measured in
+#   warnings     what was odd
+#   uncertainty  what it is worth (mm at 95 %, None: nobody knows)
+#   z_adjust     what Z_ADJUST added (mm)
+#   z_offset     the G-code offset that came of it (mm): what was measured, less what
+#                Klipper's own features shift there, with what was added
+#   applied      the G-code offset in force after it (mm): the same, unless
+#                offset_gcode has made another one of it
+#   point        X, Y of the bed that was measured (mm)
+#   height       of bed mesh or bed tilt there, when it was applied (mm)
+#   extruder     whose nozzle it was
+#   states       the G-code offsets (mm) of saved states of before, by their names
 Last = collections.namedtuple(
-    "Last", "result mark warnings uncertainty z_adjust applied"
+    "Last",
+    "result mark warnings uncertainty z_adjust z_offset applied point height"
+    " extruder states",
 )
-NOTHING = Last(None, None, (), None, 0.0, 0.0)
+NOTHING = Last(None, None, (), None, 0.0, 0.0, 0.0, None, 0.0, "", {})
+
+# By less (mm) the bed mesh is as high as it was.
+SAME_HEIGHT = 0.01
+
+# Offsets that differ by less (mm) are the same, but for their digits in G-code.
+SAME_OFFSET = 0.000002
 
 
 # What macros read of results, and what the next run knows of the last one.
 class Results(object):
     # 'frame': frame.Frame of the heights
-    def __init__(self, frame):
+    def __init__(self, host, frame):
+        self.host = host
         self.frame = frame
         self.last = NOTHING
-        # The heights.Result of the run that is under way, as soon as there is
-        # one: end_gcode may read it.
+        # The Last of the run that is under way, as soon as it has measured:
+        # end_gcode may read it.
         self.measured = None
-        # The last run has ended well
+        # The last run has ended well, or the one under way has measured well
         self.is_good = False
 
     # A run begins
     def begin(self):
-        self.is_good = False
+        self.note(None)
 
-    # The heights.Result of the run that is under way, None: there is none
+    # The Last of the run that is under way, None: there is none
     def note(self, measured):
         self.measured = measured
+        self.is_good = measured is not None
 
     # A run has ended well
     def keep(self, last):
         self.last = last
         self.is_good = True
 
-    # Why the last result does not hold (any more); empty: it does.  'besides'
-    # is of the frame's words, and counts as nothing.
-    def why_not(self, besides=None):
+    ##################################################################
+    # Whether it holds: why it does not (any more), in words; empty: it does
+    ##################################################################
+
+    # The heights, by the frame.  'besides' is of its words, and counts as nothing.
+    def why_outdated(self, besides=None):
         if self.last.result is None:
             return "not calibrated yet"
         return self.frame.moved_since(self.last.mark, besides)
 
+    # The offset that came of them, if it is set (again)
+    def why_not_right(self, besides=None):
+        return self.why_outdated(besides) or self._why_not_as_high()
+
+    # The offset, and that it is set
+    def why_not(self):
+        return self.why_not_right() or self._why_not_in_force()
+
+    def _why_not_as_high(self):
+        last, features = self.last, self.host.features
+        height = features.height(*last.point)
+        if abs(height - last.height) <= SAME_HEIGHT:
+            return ""
+        return (
+            "%s is %.3f mm at %.1f, %.1f and was %.3f mm there after"
+            " CALIBRATE_Z; run that when the mesh is loaded"
+            % ((features.mesh_name(), height) + last.point + (last.height,))
+        )
+
+    # Where offset_gcode makes another one of it, or sets it later, either will do.
+    def _why_not_in_force(self):
+        now, last = self.host.gcode_offset(), self.last
+        if (
+            min(abs(now - z) for z in (last.applied, last.z_offset))
+            < SAME_OFFSET
+        ):
+            return ""
+        return (
+            "the G-code Z offset is %.3f, after CALIBRATE_Z it was %.3f: changed"
+            " by baby steps, SET_GCODE_OFFSET, RESUME or RESTORE_GCODE_STATE"
+            % (now, last.applied)
+        )
+
+    ##################################################################
+    # Status
+    ##################################################################
+
     # 'last_query' and 'last_z_offset' as upstream has them; for end_gcode the
     # heights are of the run that is under way.
     def status(self):
-        result = self.measured or self.last.result
-        adjust = 0.0 if self.measured else self.last.z_adjust
+        shown = self.measured or self.last
+        result = shown.result
         reason = "not applied yet" if self.measured else self.why_not()
         return {
             "last_query": self.is_good,
-            "last_z_offset": 0.0 if result is None else result.offset + adjust,
+            "last_z_offset": shown.z_offset,
             "last_result": {} if result is None else dict(result._asdict()),
+            "measured": not self.measured and not self.why_not_right(),
             "valid": not reason,
             "reason": reason,
             "warnings": list(self.last.warnings),

@@ -30,7 +30,7 @@ SWITCH_NEAR = 7.0
 ELSEWHERE = {
     "nozzle": "",
     "switch": " or switch_xy_offsets",
-    "bed": ", or zero_reference_position in section 'bed_mesh'",
+    "bed": ", or %s in section 'bed_mesh'",
 }
 
 # The sites of one run: touching.Site
@@ -38,12 +38,13 @@ Sites = collections.namedtuple("Sites", "nozzle switch bed")
 
 
 # What the user is told where nothing says where a site is
-def no_site(name):
+def no_site(name, mesh_option):
+    elsewhere = ELSEWHERE[name].replace("%s", mesh_option)
     text = (
         "no place for the %s: run Z_CALIBRATION_SETUP, set %s_xy_position%s, or"
         " add %s_POSITION=X,Y"
     )
-    return text % (name, name, ELSEWHERE[name], name.upper())
+    return text % (name, name, elsewhere, name.upper())
 
 
 # Finds the sites, and checks them.  Raises CalibrationError.
@@ -78,7 +79,11 @@ class SiteFinder(object):
             self.bed_site(settings.bed_xy_position),
         )
         names = Sites._fields
-        return [no_site(n) for n, site in zip(names, sites) if site is None]
+        pairs = zip(names, sites)
+        return [self.no_site(name) for name, site in pairs if site is None]
+
+    def no_site(self, name):
+        return no_site(name, self.host.features.mesh_zero_option())
 
     ##################################################################
     # Of a command
@@ -91,7 +96,7 @@ class SiteFinder(object):
         bed = self.bed_site(self.given(gcmd, "bed"))
         for site, name in ((switch, "switch"), (bed, "bed")):
             if site is None:
-                raise CalibrationError(no_site(name))
+                raise CalibrationError(self.no_site(name))
         self.check_reach(switch)
         self.check_reach(bed)
         self.check_apart(switch, bed)
@@ -100,7 +105,7 @@ class SiteFinder(object):
     def nozzle_of_command(self, gcmd):
         nozzle = self.given(gcmd, "nozzle")
         if nozzle is None:
-            raise CalibrationError(no_site("nozzle"))
+            raise CalibrationError(self.no_site("nozzle"))
         self.check_nozzle(nozzle)
         return nozzle
 
@@ -140,13 +145,18 @@ class SiteFinder(object):
     # From the point of the bed, or else from the mesh; None: there is neither.
     def bed_site(self, bed):
         if bed is None:
-            zero = self.host.mesh_zero()
+            zero = self.host.features.mesh_zero()
             if zero is None:
                 return None
             origin = "The zero reference position of section 'bed_mesh'"
             bed = touching.Site("bed", zero[0], zero[1], origin)
         x_offset, y_offset = self.host.probing.offsets()[:2]
         return bed._replace(x=bed.x - x_offset, y=bed.y - y_offset)
+
+    # X and Y (mm) of the bed that the probe touches at a site
+    def bed_point(self, site):
+        x_offset, y_offset = self.host.probing.offsets()[:2]
+        return site.x + x_offset, site.y + y_offset
 
     ##################################################################
     # Checks

@@ -1,0 +1,230 @@
+# What stands between G-code and the motors of Z: what shifts it at a point, and
+# what G-code has set for a while.
+#
+# Copyright (C) 2026  the Z calibration developers, under the GNU GPLv3
+#
+#   G1 Z -> + G-code offset, + what G92 has moved -> transforms -> toolhead Z
+#
+# A transform is a bed mesh or a bed tilt, next to the motors, and around it what
+# asks to be called first: z_thermal_adjust, skew_correction, modules of others.
+# A touch is a move of the toolhead and passes all of them by, so that what is
+# measured holds no shift, and what is applied meets one.
+from __future__ import absolute_import, division
+
+import collections
+import contextlib
+
+# A feature by the name of its section, and what it adds to Z (mm)
+Part = collections.namedtuple("Part", "name height")
+
+# Whether G1 has absolute coordinates, and an absolute extruder
+Modes = collections.namedtuple("Modes", "absolute absolute_extrude")
+
+# Transforms that ask nobody but the toolhead; a printer has one of them at most.
+INNERMOST = ("bed_mesh", "bed_tilt")
+# On Kalico there may be several, with names of their own
+HEAT = "z_thermal_adjust"
+
+# Of a saved state of G-code, what holds the G-code offset
+POSITIONS = ("homing_position", "base_position")
+
+
+# The features of the host, as far as they shift Z
+class Features(object):
+    # 'host': host.Host
+    def __init__(self, host):
+        self.host = host
+        self.printer = host.printer
+
+    def _gcode_move(self):
+        return self.printer.lookup_object("gcode_move")
+
+    def _status(self):
+        return self._gcode_move().get_status(self.host.eventtime())
+
+    ##################################################################
+    # What shifts Z at a point
+    ##################################################################
+
+    # toolhead Z - G-code Z (mm), the G-code offset left out, with the head at x, y, z
+    # (toolhead, mm).  parts() and rest() are for a command that moves nothing
+    # meanwhile; get_status() has height().
+
+    # What each feature that is known shifts there, 0 included
+    def parts(self, x, y, z):
+        return self._look(x, y, z)[1]
+
+    # What is shifted there besides, by whatever it may be (mm).  It may be gone
+    # with the next move: exclude_object, a retraction with a lift.
+    def rest(self, x, y, z):
+        found, parts = self._look(x, y, z)
+        return z - found - sum(part.height for part in parts)
+
+    # Of the mesh and the tilt (mm): what nothing but a command changes
+    def height(self, x, y):
+        mesh = self._mesh()
+        tilt = self.printer.lookup_object("bed_tilt", None)
+        if mesh is not None:
+            return mesh.calc_z(x, y)
+        if tilt is not None:
+            return x * tilt.x_adjust + y * tilt.y_adjust + tilt.z_adjust
+        return 0.0
+
+    # The section that it is of
+    def mesh_name(self):
+        return "bed_mesh" if self._mesh() is not None else "bed_tilt"
+
+    # The mesh in force, or None
+    def _mesh(self):
+        owner = self.printer.lookup_object("bed_mesh", None)
+        get_mesh = getattr(owner, "get_mesh", None)
+        return get_mesh() if get_mesh else None
+
+    # G-code Z (mm) there, and the parts of its shift
+    def _look(self, x, y, z):
+        gcode_move = self._gcode_move()
+        if gcode_move.move_transform is None:
+            return z, []
+        with self._as_if_at(x, y, z):
+            # The first time heat is only taken from the sensor
+            gcode_move.position_with_transform()
+            found = gcode_move.position_with_transform()
+            parts = list(self._innermost(z)) + list(self._heat())
+        # A gradient of Kalico's mixing_extruder has no position
+        return found[2] if found else z - sum(p.height for p in parts), parts
+
+    def _innermost(self, z):
+        for name in INNERMOST:
+            transform = self.printer.lookup_object(name, None)
+            if transform is not None:
+                yield Part(name, z - transform.get_position()[2])
+
+    def _heat(self):
+        for name, adjuster in self.printer.lookup_objects(HEAT):
+            status = adjuster.get_status(self.host.eventtime())
+            yield Part(name, status["current_z_adjust"])
+
+    # No host says what a transform does elsewhere.  But each asks the toolhead where
+    # it is, or the next one, so the answer is another one for a moment in which
+    # nothing else runs.  After it everybody looks again at where the head is.
+    @contextlib.contextmanager
+    def _as_if_at(self, x, y, z):
+        toolhead, name = self.host.toolhead, "get_position"
+        place = [x, y, z] + list(toolhead.get_position())[3:]
+        own = vars(toolhead).get(name)
+        setattr(toolhead, name, lambda: list(place))
+        try:
+            yield
+        finally:
+            delattr(toolhead, name)
+            if own is not None:
+                setattr(toolhead, name, own)
+            self._gcode_move().reset_last_position()
+
+    ##################################################################
+    # The zero of the bed mesh
+    ##################################################################
+
+    # The option of section 'bed_mesh' that says where it is
+    def mesh_zero_option(self):
+        calibrate = self._mesh_calibrate()
+        if calibrate is None or self._has_zero_reference(calibrate):
+            return "zero_reference_position"
+        # Until 2023-06-20 (1ad4c0fd6)
+        return "relative_reference_index"
+
+    # That point of the bed (mm), or None
+    def mesh_zero(self):
+        calibrate = self._mesh_calibrate()
+        # A part of its own since 2024-06-19 (f2df011c6)
+        for owner in (getattr(calibrate, "probe_mgr", None), calibrate):
+            if getattr(owner, "zero_ref_pos", None) is not None:
+                return tuple(owner.zero_ref_pos)[:2]
+        index = getattr(calibrate, "relative_reference_index", None)
+        points = getattr(calibrate, "points", ())
+        if index is None or not 0 <= index < len(points):
+            return None
+        return tuple(points[index])[:2]
+
+    def _mesh_calibrate(self):
+        mesh = self.printer.lookup_object("bed_mesh", None)
+        return getattr(mesh, "bmc", None)
+
+    def _has_zero_reference(self, calibrate):
+        owners = calibrate, getattr(calibrate, "probe_mgr", None)
+        return any(hasattr(owner, "zero_ref_pos") for owner in owners)
+
+    ##################################################################
+    # What G-code has set
+    ##################################################################
+
+    # The Z of G-code as it is (mm), the G-code offset included and transforms
+    # taken off: where the nozzle would be without any.
+    def z(self):
+        return self._status()["position"][2]
+
+    # How far G92 has moved Z=0 up (mm), which is no part of the G-code offset
+    def moved_by_g92(self):
+        status = self._status()
+        moved = status["position"][2] - status["gcode_position"][2]
+        return moved - status["homing_origin"][2]
+
+    # As homing does
+    def undo_g92(self):
+        status = self._status()
+        z = status["position"][2] - status["homing_origin"][2]
+        self._call("G92", Z="%.6f" % (z,))
+
+    def modes(self):
+        status = self._status()
+        return Modes(status["absolute_coordinates"], status["absolute_extrude"])
+
+    def set_modes(self, modes):
+        now = self.modes()
+        if now.absolute != modes.absolute:
+            self._call("G90" if modes.absolute else "G91")
+        if now.absolute_extrude != modes.absolute_extrude:
+            self._call("M82" if modes.absolute_extrude else "M83")
+
+    # The command's own method: a macro of that name may do anything.
+    def _call(self, name, **params):
+        line = " ".join([name] + ["%s%s" % item for item in params.items()])
+        gcmd = self.host.gcode.create_gcode_command(name, line, params)
+        getattr(self._gcode_move(), "cmd_" + name)(gcmd)
+
+    # The G-code Z offset (mm) of each state that was saved, by its name
+    def saved_offsets(self):
+        states = self._gcode_move().saved_states
+        return {
+            name: state["homing_position"][2] for name, state in states.items()
+        }
+
+    # While this lasts the G-code Z offset is 0, that of each saved state, too: what
+    # is restored meanwhile brings no offset with it.  Afterwards it is as before,
+    # and so are those that nobody has saved anew.
+    @contextlib.contextmanager
+    def without_offset(self):
+        before = self.host.gcode_offset()
+        kept = [
+            (state, {name: list(state[name]) for name in POSITIONS})
+            for state in self._gcode_move().saved_states.values()
+        ]
+        for state, positions in kept:
+            state.update(lowered(positions))
+        self.host.replace_gcode_offset(0.0)
+        try:
+            yield
+        finally:
+            for state, positions in kept:
+                state.update(positions)
+            if not self.printer.is_shutdown():
+                self.host.replace_gcode_offset(before)
+
+
+# Without the G-code Z offset that they hold
+def lowered(positions):
+    z_offset = positions["homing_position"][2]
+    return {
+        name: list(p[:2]) + [p[2] - z_offset] + list(p[3:])
+        for name, p in positions.items()
+    }

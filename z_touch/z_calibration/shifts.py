@@ -1,0 +1,64 @@
+# What Klipper's own features shift at the point of the bed that was measured: taken
+# off the offset, so that the gap is right there, and told.
+# Copyright (C) 2026  the Z calibration developers, under the GNU GPLv3
+from __future__ import absolute_import
+
+# Less (mm) is rounding.
+SMALLEST_PART = 0.0005
+
+# From here on (mm) it is more than the interpolation of a mesh at its zero.
+WORTH_A_WARNING = 0.02
+
+MESH = "bed_mesh"
+
+
+# As it is now; 'last': the results.Last that it is asked for.
+class Shifts(object):
+    def __init__(self, host, last):
+        features, self.last = host.features, last
+        place = last.point + (last.result.offset,)
+        self.parts = [
+            part
+            for part in features.parts(*place)
+            if abs(part.height) >= SMALLEST_PART
+        ]
+        self.rest = features.rest(*place)
+        self.mesh_zero_option = features.mesh_zero_option()
+
+    # The G-code offset (mm) with which the gap is right there, Z_ADJUST included
+    def offset(self):
+        taken = sum(part.height for part in self.parts)
+        return self.last.result.offset + self.last.z_adjust - taken
+
+    # (mm, text) of each
+    def lines(self):
+        for part in self.parts:
+            text = self.of_mesh if part.name == MESH else self.of_other
+            yield part.height, text(part)
+        if abs(self.rest) >= WORTH_A_WARNING:
+            yield (
+                self.rest,
+                "another feature shifts Z by %.3f mm there, such as"
+                " exclude_object, a retraction with a lift, or a module of its"
+                " own: not taken off, check the first layer" % (self.rest,),
+            )
+
+    def of_mesh(self, part):
+        text = (
+            "bed_mesh is %.3f mm at %.1f, %.1f, where the bed was measured:"
+            " taken off, the gap is right there"
+        ) % ((part.height,) + self.last.point)
+        if abs(part.height) < WORTH_A_WARNING:
+            return text
+        return "%s; for all of the bed set %s of section 'bed_mesh' there" % (
+            text,
+            self.mesh_zero_option,
+        )
+
+    # Heat goes on from here, a tilt is the same.
+    def of_other(self, part):
+        text = "%s shifts Z by %.3f mm there now: taken off"
+        return text % (part.name, part.height)
+
+    def warnings(self):
+        return [text for z, text in self.lines() if abs(z) >= WORTH_A_WARNING]
