@@ -21,6 +21,7 @@ SETTINGS = importlib.import_module("z_touch.dockable_probe.settings")
 # What the table says of a default that comes from elsewhere
 ELSEWHERE = {
     "dock_fixed_z": "whether no position has a Z",
+    "detach_dockable_before_z_home": "whether Z is homed on a switch",
     "safe_dock_distance": "distance of the nearest position",
     "check_open_attach": "see below",
 }

@@ -73,7 +73,8 @@ def test_stuck_open_before_the_first_homing(start, way):
 @pytest.mark.parametrize("command", ["PROBE", MESH, "ATTACH_PROBE"])
 def test_stuck_open_before_the_first_touch(start, command):
     fault = Fault("stuck_open", signal="probe", t=0.0)
-    printer = start(SWITCH, faults=[fault]).homed()
+    changes = section(detach_dockable_before_z_home="False")
+    printer = start(SWITCH, changes, faults=[fault]).homed()
     printer.run("G1 X150 Y150 Z20 F6000")
     assert "the probe was not docked" in printer.fail(command)
     assert_safe(printer)

@@ -66,6 +66,7 @@ OF_HOSTS = {
     "core/features.py",
     "core/probing.py",
     "core/frame.py",
+    "core/host_dock.py",
     "core/copies.py",
     "auto_z_offset/motors.py",
     "dockable_probe/virtual_probe.py",

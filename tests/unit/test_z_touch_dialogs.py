@@ -10,6 +10,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from tools.kit.dialogs import dialogs_of
+from z_touch.core.carrying import Carrying
 from z_touch.core.dialogs import Dialog
 
 
@@ -34,7 +35,9 @@ words = st.text(st.characters(exclude_categories=["Cs"]), max_size=30)
 def dialog(lines, said):
     """One that writes its lines, and what it says, into lists."""
     gcode = SimpleNamespace(respond_raw=lines.append)
-    host = SimpleNamespace(gcode=gcode, section="it")
+    carrying = Carrying(None)
+    printer = SimpleNamespace(lookup_object=lambda name, default: carrying)
+    host = SimpleNamespace(gcode=gcode, section="it", printer=printer)
     return Dialog(host, said.append, "DO_%s PROBE=a")
 
 

@@ -5,7 +5,7 @@ from __future__ import absolute_import
 
 import functools
 
-from ..core import errors, running, templates, touching
+from ..core import carrying, errors, running, templates, touching
 from ..core.sampling import collect, summarize
 from . import heights, motors
 
@@ -76,6 +76,8 @@ class SensorMeasurement(object):
     # where nothing is known of the bed.
     def measure(self, top):
         sampling = self.settings.sampling
+        # Each time: a probe that is docked with a delay is there again
+        carrying.of(self.host.printer).free_nozzle(self.host)
         with errors.about("bed sensor"):
             self.come_down(top)
             samples = collect(self.sample, sampling, self.report, DIFFER)

@@ -16,6 +16,10 @@
 #
 # The G-code of a button waits for the command that is running: a command asks,
 # and ends; another one goes on.
+from __future__ import absolute_import
+
+from . import carrying
+
 PREFIX = "// action:prompt_"
 
 
@@ -70,9 +74,12 @@ class Dialog(object):
         for line in lines(headline, " ".join(sentences), footer):
             self.host.gcode.respond_raw(line)
         self.question = question
+        answers = self.go_on, self.abort
+        carrying.of(self.host.printer).asking(self.host.section, answers)
 
     def close(self):
         self.question = None
+        carrying.of(self.host.printer).answered(self.host.section)
         self.host.gcode.respond_raw(END)
 
     # What was asked, which is over then

@@ -227,6 +227,15 @@ class Host(object):
     def error(self, text):
         return self.printer.command_error("%s: %s" % (self.section, text))
 
+    # Puts around(command, gcmd) in the place of a command of the host, which
+    # command(gcmd) runs, as a macro with rename_existing does.  A host without that
+    # command stays so.
+    def wrap_command(self, name, around):
+        command = self.gcode.register_command(name, None)
+        if command is not None:
+            wrapped = functools.partial(around, command)
+            self.gcode.register_command(name, wrapped)
+
     # Motion; toolhead coordinates (mm), mm/s
 
     def z(self):

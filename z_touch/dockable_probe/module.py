@@ -10,6 +10,7 @@ import logging
 from .. import __version__
 from ..core import host, options, running
 from . import checks, detour
+from .carrier import Carrier
 from .docking import Docking
 from .moves import Moves
 from .prober import Prober
@@ -33,6 +34,7 @@ class DockableProbe(object):
         self.moves = Moves(self.host, settings)
         self.docking = Docking(settings, self.sensors, self.moves)
         self.prober = Prober(self.docking, settings)
+        self.carrier = Carrier(self.prober)
         self.virtual_probe = VirtualProbe(self.host)
         self.virtual_probe.install(
             config, self.prober, self.sensors.pin.endstop, settings
@@ -78,7 +80,8 @@ class DockableProbe(object):
             return
         if self.virtual_probe.is_z_endstop():
             return
-        if self.moves.is_homed("xy"):
+        # Without X and Y it cannot be docked, which is said where it is not.
+        if self.moves.is_homed("xy") or self.sensors.look() != DOCKED:
             self.detach_probe()
 
     # Before Z is homed: the head ends where it was.  Of this name for Kalico's
@@ -89,7 +92,10 @@ class DockableProbe(object):
     # Of this name for Kalico's safe_z_home
     @property
     def detach_dockable_before_z_home(self):
-        return self.settings.detach_dockable_before_z_home
+        wanted = self.settings.detach_dockable_before_z_home
+        return (
+            not self.virtual_probe.is_z_endstop() if wanted is None else wanted
+        )
 
     # For z_calibration, which holds the probe for a while
     @property
@@ -136,7 +142,7 @@ class DockableProbe(object):
     def cmd_SET_DOCKABLE_PROBE(self, gcmd):
         name, auto = "AUTO_ATTACH_DETACH", self.prober.auto
         auto = options.param_int(gcmd, name, auto, minval=0, maxval=1)
-        self.prober.auto = bool(auto)
+        self.prober.set_auto(bool(auto))
 
     ######################################################################
     # Commands: trips to the dock, and their parts

@@ -3,12 +3,10 @@
 # Copyright (C) 2026  the Z calibration developers, under the GNU GPLv3
 from __future__ import absolute_import
 
-from ..core import touching
+from ..core import carrying, touching
+from .delay import Delay
 from .sensors import ATTACHED, UNKNOWN
 from .settings import REACH, travel_height
-
-# With allow_delayed_detach the probe is docked so long (s) after its last use.
-DETACH_DELAY = 1.0
 
 # Homing goes down twice: to find the bed, and slowly again from a little above.
 FIRST, SECOND = "first", "second"
@@ -42,8 +40,10 @@ class Prober(object):
         self.homing = None
         # Toolhead Z at which the probe is just off what it has touched
         self.clear_z = 0.0
-        # A mark of the docking that is to come, None where none is
-        self.delayed = None
+        # Whether it is docked after each command that probes, whoever holds it
+        self.is_docked_at_once = False
+        # The docking that is to come in a while
+        self.delay = Delay(self.host, self._dock_and_return_here)
 
     ######################################################################
     # How deep a touch may go
@@ -75,7 +75,7 @@ class Prober(object):
 
     # A command that probes begins
     def begin(self, is_homing):
-        self.delayed = None
+        self.delay.cancel()
         self.homing = FIRST if is_homing else None
         self.clear_z = 0.0
         goal = self.moves.position()
@@ -151,12 +151,11 @@ class Prober(object):
         self._run_still("deactivate_gcode", each_touch=False)
         if self.sensors.look() != ATTACHED:
             raise self._lost("was lost, what was measured is wrong")
-        if self.is_held or not self.auto:
-            return
-        if self.settings.allow_delayed_detach:
-            self._dock_later()
-        else:
+        if self.is_docked_at_once:
+            self.hold(False)
             self.dock_and_return(goal)
+        elif self.auto and not self.is_held:
+            self._dock_after_use(goal)
 
     # The user's G-code, unless it belongs to the command and this is a touch,
     # or the other way round; it must not move the head.
@@ -217,25 +216,28 @@ class Prober(object):
         self.hold(False)
         self.docking.dock(self.moves.position())
 
-    # In a while, unless another command needs the probe before
-    def _dock_later(self):
-        mark = self.delayed = object()
-        reactor = self.host.printer.get_reactor()
+    def _dock_and_return_here(self):
+        self.dock_and_return(self.moves.position())
 
-        def dock(eventtime):
-            with self.host.gcode.get_mutex():
-                if self.delayed is not mark:
-                    return
-                self.delayed = None
-                try:
-                    self.dock_and_return(self.moves.position())
-                except self.host.printer.command_error as e:
-                    # There is no command that it could be the error of.
-                    self.host.gcode.respond_raw("!! %s" % (e,))
-
-        reactor.register_callback(dock, reactor.monotonic() + DETACH_DELAY)
+    # Where a person is asked meanwhile, nothing may drive off later.
+    def _dock_after_use(self, goal):
+        is_asking = carrying.of(self.host.printer).is_asking(self.host)
+        if self.settings.allow_delayed_detach and not is_asking:
+            self.delay.start()
+        else:
+            self.dock_and_return(goal)
 
     # Whether the probe stays on the head between commands
     def hold(self, is_held):
-        self.delayed = None
+        self.delay.cancel()
         self.is_held = is_held
+
+    # For commands that probe, and then have the nozzle lowered
+    def dock_at_once(self, is_docked_at_once):
+        self.is_docked_at_once = is_docked_at_once
+
+    # Off: what is pending is called off, too.
+    def set_auto(self, auto):
+        self.auto = auto
+        if not auto:
+            self.delay.cancel()

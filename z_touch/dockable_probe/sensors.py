@@ -5,9 +5,7 @@ from __future__ import absolute_import
 
 import collections
 
-# Where the probe may be, as commands and status have it; UNKNOWN also where the
-# pins contradict each other
-ATTACHED, DOCKED, UNKNOWN = "ATTACHED", "DOCKED", "UNKNOWN"
+from ..core.carrying import ATTACHED, DOCKED, UNKNOWN
 
 # A pin: its option, and whether it reads TRIGGERED with the probe on the head
 Sense = collections.namedtuple("Sense", "name endstop when_attached")

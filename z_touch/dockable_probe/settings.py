@@ -261,8 +261,9 @@ PROBING = (
     ),
     flag_option(
         "detach_dockable_before_z_home",
-        False,
-        "True: the probe is docked before Z is homed on its switch.",
+        None,
+        "True: the probe is docked before Z is homed on its switch. The default"
+        " is whether Z is homed so.",
     ),
     flag_option(
         "drop_first_result",

@@ -5,7 +5,7 @@ from __future__ import absolute_import
 import collections
 import functools
 
-from ..core import dialogs, options, running, touching
+from ..core import carrying, dialogs, options, running, touching
 from ..core.errors import CalibrationError
 from ..core.frame import Frame
 from ..core.sampling import summarize
@@ -61,6 +61,8 @@ class Calibration(object):
         self.check_printer()
         self.check_settings(save)
         warnings = self.check_temperature()
+        # Before a hand comes near: later nothing drives to a dock by itself
+        self.free_nozzle()
         self.travel()
         self.stand_still()
         floor, says = self.floor(floor_param)
@@ -128,6 +130,8 @@ class Calibration(object):
         self.check_place(question)
         for warning in self.check_temperature():
             self.runner.watch.say(warning)
+        # Meanwhile somebody may have fetched it again
+        self.free_nozzle()
         self.come_down()
         trigger_z = self.measure(gcmd, question)
         bed_z = heights.bed_height(trigger_z, self.settings.z_offset)
@@ -140,6 +144,10 @@ class Calibration(object):
         )
         question = question._replace(asks="removal", bed_z=bed_z)
         self.dialog.ask(question, "Take the switch away", [sentence])
+
+    def free_nozzle(self):
+        if self.switch.is_below_nozzle:
+            carrying.of(self.host.printer).free_nozzle(self.host)
 
     # To where the touches begin, with the switch watched on the way
     def come_down(self):

@@ -3,11 +3,10 @@
 # Copyright (C) 2026  the Z calibration developers, under the GNU GPLv3
 from __future__ import absolute_import
 
-import functools
 import logging
 
 from .. import __version__
-from ..core import options, running, touching
+from ..core import carrying, options, running, touching
 from ..core.errors import CalibrationError
 from ..core.host import Host, check_z_axis
 from ..core.sampling import accuracy, summarize
@@ -119,7 +118,11 @@ class ExtraProbe(object):
         return series.measure(floor, stay)
 
     def run(self, gcmd, sampling, stay=False):
-        work = functools.partial(self.measure, gcmd, sampling, stay)
+        def work():
+            if self.switch.is_below_nozzle:
+                carrying.of(self.host.printer).free_nozzle(self.host)
+            return self.measure(gcmd, sampling, stay)
+
         return self.runner.run(gcmd, work, "touch", 0)
 
     cmd_EXTRA_PROBE_help = "Probe Z-height at current XY position"

@@ -24,6 +24,9 @@ TOO_LOW = "begin higher up, or with a lower FLOOR"
 
 # A switch on a pin of its own, and the G-code around its touches.
 class PinSwitch(object):
+    # A probe that hangs on the head would meet the bed before the nozzle does.
+    is_below_nozzle = True
+
     # 'query' is the command that shows what the pin reads.
     def __init__(self, config, host, query):
         self.host = host
@@ -79,6 +82,8 @@ class PinSwitch(object):
 # [probe] is the switch: the host's own probing touches, and runs its G-code.
 class ProbeSwitch(object):
     query = "QUERY_PROBE"
+    # The host fetches it where it has a dock.
+    is_below_nozzle = False
 
     def __init__(self, host):
         self.host = host

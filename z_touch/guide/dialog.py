@@ -14,7 +14,7 @@ from __future__ import absolute_import, division
 
 import functools
 
-from ..core import options, running, saving
+from ..core import carrying, options, running, saving
 from ..core.dialogs import END
 from ..core.errors import CalibrationError
 from . import steps
@@ -56,6 +56,8 @@ class Setup(object):
         name = gcmd.get("STEP", "").strip().lower()
         if not name:
             self.check_not_printing(gcmd)
+            # Later a hand is near.
+            carrying.of(self.host.printer).settle(self.host)
             self.state = self.state or State()
             self.ask()
             return

@@ -20,7 +20,7 @@ import functools
 import logging
 
 from .. import __version__
-from ..core import errors, frame, options, running, sampling
+from ..core import carrying, errors, frame, options, running, sampling
 from ..core.host import Host, check_z_axis
 from ..history import recorder
 from . import accuracy, checks, corrections, heights
@@ -357,6 +357,7 @@ class ZCalibration(object):
         settings = accuracy.for_nozzle(gcmd, self.settings)
         nozzle = SiteFinder(self.host, settings).nozzle_of_command(gcmd)
         running.check_homed(self.host)
+        carrying.of(self.host.printer).free_nozzle(self.host, regardless=True)
         plan = self.recorder.make_plan(settings.counting)
         sites = Sites(nozzle, None, None)
         calibration = self.new_calibration(settings, sites, plan)

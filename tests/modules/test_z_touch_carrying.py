@@ -1,0 +1,199 @@
+"""A dockable probe on the head, and whoever lowers the nozzle."""
+
+from __future__ import annotations
+
+import pytest
+
+from tools.kit.carrying import (
+    OVER,
+    POINT,
+    SWITCH,
+    pressed,
+    without_our_dock,
+)
+from tools.kit.dockable_probe import QUICK, section, trips, where
+
+MEMBRANE = "PROBE=membrane"
+# What lowers the nozzle
+TOUCHES = {
+    "EXTRA_PROBE": f"EXTRA_PROBE {MEMBRANE}",
+    "EXTRA_PROBE_ACCURACY": f"EXTRA_PROBE_ACCURACY {MEMBRANE} SAMPLES=2",
+    "AUTO_Z_PROBE": "AUTO_Z_PROBE",
+    "AUTO_Z_HOME_Z": "AUTO_Z_HOME_Z",
+    "AUTO_Z_MEASURE_OFFSET": "AUTO_Z_MEASURE_OFFSET",
+    "AUTO_Z_CALIBRATE": "AUTO_Z_CALIBRATE",
+    "PROBE_Z_ACCURACY": "PROBE_Z_ACCURACY SAMPLES=2",
+}
+# How the probe comes to be on the head, and options for it
+REASONS = {
+    "held": ({}, "ATTACH_PROBE"),
+    "delayed": ({"allow_delayed_detach": "True"}, "PROBE"),
+}
+every_host = pytest.mark.every_host
+
+
+def ready(start, options=None, changes=None, **more):
+    """A homed printer."""
+    changes = {**section(**QUICK, **(options or {})), **(changes or {})}
+    return start(SWITCH, changes, **more).homed()
+
+
+def untouched(printer):
+    """Whether the probe has met the bed, but in its own touches."""
+    return pressed(printer) < 0.2 and printer.machine.truth.crashes() == []
+
+
+@every_host
+@pytest.mark.parametrize("touch", TOUCHES)
+@pytest.mark.parametrize("reason", REASONS)
+def test_probe_is_docked_before_the_nozzle_goes_down(start, reason, touch):
+    options, fetch = REASONS[reason]
+    printer = ready(start, options)
+    printer.run(f"{OVER}{fetch}")
+    printer.machine.lay_membrane(touch.startswith("EXTRA"))
+    printer.run(TOUCHES[touch])
+    assert untouched(printer)
+    assert trips(printer)[:2] == ["attach", "dock"]
+
+
+@every_host
+@pytest.mark.parametrize("touch", ["EXTRA_PROBE", "AUTO_Z_CALIBRATE"])
+def test_touch_is_refused_where_no_trips_are_wanted(start, touch):
+    printer = ready(start, {"auto_attach_detach": "False"})
+    printer.run(f"{OVER}ATTACH_PROBE\nM400")
+    height = printer.session.position()[2]
+    text = printer.fail(TOUCHES[touch])
+    assert "the probe is ATTACHED (pin reads open), and would meet" in text
+    assert text.endswith("run DETACH_PROBE")
+    assert printer.session.position()[2] >= height
+    assert (pressed(printer), trips(printer)) == (0.0, ["attach"])
+
+
+@every_host
+def test_head_is_where_it_was_after_docking(start):
+    printer = ready(start, {"restore_toolhead": "False"})
+    printer.machine.lay_membrane()
+    printer.run(f"{OVER}EXTRA_PROBE {MEMBRANE}")
+    (height,) = [t.z for t in printer.machine.truth.touches[-1:]]
+    printer.run(f"G1 Z20 F900\nATTACH_PROBE\n{OVER}EXTRA_PROBE {MEMBRANE}")
+    last = printer.machine.truth.touches[-1]
+    assert last.site == "nozzle_membrane"
+    assert (last.x, last.y) == pytest.approx(POINT, abs=0.02)
+    assert last.z == pytest.approx(height, abs=0.01)
+
+
+# Of the host, and what follows by hand
+BY_HAND = {
+    "MANUAL_PROBE": "MANUAL_PROBE",
+    "Z_ENDSTOP_CALIBRATE": "Z_ENDSTOP_CALIBRATE",
+    "PROBE_CALIBRATE": "PROBE_CALIBRATE",
+    "mesh": "BED_MESH_CALIBRATE METHOD=manual PROBE_COUNT=3,3",
+}
+
+
+@every_host
+@pytest.mark.parametrize("command", BY_HAND)
+@pytest.mark.parametrize("reason", REASONS)
+def test_probe_is_docked_before_testz(start, reason, command):
+    options, fetch = REASONS[reason]
+    printer = ready(start, options)
+    printer.run(f"{OVER}{fetch}\n{BY_HAND[command]}")
+    assert where(printer) == "docked"
+    z = printer.status("toolhead")["position"][2]
+    printer.run(f"TESTZ Z={1.0 - z}\nM400")
+    printer.session.wait(3.0)
+    # The nozzle hangs free, and nothing drives off meanwhile
+    assert printer.machine.truth.min_gap < 2.0
+    assert untouched(printer)
+    printer.run("ABORT")
+
+
+@every_host
+def test_probe_is_docked_before_each_paper_of_a_twist(start):
+    printer = ready(start, {"allow_delayed_detach": "True"})
+    printer.run("ATTACH_PROBE\nAXIS_TWIST_COMPENSATION_CALIBRATE")
+    for _ in range(2):
+        assert where(printer) == "docked"
+        printer.run("TESTZ Z=-4\nACCEPT")
+    assert where(printer) == "docked"
+    printer.run("ABORT")
+
+
+@every_host
+def test_another_method_probes_as_before(start):
+    printer = ready(start)
+    printer.run("ATTACH_PROBE\nBED_MESH_CALIBRATE PROBE_COUNT=3,3")
+    assert trips(printer) == ["attach"]
+
+
+# Delayed docking
+
+
+@every_host
+@pytest.mark.parametrize(
+    "end",
+    ["SET_DOCKABLE_PROBE AUTO_ATTACH_DETACH=0", "M84", "RESTART"],
+)
+def test_nothing_is_pending_after(start, end):
+    printer = ready(start, {"allow_delayed_detach": "True"})
+    printer.run(f"{OVER}PROBE\nM400")
+    if end == "RESTART":
+        printer.session.begin(end)
+        printer.session.wait(8.0)
+    else:
+        printer.run(end)
+        printer.session.wait(3.0)
+    assert trips(printer) == ["attach"]
+    assert [line for line in printer.session.console if "!!" in line] == []
+
+
+@every_host
+@pytest.mark.parametrize(
+    "ask",
+    ["EXTRA_PROBE_CALIBRATE PROBE=membrane", "MANUAL_PROBE"],
+)
+def test_nothing_drives_off_while_a_person_is_asked(start, ask):
+    printer = ready(start, {"allow_delayed_detach": "True"})
+    printer.run(f"{OVER}PROBE\n{ask}\nM400")
+    place = printer.session.position()
+    printer.session.wait(5.0)
+    assert printer.session.position() == pytest.approx(place)
+    assert where(printer) == "docked"
+
+
+@every_host
+def test_question_of_one_section_stops_the_others(start):
+    printer = ready(start)
+    printer.run("EXTRA_PROBE_CALIBRATE PROBE=membrane")
+    text = printer.fail("AUTO_Z_PROBE")
+    assert "section 'extra_probe membrane' waits for an answer" in text
+    printer.run("EXTRA_PROBE_ABORT PROBE=membrane\nAUTO_Z_PROBE")
+
+
+# G28 Z on a switch
+
+
+@every_host
+def test_probe_is_docked_before_z_is_homed_on_its_switch(start):
+    printer = ready(start)
+    printer.run("ATTACH_PROBE\nG28")
+    assert trips(printer) == ["attach", "dock"]
+    assert untouched(printer)
+
+
+# Kalico's own dockable_probe, which only Kalico has
+
+
+@every_host
+@pytest.mark.parametrize("touch", TOUCHES)
+def test_probe_of_the_hosts_own_section(start, host, touch):
+    if not host.layout.module_dir.endswith("plugins"):
+        pytest.skip("only Kalico has a dockable_probe of its own")
+    # It goes to the dock as high as the head is
+    options = {"z_hop": "12"}
+    printer = ready(start, options, modules=without_our_dock())
+    printer.run(f"{OVER}ATTACH_PROBE")
+    printer.machine.lay_membrane(touch.startswith("EXTRA"))
+    printer.run(TOUCHES[touch])
+    assert untouched(printer)
+    assert trips(printer)[:2] == ["attach", "dock"]

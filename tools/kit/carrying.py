@@ -1,0 +1,68 @@
+"""Printers with a dock and with all that lowers the nozzle over the bed."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from typing import Any
+
+from simprinter.docks import DOCK_SCENES, calibrating
+from simprinter.scenes import Scene
+from simprinter.world import BedSensorSpec, MembraneSpec
+from tools.kit.printer import FOLDER, Printer, module_files
+
+# Where the membrane lies (mm), and how thick it is at its trigger
+POINT = (60.0, 60.0)
+THICKNESS = 0.25
+OVER = f"G90\nG1 Z20 F900\nG1 X{POINT[0]} Y{POINT[1]} F6000\n"
+
+_SECTIONS: dict[str, dict[str, str]] = {
+    "extra_probe membrane": {
+        "pin": "^!PF5",
+        "z_offset": f"{THICKNESS}",
+        "xy_position": f"{POINT[0]}, {POINT[1]}",
+        "samples": "1",
+        "lift_speed": "10",
+    },
+    "auto_z_offset": {
+        "pin": "PC7",
+        "z_offset": "0.2",
+        "samples": "1",
+        "offset_samples": "2",
+        "lift_speed": "10",
+        "cycles_tolerance": "1",
+        "prepare_gcode": "\n  G90",
+    },
+}
+
+
+def with_all(scene: Scene) -> Scene:
+    """The same with a membrane, a sensor below the bed, and our sections."""
+    scene = calibrating(scene)
+    inputs = {**scene.wiring.inputs, "membrane": "^!PF5", "bed_sensor": "PC7"}
+    return replace(
+        scene,
+        sections={**scene.sections, **_SECTIONS},
+        wiring=replace(scene.wiring, inputs=inputs),
+    ).with_world(
+        membrane=MembraneSpec(
+            *POINT, thickness=0.3, press=0.05, radius=9.0, laid=False
+        ),
+        bed_sensor=BedSensorSpec(press_depth=0.04),
+    )
+
+
+SWITCH = with_all(DOCK_SCENES["dock_gantry_switch"])
+QUICK: dict[str, Any] = {"samples": "1", "attach_speed": "50"}
+
+
+def pressed(printer: Printer) -> float:
+    """How deep (mm) the probe was pressed into the bed, at the deepest."""
+    truth = printer.machine.truth
+    return max(truth.depth("probe_bed"), truth.depth("body_bed"))
+
+
+def without_our_dock() -> dict[str, Any]:
+    """Our modules, but for dockable_probe."""
+    files = module_files()
+    names = ("z_calibration", "auto_z_offset", "extra_probe", FOLDER)
+    return {name: files[name] for name in names}

@@ -1,0 +1,124 @@
+# The probe of [dockable_probe] as others have to mind it, see core/carrying.py,
+# and the host's commands that lower the nozzle while it may hang there.
+# Copyright (C) 2026  the Z calibration developers, under the GNU GPLv3
+from __future__ import absolute_import
+
+import functools
+
+from ..core import carrying, touching
+from ..core.carrying import DOCKED
+from ..core.errors import CalibrationError
+from . import detour
+from .settings import travel_height
+
+# Commands of the host after which a person lowers the nozzle with TESTZ, or onto
+# a sheet of paper
+BY_HAND = ("MANUAL_PROBE", "Z_ENDSTOP_CALIBRATE", "BED_SCREWS_ADJUST")
+# The same with METHOD=MANUAL
+BY_METHOD = (
+    "BED_MESH_CALIBRATE",
+    "BED_TILT_CALIBRATE",
+    "DELTA_CALIBRATE",
+    "QUAD_GANTRY_LEVEL",
+    "SCREWS_TILT_CALCULATE",
+    "Z_TILT_ADJUST",
+)
+# These probe, and then ask for the paper; the second does so again at each ACCEPT.
+PROBE_THEN_PAPER = {
+    "PROBE_CALIBRATE": False,
+    "AXIS_TWIST_COMPENSATION_CALIBRATE": True,
+}
+
+
+class Carrier(object):
+    # 'prober': prober.Prober
+    def __init__(self, prober):
+        self.host = prober.host
+        self.prober = prober
+        self.moves = prober.moves
+        self.sensors = prober.sensors
+        self.settings = prober.settings
+        self.carrying = carrying.of(self.host.printer)
+        self.carrying.join(self)
+        # All sections have registered their commands then, and no macro has
+        # taken the place of one.
+        register = self.host.printer.register_event_handler
+        register("klippy:mcu_identify", self._guard_commands)
+
+    ######################################################################
+    # For whoever lowers the nozzle
+    ######################################################################
+
+    @property
+    def auto(self):
+        return self.prober.auto
+
+    # Docked by 'pin' alone may be on the head, and pressed: then the head is
+    # lifted for a second look, and comes back where it is docked.
+    def state(self):
+        sensors, moves = self.sensors, self.moves
+        state, z = sensors.confirm(), moves.position().z
+        is_certain = sensors.proven == DOCKED or sensors.senses
+        clear_z = travel_height(self.settings)
+        if state != DOCKED or is_certain or z is None or z >= clear_z:
+            return state
+        moves.lift(clear_z)
+        state = sensors.look()
+        if state == DOCKED:
+            moves.go_to_height(z)
+        return state
+
+    def reads(self):
+        return self.sensors.describe()
+
+    def dock_and_come_back(self):
+        self.prober.dock_and_come_back()
+
+    def dock_pending(self):
+        self.prober.delay.hurry()
+
+    # A place in the circle that the owner has chosen is reached straight where the
+    # way comes no nearer to the dock than its ends do.
+    def go_to(self, x, y, speed):
+        start, goal = self.moves.position(), detour.Position(x, y, None)
+        zone = self.moves.zone
+        nearest = min(detour.distance(start, zone), detour.distance(goal, zone))
+        least = detour.least_distance(start, goal, zone)
+        if detour.is_inside(goal, zone) and least > nearest - detour.ROUNDING:
+            touching.move_xy(self.host, x, y, speed)
+        else:
+            self.moves.travel(goal, speed, into=True)
+
+    ######################################################################
+    # Commands of the host
+    ######################################################################
+
+    def _guard_commands(self):
+        wrap = self.host.wrap_command
+        for name in BY_HAND:
+            wrap(name, self._before_paper)
+        for name in BY_METHOD:
+            wrap(name, self._before_manual_method)
+        for name, asks_again in PROBE_THEN_PAPER.items():
+            wrap(name, functools.partial(self._around_paper, asks_again))
+
+    def _before_paper(self, command, gcmd):
+        try:
+            self.carrying.free_nozzle(self.host)
+        except CalibrationError as e:
+            raise self.host.error(str(e))
+        command(gcmd)
+
+    def _before_manual_method(self, command, gcmd):
+        if gcmd.get("METHOD", "").strip().lower() == "manual":
+            self._before_paper(command, gcmd)
+        else:
+            command(gcmd)
+
+    # The probe is docked at the end of each session, whoever held it.
+    def _around_paper(self, asks_again, command, gcmd):
+        self.prober.dock_at_once(True)
+        try:
+            command(gcmd)
+        finally:
+            self.prober.dock_at_once(asks_again and self.auto)

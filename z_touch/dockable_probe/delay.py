@@ -1,0 +1,65 @@
+# Docking a while after the last use, see allow_delayed_detach.
+# Copyright (C) 2026  the Z calibration developers, under the GNU GPLv3
+from __future__ import absolute_import
+
+from ..core import carrying
+
+# The probe is docked so long (s) after its last use.
+DETACH_DELAY = 1.0
+
+# After these nobody goes on with what was pending: the motors may be off, and
+# the boards may have forgotten their pins.
+ENDED_BY = (
+    "stepper_enable:motor_off",
+    "gcode:request_restart",
+    "klippy:shutdown",
+    "klippy:disconnect",
+)
+
+
+# The docking that is to come, or none
+class Delay(object):
+    # dock() docks the probe, and goes back
+    def __init__(self, host, dock):
+        self.host = host
+        self.dock = dock
+        # A mark of what is pending, None where nothing is
+        self.mark = None
+        for event in ENDED_BY:
+            host.printer.register_event_handler(event, self.cancel)
+
+    # Some events come with a print time.
+    def cancel(self, *unused):
+        self.mark = None
+
+    # In a while, unless another command needs the probe before
+    def start(self):
+        self.mark = object()
+        self._wait(self.mark)
+
+    # At once, where it is to come
+    def hurry(self):
+        if self.mark is not None:
+            self.mark = None
+            self.dock()
+
+    def _wait(self, mark):
+        reactor = self.host.printer.get_reactor()
+        reactor.register_callback(
+            lambda eventtime: self._due(mark),
+            reactor.monotonic() + DETACH_DELAY,
+        )
+
+    def _due(self, mark):
+        with self.host.gcode.get_mutex():
+            if self.mark is not mark:
+                return
+            if carrying.of(self.host.printer).is_asking(self.host):
+                # A hand may be near the head.
+                self._wait(mark)
+                return
+            try:
+                self.hurry()
+            except self.host.printer.command_error as e:
+                # There is no command that it could be the error of.
+                self.host.gcode.respond_raw("!! %s" % (e,))
