@@ -585,6 +585,35 @@ def test_old_options_are_told_and_not_used(start):
 
 
 @pytest.mark.parametrize(
+    "command",
+    [slow("PROBE"), slow("HOME_Z"), slow("MEASURE_OFFSET"), "CALIBRATE"]
+    + ["LOAD_OFFSET"],
+)
+def test_section_of_the_original_module_as_it_was(start, command):
+    changes = section(calibrated_z_offset="-1.00", z_offset="-0.2")
+    printer = start("qidi", changes=changes).homed()
+    before, first = state(printer), len(printer.machine.truth.touches)
+    text = printer.fail(f"AUTO_Z_{command}")
+    assert "it has calibrated_z_offset, and 'z_offset: -0.2' as the Z" in text
+    assert "with the opposite sign. Write 'z_offset: 0.2' and remove" in text
+    assert (state(printer), sites(printer, first)) == (before, [])
+
+
+# What the message says; a gap with our sign, or one that is meant so
+@pytest.mark.parametrize(
+    ("calibrated", "z_offset"),
+    [(None, "0.2"), ("-1.00", "0.2"), ("-1.00", None), ("", "-0.1")],
+)
+def test_section_that_was_taken_over(start, calibrated, z_offset):
+    changes = section(calibrated_z_offset=calibrated, z_offset=z_offset)
+    printer = start("qidi", changes=changes).homed()
+    printer.machine.tolerate("nozzle_bed", 0.2)
+    printer.run("AUTO_Z_CALIBRATE\nAUTO_Z_LOAD_OFFSET")
+    gap = float(z_offset or "0.2") - DEPTH
+    assert true_gap(printer) == pytest.approx(gap, abs=STEPS)
+
+
+@pytest.mark.parametrize(
     "command", ["PROBE", "HOME_Z", "MEASURE_OFFSET", "CALIBRATE"]
 )
 def test_gcode_that_would_be_missed_is_asked_for(start, command):

@@ -113,6 +113,7 @@ class AutoZOffset(object):
         return value
 
     def check_may_measure(self):
+        self.check_section()
         # Sensors that the original module powered in it would stay off
         if self.settings.lost_activate_gcode:
             raise CalibrationError(
@@ -124,6 +125,18 @@ class AutoZOffset(object):
                 "a manual probe is under way; end it with ACCEPT or ABORT first"
             )
         running.check_homed(self.host)
+
+    # A correction with the wrong sign of the air gap ends in the bed.
+    def check_section(self):
+        if self.settings.is_others:
+            z_offset = self.settings.z_offset
+            raise CalibrationError(
+                "this section is that of the original module: it has"
+                " calibrated_z_offset, and 'z_offset: %g' as the Z of the"
+                " trigger; here z_offset is the air gap, with the opposite"
+                " sign. Write 'z_offset: %g' and remove calibrated_z_offset,"
+                " then RESTART and AUTO_Z_CALIBRATE" % (z_offset, -z_offset)
+            )
 
     # AUTO_Z_PROBE
     cmd_AUTO_Z_PROBE_help = "Touch the bed with the nozzle where the head is"
@@ -241,9 +254,10 @@ class AutoZOffset(object):
         script = "SET_GCODE_OFFSET Z=%.6f MOVE=0" % (gcode_offset,)
         self.host.gcode.run_script_from_command(script)
 
-    def check_probe_frame(self):
+    # Raises the error of a command, with what 'check' says
+    def check(self, check):
         try:
-            self.expectations.check_frame()
+            check()
         except CalibrationError as e:
             raise self.host.error(str(e))
 
@@ -251,7 +265,8 @@ class AutoZOffset(object):
     cmd_AUTO_Z_LOAD_OFFSET_help = "Apply the probe's correction"
 
     def cmd_AUTO_Z_LOAD_OFFSET(self, gcmd):
-        self.check_probe_frame()
+        self.check(self.check_section)
+        self.check(self.expectations.check_frame)
         z = self.correction.z or 0.0
         bed_z = self.host.probing.homed_bed_z()
         self.apply_offset(z + bed_z)
@@ -274,7 +289,7 @@ class AutoZOffset(object):
     cmd_AUTO_Z_SAVE_GCODE_OFFSET_help = "Save the G-code Z offset in force"
 
     def cmd_AUTO_Z_SAVE_GCODE_OFFSET(self, gcmd):
-        self.check_probe_frame()
+        self.check(self.expectations.check_frame)
         before = self.correction.z or 0.0
         z = self.host.gcode_offset() - self.host.probing.homed_bed_z()
         if abs(z) > heights.LARGEST_OFFSET:

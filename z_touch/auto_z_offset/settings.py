@@ -238,11 +238,17 @@ UNUSED_OPTIONS = (
 #   floor                heights.Floor, the lowest point of all touches
 #   lost_activate_gcode  the G-code is given that powered the sensor with the
 #                        original module
+#   is_others            calibrated_z_offset is given and z_offset is below 0: the
+#                        section of the original module, as it was
 Settings = options.record(
     "Settings",
     SENSOR_OPTIONS + TRAVEL_OPTIONS + CYCLE_OPTIONS,
-    also="sampling floor lost_activate_gcode",
+    also="sampling floor lost_activate_gcode is_others",
 )
+
+
+def is_given(config, name):
+    return bool(config.get(name, "").strip())
 
 
 def read_settings(config, z_axis):
@@ -250,7 +256,10 @@ def read_settings(config, z_axis):
     values.update(
         sampling=options.sampling_of(values),
         floor=section_floor(z_axis, values["probe_z_min"]),
-        lost_activate_gcode=bool(config.get("activate_gcode", "").strip()),
+        lost_activate_gcode=is_given(config, "activate_gcode"),
+        is_others=(
+            values["z_offset"] < 0.0 and is_given(config, "calibrated_z_offset")
+        ),
     )
     return Settings(**{name: values[name] for name in Settings._fields})
 
