@@ -24,6 +24,7 @@ from tests.unit.calibrated import (
     shifts,
     travels,
 )
+from z_touch.core.host import ZZero
 from z_touch.z_calibration import heights as zc
 
 
@@ -66,25 +67,32 @@ class TestCheckOffset:
         ],
     )
     def test_accepts_the_margins_themselves(self, value, margins):
-        zc.check_offset(zc.Result(0, 0, 0, 0, value), margins)
+        zc.check_offset(zc.Result(0, 0, 0, 0, value), margins, None)
 
     @pytest.mark.parametrize("value", [-1.0000001, 1.0000001, 40.0, math.nan])
     def test_refuses_anything_outside_and_names_the_values(self, value):
         result = zc.Result(5.6, 7.3, 2.2, 0.4, value)
-        assert complaint(zc.check_offset, result, (-1.0, 1.0)) == (
+        text = (
             f"offset {value:.3f} is outside offset_margins -1.000 to 1.000"
             " (probe=5.600 switch=7.300 nozzle=2.200); home Z again (G28 Z)"
             " after any levelling, then check the three positions and"
             " position_endstop"
+        )
+        check, margins = zc.check_offset, (-1.0, 1.0)
+        assert complaint(check, result, margins, None) == text
+        zero = ZZero("stepper_z", "position_endstop", 3.0)
+        assert complaint(check, result, margins, zero) == (
+            f"{text} of section 'stepper_z' (3.000 - {value:.3f}:"
+            f" try {3.0 - value:.3f})"
         )
 
     @given(results, margin_pairs)
     def test_refuses_just_what_is_outside(self, result, margins):
         low, high = margins
         if result.offset < low or result.offset > high:
-            complaint(zc.check_offset, result, margins)
+            complaint(zc.check_offset, result, margins, None)
         else:
-            zc.check_offset(result, margins)
+            zc.check_offset(result, margins, None)
 
 
 LAST = zc.Result(
@@ -392,7 +400,7 @@ class TestFloors:
         floor = zc.bed_floor(settings, nozzle, switch)
         at_floor = zc.offset(floor, switch, nozzle, switch_offset)
         assert at_floor == margins[0]
-        zc.check_offset(zc.Result(0, 0, 0, 0, at_floor), margins)
+        zc.check_offset(zc.Result(0, 0, 0, 0, at_floor), margins, None)
 
 
 class TestLowestSwitch:

@@ -61,8 +61,9 @@ def offset(probe, switch, nozzle, switch_offset):
     return probe - (switch - nozzle + switch_offset)
 
 
-# Raises CalibrationError for an offset outside of margins (low, high).
-def check_offset(result, margins):
+# Raises CalibrationError for an offset outside of margins (low, high).  'zero' is
+# where Z gets its zero (host.ZZero), None: nobody knows.
+def check_offset(result, margins, zero):
     low, high = margins
     if low <= result.offset <= high:
         return
@@ -70,9 +71,20 @@ def check_offset(result, margins):
         "offset %.3f is outside offset_margins %.3f to %.3f"
         " (probe=%.3f switch=%.3f nozzle=%.3f); "
         + HOME_AGAIN
-        + ", then check the three positions and position_endstop"
+        + ", then check the three positions and %s"
     )
-    raise CalibrationError(text % ((result.offset, low, high) + result[:3]))
+    right = corrected_zero(zero, result.offset)
+    values = (result.offset, low, high) + result[:3] + (right,)
+    raise CalibrationError(text % values)
+
+
+# What would make the offset (mm) 0, in words
+def corrected_zero(zero, z_offset):
+    if zero is None:
+        return "position_endstop"
+    text = "%s of section '%s' (%.3f - %.3f: try %.3f)"
+    values = zero.option, zero.section, zero.z, z_offset, zero.z - z_offset
+    return text % values
 
 
 ######################################################################
@@ -142,6 +154,20 @@ def switch_floor(settings, nozzle_z, expected_z):
 def bed_floor(settings, nozzle_z, switch_z):
     gap = switch_z - nozzle_z + settings.switch_offset
     return max(settings.position_min, gap + settings.offset_margins[0])
+
+
+# What to do where nothing triggered down to that floor; 'zero' as in
+# check_offset().  Empty: with such margins the bed is not known to be low.
+def below_margins(settings, zero):
+    low = settings.offset_margins[0]
+    if low >= 0.0:
+        return ""
+    return (
+        "the bed is below the low end of offset_margins (%.3f), or the probe is"
+        " dead: put the plate on, home Z again (G28 Z) after any levelling,"
+        " check bed_xy_position and the probe; if all is right, correct %s"
+        % (low, corrected_zero(zero, low))
+    )
 
 
 # Where the bed may be looked for with a probe of unknown length: the nozzle

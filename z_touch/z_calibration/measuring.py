@@ -16,7 +16,7 @@ from __future__ import absolute_import
 import functools
 
 from ..core import errors, touching
-from .heights import HOME_AGAIN
+from .heights import HOME_AGAIN, below_margins
 
 # What to do about samples that differ
 DIFFER = "clean the nozzle and check the switch for play"
@@ -52,7 +52,8 @@ class Measurement(object):
         self.site = site
         self.sampling = sampling
         self.head = touching.Head(calibration.host, sampling, TOO_LOW)
-        self.expected_z = None
+        # Of the samples; None: there are none
+        self.expected_z = self.floor = None
         # Samples so far
         self.taken = 0
 
@@ -65,7 +66,7 @@ class Measurement(object):
 
     # The heights of the samples; more of them is in the plan.
     def take_samples(self, travel_z, expected_z, floor):
-        self.expected_z = expected_z
+        self.expected_z, self.floor = expected_z, floor
         with errors.about(self.site.name):
             return self.touch_site(travel_z, expected_z, floor)
 
@@ -148,7 +149,11 @@ class Measurement(object):
             wanted = ""
             if self.expected_z is not None:
                 wanted = ", expected a trigger at z=%.3f" % (self.expected_z,)
-            raise e.advised(self.remedy, wanted)
+            raise e.advised(self.advice(), wanted)
+
+    # What to look at after a touch that has just failed
+    def advice(self):
+        return self.remedy
 
     # Up to where the next touch begins
     def retract(self):
@@ -314,3 +319,11 @@ class BedMeasurement(Measurement):
 
     def explain(self):
         self.check_probe_attached(self.host.after_moves())
+
+    # A bed that nothing was known of, down to the lowest that it may be
+    def advice(self):
+        remedy = ""
+        is_below = self.floor is not None and not self.taken
+        if is_below and touching.is_at(self.host, self.floor):
+            remedy = below_margins(self.settings, self.host.z_zero())
+        return remedy or self.remedy

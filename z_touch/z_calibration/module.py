@@ -255,7 +255,8 @@ class ZCalibration(object):
                 point=finder.bed_point(sites.bed),
                 extruder=self.host.extruder(),
             )
-            heights.check_offset(result, settings.offset_margins)
+            zero = self.host.z_zero()
+            heights.check_offset(result, settings.offset_margins, zero)
             z_offset = Shifts(self.host, last).offset()
             self.results.note(last._replace(z_offset=z_offset))
             at_end = self.host.gcode_offset()

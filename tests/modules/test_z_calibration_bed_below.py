@@ -1,0 +1,71 @@
+"""A bed that is where offset_margins do not look for it: what is said of it."""
+
+from __future__ import annotations
+
+import re
+from dataclasses import replace
+
+import pytest
+
+from simprinter import SCENES, Fault
+from tools.kit.z_calibration import assert_unharmed, calibration, section
+
+BELOW = "the bed is below the low end of offset_margins (%s), or the probe"
+TRY = re.compile(r"(\w+) of section '(\w+)' \((\S+) - (\S+): try (\S+)\)")
+
+
+# How much too low (mm) what Z is homed at is, and by how much it is told to change
+@pytest.mark.every_host
+@pytest.mark.parametrize(
+    ("scene", "section_name", "option", "right", "low", "change"),
+    [
+        ("voron", "stepper_z", "position_endstop", 1.6, 1.2, 1.0),
+        # The bed is found, above the margins
+        ("voron", "stepper_z", "position_endstop", 1.6, -1.4, -1.56),
+        ("separate_pin", "probe", "z_offset", 6.9, 1.3, 1.0),
+    ],
+)
+def test_value_that_is_named_is_a_good_one(
+    start, scene, section_name, option, right, low, change
+):
+    changes = {section_name: {option: str(right - low)}}
+    text = start(scene, changes=changes).homed().fail("CALIBRATE_Z")
+    (found,) = TRY.findall(text.replace("\n", " "))
+    assert found[:2] == (option, section_name)
+    assert float(found[2]) == pytest.approx(right - low)
+    assert float(found[4]) == pytest.approx(right - low + change, abs=0.01)
+    assert (BELOW % "-1.000" in text) == (low > 0.0)
+    changes = {section_name: {option: found[4]}}
+    printer = start(scene, changes=changes).homed()
+    calibration(printer)
+    assert printer.gap() == pytest.approx(printer.scene.formula_gap(), abs=0.01)
+
+
+def test_plate_that_is_missing(start):
+    voron = SCENES["voron"]
+    bed = replace(voron.world.bed, z0=voron.world.bed.z0 - 1.5)
+    printer = start(voron.with_world(bed=bed)).homed()
+    printer.run("SET_GCODE_OFFSET Z=0.1")
+    text = printer.fail("CALIBRATE_Z")
+    assert text.startswith("z_calibration: bed: No trigger on probe after full")
+    assert BELOW % "-1.000" in text
+    assert "is dead: put the plate on, home Z again (G28 Z) after" in text
+    assert_unharmed(printer, 0.1)
+
+
+# Margins that are above 0; a touch that has met the bed before
+@pytest.mark.parametrize(
+    ("changes", "n"),
+    [
+        (section(offset_margins="0.1, 0.3"), 2),
+        ({}, 3),
+    ],
+)
+def test_bed_that_is_not_below(start, changes, n):
+    faults = [Fault("trigger_never", signal="probe", n=n)]
+    printer = start(changes=changes, faults=faults)
+    printer.machine.tolerate("body_bed", 1.0)
+    text = printer.homed().fail("CALIBRATE_Z")
+    assert "bed: No trigger on probe" in text
+    assert "check bed_xy_position, switch_offset and the probe" in text
+    assert "the bed is below" not in text
