@@ -9,6 +9,7 @@ import pytest
 from simprinter import SCENES
 from simprinter.docks import calibrating
 from simprinter.hosts.session import GcodeError
+from tools.kit.cases import slow
 from tools.kit.dockable_probe import SWITCH, trips, where
 from tools.kit.setup_user import EMPTY, SETUP, User
 from tools.kit.z_calibration import (
@@ -105,7 +106,7 @@ def test_separate_pin_in_no_section_and_a_switch_from_the_list(start, tmp_path):
         "nozzle_xy_position: 206.000, 306.000; switch_xy_position: 208" in text
     )
     assert (
-        "SAVE_CONFIG cannot: write 'switch_offset: 0.500' into line 2 of"
+        "SAVE_CONFIG cannot: write 'switch_offset: 0.200' into line 2 of"
         in text
     )
     assert text.endswith("tools.cfg.")
@@ -120,6 +121,49 @@ def test_separate_pin_in_no_section_and_a_switch_from_the_list(start, tmp_path):
     place = printer.status("configfile")["settings"]["z_calibration"]
     gap = printer.gap(tuple(place["bed_xy_position"]))
     assert gap == pytest.approx(0.0, abs=2 * MICROSTEP)
+
+
+# All that a D2F may have: 5.5 +-0.3 mm over a body of 5.0
+@pytest.mark.every_host
+@pytest.mark.parametrize("switch_offset", [0.2, slow(0.5), 0.8])
+def test_button_of_a_switch_leaves_no_nozzle_in_the_bed(start, switch_offset):
+    scene = SCENES["cartesian"]
+    probe = replace(scene.world.mag_probe, switch_offset=switch_offset)
+    printer = start(scene.with_world(mag_probe=probe), changes=empty()).homed()
+    user = User(printer)
+    user.begin()
+    user.test_switches()
+    user.set_places(**CARTESIAN)
+    user.touch()
+    text = user.dialog().texts[0]
+    assert user.dialog().footer_buttons[0][0] == "Paper"
+    assert text.index("'Paper' measures that, and is best") < text.index("D2F")
+    assert "D2F 0.2 mm, SSG 0.2 mm, the least of any healthy one" in text
+    user.press("D2F")
+    text = user.dialog().texts[0]
+    assert "With the 0.2 mm of any D2F Z=0 is too high on purpose: come" in text
+    assert "(CALCULATE_SWITCH_OFFSET), or with baby steps and Z_CAL" in text
+    # Paper is right, and says nothing of that
+    user.press("Back")
+    user.press("Paper")
+    user.lower_to_the_sheet()
+    user.press("Here")
+    assert "on purpose" not in user.dialog().texts[0]
+    user.press("Back")
+    user.press("D2F")
+    printer.session.restart(user.dialog().gcode("Save"))
+    assert said_on_purpose(printer.run("G28\nCALIBRATE_Z")) == 1
+    own = printer.status("configfile")["settings"]["z_calibration"]
+    gap = printer.gap(tuple(own["bed_xy_position"]))
+    assert gap == pytest.approx(switch_offset - 0.2, abs=2 * MICROSTEP)
+    # Once, whether somebody keeps it or not
+    assert said_on_purpose(printer.run("CALIBRATE_Z")) == 0
+    printer.session.restart("RESTART")
+    assert said_on_purpose(printer.run("G28\nCALIBRATE_Z")) == 0
+
+
+def said_on_purpose(lines):
+    return sum("so Z=0 is too high on purpose" in line for line in lines)
 
 
 def advance(user, step):
@@ -435,6 +479,6 @@ def test_probe_that_fetches_itself(start):
     printer.run("G28\nCALIBRATE_Z")
     own = printer.status("configfile")["settings"]["z_calibration"]
     gap = printer.gap(tuple(own["bed_xy_position"]))
-    # An SSG is 0.7, this one is not
+    # Whatever the switch of this probe is
     real = printer.scene.world.mag_probe.switch_offset
-    assert gap == pytest.approx(real - 0.7, abs=2 * MICROSTEP)
+    assert gap == pytest.approx(real - 0.2, abs=2 * MICROSTEP)

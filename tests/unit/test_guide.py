@@ -26,6 +26,9 @@ FACTS = {
     "paper_z": 2.5,
     "values": "switch_offset: 0.5",
     "not_saved": "",
+    "switches": steps.listed_switches(),
+    "come_down": "come down",
+    "of_a_list": "",
 }
 every_step = pytest.mark.parametrize("name", steps.ORDER)
 

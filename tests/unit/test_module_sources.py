@@ -188,7 +188,7 @@ INTERFACE = ROOT / "z_touch" / "z_calibration" / "interface.py"
 CORRECTIONS = INTERFACE.with_name("corrections.py")
 INTERFACE_USERS = [*sorted(ROOT.glob("z_touch/guide/*.py")), CORRECTIONS]
 # What these may import of the room, besides functions and records
-OF_THE_ROOM = {"settings", "sites"}
+OF_THE_ROOM = {"settings", "sites", "switches"}
 # Records, of which all may be read, and the adapter to the host
 RECORDS = {"settings", "pin", "last", "host"}
 # Public for all their underscores

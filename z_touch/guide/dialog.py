@@ -17,6 +17,7 @@ import functools
 from ..core import carrying, options, running, saving
 from ..core.dialogs import END
 from ..core.errors import CalibrationError
+from ..z_calibration.switches import COME_DOWN, SWITCHES
 from . import steps
 from .hands import Hands
 from .head import FIRST_TOUCHES, OVER_SHEET, GuidedHead
@@ -199,6 +200,9 @@ class Setup(object):
             "floor": 0.0,
             "touches": FIRST_TOUCHES,
             "paper_z": 0.0,
+            "switches": steps.listed_switches(),
+            "come_down": COME_DOWN,
+            "of_a_list": steps.of_a_list(state.kind),
             "values": "",
             "not_saved": "",
         }
@@ -262,19 +266,20 @@ class Setup(object):
         name = gcmd.get("TYPE", "").strip().upper()
         highest = steps.LARGEST_SWITCH_OFFSET
         value = options.param_number(gcmd, "VALUE", minval=0.0, maxval=highest)
-        if name and name not in steps.SWITCHES:
+        if name and name not in SWITCHES:
             raise CalibrationError(
                 "TYPE=%s: none of %s; give VALUE=mm"
-                % (name, ", ".join(steps.SWITCHES))
+                % (name, ", ".join(SWITCHES))
             )
-        value = steps.SWITCHES.get(name, value)
+        value = SWITCHES.get(name, value)
         if value is not None:
             if self.state.step != "gap":
                 raise CalibrationError("TYPE and VALUE belong to STEP=GAP")
-            self.use_switch_offset(value)
+            self.use_switch_offset(value, name)
         return value is not None
 
-    def use_switch_offset(self, value):
+    # 'kind': of the switch, where it is the value (mm) of the list
+    def use_switch_offset(self, value, kind=""):
         z_offset = self.state.contact() - value
         low, high = self.section.settings().offset_margins
         if not low <= z_offset <= high:
@@ -284,7 +289,7 @@ class Setup(object):
                 " three places and position_endstop"
                 % (value, z_offset, low, high)
             )
-        self.state.switch_offset = value
+        self.state.switch_offset, self.state.kind = value, kind
 
     def measure_paper(self, gcmd, state):
         contact = state.contact()

@@ -24,8 +24,9 @@ class State(object):
         self.sites = {}
         self.heights = {}
         self.samples = {}
-        # mm
+        # mm; and the switch of the list that it is of, empty: it was measured
         self.switch_offset = None
+        self.kind = ""
 
     # Toolhead Z (mm) at which the probe triggers on the bed, less what the body
     # hangs below the nozzle: where the nozzle would meet the bed if switch_offset

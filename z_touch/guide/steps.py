@@ -2,12 +2,12 @@
 # Copyright (C) 2026  the Z calibration developers, under the GNU GPLv3
 from __future__ import absolute_import, division
 
-import collections
 import math
 
 from ..core.dialogs import lines
 from ..core.errors import CalibrationError
 from ..core.sampling import accuracy
+from ..z_calibration.switches import COME_DOWN, SWITCHES
 from .texts import STEPS
 
 COMMAND = "Z_CALIBRATION_SETUP"
@@ -18,9 +18,7 @@ HAND_PATIENCE = 20.0
 # A sheet of paper is so thick (mm)
 PAPER = 0.1
 
-# From the body to the trigger point (mm): of common switches, and more than any
-# has
-SWITCHES = collections.OrderedDict((("D2F", 0.5), ("SSG", 0.7)))
+# From the body to the trigger point (mm): more than any switch has
 LARGEST_SWITCH_OFFSET = 1.5
 
 # By how much (mm) the buttons move the head; more than the largest is refused, and
@@ -116,7 +114,7 @@ def ask(name, facts, problem="", late=""):
     if name == "gap":
         types = [(t, command(name, TYPE=t), "secondary") for t in SWITCHES]
         groups.append(types)
-        answers = types + answers
+        answers[1:1] = types
     text = STEPS[name].text % facts
     if late:
         text = "The head is not there yet. '%s': %s, then this is asked again."
@@ -215,6 +213,19 @@ def paper_floor(contact, z, distance):
     if distance < -FINE_JOGS[0] - 1e-6 and z + distance < contact + PAPER:
         return min(z, contact + PAPER)
     return contact - LARGEST_SWITCH_OFFSET
+
+
+# Each with its value, in words
+def listed_switches():
+    return ", ".join("%s %.1f mm" % item for item in SWITCHES.items())
+
+
+# What a switch from the list means for Z=0, for the last step; empty: it was measured
+def of_a_list(kind):
+    if not kind:
+        return ""
+    text = " With the %.1f mm of any %s Z=0 is too high on purpose: %s."
+    return text % (SWITCHES[kind], kind, COME_DOWN)
 
 
 def as_pair(site):

@@ -157,12 +157,14 @@ ALL = (
     ),
     step(
         "gap",
-        "Which switch has the probe?",
-        "%(repeats)s Which switch is in the probe? Take its button. The value"
-        " of another one goes in on the console: Z_CALIBRATION_SETUP STEP=GAP"
-        " VALUE=mm. Or 'Paper' lifts the head to Z=%(travel_z).1f and goes"
-        " with the nozzle over the bed, down to Z=%(paper_z).2f, about 2 to"
-        " 3 mm above it.",
+        "Measure the gap with paper",
+        "%(repeats)s Last comes how far the switch moves until it triggers."
+        " 'Paper' measures that, and is best: it lifts the head to"
+        " Z=%(travel_z).1f and goes with the nozzle over the bed, down to"
+        " Z=%(paper_z).2f, about 2 to 3 mm above it. Without paper take the"
+        " button of the switch in the probe: %(switches)s, the least of any"
+        " healthy one, so Z=0 is too high on purpose; %(come_down)s. Another"
+        " value goes in on the console: Z_CALIBRATION_SETUP STEP=GAP VALUE=mm.",
         "Paper",
     ),
     step(
@@ -178,9 +180,9 @@ ALL = (
     step(
         "save",
         "Save",
-        "%(repeats)s After this, home (G28) and run CALIBRATE_Z. 'Save' hands"
-        " this to SAVE_CONFIG, which writes printer.cfg and restarts Klipper:"
-        " %(values)s.%(not_saved)s",
+        "%(repeats)s After this, home (G28) and run CALIBRATE_Z.%(of_a_list)s"
+        " 'Save' hands this to SAVE_CONFIG, which writes printer.cfg and"
+        " restarts Klipper: %(values)s.%(not_saved)s",
         "Save",
         back="gap",
     ),

@@ -11,6 +11,7 @@
 #   results       the last run that was applied, and whether it holds
 #   interface     what the guide and the corrections may ask of all that
 #   corrections   baby steps back into switch_offset
+#   switches      what common ones have as switch_offset, at least
 #   accuracy      how often to touch where the spread is the question
 #   recorder      the history of all runs
 from __future__ import absolute_import, division
@@ -23,7 +24,7 @@ from .. import __version__
 from ..core import carrying, errors, frame, options, running, sampling
 from ..core.host import Host, check_z_axis
 from ..history import recorder
-from . import accuracy, checks, corrections, heights
+from . import accuracy, checks, corrections, heights, switches
 from .calibration import Calibration, Earlier
 from .hooks import MOVED_IN_END, Hooks
 from .interface import Interface
@@ -196,8 +197,10 @@ class ZCalibration(object):
             last = self.run(gcmd, work, "start_gcode", wanted, self.failed)
         finally:
             self.results.note(None)
+        before = self.results.last.result
         self.results.keep(last)
         self.report(gcmd, last)
+        self.remind(last.result.switch_offset, before)
         self.recorder.good(last)
 
     # Returns the results.Last
@@ -299,6 +302,13 @@ class ZCalibration(object):
                 " position_endstop=%.3f"
                 % (homed_z, result.offset, homed_z - result.offset)
             )
+
+    # Of a switch_offset that the set-up has taken from a list
+    def remind(self, switch_offset, before):
+        runs = self.recorder.history.runs
+        text = switches.reminder(switch_offset, runs, before)
+        if text:
+            self.runner.watch.say(text)
 
     ##################################################################
     # CALIBRATE_Z_ACCURACY
