@@ -27,6 +27,7 @@ from tools.kit.z_calibration import (
     calibration,
     marked,
     refusal,
+    result_of,
     section,
     touched_sites,
     with_dead_pin,
@@ -171,13 +172,38 @@ gcode.register_command("ADAPT", adapt)
         assert place_of("probe_bed", printer, before) == (102, 85.25)
 
 
+# A mesh as it is before June 2023, when it knew the index of a point only
+OLD_MESH = """
+class OldMesh(object):
+    points = [(40.0, 50.0), (145.0, 50.0), (120.0, 140.0)]
+    relative_reference_index = %s
+def age():
+    printer.lookup_object("bed_mesh").bmc = OldMesh()
+printer.register_event_handler("klippy:ready", age)
+"""
+
+
+@pytest.mark.every_host
+@pytest.mark.parametrize("index", [2, 3, None])
+def test_the_meshs_point_on_an_old_host(start, tmp_path, index):
+    modules = with_extra(tmp_path, OLD_MESH % (index,))
+    changes = {**section(bed_xy_position=None), **mesh(), "extra": {}}
+    printer = start(changes=changes, modules=modules).homed()
+    if index == 2:
+        calibration(printer)
+        assert place_of("probe_bed", printer) == (122, 115.25)
+        return
+    message = printer.fail("CALIBRATE_Z")
+    assert "or relative_reference_index in section 'bed_mesh'" in message
+
+
 @pytest.mark.parametrize(
     ("bed", "zero", "is_told"),
     [
         ("150, 150", "120, 130", True),
         ("150, 150", "150, 151.1", True),
         ("150, 150", "150.6, 150.7", False),
-        ("150, 150", None, False),
+        ("150, 150", None, None),
         (None, "120, 130", False),
     ],
 )
@@ -187,9 +213,13 @@ def test_bed_position_away_from_the_meshs_zero_is_told(
     options = {} if zero is None else {"zero_reference_position": zero}
     changes = {**section(bed_xy_position=bed), **mesh(**options)}
     printer = start(changes=changes).homed()
+    console = printer.session.console
+    # Or there is no zero
+    missing = "z_calibration: section 'bed_mesh' has no zero_reference_position"
+    assert any(missing in line for line in console) is (is_told is None)
     text = "z_calibration: bed_xy_position (150.000, 150.000) is not where"
-    told = [line for line in printer.session.console if text in line]
-    assert len(told) == is_told
+    told = [line for line in console if text in line]
+    assert len(told) == bool(is_told)
     x, y = (float(part) for part in (zero or "0, 0").split(","))
     assert all(f"zero ({x:.3f}, {y:.3f})" in line for line in told)
 
@@ -560,13 +590,13 @@ def test_samples_result(start, signal, n, of_probe, own, share):
     assert printer.machine.faults.unfired() == []
 
 
-def spans(host, changes):
+def spans(host, changes, command="CALIBRATE_Z"):
     """Seconds between the touches of a calibration, from its start on."""
     with Printer(host, changes=changes) as printer:
         printer.homed()
         printer.run("G1 Z20 F900\nM400")
         before = len(printer.machine.truth.touches)
-        printer.run("CALIBRATE_Z")
+        printer.run(command)
         times = {}
         for touch in printer.machine.truth.touches[before:]:
             times.setdefault(touch.site, []).append(touch.t)
@@ -642,6 +672,68 @@ def test_speeds(host, changes, more):
     changed = spans(host, changes)
     found = {part: changed[part] - usual[part] for part in more}
     assert found == pytest.approx(more, abs=0.25)
+
+
+@pytest.mark.parametrize(
+    ("params", "more"),
+    [
+        ("PROBE_SPEED=1", longer(3 / 1 - 3 / 3, 2 / 1 - 2 / 5)),
+        ("LIFT_SPEED=2", longer(3 / 2 - 3 / 10, 2 / 2 - 2 / 10)),
+        (
+            "SAMPLE_RETRACT_DIST=5",
+            longer(2 / 10 + 2 / 3, 3 / 10 + 3 / 5),
+        ),
+    ],
+)
+def test_speeds_of_one_command(host, params, more):
+    usual = usual_spans(host)
+    changed = spans(host, None, f"CALIBRATE_Z {params}")
+    found = {part: changed[part] - usual[part] for part in more}
+    assert found == pytest.approx(more, abs=0.25)
+
+
+IDLE = "// z_calibration: SAMPLES_TOLERANCE is ignored with 'samples: auto'"
+
+
+@pytest.mark.every_host
+@pytest.mark.parametrize(
+    ("samples", "params", "count"),
+    [
+        (None, "SAMPLES=2", 2),
+        ("4", "SAMPLES=1", 1),
+        ("4", "SAMPLES=", 4),
+        # Five where there is no history
+        ("4", "SAMPLES=auto", 5),
+        ("auto", "SAMPLES=2", 2),
+        ("auto", "PROBE_SPEED=4", 5),
+    ],
+)
+def test_samples_of_one_command(start, samples, params, count):
+    printer = start(changes=section(samples=samples)).homed()
+    before = len(printer.machine.truth.touches)
+    lines = printer.run(f"CALIBRATE_Z {params} SAMPLES_TOLERANCE=0.02")
+    sites = touched_sites(printer, before)
+    assert {site: sites.count(site) for site in sites} == {
+        "nozzle_pin": count,
+        "body_pin": count,
+        "probe_bed": count,
+    }
+    assert (IDLE in lines) is (count == 5)
+
+
+def test_tolerance_and_result_of_one_command(start):
+    # One of three samples is 0.05 mm off
+    faults = [Fault("trigger_early", signal="probe", mm=0.05, n=3)]
+    changes = {"probe": {"samples_tolerance": "0.1"}}
+    printer = start(changes=changes, faults=faults).homed()
+    params = "SAMPLES_TOLERANCE=0.02 SAMPLES_TOLERANCE_RETRIES=0"
+    message = printer.fail(f"CALIBRATE_Z {params}")
+    assert "bed: samples differ by" in message
+    assert "samples_tolerance is 0.0200 mm" in message
+    printer = start(changes=changes, faults=faults).homed()
+    lines = printer.run("CALIBRATE_Z SAMPLES_RESULT=average")
+    probe = result_of(lines)[0]
+    assert probe - BED - TRIGGER == pytest.approx(0.05 / 3, abs=MICROSTEP)
 
 
 def test_first_fast_touch_is_no_sample(start):

@@ -345,14 +345,20 @@ def as_defaults(found):
     }
 
 
+# What PROBE takes: SAMPLES and the rest
 def param_sampling(gcmd, own):
+    count = param_int(gcmd, "SAMPLES", own.samples, minval=1)
+    return param_touches(gcmd, own)._replace(samples=count)
+
+
+# The rest alone
+def param_touches(gcmd, own):
     get = functools.partial(param_number, gcmd)
     count = functools.partial(param_int, gcmd)
     result = gcmd.get("SAMPLES_RESULT", "").strip().lower() or own.result
     if result not in RESULTS:
         raise param_error(gcmd, "SAMPLES_RESULT", "median or average")
-    return Sampling(
-        samples=count("SAMPLES", own.samples, minval=1),
+    return own._replace(
         tolerance=get("SAMPLES_TOLERANCE", own.tolerance, minval=0.0),
         retries=count("SAMPLES_TOLERANCE_RETRIES", own.retries, minval=0),
         result=result,
@@ -360,6 +366,13 @@ def param_sampling(gcmd, own):
         retract_dist=get("SAMPLE_RETRACT_DIST", own.retract_dist, above=0.0),
         lift_speed=get("LIFT_SPEED", own.lift_speed, above=0.0),
     )
+
+
+# SAMPLES where it may be AUTO, too; None: it is not given
+def param_samples(gcmd):
+    if gcmd.get("SAMPLES", "").strip().lower() == AUTO:
+        return AUTO
+    return param_int(gcmd, "SAMPLES", None, minval=1)
 
 
 # Parameters of a command; a blank one counts as not given.

@@ -114,7 +114,9 @@ class Corrections(object):
         if keeps:
             text = "%s: %s: %s saves as ever, nothing goes into switch_offset"
             gcmd.respond_info(text % (self.host.section, reason, name))
-        elif not reason and abs(change) > NO_STEP and not self.hinted:
+        elif self.hinted or reason or self.other_tool():
+            return
+        elif abs(change) > NO_STEP:
             self.hinted = True
             gcmd.respond_info(
                 "%s: CALIBRATE_Z measures anew what %s saves: the baby step of"
@@ -168,12 +170,15 @@ class Corrections(object):
                 "%s; baby steps count from the last CALIBRATE_Z: run it, then"
                 " correct the first layer" % (reason,)
             )
+        self.check_tool()
         base, z_offset = self.current(), self.host.gcode_offset()
         if abs(z_offset - base.offset) < NO_STEP:
             text = "%s: nothing was changed with baby steps since CALIBRATE_Z"
             gcmd.respond_info(text % (self.host.section,))
             self.keep(is_saved)
             return
+        if z_offset and not force:
+            self.check_restored(z_offset)
         new, text = check_steps(base, z_offset, force)
         new = round(new, 3)
         self.base = Base(z_offset, new)
@@ -181,6 +186,33 @@ class Corrections(object):
         gcmd.respond_info("%s: %s" % (self.host.section, text))
         self.unsaved = new
         self.keep(is_saved)
+
+    # The extruder that is active, unless CALIBRATE_Z was run with it: that has an
+    # offset of its own.
+    def other_tool(self):
+        active = self.host.extruder()
+        return "" if active == self.section.last().extruder else active
+
+    def check_tool(self):
+        other, calibrated = self.other_tool(), self.section.last().extruder
+        if other:
+            raise CalibrationError(
+                "%s is active, and CALIBRATE_Z was run with %s: what the offset"
+                " differs by is no baby step; activate %s first"
+                % (other, calibrated, calibrated)
+            )
+
+    # One of before CALIBRATE_Z that came back, such as with RESUME, is no baby step
+    # away from that of CALIBRATE_Z.
+    def check_restored(self, z_offset):
+        for name, kept in sorted(self.section.last().states.items()):
+            if abs(kept - z_offset) < NO_STEP:
+                raise CalibrationError(
+                    "the G-code offset %.3f is that of G-code state %s, which was"
+                    " saved before CALIBRATE_Z: nothing to count from; run"
+                    " CALIBRATE_Z again, or add FORCE=1 if it is of baby steps"
+                    % (z_offset, name)
+                )
 
     # Hands it to SAVE_CONFIG, if that is wanted
     def keep(self, is_saved):
@@ -200,7 +232,8 @@ class Corrections(object):
     def cmd_CALCULATE_SWITCH_OFFSET(self, gcmd):
         self.answer(gcmd, self.calculate)
 
-    # The nozzle stands where the user wants Z=0 to be
+    # The nozzle stands where the user wants Z=0 to be: by G-code, without what other
+    # features shift there
     def calculate(self, gcmd):
         last, reason = self.section.last(), self.section.why_not_right()
         if reason:
@@ -208,6 +241,7 @@ class Corrections(object):
                 "%s; run CALIBRATE_Z first, then move the nozzle to where Z=0"
                 " should be" % (reason,)
             )
+        self.check_tool()
         old = param_switch_offset(gcmd, last.result.switch_offset)
         z, z_offset = self.host.features.z(), last.applied
         new = corrected_switch_offset(old, z, z_offset)

@@ -30,7 +30,13 @@ from .hooks import MOVED_IN_END, Hooks
 from .interface import Interface
 from .pin import find_pin, read_pin
 from .results import NOTHING, Results
-from .settings import complete, param_switch_offset, read_settings
+from .settings import (
+    complete,
+    idle_params,
+    param_switch_offset,
+    param_touches,
+    read_settings,
+)
 from .shifts import Shifts
 from .sites import SiteFinder, Sites
 
@@ -187,12 +193,15 @@ class ZCalibration(object):
     cmd_CALIBRATE_Z_help = "Measure nozzle, switch and bed, set the Z offset"
 
     def cmd_CALIBRATE_Z(self, gcmd):
-        settings = self.settings
-        work = functools.partial(self.calibrate_and_apply, gcmd)
         self.runner.check_idle(gcmd)
+        self.results.begin()
+        settings = param_touches(gcmd, self.settings)
+        for name in idle_params(gcmd, settings):
+            text = "%s is ignored with 'samples: auto'"
+            self.runner.watch.say(text % (name,))
         plan = self.recorder.begin(settings.counting)
         wanted = 2 * plan.expected(settings.pin) + plan.expected(settings.probe)
-        self.results.begin()
+        work = functools.partial(self.calibrate_and_apply, gcmd, settings)
         try:
             last = self.run(gcmd, work, "start_gcode", wanted, self.failed)
         finally:
@@ -204,11 +213,11 @@ class ZCalibration(object):
         self.recorder.good(last)
 
     # Returns the results.Last
-    def calibrate_and_apply(self, gcmd):
+    def calibrate_and_apply(self, gcmd, settings):
         features, say = self.host.features, self.runner.watch.say
         states = features.saved_offsets()
         with features.without_offset():
-            last, added = self.calibrate(gcmd)
+            last, added = self.calibrate(gcmd, settings)
         shifts = Shifts(self.host, last)
         z_offset = shifts.offset()
         if abs(added - z_offset) <= OWN_DIGITS:
@@ -220,25 +229,33 @@ class ZCalibration(object):
         if abs(moved) >= NO_CHANGE:
             features.undo_g92()
             say("G92 had moved Z=0 by %.3f mm: undone, as G28 does" % (moved,))
-        self.hooks.apply(z_offset + added)
+        applied = self.apply(z_offset + added)
         if abs(added) >= NO_CHANGE:
             text = "end_gcode changed the G-code Z offset by %.6f: it is %.6f"
             say(text % (added, z_offset + added))
         return last._replace(
             z_offset=z_offset + added,
-            applied=self.host.gcode_offset(),
+            applied=applied,
             height=features.height(*last.point),
             states=states,
             warnings=last.warnings + shifts.warnings(),
         )
 
+    # Returns the G-code offset (mm) that came of it
+    def apply(self, z_offset):
+        before = self.host.gcode_offset()
+        self.hooks.apply(z_offset)
+        after = self.host.gcode_offset()
+        # An offset_gcode may only keep it, for later
+        return z_offset if after == before else after
+
     # Returns the results.Last, not applied yet, and what end_gcode has added to the
     # G-code offset (mm).  That runs before the offset is applied: the way to the
     # dock does not shift with the offset, and a probe that could not be put away
     # leaves everything as it was.
-    def calibrate(self, gcmd):
-        settings = self.settings._replace(
-            switch_offset=param_switch_offset(gcmd, self.settings.switch_offset)
+    def calibrate(self, gcmd, settings):
+        settings = settings._replace(
+            switch_offset=param_switch_offset(gcmd, settings.switch_offset)
         )
         z_adjust = options.param_number(
             gcmd, "Z_ADJUST", 0.0, minval=-LARGEST_ADJUST, maxval=LARGEST_ADJUST

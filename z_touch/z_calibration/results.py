@@ -13,8 +13,8 @@ import collections
 #   z_adjust     what Z_ADJUST added (mm)
 #   z_offset     the G-code offset that came of it (mm): what was measured, less what
 #                Klipper's own features shift there, with what was added
-#   applied      the G-code offset in force after it (mm): the same, unless
-#                offset_gcode has made another one of it
+#   applied      the G-code offset that was set (mm): the same, unless offset_gcode
+#                has made another one of it
 #   point        X, Y of the bed that was measured (mm)
 #   height       of bed mesh or bed tilt there, when it was applied (mm)
 #   extruder     whose nozzle it was
@@ -98,8 +98,8 @@ class Results(object):
         ):
             return ""
         return (
-            "the G-code Z offset is %.3f, after CALIBRATE_Z it was %.3f: changed"
-            " by baby steps, SET_GCODE_OFFSET, RESUME or RESTORE_GCODE_STATE"
+            "the G-code Z offset is %.3f, that of CALIBRATE_Z is %.3f: changed by"
+            " baby steps, SET_GCODE_OFFSET, RESUME or RESTORE_GCODE_STATE"
             % (now, last.applied)
         )
 

@@ -474,6 +474,29 @@ def with_counts(settings, pin, probe):
     return settings._replace(pin=pin, probe=probe, counting=counting)
 
 
+# The settings with what PROBE takes as parameters; they count at all places.
+def param_touches(gcmd, settings):
+    count, counting = options.param_samples(gcmd), settings.counting
+    pin, probe = [
+        options.param_touches(gcmd, sampling)
+        for sampling in (settings.pin, settings.probe)
+    ]
+    if count is not None:
+        counting = adaptive.choose(count, settings.target_uncertainty)
+    if counting.count is not None:
+        pin = pin._replace(samples=counting.count)
+        probe = probe._replace(samples=counting.count)
+    return settings._replace(pin=pin, probe=probe, counting=counting)
+
+
+# Of these parameters, those that count for nothing
+def idle_params(gcmd, settings):
+    if not isinstance(settings.counting, adaptive.Automatic):
+        return []
+    names = [name.upper() for name in settings.counting.idle]
+    return [name for name in names if gcmd.get(name, "").strip()]
+
+
 # SWITCH_OFFSET of a command (mm), or else 'default', or else the user is asked
 def param_switch_offset(gcmd, default):
     value = options.param_number(gcmd, "SWITCH_OFFSET", default, minval=0.0)

@@ -1,0 +1,286 @@
+"""G-code's own state around CALIBRATE_Z: offsets, saved states, modes, tools."""
+
+from __future__ import annotations
+
+import pytest
+
+from simprinter import SCENES
+from simprinter.scenes import heated
+from tools.kit.z_calibration import (
+    SWITCH_OFFSET,
+    assert_unharmed,
+    calibration,
+    marker,
+    section,
+    with_dead_pin,
+)
+
+OFFSET = 0.16
+SAVE = "Z_CALIBRATION_SAVE_GCODE_OFFSET"
+
+
+def validity(printer):
+    status = printer.status("z_calibration")
+    return status["measured"], status["valid"], status["reason"]
+
+
+def pending(printer):
+    return printer.status("configfile")["save_config_pending_items"]
+
+
+# The result does not depend on what was there before
+
+
+RESTORE = "RESTORE_GCODE_STATE NAME=old"
+
+
+@pytest.mark.every_host
+@pytest.mark.parametrize(
+    ("end_gcode", "offset"),
+    [
+        ("SET_GCODE_OFFSET Z=0.05", OFFSET + 0.05),
+        ("SET_GCODE_OFFSET Z_ADJUST=0.05", OFFSET + 0.05),
+        ("SET_GCODE_OFFSET Z=0", OFFSET),
+        (RESTORE, OFFSET),
+        (f"{RESTORE} MOVE=1", OFFSET),
+        # Its own way to apply it
+        (
+            "SET_GCODE_OFFSET Z={printer.z_calibration.last_z_offset}",
+            OFFSET,
+        ),
+        (
+            "SET_GCODE_OFFSET"
+            " Z_ADJUST={printer.z_calibration.last_z_offset|round(3)}",
+            OFFSET,
+        ),
+    ],
+)
+def test_offset_of_before_does_not_count(start, end_gcode, offset):
+    macro = {"gcode": f"\n  {end_gcode}"}
+    changes = {"gcode_macro END": macro, **section(end_gcode="END")}
+    printer = start(changes=changes).homed()
+    # At a height where MOVE=1 meets nothing
+    printer.run("G1 X150 Y150 Z20 F6000\nSET_GCODE_OFFSET Z=0.25")
+    printer.run("SAVE_GCODE_STATE NAME=old\nSET_GCODE_OFFSET Z=0.4")
+    for _ in range(3):
+        printer.run("CALIBRATE_Z")
+        assert printer.offset() == pytest.approx(offset, abs=0.001)
+    status = printer.status("z_calibration")
+    assert status["last_z_offset"] == pytest.approx(offset, abs=0.001)
+    assert validity(printer) == (True, True, "")
+    # The state of before is as it was
+    printer.run(RESTORE)
+    assert printer.offset() == pytest.approx(0.25)
+
+
+SEEN = "\n  RESPOND MSG='seen {printer.gcode_move.homing_origin.z}'"
+
+
+@pytest.mark.every_host
+def test_offset_is_zero_while_a_command_runs(start):
+    changes = {"respond": {}, "gcode_macro LOOK": {"gcode": SEEN}}
+    changes.update(section(start_gcode="LOOK", end_gcode="LOOK"))
+    printer = start(changes=changes).homed()
+    for command in ("CALIBRATE_Z", "CALIBRATE_Z_ACCURACY CYCLES=2 ATTACH=0"):
+        printer.run("SET_GCODE_OFFSET Z=0.25")
+        lines = printer.run(command)
+        seen = {line.split()[-1] for line in lines if "seen" in line}
+        assert seen == {"0.0"}
+    assert printer.offset() == pytest.approx(0.25)
+    printer.run("PROBE_Z_ACCURACY SAMPLES=2")
+    assert printer.offset() == pytest.approx(0.25)
+
+
+@pytest.mark.every_host
+@pytest.mark.parametrize("command", ["CALIBRATE_Z", "CALIBRATE_Z_ACCURACY"])
+def test_offset_and_states_are_as_before_after_a_failure(start, command):
+    changes = section(start_gcode="SET_GCODE_OFFSET Z=0.3")
+    printer = with_dead_pin(start, changes=changes)
+    printer.run("SET_GCODE_OFFSET Z=0.1\nSAVE_GCODE_STATE NAME=old")
+    printer.run("SET_GCODE_OFFSET Z=0.02")
+    assert "No trigger" in printer.fail(command)
+    assert_unharmed(printer, 0.02)
+    printer.run(RESTORE)
+    assert printer.offset() == pytest.approx(0.1)
+    # Where G1 goes, too
+    printer.run("G90\nG1 Z25 F900")
+    assert printer.session.position()[2] == pytest.approx(25.1)
+
+
+@pytest.mark.every_host
+def test_g92_is_undone(start):
+    printer = start().homed()
+    # G-code Z is 0.3 less than it was
+    printer.run("G1 Z20 F900\nG92 Z19.7")
+    lines = printer.run("CALIBRATE_Z")
+    assert "G92 had moved Z=0 by 0.300 mm: undone" in "\n".join(lines)
+    assert printer.gap() == pytest.approx(0.06, abs=0.005)
+
+
+# Whether the offset is still in force
+
+
+@pytest.mark.every_host
+@pytest.mark.parametrize(
+    ("before", "after"),
+    [
+        ("PAUSE", "RESUME"),
+        ("SAVE_GCODE_STATE NAME=old", RESTORE),
+        ("", "SET_GCODE_OFFSET Z=0.1"),
+    ],
+)
+def test_offset_that_is_gone_is_noticed(start, before, after):
+    printer = start(changes={"pause_resume": {}}).homed()
+    printer.run(f"SET_GCODE_OFFSET Z=0.1\n{before}\nCALIBRATE_Z")
+    assert validity(printer) == (True, True, "")
+    printer.run(after)
+    is_measured, is_valid, reason = validity(printer)
+    assert (is_measured, is_valid) == (True, False)
+    assert reason == (
+        "the G-code Z offset is 0.100, that of CALIBRATE_Z is 0.160: changed by"
+        " baby steps, SET_GCODE_OFFSET, RESUME or RESTORE_GCODE_STATE"
+    )
+    if before:
+        text = printer.fail(SAVE)
+        assert "the G-code offset 0.100 is that of G-code state" in text
+        assert pending(printer) == {}
+        printer.run(f"{SAVE} FORCE=1")
+        assert pending(printer)["z_calibration"] == {"switch_offset": "0.500"}
+    # Set again it is valid again
+    z_offset = printer.status("z_calibration")["last_z_offset"]
+    printer.run(f"SET_GCODE_OFFSET Z={z_offset}")
+    assert validity(printer) == (True, True, "")
+
+
+@pytest.mark.parametrize(
+    ("offset_gcode", "offset"),
+    [
+        # Of a tool, on top
+        ("SET_GCODE_OFFSET Z={params.Z|float + 0.1}", OFFSET + 0.1),
+        # Kept for later
+        ("RESPOND MSG='keep {params.Z}'", 0.0),
+    ],
+)
+def test_offset_gcode_may_make_another_one_of_it(start, offset_gcode, offset):
+    changes = {"respond": {}, **section(offset_gcode=offset_gcode)}
+    printer = start(changes=changes).homed()
+    printer.run("CALIBRATE_Z")
+    assert printer.offset() == pytest.approx(offset, abs=0.001)
+    assert validity(printer)[:2] == (True, bool(offset))
+    printer.run(f"SET_GCODE_OFFSET Z={OFFSET}")
+    assert validity(printer) == (True, True, "")
+
+
+# What counts from it
+
+
+@pytest.mark.every_host
+def test_switch_offset_counts_from_what_was_applied(start):
+    changes = section(end_gcode="SET_GCODE_OFFSET Z_ADJUST=0.05")
+    printer = start(changes=changes).homed()
+    calibration(printer, "CALIBRATE_Z Z_ADJUST=0.02")
+    # Beside the bed, where the nozzle may go down: it is right as it is
+    printer.run("G1 X20 Y305 F6000\nG1 Z0 F900\nM400")
+    (answer,) = printer.run("CALCULATE_SWITCH_OFFSET")
+    assert "(current_z=0.230 - z_offset=0.230)" in answer
+    assert answer.endswith(f"new switch_offset={SWITCH_OFFSET:.3f}")
+
+
+TOOL = {
+    "step_pin": "PG3",
+    "dir_pin": "PG4",
+    "enable_pin": "!PG5",
+    "microsteps": "16",
+    "rotation_distance": "22.6",
+    "nozzle_diameter": "0.4",
+    "filament_diameter": "1.75",
+    "heater_pin": "PH5",
+    "sensor_type": "temperature_host",
+    "control": "watermark",
+    "min_temp": "0",
+    "max_temp": "300",
+}
+
+
+@pytest.mark.every_host
+@pytest.mark.parametrize("keeps", [True, False])
+def test_offset_of_another_tool_is_no_baby_step(start, tmp_path, keeps):
+    path = tmp_path / "temp"
+    path.write_text("25000")
+    change = "ACTIVATE_EXTRUDER EXTRUDER=%s\n  SET_GCODE_OFFSET Z_ADJUST=%s"
+    changes = {
+        "extruder1": {**TOOL, "sensor_path": str(path)},
+        "respond": {},
+        "gcode_macro T0": marker("T0", change % ("extruder", -0.3)),
+        "gcode_macro T1": marker("T1", change % ("extruder1", 0.3)),
+    }
+    if keeps:
+        changes.update(section(save_button="switch_offset"))
+    printer = start(heated(SCENES["voron"]), changes=changes).homed()
+    calibration(printer)
+    printer.run("T1")
+    told = "extruder1 is active, and CALIBRATE_Z was run with extruder"
+    for command in (SAVE, "CALCULATE_SWITCH_OFFSET"):
+        assert told in printer.fail(command)
+    if keeps:
+        assert told in printer.fail("Z_OFFSET_APPLY_ENDSTOP")
+        assert pending(printer) == {}
+    else:
+        # As ever, and without a word of a baby step of 0.3
+        lines = printer.run("Z_OFFSET_APPLY_ENDSTOP")
+        assert "stepper_z" in pending(printer)
+        assert "CALIBRATE_Z measures anew" not in "\n".join(lines)
+    printer.run(f"T0\nSET_GCODE_OFFSET Z_ADJUST=0.02\n{SAVE}")
+    saved = pending(printer)["z_calibration"]
+    assert saved == {"switch_offset": "0.420"}
+
+
+# Modes
+
+
+@pytest.mark.every_host
+def test_templates_begin_with_the_modes_of_before(start):
+    """One that fails between its G91 and G90 sends no other one astray."""
+    changes = {
+        "gcode_macro BROKEN": {"gcode": "\n  G91\n  M83\n  G1 Z1\n  FAIL"},
+        "gcode_macro FAIL": {"gcode": "{ action_raise_error('jammed') }"},
+        "gcode_macro DOCK": {"gcode": "\n  G1 X100 Y100 F6000\n  M400\n  G91"},
+        "gcode_macro REST": {"gcode": "\n  G1 X110 F6000\n  M400"},
+        **section(start_gcode="BROKEN", end_gcode="DOCK", error_gcode="REST"),
+    }
+    printer = start(changes=changes).homed()
+    printer.run("G1 X200 Y200 Z20 F6000")
+    text = printer.fail("CALIBRATE_Z")
+    assert "start_gcode: " in text and "jammed" in text
+    printer.session.wait(2.0)
+    assert printer.session.position()[:2] == pytest.approx([110, 100])
+    status = printer.status("gcode_move")
+    assert status["absolute_coordinates"] and status["absolute_extrude"]
+
+
+@pytest.mark.every_host
+@pytest.mark.parametrize("mode", ["G90\nM82", "G91\nM83"])
+def test_modes_are_as_before_in_every_template(start, mode):
+    look = (
+        "\n  RESPOND MSG='seen {printer.gcode_move.absolute_coordinates}"
+        " {printer.gcode_move.absolute_extrude}'"
+    )
+    other = "\n  G91\n  M82" if "G90" in mode else "\n  G90\n  M83"
+    changes = {
+        "respond": {},
+        "gcode_macro LOOK": {"gcode": look},
+        "gcode_macro CHANGE": {"gcode": other},
+        **section(
+            start_gcode="\n  LOOK\n  CHANGE",
+            end_gcode="\n  LOOK\n  CHANGE",
+            offset_gcode="\n  LOOK\n  CHANGE",
+        ),
+    }
+    printer = start(changes=changes).homed()
+    printer.run(mode)
+    lines = printer.run("CALIBRATE_Z\nLOOK")
+    seen = [line.partition("seen ")[2] for line in lines if "seen" in line]
+    assert len(seen) == 4
+    wanted = "True" if "G90" in mode else "False"
+    assert {text.split()[0] for text in seen} == {wanted}
+    assert {text.split()[1] for text in seen} == {wanted}
