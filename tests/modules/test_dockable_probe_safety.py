@@ -385,11 +385,7 @@ def test_sense_pin_tells_before_a_touch(start):
         ("post_detach_gcode", "docked", None),
     ],
 )
-def test_template_that_raises(host, start, option, state, head):
-    if (host.name, option) == ("klippy-l", "attach_gcode"):
-        pytest.skip(
-            "docked after the error there, not left: not understood yet"
-        )
+def test_template_that_raises(start, option, state, head):
     gcode = (
         "\n  {% if printer['gcode_macro ON'].on %}{action_raise_error('no')}"
     )
@@ -401,7 +397,9 @@ def test_template_that_raises(host, start, option, state, head):
     printer.run("G1 X150 Y150 Z20 F6000\nPROBE")
     printer.run("SET_GCODE_VARIABLE MACRO=ON VARIABLE=on VALUE=1")
     assert "no" in printer.fail("PROBE")
-    printer.session.wait(2.0)
+    # The way out of the dock is only queued when the error comes: hosts differ
+    # in how far the head has got by then.
+    printer.run("M400")
     assert where(printer) == state
     if head is not None:
         assert at(printer) == pytest.approx(head)
