@@ -141,6 +141,34 @@ def _sensed() -> Scene:
     ).with_world(probe_sense=True, dock_sense=True)
 
 
+def _servo() -> Scene:
+    """The first one, but a servo swings the dock out, and in again."""
+    switch = _gantry_switch()
+    assert switch.world.dock is not None
+    out = "\n  SET_SERVO SERVO=dock ANGLE=90\n  G4 P400"
+    away = "\n  SET_SERVO SERVO=dock ANGLE=0"
+    options = {
+        **(switch.sections["dockable_probe"] or {}),
+        "pre_attach_gcode": out,
+        "post_attach_gcode": away,
+        "pre_detach_gcode": out,
+        "post_detach_gcode": away,
+    }
+    sections: dict[str, Mapping] = {
+        **switch.sections,
+        "dockable_probe": options,
+        "servo dock": {
+            "pin": "PD5",
+            "maximum_servo_angle": "180",
+            "minimum_pulse_width": "0.0005",
+            "maximum_pulse_width": "0.0025",
+        },
+    }
+    wiring = replace(switch.wiring, outputs={"dock_swing": "PD5"})
+    scene = replace(switch, name="dock_servo", sections=sections, wiring=wiring)
+    return scene.with_world(dock=replace(switch.world.dock, swing=0.3))
+
+
 def _frame() -> Scene:
     """A bed that goes up and down on three screws, and hangs askew.
 
@@ -242,6 +270,7 @@ DOCK_SCENES = {
         _gantry_switch(),
         _gantry(),
         _sensed(),
+        _servo(),
         _frame(),
         _bed(),
         _above(),

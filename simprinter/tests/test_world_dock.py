@@ -81,6 +81,92 @@ def test_reach_counts_in_all_directions(height, after):
     assert driver.world.probe_state(driver.t) == after
 
 
+def at(driver: Driver) -> str:
+    return driver.world.probe_state(driver.t)
+
+
+def test_dock_that_is_left_upwards():
+    dock = replace(DOCK.dock, approach=(0, 0, 1), body=15.0, top=10.0)
+    driver = Driver(make(replace(DOCK, dock=dock)))
+    # Over it, and straight down
+    driver.go(*IN_DOCK)
+    driver.go(z=20.0)
+    driver.go(z=40.0)
+    assert at(driver) == "attached"
+    assert not driver.world.truth.crashes()
+    driver.go(z=20.0)
+    driver.go(40.0)
+    assert at(driver) == "docked"
+    assert not driver.world.truth.crashes()
+    # Lower than its top from the side, and straight down beside the middle
+    driver.go(y=310.0)
+    assert not driver.world.truth.crashes()
+    driver.go(30.0)
+    assert driver.world.truth.crashes()[0].site == "dock"
+
+
+SWUNG = replace(
+    DOCK, dock=replace(DOCK.dock, swing=0.3, body=15.0, approach=(0, -1, 0))
+)
+
+
+def swung(*, out: bool) -> Driver:
+    driver = Driver(make(SWUNG))
+    driver.go(20.0, 270.0)
+    driver.go(z=20.0)
+    if out:
+        driver.world.set_output("dock_swing", driver.t, 0.075)
+    driver.stay(0.4)
+    return driver
+
+
+def test_dock_that_a_servo_swings_out():
+    driver = swung(out=True)
+    driver.go(*IN_DOCK)
+    driver.go(20.0, 270.0)
+    driver.world.set_output("dock_swing", driver.t, 0.025)
+    driver.stay(0.4)
+    # It is not in the way any more, but for where it would be met
+    driver.go(30.0, 290.0)
+    assert at(driver) == "attached"
+    assert not driver.world.truth.crashes()
+    driver.go(20.0, 300.0)
+    assert driver.world.truth.crashes()[0].depth > 2.9
+    assert at(driver) == "attached"
+
+
+@pytest.mark.parametrize("out", [False, True])
+def test_servo_that_swings_the_dock_against_the_head(out):
+    driver = swung(out=out)
+    # In its lane, clear of it while it stands still
+    driver.go(20.0, 290.0)
+    assert not driver.world.truth.crashes()
+    driver.world.set_output("dock_swing", driver.t, 0.025 if out else 0.075)
+    driver.stay(0.1)
+    assert driver.world.truth.crashes()[0].site == "dock"
+
+
+def test_nothing_is_fetched_from_a_dock_that_is_in():
+    driver = swung(out=False)
+    driver.go(*IN_DOCK)
+    driver.go(20.0, 270.0)
+    assert at(driver) == "docked"
+    assert driver.world.truth.crashes()[0].site == "dock"
+
+
+def test_probe_that_is_normally_open():
+    probe = replace(DOCK.mag_probe, normally_open=True, initial="attached")
+    driver = Driver(make(replace(DOCK, mag_probe=probe)))
+    closed = replace(probe, normally_open=False)
+    usual = Driver(make(replace(DOCK, mag_probe=closed)))
+    assert not driver.world.level("probe", driver.t, driver.pose)
+    assert driver.find("probe") == pytest.approx(usual.find("probe"))
+    driver.world.lose_probe(driver.t)
+    usual.world.lose_probe(usual.t)
+    assert not driver.world.level("probe", driver.t, driver.pose)
+    assert usual.world.level("probe", usual.t, usual.pose)
+
+
 def test_senses_follow_the_probe():
     driver = Driver(make(DOCK))
     world = driver.world

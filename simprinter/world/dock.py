@@ -11,6 +11,7 @@ import random
 from typing import Callable, Optional, Sequence
 
 from ..faults import PROBE_SITES, Faults
+from .lines import Output
 from .spec import DockSpec, MagProbeSpec, Vector
 
 # Gauss without end would leave no height above which nothing can be touched
@@ -83,6 +84,7 @@ class Dock:
         "_reach",
         "_release",
         "_spec",
+        "swing",
     )
 
     def __init__(self, spec: DockSpec) -> None:
@@ -92,11 +94,25 @@ class Dock:
         self._release = _unit(spec.release)
         self._cosine = math.cos(math.radians(spec.cone))
         self._spec = spec
+        # The output that swings it out, None where it stands still
+        self.swing = Output(spec.out_from) if spec.swing else None
         # Nearest pose of the present visit, None while outside
         self._innermost: Optional[Vector] = None
 
-    def reaches(self, pose: Sequence[float]) -> bool:
+    def _is_out(self, t: float) -> bool:
+        swing = self.swing
+        return swing is None or (
+            swing.on(t) and swing.lasts(t) >= self._spec.swing
+        )
+
+    def _swings(self, t: float) -> bool:
+        return self.swing is not None and self.swing.lasts(t) < self._spec.swing
+
+    def reaches(self, t: float, pose: Sequence[float]) -> bool:
         """Whether a head at `pose` is joined with a probe in the dock."""
+        return self._is_out(t) and self._is_near(pose)
+
+    def _is_near(self, pose: Sequence[float]) -> bool:
         dx = pose[0] - self._middle[0]
         # Nearly always far away: spare the square root
         if dx > self._reach or dx < -self._reach:
@@ -108,13 +124,17 @@ class Dock:
             return math.dist(pose[:2], self._middle[:2])
         return math.dist(pose, self._middle)
 
-    def depth(self, pose: Sequence[float]) -> float:
+    def depth(self, t: float, pose: Sequence[float]) -> float:
         """How deep (mm) a head at `pose` is in what holds the probe."""
         spec = self._spec
         dx, dy = pose[0] - spec.x, pose[1] - spec.y
         depth = spec.body - math.hypot(dx, dy)
         if depth <= 0.0 or not (spec.lifted or pose[2] < spec.z + spec.top):
             return 0.0
+        if self._swings(t):
+            return depth
+        if not self._is_out(t):
+            return max(0.0, spec.reach - self._distance(pose))
         for ux, uy, _ in (spec.approach, spec.release, *spec.lanes):
             length = math.hypot(ux, uy)
             if not length:
@@ -130,7 +150,9 @@ class Dock:
             depth = min(depth, max(aside, -along - spec.lane))
         return depth
 
-    def left_towards(self, pose: Sequence[float]) -> Optional[ProbeState]:
+    def left_towards(
+        self, t: float, pose: Sequence[float]
+    ) -> Optional[ProbeState]:
         """Commit a pose; says what leaving the reach just now asks for.
 
         ATTACHED: left in the approach direction, which takes the probe.
@@ -139,7 +161,7 @@ class Dock:
         The direction is that from the visit's innermost pose.
         """
         deepest = self._innermost
-        if self.reaches(pose):
+        if self.reaches(t, pose):
             if deepest is None or self._distance(pose) <= self._distance(
                 deepest
             ):
@@ -218,14 +240,14 @@ class Keeper:
         """Whether probe and head are joined, carried or met in the dock."""
         state = self._holder.at(t)
         if state is ProbeState.DOCKED and self._dock is not None:
-            return self._dock.reaches(pose)
+            return self._dock.reaches(t, pose)
         return state is ProbeState.ATTACHED
 
     def in_dock(self, t: float, pose: Sequence[float]) -> bool:
         """Whether the probe sits in the dock, joined with the head or not."""
         state = self._holder.at(t)
         if state is ProbeState.ATTACHED and self._dock is not None:
-            return self._dock.reaches(pose)
+            return self._dock.reaches(t, pose)
         return state is ProbeState.DOCKED
 
     def observe(self, t: float, pose: Sequence[float]) -> None:
@@ -233,13 +255,18 @@ class Keeper:
         if self._holder.unsettled:
             self._settle(t)
         if self._dock is not None:
-            wanted = self._dock.left_towards(pose)
+            wanted = self._dock.left_towards(t, pose)
             if wanted is not None:
                 self.ask(t, wanted, 0.0)
 
-    def dock_depth(self, pose: Sequence[float]) -> float:
+    @property
+    def swing(self) -> Optional[Output]:
+        """The output that swings the dock out, None where it stands still."""
+        return None if self._dock is None else self._dock.swing
+
+    def dock_depth(self, t: float, pose: Sequence[float]) -> float:
         """How deep (mm) a head at `pose` is in the dock's body."""
-        return 0.0 if self._dock is None else self._dock.depth(pose)
+        return 0.0 if self._dock is None else self._dock.depth(t, pose)
 
     def ask(self, t: float, wanted: ProbeState, delay: float) -> None:
         """An attempt to attach or dock, done t + delay; may fail.

@@ -72,22 +72,23 @@ class Line:
 
 
 class Output:
-    """A board output as the world sees it: on from half its range.
+    """A board output as the world sees it: on from a part of its range.
 
     The value before the last edge is kept, as levels are asked for with a
     latency.
     """
 
-    __slots__ = ("_before", "_on", "_since")
+    __slots__ = ("_before", "_least", "_on", "_since")
 
-    def __init__(self) -> None:
+    def __init__(self, least: float = 0.5) -> None:
+        self._least = least
         self._on = False
         self._before = False
         self._since = -math.inf
 
     def set(self, t: float, value: float) -> bool:
         """Take over a value 0..1; returns whether this was an edge."""
-        on = value >= 0.5
+        on = value >= self._least
         if on == self._on:
             return False
         self._before, self._on, self._since = self._on, on, t
@@ -96,3 +97,7 @@ class Output:
     def on(self, t: float) -> bool:
         """Whether it is on at time t."""
         return self._on if t >= self._since else self._before
+
+    def lasts(self, t: float) -> float:
+        """For how long (s) it has been as it is at time t."""
+        return t - self._since if t >= self._since else math.inf

@@ -192,12 +192,16 @@ class Builder:
         pressed = self._contact(sensor)
 
         def level(t: float, pose: Sequence[float]) -> bool:
+            if probe.normally_open:
+                return keeper.connected(t, pose) and pressed(t, pose)
             # Normally closed: asserted as well when it is not there
             return not keeper.connected(t, pose) or pressed(t, pose)
 
         self._line("probe", level, sensor.state, probe.noise)
         if probe.mode == "output":
             self._outputs["probe_attach"] = Output()
+        if keeper.swing is not None:
+            self._outputs["dock_swing"] = keeper.swing
         if self._spec.probe_sense:
             self._line("probe_sense", keeper.connected)
         if self._spec.dock_sense:

@@ -191,6 +191,8 @@ class MagProbeSpec(Spec):
     initial: "attached", "docked" or "lost"
     attach_time: seconds from the output's edge to the change, mode "output"
     plunger_on_pin: whether the pin that the body is put on presses the plunger
+    normally_open: whether the switch closes when it is pressed; it reads open
+        without the probe, too
     """
 
     x_offset: float
@@ -204,6 +206,7 @@ class MagProbeSpec(Spec):
     initial: str = "attached"
     attach_time: float = 0.0
     plunger_on_pin: bool = False
+    normally_open: bool = False
     noise: NoiseSpec = field(default_factory=NoiseSpec)
 
     _POSITIVE = ("body_drop", "half_width")
@@ -231,6 +234,11 @@ class DockSpec(Spec):
     body: radius around it, mm, in which the head hits something, except in
         lanes this wide to either side along approach, release and `lanes`
     top: mm over z to which that something reaches
+    swing: seconds that a servo, on the output "dock_swing", needs to swing it
+        out; 0: it stands there for ever. Swung in, it holds the probe back from
+        any head, and is in the way of one that comes to where they would meet;
+        while it swings, of one in `body` and its lanes, too.
+    out_from: duty (0..1) of that output from which it is to be out
     """
 
     x: float
@@ -245,9 +253,11 @@ class DockSpec(Spec):
     lane: float = 2.0
     lanes: Tuple[Vector, ...] = ()
     top: float = 10.0
+    swing: float = 0.0
+    out_from: float = 0.05
 
-    _POSITIVE = ("reach", "cone")
-    _NOT_NEGATIVE = ("body", "lane", "top")
+    _POSITIVE = ("reach", "cone", "out_from")
+    _NOT_NEGATIVE = ("body", "lane", "top", "swing")
 
     def _check(self) -> None:
         self._require(self.cone < 90.0, "cone", "below 90")

@@ -130,6 +130,11 @@ class World:
         """Where the detachable probe is: attached, docked, lost or none."""
         return "none" if self._keeper is None else self._keeper.at(t).value
 
+    def dock_is_out(self, t: float) -> bool:
+        """Whether the dock stands where its probe is met, or is to."""
+        swing = None if self._keeper is None else self._keeper.swing
+        return swing is None or swing.on(t)
+
     def lose_probe(self, t: float) -> None:
         """The probe falls off the head at time t, where it is carried."""
         if self._keeper is not None:
@@ -168,7 +173,7 @@ class World:
             self._next_fault = self._mark_due(t)
         if self._keeper is not None:
             self._keeper.observe(t, pose)
-            depth = self._keeper.dock_depth(pose)
+            depth = self._keeper.dock_depth(t, pose)
             if depth > 0.0:
                 here = Pose(x, y, z)
                 self.truth.judge(Crash("dock", "depth", depth, 0.0, t, here))

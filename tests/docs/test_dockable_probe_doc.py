@@ -23,7 +23,6 @@ ELSEWHERE = {
     "dock_fixed_z": "whether no position has a Z",
     "detach_dockable_before_z_home": "whether Z is homed on a switch",
     "safe_dock_distance": "distance of the nearest position",
-    "check_open_attach": "see below",
 }
 # A limit that comes from elsewhere
 UP_TO = {"safe_dock_distance": ", up to that"}
@@ -72,7 +71,10 @@ def test_options_are_all_there():
 MISTAKES = {
     "left out": (r"(?m)^\| `lift_speed` .*\n", ""),
     "default": (r"(\| `travel_speed` \| )`50`", r"\1`60`"),
-    "as another one": (r"(\| `attach_speed` \| )`speed`", r"\1`lift_speed`"),
+    "as another one": (
+        r"(\| `attach_speed` \| )`travel_speed`",
+        r"\1`lift_speed`",
+    ),
     "range": (r"(\| `z_hop` .*)≥ 0", r"\1> 0"),
     "line": (r"(?m)^(#lift_speed:\n#   )All", r"\1Some"),
     "value": (r"(?m)^#dock_retries: 0", "#dock_retries: 1"),

@@ -17,7 +17,7 @@ from simprinter.hosts.hosts import Host
 from tests.docs.documents import OPTIONS, part, rows, spans
 from tests.docs.option_rows import default_of, value_of
 from tests.docs.test_dockable_probe_doc import SETTINGS
-from tools.kit.dockable_probe import SWITCH
+from tools.kit.dockable_probe import SENSED
 from tools.kit.printer import Printer
 from z_touch.core import options
 
@@ -113,7 +113,7 @@ def test_dockable_probe_has_these_defaults(host: Host):
     rows_of = {row.name: row for row in SETTINGS.OPTIONS if value_of(row)}
     assert len(rows_of) > 15
     changes = {"dockable_probe": dict.fromkeys(rows_of)}
-    with Printer(host, SWITCH, changes) as printer:
+    with Printer(host, SENSED, changes) as printer:
         printer.session.require_ready()
         settings = printer.status("configfile")["settings"]["dockable_probe"]
     for name, row in rows_of.items():

@@ -6,6 +6,7 @@ import pytest
 
 from simprinter import Fault
 from tools.kit.dockable_probe import (
+    ABOVE,
     BED,
     CLEAR,
     FRAME,
@@ -14,6 +15,7 @@ from tools.kit.dockable_probe import (
     HOMING,
     QUICK,
     SENSED,
+    SERVO,
     SWITCH,
     section,
     trips,
@@ -22,7 +24,9 @@ from tools.kit.dockable_probe import (
 from tools.kit.z_calibration import with_moves
 
 SCENES = pytest.mark.parametrize(
-    "scene", [GANTRY, SWITCH, SENSED, FRAME, BED], ids=lambda scene: scene.name
+    "scene",
+    [GANTRY, SWITCH, SENSED, SERVO, FRAME, BED, ABOVE],
+    ids=lambda scene: scene.name,
 )
 MESH = "BED_MESH_CALIBRATE PROBE_COUNT=3,3"
 
@@ -115,7 +119,7 @@ def test_attached_until_it_is_detached(start, scene):
     # Pressed on the bed it still is attached
     printer.run(f"PROBE\nPROBE\n{MESH}\nATTACH_PROBE\nPROBE")
     assert trips(printer, before) == []
-    assert printer.status("dockable_probe")["last_status"] == "ATTACHED"
+    assert printer.status("dockable_probe")["last_status_name"] == "ATTACHED"
     printer.run("BED_MESH_CLEAR\nG1 X150 Y150 Z30 F6000\nDETACH_PROBE")
     assert where(printer) == "docked"
     assert printer.session.position() == pytest.approx(place, abs=0.001)
@@ -287,7 +291,11 @@ def test_status_as_other_plugins_have_it(start):
         own = printer.status("dockable_probe")[name]
         assert own == printer.status("probe")[name]
     assert printer.status("probe")["name"] == "dockable_probe"
-    assert printer.status("dockable_probe")["last_status"] == "DOCKED"
+    # As Kalico counts
+    for script, state in (("ATTACH", 1), ("DETACH", 2)):
+        printer.run(f"{script}_PROBE")
+        assert printer.status("dockable_probe")["last_status"] == state
+    assert printer.status("dockable_probe")["last_status_name"] == "DOCKED"
     assert printer.status("dockable_probe")["auto_attach_detach"] is True
     for command in ("GET_PROBE_STATUS", "QUERY_DOCKABLE_PROBE"):
         lines = printer.run(command)

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import importlib
 import re
+from dataclasses import replace
 from pathlib import Path
 
 import pytest
@@ -152,9 +153,14 @@ def test_wrong_option(host: Host, changes, words):
     assert words in refusal(host, section(**changes))
 
 
-def test_two_probes(host: Host):
-    message = refusal(host, {"probe": {"pin": "PF0", "z_offset": "1"}})
-    assert "probe" in message
+# As it was before, and what SAVE_CONFIG has left of it
+@pytest.mark.parametrize(
+    "options", [{"pin": "^PC3", "z_offset": "1"}, {"z_offset": "1.5"}]
+)
+def test_old_probe_is_told_as_that(host: Host, options):
+    message = refusal(host, {"probe": options})
+    assert "there is a [probe], too, and a printer has one probe" in message
+    assert "'#*# [probe]'" in message
 
 
 # What they do
@@ -228,9 +234,10 @@ def test_speed(start, option, script):
 def test_default_speeds(start):
     none = {"travel_speed": None, "attach_speed": None, "detach_speed": None}
     printer = recording(start, speed="10", lift_speed="40", **none)
-    # 170 and 156 mm at 50 mm/s, twice 38 at 10
-    taken = seconds(printer, "ATTACH_PROBE")
-    assert 76 / 10 + 2 * 155 / 50 < taken < 76 / 10 + 2 * 160 / 50 + 2.0
+    # 170 and 156 mm, and twice 38 or 38 and 40, all at 50 mm/s
+    for script in ("ATTACH_PROBE", "DETACH_PROBE"):
+        taken = seconds(printer, script)
+        assert (76 + 2 * 155) / 50 < taken < (78 + 2 * 160) / 50 + 2.0
 
 
 def test_lift_speed(start):
@@ -350,7 +357,7 @@ def test_templates_in_their_order(start):
         "detach",
         "post_detach",
     ]
-    at = "{printer.toolhead.position[:2]|map('int')|join('/')}"
+    at = "{printer.toolhead.position[:2]|map('round')|map('int')|join('/')}"
     options = {
         f"{name}_gcode": f'\n  RESPOND MSG="{at} {name}"\n  M400'
         for name in names
@@ -368,18 +375,19 @@ def test_templates_in_their_order(start):
     places = {name: place for place, name in words}
     assert places["post_attach"] == "50/270"
     assert places["post_detach"] == "90/308"
+    assert places["activate"] == places["deactivate"] == "150/150"
     assert told == [
         # Those at the dock again with each attempt, the others once
+        "activate",
         "pre_attach",
         "attach",
         "attach",
         "post_attach",
-        "activate",
-        "deactivate",
         "pre_detach",
         "detach",
         "detach",
         "post_detach",
+        "deactivate",
     ]
 
 
@@ -542,24 +550,32 @@ def test_sense_pins(start, options, words):
     assert printer.run("GET_PROBE_STATUS")[1].split(": ")[-1] == words
 
 
-def test_pin_has_a_say_beside_a_dock_sense_pin(start):
-    fault = Fault("stuck_open", signal="probe", t=0.0)
-    for given, is_asked in ((None, True), ("False", False)):
-        options = {"check_open_attach": given, "probe_sense_pin": None}
-        printer = start(SENSED, section(**options), faults=[fault])
+# Each with the probe in the dock and on the head.  Open as if it were on the head,
+# TRIGGERED as if it were not: 'pin' has a veto, beside others, if it is asked.
+@pytest.mark.parametrize(
+    ("asked", "stuck", "docked", "attached"),
+    [
+        ("True", "stuck_open", "DOCKED", "ATTACHED"),
+        ("True", "stuck_closed", "DOCKED", "UNKNOWN"),
+        (None, "stuck_closed", "DOCKED", "ATTACHED"),
+        (None, "stuck_open", "DOCKED", "ATTACHED"),
+    ],
+)
+@pytest.mark.parametrize("missing", ["probe_sense_pin", "dock_sense_pin"])
+def test_say_of_the_pin_beside_others(
+    start, missing, asked, stuck, docked, attached
+):
+    options = {"check_open_attach": asked, missing: None}
+    for initial, state in (("docked", docked), ("attached", attached)):
+        probe = replace(SENSED.world.mag_probe, initial=initial)
+        fault = Fault(stuck, signal="probe", t=0.0)
+        printer = start(
+            SENSED.with_world(mag_probe=probe),
+            section(**options),
+            faults=[fault],
+        )
         printer.session.require_ready()
-        text = printer.run("GET_PROBE_STATUS")[0]
-        assert ("UNKNOWN" in text) is is_asked
-
-
-def test_pin_has_no_say_beside_both_unless_it_is_given_one(start):
-    fault = Fault("stuck_open", signal="probe", t=0.0)
-    for given, is_asked in ((None, False), ("True", True)):
-        options = {"check_open_attach": given}
-        printer = start(SENSED, section(**options), faults=[fault])
-        printer.session.require_ready()
-        text = printer.run("GET_PROBE_STATUS")[0]
-        assert ("UNKNOWN" in text) is is_asked
+        assert printer.run("GET_PROBE_STATUS")[0].endswith(": " + state)
 
 
 def test_pin_that_reads_open_in_the_dock_is_told(start):

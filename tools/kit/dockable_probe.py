@@ -17,6 +17,7 @@ FLOOR = HANG - 5.0
 GANTRY = DOCK_SCENES["dock_gantry"]
 SWITCH = DOCK_SCENES["dock_gantry_switch"]
 SENSED = DOCK_SCENES["dock_sensed"]
+SERVO = DOCK_SCENES["dock_servo"]
 FRAME = DOCK_SCENES["dock_frame"]
 BED = DOCK_SCENES["dock_bed"]
 ABOVE = DOCK_SCENES["dock_above"]

@@ -4,6 +4,7 @@
 from __future__ import absolute_import, division
 
 from ..core import options
+from ..core.endstops import PROBE_PINS
 from . import detour
 from .settings import DOCK, MIDDLE, POSITIONS, dock_height
 
@@ -16,6 +17,30 @@ DOUBTFUL_WAY = 45.0
 ######################################################################
 # While the configuration is read
 ######################################################################
+
+
+# Before anything else: what hosts say of pins and objects that are there twice
+# does not lead to the section that is too many.
+def check_only_probe(config):
+    for name, _pin in PROBE_PINS:
+        if name != config.get_name() and config.has_section(name):
+            raise config.error(
+                "Section '%s': there is a [%s], too, and a printer has one"
+                " probe; remove the other, also '#*# [%s]' and the lines below"
+                " it at the end of printer.cfg, where SAVE_CONFIG has written"
+                " them" % (config.get_name(), name, name)
+            )
+
+
+# Whether another section lifts the head before X and Y are homed: the owner knows
+# better then how much room there is above.
+def is_lifted_elsewhere(config):
+    if config.has_section("homing_override"):
+        return True
+    if not config.has_section("safe_z_home"):
+        return False
+    section = config.getsection("safe_z_home")
+    return section.getfloat("z_hop", 0.0, note_valid=False) > 0.0
 
 
 # Whether the positions lead out of the dock, and whether detach_position strips

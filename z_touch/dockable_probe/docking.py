@@ -7,9 +7,11 @@
 #   fetch    MOVE_TO_APPROACH_...  attach_gcode     MOVE_TO_EXTRACT_PROBE
 #   dock     MOVE_TO_INSERT_...    detach_gcode     MOVE_TO_DETACH_PROBE
 #
-# pre_..._gcode runs before a trip, post_..._gcode after it, beside the dock.  A
-# trip that has not brought about what it should is tried dock_retries times
-# again.
+# pre_..._gcode runs before a trip, post_..._gcode after it, beside the dock, also
+# where the trip has failed: a servo puts the dock away then.  A trip that has not
+# brought about what it should is tried dock_retries times again.
+# activate_gcode runs before the probe is fetched, deactivate_gcode when it was
+# docked and the head is back.
 from __future__ import absolute_import
 
 import collections
@@ -59,39 +61,59 @@ class Docking(object):
         self.settings = settings
         self.sensors = sensors
         self.moves = moves
+        # The option whose G-code runs, None where none does
+        self.running = None
 
     # Puts the probe on the head, and goes back to 'goal' where there is one.
-    # The pins have changed on the way out of the dock, then.
-    def fetch(self, goal=None):
+    # The pins have changed on the way out of the dock, then.  Returns whether it
+    # was in the dock.  'is_only_stop': nothing else will end the way down.
+    def fetch(self, goal=None, is_only_stop=False):
+        self.check_idle()
         sensors, state = self.sensors, self.sensors.confirm()
         if state == sensors.proven == ATTACHED:
-            return
-        self.moves.require_homed()
+            return False
+        self._require_homed(state)
         self.moves.lift_for_dock()
         if not state == sensors.proven == DOCKED:
             # Where the probe was pressed it looked as if it were not there.
             state = sensors.look()
         if not state == sensors.proven == ATTACHED:
-            self._fetch_from(state, goal)
+            self._fetch_from(state, goal, is_only_stop)
         if goal is not None:
             self.moves.go_back(goal, travel_height(self.settings))
+        return state == DOCKED
 
-    def _fetch_from(self, state, goal):
+    def _fetch_from(self, state, goal, is_only_stop):
         if state == ATTACHED:
             self.host.say("it reads attached, which proves nothing; docking it")
             self.dock()
             state = DOCKED
         sensors = self.sensors
-        if not sensors.is_triggered(sensors.pin, self.host.print_time()):
+        sensors.look_at_switch()
+        if is_only_stop:
+            self.check_switch()
+        if not sensors.is_switch_seen:
             self.host.say(
                 "'pin' reads open without the probe, too: if it breaks, nothing"
                 " stops the nozzle; wire it as normally closed, and set"
                 " check_open_attach: True"
             )
+        self.activate()
         self._make(FETCH, state, goal)
 
-    # Puts the probe into the dock, and goes back to 'goal' where there is one
+    # Before a way down that nothing else ends
+    def check_switch(self):
+        if self.sensors.is_pin_asked and not self.sensors.is_switch_seen:
+            raise self.host.error(
+                "'pin' reads open without the probe, as a broken wire does, and"
+                " nothing else would stop the nozzle; look at the switch and its"
+                " wires, or set check_open_attach: False if it is normally open"
+            )
+
+    # Puts the probe into the dock, and goes back to 'goal' where there is one.
+    # Returns whether it was anywhere else.
     def dock(self, goal=None):
+        self.check_idle()
         sensors, z = self.sensors, self.moves.position().z
         state = sensors.confirm()
         is_certain = sensors.proven == DOCKED or sensors.senses
@@ -102,18 +124,74 @@ class Docking(object):
             state = sensors.look()
         if state == DOCKED:
             self.moves.go_to_height(z)
-            return
-        self.moves.require_homed()
+            return False
+        self._require_homed(state)
         self.moves.lift_for_dock()
         self._make(DOCK, state, goal)
         if goal is not None:
             self.moves.go_back(goal, 0.0)
+        self.deactivate()
+        return True
+
+    # To home Z on its switch with the probe on would press it into the bed.
+    def _require_homed(self, state):
+        moves = self.moves
+        is_z_missing = not self.settings.dock_fixed_z and not moves.is_homed(
+            "z"
+        )
+        if state != DOCKED and is_z_missing and moves.is_homed("xy"):
+            raise self.host.error(
+                "the probe is %s (%s), and to find the dock Z has to be homed;"
+                " take the probe off by hand and put it into the dock, then G28"
+                % (state, self.sensors.describe())
+            )
+        moves.require_homed()
+
+    ######################################################################
+    # G-code of the owner's
+    ######################################################################
 
     # The G-code of an option, where it is given
     def run(self, name):
         template = getattr(self.settings, name)
-        if template is not None:
+        if template is None:
+            return
+        outer, self.running = self.running, name
+        try:
             template.run_gcode_from_command()
+        finally:
+            self.running = outer
+
+    # It must not move the head.
+    def run_still(self, name):
+        before = self.host.toolhead.get_position()[:3]
+        self.run(name)
+        if self.host.toolhead.get_position()[:3] != before:
+            raise self.host.error(
+                "the head moved in %s; move it in another option" % (name,)
+            )
+
+    # The probe is about to be used for a while, and was used; with
+    # deactivate_on_each_sample that is each touch, see prober.Prober
+    def activate(self):
+        if not self.settings.deactivate_on_each_sample:
+            self.run_still("activate_gcode")
+
+    def deactivate(self):
+        if not self.settings.deactivate_on_each_sample:
+            self.run_still("deactivate_gcode")
+
+    # Fetching it for what runs in the middle of fetching it would never end.
+    def check_idle(self):
+        if self.running is not None:
+            raise self.host.error(
+                "a command in %s needs the probe fetched or docked, which that"
+                " is a part of; remove the command there" % (self.running,)
+            )
+
+    ######################################################################
+    # A trip
+    ######################################################################
 
     # A trip with the G-code around it.  'state' is what was seen just before.
     def _make(self, trip, state, goal):
@@ -122,10 +200,16 @@ class Docking(object):
         go_on = None
         if goal is not None and getattr(self.settings, after) is None:
             go_on = functools.partial(self.moves.go_back, goal)
-        self.run("pre_" + trip.gcode)
-        self._try(trip, state, go_on)
-        self.run(after)
+        put_away = functools.partial(self._run_beside_dock, after)
+        with running.always(self.host, put_away, "putting the dock away"):
+            self.run("pre_" + trip.gcode)
+            self._try(trip, state, go_on)
         self.sensors.proven = trip.after
+
+    # A head that was not brought out of the dock still is in it.
+    def _run_beside_dock(self, name):
+        if not self.moves.stands_in_dock():
+            self.run(name)
 
     # Until the probe is where the trip should bring it; raises the host's
     # error, with the head lifted, when no retry is left.  'go_on' queues the

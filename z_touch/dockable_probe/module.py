@@ -15,14 +15,18 @@ from .docking import Docking
 from .moves import Moves
 from .prober import Prober
 from .sensors import ATTACHED, DOCKED, UNKNOWN, Sensors
-from .settings import read_settings
+from .settings import read_settings, travel_height
 from .virtual_probe import VirtualProbe
+
+# As Kalico's own counts them
+STATES = (UNKNOWN, ATTACHED, DOCKED)
 
 
 # The object behind [dockable_probe]
 class DockableProbe(object):
     def __init__(self, config):
         logging.info("dockable_probe %s", __version__)
+        checks.check_only_probe(config)
         self.host = host.Host(config)
         old_names = options.OldNames(config)
         # What the user is told when klippy is ready
@@ -35,6 +39,8 @@ class DockableProbe(object):
         self.docking = Docking(settings, self.sensors, self.moves)
         self.prober = Prober(self.docking, settings)
         self.carrier = Carrier(self.prober)
+        # Whether the owner lifts the head before X and Y are homed
+        self.is_lifted_elsewhere = checks.is_lifted_elsewhere(config)
         self.virtual_probe = VirtualProbe(self.host)
         self.virtual_probe.install(
             config, self.prober, self.sensors.pin.endstop, settings
@@ -42,6 +48,7 @@ class DockableProbe(object):
         register = self.host.printer.register_event_handler
         register("klippy:connect", self.connect)
         register("klippy:ready", self.tell_notes)
+        register("homing:home_rails_begin", self.lift_before_xy)
         register("homing:home_rails_begin", self.home_rails_begin)
         running.register_commands(self.host, self)
 
@@ -72,6 +79,14 @@ class DockableProbe(object):
                 " mesh is probed; make the mesh smaller, or move the dock"
                 % dock
             )
+
+    # What hangs on the head may be lower than the bed when X and Y are homed, and
+    # nobody knows that yet.
+    def lift_before_xy(self, homing_state, rails):
+        if self.is_lifted_elsewhere or self.host.homed_axis(rails) is None:
+            return
+        if self.sensors.confirm() != DOCKED:
+            self.moves.lift(travel_height(self.settings))
 
     # Where Z is homed without the probe, that may be in the way.
     def home_rails_begin(self, homing_state, rails):
@@ -104,7 +119,9 @@ class DockableProbe(object):
 
     def get_status(self, eventtime):
         status = dict(self.virtual_probe.get_status(eventtime))
-        status["last_status"] = self.sensors.last_state
+        # Kalico's numbers under Kalico's name
+        status["last_status"] = STATES.index(self.sensors.last_state)
+        status["last_status_name"] = self.sensors.last_state
         status["auto_attach_detach"] = self.prober.auto
         return status
 
@@ -154,6 +171,9 @@ class DockableProbe(object):
         # Until it was fetched nobody holds it.
         self.prober.hold(False)
         goal = self.moves.position()
+        if self.sensors.confirm() == self.sensors.proven == ATTACHED:
+            # It is told that it will be used, wherever it was.
+            self.docking.activate()
         self.docking.fetch(goal if self.settings.restore_toolhead else None)
         self.prober.hold(True)
 
@@ -161,7 +181,9 @@ class DockableProbe(object):
 
     def cmd_DETACH_PROBE(self, gcmd):
         self.prober.hold(False)
-        self.prober.dock_and_return(self.moves.position())
+        if not self.prober.dock_and_return(self.moves.position()):
+            # It is told that it was used, wherever it is.
+            self.docking.deactivate()
 
     cmd_MOVE_TO_APPROACH_PROBE_help = "Move to approach_position"
 

@@ -229,6 +229,15 @@ class Moves(object):
     def is_in_dock(self, position):
         return detour.is_in_dock(position, self.zone)
 
+    # Whether the head is in there now, not over a dock that is entered from above
+    def stands_in_dock(self):
+        place, dock_z = self.position(), self.settings.dock_position.z
+        if not self.is_in_dock(place):
+            return False
+        if self.settings.dock_fixed_z or None in (place.z, dock_z):
+            return True
+        return place.z < dock_z + detour.SMALLEST_DISTANCE
+
     # To a position of the dock's, high enough for what hangs on the head.  Of a
     # dock that has a height of its own it may be above the head, where the way
     # up is clear of the dock, and below, where only the place itself is.

@@ -75,6 +75,7 @@ class Prober(object):
 
     # A command that probes begins
     def begin(self, is_homing):
+        self.docking.check_idle()
         self.delay.cancel()
         self.homing = FIRST if is_homing else None
         self.clear_z = 0.0
@@ -87,13 +88,17 @@ class Prober(object):
                 " be touched; move it away first, as MOVE_TO_APPROACH_PROBE"
                 " does" % goal[:2]
             )
-        if self.auto:
-            self.docking.fetch(goal)
-        else:
+        # Nobody knows how high the head is, so the way down has no end.
+        is_only_stop = is_homing and self.homing_reach() is None
+        if not self.auto:
             self._require_attached()
+        elif self.docking.fetch(goal, is_only_stop):
+            # Whoever held it has lost it, and somebody has put it there.
+            self.is_held = False
+        if is_only_stop:
+            self.docking.check_switch()
         if not self.moves.is_at(goal):
             self.moves.go_back(goal, travel_height(self.settings))
-        self._run_still("activate_gcode", each_touch=False)
 
     def _require_attached(self):
         state = self.sensors.confirm()
@@ -110,13 +115,13 @@ class Prober(object):
             raise self._lost("is not ready")
         if self.sensors.proven != ATTACHED:
             raise self._lost("was not seen to be fetched")
-        self._run_still("activate_gcode", each_touch=True)
+        self._run_each_touch("activate_gcode")
 
     # A probing move has ended: whether the head has moved, and the probe
     # triggered
     def after_move(self, moved, triggered):
         self.clear_z = self.host.z() + self.settings.sample_retract_dist
-        self._run_still("deactivate_gcode", each_touch=True)
+        self._run_each_touch("deactivate_gcode")
         if not self.sensors.is_sensed():
             raise self._lost("was lost in a touch")
         if not moved:
@@ -148,7 +153,6 @@ class Prober(object):
                 # Not back down to where nothing was found
                 goal = goal._replace(z=height)
             self.moves.lift(max(height, clear_z))
-        self._run_still("deactivate_gcode", each_touch=False)
         if self.sensors.look() != ATTACHED:
             raise self._lost("was lost, what was measured is wrong")
         if self.is_docked_at_once:
@@ -157,17 +161,9 @@ class Prober(object):
         elif self.auto and not self.is_held:
             self._dock_after_use(goal)
 
-    # The user's G-code, unless it belongs to the command and this is a touch,
-    # or the other way round; it must not move the head.
-    def _run_still(self, name, each_touch):
-        if each_touch != self.settings.deactivate_on_each_sample:
-            return
-        before = self.host.toolhead.get_position()[:3]
-        self.docking.run(name)
-        if self.host.toolhead.get_position()[:3] != before:
-            raise self.host.error(
-                "the head moved in %s; move it in another option" % (name,)
-            )
+    def _run_each_touch(self, name):
+        if self.settings.deactivate_on_each_sample:
+            self.docking.run_still(name)
 
     ######################################################################
     # What goes wrong
@@ -206,9 +202,11 @@ class Prober(object):
     # Docking it at the end
     ######################################################################
 
-    # Back to 'goal', unless the owner wants the head to stay beside the dock
+    # Back to 'goal', unless the owner wants the head to stay beside the dock;
+    # returns whether the probe was not there yet
     def dock_and_return(self, goal):
-        self.docking.dock(goal if self.settings.restore_toolhead else None)
+        goal = goal if self.settings.restore_toolhead else None
+        return self.docking.dock(goal)
 
     # For somebody who goes down next, where the head stands now: there it is
     # again, whatever the owner wants of the commands.

@@ -28,26 +28,36 @@ class Sensors(object):
             self.senses.append(sense("probe_sense_pin", True))
         if settings.dock_sense_pin is not None:
             self.senses.append(sense("dock_sense_pin", False))
-        self.all = list(self.senses)
-        if settings.check_open_attach:
-            self.all.append(self.pin)
+        # Whether 'pin', too, tells where the probe is: alone it decides.  Beside
+        # others it has a veto: TRIGGERED it is not on the head, or pressed.  Open
+        # says nothing there, as a switch that is normally open reads so anywhere.
+        self.is_pin_asked = settings.check_open_attach
+        # Whether 'pin' read TRIGGERED when the probe was last fetched: a wire that
+        # is broken never does
+        self.is_switch_seen = False
         # Where the trip that ended last has put the probe, and the pins were
         # seen to change on it; UNKNOWN: what they read proves nothing
         self.proven = UNKNOWN
         # What somebody who looked has seen last
         self.last_state = UNKNOWN
 
-    def state(self, print_time, senses):
+    def state(self, print_time):
+        state = self._agreed(print_time, self.senses or [self.pin])
+        has_veto = state == ATTACHED and self.senses and self.is_pin_asked
+        if has_veto and self.is_triggered(self.pin, print_time):
+            state = UNKNOWN
+        self.last_state = state
+        return state
+
+    # What all of these pins say, UNKNOWN where they contradict each other
+    def _agreed(self, print_time, senses):
         attached = [
             self.is_triggered(sense, print_time) == sense.when_attached
             for sense in senses
         ]
-        self.last_state = UNKNOWN
         if all(attached):
-            self.last_state = ATTACHED
-        elif not any(attached):
-            self.last_state = DOCKED
-        return self.last_state
+            return ATTACHED
+        return UNKNOWN if any(attached) else DOCKED
 
     def is_triggered(self, sense, print_time):
         return bool(sense.endstop.query_endstop(print_time))
@@ -58,22 +68,28 @@ class Sensors(object):
         print_time = self.host.after_moves()
         if meanwhile is not None:
             meanwhile()
-        return self.state(print_time, self.all)
+        return self.state(print_time)
 
     # The state, at once where the pins read what is proven, so that the head
     # need not stop for it; otherwise after all moves
     def confirm(self):
-        state = self.state(self.host.print_time(), self.all)
+        state = self.state(self.host.print_time())
         if state == self.proven != UNKNOWN:
             return state
         return self.look()
+
+    # While the probe is in the dock
+    def look_at_switch(self):
+        print_time = self.host.print_time()
+        self.is_switch_seen = self.is_triggered(self.pin, print_time)
 
     # Whether the pins that tell by themselves say that the probe is on the
     # head, or there are none
     def is_sensed(self):
         if not self.senses:
             return True
-        return self.state(self.host.print_time(), self.senses) == ATTACHED
+        self.last_state = self._agreed(self.host.print_time(), self.senses)
+        return self.last_state == ATTACHED
 
     # What the pins read, for people
     def describe(self):

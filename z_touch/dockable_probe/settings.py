@@ -198,13 +198,14 @@ TRIP = (
     ),
     speed_option(
         "attach_speed",
-        Same("speed"),
-        "Into the dock, and out with the probe, in mm/s. The default is speed.",
+        Same("travel_speed"),
+        "Into the dock, and out with the probe, in mm/s. The default is"
+        " travel_speed.",
     ),
     speed_option(
         "detach_speed",
-        Same("speed"),
-        "Out without the probe, in mm/s. The default is speed.",
+        Same("travel_speed"),
+        "Out without the probe, in mm/s. The default is travel_speed.",
     ),
     option(
         "dock_retries",
@@ -225,9 +226,9 @@ TRIP = (
 SENSING = (
     flag_option(
         "check_open_attach",
-        None,
+        False,
         "True: pin reads open with the probe on the head and TRIGGERED without"
-        " it. The default is False without a dock_sense_pin.",
+        " it.",
     ),
     option(
         "probe_sense_pin",
@@ -282,7 +283,8 @@ TEMPLATES = (
         "In the dock, at each attempt to fetch it. There is no default.",
     ),
     gcode_option(
-        "post_attach_gcode", "When it was fetched. There is no default."
+        "post_attach_gcode",
+        "When it was fetched, or could not be. There is no default.",
     ),
     gcode_option(
         "pre_detach_gcode",
@@ -293,17 +295,18 @@ TEMPLATES = (
         "In the dock, at each attempt to dock it. There is no default.",
     ),
     gcode_option(
-        "post_detach_gcode", "When it was docked. There is no default."
+        "post_detach_gcode",
+        "When it was docked, or could not be. There is no default.",
     ),
     gcode_option(
         "activate_gcode",
-        "Before the first touch of a command; must not move the head. There is"
-        " no default.",
+        "Before the probe is fetched; must not move the head. There is no"
+        " default.",
     ),
     gcode_option(
         "deactivate_gcode",
-        "After the last touch of a command; must not move the head. There is no"
-        " default.",
+        "When it was docked, and the head is back; must not move the head. There"
+        " is no default.",
     ),
     flag_option(
         "deactivate_on_each_sample", False, "True: both around each touch."
@@ -359,7 +362,7 @@ def read_settings(config, host, old_names):
     values.update(options.read(config, (row,), safe_dock_distance=nearest))
     values.update(options.read(config, OTHERS, old_names))
     values["dock_fixed_z"] = is_fixed_z(config, values)
-    values["check_open_attach"] = is_open_attach(config, values)
+    check_senses(config, values)
     z_offset, homes_z = values["z_offset"], host.homes_with_probe()
     endstop_z = host.z_axis.position_endstop if host.z_axis else None
     values.update(
@@ -412,21 +415,16 @@ def is_fixed_z(config, values):
     return given
 
 
-# Whether 'pin' tells that the probe is on the head: where nobody says so, with
-# a dock_sense_pin alone, as other plugins have it
-def is_open_attach(config, values):
-    given = values["check_open_attach"]
-    on_head, in_dock = values["probe_sense_pin"], values["dock_sense_pin"]
-    if given is None:
-        given = in_dock is not None and on_head is None
-    if not given and on_head is None and in_dock is None:
+# Something has to tell where the probe is
+def check_senses(config, values):
+    senses = "check_open_attach", "probe_sense_pin", "dock_sense_pin"
+    if not any(values[name] for name in senses):
         raise config.error(
             "Section '%s': nothing tells whether the probe is attached;"
             " set check_open_attach: True if 'pin' reads open with the"
             " probe on the head and TRIGGERED without it, or give"
             " probe_sense_pin or dock_sense_pin" % (config.get_name(),)
         )
-    return given
 
 
 # Other sections that say where the head stands while Z is homed leave it there.

@@ -272,6 +272,13 @@ class VirtualProbe(object):
     # Makes the printer's 'probe' of a device with this endstop, see Facade.
     def install(self, config, device, endstop, settings):
         register = self.printer.register_event_handler
+        # Hosts would speak of chips of pins and objects that are there twice.
+        if self.printer.lookup_object("probe", None) is not None:
+            raise config.error(
+                "Section '%s': there is a [probe] (or another section that is"
+                " one) already, and a printer has one probe; remove the other"
+                % (config.get_name(),)
+            )
         self.facade = Facade(device, endstop, settings.z_offset)
         # Before the host's own, that it knows what the session is for
         register("homing:home_rails_begin", self._homing_begins)
@@ -283,14 +290,7 @@ class VirtualProbe(object):
             self._install_host_probe(config, settings, module)
         register("homing:home_rails_end", self._homing_ends)
         self.host.endstops.stops_z(self.facade)
-        try:
-            self.printer.add_object("probe", self.probe)
-        except self.printer.config_error:
-            raise config.error(
-                "Section '%s': there is a [probe] (or another section that is"
-                " one) already, and a printer has one probe; remove the other"
-                % (config.get_name(),)
-            )
+        self.printer.add_object("probe", self.probe)
 
     # Until 2024-06-10 (d4bae4dff), Kalico, QIDI
     def _install_host_probe(self, config, settings, module):

@@ -1,0 +1,244 @@
+"""Sections and habits that one comes with, and what hands do in between."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import pytest
+
+from simprinter import Fault
+from tools.kit.dockable_probe import (
+    BED,
+    CLEAR,
+    GANTRY,
+    HANG,
+    QUICK,
+    SENSED,
+    SERVO,
+    SWITCH,
+    assert_safe,
+    refusal,
+    section,
+    trips,
+    where,
+)
+
+pytestmark = pytest.mark.every_host
+
+CENTRE = "G1 X150 Y150 Z20 F6000\n"
+MESH = "BED_MESH_CALIBRATE PROBE_COUNT=3,3"
+
+
+def with_probe(scene, **changes):
+    return scene.with_world(mag_probe=replace(scene.world.mag_probe, **changes))
+
+
+def started(start, scene, changes=None, faults=(), **options):
+    """A printer whose owner takes one sample, not homed."""
+    changes = {**section(**{**QUICK, **options}), **(changes or {})}
+    printer = start(scene, changes, faults=list(faults))
+    printer.session.require_ready()
+    return printer
+
+
+def now_of(printer):
+    machine = printer.machine
+    return machine.rig.seconds(machine.simulation.clock.now())
+
+
+# activate_gcode and deactivate_gcode
+
+
+def told(printer, script):
+    lines = printer.run(script)
+    return [line.split()[-1] for line in lines if "activate" in line]
+
+
+@pytest.mark.parametrize(
+    ("script", "wanted"),
+    [
+        # As Kalico runs them
+        ("PROBE", ["activate", "deactivate"]),
+        ("ATTACH_PROBE", ["activate"]),
+        ("ATTACH_PROBE\nPROBE\nPROBE", ["activate"]),
+        ("ATTACH_PROBE\nATTACH_PROBE", ["activate"] * 2),
+        ("ATTACH_PROBE\nDETACH_PROBE", ["activate", "deactivate"]),
+        ("DETACH_PROBE", ["deactivate"]),
+        ("GET_PROBE_STATUS\nQUERY_PROBE", []),
+    ],
+)
+def test_told_that_it_is_used(start, script, wanted):
+    options = {
+        f"{name}_gcode": f"\n  RESPOND MSG={name}"
+        for name in ("activate", "deactivate")
+    }
+    printer = started(start, SWITCH, {"respond": {}}, **options).homed()
+    assert told(printer, CENTRE + script) == wanted
+
+
+# A dock that a servo swings
+
+
+@pytest.mark.parametrize("retries", [0, 1])
+@pytest.mark.parametrize(
+    ("fault", "state"), [("attach_fails", "docked"), ("dock_fails", "attached")]
+)
+def test_dock_is_put_away_after_a_failure(start, fault, state, retries):
+    faults = [Fault(fault, persistent=True)]
+    printer = started(
+        start, SERVO, faults=faults, dock_retries=str(retries)
+    ).homed()
+    assert "the probe was not" in printer.fail(CENTRE + "PROBE")
+    printer.run("G4 P500\nM400")
+    assert not printer.machine.world.dock_is_out(now_of(printer))
+    assert where(printer) == state
+    assert_safe(printer)
+    # It comes out again when it is needed
+    printer.machine.repair()
+    printer.run(CENTRE + "PROBE\nDETACH_PROBE\nG4 P500\nM400")
+    assert where(printer) == "docked"
+    assert not printer.machine.world.dock_is_out(now_of(printer))
+
+
+def test_dock_is_put_away_after_an_error_of_the_owner(start):
+    raising = "\n  {action_raise_error('no')}"
+    printer = started(start, SERVO, attach_gcode=raising).homed()
+    assert "no" in printer.fail(CENTRE + "PROBE")
+    printer.run("G4 P500\nM400")
+    assert not printer.machine.world.dock_is_out(now_of(printer))
+
+
+def test_first_error_counts_where_the_dock_is_not_put_away(start):
+    printer = started(
+        start,
+        SWITCH,
+        faults=[Fault("attach_fails", persistent=True)],
+        post_attach_gcode="\n  {action_raise_error('second')}",
+    ).homed()
+    text = printer.fail(CENTRE + "PROBE")
+    assert "was not fetched" in text and "second" not in text
+
+
+# A command in the middle of fetching
+
+
+@pytest.mark.parametrize("command", ["PROBE", "ATTACH_PROBE", "DETACH_PROBE"])
+@pytest.mark.parametrize(
+    "option",
+    ["post_attach_gcode", "pre_detach_gcode", "attach_gcode", "activate_gcode"],
+)
+def test_command_that_needs_what_it_is_a_part_of(start, option, command):
+    printer = started(start, SWITCH, **{option: "\n  " + command}).homed()
+    before = now_of(printer)
+    text = printer.fail(CENTRE + "PROBE")
+    assert f"a command in {option} needs the probe fetched or docked" in text
+    assert now_of(printer) - before < 30.0
+    assert printer.session.state()[0] == "ready"
+
+
+# Sense pins, and a switch that is normally open
+
+
+def test_switch_that_is_normally_open(start):
+    scene = with_probe(SENSED, normally_open=True)
+    z = SWITCH.sections["stepper_z"]
+    for options in (
+        {"check_open_attach": "True", "dock_sense_pin": None},
+        {"check_open_attach": None, "probe_sense_pin": None},
+    ):
+        changes = {
+            "stepper_z": dict(z),
+            "safe_z_home": SWITCH.sections["safe_z_home"],
+        }
+        wiring = replace(
+            scene.wiring,
+            inputs={**scene.wiring.inputs, "z_endstop": "^PC2"},
+        )
+        on_pin = replace(scene, wiring=wiring).with_world(pin=SWITCH.world.pin)
+        printer = started(start, on_pin, changes, **options).homed()
+        printer.run(CENTRE + f"PROBE\n{MESH}")
+        assert trips(printer) == ["attach", "dock"] * 2
+        lines = "\n".join(printer.session.console)
+        assert "'pin' reads open without the probe, too" in lines
+
+
+@pytest.mark.parametrize("script", ["G28", "G28 X Y\nATTACH_PROBE\nG28 Z"])
+def test_only_stop_of_the_nozzle_has_to_be_seen(start, script):
+    # A wire that is broken reads as such a switch does
+    fault = Fault("stuck_open", signal="probe", t=0.0)
+    printer = started(start, SENSED, faults=[fault])
+    text = printer.fail(script)
+    assert "'pin' reads open without the probe, as a broken wire does" in text
+    assert printer.machine.truth.min_gap > 10.0
+    # Whoever has such a switch says so
+    scene = with_probe(SENSED, normally_open=True)
+    printer = started(start, scene, check_open_attach="False").homed()
+    assert printer.gap((150.0, 150.0)) == pytest.approx(0.0, abs=0.02)
+
+
+# By hand
+
+
+@pytest.mark.parametrize("command", ["PROBE", MESH])
+def test_hold_ends_where_somebody_has_put_it_into_the_dock(start, command):
+    printer = started(start, SWITCH).homed()
+    printer.run(CENTRE + "ATTACH_PROBE")
+    machine = printer.machine
+    machine.world.lose_probe(now_of(printer))
+    assert "the probe" in printer.fail("PROBE")
+    machine.world.bring_probe_back(now_of(printer))
+    printer.run(CENTRE + command)
+    assert where(printer) == "docked"
+
+
+def test_dock_on_the_bed_with_the_probe_on_and_z_not_homed(start):
+    printer = started(
+        start,
+        with_probe(BED, initial="attached"),
+        detach_dockable_before_z_home="True",
+    )
+    text = printer.fail("G28")
+    assert (
+        "the probe is ATTACHED (pin reads open), and to find the dock Z has"
+        in (text)
+    )
+    assert (
+        "take the probe off by hand and put it into the dock, then G28" in text
+    )
+    assert "G28 Z" not in text
+    assert printer.machine.truth.touch_count("nozzle_pin") == 0
+
+
+@pytest.mark.parametrize(
+    ("initial", "changes", "hop"),
+    [
+        ("attached", {"safe_z_home": None}, CLEAR),
+        ("docked", {"safe_z_home": None}, 0.0),
+        # The owner lifts it
+        ("attached", {}, 10.0),
+    ],
+)
+def test_hop_before_x_and_y_are_homed(start, initial, changes, hop):
+    printer = started(start, with_probe(GANTRY, initial=initial), changes)
+    z = printer.machine.tip().z
+    printer.run("G28 X Y")
+    assert printer.machine.tip().z == pytest.approx(z + hop, abs=0.02)
+    printer.run("G28 X Y")
+    if changes:
+        # Once
+        assert printer.machine.tip().z == pytest.approx(z + hop, abs=0.02)
+
+
+def test_hop_before_x_and_y_are_homed_again(start):
+    changes = {"safe_z_home": None}
+    printer = started(start, GANTRY, changes).homed()
+    printer.run(CENTRE + f"ATTACH_PROBE\nG1 Z{HANG + 0.5}\nG28 X Y")
+    assert printer.session.position()[2] == pytest.approx(CLEAR, abs=0.02)
+
+
+# Another probe
+
+
+def test_old_probe_behind_other_sections(host):
+    message = refusal(host, {"bltouch": {"sensor_pin": "^PC4"}})
+    assert "there is a [bltouch], too, and a printer has one probe" in message
