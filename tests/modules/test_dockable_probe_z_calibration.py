@@ -2,12 +2,14 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import pytest
 
 from simprinter import Fault
 from simprinter.docks import HANG, calibrating
+from tools.kit.carrying import without_our_dock
 from tools.kit.dockable_probe import SWITCH, trips, where
-from tools.kit.printer import FOLDER, module_files
 from tools.kit.z_calibration import calibration
 
 SCENE = calibrating(SWITCH)
@@ -59,9 +61,137 @@ def test_calibrate_z(start, changes):
 def test_calibrate_z_with_the_one_that_the_host_has(start, host, changes):
     if not host.layout.module_dir.endswith("plugins"):
         pytest.skip("only Kalico has a dockable_probe of its own")
-    files = module_files()
-    ours = {name: files[name] for name in ("z_calibration", FOLDER)}
+    ours = without_our_dock()
     assert_calibrated(start(SCENE, changes, modules=ours).homed())
+
+
+# The pin on the bed, where the probe would meet that before the nozzle meets it
+_FRONT = (206.0, 100.0)
+
+
+def front(scene=SCENE):
+    sections = {
+        **scene.sections,
+        "safe_z_home": {"home_xy_position": "206, 100", "z_hop": "10"},
+        "z_calibration": {
+            **scene.sections["z_calibration"],
+            "nozzle_xy_position": "206, 100",
+            "switch_xy_position": "208, 75.25",
+        },
+    }
+    x, y = _FRONT
+    pin = replace(scene.world.pin, x=x, y=y)
+    return replace(scene, sections=sections).with_world(pin=pin)
+
+
+# start_gcode, before_switch_gcode and end_gcode; the nozzle is touched with the
+# probe on the head only where start_gcode says so
+HOOKS = {
+    "none": (None, None, None),
+    "start": ("ATTACH_PROBE", None, None),
+    "end": (None, None, "DETACH_PROBE"),
+    "before the switch": (None, "ATTACH_PROBE", None),
+    "others": ("G4 P1", "G4 P1", "G4 P1"),
+    "levelling": ("QUAD_GANTRY_LEVEL\nG28 Z", None, None),
+}
+BEFORE = {
+    "docked": ({}, "G4 P1"),
+    "held": ({}, "ATTACH_PROBE"),
+    "delayed": ({"allow_delayed_detach": "True"}, "PROBE"),
+}
+
+
+def hooks_of(name):
+    names = ("start_gcode", "before_switch_gcode", "end_gcode")
+    lines = [
+        code and "\n  " + code.replace("\n", "\n  ") for code in HOOKS[name]
+    ]
+    return z_section(**dict(zip(names, lines)))
+
+
+@pytest.mark.every_host
+@pytest.mark.parametrize("before", BEFORE)
+@pytest.mark.parametrize("hooks", HOOKS)
+def test_each_hook_has_its_own_default(start, hooks, before):
+    options, script = BEFORE[before]
+    scene = SCENE if hooks == "start" else front()
+    changes = {"dockable_probe": {"samples": "1", **options}, **hooks_of(hooks)}
+    printer = start(scene, changes).homed()
+    printer.run(f"G1 X150 Y150 Z20 F6000\n{script}")
+    for _ in range(2):
+        calibration(printer)
+        assert where(printer) == "docked"
+        assert printer.machine.truth.depth("body_bed") == 0.0
+    status = printer.status("dockable_probe")
+    assert status["auto_attach_detach"] is True
+    assert printer.gap() == pytest.approx(GAP, abs=0.01)
+
+
+@pytest.mark.every_host
+@pytest.mark.parametrize("script", ["G4 P1", "ATTACH_PROBE"])
+@pytest.mark.parametrize("hooks", ["none", "before the switch", "end"])
+def test_hooks_with_the_one_that_the_host_has(start, host, hooks, script):
+    if not host.layout.module_dir.endswith("plugins"):
+        pytest.skip("only Kalico has a dockable_probe of its own")
+    changes = {"dockable_probe": {"z_hop": "12"}, **hooks_of(hooks)}
+    printer = start(front(), changes, modules=without_our_dock()).homed()
+    printer.run(script)
+    calibration(printer)
+    assert where(printer) == "docked"
+    assert printer.machine.truth.depth("body_bed") == 0.0
+    assert printer.gap() == pytest.approx(GAP, abs=0.01)
+
+
+@pytest.mark.every_host
+def test_one_trip_where_start_gcode_attaches_what_is_there(start):
+    printer = start(SCENE, hooks_of("start")).homed()
+    printer.run("ATTACH_PROBE\nCALIBRATE_Z")
+    assert trips(printer) == ["attach", "dock"]
+
+
+@pytest.mark.every_host
+def test_probe_is_where_it_was_if_no_trips_are_wanted(start):
+    changes = {"dockable_probe": {"auto_attach_detach": "False"}}
+    printer = start(front(), changes).homed()
+    printer.run("ATTACH_PROBE\nCALIBRATE_Z")
+    assert trips(printer) == ["attach", "dock", "attach"]
+    printer.run("DETACH_PROBE\nCALIBRATE_Z")
+    assert where(printer) == "docked"
+
+
+@pytest.mark.every_host
+def test_probe_is_docked_after_an_error_in_end_gcode(start):
+    changes = z_section(end_gcode="\n  NO_SUCH_MACRO\n  G1 X999")
+    printer = start(front(), changes).homed()
+    printer.fail("CALIBRATE_Z")
+    assert where(printer) == "docked"
+
+
+@pytest.mark.every_host
+def test_cycles_with_the_probe_on_need_it_on(start):
+    command = "CALIBRATE_Z_ACCURACY CYCLES=2 ATTACH=0"
+    printer = start(front()).homed()
+    assert "ATTACH=0 needs the probe on the head" in printer.fail(command)
+    assert where(printer) == "docked"
+    printer = start(SCENE, hooks_of("start")).homed()
+    printer.run(command)
+    assert trips(printer) == ["attach", "dock"]
+
+
+# The dock in the way from the start to the pin
+IN_THE_WAY = {
+    "CALIBRATE_Z": "CALIBRATE_Z",
+    "PROBE_Z_ACCURACY": "PROBE_Z_ACCURACY SAMPLES=2",
+}
+
+
+@pytest.mark.every_host
+@pytest.mark.parametrize("command", IN_THE_WAY)
+def test_no_way_leads_through_the_dock(start, command):
+    printer = start(SCENE).homed()
+    printer.run("G1 Z20 F900\nMOVE_AVOIDING_DOCK X=5 Y=306 SPEED=100")
+    printer.run(IN_THE_WAY[command])
+    assert printer.machine.truth.crashes() == []
 
 
 def test_automatic_again_after_an_error(start):

@@ -266,7 +266,8 @@ def test_accuracy_needs_homed_axes_and_an_absent_probe(start):
     printer = start("cartesian")
     printer.session.require_ready()
     assert "not homed" in printer.fail("PROBE_Z_ACCURACY")
-    printer.run("G28\nATTACH_PROBE")
+    # Which shows that before_switch_gcode attaches it
+    printer.run("G28\nCALIBRATE_Z\nATTACH_PROBE")
     before = len(printer.machine.truth.touches)
     text = printer.fail("PROBE_Z_ACCURACY")
     assert "the probe is attached already" in text

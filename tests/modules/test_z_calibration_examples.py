@@ -246,11 +246,6 @@ def told(printer: Printer) -> str:
             "the probe reads triggered: it is not attached",
         ),
         (
-            *("voron_late_probe", "start_gcode: DOCK_PROBE_UNLOCK\n"),
-            "start_gcode:\n    ATTACH_PROBE\n    G4 P1\n",
-            "the probe is attached already",
-        ),
-        (
             *("separate_pin", "^PG10", "probe:z_virtual_endstop"),
             "is no pin; give the pin of the switch that the nozzle presses",
         ),

@@ -553,15 +553,15 @@ def test_probe_that_fails_to_attach_never_goes_down(start):
     assert printer.machine.faults.unfired() == [down]
 
 
-def test_probe_attached_too_early_is_refused(start):
-    changes = section(
-        start_gcode="ATTACH_PROBE", before_switch_gcode="ATTACH_PROBE\n  M400"
-    )
-    printer = start("cartesian", changes=changes).homed()
+@pytest.mark.every_host
+def test_probe_that_is_known_to_come_late_is_refused_before(start):
+    printer = start("cartesian").homed()
+    printer.run("CALIBRATE_Z\nATTACH_PROBE")
     before = len(printer.machine.truth.touches)
     text = printer.fail("CALIBRATE_Z")
-    assert "before_switch_gcode" in text
+    assert "is attached already, and before_switch_gcode has" in text
     assert touched_sites(printer, before) == []
+    printer.run("DOCK_PROBE\nCALIBRATE_Z")
 
 
 def test_endstop_that_is_pressed_already_is_not_touched(start):

@@ -597,7 +597,7 @@ def test_probe_that_falls_off(host, k, when):
         looks = ["switch: "] if k <= 2 else ["bed: "]
         looks += ["switch: "] if (k, when) == (3, "touch") else []
         assert any(site in text for site in looks)
-        assert "it is not attached" in text
+        assert "and was attached before: it has come off" in text
         assert printer.machine.faults.unfired() == []
         assert printer.machine.truth.min_gap > 1.0
         assert printer.status("z_calibration")["last_query"] is False

@@ -150,7 +150,11 @@ def test_nothing_is_pending_after(start, end):
 @every_host
 @pytest.mark.parametrize(
     "ask",
-    ["EXTRA_PROBE_CALIBRATE PROBE=membrane", "MANUAL_PROBE"],
+    [
+        "EXTRA_PROBE_CALIBRATE PROBE=membrane",
+        "MANUAL_PROBE",
+        "Z_CALIBRATION_SETUP",
+    ],
 )
 def test_nothing_drives_off_while_a_person_is_asked(start, ask):
     printer = ready(start, {"allow_delayed_detach": "True"})

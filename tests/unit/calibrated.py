@@ -136,7 +136,7 @@ def make_settings(**changes):
         "pin": make_sampling(),
         "probe": make_sampling(),
         "counting": FixedCount(),
-        "attach_after_nozzle": False,
+        "may_attach_late": False,
         "start_homes": False,
         "position_endstop": 0.0,
         "position_min": -100.0,

@@ -70,7 +70,6 @@ class TestComplete:
         [
             ({}, 10.0, 21.0),
             ({"safe_z_height": 15.0}, 0.0, 15.0),
-            ({"attach_after_nozzle": True}, 0.0, 13.0),
             ({"position_endstop": 0.5}, 0.0, 13.0),
         ],
     )

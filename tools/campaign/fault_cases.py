@@ -64,7 +64,8 @@ _CAUSES = {
     "trigger_never": _DEAD,
     "trigger_early": _HEIGHTS,
     "trigger_late": _HEIGHTS,
-    "probe_falls": r"not attached|No trigger|before the head moved|" + _PROBE,
+    "probe_falls": r"has come off|not attached|No trigger|before the head moved|"
+    + _PROBE,
     "attach_fails": r"the probe was not fetched|it is not attached",
     "dock_fails": r"the probe was not docked",
     "template raises": r"template \d+ fails",

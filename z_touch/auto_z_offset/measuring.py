@@ -274,7 +274,8 @@ class Run(object):
 
     def travel(self, site):
         speed = self.settings.travel_speed
-        touching.move_xy(self.host, site.x, site.y, speed)
+        everything = carrying.of(self.host.printer)
+        everything.go_to(self.host, site.x, site.y, speed)
 
     # The user's G-code may have moved the head.
     def prepare(self, site):

@@ -12,6 +12,10 @@
 #   reads()                 what that follows from, in words
 #   dock_and_come_back()    docked, and the head just where it was; or an error
 #   dock_pending()          docked now, where that was to happen in a while
+#   mark()                  for is_put_on()
+#   is_put_on(mark, was_docked)  whether since the mark was made its owner has put
+#                           the probe on to stay; was_docked: where it was then
+#   fetch()                 on the head afterwards, to stay; or an error
 #   go_to(x, y, speed)      around the dock, and to the very place
 from __future__ import absolute_import
 
@@ -121,10 +125,14 @@ class Carrying(object):
     # From place to place
     ######################################################################
 
-    # X and Y (mm), around the dock where there is one
-    def go_to(self, host, x, y, speed):
+    # X and Y (mm), around the dock where there is one that is known; otherwise,
+    # with 'x_first', along X and then along Y
+    def go_to(self, host, x, y, speed, x_first=False):
         carrier = self.carrier(host)
-        if carrier is None:
-            touching.move_xy(host, x, y, speed)
-        else:
+        if carrier is not None:
             carrier.go_to(x, y, speed)
+            return
+        if x_first:
+            start_y = host.toolhead.get_position()[1]
+            touching.move_xy(host, x, start_y, speed)
+        touching.move_xy(host, x, y, speed)

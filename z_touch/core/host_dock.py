@@ -56,6 +56,17 @@ class HostDock(object):
         if host.z() != z:
             host.toolhead.manual_move([None, None, z], dockable.lift_speed)
 
+    # Nothing tells whether it was fetched to stay.
+    def mark(self):
+        return None
+
+    def is_put_on(self, unused_mark, was_docked):
+        return was_docked and self.state() != "DOCKED"
+
+    def fetch(self):
+        if self.state() != "ATTACHED":
+            self.host.gcode.run_script_from_command("ATTACH_PROBE")
+
     # It docks at once, or not at all.
     def dock_pending(self):
         pass

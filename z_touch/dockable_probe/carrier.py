@@ -77,6 +77,21 @@ class Carrier(object):
     def dock_pending(self):
         self.prober.delay.hurry()
 
+    # ATTACH_PROBE says so, also where the probe was on already; a delayed docking,
+    # that it does not.
+    def mark(self):
+        return self.prober.times_held
+
+    def is_put_on(self, mark, was_docked):
+        prober = self.prober
+        if prober.is_held:
+            return was_docked or prober.times_held != mark
+        is_free = prober.delay.mark is None
+        return was_docked and is_free and self.state() != DOCKED
+
+    def fetch(self):
+        self.host.gcode.run_script_from_command("ATTACH_PROBE")
+
     # A place in the circle that the owner has chosen is reached straight where the
     # way comes no nearer to the dock than its ends do.
     def go_to(self, x, y, speed):
@@ -117,8 +132,9 @@ class Carrier(object):
 
     # The probe is docked at the end of each session, whoever held it.
     def _around_paper(self, asks_again, command, gcmd):
-        self.prober.dock_at_once(True)
+        delay = self.prober.delay
+        delay.forbid(True)
         try:
             command(gcmd)
         finally:
-            self.prober.dock_at_once(asks_again and self.auto)
+            delay.forbid(asks_again and self.auto)

@@ -25,12 +25,17 @@ class Delay(object):
         self.dock = dock
         # A mark of what is pending, None where nothing is
         self.mark = None
+        # Whether it is docked at once, as the nozzle is lowered next
+        self.is_forbidden = False
         for event in ENDED_BY:
             host.printer.register_event_handler(event, self.cancel)
 
     # Some events come with a print time.
     def cancel(self, *unused):
         self.mark = None
+
+    def forbid(self, is_forbidden):
+        self.is_forbidden = is_forbidden
 
     # In a while, unless another command needs the probe before
     def start(self):

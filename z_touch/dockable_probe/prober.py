@@ -34,14 +34,12 @@ class Prober(object):
         self.home_xy = None
         # Whether commands fetch and dock the probe by themselves
         self.auto = settings.auto_attach_detach
-        # Whether ATTACH_PROBE has fetched the probe to stay
-        self.is_held = False
+        # Whether ATTACH_PROBE has fetched the probe to stay, and how often
+        self.is_held, self.times_held = False, 0
         # The way down of homing that comes next, None where nobody homes
         self.homing = None
         # Toolhead Z at which the probe is just off what it has touched
         self.clear_z = 0.0
-        # Whether it is docked after each command that probes, whoever holds it
-        self.is_docked_at_once = False
         # The docking that is to come in a while
         self.delay = Delay(self.host, self._dock_and_return_here)
 
@@ -103,9 +101,11 @@ class Prober(object):
     def _require_attached(self):
         state = self.sensors.confirm()
         if not state == self.sensors.proven == ATTACHED:
-            raise self._lost(
-                "is %s and auto_attach_detach is off: run ATTACH_PROBE"
-                % (state,)
+            self.sensors.proven = UNKNOWN
+            raise self.host.error(
+                "the probe is %s at z=%.3f (%s); auto_attach_detach is off, so"
+                " it is not fetched by itself; run ATTACH_PROBE"
+                % (state, self.host.z(), self.sensors.describe())
             )
 
     # A probing move begins.  'pin' tells by itself whether the probe is there:
@@ -155,7 +155,8 @@ class Prober(object):
             self.moves.lift(max(height, clear_z))
         if self.sensors.look() != ATTACHED:
             raise self._lost("was lost, what was measured is wrong")
-        if self.is_docked_at_once:
+        if self.delay.is_forbidden:
+            # Whoever holds it
             self.hold(False)
             self.dock_and_return(goal)
         elif self.auto and not self.is_held:
@@ -229,10 +230,7 @@ class Prober(object):
     def hold(self, is_held):
         self.delay.cancel()
         self.is_held = is_held
-
-    # For commands that probe, and then have the nozzle lowered
-    def dock_at_once(self, is_docked_at_once):
-        self.is_docked_at_once = is_docked_at_once
+        self.times_held += is_held
 
     # Off: what is pending is called off, too.
     def set_auto(self, auto):

@@ -88,7 +88,8 @@ class Calibration(object):
         speed = settings.sampling.lift_speed
         touching.raise_to(self.host, settings.safe_z_height, speed)
         if site is not None:
-            touching.move_xy(self.host, site.x, site.y, TRAVEL_SPEED)
+            everything = carrying.of(self.host.printer)
+            everything.go_to(self.host, site.x, site.y, TRAVEL_SPEED)
 
     # The lowest point of the touches, and what the user is told of it
     def floor(self, floor_param):

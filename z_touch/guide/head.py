@@ -4,7 +4,7 @@ from __future__ import absolute_import, division
 
 import math
 
-from ..core import options, running, touching
+from ..core import carrying, options, running, touching
 from ..core.errors import CalibrationError
 from ..z_calibration.settings import with_counts
 from ..z_calibration.sites import LARGEST_SWITCH_DISTANCE, Sites
@@ -179,15 +179,13 @@ class GuidedHead(object):
         running.check_homed(self.host)
         self.calibration(state).lift()
 
-    # Lifted to (x, y); over the pin X first, as a dock is more often beside it
-    # than in front of it.
+    # Lifted to (x, y), around a dock that is known; over the pin X first, as another
+    # one is more often beside it than in front of it.
     def go(self, state, x, y, to_pin):
         self.lift(state)
         speed = self.section.settings().speed
-        if to_pin:
-            start_y = self.host.toolhead.get_position()[1]
-            touching.move_xy(self.host, x, start_y, speed)
-        touching.move_xy(self.host, x, y, speed)
+        everything = carrying.of(self.host.printer)
+        everything.go_to(self.host, x, y, speed, to_pin)
 
     # Where the nozzle stands over the point of the bed, and how high
     def over_sheet(self, state):

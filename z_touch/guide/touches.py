@@ -92,8 +92,7 @@ class Touches(object):
         with self.section.holding_probe():
             self.head.lift(state)
             # An earlier try may have fetched it
-            is_late = self.section.settings().attach_after_nozzle
-            if not (is_late and self.hands.is_attached()):
+            if not (self.section.is_late() and self.hands.is_attached()):
                 self.section.fetch_late(state.mark)
             self.touch(state, "switch")
 

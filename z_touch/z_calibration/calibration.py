@@ -44,6 +44,8 @@ class Calibration(object):
         self.watch = watch
         self.plan = plan
         self.warnings = []
+        # Whether somebody has seen the probe on the head in this run
+        self.was_attached = False
         self.know(NOTHING_EARLIER)
 
     # Before anything is measured; the frame may move until then
@@ -65,7 +67,7 @@ class Calibration(object):
     # switch; 'clean' as in measure_nozzle().
     def measure(self, attach_probe, clean=None):
         settings = self.settings
-        if not settings.attach_after_nozzle:
+        if not settings.may_attach_late:
             # Nobody will attach it later: say so before anything is touched
             self.check_probe_attached()
         nozzle_z = self.measure_nozzle(clean)
@@ -94,6 +96,9 @@ class Calibration(object):
             self.lift()
             switch = self.at_switch()
             switch.check_probe_attached(self.host.after_moves())
+
+    def saw_attached(self):
+        self.was_attached = True
 
     # To the travel height, never down
     def lift(self):

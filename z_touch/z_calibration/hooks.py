@@ -17,9 +17,7 @@ import re
 
 from ..core import running, templates
 from ..core.errors import CalibrationError
-
-# What attaches a probe besides macros
-ATTACHING = ("SET_SERVO", "SET_PIN", "ATTACH_PROBE")
+from .attachment import Attachment
 
 # What the user is told where his G-code has moved the frame of the heights
 BEFORE = "do it before CALIBRATE_Z"
@@ -35,26 +33,16 @@ MOVED_IN_END = "%s in end_gcode: the offset does not hold then; " + BEFORE
 ######################################################################
 
 
-# The G-code where the options are left out, by their names: a dockable_probe is
-# told to fetch and dock its probe, unless the user does.
-def default_gcode(config):
-    given = [config.get(name, "") for name in ("start_gcode", "end_gcode")]
-    is_given = any(text.strip() for text in given)
-    if is_given or not config.has_section("dockable_probe"):
-        return {}
-    if config.get("before_switch_gcode", "").strip():
-        return {"end_gcode": "DETACH_PROBE"}
-    return {"start_gcode": "ATTACH_PROBE", "end_gcode": "DETACH_PROBE"}
-
-
-# What the settings say of the user's G-code, as far as its text tells
+# What the settings say of the user's G-code, as far as its text tells: whether
+# start_gcode homes, and whether anything stands in before_switch_gcode
 def read_texts(config):
-    names = "start_gcode", "before_switch_gcode"
-    start, before_switch = [config.get(name, "") for name in names]
-    macros = read_macros(config)
+    start, before_switch = [
+        config.get(name, "") for name in ("start_gcode", "before_switch_gcode")
+    ]
     return {
-        "attach_after_nozzle": attaches_probe(before_switch, start, macros),
-        "start_homes": homes(start, macros),
+        "start_homes": homes(start, read_macros(config)),
+        "may_attach_late": bool(before_switch.strip())
+        or config.has_section("dockable_probe"),
     }
 
 
@@ -66,17 +54,6 @@ def read_macros(config):
         ).upper()
         for section in config.get_prefix_sections("gcode_macro ")
     }
-
-
-# Whether before_switch_gcode attaches a probe, by the words that its lines begin
-# with.  What start_gcode has done already is not done again.
-def attaches_probe(before_switch_gcode, start_gcode, macros):
-    code = before_switch_gcode.upper()
-    if code.split() == start_gcode.upper().split():
-        return False
-    code = re.sub(r"(?s)\{%.*?%\}", "\n", code)
-    words = re.findall(r"(?m)^\s*([^\s;]+)", code)
-    return any(word in ATTACHING or word in macros for word in words)
 
 
 # Whether some G28 stands in the G-code, or in macros that it calls
@@ -106,6 +83,7 @@ class Hooks(object):
         self.settings = settings
         self.frame = frame
         self.watch = watch
+        self.attachment = Attachment(host)
         # How G-code reads coordinates where each of them begins; None: as it does
         # by then
         self.modes = None
@@ -132,15 +110,19 @@ class Hooks(object):
         if not self.settings.start_homes:
             running.check_homed(self.host)
 
-    # User G-code may home, move, or turn the motors off
+    # User G-code may home, move, or turn the motors off.  What hangs on the head
+    # afterwards is there because start_gcode has put it there.
     def start(self):
+        self.attachment.begin()
         self.run_gcode("start_gcode")
         running.check_homed(self.host)
+        self.attachment.free_nozzle()
 
     # Between nozzle and switch, whose frame must be the one of 'mark'; None: nothing
     # was measured yet.
     def before_switch(self, mark=None):
-        self.run_gcode("before_switch_gcode")
+        run = functools.partial(self.run_gcode, "before_switch_gcode")
+        self.attachment.come_late(run)
         if mark is not None:
             self.check_frame(mark, MOVED_IN_BEFORE_SWITCH)
         running.check_homed(self.host)
@@ -159,7 +141,9 @@ class Hooks(object):
 
     # After the last touch, and after a failure
     def end(self):
-        self.run_gcode("end_gcode")
+        put_away = self.attachment.put_away
+        with running.always(self.host, put_away, "docking the probe"):
+            self.run_gcode("end_gcode")
 
     # What is applied is a G-code Z offset (mm)
     def apply(self, z_offset):

@@ -73,6 +73,10 @@ class Interface(object):
     def fetch_late(self, mark):
         self._section.hooks.before_switch(mark)
 
+    # Whether before_switch_gcode was seen to put the probe on
+    def is_late(self):
+        return self._section.hooks.attachment.is_late
+
     # Runs end_gcode
     def put_away(self):
         self._section.hooks.end()

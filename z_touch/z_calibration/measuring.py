@@ -15,7 +15,7 @@ from __future__ import absolute_import
 
 import functools
 
-from ..core import errors, touching
+from ..core import carrying, errors, touching
 from .heights import HOME_AGAIN, below_margins
 
 # What to do about samples that differ
@@ -40,8 +40,11 @@ PLUNGER_PRESSED = (
 class Measurement(object):
     # What to look at after a touch that failed
     remedy = ""
+    # Whether the way there goes along X, then along Y
+    x_first = False
 
     def __init__(self, calibration, site, sampling):
+        self.calibration = calibration
         self.host = calibration.host
         self.settings = calibration.settings
         self.pin = calibration.pin
@@ -96,7 +99,8 @@ class Measurement(object):
     def go_there(self, travel_z):
         self.head.lift(travel_z)
         site, speed = self.site, self.settings.speed
-        touching.move_xy(self.host, site.x, site.y, speed)
+        everything = carrying.of(self.host.printer)
+        everything.go_to(self.host, site.x, site.y, speed, self.x_first)
         self.check_arrived()
 
     # Quickly down to where every sample begins: above the expected trigger.
@@ -174,17 +178,27 @@ class Measurement(object):
             )
 
     def check_probe_attached(self, print_time):
-        if self.host.probing.endstop().query_endstop(print_time):
+        if not self.host.probing.endstop().query_endstop(print_time):
+            self.calibration.saw_attached()
+            return
+        if self.calibration.was_attached:
             raise errors.CalibrationError(
-                "the probe reads triggered: it is not attached, or not wired"
-                " as normally closed; attach it in start_gcode or"
-                " before_switch_gcode, " + LOOK_AT_PROBE
+                "the probe reads triggered, and was attached before: it has come"
+                " off, or its wire is broken; look where it is before the head"
+                " moves, " + LOOK_AT_PROBE
             )
+        raise errors.CalibrationError(
+            "the probe reads triggered: it is not attached, or not wired"
+            " as normally closed; attach it in start_gcode or"
+            " before_switch_gcode, " + LOOK_AT_PROBE
+        )
 
 
 # The nozzle tip on the pin
 class NozzleMeasurement(Measurement):
     remedy = HOME_AGAIN + "; check nozzle_xy_position and the switch there"
+    # A dock that nobody knows is more often beside the pin than in front of it.
+    x_first = True
 
     def touch_site(self, travel_z, expected_z, floor):
         samples = Measurement.touch_site(self, travel_z, expected_z, floor)
@@ -201,29 +215,6 @@ class NozzleMeasurement(Measurement):
             site = self.site
             touching.move_xy(self.host, site.x + x, site.y + y, speed)
             touching.move_xy(self.host, site.x, site.y, speed)
-
-    # X first: a dock is more often beside the pin than in front of it
-    def go_there(self, travel_z):
-        self.head.lift(travel_z)
-        y = self.host.toolhead.get_position()[1]
-        touching.move_xy(self.host, self.site.x, y, self.settings.speed)
-        Measurement.go_there(self, travel_z)
-
-    def check_arrived(self):
-        if self.settings.attach_after_nozzle:
-            self.check_probe_absent(self.host.after_moves())
-
-    def check_pressed(self):
-        if self.settings.attach_after_nozzle:
-            self.check_probe_absent(self.host.print_time())
-
-    def check_probe_absent(self, print_time):
-        if not self.host.probing.endstop().query_endstop(print_time):
-            raise errors.CalibrationError(
-                "the probe is attached already, although before_switch_gcode"
-                " is there to attach it, or it is not wired as normally"
-                " closed; detach it in start_gcode, " + LOOK_AT_PROBE
-            )
 
 
 # The body of the probe's switch on the same pin

@@ -21,7 +21,7 @@ import functools
 import logging
 
 from .. import __version__
-from ..core import carrying, errors, frame, options, running, sampling
+from ..core import errors, frame, options, running, sampling
 from ..core.host import Host, check_z_axis
 from ..history import recorder
 from . import accuracy, checks, corrections, heights, switches
@@ -151,10 +151,11 @@ class ZCalibration(object):
         self.hooks.check_before_start()
         dock = running.always(self.host, self.put_away, "end_gcode")
         lift = running.always(self.host, calibration.lift, "lifting")
-        with self.hooks.holding_probe(), dock, lift:
+        with dock, lift:
             self.hooks.start()
-            calibration.know(self.earlier(summary))
-            yield
+            with self.hooks.holding_probe():
+                calibration.know(self.earlier(summary))
+                yield
 
     # After the last touch, and after a failure
     def put_away(self):
@@ -346,11 +347,6 @@ class ZCalibration(object):
     # Returns a cycles.Cycle for each
     def measure_cycles(self, gcmd, params):
         settings = params.with_switch_offset(gcmd)
-        if not params.attach and settings.attach_after_nozzle:
-            raise errors.CalibrationError(
-                "ATTACH=0 needs the probe on the head all the time: attach it"
-                " in start_gcode, not in before_switch_gcode"
-            )
         sites = SiteFinder(self.host, settings).of_command(gcmd)
         cycles = []
         while len(cycles) < params.cycles:
@@ -359,11 +355,22 @@ class ZCalibration(object):
             plan = self.recorder.plan
             calibration = self.new_calibration(settings, sites, plan)
             with self.prepared(calibration):
+                if not params.attach:
+                    self.check_stays_attached(calibration)
                 for _ in range(1 if params.attach else params.cycles):
                     self.measure(calibration)
                     cycles.append(self.recorder.cycle(settings.switch_offset))
                     self.runner.watch.say("cycle %d is done" % (len(cycles),))
         return cycles
+
+    def check_stays_attached(self, calibration):
+        try:
+            calibration.check_probe_attached()
+        except errors.CalibrationError:
+            raise errors.CalibrationError(
+                "ATTACH=0 needs the probe on the head all the time: attach it"
+                " in start_gcode, not in before_switch_gcode"
+            )
 
     ##################################################################
     # PROBE_Z_ACCURACY
@@ -385,7 +392,8 @@ class ZCalibration(object):
         settings = accuracy.for_nozzle(gcmd, self.settings)
         nozzle = SiteFinder(self.host, settings).nozzle_of_command(gcmd)
         running.check_homed(self.host)
-        carrying.of(self.host.printer).free_nozzle(self.host, regardless=True)
+        self.hooks.attachment.begin()
+        self.hooks.attachment.free_nozzle()
         plan = self.recorder.make_plan(settings.counting)
         sites = Sites(nozzle, None, None)
         calibration = self.new_calibration(settings, sites, plan)

@@ -349,7 +349,8 @@ OPTIONS = POSITIONS + RESULT + HEIGHTS + SPEEDS + KEPT + USER_GCODE
 #                        the bed
 #   counting             how many touches that are: adaptive.FixedCount, or
 #                        adaptive.Automatic with samples: auto
-#   attach_after_nozzle  before_switch_gcode attaches the probe
+#   may_attach_late      before_switch_gcode may attach the probe, or does so with
+#                        a dockable_probe by itself
 #   start_homes          start_gcode homes
 #   position_endstop     toolhead Z at which the pin stops Z in homing; None: the
 #                        pin is not what Z is homed on
@@ -359,7 +360,7 @@ OPTIONS = POSITIONS + RESULT + HEIGHTS + SPEEDS + KEPT + USER_GCODE
 Settings = options.record(
     "Settings",
     [row for row in OPTIONS if row.name not in SAMPLING],
-    "pin probe counting attach_after_nozzle start_homes position_endstop position_max"
+    "pin probe counting may_attach_late start_homes position_endstop position_max"
     " z_offset unmeasured_pin",
 )
 
@@ -367,8 +368,7 @@ Settings = options.record(
 # As far as they are known before klippy connects; what the user is to be told is
 # in old_names.
 def read_settings(config, z_axis, old_names):
-    defaults = hooks.default_gcode(config)
-    defaults["probing_speed"] = z_axis.homing_speed
+    defaults = {"probing_speed": z_axis.homing_speed}
     defaults["probing_second_speed"] = z_axis.second_homing_speed
     defaults["probing_retract_dist"] = (
         z_axis.homing_retract_dist or FALLBACK_RETRACT
@@ -453,9 +453,8 @@ def complete(settings, probe, z_offset, position_max):
     )
     if settings.safe_z_height is not None:
         return settings._replace(unmeasured_pin=0.0)
-    # A probe that comes after the nozzle finds the pin measured
+    # Perhaps with the probe on
     is_passed = settings.position_endstop is None
-    is_passed = is_passed and not settings.attach_after_nozzle
     return settings._replace(
         safe_z_height=heights.default_safe_z(z_offset),
         unmeasured_pin=UNMEASURED_PIN if is_passed else 0.0,
