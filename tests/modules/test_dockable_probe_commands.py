@@ -250,7 +250,11 @@ def test_automatic_off(start):
     assert printer.status("dockable_probe")["auto_attach_detach"] is False
     before = len(printer.machine.truth.events)
     text = printer.fail("PROBE")
-    assert "auto_attach_detach is off" in text
+    assert "the probe is DOCKED at z=" in text
+    assert text.endswith(
+        "(pin reads TRIGGERED); auto_attach_detach is off, so it is not fetched"
+        " by itself; run ATTACH_PROBE"
+    )
     assert "run ATTACH_PROBE" in text
     printer.run("ATTACH_PROBE\nPROBE\nDETACH_PROBE")
     assert trips(printer, before) == ["attach", "dock"]
@@ -265,7 +269,7 @@ def test_automatic_off(start):
 def test_automatic_off_from_the_start(start):
     changes = section(auto_attach_detach="False", **QUICK)
     printer = start(SWITCH, changes).homed()
-    assert "off: run ATTACH_PROBE" in printer.fail("PROBE")
+    assert "is off, so it is not fetched by itself" in printer.fail("PROBE")
     assert trips(printer) == []
 
 

@@ -134,6 +134,7 @@ def test_fetching_that_fails(start, n):
         text
     )
     assert "look whether the probe is in the dock" in text
+    assert "if it hangs on the head, a wire is broken: take it off" in text
     assert trips(printer).count("attach_failed") == 3
     assert len(printer.machine.truth.touches) == before
     assert at(printer) == pytest.approx((150.0, 150.0))

@@ -38,7 +38,8 @@ FETCH = Trip(
     gcode="attach_gcode",
     done="fetched",
     remedy="look whether the probe is in the dock and meets the head where"
-    " dock_position is; check the pins with GET_PROBE_STATUS",
+    " dock_position is; check the pins with GET_PROBE_STATUS; if it hangs on the"
+    " head, a wire is broken: take it off before you home",
 )
 DOCK = Trip(
     before=ATTACHED,

@@ -51,7 +51,6 @@ class Measurement(object):
         self.plan = calibration.plan
         # Is told of every touch
         self.watch = calibration.watch
-        self.warn = calibration.warn
         self.site = site
         self.sampling = sampling
         self.head = touching.Head(calibration.host, sampling, TOO_LOW)
@@ -245,7 +244,7 @@ class SwitchMeasurement(Measurement):
         if self.host.probing.endstop().query_endstop(self.host.print_time()):
             self.retract()
             self.check_probe_attached(self.host.after_moves())
-            self.warn(PLUNGER_PRESSED)
+            self.calibration.warn(PLUNGER_PRESSED)
 
 
 # The probe on the print surface, through the host's own probing, told where
