@@ -198,6 +198,11 @@ class LiveSession:
         return self.machine.simulation
 
     @property
+    def socket(self) -> Path:
+        """Of klippy's API: for others that talk to it."""
+        return self._process.socket
+
+    @property
     def data(self) -> Path:
         """Klippy's files: config/printer.cfg, logs/, comms/klippy.sock."""
         return self._process.directory

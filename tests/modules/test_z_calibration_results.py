@@ -63,6 +63,7 @@ def test_result_line_and_status_hold_the_heights(start):
         "valid": False,
         "reason": "not calibrated yet",
         "warnings": [],
+        "notes": [],
         "uncertainty": None,
         "z_adjust": 0.0,
         "history": {

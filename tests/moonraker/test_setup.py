@@ -10,6 +10,7 @@ import pytest
 
 from simprinter import SCENES
 from simprinter.hosts.moonraker import MoonrakerError
+from tests.moonraker.updates import restarted
 from tools.kit.dockable_probe import where
 from tools.kit.lab import Lab
 from tools.kit.setup_user import EMPTY, SETUP, User, open_dialog
@@ -75,6 +76,34 @@ class WebUser(User):
             time.sleep(HAND)
             self.hold(signal, level)
         watching.join()
+
+
+def test_console_says_how_to_begin_after_each_start(lab):
+    words = "no place for the switch: run Z_CALIBRATION_SETUP"
+    for _ in range(3):
+        before = time.time()
+        restarted(lab, "RESTART")
+        # Moonraker listens only after klippy is ready
+        until = time.monotonic() + 10.0
+        while not (found := lines_since(lab, before, words)):
+            assert time.monotonic() < until
+            time.sleep(0.1)
+        time.sleep(3.0)
+        assert lines_since(lab, before, words) == found
+        assert len(found) == 1
+        status = lab.moonraker.status("z_calibration")
+        assert sum(words in note for note in status["notes"]) == 1
+
+
+def lines_since(lab, began, words):
+    """What Moonraker has stored of the console since then, with the words."""
+    store = lab.moonraker.get("/server/gcode_store")["gcode_store"]
+    return [
+        e["message"]
+        for e in store
+        if e["type"] == "response" and e["time"] >= began
+        if words in e["message"]
+    ]
 
 
 @pytest.mark.slow

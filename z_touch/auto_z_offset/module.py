@@ -7,7 +7,7 @@ import functools
 import logging
 
 from .. import __version__
-from ..core import options, running, touching
+from ..core import notes, options, running, touching
 from ..core.errors import CalibrationError
 from ..core.host import Host, check_z_axis
 from . import checks, heights
@@ -26,8 +26,9 @@ class AutoZOffset(object):
         self.host = Host(config)
         check_z_axis(config, self.host.z_axis)
         self.settings = read_settings(config, self.host.z_axis)
-        # What the user is told when klippy is ready
-        self.notes = settings_notes(config, self.settings)
+        # Of the section; printer and probe follow when klippy connects
+        self.start_notes = settings_notes(config, self.settings)
+        self.notes = notes.Notes(self.host, lambda: self.start_notes)
         self.sensor = BedSensor(config, self.host, self.settings.pin)
         self.correction = Correction(self.host, self.settings)
         self.expectations = Expectations(
@@ -38,7 +39,6 @@ class AutoZOffset(object):
         self.results = ()
         register = self.printer.register_event_handler
         register("klippy:connect", self.connect)
-        register("klippy:ready", self.tell_notes)
         running.register_commands(self.host, self)
 
     ##################################################################
@@ -52,14 +52,10 @@ class AutoZOffset(object):
         except CalibrationError as e:
             raise self.printer.config_error(str(e))
         self.sensor.connect()
-        self.notes.append(self.correction.follow_probe())
-        self.notes += checks.printer_notes(
+        self.start_notes.append(self.correction.follow_probe())
+        self.start_notes += checks.printer_notes(
             self.host, self.settings, self.sensor.motors
         )
-
-    def tell_notes(self):
-        for note in self.notes:
-            self.tell(note)
 
     # Empty: nothing is to be told
     def tell(self, text):
@@ -80,6 +76,7 @@ class AutoZOffset(object):
             "last_result": dict(last),
             "corrections": corrections,
             "spread": spread,
+            "notes": list(self.notes.texts),
         }
         status.update(self.runner.watch.status())
         return status

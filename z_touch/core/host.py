@@ -236,6 +236,27 @@ class Host(object):
             wrapped = functools.partial(around, command)
             self.gcode.register_command(name, wrapped)
 
+    # The clients of the API that listen to the console.  No host says so; each
+    # keeps them where its output goes to.
+    def listeners(self):
+        outputs = [
+            getattr(callback, "__self__", None)
+            for callback in getattr(self.gcode, "output_callbacks", ())
+        ]
+        return [c for out in outputs for c in getattr(out, "clients", ())]
+
+    # A warning of the configuration, for whoever asks the host for these: web
+    # interfaces show them until the next start.
+    def warn(self, text):
+        configfile = self.printer.lookup_object("configfile")
+        text = "%s: %s" % (self.section, text)
+        if hasattr(configfile, "warn"):
+            # Kalico, whose runtime_warning() drops what others have told before
+            configfile.warn("runtime_warning", text)
+        elif hasattr(configfile, "runtime_warning"):
+            # Since 2024-03-13 (0291a1554)
+            configfile.runtime_warning(text)
+
     # Motion; toolhead coordinates (mm), mm/s
 
     def z(self):

@@ -8,7 +8,7 @@ import functools
 import logging
 
 from .. import __version__
-from ..core import host, options, running
+from ..core import host, notes, options, running
 from . import checks, detour
 from .carrier import Carrier
 from .docking import Docking
@@ -28,11 +28,10 @@ class DockableProbe(object):
         logging.info("dockable_probe %s", __version__)
         checks.check_only_probe(config)
         self.host = host.Host(config)
-        old_names = options.OldNames(config)
-        # What the user is told when klippy is ready
-        self.notes = old_names.notes
-        settings = read_settings(config, self.host, old_names)
-        checks.check_positions(config, settings, self.notes)
+        self.old_names = options.OldNames(config)
+        settings = read_settings(config, self.host, self.old_names)
+        checks.check_positions(config, settings, self.old_names.notes)
+        self.notes = notes.Notes(self.host, self.start_notes)
         self.settings = settings
         self.sensors = Sensors(config, self.host, settings)
         self.moves = Moves(self.host, settings)
@@ -47,7 +46,6 @@ class DockableProbe(object):
         )
         register = self.host.printer.register_event_handler
         register("klippy:connect", self.connect)
-        register("klippy:ready", self.tell_notes)
         register("homing:home_rails_begin", self.lift_before_xy)
         register("homing:home_rails_begin", self.home_rails_begin)
         running.register_commands(self.host, self)
@@ -69,16 +67,17 @@ class DockableProbe(object):
                 % (e.name, self.host.section, e.problem)
             )
 
-    def tell_notes(self):
-        for note in self.notes + self.virtual_probe.notes:
-            self.host.say(note)
+    # What the user is told when klippy is ready
+    def start_notes(self):
+        found = self.old_names.notes + self.virtual_probe.notes
         dock, mesh = self.settings.dock_position[:2], self.settings.mesh
         if mesh is not None and detour.is_within(dock, mesh):
-            self.host.say(
+            found.append(
                 "dock_position (%g, %g) lies where the head goes while the bed"
                 " mesh is probed; make the mesh smaller, or move the dock"
                 % dock
             )
+        return found
 
     # What hangs on the head may be lower than the bed when X and Y are homed, and
     # nobody knows that yet.
@@ -123,6 +122,7 @@ class DockableProbe(object):
         status["last_status"] = STATES.index(self.sensors.last_state)
         status["last_status_name"] = self.sensors.last_state
         status["auto_attach_detach"] = self.prober.auto
+        status["notes"] = list(self.notes.texts)
         return status
 
     ######################################################################

@@ -21,7 +21,7 @@ import functools
 import logging
 
 from .. import __version__
-from ..core import errors, frame, options, running, sampling
+from ..core import errors, frame, notes, options, running, sampling
 from ..core.host import Host, check_z_axis
 from ..history import recorder
 from . import accuracy, checks, corrections, heights, switches
@@ -70,9 +70,9 @@ class ZCalibration(object):
             self.host, self.settings, self.frame, self.runner.watch
         )
         self.results = Results(self.host, self.frame)
+        self.notes = notes.Notes(self.host, self.start_notes)
         register = self.host.printer.register_event_handler
         register("klippy:connect", self.connect)
-        register("klippy:ready", self.tell_notes)
         running.register_commands(self.host, self)
         running.register_commands(self.host, self.recorder)
         # For the guide and the corrections
@@ -102,15 +102,16 @@ class ZCalibration(object):
         except errors.CalibrationError as e:
             raise host.printer.config_error(str(e))
 
-    def tell_notes(self):
-        for note in self.old_names.notes:
-            self.runner.watch.say(note)
-        for note in checks.notes(self.host, self.settings):
-            self.runner.watch.say(note)
+    # What the user is told when klippy is ready
+    def start_notes(self):
+        return self.old_names.notes + list(
+            checks.notes(self.host, self.settings)
+        )
 
     def get_status(self, eventtime):
         status = self.results.status()
         status["history"] = self.recorder.history.status
+        status["notes"] = list(self.notes.texts)
         status.update(self.runner.watch.status())
         return status
 

@@ -1,0 +1,48 @@
+# What the user is told of his set-up when klippy is ready, and where he can see it.
+# Copyright (C) 2026  the Z calibration developers, under the GNU GPLv3
+from __future__ import absolute_import
+
+# How often (s) it is looked whether somebody has begun to listen to the console, and
+# for how long after klippy is ready: Moonraker does so 0.8 s later, where both
+# are started at once much later.
+LOOK_INTERVAL = 2.0
+LOOK_TIME = 600.0
+
+
+# The notes of one section: on the console when klippy is ready, and once more as soon
+# as somebody has begun to listen; as warnings of the configuration where the host
+# has these; in the status.
+class Notes(object):
+    # 'read' returns them, when klippy is ready; empty ones are none.
+    def __init__(self, host, read):
+        self.host = host
+        self.read = read
+        self.texts = []
+        # Who has heard them, and when to give up (eventtime)
+        self.heard = []
+        self.end = 0.0
+        host.printer.register_event_handler("klippy:ready", self.begin)
+
+    def begin(self):
+        self.texts = [text for text in self.read() if text]
+        if not self.texts:
+            return
+        self.say()
+        for text in self.texts:
+            self.host.warn(text)
+        reactor, now = self.host.printer.get_reactor(), self.host.eventtime()
+        self.heard, self.end = self.host.listeners(), now + LOOK_TIME
+        reactor.register_timer(self.look, now + LOOK_INTERVAL)
+
+    def say(self):
+        for text in self.texts:
+            self.host.say(text)
+
+    # Of the reactor
+    def look(self, eventtime):
+        is_new = [c for c in self.host.listeners() if c not in self.heard]
+        if is_new:
+            self.say()
+        if is_new or eventtime > self.end:
+            return self.host.printer.get_reactor().NEVER
+        return eventtime + LOOK_INTERVAL
