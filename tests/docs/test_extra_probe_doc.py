@@ -26,10 +26,16 @@ from tests.docs.test_documents import (
     wrong_options,
     wrong_ranges,
 )
-from tools.kit.extra_probe import ABORT, CALIBRATE, CONTINUE, NAME
+from tools.kit.extra_probe import ABORT, CALIBRATE, CONTINUE, NAME, press
 
 TEXT = (DOCS / "extra_probe.md").read_text(encoding="utf-8")
 ABOVE = "G90\nG1 Z5 F900\nG1 X30 Y20 F6000"
+
+# What a hand does at these steps
+HANDS = {
+    "LAY": lambda printer: printer.machine.lay_membrane(),
+    "PRESS": press,
+}
 
 RECORD = Module(
     name=NAME,
@@ -43,6 +49,7 @@ RECORD = Module(
         ABOVE + " ": None,
         "EXTRA_PROBE_ACCURACY PROBE=membrane SAMPLES=3": SHOWN,
         f"{CALIBRATE} SAVE=1": SHOWN,
+        "PRESS": None,
         CONTINUE: SHOWN,
         CONTINUE.replace(" ", "  "): SHOWN,
         ABORT: None,
@@ -79,7 +86,7 @@ MISTAKES = {
 
 
 class Hand(Running):
-    """A klippy with somebody who lays the membrane for the step LAY."""
+    """A klippy with somebody who lays and presses the membrane."""
 
     def example(self, text):
         # The other one is for printers with another [probe]
@@ -88,8 +95,8 @@ class Hand(Running):
         return self.run(*self.module.steps, changes=changes)
 
     def _step(self, script):
-        if script == "LAY":
-            self.printer.machine.lay_membrane()
+        if script in HANDS:
+            HANDS[script](self.printer)
             script = ""
         return super()._step(script)
 

@@ -123,7 +123,8 @@ _SCRIPTS = {
     "z_calibration": "CALIBRATE_Z",
     "auto_z_offset": "AUTO_Z_CALIBRATE",
     extra_probe.NAME: "\n".join(
-        (extra_probe.CALIBRATE,) + 2 * (extra_probe.CONTINUE,)
+        # No hand is there to press it
+        (f"{extra_probe.CALIBRATE} FLOOR=-1",) + 2 * (extra_probe.CONTINUE,)
     ),
 }
 

@@ -22,7 +22,9 @@ from tools.kit.extra_probe import (
     THICKNESS,
     calibrate,
     heights,
+    lay,
     membrane,
+    press,
     section,
     state,
     touch,
@@ -315,8 +317,11 @@ def test_floor(start, own, params, floor, is_told):
     text = "\n".join(printer.run(CALIBRATE + params))
     assert FLOOR_LINE.format(floor) in text
     assert (UNSAVED in text) is is_told
-    # Nobody has laid the membrane
+    # Nobody has laid the membrane; where that is unsafe it was pressed at least
     printer.machine.tolerate("nozzle_bed", 4.0)
+    if is_told:
+        assert "the switch was not pressed yet" in printer.fail(CONTINUE)
+        press(printer)
     text = printer.fail(CONTINUE)
     assert f"(stopped at z={floor:.3f})" in text
     lowest = printer.machine.truth.min_gap
@@ -327,6 +332,7 @@ def test_floor(start, own, params, floor, is_told):
 def test_floor_after_a_saved_calibration(start, saved):
     printer = start("membrane").homed()
     calibrate(printer, f"{CALIBRATE} SAVE={saved:d}")
+    printer.machine.lay_membrane(False)
     printer.session.restart("SAVE_CONFIG" if saved else "RESTART")
     text = "\n".join(printer.run("G28\n" + CALIBRATE))
     assert FLOOR_LINE.format(0.125 if saved else -1.0) in text
@@ -354,7 +360,7 @@ def test_way_to_the_membrane(start):
     assert ends[-1][:2] == list(POINT)
     tip = printer.machine.tip()
     assert (tip.x, tip.y) == pytest.approx(POINT, abs=0.02)
-    printer.machine.lay_membrane()
+    lay(printer)
     printer.run(CONTINUE)
     assert printer.session.position()[2] == pytest.approx(12.0)
 
@@ -370,7 +376,7 @@ def test_head_that_is_higher(start):
     printer = start("membrane").homed()
     printer.run(f"G1 Z80 F900\n{CALIBRATE}")
     assert printer.session.position()[2] == pytest.approx(80.0)
-    printer.machine.lay_membrane()
+    lay(printer)
     clock = printer.machine.simulation.clock
     before = clock.now()
     printer.run(CONTINUE)
@@ -413,13 +419,14 @@ def test_questions(start):
     assert first.headline == "Lay the switch below the nozzle"
     assert first.is_open
     assert first.texts == [
-        "Flat on the bed, the nozzle clean. Without a trigger the nozzle stops"
+        "Flat on the bed, the nozzle clean. Press it once with a finger:"
+        " Continue waits for it. Without a trigger the nozzle stops"
         " at z=-1.000. No calibration was saved yet, so that may be in the bed:"
         " watch, ready to stop."
     ]
     assert first.footer_buttons == buttons("switch")
     assert printer.status(NAME)["waits_for"] == "switch"
-    printer.machine.lay_membrane()
+    lay(printer)
     lines = printer.run(CONTINUE)
     # Closed before anything is touched
     assert lines[0] == "// action:prompt_end"
@@ -444,7 +451,7 @@ def test_button_that_is_pressed_twice(start):
     # The second press waits until the touch has ended
     printer = start("membrane").homed()
     (first,) = dialogs_of(printer.run(f"{CALIBRATE} SAVE=1"))
-    printer.machine.lay_membrane()
+    lay(printer)
     press = first.footer_buttons[0][1]
     text = printer.fail(f"{press}\n{press}")
     told = "QUESTION=switch is not what is asked now, which is removal"
@@ -465,7 +472,7 @@ def test_questions_on_the_console(start):
     answers = f"// {NAME}: then {CONTINUE}, or {ABORT}"
     assert lines[0].startswith(f"// {NAME}: Lay the switch below the nozzle.")
     assert lines[1] == answers
-    printer.machine.lay_membrane()
+    lay(printer)
     lines = printer.run(CONTINUE)
     assert answers in lines
     assert any("Take the switch away. Triggered at" in line for line in lines)
@@ -478,7 +485,7 @@ def test_name_of_the_section_is_in_the_buttons(start):
     (dialog,) = dialogs_of(
         printer.run("EXTRA_PROBE_CALIBRATE PROBE=Load-cell_2")
     )
-    printer.machine.lay_membrane()
+    lay(printer)
     printer.run(dialog.footer_buttons[0][1])
     printer.machine.lay_membrane(False)
     printer.run("EXTRA_PROBE_CONTINUE PROBE=Load-cell_2")
@@ -535,7 +542,7 @@ def test_nozzle_that_is_still_hot(start):
 def test_nozzle_that_is_heated_while_somebody_is_asked(start, celsius):
     printer = start(heated(SCENES["membrane"])).homed()
     printer.run(CALIBRATE)
-    printer.machine.lay_membrane()
+    lay(printer)
     printer.run(f"M104 S{celsius}")
     if celsius > 120:
         assert "max_temperature is 120 C" in printer.fail(CONTINUE)
@@ -565,7 +572,7 @@ def as_probe(**own):
 def test_membrane_that_is_the_probe(start, save):
     printer = start("membrane", changes=as_probe()).homed()
     printer.run(f"EXTRA_PROBE_CALIBRATE PROBE=probe SAVE={save:d}")
-    printer.machine.lay_membrane()
+    lay(printer)
     printer.run("EXTRA_PROBE_CONTINUE PROBE=probe")
     assert len(heights(printer)) == 3
     printer.machine.lay_membrane(False)
@@ -586,7 +593,7 @@ def test_speed_of_a_membrane_that_is_the_probe(start):
         changes = as_probe(speed=speed, samples="1")
         printer = start("membrane", changes=changes).homed()
         printer.run("EXTRA_PROBE_CALIBRATE PROBE=probe")
-        printer.machine.lay_membrane()
+        lay(printer)
         clock = printer.machine.simulation.clock
         before = clock.now()
         printer.run("EXTRA_PROBE_CONTINUE PROBE=probe\nM400")
@@ -613,7 +620,7 @@ def test_own_options_of_a_membrane_that_is_the_probe(start):
     changes = as_probe(**own)
     printer = start("membrane", changes=changes).homed()
     printer.run("EXTRA_PROBE_CALIBRATE PROBE=probe")
-    printer.machine.lay_membrane()
+    lay(printer)
     clock = printer.machine.simulation.clock
     before = clock.now()
     printer.run("EXTRA_PROBE_CONTINUE PROBE=probe")
@@ -631,7 +638,7 @@ def test_activation_of_a_membrane_that_is_the_probe(start):
     changes["probe"]["activate_gcode"] = "\n  RESPOND MSG=active"
     printer = start("membrane", changes=changes).homed()
     printer.run("EXTRA_PROBE_CALIBRATE PROBE=probe")
-    printer.machine.lay_membrane()
+    lay(printer)
     lines = printer.run("EXTRA_PROBE_CONTINUE PROBE=probe")
     assert "echo: active" in lines
 
@@ -688,7 +695,7 @@ def test_other_section_is_not_asked(start):
         "extra_probe other: nothing was asked; begin with EXTRA_PROBE_CALIBRATE"
         " PROBE=other"
     )
-    printer.machine.lay_membrane()
+    lay(printer)
     printer.run(CONTINUE)
     printer.machine.lay_membrane(False)
     printer.run(CONTINUE)

@@ -265,18 +265,23 @@ def test_not_homed(start, command):
     )
 
 
+# Homed on a switch no lower than that triggers, and a tenth of a millimetre
 @pytest.mark.parametrize(
-    ("scene", "low"), [("membrane", BED), ("membrane_and_probe", PROBE_BED)]
+    ("scene", "low", "lowest_z"),
+    [
+        ("membrane", BED, "-0.1"),
+        ("membrane_and_probe", PROBE_BED, "-1.0"),
+    ],
 )
 @pytest.mark.parametrize("own", [{}, {"position_min": "0.15"}])
-def test_floor_of_a_touch(start, scene, low, own):
+def test_floor_of_a_touch(start, scene, low, lowest_z, own):
     # A dead membrane is pressed, and the bed below it
     fault = Fault("stuck_open", signal="membrane")
     printer = laid(start, scene, faults=[fault], changes=section(**own))
     printer.machine.tolerate("nozzle_membrane", 2.0)
     printer.machine.tolerate("nozzle_bed", 2.0)
     text = printer.fail(PROBE)
-    floor = own.get("position_min", "-1.0")
+    floor = own.get("position_min", lowest_z)
     assert f"(stopped at z={float(floor):.3f})" in text
     assert "press it by hand and look with QUERY_EXTRA_PROBE" in text
     assert "PROBE=membrane" in text

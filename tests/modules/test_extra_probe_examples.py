@@ -17,6 +17,7 @@ from tools.kit.extra_probe import (
     MICROSTEP,
     NAME,
     PROBE_BED,
+    lay,
     true_gap,
 )
 
@@ -54,12 +55,12 @@ def owned(start, name, **options):
 def use(printer, name):
     """What its owner does up to SAVE_CONFIG; the console lines."""
     if name in MACROS:
-        printer.machine.lay_membrane()
+        lay(printer)
         lines = printer.run("MEASURE_MEMBRANE")
         printer.machine.lay_membrane(False)
         return lines
     lines = printer.run("CALIBRATE_Z_ZERO")
-    printer.machine.lay_membrane()
+    lay(printer)
     lines += printer.run(CONTINUE)
     printer.machine.lay_membrane(False)
     return lines + printer.run(CONTINUE)
@@ -106,7 +107,7 @@ def test_command_of_an_example_survives_a_dead_membrane(start, name):
     for site in ("nozzle_membrane", "nozzle_bed"):
         printer.machine.tolerate(site, 2.0)
     printer.run("CALIBRATE_Z_ZERO")
-    printer.machine.lay_membrane()
+    lay(printer)
     assert "No trigger" in printer.fail(CONTINUE)
     assert printer.session.state()[0] == "ready"
 

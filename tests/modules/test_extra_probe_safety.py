@@ -22,7 +22,9 @@ from tools.kit.extra_probe import (
     THICKNESS,
     calibrate,
     heights,
+    lay,
     membrane,
+    press,
     section,
     state,
     touch,
@@ -37,7 +39,7 @@ def asked(start, scene="membrane", before="SET_GCODE_OFFSET Z=0.3", **options):
     """A printer with something to lose, that waits for the membrane."""
     printer = start(scene, **options).homed()
     printer.run(f"{before}\n{CALIBRATE} SAVE=1")
-    printer.machine.lay_membrane()
+    lay(printer)
     for site in ("nozzle_membrane", "nozzle_bed"):
         printer.machine.tolerate(site, DEEP)
     return printer
@@ -76,6 +78,7 @@ def test_membrane_that_is_not_there(start):
     printer = asked(start)
     printer.machine.lay_membrane(False)
     text = fails(printer, "No trigger on probe after full movement")
+    # It was pressed, and taken away
     assert "(stopped at z=-1.000); press it by hand and look with" in text
     assert "QUERY_EXTRA_PROBE PROBE=membrane" in text
     lowest = printer.machine.truth.min_gap
@@ -105,12 +108,18 @@ def test_membrane_that_is_dead(start, name, n):
 
 def test_membrane_that_always_reads_triggered(start):
     fault = Fault("stuck_closed", signal="membrane", t=0.0)
-    printer = asked(start, faults=[fault])
-    fails(
-        printer,
+    refuses_to_go_on(asked(start, faults=[fault]))
+
+
+def refuses_to_go_on(printer, presses=0):
+    """One that reads triggered from the beginning; the question stays."""
+    for _ in range(presses):
+        press(printer)
+    words = (
         "the switch reads triggered before it is touched; check it with"
-        " QUERY_EXTRA_PROBE PROBE=membrane, and whether pin needs a '!'",
+        " QUERY_EXTRA_PROBE PROBE=membrane, and whether pin needs a '!'"
     )
+    assert words in printer.fail(CONTINUE)
     assert printer.machine.truth.min_gap > 9.0
 
 
@@ -126,7 +135,12 @@ def test_membrane_that_begins_to_read_triggered(start, n):
 
 def test_membrane_of_the_wrong_polarity(start):
     printer = asked(start, changes=section(pin="^PF5"))
-    fails(printer, "whether pin needs a '!'")
+    refuses_to_go_on(printer)
+    # It looks like one that is pressed then
+    refuses_to_go_on(printer, presses=2)
+    # What is known of the bed asks for no finger
+    printer.run(f"{CALIBRATE} FLOOR=-1")
+    refuses_to_go_on(printer)
 
 
 @pytest.mark.parametrize("mm", [5.5, 7.0])
@@ -156,7 +170,7 @@ def test_bed_that_is_far_below(start):
     }
     # The head is at 10 over the bed at -5.15
     printer = start("membrane", changes=changes).homed()
-    printer.machine.lay_membrane()
+    lay(printer)
     printer.run(f"{CALIBRATE} FLOOR=-8")
     text = printer.fail(CONTINUE)
     assert "the bed would be over 5 mm from Z=0" in text
@@ -271,6 +285,7 @@ def test_beginning_again_while_something_is_asked(start):
     lines = printer.run(CALIBRATE)
     (dialog,) = dialogs_of(lines)
     assert dialog.headline == "Lay the switch below the nozzle"
+    press(printer)
     printer.run(CONTINUE)
     printer.machine.lay_membrane(False)
     printer.run(CONTINUE)
@@ -477,7 +492,7 @@ def test_something_high_on_the_bed(start):
     # The nozzle comes down on it before it should meet anything
     printer = start(membrane(thickness=14.0)).homed()
     printer.run(f"G1 Z30 F900\n{CALIBRATE}")
-    printer.machine.lay_membrane()
+    lay(printer)
     assert "the bed would be over 5 mm from Z=0" in printer.fail(CONTINUE)
     printer.session.wait(2.0)
     # In the air again
@@ -521,7 +536,7 @@ def test_emergency_stop_while_somebody_is_asked(start):
 def test_board_of_the_membrane_that_falls_silent(host):
     with Printer(host, "membrane_two_boards") as printer:
         printer.homed().run(CALIBRATE)
-        printer.machine.lay_membrane()
+        lay(printer)
         now = printer.machine.rig.seconds(
             printer.machine.simulation.clock.now()
         )

@@ -6,6 +6,8 @@ loaded again, from Moonraker's store.
 
 from __future__ import annotations
 
+import time
+
 import pytest
 
 from simprinter.hosts.moonraker import MoonrakerError
@@ -19,6 +21,9 @@ from tools.kit.extra_probe import (
     POINT,
 )
 from tools.kit.lab import Lab
+
+# Real seconds that a finger stays
+HAND = 0.3
 
 
 @pytest.fixture(scope="package")
@@ -54,6 +59,12 @@ def press(lab, label):
 def lay_membrane(lab, is_laid):
     with lab.standing() as printer:
         printer.machine.lay_membrane(is_laid)
+    # A finger, too
+    for level in (True, None) if is_laid else ():
+        time.sleep(HAND)
+        with lab.standing() as printer:
+            printer.machine.hold("membrane", level)
+    time.sleep(HAND)
 
 
 def test_calibration_by_buttons_only(lab):

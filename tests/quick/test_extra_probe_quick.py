@@ -10,6 +10,7 @@ from tools.kit.extra_probe import (
     CALIBRATE,
     CONTINUE,
     MICROSTEP,
+    lay,
     true_gap,
 )
 
@@ -18,22 +19,18 @@ TO = "PROBE=membrane"
 ABOVE = "G90\nG1 Z10\nG1 X30 Y20 F6000"
 
 
-def laid(printer):
-    printer.machine.lay_membrane()
-
-
 def taken(printer):
     printer.machine.lay_membrane(False)
 
 
 GOOD = [
-    Run(f"{ABOVE}\nEXTRA_PROBE {TO} FLOOR=-1", "Result is z=", laid),
+    Run(f"{ABOVE}\nEXTRA_PROBE {TO} FLOOR=-1", "Result is z=", lay),
     Run(f"G1 Z10\nEXTRA_PROBE_ACCURACY {TO} SAMPLES=2", "standard deviation"),
     Run(f"QUERY_EXTRA_PROBE {TO}", "membrane: open"),
     Run(f"G1 Z10\n{CALIBRATE}", "action:prompt_show", taken),
     Run(ABORT, "nothing was changed"),
     Run(CALIBRATE, "action:prompt_show"),
-    Run(CONTINUE, "", laid),
+    Run(CONTINUE, "", lay),
     Run(CONTINUE, "--> new offset=0.4", taken),
 ]
 

@@ -66,16 +66,19 @@ def test_zero_stays_within_the_axis(bed_z):
 @pytest.mark.parametrize(
     ("options", "z", "expected"),
     [
-        ({}, 1.0, -1.0),
+        # As low as homing goes, and a little: a bed that is believed to be at 0
+        ({}, 1.0, -0.1),
+        ({}, 0.0, -0.1),
+        ({}, -0.5, -0.6),
         ({"saved_homing_z": 1.0}, 1.0, 0.125),
         ({"saved_homing_z": 1.0}, 1.124, 0.125),
         ({"saved_homing_z": 1.0}, 0.876, 0.125),
-        ({"saved_homing_z": 1.0}, 1.126, -1.0),
-        ({"saved_homing_z": 1.0}, 0.874, -1.0),
+        ({"saved_homing_z": 1.0}, 1.126, -0.1),
+        ({"saved_homing_z": 1.0}, 0.874, -0.1),
         ({"saved_homing_z": 1.0, "z_offset": 1.0}, 1.4, 0.5),
         ({"saved_homing_z": 1.0, "position_min": -0.2}, 1.0, -0.2),
         # Nothing to lie on the bed
-        ({"saved_homing_z": 1.0, "z_offset": 0.0}, 1.0, -1.0),
+        ({"saved_homing_z": 1.0, "z_offset": 0.0}, 1.0, -0.1),
     ],
 )
 def test_floor(options, z, expected):
@@ -99,7 +102,8 @@ def test_floor_is_above_the_bed_or_the_user_was_told(
 ):
     # What a saved calibration has put at Z=0 moves with what Z is homed at
     record = settings(z_offset=thickness, saved_homing_z=saved_homing_z)
-    floor = heights.floor(record, z_zero(homing_z), axis_min)
+    zero = z_zero(homing_z)
+    floor = heights.floor(record, zero, axis_min, is_proved=True)
     bed_z = homing_z - saved_homing_z
     if heights.is_calibrated(record, z_zero(homing_z)):
         assert floor >= bed_z or math.isclose(floor, bed_z)

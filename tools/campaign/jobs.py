@@ -264,7 +264,8 @@ def _extra_probe_jobs() -> list[Job]:
         module=extra_probe.NAME,
         script="\n".join(
             (
-                extra_probe.CALIBRATE,
+                # No hand is there to press it: as low as if one were
+                f"{extra_probe.CALIBRATE} FLOOR=-1",
                 extra_probe.CONTINUE,
                 extra_probe.CONTINUE,
             )

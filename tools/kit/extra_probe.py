@@ -5,7 +5,7 @@ from __future__ import annotations
 from dataclasses import replace
 from typing import Any, Optional
 
-from tools.kit.printer import Printer
+from tools.kit.printer import Printer, RunningPrinter
 from simprinter import SCENES, Scene
 
 MICROSTEP = 0.0025
@@ -34,10 +34,24 @@ def membrane(scene: str = "membrane", **changes: Any) -> Scene:
     return SCENES[scene].with_world(membrane=replace(spec, **changes))
 
 
+def lay(printer: RunningPrinter) -> None:
+    """A hand that lays the membrane, and presses it once with a finger."""
+    printer.machine.lay_membrane()
+    press(printer)
+
+
+def press(printer: RunningPrinter) -> None:
+    """A finger on the membrane, wherever that is."""
+    for pressed in (True, None):
+        printer.session.wait(0.3)
+        printer.machine.hold("membrane", pressed)
+    printer.session.wait(0.3)
+
+
 def touch(printer: Printer, script: str = CALIBRATE) -> list[str]:
     """The first part, and a hand that lays the membrane; its lines."""
     printer.run(script)
-    printer.machine.lay_membrane()
+    lay(printer)
     return printer.run(CONTINUE)
 
 

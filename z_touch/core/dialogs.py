@@ -91,11 +91,14 @@ class Dialog(object):
             raise gcmd.error(text % (self.host.section, self.begin))
         return question
 
-    # The same of CONTINUE.  A button that is pressed twice must not answer
-    # the question that comes next.
+    # The same of CONTINUE
     def continued(self, gcmd):
+        self.check_asked(gcmd)
+        return self.answered(gcmd)
+
+    # A button that is pressed twice must not answer the question that comes next.
+    def check_asked(self, gcmd):
         asked, waits_for = gcmd.get("QUESTION", "").strip(), self.waits_for()
         if waits_for and asked not in ("", waits_for):
             text = "%s: QUESTION=%s is not what is asked now, which is %s"
             raise gcmd.error(text % (self.host.section, asked, waits_for))
-        return self.answered(gcmd)

@@ -33,6 +33,9 @@ def was_not_heard(error):
     return any(words in str(error) for words in NOT_HEARD)
 
 
+# Of an axis that is homed on a switch: where that triggers
+ENDSTOP_OPTION = "position_endstop"
+
 # Where Z gets its zero: section and option, and the value in force (mm)
 ZZero = collections.namedtuple("ZZero", "section option z")
 
@@ -119,7 +122,7 @@ class Host(object):
     # From klippy:connect on.  None: nobody knows
     def z_zero(self):
         axis = self.z_axis
-        zero = ZZero(axis.section, "position_endstop", axis.position_endstop)
+        zero = ZZero(axis.section, ENDSTOP_OPTION, axis.position_endstop)
         if self.homes_with_probe():
             zero = ZZero(
                 self.probe_section, "z_offset", self.probing.z_offset()

@@ -5,8 +5,8 @@ from __future__ import absolute_import
 # How often (s) it is looked whether somebody has begun to listen to the console, and
 # for how long after klippy is ready: Moonraker does so 0.8 s later, where both
 # are started at once much later.
-LOOK_INTERVAL = 2.0
-LOOK_TIME = 600.0
+LISTEN_INTERVAL = 2.0
+LISTEN_TIME = 600.0
 
 
 # The notes of one section: on the console when klippy is ready, and once more as soon
@@ -31,8 +31,8 @@ class Notes(object):
         for text in self.texts:
             self.host.warn(text)
         reactor, now = self.host.printer.get_reactor(), self.host.eventtime()
-        self.heard, self.end = self.host.listeners(), now + LOOK_TIME
-        reactor.register_timer(self.look, now + LOOK_INTERVAL)
+        self.heard, self.end = self.host.listeners(), now + LISTEN_TIME
+        reactor.register_timer(self.look, now + LISTEN_INTERVAL)
 
     def say(self):
         for text in self.texts:
@@ -45,4 +45,4 @@ class Notes(object):
             self.say()
         if is_new or eventtime > self.end:
             return self.host.printer.get_reactor().NEVER
-        return eventtime + LOOK_INTERVAL
+        return eventtime + LISTEN_INTERVAL

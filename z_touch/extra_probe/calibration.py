@@ -10,6 +10,7 @@ from ..core.errors import CalibrationError
 from ..core.frame import Frame
 from ..core.sampling import summarize
 from . import heights
+from .finger import TRIGGERED, Finger
 from .switches import TOO_LOW, Series
 
 TRAVEL_SPEED = 50.0  # mm/s, in XY
@@ -33,6 +34,7 @@ class Calibration(object):
         self.frame = Frame(host)
         command = "EXTRA_PROBE_%s PROBE=" + name
         self.dialog = dialogs.Dialog(host, runner.watch.say, command)
+        self.finger = Finger(host, switch, runner.watch.say)
         # Of the last one that was applied or saved; None: there is none
         self.last_offset = None
         running.register_commands(host, self, name)
@@ -52,6 +54,7 @@ class Calibration(object):
     cmd_EXTRA_PROBE_CALIBRATE_help = "Set the Z offset with a switch on the bed"
 
     def cmd_EXTRA_PROBE_CALIBRATE(self, gcmd):
+        self.finger.end()
         self.dialog.close()
         self.run(gcmd, self.begin)
 
@@ -71,6 +74,8 @@ class Calibration(object):
         question = Question(floor, save, mark, xy, "switch", None)
         sentences = ["Flat on the bed, the nozzle clean."] + says + warnings
         self.dialog.ask(question, "Lay the switch below the nozzle", sentences)
+        if not self.is_bed_known(floor_param):
+            self.finger.watch()
 
     def check_settings(self, save):
         if not self.settings.z_offset:
@@ -95,15 +100,25 @@ class Calibration(object):
     def floor(self, floor_param):
         settings, z_zero = self.settings, self.host.z_zero()
         axis_min = self.host.z_axis.position_min
-        floor = heights.floor(settings, z_zero, axis_min, floor_param)
+        floor = heights.floor(
+            settings, z_zero, axis_min, floor_param, is_proved=True
+        )
         says = ["Without a trigger the nozzle stops at z=%.3f." % (floor,)]
-        is_given = not (floor_param is None and settings.position_min is None)
-        if not (is_given or heights.is_calibrated(settings, z_zero)):
+        if not self.is_bed_known(floor_param):
             says.append(
                 "No calibration was saved yet, so that may be in the bed:"
                 " watch, ready to stop."
             )
+            says.insert(
+                0, "Press it once with a finger: Continue waits for it."
+            )
         return floor, says
+
+    # Whether somebody has said how low a touch may go, or a calibration was saved
+    def is_bed_known(self, floor_param):
+        settings = self.settings
+        is_given = not (floor_param is None and settings.position_min is None)
+        return is_given or heights.is_calibrated(settings, self.host.z_zero())
 
     ##################################################################
     # The answers
@@ -112,12 +127,20 @@ class Calibration(object):
     cmd_EXTRA_PROBE_ABORT_help = "End a calibration, everything as before"
 
     def cmd_EXTRA_PROBE_ABORT(self, gcmd):
+        self.finger.end()
         self.dialog.answered(gcmd)
         self.runner.watch.say("the calibration ends, nothing was changed")
 
     cmd_EXTRA_PROBE_CONTINUE_help = "Go on with a calibration"
 
+    # The question stays until the switch was pressed.
     def cmd_EXTRA_PROBE_CONTINUE(self, gcmd):
+        self.dialog.check_asked(gcmd)
+        try:
+            self.finger.check()
+        except CalibrationError as e:
+            raise gcmd.error("%s: %s" % (self.host.section, e))
+        self.finger.end()
         question = self.dialog.continued(gcmd)
         step = self.touch if question.bed_z is None else self.apply
         self.run(gcmd, step, question)
@@ -157,10 +180,7 @@ class Calibration(object):
         touching.raise_to(host, safe_z, speed)
         endstop = self.switch.endstop()
         if endstop.query_endstop(host.after_moves()):
-            raise CalibrationError(
-                "the switch reads triggered before it is touched; check it with"
-                " %s, and whether pin needs a '!'" % (self.switch.query,)
-            )
+            raise CalibrationError(TRIGGERED % (self.switch.query,))
         head = touching.Head(host, sampling, TOO_LOW)
         head.come_down(endstop, safe_z, speed)
         head.retract()

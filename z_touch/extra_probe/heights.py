@@ -4,10 +4,15 @@
 from __future__ import absolute_import, division
 
 from ..core.errors import CalibrationError
+from ..core.host import ENDSTOP_OPTION
 
 # Before a calibration was saved nobody knows where the bed is: a touch ends
-# this far (mm) below Z=0.
+# this far (mm) below Z=0, where somebody has proved that the switch is there.
 UNSAVED_FLOOR = -1.0
+
+# Otherwise, with Z homed on a switch, this far (mm) below where that triggers, and
+# below Z=0: no more than that beyond what homing itself does.
+PAST_ENDSTOP = 0.1
 
 # A bed this far (mm) from Z=0 was not touched: somebody pressed the switch.
 LARGEST_OFFSET = 5.0
@@ -40,14 +45,18 @@ def is_calibrated(settings, z_zero):
 # The lowest toolhead Z of a touch, but never below the axis: that of the
 # command, or of the section, or what is known of the bed.  Half the thickness
 # above a bed at Z=0 a switch that lies there has triggered, and the nozzle does
-# not reach a bed that is bare.
-def floor(settings, z_zero, axis_min, floor_param=None):
+# not reach a bed that is bare.  A bed that nobody knows is looked for no lower than
+# homing goes, unless the switch 'is_proved' to be there.
+def floor(settings, z_zero, axis_min, floor_param=None, is_proved=False):
     if floor_param is not None:
         return max(floor_param, axis_min)
     if settings.position_min is not None:
         return max(settings.position_min, axis_min)
     if is_calibrated(settings, z_zero):
         return max(settings.z_offset / 2.0, axis_min)
+    is_homed_on_switch = z_zero is not None and z_zero.option == ENDSTOP_OPTION
+    if is_homed_on_switch and not is_proved:
+        return max(min(z_zero.z, 0.0) - PAST_ENDSTOP, axis_min)
     return max(UNSAVED_FLOOR, axis_min)
 
 

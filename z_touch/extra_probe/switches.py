@@ -54,7 +54,10 @@ class PinSwitch(object):
             try:
                 return head.touch(self._endstop, floor, head.sampling.speed)
             except CalibrationError as e:
-                hint = "press it by hand and look with %s" % (self.query,)
+                hint = (
+                    "press it by hand and look with %s; where the bed may be"
+                    " lower, position_min lets a touch go there" % (self.query,)
+                )
                 raise e.advised(hint)
 
     @contextlib.contextmanager

@@ -1,0 +1,135 @@
+"""The first calibration, before anybody knows where the bed is.
+
+Who forgets the membrane must not find it out by a nozzle in the bed.
+"""
+
+from __future__ import annotations
+
+import pytest
+
+from tools.kit.dialogs import dialogs_of
+from tools.kit.extra_probe import (
+    ABORT,
+    BED,
+    CALIBRATE,
+    CONTINUE,
+    MICROSTEP,
+    NAME,
+    calibrate,
+    lay,
+    press,
+    section,
+    true_gap,
+)
+
+MISSING = (
+    "extra_probe membrane: the switch was not pressed yet: press it once with a"
+    " finger, then Continue; if that changes nothing, look with"
+    " QUERY_EXTRA_PROBE PROBE=membrane"
+)
+PROVED = "the switch was pressed, and works; take the hand away"
+
+
+def asked(start, scene="membrane", **options):
+    """A printer that waits for the membrane, and its dialog."""
+    printer = start(scene, **options).homed()
+    (shown,) = dialogs_of(printer.run(CALIBRATE))
+    return printer, shown
+
+
+def deepest(printer):
+    return printer.machine.truth.deepest_in_bed()
+
+
+@pytest.mark.every_host
+@pytest.mark.parametrize("scene", ["membrane", "membrane_two_boards"])
+def test_forgotten_membrane(start, scene):
+    printer, shown = asked(start, scene)
+    assert (
+        "Press it once with a finger: Continue waits for it." in shown.texts[0]
+    )
+    # Twice: the question stays, and so does its dialog
+    for _ in range(2):
+        assert printer.fail(shown.gcode("Continue")) == MISSING
+        assert printer.status(NAME)["waits_for"] == "switch"
+    assert dialogs_of(printer.session.console)[-1].is_open
+    assert (deepest(printer), printer.machine.truth.min_gap > 9.0) == (
+        0.0,
+        True,
+    )
+    lay(printer)
+    assert sum(PROVED in line for line in printer.session.console) == 1
+    printer.run(shown.gcode("Continue"))
+    printer.machine.lay_membrane(False)
+    printer.run(CONTINUE)
+    assert true_gap(printer) == pytest.approx(0.0, abs=2 * MICROSTEP)
+    assert deepest(printer) == 0.0
+
+
+def test_finger_that_stays_is_none_yet(start):
+    printer, _ = asked(start)
+    printer.machine.lay_membrane()
+    printer.session.wait(0.5)
+    printer.machine.hold("membrane", True)
+    printer.session.wait(0.5)
+    assert printer.fail(CONTINUE) == MISSING
+    printer.machine.hold("membrane", None)
+    printer.session.wait(0.5)
+    printer.run(f"{CONTINUE}\n{ABORT}")
+
+
+# Before the question, or with the one before, is nothing
+@pytest.mark.parametrize("end", [ABORT, CALIBRATE, "RESTART"])
+def test_finger_counts_for_one_question(start, end):
+    printer, _ = asked(start)
+    press(printer)
+    if end == "RESTART":
+        printer.session.restart(end)
+        end = "G28"
+    printer.run(end)
+    press(printer)
+    printer.run(f"{ABORT}\n{CALIBRATE}" if end == CALIBRATE else CALIBRATE)
+    assert printer.fail(CONTINUE) == MISSING
+
+
+# A bed that is known, or a floor that somebody has given
+@pytest.mark.parametrize("known", ["saved", " FLOOR=-0.5", "position_min"])
+def test_no_finger_where_the_lowest_point_is_known(start, known):
+    own = {"position_min": "-0.5"} if known == "position_min" else {}
+    printer = start("membrane", changes=section(**own)).homed()
+    params = known if known.startswith(" ") else ""
+    if known == "saved":
+        calibrate(printer, f"{CALIBRATE} SAVE=1")
+        printer.session.restart("SAVE_CONFIG")
+        printer.run("G28")
+    (shown,) = dialogs_of(printer.run(CALIBRATE + params))
+    assert "finger" not in shown.texts[0]
+    printer.machine.lay_membrane()
+    printer.run(CONTINUE)
+    assert printer.status(NAME)["waits_for"] == "removal"
+
+
+# Commands that cannot ask go no lower than homing does, give or take 0.1 mm
+@pytest.mark.every_host
+@pytest.mark.parametrize("command", ["EXTRA_PROBE", "EXTRA_PROBE_ACCURACY"])
+def test_touch_without_a_question(start, command):
+    printer = start("membrane").homed()
+    homed = printer.machine.truth.min_gap
+    printer.machine.tolerate("nozzle_bed", 2.0)
+    printer.run("G90\nG1 Z5 F900\nG1 X30 Y20 F6000")
+    text = printer.fail(f"{command} PROBE=membrane")
+    assert "(stopped at z=-0.100); press it by hand and look with" in text
+    assert "lower, position_min lets a touch go there" in text
+    assert deepest(printer) == pytest.approx(0.1 + BED, abs=0.01)
+    assert printer.machine.truth.min_gap <= homed
+
+
+def test_printer_that_ends_while_the_switch_is_watched(start):
+    printer, _ = asked(start)
+    printer.session.call("emergency_stop", {})
+    printer.session.wait(2.0)
+    assert printer.session.state()[0] == "shutdown"
+    printer.session.restart("FIRMWARE_RESTART")
+    printer.run(f"G28\n{CALIBRATE}")
+    lay(printer)
+    printer.run(CONTINUE)
