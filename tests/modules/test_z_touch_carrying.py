@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import pytest
 
+from tools.kit.auto_z_offset import with_extras
 from tools.kit.carrying import (
     OVER,
     POINT,
@@ -159,10 +160,34 @@ def test_nothing_is_pending_after(start, end):
 def test_nothing_drives_off_while_a_person_is_asked(start, ask):
     printer = ready(start, {"allow_delayed_detach": "True"})
     printer.run(f"{OVER}PROBE\n{ask}\nM400")
+    # It was docked before, not by now
+    assert trips(printer) == ["attach", "dock"]
     place = printer.session.position()
     printer.session.wait(5.0)
     assert printer.session.position() == pytest.approx(place)
-    assert where(printer) == "docked"
+    assert trips(printer) == ["attach", "dock"]
+
+
+@every_host
+def test_delayed_docking_waits_until_a_person_has_answered(start):
+    printer = start(
+        SWITCH,
+        {"by_hand": {}, **section(allow_delayed_detach="True", **QUICK)},
+        modules=with_extras("by_hand"),
+    ).homed()
+    printer.run(f"{OVER}PROBE\nBY_HAND")
+    printer.session.wait(10.0)
+    assert trips(printer) == ["attach"]
+    printer.run("ABORT")
+    printer.session.wait(10.0)
+    assert trips(printer) == ["attach", "dock"]
+
+
+@every_host
+def test_docking_is_not_delayed_while_a_question_is_open(start):
+    printer = ready(start, {"allow_delayed_detach": "True"})
+    printer.run(f"{OVER}EXTRA_PROBE_CALIBRATE {MEMBRANE}\nPROBE\nM400")
+    assert trips(printer) == ["attach", "dock"]
 
 
 @every_host
@@ -174,6 +199,28 @@ def test_question_of_one_section_stops_the_others(start):
     printer.run("EXTRA_PROBE_ABORT PROBE=membrane\nAUTO_Z_PROBE")
 
 
+@every_host
+def test_print_that_begins_ends_the_question(start, tmp_path):
+    (tmp_path / "print.gcode").write_text("AUTO_Z_PROBE\nG4 P100\n")
+    changes = {"virtual_sdcard": {"path": str(tmp_path)}}
+    printer = ready(start, changes=changes)
+    printer.run(f"EXTRA_PROBE_CALIBRATE {MEMBRANE}")
+    printer.run("SDCARD_PRINT_FILE FILENAME=print.gcode")
+    printer.session.wait(60.0)
+    assert printer.machine.truth.touch_count("nozzle_bed") == 1
+
+
+@every_host
+def test_probe_that_was_fetched_while_the_dialog_was_open(start):
+    printer = ready(start)
+    printer.run(f"EXTRA_PROBE_CALIBRATE {MEMBRANE} FLOOR=-1")
+    printer.machine.lay_membrane()
+    printer.run(f"ATTACH_PROBE\nEXTRA_PROBE_CONTINUE {MEMBRANE}")
+    assert trips(printer) == ["attach", "dock"]
+    assert printer.machine.truth.touch_count("nozzle_membrane") > 0
+    assert untouched(printer)
+
+
 # G28 Z on a switch
 
 
@@ -182,6 +229,16 @@ def test_probe_is_docked_before_z_is_homed_on_its_switch(start):
     printer = ready(start)
     printer.run("ATTACH_PROBE\nG28")
     assert trips(printer) == ["attach", "dock"]
+    assert untouched(printer)
+
+
+@every_host
+def test_z_alone_is_not_homed_with_the_probe_on(start):
+    printer = start(SWITCH, {"safe_z_home": None, **section(**QUICK)})
+    printer.session.require_ready()
+    printer.run("G28 X Y\nG1 X206 Y306 F6000\nG28 Z\nATTACH_PROBE\nM84")
+    text = printer.fail("G28 Z")
+    assert "not homed: X, Y; the way to the dock is not known before" in text
     assert untouched(printer)
 
 
