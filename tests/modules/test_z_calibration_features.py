@@ -4,7 +4,12 @@ from __future__ import annotations
 
 import pytest
 
-from tools.kit.z_calibration import MICROSTEP, result_of
+from tools.kit.z_calibration import (
+    MICROSTEP,
+    calibration,
+    result_of,
+    with_extra,
+)
 
 # What is between nozzle and bed at Z=0 after a perfect calibration
 GAP = 0.06
@@ -40,6 +45,7 @@ def mesh(heights=SLOPE, **options):
 
 
 LOAD = "BED_MESH_PROFILE LOAD=default"
+SAVE = "Z_CALIBRATION_SAVE_GCODE_OFFSET"
 
 
 # The probe hangs below the head, up to here a mesh of FADING does not fade.
@@ -171,3 +177,128 @@ def test_heat_is_taken_off_once_and_goes_on(start, tmp_path, has_mesh):
     printer.run("G1 X20 F6000")
     assert_right(printer, GAP - 0.02)
     assert validity(printer) == (True, True, "")
+
+
+ASK = """
+def ask(gcmd):
+    features = printer.lookup_object("z_calibration").host.features
+    gcmd.respond_info("rest %.6f" % features.rest(150.0, 150.0, 0.0))
+gcode.register_command("ASK", ask)
+"""
+
+
+@pytest.mark.every_host
+def test_heat_that_counts_below_a_height_only_is_asked_for_there(
+    start, tmp_path
+):
+    """Where the head travels nothing has changed since homing."""
+    frame = Frame(tmp_path)
+    changes = frame.section()
+    changes["z_thermal_adjust"]["z_adjust_off_above"] = "5"
+    changes["extra"] = {}
+    printer = start(changes=changes, modules=with_extra(tmp_path, ASK))
+    printer.session.require_ready()
+    printer.session.wait(30.0)
+    printer.homed()
+    frame.heat(printer, 75.0)
+    # The very first question meets what heat was at homing
+    (rest,) = printer.run("ASK")
+    assert abs(float(rest.split()[-1])) < 1e-6
+    lines = printer.run("CALIBRATE_Z")
+    told = "z_thermal_adjust shifts Z by -0.100 mm there now: taken off"
+    assert told in "\n".join(lines)
+    assert "another feature" not in "\n".join(lines)
+    assert_right(printer)
+
+
+# Left alone, and told
+
+
+LIFT = """
+class Lift(object):
+    def __init__(self):
+        self.next = printer.lookup_object("gcode_move").set_move_transform(
+            self, force=True
+        )
+    def get_position(self):
+        position = self.next.get_position()
+        position[2] -= 0.12
+        return position
+    def move(self, newpos, speed):
+        lifted = list(newpos)
+        lifted[2] += 0.12
+        self.next.move(lifted, speed)
+printer.register_event_handler("klippy:connect", Lift)
+"""
+
+
+@pytest.mark.every_host
+def test_what_nobody_knows_is_told_and_not_taken_off(start, tmp_path):
+    modules = with_extra(tmp_path, LIFT)
+    printer = start(changes={"extra": {}, **mesh()}, modules=modules).homed()
+    lines = printer.run(f"{LOAD}\nCALIBRATE_Z")
+    text = "another feature shifts Z by 0.120 mm there"
+    assert text in "\n".join(lines)
+    # The mesh is taken off all the same
+    assert_right(printer, GAP + 0.12)
+    warnings = printer.status("z_calibration")["warnings"]
+    assert sum(text in warning for warning in warnings) == 1
+
+
+@pytest.mark.every_host
+def test_zero_of_the_mesh_at_the_point_is_no_warning(start):
+    changes = {"bed_mesh": {**MESH, "zero_reference_position": "150, 150"}}
+    printer = start(changes=changes).homed()
+    printer.run("BED_MESH_CALIBRATE")
+    calibration(printer)
+    assert printer.status("z_calibration")["warnings"] == []
+    assert_right(printer)
+    # Nor does it matter whether it is loaded
+    printer.run("BED_MESH_CLEAR")
+    assert validity(printer) == (True, True, "")
+
+
+# Until it changes
+
+
+@pytest.mark.every_host
+@pytest.mark.parametrize(
+    ("before", "after", "is_other"),
+    [
+        ("", LOAD, True),
+        (LOAD, "BED_MESH_CLEAR", True),
+        (LOAD, "BED_MESH_OFFSET Y=30", True),
+        (LOAD, LOAD, False),
+        (LOAD, f"BED_MESH_CLEAR\n{LOAD}", False),
+        # As high there by chance
+        (LOAD, "BED_MESH_OFFSET X=30", False),
+    ],
+)
+def test_result_ends_with_another_height_of_the_mesh(
+    start, before, after, is_other
+):
+    printer = start(changes=mesh()).homed()
+    printer.run(f"{before}\nCALIBRATE_Z")
+    assert validity(printer) == (True, True, "")
+    printer.run(after)
+    is_measured, is_valid, reason = validity(printer)
+    assert (is_measured, is_valid) == (not is_other, not is_other)
+    assert ("mm at 150.0, 150.0 and was" in reason) is is_other
+    if is_other:
+        for command in ("CALCULATE_SWITCH_OFFSET", SAVE):
+            assert "run that when the mesh is loaded" in printer.fail(command)
+        # Until it is as it was, or measured again
+        printer.run("CALIBRATE_Z")
+        assert validity(printer) == (True, True, "")
+    assert_right(printer)
+
+
+@pytest.mark.every_host
+@pytest.mark.parametrize("changes", [mesh(), {"bed_tilt": TILT}])
+def test_switch_offset_by_paper_needs_no_place_without_a_shift(start, changes):
+    printer = start(changes=changes).homed()
+    printer.run(f"{LOAD if 'bed_mesh' in changes else ''}\nCALIBRATE_Z")
+    # Somewhere else, as high in the air as G-code says
+    printer.run("G1 X100 Y100 Z20 F6000\nG1 Z10 F900\nM400")
+    (answer,) = printer.run("CALCULATE_SWITCH_OFFSET SWITCH_OFFSET=20")
+    assert answer.endswith("new switch_offset=10.000")

@@ -10,7 +10,7 @@ from .. import __version__
 from ..core import notes, options, running, touching
 from ..core.errors import CalibrationError
 from ..core.host import Host, check_z_axis
-from . import checks, heights
+from . import checks, heights, shifts
 from .cycles import Cycles, formula
 from .expected import Correction, Expectations
 from .measuring import BedSensor, Run
@@ -239,6 +239,8 @@ class AutoZOffset(object):
         results, z = cycles.measure()
         # So that "move Z to 0, try a sheet of paper" is at this point
         run.go_to(bed)
+        self.tell(shifts.undo_g92(self.host))
+        self.tell(shifts.wrong_gap(self.host, bed, results))
         self.apply_offset(z + self.host.probing.homed_bed_z())
         return results, z
 

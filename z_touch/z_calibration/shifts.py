@@ -17,12 +17,12 @@ class Shifts(object):
     def __init__(self, host, last):
         features, self.last = host.features, last
         place = last.point + (last.result.offset,)
+        self.rest = features.rest(*place)
         self.parts = [
             part
             for part in features.parts(*place)
             if abs(part.height) >= SMALLEST_PART
         ]
-        self.rest = features.rest(*place)
         self.mesh_zero_option = features.mesh_zero_option()
 
     # The G-code offset (mm) with which the gap is right there, Z_ADJUST included

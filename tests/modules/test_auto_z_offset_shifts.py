@@ -1,0 +1,67 @@
+"""AUTO_Z_CALIBRATE where Klipper's own features shift Z: the gap, and the words."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import pytest
+
+from simprinter import SCENES
+from tools.kit.auto_z_offset import MICROSTEP, POINT, told, true_gap, world
+
+pytestmark = pytest.mark.every_host
+
+STEPS = 2 * MICROSTEP
+MESH = {
+    "mesh_min": "50, 50",
+    "mesh_max": "200, 200",
+    "probe_count": "3, 3",
+    "speed": "200",
+    "horizontal_move_z": "12",
+}
+PROBED = "BED_MESH_CALIBRATE"
+# So much higher is the bed at the point than at 60, 60
+HIGHER = 0.1
+
+
+@pytest.mark.parametrize(
+    ("sections", "script", "wrong", "words"),
+    [
+        # What this probe has seen everywhere belongs there
+        ({"bed_mesh": MESH}, PROBED, 0.0, None),
+        (
+            {"bed_mesh": {**MESH, "zero_reference_position": "60, 60"}},
+            PROBED,
+            HIGHER,
+            "bed_mesh: Z is shifted by 0.",
+        ),
+        (
+            {"bed_tilt": {"z_adjust": "0.08"}},
+            "",
+            0.08,
+            "bed_tilt: Z is shifted by 0.080 mm here",
+        ),
+        ({"bed_tilt": {"z_adjust": "0.01"}}, "", 0.01, None),
+    ],
+)
+def test_shift_that_makes_the_gap_wrong_is_told(
+    start, sections, script, wrong, words
+):
+    slope = HIGHER / (POINT[1] - 60.0)
+    bed = replace(SCENES["qidi"].world.bed, slope_y=slope, z0=-slope * POINT[1])
+    printer = start(world(bed=bed), sections).homed()
+    printer.run(script)
+    lines = printer.run("AUTO_Z_CALIBRATE")
+    gap = printer.scene.piezo_gap() + wrong
+    assert true_gap(printer) == pytest.approx(gap, abs=2 * STEPS)
+    (text,) = told(lines, "the gap is wrong by") if words else ("",)
+    assert (words or "") in text
+    assert bool(words) is bool(told(lines, "the gap is wrong by"))
+
+
+def test_g92_is_undone(start):
+    printer = start("qidi").homed()
+    lines = printer.run("G1 Z30 F900\nG92 Z29.7\nAUTO_Z_CALIBRATE")
+    assert told(lines, "G92 had moved Z=0 by 0.300 mm: undone, as G28 does")
+    gap = printer.scene.piezo_gap()
+    assert true_gap(printer) == pytest.approx(gap, abs=STEPS)

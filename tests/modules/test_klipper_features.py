@@ -1,0 +1,283 @@
+"""docs/reliability.md tells what Klipper's own features do to the gap."""
+
+from __future__ import annotations
+
+import re
+from dataclasses import replace
+from pathlib import Path
+from typing import Any, NamedTuple
+
+import pytest
+
+from simprinter import SCENES, Scene
+from simprinter.hosts.hosts import Host
+from simprinter.scenes import heated
+from tools.kit.auto_z_offset import POINT
+from tools.kit.load_errors import load
+from tools.kit.printer import Printer
+from tools.kit.z_calibration import MICROSTEP
+
+DOCUMENT = Path(__file__).resolve().parents[2] / "docs" / "reliability.md"
+COMMANDS = {"z_calibration": "CALIBRATE_Z", "auto_z_offset": "AUTO_Z_CALIBRATE"}
+POINTS = {"z_calibration": (150.0, 150.0), "auto_z_offset": POINT}
+# The bed is so much higher 100 mm further back
+SLOPE = 0.05
+
+MESH = {
+    "mesh_min": "50, 50",
+    "mesh_max": "200, 200",
+    "probe_count": "3, 3",
+    "speed": "200",
+    "horizontal_move_z": "12",
+}
+ZERO = {"zero_reference_position": "%g, %g"}
+TWIST = {
+    "calibrate_start_x": "0",
+    "calibrate_end_x": "200",
+    "calibrate_y": "120",
+    "z_compensations": "0.0, 0.2",
+}
+TWIST_ENDS = {"compensation_start_x": "0", "compensation_end_x": "200"}
+HEAT = {
+    "temp_coeff": "0.002",
+    "sensor_type": "temperature_host",
+    "min_temp": "-100",
+    "max_temp": "100",
+}
+SCREWS = {"screw1": "50, 50", "screw2": "150, 150", "screw3": "50, 150"}
+LEVEL = {"speed": "100", "horizontal_move_z": "15", "retries": "5"}
+GANTRY = {
+    **LEVEL,
+    "gantry_corners": "\n  -60,-10\n  360,370",
+    "points": "\n  50,25\n  50,225\n  250,225\n  250,25",
+    "max_adjust": "10",
+    "retry_tolerance": "0.02",
+}
+TOOL = {
+    "step_pin": "PG3",
+    "dir_pin": "PG4",
+    "enable_pin": "!PG5",
+    "microsteps": "16",
+    "rotation_distance": "22.6",
+    "nozzle_diameter": "0.4",
+    "filament_diameter": "1.75",
+    "heater_pin": "PH5",
+    "sensor_type": "temperature_host",
+    "control": "watermark",
+    "min_temp": "0",
+    "max_temp": "300",
+}
+EXCLUDE = "\n".join(
+    f"EXCLUDE_OBJECT{what} NAME=one"
+    for what in ("_DEFINE", "_START", "", "_END")
+)
+
+
+class Case(NamedTuple):
+    """A feature: its sections, and G-code around the command.
+
+    `words` are in what is told of it.
+    """
+
+    sections: dict[str, dict[str, str]]
+    before: str = ""
+    after: str = ""
+    words: str = ""
+
+
+PROBED = "BED_MESH_CALIBRATE"
+CASES = {
+    "none": Case({}),
+    "`[bed_mesh]`, zero at the point": Case(
+        {"bed_mesh": {**MESH, **ZERO}}, PROBED, words="bed_mesh"
+    ),
+    "`[bed_mesh]`, zero at the point, loaded after it": Case(
+        {"bed_mesh": {**MESH, **ZERO}}, "", PROBED, "bed_mesh"
+    ),
+    "`[bed_mesh]`, zero at 60, 60": Case(
+        {"bed_mesh": {**MESH, "zero_reference_position": "60, 60"}},
+        PROBED,
+        words="bed_mesh",
+    ),
+    "`[bed_mesh]`, zero at 60, 60, loaded after it": Case(
+        {"bed_mesh": {**MESH, "zero_reference_position": "60, 60"}},
+        "",
+        PROBED,
+        "bed_mesh",
+    ),
+    "`[bed_mesh]` without zero": Case(
+        {"bed_mesh": MESH}, PROBED, words="bed_mesh"
+    ),
+    "`[bed_mesh]` without zero, loaded after it": Case(
+        {"bed_mesh": MESH}, "", PROBED, "bed_mesh"
+    ),
+    "adaptive mesh, without zero": Case(
+        {"bed_mesh": MESH},
+        f"{PROBED} MESH_MIN=90,90 MESH_MAX=170,170",
+        words="bed_mesh",
+    ),
+    "`[bed_tilt]`": Case(
+        {"bed_tilt": {"x_adjust": "0.001", "z_adjust": "0.03"}},
+        words="bed_tilt",
+    ),
+    "`[skew_correction]`": Case(
+        {"skew_correction": {}}, "SET_SKEW XY=140,142,100"
+    ),
+    "`[axis_twist_compensation]`": Case({"axis_twist_compensation": TWIST}),
+    "`[z_thermal_adjust]`, 50 K since homing": Case(
+        {"z_thermal_adjust": HEAT}, "HEAT", words="z_thermal_adjust"
+    ),
+    "`[z_tilt]`, `[quad_gantry_level]`, then `G28 Z`": Case(
+        {"quad_gantry_level": GANTRY}, "QUAD_GANTRY_LEVEL\nG28 Z"
+    ),
+    "`[bed_screws]`": Case({"bed_screws": SCREWS}),
+    "`[input_shaper]`": Case(
+        {"input_shaper": {"shaper_freq_x": "50", "shaper_freq_y": "40"}}
+    ),
+    "`[endstop_phase]`": Case({"endstop_phase stepper_x": {}}),
+    "`[save_variables]`": Case(
+        {"save_variables": {"filename": "VARIABLES"}},
+        "SAVE_VARIABLE VARIABLE=z VALUE=1",
+    ),
+    "`[firmware_retraction]`": Case({"firmware_retraction": {}}),
+    "`[exclude_object]`, one excluded": Case({"exclude_object": {}}, EXCLUDE),
+    "offset 0.3 of the last print": Case({}, "SET_GCODE_OFFSET Z=0.3"),
+    "`SAVE_GCODE_STATE`, `RESTORE_GCODE_STATE`": Case(
+        {}, "SAVE_GCODE_STATE", "RESTORE_GCODE_STATE", "RESTORE_GCODE_STATE"
+    ),
+    "`PAUSE`, `RESUME`": Case(
+        {"pause_resume": {}}, "PAUSE", "RESUME", "RESUME"
+    ),
+    "`G91`, `M83`": Case({}, "G91\nM83"),
+    "`G92 Z`, 0.3 lower": Case({}, "G1 Z30 F900\nG92 Z29.7", words="G92"),
+    "another tool, `Z_ADJUST=0.3`": Case(
+        {"extruder1": TOOL},
+        "",
+        "ACTIVATE_EXTRUDER EXTRUDER=extruder1\nSET_GCODE_OFFSET Z_ADJUST=0.3",
+        "SET_GCODE_OFFSET",
+    ),
+}
+
+
+def scene_of(module: str, case: Case) -> Scene:
+    """Its bed slopes, and a probe's z_offset is 0.3 mm too large."""
+    scene = SCENES["voron" if module == "z_calibration" else "qidi"]
+    bed = replace(scene.world.bed, slope_y=SLOPE / 100.0)
+    z0 = bed.z0 - POINTS[module][1] * SLOPE / 100.0
+    scene = scene.with_world(bed=replace(bed, z0=z0))
+    return (
+        heated(scene)
+        if {"extruder1", "firmware_retraction"} & {*case.sections}
+        else scene
+    )
+
+
+def sections_of(
+    host: Host, module: str, case: Case, folder: Path
+) -> dict[str, Any]:
+    """The sections as this machine and this host want them."""
+    made: dict[str, Any] = {
+        name: dict(options) for name, options in case.sections.items()
+    }
+    zero = made.get("bed_mesh", {}).get("zero_reference_position", "")
+    if "%" in zero:
+        made["bed_mesh"]["zero_reference_position"] = zero % POINTS[module]
+    for options in made.values():
+        if options.get("sensor_type") == "temperature_host":
+            options["sensor_path"] = str(folder / "temp")
+    if "save_variables" in made:
+        made["save_variables"]["filename"] = str(folder / "variables.cfg")
+    if module == "z_calibration":
+        made["probe"] = {"z_offset": "7.2"}
+    elif "quad_gantry_level" in made:
+        made = {
+            "z_tilt": {
+                **LEVEL,
+                "points": "\n  60,100\n  180,100",
+                "z_positions": "\n  -10,120\n  260,120",
+            }
+        }
+    if "axis_twist_compensation" in made:
+        newer = {"axis_twist_compensation": {**TWIST, **TWIST_ENDS}}
+        if load(host, newer, scene_of(module, case).name)[0] == "ready":
+            made.update(newer)
+    return made
+
+
+def look(
+    host: Host, module: str, case: Case, folder: Path
+) -> tuple[float, str]:
+    """The true gap at Z=0 over the point (mm), and how it was told."""
+    (folder / "temp").write_text("25000")
+    sections = sections_of(host, module, case, folder)
+    with Printer(host, scene_of(module, case), sections) as printer:
+        printer.session.require_ready()
+        printer.session.wait(20.0 * ("z_thermal_adjust" in sections))
+        printer.homed()
+        if case.before == "HEAT":
+            (folder / "temp").write_text("75000")
+            printer.session.wait(20.0)
+        elif case.before:
+            before = case.before
+            if "z_tilt" in sections:
+                before = before.replace("QUAD_GANTRY_LEVEL", "Z_TILT_ADJUST")
+            printer.run(before)
+        lines = printer.run(COMMANDS[module])
+        if case.after:
+            printer.run(case.after)
+        status = printer.status(module)
+        reason = status.get("reason", "")
+        # Not by a retraction of the feature, or the like
+        printer.run("G90\nM82\nG1 X20 Y20 F6000")
+        told = ""
+        if case.words and any(case.words in line for line in lines):
+            told = "line"
+        if case.words in reason and case.words:
+            told = "`reason`"
+        return printer.gap(POINTS[module]), told
+
+
+# The table: feature, then for each module the gap and how it was told.  Where
+# a host differs, `other on <host>` follows after a semicolon.
+ROW = re.compile(
+    r"(?m)^\| (.+?) *\| (-?\d.+?) *\| (.*?) *\| (-?\d.+?) *\| (.*?) *\|$"
+)
+
+
+def table() -> dict[str, dict[str, tuple[str, str]]]:
+    """What the document says, by feature and module."""
+    text = DOCUMENT.read_text(encoding="utf-8")
+    part = text.split("## With Klipper's own features")[1].split("\n## ")[0]
+    return {
+        found[1]: {
+            "z_calibration": (found[2], found[3]),
+            "auto_z_offset": (found[4], found[5]),
+        }
+        for found in ROW.finditer(part)
+    }
+
+
+def of_host(cell: str, host: Host) -> str:
+    """What a cell says of one host."""
+    usual, *others = cell.split("; ")
+    for other in others:
+        value, _, name = other.partition(" on ")
+        if name == host.name:
+            return value
+    return usual
+
+
+def test_every_feature_is_in_the_table():
+    assert list(table()) == list(CASES)
+
+
+@pytest.mark.slow
+@pytest.mark.every_host
+@pytest.mark.parametrize("module", COMMANDS)
+@pytest.mark.parametrize("title", CASES)
+def test_gap_is_that_of_the_table(host, title, module, tmp_path):
+    gap, told = look(host, module, CASES[title], tmp_path)
+    gap_cell, told_cell = table()[title][module]
+    wanted = float(of_host(gap_cell, host))
+    assert gap == pytest.approx(wanted, abs=2 * MICROSTEP), (gap, told)
+    assert told == of_host(told_cell, host)

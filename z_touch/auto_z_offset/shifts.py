@@ -1,0 +1,44 @@
+# What Klipper's own features shift where AUTO_Z_CALIBRATE has measured.
+# Copyright (C) 2026  the Z calibration developers, under the GNU GPLv3
+#
+# The correction makes the gap right as long as Z is shifted there by where the probe
+# says that the bed is, and by nothing else: by 0 after homing with it, by the
+# height of its own mesh where that has no zero.
+from __future__ import absolute_import, division
+
+# From here on (mm) it is told.
+WORTH_TELLING = 0.02
+
+# Less (mm) is rounding.
+NO_SHIFT = 0.0005
+
+
+# What the user is told of the gap at a point; empty: it is right.  'site': the
+# nozzle's touching.Site; 'results': heights.Result of all cycles.
+def wrong_gap(host, site, results):
+    seen = sum(r.probe - r.probe_z_offset for r in results) / len(results)
+    parts = [
+        part
+        for part in host.features.parts(site.x, site.y, results[0].sensor)
+        if abs(part.height) >= NO_SHIFT
+    ]
+    shift = sum(part.height for part in parts)
+    wrong = shift - (seen - host.probing.homed_bed_z())
+    # Without any part it is homing that is old, and that is told by itself
+    if not parts or abs(wrong) < WORTH_TELLING:
+        return ""
+    return (
+        "%s: Z is shifted by %.3f mm here, and the probe sees the bed at %.3f:"
+        " the gap is wrong by %.3f mm; a bed mesh has to be zero where Z is"
+        " homed, or nowhere; of anything else correct the first layer"
+        % (", ".join(part.name for part in parts), shift, seen, wrong)
+    )
+
+
+# Returns what the user is told of it; empty: there was none.
+def undo_g92(host):
+    moved = host.features.moved_by_g92()
+    if abs(moved) < NO_SHIFT:
+        return ""
+    host.features.undo_g92()
+    return "G92 had moved Z=0 by %.3f mm: undone, as G28 does" % (moved,)
