@@ -11,6 +11,7 @@ from ..core.frame import Frame
 from ..core.sampling import summarize
 from . import heights
 from .finger import TRIGGERED, Finger
+from .shifts import Shifts
 from .switches import TOO_LOW, Series
 
 TRAVEL_SPEED = 50.0  # mm/s, in XY
@@ -160,7 +161,7 @@ class Calibration(object):
         trigger_z = self.measure(gcmd, question)
         bed_z = heights.bed_height(trigger_z, self.settings.z_offset)
         if question.save:
-            self.corrected_zero(bed_z)
+            self.corrected_zero(bed_z - self.shifts(question, bed_z).height())
         self.stand_still()
         sentence = (
             "Triggered at z=%.3f, so the bed is at z=%.3f. Continue makes that"
@@ -200,26 +201,39 @@ class Calibration(object):
     def apply(self, gcmd, question):
         self.check_frame(question)
         bed_z, z_offset = question.bed_z, self.settings.z_offset
+        shifts = self.shifts(question, bed_z)
+        offset = bed_z - shifts.height()
         if question.save:
-            self.save(gcmd, bed_z)
-        self.host.set_gcode_offset(0.0 if question.save else bed_z)
-        self.last_offset = bed_z
-        self.runner.watch.say(
+            self.save(gcmd, offset, bed_z)
+        self.host.set_gcode_offset(0.0 if question.save else offset)
+        self.last_offset = offset
+        say = self.runner.watch.say
+        say(
             "trigger=%.6f - z_offset=%.3f --> new offset=%.6f"
             % (bed_z + z_offset, z_offset, bed_z)
         )
+        for text in shifts.lines(offset):
+            say(text)
+
+    # Where the switch lies: shifts.Shifts
+    def shifts(self, question, bed_z):
+        place = tuple(question.xy) + (bed_z,)
+        return Shifts(self.host, place, question.save)
 
     # What SAVE_CONFIG is to write
     def corrected_zero(self, bed_z):
         axis_limits = self.host.axis_limits()[2]
         return heights.corrected_zero(self.host.z_zero(), bed_z, axis_limits)
 
-    def save(self, gcmd, bed_z):
-        section, option, z = self.corrected_zero(bed_z)
+    # 'offset' is what Z is to be lower by; with the whole of bed_z the bed would be
+    # at Z=0, and that is what later floors count from.
+    def save(self, gcmd, offset, bed_z):
+        section, option, z = self.corrected_zero(offset)
         text = "%.3f" % (z,)
         printer = self.host.printer
         options.save(printer, section, option, text)
-        options.save(printer, self.host.section, "saved_homing_z", text)
+        saved_z = "%.3f" % (z + offset - bed_z,)
+        options.save(printer, self.host.section, "saved_homing_z", saved_z)
         gcmd.respond_info(
             "%s: %s: %s\n%s\nUntil then the G-code offset is 0."
             % (section, option, text, options.SAVE_HINT)

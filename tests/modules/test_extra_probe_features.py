@@ -1,0 +1,163 @@
+"""EXTRA_PROBE_CALIBRATE where Klipper's own features shift Z: the gap, the line."""
+
+from __future__ import annotations
+
+import pytest
+
+from tools.kit.extra_probe import (
+    BED,
+    CALIBRATE,
+    MICROSTEP,
+    NAME,
+    PROBE_BED,
+    calibrate,
+    true_gap,
+)
+from tools.kit.printer import module_files
+
+LOAD = "BED_MESH_PROFILE LOAD=default"
+TAKEN_OFF = "where the switch lay, taken off: the offset is"
+BEDS = {"membrane": BED, "membrane_and_probe": PROBE_BED}
+
+
+def mesh(height):
+    """[bed_mesh] with a profile that is as high everywhere (mm)."""
+    profile = {
+        "version": "1",
+        "points": "\n  {0}, {0}, {0}".format(height) * 3,
+        "algo": "lagrange",
+        "tension": "0.2",
+        "mesh_x_pps": "2",
+        "mesh_y_pps": "2",
+        "x_count": "3",
+        "y_count": "3",
+        "min_x": "20",
+        "min_y": "15",
+        "max_x": "180",
+        "max_y": "180",
+    }
+    own = {"mesh_min": "20,15", "mesh_max": "180,180", "probe_count": "3,3"}
+    return {"bed_mesh": own, "bed_mesh default": profile}
+
+
+def told(lines):
+    """What was told of shifts."""
+    return [n for n in lines if "taken off" in n or "another feature" in n]
+
+
+def assert_right(printer):
+    assert true_gap(printer) == pytest.approx(0.0, abs=2 * MICROSTEP)
+
+
+@pytest.mark.every_host
+@pytest.mark.parametrize("height", [0.2, -0.05])
+@pytest.mark.parametrize("scene", ["membrane", "membrane_and_probe"])
+def test_mesh_is_taken_off(start, scene, height):
+    printer = start(scene, changes=mesh(height)).homed()
+    printer.run(LOAD)
+    lines = calibrate(printer)
+    offset = BEDS[scene] - height
+    (line,) = told(lines)
+    words = f"// {NAME}: bed_mesh {height:.3f} mm at 30.0, 20.0, {TAKEN_OFF} "
+    assert line.startswith(words)
+    assert line.endswith(", and right there while that is in force")
+    assert printer.offset() == pytest.approx(offset, abs=2 * MICROSTEP)
+    last = printer.status(NAME)["last_offset"]
+    assert last == pytest.approx(printer.offset(), abs=1e-5)
+    assert_right(printer)
+    # The result is what was measured
+    (result,) = [n for n in lines if "--> new offset=" in n]
+    measured = float(result.split("=")[-1])
+    assert measured == pytest.approx(BEDS[scene], abs=2 * MICROSTEP)
+
+
+@pytest.mark.every_host
+@pytest.mark.parametrize("height", [0.2, 0.05])
+@pytest.mark.parametrize("scene", ["membrane", "membrane_and_probe"])
+def test_mesh_is_taken_off_what_is_saved(start, scene, height):
+    printer = start(scene, changes=mesh(height)).homed()
+    printer.run(LOAD)
+    lines = calibrate(printer, f"{CALIBRATE} SAVE=1")
+    assert [TAKEN_OFF in line for line in told(lines)] == [True]
+    printer.session.restart("SAVE_CONFIG")
+    printer.run(f"G28\n{LOAD}")
+    assert printer.offset() == 0.0
+    assert_right(printer)
+    # The bed is no more at Z=0 without the mesh: floors count from where it is
+    text = "\n".join(printer.run(CALIBRATE))
+    assert ("No calibration was saved yet" in text) is (height > 0.125)
+
+
+def test_without_a_mesh_nothing_is_told(start):
+    printer = start("membrane", changes=mesh(0.2)).homed()
+    assert told(calibrate(printer)) == []
+    printer.run(f"{LOAD}\nBED_MESH_CLEAR")
+    assert told(calibrate(printer)) == []
+    assert_right(printer)
+
+
+@pytest.mark.parametrize("is_saved", [False, True])
+def test_heat_is_nothing_to_save(start, tmp_path, is_saved):
+    path = tmp_path / "temp"
+    path.write_text("25000")
+    heat = {
+        "temp_coeff": "0.002",
+        "sensor_type": "temperature_host",
+        "sensor_path": str(path),
+        "min_temp": "0",
+        "max_temp": "100",
+        "smooth_time": "1",
+    }
+    printer = start("membrane", changes={"z_thermal_adjust": heat})
+    printer.session.require_ready()
+    printer.session.wait(30.0)
+    printer.homed()
+    path.write_text("75000")
+    printer.session.wait(30.0)
+    lines = calibrate(printer, f"{CALIBRATE} SAVE={is_saved:d}")
+    words = [line.split(": ", 1)[1] for line in told(lines)]
+    if is_saved:
+        assert words == []
+        printer.session.restart("SAVE_CONFIG")
+        printer.session.wait(30.0)
+        printer.run("G28")
+    else:
+        (text,) = words
+        assert text.startswith("z_thermal_adjust -0.100 mm at 30.0, 20.0, ")
+    assert_right(printer)
+
+
+LIFT = """
+class Lift:
+    def __init__(self, config):
+        self.printer = config.get_printer()
+        self.printer.register_event_handler("klippy:connect", self.connect)
+
+    def connect(self):
+        gcode_move = self.printer.lookup_object("gcode_move")
+        self.next = gcode_move.set_move_transform(self, force=True)
+
+    def get_position(self):
+        x, y, z, *e = self.next.get_position()
+        return [x, y, z - 0.12, *e]
+
+    def move(self, position, speed):
+        x, y, z, *e = position
+        self.next.move([x, y, z + 0.12, *e], speed)
+
+
+def load_config(config):
+    return Lift(config)
+"""
+
+
+def test_what_nobody_knows_is_told_and_stays(start, tmp_path):
+    source = tmp_path / "lift.py"
+    source.write_text(LIFT)
+    modules = {**module_files(), "lift": source}
+    # The mesh is the transform that it is around
+    changes = {**mesh(0.0), "lift": {}}
+    printer = start("membrane", changes=changes, modules=modules).homed()
+    (line,) = told(calibrate(printer))
+    assert "another feature shifts Z by 0.120 mm there: not taken off" in line
+    assert true_gap(printer) == pytest.approx(0.12, abs=2 * MICROSTEP)

@@ -1,0 +1,46 @@
+# What Klipper's own features shift where the switch lies, a bed mesh above all: the
+# offset is applied below them.
+# Copyright (C) 2026  the Z calibration developers, under the GNU GPLv3
+from __future__ import absolute_import
+
+from ..core.features import INNERMOST
+
+# Less (mm) is rounding.
+SMALLEST_PART = 0.0005
+
+# From here on (mm) it is worth telling what nobody knows.
+LARGEST_REST = 0.02
+
+
+# With the head at x, y, z (toolhead, mm).
+class Shifts(object):
+    # 'is_saved': for a value that counts from the next homing on, when the mesh is
+    # as it is, but not the heat.
+    def __init__(self, host, place, is_saved):
+        self.place = place
+        self.parts = [
+            part
+            for part in host.features.parts(*place)
+            if abs(part.height) >= SMALLEST_PART
+            and (part.name in INNERMOST or not is_saved)
+        ]
+        self.rest = host.features.rest(*place)
+
+    # mm, to be taken off the offset
+    def height(self):
+        return sum(part.height for part in self.parts)
+
+    # What the user is told; 'z_offset': what has become of the offset (mm)
+    def lines(self, z_offset):
+        if self.parts:
+            parts = ["%s %.3f mm" % tuple(part) for part in self.parts]
+            values = (", ".join(parts),) + self.place[:2] + (z_offset,)
+            yield (
+                "%s at %.1f, %.1f, where the switch lay, taken off: the offset is"
+                " %.6f, and right there while that is in force" % values
+            )
+        if abs(self.rest) >= LARGEST_REST:
+            yield (
+                "another feature shifts Z by %.3f mm there: not taken off, check"
+                " the first layer" % (self.rest,)
+            )
