@@ -177,6 +177,8 @@ def test_history_may_be_nowhere(start):
     assert "'history' is none" in printer.fail("Z_CALIBRATION_REPORT")
     # This run is worth as much as with one
     assert printer.status("z_calibration")["uncertainty"] is not None
+    assert printer.status("z_calibration")["history"]["runs"] == 1
+    printer.session.restart("RESTART")
     assert printer.status("z_calibration")["history"]["runs"] == 0
 
 

@@ -14,7 +14,6 @@ import pytest
 from tests.unit.runs import make_run, make_runs
 from tests.unit.stretches import AT_A_STRETCH, Stretches
 from z_touch.history import file as history
-from z_touch.uncertainty import estimate as uncertainty
 
 
 @pytest.fixture
@@ -168,14 +167,24 @@ def test_records_of_a_site():
     }
 
 
-def test_spread_is_that_of_the_last_twenty_good_runs():
-    worn = {"bed": 0.03}
-    runs = make_runs(5, worn=worn, touches=5) + make_runs(20, 2, touches=3)
-    runs += [make_run(random.Random(3), worn=worn, ok=False)]
-    spread = history.spread_in(runs, "bed")
-    assert spread.dof == 40
-    assert spread.variance**0.5 == pytest.approx(0.003, rel=0.4)
-    assert history.spread_in([], "bed") == uncertainty.UNKNOWN
+def test_spread_is_that_of_all_touches():
+    """Rejected ones, too; but neither outliers nor what is no noise at all."""
+    rejected = [1.0, 1.009, 1.004, 0.998, 1.006, 1.3]
+    found = history.site_record([1.004, 1.006], 1.005, 0.0025, rejected)
+    assert found["samples"] == [1.004, 1.006] and found["touches"] == rejected
+    assert (found["n"], found["sd"]) == (5, pytest.approx(0.00445, abs=1e-5))
+
+
+def test_spreads_are_those_of_the_last_twenty_runs():
+    """Of refused ones, too."""
+    runs = make_runs(5, touches=5) + make_runs(19, 2, touches=3)
+    refused = make_run(random.Random(3), ok=False, touches=4)
+    del refused["sites"]["switch"]
+    spreads = history.spreads_in([*runs, refused], "bed")
+    assert [spread.dof for spread in spreads] == [2] * 19 + [3]
+    missing = history.spreads_in([*runs, refused], "switch")
+    assert [spread.dof for spread in missing] == [2] * 19 + [0]
+    assert history.spreads_in([], "bed") == []
 
 
 # On klippy's main thread
@@ -353,10 +362,11 @@ def test_what_cannot_be_written_is_told_and_no_error(file):
     assert len(whole(file)) == 1
 
 
-def test_history_that_is_off_does_nothing(tmp_path):
+def test_history_that_is_off_lasts_as_long_as_klippy(tmp_path):
     owner = Owner(None).begin()
-    owner.add(*make_runs(3))
-    assert owner.history.status["runs"] == 0
+    owner.add(*make_runs(3), make_run(random.Random(1), cycles=[]))
+    assert owner.history.status["runs"] == 3
+    assert [len(past) for past in owner.history.spreads().values()] == [3] * 3
     assert list(tmp_path.iterdir()) == []
 
 

@@ -15,6 +15,7 @@ import os
 import threading
 import time
 
+from ..core.sampling import summarize
 from ..uncertainty.estimate import (
     UNKNOWN,
     Spread,
@@ -37,6 +38,10 @@ PATIENCE = 5.0
 # Runs in the status, and runs that say how much a touch of a site varies
 RESULTS = 10
 RECENT = 20
+
+
+# Farther (mm) from the middle of all touches of a site is an accident, no noise
+NO_NOISE = 0.05
 
 
 # Gives way to klippy's main thread
@@ -101,6 +106,8 @@ def is_site(site):
         return False
     if not are_numbers(site.get("samples")):
         return False
+    if not are_numbers(site.get("touches", [])):
+        return False
     return is_number(site.get("sd")) and is_number(site.get("n"))
 
 
@@ -111,26 +118,35 @@ def are_cycles(cycles):
     )
 
 
-# What a record has of a site: its height (mm), its samples, how many of them count
-# and how they vary
-def site_record(samples, z, step):
-    kept = without_outliers(samples, UNKNOWN, step)
+# What a record has of a site: its height (mm), the samples that count, all touches
+# where some were rejected, and how these vary, as far as they are noise.
+def site_record(samples, z, step, touches=None, earlier=UNKNOWN):
+    touches = touches or samples
+    middle = summarize(touches, "median")
+    near = [z for z in touches if abs(z - middle) <= NO_NOISE]
+    kept = without_outliers(near, earlier, step)
     spread = spread_of(kept)
-    return {
+    record = {
         "z": round(z, 6),
         "sd": round(math.sqrt(spread.variance), 6),
         "n": len(kept),
         "samples": [round(sample, 6) for sample in samples],
     }
+    if len(touches) > len(samples):
+        record["touches"] = [round(touch, 6) for touch in touches]
+    return record
 
 
-# The Spread of one touch at a site, by the latest good runs
-def spread_in(runs, site):
-    measured = [run["sites"][site] for run in runs if run["ok"]][-RECENT:]
-    return pool(
+# The Spread of one touch at a site in each of the latest runs, refused ones, too:
+# without what made them refused the others look better than they are.
+def spreads_in(runs, site):
+    measured = [run["sites"].get(site) for run in runs[-RECENT:]]
+    return [
         Spread(max(s["sd"], 0.0) ** 2, max(int(s["n"]) - 1, 0))
+        if s
+        else UNKNOWN
         for s in measured
-    )
+    ]
 
 
 ######################################################################
@@ -321,6 +337,10 @@ class History(object):
     def add(self, record):
         record["printer"] = self.printer
         if self.file is None:
+            # As long as klippy lives: how touches vary is all that is asked of it
+            if "cycles" not in record:
+                self.runs = (self.runs + [record])[-RECENT:]
+                self._show()
             return
         if "cycles" in record:
             self.in_thread(self.file.append, record)
@@ -350,12 +370,12 @@ class History(object):
         for text in texts:
             self.say(text)
 
-    # The Spread of one touch by site
+    # Of each site the Spread of one touch in each of the last runs
     def spreads(self):
-        return dict((site, spread_in(self.runs, site)) for site in SITES)
+        return dict((site, spreads_in(self.runs, site)) for site in SITES)
 
     def _show(self):
-        spreads = self.spreads()
+        spreads = dict((s, pool(past)) for s, past in self.spreads().items())
         names = ("time", "ok", "offset", "uncertainty", "reason")
         self.status = {
             "runs": len(self.runs),

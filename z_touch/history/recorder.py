@@ -6,6 +6,7 @@ import logging
 import os
 import time
 
+from ..core.sampling import summarize
 from ..uncertainty import adaptive, cycles
 from . import report
 from .file import SITES, File, History, site_record
@@ -124,10 +125,9 @@ class Recorder(object):
         plan, eventtime = self.plan, self.host.eventtime()
         sites, retries = {}, 0
         for site in SITES:
-            if site in plan.estimates:
-                samples, z = plan.samples[site], plan.estimates[site].z
-                sites[site] = site_record(samples, z, plan.step)
-                retries += len(plan.touches[site]) - len(samples)
+            if plan.touches.get(site):
+                sites[site] = self.site_of(site)
+                retries += len(plan.touches[site]) - len(sites[site]["samples"])
         return {
             "time": round(time.time(), 1),
             "revision": self.version,
@@ -137,6 +137,15 @@ class Recorder(object):
             "retries": retries,
             "cleaned": self.cleaned,
         }
+
+    # Where the touches of a site did not agree, all that is known of it
+    def site_of(self, site):
+        plan, touches = self.plan, self.plan.touches[site]
+        samples, z = touches, summarize(touches, "average")
+        if site in plan.estimates:
+            samples, z = plan.samples[site], plan.estimates[site].z
+        earlier = plan.earlier_at(site)
+        return site_record(samples, z, plan.step, touches, earlier)
 
     # By the names of HEATERS (C)
     def temperatures(self, eventtime):

@@ -5,9 +5,10 @@
 # With samples: auto the target is what the offset may be off by (mm at 95 %).
 # Its square is shared among the sites, after what nobody can average away:
 #
-#   target^2 - (step / 2)^2  >=  sum over the sites of t^2 * variance
+#   target^2 - (t * step / 2)^2  >=  sum over the sites of t^2 * variance,   t = 1.96
 #
-# A site is touched until its part is no more than its share, see share().
+# A site is touched until its part is no more than its share, see share(), the last
+# one until the whole is what was wanted: only then all is known.
 from __future__ import absolute_import, division
 
 import math
@@ -24,7 +25,9 @@ from .estimate import (
     robust_estimate,
     spread_of,
     t_factor,
+    weighed,
 )
+from .recent import pool_usual, spreads_of_now
 
 DOUBT = "the touches do not agree"
 
@@ -36,6 +39,10 @@ STICKS = 3.0
 LEAST = 2
 LEAST_AT_FIRST = 5
 MOST = 10
+
+# The part of the whole that the sites before the last one leave: how noisy a run was
+# is known at its end only, and nobody goes back
+RESERVE = 0.15
 
 # So many touches behind it (degrees of freedom) make a history
 HISTORY = 8
@@ -70,14 +77,17 @@ CYCLE_SAMPLES = 3
 # come before.
 def share(site, target, step, earlier, measured):
     # Half a step is not to be averaged away
-    whole = max(target**2 - (step / 2.0) ** 2, 0.0)
+    half = t_factor(float("inf")) * step / 2.0
+    whole = max(target**2 - half**2, 0.0)
     left = whole - math.fsum(cost(estimate) for estimate in measured.values())
     todo = [name for name in earlier if name not in measured]
     noises = [math.sqrt(earlier[name].variance) for name in todo]
+    if len(todo) > 1:
+        left -= RESERVE * whole
     part = 1.0 / len(todo)
     if all(is_known(earlier[name]) for name in todo) and sum(noises):
         part = math.sqrt(earlier[site].variance) / math.fsum(noises)
-    return max(left * part, whole / len(earlier))
+    return max(left * part, (1.0 - RESERVE) * whole / len(earlier))
 
 
 # Sites that vary alike, as far as one can tell, are known better together: the
@@ -128,13 +138,15 @@ def check(samples, result, remedy):
         )
 
 
-# Call touch(), which returns a height (mm), until the site has its share.  Returns
-# all samples and the Estimate.  Raises SamplesDiffer, with the remedy.
-def collect_enough(touch, earlier, step, share, remedy):
+# Call touch(), which returns a height (mm), until the site has its share, and
+# is_done(Estimate).  Returns all samples and the Estimate.  Raises SamplesDiffer,
+# with the remedy.
+def collect_enough(touch, earlier, step, share, remedy, is_done=None):
     samples = []
     while True:
         samples.append(touch())
         enough, result = judge(samples, earlier, step, share)
+        enough = enough and (is_done is None or is_done(result))
         if enough or len(samples) >= MOST:
             check(samples, result, remedy)
             return samples, result
@@ -190,9 +202,9 @@ class FixedCount(object):
     # Samples of a site, and their Estimate.  Raises SamplesDiffer.
     def collect(self, plan, site, touch, sampling, say, remedy):
         samples = collect(touch, sampling, say, remedy)
-        earlier = plan.earlier_at(site)
-        result = estimate(samples, earlier, plan.step, sampling.result)
-        return samples, result
+        earlier, touches = plan.earlier_at(site), plan.touches[site]
+        method = sampling.result
+        return samples, estimate(samples, earlier, plan.step, method, touches)
 
 
 # As many touches as the result needs (samples: auto); how far those of [probe]
@@ -222,8 +234,13 @@ class Automatic(object):
     def collect(self, plan, site, touch, sampling, say, remedy):
         step, measured = plan.step, plan.estimates
         part = share(site, self.target, step, plan.earlier, measured)
+
+        def is_done(result):
+            worth = plan.uncertainty_with(site, result)
+            return worth is None or worth <= self.target
+
         earlier = plan.earlier_at(site)
-        return collect_enough(touch, earlier, step, part, remedy)
+        return collect_enough(touch, earlier, step, part, remedy, is_done)
 
 
 # By the options samples and target_uncertainty
@@ -238,11 +255,14 @@ def choose(samples, target):
 
 # The touches of one run, and what they say.
 class Plan(object):
-    # 'step': of the Z motors (mm); 'earlier': Spread by site; 'counting': FixedCount
-    # or Automatic
-    def __init__(self, step, earlier, counting):
+    # 'step': of the Z motors (mm); 'pasts': of each site the Spreads of the last
+    # runs, see recent.py; 'counting': FixedCount or Automatic
+    def __init__(self, step, pasts, counting):
         self.step = step
-        self.earlier = together(earlier)
+        self.pasts = pasts
+        self.earlier = together(
+            dict((site, pool_usual(pasts[site], step)) for site in pasts)
+        )
         self.counting = counting
         # By site: its touches, those of the series that counts, its Estimate
         self.touches = {}
@@ -294,6 +314,19 @@ class Plan(object):
     # Of the offset (mm at 95 %); None where a site was not measured, or nothing
     # is known of its spread.
     def uncertainty(self):
-        if any(site not in self.estimates for site in self.earlier):
+        return self.worth_of(self.estimates)
+
+    # The same with another Estimate of a site
+    def uncertainty_with(self, site, result):
+        return self.worth_of(dict(self.estimates, **{site: result}))
+
+    def worth_of(self, estimates):
+        if any(site not in estimates for site in self.pasts):
             return None
-        return expanded([self.estimates[s] for s in self.earlier], self.step)
+        now = dict((site, estimates[site].spread) for site in self.pasts)
+        spreads, is_shared = spreads_of_now(self.pasts, now, self.step)
+        found = [
+            weighed(estimates[site], spreads[site], self.step)
+            for site in self.pasts
+        ]
+        return expanded(found, self.step, is_shared)

@@ -1,16 +1,19 @@
 # What a measured offset is worth: pure functions; mm, and mm^2 for variances.
 # Copyright (C) 2026  the Z calibration developers, under the GNU GPLv3
 #
-# The standard uncertainty u of an offset, of which 95 % of all runs are within
-# t * u of the truth, t of Student's distribution:
+# 95 % of all offsets are no further from the truth than U, t of Student's
+# distribution:
 #
-#   u^2 = sum over the sites of (s^2 * c / n + r^2)  +  (step / 2)^2
+#   U^2 = t^2 * (sum over the sites of (s^2 / n + m + r^2)  +  (step / 2)^2)
 #
-#   s      spread of one touch: of this run's samples at the site, pooled with
-#          that of its earlier runs
-#   n, c   touches; 1 for their average, more for their median, see MEDIAN_OF_10
-#   r      what rounding to whole steps leaves in an average, see rounding();
-#          a median is no better than step / sqrt(12)
+#   s      spread of one touch: of all touches of this run at the site, rejected
+#          ones, too, pooled with that of its earlier runs, see recent.py
+#   n      touches that count.  Their average is as exact as that, also where they
+#          are the series that kept a tolerance: average and spread of normal
+#          samples do not depend on each other
+#   m      what the median of these is less exact, see median_excess()
+#   r      what rounding to whole steps leaves, see rounding(); a median of an odd
+#          number is as rounded as a touch
 #   step   of the Z motors: a touch ends on the step after the one at which it
 #          triggered, half a step too low on average, which nobody corrects
 #
@@ -29,8 +32,10 @@ from ..core.sampling import summarize
 Spread = collections.namedtuple("Spread", "variance dof")
 
 # Of one site: height (mm), its variance and degrees of freedom (dof), the samples
-# that count, and the Spread of these alone
-Estimate = collections.namedtuple("Estimate", "z variance dof kept spread")
+# that count, how z comes of them, and the Spread of this run's touches
+Estimate = collections.namedtuple(
+    "Estimate", "z variance dof kept method spread"
+)
 
 UNKNOWN = Spread(0.0, 0)
 
@@ -153,19 +158,42 @@ def within(samples, middle, noise):
     return [z for z in samples if abs(z - middle) <= OUTLIER * noise]
 
 
-# The Estimate of a site from samples that all count
-def estimate(samples, earlier, step, method):
-    spread, n = spread_of(samples), len(samples)
-    usual = is_usual(spread, earlier, step)
-    pooled = pool((spread, earlier)) if usual else spread
-    variance = pooled.variance * reduction(n, method)
-    if pooled.dof and method == "median":
-        # One of the samples, or two: as rounded as any of them is
-        variance = max(variance, step**2 / 12.0)
-    elif pooled.dof:
-        variance += rounding(pooled.variance, step)
+# The variance that the median of samples has more than their average.  Of a
+# series that kept a tolerance it is less than the spread of a touch says.
+def median_excess(samples, spread, step):
+    n, whole = len(samples), step**2 / 12.0
+    within = min(spread.variance, spread_of(samples).variance)
+    return max(within - whole, 0.0) * (reduction(n, "median") - 1.0 / n)
+
+
+# The variance of the average or median of samples, by the Spread of a touch
+def variance_of(samples, spread, step, method):
+    n, whole = len(samples), step**2 / 12.0
+    if method == "average" or n <= 2:
+        return spread.variance / n + rounding(spread.variance, step)
+    # One of the samples is as rounded as any, the mean of two a bit less
+    rounded = whole if n % 2 else 0.75 * whole
+    own = max(spread.variance - whole, 0.0) / n
+    return own + median_excess(samples, spread, step) + rounded
+
+
+# The Estimate of a site from the samples that count.  'touches': all of them,
+# rejected ones, too
+def estimate(samples, earlier, step, method, touches=None):
+    kept = without_outliers(touches or samples, earlier, step)
     z = summarize(samples, method)
-    return Estimate(z, variance, pooled.dof, list(samples), spread)
+    spread = spread_of(kept if touches else samples)
+    result = Estimate(z, 0.0, 0, list(samples), method, spread)
+    usual = is_usual(spread, earlier, step)
+    return weighed(result, pool((spread, earlier)) if usual else spread, step)
+
+
+# The Estimate with what the Spread of a touch says about it
+def weighed(result, spread, step):
+    if not spread.dof:
+        return result._replace(variance=0.0, dof=0)
+    variance = variance_of(result.kept, spread, step, result.method)
+    return result._replace(variance=variance, dof=spread.dof)
 
 
 # The Estimate of a site from samples of which some may be outliers, and whose
@@ -180,12 +208,15 @@ def robust_estimate(samples, earlier, step):
 
 
 # What the offset may be off by (mm, 95 %), from the Estimates of all sites; None
-# where nothing is known of the spread of one.
-def expanded(estimates, step):
+# where nothing is known of the spread of one.  'is_shared': they were weighed by
+# the same Spread.
+def expanded(estimates, step, is_shared=False):
     if not all(e.dof for e in estimates):
         return None
     parts = [e.variance for e in estimates]
     below = math.fsum(v**2 / e.dof for v, e in zip(parts, estimates))
-    total = math.fsum(parts)
+    if is_shared:
+        below = math.fsum(parts) ** 2 / estimates[0].dof
+    total = math.fsum(parts) + step**2 / 4.0
     dof = total**2 / below if below else float("inf")
-    return t_factor(dof) * math.sqrt(total + step**2 / 4.0)
+    return t_factor(dof) * math.sqrt(total)

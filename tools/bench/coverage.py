@@ -1,0 +1,223 @@
+"""How many offsets are inside the uncertainty that is told of them.
+
+    python -m tools.bench.coverage [--runs N] [--first]
+
+Printers at random, without klippy: three sites whose touches vary by the same
+noise and end on whole steps of Z, so of 2.5 um. Each has a history of ten good
+runs, and of the refused ones between them; with --first it has that of the refused
+runs before its first good one only. One line for each noise and shape of it, one
+column for each samples_tolerance and samples_tolerance_retries. Nothing is said
+("-") where fewer than one run in ten is good. Then the first runs after the
+noise has grown.
+"""
+
+from __future__ import annotations
+
+import argparse
+import math
+import random
+import sys
+from collections.abc import Callable, Sequence
+from typing import NamedTuple, Optional
+
+from z_touch.core.errors import SamplesDiffer
+from z_touch.core.sampling import Sampling, summarize
+from z_touch.history.file import SITES, site_record, spreads_in
+from z_touch.uncertainty import adaptive
+
+STEP = 0.0025
+HISTORY = 10
+# Records that may play a part
+KEPT = 40
+# Runs of one printer
+OF_ONE = 60
+# Fewer good ones among all that were begun are nobody's printer
+LEAST_GOOD = 0.1
+
+
+def normal(draw: random.Random) -> float:
+    return draw.gauss(0.0, 1.0)
+
+
+def student(draw: random.Random) -> float:
+    """Student's t of 5 degrees of freedom, at a standard deviation of 1."""
+    square = sum(draw.gauss(0.0, 1.0) ** 2 for _ in range(5))
+    return draw.gauss(0.0, 1.0) / math.sqrt(square / 3.0)
+
+
+class Noise(NamedTuple):
+    """Of one touch: mm, shape, and the chance of an outlier of 30 um."""
+
+    name: str
+    sigma: float
+    shape: Callable[[random.Random], float] = normal
+    outliers: float = 0.0
+
+
+class Setting(NamedTuple):
+    """What an owner sets: mm, count, count, how."""
+
+    tolerance: float
+    retries: int
+    samples: int = 3
+    method: str = "median"
+
+
+class Run(NamedTuple):
+    """Its record, error and uncertainty (mm), None of a refused one."""
+
+    record: dict
+    error: Optional[float] = None
+    worth: Optional[float] = None
+
+
+class DrawnPrinter:
+    """One that homes anew before each run."""
+
+    def __init__(self, draw: random.Random, noise: Noise) -> None:
+        self.draw, self.noise = draw, noise
+        self.runs: list[dict] = []
+        self.heights: dict[str, float] = {}
+
+    def touch(self, site: str) -> float:
+        z = self.heights[site] + self.noise.sigma * self.noise.shape(self.draw)
+        if self.draw.random() < self.noise.outliers:
+            z += self.draw.choice((-0.03, 0.03))
+        return math.floor(z / STEP) * STEP
+
+    def run(self, setting: Setting) -> Run:
+        """One CALIBRATE_Z, which knows those before it."""
+        self.heights = {site: self.draw.uniform(0.0, 10.0) for site in SITES}
+        pasts = {site: spreads_in(self.runs, site) for site in SITES}
+        counting = adaptive.FixedCount(setting.samples)
+        plan = adaptive.Plan(STEP, pasts, counting)
+        found = self.measured(plan, setting)
+        self.runs = [*self.runs, found.record][-KEPT:]
+        return found
+
+    def measured(self, plan: adaptive.Plan, setting: Setting) -> Run:
+        sampling = Sampling(
+            setting.samples,
+            setting.tolerance,
+            setting.retries,
+            setting.method,
+            *(2.0, 4.0, 6.0),
+        )
+        for site in SITES:
+
+            def touch(site: str = site) -> float:
+                return self.touch(site)
+
+            try:
+                plan.collect(site, touch, sampling, lambda _text: None, "")
+            except SamplesDiffer:
+                return Run({"ok": False, "sites": records(plan)})
+        errors = {s: plan.estimates[s].z - self.heights[s] for s in SITES}
+        error = errors["bed"] - (errors["switch"] - errors["nozzle"])
+        record = {"ok": True, "sites": records(plan)}
+        return Run(record, error, plan.uncertainty())
+
+
+def records(plan: adaptive.Plan) -> dict[str, dict]:
+    """As the recorder has them."""
+    found = {}
+    for site, touches in plan.touches.items():
+        samples, z = touches, summarize(touches, "average")
+        if site in plan.estimates:
+            samples, z = plan.samples[site], plan.estimates[site].z
+        earlier = plan.earlier_at(site)
+        found[site] = site_record(samples, z, plan.step, touches, earlier)
+    return found
+
+
+def coverage(
+    noise: Noise, setting: Setting, count: int, *, first: bool = False
+) -> Optional[float]:
+    """The part of the good runs that is inside."""
+    draw = random.Random(f"{noise.name}/{setting}/{first}")
+    good, begun, inside = 0, 0, 0
+    while good < count:
+        printer, of_one, fine = DrawnPrinter(draw, noise), 0, 0
+        while of_one < OF_ONE and good < count:
+            begun += 1
+            if begun > 100 and good + fine < LEAST_GOOD * begun:
+                return None
+            run = printer.run(setting)
+            if run.error is None:
+                continue
+            fine += 1
+            if first:
+                printer.runs = []
+            elif fine <= HISTORY:
+                continue
+            good, of_one = good + 1, of_one + 1
+            inside += abs(run.error) <= run.worth
+    return inside / good
+
+
+def grown(
+    before: float, after: float, setting: Setting, printers: int, runs: int = 4
+) -> list[float]:
+    """The part that is inside in each of the runs after the noise has grown."""
+    draw, inside = random.Random(f"{before}/{after}/{setting}"), [0] * runs
+    for _ in range(printers):
+        printer = DrawnPrinter(draw, Noise("", before))
+        for _ in range(HISTORY + 5):
+            printer.run(setting)
+        printer.noise = Noise("", after)
+        for number in range(runs):
+            found = printer.run(setting)
+            while found.error is None:
+                found = printer.run(setting)
+            inside[number] += abs(found.error) <= found.worth
+    return [count / printers for count in inside]
+
+
+SIGMAS = (0.001, 0.003, 0.005, 0.008, 0.010)
+SETTINGS = [
+    Setting(tolerance, retries)
+    for tolerance in (0.005, 0.008, 0.020)
+    for retries in (0, 3, 10)
+]
+GROWTH = ((0.003, 0.006), (0.003, 0.010), (0.005, 0.010))
+
+
+def percent(part: Optional[float]) -> str:
+    return "    -" if part is None else f"{100.0 * part:5.1f}"
+
+
+def tell(text: str) -> None:
+    sys.stdout.write(text + "\n")
+    sys.stdout.flush()
+
+
+def main(words: Sequence[str]) -> int:
+    """Print the tables."""
+    parser = argparse.ArgumentParser(prog="python -m tools.bench.coverage")
+    parser.add_argument("--runs", type=int, default=600)
+    parser.add_argument("--first", action="store_true")
+    given = parser.parse_args(words)
+    heads = [f"{1000 * s.tolerance:.0f}/{s.retries}" for s in SETTINGS]
+    tell(" " * 22 + "".join(f"{head:>6}" for head in heads) + "  um/retries")
+    for kind, shape, outliers in (
+        ("normal", normal, 0.0),
+        ("Student's t", student, 0.0),
+        ("2 % of 30 um", normal, 0.02),
+    ):
+        for sigma in SIGMAS:
+            name = f"{kind}, {1000 * sigma:.0f} um"
+            noise = Noise(name, sigma, shape, outliers)
+            parts = [
+                coverage(noise, setting, given.runs, first=given.first)
+                for setting in SETTINGS
+            ]
+            tell(f"{name:22}" + "".join(f" {percent(p)}" for p in parts))
+    for before, after in () if given.first else GROWTH:
+        parts = grown(before, after, Setting(0.020, 3), given.runs)
+        name = f"{1000 * before:.0f} um, then {1000 * after:.0f}"
+        tell(f"{name:22}" + "".join(f" {percent(p)}" for p in parts))
+    return 0
+
+
+if __name__ == "__main__":
+    sys.exit(main(sys.argv[1:]))

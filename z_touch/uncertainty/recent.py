@@ -1,0 +1,114 @@
+# What the touches of earlier runs say about those of now: pure functions.
+# Copyright (C) 2026  the Z calibration developers, under the GNU GPLv3
+#
+# A series that keeps samples_tolerance is not how a printer touches: the noisier
+# it is, the more of it is hidden by what was rejected.  So a Spread is that of all
+# touches of a site in a run, rejected ones and those of refused runs included.
+#
+# 'pasts': of each site the Spreads of the last runs, the oldest first, of the same
+# runs for all sites, UNKNOWN where one was not touched; 'now': the Spread by site of
+# the run that ends.
+from __future__ import absolute_import, division
+
+import math
+
+from .estimate import pool
+
+# Standard deviations of a normal distribution: from the first on the last runs are
+# noisier than those before; below the second sites vary alike, as far as one can
+# tell; from the third on a single run is an accident.
+NOISIER = 1.645
+AS_NOISY = 1.28
+ACCIDENT = 3.1
+
+# So many runs are needed to tell that one of them is an accident
+ACCIDENT_RUNS = 6
+
+# The part of the degrees of freedom that it leaves to choose the touches, or the runs,
+# that count by what they say
+CHOSEN = 0.667
+
+# Behind what is compared with (degrees of freedom)
+LEAST_BEFORE = 6
+
+
+# The value of F that is exceeded by chance as rarely as 'sigmas' of a normal
+# distribution: Paulson, Annals of Mathematical Statistics 13 (1942)
+def f_limit(dof, below, sigmas):
+    a, b = 2.0 / (9.0 * dof), 2.0 / (9.0 * below)
+    square = (1.0 - b) ** 2 - sigmas**2 * b
+    if square <= 0.0:
+        return float("inf")
+    middle, rest = (1.0 - a) * (1.0 - b), (1.0 - a) ** 2 - sigmas**2 * a
+    root = math.sqrt(max(middle**2 - square * rest, 0.0))
+    return ((middle + root) / square) ** 3
+
+
+# Of several runs together, without single ones that are far noisier than all
+# others: an accident.
+def pool_usual(spreads, step):
+    spreads = [s for s in spreads if s.dof > 0]
+    while len(spreads) >= ACCIDENT_RUNS:
+        worst = max(spreads, key=lambda s: s.variance)
+        others = list(spreads)
+        others.remove(worst)
+        rest = pool(others)
+        limit = f_limit(worst.dof, rest.dof, ACCIDENT)
+        if worst.variance <= limit * max(rest.variance, step**2 / 4.0):
+            break
+        spreads = others
+    return pool(spreads)
+
+
+# From which of the earlier runs on they touch as now.  A printer whose noise has
+# grown shows it at all sites, in the last runs together, long before a single site
+# does in a single run.
+def first_like_now(pasts, now, step):
+    count, found, most = max(map(len, pasts.values())), 0, 1.0
+    # From the last run on, each sum is the one before and one more
+    for begin in range(count, 0, -1):
+        ratio, dof, below = 0.0, 0, 0
+        for site in now:
+            new = pool(pasts[site][begin:] + [now[site]])
+            old = pool(pasts[site][:begin])
+            if new.dof and old.dof:
+                usual = max(old.variance, step**2 / 4.0)
+                ratio += new.dof * new.variance / usual
+                dof, below = dof + new.dof, below + old.dof
+        if not dof or below < LEAST_BEFORE:
+            continue
+        excess = ratio / dof / f_limit(dof, below, NOISIER)
+        if excess > most:
+            found, most = begin, excess
+    return found
+
+
+# Whether Spreads may well be the same
+def are_alike(spreads, step):
+    floor = step**2 / 12.0
+    most = max(spreads, key=lambda s: s.variance)
+    least = min(spreads, key=lambda s: s.variance)
+    ratio = max(most.variance, floor) / max(least.variance, floor)
+    return ratio < f_limit(most.dof, least.dof, AS_NOISY)
+
+
+# The Spread of a touch of now by site, and whether it is one for all of them
+def spreads_of_now(pasts, now, step):
+    begin = first_like_now(pasts, now, step)
+    like = dict((site, pasts[site][begin:]) for site in now)
+    is_chosen = begin or not any(s.dof for part in like.values() for s in part)
+    found = dict(
+        (site, pool_usual(like[site] + [now[site]], step)) for site in now
+    )
+    if not all(spread.dof for spread in found.values()):
+        return found, False
+    is_shared = are_alike(list(found.values()), step)
+    if is_shared:
+        found = dict.fromkeys(found, pool(found.values()))
+    if is_chosen:
+        found = dict((site, with_cost(s)) for site, s in found.items())
+    return found, is_shared
+
+
+def with_cost(spread):
+    return spread._replace(dof=max(CHOSEN * spread.dof, 1.0))
