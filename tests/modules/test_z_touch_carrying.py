@@ -109,6 +109,31 @@ def test_probe_is_docked_before_testz(start, reason, command):
     printer.run("ABORT")
 
 
+# By itself the probe would not be docked then
+@every_host
+def test_paper_where_no_trips_are_wanted(start):
+    printer = ready(start, {"auto_attach_detach": "False"})
+    printer.run(f"{OVER}ATTACH_PROBE")
+    assert printer.fail("MANUAL_PROBE").endswith("run DETACH_PROBE")
+    printer.run("PROBE_CALIBRATE")
+    assert where(printer) == "docked"
+    printer.run("ABORT\nATTACH_PROBE\nPROBE")
+    assert where(printer) == "attached"
+
+
+# It lowers the nozzle at once, and its section comes after ours
+@every_host
+def test_bed_screws(start):
+    screws = {"screw1": "60, 60", "screw2": "240, 60", "screw3": "150, 240"}
+    changes = {"bed_screws": {**screws, "probe_height": "2", "speed": "100"}}
+    printer = ready(start, changes=changes)
+    printer.run(f"{OVER}ATTACH_PROBE\nBED_SCREWS_ADJUST\nM400")
+    assert trips(printer) == ["attach", "dock"]
+    printer.run("ABORT")
+    assert 1.0 < printer.machine.truth.min_gap < 3.0
+    assert untouched(printer)
+
+
 @every_host
 def test_probe_is_docked_before_each_paper_of_a_twist(start):
     printer = ready(start, {"allow_delayed_detach": "True"})
