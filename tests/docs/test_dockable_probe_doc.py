@@ -16,7 +16,10 @@ ROOT = Path(__file__).resolve().parents[2]
 DOCUMENT = ROOT / "docs" / "dockable_probe.md"
 MODULE = ROOT / "z_touch" / "dockable_probe" / "module.py"
 TEXT = DOCUMENT.read_text(encoding="utf-8")
-SOURCE = MODULE.read_text(encoding="utf-8")
+SOURCE = "".join(
+    MODULE.with_name(name).read_text(encoding="utf-8")
+    for name in ("module.py", "setup.py")
+)
 SETTINGS = importlib.import_module("z_touch.dockable_probe.settings")
 # What the table says of a default that comes from elsewhere
 ELSEWHERE = {
@@ -100,7 +103,7 @@ def test_mistakes_are_found(what):
 
 
 def test_commands_are_all_there():
-    assert len(commands()) == 12
+    assert len(commands()) == 13
     table = part(TEXT, "Which commands are there?")
     told = set(re.findall(r"`([A-Z]+(?:_[A-Z]+)+)[ `]", table))
     assert commands() <= told

@@ -52,6 +52,8 @@ GOOD = [
     Run("MOVE_TO_EXTRACT_PROBE", "", check=is_at(EXTRACT)),
     Run("DETACH_PROBE", "", check=is_there("docked")),
     Run("SET_DOCKABLE_PROBE AUTO_ATTACH_DETACH=0", "", check=is_not_automatic),
+    # More in test_dockable_probe_setup.py
+    Run("DOCKABLE_PROBE_SETUP", "Put the probe on the head"),
 ]
 
 
@@ -67,6 +69,7 @@ def mended(printer):
 
 HOMED = "not homed"
 BAD = [
+    Run("DOCKABLE_PROBE_SETUP STEP=OUT", "no set-up is under way"),
     Run("PROBE", "was not fetched", stuck_in_the_dock),
     Run("ATTACH_PROBE", "was not fetched"),
     Run("DETACH_PROBE", "was not docked", mended),

@@ -9,6 +9,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from tools.kit.dialogs import dialogs_of
+from z_touch.core import jogging
 from z_touch.core.errors import CalibrationError
 from z_touch.core.touching import Site
 from z_touch.guide import steps
@@ -186,7 +187,7 @@ def test_other_polarity(pin, other):
     [(5.0, 5.0, 10.0), (5.0, -5.0, 0.0), (-1.0, 1.0, 0.0), (12.0, -1.0, 11.0)],
 )
 def test_jog_within_the_limits_or_towards_them(start, distance, end):
-    assert steps.jogged("X", start, distance, 0.0, 10.0) == end
+    assert jogging.jogged("X", start, distance, 0.0, 10.0) == end
 
 
 @pytest.mark.parametrize(
@@ -201,7 +202,7 @@ def test_jog_within_the_limits_or_towards_them(start, distance, end):
 )
 def test_jog_too_far(start, distance, words):
     with pytest.raises(CalibrationError, match=words):
-        steps.jogged("X", start, distance, 0.0, 10.0)
+        jogging.jogged("X", start, distance, 0.0, 10.0)
 
 
 @pytest.mark.parametrize(

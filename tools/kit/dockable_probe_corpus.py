@@ -23,9 +23,9 @@ BROKEN = {
     16: "dock_position",
     18: "'approach_position' in section 'dockable_probe' (47, 231) is at",
     22: "z_offset",
-    24: "dock_position",
+    24: "z_offset",
     25: "pin",
-    26: "dock_position",
+    26: "z_offset",
     27: "probe",
     32: "approach_position",
 }

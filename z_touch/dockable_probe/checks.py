@@ -46,6 +46,12 @@ def is_lifted_elsewhere(config):
 # Whether the positions lead out of the dock, and whether detach_position strips
 # the probe off; 'notes' is told where that is doubtful
 def check_positions(config, settings, notes):
+    if not settings.is_placed:
+        notes.append(
+            "nothing says where the dock is, so the probe is neither fetched nor"
+            " docked; set it up with DOCKABLE_PROBE_SETUP"
+        )
+        return
     dock = settings.dock_position
     z = settings.approach_position.z if dock.z is None else dock.z
     if settings.dock_fixed_z:
@@ -89,7 +95,7 @@ class Misfit(Exception):
 # Whether the head gets to each position, and so high; 'limits' (mm) are (low,
 # high) of X, Y and Z.  Raises Misfit.
 def check_reach(settings, limits):
-    for row in (DOCK,) + POSITIONS:
+    for row in (DOCK,) + POSITIONS if settings.is_placed else ():
         position = getattr(settings, row.name)
         for axis, at, (low, high) in zip("XYZ", position, limits):
             if at is not None and not low <= at <= high:
@@ -112,7 +118,7 @@ def check_reach(settings, limits):
 # where the head stands then; returns (x, y), or None for "where it is then".
 # Raises Misfit.
 def check_homing(settings, limits):
-    if not settings.dock_fixed_z:
+    if not settings.dock_fixed_z and settings.is_placed:
         raise Misfit(
             DOCK.name,
             "to get there Z has to be homed, and Z is homed with the probe;"

@@ -65,6 +65,9 @@ class Docking(object):
         # The option whose G-code runs, None where none does
         self.running = None
 
+    def use(self, settings):
+        self.settings = settings
+
     # Puts the probe on the head, and goes back to 'goal' where there is one.
     # The pins have changed on the way out of the dock, then.  Returns whether it
     # was in the dock.  'is_only_stop': nothing else will end the way down.

@@ -4,6 +4,7 @@
 # Copyright (C) 2026  the Z calibration developers, under the GNU GPLv3
 from __future__ import absolute_import
 
+import contextlib
 import functools
 import logging
 
@@ -16,6 +17,7 @@ from .moves import Moves
 from .prober import Prober
 from .sensors import ATTACHED, DOCKED, UNKNOWN, Sensors
 from .settings import read_settings, travel_height
+from .setup import Setup
 from .virtual_probe import VirtualProbe
 
 # As Kalico's own counts them
@@ -49,6 +51,22 @@ class DockableProbe(object):
         register("homing:home_rails_begin", self.lift_before_xy)
         register("homing:home_rails_begin", self.home_rails_begin)
         running.register_commands(self.host, self)
+        self.setup = Setup(self)
+
+    # Another dock for a while, as it is tried before it is saved
+    @contextlib.contextmanager
+    def trying(self, settings):
+        before = self.settings
+        try:
+            self._use(settings)
+            yield
+        finally:
+            self._use(before)
+
+    def _use(self, settings):
+        self.settings = settings
+        for part in (self.moves, self.docking, self.prober):
+            part.use(settings)
 
     ######################################################################
     # What the host tells
@@ -71,7 +89,8 @@ class DockableProbe(object):
     def start_notes(self):
         found = self.old_names.notes + self.virtual_probe.notes
         dock, mesh = self.settings.dock_position[:2], self.settings.mesh
-        if mesh is not None and detour.is_within(dock, mesh):
+        is_known = mesh is not None and self.settings.is_placed
+        if is_known and detour.is_within(dock, mesh):
             found.append(
                 "dock_position (%g, %g) lies where the head goes while the bed"
                 " mesh is probed; make the mesh smaller, or move the dock"

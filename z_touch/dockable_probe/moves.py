@@ -64,6 +64,18 @@ class Moves(object):
     # 'host': host.Host; 'settings': settings.Settings
     def __init__(self, host, settings):
         self.host = host
+        self.use(settings)
+        # Where nobody knows Z: how far (mm) the head was lifted for the dock
+        self.lifted = 0.0
+        # Where the Z motors were, see motors_z(), when Z was homed with the
+        # probe
+        self.homed_z = None
+        # How homing X and Y has come to where the head stands
+        self.trace = Trace(host)
+        register = host.printer.register_event_handler
+        register("stepper_enable:motor_off", self.forget)
+
+    def use(self, settings):
         self.settings = settings
         dock = settings.dock_position
         self.zone = detour.Zone(
@@ -75,15 +87,6 @@ class Moves(object):
                 for row in POSITIONS
             ],
         )
-        # Where nobody knows Z: how far (mm) the head was lifted for the dock
-        self.lifted = 0.0
-        # Where the Z motors were, see motors_z(), when Z was homed with the
-        # probe
-        self.homed_z = None
-        # How homing X and Y has come to where the head stands
-        self.trace = Trace(host)
-        register = host.printer.register_event_handler
-        register("stepper_enable:motor_off", self.forget)
 
     # The motors are off: the head may be moved by hand, or sink.  Some hosts
     # tell the print time.
@@ -112,6 +115,10 @@ class Moves(object):
     # Raises the host's error unless the axes are homed that lead to the dock,
     # or those that are named
     def require_homed(self, axes=None):
+        if not self.settings.is_placed:
+            raise self.host.error(
+                "nothing says where the dock is; run DOCKABLE_PROBE_SETUP"
+            )
         axes = axes or ("xy" if self.settings.dock_fixed_z else "xyz")
         missing = [axis.upper() for axis in axes if not self.is_homed(axis)]
         if missing:

@@ -43,6 +43,9 @@ class Prober(object):
         # The docking that is to come in a while
         self.delay = Delay(self.host, self._dock_and_return_here)
 
+    def use(self, settings):
+        self.settings = settings
+
     ######################################################################
     # How deep a touch may go
     ######################################################################

@@ -341,9 +341,14 @@ OLD_POSITIONS = (
 #              MIDDLE, or None for "where it is then"
 #   mesh       (low, high) of X and Y (mm) of the head while a bed mesh is
 #              probed, or None
+#   is_placed  whether the section says where the dock is; where it does not, the
+#              positions stand for none
 Settings = options.record(
-    "Settings", OPTIONS, "sampling hang lowest home_xy mesh"
+    "Settings", OPTIONS, "sampling hang lowest home_xy mesh is_placed"
 )
+
+# Stands for a position that is not known yet
+NOWHERE = Position(0.0, 0.0, None)
 
 
 ######################################################################
@@ -354,12 +359,15 @@ Settings = options.record(
 # 'host': host.Host.  'old_names' is told of what the owner should write in
 # another way.
 def read_settings(config, host, old_names):
-    values = options.read(config, (DOCK,))
-    angles = read_angles(config, values["dock_position"], old_names.notes)
-    values.update(options.read(config, POSITIONS, **angles))
+    values = read_positions(config, old_names.notes)
     nearest = nearest_distance(values)
     row = DISTANCE._replace(limits=dict(DISTANCE.limits, maxval=nearest))
+    if not values["is_placed"]:
+        row = DISTANCE
     values.update(options.read(config, (row,), safe_dock_distance=nearest))
+    if not values["is_placed"]:
+        # Nothing is to be gone around
+        values["safe_dock_distance"] = nearest
     values.update(options.read(config, OTHERS, old_names))
     values["dock_fixed_z"] = is_fixed_z(config, values)
     check_senses(config, values)
@@ -373,6 +381,18 @@ def read_settings(config, host, old_names):
         mesh=read_mesh(config, (values["x_offset"], values["y_offset"])),
     )
     return Settings(**values)
+
+
+# Those of the dock.  A section that has none of them is to be set up.
+def read_positions(config, notes):
+    rows = (DOCK,) + POSITIONS + OLD_POSITIONS
+    if all(config.get(row.name, None) is None for row in rows):
+        values = dict.fromkeys((row.name for row in rows[:5]), NOWHERE)
+        return dict(values, is_placed=False)
+    values = options.read(config, (DOCK,))
+    angles = read_angles(config, values["dock_position"], notes)
+    values.update(options.read(config, POSITIONS, **angles))
+    return dict(values, is_placed=True)
 
 
 # Positions that are given by the angles of old, by the names of their options
@@ -409,7 +429,7 @@ def is_fixed_z(config, values):
     if given is None:
         positions = [dock] + [values[row.name] for row in POSITIONS]
         return all(position.z is None for position in positions)
-    if not given and dock.z is None:
+    if not given and dock.z is None and values["is_placed"]:
         what = "is False: dock_position needs the Z of the dock as third number"
         raise options.config_error(config, "dock_fixed_z", what)
     return given

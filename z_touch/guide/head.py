@@ -4,7 +4,7 @@ from __future__ import absolute_import, division
 
 import math
 
-from ..core import carrying, options, running, touching
+from ..core import carrying, jogging, options, running, touching
 from ..core.errors import CalibrationError
 from ..z_calibration.settings import with_counts
 from ..z_calibration.sites import LARGEST_SWITCH_DISTANCE, Sites
@@ -249,4 +249,4 @@ class GuidedHead(object):
             low = steps.paper_floor(state.contact(), start, distance)
         elif axis == "Z":
             low = self.jog_floor(state, attached)
-        return steps.jogged(axis, start, distance, low, high)
+        return jogging.jogged(axis, start, distance, low, high)

@@ -6,6 +6,7 @@ import math
 
 from ..core.dialogs import lines
 from ..core.errors import CalibrationError
+from ..core.jogging import JOGS
 from ..core.sampling import accuracy
 from ..z_calibration.switches import COME_DOWN, SWITCHES
 from .texts import STEPS
@@ -21,10 +22,7 @@ PAPER = 0.1
 # From the body to the trigger point (mm): more than any switch has
 LARGEST_SWITCH_OFFSET = 1.5
 
-# By how much (mm) the buttons move the head; more than the largest is refused, and
-# the fine ones are for the sheet of paper.
-JOGS = (10.0, 1.0, 0.1)
-LARGEST_JOG = 10.0
+# By how much (mm) the buttons move the head over a sheet of paper
 FINE_JOGS = (0.1, 0.05, 0.01)
 
 # What the offset should vary by at most (mm, 95 %), and the touches that a site
@@ -167,20 +165,6 @@ def inverted(pin):
         return pin.replace("!", "", 1)
     marks = len(pin) - len(pin.lstrip("^~ "))
     return pin[:marks] + "!" + pin[marks:]
-
-
-# What a jog leads to (mm), refused where it would go beyond (low, high).
-def jogged(axis, start, distance, low, high):
-    if abs(distance) > LARGEST_JOG:
-        text = "%s=%g: the head is moved by at most %g mm at once"
-        raise CalibrationError(text % (axis, distance, LARGEST_JOG))
-    # Back from beyond a limit is allowed, too
-    end = start + distance
-    low, high = min(low, start), max(high, start)
-    if not low - 1e-6 <= end <= high + 1e-6:
-        text = "%s=%g would lead to %.3f, outside %.3f to %.3f; nothing moves"
-        raise CalibrationError(text % (axis, distance, end, low, high))
-    return end
 
 
 # How well touches repeat, in a word, and how many a site should have

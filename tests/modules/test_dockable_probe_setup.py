@@ -1,0 +1,236 @@
+"""DOCKABLE_PROBE_SETUP on the simulated printer: from no position to Save."""
+
+from __future__ import annotations
+
+import pytest
+
+from simprinter import Fault
+from tools.kit.dockable_probe import ABOVE, QUICK, SWITCH, section, trips, where
+from tools.kit.setup_user import User
+
+SETUP = "DOCKABLE_PROBE_SETUP"
+UNKNOWN = {
+    "dock_position": None,
+    "approach_position": None,
+    "detach_position": None,
+}
+OPTIONS = ("dock_position", "approach_position", "detach_position")
+
+
+def now_of(printer):
+    machine = printer.machine
+    return machine.rig.seconds(machine.simulation.clock.now())
+
+
+class Owner(User):
+    """Of a printer whose dock is nowhere yet, the probe in it."""
+
+    def begin(self) -> None:
+        self.printer.run(SETUP)
+
+    def put_on(self) -> None:
+        machine = self.printer.machine
+        machine.world.put_probe_on(now_of(self.printer))
+
+    def go(self, *places: str) -> None:
+        """As the owner likes, without the buttons."""
+        script = "\n".join(f"G1 {place} F3000" for place in places)
+        self.printer.run(f"G90\n{script}\nM400")
+
+
+def owner(start, scene=SWITCH, faults=(), **options):
+    changes = section(**{**UNKNOWN, **QUICK, **options})
+    changes["respond"] = {}
+    user = Owner(start(scene, changes, faults=list(faults)).homed())
+    user.go("X150 Y150 Z20")
+    user.put_on()
+    return user
+
+
+def find(user: Owner) -> None:
+    """The places, up to the trial."""
+    user.begin()
+    user.press("Next")
+    user.go("X50 Y270", "Y306")
+    user.jog("Y", 2.0)
+    user.press("Here")
+    user.go("X90")
+    user.press("Here")
+    user.go("Y270", "X50")
+    user.press("Here")
+    user.press("Same")
+
+
+@pytest.mark.every_host
+def test_from_no_position_to_the_first_probe(start):
+    user = owner(start)
+    printer = user.printer
+    find(user)
+    assert user.step() == "FETCH"
+    user.press("Fetch")
+    assert where(printer) == "attached"
+    user.press("Dock")
+    assert where(printer) == "docked"
+    assert trips(printer) == ["attach", "dock", "attach", "dock"]
+    assert printer.status("configfile")["save_config_pending_items"] == {}
+    text = user.dialog().texts[0]
+    assert "dock_position: 50.000, 308.000" in text
+    printer.session.restart(user.dialog().gcode("Save"))
+    settings = printer.status("configfile")["settings"]["dockable_probe"]
+    wanted = [(50.0, 308.0), (50.0, 270.0), (90.0, 308.0)]
+    assert [tuple(settings[name]) for name in OPTIONS] == wanted
+    printer.run("G28\nG90\nG1 X150 Y150 Z20 F6000\nPROBE")
+    assert trips(printer)[-2:] == ["attach", "dock"]
+
+
+@pytest.mark.every_host
+def test_the_same_typed(start):
+    user = owner(start)
+    run = user.printer.run
+    lines = "\n".join(run(SETUP))
+    # Whoever has no dialogs is told what to type
+    assert f"Next: {SETUP} STEP=ON" in lines
+    run(f"{SETUP} STEP=ON")
+    user.go("X50 Y270", "Y308")
+    lines = "\n".join(run(f"{SETUP} STEP=DOCK"))
+    assert f"Here: {SETUP} STEP=OUT" in lines
+    assert f"move the head: {SETUP} STEP=OUT X=+1" in lines
+    for _ in range(4):
+        run(f"{SETUP} STEP=OUT X=10")
+    run(f"{SETUP} STEP=OUT")
+    user.go("Y270", "X50")
+    for step in ("APPROACH", "INSERT", "FETCH", "STORE"):
+        run(f"{SETUP} STEP={step}")
+    assert trips(user.printer) == ["attach", "dock", "attach", "dock"]
+    user.printer.session.restart(f"{SETUP} STEP=SAVE")
+    settings = user.printer.status("configfile")["settings"]["dockable_probe"]
+    assert tuple(settings["detach_position"]) == (90.0, 308.0)
+
+
+def test_dock_with_a_height_of_its_own_entered_from_above(start):
+    user = owner(start, ABOVE, dock_fixed_z="False", safe_dock_distance=None)
+    printer = user.printer
+    user.begin()
+    user.press("Next")
+    user.go("Z30", "X50 Y308", "Z14")
+    user.jog("Z", -2.0)
+    user.press("Here")
+    user.go("X90")
+    user.press("Here")
+    user.go("Z30", "X50")
+    for label in ("Here", "Same", "Fetch", "Dock"):
+        user.press(label)
+    assert where(printer) == "docked"
+    assert (
+        "approach_position: 50.000, 308.000, 30.000" in (user.dialog().texts[0])
+    )
+    # No lower than the probe hangs
+    printer.run(f"{SETUP} STEP=ABORT\n{SETUP}\nG1 Z20")
+    user.put_on()
+    user.press("Next")
+    printer.run(f"{SETUP} STEP=DOCK Z=-10")
+    assert "nothing moves" in printer.fail(f"{SETUP} STEP=DOCK Z=-10")
+
+
+def test_what_does_not_fit_is_asked_again(start):
+    user = owner(start)
+    printer = user.printer
+    printer.machine.world.lose_probe(now_of(printer))
+    user.begin()
+    assert "the probe is DOCKED" in user.refused("Next")
+    assert user.dialog().texts[0].startswith("Not done: dockable_probe: the pr")
+    user.put_on()
+    user.press("Next")
+    user.go("X50 Y270", "Y308")
+    user.press("Here")
+    # Out with it
+    user.go("Y270")
+    assert "the probe is ATTACHED" in user.refused("Here")
+    user.go("Y308", "X60")
+    assert "this is 10.0 mm from the dock" in user.refused("Here")
+    user.go("X90")
+    user.press("Here")
+    # The same way
+    user.go("X95")
+    assert "this is the way out without the probe" in user.refused("Here")
+    assert "Y=30: the head is moved by at most 10 mm" in printer.fail(
+        f"{SETUP} STEP=APPROACH Y=30"
+    )
+    assert "Z stays as it is here" in printer.fail(f"{SETUP} STEP=APPROACH Z=1")
+    user.press("Back")
+    assert user.step() == "OUT"
+    assert "STEP=dock is not what is asked now" in printer.fail(
+        f"{SETUP} STEP=DOCK"
+    )
+    assert "ANSWER=NO is none of STEP=out: none, BACK" in printer.fail(
+        f"{SETUP} STEP=OUT ANSWER=NO"
+    )
+    user.press("Abort")
+    assert user.dialog() is None
+    assert "no set-up is under way" in printer.fail(f"{SETUP} STEP=OUT")
+
+
+def test_trial_that_fails(start):
+    user = owner(start, faults=[Fault("attach_fails")])
+    find(user)
+    assert "the probe was not fetched" in user.refused("Fetch")
+    assert user.step() == "FETCH"
+    user.press("Fetch")
+    user.press("Dock")
+    assert where(user.printer) == "docked"
+
+
+def test_slow_and_around_what_was_found(start):
+    user = owner(start)
+    find(user)
+    before = now_of(user.printer)
+    user.press("Fetch")
+    user.printer.run("M400")
+    # Twice 38 mm at 10 mm/s
+    assert now_of(user.printer) - before > 7.5
+    user.go("X150 Y270")
+    # Not before it is saved
+    assert "nothing says where the dock is" in user.printer.fail(
+        "MOVE_TO_APPROACH_PROBE"
+    )
+
+
+def test_section_that_is_not_set_up(start):
+    changes = section(**UNKNOWN)
+    printer = start(SWITCH, changes).homed()
+    lines = "\n".join(printer.session.console)
+    assert "set it up with DOCKABLE_PROBE_SETUP" in lines
+    for command in ("ATTACH_PROBE", "PROBE", "MOVE_AVOIDING_DOCK X=1"):
+        assert "nothing says where the dock is" in printer.fail(command)
+    # Nothing to do is nothing to refuse
+    printer.run("DETACH_PROBE\nG28\nGET_PROBE_STATUS")
+
+
+def test_not_homed(start):
+    printer = start(SWITCH, section(**UNKNOWN))
+    printer.session.require_ready()
+    user = Owner(printer)
+    user.put_on()
+    user.begin()
+    assert "not homed: X, Y; home first (G28 X Y)" in user.refused("Next")
+
+
+def test_section_in_an_included_file(start, tmp_path):
+    path = tmp_path / "dock.cfg"
+    path.write_text("[dockable_probe]\ndock_position: 50, 300\n")
+    given = {"approach_position": "50, 262", "detach_position": "90, 300"}
+    user = owner(
+        lambda scene, changes, faults: start(
+            scene, {f"include {path}": {}, **changes}, faults=faults
+        ),
+        **given,
+    )
+    find(user)
+    for label in ("Fetch", "Dock"):
+        user.press(label)
+    text = user.dialog().texts[0]
+    assert "SAVE_CONFIG cannot: write 'dock_position: 50.000, 308.000'" in text
+    assert "dock.cfg, then RESTART." in text
+    assert "nothing was saved" in user.refused("Save")
+    pending = user.printer.status("configfile")["save_config_pending_items"]
+    assert pending == {}

@@ -1,0 +1,23 @@
+# Moving the head by the buttons of a dialog.  Pure.
+# Copyright (C) 2026  the Z calibration developers, under the GNU GPLv3
+from __future__ import absolute_import
+
+from .errors import CalibrationError
+
+# By how much (mm) the buttons move the head; more than the largest is refused.
+JOGS = (10.0, 1.0, 0.1)
+LARGEST_JOG = 10.0
+
+
+# What a jog leads to (mm), refused where it would go beyond (low, high).
+def jogged(axis, start, distance, low, high):
+    if abs(distance) > LARGEST_JOG:
+        text = "%s=%g: the head is moved by at most %g mm at once"
+        raise CalibrationError(text % (axis, distance, LARGEST_JOG))
+    # Back from beyond a limit is allowed, too
+    end = start + distance
+    low, high = min(low, start), max(high, start)
+    if not low - 1e-6 <= end <= high + 1e-6:
+        text = "%s=%g would lead to %.3f, outside %.3f to %.3f; nothing moves"
+        raise CalibrationError(text % (axis, distance, end, low, high))
+    return end

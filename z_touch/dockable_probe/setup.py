@@ -1,0 +1,395 @@
+# DOCKABLE_PROBE_SETUP: where the dock is, found with the probe on the head.
+#
+# Copyright (C) 2026  the Z calibration developers, under the GNU GPLv3
+#
+# Each step is a command of its own, see texts.py: it does what the step
+# before has announced, and asks for the next one.
+#
+#   on -> dock -> out -> approach -> insert     by the buttons, Here
+#   fetch -> store                              slowly, with what was found
+#   save                                        SAVE_CONFIG
+from __future__ import absolute_import, division
+
+from ..core import carrying, dialogs, jogging, options, running, saving
+from ..core.errors import CalibrationError
+from . import checks, detour
+from .detour import Position
+from .sensors import ATTACHED, DOCKED
+from .settings import nearest_distance
+from .texts import ORDER, STEPS
+
+COMMAND = "DOCKABLE_PROBE_SETUP"
+ABORT = COMMAND + " STEP=ABORT"
+
+# mm/s by the buttons and between the places, and into the dock and out of it
+JOG_SPEED = 20.0
+SLOW_SPEED = 10.0
+
+# A place nearer (mm) to the dock than this leaves no room to leave it.
+LEAST_WAY = 15.0
+
+# Which option each place is for, by the step that finds it
+OPTION_OF = {
+    "dock": "dock_position",
+    "out": "detach_position",
+    "approach": "approach_position",
+    "insert": "insert_position",
+}
+
+
+def command(name, answer="", **params):
+    words = [COMMAND, "STEP=" + name.upper()]
+    words += ["ANSWER=" + answer] if answer else []
+    return " ".join(words + ["%s=%s" % item for item in sorted(params.items())])
+
+
+# As an option has it
+def written(position):
+    return ", ".join("%.3f" % (at,) for at in position if at is not None)
+
+
+# The set-up that is under way: its step, and the places by their options
+class State(object):
+    def __init__(self):
+        self.step = ORDER[0]
+        self.places = {}
+
+
+# The command, and what it asks
+class Setup(object):
+    # 'section': module.DockableProbe
+    def __init__(self, section):
+        self.section = section
+        self.host = section.host
+        self.saver = saving.Saver(section.host)
+        # None: no set-up is under way
+        self.state = None
+        running.register_commands(section.host, self)
+
+    cmd_DOCKABLE_PROBE_SETUP_help = "Find where the dock is, step by step"
+
+    def cmd_DOCKABLE_PROBE_SETUP(self, gcmd):
+        if self.host.print_state():
+            raise gcmd.error("%s: not during a print" % (self.host.section,))
+        name = gcmd.get("STEP", "").strip().lower()
+        if not name:
+            # Later a hand is near.
+            carrying.of(self.host.printer).settle(self.host)
+            self.state = self.state or State()
+            self._ask()
+        elif self.state is None:
+            # It may be one of before a restart.
+            self.host.gcode.respond_raw(dialogs.END)
+            raise gcmd.error(
+                "%s: no set-up is under way, a restart ends it, too; nothing"
+                " was saved. Begin with %s" % (self.host.section, COMMAND)
+            )
+        elif name == "abort":
+            self._abort(gcmd)
+        elif name != self.state.step:
+            raise gcmd.error(
+                "%s: STEP=%s is not what is asked now, which is STEP=%s; %s"
+                " shows it again"
+                % (self.host.section, name, self.state.step, COMMAND)
+            )
+        else:
+            self._answered(gcmd)
+
+    # After an error the dialog says why.  For longer work it closes: it would
+    # cover the emergency stop of a web interface.
+    def _answered(self, gcmd):
+        is_jog = any(gcmd.get(axis, "").strip() for axis in "XYZ")
+        if not is_jog:
+            self.host.gcode.respond_raw(dialogs.END)
+        try:
+            try:
+                (self._jog if is_jog else self._go_on)(gcmd)
+            except CalibrationError as e:
+                raise self.host.error("%s" % (e,))
+        except self.host.printer.command_error as e:
+            if not self.host.printer.is_shutdown() and self.state is not None:
+                self._ask(str(e))
+            raise
+        if self.state is not None and not is_jog:
+            self._ask()
+
+    ######################################################################
+    # Answers
+    ######################################################################
+
+    def _go_on(self, gcmd):
+        name, state = self.state.step, self.state
+        answer = gcmd.get("ANSWER", "").strip().upper()
+        words = [word for label, word, colour in STEPS[name].answers]
+        if answer not in words:
+            raise CalibrationError(
+                "ANSWER=%s is none of STEP=%s: %s"
+                % (answer, name, ", ".join(word or "none" for word in words))
+            )
+        if answer == "BACK":
+            state.step = STEPS[name].back
+            return
+        work = {
+            "on": self._check_on,
+            "dock": self._take_dock,
+            "out": self._take_out,
+            "approach": self._take_approach,
+            "insert": self._take_insert,
+            "fetch": self._fetch,
+            "store": self._store,
+            "save": self._save,
+        }
+        work[name](answer)
+        if self.state is not None:
+            state.step = ORDER[ORDER.index(name) + 1]
+
+    def _check_on(self, answer):
+        self._require(ATTACHED, "put it on the head, or correct pin (!)")
+        missing = [
+            a for a in self._axes() if not self.section.moves.is_homed(a)
+        ]
+        if missing:
+            axes = " ".join(missing).upper()
+            raise CalibrationError(
+                "not homed: %s; home first (G28 %s), if the probe is on with"
+                " room below it" % (axes.replace(" ", ", "), axes)
+            )
+
+    def _take_dock(self, answer):
+        self._require(ATTACHED, "the magnets have to hold it still")
+        self.state.places = {"dock_position": self._here()}
+
+    def _take_out(self, answer):
+        self._require(
+            DOCKED,
+            "go back into the dock, and leave it another way, or put it into the"
+            " dock by hand",
+        )
+        self._take("out")
+
+    def _take_approach(self, answer):
+        places, here = self.state.places, self._here()
+        dock, detach = places["dock_position"], places["detach_position"]
+        angle = detour.strip_angle(dock, dock.z, here, detach)
+        strips = self.section.settings.detach_gcode is not None
+        if angle < checks.SAME_WAY and not strips:
+            raise CalibrationError(
+                "this is the way out without the probe (%.0f degrees apart), on"
+                " which it would not come along; choose another one, mostly at"
+                " 90 degrees" % (angle,)
+            )
+        self._take("approach")
+        places["insert_position"] = here
+
+    def _take_insert(self, answer):
+        if answer == "HERE":
+            self._take("insert")
+
+    def _take(self, name):
+        here, dock = self._here(), self.state.places["dock_position"]
+        apart = detour.distance(here, dock)
+        is_above = None not in (here.z, dock.z) and here.z - dock.z >= LEAST_WAY
+        if apart < LEAST_WAY and not is_above:
+            raise CalibrationError(
+                "this is %.1f mm from the dock; go at least %g mm away, better"
+                " 40" % (apart, LEAST_WAY)
+            )
+        self.state.places[OPTION_OF[name]] = here
+
+    # With the probe where it has to be; raises CalibrationError
+    def _require(self, state, remedy):
+        sensors = self.section.sensors
+        seen = sensors.look()
+        if seen != state:
+            raise CalibrationError(
+                "the probe is %s (%s), and has to be %s; %s"
+                % (seen, sensors.describe(), state, remedy)
+            )
+
+    ######################################################################
+    # The trial
+    ######################################################################
+
+    # The section's settings with what was found, and slow
+    def _found(self):
+        settings, places = self.section.settings, dict(self.state.places)
+        places["extract_position"] = places["approach_position"]
+        places.update(
+            safe_dock_distance=nearest_distance(places),
+            travel_speed=JOG_SPEED,
+            attach_speed=SLOW_SPEED,
+            detach_speed=SLOW_SPEED,
+            is_placed=True,
+        )
+        return settings._replace(**places)
+
+    def _fetch(self, answer):
+        self._require(DOCKED, "put it into the dock")
+        with self.section.trying(self._found()):
+            self.section.docking.fetch()
+
+    def _store(self, answer):
+        self._require(ATTACHED, "fetch it again (Back)")
+        with self.section.trying(self._found()):
+            self.section.docking.dock()
+
+    ######################################################################
+    # The head
+    ######################################################################
+
+    # What has to be homed, in letters
+    def _axes(self):
+        return "xy" if self.section.settings.dock_fixed_z else "xyz"
+
+    def _here(self):
+        place = self.section.moves.position()
+        x, y, z = [None if at is None else round(at, 3) for at in place]
+        return Position(x, y, None if self.section.settings.dock_fixed_z else z)
+
+    # Moves by the X, Y and Z of the command (mm), up first
+    def _jog(self, gcmd):
+        if not STEPS[self.state.step].jogs:
+            raise CalibrationError("the head stays where it is at this step")
+        toolhead, limits = self.host.toolhead, self.host.axis_limits()
+        start, end = toolhead.get_position(), [None, None, None]
+        for number, axis in enumerate("XYZ"):
+            distance = options.param_number(gcmd, axis)
+            if distance is None:
+                continue
+            if axis.lower() not in self._axes():
+                raise CalibrationError("%s stays as it is here" % (axis,))
+            if not self.section.moves.is_homed(axis.lower()):
+                raise CalibrationError("not homed: %s; home first" % (axis,))
+            low, high = limits[number]
+            if axis == "Z":
+                low = max(low, self.section.settings.hang)
+            end[number] = jogging.jogged(
+                axis, start[number], distance, low, high
+            )
+        if end[2] is not None and end[2] > start[2]:
+            toolhead.manual_move([None, None, end[2]], JOG_SPEED)
+        toolhead.manual_move(end, JOG_SPEED)
+        # Whoever looks decides on the next one.
+        toolhead.wait_moves()
+        gcmd.respond_info(
+            "X=%.3f Y=%.3f Z=%.3f" % tuple(toolhead.get_position()[:3])
+        )
+
+    ######################################################################
+    # What is shown, and the end
+    ######################################################################
+
+    def _ask(self, problem=""):
+        name = self.state.step
+        text = STEPS[name].text % self._facts()
+        if problem:
+            text = "Not done: %s. %s" % (problem.rstrip("."), text)
+        answers = [
+            (label, command(name, word), colour)
+            for label, word, colour in STEPS[name].answers
+        ] + [("Abort", ABORT, "error")]
+        said = ["%s: %s" % (STEPS[name].headline, text)]
+        said += ["%s: %s" % (label, gcode) for label, gcode, _ in answers]
+        if STEPS[name].jogs:
+            said.append("move the head: %s" % (command(name, X="+1"),))
+        self.host.say("\n".join(said))
+        respond = self.host.gcode.respond_raw
+        respond(dialogs.END)
+        shown = dialogs.lines(
+            STEPS[name].headline, text, answers, self._jog_rows(name)
+        )
+        for line in shown:
+            respond(line)
+        carrying.of(self.host.printer).asking(
+            self.host.section, (answers[0][1], ABORT)
+        )
+
+    # Rows of buttons that move the head
+    def _jog_rows(self, name):
+        if not STEPS[name].jogs:
+            return
+        axes = ["XY"] if self.section.settings.dock_fixed_z else ["XY", "Z"]
+        for row in axes:
+            for distance in jogging.JOGS:
+                yield [
+                    (axis + text, command(name, **{axis: text}), "secondary")
+                    for axis in row
+                    for text in ("%+g" % (-distance,), "%+g" % (distance,))
+                ]
+
+    def _facts(self):
+        places = self.state.places
+        facts = {
+            name.split("_")[0]: written(places.get(name, ()))
+            for name in OPTION_OF.values()
+        }
+        facts.update(
+            pins=self.section.sensors.describe(),
+            axes=", ".join(self._axes().upper()),
+            slow=SLOW_SPEED,
+            values="",
+            not_saved="",
+        )
+        if self.state.step == "save":
+            values = self._values()
+            facts["values"] = "; ".join("%s: %s" % item for item in values)
+            blocked = [
+                "'%s: %s' into %s" % (option, text, where)
+                for option, text in values
+                for where in [self.saver.obstacle(self.host.section, option)]
+                if where
+            ]
+            if blocked:
+                facts["not_saved"] = (
+                    " SAVE_CONFIG cannot: write %s, then RESTART."
+                    % (", ".join(blocked),)
+                )
+        return facts
+
+    # What is to be written: those that are not as another one is anyway
+    def _values(self):
+        places, where = self.state.places, self.saver.where
+        values = [
+            (name, written(places[name]))
+            for name in (
+                "dock_position",
+                "approach_position",
+                "detach_position",
+            )
+        ]
+        approach = places["approach_position"]
+        for name in ("extract_position", "insert_position"):
+            place = places.get(name, approach)
+            if place != approach or where(self.host.section, name):
+                values.append((name, written(place)))
+        return values
+
+    def _save(self, answer):
+        values = self._values()
+        # One that is in an included file, and nothing is written.
+        blocked = [
+            option
+            for option, text in values
+            if self.saver.obstacle(self.host.section, option)
+        ]
+        for option, text in values:
+            if not blocked or option in blocked:
+                self.saver.save(self.host.section, option, text)
+        if not blocked:
+            self._close()
+            self.host.gcode.run_script_from_command("SAVE_CONFIG")
+            return
+        raise CalibrationError(
+            "nothing was saved; the console says what to write"
+        )
+
+    def _close(self):
+        self.state = None
+        carrying.of(self.host.printer).answered(self.host.section)
+        self.host.gcode.respond_raw(dialogs.END)
+
+    def _abort(self, gcmd):
+        self._close()
+        gcmd.respond_info(
+            "%s: the set-up has ended, nothing was saved" % (self.host.section,)
+        )
