@@ -7,6 +7,7 @@
 #   make demo     watch a calibration on a simulated printer
 #   make printer  a simulated printer to play with, in any web interface
 #   make faults   break something at every operation, draw printers at random
+#   make walks    any order of commands on any printer, the world as the judge
 #   make test-firmware  the same commands on micro-controller programs of yours
 #   make hosts    prepare and list the klippy hosts, and Moonraker
 #   make speed    how much faster than a printer the simulation runs
@@ -28,6 +29,7 @@
 # BENCH_ARGS           arguments for make bench, such as --seeds 10 or --builtin
 # DEMO_ARGS            arguments for make demo, such as --scene cartesian
 # PRINTER_ARGS         arguments for make printer, such as --scene extra_probe
+# WALKS_ARGS           arguments for make walks, such as --count 1000 --seed 5
 # FAULTS_ARGS          arguments for make faults, such as --seed 7 or --pairs 2000
 
 PYTHON ?= python3
@@ -38,6 +40,7 @@ BENCH_ARGS ?=
 DEMO_ARGS ?=
 PRINTER_ARGS ?=
 FAULTS_ARGS ?=
+WALKS_ARGS ?=
 export BUILD_DIR
 
 TOOLS = $(BUILD_DIR)/venv/bin
@@ -47,7 +50,7 @@ SOURCES = $(wildcard *.py z_touch/*.py z_touch/*/*.py)
 COMPILE = import sys; [compile(open(f).read(), f, 'exec') for f in sys.argv[1:]]
 
 # Test files import each other as tests.*, from the root of the repository.
-.PHONY: test test-rest test-all test-firmware quick demo printer speed bench faults hosts prepared
+.PHONY: test test-rest test-all test-firmware quick demo printer speed bench faults walks hosts prepared
 .PHONY: lint format tools update-pins clean
 
 test test-rest test-all: prepared lint
@@ -78,6 +81,9 @@ bench: prepared
 
 faults: prepared
 	$(TOOLS)/python -m tools.campaign $(FAULTS_ARGS)
+
+walks: prepared
+	$(TOOLS)/python -m tools.campaign.walks $(WALKS_ARGS)
 
 hosts:
 	@$(PYTHON) -m simprinter.hosts.prepare

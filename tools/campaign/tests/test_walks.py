@@ -1,0 +1,92 @@
+"""Walks do no harm; one that would is found, and shown again."""
+
+import shutil
+
+import pytest
+
+from tools.campaign.walks import walker, walking
+from tools.campaign.walks.printers import Owned
+from tools.campaign.walks.steps import OVER_MEMBRANE
+from tools.campaign.walks.walker import Outcome
+from tools.campaign.walks.walking import Done
+from tools.kit.cases import all_slow_but
+from tools.kit.printer import FOLDER, MODULES, ROOT
+
+TOGETHER = 10
+USUAL = range(1, 61, TOGETHER)
+DOCK = Owned("dock_gantry_switch", frozenset({"pause"}), too_high=0.1, bow=-0.2)
+# The probe that its owner has fetched would meet the bed first
+HELD = (
+    ("gcode", "G28"),
+    ("gcode", "ATTACH_PROBE"),
+    ("hand", "lay_membrane"),
+    ("gcode", f"{OVER_MEMBRANE}\nEXTRA_PROBE PROBE=membrane"),
+)
+
+
+@pytest.mark.parametrize("first", all_slow_but(USUAL, range(1, 601, TOGETHER)))
+def test_no_order_of_commands_does_harm(host, first):
+    for seed in range(first, first + TOGETHER):
+        done = walking.walk_of(seed, host, simpler=0)
+        assert not done.outcome.harm, f"seed {seed}: {done.walk}"
+
+
+@pytest.fixture
+def product(tmp_path):
+    """product(file, old, new): a checkout in which this is otherwise."""
+    for name in MODULES:
+        shutil.copy(ROOT / f"{name}.py", tmp_path)
+    shutil.copytree(ROOT / FOLDER, tmp_path / FOLDER)
+
+    def changed(file, old, new):
+        path = tmp_path / FOLDER / file
+        text = path.read_text()
+        assert text.count(old) == 1
+        path.write_text(text.replace(old, new))
+        return walking.modules_of(tmp_path)
+
+    return changed
+
+
+# Whatever hangs on the head, it is said to be in the dock
+PLANTED = ("core/carrying.py", "if state == DOCKED:", "if state is not None:")
+
+
+def test_harm_is_found(host, product):
+    outcome = walker.go(DOCK, HELD, host, product(*PLANTED))
+    assert outcome.kind == "harm"
+    assert "step 4, gcode" in outcome.harm
+    assert not walker.go(DOCK, HELD, host).harm
+
+
+# A run that ends in an error when all is measured
+BEYOND = Owned(options=(("z_calibration", "end_gcode", "G90\n  G1 X999"),))
+REFUSED = (
+    ("gcode", "G28"),
+    ("gcode", "SET_GCODE_OFFSET Z=0.1"),
+    ("gcode", "CALIBRATE_Z"),
+)
+REFUSES = 'raise gcmd.error("%s: %s" % (self.host.section, e))'
+SLOW = 'self.host.gcode.run_script_from_command("SET_VELOCITY_LIMIT ACCEL=77")'
+FORGOTTEN = ("core/running.py", REFUSES, f"{SLOW}\n            {REFUSES}")
+
+
+def test_what_a_refusal_leaves_is_found(host, product):
+    outcome = walker.go(BEYOND, REFUSED, host)
+    assert not outcome.harm
+    assert outcome.refusals
+    outcome = walker.go(BEYOND, REFUSED, host, product(*FORGOTTEN))
+    assert outcome.kind == "left behind"
+    assert "max_accel" in outcome.harm
+
+
+def test_walk_is_kept(tmp_path):
+    outcome = Outcome(harm="harm: x", kind="harm")
+    done = Done(7, "klipper", (DOCK, HELD), outcome)
+    assert walking.read(walking.write(done, tmp_path)) == (DOCK, HELD)
+
+
+def test_seed_draws_the_same_again(host):
+    first, again = (walking.walk_of(3, host, simpler=0) for _ in range(2))
+    assert first.walk == again.walk
+    assert first.outcome == again.outcome
