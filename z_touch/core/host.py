@@ -87,6 +87,14 @@ def check_z_axis(config, z_axis):
         )
 
 
+# Axes have letters since 2025-01-21 (4aa550837), numbers before; for eleven days a
+# host that can forget a homed axis counted them still.  Those that count ask
+# whether theirs is in it, those with letters go through it.
+class _AxisZ(str):
+    def __contains__(self, axis):
+        return axis in (2, "z")
+
+
 # The host, klippy, as one section sees it.  This file, endstops.py, features.py and
 # probing.py are where it is known in which respects hosts differ; the difference is always
 # asked of the object, never of a version number.
@@ -289,16 +297,15 @@ class Host(object):
     # does then.
     def lift_unhomed(self, distance, speed):
         kinematics = self.toolhead.get_kinematics()
-        # Axes have letters since 2025-01 (4aa550837), numbers before
-        has_letters = hasattr(kinematics, "clear_homing_state")
+        can_clear = hasattr(kinematics, "clear_homing_state")
         position = self.toolhead.get_position()
         position[2] = 0.0
-        z_axis = "z" if has_letters else (2,)
+        z_axis = _AxisZ("z") if can_clear else (2,)
         self.toolhead.set_position(position, homing_axes=z_axis)
         try:
             self.toolhead.manual_move([None, None, distance], speed)
         finally:
-            if has_letters:
-                kinematics.clear_homing_state("z")
+            if can_clear:
+                kinematics.clear_homing_state(z_axis)
             elif hasattr(kinematics, "note_z_not_homed"):
                 kinematics.note_z_not_homed()
