@@ -23,8 +23,6 @@ from tools.kit.dockable_probe import (
     where,
 )
 
-pytestmark = pytest.mark.every_host
-
 CENTRE = "G1 X150 Y150 Z20 F6000\n"
 MESH = "BED_MESH_CALIBRATE PROBE_COUNT=3,3"
 

@@ -20,8 +20,6 @@ from tools.kit.dockable_probe import (
 )
 from tools.kit.z_calibration import with_moves
 
-pytestmark = pytest.mark.every_host
-
 EXTRACT = (50.0, 270.0)
 DETACH = (90.0, 308.0)
 # In the circle of the dock, clear of the dock itself; the second one with the
