@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import replace
+from itertools import groupby
 
 import pytest
 
@@ -130,7 +131,9 @@ def test_way_down_of_the_probe(start, before, params, options, above):
     first = len(printer.status("moves")["ends"])
     result = formulas(printer.run(f"AUTO_Z_MEASURE_OFFSET {params}"))[-1]
     ends = printer.status("moves")["ends"][first:]
-    there = [z for x, y, z in ends if [x, y] == list(PROBE_PLACE)]
+    # Kalico has a move of no length before a touch
+    at_place = [z for x, y, z in ends if [x, y] == list(PROBE_PLACE)]
+    there = [z for z, _ in groupby(at_place)]
     # The head arrives, goes down quickly, and is lifted
     quick = [] if above is None else [result.probe + above]
     assert there[1:-1] == pytest.approx(quick, abs=0.02)
