@@ -109,7 +109,6 @@ def hooks_of(name):
     return z_section(**dict(zip(names, lines)))
 
 
-@pytest.mark.every_host
 @pytest.mark.parametrize("before", BEFORE)
 @pytest.mark.parametrize("hooks", HOOKS)
 def test_each_hook_has_its_own_default(start, hooks, before):
@@ -142,14 +141,12 @@ def test_hooks_with_the_one_that_the_host_has(start, host, hooks, script):
     assert printer.gap() == pytest.approx(GAP, abs=0.01)
 
 
-@pytest.mark.every_host
 def test_one_trip_where_start_gcode_attaches_what_is_there(start):
     printer = start(SCENE, hooks_of("start")).homed()
     printer.run("ATTACH_PROBE\nCALIBRATE_Z")
     assert trips(printer) == ["attach", "dock"]
 
 
-@pytest.mark.every_host
 def test_probe_is_where_it_was_if_no_trips_are_wanted(start):
     changes = {"dockable_probe": {"auto_attach_detach": "False"}}
     printer = start(front(), changes).homed()
@@ -159,7 +156,6 @@ def test_probe_is_where_it_was_if_no_trips_are_wanted(start):
     assert where(printer) == "docked"
 
 
-@pytest.mark.every_host
 def test_probe_is_docked_after_an_error_in_end_gcode(start):
     changes = z_section(end_gcode="\n  NO_SUCH_MACRO\n  G1 X999")
     printer = start(front(), changes).homed()
@@ -167,7 +163,6 @@ def test_probe_is_docked_after_an_error_in_end_gcode(start):
     assert where(printer) == "docked"
 
 
-@pytest.mark.every_host
 def test_cycles_with_the_probe_on_need_it_on(start):
     command = "CALIBRATE_Z_ACCURACY CYCLES=2 ATTACH=0"
     printer = start(front()).homed()
@@ -185,7 +180,6 @@ IN_THE_WAY = {
 }
 
 
-@pytest.mark.every_host
 @pytest.mark.parametrize("command", IN_THE_WAY)
 def test_no_way_leads_through_the_dock(start, command):
     printer = start(SCENE).homed()

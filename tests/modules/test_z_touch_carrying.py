@@ -57,7 +57,6 @@ def test_probe_is_docked_before_the_nozzle_goes_down(start, reason, touch):
     assert trips(printer)[:2] == ["attach", "dock"]
 
 
-@every_host
 @pytest.mark.parametrize("touch", ["EXTRA_PROBE", "AUTO_Z_CALIBRATE"])
 def test_touch_is_refused_where_no_trips_are_wanted(start, touch):
     printer = ready(start, {"auto_attach_detach": "False"})
@@ -70,7 +69,6 @@ def test_touch_is_refused_where_no_trips_are_wanted(start, touch):
     assert (pressed(printer), trips(printer)) == (0.0, ["attach"])
 
 
-@every_host
 def test_head_is_where_it_was_after_docking(start):
     printer = ready(start, {"restore_toolhead": "False"})
     printer.machine.lay_membrane()
@@ -110,7 +108,6 @@ def test_probe_is_docked_before_testz(start, reason, command):
 
 
 # By itself the probe would not be docked then
-@every_host
 def test_paper_where_no_trips_are_wanted(start):
     printer = ready(start, {"auto_attach_detach": "False"})
     printer.run(f"{OVER}ATTACH_PROBE")
@@ -173,7 +170,6 @@ def test_nothing_is_pending_after(start, end):
     assert [line for line in printer.session.console if "!!" in line] == []
 
 
-@every_host
 @pytest.mark.parametrize(
     "ask",
     [
@@ -208,14 +204,12 @@ def test_delayed_docking_waits_until_a_person_has_answered(start):
     assert trips(printer) == ["attach", "dock"]
 
 
-@every_host
 def test_docking_is_not_delayed_while_a_question_is_open(start):
     printer = ready(start, {"allow_delayed_detach": "True"})
     printer.run(f"{OVER}EXTRA_PROBE_CALIBRATE {MEMBRANE}\nPROBE\nM400")
     assert trips(printer) == ["attach", "dock"]
 
 
-@every_host
 def test_question_of_one_section_stops_the_others(start):
     printer = ready(start)
     printer.run("EXTRA_PROBE_CALIBRATE PROBE=membrane")
@@ -224,7 +218,6 @@ def test_question_of_one_section_stops_the_others(start):
     printer.run("EXTRA_PROBE_ABORT PROBE=membrane\nAUTO_Z_PROBE")
 
 
-@every_host
 def test_print_that_begins_ends_the_question(start, tmp_path):
     (tmp_path / "print.gcode").write_text("AUTO_Z_PROBE\nG4 P100\n")
     changes = {"virtual_sdcard": {"path": str(tmp_path)}}
@@ -235,7 +228,6 @@ def test_print_that_begins_ends_the_question(start, tmp_path):
     assert printer.machine.truth.touch_count("nozzle_bed") == 1
 
 
-@every_host
 def test_probe_that_was_fetched_while_the_dialog_was_open(start):
     printer = ready(start)
     printer.run(f"EXTRA_PROBE_CALIBRATE {MEMBRANE} FLOOR=-1")
