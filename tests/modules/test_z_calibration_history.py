@@ -225,6 +225,32 @@ def test_exchanged_nozzle_is_told_once(start, with_past):
     assert printer.status("z_calibration")["warnings"] == []
 
 
+@pytest.mark.parametrize("residue", [0.04, 0.01])
+def test_residue_that_no_touch_flattens_is_told(start, with_past, residue):
+    """Runs of before had none of it; the uncertainty contains what is in doubt."""
+    past = with_past(moved={"switch": residue, "bed": residue}, noise=0.001)
+    printer = start(changes=section(**past)).homed()
+    printer.session.wait(1.0)
+    lines = printer.run("CALIBRATE_Z")
+    _, worth = worth_of(lines)
+    warnings = printer.status("z_calibration")["warnings"]
+    is_told = residue == 0.04
+    assert (
+        any("the nozzle is dirty, or" in text for text in warnings) == is_told
+    )
+    assert (worth > residue) == is_told
+
+
+def test_touches_that_fall_are_told_without_clean_gcode(start):
+    ooze = OozeSpec(0.05, 0.7, x=BRUSH[0], y=BRUSH[1], radius=2.0)
+    printer = start(
+        voron(ooze=ooze), changes=section(samples="5", samples_tolerance="0.1")
+    )
+    printer.homed().run("CALIBRATE_Z")
+    (text,) = printer.status("z_calibration")["warnings"]
+    assert "pressed flat; clean it before CALIBRATE_Z" in text
+
+
 # A number of samples that is found
 
 AUTO = {"samples": "auto"}

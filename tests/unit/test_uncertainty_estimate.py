@@ -340,6 +340,23 @@ def test_nozzle_that_may_be_dirty(values, options, text):
     assert text in found and bool(found) == bool(text)
 
 
+@pytest.mark.parametrize(
+    ("values", "past", "fall"),
+    [
+        ((1.5825, 1.5725, 1.5675, 1.5575), UNKNOWN, 0.025),
+        ((1.5825, 1.5725, 1.5575), QUIET, 0.025),
+        # By chance: few of them, one that is higher, little in all
+        ((1.5825, 1.5725, 1.5575), UNKNOWN, 0.0),
+        ((1.5825, 1.5725, 1.5750, 1.5575), QUIET, 0.0),
+        ((1.5825, 1.5800, 1.5775), QUIET, 0.0),
+        ((1.5825,), QUIET, 0.0),
+    ],
+)
+def test_touches_that_fall_steadily_press_something_flat(values, past, fall):
+    found = adaptive.steady_fall(list(values), past, STEP)
+    assert found == pytest.approx(fall)
+
+
 def test_touch_that_fails_is_no_dirt():
     counting = adaptive.Automatic(0.008)
     plan = plan_of({"nozzle": UNKNOWN}, counting)

@@ -8,7 +8,7 @@ import time
 
 from ..core.sampling import summarize
 from ..uncertainty import adaptive, cycles
-from . import report
+from . import report, trend
 from .file import SITES, File, History, site_record
 
 HEATERS = ("extruder", "heater_bed")
@@ -44,6 +44,14 @@ class Recorder(object):
         self.cleaned = ""
         register = self.printer.register_event_handler
         register("klippy:ready", self.history.begin)
+
+    # By how much (mm) switch - nozzle departs from the runs that were as hot as it is
+    # now; 0: not by more than chance
+    def departure(self, body):
+        now = {"temperatures": self.temperatures(self.host.eventtime())}
+        history = self.history
+        bodies = trend.bodies_as_hot(history.runs, history.summary, now)
+        return trend.departure(body, bodies)
 
     # When nothing is under way
     def say(self, text):

@@ -20,12 +20,7 @@ NO_FINGERPRINT = Fingerprint(None, 0.0, 0)
 
 # What is known of switch - nozzle: the fingerprint, from which good run on nozzle
 # and probe are the same, and the last value (mm)
-class Summary(collections.namedtuple("Summary", "fingerprint since last")):
-    # Of a new run: switch - nozzle is as in none of them, the last included
-    def departs(self, value):
-        if self.last is None or abs(value - self.last) <= FAR:
-            return False
-        return departs(value, self.fingerprint)
+Summary = collections.namedtuple("Summary", "fingerprint since last")
 
 
 # Runs that make a fingerprint, and the latest that count for it
@@ -35,6 +30,9 @@ LATEST_RUNS = 50
 # A run is off the fingerprint from both on: standard deviations, mm
 FAR_SIGMA = 5.0
 FAR = 0.05
+
+# Among runs that were as hot less is no chance (mm): 38 um of residue on the nozzle
+FAR_AS_HOT = 0.02
 
 # Runs for a trend: at least, and the latest that count
 TREND_LEAST = 20
@@ -116,11 +114,29 @@ def fingerprint_of(values):
     return Fingerprint(middle, MAD_FACTOR * far, len(values))
 
 
-def departs(value, fingerprint):
+def departs(value, fingerprint, far=FAR):
     if fingerprint.middle is None:
         return False
-    limit = max(FAR_SIGMA * fingerprint.sigma, FAR)
+    limit = max(FAR_SIGMA * fingerprint.sigma, far)
     return abs(value - fingerprint.middle) > limit
+
+
+# What a new run is compared with: the last values of switch - nozzle (mm) among good
+# runs that were as hot, the latest last.  'run': has its temperatures
+def bodies_as_hot(runs, summary, run):
+    good = [other for other in runs if other["ok"]][summary.since :]
+    return [body(o) for o in good[-LATEST_RUNS:] if is_as_hot(o, run)]
+
+
+# By how much (mm) switch - nozzle of a new run departs from all of them, the last
+# included; 0: not by more than chance.
+def departure(value, bodies):
+    known = fingerprint_of(bodies)
+    if not departs(value, known, FAR_AS_HOT):
+        return 0.0
+    if abs(value - bodies[-1]) <= FAR_AS_HOT:
+        return 0.0
+    return value - known.middle
 
 
 # The Summary of runs.  Two in a row that depart from all before, and agree with each other, are

@@ -34,6 +34,10 @@ DOUBT = "the touches do not agree"
 # A first touch is higher than the next ones from so many standard deviations on
 STICKS = 3.0
 
+# So many touches, each lower than the one before: with a history, without one
+FALLING = 3
+FALLING_AT_FIRST = 4
+
 # Touches of one site: with a history, without one, and at most.  Without one
 # fewer agree by chance too often for the uncertainty to hold.
 LEAST = 2
@@ -163,6 +167,20 @@ def first_excess(samples, earlier, step):
     mean = math.fsum(rest) / len(rest)
     limit = STICKS * noise * math.sqrt(1.0 + 1.0 / len(rest))
     return samples[0] - mean if samples[0] - mean > limit else 0.0
+
+
+# What is soft is pressed flatter by each touch: from the first to the last by how
+# much (mm), 0 where that is no more than noise.  Few touches fall by chance, so
+# without a history it takes more of them.
+def steady_fall(samples, earlier, step):
+    least = FALLING if is_known(earlier) else FALLING_AT_FIRST
+    falls = [a - b for a, b in zip(samples, samples[1:])]
+    if len(samples) < least or min(falls) <= 0.0:
+        return 0.0
+    usual = math.sqrt(earlier.variance) if is_known(earlier) else USUAL_NOISE
+    limit = STICKS * math.sqrt(2.0) * max(usual, step / 2.0)
+    whole = samples[0] - samples[-1]
+    return whole if whole > limit else 0.0
 
 
 ######################################################################
@@ -297,14 +315,26 @@ class Plan(object):
             raise
         return self.samples[site]
 
+    # What speaks for something that its touches press flat, in words; empty: nothing
+    def flattened(self, site):
+        touches, earlier = self.touches.get(site, []), self.earlier_at(site)
+        fall = steady_fall(touches, earlier, self.step)
+        if fall:
+            return (
+                "each touch was lower than the one before, by %.4f mm in all"
+                % (fall,)
+            )
+        excess = first_excess(touches, earlier, self.step)
+        text = "the first touch was %.4f mm higher than the next ones"
+        return text % (excess,) if excess else ""
+
     # Why a site may want cleaning; empty: it does not
     def doubt(self, site):
         touches, result = self.touches.get(site, []), self.estimates.get(site)
+        flattened = self.flattened(site)
+        if flattened:
+            return flattened
         earlier = self.earlier_at(site)
-        excess = first_excess(touches, earlier, self.step)
-        if excess:
-            text = "the first touch was %.4f mm higher than the next ones"
-            return text % (excess,)
         if result is None:
             return DOUBT if self.differed else ""
         all_count = len(result.kept) == len(touches)

@@ -26,9 +26,9 @@ STALE_Z = 0.5
 GEOMETRY_JUMP = 0.5
 
 # What earlier runs say: the last good heights.Result or None, whether the frame
-# is still the one of that run, and switch - nozzle of many (trend.Summary or
-# None).
-Earlier = collections.namedtuple("Earlier", "last holds summary")
+# is still the one of that run, and departure(switch - nozzle), by how much that
+# departs from many of them (mm), or None.
+Earlier = collections.namedtuple("Earlier", "last holds departure")
 NOTHING_EARLIER = Earlier(None, False, None)
 
 
@@ -46,6 +46,8 @@ class Calibration(object):
         self.warnings = []
         # Whether somebody has seen the probe on the head in this run
         self.was_attached = False
+        # By how much (mm) switch - nozzle departs from earlier runs
+        self.departure = 0.0
         self.know(NOTHING_EARLIER)
 
     # Before anything is measured; the frame may move until then
@@ -82,6 +84,12 @@ class Calibration(object):
         probe_z = self.measure_bed(nozzle_z, switch_z)
         parts = (probe_z, switch_z, nozzle_z, settings.switch_offset)
         return heights.Result(*parts + (heights.offset(*parts),))
+
+    # What the offset may be off by (mm, 95 %), None: nobody knows.  What switch -
+    # nozzle departs by may be nothing, or all wrong.
+    def uncertainty(self):
+        worth = self.plan.uncertainty()
+        return worth if worth is None else worth + abs(self.departure)
 
     # Once for all samples
     def warn(self, text):
@@ -182,6 +190,13 @@ class Calibration(object):
             self.lift()
             clean(why)
             self.sample_nozzle()
+        flattened = self.plan.flattened("nozzle")
+        if flattened:
+            text = (
+                "nozzle: %s: something that sticks to it is pressed flat; clean"
+                " it before CALIBRATE_Z, or set clean_gcode"
+            )
+            self.warn(text % (flattened,))
 
     # The heights of the samples (mm)
     def sample_nozzle(self):
@@ -244,23 +259,31 @@ class Calibration(object):
         bed_z = self.at_bed().look(self.travel_z, floor)
         return heights.lowest_switch(settings, nozzle_z, bed_z)
 
-    # An exchanged nozzle is what the module is for; a probe that is seated
-    # badly looks the same.  'body': switch - nozzle (mm) of this run.
+    # 'body': switch - nozzle (mm) of this run
+    def departure_of(self, body):
+        departure = self.earlier.departure
+        return 0.0 if departure is None else departure(body)
+
+    # An exchanged nozzle is what the module is for; dirt, or a probe that is seated
+    # badly, looks the same.
     def check_geometry(self, body):
-        last, _, summary = self.earlier
+        last = self.earlier.last
         before = body if last is None else last.switch - last.nozzle
+        self.departure = self.departure_of(body)
         if abs(body - before) > GEOMETRY_JUMP:
+            self.departure = 0.0
             self.warn(
                 "switch - nozzle is %.3f mm and was %.3f mm in the last good"
                 " run; if neither nozzle nor probe was exchanged, check how the"
                 " probe is seated and that the nozzle is tight" % (body, before)
             )
-        elif summary is not None and summary.departs(body):
-            self.warn(
-                "switch - nozzle is %.3f mm and was %.3f mm in earlier runs:"
-                " nozzle exchanged, or the probe is not seated"
-                % (body, summary.fingerprint.middle)
+        elif self.departure:
+            text = (
+                "switch - nozzle is %.3f mm and was %.3f mm in earlier runs that"
+                " were as hot: the nozzle is dirty, or was exchanged, or the"
+                " probe is not seated; clean it and run CALIBRATE_Z again"
             )
+            self.warn(text % (body, body - self.departure))
 
     ##################################################################
     # Bed

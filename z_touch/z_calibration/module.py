@@ -145,17 +145,17 @@ class ZCalibration(object):
 
         return self.run(gcmd, work_without, phase, wanted, failed)
 
-    # What is around the touches of a run.  'summary': what its switch - nozzle
-    # is compared with (trend.Summary or None).
+    # What is around the touches of a run.  'departure': by how much (mm) a
+    # switch - nozzle departs from earlier runs; None: they are not asked
     @contextlib.contextmanager
-    def prepared(self, calibration, summary=None):
+    def prepared(self, calibration, departure=None):
         self.hooks.check_before_start()
         dock = running.always(self.host, self.put_away, "end_gcode")
         lift = running.always(self.host, calibration.lift, "lifting")
         with dock, lift:
             self.hooks.start()
             with self.hooks.holding_probe():
-                calibration.know(self.earlier(summary))
+                calibration.know(self.earlier(departure))
                 yield
 
     # After the last touch, and after a failure
@@ -164,9 +164,9 @@ class ZCalibration(object):
         self.hooks.end()
 
     # What the next run knows before it begins
-    def earlier(self, summary=None):
+    def earlier(self, departure=None):
         holds = not self.results.why_outdated()
-        return Earlier(self.results.last.result, holds, summary)
+        return Earlier(self.results.last.result, holds, departure)
 
     # Returns the heights.Result
     def measure(self, calibration, clean=None):
@@ -266,13 +266,13 @@ class ZCalibration(object):
         sites = finder.of_command(gcmd)
         calibration = self.new_calibration(settings, sites, self.recorder.plan)
         clean = self.clean_nozzle if self.hooks.can_clean else None
-        with self.prepared(calibration, self.recorder.history.summary):
+        with self.prepared(calibration, self.recorder.departure):
             result = self.measure(calibration, clean)
             last = NOTHING._replace(
                 result=result,
                 mark=self.frame.mark(),
                 warnings=calibration.warnings,
-                uncertainty=calibration.plan.uncertainty(),
+                uncertainty=calibration.uncertainty(),
                 z_adjust=z_adjust,
                 point=finder.bed_point(sites.bed),
                 extruder=self.host.extruder(),
