@@ -38,7 +38,8 @@ def _others(scene: Scene, without: tuple[str, ...]) -> dict[str, Mapping]:
     return {k: v for k, v in scene.sections.items() if k not in left}
 
 
-_LEVELS: Sections = {
+# What levels and meshes on these machines
+LEVELS: Sections = {
     "bed_mesh": {
         "speed": "200",
         "horizontal_move_z": "10",
@@ -85,7 +86,7 @@ def _gantry_switch() -> Scene:
         name="dock_gantry_switch",
         sections={
             **_others(voron, ()),
-            **_LEVELS,
+            **LEVELS,
             "dockable_probe": options,
         },
     ).with_world(

@@ -8,17 +8,12 @@ import pytest
 
 from simprinter import SCENES
 from tools.kit.auto_z_offset import MICROSTEP, POINT, told, true_gap, world
+from tools.kit.klipper_sections import bed_mesh
 
 pytestmark = pytest.mark.every_host
 
 STEPS = 2 * MICROSTEP
-MESH = {
-    "mesh_min": "50, 50",
-    "mesh_max": "200, 200",
-    "probe_count": "3, 3",
-    "speed": "200",
-    "horizontal_move_z": "12",
-}
+MESH = bed_mesh("50, 50", "200, 200")
 PROBED = "BED_MESH_CALIBRATE"
 # So much higher is the bed at the point than at 60, 60
 HIGHER = 0.1

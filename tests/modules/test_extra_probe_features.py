@@ -13,6 +13,7 @@ from tools.kit.extra_probe import (
     calibrate,
     true_gap,
 )
+from tools.kit.klipper_sections import bed_mesh, profile
 from tools.kit.printer import module_files
 
 LOAD = "BED_MESH_PROFILE LOAD=default"
@@ -22,22 +23,8 @@ BEDS = {"membrane": BED, "membrane_and_probe": PROBE_BED}
 
 def mesh(height):
     """[bed_mesh] with a profile that is as high everywhere (mm)."""
-    profile = {
-        "version": "1",
-        "points": "\n  {0}, {0}, {0}".format(height) * 3,
-        "algo": "lagrange",
-        "tension": "0.2",
-        "mesh_x_pps": "2",
-        "mesh_y_pps": "2",
-        "x_count": "3",
-        "y_count": "3",
-        "min_x": "20",
-        "min_y": "15",
-        "max_x": "180",
-        "max_y": "180",
-    }
-    own = {"mesh_min": "20,15", "mesh_max": "180,180", "probe_count": "3,3"}
-    return {"bed_mesh": own, "bed_mesh default": profile}
+    own = bed_mesh("20, 15", "180, 180")
+    return {"bed_mesh": own, "bed_mesh default": profile([height] * 3, own)}
 
 
 def told(lines):

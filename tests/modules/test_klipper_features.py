@@ -13,6 +13,7 @@ from simprinter import SCENES, Scene
 from simprinter.hosts.hosts import Host
 from simprinter.scenes import heated
 from tools.kit.auto_z_offset import POINT
+from tools.kit.klipper_sections import TOOL, bed_mesh
 from tools.kit.load_errors import load
 from tools.kit.printer import Printer
 from tools.kit.z_calibration import MICROSTEP
@@ -23,13 +24,7 @@ POINTS = {"z_calibration": (150.0, 150.0), "auto_z_offset": POINT}
 # The bed is so much higher 100 mm further back
 SLOPE = 0.05
 
-MESH = {
-    "mesh_min": "50, 50",
-    "mesh_max": "200, 200",
-    "probe_count": "3, 3",
-    "speed": "200",
-    "horizontal_move_z": "12",
-}
+MESH = bed_mesh("50, 50", "200, 200")
 ZERO = {"zero_reference_position": "%g, %g"}
 TWIST = {
     "calibrate_start_x": "0",
@@ -52,20 +47,6 @@ GANTRY = {
     "points": "\n  50,25\n  50,225\n  250,225\n  250,25",
     "max_adjust": "10",
     "retry_tolerance": "0.02",
-}
-TOOL = {
-    "step_pin": "PG3",
-    "dir_pin": "PG4",
-    "enable_pin": "!PG5",
-    "microsteps": "16",
-    "rotation_distance": "22.6",
-    "nozzle_diameter": "0.4",
-    "filament_diameter": "1.75",
-    "heater_pin": "PH5",
-    "sensor_type": "temperature_host",
-    "control": "watermark",
-    "min_temp": "0",
-    "max_temp": "300",
 }
 EXCLUDE = "\n".join(
     f"EXCLUDE_OBJECT{what} NAME=one"

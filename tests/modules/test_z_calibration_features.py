@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import pytest
 
+from tools.kit.klipper_sections import bed_mesh, profile
 from tools.kit.z_calibration import (
     MICROSTEP,
     calibration,
@@ -14,34 +15,15 @@ from tools.kit.z_calibration import (
 # What is between nozzle and bed at Z=0 after a perfect calibration
 GAP = 0.06
 POINT = (150.0, 150.0)
-MESH = {
-    "mesh_min": "40, 40",
-    "mesh_max": "250, 250",
-    "probe_count": "3, 3",
-    "speed": "200",
-    "horizontal_move_z": "12",
-}
+MESH = bed_mesh("40, 40", "250, 250")
 # It is as high as that (mm) from the front to the back, 105 mm apart
 SLOPE = (-0.10, 0.05, 0.20)
 
 
 def mesh(heights=SLOPE, **options):
     """[bed_mesh] with a profile `default`, of heights from front to back."""
-    profile = {
-        "version": "1",
-        "points": "".join(f"\n  {z}, {z}, {z}" for z in heights),
-        "algo": "lagrange",
-        "tension": "0.2",
-        "mesh_x_pps": "2",
-        "mesh_y_pps": "2",
-        "x_count": "3",
-        "y_count": "3",
-        "min_x": "40",
-        "min_y": "40",
-        "max_x": "250",
-        "max_y": "250",
-    }
-    return {"bed_mesh": {**MESH, **options}, "bed_mesh default": profile}
+    own = {**MESH, **options}
+    return {"bed_mesh": own, "bed_mesh default": profile(heights, own)}
 
 
 LOAD = "BED_MESH_PROFILE LOAD=default"

@@ -6,6 +6,7 @@ import pytest
 
 from simprinter import SCENES
 from simprinter.scenes import heated
+from tools.kit.klipper_sections import TOOL
 from tools.kit.z_calibration import (
     SWITCH_OFFSET,
     assert_unharmed,
@@ -184,22 +185,6 @@ def test_switch_offset_counts_from_what_was_applied(start):
     (answer,) = printer.run("CALCULATE_SWITCH_OFFSET")
     assert "(current_z=0.230 - z_offset=0.230)" in answer
     assert answer.endswith(f"new switch_offset={SWITCH_OFFSET:.3f}")
-
-
-TOOL = {
-    "step_pin": "PG3",
-    "dir_pin": "PG4",
-    "enable_pin": "!PG5",
-    "microsteps": "16",
-    "rotation_distance": "22.6",
-    "nozzle_diameter": "0.4",
-    "filament_diameter": "1.75",
-    "heater_pin": "PH5",
-    "sensor_type": "temperature_host",
-    "control": "watermark",
-    "min_temp": "0",
-    "max_temp": "300",
-}
 
 
 @pytest.mark.every_host

@@ -7,9 +7,11 @@ from __future__ import annotations
 
 import dataclasses
 import math
-from collections.abc import Iterator
-from typing import TYPE_CHECKING, Any
+from collections.abc import Callable, Iterator
+from typing import TYPE_CHECKING, Any, TypeVar
 
+import hypothesis
+from hypothesis import HealthCheck, Phase
 from hypothesis import strategies as st
 
 from simprinter.world import DriftSpec, NoiseSpec
@@ -17,6 +19,33 @@ from tools.campaign.drawn_machines import HOLDERS, Gantry, Plate, Sampling
 
 if TYPE_CHECKING:
     from tools.campaign.drawn import Drawn
+
+T = TypeVar("T")
+
+
+def check_drawn(
+    strategy: st.SearchStrategy[T],
+    check: Callable[[T], None],
+    seed: int,
+    *,
+    shrinks: bool,
+) -> None:
+    """Call check with what a seed draws, and with simpler ones if it raises.
+
+    Hypothesis draws the simplest of all first, whatever the seed.
+    """
+    phases = [Phase.generate] + [Phase.shrink] * shrinks
+    test = hypothesis.given(strategy)(check)
+    test = hypothesis.settings(
+        max_examples=2,
+        database=None,
+        deadline=None,
+        phases=phases,
+        suppress_health_check=list(HealthCheck),
+        report_multiple_bugs=False,
+        print_blob=False,
+    )(test)
+    hypothesis.seed(seed)(test)()
 
 
 def around(standard: float, low: float, high: float, digit: float = 0.01):

@@ -17,12 +17,10 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Optional
 
-import hypothesis
-from hypothesis import HealthCheck, Phase
 from hypothesis import strategies as st
 
 from simprinter.hosts.hosts import Host, find_hosts
-from tools.campaign.drawing import deviations, differences
+from tools.campaign.drawing import check_drawn, deviations, differences
 from tools.campaign.drawn import Drawn
 from tools.campaign.drawn_auto_z_offset import AutoZOffset
 from tools.campaign.drawn_machines import KINEMATICS
@@ -182,23 +180,10 @@ class _Attempts:
 
 def _attempt(attempts: _Attempts, seed: int) -> bool:
     """Draw and try the printer of a seed; whether it was right or refused."""
-    phases = [Phase.generate]
-    if attempts.simpler:
-        phases.append(Phase.shrink)
-    test = hypothesis.given(printers_for(attempts.module, attempts.host))(
-        attempts.check
-    )
-    test = hypothesis.settings(
-        max_examples=2,
-        database=None,
-        deadline=None,
-        phases=phases,
-        suppress_health_check=list(HealthCheck),
-        report_multiple_bugs=False,
-        print_blob=False,
-    )(test)
+    printers = printers_for(attempts.module, attempts.host)
+    shrinks = bool(attempts.simpler)
     try:
-        hypothesis.seed(seed)(test)()
+        check_drawn(printers, attempts.check, seed, shrinks=shrinks)
     except Exception:  # noqa: BLE001 - kept with the printer that it is of
         return False
     return True

@@ -5,29 +5,17 @@ from __future__ import annotations
 from collections.abc import Collection, Mapping
 from typing import Optional
 
-Section = dict[str, Optional[str]]
+from simprinter.docks import LEVELS
+from tools.kit.klipper_sections import bed_mesh
+
+Section = Mapping[str, Optional[str]]
+
+_MESH = bed_mesh("40, 40", "240, 230", horizontal_move_z="10")
 
 # Each by a name; a printer takes any of them, but for what excludes each other
 FEATURES: Mapping[str, Mapping[str, Section]] = {
-    "mesh": {
-        "bed_mesh": {
-            "speed": "200",
-            "horizontal_move_z": "10",
-            "mesh_min": "40, 40",
-            "mesh_max": "240, 230",
-            "probe_count": "3, 3",
-        }
-    },
-    "mesh_zero": {
-        "bed_mesh": {
-            "speed": "200",
-            "horizontal_move_z": "10",
-            "mesh_min": "40, 40",
-            "mesh_max": "240, 230",
-            "probe_count": "3, 3",
-            "zero_reference_position": "150, 150",
-        }
-    },
+    "mesh": {"bed_mesh": _MESH},
+    "mesh_zero": {"bed_mesh": {**_MESH, "zero_reference_position": "150, 150"}},
     "tilt": {"bed_tilt": {"x_adjust": "0.0005", "y_adjust": "-0.001"}},
     "skew": {"skew_correction": {}},
     "heat": {
@@ -42,14 +30,7 @@ FEATURES: Mapping[str, Mapping[str, Section]] = {
         }
     },
     "screws": {
-        "screws_tilt_adjust": {
-            "screw1": "60, 30",
-            "screw2": "240, 30",
-            "screw3": "150, 240",
-            "speed": "200",
-            "horizontal_move_z": "10",
-            "screw_thread": "CW-M4",
-        }
+        "screws_tilt_adjust": LEVELS["screws_tilt_adjust"],
     },
     "shaper": {"input_shaper": {"shaper_freq_x": "50", "shaper_freq_y": "40"}},
     "exclude": {"exclude_object": {}},

@@ -9,10 +9,8 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any, Callable, NamedTuple, Optional
 
-import hypothesis
-from hypothesis import HealthCheck, Phase
-
 from simprinter.hosts.hosts import Host
+from tools.campaign.drawing import check_drawn
 from tools.campaign.walks import steps as stepping
 from tools.campaign.walks import walker
 from tools.campaign.walks.printers import Owned
@@ -82,19 +80,9 @@ def walk_of(
 ) -> Done:
     """Draw the walk of a seed and go it on a host."""
     attempts = _Attempts(lambda walk: walker.go(*walk, host, modules), simpler)
-    phases = [Phase.generate] + [Phase.shrink] * bool(simpler)
-    test = hypothesis.given(stepping.walks(bases))(attempts.check)
-    test = hypothesis.settings(
-        max_examples=2,
-        database=None,
-        deadline=None,
-        phases=phases,
-        suppress_health_check=list(HealthCheck),
-        report_multiple_bugs=False,
-        print_blob=False,
-    )(test)
+    walks = stepping.walks(bases)
     try:
-        hypothesis.seed(seed)(test)()
+        check_drawn(walks, attempts.check, seed, shrinks=bool(simpler))
     except Exception as error:
         # Hypothesis wonders at one that fails only now and then
         if attempts.worst is None:
