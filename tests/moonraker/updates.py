@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import time
 from typing import Any
 
 from tools.kit.lab import Lab
@@ -22,12 +23,14 @@ def status_of(lab: Lab, name: str = "z_calibration") -> dict[str, Any]:
     return lab.moonraker.get("/machine/update/status")["version_info"][name]
 
 
-def restarted(lab: Lab, command: str) -> None:
-    """Have klippy begin anew in the same process."""
+def restarted(lab: Lab, command: str) -> float:
+    """Have klippy begin anew in the same process; when it had gone (Unix, s)."""
     with lab.moonraker.listen() as listener:
         lab.moonraker.run(command)
         listener.collect("notify_klippy_disconnected", lambda _: True)
+        gone = time.time()
         listener.collect("notify_klippy_ready", lambda _: True)
+    return gone
 
 
 def calibrated(lab: Lab) -> dict[str, Any]:
