@@ -26,7 +26,7 @@ from tools.kit.lab import Lab
 HAND = 0.3
 
 
-@pytest.fixture(scope="package")
+@pytest.fixture(scope="module")
 def lab(request, moonraker_python, tmp_path_factory):
     """A printer with a membrane switch, and Moonraker in front of it."""
     directory = tmp_path_factory.mktemp("lab")
