@@ -12,6 +12,8 @@ from http.server import BaseHTTPRequestHandler, HTTPServer
 
 import pytest
 
+from tools.kit.cases import slow
+
 BOTH = ["klipper", "moonraker"]
 
 pytestmark = pytest.mark.usefixtures("klipper")
@@ -101,7 +103,9 @@ WAIT = "a print is running. When it has ended: sudo systemctl restart"
 ASK = "no Moonraker tells whether a print is running. When it is not: sudo"
 
 
-@pytest.mark.parametrize("options", [[], ["-m", "CONF"], ["--no-moonraker"]])
+@pytest.mark.parametrize(
+    "options", [[], slow(["-m", "CONF"]), slow(["--no-moonraker"])]
+)
 @pytest.mark.parametrize(
     ("first", "second", "restarted", "said"),
     [

@@ -9,6 +9,7 @@ import pytest
 from simprinter import Fault
 from simprinter.docks import HANG, calibrating
 from tools.kit.carrying import without_our_dock
+from tools.kit.cases import all_slow_but
 from tools.kit.dockable_probe import SWITCH, trips, where
 from tools.kit.z_calibration import calibration
 
@@ -109,7 +110,7 @@ def hooks_of(name):
     return z_section(**dict(zip(names, lines)))
 
 
-@pytest.mark.parametrize("before", BEFORE)
+@pytest.mark.parametrize("before", all_slow_but(["held"], BEFORE))
 @pytest.mark.parametrize("hooks", HOOKS)
 def test_each_hook_has_its_own_default(start, hooks, before):
     options, script = BEFORE[before]

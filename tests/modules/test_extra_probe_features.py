@@ -36,7 +36,6 @@ def assert_right(printer):
     assert true_gap(printer) == pytest.approx(0.0, abs=2 * MICROSTEP)
 
 
-@pytest.mark.every_host
 @pytest.mark.parametrize("height", [0.2, -0.05])
 @pytest.mark.parametrize("scene", ["membrane", "membrane_and_probe"])
 def test_mesh_is_taken_off(start, scene, height):
@@ -58,7 +57,6 @@ def test_mesh_is_taken_off(start, scene, height):
     assert measured == pytest.approx(BEDS[scene], abs=2 * MICROSTEP)
 
 
-@pytest.mark.every_host
 @pytest.mark.parametrize("height", [0.2, 0.05])
 @pytest.mark.parametrize("scene", ["membrane", "membrane_and_probe"])
 def test_mesh_is_taken_off_what_is_saved(start, scene, height):

@@ -15,7 +15,6 @@ TRY = re.compile(r"(\w+) of section '(\w+)' \((\S+) - (\S+): try (\S+)\)")
 
 
 # How much too low (mm) what Z is homed at is, and by how much it is told to change
-@pytest.mark.every_host
 @pytest.mark.parametrize(
     ("scene", "section_name", "option", "right", "low", "change"),
     [

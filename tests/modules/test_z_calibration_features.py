@@ -58,7 +58,6 @@ def validity(printer):
 # Taken off
 
 
-@pytest.mark.every_host
 @pytest.mark.parametrize("error", [0.7, -0.7])
 def test_mesh_of_a_probe_with_a_wrong_z_offset(start, error):
     changes = {"bed_mesh": MESH, "probe": {"z_offset": f"{6.9 + error}"}}
@@ -138,7 +137,6 @@ class Frame:
         printer.session.wait(30.0)
 
 
-@pytest.mark.every_host
 @pytest.mark.parametrize("has_mesh", [False, True])
 def test_heat_is_taken_off_once_and_goes_on(start, tmp_path, has_mesh):
     frame = Frame(tmp_path)
@@ -169,7 +167,6 @@ gcode.register_command("ASK", ask)
 """
 
 
-@pytest.mark.every_host
 def test_heat_that_counts_below_a_height_only_is_asked_for_there(
     start, tmp_path
 ):
@@ -214,7 +211,6 @@ printer.register_event_handler("klippy:connect", Lift)
 """
 
 
-@pytest.mark.every_host
 def test_what_nobody_knows_is_told_and_not_taken_off(start, tmp_path):
     modules = with_extra(tmp_path, LIFT)
     printer = start(changes={"extra": {}, **mesh()}, modules=modules).homed()
@@ -227,7 +223,6 @@ def test_what_nobody_knows_is_told_and_not_taken_off(start, tmp_path):
     assert sum(text in warning for warning in warnings) == 1
 
 
-@pytest.mark.every_host
 def test_zero_of_the_mesh_at_the_point_is_no_warning(start):
     changes = {"bed_mesh": {**MESH, "zero_reference_position": "150, 150"}}
     printer = start(changes=changes).homed()
@@ -243,7 +238,6 @@ def test_zero_of_the_mesh_at_the_point_is_no_warning(start):
 # Until it changes
 
 
-@pytest.mark.every_host
 @pytest.mark.parametrize(
     ("before", "after", "is_other"),
     [
@@ -275,7 +269,6 @@ def test_result_ends_with_another_height_of_the_mesh(
     assert_right(printer)
 
 
-@pytest.mark.every_host
 @pytest.mark.parametrize("changes", [mesh(), {"bed_tilt": TILT}])
 def test_switch_offset_by_paper_needs_no_place_without_a_shift(start, changes):
     printer = start(changes=changes).homed()

@@ -35,7 +35,6 @@ def pending(printer):
 RESTORE = "RESTORE_GCODE_STATE NAME=old"
 
 
-@pytest.mark.every_host
 @pytest.mark.parametrize(
     ("end_gcode", "offset"),
     [
@@ -92,7 +91,6 @@ def test_offset_is_zero_while_a_command_runs(start):
     assert printer.offset() == pytest.approx(0.25)
 
 
-@pytest.mark.every_host
 @pytest.mark.parametrize("command", ["CALIBRATE_Z", "CALIBRATE_Z_ACCURACY"])
 def test_offset_and_states_are_as_before_after_a_failure(start, command):
     changes = section(start_gcode="SET_GCODE_OFFSET Z=0.3")
@@ -108,7 +106,6 @@ def test_offset_and_states_are_as_before_after_a_failure(start, command):
     assert printer.session.position()[2] == pytest.approx(25.1)
 
 
-@pytest.mark.every_host
 def test_g92_is_undone(start):
     printer = start().homed()
     # G-code Z is 0.3 less than it was
@@ -121,7 +118,6 @@ def test_g92_is_undone(start):
 # Whether the offset is still in force
 
 
-@pytest.mark.every_host
 @pytest.mark.parametrize(
     ("before", "after"),
     [
@@ -175,7 +171,6 @@ def test_offset_gcode_may_make_another_one_of_it(start, offset_gcode, offset):
 # What counts from it
 
 
-@pytest.mark.every_host
 def test_switch_offset_counts_from_what_was_applied(start):
     changes = section(end_gcode="SET_GCODE_OFFSET Z_ADJUST=0.05")
     printer = start(changes=changes).homed()
@@ -187,7 +182,6 @@ def test_switch_offset_counts_from_what_was_applied(start):
     assert answer.endswith(f"new switch_offset={SWITCH_OFFSET:.3f}")
 
 
-@pytest.mark.every_host
 @pytest.mark.parametrize("keeps", [True, False])
 def test_offset_of_another_tool_is_no_baby_step(start, tmp_path, keeps):
     path = tmp_path / "temp"
@@ -223,7 +217,6 @@ def test_offset_of_another_tool_is_no_baby_step(start, tmp_path, keeps):
 # Modes
 
 
-@pytest.mark.every_host
 def test_templates_begin_with_the_modes_of_before(start):
     """One that fails between its G91 and G90 sends no other one astray."""
     changes = {
@@ -243,7 +236,6 @@ def test_templates_begin_with_the_modes_of_before(start):
     assert status["absolute_coordinates"] and status["absolute_extrude"]
 
 
-@pytest.mark.every_host
 @pytest.mark.parametrize("mode", ["G90\nM82", "G91\nM83"])
 def test_modes_are_as_before_in_every_template(start, mode):
     look = (

@@ -44,7 +44,6 @@ def untouched(printer):
     return pressed(printer) < 0.2 and printer.machine.truth.crashes() == []
 
 
-@every_host
 @pytest.mark.parametrize("touch", TOUCHES)
 @pytest.mark.parametrize("reason", REASONS)
 def test_probe_is_docked_before_the_nozzle_goes_down(start, reason, touch):
@@ -142,7 +141,6 @@ def test_probe_is_docked_before_each_paper_of_a_twist(start):
     printer.run("ABORT")
 
 
-@every_host
 def test_another_method_probes_as_before(start):
     printer = ready(start)
     printer.run("ATTACH_PROBE\nBED_MESH_CALIBRATE PROBE_COUNT=3,3")
@@ -152,7 +150,6 @@ def test_another_method_probes_as_before(start):
 # Delayed docking
 
 
-@every_host
 @pytest.mark.parametrize(
     "end",
     ["SET_DOCKABLE_PROBE AUTO_ATTACH_DETACH=0", "M84", "RESTART"],
@@ -189,7 +186,6 @@ def test_nothing_drives_off_while_a_person_is_asked(start, ask):
     assert trips(printer) == ["attach", "dock"]
 
 
-@every_host
 def test_delayed_docking_waits_until_a_person_has_answered(start):
     printer = start(
         SWITCH,
@@ -249,7 +245,6 @@ def test_probe_is_docked_before_z_is_homed_on_its_switch(start):
     assert untouched(printer)
 
 
-@every_host
 def test_z_alone_is_not_homed_with_the_probe_on(start):
     printer = start(SWITCH, {"safe_z_home": None, **section(**QUICK)})
     printer.session.require_ready()
