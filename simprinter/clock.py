@@ -83,8 +83,11 @@ class VirtualClock:
 
     virtual = True
 
-    def __init__(self, directory: Path):
-        """Make a clock; its library is built or found in directory."""
+    def __init__(self, directory: Path, wall_ns: int = WALL_START_NS):
+        """Make a clock; its library is built or found in directory.
+
+        wall_ns: the date at first, since 1970.
+        """
         self.library = build_library(directory)
         self._lib = _load(self.library)
         eventfd = ctypes.CDLL(None, use_errno=True).eventfd
@@ -103,7 +106,7 @@ class VirtualClock:
         self._lib.vclock_init(
             self._page,
             MONOTONIC_START_NS,
-            WALL_START_NS,
+            wall_ns,
             self.doorbell,
             wake_fds,
         )

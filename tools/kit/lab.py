@@ -108,6 +108,8 @@ class Lab:
         scene = SCENES[scene] if isinstance(scene, str) else scene
         self._scene = heated(scene)
         self._speed = speed
+        # Of all that is random in the machine
+        self.seed = 0
         self._living: Optional[Future] = None
         self._sources = directory / "sources"
         self._releases = 0
@@ -318,7 +320,8 @@ class Lab:
 
     def start_klipper(self) -> None:
         """Have klippy on the printer, as at boot."""
-        machine = Machine(self._scene, app=firmware_of(self.host))
+        app = firmware_of(self.host)
+        machine = Machine(self._scene, self.seed, app=app)
         self.printer = RunningPrinter(machine, self._begin)
         self.printer.session.require_ready()
         self._begin_to_live()

@@ -1,7 +1,8 @@
 """A printer to play with, in any web interface.
 
-    python -m tools.playground [--scene NAME] [--host NAME] [--speed N]
-                               [--listen ADDRESS] [--port N] [--origin URL]
+    python -m tools.playground [--scene NAME] [--perfect] [--seed N]
+                               [--host NAME] [--speed N] [--listen ADDRESS]
+                               [--port N] [--origin URL]
 
 Starts a simulated printer with real klippy and real Moonraker and keeps it
 running until Ctrl-C. Shows each touch as it happens, and the true gap between
@@ -17,6 +18,7 @@ import shutil
 import signal
 import sys
 import tempfile
+import time
 from collections.abc import Sequence
 from contextlib import suppress
 from pathlib import Path
@@ -24,6 +26,7 @@ from typing import Optional
 
 from simprinter.hosts.hosts import find_hosts
 from simprinter.hosts.moonraker_package import find_moonraker
+from simprinter.real import as_real
 from tools.kit.printer import NO_PRINTER, choose_host, firmware_of
 from tools.playground import network
 from tools.playground.commands import COMMANDS, speed_of
@@ -74,12 +77,13 @@ def play(playground: Playground) -> int:
             say(f"restarted {name}")
 
 
-def welcome(playground: Playground, scene: str) -> None:
-    """Where it is, and what can be done with it."""
+def welcome(playground: Playground, scene: str, seed: Optional[int]) -> None:
+    """Where it is, and what can be done with it. seed: None: it is perfect."""
     host = playground.host
+    kind = "perfect" if seed is None else f"as at home, seed {seed}"
     config = playground.data / "config"
     say(
-        f"\nPrinter    {scene}, {firmware_of(host)} {host.version}\n"
+        f"\nPrinter    {scene}, {kind}, {firmware_of(host)} {host.version}\n"
         f"Moonraker  {playground.url}\n"
         f"Config     {config}\n"
         "Enter Moonraker's address in Mainsail, Fluidd or KlipperScreen, then"
@@ -100,6 +104,18 @@ def _arguments(words: Optional[Sequence[str]]) -> argparse.Namespace:
         default="z_calibration",
         help=f"{', '.join(SHOWN)} (a printer for each module), or another"
         f" machine: {', '.join(sorted(set(KNOWN) - set(SHOWN)))}",
+    )
+    parser.add_argument(
+        "--perfect",
+        action="store_true",
+        help="without the noise, texture and slow drift of real printers",
+    )
+    parser.add_argument(
+        "--seed",
+        metavar="N",
+        type=int,
+        default=time.time_ns() // 10**9,
+        help="of all that is random, to have the same again",
     )
     parser.add_argument("--host", metavar="NAME", help="klippy to run")
     parser.add_argument(
@@ -143,22 +159,27 @@ def run(arguments: argparse.Namespace) -> int:
     if python is None:
         say("error: there is no Moonraker")
         return 1
+    scene = KNOWN[arguments.scene]
+    if not arguments.perfect:
+        scene = as_real(scene, arguments.seed)
     directory = Path(tempfile.mkdtemp(prefix="playground-"))
     try:
         playground = Playground(
             host,
             python,
             directory,
-            KNOWN[arguments.scene],
+            scene,
             arguments.speed,
             Door(arguments.listen, arguments.port, arguments.origin),
             say,
         )
+        playground.seed = arguments.seed
         say("Starting klippy and Moonraker ...")
         with playground:
             try:
                 playground.set_up()
-                welcome(playground, arguments.scene)
+                seed = None if arguments.perfect else arguments.seed
+                welcome(playground, arguments.scene, seed)
                 return play(playground)
             finally:
                 # Once is enough; what follows takes a second

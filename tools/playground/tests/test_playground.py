@@ -146,6 +146,23 @@ def assert_ends(shown, number):
     assert not shown.config.exists()
 
 
+def heights_on_pin(shown):
+    """At which the nozzle has triggered, as they are shown (mm)."""
+    shown.read()
+    return set(re.findall(r"nozzle on the pin .* tip (\S+) mm", shown.output))
+
+
+@pytest.mark.slow
+@pytest.mark.timeout(4 * LIMIT)
+def test_perfect_printer(port):
+    with terminal("--port", port, "--perfect") as shown:
+        assert re.search(r"^Printer .* perfect,", shown.output, re.M)
+        assert shown.run("G28").ok
+        assert shown.run("CALIBRATE_Z").ok
+        assert len(heights_on_pin(shown)) == 1
+        assert_ends(shown, signal.SIGINT)
+
+
 @pytest.mark.timeout(4 * LIMIT)
 def test_start_home_and_end(port):
     with terminal("--port", port) as shown:
@@ -161,6 +178,11 @@ def test_start_home_and_end(port):
         assert shown.run("G28").ok
         shown.until("nozzle on the pin", before)
         shown.until(r"true gap: Z=0 is 0\.\d+ mm IN THE BED", before)
+        assert re.search(
+            r"^Printer .* as at home, seed \d+,", shown.output, re.M
+        )
+        assert shown.run("CALIBRATE_Z").ok
+        assert len(heights_on_pin(shown)) > 1
         shown.type("break probe", "^the wire of probe is broken: always")
         failed = shown.run("CALIBRATE_Z").json()["error"]["message"]
         assert "the probe reads triggered" in failed
