@@ -105,7 +105,8 @@ def test_example_prints_at_the_right_height(start, name):
     assert printer.gap(POINT) == pytest.approx(gap, abs=2 * MICROSTEP)
     printer.run("BED_MESH_CALIBRATE")
     printer.session.restart("SAVE_CONFIG")
-    printer.run("PRINT_START BED=40 HOTEND=180")
+    names = {"q1_pro": "BED_TEMP=40 EXTRUDER_TEMP=180"}
+    printer.run(f"PRINT_START {names.get(name, 'BED=40 HOTEND=180')}")
     # The mesh is between its points over there
     assert printer.gap(POINT) == pytest.approx(gap, abs=4 * MICROSTEP)
 

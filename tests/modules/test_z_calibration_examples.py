@@ -9,6 +9,7 @@ from __future__ import annotations
 import configparser
 import re
 from collections.abc import Iterator
+from operator import attrgetter
 from pathlib import Path
 from typing import Any
 
@@ -32,6 +33,7 @@ from tests.modules.example_owners import (
     lines_of,
     print_start_of,
 )
+from tools.kit.cases import all_slow_but
 from tools.kit.printer import Printer
 from tools.kit.z_calibration import MICROSTEP, touched_sites
 
@@ -44,6 +46,14 @@ PLATES = "plates"
 FILES = sorted([*OWNERS, MACROS, OFF, TOOLS, PLATES])
 BED, EXTRUDER, SOFT = 45.0, 185.0, 150
 PRINT_START = f"PRINT_START BED={BED:g} EXTRUDER={EXTRUDER:g}"
+# As other slicers call it
+OTHERS = f"PRINT_START BED_TEMP={BED + 2:g} EXTRUDER_TEMP={EXTRUDER + 3:g}"
+# All that have lines for it, whatever module they are of
+STARTS = sorted(
+    path
+    for path in EXAMPLES.parent.glob("*/*.cfg")
+    if "# Lines for your own PRINT_START" in path.read_text(encoding="utf-8")
+)
 LIMIT = 1800.0  # printer seconds
 # What moves or sets the Z axis anew
 UNSETTLING = r"G28|G92|QUAD_GANTRY_LEVEL|Z_TILT_ADJUST|M84|SET_GCODE_OFFSET"
@@ -136,6 +146,34 @@ def test_next_print_starts_as_well(host):
         printer.run("SET_GCODE_OFFSET Z_ADJUST=6 MOVE=1")
         print_start(printer)
         assert_ready_to_print(printer, owner)
+
+
+@pytest.mark.parametrize(
+    "path",
+    all_slow_but([EXAMPLES / "euclid.cfg"], STARTS),
+    ids=attrgetter("stem"),
+)
+def test_print_start_without_temperatures_does_nothing(start, path):
+    printer = start(heated(SCENES["voron"]), changes=print_start_of(path))
+    targets = ["heater_bed", "extruder"]
+    printer.session.require_ready()
+    text = printer.fail("PRINT_START MATERIAL=ABS")
+    assert "'BED_TEMP'" in text
+    assert [printer.status(name)["target"] for name in targets] == [0.0, 0.0]
+    assert printer.status("toolhead")["homed_axes"] == ""
+
+
+def test_slicer_that_sends_other_names(host):
+    owner = OWNERS["cartesian_switch"]
+    changes = included(EXAMPLES / "cartesian_switch.cfg")
+    with Printer(host, owner.scene, changes) as printer:
+        printer.session.require_ready()
+        printer.session.run(OTHERS, LIMIT)
+        found = [
+            printer.status(name)["target"]
+            for name in ("heater_bed", "extruder")
+        ]
+        assert found == [BED + 2, EXTRUDER + 3]
 
 
 def test_every_example_is_run():
