@@ -85,11 +85,26 @@ def print_start(printer: Printer) -> list[str]:
 
 
 def formula_gap(printer: Printer) -> float:
-    """True gap at Z=0 that a perfect calibration leaves, mm."""
-    section = printer.status("configfile")["settings"]["z_calibration"]
-    probe = printer.scene.world.mag_probe
-    assert probe is not None
-    return probe.switch_offset - section["switch_offset"]
+    """True gap at Z=0 that a perfect calibration leaves, mm.
+
+    What levelling has laid along the bed rises as the bed does: the body that
+    is so far beside the plunger is met that much higher.
+    """
+    settings = printer.status("configfile")["settings"]
+    section, world = settings["z_calibration"], printer.scene.world
+    assert world.mag_probe is not None
+    gap = world.mag_probe.switch_offset - section["switch_offset"]
+    if not {"quad_gantry_level", "z_tilt"} & {*settings}:
+        return gap
+    home = settings.get("safe_z_home", {}).get("home_xy_position")
+    nozzle = section.get("nozzle_xy_position") or home
+    probe = settings["probe"]
+    for number, (axis, slope) in enumerate(
+        (("x", world.bed.slope_x), ("y", world.bed.slope_y))
+    ):
+        plunger = nozzle[number] - probe[f"{axis}_offset"]
+        gap += slope * (section["switch_xy_position"][number] - plunger)
+    return gap
 
 
 def assert_soft_and_clean(lines: list[str]) -> None:
@@ -276,7 +291,7 @@ def told(printer: Printer) -> str:
         ),
         # Where the nozzle is
         (
-            *("cartesian_switch", "218, 118", "244, 118"),
+            *("cartesian_switch", "221.5, 118", "244, 118"),
             "check switch_xy_position",
         ),
         (
