@@ -17,7 +17,7 @@ from tests.docs.documents import normal
 ROOT = Path(__file__).resolve().parents[2]
 VALUE = "<...>"
 # What these say is drawn, not told
-PICTURES = ("svg.py", "report.py")
+PICTURES = ("svg.py", "report.py", "verdict.py", "days.py")
 # What these ask explains itself
 DIALOGS = ("texts.py",)
 

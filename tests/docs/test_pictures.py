@@ -8,7 +8,6 @@ import xml.etree.ElementTree as ET
 import pytest
 
 from tests.docs.pictures import DOCS, MINUS, PICTURES, SVG, numbers
-from z_touch.history import svg
 
 each_picture = pytest.mark.parametrize("path", PICTURES, ids=lambda p: p.stem)
 
@@ -33,9 +32,3 @@ def test_numbers_of_the_description_are_those_drawn(name):
     assert len(found) >= 5
     for value in found.values():
         assert f"{value:.3f}".replace("-", MINUS) in drawn
-
-
-@pytest.mark.parametrize("name", ["report_runs", "report_accuracy"])
-def test_report_looks_like_those_of_the_module(name):
-    text = (DOCS / f"{name}.svg").read_text(encoding="utf-8")
-    assert svg.STYLE.replace("\n", "") in text

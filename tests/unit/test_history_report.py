@@ -36,48 +36,177 @@ def drawn(records):
     return texts, root
 
 
+def paths(root, colour, kind="s"):
+    found = root.iter(f"{SVG}path")
+    return [p for p in found if p.get("class") == f"{kind}-{colour}"]
+
+
+def points(line):
+    corners = line.get("points").split()
+    return [tuple(map(float, corner.split(","))) for corner in corners]
+
+
 def test_all_there_is_to_see():
     runs = [*make_runs(20), refused("bed: nothing there"), *make_runs(5, 2)]
-    texts, root = drawn(runs)
+    for number, run in enumerate(runs):
+        run.update(time=1.7e9 + 9e4 * number, revision="0.9.1")
+    root = ET.fromstring(report.svg(runs, printer="mine/printer.cfg"))
+    texts = [element.text or "" for element in root.iter(f"{SVG}text")]
     titles = [
         "Z calibration",
-        "26 runs, 2023-11-1",
-        "last offset 0.160 mm +-0.006 (95 %)",
+        "mine/printer.cfg",
+        "26 runs, 2023-11-14 to 2023-12-10; z_calibration 0.9.1",
+        "Good",
+        "Nothing to do.",
+        "Last run, 2023-12-10 ",
+        "Nozzle",
+        "Switch",
+        "Bed",
         "Offset (mm)",
-        "Height of the nozzle (mm)",
-        "Height of the switch (mm)",
-        "Height of the bed (mm)",
+        "2023-11-1",
+        "Nozzle on the pin (mm)",
         "Switch - nozzle (mm)",
-        "Spread of each site (um)",
+        "Probe - switch (mm)",
+        "Spread of touches (\u00b5m)",
         "Temperatures (C)",
         "Refused: 1",
-        "2023-11-1",
+        "2023-12-0",
     ]
     found = iter(texts)
     for title in titles:
         assert any(text.startswith(title) for text in found), title
     assert texts[-1].endswith("bed: nothing there")
-    assert sum(p.get("class") == "x" for p in root.iter(f"{SVG}path")) == 1
+    (cross,) = paths(root, "act")
+    assert cross.get("d").count("M") == 1
     # Uncertainty of the offset, and how far switch - nozzle may depart
     assert len(list(root.iter(f"{SVG}polygon"))) == 2
     lines = list(root.iter(f"{SVG}polyline"))
-    assert [len(line.get("points").split()) for line in lines] == [25] * 8 + [
-        26
-    ] * 2
+    assert [len(points(line)) for line in lines] == [25] * 4 + [26] * 5
 
 
 def test_heights_are_where_they_belong():
     runs = make_runs(3, homing=0.0, noise=0.0)
     runs[1]["offset"] = 0.26
     root = drawn(runs)[1]
-    line = next(iter(root.iter(f"{SVG}polyline"))).get("points").split()
-    points = [tuple(map(float, point.split(","))) for point in line]
-    assert (
-        points[0][1] == points[2][1] == pytest.approx(points[1][1] + 88, abs=15)
+    first, second, third = points(next(iter(root.iter(f"{SVG}polyline"))))
+    assert first[1] == third[1] == pytest.approx(second[1] + 80, abs=2)
+    assert second[0] - first[0] == pytest.approx(third[0] - second[0], abs=0.2)
+
+
+def test_days_are_as_far_apart_as_they_were():
+    runs = make_runs(3)
+    runs[1]["time"] = runs[0]["time"] + 0.25 * 1.8e5
+    first, second, third = points(next(drawn(runs)[1].iter(f"{SVG}polyline")))
+    share = (second[0] - first[0]) / (third[0] - first[0])
+    assert share == pytest.approx(0.25, abs=0.001)
+
+
+def test_noise_of_a_good_printer_stays_small():
+    """2 um are no mountains, whatever else there is."""
+    lines = list(drawn(make_runs(30, noise=0.001, homing=0.001))[1].iter())
+    for line in [e for e in lines if e.tag == f"{SVG}polyline"][:4]:
+        heights = [y for _, y in points(line)]
+        assert max(heights) - min(heights) < 0.25 * plots.PLOT
+
+
+def test_band_of_switch_minus_nozzle_is_what_is_told():
+    """Of the nozzle of now only, from 0.02 mm on."""
+    runs = make_runs(10) + make_runs(10, moved={"nozzle": -0.2}, noise=0.001)
+    band = report.band_of(runs, report.trend.no_pause)
+    assert [pair is None for pair in band] == [True] * 10 + [False] * 10
+    low, high = band[-1]
+    assert high - low == pytest.approx(2 * 0.02)
+    assert low < report.trend.body(runs[-1]) < high
+
+
+def test_spreads_begin_at_nothing():
+    runs = make_runs(20)
+    for run in runs:
+        for site in run["sites"].values():
+            site["sd"] = 0.005
+    _, root = drawn(runs)
+    # Half of the least span, but for the room above
+    zero = [e for e in root.iter(f"{SVG}text") if e.text == "0"][-1]
+    (_, y), *_ = points(list(root.iter(f"{SVG}polyline"))[5])
+    up = float(zero.get("y")) - 4 - y
+    assert up == pytest.approx(plots.PLOT / 2 / 1.08, abs=0.2)
+
+
+def test_touches_of_the_last_run_and_which_count():
+    runs = make_runs(9, touches=3)
+    bed = runs[-1]["sites"]["bed"]
+    samples = bed["samples"]
+    # A series that was rejected, of which one was like one that counts
+    bed["touches"] = [samples[0] + 0.02, samples[1], samples[2], *samples]
+    texts, root = drawn(runs)
+    assert f"z {bed['z']:.3f} mm, sd {1000 * bed['sd']:.1f} \u00b5m" in texts
+    circles = list(root.iter(f"{SVG}circle"))
+    assert sum(c.get("r") == "4.0" for c in circles) == 9
+    assert sum(c.get("r") == "4" for c in circles) == 3
+    assert report.counted([1, 2, 3, 2], [3, 2]) == [False, False, True, True]
+
+
+def test_sites_that_were_not_reached():
+    texts, _ = drawn([*make_runs(3), refused("bed: no trigger")])
+    assert texts.count("not measured") == 1
+    assert "The last run was refused: bed: no trigger." in texts
+
+
+def test_marks_where_something_was_told():
+    runs = make_runs(40)
+    for run in runs[30:]:
+        run["switch_offset"] = 0.5
+    runs[10]["warnings"] = ["nozzle: it sticks"]
+    runs[20]["wear"] = ["nozzle height", "spread of the bed's touches"]
+    runs[15]["cleaned"] = runs[16]["cleaned"] = "the touches do not agree"
+    texts, root = drawn(runs)
+    wanted = [
+        ", nozzle: it sticks",
+        ", told: the nozzle height drifts; told: the spread of the bed's touches",
+        ", switch_offset was 0.440 and is 0.500",
+    ]
+    for number, text in enumerate(wanted):
+        day = report.day(runs[10 * (number + 1)])
+        assert any(t.startswith(f"{number + 1}: {day}{text}") for t in texts), (
+            text
+        )
+    # In each of the six plots
+    dashed = [p for p in paths(root, "soft") if p.get("stroke-dasharray")]
+    assert len(dashed) == 3 * 6
+    (triangles,) = paths(root, "watch", "f")
+    assert triangles.get("d").count("M") == 2
+
+
+def test_changes_are_marked_where_they_were():
+    runs = make_runs(40)
+    told = {"what": "probe - switch", "by": 0.12, "runs": 6}
+    runs[29]["changed"] = [told, {**told, "what": "x", "told": False}]
+    texts, root = drawn(runs)
+    text = f"1: {report.day(runs[24])}, probe - switch changed by 0.120 mm"
+    assert text in texts
+    (flag,) = [e for e in root.iter(f"{SVG}text") if e.text == "1"]
+    assert float(flag.get("x")) == pytest.approx(
+        points(next(root.iter(f"{SVG}polyline")))[24][0]
     )
-    assert points[1][0] - points[0][0] == pytest.approx(
-        points[2][0] - points[1][0], abs=0.2
-    )
+
+
+def test_each_plate_has_its_curve():
+    plates = ["smooth", "textured", "", "one more"] * 10
+    runs = [{**r, "plate": p} for r, p in zip(make_runs(40), plates)]
+    texts, root = drawn(runs)
+    lines = [len(points(e)) for e in root.iter(f"{SVG}polyline")]
+    assert lines == [10] * 3 + [40] * 2 + [10] * 3 + [40] * 5
+    assert [texts.count(t) for t in ("no plate", "one more", "smooth")] == [
+        2
+    ] * 3
+    assert_texts_apart(root)
+
+
+def test_only_the_latest_marks_are_drawn():
+    runs = make_runs(40, warnings=["nozzle: it sticks"])
+    _, root = drawn(runs)
+    dashed = [p for p in paths(root, "soft") if p.get("stroke-dasharray")]
+    assert len(dashed) == report.MARKS * 6
 
 
 def test_samples_of_the_last_accuracy_run():
@@ -87,8 +216,16 @@ def test_samples_of_the_last_accuracy_run():
     texts, root = drawn([*make_runs(3), older, run])
     assert "All is well." in texts
     assert any("5 cycles" in text for text in texts)
-    dots = len(list(root.iter(f"{SVG}circle")))
-    assert dots == 5 * 2 * 3 + 3 * 10
+    dots = [c for c in root.iter(f"{SVG}circle") if c.get("r") == "2.2"]
+    assert len(dots) == 5 * 2 * 3 + 3 * 9
+    # What was last is first
+    place = [i for i, t in enumerate(texts) if t.startswith("Accuracy run of")]
+    assert place[0] < texts.index("Offset (mm)")
+    assert "Accuracy run: All is well." in texts
+    texts, _ = drawn([older, run, *make_runs(3)])
+    place = [i for i, t in enumerate(texts) if t.startswith("Accuracy run of")]
+    assert place[0] > texts.index("Offset (mm)")
+    assert "Nothing to do. The offset is known to +-0.006 mm (95 %)." in texts
     texts, root = drawn([run])
     assert "All is well." in texts
 
@@ -104,6 +241,9 @@ def test_samples_of_the_last_accuracy_run():
         make_runs(2, cycles=[], verdict=3),
         make_runs(2, cycles=[{"nozzle": [1.0], "bed": []}]),
         make_runs(3, time=9e11),
+        make_runs(3, warnings=3, wear=[[]], cleaned=5, revision=3, printer=""),
+        make_runs(3, changed=["x", {"by": "x", "runs": []}, {}]),
+        [*make_runs(2, plate=5), *make_runs(2, plate=[])],
         make_runs(2, offset=1e11),
         make_runs(2, offset=-1e-12),
     ],
@@ -114,27 +254,36 @@ def test_anything_in_the_file_is_drawn(records):
     assert texts
 
 
-def width_of(letters, css):
+def width_of(element):
     """At most, in the picture's units; bold ones are wider."""
-    return len(letters) * {"t": 10.5, "h": 7.6}.get(css[:1], 7.0)
+    size = float(element.get("font-size", plots.SIZE))
+    letter = 0.6 if element.get("font-weight") else 0.56
+    return len(element.text or "") * letter * size
 
 
 def test_no_text_is_outside_or_upon_another():
     cycles = [{name: [z] * 10 for name, z in HEIGHTS.items()}] * 200
     text = "a verdict of many words " * 9
     reason = "bed: no trigger, after all these words; check that " * 6
+    warning = "switch - nozzle is not what it was, so clean it " * 3
     runs = make_runs(200) + [refused(reason)] * 9
-    runs.append(make_run(random.Random(1), cycles=cycles, verdict=text))
-    root = drawn(runs)[1]
+    runs += make_runs(3, warnings=[warning] * 5, cleaned="it had to be")
+    many = make_run(random.Random(1), cycles=cycles, verdict=text)
+    for records in (runs, [*runs, many], [many, *runs[:205]], runs[:1]):
+        assert_texts_apart(drawn(records)[1])
+
+
+def assert_texts_apart(root):
     _, _, width, height = map(float, root.get("viewBox").split())
     for dot in root.iter(f"{SVG}circle"):
         assert plots.LEFT <= float(dot.get("cx")) <= width - plots.RIGHT
     boxes = []
     for element in root.iter(f"{SVG}text"):
         x, y = float(element.get("x")), float(element.get("y"))
-        css = element.get("class")
-        long = width_of(element.text or "", css)
-        x -= long if " e" in f" {css}" else long / 2 if " m" in css else 0
+        long = width_of(element)
+        x -= {"end": long, "middle": long / 2}.get(
+            element.get("text-anchor"), 0
+        )
         assert x >= 0.0 and x + long <= width, element.text
         assert 10.0 <= y <= height - 3.0
         boxes.append((x, x + long, y - 9.0, y + 2.0, element.text))

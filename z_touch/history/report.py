@@ -3,19 +3,24 @@
 #
 #   python3 -m z_touch.history.report history.jsonl [report.svg]
 #
-# from the folder in which z_touch stands.
+# from the folder in which z_touch stands.  From the top: what to do, the touches of
+# the last run, then the runs over days, with marks where something was told.
 from __future__ import absolute_import, division
 
 import logging
+import math
 import os
 import re
 import sys
 import time
 
 from ..core.sampling import summarize
-from . import trend
-from .file import SITES, parse, pause, replace
-from .svg import GAP, LEFT, Curve, Page, Plot, day
+from ..uncertainty.estimate import pool
+from . import svg as drawing
+from . import trend, verdict
+from .days import axis_of, day, minute
+from .file import SITES, parse, pause, replace, spreads_in
+from .svg import BELOW, EDGE, GAP, LEFT, RIGHT, WIDTH, Curve, Page, Plot
 
 # The newest reports are kept
 KEPT = 10
@@ -23,38 +28,220 @@ NAME = "report-%s.svg"
 
 USAGE = "python3 -m z_touch.history.report history.jsonl [report.svg]\n"
 
-# Points that a noisy curve is smoothed to
-SMOOTH = 60
+# A noisy curve is the mean of so many runs, or more where it would have more points
+SMOOTH_RUNS, SMOOTH_POINTS = 5, 60
+
+# Marks that are drawn, the latest
+MARKS = 9
+
+# Plates that have curves of their own, and letters of their names
+PLATE_COLOURS = "abc"
+PLATE_LETTERS = 8
+
+# Lines of one text of the verdict, and such texts
+LINES, TEXTS = 4, 4
+
+# What a plot spans at least: less is noise of a good printer.  mm, um, um, C
+LEAST_HEIGHT, LEAST_SPREAD, LEAST_OFF, LEAST_HEAT = 0.04, 10.0, 10.0, 20.0
+
+# Micrometres, on Python 2.7, too
+UM = b"\xc2\xb5m".decode("utf-8")
 
 SITE_COLOURS = tuple(zip(SITES, "abc"))
 
 
-def draw(page, title, curves, runs, marks=()):
-    curves = [c for c in curves if any(v is not None for v in c.values)]
-    values = [v for c in curves for v in c.values if v is not None]
-    values += [v for c in curves for pair in c.band or () if pair for v in pair]
-    if not values:
-        return
-    page.pause()
-    plot = Plot(page, len(runs), min(values), max(values))
-    plot.frame(title, dates_of(runs))
-    if len(curves) > 1:
-        plot.legend(curves)
-    for curve in curves:
+######################################################################
+# What to do
+######################################################################
+
+
+# 'cycles': the accuracy run that was the last thing, or None
+def draw_head(page, records, runs, cycles, printer):
+    page.y = GAP - 4
+    page.line("Z calibration", more='font-size="19" font-weight="600"')
+    if printer:
+        # Where two are alike, their folders are not
+        lack = len(printer) - drawing.LETTERS + 4
+        text = "..." + printer[lack:] if lack > 0 else printer
+        page.line(text, "soft")
+    page.line("; ".join(facts(records, runs)), "soft", most=2)
+    page.y += 8
+    draw_verdict(page, verdict.judge(runs, cycles, page.pause))
+
+
+# How many runs from when to when, and whose
+def facts(records, runs):
+    if runs:
+        days = sorted(set(day(run) for run in (runs[0], runs[-1])))
+        yield "%d runs, %s" % (len(runs), " to ".join(days))
+    revision = records[-1].get("revision") if records else None
+    if revision:
+        yield "z_calibration %s" % (revision,)
+
+
+# A box with a bar in the colour of the word
+def draw_verdict(page, found):
+    begin, top, colour = len(page.parts), page.y, found.level
+    page.y += 6
+    head = 'font-size="16" font-weight="700"'
+    page.line(found.level.capitalize(), colour, head, x=EDGE + 18)
+    for text in found.texts[:TEXTS]:
+        page.line(text, most=LINES, x=EDGE + 18)
+    more = len(found.texts) - TEXTS
+    if more > 0:
+        page.line("And %d more." % (more,), "soft", x=EDGE + 18)
+    page.y += 12
+    box = []
+    for width, opacity in ((WIDTH - 2 * EDGE, 0.1), (6, 1.0)):
+        box.append(
+            '<rect x="%d" y="%.1f" width="%d" height="%.1f" %s'
+            ' fill-opacity="%g"/>'
+            % (EDGE, top, width, page.y - top, drawing.fill(colour), opacity)
+        )
+    page.parts[begin:begin] = box
+
+
+######################################################################
+# The last run
+######################################################################
+
+
+# 'runs': it is the last of them
+def draw_last(page, runs):
+    last = runs[-1]
+    text = "Last run, %s" % (minute(last),)
+    if last["ok"]:
+        text += ": offset %.3f mm" % (last["offset"],)
+        if last.get("uncertainty") is not None:
+            text += " +-%.3f (95 %%)" % (last["uncertainty"],)
+    else:
+        text += ": refused"
+    page.title(text)
+    page.line(
+        "Touches in %s about the height that counts; hollow: rejected; band:"
+        " usual spread (95 %%)" % (UM,),
+        "soft",
+    )
+    page.y += 12
+    wide = (WIDTH - RIGHT - LEFT + 48) / 3.0
+    usual = [usual_spread(runs[:-1], site) for site in SITES]
+    offs = [offsets_of(last["sites"].get(site)) for site in SITES]
+    # The same for all of them
+    end = 1.08 * max([LEAST_OFF] + usual + [abs(v) for o in offs for v in o])
+    for number, (site, colour) in enumerate(SITE_COLOURS):
+        left = LEFT + number * wide
+        box = (left, left + wide - 48)
+        xs = [(i + 0.5) / len(offs[number]) for i in range(len(offs[number]))]
+        plot = Plot(page, xs, -end, end, box)
+        plot.frame(site.capitalize())
+        record = last["sites"].get(site)
+        if offs[number]:
+            draw_touches(plot, offs[number], record, usual[number], colour)
+        else:
+            plot.below("not measured")
+    page.y += drawing.TITLE + drawing.PLOT + BELOW
+
+
+# 1.96 standard deviations of a touch in earlier runs (um), 0: nobody knows
+def usual_spread(earlier, site):
+    known = pool(spreads_in(earlier, site))
+    return 1960.0 * math.sqrt(known.variance) if known.dof else 0.0
+
+
+# All touches of a site about its height (um)
+def offsets_of(record):
+    if not record or not record["samples"]:
+        return []
+    touches = record.get("touches") or record["samples"]
+    return [1000.0 * (touch - record["z"]) for touch in touches]
+
+
+def draw_touches(plot, offs, record, usual, colour):
+    plot.strip(-usual, usual, colour)
+    places = [(plot.x(i), plot.y(v)) for i, v in enumerate(offs)]
+    samples = record["samples"]
+    flags = counted(record.get("touches") or samples, samples)
+    plot.dots([p for p, f in zip(places, flags) if f], colour, 4.0)
+    plot.rings([p for p, f in zip(places, flags) if not f], colour)
+    text = "z %.3f mm, sd %.1f %s"
+    plot.below(text % (record["z"], 1000.0 * record["sd"], UM))
+
+
+# Of each touch whether it is one of the samples, which are the latest
+def counted(touches, samples):
+    left, flags = list(samples), []
+    for touch in reversed(touches):
+        flags.append(touch in left)
+        if touch in left:
+            left.remove(touch)
+    return flags[::-1]
+
+
+######################################################################
+# Over days
+######################################################################
+
+
+# Plots of the runs, one below the other.  'axis': days.Axis, 'flags': pairs of the
+# number of a run and what stands in its flag.
+class Runs(object):
+    def __init__(self, page, runs, flags):
+        self.page = page
+        self.runs = runs
+        self.flags = flags
         page.pause()
-        plot.curve(curve)
-    for number in marks:
-        plot.cross(number)
+        self.axis = axis_of(runs)
+        page.pause()
+
+    # Returns the Plot, None where there is nothing to see.  'least': what it spans
+    # in its own unit; 'zero': whether it begins there
+    def draw(self, titles, curves, least, zero=False):
+        page = self.page
+        curves = [c for c in curves if any(v is not None for v in c.values)]
+        values = [v for c in curves for v in c.values if v is not None]
+        values += [v for c in curves for p in c.band or () if p for v in p]
+        if not values:
+            return None
+        page.pause()
+        ends = drawing.spanned(min(values), max(values), least)
+        if zero:
+            ends = drawing.from_zero(max(values), least)
+        plot = Plot(page, self.axis.xs, *ends)
+        plot.frame(*titles)
+        plot.scale(self.axis.marks)
+        if len(curves) > 1:
+            plot.legend(curves)
+        for number, _ in self.flags:
+            plot.mark(number, "soft")
+        for curve in curves:
+            page.pause()
+            plot.curve(curve)
+        page.y = plot.bottom + BELOW + GAP
+        return plot
+
+    def values(self, value):
+        return values_of(self.runs, value)
+
+    # Of what depends on the plate: one for each, where the command has named them
+    def by_plate(self, curve):
+        plates = ["%s" % (run.get("plate") or "",) for run in self.runs]
+        names = sorted(set(plates))[: len(PLATE_COLOURS)]
+        if len(names) < 2:
+            return [curve]
+        return [
+            curve._replace(
+                name=name[:PLATE_LETTERS] or "no plate",
+                colour=colour,
+                values=only(curve.values, plates, name),
+                band=curve.band and only(curve.band, plates, name),
+            )
+            for name, colour in zip(names, PLATE_COLOURS)
+        ]
 
 
-# At both ends and in the middle, each once
-def dates_of(runs):
-    first, middle, last = [
-        day(runs[i]["time"]) for i in (0, len(runs) // 2, -1)
-    ]
-    if first == last:
-        return [first, "", ""]
-    return [first, "" if middle in (first, last) else middle, last]
+# Where the plate is the one of that name
+def only(values, plates, name):
+    return [v if plate == name else None for v, plate in zip(values, plates)]
 
 
 # Of good runs only
@@ -62,9 +249,9 @@ def values_of(runs, value):
     return [value(run) if run["ok"] else None for run in runs]
 
 
-# In um, each the mean of the values up to it where there are many
+# In um, each the mean of the latest values up to it
 def smooth(values, pause):
-    count, means = max(1, len(values) // SMOOTH), []
+    count, means = max(SMOOTH_RUNS, len(values) // SMOOTH_POINTS), []
     for i in range(len(values)):
         if i % 100 == 0:
             pause()
@@ -74,16 +261,18 @@ def smooth(values, pause):
     return means
 
 
-# Around the fingerprint, since nozzle and probe are the ones they are
+# Where switch - nozzle is not told, since nozzle and probe are the ones they are
 def band_of(runs, pause):
-    (middle, sigma, _), since, _ = trend.summarize_runs(runs, pause)
-    if middle is None:
+    summary = trend.summarize_runs(runs, pause)
+    known = trend.fingerprint_of(trend.bodies_as_hot(runs, summary, runs[-1]))
+    if known.middle is None:
         return None
-    far = max(trend.FAR_SIGMA * sigma, trend.FAR)
+    far = max(trend.FAR_SIGMA * known.sigma, trend.FAR_AS_HOT)
     band, good = [], 0
     for run in runs:
-        there = good >= since
-        band.append((middle - far, middle + far) if there else None)
+        there = good >= summary.since
+        ends = (known.middle - far, known.middle + far)
+        band.append(ends if there else None)
         good += run["ok"]
     return band
 
@@ -95,123 +284,180 @@ def around(values, widths):
     ]
 
 
-def draw_runs(page, runs):
-    refused = [i for i, run in enumerate(runs) if not run["ok"]]
-    offsets = values_of(runs, lambda run: run["offset"])
+# The offset with its marks, and what these say
+def draw_offsets(drawn, marks):
+    page, runs = drawn.page, drawn.runs
+    offsets = drawn.values(lambda run: run["offset"])
     widths = [run.get("uncertainty") for run in runs]
-    curve = Curve("offset", "a", offsets, around(offsets, widths))
-    title = "Offset (mm), where it is with 95 %; crosses: refused"
-    draw(page, title, [curve], runs, refused)
-    for site, colour in SITE_COLOURS:
-        heights = values_of(runs, trend.height(site))
-        title = "Height of the %s (mm)" % (site,)
-        draw(page, title, [Curve(site, colour, heights, None)], runs)
-    bodies = values_of(runs, trend.body)
-    curve = Curve("switch - nozzle", "a", bodies, band_of(runs, page.pause))
-    title = "Switch - nozzle (mm), and how far it may depart"
-    draw(page, title, [curve], runs)
-    curves = [
-        Curve(s, c, smooth(values_of(runs, trend.spread(s)), page.pause), None)
-        for s, c in SITE_COLOURS
-    ]
-    title = "Spread of each site (um)"
-    if len(runs) >= 2 * SMOOTH:
-        title += ", over %d runs" % (len(runs) // SMOOTH,)
-    draw(page, title, curves, runs)
+    curve = Curve("offset", "a", offsets, around(offsets, widths), True)
+    page.pause()
+    refused = [i for i, run in enumerate(runs) if not run["ok"]]
+    cleaned = [i for i, run in enumerate(runs) if run.get("cleaned")]
+    words = "band: 95 %"
+    words += "; x: refused" if refused else ""
+    words += "; triangle: cleaned" if cleaned else ""
+    curves = drawn.by_plate(curve)
+    plot = drawn.draw(("Offset (mm)", words), curves, LEAST_HEIGHT)
+    if plot is None:
+        return
+    plot.signs(refused, "x", "act")
+    plot.signs(cleaned, "v", "watch")
+    for number, text in drawn.flags:
+        plot.flag(number, text, "soft")
+    page.y -= GAP - 4
+    for number, text in drawn.flags:
+        told = "; ".join(m.text for m in marks if m.number == number)
+        text = "%s: %s, %s" % (text, day(runs[number]), told)
+        page.line(text, most=2, x=LEFT)
+    page.y += GAP - 4
+
+
+# The latest runs at which something was told, with a number
+def flags_of(marks):
+    numbers = sorted(set(mark.number for mark in marks))[-MARKS:]
+    return [(number, "%d" % (i + 1,)) for i, number in enumerate(numbers)]
+
+
+def draw_runs(page, runs):
+    marks = verdict.marks_of(runs, page.pause)
+    drawn = Runs(page, runs, flags_of(marks))
+    page.y += GAP
+    draw_offsets(drawn, marks)
+    bands = {"switch - nozzle": band_of(runs, page.pause)}
+    for name, words, value, colour in HEIGHTS:
+        title = "%s (mm)" % (name,)
+        curve = Curve(
+            name, colour, drawn.values(value), bands.get(name.lower()), True
+        )
+        curves = drawn.by_plate(curve) if value is probe else [curve]
+        # The names of several are where these words would be
+        titles = (title, words) if len(curves) == 1 else (title,)
+        drawn.draw(titles, curves, LEAST_HEIGHT)
     curves = [
         Curve(
-            name,
-            colour,
-            [run.get("temperatures", {}).get(key) for run in runs],
-            None,
+            s, c, smooth(drawn.values(trend.spread(s)), page.pause), None, True
         )
-        for name, key, colour in (
-            ("nozzle", "extruder", "b"),
-            ("bed", "heater_bed", "c"),
-        )
+        for s, c in SITE_COLOURS
     ]
-    draw(page, "Temperatures (C)", curves, runs)
+    count = max(SMOOTH_RUNS, len(runs) // SMOOTH_POINTS)
+    titles = ("Spread of touches (%s)" % (UM,), "mean of %d runs" % (count,))
+    drawn.draw(titles, curves, LEAST_SPREAD, True)
+    heats = [
+        Curve(name, colour, [heat(run, key) for run in runs], None, True)
+        for name, key, colour in HEATS
+    ]
+    drawn.draw(("Temperatures (C)",), heats, LEAST_HEAT)
+
+
+def heat(run, key):
+    return run.get("temperatures", {}).get(key)
+
+
+# How high the probe triggers above its body on the pin (mm)
+def probe(run):
+    return trend.height("bed")(run) - trend.height("switch")(run)
+
+
+# Of a plot: its name, what it depends on, a value of a run (mm), colour
+HEIGHTS = (
+    (
+        "Nozzle on the pin",
+        "depends on homing, on the pin, on the nozzle",
+        trend.height("nozzle"),
+        "a",
+    ),
+    (
+        "Switch - nozzle",
+        "the same until one of them is exchanged, dirty or loose",
+        trend.body,
+        "b",
+    ),
+    (
+        "Probe - switch",
+        "depends on the bed and its plate, and on the probe's switch",
+        probe,
+        "c",
+    ),
+)
+HEATS = (("nozzle", "extruder", "b"), ("bed", "heater_bed", "c"))
 
 
 def draw_reasons(page, runs):
     refused = [run for run in runs if not run["ok"]]
-    if refused:
-        page.line("h", "Refused: %d, the last ones" % (len(refused),))
+    if not refused:
+        return
+    page.y -= GAP
+    page.title("Refused: %d, the last ones" % (len(refused),))
     for run in reversed(refused[-6:]):
-        text = "%s: %s" % (day(run["time"]), run.get("reason"))
-        page.line("s", text, 4)
+        text = "%s: %s" % (minute(run), run.get("reason"))
+        page.line(text, "soft", most=4)
 
 
-def draw_summary(page, runs):
-    page.y = GAP
-    page.text(LEFT - 48, page.y + 6, "t", "Z calibration")
-    page.y += 8
-    good = [run for run in runs if run["ok"]]
-    text = "%d runs, %s to %s" % (
-        len(runs),
-        day(runs[0]["time"]),
-        day(runs[-1]["time"]),
-    )
-    page.line("s", text)
-    if good:
-        last, width = good[-1], good[-1].get("uncertainty")
-        text = "last offset %.3f mm" % (last["offset"],)
-        if width is not None:
-            text += " +-%.3f (95 %%)" % (width,)
-        page.line("", text)
-    page.y += GAP
+######################################################################
+# An accuracy run
+######################################################################
 
 
-# The samples of each cycle of an accuracy run
+# The samples of each of its cycles
 def draw_cycles(page, record):
     cycles = record["cycles"]
-    text = "Accuracy run of %s: %d cycles" % (day(record["time"]), len(cycles))
-    page.line("h", text)
-    page.line("s", record.get("verdict") or "", 4)
+    text = "Accuracy run of %s: %d cycles" % (minute(record), len(cycles))
+    page.title(text)
+    page.line(record.get("verdict") or "", "soft", most=4)
     page.y += GAP
     for site, colour in SITE_COLOURS:
         page.pause()
         all_samples = [cycle.get(site) or [] for cycle in cycles]
         flat = [z for samples in all_samples for z in samples]
-        if not flat:
-            continue
-        middle = summarize(flat, "median")
-        plot = Plot(
-            page,
-            len(cycles),
-            1000.0 * (min(flat) - middle),
-            1000.0 * (max(flat) - middle),
-        )
-        ends = ("cycle 1", "", "cycle %d" % (len(cycles),))
-        text = "%s: samples about their median (um)" % (site.capitalize(),)
-        plot.frame(text, ends)
-        for number, samples in enumerate(all_samples):
-            apart = min(3.0, plot.apart() / len(samples))
-            for i, z in enumerate(samples):
-                shift = (i - (len(samples) - 1) / 2.0) * apart
-                plot.dot(
-                    plot.x(number) + shift,
-                    plot.y(1000.0 * (z - middle)),
-                    colour,
-                )
+        if flat:
+            draw_samples(page, site, colour, all_samples)
 
 
-# The picture as text.  pause() is called often.
-def svg(records, pause=trend.no_pause):
+def draw_samples(page, site, colour, all_samples):
+    flat = [z for samples in all_samples for z in samples]
+    middle, count = summarize(flat, "median"), len(all_samples)
+    offs = [1000.0 * (z - middle) for z in flat]
+    ends = drawing.spanned(min(offs), max(offs), 20.0)
+    xs = [(i + 0.5) / count for i in range(count)]
+    plot = Plot(page, xs, *ends)
+    plot.frame(
+        "%s (%s)" % (site.capitalize(), UM), "samples about their median"
+    )
+    plot.scale([(xs[0], "cycle 1"), (xs[-1], "cycle %d" % (count,))][:count])
+    apart = (WIDTH - RIGHT - LEFT - 14) / count
+    for number, samples in enumerate(all_samples):
+        between = min(4.0, apart / max(1, len(samples)))
+        places = [
+            (
+                plot.x(number) + (i - (len(samples) - 1) / 2.0) * between,
+                plot.y(1000.0 * (z - middle)),
+            )
+            for i, z in enumerate(samples)
+        ]
+        plot.dots(places, colour)
+    page.y = plot.bottom + BELOW + GAP
+
+
+######################################################################
+# The picture
+######################################################################
+
+
+# The picture as text.  'printer' is told; pause() is called often.
+def svg(records, pause=trend.no_pause, printer=""):
     page = Page(pause)
     runs = [r for r in records if "cycles" not in r]
-    cycles = [r for r in records if "cycles" in r]
+    cycles = [r for r in records if r.get("cycles")]
+    latest = cycles[-1] if cycles and cycles[-1] is records[-1] else None
+    draw_head(page, records, runs, latest, printer)
+    if latest is not None:
+        draw_cycles(page, latest)
     if runs:
-        draw_summary(page, runs)
-        if cycles:
-            draw_cycles(page, cycles[-1])
+        draw_last(page, runs)
         draw_runs(page, runs)
         draw_reasons(page, runs)
-    elif cycles:
-        page.y = GAP
+    if cycles and latest is None:
         draw_cycles(page, cycles[-1])
-    else:
-        page.line("", "There are no runs yet")
     return page.done()
 
 
@@ -219,7 +465,7 @@ def svg(records, pause=trend.no_pause):
 def write(file, printer, pause=pause):
     records, _ = file.read()
     records = [r for r in records if r.get("printer") == printer]
-    text = svg(records, pause)
+    text = svg(records, pause, printer)
     name = NAME % (time.strftime("%Y%m%d-%H%M%S", time.localtime()),)
     if not os.path.isdir(file.folder):
         os.makedirs(file.folder)
@@ -250,7 +496,7 @@ def main(words):
     folder = os.path.dirname(words[0])
     path = words[1] if words[1:] else os.path.join(folder, "report.svg")
     with open(path, "wb") as f:
-        f.write(svg(records).encode("ascii"))
+        f.write(svg(records, printer=printer).encode("ascii"))
     sys.stdout.write(path + "\n")
     return 0
 

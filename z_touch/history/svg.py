@@ -1,39 +1,72 @@
 # What a picture is made of: text, plots and their curves, as SVG.
 # Copyright (C) 2026  the Z calibration developers, under the GNU GPLv3
+#
+# Colours stand in the elements themselves, as many viewers know no style sheets,
+# or no variables in them.  The style sheet only changes them on dark pages.
 from __future__ import absolute_import, division
 
 import collections
 import math
-import time
 
 # Of the picture and of its plots, in its own units
-WIDTH = 560
-LEFT, RIGHT = 62, 14
-PLOT = 112
-TITLE, BELOW, GAP = 26, 16, 16
-LINE = 17
+WIDTH = 720
+LEFT, RIGHT = 66, 18
+EDGE = 18
+PLOT = 104
+TITLE, BELOW, GAP = 24, 18, 20
+LINE = 18
+SIZE = 13
 
-# Letters in a line of text
-LETTERS = 76
+# Letters in a line of text: none is wider than 7.2 on an average
+LETTERS = 94
 
-STYLE = """
-svg{max-width:860px;background:#fff;--ink:#1f2328;--soft:#59636e;--grid:#d1d9e0;
---a:#0969da;--b:#bc4c00;--c:#1a7f37;--bad:#cf222e;display:block;margin:auto}
-@media(prefers-color-scheme:dark){svg{background:#0d1117;--ink:#e6edf3;
---soft:#9198a1;--grid:#3d444d;--a:#58a6ff;--b:#f0883e;--c:#3fb950;--bad:#ff7b72}}
-text{font:12.5px system-ui,sans-serif;fill:var(--ink)}
-.h{font-weight:600}.t{font-size:17px;font-weight:600}.s{fill:var(--soft)}
-.e{text-anchor:end}.m{text-anchor:middle}
-.g{stroke:var(--grid);fill:none}.x{stroke:var(--bad);fill:none}
-.l{fill:none;stroke-width:1.5}
-.a{stroke:var(--a)}.b{stroke:var(--b)}.c{stroke:var(--c)}
-.fa{fill:var(--a)}.fb{fill:var(--b)}.fc{fill:var(--c)}
-.band{stroke:none;opacity:.25}
-"""
+# By name: on a light and on a dark page
+COLOURS = (
+    ("page", "#ffffff", "#0d1117"),
+    ("ink", "#1f2328", "#e6edf3"),
+    ("soft", "#59636e", "#9198a1"),
+    ("grid", "#d8dee4", "#30363d"),
+    ("a", "#0969da", "#58a6ff"),
+    ("b", "#bc4c00", "#f0883e"),
+    ("c", "#8250df", "#bc8cff"),
+    ("good", "#1a7f37", "#3fb950"),
+    ("watch", "#9a6700", "#d29922"),
+    ("act", "#cf222e", "#ff7b72"),
+)
+LIGHT = dict((name, light) for name, light, _ in COLOURS)
+
+
+def dark_rules():
+    rules = [
+        ".f-%s{fill:%s}.s-%s{stroke:%s}" % (name, dark, name, dark)
+        for name, _, dark in COLOURS
+    ]
+    return "".join(rules)
+
+
+STYLE = (
+    "svg{max-width:100%%;height:auto;display:block;margin:auto}"
+    "@media(prefers-color-scheme:dark){svg{background:#0d1117}%s}"
+    % (dark_rules(),)
+)
 
 # One curve: its name, colour, and a value of each run or None.  'band': pairs
-# of low and high, or None
-Curve = collections.namedtuple("Curve", "name colour values band")
+# of low and high, or None.  'line': whether the points are joined.
+Curve = collections.namedtuple("Curve", "name colour values band line")
+
+
+# Attributes of an element
+def fill(colour):
+    return 'class="f-%s" fill="%s"' % (colour, LIGHT[colour])
+
+
+def stroke(colour, width=1.0, dashes=""):
+    text = 'class="s-%s" stroke="%s" fill="none"' % (colour, LIGHT[colour])
+    if width != 1.0:
+        text += ' stroke-width="%g"' % (width,)
+    if dashes:
+        text += ' stroke-dasharray="%s"' % (dashes,)
+    return text
 
 
 # In XML, without what it cannot hold
@@ -41,7 +74,7 @@ def escaped(text):
     letters = []
     for c in "%s" % (text,):
         code = ord(c)
-        if c in "&<>" or 0xA0 <= code < 0xD800:
+        if c in '&<>"' or 0xA0 <= code < 0xD800:
             letters.append("&#%d;" % (code,))
         else:
             letters.append(str(c) if 0x20 <= code < 0x7F else "?")
@@ -49,24 +82,17 @@ def escaped(text):
 
 
 # In lines of whole words, of which the last one is cut where there are more
-def wrapped(text, most):
+def wrapped(text, most, letters=LETTERS):
     lines = [""]
     for word in ("%s" % (text,)).split():
-        word = word[:LETTERS]
-        if len(lines[-1]) + len(word) >= LETTERS:
+        word = word[: letters - 1]
+        if len(lines[-1]) + len(word) >= letters:
             lines.append("")
         lines[-1] += (" " if lines[-1] else "") + word
     if len(lines) > most:
         lines = lines[:most]
-        lines[-1] = lines[-1][: LETTERS - 3] + "..."
+        lines[-1] = lines[-1][: letters - 3] + "..."
     return lines
-
-
-def day(seconds):
-    try:
-        return time.strftime("%Y-%m-%d", time.localtime(seconds))
-    except (OverflowError, ValueError, OSError):
-        return "?"
 
 
 # Round numbers between low and high, three or four
@@ -80,6 +106,19 @@ def ticks(low, high):
     return [((first + i) * step, digits) for i in range(count + 1)]
 
 
+# So much (of a plot's unit) at least between low and high, with room around
+def spanned(low, high, least):
+    lack = max(0.0, least - (high - low)) / 2.0
+    low, high = low - lack, high + lack
+    room = max((high - low) * 0.08, 1e-6 * abs(high))
+    return low - room, high + room
+
+
+# The same of what begins with 0
+def from_zero(high, least):
+    return 0.0, max(high, least) * 1.08
+
+
 # A drawing that grows downwards
 class Page(object):
     def __init__(self, pause):
@@ -88,73 +127,121 @@ class Page(object):
         self.pause = pause
 
     def add(self, text, *values):
-        self.parts.append(text % values)
+        self.parts.append(text % values if values else text)
 
-    def text(self, x, y, css, text):
+    # 'more': attributes
+    def text(self, x, y, text, colour="ink", more=""):
         self.add(
-            '<text x="%.1f" y="%.1f" class="%s">%s</text>',
+            '<text x="%.1f" y="%.1f" %s%s>%s</text>',
             x,
             y,
-            css,
+            fill(colour),
+            more and " " + more,
             escaped(text),
         )
 
-    def line(self, css, text, most=1):
-        for line in wrapped(text, most):
+    # Text of several lines at the edge
+    def line(self, text, colour="ink", more="", most=1, x=EDGE):
+        letters = LETTERS - int((x - EDGE) / 7.0)
+        for line in wrapped(text, most, letters):
             self.y += LINE
-            self.text(LEFT - 48, self.y, css, line)
+            self.text(x, self.y, line, colour, more)
+
+    def title(self, text):
+        self.y += GAP
+        self.line(text, more=BOLD)
 
     def done(self):
         height = self.y + GAP
         head = (
             '<svg xmlns="http://www.w3.org/2000/svg" viewBox="0 0 %d %d"'
-            ' width="100%%" preserveAspectRatio="xMidYMin"><style>%s</style>'
+            ' width="%d" height="%d" font-family="system-ui,-apple-system,'
+            'Segoe UI,Roboto,DejaVu Sans,sans-serif" font-size="%d">'
+            '<style>%s</style><rect width="%d" height="%d" %s/>\n'
         )
-        head %= (WIDTH, height, STYLE.replace("\n", ""))
+        size = (WIDTH, height)
+        head %= size + size + (SIZE, STYLE) + size + (fill("page"),)
         return head + "\n".join(self.parts) + "</svg>\n"
 
 
-# One plot: curves over the runs.  'marks': numbers of runs to cross out,
-# 'unit' and 'dates' (below it) are texts.
+BOLD = 'font-weight="600"'
+END = 'text-anchor="end"'
+MIDDLE = 'text-anchor="middle"'
+
+
+# One plot.  'xs': where each run is, from 0 to 1; 'box': its left and right end.
 class Plot(object):
-    def __init__(self, page, count, low, high):
+    def __init__(self, page, xs, low, high, box=(LEFT, WIDTH - RIGHT)):
         self.page = page
-        self.count = count
-        # Room above and below, also where all is the same
-        margin = max((high - low) * 0.08, 0.0005, 1e-6 * abs(high))
-        self.low, self.high = low - margin, high + margin
+        self.xs = xs
+        self.low, self.high = low, high
+        self.left, self.right = box
         self.top = page.y + TITLE
+        self.bottom = self.top + PLOT
 
-    def apart(self):
-        return (WIDTH - LEFT - RIGHT) / max(self.count, 1)
-
+    # So far from the ends that a point stays inside
     def x(self, number):
-        return LEFT + self.apart() * (number + 0.5)
+        return self.at(self.xs[number])
+
+    def at(self, part):
+        return self.left + 7 + part * (self.right - self.left - 14)
 
     def y(self, value):
         part = (value - self.low) / (self.high - self.low)
         return self.top + PLOT * (1.0 - part)
 
-    def frame(self, title, dates):
-        page, bottom = self.page, self.top + PLOT
-        page.text(LEFT - 48, page.y + 12, "h", title)
+    # Title, what it is in softer words, horizontal lines with their values
+    def frame(self, title, words=""):
+        page = self.page
+        x = EDGE if self.left == LEFT else self.left
+        page.text(x, page.y + 12, title, more=BOLD)
+        if words:
+            page.text(x + 7.7 * len(title) + 10, page.y + 12, words, "soft")
+        lines = []
         for value, digits in ticks(self.low, self.high):
             y, text = self.y(value), "%.*f" % (digits, value + 0.0)
+            lines.append("M%.1f %.1fH%.1f" % (self.left, y, self.right))
+            page.text(self.left - 6, y + 4, text, "soft", END)
+        page.add('<path d="%s" %s/>', "".join(lines), stroke("grid"))
+
+    # Below it: pairs of a place from 0 to 1 and a text
+    def scale(self, marks):
+        page = self.page
+        for part, text in marks:
+            x, more = self.at(part), MIDDLE
             page.add(
-                '<path d="M%d %.1fH%d" class="g"/>', LEFT, y, WIDTH - RIGHT
+                '<path d="M%.1f %.1fv4" %s/>', x, self.bottom, stroke("soft")
             )
-            page.text(LEFT - 6, y + 4, "s e", text)
-        for part, css, text in zip((0, 0.5, 1), ("s", "s m", "s e"), dates):
-            x = LEFT + part * (WIDTH - LEFT - RIGHT)
-            page.text(x, bottom + 14, css, text)
-        page.y = bottom + BELOW + GAP
+            if x - 3.6 * len(text) < self.left:
+                x, more = self.left, ""
+            elif x + 3.6 * len(text) > self.right:
+                x, more = self.right, END
+            page.text(x, self.bottom + 16, text, "soft", more)
+
+    # A text below it
+    def below(self, text):
+        x = (self.left + self.right) / 2.0
+        self.page.text(x, self.bottom + 16, text, "soft", MIDDLE)
+
+    # All of it between two heights
+    def strip(self, low, high, colour):
+        self.page.add(
+            '<rect x="%.1f" y="%.1f" width="%.1f" height="%.1f" %s'
+            ' fill-opacity="0.15"/>',
+            self.left,
+            self.y(high),
+            self.right - self.left,
+            self.y(low) - self.y(high),
+            fill(colour),
+        )
 
     # Names of the curves, from the right
     def legend(self, curves):
-        x = WIDTH - RIGHT
+        x = self.right
         for curve in reversed(curves):
+            more = BOLD + " " + END
             self.page.text(
-                x, self.top - TITLE + 12, "e f" + curve.colour, curve.name
+                x, self.top - TITLE + 12, curve.name, curve.colour, more
             )
             x -= 8.0 * len(curve.name) + 14
 
@@ -162,18 +249,32 @@ class Plot(object):
         points = [(i, v) for i, v in enumerate(curve.values) if v is not None]
         if curve.band:
             self.band(curve)
-        path = self.path(points)
-        self.page.add(
-            '<polyline points="%s" class="l %s"/>', path, curve.colour
-        )
-        if self.count <= 60:
-            for i, v in points:
-                self.dot(self.x(i), self.y(v), curve.colour)
+        if curve.line:
+            self.page.add(
+                '<polyline points="%s" %s/>',
+                self.path(points),
+                stroke(curve.colour, 1.6),
+            )
+        if len(self.xs) <= 120:
+            places = [(self.x(i), self.y(v)) for i, v in points]
+            self.dots(places, curve.colour, 2.2 if curve.line else 1.5)
 
-    def dot(self, x, y, colour):
-        self.page.add(
-            '<circle cx="%.1f" cy="%.1f" r="2.2" class="f%s"/>', x, y, colour
-        )
+    def dots(self, places, colour, radius=2.2):
+        circles = [
+            '<circle cx="%.1f" cy="%.1f" r="%.1f"/>' % (x, y, radius)
+            for x, y in places
+        ]
+        self.page.add("<g %s>%s</g>", fill(colour), "".join(circles))
+
+    # Of what does not count
+    def rings(self, places, colour):
+        for x, y in places:
+            self.page.add(
+                '<circle cx="%.1f" cy="%.1f" r="4" %s/>',
+                x,
+                y,
+                stroke(colour, 1.5),
+            )
 
     def path(self, points):
         corners = []
@@ -187,13 +288,45 @@ class Plot(object):
         there = [(i, b) for i, b in enumerate(curve.band) if b is not None]
         points = [(i, b[0]) for i, b in there]
         points += [(i, b[1]) for i, b in reversed(there)]
-        path = self.path(points)
         self.page.add(
-            '<polygon points="%s" class="band f%s"/>', path, curve.colour
+            '<polygon points="%s" %s fill-opacity="0.2"/>',
+            self.path(points),
+            fill(curve.colour),
         )
 
-    def cross(self, number):
-        x, y = self.x(number), self.top + PLOT - 5
+    # A dashed line through it, at one run
+    def mark(self, number, colour):
         self.page.add(
-            '<path d="M%.1f %.1fl8 8m0 -8l-8 8" class="x"/>', x - 4, y - 4
+            '<path d="M%.1f %.1fV%.1f" %s/>',
+            self.x(number),
+            self.top,
+            self.bottom,
+            stroke(colour, dashes="4 3"),
         )
+
+    # A flag with a text at the top of such a line
+    def flag(self, number, text, colour):
+        x, wide = self.x(number), 7.4 * len(text) + 6
+        self.page.add(
+            '<rect x="%.1f" y="%.1f" width="%.1f" height="14" rx="3" %s/>',
+            x - wide / 2.0,
+            self.top - 7,
+            wide,
+            fill(colour),
+        )
+        self.page.text(x, self.top + 4, text, "page", MIDDLE + " " + SMALL)
+
+    # At the bottom: an X, or a triangle
+    def signs(self, numbers, shape, colour):
+        y = self.bottom - 5
+        if not numbers:
+            return
+        if shape == "x":
+            form, more = "M%.1f %.1fl7 7m0 -7l-7 7", stroke(colour, 1.6)
+        else:
+            form, more = "M%.1f %.1fh7l-3.5 7z", fill(colour)
+        paths = [form % (self.x(i) - 3.5, y - 3.5) for i in numbers]
+        self.page.add('<path d="%s" %s/>', "".join(paths), more)
+
+
+SMALL = 'font-size="11" font-weight="600"'

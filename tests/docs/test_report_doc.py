@@ -1,0 +1,124 @@
+"""docs/report.md: what a report tells, and its pictures."""
+
+from __future__ import annotations
+
+import ast
+import re
+import time
+from collections.abc import Iterator
+from pathlib import Path
+
+import pytest
+
+from tests.docs.documents import link_problems, normal, rows, spans
+from tests.docs.pictures import DOCS
+from tests.docs.sources import VALUE, texts
+from tools.gallery.__main__ import OWNER, STORIES
+from z_touch.history import file, report, verdict
+
+DOCUMENT = DOCS / "report.md"
+TEXT = DOCUMENT.read_text(encoding="utf-8")
+SOURCE = Path(verdict.__file__).read_text(encoding="utf-8")
+# For what is missing in a record, and what is looked for in it
+NO_TEXTS = {
+    "nobody knows why",
+    "something was exchanged",
+    "switch - nozzle",
+    "nothing to do",
+    "spread of the <...>'s touches",
+    "clean it",
+}
+CONSTANTS = (
+    "GOOD_WORTH",
+    "POOR_WORTH",
+    "OFTEN",
+    "LATEST",
+    "WEAR_STAYS",
+    "CHANGE_STAYS",
+)
+
+
+def told() -> set[str]:
+    """Every text of more than one word that the report may show, in pieces."""
+    found = {
+        normal(re.sub(r"%(?:\.\d+)?[sdf]", VALUE, text)).replace("%%", "%")
+        for text in texts(ast.parse(SOURCE))
+    }
+    return {text for text in found if " " in text} - NO_TEXTS
+
+
+def problems(text: str) -> Iterator[str]:
+    """What is missing or wrong."""
+    written = {
+        normal(re.sub(r"<[^<>]+>", VALUE, span))
+        for row in rows(text)
+        for span in spans(row[0])
+    }
+    yield from (f"it says: {words}" for words in told() - written)
+    # Those of other rooms have a value only, or two
+    more = {words for words in written - told() if " " in words}
+    yield from (f"it does not say: {words}" for words in more)
+    for name in CONSTANTS:
+        if not re.search(
+            rf"`{name}` \({getattr(verdict, name):g}( mm)?\)", text
+        ):
+            yield f"{name} is not {getattr(verdict, name):g}"
+    for name in STORIES:
+        if name != "accuracy" and f"(report_{name}.svg)" not in text:
+            yield f"the picture {name} is not shown"
+    yield from link_problems(text, DOCUMENT)
+
+
+MISTAKES = {
+    "left out": (r"(?m)^\| `The nozzle had to be.*\n", ""),
+    "too many": (
+        r"\| `switch_offset was",
+        "| `it was so`<br>`switch_offset was",
+    ),
+    "number": (r"`OFTEN` \(3\)", "`OFTEN` (4)"),
+    "picture": (r"\(report_wear.svg\)", "(report_good.svg)"),
+    "link": (r"\]\(#", "](#no-"),
+}
+
+
+def test_all_that_it_tells_is_there_and_mistakes_are_found():
+    assert not "\n".join(problems(TEXT))
+    for what, (old, new) in MISTAKES.items():
+        changed, count = re.subn(old, new, TEXT)
+        assert count, what
+        assert list(problems(changed)), what
+
+
+@pytest.fixture
+def greenwich(monkeypatch):
+    """Days and hours as the pictures have them."""
+    monkeypatch.setenv("TZ", "UTC")
+    time.tzset()
+    yield
+    monkeypatch.undo()
+    time.tzset()
+
+
+@pytest.mark.parametrize("name", STORIES)
+def test_pictures_are_drawn_from_what_was_measured(name, greenwich):
+    path = DOCS / f"report_{name}.jsonl"
+    lines = path.read_bytes().splitlines()
+    assert len(lines) == STORIES[name][0]
+    records = list(map(file.parse, lines))
+    picture = path.with_suffix(".svg").read_text(encoding="ascii")
+    assert report.svg(records, printer=OWNER) == picture
+
+
+@pytest.mark.parametrize(
+    ("name", "level", "words"),
+    [
+        ("good", "good", "Nothing to do."),
+        ("dirt", "act", "the nozzle is dirty"),
+        ("wear", "watch", "The probe - switch drifts by -0.0"),
+    ],
+)
+def test_stories_end_as_they_are_told(name, level, words):
+    lines = (DOCS / f"report_{name}.jsonl").read_bytes().splitlines()
+    found = verdict.judge(list(map(file.parse, lines)))
+    assert found.level == level
+    assert words in " ".join(found.texts)

@@ -1,0 +1,175 @@
+"""z_touch/history/verdict.py: what an owner has to do, by his history."""
+
+from __future__ import annotations
+
+import random
+
+import pytest
+
+from tests.unit.runs import make_run, make_runs
+from z_touch.history import trend, verdict
+
+DIRTY = "switch - nozzle is 6.415 mm and was 6.377 mm in earlier runs"
+MESH = "bed_mesh is 0.030 mm at 150, 150, where the bed was measured"
+
+
+def refused(count=1, reason="bed: no trigger"):
+    run = make_run(random.Random(1), ok=False, offset=None, reason=reason)
+    return [{**run, "sites": {}}] * count
+
+
+def told(at=-1, count=30, **changes):
+    """Runs of which one is another one."""
+    runs = make_runs(count, seed=3)
+    runs[at] = {**runs[at], **changes}
+    return runs
+
+
+def noisy(uncertainty):
+    return told(
+        uncertainty=uncertainty,
+        sites=make_run(random.Random(4), worn={"bed": 0.02})["sites"],
+    )
+
+
+CASES = {
+    "none": ([], "watch", "There are no runs yet"),
+    "good": (make_runs(30), "good", "Nothing to do."),
+    "few": (make_runs(2), "good", "after 3 more good ones"),
+    "refused": (
+        make_runs(9) + refused(),
+        "act",
+        "The last run was refused: bed: no trigger.",
+    ),
+    "refused once": (make_runs(9) + refused() + make_runs(1), "good", ""),
+    "often refused": (
+        make_runs(9) + refused(3) + make_runs(2),
+        "watch",
+        "3 of the last 10 runs were refused, the last one on 2023-11-14: bed",
+    ),
+    "refused long ago": (refused(5) + make_runs(10), "good", ""),
+    "dirty": (told(warnings=[DIRTY]), "act", DIRTY[1:]),
+    "dirty before": (told(-2, warnings=[DIRTY]), "good", ""),
+    "mesh": (told(warnings=[MESH]), "watch", MESH[1:]),
+    "nothing of it": (told(warnings="x", wear=3), "good", ""),
+    "vague": (
+        noisy(0.012),
+        "watch",
+        "+-0.012 mm only; most of it are the bed's touches, which vary by",
+    ),
+    "poor": (noisy(0.03), "act", "its switch may be worn; samples: auto"),
+    "doubted": (
+        told(uncertainty=0.03, warnings=[MESH]),
+        "watch",
+        MESH[1:],
+    ),
+    "worn": (
+        told(-5, wear=["nozzle height"]),
+        "watch",
+        "The nozzle height drifts by 0.004 mm in 30 runs, told on 2023-12-10: "
+        "check the switch that",
+    ),
+    "grown": (
+        told(wear=["spread of the bed's touches"]),
+        "watch",
+        "The spread of the bed's touches grows from 0.00",
+    ),
+    "worn, but hardly known": (
+        told(count=3, wear=["nozzle height"]),
+        "good",
+        "",
+    ),
+    "worn long ago": (told(5, 40, wear=["nozzle height"]), "good", ""),
+    "changed": (
+        told(-5, changed=[{"what": "probe - switch", "by": 0.12, "runs": 6}]),
+        "watch",
+        "Probe - switch changed by 0.120 mm on 2023-12-05, between two runs: ",
+    ),
+    "changed some time ago": (
+        told(-6, changed=[{"what": "probe - switch", "by": 0.12, "runs": 6}]),
+        "good",
+        "",
+    ),
+    "back again": (
+        told(changed=[{"what": "x", "by": 1, "runs": 6, "told": False}]),
+        "good",
+        "",
+    ),
+    "cleaned": (
+        make_runs(20) + make_runs(3, cleaned="it had to be"),
+        "watch",
+        "had to be cleaned in 3 of the last 10 runs",
+    ),
+    "cleaned twice": (
+        make_runs(20) + make_runs(2, cleaned="it had to be"),
+        "good",
+        "",
+    ),
+}
+
+
+@pytest.mark.parametrize("name", CASES)
+def test_verdict(name):
+    runs, level, words = CASES[name]
+    found = verdict.judge(runs)
+    assert found.level == level
+    assert words in " ".join(found.texts)
+    assert len(found.texts) == 1 or name in ("few", "worn, but hardly known")
+
+
+def test_it_says_how_much_since_the_stretch_has_begun():
+    """Not what another nozzle has changed before."""
+    runs = make_runs(10) + make_runs(40, moved={"nozzle": -0.2}, homing=0.0)
+    for number, run in enumerate(runs[10:]):
+        run["sites"]["bed"]["z"] += 0.001 * number
+        run["sites"]["bed"]["sd"] = 0.002 + 0.0001 * number
+    names = ["probe - switch", "spread of the bed's touches"]
+    runs[-3]["wear"] = names
+    day = "in 40 runs, told on 2023-12-"
+    first, second = verdict.judge(runs).texts
+    assert first.startswith("The probe - switch drifts by 0.039")
+    assert second.startswith(
+        "The spread of the bed's touches grows from 0.0026 to 0.0053 mm"
+    )
+    assert day in first and day in second
+    # What was told before it has changed is over
+    change = {"what": "probe - switch", "by": 0.1, "runs": 1}
+    runs[-1]["changed"] = [change]
+    texts = verdict.judge(runs).texts
+    assert [text.split(" ")[0] for text in texts] == ["The", "Probe"]
+
+
+def test_the_worst_comes_first():
+    runs = told(-3, wear=["switch - nozzle"])
+    runs[-1]["warnings"] = [MESH, DIRTY]
+    level, texts = verdict.judge(runs)
+    assert level == "act"
+    assert [text[:8] for text in texts] == ["Switch -", "Bed_mesh", "The swit"]
+
+
+@pytest.mark.parametrize(
+    ("text", "level"),
+    [
+        ("nothing stands out, the bed varies most; nothing to do", "good"),
+        ("only the nozzle's touches vary; clean the nozzle", "watch"),
+        (None, "watch"),
+    ],
+)
+def test_an_accuracy_run_that_was_last_decides(text, level):
+    run = {"cycles": [{}], "verdict": text}
+    found = verdict.judge(make_runs(3), run)
+    assert found.level == level
+    assert (text or "") in found.texts[0]
+
+
+def test_each_trend_has_its_remedy():
+    names = {name for name, _, _ in trend.HEIGHTS + trend.SPREADS}
+    assert set(verdict.REMEDIES) == names
+
+
+def test_other_nozzle_is_marked():
+    runs = make_runs(10) + make_runs(10, moved={"nozzle": -0.2})
+    marks = verdict.marks_of(refused() + runs, trend.no_pause)
+    assert [(mark.number, mark.text) for mark in marks] == [
+        (11, "from here on switch - nozzle is another one")
+    ]

@@ -1,0 +1,269 @@
+# What an owner has to do by his history, in words; and what happened in it, when.
+# Copyright (C) 2026  the Z calibration developers, under the GNU GPLv3
+from __future__ import absolute_import, division
+
+import collections
+
+from . import trend
+from .days import day
+from .file import SITES, is_number
+
+# 'level': GOOD, WATCH or ACT; 'texts': on what, and what to do
+Verdict = collections.namedtuple("Verdict", "level texts")
+GOOD, WATCH, ACT = "good", "watch", "act"
+LEVELS = (GOOD, WATCH, ACT)
+
+# Something that was told at one run: its number among the runs, and a text
+Mark = collections.namedtuple("Mark", "number text")
+
+# An offset is good to (mm); from the second on a first layer shows it
+GOOD_WORTH, POOR_WORTH = 0.01, 0.02
+
+# Latest runs that are looked at, and how many of these are often
+LATEST = 10
+OFTEN = 3
+
+# Good runs for which a wear, and a change, that was told stays in the verdict
+WEAR_STAYS = 30
+CHANGE_STAYS = 10
+
+# What an accuracy run says of a printer that is as it should be
+NOTHING_TO_DO = "nothing to do"
+
+# What is less (mm) is the same switch_offset
+SAME = 1e-6
+
+# What a warning begins with whose touches were wrong
+OF_TOUCHES = ("switch - nozzle", "nozzle:", "switch:", "bed:")
+
+UNKNOWN = "nobody knows why"
+
+REMEDIES = dict((entry[0], entry[2]) for entry in trend.HEIGHTS + trend.SPREADS)
+
+# Of a run (mm), by the names of what is told as worn
+SPREADS = dict(
+    (entry[0], trend.spread(site)) for entry, site in zip(trend.SPREADS, SITES)
+)
+VALUES = dict(SPREADS, **dict((entry[0], entry[1]) for entry in trend.HEIGHTS))
+
+# What else changes a height at once than what is wrong
+CHANGES = dict((entry[0], entry[-1]) for entry in trend.HEIGHTS)
+
+
+######################################################################
+# What to do
+######################################################################
+
+
+# The Verdict of runs, the oldest first.  'cycles': an accuracy run after these, or
+# None; pause() is called often.
+def judge(runs, cycles=None, pause=trend.no_pause):
+    if cycles is not None:
+        text = "%s" % (cycles.get("verdict") or "",)
+        level = GOOD if NOTHING_TO_DO in text else WATCH
+        return Verdict(level, [sentence("Accuracy run: %s" % (text,))])
+    if not runs:
+        return Verdict(WATCH, ["There are no runs yet: run CALIBRATE_Z."])
+    found = []
+    for rule in (refusals, warnings, worth, wear, changes, cleanings):
+        found += rule(runs, pause) if rule is wear else rule(runs)
+    # sorted() keeps the order of those of one level
+    found.sort(key=lambda entry: -LEVELS.index(entry[0]))
+    if found:
+        return Verdict(found[0][0], [text for _, text in found])
+    good = sum(run["ok"] for run in runs)
+    texts, lack = [nothing_to_do(runs[-1])], trend.LEAST_RUNS - good
+    if lack > 0:
+        text = "New runs are compared with these after %d more good ones."
+        texts.append(text % (lack,))
+    return Verdict(GOOD, texts)
+
+
+def nothing_to_do(last):
+    found = last.get("uncertainty")
+    if found is None:
+        return "Nothing to do."
+    text = "Nothing to do. The offset is known to +-%.3f mm (95 %%)."
+    return text % (found,)
+
+
+def good_of(runs):
+    return [run for run in runs if run["ok"]]
+
+
+def refusals(runs):
+    last, refused = runs[-1], [r for r in runs[-LATEST:] if not r["ok"]]
+    if not last["ok"]:
+        text = "The last run was refused: %s"
+        yield ACT, sentence(text % (last.get("reason") or UNKNOWN,))
+    elif len(refused) >= OFTEN:
+        text = "%d of the last %d runs were refused, the last one on %s: %s"
+        count = min(LATEST, len(runs))
+        why = refused[-1].get("reason") or UNKNOWN
+        text %= (len(refused), count, day(refused[-1]), why)
+        yield WATCH, sentence(text)
+
+
+# What the last run has told
+def warnings(runs):
+    for text in texts_of(runs[-1], "warnings"):
+        yield ACT if text.startswith(OF_TOUCHES) else WATCH, sentence(text)
+
+
+# A list of texts that whoever edits the file may have made anything
+def texts_of(run, name):
+    texts = run.get(name)
+    return ["%s" % (t,) for t in texts] if isinstance(texts, list) else []
+
+
+def sentence(text):
+    return text[:1].upper() + text[1:].rstrip(".") + "."
+
+
+# What the last offset is worth, and which site makes it so
+def worth(runs):
+    last = runs[-1]
+    found = last.get("uncertainty")
+    if not last["ok"] or found is None or found <= GOOD_WORTH:
+        return
+    # What is told of the nozzle is part of it
+    if texts_of(last, "warnings"):
+        return
+    site = max(SITES, key=lambda name: variance(last, name))
+    name = "spread of the %s's touches" % (site,)
+    text = (
+        "The offset is known to +-%.3f mm only; most of it are the %s's touches,"
+        " which vary by %.4f mm: %s; samples: auto takes as many touches as it"
+        " needs."
+    )
+    level = ACT if found > POOR_WORTH else WATCH
+    sd = last["sites"][site]["sd"]
+    yield level, text % (found, site, sd, REMEDIES.get(name, "clean it"))
+
+
+# Of the height of a site (mm^2)
+def variance(run, site):
+    record = run["sites"][site]
+    return record["sd"] ** 2 / max(1, len(record["samples"]))
+
+
+# What was told of late, with how much it is by now
+def wear(runs, pause=trend.no_pause):
+    begin = first_of_stretch(runs, pause) or 0
+    told = [texts_of(run, "wear") for run in runs]
+    for name in sorted(set(n for t in told[begin:] for n in t if n in VALUES)):
+        first = max(
+            [begin] + [i for c, i in changes_of(runs) if c["what"] == name]
+        )
+        numbers = [i for i in range(first, len(runs)) if name in told[i]]
+        if not numbers or len(good_of(runs[numbers[-1] :])) > WEAR_STAYS:
+            continue
+        values = [VALUES[name](run) for run in good_of(runs[first:])]
+        if len(values) >= trend.LEAST_RUNS:
+            told_on = day(runs[numbers[-1]])
+            yield WATCH, sentence(worn(name, values, told_on))
+
+
+# 'values' (mm) of a height or a spread; by the middles of their first and last third
+def worn(name, values, told_on):
+    first, last = trend.thirds(values)
+    end = (len(values), told_on, REMEDIES[name])
+    if name in SPREADS:
+        text = "the %s grows from %.4f to %.4f mm in %d runs, told on %s: %s"
+        return text % ((name, first, last) + end)
+    # A line shifts by half as much again as its thirds do
+    shift = (last - first) * 1.5
+    text = "the %s drifts by %.3f mm in %d runs, told on %s: %s"
+    return text % ((name, shift) + end)
+
+
+# What one step has changed, as long as it is news
+def changes(runs):
+    for change, number in changes_of(runs):
+        if sum(run["ok"] for run in runs[number:]) > CHANGE_STAYS:
+            continue
+        text = (
+            "%s changed by %.3f mm on %s, between two runs: %s; otherwise look for"
+            " what is loose"
+        )
+        name, date = change["what"], day(runs[number])
+        cause = CHANGES.get(name, "something was exchanged")
+        yield WATCH, sentence(text % (name, change["by"], date, cause))
+
+
+# Pairs of what was told as changed, and the number of the first run after it
+def changes_of(runs):
+    found = []
+    for number, run in enumerate(runs):
+        for change in filter(is_change, run.get("changed") or ()):
+            if change.get("told", True):
+                first = number + 1 - int(change["runs"])
+                found.append((change, max(0, first)))
+    return found
+
+
+def is_change(change):
+    if not isinstance(change, dict) or "what" not in change:
+        return False
+    return is_number(change.get("by")) and is_number(change.get("runs"))
+
+
+def cleanings(runs):
+    latest = runs[-LATEST:]
+    count = sum(bool(run.get("cleaned")) for run in latest)
+    if count >= OFTEN:
+        text = (
+            "The nozzle had to be cleaned in %d of the last %d runs: clean it"
+            " before CALIBRATE_Z, at a temperature at which it does not drip."
+        )
+        yield WATCH, text % (count, len(latest))
+
+
+######################################################################
+# What happened
+######################################################################
+
+
+# The Marks of runs, in their order
+def marks_of(runs, pause):
+    marks, last = [], None
+    begin, after = first_of_stretch(runs, pause), {}
+    for change, number in changes_of(runs):
+        text = "%s changed by %.3f mm" % (change["what"], change["by"])
+        after.setdefault(number, []).append(text)
+    for number, run in enumerate(runs):
+        if number % 100 == 0:
+            pause()
+        texts = texts_of(run, "warnings")
+        for name in texts_of(run, "wear"):
+            text = (
+                "told: the %s grows"
+                if name in SPREADS
+                else "told: the %s drifts"
+            )
+            texts.append(text % (name,))
+        texts += after.get(number, ())
+        if number == begin and number not in after:
+            texts.append("from here on switch - nozzle is another one")
+        if run["ok"]:
+            texts += edited(last, run)
+            last = run
+        marks += [Mark(number, text) for text in texts]
+    return marks
+
+
+# The number of the run from which on nozzle and probe are the ones they are; None:
+# they were never others
+def first_of_stretch(runs, pause):
+    since = trend.summarize_runs(runs, pause).since
+    good = [i for i, run in enumerate(runs) if run["ok"]]
+    return good[since] if since else None
+
+
+def edited(before, run):
+    if before is None:
+        return []
+    old, new = before["switch_offset"], run["switch_offset"]
+    if abs(new - old) <= SAME:
+        return []
+    return ["switch_offset was %.3f and is %.3f" % (old, new)]
