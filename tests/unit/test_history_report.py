@@ -16,7 +16,7 @@ import pytest
 from tests.unit.runs import HEIGHTS, make_run, make_runs
 from tests.unit.stretches import AT_A_STRETCH, Stretches
 from z_touch.history import file as history
-from z_touch.history import report
+from z_touch.history import report, verdict
 from z_touch.history import svg as plots
 
 ROOT = Path(__file__).resolve().parents[2]
@@ -302,6 +302,19 @@ def test_many_runs_are_drawn_with_pauses_and_in_proportion():
     # Not four times as much for twice as many
     assert sum(many.lines) < 3 * sum(few.lines)
     assert len(text) < 300_000
+
+
+def test_so_are_many_runs_with_much_to_tell():
+    runs = make_runs(1000, warnings=["x"], cleaned="x")
+    for number, run in enumerate(runs):
+        run["plate"] = "ab"[number % 2]
+    runs[900]["changed"] = [
+        {"what": name, "by": 0.1, "runs": 5} for name in verdict.CHANGES
+    ]
+    runs[990]["wear"] = list(verdict.VALUES)
+    much = Stretches()
+    much.count(report.svg, runs, much.pause)
+    assert max(much.lines) < 2 * AT_A_STRETCH
 
 
 def test_nothing_but_itself_is_needed():

@@ -150,18 +150,26 @@ def variance(run, site):
 # What was told of late, with how much it is by now
 def wear(runs, pause=trend.no_pause):
     begin = first_of_stretch(runs, pause) or 0
-    told = [texts_of(run, "wear") for run in runs]
-    for name in sorted(set(n for t in told[begin:] for n in t if n in VALUES)):
-        first = max(
-            [begin] + [i for c, i in changes_of(runs) if c["what"] == name]
-        )
-        numbers = [i for i in range(first, len(runs)) if name in told[i]]
-        if not numbers or len(good_of(runs[numbers[-1] :])) > WEAR_STAYS:
+    pause()
+    latest = dict((n, i) for i, run in enumerate(runs) for n in told_worn(run))
+    pause()
+    changed = changes_of(runs)
+    for name, number in sorted(latest.items()):
+        pause()
+        first = max([begin] + [i for c, i in changed if c["what"] == name])
+        if number < first or len(good_of(runs[number:])) > WEAR_STAYS:
             continue
         values = [VALUES[name](run) for run in good_of(runs[first:])]
         if len(values) >= trend.LEAST_RUNS:
-            told_on = day(runs[numbers[-1]])
-            yield WATCH, sentence(worn(name, values, told_on))
+            yield WATCH, sentence(worn(name, values, day(runs[number])))
+
+
+def told_worn(run):
+    return (
+        [n for n in texts_of(run, "wear") if n in VALUES]
+        if run.get("wear")
+        else ()
+    )
 
 
 # 'values' (mm) of a height or a spread; by the middles of their first and last third
