@@ -162,7 +162,7 @@ def test_marks_where_something_was_told():
     texts, root = drawn(runs)
     wanted = [
         ", nozzle: it sticks",
-        ", told: the nozzle height drifts; told: the spread of the bed's touches",
+        ", told: nozzle height drifts; told: spread of the bed's touches",
         ", switch_offset was 0.440 and is 0.500",
     ]
     for number, text in enumerate(wanted):

@@ -66,13 +66,13 @@ CASES = {
     "worn": (
         told(-5, wear=["nozzle height"]),
         "watch",
-        "The nozzle height drifts by 0.004 mm in 30 runs, told on 2023-12-10: "
+        "Nozzle height drifts by 0.004 mm in 30 runs, told on 2023-12-10: "
         "check the switch that",
     ),
     "grown": (
         told(wear=["spread of the bed's touches"]),
         "watch",
-        "The spread of the bed's touches grows from 0.00",
+        "Spread of the bed's touches grows from 0.00",
     ),
     "worn, but hardly known": (
         told(count=3, wear=["nozzle height"]),
@@ -127,16 +127,16 @@ def test_it_says_how_much_since_the_stretch_has_begun():
     runs[-3]["wear"] = names
     day = "in 40 runs, told on 2023-12-"
     first, second = verdict.judge(runs).texts
-    assert first.startswith("The probe - switch drifts by 0.039")
+    assert first.startswith("Probe - switch drifts by 0.039")
     assert second.startswith(
-        "The spread of the bed's touches grows from 0.0026 to 0.0053 mm"
+        "Spread of the bed's touches grows from 0.0026 to 0.0053 mm"
     )
     assert day in first and day in second
     # What was told before it has changed is over
     change = {"what": "probe - switch", "by": 0.1, "runs": 1}
     runs[-1]["changed"] = [change]
     texts = verdict.judge(runs).texts
-    assert [text.split(" ")[0] for text in texts] == ["The", "Probe"]
+    assert [text.split(" ")[0] for text in texts] == ["Spread", "Probe"]
 
 
 def test_the_worst_comes_first():
@@ -144,7 +144,7 @@ def test_the_worst_comes_first():
     runs[-1]["warnings"] = [MESH, DIRTY]
     level, texts = verdict.judge(runs)
     assert level == "act"
-    assert [text[:8] for text in texts] == ["Switch -", "Bed_mesh", "The swit"]
+    assert [text[:8] for text in texts] == ["Switch -", "Bed_mesh", "Switch -"]
 
 
 @pytest.mark.parametrize(

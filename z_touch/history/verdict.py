@@ -177,11 +177,11 @@ def worn(name, values, told_on):
     first, last = trend.thirds(values)
     end = (len(values), told_on, REMEDIES[name])
     if name in SPREADS:
-        text = "the %s grows from %.4f to %.4f mm in %d runs, told on %s: %s"
+        text = "%s grows from %.4f to %.4f mm in %d runs, told on %s: %s"
         return text % ((name, first, last) + end)
     # A line shifts by half as much again as its thirds do
     shift = (last - first) * 1.5
-    text = "the %s drifts by %.3f mm in %d runs, told on %s: %s"
+    text = "%s drifts by %.3f mm in %d runs, told on %s: %s"
     return text % ((name, shift) + end)
 
 
@@ -244,11 +244,7 @@ def marks_of(runs, pause):
             pause()
         texts = texts_of(run, "warnings")
         for name in texts_of(run, "wear"):
-            text = (
-                "told: the %s grows"
-                if name in SPREADS
-                else "told: the %s drifts"
-            )
+            text = "told: %s grows" if name in SPREADS else "told: %s drifts"
             texts.append(text % (name,))
         texts += after.get(number, ())
         if number == begin and number not in after:
