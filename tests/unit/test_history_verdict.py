@@ -163,7 +163,7 @@ def test_an_accuracy_run_that_was_last_decides(text, level):
 
 
 def test_each_trend_has_its_remedy():
-    names = {name for name, _, _ in trend.HEIGHTS + trend.SPREADS}
+    names = {entry[0] for entry in trend.HEIGHTS + trend.SPREADS}
     assert set(verdict.REMEDIES) == names
 
 
