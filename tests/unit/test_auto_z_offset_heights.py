@@ -143,8 +143,47 @@ def test_default_speed_needs_no_limit_on_usual_machines():
     ],
 )
 def test_floor_of_the_section(position_min, probe_z_min, floor):
-    axis = SimpleNamespace(section="stepper_z", position_min=position_min)
+    axis = z_axis(position_min, None)
     assert az.section_floor(axis, probe_z_min) == floor
+
+
+def z_axis(position_min, position_endstop, pin="^PC2"):
+    return SimpleNamespace(
+        section="stepper_z",
+        position_min=position_min,
+        position_endstop=position_endstop,
+        endstop_pin=pin,
+    )
+
+
+@pytest.mark.parametrize(
+    ("position_min", "endstop", "probe_z_min", "z"),
+    [
+        (-5.0, 1.6, None, -2.0),
+        (-5.0, -0.5, None, -2.5),
+        # Whoever knows better, and an axis that ends higher
+        (-5.0, 1.6, -4.0, -4.0),
+        (-1.0, 1.6, None, -1.0),
+        # At the other end of the axis, or of a probe
+        (-5.0, 250.0, None, -5.0),
+        (-5.0, None, None, -5.0),
+    ],
+)
+def test_floor_below_a_switch(position_min, endstop, probe_z_min, z):
+    axis = z_axis(position_min, endstop)
+    assert az.section_floor(axis, probe_z_min).z == z
+
+
+def test_switch_of_a_probe_says_nothing_of_the_bed():
+    axis = z_axis(-5.0, 1.6, "probe:z_virtual_endstop")
+    assert az.section_floor(axis, None).z == -5.0
+
+
+@pytest.mark.parametrize(
+    ("pin_z", "z"), [(None, -4.0), (0.6, 0.6), (-4.0, -4.0), (-6.0, -4.0)]
+)
+def test_floor_over_the_pin(pin_z, z):
+    assert az.above_pin(FLOOR, pin_z).z == z
 
 
 # Cycles

@@ -89,6 +89,11 @@ def test_floor_where_nobody_knows_the_zero():
     assert heights.floor(settings(saved_homing_z=1.0), None, -5.0) == -1.0
 
 
+@pytest.mark.parametrize(("pin_z", "floor"), [(None, -0.1), (0.6, 0.6)])
+def test_floor_over_the_pin(pin_z, floor):
+    assert heights.above_pin(-0.1, pin_z) == floor
+
+
 @given(z_values, z_values, z_values)
 def test_floor_of_the_command_comes_first(param, position_min, axis_min):
     record = settings(position_min=position_min, saved_homing_z=1.0)

@@ -17,11 +17,17 @@ from __future__ import absolute_import, division
 import collections
 import math
 
+from ..core import z_pin
 from ..core.errors import CalibrationError
 from ..core.sampling import summarize
 
 # No touch goes lower (mm), whatever is configured.
 LOWEST_FLOOR = -10.0
+
+# Where Z is homed on a switch near the bed, the first touch looks so far (mm) below
+# where that triggers, and below Z=0, unless probe_z_min says otherwise: a pin is
+# rarely higher above the bed than 2 mm, and nobody prints on a Z=0 that is 1 mm off.
+BELOW_SWITCH = 2.0
 
 # How far (mm) below the expected height a touch may still look, and how far
 # above it a trigger is believed.  Expected from a saved correction, or from a
@@ -145,9 +151,38 @@ def section_floor(z_axis, probe_z_min):
     )
     if floor.z < LOWEST_FLOOR:
         floor = Floor(LOWEST_FLOOR, "the limit of auto_z_offset")
-    if probe_z_min is None or probe_z_min < floor.z:
+    if probe_z_min is None:
+        return above_switch(floor, z_axis)
+    return (
+        Floor(probe_z_min, "probe_z_min") if probe_z_min >= floor.z else floor
+    )
+
+
+# The same where a switch has told about how high the bed is
+def above_switch(floor, z_axis):
+    switch_z = z_pin.low_switch(z_axis)
+    if switch_z is None:
         return floor
-    return Floor(probe_z_min, "probe_z_min")
+    z = min(switch_z, 0.0) - BELOW_SWITCH
+    if z <= floor.z:
+        return floor
+    return Floor(
+        z,
+        "%g mm below where Z is homed, and below Z=0; set probe_z_min if the bed"
+        " may be lower" % (BELOW_SWITCH,),
+    )
+
+
+# The same over the pin of the Z endstop, where a touch ends at 'pin_z' (mm) at the
+# latest; None: the head is elsewhere.
+def above_pin(floor, pin_z):
+    if pin_z is None or pin_z <= floor.z:
+        return floor
+    return Floor(
+        pin_z,
+        "as far as the pin of the Z endstop may be pressed; the head is over it,"
+        " choose a point of the bed",
+    )
 
 
 # The speed (mm/s) from which the head can stop within EXPECTED_MARGIN: a touch

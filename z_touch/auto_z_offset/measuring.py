@@ -5,7 +5,7 @@ from __future__ import absolute_import
 
 import functools
 
-from ..core import carrying, errors, running, templates, touching
+from ..core import carrying, errors, running, templates, touching, z_pin
 from ..core.sampling import collect, summarize
 from . import heights, motors
 
@@ -39,6 +39,8 @@ class BedSensor(object):
         self.pin = pin
         remedy = "give the pin of the bed sensor, as in 'pin: U_1:PC1'"
         self.endstop = host.endstops.make(config, "pin", remedy)
+        # The pin that Z is homed on, where no bed is
+        self.z_pin = z_pin.read_pin(config, host.z_axis)
         # Whose current is low while the nozzle goes down; from connect() on
         self.motors = None
 
@@ -129,9 +131,10 @@ class SensorMeasurement(object):
     def touch(self):
         sensor, settings = self.sensor, self.settings
         speed, accel = self.speed_and_accel()
-        floor = heights.sensor_floor(
-            settings.floor, self.expected, speed, accel
+        lowest = heights.above_pin(
+            settings.floor, z_pin.floor(self.host, sensor.z_pin)
         )
+        floor = heights.sensor_floor(lowest, self.expected, speed, accel)
         less_accel = motors.limited_accel(self.host, settings.probe_accel)
         less_current = sensor.motors.reduced(settings.z_current_factor)
         start_z = self.host.z()
@@ -145,15 +148,16 @@ class SensorMeasurement(object):
                 "check that prepare_gcode turns the sensor on, that 'pin: %s'"
                 " is the sensor's (QUERY_ENDSTOPS while you press the bed), and"
                 " that the bed is not below the lowest point of this touch,"
-                " which is %s" % (sensor.pin, self.reason(floor))
+                " which is %s" % (sensor.pin, self.reason(floor, lowest))
             )
         except errors.CalibrationError:
             if touching.is_at(self.host, start_z):
                 sensor.check_open(self.host.after_moves())
             raise
 
-    def reason(self, floor):
-        if floor == self.settings.floor:
+    # 'lowest': what it is unless something is expected there
+    def reason(self, floor, lowest):
+        if floor == lowest:
             return floor.why
         return "%s; add %s" % (floor.why, heights.IF_CHANGED)
 

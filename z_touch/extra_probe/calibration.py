@@ -5,7 +5,7 @@ from __future__ import absolute_import
 import collections
 import functools
 
-from ..core import carrying, dialogs, options, running, touching
+from ..core import carrying, dialogs, options, running, touching, z_pin
 from ..core.errors import CalibrationError
 from ..core.frame import Frame
 from ..core.sampling import summarize
@@ -25,13 +25,15 @@ Question = collections.namedtuple("Question", "floor save mark xy asks bed_z")
 
 
 # The commands of a calibration, and the question that is open between them.
-# 'switch' is what lies on the bed, 'runner' runs one command at a time.
+# 'switch' is what lies on the bed, 'runner' runs one command at a time, 'pin' is
+# where Z is homed, see z_pin.
 class Calibration(object):
-    def __init__(self, host, runner, name, settings, switch):
+    def __init__(self, host, runner, name, settings, switch, pin):
         self.host = host
         self.runner = runner
         self.settings = settings
         self.switch = switch
+        self.pin = pin
         self.frame = Frame(host)
         command = "EXTRA_PROBE_%s PROBE=" + name
         self.dialog = dialogs.Dialog(host, runner.watch.say, command)
@@ -104,7 +106,11 @@ class Calibration(object):
         floor = heights.floor(
             settings, z_zero, axis_min, floor_param, is_proved=True
         )
+        pin_z = z_pin.floor(self.host, self.pin)
+        floor = heights.above_pin(floor, pin_z)
         says = ["Without a trigger the nozzle stops at z=%.3f." % (floor,)]
+        if pin_z is not None:
+            says.append("The head is over the pin of the Z endstop: move it.")
         if not self.is_bed_known(floor_param):
             says.append(
                 "No calibration was saved yet, so that may be in the bed:"

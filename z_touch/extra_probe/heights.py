@@ -60,6 +60,12 @@ def floor(settings, z_zero, axis_min, floor_param=None, is_proved=False):
     return max(UNSAVED_FLOOR, axis_min)
 
 
+# Over the pin of the Z endstop, where a touch ends at 'pin_z' (mm) at the latest;
+# None: the head is elsewhere.
+def above_pin(floor_z, pin_z):
+    return floor_z if pin_z is None else max(floor_z, pin_z)
+
+
 # Where Z gets its zero once the bed, now at bed_z, is to be at Z=0.  Raises
 # CalibrationError for a value outside the axis (low, high), with which klippy
 # would not start.

@@ -6,7 +6,7 @@ from __future__ import absolute_import
 import logging
 
 from .. import __version__
-from ..core import carrying, options, running, touching
+from ..core import carrying, options, running, touching, z_pin
 from ..core.errors import CalibrationError
 from ..core.host import Host, check_z_axis
 from ..core.sampling import accuracy, summarize
@@ -14,6 +14,12 @@ from . import heights
 from .calibration import Calibration
 from .settings import PROBE, read_settings
 from .switches import PinSwitch, ProbeSwitch, Series
+
+# What is told where the switch cannot lie
+OVER_PIN = (
+    "the head is over the pin of the Z endstop: without a trigger the touch ends at"
+    " z=%.3f; move it over the bed"
+)
 
 # Touches of EXTRA_PROBE_ACCURACY, where it is not told how many
 ACCURACY_SAMPLES = 10
@@ -28,6 +34,7 @@ class ExtraProbe(object):
         check_z_axis(config, self.host.z_axis)
         self.runner = running.Runner(self.host)
         self.settings = read_settings(config)
+        self.z_pin = z_pin.read_pin(config, self.host.z_axis)
         # For get_status(): mm, and what the pin read
         self.last_query = False
         self.last_z_result = self.probe_z_offset = 0.0
@@ -39,7 +46,12 @@ class ExtraProbe(object):
             self.switch = PinSwitch(config, self.host, query)
             running.register_commands(self.host, self, self.name)
         self.calibration = Calibration(
-            self.host, self.runner, self.name, self.settings, self.switch
+            self.host,
+            self.runner,
+            self.name,
+            self.settings,
+            self.switch,
+            self.z_pin,
         )
         register = self.host.printer.register_event_handler
         register("klippy:connect", self.connect)
@@ -114,6 +126,10 @@ class ExtraProbe(object):
         host = self.host
         axis_min = host.z_axis.position_min
         floor = heights.floor(self.settings, host.z_zero(), axis_min)
+        pin_z = z_pin.floor(host, self.z_pin)
+        floor = heights.above_pin(floor, pin_z)
+        if pin_z is not None:
+            host.say(OVER_PIN % (floor,))
         series = Series(host, self.switch, sampling, gcmd.respond_info)
         return series.measure(floor, stay)
 

@@ -56,7 +56,8 @@ class PinSwitch(object):
             except CalibrationError as e:
                 hint = (
                     "press it by hand and look with %s; where the bed may be"
-                    " lower, position_min lets a touch go there" % (self.query,)
+                    " lower, EXTRA_PROBE_CALIBRATE finds it, and position_min"
+                    " lets any touch go there" % (self.query,)
                 )
                 raise e.advised(hint)
 

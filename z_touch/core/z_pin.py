@@ -1,0 +1,89 @@
+# The metal pin that Z is homed on, and how far the nozzle may press it.
+# Copyright (C) 2026  the Z calibration developers, under the GNU GPLv3
+#
+# No section says that the Z endstop is a pin below the nozzle.  It is one where
+# [z_calibration] has the nozzle press it, or where Z is homed beside what the bed
+# mesh covers.
+from __future__ import absolute_import
+
+import collections
+
+from . import options
+
+# So near (mm, in X and in Y) the nozzle may meet the pin: its half, and that of a
+# worn nozzle's flat.
+NEAR = 5.0
+
+# A pin is pressed so far (mm) below where it triggers, at most.
+BELOW_TRIGGER = 1.0
+
+# A switch that triggers higher (mm) is at the other end of the axis.
+HIGHEST = 10.0
+
+# Where it is (mm, of the head), and the toolhead Z of its trigger
+Pin = collections.namedtuple("Pin", "x y trigger_z")
+
+
+# The pin that the sections of the printer tell of; None: nobody does.  'z_axis':
+# host.ZAxis
+def read_pin(config, z_axis):
+    trigger_z = low_switch(z_axis)
+    if trigger_z is None:
+        return None
+    place = _calibrated_at(config) or _homed_beside_mesh(config)
+    return place and Pin(place[0], place[1], trigger_z)
+
+
+# The toolhead Z (mm) at which the switch triggers that Z is homed on; None: there
+# is none near the bed.
+def low_switch(z_axis):
+    if z_axis is None or "z_virtual_endstop" in z_axis.endstop_pin:
+        return None
+    trigger_z = z_axis.position_endstop
+    return trigger_z if trigger_z is None or trigger_z <= HIGHEST else None
+
+
+# Where the nozzle is on the pin as [z_calibration] has it
+def _calibrated_at(config):
+    if not config.has_section("z_calibration"):
+        return None
+    section = config.getsection("z_calibration")
+    if section.get("endstop_pin", "", note_valid=False):
+        # Another pin, whose height nobody knows yet
+        return None
+    return _point(config, "z_calibration", "nozzle_xy_position") or _home(
+        config
+    )
+
+
+def _homed_beside_mesh(config):
+    home = _home(config)
+    low = _point(config, "bed_mesh", "mesh_min")
+    high = _point(config, "bed_mesh", "mesh_max")
+    if None in (home, low, high):
+        return None
+    ends = zip(home, low, high)
+    is_beside = any(not a - NEAR <= xy <= b + NEAR for xy, a, b in ends)
+    return home if is_beside else None
+
+
+def _home(config):
+    return _point(config, "safe_z_home", "home_xy_position")
+
+
+def _point(config, section, option):
+    if not config.has_section(section):
+        return None
+    read = config.getsection(section).getfloatlist
+    point = read(option, None, count=2, note_valid=False)
+    return point if point and all(map(options.is_finite, point)) else None
+
+
+# The lowest toolhead Z (mm) of a touch where the head stands now; None: it is not
+# over the pin.  'pin': as read_pin()
+def floor(host, pin):
+    if pin is None:
+        return None
+    place = host.toolhead.get_position()
+    away = max(abs(a - b) for a, b in zip(place, (pin.x, pin.y)))
+    return pin.trigger_z - BELOW_TRIGGER if away <= NEAR else None
