@@ -6,6 +6,7 @@ from dataclasses import replace
 
 import pytest
 
+from simprinter.docks import on_generic
 from simprinter.world import Pose
 from tools.kit.dockable_probe import (
     ABOVE,
@@ -18,6 +19,7 @@ from tools.kit.dockable_probe import (
     trips,
     where,
 )
+from tools.kit.printer import has_kinematics
 from tools.kit.z_calibration import with_moves
 
 EXTRACT = (50.0, 270.0)
@@ -237,14 +239,14 @@ def test_into_the_dock_from_where_the_head_stands(start):
 # Homing ends beside the dock
 
 
-def in_the_corner(start, x, y, begin):
+def in_the_corner(start, x, y, begin, scene=GANTRY):
     """X and Y were homed beside this dock; they began there."""
     dock = replace(
         GANTRY.world.dock, x=x, y=y, release=(-1.0, 0.0, 0.0), body=15.0
     )
     printer = started(
         start,
-        replace(GANTRY.with_world(dock=dock), start=Pose(*begin, 12.0)),
+        replace(scene.with_world(dock=dock), start=Pose(*begin, 12.0)),
         dock_position=f"{x}, {y}",
         approach_position=f"{x}, {y - 38}",
         detach_position=f"{x - 40}, {y}",
@@ -267,6 +269,19 @@ def test_out_of_the_corner_as_homing_came(start, dock):
     printer.run("MOVE_AVOIDING_DOCK X=150 Y=150\nDETACH_PROBE")
     assert trips(printer) == ["attach", "dock"]
     assert at(printer) == pytest.approx((150.0, 150.0))
+
+
+def test_out_of_the_corner_of_a_generic_cartesian(start, host):
+    scene = on_generic(GANTRY)
+    if not has_kinematics(host, scene):
+        pytest.skip("the host has no generic_cartesian")
+    printer = in_the_corner(
+        start, 280.0, 288.0, begin=(200.0, 120.0), scene=scene
+    )
+    printer.run("ATTACH_PROBE")
+    assert at(printer) == pytest.approx((300.0, 310.0), abs=0.02)
+    printer.run("MOVE_AVOIDING_DOCK X=150 Y=150\nDETACH_PROBE")
+    assert trips(printer) == ["attach", "dock"]
 
 
 def test_no_further_out_of_the_corner_than_homing_came(start):

@@ -137,17 +137,38 @@ class Host(object):
             )
         return None if None in zero else zero
 
-    # The axis (0: X, 1: Y) that a homing move of these rails goes along, with the
-    # first motor of the rail moving as far as the head does.  None: another
-    # axis, or a machine that moves in another way, such as a delta.
+    # The axis (0: X, 1: Y) that a homing move of these rails goes along.  None:
+    # another axis, or a machine that moves in another way, such as a delta.
     def homed_axis(self, rails):
-        all_rails = getattr(self.toolhead.get_kinematics(), "rails", [])
-        if len(rails) != 1 or len(all_rails) < 3 or not self.z_datum():
+        kinematics = self.toolhead.get_kinematics()
+        all_rails = getattr(kinematics, "rails", [])
+        axes = list(zip(all_rails, (0, 1))) if len(all_rails) >= 3 else []
+        # generic_cartesian, since 2025-05-06 (cc6736c3e)
+        for carriage in getattr(kinematics, "carriages", {}).values():
+            axes.append((carriage.get_rail(), carriage.get_axis()))
+        if len(rails) != 1 or not self.z_datum():
             return None
-        for axis in (0, 1):
-            if all_rails[axis] is rails[0]:
+        for rail, axis in axes:
+            if rail is rails[0] and axis in (0, 1):
                 return axis
         return None
+
+    # Where the motors say that the head is in X and Y (mm), whatever the host
+    # believes: only differences mean something.
+    def motors_xy(self):
+        self.toolhead.flush_step_generation()
+        kinematics = self.toolhead.get_kinematics()
+        return kinematics.calc_position(
+            {
+                stepper.get_name(): stepper.get_mcu_position()
+                * stepper.get_step_dist()
+                for stepper in kinematics.get_steppers()
+            }
+        )[:2]
+
+    # Whether there are two heads: what hangs where after homing is not told.
+    def has_two_heads(self):
+        return self.printer.lookup_object("dual_carriage", None) is not None
 
     # State
 

@@ -25,7 +25,7 @@ class Trace(object):
     def forget(self):
         # Each an axis (0: X) and how far (mm) the head has gone along it
         self.moves = []
-        # Where it has ended; the motor's place (mm) where the next one began
+        # Where it has ended; where the next one began, as host.motors_xy()
         self.end = self.begun_at = None
 
     # The moves that have led to that place; empty: homing has ended elsewhere
@@ -35,28 +35,22 @@ class Trace(object):
         return self.moves
 
     def _begins(self, homing_state, rails):
-        if self.host.homed_axis(rails) is None:
+        if self.host.homed_axis(rails) is None or self.host.has_two_heads():
             return
         self.moves = list(self.to(self.host.toolhead.get_position()))
         # Nothing is known of a homing that fails
         self.end = None
-        self.begun_at = self._motor(rails)
+        self.begun_at = self.host.motors_xy()
 
     def _ends(self, homing_state, rails):
         axis = self.host.homed_axis(rails)
         if axis is None or self.begun_at is None:
             return
-        moved = abs(self._motor(rails) - self.begun_at)
-        is_up = rails[0].get_homing_info().positive_dir
-        self.moves.append((axis, moved if is_up else -moved))
+        # X and Y of the host are set in homing
+        moved = self.host.motors_xy()[axis] - self.begun_at[axis]
+        self.moves.append((axis, moved))
         self.end = tuple(self.host.toolhead.get_position()[:2])
         self.begun_at = None
-
-    # Whatever the host believes of X and Y: they are set in homing
-    def _motor(self, rails):
-        self.host.toolhead.flush_step_generation()
-        stepper = rails[0].get_steppers()[0]
-        return stepper.get_mcu_position() * stepper.get_step_dist()
 
 
 # The head, and what is known of how high it is
