@@ -7,9 +7,11 @@ from dataclasses import replace
 import pytest
 
 from simprinter import Fault
+from simprinter.docks import on_generic
 from tools.kit.dockable_probe import (
     BED,
     CLEAR,
+    FRAME,
     GANTRY,
     HANG,
     QUICK,
@@ -22,6 +24,7 @@ from tools.kit.dockable_probe import (
     trips,
     where,
 )
+from tools.kit.printer import has_kinematics
 
 CENTRE = "G1 X150 Y150 Z20 F6000\n"
 MESH = "BED_MESH_CALIBRATE PROBE_COUNT=3,3"
@@ -115,6 +118,70 @@ def test_first_error_counts_where_the_dock_is_not_put_away(start):
     ).homed()
     text = printer.fail(CENTRE + "PROBE")
     assert "was not fetched" in text and "second" not in text
+
+
+def steps(*names):
+    return "\n".join(f"MOVE_TO_{name}_PROBE" for name in names)
+
+
+def is_out(printer):
+    printer.run("G4 P500\nM400")
+    return printer.machine.world.dock_is_out(now_of(printer))
+
+
+def test_part_by_part_the_dock_is_brought_out_and_put_away(start):
+    printer = started(start, SERVO).homed()
+    printer.run(CENTRE + steps("APPROACH"))
+    assert not is_out(printer)
+    printer.run(steps("DOCK"))
+    assert is_out(printer)
+    printer.run(steps("EXTRACT"))
+    assert (is_out(printer), where(printer)) == (False, "attached")
+    printer.run(CENTRE + steps("DOCK", "DETACH"))
+    assert (is_out(printer), where(printer)) == (False, "docked")
+    # A probe that is fetched from there
+    printer.run(CENTRE + steps("DOCK") + "\nATTACH_PROBE")
+    assert (is_out(printer), where(printer)) == (False, "attached")
+    assert_safe(printer)
+
+
+# What brings the dock out depends on what hangs on the head
+def test_part_by_part_with_each_of_the_options(start):
+    options = {
+        f"{when}_{what}_gcode": f"\n  RESPOND MSG={when}_{what}"
+        for when in ("pre", "post")
+        for what in ("attach", "detach")
+    }
+    printer = started(start, SWITCH, {"respond": {}}, **options).homed()
+    run = printer.run(CENTRE + steps("DOCK", "EXTRACT", "DOCK", "DETACH"))
+    said = [line.split()[-1] for line in run if "tach" in line]
+    assert said == ["pre_attach", "post_attach", "pre_detach", "post_detach"]
+
+
+def test_dock_is_put_away_where_the_head_does_not_get_there(start):
+    printer = started(
+        start,
+        SERVO,
+        dock_position="150, 155",
+        approach_position="150, 1",
+        detach_position="150, 309",
+    ).homed()
+    text = printer.fail("G1 X298 Y308 Z20 F6000\nMOVE_TO_DOCK_PROBE")
+    assert "no way from 298.000, 308.000" in text
+    assert not is_out(printer)
+
+
+@pytest.mark.parametrize("command", ["G28", "G28 X", "G28 Z"])
+@pytest.mark.parametrize("scene", [SERVO, SWITCH, GANTRY, FRAME])
+def test_homing_from_in_the_dock(start, scene, command):
+    printer = started(start, scene).homed()
+    before = len(trips(printer))
+    printer.run(CENTRE + f"{steps('DOCK')}\n{command}\nM400")
+    assert where(printer) == "docked"
+    assert not trips(printer, before)[2:]
+    if scene is SERVO:
+        assert not is_out(printer)
+    assert_safe(printer)
 
 
 # A command in the middle of fetching
@@ -224,6 +291,20 @@ def test_hop_before_x_and_y_are_homed(start, initial, changes, hop):
     printer.run("G28 X Y")
     if changes:
         # Once
+        assert printer.machine.tip().z == pytest.approx(z + hop, abs=0.02)
+
+
+@pytest.mark.parametrize(
+    ("initial", "hop"), [("attached", CLEAR), ("docked", 0)]
+)
+def test_hop_of_a_generic_cartesian(start, host, initial, hop):
+    scene = on_generic(with_probe(GANTRY, initial=initial))
+    if not has_kinematics(host, scene):
+        pytest.skip("the host has no generic_cartesian")
+    printer = started(start, scene, {"safe_z_home": None})
+    z = printer.machine.tip().z
+    for _again in 1, 2:
+        printer.run("G28 X Y")
         assert printer.machine.tip().z == pytest.approx(z + hop, abs=0.02)
 
 

@@ -10,7 +10,12 @@ from tools.kit.dockable_probe import GANTRY, HANG, QUICK, section, where
 from z_touch.dockable_probe import carrier
 
 # Of the host, with our look at the probe in front: test_z_touch_carrying.py
-GUARDED = {*carrier.BY_HAND, *carrier.BY_METHOD, *carrier.PROBE_THEN_PAPER}
+GUARDED = {
+    "G28",
+    *carrier.BY_HAND,
+    *carrier.BY_METHOD,
+    *carrier.PROBE_THEN_PAPER,
+}
 
 
 def place_of(option):

@@ -110,12 +110,17 @@ class Carrier(object):
 
     def _guard_commands(self):
         wrap = self.host.wrap_command
+        wrap("G28", self._before_homing)
         for name in BY_HAND:
             wrap(name, self._before_paper)
         for name in BY_METHOD:
             wrap(name, self._before_manual_method)
         for name, asks_again in PROBE_THEN_PAPER.items():
             wrap(name, functools.partial(self._around_paper, asks_again))
+
+    def _before_homing(self, command, gcmd):
+        self.prober.docking.leave()
+        command(gcmd)
 
     def _before_paper(self, command, gcmd):
         try:

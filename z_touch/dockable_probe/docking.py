@@ -15,6 +15,7 @@
 from __future__ import absolute_import
 
 import collections
+import contextlib
 import functools
 
 from ..core import running
@@ -64,6 +65,8 @@ class Docking(object):
         self.moves = moves
         # The option whose G-code runs, None where none does
         self.running = None
+        # Whether the parts of a trip are run by the trip
+        self.is_on_trip = False
 
     def use(self, settings):
         self.settings = settings
@@ -204,11 +207,23 @@ class Docking(object):
         go_on = None
         if goal is not None and getattr(self.settings, after) is None:
             go_on = functools.partial(self.moves.go_back, goal)
-        put_away = functools.partial(self._run_beside_dock, after)
-        with running.always(self.host, put_away, "putting the dock away"):
-            self.run("pre_" + trip.gcode)
+        with self._dock_out(trip):
             self._try(trip, state, go_on)
         self.sensors.proven = trip.after
+
+    # The dock is brought out before, and put away afterwards where the head is
+    # not in it.
+    @contextlib.contextmanager
+    def _dock_out(self, trip):
+        after = "post_" + trip.gcode
+        put_away = functools.partial(self._run_beside_dock, after)
+        self.is_on_trip = True
+        try:
+            with running.always(self.host, put_away, "putting the dock away"):
+                self.run("pre_" + trip.gcode)
+                yield
+        finally:
+            self.is_on_trip = False
 
     # A head that was not brought out of the dock still is in it.
     def _run_beside_dock(self, name):
@@ -243,6 +258,35 @@ class Docking(object):
                 state = look()
         self.moves.lift_for_dock()
         raise self.host.error("%s; %s" % (seen, trip.remedy))
+
+    # MOVE_TO_DOCK_PROBE, straight from a position outside.  Whoever sends it by
+    # itself has not brought the dock out.
+    def go_in(self, beside):
+        moves = self.moves
+        if self.is_on_trip or moves.stands_in_dock():
+            moves.go_in(beside)
+            return
+        moves.require_homed()
+        trip = DOCK if self.sensors.look() == ATTACHED else FETCH
+        with self._dock_out(trip):
+            moves.go_in(beside)
+
+    # Out of the dock as a trip ends; by itself the dock is put away, too.
+    def go_out(self, trip, position, speed):
+        was_in = self.moves.stands_in_dock()
+        self.moves.go_out(position, speed)
+        if was_in and not self.is_on_trip:
+            self.run("post_" + trip.gcode)
+
+    # Homing would begin across the dock.  Where nobody knows the way out, or the
+    # way is part of a trip, the head stays.
+    def leave(self):
+        moves, settings = self.moves, self.settings
+        axes = "xy" if settings.dock_fixed_z else "xyz"
+        if self.is_on_trip or not settings.is_placed:
+            return
+        if moves.is_homed(axes) and moves.stands_in_dock():
+            self.go_out(DOCK, settings.detach_position, settings.detach_speed)
 
     # The parts of the way are commands, so that a macro may stand in for one.
     def _visit_dock(self, trip):

@@ -12,7 +12,7 @@ from .. import __version__
 from ..core import host, notes, options, running
 from . import checks, detour
 from .carrier import Carrier
-from .docking import Docking
+from .docking import DOCK, FETCH, Docking
 from .moves import Moves
 from .prober import Prober
 from .sensors import ATTACHED, DOCKED, UNKNOWN, Sensors
@@ -220,13 +220,15 @@ class DockableProbe(object):
             or self.sensors.look() == ATTACHED
         ):
             beside = settings.insert_position
-        moves.go_in(beside)
+        self.docking.go_in(beside)
 
     cmd_MOVE_TO_EXTRACT_PROBE_help = "Move out of the dock, with the probe"
 
     def cmd_MOVE_TO_EXTRACT_PROBE(self, gcmd):
         settings = self.settings
-        self.moves.go_out(settings.extract_position, settings.attach_speed)
+        self.docking.go_out(
+            FETCH, settings.extract_position, settings.attach_speed
+        )
 
     cmd_MOVE_TO_INSERT_PROBE_help = "Move to insert_position"
 
@@ -237,7 +239,9 @@ class DockableProbe(object):
 
     def cmd_MOVE_TO_DETACH_PROBE(self, gcmd):
         settings = self.settings
-        self.moves.go_out(settings.detach_position, settings.detach_speed)
+        self.docking.go_out(
+            DOCK, settings.detach_position, settings.detach_speed
+        )
 
     cmd_MOVE_AVOIDING_DOCK_help = "Move to X and Y around the dock"
 
