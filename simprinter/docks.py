@@ -173,17 +173,18 @@ def _servo() -> Scene:
 def _frame() -> Scene:
     """A bed that goes up and down on three screws, and hangs askew.
 
-    The gantry stands still: its dock is at the right, in the frame, and is
-    left to the back. Z is homed with the probe.
+    The gantry stands still: its dock is at the left, in the frame, and is left to
+    the back. X is homed to the right and then Y along that side, so a dock there
+    would be in the way. Z is homed with the probe.
     """
     gantry = _gantry()
     screws = {"z": (-50.0, 18.0), "z1": (150.0, 348.0), "z2": (350.0, 18.0)}
     scene = on_gantry(gantry, "dock_frame", gantry.kinematics, **screws)
     options = {
         **(gantry.sections["dockable_probe"] or {}),
-        "dock_position": "292, 200, 8",
-        "approach_position": "250, 200",
-        "detach_position": "292, 240",
+        "dock_position": "2, 200, 8",
+        "approach_position": "44, 200",
+        "detach_position": "2, 240",
         "dock_fixed_z": "True",
     }
     sections: dict[str, Mapping] = {
@@ -201,10 +202,10 @@ def _frame() -> Scene:
     return replace(scene, sections=sections).with_world(
         bed=replace(scene.world.bed, slope_x=0.004, slope_y=-0.006),
         dock=DockSpec(
-            292.0,
+            2.0,
             200.0,
             0.0,
-            approach=(-1.0, 0.0, 0.0),
+            approach=(1.0, 0.0, 0.0),
             release=(0.0, 1.0, 0.0),
             lifted=True,
             body=20.0,
@@ -256,6 +257,18 @@ def _above() -> Scene:
         name="dock_above",
         sections={**bed.sections, "dockable_probe": options},
     ).with_world(dock=dock)
+
+
+def on_generic(scene: Scene) -> Scene:
+    """The same as a generic cartesian, which the world calls cartesian."""
+    motors = ("x", "y", *(name for name, _, _ in scene.z_motors))
+    names = {motor: f"my_{motor}" for motor in motors}
+    return replace(
+        scene,
+        name=f"{scene.name}_generic",
+        kinematics="cartesian",
+        sections=on_carriages(scene.sections, names),
+    )
 
 
 def calibrating(scene: Scene) -> Scene:

@@ -491,11 +491,11 @@ def test_from_beside_the_dock(start, scene, right, back):
     printer = start(scene, section(**QUICK)).homed()
     dock = scene.world.dock
     if scene is FRAME:
-        # Turned by 90 degrees, with the clock
-        right, back = back, -right
+        # Turned by 90 degrees, against the clock
+        right, back = -back, right
     x, y = dock.x + right, dock.y + back
     printer.run(f"MOVE_AVOIDING_DOCK X={x} Y={y}")
-    if (right, back) not in ((-2, -16), (-16, 2)):
+    if (right, back) not in ((-2, -16), (16, -2)):
         printer.run(f"G1 X{x} Y{y} F3000")
     printer.run("ATTACH_PROBE\nDETACH_PROBE")
     assert where(printer) == "docked"

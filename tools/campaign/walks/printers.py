@@ -57,9 +57,6 @@ def _without(scene: Scene, *sections: str) -> Scene:
 def _bases() -> dict[str, Scene]:
     found = {}
     for name, scene in DOCK_SCENES.items():
-        # Its dock is in the way of homing Y, so its owner never homes twice
-        if name == "dock_frame":
-            continue
         # Where Z is homed with the probe there is no pin for the nozzle
         whole = with_all(scene)
         found[name] = (
