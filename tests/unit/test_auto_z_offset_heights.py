@@ -180,6 +180,13 @@ def test_switch_of_a_probe_says_nothing_of_the_bed():
 
 
 @pytest.mark.parametrize(
+    ("z_offset", "z"), [(-0.5, 0.1), (2.0, 0.1), (5.0, 0.1), (6.9, 2.0)]
+)
+def test_floor_of_the_probe(z_offset, z):
+    assert az.probe_floor(0.1, z_offset).z == pytest.approx(z)
+
+
+@pytest.mark.parametrize(
     ("pin_z", "z"), [(None, -4.0), (0.6, 0.6), (-4.0, -4.0), (-6.0, -4.0)]
 )
 def test_floor_over_the_pin(pin_z, z):

@@ -48,6 +48,10 @@ APPROACH = 2.0
 # A trigger of the bed sensor this far (mm) above the probe's is not the bed.
 ABOVE_PROBE = 0.5
 
+# A probe that hangs below the nozzle is pressed so far (mm) beyond where it should
+# trigger, at most: then it is dead.
+DEAD_PROBE = 5.0
+
 # An air gap or a correction beyond this (mm) is none.
 LARGEST_OFFSET = 10.0
 
@@ -209,6 +213,16 @@ def sensor_floor(floor, expected, speed, accel):
         return floor
     why = "%.3f mm below the expected trigger at z=%.3f"
     return Floor(low, why % (expected.z - low, expected.z))
+
+
+# The lowest toolhead Z (mm) of a touch with the probe, where the nozzle meets the bed
+# at 'sensor_z': there or, with a probe that hangs lower, above it.
+def probe_floor(sensor_z, probe_z_offset):
+    why = "where the bed sensor triggered"
+    if probe_z_offset <= DEAD_PROBE:
+        return Floor(sensor_z, why)
+    why = "%g mm below where the probe should trigger" % (DEAD_PROBE,)
+    return Floor(sensor_z + probe_z_offset - DEAD_PROBE, why)
 
 
 # Travel height (mm) before the bed was touched: where the probe does not

@@ -97,6 +97,9 @@ class SensorMeasurement(object):
                 break
             except errors.CalibrationError as e:
                 if not retries_left:
+                    # Stuck, it says more than where it was that
+                    self.head.retract()
+                    self.sensor.check_open(self.host.after_moves())
                     raise
                 self.report("%s; trying again" % (e,))
                 retries_left -= 1
@@ -179,10 +182,12 @@ class ProbeMeasurement(object):
         self.watch = watch
         self.head = touching.Head(host, settings.sampling, TOO_LOW)
 
-    # 'floor' is the height at which the nozzle meets the bed: an inductive
-    # probe triggers above it.  'expected_z' is where it does so, None: nobody
-    # knows.  Returns toolhead Z in mm.
-    def measure(self, floor, expected_z):
+    # 'sensor_z' is the height at which the nozzle meets the bed: a probe triggers
+    # above it.  'expected_z' is where it does so, None: nobody knows.  Returns
+    # toolhead Z in mm.
+    def measure(self, sensor_z, expected_z):
+        z_offset = self.host.probing.offsets()[2]
+        floor = heights.probe_floor(sensor_z, z_offset)
         with errors.about("probe"):
             samples = self.collect(floor, expected_z)
         return summarize(samples, self.settings.sampling.result)
@@ -191,9 +196,9 @@ class ProbeMeasurement(object):
         sampling = self.settings.sampling
         top = self.host.z()
         speed = "%.6f" % (sampling.speed,)
-        session = touching.probing(self.head, floor, top, PROBE_SPEED=speed)
+        session = touching.probing(self.head, floor.z, top, PROBE_SPEED=speed)
         with session as probe_once:
-            self.come_down(floor, expected_z)
+            self.come_down(floor.z, expected_z)
             sample = functools.partial(self.sample, probe_once, floor)
             return collect(sample, sampling, self.report, DIFFER)
 
@@ -209,7 +214,7 @@ class ProbeMeasurement(object):
 
     def sample(self, probe_once, floor):
         self.head.retract()
-        self.head.check_above(floor)
+        self.head.check_above(floor.z)
         z = self.touch(probe_once, floor)
         self.watch.touched()
         self.report("triggered at z=%.6f" % (z,))
@@ -222,13 +227,13 @@ class ProbeMeasurement(object):
                 return self.homed_z(self.head.probe(probe_once))
             # A host unknown to us: its probing would go on to position_min
             speed = self.settings.sampling.speed
-            return self.head.touch(self.host.probing.endstop(), floor, speed)
+            return self.head.touch(self.host.probing.endstop(), floor.z, speed)
         except errors.CalibrationError as e:
-            if not touching.is_at(self.host, floor):
+            if not touching.is_at(self.host, floor.z):
                 raise
             raise errors.NoTrigger(
-                "%s; it ends where the bed sensor triggered, z=%.3f: that was"
-                " not the bed, or the probe does not see it" % (e, floor)
+                "%s; it ends %s, z=%.3f: that was not the bed, or the probe does"
+                " not see it" % (e, floor.why, floor.z)
             )
 
     # As G28, from which the correction is counted, or else the mesh sees it
