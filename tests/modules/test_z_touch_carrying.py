@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import pytest
 
+from simprinter import Fault
 from tools.kit.auto_z_offset import with_extras
 from tools.kit.carrying import (
     OVER,
@@ -66,6 +67,65 @@ def test_touch_is_refused_where_no_trips_are_wanted(start, touch):
     assert text.endswith("run DETACH_PROBE")
     assert printer.session.position()[2] >= height
     assert (pressed(printer), trips(printer)) == (0.0, ["attach"])
+
+
+# Its wire breaks while it hangs there: it reads as if it were docked
+@every_host
+@pytest.mark.parametrize("touch", [*TOUCHES, "G28 Z"])
+def test_probe_that_reads_docked_and_was_not_docked(start, touch):
+    printer = ready(start)
+    printer.run(f"{OVER}ATTACH_PROBE")
+    printer.machine.break_down(Fault("stuck_closed", signal="probe", t=0.0))
+    printer.machine.lay_membrane(touch.startswith("EXTRA"))
+    text = printer.fail(TOUCHES.get(touch, touch))
+    assert "the probe was not fetched, it is DOCKED" in text
+    assert "SET_PROBE_STATUS STATE=DOCKED" in text
+    assert pressed(printer) == 0.0
+    assert printer.machine.truth.touch_count("nozzle_bed") == 0
+    # The next one as well, until somebody has looked
+    assert "was not fetched" in printer.fail(
+        f"{'G28 X Y' if touch == 'G28 Z' else OVER}\nDETACH_PROBE"
+    )
+
+
+def test_probe_that_was_put_into_the_dock_by_hand(start):
+    printer = ready(start)
+    for says_so in (False, True):
+        printer.run(f"{OVER}ATTACH_PROBE")
+        begun = len(trips(printer))
+        take_off(printer)
+        if says_so:
+            printer.run("SET_PROBE_STATUS STATE=DOCKED")
+        printer.run(f"{OVER}AUTO_Z_PROBE")
+        wanted = [] if says_so else ["attach", "dock"]
+        assert trips(printer, begun)[1:] == wanted
+        assert untouched(printer)
+
+
+def take_off(printer):
+    """By hand, and into its dock."""
+    machine = printer.machine
+    machine.world.lose_probe(now_of(printer))
+    printer.session.wait(0.5)
+    machine.world.bring_probe_back(now_of(printer))
+    printer.session.wait(0.5)
+
+
+def now_of(printer):
+    machine = printer.machine
+    return machine.rig.seconds(machine.simulation.clock.now())
+
+
+def test_dead_probe_where_the_nozzle_has_met_the_bed(start):
+    printer = ready(start)
+    printer.machine.tolerate("probe_bed", 6.0)
+    printer.machine.tolerate("body_bed", 6.0)
+    printer.run(f"{OVER}AUTO_Z_PROBE\nATTACH_PROBE\nDETACH_PROBE")
+    fault = Fault("trigger_never", signal="probe", n=1)
+    printer.machine.break_down(fault)
+    text = printer.fail("AUTO_Z_MEASURE_OFFSET")
+    assert "5 mm below where the probe should trigger, z=1." in text
+    assert 4.0 < pressed(printer) < 5.1
 
 
 def test_head_is_where_it_was_after_docking(start):

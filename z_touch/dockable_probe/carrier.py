@@ -6,7 +6,7 @@ from __future__ import absolute_import
 import functools
 
 from ..core import carrying, touching
-from ..core.carrying import DOCKED
+from ..core.carrying import DOCKED, UNKNOWN
 from ..core.errors import CalibrationError
 from . import detour
 from .settings import travel_height
@@ -61,12 +61,16 @@ class Carrier(object):
         is_certain = sensors.proven == DOCKED or sensors.senses
         clear_z = travel_height(self.settings)
         if state != DOCKED or is_certain or z is None or z >= clear_z:
-            return state
+            return self._believed(state)
         moves.lift(clear_z)
-        state = sensors.look()
+        state = self._believed(sensors.look())
         if state == DOCKED:
             moves.go_to_height(z)
         return state
+
+    # A probe that nobody has docked may hang there with a wire that is broken.
+    def _believed(self, state):
+        return UNKNOWN if state == DOCKED and self.sensors.may_hang else state
 
     def reads(self):
         return self.sensors.describe()

@@ -40,7 +40,8 @@ FETCH = Trip(
     done="fetched",
     remedy="look whether the probe is in the dock and meets the head where"
     " dock_position is; check the pins with GET_PROBE_STATUS; if it hangs on the"
-    " head, a wire is broken: take it off before you home",
+    " head, a wire is broken: take it off before you home; where it is in the dock by"
+    " hand, SET_PROBE_STATUS STATE=DOCKED says so",
 )
 DOCK = Trip(
     before=ATTACHED,
@@ -129,6 +130,13 @@ class Docking(object):
             # head would go up at each look.
             self.moves.lift(travel_height(self.settings))
             state = sensors.look()
+        if state == DOCKED and sensors.may_hang and self._is_in_reach():
+            self.host.say(
+                "it reads docked, and was not seen to be docked; fetching it, to"
+                " see that it is there, and docking it"
+            )
+            self.fetch()
+            state = ATTACHED
         if state == DOCKED:
             self.moves.go_to_height(z)
             return False
@@ -139,6 +147,11 @@ class Docking(object):
             self.moves.go_back(goal, 0.0)
         self.deactivate()
         return True
+
+    # Whether the way to the dock is known
+    def _is_in_reach(self):
+        axes = "xy" if self.settings.dock_fixed_z else "xyz"
+        return self.settings.is_placed and self.moves.is_homed(axes)
 
     # To home Z on its switch with the probe on would press it into the bed.
     def _require_homed(self, state):
@@ -203,6 +216,7 @@ class Docking(object):
     # A trip with the G-code around it.  'state' is what was seen just before.
     def _make(self, trip, state, goal):
         self.sensors.proven = UNKNOWN
+        self.sensors.may_hang = True
         after = "post_" + trip.gcode
         go_on = None
         if goal is not None and getattr(self.settings, after) is None:
@@ -282,10 +296,9 @@ class Docking(object):
     # way is part of a trip, the head stays.
     def leave(self):
         moves, settings = self.moves, self.settings
-        axes = "xy" if settings.dock_fixed_z else "xyz"
-        if self.is_on_trip or not settings.is_placed:
+        if self.is_on_trip or not self._is_in_reach():
             return
-        if moves.is_homed(axes) and moves.stands_in_dock():
+        if moves.stands_in_dock():
             self.go_out(DOCK, settings.detach_position, settings.detach_speed)
 
     # The parts of the way are commands, so that a macro may stand in for one.

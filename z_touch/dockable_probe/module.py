@@ -103,7 +103,7 @@ class DockableProbe(object):
     def lift_before_xy(self, homing_state, rails):
         if self.is_lifted_elsewhere or self.host.homed_axis(rails) is None:
             return
-        if self.sensors.confirm() != DOCKED:
+        if self.sensors.confirm() != DOCKED or self.sensors.may_hang:
             self.moves.lift(travel_height(self.settings))
 
     # Where Z is homed without the probe, that may be in the way.
@@ -169,8 +169,9 @@ class DockableProbe(object):
                 "STATE=%s, but the probe is %s (%s); put it there first"
                 % (state, seen, self.sensors.describe())
             )
-        # Nobody has seen the pins change.
+        # Nobody has seen the pins change, but somebody has looked.
         self.sensors.proven = UNKNOWN
+        self.sensors.may_hang = False
         self.prober.hold(state == ATTACHED)
 
     cmd_SET_DOCKABLE_PROBE_help = "Switch going to the dock by itself on or off"

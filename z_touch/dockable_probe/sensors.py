@@ -35,11 +35,24 @@ class Sensors(object):
         # Whether 'pin' read TRIGGERED when the probe was last fetched: a wire that
         # is broken never does
         self.is_switch_seen = False
-        # Where the trip that ended last has put the probe, and the pins were
-        # seen to change on it; UNKNOWN: what they read proves nothing
-        self.proven = UNKNOWN
+        self._proven = UNKNOWN
+        # Whether it may hang on the head where the pins read as if it were docked:
+        # it was fetched, or was to be, and not seen to be docked since
+        self.may_hang = False
         # What somebody who looked has seen last
         self.last_state = UNKNOWN
+
+    # Where the trip that ended last has put the probe, and the pins were seen to
+    # change on it; UNKNOWN: what they read proves nothing
+    @property
+    def proven(self):
+        return self._proven
+
+    @proven.setter
+    def proven(self, state):
+        self._proven = state
+        if state != UNKNOWN:
+            self.may_hang = state == ATTACHED
 
     def state(self, print_time):
         state = self._agreed(print_time, self.senses or [self.pin])
