@@ -41,9 +41,14 @@ class RandomPrinter:
         draw = self.draw
         seat = draw.gauss(0.0, 0.04) * (self.cause == "seat")
         home = draw.gauss(0.0, 0.03) * (self.cause == "homing")
-        found = {}
+        shift, found = {}, {}
+        if self.cause.startswith("hidden"):
+            home, by = draw.gauss(0.0, 0.03), draw.gauss(0.0, 0.02)
+            seat = by * (self.cause == "hidden seat")
+            shift["bed"] = by * (self.cause == "hidden bed")
         for site, height in HEIGHTS.items():
             z = height + home + (seat if site != "nozzle" else 0.0)
+            z += shift.get(site, 0.0)
             self.pass_by(WAY)
             found[site] = [self.touch(site, z) for _ in range(touches)]
         self.pass_by(END)
@@ -69,14 +74,14 @@ class RandomPrinter:
 def verdicts(cause: str, count: int, printers: int = 200) -> Counter:
     draw = random.Random(cause)
     return Counter(
-        cycles.judge([p.cycle() for _ in range(count)]).cause
+        cycles.judge([p.cycle() for _ in range(count)], STEP).cause
         for p in (RandomPrinter(draw, cause) for _ in range(printers))
     )
 
 
-# Of 200 printers each so many causes are told
+# Of 200 printers each so many causes are told, those without one for their noise
 FOUND = {
-    "none": 200,
+    "none": 194,
     "nozzle": 195,
     "heat": 200,
     "seat": 200,
@@ -91,13 +96,14 @@ FOUND = {
 def test_cause_is_found_and_none_other_is_told(cause):
     told = verdicts(cause, 10)
     assert told[cause] == FOUND[cause]
-    assert set(told) <= {cause, "none"}
+    assert set(told) <= {cause, "none", "noise"}
 
 
 def test_document_says_how_many_are_found():
     text = " ".join(DOCUMENT.read_text(encoding="utf-8").split())
-    missed = 200 * len(FOUND) - sum(FOUND.values())
+    missed = sum(200 - FOUND[cause] for cause in FOUND if cause != "none")
     assert f"On {200 * len(FOUND)} simulated printers" in text
+    assert f"On {200 - FOUND['none']} of those without a cause" in text
     assert f"; {missed} times the true one was too small" in text
 
 
@@ -113,7 +119,68 @@ def test_other_numbers_of_touches(cause, touches):
     for _ in range(20):
         printer = RandomPrinter(draw, cause)
         found = [printer.cycle(touches) for _ in range(10)]
-        assert cycles.judge(found).cause in (cause, "none")
+        verdict = cycles.judge(found, STEP)
+        whole = cycles.uncertainty(found, STEP)
+        assert verdict.cause in (cause, "none", "noise")
+        assert verdict.cause == cause or whole <= 0.01 or "none" not in verdict
+
+
+@pytest.mark.parametrize(
+    ("cause", "named", "count"),
+    [
+        # Some are too small by chance.  Which of two hangs elsewhere homing may
+        # hide, but it is never the other one that is told
+        ("hidden bed", {"alone"}, 190),
+        ("hidden seat", {"seat", "either"}, 190),
+    ],
+)
+def test_homing_hides_no_shift(cause, named, count):
+    told = verdicts(cause, 10)
+    assert sum(told[name] for name in named) >= count
+    assert set(told) <= named | {"several", "most", "homing"}
+
+
+@pytest.mark.parametrize("noise", [0.002, 0.004, 0.006])
+@pytest.mark.parametrize("shift", [0.0, 0.004, 0.008])
+def test_nothing_to_do_is_said_up_to_ten_um_only(noise, shift):
+    draw, told = random.Random(f"{noise}/{shift}"), Counter()
+    for _ in range(60):
+        found = []
+        for i in range(10):
+            by = {s: draw.gauss(0.0, shift) for s in HEIGHTS}
+            samples = [
+                [z + by[s] + draw.gauss(0.0, noise) for _ in range(3)]
+                for s, z in HEIGHTS.items()
+            ]
+            found.append(Cycle(20.0 * i, *samples, 0.44))
+        verdict = cycles.judge(found, STEP)
+        is_good = cycles.uncertainty(found, STEP) <= 0.01
+        assert ("nothing to do" in verdict.text) == (verdict.cause == "none")
+        assert is_good or verdict.cause != "none"
+        told[verdict.cause] += 1
+    assert not (shift == 0.008 and told["none"])
+
+
+def shifted(**by: float) -> list[Cycle]:
+    """Cycles with 2 um of noise, whose sites shift by so much (mm)."""
+    draw, found = random.Random(4), []
+    for cycle in only(**dict.fromkeys(HEIGHTS, 0.002)):
+        shift = {site: draw.gauss(0.0, mm) for site, mm in by.items()}
+        moved = {s: [z + shift[s] for z in getattr(cycle, s)] for s in shift}
+        found.append(cycle._replace(**moved))
+    return found
+
+
+def test_largest_cause_is_told_where_none_dominates():
+    verdict = cycles.judge(shifted(bed=0.012, switch=0.005), STEP)
+    assert verdict.cause in ("most", "several")
+    assert "the bed" in verdict.text and "nozzle" not in verdict.text
+    size = float(verdict.text.split("by ")[1].split()[0])
+    assert size == pytest.approx(0.012, rel=0.5)
+    verdict = cycles.judge(shifted(bed=0.02, switch=0.02), STEP)
+    assert verdict.cause == "several"
+    assert "the bed by 0.0" in verdict.text
+    assert "the switch by 0.0" in verdict.text
 
 
 def only(**worn: float) -> list[Cycle]:
@@ -171,7 +238,7 @@ def test_sites_that_shift_from_cycle_to_cycle(sites, cause):
     assert cause != "alone" or f"only the {sites[0]} shifts" in verdict.text
 
 
-def test_nozzle_that_shifts_while_z_is_homed_is_no_matter_of_the_probe():
+def test_nozzle_that_shifts_while_z_is_homed_is_told():
     draw = random.Random(3)
     found = []
     for cycle in only():
@@ -182,7 +249,8 @@ def test_nozzle_that_shifts_while_z_is_homed_is_no_matter_of_the_probe():
             for s, shift in moved.items()
         }
         found.append(cycle._replace(**shifted))
-    assert cycles.judge(found).cause == "none"
+    verdict = cycles.judge(found, STEP)
+    assert verdict.cause == "either" and "clean the nozzle" in verdict.text
 
 
 def test_first_touches_that_are_all_higher_are_no_dirt():

@@ -90,7 +90,7 @@ class Recorder(object):
             uncertainty=round(cycles.uncertainty(measured, step), 6),
             switch_offset=measured[-1].switch_offset,
             warnings=[],
-            verdict=cycles.judge(measured).text,
+            verdict=cycles.judge(measured, step).text,
             cycles=[
                 dict(
                     (site, [round(z, 6) for z in getattr(cycle, site)])

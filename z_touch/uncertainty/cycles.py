@@ -13,6 +13,9 @@
 #   touches of the bed only                               the probe's switch
 #   touches of all three                                  play of Z
 #   all three together, from cycle to cycle               homing, or lost steps
+#
+# Differences of two sites come first: they are free of homing, which may hide that
+# one of the sites shifts.
 from __future__ import absolute_import, division
 
 import collections
@@ -20,6 +23,7 @@ import math
 
 from ..core.sampling import summarize
 from .estimate import pool, spread_of, t_factor
+from .recent import f_limit
 
 # One cycle: when it ended (s), the samples of each site, toolhead Z (mm), and the
 # switch_offset that was reckoned with (mm)
@@ -52,6 +56,20 @@ SURE = 5.0
 # touches do
 MORE_THAN_TOUCHES = 3.0
 
+# Less (mm, 95 %) of one calibration is nothing to do
+WHOLE = 0.01
+
+# A shift is more than what touches make of it from so many standard deviations of
+# chance on
+NO_CHANCE = 3.1
+
+# By the correlation with both of them together one of two sites is the one that
+# shifts: one in two hundred of ten cycles
+CORRELATED = 0.8
+
+# A second cause that is so much of the largest one is another one
+SECOND = 0.5
+
 # A first touch that is pressed flat loses within a cycle at least this part of
 # what changes from one to the next; heat, which has more time for that, less
 FLATTENED = 0.3
@@ -63,6 +81,8 @@ CAUSES = {
     " warm up",
     "seat": "switch and bed shift together by %.4f mm from cycle to cycle: the"
     " probe hangs elsewhere each time; seat the probe",
+    "either": "the nozzle shifts against switch and bed by %.4f mm from cycle to"
+    " cycle, and homing hides which: clean the nozzle, seat the probe, then again",
     "alone": "only the %s shifts, by %.4f mm from cycle to cycle: check what"
     " holds it, and that it is clean",
     "pin": "touches of the pin vary by %.4f mm, those of the bed do not; exchange"
@@ -72,11 +92,23 @@ CAUSES = {
     "play": "touches of all three vary alike, by %.4f mm: check the Z axis for"
     " play",
     "homing": "all heights shift together by %.4f mm from cycle to cycle, which"
-    " leaves the offset as it is; home again after levelling",
+    " leaves the gap as it is; home again after levelling",
     "tip": "only the nozzle's touches vary, by %.4f mm; clean the nozzle",
     "body": "only touches with the probe's body vary, by %.4f mm; seat the probe",
+    "most": "the %s shifts most, by %.4f mm from cycle to cycle: check what holds"
+    " it, and that it is clean",
+    "noise": "nothing shifts from cycle to cycle; touches of the %s vary most, by"
+    " %.4f mm: take more samples, or samples: auto",
+    "several": "more than one thing varies: %s; begin with the first",
     "few": "%d cycles are too few for one; take %d or more",
     "none": "nothing stands out, the %s varies most (%.4f mm); nothing to do",
+}
+
+# Of "several"
+PARTS = {
+    "most": "the %s by %.4f mm",
+    "homing": "homing by %.4f mm",
+    "noise": "touches of the %s by %.4f mm",
 }
 
 SITES = ("nozzle", "switch", "bed")
@@ -177,20 +209,25 @@ def excesses(cycles, site):
 ######################################################################
 
 
-# Looks for one cause after the other, those that disturb the others first.
-# Returns the Verdict.
-def judge(cycles):
+# Looks for one cause after the other, those that disturb the others first; where
+# none of them dominates, and the whole is too much, for the largest one.  'step': of
+# the Z motors.  Returns the Verdict.
+def judge(cycles, step=0.0):
     if len(cycles) < LEAST_CYCLES:
         return Verdict("few", CAUSES["few"] % (len(cycles), LEAST_CYCLES))
-    for find in (sticks, grows, shifts_alone, shifts, touches):
+    for find in (sticks, grows, shifts, homes, touches):
         verdict = find(cycles)
         if verdict is not None:
             return verdict
-    name, most = max(
-        ((site, touch_noise(cycles, site)) for site in SITES),
-        key=lambda pair: pair[1],
-    )
-    return Verdict("none", CAUSES["none"] % (name, most))
+    if uncertainty(cycles, step) > WHOLE:
+        return largest(cycles)
+    return Verdict("none", CAUSES["none"] % noisiest(cycles))
+
+
+# The site whose touches vary most, and by how much (mm)
+def noisiest(cycles):
+    pairs = ((site, touch_noise(cycles, site)) for site in SITES)
+    return max(pairs, key=lambda pair: pair[1])
 
 
 # Something sticks to the nozzle: its first touch is higher than the next ones.
@@ -236,38 +273,126 @@ def grows(cycles):
     return Verdict("heat", CAUSES["heat"] % (name, drift))
 
 
-# Several sites shift together from cycle to cycle: switch and bed with the seat of
-# the probe, all three with the homing of Z.
+# The other two sites
+def others_of(site):
+    return [other for other in SITES if other != site]
+
+
+# Standard deviation (mm) of the difference of two sites, and what touches make of it
+def apart(cycles, one, other):
+    pairs = zip(heights(cycles, one), heights(cycles, other))
+    squares = [touch_noise(cycles, site) ** 2 for site in (one, other)]
+    noise = math.sqrt(math.fsum(squares) / len(cycles[0].nozzle))
+    return deviation([a - b for a, b in pairs]), noise
+
+
+# How much a site shifts (mm) against the other two, which do so less against each
+# other
+def own_shift(cycles, site):
+    a, b = others_of(site)
+    squares = [
+        apart(cycles, *p)[0] ** 2 for p in ((site, a), (site, b), (a, b))
+    ]
+    return math.sqrt(max(0.0, (squares[0] + squares[1] - squares[2]) / 2.0))
+
+
+# One site shifts from cycle to cycle against the other two.  The nozzle does where
+# switch and bed shift together, with the seat of the probe: which of them it was the
+# heights themselves tell.
 def shifts(cycles):
-    z = dict((site, heights(cycles, site)) for site in SITES)
-    n = len(cycles[0].nozzle)
-    noise = dict((site, touch_noise(cycles, site)) for site in SITES)
-    bodies = [s - n for s, n in zip(z["switch"], z["nozzle"])]
-    probes = [b - s for b, s in zip(z["bed"], z["switch"])]
-    both = math.sqrt((noise["switch"] ** 2 + noise["nozzle"] ** 2) / n)
-    seat = deviation(bodies)
-    limit = max(GOOD_SHIFT, MORE_THAN_TOUCHES * both)
-    is_switch = deviation(z["switch"]) > deviation(z["nozzle"])
-    if is_switch and seat > max(limit, DOMINATES * deviation(probes)):
-        return Verdict("seat", CAUSES["seat"] % (seat,))
-    together = deviation([math.fsum(h) / 3.0 for h in zip(*z.values())])
-    apart = max(seat, deviation(probes))
-    limit = MORE_THAN_TOUCHES * max(noise.values()) / math.sqrt(n)
-    if together > max(GOOD_SHIFT, limit, DOMINATES * apart):
-        return Verdict("homing", CAUSES["homing"] % (together,))
+    for site in SITES:
+        a, b = others_of(site)
+        pairs = [apart(cycles, site, other) for other in (a, b)]
+        limits = [max(GOOD_SHIFT, MORE_THAN_TOUCHES * p[1]) for p in pairs]
+        rest, least = apart(cycles, a, b)[0], min(p[0] for p in pairs)
+        is_sure = all(p[0] > limit for p, limit in zip(pairs, limits))
+        if not is_sure or least < DOMINATES * rest:
+            continue
+        shift = own_shift(cycles, site)
+        if site != "nozzle":
+            return Verdict("alone", CAUSES["alone"] % (site, shift))
+        return nozzle_or_seat(cycles, shift)
     return None
 
 
-# One site shifts from cycle to cycle, and no other.
-def shifts_alone(cycles):
-    deviations = dict((s, deviation(heights(cycles, s))) for s in SITES)
-    alone = max(SITES, key=deviations.get)
-    most = deviations.pop(alone)
-    noise = touch_noise(cycles, alone) / math.sqrt(len(cycles[0].nozzle))
-    limit = max(GOOD_SHIFT, MORE_THAN_TOUCHES * noise)
-    if most > max(limit, DOMINATES * max(deviations.values())):
-        return Verdict("alone", CAUSES["alone"] % (alone, most))
+def nozzle_or_seat(cycles, shift):
+    pairs = zip(heights(cycles, "switch"), heights(cycles, "nozzle"))
+    found = correlation([(s - n, s + n) for s, n in pairs])
+    if found > CORRELATED:
+        return Verdict("seat", CAUSES["seat"] % (shift,))
+    if found < -CORRELATED:
+        return Verdict("alone", CAUSES["alone"] % ("nozzle", shift))
+    return Verdict("either", CAUSES["either"] % (shift,))
+
+
+def correlation(pairs):
+    a, b = [
+        [v - math.fsum(values) / len(values) for v in values]
+        for values in zip(*pairs)
+    ]
+    squares = [math.fsum(v**2 for v in values) for values in (a, b)]
+    if not all(squares):
+        return 0.0
+    product = math.fsum(v * w for v, w in zip(a, b))
+    return product / math.sqrt(squares[0] * squares[1])
+
+
+# How much all sites shift together (mm), and what touches make of that
+def common_shift(cycles):
+    z = [heights(cycles, site) for site in SITES]
+    squares = [touch_noise(cycles, site) ** 2 for site in SITES]
+    noise = math.sqrt(math.fsum(squares) / len(cycles[0].nozzle)) / 3.0
+    return deviation([math.fsum(h) / 3.0 for h in zip(*z)]), noise
+
+
+# All three shift together with the homing of Z
+def homes(cycles):
+    shift, _ = common_shift(cycles)
+    most = noisiest(cycles)[1] / math.sqrt(len(cycles[0].nozzle))
+    between = [
+        apart(cycles, *pair)[0]
+        for pair in (("switch", "nozzle"), ("bed", "switch"))
+    ]
+    limits = GOOD_SHIFT, MORE_THAN_TOUCHES * most, DOMINATES * max(between)
+    if shift > max(limits):
+        return Verdict("homing", CAUSES["homing"] % (shift,))
     return None
+
+
+# Whether a deviation (mm) is more than what touches make of it
+def is_no_chance(cycles, shift, noise):
+    dof = len(cycles) - 1
+    # Of two sites at least
+    below = 2 * len(cycles) * (len(cycles[0].nozzle) - 1)
+    return below and shift**2 > f_limit(dof, below, NO_CHANCE) * noise**2
+
+
+# What varies most, where nothing dominates
+def largest(cycles):
+    found = []
+    for site in SITES:
+        pairs = [apart(cycles, site, other) for other in others_of(site)]
+        if all(is_no_chance(cycles, *pair) for pair in pairs):
+            found.append((own_shift(cycles, site), "most", site))
+    shift, noise = common_shift(cycles)
+    if is_no_chance(cycles, shift, noise) and not found:
+        found.append((shift, "homing", ""))
+    site, most = noisiest(cycles)
+    found.append((most / math.sqrt(len(cycles[0].nozzle)), "noise", site))
+    found.sort(reverse=True)
+    if found[1:] and found[1][0] > SECOND * found[0][0]:
+        parts = [
+            PARTS[kind] % ((site, size) if site else size)
+            for size, kind, site in found
+            if size > SECOND * found[0][0]
+        ]
+        return Verdict("several", CAUSES["several"] % (", ".join(parts),))
+    size, kind, site = found[0]
+    if kind == "homing":
+        return Verdict(kind, CAUSES[kind] % (size,))
+    return Verdict(
+        kind, CAUSES[kind] % (site, most if kind == "noise" else size)
+    )
 
 
 # The touches within a cycle vary: a switch, or play.
@@ -308,4 +433,4 @@ def tell(cycles, step, seconds):
         uncertainty(cycles, step),
         seconds,
     )
-    yield "verdict: %s" % (judge(cycles).text,)
+    yield "verdict: %s" % (judge(cycles, step).text,)
