@@ -83,11 +83,13 @@ def test_each_run_says_what_it_is_worth_and_leaves_a_line(start):
     assert status["uncertainty"] == pytest.approx(worth, abs=0.0006)
     assert offset == pytest.approx(status["last_z_offset"], abs=1e-6)
     (line,) = history(printer)
+    config_file = str(printer.session.data / "config" / "printer.cfg")
     assert (line["ok"], line["reason"], line["printer"]) == (
         True,
         "",
-        "printer.cfg",
+        config_file,
     )
+    assert (line["plate"], line["format"], line["time"] > 1e9) == ("", 2, True)
     assert line["offset"] == pytest.approx(offset, abs=1e-6)
     assert line["uncertainty"] == pytest.approx(status["uncertainty"], abs=1e-6)
     assert line["switch_offset"] == 0.44
@@ -208,6 +210,36 @@ def test_what_is_wrong_with_the_file_never_fails_a_run(start):
     assert printer.status("z_calibration")["history"]["runs"] == 1
     text = f"3 damaged lines of {path} are left out"
     assert any(text in line for line in printer.session.console)
+
+
+def test_plate_of_the_command_and_no_times(start):
+    printer = start(changes=section(history_times="False")).homed()
+    printer.run('CALIBRATE_Z PLATE=" Smooth  PEI"')
+    (line,) = history(printer)
+    assert line["plate"] == "smooth pei" and "time" not in line
+    printer.session.restart("RESTART")
+    printer.session.wait(1.0)
+    assert printer.status("z_calibration")["history"]["runs"] == 1
+
+
+def test_position_endstop_as_the_hint_says_is_a_change(start, tmp_path):
+    """Runs of before it, and five of after it: the last one tells it."""
+    lower = dict.fromkeys(("nozzle", "switch", "bed"), 0.25)
+    runs = make_runs(20, moved=lower) + make_runs(4, 2)
+    with (tmp_path / "history.jsonl").open("w") as f:
+        f.writelines(json.dumps(run) + "\n" for run in runs)
+    options = {"history": str(tmp_path)}
+    printer = start(changes=section(**options)).homed()
+    printer.session.wait(1.0)
+    printer.run("CALIBRATE_Z")
+    printer.session.wait(2.0)
+    text = "".join(printer.session.console)
+    assert "nozzle height has changed by -0.25" in text
+    assert "drifted" not in text and "wear" not in text
+    (change,) = json.loads(
+        (tmp_path / "history.jsonl").read_text().splitlines()[-1]
+    )["changed"]
+    assert change["runs"] == 5 and change["told"] is True
 
 
 # The fingerprint

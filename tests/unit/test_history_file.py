@@ -6,6 +6,7 @@ import json
 import os
 import random
 import resource
+import subprocess
 import threading
 import time
 
@@ -13,6 +14,7 @@ import pytest
 
 from tests.unit.runs import make_run, make_runs
 from tests.unit.stretches import AT_A_STRETCH, Stretches
+from tests.unit.test_doors import ROOT, python2
 from z_touch.history import file as history
 
 
@@ -87,6 +89,13 @@ def test_line_cut_by_a_power_loss_costs_itself_only(file):
         b'{"ok": false, "time": 1, "sites": {}, "wear": 5}',
         b'{"ok": false, "time": 1, "sites": {}, "cycles": "none"}',
         b'{"ok": false, "time": 1, "sites": {}, "cycles": [{"bed": ["a"]}]}',
+        b'{"ok": false, "time": 1, "sites": {}, "printer": ["a"]}',
+        b'{"ok": false, "time": 1, "sites": {}, "plate": 5}',
+        b'{"ok": false, "time": 1, "sites": {}, "changed": 5}',
+        b'{"ok": false, "time": 1, "sites": {}, "changed": [5]}',
+        b'{"ok": false, "time": 1, "sites": {}, "changed": [{"what": "a"}]}',
+        b'{"ok": false, "time": 1, "sites": {}, "changed": [{"by": 1,'
+        b' "runs": 0}]}',
     ],
 )
 def test_line_edited_by_hand_is_left_out_and_stays(file, line):
@@ -155,6 +164,176 @@ def test_two_printers_write_into_one_folder(tmp_path):
     for thread in threads:
         thread.join()
     assert len(whole(files[0])) == 5
+
+
+PRINTERS = ("/home/pi/printer_1_data/config/printer.cfg", "/b/printer.cfg")
+
+
+def test_each_printer_drops_its_own_lines_only(tmp_path):
+    """They are told apart by the whole path, and what nobody can read stays."""
+    first, second = (history.File(str(tmp_path), 5, p) for p in PRINTERS)
+    add(first, 3, printer=PRINTERS[0])
+    with open(first.path, "ab") as f:
+        f.write(b"mine\n")
+    add(second, 9, printer=PRINTERS[1])
+    records, damaged = second.read()
+    assert damaged == 1
+    assert [r["printer"] for r in records] == [PRINTERS[0]] * 3 + [
+        PRINTERS[1]
+    ] * 5
+    add(first, 4, printer=PRINTERS[0])
+    records, damaged = first.read()
+    assert (len(records), damaged) == (10, 1)
+    assert [r["printer"] for r in records].count(PRINTERS[0]) == 5
+
+
+def test_each_printer_reads_as_many_runs_as_it_keeps(tmp_path):
+    """However many another one has written, with a limit of its own."""
+    add(history.File(str(tmp_path), 3), 3, printer=PRINTERS[0])
+    add(history.File(str(tmp_path), 50), 20, printer=PRINTERS[1])
+    records, _ = history.File(str(tmp_path), 3).read()
+    assert [r["printer"] for r in records].count(PRINTERS[0]) == 3
+    assert len(records) == 6
+
+
+def test_lines_of_the_first_format_are_those_of_the_printer(tmp_path):
+    """They had the name of printer.cfg only, and no number."""
+    path = tmp_path / history.FILE
+    old = make_runs(4)
+    path.write_text("".join(json.dumps(run) + "\n" for run in old))
+    file = history.File(str(tmp_path), 5, PRINTERS[0])
+    owner = Owner(file, PRINTERS[0]).begin()
+    assert owner.history.status["runs"] == 4
+    owner.add(*make_runs(3))
+    records, _ = file.read()
+    assert [r["printer"] for r in records] == [PRINTERS[0]] * 5
+    assert [r.get("format") for r in records] == [None] * 2 + [2] * 3
+    # That of another name is none of it
+    other = history.File(str(tmp_path), 5, "/c/voron.cfg")
+    assert Owner(other, "/c/voron.cfg").begin().history.status["runs"] == 0
+
+
+def test_lines_of_a_later_format_are_told_and_stay(file):
+    add(file, 2)
+    with open(file.path, "ab") as f:
+        f.write(b'{"format": 3, "ok": "perhaps"}\n')
+    owner = Owner(file).begin()
+    assert owner.history.status["runs"] == 2
+    (text,) = owner.told
+    assert "1 lines" in text and "of a later version" in text
+    owner.add(*make_runs(1))
+    assert [run["format"] for run in whole(file)] == [2, 2, 3, 2]
+
+
+@pytest.mark.parametrize(
+    "line",
+    [
+        b"[" * 100_000,
+        b'{"ok": false, "time": 1, "sites": {}, "a": '
+        + b'{"a":' * 20_000
+        + b"1"
+        + b"}" * 20_000
+        + b"}",
+        b'{"ok": false, "sites": {}, "time": ' + b"9" * 200_000 + b"}",
+        b'{"ok": false, "sites": {}, "time": 1, "reason": "%s"}'
+        % (b"a" * 50_000_000),
+        b"\0" * 50_000_000,
+    ],
+    ids=["nested", "nested in a run", "digits", "50 MB", "50 MB of zeros"],
+)
+def test_no_line_holds_klippy_or_costs_the_others(file, line, monkeypatch):
+    """Between two pauses at most 0.05 s of processor time."""
+    add(file, 3)
+    with open(file.path, "ab") as f:
+        f.write(line + b"\n")
+    stretches, since = [], [time.thread_time()]
+
+    def pause():
+        stretches.append(time.thread_time() - since[0])
+        since[0] = time.thread_time()
+
+    monkeypatch.setattr(history, "pause", pause)
+    file.append(make_run(random.Random(1), time=99.0))
+    runs, damaged = file.read()
+    pause()
+    assert (len(runs), damaged) == (4, 1)
+    assert max(stretches) < 0.05
+    # Nor where the oldest go
+    file.limit = 2
+    file.append(make_run(random.Random(1), time=99.0))
+    pause()
+    assert max(stretches) < 0.05
+    assert len(file.read()[0]) == 2
+    assert os.path.getsize(file.path) > len(line)
+
+
+def test_digits_without_end_are_no_number():
+    """Python would take its time for them."""
+    found = history.load(b'{"a": ' + b"9" * 5000 + b"}")
+    assert found == {"a": float("inf")}
+
+
+def test_times_may_be_missing(file):
+    """Where the owner does not want them, or has removed them."""
+    owner = Owner(file).begin()
+    owner.add(*[make_run(random.Random(n), time=0.0) for n in range(3)])
+    assert all("time" not in run for run in whole(file))
+    runs, damaged = file.read()
+    assert ([run["time"] for run in runs], damaged) == ([0.0] * 3, 0)
+    assert Owner(file).begin().history.status == owner.history.status
+
+
+def test_line_is_written_when_the_reactor_has_gone(file):
+    """As klippy's own after its end, which has closed its pipe."""
+    owner = Owner(file).begin()
+
+    def gone(callback):
+        raise TypeError("'NoneType' object is not subscriptable")
+
+    owner.reactor.register_async_callback = gone
+    owner.history.add(make_run(random.Random(1)))
+    owner.reactor.run()
+    assert len(whole(file)) == 1
+
+
+NOT_ASCII = r"""# coding: utf-8
+from __future__ import print_function, unicode_literals
+import sys, time
+from z_touch.history import file as history
+folder, record = sys.argv[1], __import__("json").loads(sys.stdin.read())
+path = history.as_text(folder + b"/\xc3\xbcn\xc3\xafque/printer.cfg")
+class Reactor(object):
+    def register_async_callback(self, callback):
+        callback(0.0)
+def begin():
+    file = history.File(folder, 10, path)
+    found = history.History(Reactor(), file, path, print)
+    found.begin()
+    time.sleep(0.3)
+    return found
+assert history.as_text(ValueError(b"h\xc3\xb6he")) == b"h\xc3\xb6he".decode("utf-8")
+error = ValueError(b"bett h\xc3\xb6he".decode("utf-8"))
+record["reason"] = history.as_text(error)
+record["plate"] = history.as_text(b"gl\xc3\xa4tte")
+begin().add(record)
+time.sleep(0.5)
+found = begin()
+run = found.runs[-1]
+print(len(found.runs), repr(run["reason"]), run["plate"] == record["plate"])
+"""
+
+
+def test_names_that_are_not_ascii_on_python_2(tmp_path):
+    done = subprocess.run(
+        [python2(), "-c", NOT_ASCII, str(tmp_path)],
+        cwd=ROOT,
+        env={**os.environ, "PYTHONDONTWRITEBYTECODE": "1"},
+        input=json.dumps(make_run(random.Random(1))),
+        capture_output=True,
+        encoding="utf-8",
+        check=False,
+    )
+    assert done.stdout == "1 u'bett h\\xf6he' True\n", done.stderr
 
 
 def test_records_of_a_site():

@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 import random
+import statistics
+import time
 
 import pytest
 
@@ -176,16 +178,20 @@ def test_what_was_told_is_not_told_again():
 
 
 def test_exchanged_nozzle_is_no_wear():
+    """And told with its first run, so it is no change, either."""
     other = {"switch": 0.2, "bed": 0.2}
     runs = make_runs(50) + make_runs(50, 2, moved=other)
-    assert trend.wear(runs) == []
+    assert trend.find(runs) == ([], [], [])
 
 
 def test_what_was_long_ago_is_no_trend():
-    higher = {"moved": {"switch": 0.03}}
-    runs = make_runs(50) + make_runs(100, 2, **higher)
+    runs = make_runs(30) + [
+        make_run(random.Random(n), moved={"switch": 0.0004 * n})
+        for n in range(50)
+    ]
+    runs += make_runs(100, 2, moved={"switch": 0.02})
     assert trend.wear(runs) == []
-    assert "switch - nozzle" in names(trend.wear(runs[:-20]))
+    assert "switch - nozzle" in names(trend.wear(runs[:80]))
 
 
 def test_drift_less_than_it_matters_is_not_told():
@@ -199,6 +205,10 @@ def test_drift_less_than_it_matters_is_not_told():
     assert "switch - nozzle" not in names(trend.wear(runs))
 
 
+def changes(runs):
+    return {change["what"]: change for change in trend.find(runs).changed}
+
+
 def test_hot_runs_are_not_compared_with_cold_ones():
     cold = make_runs(50)
     hot = make_runs(
@@ -207,10 +217,163 @@ def test_hot_runs_are_not_compared_with_cold_ones():
         moved={"switch": 0.03},
         temperatures={"extruder": 150.0, "heater_bed": 110.0},
     )
-    assert trend.wear(cold + hot) == []
+    assert changes(cold + hot) == {}
     for run in hot:
         run["temperatures"]["heater_bed"] = 69.0
-    assert "switch - nozzle" in names(trend.wear(cold + hot))
+    assert "switch - nozzle" in changes(cold + hot)
+
+
+# Steps
+
+
+def living(number, options, seed=1, **given):
+    """So many runs as a printer has them, and all that was told."""
+    draw, runs, texts = random.Random(seed), [], []
+    for n in range(number):
+        run = make_run(draw, touches=3, time=1.7e9 + 9e4 * n, **options(n))
+        runs.append({**run, **given})
+        told = trend.find(runs)
+        runs[-1].update(wear=told.wear, changed=told.changed)
+        texts += [(n, text) for text in told.texts]
+    return runs, texts
+
+
+def moved_from(first, **sites):
+    return lambda n: {"moved": sites if n >= first else {}}
+
+
+@pytest.mark.parametrize(
+    ("sites", "name", "by", "cause"),
+    [
+        (
+            {"nozzle": -0.25, "switch": -0.25, "bed": -0.25},
+            "nozzle height",
+            -0.25,
+            "position_endstop",
+        ),
+        ({"bed": 0.05}, "probe - switch", 0.05, "another plate"),
+        ({"bed": 0.015}, "probe - switch", 0.015, "PLATE=name"),
+    ],
+)
+def test_step_is_told_once_with_its_size_and_day(sites, name, by, cause):
+    runs, texts = living(120, moved_from(40, **sites))
+    ((number, text),) = texts
+    assert number in range(44, 50)
+    assert "drift" not in text and "wear" not in text
+    words = f"{name} has changed by "
+    assert text.startswith(words) and cause in text
+    size = float(text[len(words) :].split()[0])
+    assert size == pytest.approx(by, abs=0.004)
+    day = time.strftime("%Y-%m-%d", time.localtime(runs[40]["time"]))
+    assert f" mm on {day}, between two runs: " in text
+    (change,) = runs[number]["changed"]
+    assert (change["what"], change["runs"]) == (name, number - 39)
+    assert change["told"] is True
+
+
+def test_step_without_a_time_has_no_day():
+    _, texts = living(60, moved_from(40, bed=0.05), time=0.0)
+    ((_, text),) = texts
+    assert " mm, between two runs: another plate" in text
+
+
+def test_step_begins_a_new_stretch():
+    """What was before it is no part of a drift, nor of another step."""
+    runs, _ = living(60, moved_from(40, bed=0.05))
+    assert trend.begins_of("probe - switch", runs) == [40]
+    draw = random.Random(3)
+    more = [
+        make_run(draw, touches=3, moved={"bed": 0.05 + 0.0003 * n})
+        for n in range(60)
+    ]
+    worn = names(trend.wear(runs + more))
+    assert worn == ["probe - switch"]
+    # A nozzle that is exchanged in between is no change of the plate
+    assert trend.begins_of("switch - nozzle", runs) == []
+
+
+@pytest.mark.parametrize("block", [1, 2, 7, 25])
+@pytest.mark.parametrize("apart", [0.04, 0.012])
+def test_plates_in_turn_are_no_alarm(block, apart):
+    def options(n):
+        return {"moved": {"bed": apart * (n // block % 2)}}
+
+    runs, texts = living(200, options)
+    assert not any("drifted" in text for _, text in texts)
+    # That there is another one is told once
+    assert len(texts) <= 1
+    told = [c for run in runs for c in run["changed"] if c["told"]]
+    assert len(told) == len(texts)
+
+
+def test_names_keep_plates_apart():
+    """A drift is found though plates are changed each time."""
+
+    def options(n):
+        moved = {"bed": 0.04 * (n % 2), "switch": 2e-4 * max(0, n - 60)}
+        return {"moved": moved, "plate": ("smooth", "textured")[n % 2]}
+
+    _, texts = living(160, options)
+    assert texts and all("has drifted" in text for _, text in texts)
+    _, texts = living(60, lambda n: {**options(n), "plate": ""})
+    assert not any("probe - switch has drifted" in text for _, text in texts)
+
+
+def test_single_runs_that_are_off_are_no_step_and_hide_none():
+    values = [0.001 * (n % 3) for n in range(30)]
+    values[10] = values[27] = 0.3
+    assert trend.find_step(values) == 0
+    stepped = values[:15] + [v + 0.02 for v in values[15:]]
+    assert trend.find_step(stepped) == 15
+
+
+def test_drift_that_has_just_begun_is_no_step():
+    draw = random.Random(8)
+    for by in (0.0005, 0.001, 0.002):
+        values = [draw.gauss(max(0, n - 60) * by, 0.0025) for n in range(85)]
+        for end in range(60, 86):
+            assert trend.find_step(values[:end]) == 0
+
+
+def test_bent_line_is_the_best_one():
+    draw = random.Random(9)
+    values = [draw.gauss(max(0, n - 7) * 0.5, 1.0) for n in range(20)]
+
+    def left(bend):
+        x = [max(0, n - bend) for n in range(20)]
+        fit = statistics.linear_regression(x, values)
+        return sum(
+            (v - fit.slope * a - fit.intercept) ** 2 for a, v in zip(x, values)
+        )
+
+    least = min(left(bend) for bend in range(19))
+    assert trend.square_off_bend(values) == pytest.approx(least)
+
+
+def test_step_wants_five_runs_on_both_sides():
+    values = [0.001 * (n % 3) for n in range(24)] + [0.1] * 5
+    assert trend.find_step(values) == 24
+    assert trend.find_step(values[:-1]) == 0
+    assert trend.find_step(values[-8:]) == 0
+
+
+def test_noise_that_grows_slowly_is_told_against_the_first_runs():
+    """From 2 to 8 um within 500 runs, which no hundred of them show."""
+
+    def options(n):
+        return {"noise": 0.002, "worn": {"bed": 0.002 + 0.006 * n / 500}}
+
+    draw = random.Random(5)
+    runs = [make_run(draw, touches=3, **options(n)) for n in range(500)]
+    for end in range(40, 500, 10):
+        worn = dict(trend.wear(runs[:end]))
+        if worn:
+            break
+    assert set(worn) == {"spread of the bed's touches"}
+    assert 100 < end < 400
+    text = worn["spread of the bed's touches"]
+    assert f"mm in the last {end} runs" in text
+    assert "has grown from 0.002" in text
 
 
 def test_trend_wants_twenty_runs():

@@ -6,8 +6,10 @@
 # in here raises at whoever measures; what is wrong becomes a warning.
 from __future__ import absolute_import, division
 
+import collections
 import errno
 import fcntl
+import functools
 import json
 import logging
 import math
@@ -18,7 +20,6 @@ import time
 from ..core.sampling import summarize
 from ..uncertainty.estimate import (
     UNKNOWN,
-    Spread,
     pool,
     spread_of,
     without_outliers,
@@ -27,6 +28,16 @@ from . import trend
 
 SITES = ("nozzle", "switch", "bed")
 FILE = "history.jsonl"
+
+# Of a line.  The first format had no number, and of its printer the name of
+# printer.cfg without the folder; lines of a later one are left out, and stay.
+FORMAT = 2
+
+# A longer line (bytes) is damaged: 200 cycles of 30 touches at each site are shorter
+LONGEST = 262144
+
+# Digits of a whole number; Python takes long for more of them
+DIGITS = 20
 
 # Lines between two pauses, and how long these are (s)
 LINES_AT_ONCE = 4
@@ -53,10 +64,26 @@ def pause():
 # Records
 ######################################################################
 
-# A run is a dict: 'ok', 'time' (s since 1970), 'printer', 'reason', 'sites' by
-# name with 'z', 'sd', 'n' and 'samples' (mm), 'temperatures' (C), and, of a good
+# A run is a dict: 'format', 'ok', 'printer' (the path of its printer.cfg), 'plate'
+# (as in the command, ""), 'reason', 'sites' by name with 'z', 'sd', 'n' and
+# 'samples' (mm), 'temperatures' (C), 'wear' and 'changed', see trend.py, 'time' (s
+# since 1970; in the file it may be missing, read() makes 0 of that), and, of a good
 # one, 'offset', 'uncertainty' and 'switch_offset' (mm).  One of
 # CALIBRATE_Z_ACCURACY has 'cycles', too.
+
+
+# Of letters: Python 2.7 has another type for these than for bytes
+TEXT = type(b"".decode("ascii"))
+
+
+# Python 2.7 has names of files, parameters and most errors as bytes
+def as_text(value):
+    if isinstance(value, bytes):
+        return value.decode("utf-8", "replace")
+    try:
+        return TEXT(value)
+    except UnicodeError:
+        return as_text("%s" % (value,))
 
 
 # A number that no printer and no clock has is none, either
@@ -69,29 +96,41 @@ def are_numbers(values):
     return isinstance(values, list) and all(map(is_number, values))
 
 
-# A line as a record, or None: whoever edits the file by hand may write anything
-def parse(line):
+def whole_number(digits):
+    return int(digits) if len(digits) <= DIGITS else float("inf")
+
+
+# A line as a dict of this format, or an earlier one: whoever edits the file by hand
+# may write anything.  None: it is none; {}: it is of a later format.
+def load(line):
     try:
-        record = json.loads(line.decode("utf-8"))
-    except ValueError:
+        found = json.loads(line.decode("utf-8"), parse_int=whole_number)
+    except (ValueError, RuntimeError, MemoryError):
+        # The second one is of nesting without end
         return None
-    return record if is_record(record) else None
+    if isinstance(found, dict) and is_number(found.get("format")):
+        return found if found["format"] <= FORMAT else {}
+    return found if isinstance(found, dict) else None
+
+
+# A line as a record, or None
+def parse(line):
+    record = load(line)
+    return record if record and is_record(record) else None
 
 
 def is_record(record):
-    if not isinstance(record, dict) or not isinstance(record.get("ok"), bool):
-        return False
     sites = record.get("sites")
-    if not is_number(record.get("time")) or not isinstance(sites, dict):
+    if not isinstance(record.get("ok"), bool) or not isinstance(sites, dict):
         return False
     if not all(name in SITES and is_site(s) for name, s in sites.items()):
+        return False
+    if not (has_names(record) and has_marks(record)):
         return False
     heat, worth = record.get("temperatures", {}), record.get("uncertainty")
     if not isinstance(heat, dict) or not are_numbers(list(heat.values())):
         return False
     if not (worth is None or is_number(worth)):
-        return False
-    if not isinstance(record.get("wear", []), list):
         return False
     if not are_cycles(record.get("cycles", [])):
         return False
@@ -99,6 +138,29 @@ def is_record(record):
         numbers = [record.get("offset"), record.get("switch_offset")]
         return len(sites) == len(SITES) and all(map(is_number, numbers))
     return True
+
+
+# Its printer and plate, and when it was
+def has_names(record):
+    if not is_number(record.setdefault("time", 0.0)):
+        return False
+    names = [name for name in ("printer", "plate") if name in record]
+    return all(isinstance(record[name], TEXT) for name in names)
+
+
+# What was told with the run
+def has_marks(record):
+    worn, changed = record.get("wear", []), record.get("changed", [])
+    return (
+        isinstance(worn, list)
+        and isinstance(changed, list)
+        and all(isinstance(c, dict) and is_change(c) for c in changed)
+    )
+
+
+def is_change(change):
+    count = change.get("runs")
+    return is_number(change.get("by")) and is_number(count) and count >= 1
 
 
 def is_site(site):
@@ -141,12 +203,7 @@ def site_record(samples, z, step, touches=None, earlier=UNKNOWN):
 # without what made them refused the others look better than they are.
 def spreads_in(runs, site):
     measured = [run["sites"].get(site) for run in runs[-RECENT:]]
-    return [
-        Spread(max(s["sd"], 0.0) ** 2, max(int(s["n"]) - 1, 0))
-        if s
-        else UNKNOWN
-        for s in measured
-    ]
+    return [trend.spread_in(s) if s else UNKNOWN for s in measured]
 
 
 ######################################################################
@@ -154,39 +211,76 @@ def spreads_in(runs, site):
 ######################################################################
 
 
+# The lines of a file, one that is longer than LONGEST in pieces: pairs of whether a
+# line begins there, and bytes.  Gives way every few of them.
+def pieces_of(f):
+    begins = True
+    read = iter(functools.partial(f.readline, LONGEST), b"")
+    for number, piece in enumerate(read):
+        if number % LINES_AT_ONCE == 0:
+            pause()
+        yield begins, piece
+        begins = piece.endswith(b"\n")
+
+
 # The file; every method may raise IOError or OSError.
 class File(object):
-    # 'limit': runs that are kept
-    def __init__(self, folder, limit):
+    # 'limit': runs that are kept of each printer; 'printer': the path of its
+    # printer.cfg, None: it has no runs of the first format
+    def __init__(self, folder, limit, printer=None):
         self.folder = folder
         self.path = os.path.join(folder, FILE)
         self.limit = limit
+        self.printer = printer
+        # Lines of a later format
+        self.later = 0
+
+    # What the first format has of the printer; nobody has None
+    def _old_name(self):
+        return self.printer and os.path.basename(self.printer)
 
     # The records of all printers that write here, the oldest first, and how
     # many lines are none
     def read(self):
-        records, damaged = [], 0
+        kept, damaged, self.later = {}, 0, 0
         if not os.path.exists(self.path):
-            return records, damaged
+            return [], damaged
         with open(self.path, "rb") as f:
-            for number, line in enumerate(f):
-                if number % LINES_AT_ONCE == 0:
-                    pause()
-                record = parse(line) if line.strip() else None
-                damaged += record is None and bool(line.strip())
-                if record is not None:
-                    records.append(record)
-        return records[-self.limit :], damaged
+            for number, (begins, piece) in enumerate(pieces_of(f)):
+                if not (begins and piece.strip()):
+                    continue
+                record = load(piece) if len(piece) < LONGEST else None
+                if record == {}:
+                    self.later += 1
+                elif record is None or not is_record(record):
+                    damaged += 1
+                else:
+                    self._adopt(record)
+                    few = collections.deque(maxlen=self.limit)
+                    few = kept.setdefault(record.get("printer"), few)
+                    few.append((number, record))
+        pairs = sum(map(list, kept.values()), [])
+        pairs.sort(key=lambda pair: pair[0])
+        return [record for _, record in pairs], damaged
+
+    # A run of the first format gets the name of now
+    def _adopt(self, record):
+        is_old = "format" not in record and self.printer is not None
+        if is_old and record.get("printer") == self._old_name():
+            record["printer"] = self.printer
 
     def append(self, record):
-        line = json.dumps(record, sort_keys=True, allow_nan=False)
+        record["format"] = FORMAT
+        # Without a time that nobody wants to be kept
+        fields = dict((k, v) for k, v in record.items() if k != "time" or v)
+        line = json.dumps(fields, sort_keys=True, allow_nan=False)
         line = line.encode("ascii") + b"\n"
         if not os.path.exists(self.folder):
             os.makedirs(self.folder)
         with Turn(self.folder):
             self._add(line)
             pause()
-            self._drop_oldest()
+            self._drop_oldest(record.get("printer"))
 
     # What is there stays whole, also where the disk is full half-way
     def _add(self, line):
@@ -208,24 +302,49 @@ class File(object):
         finally:
             os.close(fd)
 
-    def _drop_oldest(self):
+    # Of one printer; what others have written stays, and what nobody can read
+    def _drop_oldest(self, printer):
+        marks = [
+            ('"printer": ' + json.dumps(name)).encode("ascii")
+            for name in (printer, self._old_name())
+            if name is not None
+        ]
+
+        def is_own(begins, piece):
+            return begins and any(mark in piece for mark in marks)
+
         with open(self.path, "rb") as f:
-            data = f.read()
-        begin, drop = 0, data.count(b"\n") - self.limit
-        for _ in range(drop):
-            begin = data.index(b"\n", begin) + 1
-        if begin:
-            replace(self.path, data[begin:])
+            count = sum(is_own(*piece) for piece in pieces_of(f))
+            if count <= self.limit:
+                return
+            f.seek(0)
+            kept = self._without_first(f, count - self.limit, is_own)
+            replace_by(self.path, kept)
+
+    def _without_first(self, f, drop, is_own):
+        drops = False
+        for begins, piece in pieces_of(f):
+            if begins:
+                drops = drop > 0 and is_own(begins, piece)
+                drop -= drops
+            if not drops:
+                yield piece
 
 
 # Writes a file anew, by another one that takes its place: it has all of the data,
 # or stays as it was.
 def replace(path, data):
+    replace_by(path, [data])
+
+
+# The same with data in pieces
+def replace_by(path, pieces):
     path = os.path.realpath(path)
     new = path + ".new"
     try:
         with open(new, "wb") as f:
-            f.write(data)
+            for piece in pieces:
+                f.write(piece)
             f.flush()
             os.fsync(f.fileno())
         os.rename(new, path)
@@ -269,7 +388,7 @@ class History(object):
     def __init__(self, reactor, file, printer, say):
         self.reactor = reactor
         self.file = file
-        # The name of printer.cfg, as several printers may have one folder
+        # The path of printer.cfg, as several printers may have one folder
         self.printer = printer
         self.say = say
         self.runs = []
@@ -309,8 +428,14 @@ class History(object):
             logging.exception("history")
             self.later(self.warn, "the history cannot be kept: %s" % (repr(e),))
 
+    # On klippy's main thread
     def later(self, call, *args):
-        self.reactor.register_async_callback(lambda eventtime: call(*args))
+        try:
+            self.reactor.register_async_callback(lambda eventtime: call(*args))
+        except Exception:
+            # klippy has ended meanwhile, and its reactor with it: nobody is there
+            # to be told
+            logging.exception("history: %s", args)
 
     # Once for each reason: a disk stays full
     def warn(self, text):
@@ -320,9 +445,16 @@ class History(object):
 
     def _read(self):
         records, damaged = self.file.read()
-        if damaged:
-            text = "%d damaged lines of %s are left out"
-            self.later(self.warn, text % (damaged, self.file.path))
+        for text, count in (
+            ("%d damaged lines of %s are left out", damaged),
+            (
+                "%d lines of %s are of a later version, and left out: update the"
+                " module",
+                self.file.later,
+            ),
+        ):
+            if count:
+                self.later(self.warn, text % (count, self.file.path))
         runs = self._of_this_printer(records)
         self.later(self._take, runs, trend.summarize_runs(runs, pause), [])
 
@@ -351,14 +483,16 @@ class History(object):
         self._show()
         self.in_thread(self._write, record, runs)
 
-    # What is worn is told with the run that has shown it
+    # What is worn, or has changed, is told with the run that has shown it
     def _write(self, record, runs):
         pause()
-        worn = trend.wear(runs, pause)
-        record["wear"] = [name for name, text in worn]
-        texts = [text for name, text in worn]
-        self.later(self._take, None, trend.summarize_runs(runs, pause), texts)
-        self.file.append(record)
+        told = trend.find(runs, pause)
+        record.update(wear=told.wear, changed=told.changed)
+        summary = trend.summarize_runs(runs, pause)
+        try:
+            self.file.append(record)
+        finally:
+            self.later(self._take, None, summary, told.texts)
 
     # 'runs' None: they are here already
     def _take(self, runs, summary, texts):

@@ -9,19 +9,25 @@ import time
 from ..core.sampling import summarize
 from ..uncertainty import adaptive, cycles
 from . import report, trend
-from .file import SITES, File, History, site_record
+from .file import SITES, File, History, as_text, site_record
 
 HEATERS = ("extruder", "heater_bed")
 
 
+# The whole path of printer.cfg
+def find_config(printer):
+    path = printer.get_start_args().get("config_file", "")
+    return os.path.abspath(os.path.expanduser(path))
+
+
 # The file in a folder beside printer.cfg, of so many lines at most; None: nothing
 # is kept.
-def find_file(printer, folder, runs):
+def find_file(config_file, folder, runs):
     if folder is None:
         return None
-    config_file = printer.get_start_args()["config_file"]
-    beside = os.path.dirname(os.path.abspath(config_file))
-    return File(os.path.join(beside, os.path.expanduser(folder)), runs)
+    beside = os.path.dirname(config_file)
+    path = os.path.join(beside, os.path.expanduser(folder))
+    return File(path, runs, as_text(config_file))
 
 
 # Of a run that is under way: when it began (eventtime), its adaptive.Plan, and why
@@ -32,14 +38,17 @@ class Recorder(object):
         self.host = host
         self.printer = host.printer
         self.version = version
-        name = self.printer.get_start_args().get("config_file", "")
+        self.keeps_times = settings.history_times
+        config_file = find_config(self.printer)
         self.history = History(
             self.printer.get_reactor(),
-            find_file(self.printer, settings.history, settings.history_runs),
-            os.path.basename(name),
+            find_file(config_file, settings.history, settings.history_runs),
+            as_text(config_file),
             self.say,
         )
         self.plan = None
+        # PLATE of the command
+        self.plate = ""
         self.began = 0.0
         self.cleaned = ""
         register = self.printer.register_event_handler
@@ -62,8 +71,9 @@ class Recorder(object):
         step = max(s.get_step_dist() for s in self.host.z_steppers())
         return adaptive.Plan(step, self.history.spreads(), counting)
 
-    def begin(self, counting):
+    def begin(self, counting, plate=""):
         self.plan = self.make_plan(counting)
+        self.plate = as_text(plate)
         self.began = self.host.eventtime()
         self.cleaned = ""
         return self.plan
@@ -122,7 +132,7 @@ class Recorder(object):
     # Nothing that goes wrong here may fail a run
     def add(self, **fields):
         try:
-            reason = " ".join(str(fields["reason"]).split())
+            reason = " ".join(as_text(fields["reason"]).split())
             fields.update(self.common(), reason=reason)
             self.history.add(fields)
         except Exception:
@@ -137,7 +147,8 @@ class Recorder(object):
                 sites[site] = self.site_of(site)
                 retries += len(plan.touches[site]) - len(sites[site]["samples"])
         return {
-            "time": round(time.time(), 1),
+            "time": round(time.time(), 1) if self.keeps_times else 0.0,
+            "plate": self.plate,
             "revision": self.version,
             "duration": round(eventtime - self.began, 2),
             "temperatures": self.temperatures(eventtime),

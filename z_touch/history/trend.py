@@ -4,14 +4,28 @@
 # switch - nozzle depends on neither homing nor bed: it is the fingerprint of
 # nozzle and probe.  Wear is a trend over the last runs, found by the test of
 # Mann and Kendall, which asks for each two runs which one was higher: it wants
-# no certain distribution, and single runs that are far off do not decide.
+# no certain distribution, and single runs that are far off do not decide.  What
+# hangs together from run to run, such as plates in turn, counts as fewer runs.
+#
+# What one step between two runs explains better than a line is a change: told once,
+# and a new stretch begins, in which older runs have no say.
+#
+# With the run that has shown it the history keeps, by the names of HEIGHTS and
+# SPREADS:
+#
+#   'wear'      names of what was told as worn; their stretch begins with the next run
+#   'changed'   dicts: 'what', a name; 'by' (mm); 'runs', how many there were since
+#               then, this one and refused ones included; 'told': False where it
+#               went back to where it had been before, which is told to nobody
 from __future__ import absolute_import, division
 
 import collections
 import math
+import time
 
 from ..core.sampling import summarize
-from ..uncertainty.estimate import MAD_FACTOR
+from ..uncertainty.estimate import MAD_FACTOR, Spread, t_factor
+from ..uncertainty.recent import f_limit, pool_usual
 
 # mm; None where there are too few runs
 Fingerprint = collections.namedtuple("Fingerprint", "middle sigma runs")
@@ -34,7 +48,7 @@ FAR = 0.05
 # Among runs that were as hot less is no chance (mm): 38 um of residue on the nozzle
 FAR_AS_HOT = 0.02
 
-# Runs for a trend: at least, and the latest that count
+# Runs for a trend of a height: at least, and the latest that count
 TREND_LEAST = 20
 TREND_RUNS = 100
 
@@ -47,6 +61,21 @@ TREND_SIGMA = 4.5
 SHIFT = 0.006
 GROWTH = 0.001
 GROWTH_TIMES = 1.5
+
+# Runs at both ends of a stretch whose spreads are compared
+GROWTH_RUNS = 20
+
+# Runs before and after a change, at least; standard errors from which on it is one;
+# and the odds against a line from which on it is one, and up to which a trend is no
+# change (as logarithms, in logarithms of the number of runs): that where a step
+# fits best was chosen speaks for it by chance
+STEP_RUNS = 5
+STEP_SIGMA = 6.0
+STEP_ODDS = 3.0
+LINE_ODDS = 0.5
+
+# Part of a change by which one may miss where it was before, and is back there
+BACK = 0.2
 
 # Only runs are compared that were as hot (K)
 AS_HOT = 10.0
@@ -68,34 +97,52 @@ def spread(site):
     return lambda run: run["sites"][site]["sd"]
 
 
-# Of a trend: name, value of a run, what to do
+# The same with how well it is known: as a Spread, of what a record has of a site
+def spread_in(record):
+    dof = max(int(record["n"]) - 1, 0)
+    return Spread(max(record["sd"], 0.0) ** 2, dof)
+
+
+def touches(site):
+    return lambda run: spread_in(run["sites"][site])
+
+
+# Of a trend: name, value of a run, what to do about wear, what else changes it at once
 HEIGHTS = (
     (
         "nozzle height",
         height("nozzle"),
         "check the switch that the nozzle presses, and what homes Z",
+        "a new position_endstop does that, another nozzle, or what homes Z",
     ),
-    ("switch - nozzle", body, "check nozzle, probe and their seat for wear"),
+    (
+        "switch - nozzle",
+        body,
+        "check nozzle, probe and their seat for wear",
+        "another nozzle does that, another probe, or how it is seated",
+    ),
     (
         "probe - switch",
         lambda run: height("bed")(run) - height("switch")(run),
         "check the bed and the probe's switch for wear",
+        "another plate does that (with CALIBRATE_Z PLATE=name each counts for"
+        " itself), or another probe",
     ),
 )
 SPREADS = (
     (
         "spread of the nozzle's touches",
-        spread("nozzle"),
+        touches("nozzle"),
         "clean the nozzle, then check the switch under it",
     ),
     (
         "spread of the switch's touches",
-        spread("switch"),
+        touches("switch"),
         "check how the probe is seated, and the switch under it",
     ),
     (
         "spread of the bed's touches",
-        spread("bed"),
+        touches("bed"),
         "check how the probe is seated; its switch may be worn",
     ),
 )
@@ -189,58 +236,294 @@ def is_as_hot(run, other):
     return True
 
 
-# The latest ones that are comparable with the last, and were not told of yet
-def comparable(good, pause):
-    latest = []
-    for number, run in enumerate(reversed(good)):
+def is_like(run, other):
+    plates = [r.get("plate") or "" for r in (run, other)]
+    return plates[0] == plates[1] and is_as_hot(run, other)
+
+
+######################################################################
+# Stretches
+######################################################################
+
+
+# Good runs from a number on that are comparable with the last one, as pairs of their
+# number and the run
+def comparable(runs, begin, pause):
+    found = []
+    for number in range(begin, len(runs)):
         if number % 20 == 0:
             pause()
-        if is_as_hot(run, good[-1]):
-            latest.append(run)
-        if len(latest) == TREND_RUNS:
-            break
-    return latest[::-1]
+        if runs[number]["ok"] and is_like(runs[number], runs[-1]):
+            found.append((number, runs[number]))
+    return found
 
 
-def since_told(name, runs):
-    for number in reversed(range(len(runs))):
-        if name in runs[number].get("wear", ()):
-            return runs[number + 1 :]
-    return runs
+# Numbers of the runs with which the stretches of a name begin, but for the first
+def begins_of(name, runs):
+    found = []
+    for number, run in enumerate(runs):
+        for change in run.get("changed", ()):
+            if change.get("what") == name:
+                found.append(max(0, number + 1 - int(change["runs"])))
+        if name in run.get("wear", ()):
+            found.append(number + 1)
+    return found
+
+
+# Of single runs that are off, and agree with neither neighbour while these do with
+# each other: a value between them
+def without_single_ones(values):
+    steps = [abs(b - a) for a, b in zip(values, values[1:])]
+    far = FAR_SIGMA * MAD_FACTOR * summarize(steps, "median") / math.sqrt(2.0)
+    found = list(values)
+    for i in range(1, len(values) - 1):
+        before, v, after = values[i - 1 : i + 2]
+        off = min(abs(v - before), abs(v - after))
+        if off > far and abs(after - before) <= far:
+            found[i] = (before + after) / 2.0
+    return found
+
+
+######################################################################
+# Line or step
+######################################################################
+
+
+# What a straight line leaves of the values
+def off_line(values):
+    n = len(values)
+    middle, mean = (n - 1) / 2.0, math.fsum(values) / n
+    square = math.fsum((i - middle) ** 2 for i in range(n))
+    slope = math.fsum((i - middle) * v for i, v in enumerate(values)) / square
+    return [v - mean - slope * (i - middle) for i, v in enumerate(values)]
+
+
+# Where one step explains the values best: how many come before it
+def best_split(values):
+    n, total, before = len(values), math.fsum(values), 0.0
+    best, most = 1, -1.0
+    for i in range(1, n):
+        before += values[i - 1]
+        apart = before / i - (total - before) / (n - i)
+        explains = apart**2 * i * (n - i)
+        if explains > most:
+            best, most = i, explains
+    return best
+
+
+# What a step leaves of the values
+def off_step(values, split):
+    found = []
+    for part in (values[:split], values[split:]):
+        mean = math.fsum(part) / len(part)
+        found += [v - mean for v in part]
+    return found
+
+
+def square_of(values):
+    return math.fsum(v**2 for v in values)
+
+
+# The sum of squares that the best bent line leaves of the values: level at first,
+# then straight up or down, as a drift that has just begun
+def square_off_bend(values):
+    n, mean = len(values), math.fsum(values) / len(values)
+    left = [v - mean for v in values]
+    whole = square_of(left)
+    best, after, product = whole, 0.0, 0.0
+    # Of x, the runs since the bend: 0 up to it, then 1, 2 ...
+    for x in range(1, n):
+        after += left[n - x]
+        product += after
+        total = x * (x + 1) / 2.0
+        square = x * (x + 1) * (2 * x + 1) / 6.0 - total**2 / n
+        best = min(best, whole - product**2 / square)
+    return best
+
+
+# How many values that hang together count as one: by the correlation of neighbours
+# in what is left of them
+def together(rest):
+    square = square_of(rest)
+    if not square:
+        return 1.0
+    part = math.fsum(a * b for a, b in zip(rest, rest[1:])) / square
+    part = min(max(part, 0.0), 0.9)
+    return (1.0 + part) / (1.0 - part)
+
+
+# How much likelier a step is than a line that leaves so much of the values, as a
+# logarithm; below 0 a line is
+def odds_of_step(values, split, line):
+    # Of heights that are all the same, too
+    least = len(values) * 1e-14
+    step = max(square_of(off_step(values, split)), least)
+    return len(values) * math.log(max(line, least) / step)
+
+
+# The number of the values before a change, 0: there is none
+def find_step(values):
+    n = len(values)
+    if n < 2 * STEP_RUNS:
+        return 0
+    values = without_single_ones(values)
+    split = best_split(values)
+    if min(split, n - split) < STEP_RUNS:
+        # Too early to tell
+        return 0
+    if abs(size_of_step(values, split)) < SHIFT:
+        return 0
+    rest = off_step(values, split)
+    means = [math.fsum(p) / len(p) for p in (values[:split], values[split:])]
+    noise = max(square_of(rest) / (n - 2), 1e-14) * together(rest)
+    error = math.sqrt(noise * (1.0 / split + 1.0 / (n - split)))
+    # Of few runs nobody knows well how they vary
+    sure = STEP_SIGMA * (t_factor(n - 2) / t_factor(float("inf"))) ** 3
+    if abs(means[1] - means[0]) < sure * error:
+        return 0
+    line = min(square_of(off_line(values)), square_off_bend(values))
+    odds = odds_of_step(values, split, line)
+    return split if odds > STEP_ODDS * math.log(n) else 0
+
+
+# From the last runs before it to the first ones after it (mm)
+def size_of_step(values, split):
+    before = values[max(0, split - GROWTH_RUNS) : split]
+    after = values[split : split + GROWTH_RUNS]
+    return summarize(after, "median") - summarize(before, "median")
+
+
+######################################################################
+# What is told
+######################################################################
+
+# With a run: 'wear' and 'changed' as it is kept, and the texts for the user
+Told = collections.namedtuple("Told", "wear changed texts")
+
+
+# Of all runs, of which the last one has just ended
+def find(runs, pause=no_pause):
+    worn, changed, texts = wear(runs, pause), [], []
+    exchanged = exchanged_with(runs, pause)
+    for name, value, _, cause in HEIGHTS:
+        begin = max([exchanged] + begins_of(name, runs))
+        change = find_change(name, value, runs, begin, pause)
+        if change is None:
+            continue
+        changed.append(change)
+        if change["told"]:
+            day = date_of(runs[-int(change["runs"])])
+            text = "%s has changed by %.3f mm%s, between two runs: %s"
+            texts.append(text % (name, change["by"], day, cause))
+    texts += [text for _, text in worn]
+    return Told([name for name, _ in worn], changed, texts)
+
+
+def date_of(run):
+    try:
+        day = time.strftime("%Y-%m-%d", time.localtime(run["time"]))
+    except (OverflowError, ValueError, OSError):
+        return ""
+    return " on " + day if run["time"] else ""
+
+
+# The number of the first run with the nozzle and the probe of now
+def exchanged_with(runs, pause):
+    good = [number for number, run in enumerate(runs) if run["ok"]]
+    since = summarize_runs(runs, pause).since
+    return good[since] if since else 0
+
+
+# What has changed since the stretch of a name has begun, as it is kept; None: nothing
+def find_change(name, value, runs, begin, pause):
+    if not (runs and runs[-1]["ok"]):
+        return None
+    like = comparable(runs, begin, pause)[-TREND_RUNS:]
+    values = [value(run) for _, run in like]
+    split = find_step(values)
+    if not split:
+        return None
+    by, first = size_of_step(values, split), like[split][0]
+    now = summarize(values[split:], "median")
+    is_back = any(
+        abs(now - before) <= max(SHIFT, BACK * abs(by))
+        for before in levels_before(name, value, runs, pause)
+    )
+    return {
+        "what": name,
+        "by": round(by, 6),
+        "runs": len(runs) - first,
+        "told": not is_back,
+    }
+
+
+# Where a height was at the end of each stretch before this one (mm)
+def levels_before(name, value, runs, pause):
+    begins, levels = sorted(begins_of(name, runs)), []
+    for begin, end in zip([0] + begins, begins):
+        pause()
+        part = runs[begin:end][-2 * GROWTH_RUNS :]
+        values = [value(r) for r in part if r["ok"] and is_like(r, runs[-1])]
+        if len(values) >= STEP_RUNS:
+            levels.append(summarize(values[-GROWTH_RUNS:], "median"))
+    return levels
 
 
 # What is significant since it was told last: pairs of name and text
 def wear(runs, pause=no_pause):
-    good = [run for run in runs if run["ok"]]
-    since = summarize_runs(good, pause).since
-    like, told = comparable(good[since:], pause), []
-    for name, value, remedy in HEIGHTS + SPREADS:
-        values = [value(run) for run in since_told(name, like)]
-        pause()
-        if len(values) < TREND_LEAST:
-            continue
-        is_height = name in [entry[0] for entry in HEIGHTS]
-        text = (shifted if is_height else grown)(name, values, pause)
-        if text:
-            told.append((name, "%s: %s" % (text, remedy)))
+    if not (runs and runs[-1]["ok"]):
+        return []
+    told, exchanged = [], exchanged_with(runs, pause)
+    for name, value, remedy, _ in HEIGHTS:
+        begin = max([exchanged] + begins_of(name, runs))
+        like = comparable(runs, begin, pause)
+        values = [value(run) for _, run in like[-TREND_RUNS:]]
+        text = shifted(name, values, pause)
+        told += [(name, "%s: %s" % (text, remedy))] if text else []
+    for name, value, remedy in SPREADS:
+        begin = max([exchanged] + begins_of(name, runs))
+        like = comparable(runs, begin, pause)
+        text = grown(name, [value(run) for _, run in like])
+        told += [(name, "%s: %s" % (text, remedy))] if text else []
     return told
 
 
 def shifted(name, values, pause):
+    if len(values) < TREND_LEAST:
+        return ""
     first, last = thirds(values)
     # A line shifts by half as much again as its thirds do
     shift = (last - first) * 1.5
-    if abs(shift) < SHIFT or abs(kendall(values, pause)) < TREND_SIGMA:
+    if abs(shift) < SHIFT:
+        return ""
+    straight = without_single_ones(values)
+    rest = off_line(straight)
+    sigmas = kendall(values, pause) / math.sqrt(together(rest))
+    if abs(sigmas) < TREND_SIGMA:
+        return ""
+    split, line = best_split(straight), square_of(rest)
+    odds = odds_of_step(straight, split, line)
+    if odds > LINE_ODDS * math.log(len(values)):
         return ""
     text = "%s has drifted by %.3f mm in the last %d runs"
     return text % (name, shift, len(values))
 
 
-def grown(name, values, pause):
-    first, last = thirds(values)
-    if last < max(first + GROWTH, first * GROWTH_TIMES):
+# 'spreads': of one touch, in each run of a stretch
+def grown(name, spreads):
+    if len(spreads) < 2 * GROWTH_RUNS:
         return ""
-    if kendall(values, pause) < TREND_SIGMA:
+    first, last = [
+        pool_usual(part, GROWTH)
+        for part in (spreads[:GROWTH_RUNS], spreads[-GROWTH_RUNS:])
+    ]
+    if not (first.dof and last.dof):
+        return ""
+    before, now = math.sqrt(first.variance), math.sqrt(last.variance)
+    if now < max(before + GROWTH, before * GROWTH_TIMES):
+        return ""
+    limit = f_limit(last.dof, first.dof, TREND_SIGMA)
+    if last.variance < limit * max(first.variance, GROWTH**2):
         return ""
     text = "%s has grown from %.4f to %.4f mm in the last %d runs"
-    return text % (name, first, last, len(values))
+    return text % (name, before, now, len(spreads))

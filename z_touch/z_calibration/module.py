@@ -33,6 +33,7 @@ from .results import NOTHING, Results
 from .settings import (
     complete,
     idle_params,
+    param_plate,
     param_switch_offset,
     param_touches,
     read_settings,
@@ -201,7 +202,7 @@ class ZCalibration(object):
         for name in idle_params(gcmd, settings):
             text = "%s is ignored with 'samples: auto'"
             self.runner.watch.say(text % (name,))
-        plan = self.recorder.begin(settings.counting)
+        plan = self.recorder.begin(settings.counting, param_plate(gcmd))
         wanted = 2 * plan.expected(settings.pin) + plan.expected(settings.probe)
         work = functools.partial(self.calibrate_and_apply, gcmd, settings)
         try:

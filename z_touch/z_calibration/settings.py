@@ -296,6 +296,13 @@ KEPT = (
         "How many lines it keeps.",
         minval=1,
     ),
+    option(
+        "history_times",
+        options.FLAG,
+        True,
+        "",
+        "false: its lines do not say when that was.",
+    ),
 )
 
 USER_GCODE = (
@@ -494,6 +501,11 @@ def idle_params(gcmd, settings):
         return []
     names = [name.upper() for name in settings.counting.idle]
     return [name for name in names if gcmd.get(name, "").strip()]
+
+
+# PLATE of a command: the owner's name of it, in any case of its letters
+def param_plate(gcmd):
+    return " ".join(gcmd.get("PLATE", "").lower().split())
 
 
 # SWITCH_OFFSET of a command (mm), or else 'default', or else the user is asked
