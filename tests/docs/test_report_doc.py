@@ -115,6 +115,7 @@ def test_pictures_are_drawn_from_what_was_measured(name, greenwich):
         ("good", "good", "Nothing to do."),
         ("dirt", "act", "the nozzle is dirty"),
         ("wear", "watch", "Probe - switch drifts by -0.0"),
+        ("plate", "watch", "Probe - switch changed by 0.1"),
     ],
 )
 def test_stories_end_as_they_are_told(name, level, words):

@@ -400,6 +400,13 @@ def test_off_the_printer_it_is_drawn_from_the_file(tmp_path):
     assert (tmp_path / "other.svg").read_text() == (
         tmp_path / "report.svg"
     ).read_text()
+    # Of before printers had the whole path for a name
+    whole = [{**r, "printer": "/a/printer.cfg", "format": 2} for r in runs[4:]]
+    other = {**runs[0], "format": 2}
+    lines = "".join(json.dumps(run) + "\n" for run in [*runs, other, *whole])
+    path.write_text(lines)
+    run_program(path)
+    assert "6 runs" in (tmp_path / "report.svg").read_text()
     done = run_program()
     assert (
         done.returncode == 2 and "z_touch.history.report history" in done.stderr

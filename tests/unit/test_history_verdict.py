@@ -139,6 +139,22 @@ def test_it_says_how_much_since_the_stretch_has_begun():
     assert [text.split(" ")[0] for text in texts] == ["Spread", "Probe"]
 
 
+def test_it_says_how_much_of_the_plate_it_was_told_of():
+    runs = make_runs(60, homing=0.0, noise=0.0)
+    for number, run in enumerate(runs):
+        run["plate"] = "ab"[number % 2]
+        # The other one is higher, and stays so
+        run["sites"]["bed"]["z"] += 0.2 if number % 2 else 0.001 * number
+    runs[-2]["wear"] = ["probe - switch"]
+    (text,) = verdict.judge(runs).texts
+    assert text.startswith("Probe - switch drifts by 0.060 mm in 30 runs")
+    # A step that went back is none to tell of, but a stretch has begun
+    change = {"what": "probe - switch", "by": 0.1, "runs": 21, "told": False}
+    runs[-1]["changed"] = [change]
+    (text,) = verdict.judge(runs).texts
+    assert " in 10 runs" in text
+
+
 def test_the_worst_comes_first():
     runs = told(-3, wear=["switch - nozzle"])
     runs[-1]["warnings"] = [MESH, DIRTY]

@@ -104,6 +104,11 @@ def wear(day: int, scene: Scene) -> Day:
     return Day(probe(scene, 0.0009 * day, 0.0014 + 0.0001 * day))
 
 
+def plate(day: int, scene: Scene) -> Day:
+    """Another plate, thicker by 0.12 mm."""
+    return Day(bed(scene, 0.12) if day >= 20 else scene)
+
+
 def accuracy(day: int, scene: Scene) -> Day:
     """The probe is seated anew in each cycle, elsewhere each time."""
     spec = scene.world.mag_probe
@@ -118,6 +123,7 @@ STORIES: dict[str, tuple[int, Callable[[int, Scene], Day]]] = {
     "good": (30, good),
     "dirt": (24, dirt),
     "wear": (45, wear),
+    "plate": (27, plate),
     "accuracy": (1, accuracy),
 }
 

@@ -481,6 +481,13 @@ def write(file, printer, pause=pause):
     return path
 
 
+# Whether a run is one of a printer's.  The first format has its name without folder.
+def is_of(printer, run):
+    if "format" not in run and printer:
+        return run.get("printer") in (printer, os.path.basename(printer))
+    return run.get("printer") == printer
+
+
 def main(words):
     if len(words) not in (1, 2):
         sys.stderr.write(USAGE)
@@ -492,7 +499,7 @@ def main(words):
     records = [record for record in records if record is not None]
     # Of several printers the one that ran last
     printer = records[-1].get("printer") if records else None
-    records = [r for r in records if r.get("printer") == printer]
+    records = [r for r in records if is_of(printer, r)]
     folder = os.path.dirname(words[0])
     path = words[1] if words[1:] else os.path.join(folder, "report.svg")
     with open(path, "wb") as f:

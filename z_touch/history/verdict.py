@@ -6,7 +6,7 @@ import collections
 
 from . import trend
 from .days import day
-from .file import SITES, is_number
+from .file import SITES
 
 # 'level': GOOD, WATCH or ACT; 'texts': on what, and what to do
 Verdict = collections.namedtuple("Verdict", "level texts")
@@ -156,11 +156,16 @@ def wear(runs, pause=trend.no_pause):
     changed = changes_of(runs)
     for name, number in sorted(latest.items()):
         pause()
-        first = max([begin] + [i for c, i in changed if c["what"] == name])
+        begins = [i for change, i in changed if change.get("what") == name]
+        first = max([begin] + begins)
         if number < first or len(good_of(runs[number:])) > WEAR_STAYS:
             continue
-        values = [VALUES[name](run) for run in good_of(runs[first:])]
-        if len(values) >= trend.LEAST_RUNS:
+        # Of the same plate, and as hot, as the trend was found with: comparable()
+        # goes by the last one
+        told = runs[first:] + [runs[number]]
+        like = [run for _, run in trend.comparable(told, 0, pause)[:-1]]
+        if len(like) >= trend.LEAST_RUNS:
+            values = [VALUES[name](run) for run in like]
             yield WATCH, sentence(worn(name, values, day(runs[number])))
 
 
@@ -187,33 +192,31 @@ def worn(name, values, told_on):
 
 # What one step has changed, as long as it is news
 def changes(runs):
-    for change, number in changes_of(runs):
+    for change, number in told_of(changes_of(runs)):
         if sum(run["ok"] for run in runs[number:]) > CHANGE_STAYS:
             continue
         text = (
             "%s changed by %.3f mm on %s, between two runs: %s; otherwise look for"
             " what is loose"
         )
-        name, date = change["what"], day(runs[number])
+        name, date = change.get("what"), day(runs[number])
         cause = CHANGES.get(name, "something was exchanged")
         yield WATCH, sentence(text % (name, change["by"], date, cause))
 
 
-# Pairs of what was told as changed, and the number of the first run after it
+# Pairs of what has changed, and the number of the first run after it
 def changes_of(runs):
     found = []
     for number, run in enumerate(runs):
-        for change in filter(is_change, run.get("changed") or ()):
-            if change.get("told", True):
-                first = number + 1 - int(change["runs"])
-                found.append((change, max(0, first)))
+        for change in run.get("changed") or ():
+            first = number + 1 - int(change["runs"])
+            found.append((change, max(0, first)))
     return found
 
 
-def is_change(change):
-    if not isinstance(change, dict) or "what" not in change:
-        return False
-    return is_number(change.get("by")) and is_number(change.get("runs"))
+# Without what went back to where it had been
+def told_of(changed):
+    return [pair for pair in changed if pair[0].get("told", True)]
 
 
 def cleanings(runs):
@@ -236,8 +239,8 @@ def cleanings(runs):
 def marks_of(runs, pause):
     marks, last = [], None
     begin, after = first_of_stretch(runs, pause), {}
-    for change, number in changes_of(runs):
-        text = "%s changed by %.3f mm" % (change["what"], change["by"])
+    for change, number in told_of(changes_of(runs)):
+        text = "%s changed by %.3f mm" % (change.get("what"), change["by"])
         after.setdefault(number, []).append(text)
     for number, run in enumerate(runs):
         if number % 100 == 0:

@@ -12,7 +12,7 @@ from tools.gallery import __main__ as gallery
 @pytest.mark.slow
 @pytest.mark.timeout(300)
 def test_days_of_a_printer(host):
-    lines = gallery.tell("good", host, 2)
+    lines = gallery.tell("plate", host, 2)
     first, second = map(json.loads, lines)
     assert first["ok"] and second["ok"]
     assert first["printer"] == second["printer"] == gallery.OWNER
@@ -37,4 +37,6 @@ def test_what_happens_happens_to_the_machine():
     first, last = probes[0], probes[-1]
     assert first.switch_offset - last.switch_offset == pytest.approx(0.0396)
     assert last.noise.sigma > 3.0 * first.noise.sigma
+    beds = [day.scene.world.bed.z0 for day in days["plate"]]
+    assert beds[20] - beds[19] == pytest.approx(0.12)
     assert days["accuracy"][0].scene.world.mag_probe.reseat == 0.04
