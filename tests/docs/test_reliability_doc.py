@@ -38,6 +38,15 @@ def test_every_command_was_tried_with_every_fault(figures):
     assert kinds == set(tables.KINDS)
 
 
+def test_every_command_was_tried_on_every_dock(figures):
+    found = {one["job"]: one for one in figures["docks"]["faults"]}
+    assert list(found) == list(jobs.DOCK_JOBS)
+    for one in found.values():
+        assert one["runs"] == one["survived"] > 0
+    hosts = {host for one in found.values() for host in one["hosts"]}
+    assert len(hosts) == HOSTS
+
+
 def test_pairs_are_enough(figures):
     pairs = figures["pairs"]
     assert [found["job"] for found in pairs["faults"]] == list(jobs.JOBS)

@@ -2,6 +2,7 @@
 
     python -m tools.campaign [--host NAME] [--job NAME] [--case TEXT]
         [--seed N] [--only faults|printers] [--printers N] [--pairs N]
+        [--docks] [--each N]
         [--module FILE | --builtin]
         [--every-host] [--json FILE]
 
@@ -14,6 +15,9 @@ that repeats it.
 --pairs: as many pairs of these faults, drawn by the seed, instead of one at a
 time; those with both sensors dead are listed with the depth at which they
 ended. A pair is repeated by its text as --case.
+
+--docks: every command of a dockable probe, and those of the other modules with the
+probe on the head, on each kind of dock.
 
 --module and --builtin: the same for a dockable_probe of others, as far as they
 have what is broken; only harm is judged: something was hit, the printer is shut
@@ -34,9 +38,17 @@ from pathlib import Path
 from typing import Any, Optional
 
 from simprinter.hosts.hosts import Host, find_hosts
+from simprinter.hosts.session import GcodeError, SessionError
+from simprinter.simulation import SimulationError
 from tools.campaign.drawn_printers import MODULES, Report
 from tools.campaign.fault_cases import REFUSED, RIGHT, SHUT_DOWN, Setting
-from tools.campaign.jobs import COMPARED, JOBS
+from tools.campaign.jobs import (
+    ALL_JOBS,
+    COMPARED,
+    COMPARED_ON_DOCKS,
+    DOCK_JOBS,
+    JOBS,
+)
 from tools.campaign.running import (
     Plan,
     attempt_all,
@@ -68,7 +80,7 @@ def row(found: dict[str, Any]) -> str:
 
 def depths_text(job: str, depths: Mapping[str, float]) -> str:
     """How deep each site was pressed, and how deep it may be."""
-    margins = JOBS[job].margins
+    margins = ALL_JOBS[job].margins
     return "  ".join(
         f"{site} {depth:.2f}/{margins[site]:.2f}"
         for site, depth in depths.items()
@@ -80,6 +92,40 @@ def say(text: str) -> None:
     print(text, flush=True)
 
 
+def jobs_of(options: argparse.Namespace) -> list[str]:
+    """The commands that the command line asks for."""
+    named = DOCK_JOBS if options.docks else JOBS
+    jobs = [job for job in named if options.job in job]
+    if others(options) is None:
+        return jobs
+    compared = (*COMPARED, *COMPARED_ON_DOCKS)
+    return [job for job in jobs if job in compared]
+
+
+def planned(
+    pool: Executor,
+    hosts: Sequence[Host],
+    options: argparse.Namespace,
+    job: str,
+) -> list[Plan]:
+    """What each host is given of a command; nothing: it fails as it is."""
+    modules = others(options)
+    setting = Setting(options.seed, modules, modules is not None)
+    parts = 1 if options.every_host or options.pairs else len(hosts)
+    shares = [
+        (part % parts, parts * options.each) for part in range(len(hosts))
+    ]
+    make = partial(plan, setting, options.case, job)
+    try:
+        return list(pool.map(make, hosts, shares))
+    except (AssertionError, GcodeError, SessionError, SimulationError) as error:
+        if not setting.of_others:
+            raise
+        text = str(error).partition(", at t=")[0]
+        say(f"{job:30}fails with nothing broken: {text}")
+        return []
+
+
 def run_faults(
     pool: Executor, hosts: Sequence[Host], options: argparse.Namespace
 ) -> list[dict[str, Any]]:
@@ -88,28 +134,20 @@ def run_faults(
     say("Faults: ended as; worst penetration beyond a good run's / margin, mm")
     say(f"{'':30}{'runs':>6}{'survived':>10}{heads}")
     table = []
-    modules = others(options)
-    setting = Setting(options.seed, modules, modules is not None)
-    jobs = [job for job in JOBS if options.job in job]
-    if setting.of_others:
-        jobs = [job for job in jobs if job in COMPARED]
-
-    def planned(job: str) -> list[Plan]:
-        whole = options.every_host or options.pairs
-        shares = [
-            (0, 1) if whole else (part, len(hosts))
-            for part in range(len(hosts))
-        ]
-        make = partial(plan, setting, options.case, job)
-        return list(pool.map(make, hosts, shares))
-
+    jobs = jobs_of(options)
     plans: dict[str, list[Plan]] = {}
     if options.pairs:
-        every_one = [one for job in jobs for one in planned(job)]
+        every_one = [
+            one for job in jobs for one in planned(pool, hosts, options, job)
+        ]
         for one in draw_pairs(every_one, options.pairs, options.seed):
             plans.setdefault(one.job, []).append(one)
     for job in jobs:
-        done = attempt_all(pool, plans[job] if plans else planned(job))
+        done = attempt_all(
+            pool, plans[job] if plans else planned(pool, hosts, options, job)
+        )
+        if not done:
+            continue
         table.append(figures(job, done))
         say(row(table[-1]))
         for text in table[-1]["agreed"]:
@@ -119,7 +157,8 @@ def run_faults(
             say(f"  both sensors dead: {one['case']} on {one['host']}:")
             say(f"    {one['reason'] or one['ended']}; {depths}")
         # A run that is broken off leaves what it has found
-        write_json(options, {"seed": options.seed}, table, {})
+        about = {"seed": options.seed, "each": options.each}
+        write_json(options, about, table, {})
         for one in done:
             if one.outcome.problems:
                 say(one.text())
@@ -163,6 +202,12 @@ def parse(arguments: Optional[Sequence[str]]) -> argparse.Namespace:
     parser.add_argument(
         "--every-host", action="store_true", help="each case on all of them"
     )
+    parser.add_argument(
+        "--docks", action="store_true", help="faults on each kind of dock"
+    )
+    parser.add_argument(
+        "--each", type=int, default=1, metavar="N", help="one of N cases only"
+    )
     parser.add_argument("--only", choices=("faults", "printers"))
     parser.add_argument(
         "--printers", type=int, default=300, help="random ones for each module"
@@ -187,11 +232,13 @@ def main(arguments: Optional[Sequence[str]] = None) -> int:
     with ProcessPoolExecutor(options.workers, context) as pool:
         if options.only != "printers":
             table = run_faults(pool, hosts, options)
-        if options.only != "faults" and not options.pairs:
+        is_whole = not (options.pairs or options.docks)
+        if options.only != "faults" and is_whole:
             reports = run_printers(pool, hosts, options)
     about = {
         "hosts": [host.name for host in hosts],
         "seed": options.seed,
+        "each": options.each,
         "minutes": (time.monotonic() - began) / 60.0,
     }
     write_json(options, about, table, reports)
@@ -228,7 +275,9 @@ def write_json(
     report = {}
     if options.json.exists():
         report = json.loads(options.json.read_text())
-    if options.pairs:
+    if options.docks:
+        report["docks"] = {"about": about, "faults": list(table)}
+    elif options.pairs:
         report["pairs"] = {"about": about, "faults": list(table)}
     else:
         report["about"] = about

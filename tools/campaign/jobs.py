@@ -2,13 +2,14 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field, replace
 from typing import Any, Optional
 
 from simprinter import SCENES, Scene
+from simprinter.docks import DOCK_SCENES
 from simprinter.scenes import Sections
-from tools.kit import auto_z_offset, dockable_probe, extra_probe
+from tools.kit import auto_z_offset, carrying, dockable_probe, extra_probe
 from tools.kit.printer import Printer
 
 # Runs wherever the modules run G-code of their owner's; how it fails, by number
@@ -25,6 +26,8 @@ _TEMPLATE_MACRO = """
 
 # The floor of a touch is so far (mm) below where a trigger is expected
 FLOOR_MARGIN = 1.0
+# A gap that tests of the modules judge: here it is that of a good run
+ANY = float("nan")
 OFFSET = 0.123
 
 
@@ -35,11 +38,12 @@ class Job:
     before: G-code after G28, such as an earlier run; again: before the next
     run, when the fault is gone. signals: the sensors it uses. margins: by
     site, mm that a touch may be deeper than in a good run. ideal: true gap at
-    G-code Z=0 afterwards, None: it does not change. only: these faults, if it
+    G-code Z=0 afterwards, None: it does not change, ANY: that of a good run. only: these faults, if it
     is there for some. point: of the bed where the gap is looked at. lift:
     toolhead Z after a failure, at least. is_homing: after a failure nobody
     knows where the head is. told: what it may leave behind: status fields that
-    tell what was seen last; "pending", where the host has a result already.
+    tell what was seen last; "pending", where the host has a result already; "gap",
+    where that is a mesh in force.
     is_long: of the operations of a kind only the first, the middle and the last.
     samples: as many touches, or rounds of them, are compared with each other.
     """
@@ -69,16 +73,26 @@ class Job:
         """
         name, changes = self.module, dict(self.changes)
         own = {**(self.scene.sections[name] or {}), **changes.get(name, {})}
+        for other in _OF_OURS:
+            if other in self.scene.sections:
+                changes[other] = None
+        # A dock with a Z of its own
+        is_high = own.get("dock_fixed_z") == "False"
+        own["safe_dock_distance"] = None
         if is_builtin:
             own["z_hop"] = f"{dockable_probe.CLEAR:g}"
+            own["dock_fixed_z"] = None
         else:
-            own["dock_fixed_z"] = "True"
-            own["dock_position"] = f"{own['dock_position']}, 0"
+            own["dock_fixed_z"] = str(not is_high)
+            if not is_high:
+                own["dock_position"] = f"{own['dock_position']}, 0"
+            # It goes to the pin by [safe_z_home], to the bed by itself
             home = self.scene.sections.get("safe_z_home")
-            if home:
+            if home and self.scene.world.pin is None:
                 own["safe_z_position"] = home["home_xy_position"]
                 changes["safe_z_home"] = None
-        return replace(self, changes={**changes, name: own})
+        again = self.again.replace(f"{_AROUND}\n", "")
+        return replace(self, changes={**changes, name: own}, again=again)
 
     def state(self, printer: Printer) -> dict[str, Any]:
         """All that a failure must leave as it was."""
@@ -307,6 +321,8 @@ def _extra_probe_jobs() -> list[Job]:
     return [probe, calibrate, first]
 
 
+# What only ours have, and no dock needs
+_OF_OURS = ("z_calibration", "auto_z_offset", "extra_probe membrane")
 # All of a dockable probe that are no touch's: those of a touch are the host's
 _LOST = (
     *("stuck_open", "stuck_closed", "probe_falls", "mcu_silent", "cancel"),
@@ -375,6 +391,158 @@ def _dockable_probe_jobs() -> list[Job]:
     ]
 
 
+# Docks on which each command is tried, by what they are. The one on the gantry has
+# more jobs above where Z is homed with the probe; here all home it on a pin.
+DOCKS = {
+    "gantry": "dock_gantry_switch",
+    "servo": "dock_servo",
+    "bed": "dock_bed",
+    "from above": "dock_above",
+}
+# What each command is sent as, the probe being on the head or in its dock
+_OF_DOCKS = {
+    "dockable_probe": {
+        "PROBE": "PROBE",
+        "PROBE_ACCURACY": "PROBE_ACCURACY SAMPLES=2",
+        "PROBE_CALIBRATE": "PROBE_CALIBRATE\nABORT",
+        "BED_MESH_CALIBRATE": "BED_MESH_CALIBRATE PROBE_COUNT=3,3\n"
+        "BED_MESH_CLEAR",
+        "SCREWS_TILT_CALCULATE": "SCREWS_TILT_CALCULATE",
+        "ATTACH_PROBE": "ATTACH_PROBE\nDETACH_PROBE",
+        "MOVE_TO_DOCK_PROBE": "MOVE_TO_DOCK_PROBE\nMOVE_TO_EXTRACT_PROBE\n"
+        "MOVE_TO_DOCK_PROBE\nMOVE_TO_DETACH_PROBE",
+        "G28": "ATTACH_PROBE\nG28",
+    },
+    "extra_probe": {
+        "EXTRA_PROBE": "EXTRA_PROBE PROBE=membrane SAMPLES=2",
+        "EXTRA_PROBE_ACCURACY": "EXTRA_PROBE_ACCURACY PROBE=membrane SAMPLES=2",
+        "EXTRA_PROBE_CALIBRATE": "\n".join(
+            (
+                "EXTRA_PROBE_CALIBRATE PROBE=membrane FLOOR=-1",
+                extra_probe.CONTINUE,
+                extra_probe.CONTINUE,
+            )
+        ),
+    },
+    "auto_z_offset": {
+        "AUTO_Z_PROBE": "AUTO_Z_PROBE",
+        "AUTO_Z_HOME_Z": "AUTO_Z_HOME_Z",
+        "AUTO_Z_MEASURE_OFFSET": "AUTO_Z_MEASURE_OFFSET",
+        "AUTO_Z_CALIBRATE": "AUTO_Z_CALIBRATE",
+    },
+}
+
+
+def _dock_jobs() -> list[Job]:
+    """Every command on every kind of dock."""
+    found = []
+    for kind, name in DOCKS.items():
+        scene = carrying.with_all(DOCK_SCENES[name])
+        membrane = scene.world.membrane
+        assert membrane is not None
+        laid = scene.with_world(membrane=replace(membrane, laid=True))
+        for module, scripts in _OF_DOCKS.items():
+            make = _OF_MODULE[module]
+            on = laid if module == "extra_probe" else scene
+            for command, script in scripts.items():
+                job = make(f"{command}, {kind}", script, on)
+                found.append(job)
+    return found
+
+
+# The switch that is pressed may be dead: its body goes 5 mm deeper
+_BODY = {
+    site: dockable_probe.HANG - dockable_probe.FLOOR
+    for site in ("probe_bed", "body_bed")
+}
+# Where the bed of these printers is: on a pin that is 0.3012 mm higher than its owner
+# says
+_BED = 0.0988
+# After a failure the head may stand over a dock that is entered from above, and after a
+# good run on what it has touched
+_AROUND = "G91\nG1 Z10 F900\nG90\nMOVE_AVOIDING_DOCK X=150 Y=150"
+# A membrane that is dead, and the bed below it, are pressed down to 0.1 mm below Z=0 or,
+# where a calibration looks for the bed, 1 mm
+_MEMBRANE = (
+    {"nozzle_membrane": FLOOR_MARGIN, "nozzle_bed": 0.3},
+    {
+        "nozzle_membrane": FLOOR_MARGIN + _BED + carrying.THICKNESS,
+        "nozzle_bed": FLOOR_MARGIN + _BED,
+    },
+)
+_HOMED_AGAIN = {"G28", "MOVE_TO_DOCK_PROBE"}
+_DOCKED_STATUS = ("last_status", "last_status_name", "last_z_result")
+
+
+def _of_dockable_probe(name: str, script: str, scene: Scene) -> Job:
+    away = "G90\nG1 Z20 F900\nG1 X150 Y150 F6000"
+    return Job(
+        name=name,
+        module="dockable_probe",
+        script=script,
+        scene=scene,
+        signals=("probe",),
+        point=(150.0, 150.0),
+        margins=_BODY,
+        lift=dockable_probe.CLEAR - 0.01,
+        changes=dockable_probe.section(**dockable_probe.QUICK),
+        before=away,
+        # After a failure the head may stand in the dock, or is homed no more
+        again=f"G28\n{away}" if set(script.split()) & _HOMED_AGAIN else away,
+        # A mesh is there, and in force, before the probe is docked
+        told=(
+            *_DOCKED_STATUS,
+            "last_probe_position",
+            *(("pending", "gap") if "MESH" in script else ()),
+        ),
+        only=_LOST,
+        is_homing="G28" in script,
+        is_long=True,
+    )
+
+
+def _of_extra_probe(name: str, script: str, scene: Scene) -> Job:
+    """The probe hangs on the head, and has to be docked before."""
+    job = _of_dockable_probe(name, script, scene)
+    begin = f"{carrying.OVER}ATTACH_PROBE"
+    is_first = "CALIBRATE" in script
+    return replace(
+        job,
+        module="extra_probe membrane",
+        signals=("probe", "membrane"),
+        point=carrying.POINT,
+        margins={**_BODY, **_MEMBRANE[is_first]},
+        before=begin,
+        again=f"{_AROUND}\n{begin}",
+        told=("last_z_result",),
+        ideal=ANY if is_first else None,
+    )
+
+
+def _of_auto_z_offset(name: str, script: str, scene: Scene) -> Job:
+    """The same, with a bed whose height is known."""
+    job = _of_extra_probe(name, script, scene)
+    begin = f"{carrying.OVER}AUTO_Z_PROBE\nATTACH_PROBE"
+    return replace(
+        job,
+        module="auto_z_offset",
+        signals=("probe", "bed_sensor"),
+        margins={**_BODY, "nozzle_bed": FLOOR_MARGIN},
+        lift=3.6,
+        before=begin,
+        again=f"{_AROUND}\n{begin}",
+        told=(),
+        ideal=ANY,
+    )
+
+
+_OF_MODULE: Mapping[str, Callable[[str, str, Scene], Job]] = {
+    "dockable_probe": _of_dockable_probe,
+    "extra_probe": _of_extra_probe,
+    "auto_z_offset": _of_auto_z_offset,
+}
+
+
 JOBS = {
     job.name: job
     for job in (
@@ -384,3 +552,16 @@ JOBS = {
         *_dockable_probe_jobs(),
     )
 }
+DOCK_JOBS = {job.name: job for job in _dock_jobs()}
+ALL_JOBS = {**JOBS, **DOCK_JOBS}
+# Those of them that a dockable probe of others can do, too
+_OF_OTHERS = (
+    "PROBE",
+    "BED_MESH_CALIBRATE",
+    "SCREWS_TILT_CALCULATE",
+    "ATTACH_PROBE",
+    "G28",
+)
+COMPARED_ON_DOCKS = tuple(
+    name for name in DOCK_JOBS if name.partition(",")[0] in _OF_OTHERS
+)

@@ -13,7 +13,7 @@ from simprinter.hosts.hosts import Host
 from tools.campaign import drawn_printers, fault_cases
 from tools.campaign.drawn_printers import Report
 from tools.campaign.fault_cases import PLUS, Case, Outcome, Pair, Setting
-from tools.campaign.jobs import JOBS
+from tools.campaign.jobs import ALL_JOBS
 
 
 class Plan(NamedTuple):
@@ -108,7 +108,7 @@ def attempt_all(pool: Executor, plans: Iterable[Plan]) -> list[Done]:
 def figures(job: str, done: Sequence[Done]) -> dict[str, Any]:
     """What came of a command's cases."""
     outcomes = [one.outcome for one in done]
-    sites = JOBS[job].margins
+    sites = ALL_JOBS[job].margins
     return {
         "job": job,
         "hosts": sorted({one.host for one in done}),

@@ -117,6 +117,15 @@ def hosts_text(parts: Iterable[Figures]) -> str:
     return f"Each on one of these hosts: {', '.join(hosts)}."
 
 
+def docks_parts(found: Figures) -> list[str]:
+    """What came of the faults on each kind of dock."""
+    return [
+        "### On each kind of dock",
+        f"Seed {found['about']['seed']}. {hosts_text(found['faults'])}",
+        faults_table(found),
+    ]
+
+
 def pairs_parts(found: Figures) -> list[str]:
     """What came of the pairs."""
     agreed = sum(len(one["agreed"]) for one in found["faults"])
@@ -143,6 +152,7 @@ def render(file: str) -> str:
         hosts_text(figures["faults"]),
         faults_table(figures),
         kinds_table(figures),
+        *(docks_parts(figures["docks"]) if "docks" in figures else []),
         *(pairs_parts(figures["pairs"]) if "pairs" in figures else []),
         "### Random printers",
         hosts_text(figures["printers"].values()),

@@ -14,7 +14,7 @@ from tools.campaign.fault_cases import (
     Pair,
     Setting,
 )
-from tools.campaign.jobs import JOBS
+from tools.campaign.jobs import ALL_JOBS
 from tools.campaign.tests.planting import planted
 from tools.kit.cases import all_slow_but, slow
 from tools.kit.printer import module_files
@@ -26,7 +26,7 @@ DOCKABLE = "PROBE, dockable"
 
 @lru_cache(maxsize=None)
 def good_run(host, job):
-    return fault_cases.good_run(host, JOBS[job])
+    return fault_cases.good_run(host, ALL_JOBS[job])
 
 
 def case_of(host, job, fault, subject="", nth=0, kind=""):
@@ -34,7 +34,7 @@ def case_of(host, job, fault, subject="", nth=0, kind=""):
     good = good_run(host, job)
     found = [
         case
-        for case in fault_cases.cases(JOBS[job], good)
+        for case in fault_cases.cases(ALL_JOBS[job], good)
         if case.fault == fault
         and case.subject in (subject, case.subject if not subject else "")
         and (not kind or good.operations[case.at - 1].kind == kind)
@@ -77,6 +77,9 @@ CASES = [
     (DOCKABLE, "template leaves", "", 2, "", REFUSED),
     (DOCKABLE, "dock_fails", "", 0, "", REFUSED),
     (DOCKABLE, "stuck_closed", "probe", 4, "query", REFUSED),
+    # It hangs on the head, and reads as if it were docked
+    ("EXTRA_PROBE, gantry", "stuck_closed", "probe", 0, "", REFUSED),
+    ("AUTO_Z_HOME_Z, servo", "stuck_closed", "probe", 0, "", REFUSED),
 ]
 
 
@@ -191,7 +194,7 @@ def test_module_that_does_it_wrong_is_found(host, tmp_path, name):
     which, around, problem = PLANTED[name]
     case, good = case_of(host, *which)
     modules = module_files() | planted(
-        tmp_path, JOBS[case.job].script, **around
+        tmp_path, ALL_JOBS[case.job].script, **around
     )
     outcome = fault_cases.attempt(host, case, good, Setting(modules=modules))
     assert problem in "\n".join(outcome.problems), outcome
