@@ -318,6 +318,21 @@ def test_what_moves_is_refused(start):
     assert_unharmed(shaky)
 
 
+def test_target_that_steps_make_impossible_is_told_at_start(start):
+    """And in the run where SAMPLES asks for it."""
+    text = "target_uncertainty 0.001 is less than what steps of 0.0025 mm"
+    changes = section(target_uncertainty="0.001", **AUTO)
+    printer = start(changes=changes).homed()
+    assert any(text in line for line in printer.session.console)
+    assert not any(text in line for line in printer.run("CALIBRATE_Z"))
+    assert printer.status("z_calibration")["uncertainty"] < 0.006
+    changes = section(target_uncertainty="0.001")
+    printer = start(changes=changes).homed()
+    assert not any(text in line for line in printer.session.console)
+    lines = printer.run("CALIBRATE_Z SAMPLES=auto")
+    assert sum(text in line for line in lines) == 1
+
+
 # clean_gcode
 
 OOZE = OozeSpec(0.05, 0.7, x=BRUSH[0], y=BRUSH[1], radius=2.0)
@@ -347,6 +362,52 @@ def test_dirty_nozzle_is_cleaned_once_and_measured_anew(start, samples):
     # Clean as it is now it is left alone
     assert "CLEANED" not in "".join(printer.run("CALIBRATE_Z"))
     assert history(printer)[1]["cleaned"] == ""
+
+
+def stiff_residue(with_past):
+    """40 um that no touch flattens, and runs of before that had none of it."""
+    return voron(ooze=replace(OOZE, height=0.04, kept=1.0)), with_past(
+        noise=0.001
+    )
+
+
+def test_nozzle_that_departs_is_cleaned_and_all_is_measured_again(
+    start, with_past
+):
+    """The probe is put away for that; what is told is of the second time."""
+    scene, past = stiff_residue(with_past)
+    adding = "\n  SET_GCODE_OFFSET Z_ADJUST=0.1"
+    changes = cleaning(end_gcode=adding, **past)
+    printer = start(scene, changes=changes).homed()
+    printer.session.wait(1.0)
+    lines = printer.run("CALIBRATE_Z")
+    text = "\n".join(lines)
+    assert text.count("CLEANED:clean_gcode") == 1
+    assert "as hot: cleaning the nozzle, then everything once more" in text
+    # Without what is added at the end, once
+    gap = printer.gap() - scene.formula_gap()
+    assert gap == pytest.approx(0.1, abs=0.005)
+    assert printer.status("z_calibration")["warnings"] == []
+    assert printer.status("z_calibration")["uncertainty"] < 0.01
+    path = Path(past["history"]) / "history.jsonl"
+    printer.session.wait(1.0)
+    line = json.loads(path.read_text().splitlines()[-1])
+    assert "switch - nozzle is " in line["cleaned"] and line["ok"]
+
+
+def test_what_cleaning_does_not_help_is_told_after_one_time(start, with_past):
+    """As an exchanged nozzle; the uncertainty contains the doubt."""
+    scene, past = stiff_residue(with_past)
+    changes = cleaning(**past)
+    changes["z_calibration"]["clean_gcode"] = "\n  RESPOND MSG=CLEANED"
+    printer = start(scene, changes=changes).homed()
+    printer.session.wait(1.0)
+    text = "\n".join(printer.run("CALIBRATE_Z"))
+    assert text.count("CLEANED") == 1
+    assert text.count("everything once more") == 1
+    (warning,) = printer.status("z_calibration")["warnings"]
+    assert "the nozzle is dirty, or" in warning
+    assert printer.status("z_calibration")["uncertainty"] > 0.035
 
 
 def test_nozzle_that_cannot_be_cleaned_is_refused_as_before(start):

@@ -5,13 +5,23 @@ The table in docs/performance.md has more; here are the corners that fail first.
 
 from __future__ import annotations
 
+import random
+
 import pytest
 
-from tools.bench.coverage import Noise, Setting, coverage, grown, student
-from z_touch.uncertainty import recent
-from z_touch.uncertainty.estimate import UNKNOWN, Spread
-
-STEP = 0.0025
+from tools.bench.coverage import (
+    KEPT,
+    STEP,
+    DrawnPrinter,
+    Noise,
+    Setting,
+    coverage,
+    grown,
+    student,
+)
+from z_touch.history.file import spreads_in
+from z_touch.uncertainty import adaptive, recent
+from z_touch.uncertainty.estimate import UNKNOWN, Spread, spread_of
 
 
 @pytest.mark.parametrize(
@@ -37,10 +47,75 @@ def test_tails_and_outliers(noise):
     assert 0.92 <= coverage(noise, Setting(0.01, 3), 300) <= 0.99
 
 
-def test_noise_that_has_grown_counts_at_once():
+@pytest.mark.parametrize("after", [0.006, 0.010])
+def test_noise_that_has_grown_counts_at_once(after):
     """By the history it would be 70 % for ten runs."""
-    parts = grown(0.003, 0.010, Setting(0.02, 3), 70, runs=3)
-    assert sum(parts) / 3 >= 0.85
+    parts = grown(0.003, after, Setting(0.02, 3), 90, runs=4)
+    assert parts[0] >= 0.8
+    # 95 % at most 1.5 standard deviations of chance off
+    assert sum(parts[1:]) / 3 >= 0.93
+
+
+class AutomaticPrinter(DrawnPrinter):
+    """One that touches as often as it needs."""
+
+    target = 0.005
+
+    def run(self, setting):
+        self.heights = {site: self.draw.uniform(0.0, 10.0) for site in SITES}
+        pasts = {site: spreads_in(self.runs, site) for site in SITES}
+        counting = adaptive.Automatic(self.target)
+        self.plan = adaptive.Plan(STEP, pasts, counting)
+        found = self.measured(self.plan, setting)
+        self.runs = [*self.runs, found.record][-KEPT:]
+        return found
+
+    def touches(self):
+        return sum(len(touches) for touches in self.plan.touches.values())
+
+
+@pytest.mark.parametrize("sigma", [0.002, 0.003, 0.004])
+def test_target_is_kept_as_long_as_there_are_touches_left(sigma):
+    """Also of a run that is noisier than those before it."""
+    draw, touches, inside = random.Random(f"{sigma}"), [], []
+    for _ in range(4):
+        printer = AutomaticPrinter(draw, Noise("", sigma))
+        for number in range(30):
+            if number == 25:
+                printer.noise = Noise("", 1.5 * sigma)
+            run = printer.run(Setting(0.02, 3))
+            assert run.worth <= printer.target or printer.touches() >= 30
+            touches.append(printer.touches())
+            inside.append(abs(run.error) <= run.worth)
+    assert max(touches) <= 30
+    assert sum(inside) / len(inside) >= 0.9
+    assert sigma > 0.003 or sum(touches) / len(touches) < 24
+
+
+def test_target_below_what_steps_allow_ends_at_what_can_be_had():
+    """With ten touches of each site, and no error."""
+    least = adaptive.least_uncertainty(STEP)
+    assert least == pytest.approx(1.083 * STEP, rel=0.01)
+    counting = adaptive.Automatic(0.8 * least)
+    assert f"each run ends at about {least:.4f}" in counting.impossible(STEP)
+    assert not adaptive.Automatic(least).impossible(STEP)
+    assert not adaptive.FixedCount(3).impossible(STEP)
+    printer = AutomaticPrinter(random.Random(1), Noise("", 0.001))
+    printer.target = 0.8 * least
+    runs = [printer.run(Setting(0.02, 3)) for _ in range(25)]
+    assert None not in [run.error for run in runs]
+    assert least <= runs[-1].worth < 1.2 * least
+
+
+def test_run_that_is_noisier_is_seen_before_its_last_place():
+    """Later it is too late: nobody goes back to the nozzle."""
+    draw, missed = random.Random(6), 0
+    for _ in range(6):
+        printer = AutomaticPrinter(draw, Noise("", 0.003))
+        for number in range(35):
+            run = printer.run(Setting(0.02, 3))
+            missed += number >= 10 and run.worth > printer.target
+    assert missed <= 3
 
 
 # Which runs count
@@ -76,6 +151,21 @@ def test_one_site_alone_is_told_by_several_runs():
     pasts = {"nozzle": [QUIET] * 13, "switch": [QUIET] * 13, "bed": past}
     now = {"nozzle": QUIET, "switch": QUIET, "bed": LOUD}
     assert recent.first_like_now(pasts, now, STEP) == 10
+
+
+def test_quiet_runs_before_it_are_no_part_of_what_has_grown():
+    """They would hide how much it is; here one in six runs is by chance."""
+    draw, early = random.Random(3), 0
+    for _ in range(200):
+        runs = {site: [] for site in SITES}
+        for sigma in [0.003] * 12 + [0.008] * 4:
+            for past in runs.values():
+                values = [draw.gauss(0.0, sigma) for _ in range(3)]
+                past.append(spread_of(values))
+        pasts = {site: past[:-1] for site, past in runs.items()}
+        now = {site: past[-1] for site, past in runs.items()}
+        early += recent.first_like_now(pasts, now, STEP) < 11
+    assert early <= 20
 
 
 def test_single_accident_is_no_noise():

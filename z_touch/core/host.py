@@ -330,3 +330,8 @@ class Host(object):
                 kinematics.clear_homing_state(z_axis)
             elif hasattr(kinematics, "note_z_not_homed"):
                 kinematics.note_z_not_homed()
+
+
+# The largest step (mm) of the motors of Z
+def z_step(host):
+    return max(s.get_step_dist() for s in host.z_steppers())

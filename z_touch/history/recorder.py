@@ -6,6 +6,7 @@ import logging
 import os
 import time
 
+from ..core.host import z_step
 from ..core.sampling import summarize
 from ..uncertainty import adaptive, cycles
 from . import report, trend
@@ -68,14 +69,19 @@ class Recorder(object):
 
     # What a run knows of its sites.  'counting': adaptive.FixedCount or Automatic
     def make_plan(self, counting):
-        step = max(s.get_step_dist() for s in self.host.z_steppers())
-        return adaptive.Plan(step, self.history.spreads(), counting)
+        past = self.history.spreads()
+        return adaptive.Plan(z_step(self.host), past, counting)
 
     def begin(self, counting, plate=""):
         self.plan = self.make_plan(counting)
         self.plate = as_text(plate)
         self.began = self.host.eventtime()
         self.cleaned = ""
+        return self.plan
+
+    # All is measured once more, after the nozzle was found dirty
+    def begin_again(self):
+        self.plan = self.make_plan(self.plan.counting)
         return self.plan
 
     def note_cleaning(self, why):

@@ -23,6 +23,7 @@ from .estimate import (
     is_usual,
     pool,
     robust_estimate,
+    rounding,
     spread_of,
     t_factor,
     weighed,
@@ -46,7 +47,7 @@ MOST = 10
 
 # The part of the whole that the sites before the last one leave: how noisy a run was
 # is known at its end only, and nobody goes back
-RESERVE = 0.15
+RESERVE = 0.03
 
 # So many touches behind it (degrees of freedom) make a history
 HISTORY = 8
@@ -63,6 +64,9 @@ FAR_ONES = 3
 
 # An outlier wants three that speak against it
 AGAINST_ONE = 3
+
+# Of a run
+SITES = ("nozzle", "switch", "bed")
 
 # Touches of each site in a cycle, where their number is not given
 CYCLE_SAMPLES = 3
@@ -142,16 +146,40 @@ def check(samples, result, remedy):
         )
 
 
+# How often a site may be touched: nobody goes back, so the last one may have what
+# those before it have left.
+def most_touches(site, plan):
+    others = [name for name in plan.pasts if name != site]
+    if not others or any(name not in plan.estimates for name in others):
+        return MOST
+    used = sum(len(plan.touches[name]) for name in others)
+    return MOST * len(plan.pasts) - used
+
+
+# What an offset is worth at best (mm, 95 %), with MOST touches of each site: with
+# little noise all of them end on the same step, with much they vary.  Some noise in
+# between is best.
+def least_uncertainty(step):
+    best = min(
+        variance / MOST + rounding(variance, step)
+        for variance in ((step * part / 50.0) ** 2 for part in range(100))
+    )
+    half = step**2 / 4.0
+    return t_factor(float("inf")) * math.sqrt(len(SITES) * best + half)
+
+
 # Call touch(), which returns a height (mm), until the site has its share, and
 # is_done(Estimate).  Returns all samples and the Estimate.  Raises SamplesDiffer,
 # with the remedy.
-def collect_enough(touch, earlier, step, share, remedy, is_done=None):
+def collect_enough(
+    touch, earlier, step, share, remedy, is_done=None, most=MOST
+):
     samples = []
     while True:
         samples.append(touch())
         enough, result = judge(samples, earlier, step, share)
         enough = enough and (is_done is None or is_done(result))
-        if enough or len(samples) >= MOST:
+        if enough or len(samples) >= most:
             check(samples, result, remedy)
             return samples, result
 
@@ -200,6 +228,10 @@ class FixedCount(object):
     # 'count': of the section; None: as [probe] has it
     def __init__(self, count=None):
         self.count = count
+
+    # What a target makes impossible; there is none
+    def impossible(self, step):
+        return ""
 
     # How many touches there will be, if all is well
     def expected(self, plan, sampling):
@@ -255,10 +287,25 @@ class Automatic(object):
 
         def is_done(result):
             worth = plan.uncertainty_with(site, result)
-            return worth is None or worth <= self.target
+            if worth is None:
+                return plan.cost_with(site, result) <= part
+            return worth <= self.target
 
-        earlier = plan.earlier_at(site)
-        return collect_enough(touch, earlier, step, part, remedy, is_done)
+        earlier, most = plan.earlier_at(site), most_touches(site, plan)
+        return collect_enough(touch, earlier, step, part, remedy, is_done, most)
+
+    # Why no run can keep the target, in words; empty: it may.  'step': of the motors of
+    # Z, in mm
+    def impossible(self, step):
+        least = least_uncertainty(step)
+        if self.target >= least:
+            return ""
+        text = (
+            "target_uncertainty %g is less than what steps of %g mm of Z allow:"
+            " each run ends at about %.4f, at best; set it to that, or raise"
+            " microsteps"
+        )
+        return text % (self.target, step, least)
 
 
 # By the options samples and target_uncertainty
@@ -349,6 +396,15 @@ class Plan(object):
     # The same with another Estimate of a site
     def uncertainty_with(self, site, result):
         return self.worth_of(dict(self.estimates, **{site: result}))
+
+    # The part of the variance at 95 % (mm^2) that a site has with an Estimate: where
+    # this run is noisier than those before, as far as it has come, these say nothing
+    def cost_with(self, site, result):
+        estimates = dict(self.estimates, **{site: result})
+        now = dict((name, e.spread) for name, e in estimates.items())
+        pasts = dict((name, self.pasts[name]) for name in now)
+        spreads, _ = spreads_of_now(pasts, now, self.step)
+        return cost(weighed(result, spreads[site], self.step))
 
     def worth_of(self, estimates):
         if any(site not in estimates for site in self.pasts):

@@ -24,9 +24,11 @@ ACCIDENT = 3.1
 # So many runs are needed to tell that one of them is an accident
 ACCIDENT_RUNS = 6
 
-# The part of the degrees of freedom that it leaves to choose the touches, or the runs,
-# that count by what they say
+# The part of the degrees of freedom that it leaves to choose the touches that count by
+# what they say, and to choose the runs: those whose noise has grown are few, and the
+# series among them that keep samples_tolerance are the quiet ones
 CHOSEN = 0.667
+CUT = 0.4
 
 # Behind what is compared with (degrees of freedom)
 LEAST_BEFORE = 6
@@ -62,25 +64,43 @@ def pool_usual(spreads, step):
 
 # From which of the earlier runs on they touch as now.  A printer whose noise has
 # grown shows it at all sites, in the last runs together, long before a single site
-# does in a single run.
+# does in a single run.  Where that was, the likelihood of both parts says: what is
+# most significant is often a few runs too early, and these hide how much it is.
 def first_like_now(pasts, now, step):
-    count, found, most = max(map(len, pasts.values())), 0, 1.0
-    # From the last run on, each sum is the one before and one more
+    count, found, most = max(map(len, pasts.values())), 0, 0.0
     for begin in range(count, 0, -1):
-        ratio, dof, below = 0.0, 0, 0
-        for site in now:
-            new = pool(pasts[site][begin:] + [now[site]])
-            old = pool(pasts[site][:begin])
-            if new.dof and old.dof:
-                usual = max(old.variance, step**2 / 4.0)
-                ratio += new.dof * new.variance / usual
-                dof, below = dof + new.dof, below + old.dof
-        if not dof or below < LEAST_BEFORE:
+        parts = [
+            (pool(pasts[site][:begin]), pool(pasts[site][begin:] + [now[site]]))
+            for site in now
+        ]
+        parts = [(old, new) for old, new in parts if old.dof and new.dof]
+        if not is_noisier(parts, step):
             continue
-        excess = ratio / dof / f_limit(dof, below, NOISIER)
-        if excess > most:
-            found, most = begin, excess
+        likely = likelihood(parts, step)
+        if not found or likely > most:
+            found, most = begin, likely
     return found
+
+
+# Of pairs of Spreads before and after, by site
+def is_noisier(parts, step):
+    dof, below = sum(new.dof for _, new in parts), sum(o.dof for o, _ in parts)
+    if not dof or below < LEAST_BEFORE:
+        return False
+    ratio = math.fsum(
+        new.dof * new.variance / max(old.variance, step**2 / 4.0)
+        for old, new in parts
+    )
+    return ratio / dof > f_limit(dof, below, NOISIER)
+
+
+# Its logarithm, but for what all divisions of the same runs have
+def likelihood(parts, step):
+    return -math.fsum(
+        s.dof * math.log(max(s.variance, step**2 / 4.0))
+        for pair in parts
+        for s in pair
+    )
 
 
 # Whether Spreads may well be the same
@@ -106,9 +126,10 @@ def spreads_of_now(pasts, now, step):
     if is_shared:
         found = dict.fromkeys(found, pool(found.values()))
     if is_chosen:
-        found = dict((site, with_cost(s)) for site, s in found.items())
+        part = CUT if begin else CHOSEN
+        found = dict((site, with_cost(s, part)) for site, s in found.items())
     return found, is_shared
 
 
-def with_cost(spread):
-    return spread._replace(dof=max(CHOSEN * spread.dof, 1.0))
+def with_cost(spread, part):
+    return spread._replace(dof=max(part * spread.dof, 1.0))

@@ -12,6 +12,10 @@
 #     |  is higher: cleaned once               |  nothing down to where it should be:
 #     +-> nozzle                               |  one touch of the bed tells how long
 #                                              +-> the probe is, then the switch again
+#
+# Where switch - nozzle departs from earlier runs, and nothing was cleaned yet, it ends
+# after the switch: the probe has to be put away before the nozzle can be cleaned, and
+# all is measured again.
 from __future__ import absolute_import
 
 import collections
@@ -48,6 +52,8 @@ class Calibration(object):
         self.was_attached = False
         # By how much (mm) switch - nozzle departs from earlier runs
         self.departure = 0.0
+        # Why the nozzle was cleaned in this run; empty: it was not
+        self.cleaned = ""
         self.know(NOTHING_EARLIER)
 
     # Before anything is measured; the frame may move until then
@@ -65,13 +71,16 @@ class Calibration(object):
         last, holds, _ = self.earlier
         return last.switch - last.nozzle if holds else None
 
-    # Returns the heights.Result.  attach_probe() comes between nozzle and
-    # switch; 'clean' as in measure_nozzle().
-    def measure(self, attach_probe, clean=None):
+    # Returns the heights.Result, or None where the nozzle is dirty.  attach_probe()
+    # comes between nozzle and switch; 'clean' as in measure_nozzle(); 'why': it is
+    # cleaned before the first touch, as an earlier look has found it dirty.
+    def measure(self, attach_probe, clean=None, why=""):
         settings = self.settings
         if not settings.may_attach_late:
             # Nobody will attach it later: say so before anything is touched
             self.check_probe_attached()
+        if why:
+            self.clean(clean, why)
         nozzle_z = self.measure_nozzle(clean)
         self.rise_over(nozzle_z)
         self.lift()
@@ -79,7 +88,10 @@ class Calibration(object):
         attach_probe()
         self.watch.enter("switch")
         switch_z = self.measure_switch(nozzle_z)
-        self.check_geometry(switch_z - nozzle_z)
+        may_clean = clean is not None and not self.cleaned
+        self.check_geometry(switch_z - nozzle_z, may_clean)
+        if self.departure and may_clean:
+            return None
         self.watch.enter("bed")
         probe_z = self.measure_bed(nozzle_z, switch_z)
         parts = (probe_z, switch_z, nozzle_z, settings.switch_offset)
@@ -182,13 +194,12 @@ class Calibration(object):
         try:
             self.sample_nozzle()
         except errors.CalibrationError:
-            if clean is None or not self.plan.differed:
+            if clean is None or self.cleaned or not self.plan.differed:
                 raise
         why = self.plan.doubt("nozzle")
-        if clean is not None and why:
+        if clean is not None and why and not self.cleaned:
             self.watch.say("nozzle: %s; cleaning it, then once more" % (why,))
-            self.lift()
-            clean(why)
+            self.clean(clean, why)
             self.sample_nozzle()
         flattened = self.plan.flattened("nozzle")
         if flattened:
@@ -197,6 +208,11 @@ class Calibration(object):
                 " it before CALIBRATE_Z, or set clean_gcode"
             )
             self.warn(text % (flattened,))
+
+    def clean(self, clean, why):
+        self.cleaned = why
+        self.lift()
+        clean(why)
 
     # The heights of the samples (mm)
     def sample_nozzle(self):
@@ -259,6 +275,11 @@ class Calibration(object):
         bed_z = self.at_bed().look(self.travel_z, floor)
         return heights.lowest_switch(settings, nozzle_z, bed_z)
 
+    # Why it is to be cleaned before all is measured again
+    def dirt(self):
+        text = "switch - nozzle is %.3f mm off earlier runs that were as hot"
+        return text % (self.departure,)
+
     # 'body': switch - nozzle (mm) of this run
     def departure_of(self, body):
         departure = self.earlier.departure
@@ -266,7 +287,8 @@ class Calibration(object):
 
     # An exchanged nozzle is what the module is for; dirt, or a probe that is seated
     # badly, looks the same.
-    def check_geometry(self, body):
+    # 'may_clean': it will be cleaned, and nothing is to be told yet.
+    def check_geometry(self, body, may_clean=False):
         last = self.earlier.last
         before = body if last is None else last.switch - last.nozzle
         self.departure = self.departure_of(body)
@@ -277,7 +299,7 @@ class Calibration(object):
                 " run; if neither nozzle nor probe was exchanged, check how the"
                 " probe is seated and that the nozzle is tight" % (body, before)
             )
-        elif self.departure:
+        elif self.departure and not may_clean:
             text = (
                 "switch - nozzle is %.3f mm and was %.3f mm in earlier runs that"
                 " were as hot: the nozzle is dirty, or was exchanged, or the"

@@ -5,6 +5,7 @@ from __future__ import absolute_import
 import math
 
 from ..core.errors import CalibrationError
+from ..core.host import z_step
 from . import heights
 from .sites import SiteFinder
 
@@ -62,7 +63,7 @@ def check_travel_heights(host, settings):
             )
 
 
-# What the user is told at start; 'settings' are completed.
+# What the user is told at start, empty texts among it; 'settings' are completed.
 def notes(host, settings):
     for text in SiteFinder(host, settings).missing():
         yield text
@@ -74,9 +75,8 @@ def notes(host, settings):
             " Z_CALIBRATION_SETUP, or set safe_z_height"
             % (travel_z, settings.unmeasured_pin)
         )
-    text = mesh_note(host, settings)
-    if text:
-        yield text
+    yield settings.counting.impossible(z_step(host))
+    yield mesh_note(host, settings)
 
 
 # What a mesh that is loaded after CALIBRATE_Z does to the gap; empty: nothing

@@ -169,11 +169,12 @@ class ZCalibration(object):
         holds = not self.results.why_outdated()
         return Earlier(self.results.last.result, holds, departure)
 
-    # Returns the heights.Result
-    def measure(self, calibration, clean=None):
+    # Returns the heights.Result, None where the nozzle is dirty.  'why': it was found
+    # to be so, and is cleaned first.
+    def measure(self, calibration, clean=None, why=""):
         mark = self.frame.mark()
         attach = functools.partial(self.hooks.before_switch, mark)
-        return calibration.measure(attach, clean)
+        return calibration.measure(attach, clean, why)
 
     def clean_nozzle(self, why):
         self.recorder.note_cleaning(why)
@@ -203,6 +204,10 @@ class ZCalibration(object):
             text = "%s is ignored with 'samples: auto'"
             self.runner.watch.say(text % (name,))
         plan = self.recorder.begin(settings.counting, param_plate(gcmd))
+        impossible = settings.counting.impossible(plan.step)
+        if impossible and settings.counting is not self.settings.counting:
+            # By SAMPLES=auto: nothing was said of it at start
+            self.runner.watch.say(impossible)
         wanted = 2 * plan.expected(settings.pin) + plan.expected(settings.probe)
         work = functools.partial(self.calibrate_and_apply, gcmd, settings)
         try:
@@ -264,22 +269,38 @@ class ZCalibration(object):
             gcmd, "Z_ADJUST", 0.0, minval=-LARGEST_ADJUST, maxval=LARGEST_ADJUST
         )
         finder = SiteFinder(self.host, settings)
-        sites = finder.of_command(gcmd)
+        sites, before = finder.of_command(gcmd), self.host.gcode_offset()
         calibration = self.new_calibration(settings, sites, self.recorder.plan)
+        found = self.calibrate_once(calibration, finder, z_adjust)
+        if found is None:
+            why = calibration.dirt()
+            text = "%s: cleaning the nozzle, then everything once more"
+            self.runner.watch.say(text % (why,))
+            self.host.replace_gcode_offset(before)
+            plan = self.recorder.begin_again()
+            calibration = self.new_calibration(settings, sites, plan)
+            found = self.calibrate_once(calibration, finder, z_adjust, why)
+        return found
+
+    # The same of one time; None where the nozzle has to be cleaned first, and the
+    # probe is put away.
+    def calibrate_once(self, calibration, finder, z_adjust, why=""):
         clean = self.clean_nozzle if self.hooks.can_clean else None
         with self.prepared(calibration, self.recorder.departure):
-            result = self.measure(calibration, clean)
+            result = self.measure(calibration, clean, why)
+            if result is None:
+                return None
             last = NOTHING._replace(
                 result=result,
                 mark=self.frame.mark(),
                 warnings=calibration.warnings,
                 uncertainty=calibration.uncertainty(),
                 z_adjust=z_adjust,
-                point=finder.bed_point(sites.bed),
+                point=finder.bed_point(calibration.sites.bed),
                 extruder=self.host.extruder(),
             )
-            zero = self.host.z_zero()
-            heights.check_offset(result, settings.offset_margins, zero)
+            margins = calibration.settings.offset_margins
+            heights.check_offset(result, margins, self.host.z_zero())
             z_offset = Shifts(self.host, last).offset()
             self.results.note(last._replace(z_offset=z_offset))
             at_end = self.host.gcode_offset()
