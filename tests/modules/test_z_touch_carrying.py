@@ -88,6 +88,17 @@ def test_probe_that_reads_docked_and_was_not_docked(start, touch):
     )
 
 
+# The same where its owner has said that it hangs there, or that nobody knows
+@pytest.mark.parametrize("state", ["ATTACHED", "UNKNOWN"])
+def test_probe_that_reads_docked_and_was_told_to_hang(start, state):
+    printer = ready(start)
+    printer.run(f"{OVER}ATTACH_PROBE\nSET_PROBE_STATUS STATE={state}")
+    printer.machine.break_down(Fault("stuck_closed", signal="probe", t=0.0))
+    text = printer.fail(TOUCHES["AUTO_Z_CALIBRATE"])
+    assert "the probe was not fetched, it is DOCKED" in text
+    assert pressed(printer) == 0.0
+
+
 def test_probe_that_was_put_into_the_dock_by_hand(start):
     printer = ready(start)
     for says_so in (False, True):

@@ -169,9 +169,10 @@ class DockableProbe(object):
                 "STATE=%s, but the probe is %s (%s); put it there first"
                 % (state, seen, self.sensors.describe())
             )
-        # Nobody has seen the pins change, but somebody has looked.
+        # Nobody has seen the pins change, but somebody has looked, or wants it seen.
         self.sensors.proven = UNKNOWN
-        self.sensors.may_hang = False
+        if state != UNKNOWN:
+            self.sensors.may_hang = state == ATTACHED
         self.prober.hold(state == ATTACHED)
 
     cmd_SET_DOCKABLE_PROBE_help = "Switch going to the dock by itself on or off"
