@@ -268,10 +268,46 @@ def test_dock_on_the_bed_with_the_probe_on_and_z_not_homed(start):
         in (text)
     )
     assert (
-        "take the probe off by hand and put it into the dock, then G28" in text
+        "take the probe off by hand and put it into the dock, then"
+        " SET_PROBE_STATUS STATE=DOCKED and G28" in text
     )
     assert "G28 Z" not in text
     assert printer.machine.truth.touch_count("nozzle_pin") == 0
+
+
+# It reads as if it were docked then, and the way to this dock needs Z
+def test_broken_wire_where_z_is_not_homed(start):
+    options = {"detach_dockable_before_z_home": "True"}
+    printer = started(start, BED, **options).homed()
+    printer.run(f"{CENTRE}ATTACH_PROBE")
+    begun = printer.machine.truth.touch_count("nozzle_pin")
+    printer.machine.break_down(Fault("stuck_closed", signal="probe", t=0.0))
+    for command in ("M84\nG28", "M84\nDETACH_PROBE"):
+        text = printer.fail(command)
+        assert "the probe reads DOCKED" in text
+        assert "take it off before you home" in text
+        assert "SET_PROBE_STATUS STATE=DOCKED says so" in text
+    assert printer.machine.truth.touch_count("nozzle_pin") == begun
+    words = "nobody has seen it docked"
+    assert words in "\n".join(printer.run("GET_PROBE_STATUS"))
+    printer.run("SET_PROBE_STATUS STATE=DOCKED")
+    assert words not in "\n".join(printer.run("GET_PROBE_STATUS"))
+
+
+# Two pins that say so are no broken wire
+@pytest.mark.parametrize(
+    ("scene", "is_trip"), [(SENSED, False), (GANTRY, True)]
+)
+def test_pins_that_agree_are_believed(start, scene, is_trip):
+    printer = started(start, scene).homed()
+    printer.run(f"{CENTRE}ATTACH_PROBE")
+    machine, begun = printer.machine, len(trips(printer))
+    machine.world.lose_probe(now_of(printer))
+    printer.session.wait(0.5)
+    machine.world.bring_probe_back(now_of(printer))
+    printer.session.wait(0.5)
+    printer.run("DETACH_PROBE")
+    assert ("dock" in trips(printer, begun + 1)) is is_trip
 
 
 @pytest.mark.parametrize(

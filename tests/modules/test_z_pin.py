@@ -32,10 +32,23 @@ def ready(start, changes=None, **more):
         {},
         # Nobody says that it is a pin, but it lies beside the mesh
         {"z_calibration": None},
+        # As it was named before, where a macro homes
+        {
+            "z_calibration": {
+                "nozzle_xy_position": None,
+                "probe_nozzle_x": f"{PIN.x}",
+                "probe_nozzle_y": f"{PIN.y}",
+            },
+            "safe_z_home": None,
+            "homing_override": {
+                "axes": "z",
+                "gcode": f"\n  G28 X\n  G28 Y\n  G1 X{PIN.x} Y{PIN.y} F6000\n  G28 Z",
+            },
+        },
         # An owner who lets a touch go deep means the bed
         {"auto_z_offset": {"probe_z_min": "-4"}},
     ],
-    ids=["z_calibration", "mesh", "probe_z_min"],
+    ids=["z_calibration", "mesh", "old names", "probe_z_min"],
 )
 @pytest.mark.parametrize("command", ["AUTO_Z_PROBE", MEMBRANE])
 def test_pin_is_pressed_one_millimetre(start, command, changes):

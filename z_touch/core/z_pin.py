@@ -51,9 +51,17 @@ def _calibrated_at(config):
     if section.get("endstop_pin", "", note_valid=False):
         # Another pin, whose height nobody knows yet
         return None
-    return _point(config, "z_calibration", "nozzle_xy_position") or _home(
-        config
-    )
+    point = _point(config, "z_calibration", "nozzle_xy_position")
+    return point or _old_point(section) or _home(config)
+
+
+# As it was named until 2023
+def _old_point(section):
+    point = [
+        section.getfloat(name, None, note_valid=False)
+        for name in ("probe_nozzle_x", "probe_nozzle_y")
+    ]
+    return None if None in point else point
 
 
 def _homed_beside_mesh(config):

@@ -70,7 +70,8 @@ class Carrier(object):
 
     # A probe that nobody has docked may hang there with a wire that is broken.
     def _believed(self, state):
-        return UNKNOWN if state == DOCKED and self.sensors.may_hang else state
+        is_doubtful = state == DOCKED and self.sensors.is_doubtful()
+        return UNKNOWN if is_doubtful else state
 
     def reads(self):
         return self.sensors.describe()

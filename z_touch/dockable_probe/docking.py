@@ -25,6 +25,11 @@ from .settings import travel_height
 # A contradiction of pins is believed when it still is there so long (s) after.
 ASK_AGAIN = 0.5
 
+# How a person says where it is
+IF_DOCKED = (
+    "where it is in the dock by hand, SET_PROBE_STATUS STATE=DOCKED says so"
+)
+
 # What takes the probe from one state into the other: the parts of the way in
 # and out, what its options are called, what has become of the probe, and what
 # to look at where it has not
@@ -40,8 +45,7 @@ FETCH = Trip(
     done="fetched",
     remedy="look whether the probe is in the dock and meets the head where"
     " dock_position is; check the pins with GET_PROBE_STATUS; if it hangs on the"
-    " head, a wire is broken: take it off before you home; where it is in the dock by"
-    " hand, SET_PROBE_STATUS STATE=DOCKED says so",
+    " head, a wire is broken: take it off before you home; " + IF_DOCKED,
 )
 DOCK = Trip(
     before=ATTACHED,
@@ -94,7 +98,7 @@ class Docking(object):
     def _fetch_from(self, state, goal, is_only_stop):
         if state == ATTACHED:
             self.host.say("it reads attached, which proves nothing; docking it")
-            self.dock()
+            self.dock(may_fetch=False)
             state = DOCKED
         sensors = self.sensors
         sensors.look_at_switch()
@@ -119,8 +123,8 @@ class Docking(object):
             )
 
     # Puts the probe into the dock, and goes back to 'goal' where there is one.
-    # Returns whether it was anywhere else.
-    def dock(self, goal=None):
+    # Returns whether it was anywhere else.  'may_fetch': to see that it is there
+    def dock(self, goal=None, may_fetch=True):
         self.check_idle()
         sensors, z = self.sensors, self.moves.position().z
         state = sensors.confirm()
@@ -130,7 +134,8 @@ class Docking(object):
             # head would go up at each look.
             self.moves.lift(travel_height(self.settings))
             state = sensors.look()
-        if state == DOCKED and sensors.may_hang and self._is_in_reach():
+        if state == DOCKED and sensors.is_doubtful() and may_fetch:
+            self._check_reach()
             self.host.say(
                 "it reads docked, and was not seen to be docked; fetching it, to"
                 " see that it is there, and docking it"
@@ -153,6 +158,15 @@ class Docking(object):
         axes = "xy" if self.settings.dock_fixed_z else "xyz"
         return self.settings.is_placed and self.moves.is_homed(axes)
 
+    # What cannot be fetched cannot be seen to be there.
+    def _check_reach(self):
+        if not self._is_in_reach():
+            raise self.host.error(
+                "the probe reads DOCKED (%s), and nobody has seen it docked: it may"
+                " hang on the head, its wire broken; take it off before you home;"
+                " %s" % (self.sensors.describe(), IF_DOCKED)
+            )
+
     # To home Z on its switch with the probe on would press it into the bed.
     def _require_homed(self, state):
         moves = self.moves
@@ -162,7 +176,8 @@ class Docking(object):
         if state != DOCKED and is_z_missing and moves.is_homed("xy"):
             raise self.host.error(
                 "the probe is %s (%s), and to find the dock Z has to be homed;"
-                " take the probe off by hand and put it into the dock, then G28"
+                " take the probe off by hand and put it into the dock, then"
+                " SET_PROBE_STATUS STATE=DOCKED and G28"
                 % (state, self.sensors.describe())
             )
         moves.require_homed()

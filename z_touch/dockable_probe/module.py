@@ -12,7 +12,7 @@ from .. import __version__
 from ..core import host, notes, options, running
 from . import checks, detour
 from .carrier import Carrier
-from .docking import DOCK, FETCH, Docking
+from .docking import DOCK, FETCH, IF_DOCKED, Docking
 from .moves import Moves
 from .prober import Prober
 from .sensors import ATTACHED, DOCKED, UNKNOWN, Sensors
@@ -103,7 +103,7 @@ class DockableProbe(object):
     def lift_before_xy(self, homing_state, rails):
         if self.is_lifted_elsewhere or self.host.homed_axis(rails) is None:
             return
-        if self.sensors.confirm() != DOCKED or self.sensors.may_hang:
+        if self.sensors.confirm() != DOCKED or self.sensors.is_doubtful():
             self.moves.lift(travel_height(self.settings))
 
     # Where Z is homed without the probe, that may be in the way.
@@ -114,7 +114,8 @@ class DockableProbe(object):
         if self.virtual_probe.is_z_endstop():
             return
         # Without X and Y it cannot be docked, which is said where it is not.
-        if self.moves.is_homed("xy") or self.sensors.look() != DOCKED:
+        is_on_head = self.sensors.look() != DOCKED or self.sensors.is_doubtful()
+        if self.moves.is_homed("xy") or is_on_head:
             self.detach_probe()
 
     # Before Z is homed: the head ends where it was.  Of this name for Kalico's
@@ -151,8 +152,14 @@ class DockableProbe(object):
     cmd_GET_PROBE_STATUS_help = "Tell where the probe is"
 
     def cmd_GET_PROBE_STATUS(self, gcmd):
-        gcmd.respond_info("Probe Status: %s" % (self.sensors.look(),))
+        state = self.sensors.look()
+        gcmd.respond_info("Probe Status: %s" % (state,))
         self.host.say(self.sensors.describe())
+        if state == DOCKED and self.sensors.is_doubtful():
+            self.host.say(
+                "nobody has seen it docked: it may hang on the head, its wire"
+                " broken; " + IF_DOCKED
+            )
 
     cmd_QUERY_DOCKABLE_PROBE_help = cmd_GET_PROBE_STATUS_help
     cmd_QUERY_DOCKABLE_PROBE = cmd_GET_PROBE_STATUS

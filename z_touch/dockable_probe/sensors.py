@@ -62,6 +62,10 @@ class Sensors(object):
         self.last_state = state
         return state
 
+    # Whether a DOCKED proves nothing.  Two pins of their own that agree are believed.
+    def is_doubtful(self):
+        return self.may_hang and len(self.senses) < 2
+
     # What all of these pins say, UNKNOWN where they contradict each other
     def _agreed(self, print_time, senses):
         attached = [

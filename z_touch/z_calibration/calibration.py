@@ -14,8 +14,8 @@
 #                                              +-> the probe is, then the switch again
 #
 # Where switch - nozzle departs from earlier runs, and nothing was cleaned yet, it ends
-# after the switch: the probe has to be put away before the nozzle can be cleaned, and
-# all is measured again.
+# after the switch: end_gcode, start_gcode and clean_gcode run, and all is measured
+# again.
 from __future__ import absolute_import
 
 import collections
