@@ -121,8 +121,8 @@ def test_print_start_loads_what_the_module_has_saved(name):
     assert not re.search("correct", " ".join(sections["auto_z_offset"]))
     begin = [line.split()[0] for line in lines_of(path).splitlines()]
     assert "AUTO_Z_CALIBRATE" not in begin
-    # What the slicers' profiles for these printers send
-    assert {"BED", "HOTEND"} == set(
+    # What the slicers' profiles for these printers send, and those of others
+    assert {"BED", "HOTEND", "BED_TEMP", "EXTRUDER_TEMP"} == set(
         re.findall(r"params\.(\w+)", lines_of(path))
     )
     before = begin[: begin.index("AUTO_Z_LOAD_OFFSET")]

@@ -356,7 +356,7 @@ def _dockable_probe_jobs() -> list[Job]:
         ),
         before="G90\nG1 X150 Y150 Z20 F6000",
         again="G90\nG1 X150 Y150 Z20 F6000",
-        told=("last_status", "last_z_result", "last_probe_position"),
+        told=(*_DOCKED_STATUS, "last_probe_position"),
     )
     plain = replace(probe, changes=dockable_probe.section(**quick))
     both = dockable_probe.section(dock_retries="1", **quick)
