@@ -121,11 +121,11 @@ def test_no_moonraker(machine, conf):
     [
         ("", ""),
         (HEADER, "[update_manager  z_calibration]  # updates"),
-        (HEADER, "[update_manager client z_calibration]"),
+        slow(HEADER, "[update_manager client z_calibration]"),
         ("\n", "\r\n"),
-        ("~/klipper_z_calibration", "~/klipper_z_calibration/"),
+        slow("~/klipper_z_calibration", "~/klipper_z_calibration/"),
         ("~/klipper_z_calibration", "HOME/klipper_z_calibration  # here"),
-        ("~/klipper_z_calibration", "~/link"),
+        slow("~/klipper_z_calibration", "~/link"),
         (".git", ""),
         ("primary_branch", "channel: stable\nprimary_branch"),
     ],
@@ -273,8 +273,8 @@ def test_checkout_that_cannot_be_updated(machine, conf, klipper, command):
     [
         ("[server]\n", [], True),
         ("[server]\n", ["--no-moonraker"], False),
-        ("[server]\n", ["-u"], False),
-        (SECTION, [], False),
+        slow("[server]\n", ["-u"], False),
+        slow(SECTION, [], False),
         (SECTION, ["-u"], True),
         (OTHER_PATH, [], False),
         (OTHER_PATH, ["-f"], True),
@@ -311,7 +311,7 @@ def test_folder_that_cannot_be_written(machine, conf, text, options):
 
 @pytest.mark.parametrize(
     ("text", "options"),
-    [(SECTION, ["-u"]), (OTHER_PATH, ["-f"]), ("[server]\n", [])],
+    [(SECTION, ["-u"]), slow(OTHER_PATH, ["-f"]), ("[server]\n", [])],
 )
 @pytest.mark.parametrize(
     ("program", "words"), [("cat", "*/new"), ("cp", "*"), ("mv", "*")]

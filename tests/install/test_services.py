@@ -252,17 +252,17 @@ UNKNOWN = "no Moonraker tells"
     ("code", "info", "query", "said"),
     [
         (200, *objects("standby"), RESTARTED),
-        (200, *objects("complete", "Ready"), RESTARTED),
+        slow(200, *objects("complete", "Ready"), RESTARTED),
         (200, *objects("printing"), BUSY),
-        (200, *objects("paused"), BUSY),
+        slow(200, *objects("paused"), BUSY),
         # A script, such as a calibration
         (200, *objects("standby", "Printing"), BUSY),
         # With no [virtual_sdcard] something else sends the print
         (200, *objects(None), UNKNOWN),
         # It may print for somebody else, or from another socket
         (200, {"klippy_state": "disconnected"}, None, UNKNOWN),
-        (200, {"klippy_state": "startup"}, None, UNKNOWN),
-        (200, {"klippy_state": "shutdown"}, None, RESTARTED),
+        slow(200, {"klippy_state": "startup"}, None, UNKNOWN),
+        slow(200, {"klippy_state": "shutdown"}, None, RESTARTED),
         # As after an update that has removed the links
         (200, {"klippy_state": "error"}, None, RESTARTED),
         (401, *objects("standby"), UNKNOWN),

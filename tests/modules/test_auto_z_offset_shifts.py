@@ -10,8 +10,6 @@ from simprinter import SCENES
 from tools.kit.auto_z_offset import MICROSTEP, POINT, told, true_gap, world
 from tools.kit.klipper_sections import bed_mesh
 
-pytestmark = pytest.mark.every_host
-
 STEPS = 2 * MICROSTEP
 MESH = bed_mesh("50, 50", "200, 200")
 PROBED = "BED_MESH_CALIBRATE"

@@ -8,6 +8,7 @@ import pytest
 
 from simprinter import Fault
 from simprinter.docks import on_generic
+from tools.kit.cases import slow
 from tools.kit.dockable_probe import (
     BED,
     CLEAR,
@@ -172,7 +173,7 @@ def test_dock_is_put_away_where_the_head_does_not_get_there(start):
 
 
 @pytest.mark.parametrize("command", ["G28", "G28 X", "G28 Z"])
-@pytest.mark.parametrize("scene", [SERVO, SWITCH, GANTRY, FRAME])
+@pytest.mark.parametrize("scene", [SERVO, SWITCH, slow(GANTRY), slow(FRAME)])
 def test_homing_from_in_the_dock(start, scene, command):
     printer = started(start, scene).homed()
     before = len(trips(printer))

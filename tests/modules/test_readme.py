@@ -20,6 +20,7 @@ from tests.modules.test_z_calibration_examples import (
     assert_soft_and_clean,
     print_start,
 )
+from tools.kit.cases import all_slow_but
 from tools.kit.lab import copy_own_files
 
 ROOT = Path(__file__).resolve().parents[2]
@@ -188,6 +189,8 @@ ADDED = {
     "KLIPPER_PATH=~/klipper:~/kalico make test": " PYTEST_ARGS=--version",
     "build/venv/bin/python -m tools.demo --help": "",
 }
+# What collects no tests
+SHORT = [name for name in ADDED if not name.startswith("KLIPPER_PATH")]
 EXPECTED = {
     "make printer": r"-m tools\.playground",
     "make test": r"-m pytest --cases test -n \d",
@@ -216,7 +219,7 @@ def home(tmp_path):
 
 
 @pytest.mark.timeout(300)
-@pytest.mark.parametrize("command", ADDED)
+@pytest.mark.parametrize("command", all_slow_but(SHORT, ADDED))
 def test_command_works(home, command):
     env = {**os.environ, "HOME": str(home), "KLIPPER_PATH": ""}
     # build/ is where the running tests have it

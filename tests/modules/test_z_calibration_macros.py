@@ -129,7 +129,6 @@ def test_start_gcode_may_home(start, by_macro):
 # before_switch_gcode of a probe that is on the head: its words say nothing
 
 
-@pytest.mark.every_host
 @pytest.mark.parametrize(
     ("before_switch", "start_gcode"),
     [

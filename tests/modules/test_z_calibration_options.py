@@ -184,7 +184,7 @@ printer.register_event_handler("klippy:ready", age)
 
 
 @pytest.mark.every_host
-@pytest.mark.parametrize("index", [2, 3, None])
+@pytest.mark.parametrize("index", [2, slow(3), None])
 def test_the_meshs_point_on_an_old_host(start, tmp_path, index):
     modules = with_extra(tmp_path, OLD_MESH % (index,))
     changes = {**section(bed_xy_position=None), **mesh(), "extra": {}}
@@ -695,7 +695,6 @@ def test_speeds_of_one_command(host, params, more):
 IDLE = "// z_calibration: SAMPLES_TOLERANCE is ignored with 'samples: auto'"
 
 
-@pytest.mark.every_host
 @pytest.mark.parametrize(
     ("samples", "params", "count"),
     [

@@ -70,7 +70,6 @@ def test_touch_is_refused_where_no_trips_are_wanted(start, touch):
 
 
 # Its wire breaks while it hangs there: it reads as if it were docked
-@every_host
 @pytest.mark.parametrize("touch", [*TOUCHES, "G28 Z"])
 def test_probe_that_reads_docked_and_was_not_docked(start, touch):
     printer = ready(start)

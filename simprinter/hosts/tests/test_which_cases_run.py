@@ -81,7 +81,9 @@ def test_rest_is_all_others(file):
     assert not {*cases[0]} & {*cases[1]}
 
 
-@pytest.mark.parametrize("workers", [0, 2])
+@pytest.mark.parametrize(
+    "workers", [0, pytest.param(2, marks=pytest.mark.slow)]
+)
 def test_what_is_left_is_counted_in_the_last_line(file, workers):
     # What nobody has asked for is not left
     lines = run(file, "-n", workers, "-k", "long or without").splitlines()
