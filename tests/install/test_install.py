@@ -370,6 +370,7 @@ def test_kalico_needs_the_override(box):
     box.installed()
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     ("name", "line", "is_allowed"),
     [
@@ -679,6 +680,7 @@ def test_dry_run_refuses_the_same(machine, klipper):
 # A clone that was moved, and a module that is gone
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("options", [[], ["--uninstall"]])
 def test_links_of_a_clone_that_was_moved(machine, either, options):
     machine.installed()
@@ -758,6 +760,7 @@ def test_which_klipper_was_taken(box):
 # The script as such
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("shell", ["sh", "bash --posix", "dash"])
 def test_any_shell_may_be_named(machine, klipper, shell):
     real = shutil.which(shell.split()[0])

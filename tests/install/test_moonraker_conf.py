@@ -63,6 +63,7 @@ def test_file_keeps_its_identity(machine, conf):
         assert [path.name for path in real.parent.glob(".real*")] == []
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     "places",
     [
@@ -140,6 +141,7 @@ def test_section_that_is_right_stays(machine, conf, old, new):
     assert machine.restarted() == ["klipper"]
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     "line",
     [
@@ -156,6 +158,7 @@ def test_what_only_looks_like_it_does_not_count(machine, conf, line):
     assert conf.read_text().endswith(f"\n\n{MARK}{SECTION}")
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     "include",
     ["more.conf", "conf.d/*.conf", "ABSOLUTE/conf.d/a b.conf", "first.conf"],
@@ -309,6 +312,7 @@ def test_folder_that_cannot_be_written(machine, conf, text, options):
     assert f"cannot write to {conf.parent}\n" in err
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     ("text", "options"),
     [(SECTION, ["-u"]), slow(OTHER_PATH, ["-f"]), ("[server]\n", [])],

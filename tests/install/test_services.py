@@ -66,6 +66,7 @@ def test_stopped_service_stays_stopped(machine):
     assert machine.restarted() == BOTH
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     ("state", "options", "is_restarted"),
     [
@@ -192,6 +193,7 @@ def test_moonraker_that_does_not_tell(machine, stopped):
     assert machine.restarted() == (["moonraker"] if stopped else [])
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     ("server", "address"),
     [

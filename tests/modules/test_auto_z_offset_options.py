@@ -175,6 +175,7 @@ def test_every_touch_has_the_same_speed(start, saved):
     assert z == pytest.approx(SENSOR - 0.002 * 4.5, abs=STEPS)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     ("speed", "accel", "below"),
     [
@@ -261,6 +262,7 @@ def test_sample_retract_dist(start, retract):
         assert min(abs(top - each) for each in tops) < 0.01
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     ("result", "share"),
     [
@@ -600,6 +602,7 @@ def test_section_of_the_original_module_as_it_was(start, command):
 
 
 # What the message says; a gap with our sign, or one that is meant so
+@pytest.mark.slow
 @pytest.mark.parametrize(
     ("calibrated", "z_offset"),
     [(None, "0.2"), ("-1.00", "0.2"), ("-1.00", None), ("", "-0.1")],

@@ -110,6 +110,7 @@ def hooks_of(name):
     return z_section(**dict(zip(names, lines)))
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("before", all_slow_but(["held"], BEFORE))
 @pytest.mark.parametrize("hooks", HOOKS)
 def test_each_hook_has_its_own_default(start, hooks, before):

@@ -366,6 +366,7 @@ def test_point_on_the_edge_of_the_axes(host, edge):
 # Margins, heights, floors
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     ("margins", "limits"),
     [
@@ -566,6 +567,7 @@ def test_tolerance_and_retries(start, options, n, fails):
     assert printer.machine.faults.unfired() == []
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     ("signal", "n", "of_probe", "own", "share"),
     [
@@ -623,6 +625,7 @@ def longer(pin, bed=0.0):
     return {"nozzle": pin, "switch": pin, "bed": bed}
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     ("changes", "more"),
     [
@@ -674,6 +677,7 @@ def test_speeds(host, changes, more):
     assert found == pytest.approx(more, abs=0.25)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     ("params", "more"),
     [

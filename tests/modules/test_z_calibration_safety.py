@@ -654,6 +654,7 @@ def test_pin_of_its_own_has_no_place_to_fall_back_to(start):
 # Every kind of machine
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     "scene",
     [
@@ -702,6 +703,7 @@ def finer(scene):
     return replace(scene, wiring=wiring, sections=sections)
 
 
+@pytest.mark.slow
 def test_noise_leaves_a_small_mean_error(host):
     """Sigma 3 um on pin and probe, median of 3, 15 runs: the true gap."""
     scene = SCENES["voron"]

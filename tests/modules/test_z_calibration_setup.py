@@ -124,6 +124,7 @@ def test_separate_pin_in_no_section_and_a_switch_from_the_list(start, tmp_path):
 
 
 # All that a D2F may have: 5.5 +-0.3 mm over a body of 5.0
+@pytest.mark.slow
 @pytest.mark.parametrize("switch_offset", [0.2, slow(0.5), 0.8])
 def test_button_of_a_switch_leaves_no_nozzle_in_the_bed(start, switch_offset):
     scene = SCENES["cartesian"]

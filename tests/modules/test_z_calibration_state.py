@@ -35,6 +35,7 @@ def pending(printer):
 RESTORE = "RESTORE_GCODE_STATE NAME=old"
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     ("end_gcode", "offset"),
     [

@@ -292,6 +292,7 @@ def test_step_begins_a_new_stretch():
     assert trend.begins_of("switch - nozzle", runs) == []
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("block", [1, slow(2), 7, slow(25)])
 @pytest.mark.parametrize("apart", [0.04, 0.012])
 def test_plates_in_turn_are_no_alarm(block, apart):

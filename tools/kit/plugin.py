@@ -146,7 +146,12 @@ class _ByFile(LoadFileScheduling):
     # Making a printer with Moonraker takes seconds
     _TOGETHER = re.compile(r"tests/moonraker/test_(?!dialogs|setup)")
 
+    # Long, last of all, and each by itself
+    _APART = re.compile(r"tools/campaign/tests/test_walks\.py")
+
     def _split_scope(self, nodeid: str) -> str:
+        if self._APART.match(nodeid):
+            return nodeid
         found = self._TOGETHER.match(nodeid)
         return found[0] if found else super()._split_scope(nodeid)
 
