@@ -146,14 +146,18 @@ def first_told(draw, make):
 
 @pytest.mark.parametrize("printers", [4, slow(24)])
 def test_drift_of_ten_um_is_found_within_a_hundred_runs(printers):
-    draw = random.Random(4)
+    draw, texts = random.Random(4), []
     for _ in range(printers):
         number, worn = first_told(draw, drifting)
         assert number is not None
+        # A switch is part of both, and either may be seen first
         assert set(worn) <= {"switch - nozzle", "probe - switch"}
-    text = worn["switch - nozzle"]
-    assert text.startswith("switch - nozzle has drifted by 0.0")
-    assert "check nozzle, probe" in text
+        texts.append(worn.get("switch - nozzle"))
+    found = [text for text in texts if text]
+    assert len(found) > printers / 2
+    for text in found:
+        assert text.startswith("switch - nozzle has drifted by 0.0")
+        assert "check nozzle, probe" in text
 
 
 def test_switch_that_wears_out_is_found():

@@ -127,7 +127,9 @@ PRINTERS = pytest.mark.parametrize("printers", [150, slow(500)])
 @pytest.mark.parametrize("outliers", [0.0, 0.02])
 @pytest.mark.parametrize("noise", [0.001, 0.003, 0.010])
 @pytest.mark.parametrize(
-    ("printers", "low", "high"), [(150, 0.91, 0.985), slow(500, 0.93, 0.97)]
+    ("printers", "low", "high"),
+    # Of 500 one in thirty is outside by chance where 94.5 % are inside
+    [(150, 0.91, 0.985), slow(3000, 0.93, 0.97)],
 )
 def test_95_of_100_offsets_are_inside_with_a_history(
     noise, outliers, printers, low, high
