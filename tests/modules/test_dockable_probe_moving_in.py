@@ -311,6 +311,39 @@ def test_pins_that_agree_are_believed(start, scene, is_trip):
     assert ("dock" in trips(printer, begun + 1)) is is_trip
 
 
+# As above, with X and Y unknown, too: nothing but what the pins read is asked then
+def test_broken_wire_where_nothing_is_homed(start):
+    printer = started(start, SWITCH, {"safe_z_home": None})
+    pin = printer.scene.sections["safe_z_home"]["home_xy_position"].split(",")
+    printer.run("G28 X Y\nG1 X%s Y%s F6000\nG28 Z" % tuple(pin))
+    printer.run(f"{CENTRE}ATTACH_PROBE")
+    begun = printer.machine.truth.touch_count("nozzle_pin")
+    printer.machine.break_down(Fault("stuck_closed", signal="probe", t=0.0))
+    text = printer.fail("M84\nG28 Z")
+    assert "the probe reads DOCKED" in text
+    assert "nobody has seen it docked" in text
+    assert printer.machine.truth.touch_count("nozzle_pin") == begun
+
+
+# It reads attached while it is in the dock, until it is to be docked
+def test_pin_that_chatters_is_no_reason_for_more_trips(start):
+    printer = started(start, GANTRY).homed()
+    printer.run(f"{CENTRE}ATTACH_PROBE")
+    machine, session = printer.machine, printer.session
+    machine.world.lose_probe(now_of(printer))
+    session.wait(0.5)
+    machine.world.bring_probe_back(now_of(printer))
+    session.wait(0.5)
+    printer.run("SET_PROBE_STATUS STATE=UNKNOWN")
+    begun = len(trips(printer))
+    machine.break_down(Fault("stuck_open", signal="probe", t=0.0))
+    command = session.begin("ATTACH_PROBE")
+    session.run_until(command, lambda: "proves nothing" in session.console[-1])
+    machine.repair()
+    session.finish(command)
+    assert trips(printer)[begun:] == ["attach"]
+
+
 @pytest.mark.parametrize(
     ("initial", "changes", "hop"),
     [
