@@ -56,16 +56,12 @@ class Recorder(object):
         register("klippy:ready", self.history.begin)
 
     # By how much (mm) switch - nozzle departs from the runs that were as hot as it is
-    # now; 0: not by more than chance.  No run ends because of a history.
+    # now; 0: not by more than chance.
     def departure(self, body):
         now, history = self.host.eventtime(), self.history
-        try:
-            as_now = {"temperatures": self.temperatures(now)}
-            bodies = trend.bodies_as_hot(history.runs, history.summary, as_now)
-            return trend.departure(body, bodies)
-        except Exception:
-            logging.exception("%s: history not compared", self.host.section)
-            return 0.0
+        as_now = {"temperatures": self.temperatures(now)}
+        bodies = trend.bodies_as_hot(history.runs, history.summary, as_now)
+        return trend.departure(body, bodies)
 
     # When nothing is under way
     def say(self, text):
