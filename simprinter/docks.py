@@ -39,7 +39,7 @@ def _others(scene: Scene, without: tuple[str, ...]) -> dict[str, Mapping]:
 
 
 # What levels and meshes on these machines
-LEVELS: Sections = {
+_LEVELS: Sections = {
     "bed_mesh": {
         "speed": "200",
         "horizontal_move_z": "10",
@@ -86,7 +86,7 @@ def _gantry_switch() -> Scene:
         name="dock_gantry_switch",
         sections={
             **_others(voron, ()),
-            **LEVELS,
+            **_LEVELS,
             "dockable_probe": options,
         },
     ).with_world(

@@ -5,12 +5,12 @@ from __future__ import annotations
 from collections.abc import Collection, Mapping
 from typing import Optional
 
-from simprinter.docks import LEVELS
 from tools.kit.klipper_sections import bed_mesh
 
 Section = Mapping[str, Optional[str]]
 
-_MESH = bed_mesh("40, 40", "240, 230", horizontal_move_z="10")
+# In reach of each probe, on the smallest of the beds
+_MESH = bed_mesh("40, 40", "200, 200", horizontal_move_z="10")
 
 # Each by a name; a printer takes any of them, but for what excludes each other
 FEATURES: Mapping[str, Mapping[str, Section]] = {
@@ -30,7 +30,14 @@ FEATURES: Mapping[str, Mapping[str, Section]] = {
         }
     },
     "screws": {
-        "screws_tilt_adjust": LEVELS["screws_tilt_adjust"],
+        "screws_tilt_adjust": {
+            "screw1": "60, 30",
+            "screw2": "180, 30",
+            "screw3": "120, 190",
+            "speed": "200",
+            "horizontal_move_z": "10",
+            "screw_thread": "CW-M4",
+        }
     },
     "shaper": {"input_shaper": {"shaper_freq_x": "50", "shaper_freq_y": "40"}},
     "exclude": {"exclude_object": {}},

@@ -64,8 +64,13 @@ def _bases() -> dict[str, Scene]:
         )
     for name in ("voron", "hybrid", "cartesian", "separate_pin", "qidi"):
         found[name] = SCENES[name]
-    for name in ("membrane", "membrane_and_probe", "piezo_cartesian"):
+    for name in ("membrane_and_probe", "piezo_cartesian"):
         found[name] = SCENES[name]
+    # Its Z switch lets the nozzle go below the bed: an owner homes beside it
+    aside = {"home_xy_position": "-8, -2", "z_hop": "10"}
+    membrane = SCENES["membrane"]
+    sections = {**membrane.sections, "safe_z_home": aside}
+    found["membrane"] = replace(membrane, sections=sections)
     return found
 
 

@@ -46,10 +46,10 @@ PROBE = (
     *(f"{OVER_BED}\n{name}" for name in ("PROBE", "PROBE_ACCURACY SAMPLES=3")),
     f"{OVER_BED}\nPROBE_CALIBRATE",
 )
-# By the section that has them
-# Whoever tries a dock out does not home in it
+# Whoever tries a dock out does not home in it, nor from behind it
 OUT = "MOVE_AVOIDING_DOCK X=150 Y=150 SPEED=100"
 OVER_MEMBRANE = AWAY % (20, *MEMBRANE)
+# By the section that has them
 OF_SECTION = {
     "z_calibration": (
         "CALIBRATE_Z",
@@ -79,7 +79,7 @@ OF_SECTION = {
         "ATTACH_PROBE",
         "DETACH_PROBE",
         "MOVE_AVOIDING_DOCK X=150 Y=150 SPEED=200",
-        "MOVE_AVOIDING_DOCK X=20 Y=300 SPEED=200",
+        f"MOVE_AVOIDING_DOCK X=20 Y=300 SPEED=200\n{OUT}",
         "QUERY_DOCKABLE_PROBE",
         "SET_DOCKABLE_PROBE AUTO_ATTACH_DETACH=0",
         "SET_DOCKABLE_PROBE AUTO_ATTACH_DETACH=1",
