@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import configparser
+import csv
 import re
 from collections.abc import Iterator
 from functools import lru_cache
@@ -12,10 +13,29 @@ from typing import NamedTuple
 from markdown_it import MarkdownIt
 from markdown_it.tree import SyntaxTreeNode
 
+DOCS = Path(__file__).resolve().parents[2] / "docs"
+# Section -> the pages that an owner reads of it, where it has more than one
+PAGES = {"z_calibration": ("z_calibration", "setup", "accuracy")}
+NUMBERS = "Built-in numbers"
 OPTIONS = "Which options are there?"
 COMMANDS = "Which commands are there?"
 STATUS = "What can macros read?"
 _MARKDOWN = MarkdownIt("commonmark").enable("table")
+
+
+def text_of(name: str) -> str:
+    """All that the documents say of a section: its pages, its numbers."""
+    pages = [
+        (DOCS / f"{page}.md").read_text(encoding="utf-8")
+        for page in PAGES.get(name, (name,))
+    ]
+    with (DOCS / "numbers.csv").open(encoding="utf-8", newline="") as file:
+        table = [row for row in csv.DictReader(file) if row["section"] == name]
+    lines = [f"## {NUMBERS}", "", "| name | value | meaning |", "|---|---|---|"]
+    lines += [
+        f"| `{r['name']}` | {r['value']} | {r['meaning']} |" for r in table
+    ]
+    return "\n".join([*pages, *lines, ""])
 
 
 @lru_cache

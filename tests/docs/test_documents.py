@@ -11,13 +11,14 @@ from __future__ import annotations
 import math
 import re
 from collections.abc import Iterator
-from pathlib import Path
 from typing import Any
 
 import pytest
 
 from tests.docs.documents import (
     COMMANDS,
+    DOCS,
+    NUMBERS,
     OPTIONS,
     STATUS,
     Option,
@@ -31,6 +32,7 @@ from tests.docs.documents import (
     samples_of,
     shown_answers,
     spans,
+    text_of,
 )
 from tests.docs.pictures import numbers
 from tests.docs.records import AUTO_Z_OFFSET, MODULES, SHOWN, Z_CALIBRATION
@@ -38,7 +40,6 @@ from tests.docs.running import Options, Running, Step, differ
 from tests.docs.sources import constants
 from tools.kit.auto_z_offset import POINT
 
-DOCS = Path(__file__).resolve().parents[2] / "docs"
 FLOORS = "How low can a touch go?"
 BRAKING = "How deep does a dead sensor let the nozzle go?"
 # Of a board, and of no section
@@ -222,7 +223,7 @@ def wrong_constants(running: Running, text: str) -> Found:
     real = constants(running.module.name)
     table = {
         spans(row[0])[0]: tuple(float(word) for word in row[1].split(","))
-        for row in rows(part(text, "Built-in numbers"))
+        for row in rows(part(text, NUMBERS))
     }
     yield from unlike("constant", set(table), set(real))
     for name in sorted(set(table) & set(real)):
@@ -453,7 +454,7 @@ MISTAKES = {
 
 @pytest.mark.parametrize("module", MODULES, ids=lambda module: module.name)
 def test_document_is_right(host, module):
-    text = (DOCS / f"{module.name}.md").read_text(encoding="utf-8")
+    text = text_of(module.name)
     with Running(host, module) as running:
         assert list(problems(running, text)) == []
 
@@ -462,7 +463,7 @@ def test_document_is_right(host, module):
 @pytest.mark.timeout(300)
 @pytest.mark.parametrize("module", MODULES, ids=lambda module: module.name)
 def test_mistakes_in_it_are_found(host, module):
-    text = (DOCS / f"{module.name}.md").read_text(encoding="utf-8")
+    text = text_of(module.name)
     with Running(host, module) as running:
         for what, (old, new) in MISTAKES.items():
             changed, count = re.subn(old, new, text)

@@ -11,12 +11,18 @@ from types import SimpleNamespace
 
 import pytest
 
-from tests.docs.documents import STATUS, ini_blocks, part, rows, spans
+from tests.docs.documents import (
+    STATUS,
+    ini_blocks,
+    part,
+    rows,
+    spans,
+    text_of,
+)
 from tests.docs.pictures import numbers
 from tests.docs.records import SHOWN, Module
 from tests.docs.running import Running
 from tests.docs.test_documents import (
-    DOCS,
     unlike,
     wrong_answers,
     wrong_commands,
@@ -28,7 +34,7 @@ from tests.docs.test_documents import (
 )
 from tools.kit.extra_probe import ABORT, CALIBRATE, CONTINUE, NAME, press
 
-TEXT = (DOCS / "extra_probe.md").read_text(encoding="utf-8")
+TEXT = text_of("extra_probe")
 ABOVE = "G90\nG1 Z5 F900\nG1 X30 Y20 F6000"
 
 # What a hand does at these steps

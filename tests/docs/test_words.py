@@ -10,12 +10,14 @@ import pytest
 ROOT = Path(__file__).resolve().parents[2]
 PAGES = (
     "README",
+    "docs/accuracy",
     "docs/auto_z_offset",
     "docs/dockable_probe",
     "docs/extra_probe",
     "docs/installation",
     "docs/messages",
     "docs/migration",
+    "docs/setup",
     "docs/troubleshooting",
     "docs/z_calibration",
 )

@@ -199,7 +199,7 @@ def test_adjustment_of_a_plate(start):
 
 
 def test_plates_of_the_document(start, tmp_path):
-    text = (DOCS / "z_calibration.md").read_text(encoding="utf-8")
+    text = (DOCS / "setup.md").read_text(encoding="utf-8")
     changes = {
         f"gcode_macro {name}": ini_blocks(text)[f"gcode_macro {name}"]
         for name in ("KEEP_PLATE", "CALIBRATE_Z_ON_PLATE")

@@ -13,7 +13,7 @@ import pytest
 from z_touch.uncertainty import cycles
 from z_touch.uncertainty.cycles import Cycle
 
-DOCUMENT = Path(__file__).resolve().parents[2] / "docs" / "z_calibration.md"
+DOCUMENT = Path(__file__).resolve().parents[2] / "docs" / "accuracy.md"
 STEP = 0.0025
 HEIGHTS = {"nozzle": 1.6, "switch": 8.0, "bed": 7.0}
 # Between two touches and before those of a site; at the end of a cycle, s

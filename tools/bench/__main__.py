@@ -51,7 +51,6 @@ from tools.bench.errors import (
 )
 from tools.bench.timing import OURS, Subject, attempt, ours, reason
 from tools.kit.printer import given_module, module_files
-from tools.kit.tables import plain
 
 WORKERS = 2
 SEEDS = 50
@@ -248,7 +247,7 @@ def measure_all(
     besides = others(options)
     figures: dict[str, Any] = {"about": about(hosts)}
     figures["costs"] = cost_figures(hosts, besides, output)
-    output.say(tables.costs(figures["costs"], plain))
+    output.say(tables.costs(figures["costs"]))
     timings = figures["timings"] = []
     for command in COMMANDS:
         timings += time_command(command, hosts, besides, output)
@@ -259,7 +258,7 @@ def measure_all(
         is_meant = any(n in host.name for n in options.errors_on or [""])
         if options.seeds and is_meant:
             of_host = error_figures(host, timings, besides, options.seeds)
-            output.say("", tables.errors(of_host, plain))
+            output.say("", tables.errors(of_host))
             errors += of_host
             write_json(figures, folder() / "performance.json")
     output.say(tables.reasons(errors))

@@ -6,7 +6,7 @@ import json
 import statistics
 from collections.abc import Iterator, Mapping, Sequence
 from pathlib import Path
-from typing import Any, Optional
+from typing import Any
 
 from tools.bench.commands import Command
 from tools.bench.lower_bounds import PURPOSES
@@ -99,77 +99,99 @@ def reasons(errors: Sequence[Figures]) -> str:
 # Of the document, and of others where they are measured, too
 
 
+def span(numbers: Sequence[float], form: str = ".1f") -> str:
+    """From the least to the largest of them; one number where all are alike."""
+    low, high = (format(pick(numbers), form) for pick in (min, max))
+    return low if low == high else f"{low} to {high}"
+
+
 def time_rows(figures: Figures) -> Iterator[list[str]]:
-    """Of ours: the first run and the one after it; CPU, the median of all."""
+    """Of ours, over all hosts: the first run, the one after it, CPU."""
+    by_command: dict[str, list[Figures]] = {}
     for timing in figures["timings"]:
-        if timing["module"] != OURS or timing["failure"]:
-            continue
-        first, again = timing["runs"][:2]
+        if timing["module"] == OURS and not timing["failure"]:
+            by_command.setdefault(timing["command"], []).append(timing)
+    for command, timings in by_command.items():
+        first, again = ([t["runs"][n] for t in timings] for n in (0, 1))
+        cpu = [
+            statistics.median(run["cpu"] for run in t["runs"]) for t in timings
+        ]
         yield [
-            timing["command"],
-            timing["host"],
-            f"{first['seconds']:.1f}",
-            f"{first['bound']:.1f}",
-            f"{first['ratio']:.2f}",
-            f"{again['seconds']:.1f}",
-            f"{again['ratio']:.2f}",
-            touches_text(first["touches"]),
-            *(
-                f"{statistics.median(r[name] for r in timing['runs']):.2f}"
-                for name in ("cpu", "idle_cpu")
-            ),
+            command,
+            span([run["seconds"] for run in first]),
+            span([run["bound"] for run in first]),
+            span([run["seconds"] for run in again]),
+            span(cpu, ".2f"),
         ]
 
 
-def errors(
-    errors: Sequence[Figures], table=markdown, module: Optional[str] = None
-) -> str:
-    """Mean, sigma and worst in um under each condition; module: only of it."""
-    errors = [e for e in errors if module in (None, e["module"])]
+def errors(errors: Sequence[Figures]) -> str:
+    """Mean, sigma and worst in um under each condition."""
     noises = list(dict.fromkeys(error["noise"] for error in errors))
     cells: dict[tuple[str, ...], dict[str, str]] = {}
     for error in errors:
-        other = () if module else (error["module"],)
-        key = (error["command"], error["host"], *other)
+        key = (error["command"], error["host"], error["module"])
         cells.setdefault(key, {})[error["noise"]] = summary_text(error)
     rows = [
         [*key, *(group.get(noise, "") for noise in noises)]
         for key, group in sorted(cells.items())
     ]
-    other = () if module else ("module",)
-    return table(["command", "host", *other, *noises], rows)
+    return plain(["command", "host", "module", *noises], rows)
 
 
-def costs(costs: Sequence[Figures], table=markdown) -> str:
-    """Time of loading and memory."""
+def costs(costs: Sequence[Figures]) -> str:
+    """Time of loading and memory, on each host."""
     rows = [
         [cost["module"], cost["host"]]
         + [f"{cost['import_ms']:.1f}", f"{cost['memory_kib']:.0f}"]
         for cost in sorted(costs, key=lambda cost: cost["module"])
     ]
-    return table(["module", "host", "import ms", "memory KiB"], rows)
+    return plain(["module", "host", "import ms", "memory KiB"], rows)
+
+
+def loading(costs: Sequence[Figures]) -> str:
+    """Time of loading and memory, over all hosts."""
+    by_module: dict[str, list[Figures]] = {}
+    for cost in sorted(costs, key=lambda cost: cost["module"]):
+        by_module.setdefault(cost["module"], []).append(cost)
+    rows = [
+        [
+            module,
+            span([cost["import_ms"] for cost in found]),
+            span([cost["memory_kib"] for cost in found], ".0f"),
+        ]
+        for module, found in by_module.items()
+    ]
+    return markdown(["module", "import ms", "memory KiB"], rows)
+
+
+def worst_errors(errors: Sequence[Figures]) -> str:
+    """Mean, sigma and worst in um; hosts that agree are one line."""
+    noises = list(dict.fromkeys(error["noise"] for error in errors))
+    cells: dict[tuple[str, str], dict[str, str]] = {}
+    for error in errors:
+        key = (error["command"], error["host"])
+        cells.setdefault(key, {})[error["noise"]] = summary_text(error)
+    rows = {
+        (command, *(group.get(noise, "") for noise in noises))
+        for (command, _), group in cells.items()
+    }
+    return markdown(["command", *noises], sorted(rows))
 
 
 def render(file: str) -> str:
     """The tables of a document, from the figures in a file."""
     figures = json.loads(Path(file).read_text(encoding="utf-8"))
     about = figures["about"]
-    heads = ["command", "host", "printer s", "lower bound s", "ratio"]
-    heads += ["again s", "ratio", "touches", "CPU s", "at rest"]
+    heads = ["command", "printer s", "lower bound s", "once more s", "CPU s"]
     own = [cost for cost in figures["costs"] if not cost["other"]]
+    ours = [error for error in figures["errors"] if error["module"] == OURS]
     return f"""
-The modules of revision {about["revision"]}, with Python \
-{about["python"]} on {about["processor"]}.
-
-### Time
+Revision {about["revision"]}, Python {about["python"]}, {about["processor"]}.
 
 {markdown(heads, list(time_rows(figures)))}
 
-### Error, in um
+{worst_errors(ours)}
 
-{errors(figures["errors"], module=OURS)}
-
-### Loading
-
-{costs(own)}
+{loading(own)}
 """

@@ -17,10 +17,18 @@ def markdown(heads: Sequence[str], rows: Rows) -> str:
     return tabulate(rows, heads, "pipe", disable_numparse=True, colalign=align)
 
 
-def table_of(file: str) -> str:
-    """The heads and rows of a file, for a document."""
+def summary_of(file: str) -> str:
+    """Of the cells 'touches: difference' of a file, a line for each column."""
     figures = json.loads(Path(file).read_text(encoding="utf-8"))
-    return f"\n{markdown(figures['heads'], figures['rows'])}\n"
+    rows = []
+    for number, head in enumerate(figures["heads"][1:], 1):
+        cells = [row[number].split(": ") for row in figures["rows"]]
+        known = [cell for cell in cells if len(cell) == 2]
+        touches = sum(int(cell[0]) for cell in known)
+        worst = max(float(cell[1]) for cell in known)
+        rows.append([head, str(len(known)), str(touches), f"{worst:g}"])
+    heads = ["host, its program", "runs", "touches", "largest difference, um"]
+    return f"\n{markdown(heads, rows)}\n"
 
 
 def plain(heads: Sequence[str], rows: Rows) -> str:
