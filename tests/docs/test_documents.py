@@ -452,6 +452,7 @@ MISTAKES = {
 }
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("module", MODULES, ids=lambda module: module.name)
 def test_document_is_right(host, module):
     text = text_of(module.name)

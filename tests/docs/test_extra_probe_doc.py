@@ -138,6 +138,7 @@ def problems(running, text):
     yield from wrong_terms(text)
 
 
+@pytest.mark.slow
 @pytest.mark.timeout(300)
 def test_document_is_right_and_mistakes_are_found(host):
     with Hand(host, RECORD) as running:

@@ -9,6 +9,7 @@ from pathlib import Path
 import pytest
 
 from tests.install.box import OVERRIDE, Box, Klipper
+from tools.kit.cases import slow
 
 
 @pytest.fixture
@@ -40,7 +41,7 @@ def klipper(machine: Box) -> Klipper:
     return machine.klipper()
 
 
-@pytest.fixture(params=["klipper", "kalico"])
+@pytest.fixture(params=["klipper", slow("kalico")])
 def either(request: pytest.FixtureRequest, machine: Box) -> Klipper:
     """The same, and a Kalico that is told to take our modules."""
     if request.param == "klipper":

@@ -168,8 +168,8 @@ def test_link_of_somebody_else_can_be_taken_over_as_told(machine, klipper):
     ("path", "is_named"),
     [
         ("~/FreeDi/", True),
-        ("HOME/FreeDi  # theirs", True),
-        ("~/other", False),
+        slow("HOME/FreeDi  # theirs", True),
+        slow("~/other", False),
         ("~/Free", False),
         ("", False),
     ],
@@ -259,7 +259,7 @@ def test_copies_by_hand_are_kept(machine, klipper):
 
 @pytest.mark.parametrize("options", [slow([]), ["--force"]])
 @pytest.mark.parametrize("path", [PLACE, f"klippy/extras/{NAME}/__init__.py"])
-@pytest.mark.parametrize("is_linked", [False, True])
+@pytest.mark.parametrize("is_linked", [slow(False), True])
 def test_part_of_klipper_is_never_replaced(
     machine, klipper, options, path, is_linked
 ):

@@ -33,7 +33,14 @@ def conf(machine, klipper):
 
 
 @pytest.mark.parametrize(
-    "text", ["[server]\n", "[server]", "", "[server]\r\n", "[server]\n#é\xff"]
+    "text",
+    [
+        "[server]\n",
+        slow("[server]"),
+        slow(""),
+        "[server]\r\n",
+        slow("[server]\n#é\xff"),
+    ],
 )
 def test_section_is_appended(machine, conf, text):
     conf.write_bytes(text.encode("latin-1"))
@@ -121,13 +128,13 @@ def test_no_moonraker(machine, conf):
     ("old", "new"),
     [
         ("", ""),
-        (HEADER, "[update_manager  z_calibration]  # updates"),
+        slow(HEADER, "[update_manager  z_calibration]  # updates"),
         slow(HEADER, "[update_manager client z_calibration]"),
         ("\n", "\r\n"),
         slow("~/klipper_z_calibration", "~/klipper_z_calibration/"),
-        ("~/klipper_z_calibration", "HOME/klipper_z_calibration  # here"),
+        slow("~/klipper_z_calibration", "HOME/klipper_z_calibration  # here"),
         slow("~/klipper_z_calibration", "~/link"),
-        (".git", ""),
+        slow(".git", ""),
         ("primary_branch", "channel: stable\nprimary_branch"),
     ],
 )
@@ -278,10 +285,10 @@ def test_checkout_that_cannot_be_updated(machine, conf, klipper, command):
         ("[server]\n", ["--no-moonraker"], False),
         slow("[server]\n", ["-u"], False),
         slow(SECTION, [], False),
-        (SECTION, ["-u"], True),
-        (OTHER_PATH, [], False),
+        slow(SECTION, ["-u"], True),
+        slow(OTHER_PATH, [], False),
         (OTHER_PATH, ["-f"], True),
-        (OTHER_PATH, ["-u"], False),
+        slow(OTHER_PATH, ["-u"], False),
     ],
 )
 @pytest.mark.parametrize("mode", [0o444, slow(0o000)])

@@ -125,10 +125,10 @@ ASK = "no Moonraker tells whether a print is running. When it is not: sudo"
             {"1": ASK},
         ),
         # One that does not answer: another one's answer says nothing of it
-        ("", "klipper-2 moonraker-2 idle", "2", {"1": ASK}),
+        slow("", "klipper-2 moonraker-2 idle", "2", {"1": ASK}),
         ("klipper-1 moonraker-1 idle", "", "1", {"2": ASK}),
         # Nobody knows whose it is
-        ("idle", "klipper-2 moonraker-2 idle", "2", {"1": ASK}),
+        slow("idle", "klipper-2 moonraker-2 idle", "2", {"1": ASK}),
         (
             "klipper moonraker idle",
             "klipper moonraker idle",
@@ -258,7 +258,7 @@ UNKNOWN = "no Moonraker tells"
         (200, *objects("printing"), BUSY),
         slow(200, *objects("paused"), BUSY),
         # A script, such as a calibration
-        (200, *objects("standby", "Printing"), BUSY),
+        slow(200, *objects("standby", "Printing"), BUSY),
         # With no [virtual_sdcard] something else sends the print
         (200, *objects(None), UNKNOWN),
         # It may print for somebody else, or from another socket
@@ -266,8 +266,8 @@ UNKNOWN = "no Moonraker tells"
         slow(200, {"klippy_state": "startup"}, None, UNKNOWN),
         slow(200, {"klippy_state": "shutdown"}, None, RESTARTED),
         # As after an update that has removed the links
-        (200, {"klippy_state": "error"}, None, RESTARTED),
-        (401, *objects("standby"), UNKNOWN),
+        slow(200, {"klippy_state": "error"}, None, RESTARTED),
+        slow(401, *objects("standby"), UNKNOWN),
     ],
 )
 def test_what_a_moonraker_answers(machine, code, info, query, said):

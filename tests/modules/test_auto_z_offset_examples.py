@@ -17,6 +17,7 @@ import pytest
 from simprinter import SCENES
 from tests.modules.example_owners import lines_of, print_start_of
 from tools.kit.auto_z_offset import MICROSTEP, POINT, told
+from tools.kit.cases import all_slow_but
 from tools.kit.corpus import indented
 
 EXAMPLES = Path(__file__).resolve().parents[2] / "examples" / "auto_z_offset"
@@ -90,7 +91,7 @@ def machine_of(name):
     return replace(scene, sections=kept), changes
 
 
-@pytest.mark.parametrize("name", sorted(MACHINES))
+@pytest.mark.parametrize("name", all_slow_but(["q1_pro"], sorted(MACHINES)))
 def test_example_prints_at_the_right_height(start, name):
     scene, changes = machine_of(name)
     own = changes["auto_z_offset"]

@@ -333,7 +333,7 @@ def test_probe_that_sees_the_bed_elsewhere(start, shift):
 
 
 @pytest.mark.parametrize(
-    "command", ["LOAD_OFFSET", "SAVE_GCODE_OFFSET", "CALIBRATE"]
+    "command", ["LOAD_OFFSET", slow("SAVE_GCODE_OFFSET"), slow("CALIBRATE")]
 )
 def test_correction_means_nothing_after_home_z(start, command):
     # Loaded there, Z=0 would be 1.4 mm inside the bed
@@ -404,7 +404,7 @@ def test_absurd_correction_is_not_saved(start):
 # prepare_gcode
 
 
-@pytest.mark.parametrize("command", MEASURING)
+@pytest.mark.parametrize("command", all_slow_but(["CALIBRATE"], MEASURING))
 def test_prepare_gcode_that_fails(start, command):
     code = f"{PREPARE}\n  G91\n  SET_GCODE_OFFSET Z=1\n  NO_SUCH {{x.y.z}}"
     printer = start("qidi", changes=section(prepare_gcode=code)).homed()
@@ -445,7 +445,7 @@ def test_prepare_gcode_that_turns_the_motors_off(start):
     assert printer.session.state()[0] == "ready"
 
 
-@pytest.mark.parametrize("command", MEASURING)
+@pytest.mark.parametrize("command", all_slow_but(["PROBE"], MEASURING))
 def test_prepare_gcode_that_moves_the_head_away(start, command):
     code = f"{PREPARE}\n  G90\n  G1 X30 Y40 Z8 F6000"
     printer = start("qidi", changes=section(prepare_gcode=code)).homed()

@@ -5,6 +5,7 @@ from __future__ import annotations
 import pytest
 
 from simprinter import Fault
+from tools.kit.cases import slow
 from tools.kit.dockable_probe import (
     ABOVE,
     BED,
@@ -25,7 +26,7 @@ from tools.kit.z_calibration import with_moves
 
 SCENES = pytest.mark.parametrize(
     "scene",
-    [GANTRY, SWITCH, SENSED, SERVO, FRAME, BED, ABOVE],
+    [GANTRY, SWITCH, slow(SENSED), SERVO, slow(FRAME), BED, slow(ABOVE)],
     ids=lambda scene: scene.name,
 )
 MESH = "BED_MESH_CALIBRATE PROBE_COUNT=3,3"
@@ -364,9 +365,9 @@ def test_move_around_the_dock(start):
     printer.run("MOVE_AVOIDING_DOCK X=200\nM400")
     between = printer.machine.simulation.virtual_ns
     printer.run("MOVE_AVOIDING_DOCK X=100 SPEED=20\nM400")
-    slow = printer.machine.simulation.virtual_ns
+    slowly = printer.machine.simulation.virtual_ns
     assert printer.session.position() == pytest.approx((100.0, 300.0, 20.0))
-    assert slow - between > 3 * (between - fast)
+    assert slowly - between > 3 * (between - fast)
     assert "SPEED" in printer.fail("MOVE_AVOIDING_DOCK X=100 SPEED=0")
     printer.run("M84")
     assert "not homed: X, Y" in printer.fail("MOVE_AVOIDING_DOCK X=100")

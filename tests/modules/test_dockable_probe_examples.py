@@ -10,6 +10,7 @@ import pytest
 from simprinter import heated
 from tests.modules.example_owners import print_start_of
 from tests.modules.test_auto_z_offset_examples import sections_of
+from tools.kit.cases import all_slow_but
 from tools.kit.dockable_probe import BED, GANTRY, SWITCH, trips, where
 
 EXAMPLES = Path(__file__).resolve().parents[2] / "examples" / "dockable_probe"
@@ -63,7 +64,9 @@ def test_each_example_has_a_machine():
     assert {path.stem for path in EXAMPLES.glob("*.cfg")} == set(MACHINES)
 
 
-@pytest.mark.parametrize("name", MACHINES)
+@pytest.mark.parametrize(
+    "name", all_slow_but(["gantry", "with_z_calibration"], MACHINES)
+)
 def test_print_start(start, name):
     printer = start(machine_of(name))
     printer.session.require_ready()

@@ -78,6 +78,7 @@ def docks(draw):
     return scene.with_world(dock=dock, bed=bed)
 
 
+@pytest.mark.slow
 @pytest.mark.timeout(300)
 @pytest.mark.parametrize("count", [6, slow(60)])
 def test_dock_anywhere(host, count):

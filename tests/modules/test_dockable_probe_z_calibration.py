@@ -9,7 +9,7 @@ import pytest
 from simprinter import Fault
 from simprinter.docks import HANG, calibrating
 from tools.kit.carrying import without_our_dock
-from tools.kit.cases import all_slow_but
+from tools.kit.cases import all_slow_but, slow
 from tools.kit.dockable_probe import SWITCH, trips, where
 from tools.kit.z_calibration import calibration
 
@@ -28,10 +28,10 @@ WAYS = pytest.mark.parametrize(
     [
         {},
         z_section(start_gcode="ATTACH_PROBE", end_gcode="DETACH_PROBE"),
-        z_section(before_switch_gcode="ATTACH_PROBE"),
+        slow(z_section(before_switch_gcode="ATTACH_PROBE")),
         {"dockable_probe": {"auto_attach_detach": "False"}},
         # The bed is looked at first, in a session of its own
-        {"dockable_probe": {"z_offset": "0"}},
+        slow({"dockable_probe": {"z_offset": "0"}}),
     ],
     ids=["by itself", "told", "before the switch", "not automatic", "length"],
 )
@@ -129,7 +129,7 @@ def test_each_hook_has_its_own_default(start, hooks, before):
 
 
 @pytest.mark.every_host
-@pytest.mark.parametrize("script", ["G4 P1", "ATTACH_PROBE"])
+@pytest.mark.parametrize("script", [slow("G4 P1"), "ATTACH_PROBE"])
 @pytest.mark.parametrize("hooks", ["none", "before the switch", "end"])
 def test_hooks_with_the_one_that_the_host_has(start, host, hooks, script):
     if not host.layout.module_dir.endswith("plugins"):

@@ -11,6 +11,7 @@ from pathlib import Path
 import pytest
 
 from simprinter import SCENES, Fault, heated
+from tools.kit.cases import all_slow_but
 from tools.kit.extra_probe import (
     BED,
     CONTINUE,
@@ -85,7 +86,9 @@ def test_example_ends_with_the_bed_at_zero(start, name):
     assert true_gap(printer) == pytest.approx(0.0, abs=2 * MICROSTEP)
 
 
-@pytest.mark.parametrize("name", OWNERS)
+@pytest.mark.parametrize(
+    "name", all_slow_but(["z_switch", "probe_homing_macros"], OWNERS)
+)
 def test_example_used_again(start, name):
     # There is nothing left to correct, and the sign would show
     printer = owned(start, name)

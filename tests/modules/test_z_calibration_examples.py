@@ -33,7 +33,7 @@ from tests.modules.example_owners import (
     lines_of,
     print_start_of,
 )
-from tools.kit.cases import all_slow_but
+from tools.kit.cases import all_slow_but, slow
 from tools.kit.printer import Printer
 from tools.kit.z_calibration import MICROSTEP, touched_sites
 
@@ -141,7 +141,9 @@ def assert_ready_to_print(printer: Printer, owner: Owner) -> None:
 # As they are
 
 
-@pytest.mark.parametrize("name", sorted(OWNERS))
+@pytest.mark.parametrize(
+    "name", all_slow_but(("voron24_klicky", "cartesian_switch"), sorted(OWNERS))
+)
 def test_print_start_ends_at_the_right_height(start, name):
     owner = OWNERS[name]
     path = EXAMPLES / f"{name}.cfg"
@@ -152,6 +154,7 @@ def test_print_start_ends_at_the_right_height(start, name):
     assert_ready_to_print(printer, owner)
 
 
+@pytest.mark.slow
 def test_next_print_starts_as_well(host):
     # The offset of the first one, a large one, would miss the dock
     owner = OWNERS["euclid"]
@@ -284,13 +287,13 @@ def told(printer: Printer) -> str:
             *("voron24_klicky", "#     G28 Z  ", "#     M400 #"),
             "home Z again (G28 Z) after any levelling",
         ),
-        (
+        slow(
             *("trident_z_tilt", "nozzle_xy_position: 173, 300.5\n"),
             "nozzle_xy_position: 183, 300\n",
             "check nozzle_xy_position",
         ),
         # Where the nozzle is
-        (
+        slow(
             *("cartesian_switch", "221.5, 118", "244, 118"),
             "check switch_xy_position",
         ),
@@ -313,6 +316,7 @@ def test_mistake_of_an_owner_is_told(host, tmp_path, name, old, new, message):
         assert message in told(printer)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     ("fault", "message"),
     [

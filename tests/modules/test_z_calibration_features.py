@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import pytest
 
+from tools.kit.cases import slow
 from tools.kit.klipper_sections import bed_mesh, profile
 from tools.kit.z_calibration import (
     MICROSTEP,
@@ -87,9 +88,9 @@ TILT = {"x_adjust": "0.001", "y_adjust": "-0.0002", "z_adjust": "0.03"}
     ("changes", "script", "point", "told"),
     [
         (mesh(), LOAD, POINT, "bed_mesh is 0.057 mm at 150.0, 150.0"),
-        (mesh(), LOAD, (100, 100), "bed_mesh is -0.014 mm at 100.0, 100.0"),
+        slow(mesh(), LOAD, (100, 100), "bed_mesh is -0.014 mm at 100.0, 100.0"),
         # Nothing up where the head travels
-        (mesh(**FADING), LOAD, POINT, "bed_mesh is 0.057 mm at"),
+        slow(mesh(**FADING), LOAD, POINT, "bed_mesh is 0.057 mm at"),
         (
             mesh(),
             f"{LOAD}\nBED_MESH_OFFSET Y=30",
@@ -242,10 +243,10 @@ def test_zero_of_the_mesh_at_the_point_is_no_warning(start):
     ("before", "after", "is_other"),
     [
         ("", LOAD, True),
-        (LOAD, "BED_MESH_CLEAR", True),
+        slow(LOAD, "BED_MESH_CLEAR", True),
         (LOAD, "BED_MESH_OFFSET Y=30", True),
         (LOAD, LOAD, False),
-        (LOAD, f"BED_MESH_CLEAR\n{LOAD}", False),
+        slow(LOAD, f"BED_MESH_CLEAR\n{LOAD}", False),
         # As high there by chance
         (LOAD, "BED_MESH_OFFSET X=30", False),
     ],

@@ -134,9 +134,9 @@ def test_start_gcode_may_home(start, by_macro):
     [
         ("Look_At_It", ""),
         slow("look_at_it", "LOOK_AT_IT"),
-        ("G0 Z20\n  M117 switch", ""),
+        slow("G0 Z20\n  M117 switch", ""),
         ("{% if True %}LOOK_AT_IT{% endif %}", ""),
-        ("SET_PIN PIN=servo VALUE=1", ""),
+        slow("SET_PIN PIN=servo VALUE=1", ""),
     ],
 )
 def test_before_switch_gcode_that_attaches_nothing(

@@ -408,7 +408,7 @@ def test_margins_far_from_zero(start):
     ("options", "height"),
     [
         ({}, 13.8),
-        ({"safe_z_height": "25"}, 25.0),
+        slow({"safe_z_height": "25"}, 25.0),
         # Enough for a probe that nobody has measured yet: 10 mm over the pin
         ({"safe_z_height": "6"}, PIN + 10.0 + 1.0),
         ({"safe_z_height": "6", "travel_margin": "2"}, PIN + 10.0 + 2.0),
@@ -702,12 +702,12 @@ IDLE = "// z_calibration: SAMPLES_TOLERANCE is ignored with 'samples: auto'"
 @pytest.mark.parametrize(
     ("samples", "params", "count"),
     [
-        (None, "SAMPLES=2", 2),
+        slow(None, "SAMPLES=2", 2),
         ("4", "SAMPLES=1", 1),
         ("4", "SAMPLES=", 4),
         # Five where there is no history
         ("4", "SAMPLES=auto", 5),
-        ("auto", "SAMPLES=2", 2),
+        slow("auto", "SAMPLES=2", 2),
         ("auto", "PROBE_SPEED=4", 5),
     ],
 )

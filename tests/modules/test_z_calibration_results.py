@@ -671,8 +671,10 @@ def test_switch_offset_beyond_the_travel_height(start):
     ("option", "parameter", "words"),
     [
         ("nozzle_xy_position", "NOZZLE_POSITION=206,306", "for the nozzle"),
-        ("switch_xy_position", "SWITCH_POSITION=208,281.25", "for the switch"),
-        ("bed_xy_position", "BED_POSITION=150,150", "for the bed"),
+        slow(
+            "switch_xy_position", "SWITCH_POSITION=208,281.25", "for the switch"
+        ),
+        slow("bed_xy_position", "BED_POSITION=150,150", "for the bed"),
         ("switch_offset", "SWITCH_OFFSET=0.44", "no switch_offset"),
     ],
 )

@@ -182,7 +182,7 @@ def warnings(printer):
         # A good run arms 8 times and homing twice; the second run 4 for the
         # nozzle, once on the way down to the switch, and 3 samples
         ("CALIBRATE_Z", "", 16),
-        ("G28 Z\nCALIBRATE_Z", "", 18),
+        slow("G28 Z\nCALIBRATE_Z", "", 18),
         ("CALIBRATE_Z", "G28 Z", 20),
     ],
 )
@@ -320,7 +320,7 @@ def validity(printer):
     [
         ("G28 X Y", ""),
         slow("G1 X20 Y20 Z60 F6000\nG1 Z30", ""),
-        ("G1 X150 Y120 Z20 F6000\nPROBE_ACCURACY SAMPLES=20\nG1 Z20", ""),
+        slow("G1 X150 Y120 Z20 F6000\nPROBE_ACCURACY SAMPLES=20\nG1 Z20", ""),
         ("G28 Z", "Z was homed again"),
         slow("G28", "Z was homed again"),
         ("M84", "the motors were turned off"),

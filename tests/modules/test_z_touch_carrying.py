@@ -13,6 +13,7 @@ from tools.kit.carrying import (
     pressed,
     without_our_dock,
 )
+from tools.kit.cases import all_slow_but, slow
 from tools.kit.dockable_probe import QUICK, section, trips, where
 
 MEMBRANE = "PROBE=membrane"
@@ -46,7 +47,7 @@ def untouched(printer):
 
 
 @pytest.mark.parametrize("touch", TOUCHES)
-@pytest.mark.parametrize("reason", REASONS)
+@pytest.mark.parametrize("reason", ["held", slow("delayed")])
 def test_probe_is_docked_before_the_nozzle_goes_down(start, reason, touch):
     options, fetch = REASONS[reason]
     printer = ready(start, options)
@@ -69,8 +70,21 @@ def test_touch_is_refused_where_no_trips_are_wanted(start, touch):
     assert (pressed(printer), trips(printer)) == (0.0, ["attach"])
 
 
+# In the dock there is no bed to touch, and no way back into it
+def test_head_that_does_not_come_back(start):
+    printer = ready(start)
+    printer.run(f"{OVER}ATTACH_PROBE\nMOVE_TO_DOCK_PROBE\nM400")
+    text = printer.fail("AUTO_Z_PROBE")
+    assert "the probe was docked, and the head did not come back from" in text
+    assert pressed(printer) == 0.0
+    assert printer.machine.truth.touch_count("nozzle_bed") == 0
+
+
 # Its wire breaks while it hangs there: it reads as if it were docked
-@pytest.mark.parametrize("touch", [*TOUCHES, "G28 Z"])
+@pytest.mark.parametrize(
+    "touch",
+    all_slow_but(["EXTRA_PROBE", "AUTO_Z_PROBE", "G28 Z"], [*TOUCHES, "G28 Z"]),
+)
 def test_probe_that_reads_docked_and_was_not_docked(start, touch):
     printer = ready(start)
     printer.run(f"{OVER}ATTACH_PROBE")
@@ -161,7 +175,7 @@ BY_HAND = {
 
 @every_host
 @pytest.mark.parametrize("command", BY_HAND)
-@pytest.mark.parametrize("reason", REASONS)
+@pytest.mark.parametrize("reason", [slow("held"), "delayed"])
 def test_probe_is_docked_before_testz(start, reason, command):
     options, fetch = REASONS[reason]
     printer = ready(start, options)

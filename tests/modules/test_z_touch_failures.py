@@ -58,6 +58,7 @@ def fall_silent(machine, begin, board="zboard"):
     machine.boards[board].is_silent = is_silent
 
 
+@pytest.mark.slow
 def test_lost_message_is_no_missing_trigger(host):
     # The body is 0.75 mm lower than z_offset says, so 0.25 mm above the floor
     scene = "voron_two_boards"

@@ -98,6 +98,7 @@ def test_calibration_that_cannot_begin_tells_why(lab):
     calibrated(lab)
 
 
+@pytest.mark.slow
 def test_calibration_that_fails_on_the_way_tells_why(lab):
     before = calibrated(lab)
     # So large that the probe does not go down to the bed

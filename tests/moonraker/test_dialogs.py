@@ -67,6 +67,7 @@ def lay_membrane(lab, is_laid):
     time.sleep(HAND)
 
 
+@pytest.mark.slow
 def test_calibration_by_buttons_only(lab):
     lab.moonraker.run(CALIBRATE)
     assert open_dialog(lab).headline == "Lay the switch below the nozzle"

@@ -69,6 +69,7 @@ def test_change_in_the_checkout_is_noticed(lab):
     assert refreshed(lab)["is_valid"]
 
 
+@pytest.mark.slow
 def test_copy_of_one_module_and_the_folder_works(copied_lab):
     lab = copied_lab
     assert not list(lab.klipper.glob("klippy/*/auto_z_offset.py"))

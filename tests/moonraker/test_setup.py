@@ -78,6 +78,7 @@ class WebUser(User):
         watching.join()
 
 
+@pytest.mark.slow
 def test_console_says_how_to_begin_after_each_start(lab):
     words = "no place for the switch: run Z_CALIBRATION_SETUP"
     for _ in range(3):
@@ -124,6 +125,7 @@ def test_abort_at_each_step(lab):
             assert where(printer) == "docked", step
 
 
+@pytest.mark.slow
 def test_empty_section_to_the_true_gap(lab):
     user = WebUser(lab)
     user.begin()

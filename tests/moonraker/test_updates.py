@@ -58,6 +58,7 @@ def test_update_restarts_klippy_onto_the_new_commit(current):
     assert status["is_valid"] and status["pristine"]
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("command", ["RESTART", slow("FIRMWARE_RESTART")])
 def test_klippy_that_is_not_restarted_works_with_the_old_module(
     current, command
@@ -75,6 +76,7 @@ def test_klippy_that_is_not_restarted_works_with_the_old_module(
     calibrated(lab)
 
 
+@pytest.mark.slow
 def test_rollback_restarts_klippy_onto_the_old_commit(current):
     lab = current
     before, version = help_text(lab), status_of(lab)["version"]
@@ -109,6 +111,7 @@ def test_changed_checkout_is_not_updated(current):
     assert help_text(lab) == before
 
 
+@pytest.mark.slow
 def test_checkouts_stay_clean(current):
     lab = current
     lab.release()

@@ -47,7 +47,7 @@ for option in ("samples", "offset_samples"):
 
 
 @pytest.mark.timeout(600)
-@pytest.mark.parametrize("module", MODULES)
+@pytest.mark.parametrize("module", all_slow_but(["auto_z_offset"], MODULES))
 def test_random_printers_are_right_or_refused(host, module):
     problems = run(module, host, PRINTERS, seed=1).problems()
     assert not problems, "\n".join(problems)

@@ -163,6 +163,7 @@ def test_perfect_printer(port):
         assert_ends(shown, signal.SIGINT)
 
 
+@pytest.mark.slow
 @pytest.mark.timeout(4 * LIMIT)
 def test_start_home_and_end(port):
     with terminal("--port", port) as shown:
