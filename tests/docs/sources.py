@@ -16,8 +16,8 @@ from tests.docs.documents import normal
 
 ROOT = Path(__file__).resolve().parents[2]
 VALUE = "<...>"
-# What these say is drawn, not told
-PICTURES = ("svg.py", "report.py", "verdict.py", "days.py")
+# What these say is drawn, or written into a file, not told
+PICTURES = ("svg.py", "report.py", "verdict.py", "days.py", "asking.py")
 # What these ask explains itself
 DIALOGS = ("texts.py",)
 

@@ -116,7 +116,9 @@ def report_is_drawn(printer):
     printer.run("Z_CALIBRATION_REPORT")
     printer.session.wait(2.0)
     (line,) = [
-        line for line in printer.session.console[before:] if "report" in line
+        line
+        for line in printer.session.console[before:]
+        if "the report is" in line
     ]
     path = Path(line.split("the report is ")[1].strip())
     assert path.parent == folder(printer)

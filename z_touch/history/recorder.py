@@ -9,7 +9,7 @@ import time
 from ..core.host import z_step
 from ..core.sampling import summarize
 from ..uncertainty import adaptive, cycles
-from . import report, trend
+from . import asking, report, trend
 from .file import SITES, File, History, as_text, site_record
 
 HEATERS = ("extruder", "heater_bed")
@@ -183,7 +183,9 @@ class Recorder(object):
             if heater is not None
         }
 
-    cmd_Z_CALIBRATION_REPORT_help = "Draw the history of the Z calibration"
+    cmd_Z_CALIBRATION_REPORT_help = (
+        "Draw the history of the Z calibration, and write what to attach"
+    )
 
     def cmd_Z_CALIBRATION_REPORT(self, gcmd):
         if self.history.file is None:
@@ -191,12 +193,35 @@ class Recorder(object):
                 "%s: there is no history to report of: 'history' is none"
                 % (self.host.section,)
             )
-        self.draw()
+        self.draw(self.asked_with())
+
+    # What somebody who is asked wants to know
+    def asked_with(self):
+        own, now = self.host.section, self.host.eventtime()
+        configfile, section = map(
+            self.printer.lookup_object, ("configfile", own)
+        )
+        version = self.printer.get_start_args().get("software_version", "?")
+        return asking.compose(
+            own,
+            [("z_calibration", self.version), ("Klipper", version)],
+            configfile.get_status(now)["settings"],
+            section.get_status(now),
+            self.history.runs,
+        )
 
     # In the thread of the history, after what it has to write
-    def draw(self):
-        self.history.in_thread(self.write_report)
+    def draw(self, text=None):
+        self.history.in_thread(self.write_report, text)
 
-    def write_report(self):
+    # With the 'text' to attach, if any
+    def write_report(self, text=None):
         path = report.write(self.history.file, self.history.printer)
         self.history.later(self.say, "the report is %s" % (path,))
+        if text is not None:
+            path = asking.write(path, text)
+            self.history.later(
+                self.say,
+                "to ask somebody, attach %s: it has your options and the last"
+                " runs, and names no person, computer or folder" % (path,),
+            )

@@ -471,14 +471,20 @@ def write(file, printer, pause=pause):
         os.makedirs(file.folder)
     path = os.path.join(file.folder, name)
     replace(path, text.encode("ascii"))
-    old = re.compile(r"report-\d{8}-\d{6}\.svg$")
-    names = [n for n in os.listdir(file.folder) if old.match(n) and n != name]
-    for other in sorted(names)[: max(0, len(names) + 1 - KEPT)]:
-        try:
-            os.remove(os.path.join(file.folder, other))
-        except OSError:
-            logging.exception("report: %s stays", other)
+    drop_old(file.folder, name)
     return path
+
+
+# All but the latest of each kind, picture and text; 'name' was just written
+def drop_old(folder, name):
+    for ending in (".svg", ".txt"):
+        old = re.compile(r"report-\d{8}-\d{6}\%s$" % (ending,))
+        names = [n for n in os.listdir(folder) if old.match(n) and n != name]
+        for other in sorted(names)[: max(0, len(names) + 1 - KEPT)]:
+            try:
+                os.remove(os.path.join(folder, other))
+            except OSError:
+                logging.exception("report: %s stays", other)
 
 
 # Whether a run is one of a printer's.  The first format has its name without folder.
