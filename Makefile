@@ -12,6 +12,7 @@
 #   make hosts    prepare and list the klippy hosts, and Moonraker
 #   make speed    how much faster than a printer the simulation runs
 #   make bench    time, error and cost of calibrations, as text and as a chart
+#   make docs     the documents as a site, build/site/index.html
 #   make lint     style and syntax only
 #   make format   bring the sources into shape
 #   make update-pins  newer versions of what is downloaded
@@ -51,7 +52,7 @@ COMPILE = import sys; [compile(open(f).read(), f, 'exec') for f in sys.argv[1:]]
 
 # Test files import each other as tests.*, from the root of the repository.
 .PHONY: test test-rest test-all test-firmware quick demo printer speed bench faults walks hosts prepared
-.PHONY: lint format tools update-pins clean
+.PHONY: docs lint format tools update-pins clean
 
 test test-rest test-all: prepared lint
 	$(TOOLS)/python -m pytest --cases $(@:test-%=%) -n $(PYTEST_WORKERS) \
@@ -87,6 +88,10 @@ walks: prepared
 
 hosts:
 	@$(PYTHON) -m simprinter.hosts.prepare
+
+docs:
+	@$(PYTHON) -m simprinter.hosts.environment "$(BUILD_DIR)/docs-venv" docs
+	$(BUILD_DIR)/docs-venv/bin/python -m tools.site
 
 # At the same time: a tenth to a quarter less time on an empty machine
 prepared:

@@ -1,0 +1,1 @@
+"""The site of the documents: the same files, made ready for mkdocs."""

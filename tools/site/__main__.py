@@ -1,0 +1,121 @@
+"""The documents as a site, by mkdocs.
+
+    python -m tools.site [--folder FOLDER]
+
+The pages are written for a forge, which shows them as they are.  Here they are
+copied as they stand beside each other, with what mkdocs wants otherwise: lists
+that are indented by four, a page for each folder of examples.  A dead link, or a
+page that nobody is led to, is an error.
+"""
+
+from __future__ import annotations
+
+import argparse
+import os
+import re
+import shutil
+import subprocess
+import sys
+from collections.abc import Iterator
+from pathlib import Path
+
+from simprinter.hosts.environment import build_dir
+
+ROOT = Path(__file__).resolve().parents[2]
+CONFIG = Path(__file__).with_name("mkdocs.yml")
+COPIED = ("README.md", "CHANGELOG.md", "LICENSE", "docs", "examples")
+COPIED += ("simprinter/LIMITS.md",)
+ITEM = re.compile(r"( *)((?:[-*]|\d+\.) +)")
+INDENT = 4
+# As mkdocs.yml calls the folder of what was staged
+PAGES = "pages"
+
+
+def indented(text: str) -> Iterator[str]:
+    """The lines, with what belongs to an item of a list indented by four."""
+    # Of each list that is open: where its text begins, here and there
+    open_lists: list[tuple[int, int]] = []
+    for line in text.splitlines():
+        spaces = len(line) - len(line.lstrip(" "))
+        if line.strip():
+            while open_lists and spaces < open_lists[-1][0]:
+                open_lists.pop()
+        old, new = open_lists[-1] if open_lists else (0, 0)
+        item = ITEM.match(line)
+        if item and spaces == old:
+            open_lists.append((len(item[0]), new + INDENT))
+            line = line[spaces:]
+            yield " " * new + line
+        else:
+            yield " " * new + line[old:] if line.strip() else ""
+
+
+def with_targets(
+    text: str, page: Path, source: Path, folders: set[Path]
+) -> str:
+    """Links to folders lead to the pages of these; other files are there."""
+
+    def changed(link: re.Match[str]) -> str:
+        target = (page.parent / link[1]).resolve()
+        if target.is_dir():
+            folders.add(target)
+            return f"]({link[1].rstrip('/')}/README.md"
+        if not target.exists() and source in target.parents:
+            original = ROOT / target.relative_to(source)
+            if original.is_file():
+                target.parent.mkdir(parents=True, exist_ok=True)
+                shutil.copy(original, target)
+        return link[0]
+
+    return re.sub(r"\]\(([\w./-]+)", changed, text)
+
+
+def page_of(folder: Path) -> str:
+    """What there is in a folder of examples, all of it."""
+    lines = [f"# examples/{folder.name}", ""]
+    for path in sorted(folder.iterdir()):
+        lines += [f"## {path.name}", "", f"[Download]({path.name})", ""]
+        if path.suffix in (".cfg", ".conf", ".yml"):
+            lines += ["```ini", path.read_text("utf-8").rstrip(), "```", ""]
+    return "\n".join(lines)
+
+
+def stage(source: Path) -> None:
+    """Copies what the site is made of."""
+    shutil.rmtree(source, ignore_errors=True)
+    for name in COPIED:
+        target = source / name
+        target.parent.mkdir(parents=True, exist_ok=True)
+        copy = shutil.copytree if (ROOT / name).is_dir() else shutil.copy
+        copy(ROOT / name, target)
+    folders: set[Path] = set()
+    for page in sorted(source.rglob("*.md")):
+        text = "\n".join(indented(page.read_text(encoding="utf-8"))) + "\n"
+        text = with_targets(text, page, source.resolve(), folders)
+        page.write_text(text, encoding="utf-8")
+    for folder in folders:
+        (folder / "README.md").write_text(page_of(folder), encoding="utf-8")
+
+
+def build(source: Path, site: Path, python: str = sys.executable) -> int:
+    """Make a site of what was staged; the exit code of mkdocs."""
+    config = shutil.copy(CONFIG, source.parent / CONFIG.name)
+    command = [python, "-m", "mkdocs", "build", "--strict"]
+    command += ["--config-file", str(config), "--site-dir", str(site)]
+    # What it has to say of versions to come
+    env = {**os.environ, "NO_MKDOCS_2_WARNING": "1"}
+    return subprocess.call(command, env=env)
+
+
+def main() -> int:
+    """Make the site; the exit code is that of mkdocs."""
+    parser = argparse.ArgumentParser(prog="python -m tools.site")
+    parser.add_argument("--folder", type=Path, help="default: build/site")
+    options = parser.parse_args()
+    source = build_dir() / "site-source" / PAGES
+    stage(source)
+    return build(source, (options.folder or build_dir() / "site").resolve())
+
+
+if __name__ == "__main__":
+    sys.exit(main())
