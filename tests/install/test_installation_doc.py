@@ -105,19 +105,36 @@ def test_kalico(home):
     assert commands(TEXT, "On Kalico", "ini") == OVERRIDE
 
 
-def test_change_from_the_original_plugin(home, klipper):
+HAVE_IT = "You have klipper_z_calibration already"
+
+
+@pytest.mark.parametrize("file", [DOCUMENT, README], ids=lambda p: p.stem)
+def test_from_the_original_plugin_and_back(home, klipper, file):
     old = home.clone(home.home / "klipper_z_calibration")
+    (old / "theirs").write_text("")
     klipper.place().symlink_to(old / "z_calibration.py")
-    conf = home.conf(
-        text="[update_manager client z_calibration]\ntype: git_repo\n"
+    theirs = (
+        "[update_manager client z_calibration]\ntype: git_repo\n"
         "path: ~/klipper_z_calibration\norigin: https://example.com/\n"
         "install_script: install.sh\nmanaged_services: klipper\n"
     )
-    typed(home, cloned(commands(TEXT, "Coming from another version")))
+    conf = home.conf(text=theirs)
+    language = "sh" if file is DOCUMENT else ""
+    lines = commands(file.read_text(), HAVE_IT, language)
+    there, _, back = cloned(lines).partition("\n\n")
+    for part_of_them in (there, back):
+        assert len(part_of_them.strip().splitlines()) == 3
+    typed(home, there)
     assert "install_script" not in conf.read_text()
     assert "origin: https" not in conf.read_text()
-    (home.home / "klipper_z_calibration.old").rename(home.home / "gone")
     assert klipper.links() == klipper.expected(*MODULES)
+    (kept,) = conf.parent.glob("moonraker.conf.bak-*")
+    assert kept.read_text() == theirs
+    typed(home, back)
+    assert set(klipper.links()) == {"extras/z_calibration.py"}
+    assert (klipper.place().resolve().parent / "theirs").exists()
+    assert "z_calibration" not in conf.read_text()
+    assert theirs in [path.read_text() for path in conf.parent.glob("*.bak-*")]
 
 
 def test_update_and_uninstall(home, klipper):
