@@ -73,7 +73,7 @@ def test_from_no_position_to_the_first_probe(start):
     assert where(printer) == "docked"
     assert trips(printer) == ["attach", "dock", "attach", "dock"]
     assert printer.status("configfile")["save_config_pending_items"] == {}
-    text = user.dialog().texts[0]
+    text = user.dialog().text
     assert "dock_position: 50.000, 308.000" in text
     printer.session.restart(user.dialog().gcode("Save"))
     settings = printer.status("configfile")["settings"]["dockable_probe"]
@@ -121,9 +121,7 @@ def test_dock_with_a_height_of_its_own_entered_from_above(start):
     for label in ("Here", "Same", "Fetch", "Dock"):
         user.press(label)
     assert where(printer) == "docked"
-    assert (
-        "approach_position: 50.000, 308.000, 30.000" in (user.dialog().texts[0])
-    )
+    assert "approach_position: 50.000, 308.000, 30.000" in (user.dialog().text)
     # No lower than the probe hangs
     printer.run(f"{SETUP} STEP=ABORT\n{SETUP}\nG1 Z20")
     user.put_on()
@@ -138,7 +136,7 @@ def test_what_does_not_fit_is_asked_again(start):
     printer.machine.world.lose_probe(now_of(printer))
     user.begin()
     assert "the probe is DOCKED" in user.refused("Next")
-    assert user.dialog().texts[0].startswith("Not done: dockable_probe: the pr")
+    assert user.dialog().text.startswith("Not done: dockable_probe: the pr")
     user.put_on()
     user.press("Next")
     user.go("X50 Y270", "Y308")
@@ -228,9 +226,15 @@ def test_section_in_an_included_file(start, tmp_path):
     find(user)
     for label in ("Fetch", "Dock"):
         user.press(label)
-    text = user.dialog().texts[0]
+    text = user.dialog().text
     assert "SAVE_CONFIG cannot: write 'dock_position: 50.000, 308.000'" in text
-    assert "dock.cfg, then RESTART." in text
-    assert "nothing was saved" in user.refused("Save")
+    assert "into line 2 of " in text
+    assert "dock.cfg does not say 'dock_position: 50" in user.refused("Save")
     pending = user.printer.status("configfile")["save_config_pending_items"]
     assert pending == {}
+    assert user.step() == "SAVE"
+    path.write_text("[dockable_probe]\ndock_position: 50, 308\n")
+    user.printer.session.restart(user.dialog().gcode("Save"))
+    settings = user.printer.status("configfile")["settings"]["dockable_probe"]
+    wanted = [(50.0, 308.0), (50.0, 270.0), (90.0, 308.0)]
+    assert [tuple(settings[name]) for name in OPTIONS] == wanted

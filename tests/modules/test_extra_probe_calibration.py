@@ -288,8 +288,10 @@ def test_saving_where_nobody_knows_the_zero(start, tmp_path):
 
 # The floor, and what is told of it
 
-FLOOR_LINE = "Without a trigger the nozzle stops at z={:.3f}."
-UNSAVED = "No calibration was saved yet, so that may be in the bed"
+FLOOR_LINE = (
+    "Continue lowers the nozzle; without a trigger it stops at z={:.3f}"
+)
+UNSAVED = "no calibration was saved yet, so that may be in the bed"
 
 
 @pytest.mark.parametrize(
@@ -419,11 +421,13 @@ def test_questions(start):
     assert first.headline == "Lay the switch below the nozzle"
     assert first.is_open
     assert first.texts == [
-        "Flat on the bed, the nozzle clean. Press it once with a finger:"
-        " Continue waits for it. Without a trigger the nozzle stops"
-        " at z=-1.000. No calibration was saved yet, so that may be in the bed:"
-        " watch, ready to stop."
+        "Flat on the bed, the nozzle clean.",
+        "Press it once with a finger: Continue waits for it.",
+        "Continue lowers the nozzle; without a trigger it stops at z=-1.000; no"
+        " calibration was saved yet, so that may be in the bed: watch, ready to"
+        " stop.",
     ]
+    first.assert_stands_alone()
     assert first.footer_buttons == buttons("switch")
     assert printer.status(NAME)["waits_for"] == "switch"
     lay(printer)
@@ -434,8 +438,8 @@ def test_questions(start):
     z = BED + THICKNESS
     assert second.headline == "Take the switch away"
     assert second.is_open
-    (text,) = second.texts
-    assert text.endswith("Continue makes that Z=0.")
+    text, last = second.texts
+    assert last == "Continue makes that Z=0."
     told = float(text.split("z=")[1].split(",")[0])
     assert told == pytest.approx(z, abs=2 * MICROSTEP)
     assert second.footer_buttons == buttons("removal")
@@ -528,8 +532,8 @@ def test_temperature(start, own, celsius, outcome, wait):
         return
     (dialog,) = dialogs_of(printer.run(CALIBRATE))
     warning = "The nozzle has, or is to have, "
-    assert (warning in dialog.texts[0]) is (outcome == "warning")
-    assert ("a membrane may melt." in dialog.texts[0]) is bool(outcome)
+    assert (warning in dialog.text) is (outcome == "warning")
+    assert ("a membrane may melt." in dialog.text) is bool(outcome)
 
 
 def test_nozzle_that_is_still_hot(start):

@@ -45,9 +45,7 @@ def deepest(printer):
 @pytest.mark.parametrize("scene", ["membrane", "membrane_two_boards"])
 def test_forgotten_membrane(start, scene):
     printer, shown = asked(start, scene)
-    assert (
-        "Press it once with a finger: Continue waits for it." in shown.texts[0]
-    )
+    assert "Press it once with a finger: Continue waits for it." in shown.text
     # Twice: the question stays, and so does its dialog
     for _ in range(2):
         assert printer.fail(shown.gcode("Continue")) == MISSING
@@ -106,7 +104,7 @@ def test_no_finger_where_the_lowest_point_is_known(start, known):
         # A question of before that was waiting for one
         printer.run(CALIBRATE)
     (shown,) = dialogs_of(printer.run(CALIBRATE + params))
-    assert "finger" not in shown.texts[0]
+    assert "finger" not in shown.text
     printer.machine.lay_membrane()
     printer.run(CONTINUE)
     assert printer.status(NAME)["waits_for"] == "removal"

@@ -9,9 +9,10 @@ import pytest
 from simprinter import SCENES
 from simprinter.docks import calibrating
 from simprinter.hosts.session import GcodeError
+from simprinter.scenes import heated
 from tools.kit.cases import slow
 from tools.kit.dockable_probe import SWITCH, trips, where
-from tools.kit.setup_user import EMPTY, SETUP, User
+from tools.kit.setup_user import EMPTY, SETUP, User, open_dialog
 from tools.kit.z_calibration import (
     MICROSTEP,
     calibration,
@@ -42,6 +43,9 @@ def test_from_an_empty_section_to_the_true_gap(start):
     user.test_switches()
     user.set_places(**CARTESIAN)
     user.touch()
+    # Each click a step of the twelve
+    assert (user.clicks, user.step()) == (9, "GAP")
+    assert user.dialog().headline.startswith("Step 10 of 12: ")
     # Nobody leaves the nozzle as low as that
     height = user.position()[2]
     user.press("Paper")
@@ -49,7 +53,14 @@ def test_from_an_empty_section_to_the_true_gap(start):
     user.press("Back")
     assert user.position()[2] > height
     user.press("Paper")
+    assert user.has("Z-1")
+    assert "Still too high: lower it" in user.dialog().text
+    text = user.refused("Here")
+    assert "still too high, by 1.900 mm at least" in text
     user.lower_to_the_sheet()
+    # No room for larger steps
+    assert not user.has("Z-0.5")
+    assert "until it just holds the sheet" in user.dialog().text
     user.press("Here")
     assert user.step() == "SAVE"
     assert pending(printer) == {}
@@ -86,34 +97,41 @@ def test_separate_pin_in_no_section_and_a_switch_from_the_list(start, tmp_path):
     # By hand, as far as it is
     printer.run("G90\nG1 X205.9 Y305.9 F12000")
     user.jog_to(206.0, 306.0)
-    for label in ("Here", "Attach", "Here", "Here", "Yes", "Yes", "Yes"):
+    for label in ("Here", "Here", "Here", "Yes"):
         user.press(label)
     user.touch()
     # The probe cannot be taken off
     assert "the nozzle cannot reach the sheet" in user.refused("Paper")
-    assert (
-        user.dialog().texts[0].startswith("Not done: z_calibration: the probe")
-    )
+    assert user.dialog().text.startswith("Not done: z_calibration: the probe")
     assert "TYPE=X: none of D2F, SSG" in printer.fail(
         f"{SETUP} STEP=GAP TYPE=X"
     )
-    assert "outside offset_margins" in printer.fail(
+    assert "outside the -1.000 to 1.000 that are allowed" in printer.fail(
         f"{SETUP} STEP=GAP VALUE=1.5"
     )
-    user.press("D2F")
-    text = user.dialog().texts[0]
-    assert (
-        "nozzle_xy_position: 206.000, 306.000; switch_xy_position: 208" in text
-    )
+    user.press("D2F 0.2 mm")
+    text = user.dialog().text
+    lines = text.splitlines()
+    assert "nozzle_xy_position: 206.000, 306.000" in lines
+    assert "switch_xy_position: 208.000, 281.250" in lines
     assert (
         "SAVE_CONFIG cannot: write 'switch_offset: 0.200' into line 2 of"
         in text
     )
-    assert text.endswith("tools.cfg.")
+    assert "tools.cfg." in text
     # As high as that CALIBRATE_Z has to pass
     assert "safe_z_height: 21.5" in text
-    assert "All in all: good; samples: 3 is enough." in text
+    assert "All in all: good; 3 touches of each place are enough." in text
+    # Nothing is lost until it is there
+    text = user.refused("Save")
+    assert "tools.cfg does not say 'switch_offset: 0.200' yet" in text
+    assert user.step() == "SAVE"
+    assert pending(printer) == {}
+    path.write_text("[z_calibration]\nswitch_offset: 0.2 # mine\n")
     printer.session.restart(user.dialog().gcode("Save"))
+    printer.run("G28")
+    own = printer.status("configfile")["settings"]["z_calibration"]
+    assert own["nozzle_xy_position"] == pytest.approx((206.0, 306.0))
     path.write_text("[z_calibration]\nswitch_offset: 0.5\n")
     printer.session.restart("RESTART")
     printer.run("G28")
@@ -135,12 +153,12 @@ def test_button_of_a_switch_leaves_no_nozzle_in_the_bed(start, switch_offset):
     user.test_switches()
     user.set_places(**CARTESIAN)
     user.touch()
-    text = user.dialog().texts[0]
+    text = user.dialog().text
     assert user.dialog().footer_buttons[0][0] == "Paper"
-    assert text.index("'Paper' measures that, and is best") < text.index("D2F")
-    assert "D2F 0.2 mm, SSG 0.2 mm, the least of any healthy one" in text
-    user.press("D2F")
-    text = user.dialog().texts[0]
+    assert "'Paper' measures that, and is best" in text
+    assert "the least of any healthy one" in text
+    user.press("D2F 0.2 mm")
+    text = user.dialog().text
     assert "With the 0.2 mm of any D2F Z=0 is too high on purpose: come" in text
     assert "(CALCULATE_SWITCH_OFFSET), or with baby steps and Z_CAL" in text
     # Paper is right, and says nothing of that
@@ -148,9 +166,9 @@ def test_button_of_a_switch_leaves_no_nozzle_in_the_bed(start, switch_offset):
     user.press("Paper")
     user.lower_to_the_sheet()
     user.press("Here")
-    assert "on purpose" not in user.dialog().texts[0]
+    assert "on purpose" not in user.dialog().text
     user.press("Back")
-    user.press("D2F")
+    user.press("D2F 0.2 mm")
     printer.session.restart(user.dialog().gcode("Save"))
     assert said_on_purpose(printer.run("G28\nCALIBRATE_Z")) == 1
     own = printer.status("configfile")["settings"]["z_calibration"]
@@ -168,34 +186,8 @@ def said_on_purpose(lines):
 
 def advance(user, step):
     """From the beginning to a step."""
-    places = (CARTESIAN["nozzle"], CARTESIAN["switch"])
     user.begin()
-    user.by_hand(user.pin)
-    if step == "OFF":
-        return
-    user.test_probe()
-    if step != "HOME":
-        user.press("Home")
-    for place in places:
-        if user.step() == step or step == "HOME":
-            return
-        user.jog_to(*place)
-        user.press("Here")
-        if user.step() == "ATTACH":
-            user.press("Attach")
-    for label in (
-        "Here",
-        "Yes",
-        "Yes",
-        "Yes",
-        "Touch",
-        "Touch",
-        "Touch",
-        "Paper",
-    ):
-        if user.step() == step:
-            return
-        user.press(label)
+    user.go_to(step)
 
 
 def assert_slow(printer):
@@ -263,7 +255,7 @@ def test_hands_on_the_wrong_switch(start):
     )
     assert "the other polarity is 'endstop_pin: ^PC2'" in text
     # The dialog says so, as it hides the console
-    assert text in user.dialog().texts[0]
+    assert text in user.dialog().text
     hold(user.pin, False)
     clock = printer.machine.simulation.clock
     began = clock.now()
@@ -302,14 +294,15 @@ def test_hands_on_the_wrong_switch(start):
 
 
 def assert_heights_and_probe_are_watched(user):
-    """After the first touches of the nozzle; ends with a restart."""
+    """Before the first touches; ends with a restart."""
     printer = user.printer
+    user.go_to("TOUCH_SWITCH")
     # Z was homed again in between
     printer.run("G28 Z")
     text = user.refused("Touch")
     assert "the heights hold no more, the first touches begin again" in text
     assert user.step() == "TOUCH_NOZZLE"
-    user.press("Touch")
+    user.go_to("TOUCH_SWITCH")
     # It falls off on its way
     command = printer.session.begin(user.dialog().gcode("Touch"))
     seen = len(touched_sites(printer))
@@ -346,7 +339,10 @@ def assert_jogs_are_limited(printer):
     ):
         if params == "Z=-10":
             # As low as that, and no lower
+            printer.run(f"{SETUP} STEP=NOZZLE Z=-9.5")
+            assert "Z=2.00." in open_dialog(printer.session.console).text
             printer.run(f"{SETUP} STEP=NOZZLE Z=-10")
+            assert printer.session.position()[2] == pytest.approx(1.5)
             params, words = "Z=-0.1", "would lead to 1.400, outside 1.500 to"
         assert words in printer.fail(f"{SETUP} STEP=NOZZLE {params}")
 
@@ -374,13 +370,14 @@ def test_places_that_cannot_be_and_a_probe_that_is_lost(start):
     printer.run("G28\nG90\nG1 Z11.5 F600\nG1 X226 Y20 F6000")
     assert_jogs_are_limited(printer)
     assert printer.session.position()[:2] == pytest.approx(at[:2])
-    user.press("Here")
-    assert printer.session.position()[2] == pytest.approx(11.5)
     # It does not come, for once
     printer.machine.hold("probe", True)
     assert "neither start_gcode nor before_switch_gcode has" in user.refused(
-        "Attach"
+        "Here"
     )
+    # The place of the nozzle is kept
+    assert user.step() == "ATTACH"
+    assert printer.session.position()[2] == pytest.approx(11.5)
     printer.machine.hold("probe", None)
     user.press("Attach")
     assert printer.session.position()[:2] == pytest.approx((254.0, 14.5))
@@ -388,7 +385,7 @@ def test_places_that_cannot_be_and_a_probe_that_is_lost(start):
     user.press("Back")
     assert user.step() == "NOZZLE"
     assert printer.session.position()[:2] == pytest.approx((226.0, 20.0))
-    for label in ("Here", "Attach", "Here"):
+    for label in ("Here", "Here"):
         user.press(label)
     printer.run("M84")
     text = user.refused("Back")
@@ -399,7 +396,7 @@ def test_places_that_cannot_be_and_a_probe_that_is_lost(start):
     # Back from where the head has not got to
     user.press("Back")
     assert user.step() == "NOZZLE"
-    for label in ("Here", "Attach", "Here"):
+    for label in ("Here", "Here"):
         user.press(label)
     # The point of the bed beside the pin
     bed = printer.session.position()
@@ -408,7 +405,7 @@ def test_places_that_cannot_be_and_a_probe_that_is_lost(start):
         "Here"
     )
     printer.run(f"G1 X{bed[0]} Y{bed[1]} F6000")
-    for label in ("Here", "Yes", "Yes", "Yes", "Touch"):
+    for label in ("Here", "Yes"):
         user.press(label)
     assert_heights_and_probe_are_watched(user)
 
@@ -441,11 +438,12 @@ def test_pin_that_presses_the_plunger(start):
     printer = start(scene.with_world(mag_probe=probe), changes=changes)
     printer.session.require_ready()
     user = User(printer)
-    advance(user, "TOUCH_SWITCH")
+    advance(user, "TOUCH_NOZZLE")
     seen = len(printer.session.console)
     for _ in range(2):
         text = user.refused("Touch")
         assert "the pin presses the plunger of the probe" in text
+        assert user.step() == "TOUCH_SWITCH"
     # What is on the head is not fetched again
     console = printer.session.console[seen:]
     assert sum("fetched" in line for line in console) == 1
@@ -465,15 +463,13 @@ def test_probe_that_fetches_itself(start):
     printer.run("G90\nG1 X50 Y270 F12000\nG1 Y294")
     assert "14.0 mm from dock_position" in user.refused("Here")
     printer.run("G1 Y270\nG1 X206\nG1 Y306")
-    for label in ("Here", "Attach", "Here"):
+    for label in ("Here", "Here"):
         user.press(label)
     assert where(printer) == "attached"
-    for label in ("Here", "Yes", "Yes", "Yes", "Touch"):
+    for label in ("Here", "Yes", "Touch"):
         user.press(label)
-    user.press("Touch")
-    user.press("Touch")
     assert where(printer) == "docked"
-    user.press("SSG")
+    user.press("SSG 0.2 mm")
     assert trips(printer) == ["attach", "dock"] * 2
     printer.session.restart(user.dialog().gcode("Save"))
     printer.run("G28\nCALIBRATE_Z")
@@ -482,3 +478,169 @@ def test_probe_that_fetches_itself(start):
     # Whatever the switch of this probe is
     real = printer.scene.world.mag_probe.switch_offset
     assert gap == pytest.approx(real - 0.2, abs=2 * MICROSTEP)
+
+
+def test_one_look_at_all_places(start):
+    printer = start("cartesian", changes=empty())
+    printer.session.require_ready()
+    user = User(printer)
+    advance(user, "SWITCH")
+    # Nobody has looked for it yet
+    assert "Now the plunger is about over the pin: move some 4 mm" in (
+        user.dialog().text
+    )
+    user.jog("X", 1.0)
+    assert "X=255.0 Y=14.5 Z=" in user.dialog().text
+    user.press("Here")
+    session = printer.session
+    bed = session.position()[:2]
+    command = session.begin(user.dialog().gcode("Here"))
+    for words, place in (
+        ("is the nozzle over the pin?", (226.0, 20.0)),
+        ("is the body of the switch over the pin?", (255.0, 14.5)),
+        ("is the probe over the point of the bed?", bed),
+    ):
+        # High up, and long enough to look
+        session.run_until(command, lambda w=words: w in session.console[-1])
+        for _ in range(3):
+            at = session.position()
+            assert at[:2] == pytest.approx(place, abs=0.06)
+            assert at[2] > 11.4
+            session.wait(1.0)
+    session.finish(command)
+    assert user.step() == "LOOK"
+    looks = sum("Look: " in line for line in session.console)
+    user.press("Again")
+    assert user.step() == "LOOK"
+    assert sum("Look: " in line for line in session.console) == 2 * looks
+    user.press("Switch")
+    assert user.step() == "SWITCH"
+    assert session.position()[:2] == pytest.approx((255.0, 14.5), abs=0.06)
+    assert "Now the plunger" not in user.dialog().text
+
+
+@pytest.mark.every_host
+def test_save_that_fails_loses_nothing(start):
+    changes = empty()
+    changes["gcode_macro SAVE_CONFIG"] = {
+        "rename_existing": "SAVE_CONFIG_BASE",
+        "variable_fails": "True",
+        "gcode": "\n  {% if fails %}{action_raise_error('disk full')}{% endif %}"
+        "\n  SAVE_CONFIG_BASE",
+    }
+    printer = start("cartesian", changes=changes)
+    printer.session.require_ready()
+    user = User(printer)
+    advance(user, "SAVE")
+    values = user.dialog().texts
+    assert "disk full" in user.refused("Save")
+    assert user.step() == "SAVE"
+    first = user.dialog().texts[0]
+    assert first.startswith("Not done: ")
+    assert "disk full" in first
+    assert "If SAVE_CONFIG fails again, write these lines into" in (
+        user.dialog().text
+    )
+    assert [t for t in values if "_position: " in t] == [
+        t for t in user.dialog().texts if "_position: " in t
+    ]
+    lines = "\n".join(user.press("Abort"))
+    assert "values still wait for SAVE_CONFIG" in lines
+    advance(user, "SAVE")
+    printer.run(
+        "SET_GCODE_VARIABLE MACRO=SAVE_CONFIG VARIABLE=fails VALUE=False"
+    )
+    printer.session.restart(user.dialog().gcode("Save"))
+    assert user.dialog() is None
+    own = printer.status("configfile")["settings"]["z_calibration"]
+    assert own["switch_xy_position"] == pytest.approx((254.0, 14.5), abs=0.06)
+
+
+@pytest.mark.every_host
+def test_another_value_that_cannot_be_saved(start, tmp_path):
+    # Of the probe, in a file of its own: SAVE_CONFIG would write nothing at all
+    path = tmp_path / "probe.cfg"
+    path.write_text("[probe]\nz_offset: 2.0\n")
+    changes = {f"include {path}": {}, **empty(probe={"z_offset": None})}
+    printer = start("cartesian", changes=changes)
+    printer.session.require_ready()
+    user = User(printer)
+    advance(user, "SAVE")
+    assert "SAVE_CONFIG cannot" not in user.dialog().text
+    # Handed over while the dialog is open
+    printer.run("SET_GCODE_OFFSET Z=0.1\nZ_OFFSET_APPLY_PROBE")
+    assert "section [z_calibration] of printer.cfg does not say" in (
+        user.refused("Save")
+    )
+    lines = [
+        t for t in user.dialog().texts if t.startswith("SAVE_CONFIG cannot")
+    ]
+    assert "'z_offset: 1.900' into line 2 of" in lines[-1]
+    own = [line.split("'")[1] for line in lines[:-1]]
+    assert own[0] == "switch_xy_position: 254.000, 14.500"
+    assert "into section [z_calibration] of printer.cfg." in lines[0]
+    # As it says
+    path.write_text("[probe]\nz_offset: 1.9\n")
+    config = printer.session.data / "config" / "printer.cfg"
+    text = config.read_text().replace(
+        "[z_calibration]\n", "\n".join(["[z_calibration]", *own, ""])
+    )
+    config.write_text(text)
+    printer.session.restart(user.dialog().gcode("Save"))
+    settings = printer.status("configfile")["settings"]
+    assert settings["probe"]["z_offset"] == 1.9
+    assert settings["z_calibration"]["switch_xy_position"] == [254.0, 14.5]
+
+
+@pytest.mark.every_host
+def test_option_below_a_pattern_of_any_depth(start, host, tmp_path):
+    deep = tmp_path / "tools" / "one" / "two"
+    deep.mkdir(parents=True)
+    (deep / "own.cfg").write_text("[z_calibration]\nswitch_offset: 0.1\n")
+    changes = empty()
+    changes[f"include {tmp_path}/tools/**/own.cfg"] = {}
+    # Its SAVE_CONFIG writes into includes, but not as deep
+    changes["danger_options"] = {"autosave_includes": "True"}
+    if not host.layout.module_dir.endswith("plugins"):
+        del changes["danger_options"]
+    printer = start("cartesian", changes=changes)
+    printer.session.require_ready()
+    found = printer.status("configfile")["settings"]["z_calibration"]
+    user = User(printer)
+    advance(user, "GAP")
+    user.press("D2F 0.2 mm")
+    is_deep = "switch_offset" in found and found["switch_offset"] == 0.1
+    text = "write 'switch_offset: 0.200' into line 2 of"
+    assert (text in user.dialog().text) is is_deep
+    assert is_deep is host.layout.module_dir.endswith("plugins")
+    if is_deep:
+        (deep / "own.cfg").write_text("[z_calibration]\nswitch_offset: 0.2\n")
+    printer.session.restart(user.dialog().gcode("Save"))
+    own = printer.status("configfile")["settings"]["z_calibration"]
+    assert own["switch_offset"] == 0.2
+
+
+def test_print_that_no_print_stats_knows_of(start):
+    printer = start(heated(SCENES["cartesian"]), changes=empty())
+    printer.session.require_ready()
+    user = User(printer)
+    advance(user, "NOZZLE")
+    printer.run("M109 S200")
+    printer.session.wait(2.0)
+    # Buttons in a row are none
+    user.jog("X", 3.0)
+    printer.session.wait(2.0)
+    # As OctoPrint sends them
+    printer.run("G91\nG1 X10 F120")
+    printer.session.wait(0.5)
+    for script in (SETUP, f"{SETUP} STEP=NOZZLE X=-1", f"{SETUP} STEP=NOZZLE"):
+        text = printer.fail(script)
+        assert "the head moves with a nozzle hot enough to print" in text
+    assert user.step() == "NOZZLE"
+    printer.run("M400")
+    printer.session.wait(2.0)
+    user.jog("X", -1.0)
+    # Whoever moves a cold one may
+    printer.run("M104 S0\nG1 X1 F120")
+    printer.session.wait(0.3)
+    user.jog("X", -1.0)

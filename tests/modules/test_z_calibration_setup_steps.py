@@ -10,7 +10,7 @@ from tools.kit.cases import all_slow_but
 from tools.kit.dockable_probe import where
 from tools.kit.setup_user import EMPTY, SETUP, User
 from tools.kit.z_calibration import section
-from z_touch.guide.steps import ORDER
+from z_touch.guide.steps import CHAINED, ORDER
 
 STEPS = [name.upper() for name in ORDER]
 # From which step on it is noticed, and the last one that needs what is broken.
@@ -83,12 +83,12 @@ def assert_aborted(user):
     ("disturbance", "step"),
     all_slow_but(
         [
-            ("motors off", "LOOK_NOZZLE"),
+            ("motors off", "LOOK"),
             ("probe lost", "TOUCH_BED"),
             ("pin pressed", "TOUCH_NOZZLE"),
             ("pin released", "TOUCH_SWITCH"),
             ("probe pressed", "ATTACH"),
-            ("probe released", "LOOK_BED"),
+            ("probe released", "LOOK"),
         ],
         CASES,
     ),
@@ -100,7 +100,7 @@ def test_disturbed_at_a_step(at_step, disturbance, step):
     with pytest.raises(GcodeError):
         while user.step() != "SAVE":
             user.go_on()
-    assert "Not done: " in user.dialog().texts[0]
+    assert "Not done: " in user.dialog().text
     assert_aborted(user)
 
 
@@ -117,6 +117,8 @@ def test_aborted_at_a_step(at_step, step):
 def test_button_pressed_twice(at_step):
     user = at_step("PIN")
     for step in STEPS[:-1]:
+        if step.lower() in CHAINED:
+            continue
         asked = f"STEP={step} is not what is asked now"
         again = user.dialog().footer_buttons[0][1]
         assert user.step() == step

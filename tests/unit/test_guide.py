@@ -14,7 +14,8 @@ from z_touch.core.errors import CalibrationError
 from z_touch.core.touching import Site
 from z_touch.guide import steps
 from z_touch.guide.head import GuidedHead
-from z_touch.guide.state import State
+from z_touch.guide.state import SITES, State
+from z_touch.z_calibration.settings import OPTIONS
 
 FACTS = {
     "patience": 20.0,
@@ -27,9 +28,15 @@ FACTS = {
     "paper_z": 2.5,
     "values": "switch_offset: 0.5",
     "not_saved": "",
-    "switches": steps.listed_switches(),
+    "saving": "'Save' writes it.",
     "come_down": "come down",
     "of_a_list": "",
+    "here": "The head is at X=1.0 Y=2.0 Z=17.00.",
+    "lowest": "It stops by itself at Z=2.5.",
+    "plunger": "",
+    "sheet": "Lower it.",
+    "look_goal": "the head looks around",
+    "room": 1.9,
 }
 every_step = pytest.mark.parametrize("name", steps.ORDER)
 
@@ -43,7 +50,11 @@ def dialog(name, **changes):
 @every_step
 def test_dialog_and_console_say_the_same(name):
     shown, said = dialog(name)
-    assert shown.texts[0] in said
+    assert shown.text in said
+    assert shown.headline in said
+    shown.assert_stands_alone()
+    # Where the head is
+    assert FACTS["here"] in shown.texts
     # One is known by what it sends
     assert len({b[1] for b in shown.footer_buttons}) == len(
         shown.footer_buttons
@@ -61,28 +72,50 @@ def test_dialog_and_console_say_the_same(name):
 
 @every_step
 def test_move_that_follows_is_announced(name):
-    follows = steps.after(name)
-    moves = [
-        "nozzle",
-        "switch",
-        "bed",
-        "look_nozzle",
-        "look_switch",
-        "look_bed",
-    ]
     shown, _ = dialog(name)
-    # Of what follows "nozzle", only the one after its G-code moves the head
-    assert (FACTS["goal"] in shown.texts[0]) == (follows in moves), follows
+    follows = steps.next_asked(name)
+    # By the sentence that all interfaces show
+    moves = (*SITES, "look")
+    assert (FACTS["goal"] in shown.last) == (follows in moves), follows
     back, _ = dialog(name, back_goal="the head flies")
-    assert back.texts[0].endswith("'Back': the head flies.")
+    assert "'Back': the head flies." in back.texts
+
+
+def test_twelve_steps_are_asked():
+    asked = [name for name in steps.ORDER if name not in steps.CHAINED]
+    headlines = [dialog(name)[0].headline for name in asked]
+    assert [line.split(":")[0] for line in headlines] == [
+        f"Step {number} of 12" for number in range(1, 13)
+    ]
+    # What follows by itself is part of the step before
+    for name in steps.CHAINED:
+        before = steps.ORDER[steps.ORDER.index(name) - 1]
+        assert steps.STEPS[name].number == steps.STEPS[before].number
+
+
+@every_step
+def test_sentences_name_no_options(name):
+    shown, _ = dialog(name, values="", come_down="")
+    for row in OPTIONS:
+        assert "_" not in row.name or row.name not in shown.text
+        assert f"{row.name}:" not in shown.text
+
+
+@every_step
+def test_a_sentence_a_line(name):
+    shown, _ = dialog(name, values="", come_down="")
+    for text in shown.texts:
+        assert ". " not in text.rstrip("."), text
 
 
 def test_problem_comes_first_and_a_late_head_is_told_of():
     shown, _ = steps.ask("switch", FACTS, "no luck.", "the head goes there")
     (found,) = dialogs_of(shown)
     assert found.texts == [
-        "Not done: no luck. The head is not there yet. 'Here': the head goes"
-        " there, then this is asked again."
+        "Not done: no luck.",
+        "The head is not there yet.",
+        FACTS["here"],
+        "'Here': the head goes there, then this is asked again.",
     ]
 
 
@@ -102,7 +135,6 @@ def test_way_forward_leads_through_all_steps():
         ("probe", "off"),
         ("switch", "nozzle"),
         ("bed", "switch"),
-        *((f"look_{site}", site) for site in ("nozzle", "switch", "bed")),
         *((f"touch_{site}", site) for site in ("nozzle", "switch", "bed")),
         ("paper", "gap"),
         ("save", "gap"),
@@ -110,6 +142,16 @@ def test_way_forward_leads_through_all_steps():
 )
 def test_way_back(name, before):
     assert steps.follow(name, "BACK") == before
+
+
+def test_ways_from_the_look():
+    for site in SITES:
+        assert steps.follow("look", site.upper()) == site
+    assert steps.follow("look", "AGAIN") == "look"
+    assert steps.follow("look", "") == "touch_nozzle"
+    shown, _ = dialog("look")
+    label = "Switch"
+    assert shown.gcode(label) == "Z_CALIBRATION_SETUP STEP=LOOK ANSWER=SWITCH"
 
 
 @pytest.mark.parametrize(
@@ -133,18 +175,27 @@ def test_jog_buttons_are_of_four_and_lead_both_ways():
     ]
     assert shown.gcode("Y-10") == "Z_CALIBRATION_SETUP STEP=NOZZLE Y=-10"
     shown, _ = dialog("paper")
-    assert [b[0] for group in shown.groups for b in group] == [
-        *("Z-0.1", "Z+0.1", "Z-0.05", "Z+0.05", "Z-0.01", "Z+0.01")
-    ]
+    fine = ["Z-0.1", "Z+0.1", "Z-0.05", "Z+0.05", "Z-0.01", "Z+0.01"]
+    for room, roomy in (
+        (1.0, ["Z-1", "Z+1", "Z-0.5", "Z+0.5"]),
+        (0.9, ["Z-0.5", "Z+0.5"]),
+        (0.4, []),
+    ):
+        shown, _ = dialog("paper", room=room)
+        labels = [b[0] for group in shown.groups for b in group]
+        assert labels == roomy + fine
     assert not dialog("home")[0].groups
     (types,) = dialog("gap")[0].groups
+    # What each of them means is on it
+    assert [b[0] for b in types] == ["D2F 0.2 mm", "SSG 0.2 mm"]
     assert [b[1][-8:] for b in types] == ["TYPE=D2F", "TYPE=SSG"]
-    assert "D2F: Z_CALIBRATION_SETUP STEP=GAP TYPE=D2F" in dialog("gap")[1]
+    console = dialog("gap")[1]
+    assert "D2F 0.2 mm: Z_CALIBRATION_SETUP STEP=GAP TYPE=D2F" in console
 
 
 def test_dialog_while_watching_cannot_watch_twice():
     (shown,) = dialogs_of(steps.while_watching("the probe"))
-    assert shown.texts[0].startswith("Press the probe by hand now")
+    assert shown.last.startswith("Press the probe by hand now")
     assert [b[0] for b in shown.footer_buttons] == ["Abort"]
 
 
@@ -191,6 +242,29 @@ def test_jog_within_the_limits_or_towards_them(start, distance, end):
 
 
 @pytest.mark.parametrize(
+    ("start", "distance", "end"),
+    [(5.0, -10.0, 2.0), (5.0, -3.0, 2.0), (5.0, -1.0, 4.0), (2.0, 1.0, 3.0)],
+)
+def test_jog_that_stops_by_itself(start, distance, end):
+    assert jogging.jogged("Z", start, distance, 2.0, 9.0, stops=True) == end
+
+
+@pytest.mark.parametrize(
+    ("start", "distance", "words"),
+    [
+        # Nowhere to go
+        (2.0, -0.1, "would lead to 1.900, outside 2.000"),
+        (1.0, -0.1, "would lead to 0.900, outside 1.000"),
+        (9.0, -10.1, "at most 10 mm at once"),
+        (8.5, 1.0, "outside 2.000 to 9.000"),
+    ],
+)
+def test_jog_that_does_not_even_stop(start, distance, words):
+    with pytest.raises(CalibrationError, match=words):
+        jogging.jogged("Z", start, distance, 2.0, 9.0, stops=True)
+
+
+@pytest.mark.parametrize(
     ("start", "distance", "words"),
     [
         (5.0, 5.1, "X=5.1 would lead to 10.100, outside 0.000 to 10.000"),
@@ -230,9 +304,15 @@ def test_paper_gives_back_the_switch_offset(contact, switch_offset):
     )
 
 
-@pytest.mark.parametrize("wrong", [-0.01, 1.51])
-def test_paper_where_no_switch_would_be(wrong):
-    with pytest.raises(CalibrationError, match="is that of no switch"):
+@pytest.mark.parametrize(
+    ("wrong", "words"),
+    [
+        (-0.01, "still too high, by 0.010 mm"),
+        (1.51, "none by more than 1.5 mm"),
+    ],
+)
+def test_paper_where_no_switch_would_be(wrong, words):
+    with pytest.raises(CalibrationError, match=words):
         steps.from_paper(0.3, 0.3 - wrong + steps.PAPER)
 
 

@@ -15,7 +15,7 @@ from tests.unit.calibrated import (
     travels,
 )
 from z_touch.core.errors import CalibrationError
-from z_touch.core.saving import places
+from z_touch.core.saving import is_same, places
 from z_touch.z_calibration.corrections import (
     Base,
     check_steps,
@@ -145,3 +145,37 @@ class TestCorrectedSwitchOffset:
         assert corrected_switch_offset(so, z - more, z_offset) > plain
         assert corrected_switch_offset(so, z, z_offset - more) < plain
         assert corrected_switch_offset(so + more, z, z_offset) > plain
+
+
+def test_places_below_a_pattern_of_any_depth(tmp_path):
+    folder = tmp_path / "tools" / "one" / "two"
+    folder.mkdir(parents=True)
+    path = tmp_path / "printer.cfg"
+    path.write_text("[include tools/**/own.cfg]\n")
+    (folder / "own.cfg").write_text("[z_calibration]\nspeed: 3 # fast\n")
+    assert places(str(path), "z_calibration", "speed") == []
+    (found,) = places(str(path), "z_calibration", "speed", deep=True)
+    assert (found.line, found.text) == (2, "3")
+
+
+def test_what_was_saved_counts_most(tmp_path):
+    path = tmp_path / "printer.cfg"
+    text = "[z_calibration]\nspeed: 3\n#*# [z_calibration]\n#*# speed = 4\n"
+    path.write_text(text)
+    found = places(str(path), "z_calibration", "speed", saved=True)
+    assert [place.text for place in found] == ["3", "4"]
+
+
+@pytest.mark.parametrize(
+    ("text", "other", "same"),
+    [
+        ("206, 306", "206.000, 306.000", True),
+        ("0.2", "0.200", True),
+        ("0.2", "0.201", False),
+        ("0.2, 1", "0.2", False),
+        ("a: b", "a: b ", True),
+        ("0.2", "none", False),
+    ],
+)
+def test_texts_that_mean_the_same(text, other, same):
+    assert is_same(text, other) is same

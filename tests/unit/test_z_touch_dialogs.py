@@ -54,7 +54,10 @@ def test_question_is_asked_and_answered():
         "then DO_CONTINUE PROBE=a, or DO_ABORT PROBE=a",
     ]
     (shown,) = dialogs_of(lines)
-    assert (shown.headline, shown.texts) == ("Lay it down", ["One. Two."])
+    assert (shown.headline, shown.texts) == (
+        "Lay it down",
+        ["One.", "Two."],
+    )
     assert shown.footer_buttons == [
         ("Continue", "DO_CONTINUE PROBE=a QUESTION=depth", "primary"),
         ("Abort", "DO_ABORT PROBE=a", "error"),

@@ -16,7 +16,7 @@ LINE = re.compile(r"// action:prompt_(\S+) *(.*)")
 COLOURS = ("primary", "secondary", "info", "warning", "error")
 # Words that fit, see MacroPrompt of Mainsail: 400 pixels wide
 LONGEST_HEADLINE = 40
-# A row of a group
+# A row of a group: so many buttons, or fewer of more letters
 BUTTONS_OF_A_GROUP, LONGEST_OF_A_GROUP = 4, 6
 
 
@@ -29,6 +29,21 @@ class Shown:
     footer_buttons: list[tuple[str, str, str]] = field(default_factory=list)
     groups: list[list[tuple[str, str, str]]] = field(default_factory=list)
     is_open: bool = False
+
+    @property
+    def text(self) -> str:
+        """All that Mainsail and Fluidd show, a sentence a line."""
+        return "\n".join(self.texts)
+
+    @property
+    def last(self) -> str:
+        """All that KlipperScreen shows."""
+        return self.texts[-1]
+
+    def assert_stands_alone(self) -> None:
+        """Who sees the last sentence only knows what the first button does."""
+        first = self.footer_buttons[0][0]
+        assert first == "Abort" or first in self.last
 
     def gcode(self, label: str) -> str:
         """What the button of that name sends."""
@@ -50,8 +65,6 @@ def dialogs_of(lines: Iterable[str]) -> list[Shown]:
             building = Shown(text)
         elif kind == "text":
             assert building is not None and text
-            # The last one is all that KlipperScreen shows
-            assert not building.texts
             building.texts.append(text)
         elif kind == "footer_button":
             assert building is not None
@@ -66,12 +79,15 @@ def dialogs_of(lines: Iterable[str]) -> list[Shown]:
             # Fluidd ignores groups, and shows what is in them
             assert in_group
             label, gcode, colour = text.split("|")
-            assert 0 < len(label) <= LONGEST_OF_A_GROUP
+            assert label
             assert gcode and colour in COLOURS
             building.groups[-1].append((label, gcode, colour))
         elif kind == "button_group_end":
             assert in_group and not text
-            assert 0 < len(building.groups[-1]) <= BUTTONS_OF_A_GROUP
+            row = building.groups[-1]
+            assert 0 < len(row) <= BUTTONS_OF_A_GROUP
+            room = BUTTONS_OF_A_GROUP * LONGEST_OF_A_GROUP // len(row)
+            assert all(len(button[0]) <= room for button in row)
             in_group = False
         elif kind == "show":
             assert building is not None and building.footer_buttons

@@ -6,7 +6,10 @@ import re
 from collections.abc import Iterable
 from typing import Optional
 
+import pytest
+
 from simprinter import Machine
+from simprinter.hosts.session import GcodeError
 from tools.kit.dialogs import Shown, dialogs_of
 from tools.kit.printer import RunningPrinter
 
@@ -19,6 +22,13 @@ EMPTY = {
     "switch_offset": None,
 }
 JOGS = (10.0, 1.0, 0.1)
+# Steps that follow by themselves, and fail: at which one the last button is pressed,
+# from which words of the console on, and what the probe reads from then on
+CHAINED = {
+    "ATTACH": ("NOZZLE", "", True),
+    "TOUCH_SWITCH": ("TOUCH_NOZZLE", "touching the switch", True),
+    "TOUCH_BED": ("TOUCH_NOZZLE", "touching the bed", False),
+}
 # Where nozzle and body of the switch are over the pin of that scene
 CARTESIAN = {"NOZZLE": (226.0, 20.0), "SWITCH": (254.0, 14.5)}
 
@@ -27,6 +37,8 @@ def open_dialog(console: Iterable[str]) -> Optional[Shown]:
     """What an interface shows that has seen these lines."""
     shown = [dialog for dialog in dialogs_of(console) if dialog.is_open]
     assert len(shown) <= 1
+    for dialog in shown:
+        dialog.assert_stands_alone()
     return shown[0] if shown else None
 
 
@@ -48,10 +60,18 @@ class User:
         self.printer = printer
         self.machine: Machine = printer.machine
         self.pin = pin
+        # Buttons that were pressed, but for those that move the head
+        self.clicks = 0
 
     def dialog(self) -> Optional[Shown]:
         """The one that is open."""
         return open_dialog(self.printer.session.console)
+
+    def has(self, label: str) -> bool:
+        """Whether there is a button of that name."""
+        shown = self.dialog()
+        buttons = [*shown.footer_buttons, *sum(shown.groups, [])]
+        return label in [button[0] for button in buttons]
 
     def begin(self) -> None:
         """The command that all begins with."""
@@ -72,6 +92,7 @@ class User:
 
     def press(self, label: str) -> list[str]:
         """Press a button; the console lines."""
+        self.clicks += label[1:2] not in ("+", "-")
         return self.printer.run(self.dialog().gcode(label))
 
     def refused(self, label: str) -> str:
@@ -87,6 +108,7 @@ class User:
     ) -> list[str]:
         """Watch, press a switch, and others, and let go; after: as it is then."""
         session = self.printer.session
+        self.clicks += 1
         command = session.begin(self.dialog().gcode("Watch"))
         # A head that is homed is lifted at first
         session.run_until(command, lambda: "watching" in session.console[-1])
@@ -132,9 +154,8 @@ class User:
         self.press("Home")
         self.jog_to(*nozzle)
         self.press("Here")
-        self.press("Attach")
         self.jog_to(*switch)
-        for label in ("Here", "Here", "Yes", "Yes", "Yes"):
+        for label in ("Here", "Here", "Yes"):
             self.press(label)
 
     def go_on(self) -> None:
@@ -150,21 +171,47 @@ class User:
             self.by_hand("probe", after=False)
             self.hold("probe", None)
         else:
-            if step in CARTESIAN:
-                self.jog_to(*CARTESIAN[step])
-            elif step == "PAPER":
-                self.lower_to_the_sheet()
+            self.look_and_jog(step)
             self.press(self.dialog().footer_buttons[0][0])
 
+    def look_and_jog(self, step: str) -> None:
+        """The head to where it has to be before the step is answered."""
+        if step in CARTESIAN:
+            self.jog_to(*CARTESIAN[step])
+        elif step == "PAPER":
+            self.lower_to_the_sheet()
+
     def go_to(self, step: str) -> None:
-        """As far as a step."""
+        """As far as a step; one that follows by itself is asked as it fails."""
+        asked, words, reading = CHAINED.get(step, ("", "", None))
         while self.step() != step:
-            self.go_on()
+            if self.step() != asked:
+                self.go_on()
+                continue
+            self.look_and_jog(asked)
+            self.fail_after(words, reading)
+
+    def fail_after(self, words: str, reading: Optional[bool]) -> None:
+        """Press the first button; from these words on the probe reads so."""
+        session = self.printer.session
+        self.machine.tolerate("body_bed", 1.02)
+        seen = len(session.console)
+        command = session.begin(self.dialog().footer_buttons[0][1])
+        session.run_until(
+            command,
+            lambda: (
+                any(words in line for line in session.console[seen:])
+                or not words
+            ),
+        )
+        self.hold("probe", reading)
+        with pytest.raises(GcodeError):
+            session.finish(command)
+        self.hold("probe", None)
 
     def touch(self) -> None:
         """All three."""
-        for _ in range(3):
-            self.press("Touch")
+        self.press("Touch")
 
     def gap(self) -> float:
         """True mm from the nozzle to the bed below it."""
@@ -174,6 +221,7 @@ class User:
 
     def lower_to_the_sheet(self, paper: float = 0.1) -> None:
         """Until the sheet is held."""
-        for step in (0.1, 0.05, 0.01):
-            while self.gap() > paper + step:
-                self.press(f"Z-{step:g}")
+        for step in (1.0, 0.5, 0.1, 0.05, 0.01):
+            label = f"Z-{step:g}"
+            while self.has(label) and self.gap() > paper + step:
+                self.press(label)

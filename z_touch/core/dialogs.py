@@ -29,10 +29,12 @@ def plain(text):
 
 
 # The lines of a dialog.  Buttons are (label, G-code, colour), those of a group
-# stand in a row; one text, as KlipperScreen shows only the last.
-def lines(headline, text, footer, groups=()):
+# stand in a row.  Each sentence is a text of its own; KlipperScreen shows only the
+# last one, which has to say what the first button does.
+def lines(headline, sentences, footer, groups=()):
     yield PREFIX + "begin " + plain(headline)
-    yield PREFIX + "text " + plain(text)
+    for sentence in filter(None, map(plain, sentences)):
+        yield PREFIX + "text " + sentence
     for group in groups:
         yield PREFIX + "button_group_start"
         for button in group:
@@ -71,7 +73,7 @@ class Dialog(object):
             ("Continue", go_on, "primary"),
             ("Abort", self.abort, "error"),
         )
-        for line in lines(headline, " ".join(sentences), footer):
+        for line in lines(headline, sentences, footer):
             self.host.gcode.respond_raw(line)
         self.question = question
         answers = self.go_on, self.abort

@@ -53,6 +53,11 @@ def find_z_section(config):
     return None
 
 
+# Whether "**" in the pattern of an include means folders in folders, and whether
+# SAVE_CONFIG writes into what "*" finds
+Includes = collections.namedtuple("Includes", "is_deep is_written")
+
+
 # Read with the defaults that every host documents; note_valid=False leaves
 # it to the host to claim these options.
 def read_z_axis(config):
@@ -208,11 +213,13 @@ class Host(object):
         state = status.get("state", "")
         return state if state in ("printing", "paused") else ""
 
-    # Whether SAVE_CONFIG writes options that sit in included files: only on
-    # Kalico since 2024-02-17 (09b9319ca), where it is told to
-    def saves_into_includes(self):
+    # What Kalico does with includes: "**" stands for any depth of folders since
+    # 2024-04-10 (c906c80a0), but for its SAVE_CONFIG, which writes options that sit
+    # in included files since 2024-02-17 (09b9319ca), where it is told to
+    def includes(self):
         danger = self.printer.lookup_object("danger_options", None)
-        return bool(getattr(danger, "autosave_includes", False))
+        is_written = getattr(danger, "autosave_includes", False)
+        return Includes(danger is not None, bool(is_written))
 
     def toolhead_status(self):
         return self.toolhead.get_status(self.eventtime())

@@ -9,13 +9,16 @@ JOGS = (10.0, 1.0, 0.1)
 LARGEST_JOG = 10.0
 
 
-# What a jog leads to (mm), refused where it would go beyond (low, high).
-def jogged(axis, start, distance, low, high):
+# What a jog leads to (mm), refused where it would go beyond (low, high).  One that
+# 'stops' ends at low, as long as there is any way to it.
+def jogged(axis, start, distance, low, high, stops=False):
     if abs(distance) > LARGEST_JOG:
         text = "%s=%g: the head is moved by at most %g mm at once"
         raise CalibrationError(text % (axis, distance, LARGEST_JOG))
     # Back from beyond a limit is allowed, too
     end = start + distance
+    if stops and start > low + 1e-6:
+        end = max(end, low)
     low, high = min(low, start), max(high, start)
     if not low - 1e-6 <= end <= high + 1e-6:
         text = "%s=%g would lead to %.3f, outside %.3f to %.3f; nothing moves"

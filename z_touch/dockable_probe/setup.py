@@ -10,7 +10,15 @@
 #   save                                        SAVE_CONFIG
 from __future__ import absolute_import, division
 
-from ..core import carrying, dialogs, jogging, options, running, saving
+from ..core import (
+    carrying,
+    dialogs,
+    jogging,
+    options,
+    prints,
+    running,
+    saving,
+)
 from ..core.errors import CalibrationError
 from . import checks, detour
 from .detour import Position
@@ -62,6 +70,7 @@ class Setup(object):
         self.section = section
         self.host = section.host
         self.saver = saving.Saver(section.host)
+        self.prints = prints.Prints(section.host)
         # None: no set-up is under way
         self.state = None
         running.register_commands(section.host, self)
@@ -69,9 +78,9 @@ class Setup(object):
     cmd_DOCKABLE_PROBE_SETUP_help = "Find where the dock is, step by step"
 
     def cmd_DOCKABLE_PROBE_SETUP(self, gcmd):
-        if self.host.print_state():
-            raise gcmd.error("%s: not during a print" % (self.host.section,))
         name = gcmd.get("STEP", "").strip().lower()
+        if name != "abort":
+            self.prints.check_none(gcmd)
         if not name:
             # Later a hand is near.
             carrying.of(self.host.printer).settle(self.host)
@@ -95,11 +104,11 @@ class Setup(object):
         else:
             self._answered(gcmd)
 
-    # After an error the dialog says why.  For longer work it closes: it would
-    # cover the emergency stop of a web interface.
+    # After a jog the dialog has the new place, after an error it says why.  For
+    # longer work it closes: it would cover the emergency stop of a web interface.
     def _answered(self, gcmd):
         is_jog = any(gcmd.get(axis, "").strip() for axis in "XYZ")
-        if not is_jog:
+        if not is_jog and self.state.step != "save":
             self.host.gcode.respond_raw(dialogs.END)
         try:
             try:
@@ -110,8 +119,11 @@ class Setup(object):
             if not self.host.printer.is_shutdown() and self.state is not None:
                 self._ask(str(e))
             raise
-        if self.state is not None and not is_jog:
-            self._ask()
+        finally:
+            if not self.host.printer.is_shutdown():
+                self.prints.has_moved()
+        if self.state is not None:
+            self._ask(is_quiet=is_jog)
 
     ######################################################################
     # Answers
@@ -279,30 +291,51 @@ class Setup(object):
     # What is shown, and the end
     ######################################################################
 
-    def _ask(self, problem=""):
+    # 'is_quiet': the console has been told already
+    def _ask(self, problem="", is_quiet=False):
         name = self.state.step
-        text = STEPS[name].text % self._facts()
-        if problem:
-            text = "Not done: %s. %s" % (problem.rstrip("."), text)
+        headline = "Step %d of %d: %s" % (
+            ORDER.index(name) + 1,
+            len(ORDER),
+            STEPS[name].title,
+        )
+        sentences = self._sentences(name, problem)
         answers = [
             (label, command(name, word), colour)
             for label, word, colour in STEPS[name].answers
         ] + [("Abort", ABORT, "error")]
-        said = ["%s: %s" % (STEPS[name].headline, text)]
+        said = [headline] + sentences
         said += ["%s: %s" % (label, gcode) for label, gcode, _ in answers]
         if STEPS[name].jogs:
             said.append("move the head: %s" % (command(name, X="+1"),))
-        self.host.say("\n".join(said))
+        if not is_quiet:
+            self.host.say("\n".join(said))
         respond = self.host.gcode.respond_raw
         respond(dialogs.END)
         shown = dialogs.lines(
-            STEPS[name].headline, text, answers, self._jog_rows(name)
+            headline, sentences, answers, self._jog_rows(name)
         )
         for line in shown:
             respond(line)
         carrying.of(self.host.printer).asking(
             self.host.section, (answers[0][1], ABORT)
         )
+
+    def _sentences(self, name, problem):
+        facts = self._facts()
+        texts = [
+            line
+            for text in STEPS[name].text
+            for line in (text % facts).split("\n")
+            if line
+        ]
+        if STEPS[name].jogs:
+            here = self.host.toolhead.get_position()[:3]
+            text = "The head is at X=%.1f Y=%.1f Z=%.2f."
+            texts.insert(-1, text % tuple(here))
+        if problem:
+            texts.insert(0, "Not done: %s." % (problem.rstrip("."),))
+        return texts
 
     # Rows of buttons that move the head
     def _jog_rows(self, name):
@@ -329,21 +362,10 @@ class Setup(object):
             slow=SLOW_SPEED,
             values="",
             not_saved="",
+            saving="",
         )
         if self.state.step == "save":
-            values = self._values()
-            facts["values"] = "; ".join("%s: %s" % item for item in values)
-            blocked = [
-                "'%s: %s' into %s" % (option, text, where)
-                for option, text in values
-                for where in [self.saver.obstacle(self.host.section, option)]
-                if where
-            ]
-            if blocked:
-                facts["not_saved"] = (
-                    " SAVE_CONFIG cannot: write %s, then RESTART."
-                    % (", ".join(blocked),)
-                )
+            facts.update(self.saver.facts(self.host.section, self._values()))
         return facts
 
     # What is to be written: those that are not as another one is anyway
@@ -364,24 +386,10 @@ class Setup(object):
                 values.append((name, written(place)))
         return values
 
+    # What has failed is asked again: nothing is over before klippy restarts.
     def _save(self, answer):
-        values = self._values()
-        # One that is in an included file, and nothing is written.
-        blocked = [
-            option
-            for option, text in values
-            if self.saver.obstacle(self.host.section, option)
-        ]
-        for option, text in values:
-            if not blocked or option in blocked:
-                self.saver.save(self.host.section, option, text)
-        if not blocked:
-            self._close()
-            self.host.gcode.run_script_from_command("SAVE_CONFIG")
-            return
-        raise CalibrationError(
-            "nothing was saved; the console says what to write"
-        )
+        self.saver.finish(self.host.section, self._values())
+        self._close()
 
     def _close(self):
         self.state = None
@@ -390,6 +398,6 @@ class Setup(object):
 
     def _abort(self, gcmd):
         self._close()
-        gcmd.respond_info(
-            "%s: the set-up has ended, nothing was saved" % (self.host.section,)
-        )
+        self.host.say("the set-up has ended, nothing was saved")
+        if self.saver.is_waiting(self.host.section):
+            self.host.say("values still wait for SAVE_CONFIG")

@@ -4,19 +4,21 @@ from __future__ import absolute_import
 
 import collections
 
-# 'text' is filled in from facts; 'answers' are (label, word, colour), the first
-# one without a word; 'back' is the step that BACK leads to, None: none.  With
-# 'jogs' there are buttons that move the head.
-Step = collections.namedtuple("Step", "headline text answers back jogs")
+# 'text' has a sentence a line, filled in from facts; the last one says what the first
+# button does, and is all that KlipperScreen shows.  'answers' are (label, word,
+# colour), the first one without a word; 'back' is the step that BACK leads to, None:
+# none.  With 'jogs' there are buttons that move the head.
+Step = collections.namedtuple("Step", "title text answers back jogs")
 
-BY_HAND = "Move the head with the buttons, or as you like, until it stands %s. "
+BY_HAND = "The buttons move the head by mm; you may move it as you like, too."
+STOP = "Keep a hand on the emergency stop."
 
 
-def step(headline, text, go_on, more=(), back=None, jogs=False):
+def step(title, text, go_on, more=(), back=None, jogs=False):
     answers = ((go_on, "", "primary"),) + tuple(more)
     if back is not None:
         answers += (("Back", "BACK", "warning"),)
-    return Step(headline, text, answers, back, jogs)
+    return Step(title, text, answers, back, jogs)
 
 
 STEPS = collections.OrderedDict(
@@ -24,22 +26,26 @@ STEPS = collections.OrderedDict(
         (
             "on",
             step(
-                "Put the probe on the head",
-                "Put the probe on the head by hand. 'Next' looks whether the pins"
-                " say so (%(pins)s now), and whether the axes are homed that lead"
-                " to the dock: %(axes)s. Nothing moves. Abort ends this at any"
-                " step, nothing is saved then.",
+                "put the probe on",
+                (
+                    "Put the probe on the head by hand.",
+                    "Abort ends this at any step, nothing is saved then.",
+                    "'Next' looks whether the pins say so (%(pins)s now), and"
+                    " whether the axes are homed that lead to the dock:"
+                    " %(axes)s; nothing moves.",
+                ),
                 "Next",
             ),
         ),
         (
             "dock",
             step(
-                "Push the probe into its dock",
-                BY_HAND
-                % "where the probe on it sits in the dock as it should, with the"
-                " magnets of both in place"
-                + "'Here' takes that as dock_position.",
+                "push it into its dock",
+                (
+                    BY_HAND,
+                    "'Here' when the probe on the head sits in the dock as it"
+                    " should, with the magnets of both in place.",
+                ),
                 "Here",
                 back="on",
                 jogs=True,
@@ -48,12 +54,14 @@ STEPS = collections.OrderedDict(
         (
             "out",
             step(
-                "Leave without the probe",
-                BY_HAND
-                % "some 40 mm out of the dock, along a straight way on which the"
-                " dock holds the probe back"
-                + "'Here' looks whether it was left there, and takes that as"
-                " detach_position.",
+                "leave without the probe",
+                (
+                    BY_HAND,
+                    "Leave along a straight way on which the dock holds the"
+                    " probe back.",
+                    "'Here' some 40 mm out of the dock; it looks whether the"
+                    " probe was left there.",
+                ),
                 "Here",
                 back="dock",
                 jogs=True,
@@ -62,11 +70,13 @@ STEPS = collections.OrderedDict(
         (
             "approach",
             step(
-                "Go before the dock",
-                BY_HAND
-                % "some 40 mm before the dock, where it goes straight in to meet"
-                " the probe, and comes out with it. Go around the dock"
-                + "'Here' takes that as approach_position.",
+                "go before the dock",
+                (
+                    BY_HAND,
+                    "Go around the dock.",
+                    "'Here' some 40 mm before the dock, where the head goes"
+                    " straight in to meet the probe, and comes out with it.",
+                ),
                 "Here",
                 back="out",
                 jogs=True,
@@ -75,10 +85,14 @@ STEPS = collections.OrderedDict(
         (
             "insert",
             step(
-                "The way in with the probe",
-                "To put the probe back most docks are entered the same way:"
-                " 'Same'. For another one move the head to where that begins, then"
-                " 'Here', which takes it as insert_position.",
+                "the way in with the probe",
+                (
+                    BY_HAND,
+                    "For another way in move the head to where that begins,"
+                    " then 'Here'.",
+                    "'Same': to put the probe back the dock is entered the same"
+                    " way, as most docks are.",
+                ),
                 "Same",
                 (("Here", "HERE", "secondary"),),
                 back="approach",
@@ -88,10 +102,14 @@ STEPS = collections.OrderedDict(
         (
             "fetch",
             step(
-                "Fetch the probe, slowly",
-                "dock %(dock)s, out to %(detach)s, before it %(approach)s, with the"
-                " probe from %(insert)s. 'Fetch' goes there, into the dock and out"
-                " again, at %(slow)g mm/s. Keep a hand on the emergency stop.",
+                "fetch the probe",
+                (
+                    "dock %(dock)s, out to %(detach)s, before it %(approach)s,"
+                    " with the probe from %(insert)s.",
+                    STOP,
+                    "'Fetch' goes there, into the dock and out again, at"
+                    " %(slow)g mm/s.",
+                ),
                 "Fetch",
                 back="approach",
             ),
@@ -99,9 +117,13 @@ STEPS = collections.OrderedDict(
         (
             "store",
             step(
-                "Dock the probe, slowly",
-                "The probe came along. 'Dock' goes into the dock with it and out to"
-                " %(detach)s, at %(slow)g mm/s. Keep a hand on the emergency stop.",
+                "dock the probe",
+                (
+                    "The probe came along.",
+                    STOP,
+                    "'Dock' goes into the dock with it and out to %(detach)s, at"
+                    " %(slow)g mm/s.",
+                ),
                 "Dock",
                 back="insert",
             ),
@@ -109,10 +131,15 @@ STEPS = collections.OrderedDict(
         (
             "save",
             step(
-                "Save",
-                "It was fetched and docked. 'Save' writes %(values)s, and restarts"
-                " the printer. Then home, and measure z_offset over the bed with"
-                " PROBE_CALIBRATE.%(not_saved)s",
+                "save",
+                (
+                    "It was fetched and docked.",
+                    "%(values)s",
+                    "%(not_saved)s",
+                    "Then home, and measure how low the probe hangs over the bed"
+                    " with PROBE_CALIBRATE.",
+                    "%(saving)s",
+                ),
                 "Save",
             ),
         ),

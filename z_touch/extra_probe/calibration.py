@@ -75,7 +75,7 @@ class Calibration(object):
         xy = self.host.toolhead.get_position()[:2]
         mark = self.frame.mark()
         question = Question(floor, save, mark, xy, "switch", None)
-        sentences = ["Flat on the bed, the nozzle clean."] + says + warnings
+        sentences = ["Flat on the bed, the nozzle clean."] + warnings + says
         self.dialog.ask(question, "Lay the switch below the nozzle", sentences)
         if not self.is_bed_known(floor_param):
             self.finger.watch()
@@ -108,17 +108,20 @@ class Calibration(object):
         )
         pin_z = z_pin.floor(self.host, self.pin)
         floor = heights.above_pin(floor, pin_z)
-        says = ["Without a trigger the nozzle stops at z=%.3f." % (floor,)]
+        says = []
+        lowers = (
+            "Continue lowers the nozzle; without a trigger it stops at z=%.3f."
+        )
+        if not self.is_bed_known(floor_param):
+            says.append("Press it once with a finger: Continue waits for it.")
+            lowers = (
+                "Continue lowers the nozzle; without a trigger it stops at"
+                " z=%.3f; no calibration was saved yet, so that may be in the"
+                " bed: watch, ready to stop."
+            )
         if pin_z is not None:
             says.append("The head is over the pin of the Z endstop: move it.")
-        if not self.is_bed_known(floor_param):
-            says.append(
-                "No calibration was saved yet, so that may be in the bed:"
-                " watch, ready to stop."
-            )
-            says.insert(
-                0, "Press it once with a finger: Continue waits for it."
-            )
+        says.append(lowers % (floor,))
         return floor, says
 
     # Whether somebody has said how low a touch may go, or a calibration was saved
@@ -169,12 +172,13 @@ class Calibration(object):
         if question.save:
             self.corrected_zero(bed_z - self.shifts(question, bed_z).height())
         self.stand_still()
-        sentence = (
-            "Triggered at z=%.3f, so the bed is at z=%.3f. Continue makes that"
-            " Z=0." % (trigger_z, bed_z)
-        )
+        sentences = [
+            "Triggered at z=%.3f, so the bed is at z=%.3f."
+            % (trigger_z, bed_z),
+            "Continue makes that Z=0.",
+        ]
         question = question._replace(asks="removal", bed_z=bed_z)
-        self.dialog.ask(question, "Take the switch away", [sentence])
+        self.dialog.ask(question, "Take the switch away", sentences)
 
     def free_nozzle(self):
         if self.switch.is_below_nozzle:

@@ -6,30 +6,44 @@
 # has announced, and asks for the next one.
 #
 #   pin -> off -> probe -> home                 hands: wires and polarity
-#   nozzle -> attach -> switch -> bed           head: the sites, by its buttons
-#   look_nozzle -> look_switch -> look_bed      the sites once more
-#   touch_nozzle -> touch_switch -> touch_bed   touches, slow
+#   nozzle => attach -> switch -> bed -> look   head: the sites, by its buttons
+#   touch_nozzle => touch_switch => touch_bed   touches, slow
 #   gap (-> paper) -> save                      switch_offset, SAVE_CONFIG
+#
+# What comes after => is done at once, and asked for only where it has failed.
 from __future__ import absolute_import, division
 
 import functools
 
-from ..core import carrying, options, running, saving
+from ..core import carrying, options, prints, running, saving
 from ..core.dialogs import END
 from ..core.errors import CalibrationError
-from ..z_calibration.switches import COME_DOWN, SWITCHES
-from . import steps
+from ..z_calibration.switches import SWITCHES
+from . import steps, texts
 from .hands import Hands
-from .head import FIRST_TOUCHES, OVER_SHEET, GuidedHead
+from .head import FIRST_TOUCHES, LOOK_TIME, OVER_SHEET, GuidedHead
 from .state import SITES, State
 from .summary import Summary, repeats
 from .touches import Touches
 
-# Over which site the head stands at a step
-SITE_OF = {prefix + name: name for name in SITES for prefix in ("", "look_")}
-
 # Which site a step touches
 TOUCHED = {"touch_" + name: name for name in SITES}
+
+# What of the facts not every step has
+FACTS = (
+    "here",
+    "lowest",
+    "plunger",
+    "sheet",
+    "values",
+    "not_saved",
+    "saving",
+    "floor",
+    "paper_z",
+)
+
+# Told before the touches of a site
+TOUCHES = "touching the %s; where nothing is met, a touch ends at z=%.2f"
 
 # Steps that use heights of before
 NEED_HEIGHTS = ("touch_switch", "touch_bed", "gap", "paper")
@@ -41,7 +55,8 @@ class Setup(object):
     def __init__(self, section):
         self.section = section
         self.host = section.host
-        saver = saving.Saver(section.host)
+        saver = self.saver = saving.Saver(section.host)
+        self.prints = prints.Prints(section.host)
         self.head = GuidedHead(section)
         self.hands = Hands(section, saver)
         self.touches = Touches(section, self.head, self.hands)
@@ -56,7 +71,7 @@ class Setup(object):
         self.section.check_idle(gcmd)
         name = gcmd.get("STEP", "").strip().lower()
         if not name:
-            self.check_not_printing(gcmd)
+            self.prints.check_none(gcmd)
             # Later a hand is near.
             carrying.of(self.host.printer).settle(self.host)
             self.state = self.state or State()
@@ -78,19 +93,15 @@ class Setup(object):
                 " shows it again"
                 % (self.host.section, name, self.state.step, steps.COMMAND)
             )
-        self.check_not_printing(gcmd)
+        self.prints.check_none(gcmd)
         self.answered(gcmd)
 
-    def check_not_printing(self, gcmd):
-        if self.host.print_state():
-            raise gcmd.error("%s: not during a print" % (self.host.section,))
-
-    # A jog leaves the dialog as it is; after an error it says why.  For longer
-    # work it closes: it would cover the emergency stop of a web interface.
+    # After a jog the dialog has the new place, after an error it says why.  For
+    # longer work it closes: it would cover the emergency stop of a web interface.
     def answered(self, gcmd):
         is_jog = any(gcmd.get(axis, "").strip() for axis in "XYZ")
         work = self.jog if is_jog else self.go_on
-        if not is_jog:
+        if not is_jog and self.state.step != "save":
             self.host.gcode.respond_raw(END)
         try:
             answer = functools.partial(work, gcmd, self.state)
@@ -99,8 +110,11 @@ class Setup(object):
             if not self.host.printer.is_shutdown() and self.state is not None:
                 self.ask(str(e))
             raise
-        if self.state is not None and not is_jog:
-            self.ask()
+        finally:
+            if not self.host.printer.is_shutdown():
+                self.prints.has_moved()
+        if self.state is not None:
+            self.ask(is_quiet=is_jog)
 
     ##################################################################
     # Answers
@@ -112,7 +126,8 @@ class Setup(object):
                 "the head has not got to this place yet; answer the question"
             )
         self.check_heights(state)
-        self.head.jog(gcmd, state, self.hands.is_attached())
+        state.is_attached = self.hands.is_attached()
+        self.head.jog(gcmd, state, state.is_attached)
 
     # Does what was announced, then moves the head to where the next step begins
     def go_on(self, gcmd, state):
@@ -125,8 +140,7 @@ class Setup(object):
             state.is_fixed = answer == "SKIP"
         self.check_heights(state)
         if not (state.arrived or answer):
-            self.enter(state.step)
-            state.arrived = True
+            self.arrive(gcmd, state)
             return
         if not answer:
             self.work_of(state.step)(gcmd, state)
@@ -134,8 +148,16 @@ class Setup(object):
             self.head.lift(state)
         if self.state is not None:
             state.step, state.arrived = following, False
-            self.enter(following)
-            state.arrived = True
+            self.arrive(gcmd, state)
+
+    # The head to where a step begins; what needs no other question is done at once
+    def arrive(self, gcmd, state):
+        self.enter(state.step)
+        state.arrived = True
+        if state.step in steps.CHAINED:
+            self.work_of(state.step)(gcmd, state)
+            state.step, state.arrived = steps.after(state.step), False
+            self.arrive(gcmd, state)
 
     # work(gcmd, state) of a step; most only ask
     def work_of(self, name):
@@ -178,11 +200,13 @@ class Setup(object):
     # What is shown
     ##################################################################
 
-    def ask(self, problem=""):
+    # 'is_quiet': the console has been told already
+    def ask(self, problem="", is_quiet=False):
         state = self.state
         late = "" if state.arrived else self.goal(state.step)
         shown, said = steps.ask(state.step, self.facts(), problem, late)
-        self.host.gcode.respond_info("%s: %s" % (self.host.section, said))
+        if not is_quiet:
+            self.host.say(said)
         self.host.gcode.respond_raw(END)
         for line in shown:
             self.host.gcode.respond_raw(line)
@@ -191,29 +215,47 @@ class Setup(object):
     def facts(self):
         state, name = self.state, self.state.step
         back = steps.STEPS[name].back
-        facts = {
-            "patience": steps.HAND_PATIENCE,
-            "travel_z": self.head.travel_z(state),
-            "goal": "" if name == "gap" else self.goal(steps.after(name)),
-            "back_goal": self.goal(back) if back in SITES else "",
-            "repeats": repeats(state),
-            "floor": 0.0,
-            "touches": FIRST_TOUCHES,
-            "paper_z": 0.0,
-            "switches": steps.listed_switches(),
-            "come_down": COME_DOWN,
-            "of_a_list": steps.of_a_list(state.kind),
-            "values": "",
-            "not_saved": "",
-        }
+        facts = dict.fromkeys(FACTS, "")
+        facts.update(
+            patience=steps.HAND_PATIENCE,
+            travel_z=self.head.travel_z(state),
+            goal="" if name == "gap" else self.goal(steps.next_asked(name)),
+            back_goal=self.goal(back) if back in SITES else "",
+            look_goal=self.goal("look"),
+            repeats=repeats(state),
+            touches=FIRST_TOUCHES,
+            come_down=steps.COME_DOWN,
+            of_a_list=steps.of_a_list(state.kind),
+            room=0.0,
+        )
+        if self.touches.is_homed():
+            text = "The head is at X=%.1f Y=%.1f Z=%.2f."
+            facts["here"] = text % self.head.place()
         if name in TOUCHED:
-            before = state.heights_before(TOUCHED[name])
-            facts["floor"] = self.head.calibration(state).floor(*before)
+            facts["floor"] = self.floor(TOUCHED[name])
+        self.add_facts(name, facts)
+        return facts
+
+    # What only one step needs
+    def add_facts(self, name, facts):
+        state = self.state
+        if name in ("nozzle", "switch"):
+            facts["lowest"] = self.head.lowest(state)
+        if name == "switch" and self.head.is_at_plunger(state):
+            facts["plunger"] = texts.AT_PLUNGER
         if name in ("gap", "paper"):
             facts["paper_z"] = state.contact() + OVER_SHEET
+        if name == "paper":
+            room = steps.paper_room(state.contact(), self.host.z())
+            facts["room"] = room
+            facts["sheet"] = texts.TOO_HIGH if room > 0.0 else texts.NEAR_SHEET
         if name == "save":
             facts.update(self.summary.facts(state))
-        return facts
+
+    # Where a touch of a site ends at the latest (toolhead Z, mm)
+    def floor(self, name):
+        before = self.state.heights_before(name)
+        return self.head.calibration(self.state).floor(*before)
 
     # The move that a step begins with, in words; empty: none
     def goal(self, name):
@@ -223,9 +265,12 @@ class Setup(object):
             return "%s, moves to X=%.1f Y=%.1f and down to Z=%.2f" % (
                 (text,) + goal
             )
-        if name not in SITE_OF:
+        if name == "look":
+            text += " and goes over all three places once more, %d seconds each"
+            return text % (LOOK_TIME,)
+        if name not in SITES:
             return ""
-        site = self.head.candidate(SITE_OF[name], self.state)
+        site = self.head.candidate(name, self.state)
         if site is None:
             return text
         return "%s and moves to X=%.1f Y=%.1f" % (text, site.x, site.y)
@@ -239,13 +284,21 @@ class Setup(object):
         state = self.state
         if name == "paper":
             self.head.go_over_sheet(state)
-        elif name in SITE_OF:
-            site = self.head.candidate(SITE_OF[name], state)
-            if site is None:
-                self.head.lift(state)
-                return
-            self.section.site_finder().check_reach(site)
-            self.head.go(state, site.x, site.y, site.name != "bed")
+        elif name == "look":
+            self.head.look_around(state)
+        elif name in TOUCHED and name in steps.CHAINED:
+            self.host.say(TOUCHES % (TOUCHED[name], self.floor(TOUCHED[name])))
+        elif name in SITES:
+            self.go_to_site(name, state)
+
+    def go_to_site(self, name, state):
+        state.is_attached = self.hands.is_attached()
+        site = self.head.candidate(name, state)
+        if site is None:
+            self.head.lift(state)
+            return
+        self.section.site_finder().check_reach(site)
+        self.head.go(state, site.x, site.y, name != "bed")
 
     # After G28 the nozzle may stand on it
     def test_pin(self, gcmd, state):
@@ -284,10 +337,9 @@ class Setup(object):
         low, high = self.section.settings().offset_margins
         if not low <= z_offset <= high:
             raise CalibrationError(
-                "with switch_offset=%.3f the offset is %.3f, outside"
-                " offset_margins %.3f to %.3f; home Z again (G28 Z), check the"
-                " three places and position_endstop"
-                % (value, z_offset, low, high)
+                "with %.3f mm Z=0 would move by %.3f mm, outside the %.3f to"
+                " %.3f that are allowed; home Z again (G28 Z), and check the"
+                " three places" % (value, z_offset, low, high)
             )
         self.state.switch_offset, self.state.kind = value, kind
 
@@ -300,11 +352,10 @@ class Setup(object):
     # The end
     ##################################################################
 
+    # What has failed is asked again: nothing is over before klippy restarts.
     def save(self, gcmd, state):
-        is_saved = self.summary.save(state)
+        self.summary.save(state)
         self.close()
-        if is_saved:
-            self.host.gcode.run_script_from_command("SAVE_CONFIG")
 
     def close(self):
         self.state = None
@@ -316,6 +367,6 @@ class Setup(object):
         leave = self.touches.leave
         work = functools.partial(leave, gcmd, state, is_printing)
         self.section.run_command(gcmd, work, "setup")
-        gcmd.respond_info(
-            "%s: the set-up has ended, nothing was saved" % (self.host.section,)
-        )
+        self.host.say("the set-up has ended, nothing was saved")
+        if self.saver.is_waiting(self.host.section):
+            self.host.say("values still wait for SAVE_CONFIG")

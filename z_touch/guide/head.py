@@ -8,7 +8,7 @@ from ..core import carrying, jogging, options, running, touching
 from ..core.errors import CalibrationError
 from ..z_calibration.settings import with_counts
 from ..z_calibration.sites import LARGEST_SWITCH_DISTANCE, Sites
-from . import steps
+from . import steps, texts
 from .state import SITES
 
 # The first touches of a site: at most so fast (mm/s), and so many
@@ -31,6 +31,9 @@ UNMEASURED_HANGS = 11.0
 # The nozzle comes down to so high (mm) above the highest bed that there may be, to
 # meet the sheet of paper by small steps from there.
 OVER_SHEET = 2.0
+
+# So long (s) the head stays over each place for somebody to look
+LOOK_TIME = 4.0
 
 # A site nearer (mm) than this to dock_position is in the dock
 DOCK_NEAR = 15.0
@@ -98,7 +101,12 @@ class GuidedHead(object):
         if name == "nozzle":
             return settings.nozzle_xy_position
         if name == "switch":
-            return self.switch_candidate(state.sites.get("nozzle"))
+            nozzle = state.sites.get("nozzle")
+            if state.step == "nozzle":
+                # The place that is taken next
+                x, y = self.host.toolhead.get_position()[:2]
+                nozzle = touching.Site("nozzle", x, y, "")
+            return self.switch_candidate(nozzle)
         finder = self.section.site_finder()
         site = finder.bed_site(settings.bed_xy_position)
         if site is None:
@@ -115,6 +123,13 @@ class GuidedHead(object):
             xy = nozzle.x, nozzle.y
             site = self.with_probe("switch", xy, "The body of the switch")
         return site
+
+    # Whether nobody but the probe's offset says where the switch is: its plunger is
+    # about over the pin then
+    def is_at_plunger(self, state):
+        settings = self.section.settings()
+        given = settings.switch_xy_position, settings.switch_xy_offsets
+        return given == (None, None) and "switch" not in state.sites
 
     # Where the head stands to have the probe at xy, as far as it reaches
     def with_probe(self, name, xy, origin):
@@ -187,6 +202,16 @@ class GuidedHead(object):
         everything = carrying.of(self.host.printer)
         everything.go_to(self.host, x, y, speed, to_pin)
 
+    # To all places, with time to look
+    def look_around(self, state):
+        for name in SITES:
+            site = state.sites[name]
+            self.go(state, site.x, site.y, name != "bed")
+            self.host.toolhead.wait_moves()
+            self.host.say("Look: %s" % (texts.LOOKED_AT[name],))
+            self.host.toolhead.dwell(LOOK_TIME)
+        self.host.toolhead.wait_moves()
+
     # Where the nozzle stands over the point of the bed, and how high
     def over_sheet(self, state):
         bed, offsets = state.sites["bed"], self.host.probing.offsets()
@@ -233,8 +258,21 @@ class GuidedHead(object):
             toolhead.manual_move(end, speed)
         # Whoever looks decides on the next one
         toolhead.wait_moves()
-        x, y, z = toolhead.get_position()[:3]
-        gcmd.respond_info("X=%.3f Y=%.3f Z=%.3f" % (x, y, z))
+        gcmd.respond_info("X=%.3f Y=%.3f Z=%.3f" % self.place())
+
+    # Where the head is (mm)
+    def place(self):
+        return tuple(self.host.toolhead.get_position()[:3])
+
+    # How low the buttons lead, in words
+    def lowest(self, state):
+        floor = self.jog_floor(state, state.is_attached)
+        pin_z = self.pin_z(state)
+        if pin_z is None:
+            return texts.LOWEST_OF_ANY % (floor,)
+        if floor > pin_z + CLEAR_OF_PIN + 1e-6:
+            return texts.LOWEST_OF_PROBE % (floor,)
+        return texts.LOWEST % (CLEAR_OF_PIN, floor)
 
     # Where an axis (0 to 2) ends (mm); None: it stays.  Raises CalibrationError.
     def jog_end(self, gcmd, state, attached, number, start):
@@ -245,8 +283,9 @@ class GuidedHead(object):
         if axis not in steps.STEPS[state.step].axes:
             raise CalibrationError("%s stays as it is here" % (axis,))
         low, high = self.host.axis_limits()[number]
-        if axis == "Z" and state.step == "paper":
-            low = steps.paper_floor(state.contact(), start, distance)
-        elif axis == "Z":
+        stops = axis == "Z" and state.step != "paper"
+        if stops:
             low = self.jog_floor(state, attached)
-        return jogging.jogged(axis, start, distance, low, high)
+        elif axis == "Z":
+            low = steps.paper_floor(state.contact(), start, distance)
+        return jogging.jogged(axis, start, distance, low, high, stops)

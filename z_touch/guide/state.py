@@ -16,6 +16,8 @@ class State(object):
         self.is_fixed = False
         # A start_gcode has run since the last end_gcode
         self.is_fetched = False
+        # It was there when the head has got to a place, or was moved by hand
+        self.is_attached = False
         # Of the frame of the heights; None: not homed yet
         self.mark = None
         # Toolhead Z (mm) that the pin lies below; None: nobody knows

@@ -9,7 +9,8 @@ from ..core.errors import CalibrationError
 from ..core.jogging import JOGS
 from ..core.sampling import accuracy
 from ..z_calibration.switches import COME_DOWN, SWITCHES
-from .texts import STEPS
+from .state import SITES
+from .texts import LAST, STEPS
 
 COMMAND = "Z_CALIBRATION_SETUP"
 
@@ -22,8 +23,10 @@ PAPER = 0.1
 # From the body to the trigger point (mm): more than any switch has
 LARGEST_SWITCH_OFFSET = 1.5
 
-# By how much (mm) the buttons move the head over a sheet of paper
+# By how much (mm) the buttons move the head over a sheet of paper, and by how much
+# as long as it is that far above the highest bed there may be
 FINE_JOGS = (0.1, 0.05, 0.01)
+ROOMY_JOGS = (1.0, 0.5)
 
 # What the offset should vary by at most (mm, 95 %), and the touches that a site
 # has at least and at most
@@ -32,6 +35,9 @@ FEWEST_SAMPLES = 3
 MOST_SAMPLES = 10
 
 ORDER = list(STEPS)
+
+# Done without another question after the step before; asked where that has failed
+CHAINED = ("attach", "touch_switch", "touch_bed")
 
 ######################################################################
 # The order
@@ -46,6 +52,7 @@ def after(name):
 # The step after an answer
 def follow(name, answer):
     words = [word for label, word, colour in STEPS[name].answers]
+    words += [place.upper() for place in STEPS[name].places]
     if answer not in words:
         raise CalibrationError(
             "ANSWER=%s is none of STEP=%s: %s"
@@ -53,7 +60,17 @@ def follow(name, answer):
         )
     if answer == "BACK":
         return STEPS[name].back
-    return after(name)
+    if answer == "AGAIN":
+        return name
+    return answer.lower() if answer.lower() in SITES else after(name)
+
+
+# The step after those that follow by themselves
+def next_asked(name):
+    following = after(name)
+    while following in CHAINED:
+        following = after(following)
+    return following
 
 
 def command(name, answer="", **params):
@@ -77,8 +94,8 @@ def jog_button(name, axis, distance):
     return axis + text, command(name, **{axis: text}), "secondary"
 
 
-# Rows of buttons that move the head: four fit
-def jog_groups(name):
+# Rows of buttons that move the head: four fit.  'room': as in facts
+def jog_groups(name, room):
     axes, groups = STEPS[name].axes, []
     for distance in JOGS if "X" in axes else ():
         groups.append(
@@ -88,12 +105,28 @@ def jog_groups(name):
                 for sign in (-1, 1)
             ]
         )
-    steps = JOGS if "X" in axes else FINE_JOGS
-    for pair in (steps[:2], steps[2:]) if axes else ():
+    distances = JOGS
+    if axes == "Z":
+        distances = [d for d in ROOMY_JOGS if d <= room] + list(FINE_JOGS)
+    for first in range(0, len(distances) if axes else 0, 2):
+        pair = distances[first : first + 2]
         groups.append(
             [jog_button(name, "Z", s * d) for d in pair for s in (-1, 1)]
         )
     return groups
+
+
+# Rows of buttons that lead back to a place, or tell the switch
+def other_groups(name):
+    places = [
+        (place.capitalize(), command(name, place.upper()), "secondary")
+        for place in STEPS[name].places
+    ]
+    types = [
+        ("%s %.1f mm" % (kind, value), command(name, TYPE=kind), "secondary")
+        for kind, value in (SWITCHES.items() if name == "gap" else ())
+    ]
+    return [group for group in (places, types) if group]
 
 
 # The answers as (label, G-code, colour)
@@ -105,24 +138,39 @@ def buttons(name):
     return answers + [("Abort", ABORT, "error")]
 
 
-# The dialog of a step, and the same for the console.  'late': what the head has
-# yet to do before the step can be answered.
-def ask(name, facts, problem="", late=""):
-    groups, answers = jog_groups(name), buttons(name)
-    if name == "gap":
-        types = [(t, command(name, TYPE=t), "secondary") for t in SWITCHES]
-        groups.append(types)
-        answers[1:1] = types
-    text = STEPS[name].text % facts
+def headline(name):
+    return "Step %d of %d: %s" % (STEPS[name].number, LAST, STEPS[name].title)
+
+
+# The sentences of a step, the one of the first button last.  'late': what the head
+# has yet to do before the step can be answered.
+def sentences(name, facts, problem, late):
+    step = STEPS[name]
+    texts = [line for text in step.text for line in (text % facts).split("\n")]
+    texts = [line for line in texts if line]
     if late:
-        text = "The head is not there yet. '%s': %s, then this is asked again."
-        text %= (STEPS[name].answers[0][0], late)
+        text = "'%s': %s, then this is asked again."
+        texts = [
+            "The head is not there yet.",
+            text % (step.answers[0][0], late),
+        ]
     if facts["back_goal"]:
-        text += " 'Back': %s." % (facts["back_goal"],)
+        texts.insert(-1, "'Back': %s." % (facts["back_goal"],))
+    if facts["here"]:
+        texts.insert(-1, facts["here"])
     if problem:
-        text = "Not done: %s. %s" % (problem.rstrip("."), text)
-    shown = list(lines(STEPS[name].headline, text, buttons(name), groups))
-    said = ["%s: %s" % (STEPS[name].headline, text)]
+        texts.insert(0, "Not done: %s." % (problem.rstrip("."),))
+    return texts
+
+
+# The dialog of a step, and the same for the console
+def ask(name, facts, problem="", late=""):
+    others = other_groups(name)
+    answers, groups = buttons(name), jog_groups(name, facts["room"]) + others
+    texts = sentences(name, facts, problem, late)
+    shown = list(lines(headline(name), texts, answers, groups))
+    answers[1:1] = sum(others, [])
+    said = [headline(name)] + texts
     said += ["%s: %s" % (label, gcode) for label, gcode, _ in answers]
     if STEPS[name].axes:
         said.append("move the head: %s" % (command(name, Z="+0.1"),))
@@ -131,11 +179,12 @@ def ask(name, facts, problem="", late=""):
 
 # The dialog until something is pressed by hand; all that it can answer waits.
 def while_watching(name):
-    text = (
-        "Press %s by hand now and let go, within %d seconds. What comes next is"
-        " shown by itself." % (name, HAND_PATIENCE)
+    texts = (
+        "What comes next is shown by itself.",
+        "Press %s by hand now and let go, within %d seconds."
+        % (name, HAND_PATIENCE),
     )
-    return lines("Press it now", text, [("Abort", ABORT, "error")])
+    return lines("Press it now", texts, [("Abort", ABORT, "error")])
 
 
 ######################################################################
@@ -183,13 +232,23 @@ def repeatability(samples):
 # the toolhead Z of the bed with a switch_offset of 0.
 def from_paper(contact, z):
     switch_offset = round(contact - (z - PAPER), 3) + 0.0
-    if not 0.0 <= switch_offset <= LARGEST_SWITCH_OFFSET:
+    if switch_offset < 0.0:
         raise CalibrationError(
-            "a switch_offset of %.3f is that of no switch (0 to %g mm); does"
+            "still too high, by %.3f mm at least: the nozzle cannot hold the"
+            " sheet yet; lower it" % (-switch_offset,)
+        )
+    if switch_offset > LARGEST_SWITCH_OFFSET:
+        raise CalibrationError(
+            "the switch would move by %.3f mm, and none by more than %g mm; does"
             " the nozzle hold the sheet, and the pin press the body?"
             % (switch_offset, LARGEST_SWITCH_OFFSET)
         )
     return switch_offset
+
+
+# By how much (mm) the nozzle at z is above where it may hold the sheet
+def paper_room(contact, z):
+    return z - (contact + PAPER)
 
 
 # The lowest z (mm) of a jog with the sheet: above all beds in small steps only
@@ -199,16 +258,11 @@ def paper_floor(contact, z, distance):
     return contact - LARGEST_SWITCH_OFFSET
 
 
-# Each with its value, in words
-def listed_switches():
-    return ", ".join("%s %.1f mm" % item for item in SWITCHES.items())
-
-
 # What a switch from the list means for Z=0, for the last step; empty: it was measured
 def of_a_list(kind):
     if not kind:
         return ""
-    text = " With the %.1f mm of any %s Z=0 is too high on purpose: %s."
+    text = "With the %.1f mm of any %s Z=0 is too high on purpose: %s."
     return text % (SWITCHES[kind], kind, COME_DOWN)
 
 

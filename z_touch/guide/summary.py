@@ -25,7 +25,7 @@ def repeats(state):
     last = "The %s repeats within %.4f mm." % (name, spread)
     if len(samples) < len(SITES):
         return last
-    text = " All in all: %s; samples: %d is enough."
+    text = "\nAll in all: %s; %d touches of each place are enough."
     return last + text % steps.repeatability(list(samples.values()))
 
 
@@ -76,25 +76,10 @@ class Summary(object):
             values.append((name + "_xy_position", steps.as_pair(site)))
         return values
 
-    # What SAVE_CONFIG writes, and what it cannot, in words
+    # What of that SAVE_CONFIG writes, and what has to be written by hand
     def facts(self, state):
-        saved, not_saved = [], ""
-        for option, text in self.values(state):
-            line = "%s: %s" % (option, text)
-            obstacle = self.saver.obstacle(self.host.section, option)
-            if obstacle:
-                not_saved += " SAVE_CONFIG cannot: write '%s' into %s." % (
-                    (line, obstacle)
-                )
-            else:
-                saved.append(line)
-        return {"values": "; ".join(saved), "not_saved": not_saved}
+        return self.saver.facts(self.host.section, self.values(state))
 
-    # Hands it to SAVE_CONFIG; whether that will write any of it
+    # Returns when it is written, and klippy about to restart
     def save(self, state):
-        return any(
-            [
-                self.saver.save(self.host.section, option, text)
-                for option, text in self.values(state)
-            ]
-        )
+        self.saver.finish(self.host.section, self.values(state))

@@ -4,187 +4,276 @@ from __future__ import absolute_import
 
 import collections
 
-# 'text' is filled in from facts; 'answers' are (label, word, colour), the first
-# one without a word; 'back' is the step that BACK leads to; 'axes' are those
-# with buttons to jog.  At the foot of a dialog, "secondary" looks switched off.
-Step = collections.namedtuple("Step", "name headline text answers back axes")
+# 'number' counts what a person has to press; steps that follow by themselves share
+# one.  'text' has a sentence a line, filled in from facts; the last one says what the
+# first button does, and is all that KlipperScreen shows.  'answers' are (label, word,
+# colour), the first one without a word; 'back' is the step that BACK leads to,
+# 'places' the steps that buttons of their own lead back to; 'axes' are those with
+# buttons to jog.  At the foot of a dialog, "secondary" looks switched off.
+Step = collections.namedtuple(
+    "Step", "name number title text answers back places axes"
+)
 
 
-def step(name, headline, text, go_on, more=(), back=None, axes=""):
-    answers = ((go_on, "", "primary"),) + tuple(more)
+# 'given': what a step has besides, by the words of Step; 'more' answers
+def step(name, number, title, text, go_on, **given):
+    answers = ((go_on, "", "primary"),) + tuple(given.get("more", ()))
+    back, places = given.get("back"), given.get("places", ())
     if back is not None:
         answers += (("Back", "BACK", "warning"),)
-    return Step(name, headline, text, answers, back, axes)
+    axes = given.get("axes", "")
+    return Step(name, number, title, text, answers, back, places, axes)
 
 
-HERE = "Move the head with the buttons, or as you like, until %s. "
-TOUCH = (
-    "'Touch' lifts the head to Z=%%(travel_z).1f, %s, and lowers it slowly,"
-    " %%(touches)d times. Where nothing is met, a touch ends at Z=%%(floor).2f."
-    " Keep a hand on the emergency stop."
+STOP = "Keep a hand on the emergency stop."
+JOGS = "The buttons move the head by mm; you may move it as you like, too."
+
+
+# How low the buttons lead: over a pin that is known, with something that hangs below
+# the nozzle, or over one of which nobody knows how high it is
+LOWEST = (
+    "Lower it with the buttons to %g mm above the pin: it stops by itself at"
+    " Z=%.1f."
 )
+LOWEST_OF_PROBE = (
+    "Lower it with the buttons as far as it goes: it stops by itself at Z=%.1f,"
+    " before what hangs there meets the pin."
+)
+LOWEST_OF_ANY = (
+    "Nobody knows yet how high the pin is: lower the head with care, and stop 1 mm"
+    " above the pin; it stops by itself at Z=%.1f only."
+)
+AT_PLUNGER = (
+    "Now the plunger is about over the pin: move some 4 mm along the body.\n"
+)
+TOO_HIGH = "Still too high: lower it with the buttons, by mm."
+NEAR_SHEET = "Lower it with the buttons, by mm, until it just holds the sheet."
+
+# What is looked at over each place
+LOOKED_AT = {
+    "nozzle": "is the nozzle over the pin?",
+    "switch": "is the body of the switch over the pin?",
+    "bed": "is the probe over the point of the bed?",
+}
 
 ALL = (
     step(
         "pin",
-        "Press the pin",
-        "'Watch', then press the metal pin down by hand and let go, within"
-        " %(patience)d seconds. If the printer is homed, 'Watch' lifts the head"
-        " to Z=%(travel_z).1f before; nothing else moves. Abort ends"
-        " this at any step: the head is lifted, end_gcode puts away a"
-        " probe that was fetched, nothing is saved.",
+        1,
+        "press the pin",
+        (
+            "Abort ends this at any step: the head is lifted, a probe that was"
+            " fetched is put away, nothing is saved.",
+            "If the printer is homed, 'Watch' lifts the head to"
+            " Z=%(travel_z).1f before; nothing else moves.",
+            "'Watch', then press the metal pin down by hand and let go, within"
+            " %(patience)d seconds.",
+        ),
         "Watch",
     ),
     step(
         "off",
-        "Take the probe off",
-        "Take the probe off the head, then 'Next'. 'Skip' where it"
-        " cannot be taken off.",
+        2,
+        "take the probe off",
+        (
+            "Take the probe off the head.",
+            "'Skip' where it cannot be taken off.",
+            "'Next' looks whether it is off; nothing moves.",
+        ),
         "Next",
-        [("Skip", "SKIP", "warning")],
+        more=[("Skip", "SKIP", "warning")],
     ),
     step(
         "probe",
-        "Press the probe",
-        "Attach the probe. 'Watch', then press its plunger by hand and"
-        " let go, within %(patience)d seconds.",
+        3,
+        "press the probe",
+        (
+            "Attach the probe.",
+            "'Watch', then press its plunger by hand and let go, within"
+            " %(patience)d seconds.",
+        ),
         "Watch",
         back="off",
     ),
     step(
         "home",
-        "Home the printer",
-        "Put the probe where it belongs before a print, and clear the"
-        " bed. 'Home' runs G28 if an axis is not homed, and then"
-        " %(goal)s. A printer that levels its bed or gantry should have"
-        " done so, and have homed Z again.",
+        4,
+        "home the printer",
+        (
+            "Put the probe where it belongs before a print, and clear the bed.",
+            "A printer that levels its bed or gantry should have done so, and"
+            " have homed Z again.",
+            "'Home' runs G28 if an axis is not homed, and then %(goal)s.",
+        ),
         "Home",
         back="probe",
     ),
     step(
         "nozzle",
-        "Nozzle over the pin",
-        HERE
-        % "the nozzle is right over the middle of the pin"
-        + "'Here' keeps that place and lifts the head to"
-        " Z=%(travel_z).1f.",
+        5,
+        "nozzle over the pin",
+        (
+            "Move the nozzle right over the middle of the pin.",
+            JOGS,
+            "%(lowest)s",
+            "'Here' keeps the place, lifts the head to Z=%(travel_z).1f, fetches"
+            " the probe by your own G-code unless it is there, and then"
+            " %(goal)s.",
+        ),
         "Here",
         axes="XYZ",
     ),
     step(
         "attach",
-        "Fetch the probe",
-        "'Attach' runs start_gcode and before_switch_gcode, unless the"
-        " probe is attached. Then %(goal)s, where the body of its"
-        " switch should be over the pin.",
+        5,
+        "fetch the probe",
+        (
+            "The place of the nozzle is kept.",
+            "'Attach' runs your own G-code that fetches the probe, unless it is"
+            " there, and then %(goal)s.",
+        ),
         "Attach",
         back="nozzle",
     ),
     step(
         "switch",
-        "Switch over the pin",
-        HERE % "the BODY of the probe's switch is over the pin, and its"
-        " plunger beside it" + "'Here' keeps that place; then %(goal)s,"
-        " with the probe over the bed.",
+        6,
+        "switch over the pin",
+        (
+            "%(plunger)sMove the head until the flat BODY of the switch is over"
+            " the pin, and its plunger beside it.",
+            JOGS,
+            "%(lowest)s",
+            "'Here' keeps the place; then %(goal)s, with the probe over the bed.",
+        ),
         "Here",
         back="nozzle",
         axes="XYZ",
     ),
     step(
         "bed",
-        "Probe over the bed",
-        HERE
-        % "the probe is over the point of the bed to measure"
-        + "'Here' keeps that place; then %(goal)s, to look at all"
-        " places once more.",
+        7,
+        "probe over the bed",
+        (
+            "Move the head until the probe is over the point of the bed to"
+            " measure.",
+            JOGS,
+            "'Here' keeps the place; then %(goal)s: watch there.",
+        ),
         "Here",
         back="switch",
         axes="XYZ",
     ),
     step(
-        "look_nozzle",
-        "Nozzle: looks right?",
-        "Is the nozzle over the pin? 'Yes': %(goal)s.",
+        "look",
+        8,
+        "all places right?",
+        (
+            "The nozzle was over the pin, then the body of the switch, then the"
+            " probe over the bed?",
+            "'Again': %(look_goal)s.",
+            "The buttons with a name lift the head to Z=%(travel_z).1f and go"
+            " back to that place.",
+            "'Yes' goes on; nothing moves.",
+        ),
         "Yes",
-        back="nozzle",
-    ),
-    step(
-        "look_switch",
-        "Switch: looks right?",
-        "Is the body of the switch over the pin? 'Yes': %(goal)s.",
-        "Yes",
-        back="switch",
-    ),
-    step(
-        "look_bed",
-        "Bed: looks right?",
-        "Is the probe over the bed? 'Yes' goes on; nothing moves.",
-        "Yes",
-        back="bed",
+        more=[("Again", "AGAIN", "warning")],
+        places=("nozzle", "switch", "bed"),
     ),
     step(
         "touch_nozzle",
-        "First touches of the nozzle",
-        "Clean the nozzle. "
-        + TOUCH
-        % (
-            "runs end_gcode if the probe was fetched, runs start_gcode, goes"
-            " over the pin"
+        9,
+        "touch all places",
+        (
+            "Clean the nozzle.",
+            STOP,
+            "Where no pin is met, the nozzle stops at Z=%(floor).2f; the console"
+            " says that of the other places.",
+            "'Touch' lifts the head to Z=%(travel_z).1f and touches pin, switch"
+            " and bed slowly, %(touches)d times each; your own G-code puts the"
+            " probe away before, fetches it and puts it away again.",
         ),
         "Touch",
         back="nozzle",
     ),
     step(
         "touch_switch",
-        "First touches of the switch",
-        "%(repeats)s "
-        + TOUCH
-        % (
-            "runs before_switch_gcode, goes over the pin (over the bed before"
-            " if z_offset of the probe does not say how long it is)"
+        9,
+        "touch switch and bed",
+        (
+            "%(repeats)s",
+            STOP,
+            "Where nothing is met, a touch ends at Z=%(floor).2f.",
+            "'Touch' lifts the head to Z=%(travel_z).1f, fetches the probe by"
+            " your own G-code, goes over the pin (over the bed before if nobody"
+            " knows how long the probe is) and lowers it slowly, %(touches)d"
+            " times; then the bed.",
         ),
         "Touch",
         back="switch",
     ),
     step(
         "touch_bed",
-        "First touches of the bed",
-        "%(repeats)s "
-        + TOUCH % ("goes over the bed",)
-        + " After that end_gcode puts the probe away.",
+        9,
+        "touch the bed",
+        (
+            "%(repeats)s",
+            STOP,
+            "Where nothing is met, a touch ends at Z=%(floor).2f.",
+            "'Touch' lifts the head to Z=%(travel_z).1f, goes over the bed and"
+            " lowers the probe slowly, %(touches)d times; then your own G-code"
+            " puts it away.",
+        ),
         "Touch",
         back="bed",
     ),
     step(
         "gap",
-        "Measure the gap with paper",
-        "%(repeats)s Last comes how far the switch moves until it triggers."
-        " 'Paper' measures that, and is best: it lifts the head to"
-        " Z=%(travel_z).1f and goes with the nozzle over the bed, down to"
-        " Z=%(paper_z).2f, about 2 to 3 mm above it. Without paper take the"
-        " button of the switch in the probe: %(switches)s, the least of any"
-        " healthy one, so Z=0 is too high on purpose; %(come_down)s. Another"
-        " value goes in on the console: Z_CALIBRATION_SETUP STEP=GAP VALUE=mm.",
+        10,
+        "how far the switch moves",
+        (
+            "%(repeats)s",
+            "Last comes how far the switch moves until it triggers: 'Paper'"
+            " measures that, and is best.",
+            "Without paper take the button of the switch in the probe.",
+            "It is the least of any healthy one, so Z=0 is too high on purpose:"
+            " %(come_down)s.",
+            "Another value goes in on the console: Z_CALIBRATION_SETUP STEP=GAP"
+            " VALUE=mm.",
+            "'Paper' lifts the head to Z=%(travel_z).1f and goes with the nozzle"
+            " over the bed, down to Z=%(paper_z).2f, about 2 to 3 mm above it.",
+        ),
         "Paper",
     ),
     step(
         "paper",
-        "Nozzle to the sheet",
-        "Lay a sheet of paper on the bed. Lower the nozzle with the"
-        " buttons until it just holds the sheet. 'Here' keeps that."
-        " 'Here' and 'Back' lift the head to Z=%(travel_z).1f.",
+        11,
+        "nozzle to the sheet",
+        (
+            "Lay a sheet of paper on the bed.",
+            "%(sheet)s",
+            "'Here' when the nozzle just holds the sheet; 'Here' and 'Back' lift"
+            " the head to Z=%(travel_z).1f.",
+        ),
         "Here",
         back="gap",
         axes="Z",
     ),
     step(
         "save",
-        "Save",
-        "%(repeats)s After this, home (G28) and run CALIBRATE_Z.%(of_a_list)s"
-        " 'Save' hands this to SAVE_CONFIG, which writes printer.cfg and"
-        " restarts Klipper: %(values)s.%(not_saved)s",
+        12,
+        "save",
+        (
+            "%(repeats)s",
+            "%(values)s",
+            "%(not_saved)s",
+            "After this, home (G28) and run CALIBRATE_Z.",
+            "%(of_a_list)s",
+            "%(saving)s",
+        ),
         "Save",
         back="gap",
     ),
 )
 STEPS = collections.OrderedDict((step.name, step) for step in ALL)
+LAST = max(step.number for step in ALL)
