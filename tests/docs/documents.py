@@ -23,19 +23,36 @@ STATUS = "What can macros read?"
 _MARKDOWN = MarkdownIt("commonmark").enable("table")
 
 
+def data_of(file: str, section: str) -> list[dict[str, str]]:
+    """The lines of a section in one of the data files beside the pages."""
+    with (DOCS / file).open(encoding="utf-8", newline="") as lines:
+        return [r for r in csv.DictReader(lines) if r["section"] == section]
+
+
 def text_of(name: str) -> str:
-    """All that the documents say of a section: its pages, its numbers."""
-    pages = [
+    """All that the documents say of a section: its pages, its options, its numbers."""
+    text = "\n".join(
         (DOCS / f"{page}.md").read_text(encoding="utf-8")
         for page in PAGES.get(name, (name,))
+    )
+    options = [f"\n## {OPTIONS}\n", "| option | default | unit, range | more |"]
+    options += ["|---|---|---|---|"]
+    options += [
+        f"| `{r['option']}` | {r['default']} | {r['unit, range']} | {r['more']} |"
+        for r in data_of("options.csv", name)
     ]
-    with (DOCS / "numbers.csv").open(encoding="utf-8", newline="") as file:
-        table = [row for row in csv.DictReader(file) if row["section"] == name]
-    lines = [f"## {NUMBERS}", "", "| name | value | meaning |", "|---|---|---|"]
-    lines += [
-        f"| `{r['name']}` | {r['value']} | {r['meaning']} |" for r in table
+    text = text.replace(f"\n## {OPTIONS}\n", "\n".join([*options, ""]))
+    numbers = [
+        f"## {NUMBERS}",
+        "",
+        "| name | value | meaning |",
+        "|---|---|---|",
     ]
-    return "\n".join([*pages, *lines, ""])
+    numbers += [
+        f"| `{r['name']}` | {r['value']} | {r['meaning']} |"
+        for r in data_of("numbers.csv", name)
+    ]
+    return "\n".join([text, *numbers, ""])
 
 
 @lru_cache

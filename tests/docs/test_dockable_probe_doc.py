@@ -9,13 +9,20 @@ from pathlib import Path
 
 import pytest
 
-from tests.docs.documents import OPTIONS, link_problems, part, rows, spans
+from tests.docs.documents import (
+    OPTIONS,
+    link_problems,
+    part,
+    rows,
+    spans,
+    text_of,
+)
 from tests.docs.option_rows import default_of, problems_of_lines, range_of
 
 ROOT = Path(__file__).resolve().parents[2]
 DOCUMENT = ROOT / "docs" / "dockable_probe.md"
 MODULE = ROOT / "z_touch" / "dockable_probe" / "module.py"
-TEXT = DOCUMENT.read_text(encoding="utf-8")
+TEXT = text_of("dockable_probe")
 SOURCE = "".join(
     MODULE.with_name(name).read_text(encoding="utf-8")
     for name in ("module.py", "setup.py")

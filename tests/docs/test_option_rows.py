@@ -5,16 +5,14 @@ from __future__ import annotations
 import importlib
 import re
 from collections.abc import Iterator
-from pathlib import Path
 from typing import Any
 
 import pytest
 
-from tests.docs.documents import OPTIONS, part, rows, spans
+from tests.docs.documents import OPTIONS, part, rows, spans, text_of
 from tests.docs.option_rows import problems_of_lines, range_of, value_of
 from z_touch.core import options
 
-DOCS = Path(__file__).resolve().parents[2] / "docs"
 SETTINGS = {
     name: importlib.import_module(f"z_touch.{name}.settings")
     for name in ("auto_z_offset", "extra_probe")
@@ -85,7 +83,7 @@ MISTAKES = {
 
 @pytest.mark.parametrize("name", SETTINGS)
 def test_page_says_of_each_option_what_its_row_says(name):
-    text = (DOCS / f"{name}.md").read_text(encoding="utf-8")
+    text = text_of(name)
     assert list(problems(name, text)) == []
     for what, (old, new) in MISTAKES.items():
         changed, count = re.subn(old, new, text)

@@ -8,20 +8,18 @@ from __future__ import annotations
 
 import re
 from collections.abc import Iterator
-from pathlib import Path
 from typing import NamedTuple
 
 import pytest
 
 from simprinter.hosts.hosts import Host
-from tests.docs.documents import OPTIONS, part, rows, spans
+from tests.docs.documents import OPTIONS, part, rows, spans, text_of
 from tests.docs.option_rows import default_of, value_of
 from tests.docs.test_dockable_probe_doc import SETTINGS
 from tools.kit.dockable_probe import SENSED
 from tools.kit.printer import Printer
 from z_touch.core import options
 
-DOCS = Path(__file__).resolve().parents[2] / "docs"
 WHOLE = "The whole section"
 # Options of other releases have a table of their own
 OLD = {"z_calibration": "Old names"}
@@ -99,7 +97,7 @@ MISTAKES = {
 
 @pytest.mark.parametrize("name", NAMES)
 def test_whole_section_is_right_and_mistakes_are_found(name):
-    text = (DOCS / f"{name}.md").read_text(encoding="utf-8")
+    text = text_of(name)
     assert re.search(r"(?m)^## (.*)", text)[1] == WHOLE
     assert list(problems(name, text)) == []
     for what, (old, new) in MISTAKES.items():

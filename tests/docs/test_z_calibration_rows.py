@@ -4,18 +4,16 @@ from __future__ import annotations
 
 import re
 from collections.abc import Iterator
-from pathlib import Path
 from typing import Any
 
 import pytest
 
-from tests.docs.documents import OPTIONS, part, rows, spans
+from tests.docs.documents import OPTIONS, part, rows, spans, text_of
 from tests.docs.option_rows import problems_of_lines, range_of, same_value
 from z_touch.core import options
 from z_touch.z_calibration import settings
 
-DOCUMENT = Path(__file__).resolve().parents[2] / "docs" / "z_calibration.md"
-TEXT = DOCUMENT.read_text(encoding="utf-8")
+TEXT = text_of("z_calibration")
 OLD = "Old names"
 # As the page has what an owner writes
 WORDS = {

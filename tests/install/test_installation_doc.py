@@ -2,17 +2,21 @@
 
 from __future__ import annotations
 
+import csv
 import re
 
 import pytest
 
-from tests.docs.documents import link_problems, part, rows, spans
+from tests.docs.documents import link_problems, part, spans
 from tests.install.box import MODULES, ORIGIN, OVERRIDE, REPO, Box, options_in
 
 DOCUMENT = REPO / "docs" / "installation.md"
 README = REPO / "README.md"
 EXAMPLE = REPO / "examples" / "moonraker.conf"
 TEXT = DOCUMENT.read_text()
+with DOCUMENT.with_name("installer.csv").open(encoding="utf-8") as lines:
+    # Options, exit codes and messages of the script
+    _, *TABLE = csv.reader(lines)
 SCRIPT = "".join(
     path.read_text()
     for path in (REPO / "install.sh", *sorted(REPO.glob("installer/*.sh")))
@@ -151,8 +155,9 @@ def test_update_and_uninstall(home, klipper):
 
 def test_options_are_those_of_the_script(machine, klipper):
     table, codes = [], []
-    for row in rows(part(TEXT, "Options of the script")):
-        (codes if row[0].isdigit() else table).append(row)
+    for row in TABLE:
+        if row[0] != "message":
+            (codes if row[0] == "exit code" else table).append(row[1:])
     documented = {span.split()[0] for row in table for span in spans(row[0])}
     shown = machine.installed("--help")
     assert documented == options_in(shown)
@@ -170,8 +175,9 @@ def with_dots(text):
 
 def documented_pieces():
     """The messages of the document, cut where something varies."""
-    table = rows(part(TEXT, "What does this message mean?"))
-    shown = [span for row in table for span in spans(row[0])]
+    shown = [
+        s for kind, what, _ in TABLE for s in spans(what) if kind == "message"
+    ]
     pieces = [piece.strip(" ';") for s in shown for piece in s.split("...")]
     return [piece for piece in pieces if piece]
 

@@ -25,6 +25,8 @@ EXAMPLES = Path(__file__).resolve().parents[2] / "examples" / "auto_z_offset"
 MACHINES = {
     "q1_pro": ("qidi_two_boards", {"!gpio21": "^!PF0"}),
     "plus4": ("qidi", {"^!Toolhead:PA10": "^!PF0"}),
+    "q1_pro_freedi": ("qidi", {"!Toolhead:gpio21": "^!PF0"}),
+    "plus4_freedi": ("qidi", {"^!Toolhead:PA10": "^!PF0"}),
     "x_max3": ("qidi", {"^!MKS_THR:gpio21": "^!PF0", "^PC3": "PC1"}),
 }
 MESH = {
@@ -134,9 +136,26 @@ def test_every_example_is_run():
     assert {path.stem for path in EXAMPLES.glob("*.cfg")} == set(MACHINES)
 
 
-def test_q1_pro_as_its_owners_have_it():
+@pytest.mark.parametrize("name", ["q1_pro", "plus4"])
+def test_freedi_has_the_same_sensors(name):
+    """Only the names of boards differ."""
+    own, freedi = (
+        sections_of(EXAMPLES / f"{name}{which}.cfg")
+        for which in ("", "_freedi")
+    )
+    for section in own.values():
+        if "pin" in section:
+            section["pin"] = re.sub(r"U_1:|Toolhead:", "", section["pin"])
+    for section in freedi.values():
+        if "pin" in section:
+            section["pin"] = section["pin"].replace("Toolhead:", "")
+    assert own == freedi
+
+
+@pytest.mark.parametrize("name", ["q1_pro", "q1_pro_freedi"])
+def test_q1_pro_as_its_owners_have_it(name):
     read = configparser.ConfigParser(interpolation=None, delimiters=(":",))
-    read.read_string((EXAMPLES / "q1_pro.cfg").read_text(encoding="utf-8"))
+    read.read_string((EXAMPLES / f"{name}.cfg").read_text(encoding="utf-8"))
     floor = read["auto_z_offset"].getfloat("probe_z_min")
     assert -5.0 < floor < REPORTED - BRAKING
     # Without power the sensor reads triggered

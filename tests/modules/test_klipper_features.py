@@ -1,8 +1,8 @@
-"""docs/reliability.md tells what Klipper's own features do to the gap."""
+"""docs/features.csv tells what Klipper's own features do to the gap."""
 
 from __future__ import annotations
 
-import re
+import csv
 from dataclasses import replace
 from pathlib import Path
 from typing import Any, NamedTuple
@@ -18,7 +18,7 @@ from tools.kit.load_errors import load
 from tools.kit.printer import Printer
 from tools.kit.z_calibration import MICROSTEP
 
-DOCUMENT = Path(__file__).resolve().parents[2] / "docs" / "reliability.md"
+DOCUMENT = Path(__file__).resolve().parents[2] / "docs" / "features.csv"
 COMMANDS = {"z_calibration": "CALIBRATE_Z", "auto_z_offset": "AUTO_Z_CALIBRATE"}
 POINTS = {"z_calibration": (150.0, 150.0), "auto_z_offset": POINT}
 # The bed is so much higher 100 mm further back
@@ -218,23 +218,19 @@ def look(
         return printer.gap(POINTS[module]), told
 
 
-# The table: feature, then for each module the gap and how it was told.  Where
-# a host differs, `other on <host>` follows after a semicolon.
-ROW = re.compile(
-    r"(?m)^\| (.+?) *\| (-?\d.+?) *\| (.*?) *\| (-?\d.+?) *\| (.*?) *\|$"
-)
-
-
 def table() -> dict[str, dict[str, tuple[str, str]]]:
-    """What the document says, by feature and module."""
-    text = DOCUMENT.read_text(encoding="utf-8")
-    part = text.split("## With Klipper's own features")[1].split("\n## ")[0]
+    """What the document says, by feature and module: the gap, how it was told.
+
+    Where a host differs, `other on <host>` follows after a semicolon.
+    """
+    with DOCUMENT.open(encoding="utf-8", newline="") as lines:
+        _, *rows = csv.reader(lines)
     return {
-        found[1]: {
-            "z_calibration": (found[2], found[3]),
-            "auto_z_offset": (found[4], found[5]),
+        row[0]: {
+            "z_calibration": (row[1], row[2]),
+            "auto_z_offset": (row[3], row[4]),
         }
-        for found in ROW.finditer(part)
+        for row in rows
     }
 
 

@@ -14,7 +14,13 @@ from typing import NamedTuple
 
 import pytest
 
-from tests.docs.documents import OPTIONS, options_of, part, samples_of
+from tests.docs.documents import (
+    OPTIONS,
+    options_of,
+    part,
+    samples_of,
+    text_of,
+)
 from tools.kit.cases import slow
 from tools.kit.extra_probe import NAME
 from tools.kit.load_errors import load
@@ -79,7 +85,7 @@ def refused_by(row: options.Option) -> list[str]:
 
 def documented(module: str) -> list[Case]:
     """All that the tables of its document have, old names, too."""
-    text = (ROOT / "docs" / f"{module}.md").read_text(encoding="utf-8")
+    text = text_of(module)
     return [
         Case(module, option.name, list(dict.fromkeys(excluded(option.range))))
         for option in options_of(part(text, OPTIONS))

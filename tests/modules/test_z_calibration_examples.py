@@ -25,6 +25,7 @@ from tests.docs.documents import (
     part,
     rows,
     spans,
+    text_of,
 )
 from tests.modules.example_owners import (
     CLEAN_NOZZLE,
@@ -39,7 +40,7 @@ from tools.kit.z_calibration import MICROSTEP, touched_sites
 
 ROOT = Path(__file__).resolve().parents[2]
 EXAMPLES = ROOT / "examples" / "z_calibration"
-DOCUMENT = (ROOT / "docs" / "z_calibration.md").read_text(encoding="utf-8")
+DOCUMENT = text_of("z_calibration")
 # Sections around CALIBRATE_Z
 MACROS, OFF, TOOLS = "calibrate_macros", "heaters_off_after_error", "tools"
 PLATES = "plates"

@@ -20,6 +20,12 @@ _SITES = {
     "body_bed": "switch body, bed",
 }
 
+# What the commands of a section have in their names; all others are of z_calibration
+_SECTIONS = (
+    ("dockable", "dockable_probe"),
+    ("AUTO_Z", "auto_z_offset"),
+    ("EXTRA_PROBE", "extra_probe"),
+)
 # What is less is shown as 0, mm
 SHOWN = 0.005
 
@@ -55,7 +61,7 @@ def together(name: str, jobs: Sequence[Figures]) -> Figures:
 
 def faults_table(jobs: Sequence[Figures]) -> str:
     """A line for each command."""
-    heads = ["command", "deepest, mm", "tried", "survived"]
+    heads = ["commands of", "deepest, mm", "tried", "survived"]
     heads += [RIGHT, REFUSED, SHUT_DOWN]
     rows = []
     for found in jobs:
@@ -65,14 +71,27 @@ def faults_table(jobs: Sequence[Figures]) -> str:
     return markdown(heads, rows)
 
 
+def commands_of(figures: Figures) -> list[Figures]:
+    """The commands of each module together, first touches of all by themselves."""
+    groups: dict[str, list[Figures]] = {}
+    for one in figures["faults"]:
+        job = one["job"]
+        if "first of all" not in job:
+            job = next(
+                (name for word, name in _SECTIONS if word in job),
+                "z_calibration",
+            )
+        groups.setdefault(job, []).append(one)
+    return [together(name, jobs) for name, jobs in groups.items()]
+
+
 def docks_of(figures: Figures) -> list[Figures]:
     """All commands on each kind of dock."""
     by_dock: dict[str, list[Figures]] = {}
     for one in figures["faults"]:
         by_dock.setdefault(one["job"].rpartition(", ")[2], []).append(one)
     return [
-        together(f"dock {name}, all commands", jobs)
-        for name, jobs in by_dock.items()
+        together(f"all, dock {name}", jobs) for name, jobs in by_dock.items()
     ]
 
 
@@ -119,9 +138,9 @@ def render(file: str) -> str:
     """The tables of a document, from the figures in a file."""
     figures = json.loads(Path(file).read_text(encoding="utf-8"))
     jobs = [
-        *figures["faults"],
+        *commands_of(figures),
         *docks_of(figures["docks"]),
-        together("pairs of faults, all commands", figures["pairs"]["faults"]),
+        together("all, pairs of faults", figures["pairs"]["faults"]),
     ]
     parts = [faults_table(jobs), printers_table(figures)]
     return "\n" + "\n\n".join(parts) + "\n"

@@ -11,6 +11,7 @@ page that nobody is led to, is an error.
 from __future__ import annotations
 
 import argparse
+import csv
 import os
 import re
 import shutil
@@ -27,6 +28,8 @@ COPIED = ("README.md", "CHANGELOG.md", "LICENSE", "docs", "examples")
 COPIED += ("simprinter/LIMITS.md",)
 ITEM = re.compile(r"( *)((?:[-*]|\d+\.) +)")
 INDENT = 4
+# Data files that are pages here
+TABLES = ("options", "numbers", "installer")
 # As mkdocs.yml calls the folder of what was staged
 PAGES = "pages"
 
@@ -70,6 +73,21 @@ def with_targets(
     return re.sub(r"\]\(([\w./-]+)", changed, text)
 
 
+def page_of_table(path: Path) -> str:
+    """A data file as a page: a table for each section."""
+    with path.open(encoding="utf-8", newline="") as lines:
+        heads, *rows = csv.reader(lines)
+    text = [f"# {path.stem}", "", f"[Download]({path.name})"]
+    section = None
+    for row in rows:
+        if row[0] != section:
+            section = row[0]
+            text += ["", f"## {section}", "", f"| {' | '.join(heads[1:])} |"]
+            text += ["|---" * len(heads[1:]) + "|"]
+        text.append(f"| {' | '.join(row[1:])} |")
+    return "\n".join([*text, ""])
+
+
 def page_of(folder: Path) -> str:
     """What there is in a folder of examples, all of it."""
     lines = [f"# examples/{folder.name}", ""]
@@ -88,9 +106,14 @@ def stage(source: Path) -> None:
         target.parent.mkdir(parents=True, exist_ok=True)
         copy = shutil.copytree if (ROOT / name).is_dir() else shutil.copy
         copy(ROOT / name, target)
+    for name in TABLES:
+        path = source / "docs" / f"{name}.csv"
+        path.with_suffix(".md").write_text(page_of_table(path), "utf-8")
     folders: set[Path] = set()
     for page in sorted(source.rglob("*.md")):
         text = "\n".join(indented(page.read_text(encoding="utf-8"))) + "\n"
+        for name in TABLES if page.stem not in TABLES else ():
+            text = text.replace(f"]({name}.csv)", f"]({name}.md)")
         text = with_targets(text, page, source.resolve(), folders)
         page.write_text(text, encoding="utf-8")
     for folder in folders:
