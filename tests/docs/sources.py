@@ -24,6 +24,11 @@ DIALOGS = ("texts.py",)
 
 def trees(name: str) -> list[ast.Module]:
     """The module, and all of z_touch that it needs."""
+    return list(files(name).values())
+
+
+def files(name: str) -> dict[Path, ast.Module]:
+    """The same by their paths."""
     found: dict[Path, ast.Module] = {}
     pending = [ROOT / f"{name}.py"]
     while pending:
@@ -35,7 +40,8 @@ def trees(name: str) -> list[ast.Module]:
         for node in ast.walk(found[path]):
             if isinstance(node, ast.ImportFrom) and node.level:
                 pending += imported(path, node)
-    return joined(list(found.values()))
+    joined(list(found.values()))
+    return found
 
 
 class Joining(ast.NodeTransformer):
@@ -64,8 +70,8 @@ class Joining(ast.NodeTransformer):
         return self.generic_visit(node)
 
 
-def joined(found: list[ast.Module]) -> list[ast.Module]:
-    """The sources with whole texts where these are put together of advice."""
+def joined(found: list[ast.Module]) -> None:
+    """Give the sources whole texts where these are put together of advice."""
     named = {
         ast.unparse(node.targets[0]): node.value.value
         for tree in found
@@ -87,7 +93,6 @@ def joined(found: list[ast.Module]) -> list[ast.Module]:
             if not isinstance(node, ast.Assign)
             or ast.unparse(node.targets[0]) not in joining.used
         ]
-    return found
 
 
 def imported(path: Path, node: ast.ImportFrom) -> list[Path]:
@@ -122,28 +127,21 @@ def texts(node: ast.AST) -> Iterator[str]:
         yield from texts(inner)
 
 
-@lru_cache
-def messages(name: str) -> frozenset[str]:
+def messages_of(tree: ast.Module) -> set[str]:
     """Every text of more than one word that a user may see, in pieces."""
     found = {
         normal(re.sub(r"%(?:\(\w+\))?(?:\.\d+)?[sdfg]", VALUE, text))
-        for tree in trees(name)
         for text in texts(tree)
         if " " in text.strip()
     }
     # Of words, and no line of G-code
     gcode = re.compile(rf"(?:[A-Z_]+|{VALUE})(?: \S+=\S+)+")
-    return frozenset(
-        nameless(text, name)
+    return {
+        text
         for text in found
         if re.search("[a-zA-Z]{2}", text.replace(VALUE, ""))
         and not gcode.fullmatch(text)
-    )
-
-
-def nameless(text: str, name: str) -> str:
-    """A message for whichever module: some sources have its name as a value."""
-    return text.replace(name, VALUE)
+    }
 
 
 @lru_cache
