@@ -137,7 +137,7 @@ def test_floor(start, axis, own, z, why):
     printer = start("qidi", changes=changes, faults=[fault])
     printer.machine.tolerate("nozzle_bed", max(0.0, SENSOR - z) + 0.02)
     text = printer.homed().fail("AUTO_Z_MEASURE_OFFSET")
-    assert "bed sensor: No trigger" in text
+    assert "bed sensor: the switch did not answer" in text
     assert f"(stopped at z={z:.3f})" in text
     assert f"the lowest point of this touch, which is {why}" in text
     assert printer.machine.truth.min_gap == pytest.approx(1.2695 + z, abs=STEPS)
@@ -384,8 +384,8 @@ def test_change_is_accepted(start, command):
     changes = section(probe_z_correction="0.5")
     printer = start("qidi", changes=changes).homed()
     for value, words in (
-        ("", "bed sensor: No trigger"),
-        ("0", "bed sensor: No trigger"),
+        ("", "bed sensor: the switch did not answer"),
+        ("0", "bed sensor: the switch did not answer"),
         ("2", "ACCEPT_CHANGE"),
         ("yes", "ACCEPT_CHANGE"),
     ):

@@ -127,7 +127,7 @@ def test_single_fault_of_a_sensor(host, kind, signal, n, saved):
         assert lowest(printer) <= deepest + STEPS
         if dead:
             words = [
-                "No trigger",
+                "the switch did not answer",
                 "prepare_gcode",
                 "'pin: PC1'",
                 "lowest point",
@@ -210,7 +210,9 @@ def test_trigger_that_is_late(host, n, late, retries):
             assert true_gap(printer) == pytest.approx(gap, abs=STEPS)
         else:
             text, before, after = before_and_after(printer)
-            words = "No trigger" if n > 1 else "mm above the expected z=-1.82"
+            words = (
+                "did not answer" if n > 1 else "mm above the expected z=-1.82"
+            )
             assert ("samples differ" if late < 0.3 else words) in text
             assert after == before
         deeper = late if n == 1 else min(late, AGAIN)
@@ -580,7 +582,9 @@ def test_first_error_stays_the_first(start):
     ):
         printer.machine.faults.add(fault)
     text = printer.fail("AUTO_Z_PROBE")
-    assert text.startswith("auto_z_offset: bed sensor: No trigger")
+    assert text.startswith(
+        "auto_z_offset: bed sensor: the switch did not answer"
+    )
     assert told(printer.session.console, "stepper_z could not be set back")
     printer.session.wait(1.0)
     assert_lifted(printer)

@@ -77,7 +77,7 @@ def assert_as_before(printer, before):
 def test_membrane_that_is_not_there(start):
     printer = asked(start)
     printer.machine.lay_membrane(False)
-    text = fails(printer, "No trigger on probe after full movement")
+    text = fails(printer, "the switch did not answer")
     # It was pressed, and taken away
     assert "(stopped at z=-1.000); press it by hand and look with" in text
     assert "QUERY_EXTRA_PROBE PROBE=membrane" in text
@@ -102,7 +102,7 @@ def test_membrane_that_is_not_there_once_the_bed_is_known(start):
 def test_membrane_that_is_dead(start, name, n):
     fault = Fault(name, signal="membrane", n=n)
     printer = asked(start, faults=[fault])
-    fails(printer, "No trigger on probe after full movement")
+    fails(printer, "the switch did not answer")
     assert printer.machine.faults.unfired() == []
 
 

@@ -99,7 +99,7 @@ def test_error_closes_the_dialog_and_is_shown(lab):
     # Nobody has laid the membrane
     with pytest.raises(MoonrakerError) as caught:
         press(lab, "Continue")
-    assert "No trigger on probe after full movement" in caught.value.text
+    assert "the switch did not answer" in caught.value.text
     assert open_dialog(lab) is None
     assert f"!! {caught.value.text}" in said(lab)
 

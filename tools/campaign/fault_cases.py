@@ -50,9 +50,12 @@ _SENSOR_FAULTS = ("stuck_open", "stuck_closed")
 _TRIP_FAULTS = {"attach": "attach_fails", "dock": "dock_fails"}
 # What the message of a command has to say, by fault (and subject); a switch
 # that is dead or triggers in the wrong place looks like one that is not met
-_DEAD = r"No trigger|did not trigger"
+_DEAD = r"No trigger|did not answer|did not trigger"
 _TRIGGERED = r"reads triggered|prior to movement|still triggered"
-_HEIGHTS = r"above the expected|differ|No trigger|is above z=|sees the bed at"
+_HEIGHTS = (
+    r"above the expected|differ|No trigger|did not answer|is above z=|sees the bed"
+    r" at"
+)
 # What a dockable probe says where its pins are not as they have to be
 _PROBE = r"the probe (was not fetched|was not docked|is not ready|was lost)"
 _CAUSES = {
@@ -65,8 +68,8 @@ _CAUSES = {
     "trigger_never": _DEAD,
     "trigger_early": _HEIGHTS,
     "trigger_late": _HEIGHTS,
-    "probe_falls": r"has come off|not attached|No trigger|before the head moved|"
-    + _PROBE,
+    "probe_falls": r"has come off|not attached|No trigger|did not answer|before the"
+    r" head moved|" + _PROBE,
     "attach_fails": r"the probe was not fetched|it is not attached",
     "dock_fails": r"the probe was not docked",
     "template raises": r"template \d+ fails",

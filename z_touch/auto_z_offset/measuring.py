@@ -17,8 +17,8 @@ SECOND_LOOK = 0.3
 
 # What to do about samples that differ
 DIFFER = (
-    "clean the nozzle, check that nothing shakes the bed, and see"
-    " prepare_gcode and probe_accel; a sensor that triggers late does this, too"
+    "clean the nozzle; check that nothing shakes the bed and that the sensor"
+    " triggers in time; see prepare_gcode and probe_accel"
 )
 
 # What to do about a head that is below the floor of a touch

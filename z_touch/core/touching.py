@@ -21,6 +21,9 @@ LATE = (
     " slow or broken: run it again, and look into klippy.log if it comes back"
 )
 
+# Nothing down to where a touch ends
+NO_ANSWER = "the switch did not answer"
+
 # A trigger this close (mm) to the start is none: the sensor was pressed.
 # Less than any microstep is long, more than rounding.
 NO_TRAVEL = 0.0001
@@ -116,7 +119,10 @@ class Head(object):
             pass_on_shutdown(host, e)
             ended = has_no_trigger(e) and is_at(host, z)
             kind = NoTrigger if ended else CalibrationError
-            raise self._stopped(e, kind)
+            # The host calls whatever is touched a probe
+            is_probe = endstop is host.probing.endstop()
+            told = e if is_probe or not has_no_trigger(e) else NO_ANSWER
+            raise self._stopped(e, kind, told)
         return self._pressed(start_z, trigger_z, trigger_z)
 
     # The same by the host's own probing, see probing(); returns Probed.
@@ -132,8 +138,9 @@ class Head(object):
         self._pressed(start_z, host.z(), probed.z)
         return probed
 
-    def _stopped(self, error, kind):
-        text = "%s (stopped at z=%.3f)" % (error, self.host.z())
+    # 'told': in other words than those of the host
+    def _stopped(self, error, kind, told=None):
+        text = "%s (stopped at z=%.3f)" % (told or error, self.host.z())
         if was_not_heard(error):
             return MessageLost("%s; %s" % (text, LATE))
         return kind(text)

@@ -179,7 +179,7 @@ class Prober(object):
     def _tell_nothing_found(self):
         self.host.say(
             "nothing down to z=%.3f, where the nozzle is just clear of the"
-            " bed; home Z again, level, check z_offset and the probe"
+            " bed; home Z again and level; check z_offset and the probe"
             % (self.settings.lowest,)
         )
 

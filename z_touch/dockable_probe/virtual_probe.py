@@ -21,7 +21,7 @@ from ..core.errors import SamplesDiffer
 from ..core.probing import SAMPLING_NAMES
 
 # What to do about samples that differ
-DIFFER = "clean the nozzle, check the probe for play"
+DIFFER = "clean the nozzle and check the probe for play"
 
 
 ######################################################################

@@ -41,6 +41,6 @@ class Shifts(object):
             )
         if abs(self.rest) >= LARGEST_REST:
             yield (
-                "another feature shifts Z by %.3f mm there: not taken off, check"
+                "another feature shifts Z by %.3f mm there: not taken off; check"
                 " the first layer" % (self.rest,)
             )

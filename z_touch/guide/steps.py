@@ -224,7 +224,7 @@ def repeatability(samples):
     count = max(FEWEST_SAMPLES, min(MOST_SAMPLES, int(math.ceil(needed))))
     word = "good" if needed <= FEWEST_SAMPLES else "fair"
     if needed > MOST_SAMPLES:
-        word = "poor: clean the nozzle, look for play"
+        word = "poor: clean the nozzle and look for play"
     return word, count
 
 

@@ -47,7 +47,7 @@ class Touches(object):
         if not self.hands.is_attached():
             raise CalibrationError(
                 "the probe reads triggered: neither start_gcode nor"
-                " before_switch_gcode has attached it; attach it by hand, or"
+                " before_switch_gcode has attached it; attach it by hand or"
                 " correct them"
             )
 

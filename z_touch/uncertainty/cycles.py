@@ -82,7 +82,7 @@ CAUSES = {
     "seat": "switch and bed shift together by %.4f mm from cycle to cycle: the"
     " probe hangs elsewhere each time; seat the probe",
     "either": "the nozzle shifts against switch and bed by %.4f mm from cycle to"
-    " cycle, and homing hides which: clean the nozzle, seat the probe, then again",
+    " cycle, and homing hides which: clean the nozzle and seat the probe, then again",
     "alone": "only the %s shifts, by %.4f mm from cycle to cycle: check what"
     " holds it, and that it is clean",
     "pin": "touches of the pin vary by %.4f mm, those of the bed do not; exchange"

@@ -61,7 +61,7 @@ class Attachment(object):
             raise CalibrationError(
                 "the probe is attached already, and before_switch_gcode has"
                 " attached it in an earlier run: it may be in the way of the"
-                " nozzle; detach it in start_gcode, check it with QUERY_PROBE"
+                " nozzle; detach it in start_gcode and check it with QUERY_PROBE"
             )
 
     # Around before_switch_gcode, which run() runs

@@ -164,7 +164,7 @@ def below_margins(settings, zero):
         return ""
     return (
         "the bed is below the low end of offset_margins (%.3f), or the probe is"
-        " dead: put the plate on, home Z again (G28 Z) after any levelling,"
+        " dead: put the plate on; home Z again (G28 Z) after any levelling;"
         " check bed_xy_position and the probe; if all is right, correct %s"
         % (low, corrected_zero(zero, low))
     )

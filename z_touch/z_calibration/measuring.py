@@ -184,12 +184,12 @@ class Measurement(object):
             raise errors.CalibrationError(
                 "the probe reads triggered, and was attached before: it has come"
                 " off, or its wire is broken; look where it is before the head"
-                " moves, " + LOOK_AT_PROBE
+                " moves and " + LOOK_AT_PROBE
             )
         raise errors.CalibrationError(
             "the probe reads triggered: it is not attached, or not wired"
             " as normally closed; attach it in start_gcode or"
-            " before_switch_gcode, " + LOOK_AT_PROBE
+            " before_switch_gcode and " + LOOK_AT_PROBE
         )
 
 

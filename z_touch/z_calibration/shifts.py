@@ -40,7 +40,7 @@ class Shifts(object):
                 self.rest,
                 "another feature shifts Z by %.3f mm there, such as"
                 " exclude_object, a retraction with a lift, or a module of its"
-                " own: not taken off, check the first layer" % (self.rest,),
+                " own: not taken off; check the first layer" % (self.rest,),
             )
 
     def of_mesh(self, part):
