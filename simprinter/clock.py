@@ -69,6 +69,7 @@ def _load(library: Path) -> ctypes.CDLL:
         "now_field": (numbers,),
         "written_field": (numbers, whole),
         "tty_settled": (whole, whole, number, number),
+        "tty_is_open": (whole, whole),
         "advance": (whole, number, number),
     }
     for name, (result, *arguments) in functions.items():
@@ -161,6 +162,10 @@ class VirtualClock:
         """
         settled = self._lib.vclock_tty_settled
         return bool(settled(self._page, index, sent, received))
+
+    def tty_is_open(self, index: int) -> bool:
+        """Whether the process listens at a line."""
+        return bool(self._lib.vclock_tty_is_open(self._page, index))
 
     def next_deadline(self) -> int:
         """When the first sleeping thread wants to be woken, ns."""

@@ -102,6 +102,7 @@ class Simulation:
             link.is_spoken_to = lambda: clock.may_have_written(
                 index, link.received
             )
+            link.is_heard = lambda: clock.tty_is_open(index)
         board.send = link.send
         self._links.append((link, index))
         self._boards.append(board)

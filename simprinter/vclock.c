@@ -170,6 +170,13 @@ vclock_tty_settled(struct page *p, int tty, int64_t sent, int64_t received)
             && (!t->is_open || t->bytes_read == sent));
 }
 
+// Whether the process has a line open, and has read or written there since
+int
+vclock_tty_is_open(struct page *p, int tty)
+{
+    return p->ttys[tty].is_open;
+}
+
 // Earliest deadline of a sleeping thread (only meaningful while awake is 0)
 int64_t
 vclock_next_deadline(struct page *p)

@@ -251,6 +251,22 @@ def test_restart_keeps_the_motors_where_they_are(start, scene, command):
     assert printer.homed().gap() == pytest.approx(gap, abs=MICROSTEP)
 
 
+def test_mistake_in_the_configuration_may_wait_long(start):
+    """Boards go on to send statistics, and nobody reads their lines."""
+    printer = start("voron")
+    session = printer.session
+    session.require_ready()
+    right = printer.scene.config(printer.machine.serials)
+    state, message = session.reload(f"{right}\n[nonsense]\n", "RESTART")
+    assert state == "error"
+    assert "nonsense" in message
+    # A line holds 4096 bytes, those of twenty minutes
+    session.wait(2400.0)
+    assert printer.machine.link.settled()
+    assert session.reload(right, "RESTART") == ("ready", "Printer is ready")
+    printer.run("G28")
+
+
 def test_emergency_stop_and_recovery(start):
     printer = start().homed()
     printer.run("G1 X50 Y50 F1200")

@@ -52,6 +52,8 @@ class Link:
         self.received = 0
         # Whether there is anything to read, if that is known without trying
         self.is_spoken_to: Callable[[], bool] = lambda: True
+        # Whether the host has the line open
+        self.is_heard: Callable[[], bool] = lambda: True
 
     def fileno(self) -> int:
         """Readable when the host has sent something."""
@@ -126,6 +128,10 @@ class Link:
             try:
                 count = os.write(self._master, self._pending)
             except BlockingIOError:
+                # Full. A line that nobody listens at loses what comes then, as
+                # one of real wires loses everything
+                if not self.is_heard():
+                    self._pending = b""
                 break
             self._pending = self._pending[count:]
             self.sent += count
