@@ -319,6 +319,11 @@ class Keeper:
         if not self._holder.held(t):
             self._change(t, ProbeState.ATTACHED, 0.0)
 
+    def take_off(self, t: float) -> None:
+        """Somebody takes it off the head and lays it where it is kept."""
+        if self._holder.held(t):
+            self._change(t, ProbeState.DOCKED, 0.0)
+
     def _change(self, t: float, state: ProbeState, delay: float) -> None:
         self._holder.change(t, state, delay)
         self._settle(t)

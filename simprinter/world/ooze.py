@@ -8,9 +8,12 @@ from typing import Optional
 
 from .spec import OozeSpec
 
+# Share that a touch leaves of what a hand has smeared on
+KEPT = 0.7
+
 
 class Ooze:
-    """How far it hangs below the tip; nothing where there is no spec."""
+    """How far it hangs below the tip; nothing without a spec or a hand."""
 
     __slots__ = ("_height", "_since", "_spec", "highest")
 
@@ -23,14 +26,19 @@ class Ooze:
     def height(self, t: float) -> float:
         """At time t, which is not before the last change."""
         if self._spec is None:
-            return 0.0
+            return self._height
         grown = self._spec.rate * max(0.0, t - self._since)
         return min(self.highest, self._height + grown)
 
     def flatten(self, t: float) -> None:
         """A touch of something hard has just ended."""
-        if self._spec is not None:
-            self._set(t, self.height(t) * self._spec.kept)
+        kept = KEPT if self._spec is None else self._spec.kept
+        self._set(t, self.height(t) * kept)
+
+    def smear(self, t: float, height: float) -> None:
+        """A hand leaves so much of it at time t; 0: wipes it off."""
+        self.highest = max(self.highest, height)
+        self._set(t, height)
 
     def observe(self, t: float, pose: Sequence[float]) -> None:
         """The head is at `pose`, perhaps at the brush."""

@@ -21,6 +21,7 @@ from .sites import (
     nozzle_on_membrane,
     nozzle_on_pin,
     sensed_bed,
+    with_ooze,
 )
 from .spec import MagProbeSpec, NoiseSpec, PinSpec, WorldSpec
 from .thermal import Drift
@@ -137,7 +138,9 @@ class Builder:
             self._sensor("", NoiseSpec(), site)
             return
         depth = sensor_spec.press_depth
-        site = Site("nozzle_bed", surface, bed.highest, depth)
+        touched = with_ooze(surface, self._ooze)
+        highest = bed.highest + self._ooze.highest
+        site = Site("nozzle_bed", touched, highest, depth)
         site.limit(spec.overtravel, spec.allowed_drag)
         noise = sensor_spec.noise
         sensor = self._sensor("bed_sensor", noise, site)
@@ -224,10 +227,11 @@ class Builder:
         spec, bed = self._spec.membrane, self._bed
         if spec is None:
             return
-        contact = nozzle_on_membrane(
+        bare = nozzle_on_membrane(
             bed, self._drift, spec, lambda: self.membrane_is_laid
         )
-        top = bed.highest + spec.thickness
+        contact = with_ooze(bare, self._ooze)
+        top = bed.highest + spec.thickness + self._ooze.highest
         site = Site("nozzle_membrane", contact, top, spec.press)
         site.limit(self._spec.overtravel, self._spec.allowed_drag)
         sensor = self._sensor("membrane", spec.noise, site)

@@ -12,6 +12,7 @@ meet.  It includes thermal growth, so it compares with motor positions.
 from __future__ import annotations
 
 import math
+from collections.abc import Iterator
 from typing import Callable, NamedTuple, Optional, Sequence
 
 from .bed import Bed
@@ -114,6 +115,18 @@ class Finding(NamedTuple):
     drag: float
 
 
+class Near(NamedTuple):
+    """How far the head is from something below it.
+
+    distance: mm to the first contact; negative: so far into it
+    pressed: the touch of now has triggered
+    """
+
+    site: str
+    distance: float
+    pressed: bool
+
+
 class ContactSensor:
     """Sites that press one switch (or none): a pin has two pressers."""
 
@@ -150,6 +163,17 @@ class ContactSensor:
             if contact is not None and state.asserted(contact - site.press - z):
                 return True
         return False
+
+    def near(
+        self, t: float, pose: Sequence[float], held: bool
+    ) -> Iterator[Near]:
+        """What of it is below a head at `pose`; changes nothing."""
+        x, y, z = pose
+        for site in self.sites:
+            if held or not site.carried:
+                contact = site.contact_z(x, y, t)
+                if contact is not None:
+                    yield Near(site.name, z - contact, site.pressed)
 
     def commit(
         self, t: float, pose: Sequence[float], held: bool, moved: float
@@ -234,6 +258,16 @@ def nozzle_on_bed(bed: Bed, drift: Drift) -> ContactZ:
         return bed.height(x, y) + drift.bed(t) + drift.nozzle(t)
 
     return contact_z
+
+
+def with_ooze(contact_z: ContactZ, ooze: Ooze) -> ContactZ:
+    """What hangs below the tip meets it before the tip does."""
+
+    def meets(x: float, y: float, t: float) -> Optional[float]:
+        z = contact_z(x, y, t)
+        return None if z is None else z + ooze.height(t)
+
+    return meets
 
 
 def nozzle_on_pin(pin: PinSpec, drift: Drift, ooze: Ooze) -> ContactZ:

@@ -1,4 +1,7 @@
-"""Thermal growth, mm, as a function of printer time in seconds."""
+"""Thermal growth, mm, as a function of printer time in seconds.
+
+Parts that a hand has exchanged for others are in it, too: as growth at once.
+"""
 
 from __future__ import annotations
 
@@ -10,13 +13,31 @@ from .spec import DriftSpec
 class Drift:
     """How far each part has grown; signs as in DriftSpec."""
 
-    __slots__ = ("_spec", "_total_rate", "active")
+    __slots__ = ("_bed", "_nozzle", "_slack", "_spec", "_total_rate", "active")
 
     def __init__(self, spec: DriftSpec) -> None:
         self._spec = spec
         rates = (spec.nozzle, spec.pin, spec.bed, spec.body)
         self._total_rate = sum(abs(rate) for rate in rates)
         self.active = self._total_rate > 0.0
+        # mm by which the parts of now differ from those at first, and by which
+        # contacts may be elsewhere for that
+        self._nozzle = self._bed = self._slack = 0.0
+
+    def exchange_nozzle(self, lower: float) -> None:
+        """Another one, which hangs so many mm lower than that at first."""
+        self._nozzle = lower
+        self.allow(abs(lower))
+
+    def exchange_plate(self, higher: float) -> None:
+        """Another one, so many mm higher than that at first."""
+        self._bed = higher
+        self.allow(abs(higher))
+
+    def allow(self, mm: float) -> None:
+        """Contacts may be elsewhere by that much more, from now on."""
+        self._slack += mm
+        self.active = self.active or self._slack > 0.0
 
     def elapsed(self, t: float) -> float:
         """Seconds of growth up to time t, at its first speed."""
@@ -28,11 +49,15 @@ class Drift:
 
     def bound(self, t: float) -> float:
         """No contact height has moved by more than this, mm."""
-        return self._total_rate * self.elapsed(t) if self.active else 0.0
+        if not self.active:
+            return 0.0
+        return self._slack + self._total_rate * self.elapsed(t)
 
     def nozzle(self, t: float) -> float:
         """mm the tip hangs below the cold tip."""
-        return self._spec.nozzle * self.elapsed(t) if self.active else 0.0
+        if not self.active:
+            return 0.0
+        return self._nozzle + self._spec.nozzle * self.elapsed(t)
 
     def pin(self, t: float) -> float:
         """mm the pin has risen."""
@@ -40,7 +65,9 @@ class Drift:
 
     def bed(self, t: float) -> float:
         """mm the plate has risen."""
-        return self._spec.bed * self.elapsed(t) if self.active else 0.0
+        if not self.active:
+            return 0.0
+        return self._bed + self._spec.bed * self.elapsed(t)
 
     def body(self, t: float) -> float:
         """mm the probe's body hangs lower."""

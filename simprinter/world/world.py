@@ -22,7 +22,7 @@ from .dock import Keeper, ProbeState
 from .kinematics import Pose
 from .ooze import Ooze
 from .parts import Builder, Parts
-from .sites import Finding
+from .sites import Finding, Near
 from .spec import WorldSpec
 from .thermal import Drift
 from .truth import Crash, ProbeEvent, Touch, Truth
@@ -150,6 +150,42 @@ class World:
         if self._keeper is not None:
             self._keeper.put_on(t)
 
+    def take_probe_off(self, t: float) -> None:
+        """Somebody takes the probe off the head at time t."""
+        if self._keeper is not None:
+            self._keeper.take_off(t)
+
+    def smear_nozzle(self, t: float, height: float) -> None:
+        """So much plastic (mm) is left below the nozzle; 0: it is wiped off."""
+        self._ooze.smear(t, height)
+        self._drift.allow(height)
+
+    def exchange_nozzle(self, lower: float) -> None:
+        """The nozzle of now hangs so many mm lower than that at first."""
+        self._drift.exchange_nozzle(lower)
+
+    def exchange_plate(self, higher: float) -> None:
+        """The plate of now is so many mm higher than that at first."""
+        self._drift.exchange_plate(higher)
+
+    @property
+    def membrane_is_laid(self) -> bool:
+        """Whether the membrane switch lies on the plate."""
+        return self._builder.membrane_is_laid
+
+    def dirt(self, t: float) -> float:
+        """How far (mm) plastic hangs below the nozzle at time t."""
+        return self._ooze.height(t)
+
+    def near(self, t: float, pose: Sequence[float]) -> list[Near]:
+        """What is below the parts of a head at `pose`; changes nothing."""
+        held = self._keeper is not None and self._keeper.held(t)
+        return [
+            near
+            for sensor in self._parts.sensors
+            for near in sensor.near(t, pose, held)
+        ]
+
     def lay_membrane(self, is_laid: bool) -> None:
         """Somebody lays the membrane switch on the plate, or takes it away."""
         self._builder.membrane_is_laid = is_laid
@@ -219,7 +255,7 @@ class World:
         lifted = finding.was_pressed and not finding.pressed
         if lifted and keeper is not None:
             keeper.lifted(t, site.name)
-        if lifted and site.name == "nozzle_pin":
+        if lifted and site.name.startswith("nozzle_"):
             self._ooze.flatten(t)
         here = Pose(x, y, z)
         if finding.pressed:
