@@ -53,11 +53,11 @@ class Pace:
     def __init__(self, clock: VirtualClock | RealClock, speed: float):
         self._start_ns = clock.now()
         self._began = time.monotonic()
-        self._speed = speed
+        self.speed = speed
 
     def seconds_until(self, target_ns: int) -> float:
         """Real seconds before the clock may show this; negative: it may."""
-        passed = (target_ns - self._start_ns) * 1e-9 / self._speed
+        passed = (target_ns - self._start_ns) * 1e-9 / self.speed
         return self._began + passed - time.monotonic()
 
 

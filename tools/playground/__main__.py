@@ -1,12 +1,13 @@
-"""A printer to play with, in any web interface.
+"""A printer to play with, in a browser.
 
     python -m tools.playground [--scene NAME] [--perfect] [--seed N]
-                               [--host NAME] [--speed N] [--listen ADDRESS]
-                               [--port N] [--origin URL]
+                               [--host NAME] [--speed N] [--page N]
+                               [--listen ADDRESS] [--port N] [--origin URL]
 
 Starts a simulated printer with real klippy and real Moonraker and keeps it
 running until Ctrl-C. Shows each touch as it happens, and the true gap between
-nozzle and bed. What can be typed meanwhile: help.
+nozzle and bed, on its own page and in the terminal. What can be typed
+meanwhile: help.
 """
 
 from __future__ import annotations
@@ -26,11 +27,10 @@ from typing import Optional
 
 from simprinter.hosts.hosts import find_hosts
 from simprinter.hosts.moonraker_package import find_moonraker
-from simprinter.real import as_real
 from tools.kit.printer import NO_PRINTER, choose_host, firmware_of
 from tools.playground import network
 from tools.playground.commands import COMMANDS, speed_of
-from tools.playground.playground import KNOWN, SHOWN, Door, Playground
+from tools.playground.playground import KNOWN, SHOWN, Choice, Door, Playground
 
 # Real seconds between two looks at what systemd would have to do
 _LOOK_EVERY = 0.2
@@ -73,21 +73,23 @@ def play(playground: Playground) -> int:
         if failure is not None:
             say(f"!! the printer cannot go on: {failure}")
             return 1
+        playground.obey_page()
         for name in playground.restart_asked():
             say(f"restarted {name}")
 
 
-def welcome(playground: Playground, scene: str, seed: Optional[int]) -> None:
-    """Where it is, and what can be done with it. seed: None: it is perfect."""
-    host = playground.host
-    kind = "perfect" if seed is None else f"as at home, seed {seed}"
-    config = playground.data / "config"
+def welcome(playground: Playground, page: str) -> None:
+    """Where it is, and what can be done with it."""
+    host, choice = playground.host, playground.choice
     say(
-        f"\nPrinter    {scene}, {kind}, {firmware_of(host)} {host.version}\n"
-        f"Moonraker  {playground.url}\n"
-        f"Config     {config}\n"
-        "Enter Moonraker's address in Mainsail, Fluidd or KlipperScreen, then"
-        " home.\n"
+        f"\nPrinter    {choice.name}, {choice.kind()}, {firmware_of(host)}"
+        f" {host.version}\n"
+        f"Page       {page}\n"
+        f"Moonraker  {playground.moonraker_url}\n"
+        f"Config     {playground.config_file.parent}\n"
+        "Open the page in a browser on this computer, then home. Mainsail,"
+        " Fluidd and\n"
+        "KlipperScreen work beside it: enter Moonraker's address there.\n"
         f"Type {', '.join(COMMANDS)} or quit here. Ctrl-C ends all.\n"
     )
 
@@ -95,7 +97,7 @@ def welcome(playground: Playground, scene: str, seed: Optional[int]) -> None:
 def _arguments(words: Optional[Sequence[str]]) -> argparse.Namespace:
     parser = argparse.ArgumentParser(
         prog="python -m tools.playground",
-        description="a simulated printer to play with, in any web interface",
+        description="a simulated printer to play with, in a browser",
     )
     parser.add_argument(
         "--scene",
@@ -141,6 +143,14 @@ def _arguments(words: Optional[Sequence[str]]) -> argparse.Namespace:
         help="of Moonraker; the next one where it is taken (7125)",
     )
     parser.add_argument(
+        "--page",
+        metavar="N",
+        type=int,
+        default=8125,
+        help="port of its own page, which is for browsers of this computer"
+        " only; the next one where it is taken (8125)",
+    )
+    parser.add_argument(
         "--origin",
         metavar="URL",
         action="append",
@@ -159,27 +169,24 @@ def run(arguments: argparse.Namespace) -> int:
     if python is None:
         say("error: there is no Moonraker")
         return 1
-    scene = KNOWN[arguments.scene]
-    if not arguments.perfect:
-        scene = as_real(scene, arguments.seed)
+    choice = Choice(arguments.scene, arguments.seed, arguments.perfect)
     directory = Path(tempfile.mkdtemp(prefix="playground-"))
     try:
         playground = Playground(
             host,
             python,
             directory,
-            scene,
+            choice,
             arguments.speed,
             Door(arguments.listen, arguments.port, arguments.origin),
             say,
         )
-        playground.seed = arguments.seed
         say("Starting klippy and Moonraker ...")
         with playground:
             try:
                 playground.set_up()
-                seed = None if arguments.perfect else arguments.seed
-                welcome(playground, arguments.scene, seed)
+                page = playground.open_page(arguments.page)
+                welcome(playground, page)
                 return play(playground)
             finally:
                 # Once is enough; what follows takes a second

@@ -49,6 +49,15 @@ def run(line: str, watcher: Watcher, scene: Scene) -> str:
         raise CommandError(f"{name}: {error}") from error
 
 
+def possible(scene: Scene) -> list[str]:
+    """The commands for what this printer has."""
+    world = scene.world
+    has = {"attach": world.mag_probe, "lay": world.membrane}
+    has["drop"] = has["off"] = has["attach"]
+    has["take"] = has["lay"]
+    return [name for name in COMMANDS if has.get(name, scene) is not None]
+
+
 def wires(scene: Scene) -> Mapping[str, str]:
     """The wires that can break: the signal and its pin."""
     return scene.wiring.inputs
@@ -105,14 +114,58 @@ def _attach(watcher: Watcher, scene: Scene, words: list[str]) -> str:
     return "the probe is on the head"
 
 
+def _off(watcher: Watcher, scene: Scene, words: list[str]) -> str:
+    _require_on_head(watcher, scene, "take off")
+    watcher.machine.world.take_probe_off(watcher.seconds())
+    return "the probe is off the head; 'attach' puts it on again"
+
+
 def _drop(watcher: Watcher, scene: Scene, words: list[str]) -> str:
-    if scene.world.mag_probe is None:
-        raise CommandError("this printer has no probe that could fall off")
-    world = watcher.machine.world
-    if world.probe_state(watcher.seconds()) != "attached":
-        raise CommandError("the head does not carry the probe now")
-    world.lose_probe(watcher.seconds())
+    _require_on_head(watcher, scene, "drop")
+    watcher.machine.world.lose_probe(watcher.seconds())
     return "the probe has fallen off; 'repair' puts it back"
+
+
+def _require_on_head(watcher: Watcher, scene: Scene, what: str) -> None:
+    if scene.world.mag_probe is None:
+        raise CommandError(f"this printer has no probe to {what}")
+    if watcher.machine.world.probe_state(watcher.seconds()) != "attached":
+        raise CommandError("the head does not carry the probe now")
+
+
+def _mm(text: str, low: float, high: float) -> float:
+    mm = float(text)
+    if not low <= mm <= high:
+        raise ValueError(f"{text} is not from {low:g} to {high:g} mm")
+    return mm
+
+
+def _dirt(watcher: Watcher, scene: Scene, words: list[str]) -> str:
+    height = _mm(words[0], 0.0, 0.3)
+    watcher.machine.world.smear_nozzle(watcher.seconds(), height)
+    if not height:
+        return "the nozzle is clean"
+    return f"{height:g} mm of plastic hang below the nozzle"
+
+
+def _nozzle(watcher: Watcher, scene: Scene, words: list[str]) -> str:
+    lower = _mm(words[0], -0.5, 0.5)
+    watcher.machine.world.exchange_nozzle(lower)
+    return _compared("nozzle: its tip hangs", lower, "lower", "higher")
+
+
+def _plate(watcher: Watcher, scene: Scene, words: list[str]) -> str:
+    higher = _mm(words[0], -0.5, 0.5)
+    watcher.machine.world.exchange_plate(higher)
+    return _compared("plate: its surface is", higher, "higher", "lower")
+
+
+def _compared(what: str, mm: float, more: str, less: str) -> str:
+    name, _, rest = what.partition(":")
+    if not mm:
+        return f"the first {name} again"
+    word = more if mm > 0 else less
+    return f"another {name}:{rest} {abs(mm):g} mm {word} than that of the first"
 
 
 def _membrane(watcher: Watcher, scene: Scene, is_laid: bool) -> str:
@@ -125,6 +178,7 @@ def _membrane(watcher: Watcher, scene: Scene, is_laid: bool) -> str:
 def _repair(watcher: Watcher, scene: Scene, words: list[str]) -> str:
     watcher.machine.repair()
     watcher.machine.world.bring_probe_back(watcher.seconds())
+    watcher.machine.world.smear_nozzle(watcher.seconds(), 0.0)
     return "all is as good as new"
 
 
@@ -154,6 +208,7 @@ COMMANDS = {
     "late": Command("WIRE MM", "a sensor gets slack", _late),
     "press": Command("WIRE", "press a switch by hand, let go", _press),
     "attach": Command("", "put the probe on the head by hand", _attach),
+    "off": Command("", "take the probe off the head by hand", _off),
     "drop": Command("", "the probe falls off", _drop),
     "repair": Command("", "take all faults back", _repair),
     "lay": Command(
@@ -162,6 +217,9 @@ COMMANDS = {
     "take": Command(
         "", "take the membrane away", lambda w, s, _: _membrane(w, s, False)
     ),
+    "dirt": Command("MM", "plastic below the nozzle; 0: clean", _dirt),
+    "nozzle": Command("MM", "another nozzle, so much longer", _nozzle),
+    "plate": Command("MM", "another plate, so much thicker", _plate),
     "gap": Command("", "the true gap at Z=0", _gap),
     "speed": Command("N", "1 to 20 times real time", _speed),
     "help": Command("", "this list", _help),

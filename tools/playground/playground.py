@@ -2,21 +2,24 @@
 
 from __future__ import annotations
 
+import queue
 from collections.abc import Callable, Sequence
 from contextlib import suppress
 from dataclasses import replace
 from pathlib import Path
-from typing import NamedTuple, Optional
+from typing import Any, NamedTuple, Optional
 
-from simprinter import SCENES, Machine, Scene
+from simprinter import SCENES, Machine, Scene, heated
 from simprinter.docks import DOCK_SCENES, calibrating
 from simprinter.hosts.hosts import Host
 from simprinter.hosts.moonraker import Moonraker
 from simprinter.hosts.session import LiveSession, SessionError
+from simprinter.real import as_real
 from simprinter.world import CrashError
 from tools.kit.lab import Lab
 from tools.kit.printer import firmware_of
-from tools.playground import commands, network
+from tools.playground import commands, film, network
+from tools.playground.server import PageServer
 from tools.playground.watcher import Watcher
 
 # By the module that they show; all other scenes go by their names
@@ -73,10 +76,29 @@ class Door(NamedTuple):
     origins: Sequence[str] = ()
 
 
+class Choice(NamedTuple):
+    """A printer that was chosen; seed: of all that is random."""
+
+    name: str
+    seed: int
+    is_perfect: bool = False
+
+    def scene(self) -> Scene:
+        """The machine. Raises KeyError where there is none of that name."""
+        scene = KNOWN[self.name]
+        return dressed(scene if self.is_perfect else as_real(scene, self.seed))
+
+    def kind(self) -> str:
+        """How real it is."""
+        if self.is_perfect:
+            return "perfect"
+        return f"as at home, seed {self.seed}"
+
+
 class Playground(Lab):
     """Use as a context manager.
 
-    say: shows a line.
+    say: shows a line. Its page is served from open_page() on.
     """
 
     def __init__(
@@ -84,48 +106,71 @@ class Playground(Lab):
         host: Host,
         python: Path,
         directory: Path,
-        scene: Scene,
+        choice: Choice,
         speed: float,
         door: Door,
         say: Callable[[str], None],
     ):
         self._door = door
-        self._say = say
+        self._tell = say
+        self.choice = choice
+        self.page: Optional[PageServer] = None
         self.watcher: Optional[Watcher] = None
         self._serials: dict[str, str] = {}
-        super().__init__(host, python, directory, dressed(scene), speed)
+        self._chosen: queue.SimpleQueue[str] = queue.SimpleQueue()
+        super().__init__(host, python, directory, choice.scene(), speed)
+        self.seed = choice.seed
+        self.config_file = self.data / "config" / "printer.cfg"
 
     @property
-    def url(self) -> str:
+    def moonraker_url(self) -> str:
         """Where Moonraker answers."""
         listen = self._door.listen
         host = network.LOOPBACK if listen == network.EVERYWHERE else listen
         return f"http://{host}:{self.moonraker.port}"
 
+    def open_page(self, wanted_port: int) -> str:
+        """Serve the page, on that port or the next that is free; its address."""
+        port, claim = network.reserved_port(network.LOOPBACK, wanted_port)
+        self._claims.append(claim)
+        page = PageServer(port, self)
+        page.start()
+        self.page = page
+        return page.url
+
+    def _say(self, line: str) -> None:
+        self._tell(line)
+        if self.page is not None:
+            self.page.show_line(line)
+
     def _make_moonraker(self, python: Path) -> Moonraker:
         listen, wanted_port, more = self._door
         trusted = network.trusted(listen)
-        port, self._claim = network.reserved_port(listen, wanted_port)
+        port, claim = network.reserved_port(listen, wanted_port)
+        self._claims = [claim]
         origins = network.origins(listen, more)
         self._write_moonraker_conf(port, listen, trusted, origins)
         return Moonraker(python, self.data, port, self._env, trusted[0])
 
     def set_up(self) -> None:
         """Run install.sh, and do the restarts that it asks for."""
-        # Kalico has a module of that name of its own
-        forced = firmware_of(self.host) == "Kalico" and self._has_dock()
         options = ("--modules", "dockable_probe z_calibration", "--force")
-        self.install(*(options if forced else ()))
+        self.install(*(options if self._has_other_dock() else ()))
         self.obey()
+
+    def _has_other_dock(self) -> bool:
+        """Whether Kalico would take its own module for the scene's dock."""
+        has_dock = "dockable_probe" in self._scene.sections
+        return firmware_of(self.host) == "Kalico" and has_dock
 
     def __exit__(self, *error: object) -> None:
         try:
             super().__exit__(*error)
         finally:
-            self._claim.close()
-
-    def _has_dock(self) -> bool:
-        return "dockable_probe" in self._scene.sections
+            if self.page is not None:
+                self.page.close()
+            for claim in self._claims:
+                claim.close()
 
     def has_ended(self) -> Optional[BaseException]:
         """Why the printer cannot go on, if it cannot."""
@@ -146,8 +191,55 @@ class Playground(Lab):
                 self._say(commands.run(line, watcher, self._scene))
             except commands.CommandError as error:
                 self._say(f"!! {error}")
+            # Klippy's next start goes on as fast
+            pace = watcher.machine.simulation.pace
+            self._speed = pace.speed if pace else self._speed
 
         watcher.order(act)
+
+    # What its page asks for; see server.Desk
+
+    def hello(self) -> dict[str, Any]:
+        """The machine, and what can be done to it."""
+        scene, choice = self._scene, self.choice
+        return {
+            "kind": "hello",
+            "scene": choice.name,
+            "scenes": list(SHOWN),
+            "machine": f"{choice.kind()}, {firmware_of(self.host)}"
+            f" {self.host.version}",
+            "moonraker": self.moonraker_url,
+            "parts": film.parts_of(scene),
+            "point": point_of(scene),
+            "wires": list(commands.wires(scene)),
+            "commands": list(commands.possible(scene)),
+            "config": str(self.config_file),
+        }
+
+    def choose(self, name: str) -> None:
+        """Have another of the printers; obey_page() builds it."""
+        self._chosen.put(name)
+
+    def obey_page(self) -> None:
+        """Do what the page asked for that takes a restart."""
+        name = ""
+        while not self._chosen.empty():
+            name = self._chosen.get()
+        if name not in KNOWN:
+            return
+        self._say(f"building {name} ...")
+        self._stop_klipper()
+        self.choice = self.choice._replace(name=name)
+        self._scene = heated(self.choice.scene())
+        # With it comes its own printer.cfg
+        self._serials = {}
+        if self.page is not None:
+            self.page.show_hello()
+        if self._has_other_dock():
+            self.set_up()
+        if self.printer is None:
+            self.start_klipper()
+        self._say(f"Printer    {name}, {self.choice.kind()}")
 
     # The printer is switched off and on with a restart of klippy's service
 
@@ -165,18 +257,25 @@ class Playground(Lab):
         session = super()._begin(machine)
         socket = self.data / "comms" / "klippy.sock"
         point = point_of(self._scene)
-        self.watcher = Watcher(machine, socket, point, self._say)
+        watcher = self.watcher = Watcher(machine, socket, point, self._say)
+        watcher.on_look = film.Film(watcher, self._is_watched, self._show).look
         machine.simulation.peers.append(self.watcher)
         return session
 
+    def _is_watched(self) -> bool:
+        return self.page is not None and self.page.is_watched
+
+    def _show(self, frame: dict[str, Any]) -> None:
+        if self.page is not None:
+            self.page.show_frame(frame)
+
     def _config(self, serials: dict[str, str]) -> str:
         """printer.cfg as its owner has left it; serial devices are new."""
-        file = self.data / "config" / "printer.cfg"
         own = self._installed().config
         if not self._serials:
             text = super()._config(serials)
         else:
-            text = file.read_text().removeprefix(own)
+            text = self.config_file.read_text().removeprefix(own)
             for name, device in serials.items():
                 text = text.replace(self._serials[name], device)
         self._serials = dict(serials)

@@ -4,13 +4,14 @@ from __future__ import annotations
 
 import queue
 import time
+from collections import deque
 from collections.abc import Callable
 from pathlib import Path
-from typing import Optional
+from typing import NamedTuple, Optional
 
 from simprinter import Machine
 from simprinter.hosts.api import ApiClient, ApiError
-from simprinter.world import Pose, Touch
+from simprinter.world import Crash, Pose, Touch
 
 SITES = {
     "nozzle_pin": "nozzle on the pin",
@@ -21,6 +22,11 @@ SITES = {
     "nozzle_bed": "nozzle on the bed",
     "nozzle_membrane": "nozzle on the membrane",
     "inductive_bed": "probe senses the bed",
+    # Where it is driven into something only
+    "dock": "head in the dock",
+    "x_endstop": "X endstop",
+    "y_endstop": "Y endstop",
+    "z_endstop": "Z endstop",
 }
 # Printer nanoseconds between two looks at what presses something
 _LOOK_EVERY = 5_000_000
@@ -32,6 +38,8 @@ _STANDS = 500_000_000
 _ASK_EVERY = 2.0
 # Changes of the true gap that are not told, mm
 _SAME = 0.0005
+# That are kept for a page; none looks, and nobody takes them
+MOST_TOUCHES = 100
 
 
 class Watcher:
@@ -55,6 +63,8 @@ class Watcher:
         # What is to be done at a time of the printer (s)
         self._later: list[tuple[float, Callable[[], None]]] = []
         self._api = ApiClient(socket)
+        # Looked at last of all, such as by a film of it
+        self.on_look: Optional[Callable[[], None]] = None
         self._contacts = _Contacts(machine, self.tell)
         self._gap = _Gap(machine, self._api, point, self.tell)
 
@@ -103,7 +113,31 @@ class Watcher:
             self._later.remove(due)
             due[1]()
         self._contacts.look()
-        return self._gap.look() or moved
+        moved = self._gap.look() or moved
+        if self.on_look is not None:
+            self.on_look()
+        return moved
+
+    @property
+    def gap(self) -> Optional[float]:
+        """The true gap at Z=0 (mm) as it was known last; None: not homed."""
+        return self._gap.height
+
+    def touches(self) -> list[TouchDone]:
+        """Those that have ended since the last call."""
+        done = self._contacts.done
+        taken = list(done)
+        done.clear()
+        return taken
+
+
+class TouchDone(NamedTuple):
+    """A touch that has ended: X and Y of the tip, mm beyond the trigger."""
+
+    site: str
+    x: float
+    y: float
+    deep: float
 
 
 class _Contacts:
@@ -113,6 +147,8 @@ class _Contacts:
         self._machine = machine
         self._tell = tell
         self._touches = self._events = 0
+        # Touches that have ended since somebody took them
+        self.done: deque[TouchDone] = deque(maxlen=MOST_TOUCHES)
         self._crashes: dict[tuple[str, str], float] = {}
         self._settled = machine.simulation.clock.now()
         # What is pressed now: its touch, the lowest place of the head since
@@ -138,10 +174,10 @@ class _Contacts:
             # Told again when it gets much worse only
             if crash.depth > 1.5 * self._crashes.get(key, 0.0):
                 self._crashes[key] = crash.depth
-                self._tell(f"CRASH: {crash}")
+                self._tell(crash_line(crash))
 
     def _begin(self, touch: Touch) -> None:
-        if touch.site not in SITES:
+        if touch.site.endswith("_endstop"):
             axis = "XYZ"["xyz".index(touch.site[0])]
             # Where Z is, is another thing for everybody
             at = "" if axis == "Z" else f", at {axis}{touch.trigger_z:.2f}"
@@ -178,10 +214,22 @@ class _Contacts:
         x, y, z = touch.x, touch.y, touch.trigger_z
         above = truth.true_gap(x, y, z, touch.t)
         deep = max(0.0, z - lowest)
+        self.done.append(TouchDone(touch.site, x, y, deep))
         self._tell(
             f"{SITES[touch.site]:24} X{x:.1f} Y{y:.1f}, tip {above:+.3f} mm"
             f" above the bed, {deep:.3f} mm deep"
         )
+
+
+def crash_line(crash: Crash) -> str:
+    """Of what would have hurt a real machine, as touches are told."""
+    x, y, _ = crash.pose
+    what = "deep" if crash.kind == "depth" else "dragged"
+    place = f"CRASH: {SITES.get(crash.site, crash.site)}"
+    return (
+        f"{place:24} X{x:.1f} Y{y:.1f}, {crash.depth:.3f} mm {what},"
+        f" {crash.allowed:.3f} mm allowed"
+    )
 
 
 class _Gap:
@@ -204,6 +252,8 @@ class _Gap:
         self._asked = time.monotonic()
         self._question: Optional[tuple[int, int]] = None
         self._told: Optional[float] = None
+        # mm above the bed; None: not known before Z is homed
+        self.height: Optional[float] = None
 
     def look(self) -> bool:
         """Ask klippy, or use its answer; whether it was spoken to."""
@@ -245,7 +295,7 @@ class _Gap:
         # Where printer.cfg has a mistake there is none
         toolhead, wanted = status["toolhead"], self.is_wanted
         if "z" not in (toolhead.get("homed_axes") or ""):
-            self._told, self.is_wanted = None, False
+            self._told, self.is_wanted, self.height = None, False, None
             if wanted:
                 self._tell("true gap: not known before Z is homed")
             return
@@ -254,7 +304,7 @@ class _Gap:
             return
         self.is_wanted = False
         z = status["gcode_move"]["gcode_position"][2]
-        gap = self._machine.gap_at_zero(z, self._point)
+        gap = self.height = self._machine.gap_at_zero(z, self._point)
         if self._told is None or abs(gap - self._told) > _SAME or wanted:
             self._told = gap
             where = "above the bed" if gap >= 0 else "IN THE BED"

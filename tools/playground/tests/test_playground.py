@@ -20,6 +20,7 @@ from simprinter.hosts.hosts import main_host, missing_hosts
 from simprinter.hosts.moonraker import free_port
 from simprinter.hosts.moonraker_package import find_moonraker
 from tools.playground import network
+from tools.playground.tests.browser import browser, programs
 
 ROOT = Path(__file__).resolve().parents[3]
 # Real seconds for whatever is waited for, also on a busy machine
@@ -48,6 +49,7 @@ class Terminal:
         """Wait until it has told where it is."""
         self.url = self.until(r"^Moonraker +(\S+)$")[1]
         self.config = Path(self.until(r"^Config +(\S+)$")[1])
+        self.page = self.until(r"^Page +(\S+)$")[1]
 
     def read(self) -> None:
         self.output += (self._popen.stdout.read() or b"").decode()
@@ -138,6 +140,20 @@ def port():
     return str(free_port())
 
 
+def calibrate_on_the_page(shown):
+    """By its button, where there is a browser; see test_page.py."""
+    if programs() is None:
+        assert shown.run("CALIBRATE_Z").ok
+        return
+    with browser(shown.page) as page:
+        page.until_ready()
+        page.press("#shortcuts", "Calibrate")
+        page.until(lambda: "mm ±" in page.text("#result"), "a result")
+        shown.until(r"true gap: Z=0 is 0\.0\d+ mm above")
+        page.until(lambda: page.text("#gap").startswith("0.0"), "the gap")
+        assert page.complaints() == []
+
+
 def assert_ends(shown, number):
     """With it goes all that it has started, and its folder."""
     assert shown.end(number) == 0
@@ -182,7 +198,7 @@ def test_start_home_and_end(port):
         assert re.search(
             r"^Printer .* as at home, seed \d+,", shown.output, re.M
         )
-        assert shown.run("CALIBRATE_Z").ok
+        calibrate_on_the_page(shown)
         assert len(heights_on_pin(shown)) > 1
         shown.type("break probe", "^the wire of probe is broken: always")
         failed = shown.run("CALIBRATE_Z").json()["error"]["message"]

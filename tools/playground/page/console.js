@@ -1,0 +1,149 @@
+// The console: lines, and an input with history and completion.
+
+const MOST_LINES = 400, MOST_COMMANDS = 100;
+// Commands that come first when one completes
+const OURS = /^(CALIBRATE_Z|PROBE_Z_ACCURACY|CALCULATE_SWITCH_OFFSET|Z_CALIBRATION|AUTO_Z|EXTRA_PROBE|QUERY_EXTRA|ATTACH_PROBE|DETACH_PROBE|DOCK|GET_PROBE|SET_PROBE|MOVE_)/;
+
+export class Console {
+  constructor(lines, form, input, proposals, send) {
+    Object.assign(this, { lines, input, proposals, send });
+    this.commands = [];
+    this.history = JSON.parse(sessionStorage.getItem("history") || "[]");
+    this.place = this.history.length;
+    this.chosen = -1;
+    form.addEventListener("submit", (event) => { event.preventDefault(); this.submit(); });
+    input.addEventListener("keydown", (event) => this.key(event));
+    input.addEventListener("input", () => this.propose(false));
+    input.addEventListener("blur", () => this.close());
+  }
+
+  // Names and helps of all commands there are.
+  know(help) {
+    const names = Object.keys(help).filter((name) => !name.startsWith("_"));
+    const rank = (name) => (OURS.test(name) ? 0 : 1);
+    names.sort((a, b) => rank(a) - rank(b) || a.localeCompare(b));
+    this.commands = names.map((name) => [name, help[name]]);
+  }
+
+  clear() {
+    this.lines.replaceChildren();
+  }
+
+  // A line as klippy sends it.
+  add(line) {
+    if (line.startsWith("// action:")) return;
+    const text = line.replace(/^\/\/ ?/, "");
+    const kind = line.startsWith("!!") ? "error" : /-->|\+-\d/.test(text) ? "result" : "";
+    this.put(text, kind);
+  }
+
+  sent(script) {
+    this.put(`> ${script.replaceAll("\n", "\n> ")}`, "sent");
+  }
+
+  put(text, kind) {
+    const { lines } = this;
+    const isAtEnd = lines.scrollTop + lines.clientHeight >= lines.scrollHeight - 30;
+    const line = document.createElement("div");
+    line.textContent = text;
+    line.className = kind;
+    lines.append(line);
+    while (lines.childElementCount > MOST_LINES) lines.firstChild.remove();
+    if (isAtEnd) lines.scrollTop = lines.scrollHeight;
+  }
+
+  submit() {
+    const script = this.input.value.trim();
+    this.close();
+    if (!script) return;
+    this.history = [...this.history.filter((old) => old !== script), script].slice(-MOST_COMMANDS);
+    sessionStorage.setItem("history", JSON.stringify(this.history));
+    this.place = this.history.length;
+    this.input.value = "";
+    this.send(script);
+  }
+
+  key(event) {
+    const isOpen = !this.proposals.hidden;
+    const step = { ArrowUp: -1, ArrowDown: 1 }[event.key];
+    if (event.key === "Tab" && !event.shiftKey && this.input.value && (isOpen || this.propose(true))) {
+      event.preventDefault();
+      this.complete();
+    } else if (event.key === "Escape" && isOpen) {
+      event.preventDefault();
+      this.close();
+    } else if (event.key === "Enter" && isOpen && this.chosen >= 0) {
+      event.preventDefault();
+      this.take(this.chosen);
+    } else if (step && isOpen && (step > 0 || this.chosen >= 0)) {
+      event.preventDefault();
+      this.choose(this.chosen + step);
+    } else if (step) {
+      event.preventDefault();
+      this.close();
+      this.place = Math.max(0, Math.min(this.history.length, this.place + step));
+      this.input.value = this.history[this.place] || "";
+    }
+  }
+
+  // Show what begins with, or has in it, what was typed; whether there is any.
+  propose(isAsked) {
+    const word = this.input.value.toUpperCase();
+    const isName = word.length >= (isAsked ? 1 : 2) && !/\s/.test(word);
+    const begins = isName ? this.commands.filter(([name]) => name.startsWith(word)) : [];
+    const holds = isName ? this.commands.filter(([name]) => name.indexOf(word) > 0) : [];
+    this.found = [...begins, ...holds].slice(0, 12);
+    if (!this.found.length || (begins.length === 1 && begins[0][0] === word)) {
+      this.close();
+      return false;
+    }
+    this.proposals.replaceChildren(...this.found.map(([name, help], index) => {
+      const row = document.createElement("div");
+      row.setAttribute("role", "option");
+      row.id = `proposal-${index}`;
+      row.append(name, " ");
+      row.append(Object.assign(document.createElement("span"), { textContent: help || "" }));
+      row.addEventListener("mousedown", (event) => { event.preventDefault(); this.take(index); });
+      return row;
+    }));
+    this.proposals.hidden = false;
+    this.input.setAttribute("aria-expanded", "true");
+    this.chosen = -1;
+    return true;
+  }
+
+  choose(index) {
+    this.chosen = Math.max(-1, Math.min(this.found.length - 1, index));
+    [...this.proposals.children].forEach((row, i) => {
+      row.setAttribute("aria-selected", String(i === this.chosen));
+      if (i === this.chosen) row.scrollIntoView({ block: "nearest" });
+    });
+    this.input.setAttribute("aria-activedescendant", this.chosen < 0 ? "" : `proposal-${this.chosen}`);
+  }
+
+  // As far as all that is proposed agrees, or to what is chosen.
+  complete() {
+    if (this.chosen >= 0 || this.found.length === 1) {
+      this.take(Math.max(0, this.chosen));
+      return;
+    }
+    const word = this.input.value.toUpperCase();
+    const names = this.found.map(([name]) => name).filter((name) => name.startsWith(word));
+    let common = names[0] || word;
+    while (names.some((name) => !name.startsWith(common))) common = common.slice(0, -1);
+    if (common.length > word.length) this.input.value = common;
+    else this.choose(this.chosen + 1);
+  }
+
+  take(index) {
+    this.input.value = `${this.found[index][0]} `;
+    this.close();
+  }
+
+  close() {
+    this.proposals.hidden = true;
+    this.chosen = -1;
+    this.input.setAttribute("aria-expanded", "false");
+    this.input.setAttribute("aria-activedescendant", "");
+  }
+}

@@ -1,0 +1,76 @@
+// What hands do to the machine: buttons for the commands of the terminal.
+
+const NAMES = {
+  z_endstop: "Z endstop", y_endstop: "Y endstop", x_endstop: "X endstop", probe: "probe",
+  bed_sensor: "bed sensor", membrane: "membrane",
+};
+
+export class Hands {
+  constructor(place, told, order) {
+    Object.assign(this, { place, told, order });
+    this.lamps = new Map();
+  }
+
+  build({ commands, wires, parts }) {
+    this.lamps.clear();
+    const rows = [...wires].reverse().map((wire) => this.wire(wire, parts));
+    const has = (name) => commands.includes(name);
+    if (has("attach")) rows.push(this.row("Probe", [["Put on", "attach"], ["Take off", "off"], ["Drop", "drop"]]));
+    if (has("lay")) rows.push(this.row("Membrane", [["Lay", "lay"], ["Take", "take"]]));
+    rows.push(
+      this.amount("Dirt, mm", "dirt", 0.05, 0, 0.3, "Smear", [["Wipe", "dirt 0"]]),
+      this.amount("Nozzle, mm", "nozzle", 0.15, -0.5, 0.5, "Another", [["First", "nozzle 0"]]),
+      this.amount("Plate, mm", "plate", 0.2, -0.5, 0.5, "Another", [["First", "plate 0"]]),
+      this.row("Everything", [["Repair", "repair"], ["Tell the gap", "gap"]]),
+    );
+    this.place.replaceChildren(...rows);
+  }
+
+  wire(wire, parts) {
+    const isPin = parts.pin && parts.pin.signal === wire;
+    const name = isPin ? "pin" : NAMES[wire] || wire;
+    const row = this.row(name, [["Press", `press ${wire}`], ["Break", `break ${wire}`], ["Short", `short ${wire}`]]);
+    row.firstChild.className = "lamp";
+    row.dataset.wire = wire;
+    this.lamps.set(wire, row.firstChild);
+    return row;
+  }
+
+  row(name, buttons) {
+    const row = document.createElement("div");
+    row.className = "row";
+    row.setAttribute("role", "group");
+    row.setAttribute("aria-label", name);
+    row.append(Object.assign(document.createElement("span"), { textContent: name }));
+    for (const [label, line] of buttons) row.append(this.button(label, () => line));
+    return row;
+  }
+
+  button(label, line) {
+    const button = document.createElement("button");
+    button.textContent = label;
+    button.dataset.does = line();
+    button.addEventListener("click", () => this.order(line()));
+    return button;
+  }
+
+  amount(name, command, value, min, max, label, others) {
+    const row = this.row(name, []);
+    const input = Object.assign(document.createElement("input"), { type: "number", value, min, max, step: 0.01 });
+    input.setAttribute("aria-label", name);
+    row.append(input, this.button(label, () => `${command} ${input.value || 0}`));
+    for (const [other, line] of others) row.append(this.button(other, () => line));
+    return row;
+  }
+
+  show(frame) {
+    for (const [wire, lamp] of this.lamps) lamp.classList.toggle("on", frame.on.includes(wire));
+  }
+
+  tell(line) {
+    // What is told with a time happened to the machine
+    if (/^ *\d+\.\d s/.test(line)) return;
+    this.told.textContent = line;
+    this.told.classList.toggle("bad-text", line.startsWith("!!"));
+  }
+}

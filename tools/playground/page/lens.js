@@ -1,0 +1,104 @@
+// A close-up of the two things that are nearest to each other.
+
+import { SITES, clamp, clear, draw } from "./svg.js";
+
+const SIZE = 240;
+// Height of the lower one's surface in the picture; the gap is drawn this high
+const GROUND = 150, GAP = 70;
+// mm: further off there is nothing to see; px of one mm at least and at most
+const FAR = 30, COARSE = 2.2, FINE = 4000;
+// mm that are in it anyhow: half a gap this small still is a gap
+const LEAST = 0.004;
+
+export class Lens {
+  constructor(svg, words) {
+    this.svg = svg;
+    this.words = words;
+    this.scale = COARSE;
+    this.site = "";
+  }
+
+  build(parts) {
+    this.parts = parts;
+  }
+
+  show(frame) {
+    clear(this.svg);
+    const near = frame.near.filter(([, distance]) => distance < FAR);
+    // What is below something else's surface by more is no contact of today
+    near.sort((a, b) => Math.abs(a[1]) - Math.abs(b[1]));
+    if (!near.length) {
+      this.words.textContent = "nothing is near";
+      draw(this.svg, "text", { x: SIZE / 2, y: SIZE / 2, "text-anchor": "middle" }, "nothing is near");
+      return;
+    }
+    const [site, distance, pressed] = near[0];
+    const touched = pressed || frame.touches.some((touch) => touch[0] === site);
+    const wanted = clamp(COARSE, GAP / Math.max(Math.abs(distance), LEAST), FINE);
+    // It comes nearer little by little, as the eye follows; what moves away stays in it
+    const isNearer = site === this.site && wanted > this.scale;
+    this.scale = isNearer ? this.scale * Math.pow(wanted / this.scale, 0.4) : wanted;
+    this.site = site;
+    this.lower(site, touched);
+    this.upper(site, distance, touched, frame);
+    this.measure(distance);
+    const [upper, lower] = SITES[site] || [site, "it"];
+    const how = distance < 0 ? "pressed" : "apart";
+    this.words.textContent = `${upper} and ${lower}: ${Math.abs(distance).toFixed(3)} mm ${how}`;
+  }
+
+  x(mm) { return SIZE / 2 + mm * this.scale; }
+
+  rect(kind, left, right, top, bottom) {
+    const [x, width] = [clamp(-20, this.x(left), SIZE + 20), clamp(-20, this.x(right), SIZE + 20)];
+    draw(this.svg, "rect", { x, y: top, width: Math.max(0, width - x), height: Math.max(0, bottom - top), rx: 2, class: kind });
+  }
+
+  lower(site, touched) {
+    const { pin, membrane } = this.parts;
+    const kind = touched ? " touching" : "";
+    if (site.endsWith("_pin")) this.rect(`pin${kind}`, -pin.radius, pin.radius, GROUND, SIZE + 5);
+    else if (site === "nozzle_membrane") {
+      const half = membrane.radius || membrane.half_x;
+      const bottom = Math.min(SIZE + 5, GROUND + membrane.thickness * this.scale);
+      this.rect("bed", -400, 400, bottom, SIZE + 5);
+      this.rect(`membrane${kind}`, -half, half, GROUND, bottom);
+    } else this.rect(`bed${kind}`, -400, 400, GROUND, SIZE + 5);
+  }
+
+  upper(site, distance, touched, frame) {
+    const bottom = clamp(-10, GROUND - distance * this.scale, SIZE);
+    const kind = touched ? " touching" : "";
+    if (site.startsWith("nozzle_")) this.nozzle(bottom, kind, frame.dirt);
+    else if (site.startsWith("body_")) {
+      const { half_width: half } = this.parts.mag_probe;
+      this.rect(`probe${kind}`, -half, half, -10, bottom);
+    } else if (site === "inductive_bed") {
+      this.rect(`probe${kind}`, -4, 4, -10, bottom);
+    } else {
+      const probe = this.parts.mag_probe;
+      const body = bottom - (probe.switch_offset + probe.pretravel) * this.scale;
+      this.rect(`plunger${kind}`, -0.9, 0.9, -10, bottom);
+      if (body > -10) this.rect("probe", -probe.half_width, probe.half_width, -10, body);
+    }
+  }
+
+  nozzle(bottom, kind, dirt) {
+    const hung = Math.min(dirt * this.scale, SIZE);
+    const tip = bottom - hung;
+    const height = Math.min(3.2 * this.scale, tip + 10);
+    const slope = (height / this.scale) * 0.69;
+    const points = [[-0.2, tip], [0.2, tip], [0.2 + slope, tip - height], [-0.2 - slope, tip - height]];
+    if (dirt) this.rect("dirt", -0.3, 0.3, tip, bottom);
+    draw(this.svg, "polygon", {
+      points: points.map(([mm, y]) => `${clamp(-60, this.x(mm), SIZE + 60).toFixed(1)},${y.toFixed(1)}`).join(" "),
+      class: `nozzle${kind}`,
+    });
+  }
+
+  measure(distance) {
+    const bottom = clamp(12, GROUND - distance * this.scale, SIZE - 12);
+    const x = SIZE - 62;
+    draw(this.svg, "path", { class: "measure", d: `M${x - 8} ${GROUND}H${x + 8}M${x - 8} ${bottom}H${x + 8}M${x} ${GROUND}V${bottom}` });
+  }
+}

@@ -1,0 +1,215 @@
+// The page of a playground: joins its parts.
+
+import { Config } from "./config.js";
+import { Console } from "./console.js";
+import { Dialog } from "./dialog.js";
+import { Hands } from "./hands.js";
+import { Lens } from "./lens.js";
+import { Live } from "./live.js";
+import { Moonraker } from "./moonraker.js";
+import { Result } from "./result.js";
+import { Side } from "./side.js";
+import { Top } from "./top.js";
+
+const $ = (id) => document.getElementById(id);
+const MOST_LINES = 300;
+const FLASH_MS = 350;
+// G-code of a button, where klippy knows its command
+const SHORTCUTS = [
+  ["Home", "G28"],
+  ["Calibrate", "CALIBRATE_Z"],
+  ["Calibrate", "AUTO_Z_CALIBRATE"],
+  ["Calibrate", "EXTRA_PROBE_CALIBRATE PROBE=membrane SAVE=1"],
+  ["Set up", "Z_CALIBRATION_SETUP"],
+  ["Report", "Z_CALIBRATION_REPORT"],
+  ["Save", "SAVE_CONFIG"],
+];
+
+const live = new Live();
+const moonraker = new Moonraker();
+const run = (script) => moonraker.run(script);
+const terminal = new Console($("console"), $("typed"), $("input"), $("proposals"), run);
+const dialog = new Dialog($("dialog"), run);
+const result = new Result($("result"), $("report"), $("report-picture"), $("report-link"));
+const side = new Side($("side"));
+const lens = new Lens($("lens"), $("lens-words"));
+const above = new Top($("top"), $("touched"));
+const hands = new Hands($("tools"), $("told"), (line) => live.order(line));
+const config = new Config($("config"), $("config-text"), $("config-save"), $("config-load"), $("config-told"),
+  () => moonraker.restart());
+
+let frame = null;
+let machine = null;
+// For tests, and for who is curious: pictures that were drawn
+globalThis.drawn = 0;
+const flashes = new Map();
+
+// The machine
+
+live.addEventListener("hello", ({ detail }) => {
+  machine = detail;
+  $("machine").textContent = detail.machine;
+  $("point").textContent = `at X${detail.point[0]} Y${detail.point[1]}`;
+  const names = detail.scenes.includes(detail.scene) ? detail.scenes : [...detail.scenes, detail.scene];
+  $("scene").replaceChildren(...names.map((name) => new Option(name, name, false, name === detail.scene)));
+  for (const part of [side, lens, above]) part.build(detail.parts);
+  hands.build(detail);
+  $("signals").replaceChildren(...detail.wires.map((wire) => {
+    const chip = document.createElement("li");
+    chip.textContent = wire;
+    chip.dataset.signal = wire;
+    return chip;
+  }));
+  if (detail.lines) {
+    $("lines").replaceChildren();
+    detail.lines.forEach(tellLine);
+  } else result.forget();
+  result.url = detail.moonraker;
+  moonraker.connect(detail.moonraker);
+});
+
+live.addEventListener("frame", ({ detail }) => {
+  const isFirst = frame === null;
+  // A frame that was not drawn yet leaves its way and its touches to this one
+  frame = isFirst ? detail : { ...detail, way: [...frame.way, ...detail.way], touches: [...frame.touches, ...detail.touches] };
+  if (isFirst) requestAnimationFrame(drawFrame);
+});
+
+function drawFrame() {
+  const shown = frame;
+  frame = null;
+  globalThis.drawn += 1;
+  if (!machine) return;
+  const now = performance.now();
+  for (const [site] of shown.touches) flashes.set(site, now + FLASH_MS);
+  for (const [site, until] of flashes) if (until < now) flashes.delete(site);
+  const [x, y, z] = shown.way[shown.way.length - 1];
+  const seen = { ...shown, near: shown.near.map(([site, distance, pressed]) => [site, distance, pressed || flashes.has(site)]) };
+  above.show(shown, { x, y, z });
+  side.show(seen, { x, y, z });
+  lens.show(seen);
+  hands.show(shown);
+  showSignals(shown);
+  showGap(shown.gap);
+  if (document.activeElement !== $("speed")) showSpeed(shown.speed);
+}
+
+function showSignals({ on, touches }) {
+  const signal = (site) => (site.endsWith("_pin") ? machine.parts.pin.signal
+    : site === "nozzle_bed" ? "bed_sensor" : site === "nozzle_membrane" ? "membrane" : "probe");
+  const touched = new Set([...touches.map(([site]) => site), ...flashes.keys()].map(signal));
+  for (const chip of $("signals").children) {
+    chip.classList.toggle("on", on.includes(chip.dataset.signal));
+    chip.classList.toggle("flash", touched.has(chip.dataset.signal));
+  }
+}
+
+function showGap(gap) {
+  const isKnown = gap !== null;
+  const words = !isKnown ? "Home, and it is known" : gap < 0 ? "in the bed: a print would scratch the plate" : "above the bed";
+  $("gap").textContent = isKnown ? `${gap.toFixed(3)} mm` : "–";
+  $("gap").className = `big ${!isKnown ? "" : gap < 0 ? "bad" : gap < 0.1 ? "good" : ""}`;
+  if ($("gap-words").textContent !== words) $("gap-words").textContent = words;
+}
+
+function showSpeed(speed) {
+  $("speed").value = speed;
+  $("speed-shown").textContent = `${Math.round(speed)}×`;
+}
+
+$("speed").addEventListener("input", () => {
+  showSpeed(Number($("speed").value));
+  live.order(`speed ${$("speed").value}`);
+});
+$("scene").addEventListener("change", () => live.choose($("scene").value));
+
+// The terminal
+
+function tellLine(line) {
+  const lines = $("lines");
+  const isAtEnd = lines.scrollTop + lines.clientHeight >= lines.scrollHeight - 30;
+  const shown = Object.assign(document.createElement("div"), { textContent: line });
+  if (/CRASH|IN THE BED|^!!/.test(line)) shown.className = "bad";
+  lines.append(shown);
+  while (lines.childElementCount > MOST_LINES) lines.firstChild.remove();
+  if (isAtEnd) lines.scrollTop = lines.scrollHeight;
+}
+
+live.addEventListener("line", ({ detail }) => {
+  tellLine(detail.line);
+  hands.tell(detail.line);
+});
+
+// Klippy
+
+function takeLines(lines) {
+  for (const line of lines) {
+    terminal.add(line);
+    dialog.take(line);
+    result.take(line);
+  }
+}
+
+moonraker.addEventListener("lines", ({ detail }) => takeLines(detail));
+moonraker.addEventListener("sent", ({ detail }) => terminal.sent(detail));
+moonraker.addEventListener("ready", ({ detail: store }) => {
+  terminal.know(moonraker.help);
+  terminal.clear();
+  dialog.forget();
+  for (const { type, message } of store) {
+    if (type === "command") terminal.sent(message);
+    else takeLines(message.split("\n"));
+  }
+  config.refresh();
+  showShortcuts();
+});
+
+moonraker.addEventListener("status", ({ detail }) => {
+  const busy = Object.values(detail).find((fields) => fields.phase && fields.phase !== "idle");
+  $("progress").hidden = !busy;
+  if (!busy) return;
+  $("bar").value = busy.progress;
+  $("phase").textContent = `${busy.phase.replaceAll("_", " ")} ${Math.round(busy.progress * 100)} %`;
+});
+
+function showShortcuts() {
+  const known = (script) => script === "G28" || script.split(" ")[0] in moonraker.help;
+  const buttons = SHORTCUTS.filter(([, script]) => known(script)).map(([label, script]) => {
+    const button = document.createElement("button");
+    button.textContent = label;
+    button.title = script;
+    button.dataset.runs = script;
+    if (label === "Calibrate") button.className = "primary";
+    button.addEventListener("click", () => run(script));
+    return button;
+  });
+  const stop = Object.assign(document.createElement("button"), { textContent: "Emergency stop", className: "error" });
+  stop.addEventListener("click", () => moonraker.stop());
+  const restart = Object.assign(document.createElement("button"), { textContent: "Restart" });
+  restart.title = "RESTART; FIRMWARE_RESTART after a shutdown";
+  restart.addEventListener("click", () => moonraker.restart());
+  $("shortcuts").replaceChildren(...buttons, restart, stop);
+}
+
+// Who is away
+
+function showStates() {
+  const states = {
+    printer: live.moves ? "on" : "bad",
+    moonraker: moonraker.isOpen ? "on" : "bad",
+    klippy: moonraker.klippy === "ready" ? "on" : "bad",
+  };
+  for (const [name, state] of Object.entries(states)) $(`state-${name}`).className = state;
+  const why = !live.isOpen ? "The playground has ended, or cannot be reached: start it with `make printer`. This page goes on when it is there."
+    : !moonraker.isOpen ? `Moonraker does not answer at ${moonraker.url}. This page goes on when it does.`
+    : moonraker.klippy === "ready" ? ""
+    : moonraker.klippy === "away" ? "klippy is away: it is switched off, or it restarts."
+    : `klippy is not ready (${moonraker.klippy}): ${moonraker.message}`;
+  $("away").hidden = !why;
+  if ($("away").textContent !== why) $("away").textContent = why;
+  const isReady = moonraker.klippy === "ready";
+  for (const button of $("shortcuts").querySelectorAll("[data-runs]")) button.disabled = !isReady;
+}
+
+live.addEventListener("pulse", showStates);
+moonraker.addEventListener("state", showStates);

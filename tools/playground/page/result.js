@@ -1,0 +1,44 @@
+// What came of a command: its result in large figures, and the report's picture.
+
+const OFFSET = /new offset=(-?[\d.]+)(?: \+-([\d.]+))?/;
+const REPORT = /the report is \S*?(report-\d{8}-\d{6}\.svg)/;
+
+export class Result {
+  constructor(card, section, picture, link) {
+    Object.assign(this, { card, section, picture, link });
+    this.url = "";
+    this.formula = "";
+  }
+
+  forget() {
+    this.card.hidden = true;
+    this.section.hidden = true;
+  }
+
+  // A line of the console.
+  take(line) {
+    const offset = OFFSET.exec(line);
+    if (offset) {
+      // The uncertainty comes in a line of its own, behind that of the formula
+      if (!offset[2]) this.formula = line.replace(/^\/\/ /, "");
+      this.show(this.formula || line, Number(offset[1]), offset[2]);
+    }
+    const report = REPORT.exec(line);
+    if (report) this.draw(report[1]);
+  }
+
+  show(line, offset, uncertainty) {
+    const figures = document.createElement("p");
+    figures.className = "big";
+    figures.textContent = `${offset.toFixed(3)} mm${uncertainty ? ` ± ${uncertainty}` : ""}`;
+    const label = Object.assign(document.createElement("p"), { className: "label", textContent: "new Z offset" });
+    const how = Object.assign(document.createElement("p"), { className: "quiet", textContent: line });
+    this.card.replaceChildren(label, figures, how);
+    this.card.hidden = false;
+  }
+
+  draw(name) {
+    this.picture.src = this.link.href = `${this.url}/server/files/config/z_calibration/${name}`;
+    this.section.hidden = false;
+  }
+}

@@ -1,0 +1,187 @@
+// The machine from the side: along the axis on which probe and nozzle lie apart.
+
+import { clamp, clear, draw } from "./svg.js";
+
+const WIDTH = 640, HEIGHT = 470;
+// mm to either side of the head; mm below the bed and above the nozzle that are shown
+const AROUND = 62, BELOW = 13, ABOVE = 46;
+// What is further off than this (mm), seen in the other direction, is pale
+const NEAR = 14;
+// Of a nozzle and its heater, mm above the tip
+const NOZZLE = [[-0.2, 0], [0.2, 0], [2.4, 3.2], [3.5, 3.2], [3.5, 6.5], [-3.5, 6.5], [-3.5, 3.2], [-2.4, 3.2]];
+
+export class Side {
+  constructor(svg) {
+    this.svg = svg;
+    this.middle = null;
+    this.scale = 5;
+  }
+
+  // The machine's parts; `u` is the axis that is shown, `v` the other one.
+  build(parts) {
+    const probe = parts.mag_probe || parts.inductive;
+    const isY = probe ? Math.abs(probe.y_offset) > Math.abs(probe.x_offset) : false;
+    this.parts = parts;
+    this.axes = isY ? ["y", "x"] : ["x", "y"];
+    this.middle = null;
+  }
+
+  at(thing) {
+    return [thing[this.axes[0]], thing[this.axes[1]]];
+  }
+
+  // Where the probe is beside the nozzle.
+  offset(probe) {
+    return [probe[`${this.axes[0]}_offset`], probe[`${this.axes[1]}_offset`]];
+  }
+
+  show(frame, tip) {
+    if (!this.parts) return;
+    const [u, v, z] = [...this.at(tip), tip.z];
+    this.middle = this.middle === null ? u : this.middle + (u - this.middle) * 0.25;
+    const scale = Math.min(WIDTH / (2 * AROUND), HEIGHT / (z + BELOW + ABOVE));
+    this.scale += (scale - this.scale) * 0.2;
+    const pressed = new Set(frame.near.filter((near) => near[2]).map((near) => near[0]));
+    for (const [site] of frame.touches) pressed.add(site);
+    this.scene = { u, v, z, frame, pressed };
+    clear(this.svg);
+    this.drawBed();
+    this.drawPin();
+    this.drawMembrane();
+    this.drawDock();
+    this.drawHead();
+    this.drawProbe();
+    const words = `${this.axes[0].toUpperCase()} ${u.toFixed(1)}  ${this.axes[1].toUpperCase()} ${v.toFixed(1)}`;
+    draw(this.svg, "text", { x: 10, y: 20, class: "strong" }, `${words}  Z ${z.toFixed(2)}`);
+    draw(this.svg, "text", { x: WIDTH - 10, y: 20, "text-anchor": "end" }, `seen along ${this.axes[1].toUpperCase()}`);
+  }
+
+  x(u) { return WIDTH / 2 + (u - this.middle) * this.scale; }
+  y(z) { return HEIGHT - (z + BELOW) * this.scale; }
+
+  box(kind, left, right, bottom, top, more = {}) {
+    const [x, y] = [this.x(left), this.y(top)];
+    return draw(this.svg, "rect", {
+      x, y, width: Math.max(0, this.x(right) - x), height: Math.max(0.5, this.y(bottom) - y), rx: 1.5, class: kind, ...more,
+    });
+  }
+
+  // A class for what is seen at `v` in the other direction.
+  depth(v, reach = NEAR) {
+    return Math.abs(v - this.scene.v) > reach ? " far" : "";
+  }
+
+  drawBed() {
+    const { bed, bed_sensor } = this.parts;
+    const [low, high] = [bed[`${this.axes[0]}_min`], bed[`${this.axes[0]}_max`]];
+    const { pressed } = this.scene;
+    const touching = [...pressed].some((site) => site.endsWith("_bed")) ? " touching" : "";
+    this.box("bed", low, high, bed.z0 - 3, bed.z0);
+    if (touching) this.box("touching", low, high, bed.z0 - 0.5, bed.z0);
+    for (let u = Math.ceil(low / 10) * 10; u <= high; u += 10) {
+      const x = this.x(u);
+      if (x < 0 || x > WIDTH) continue;
+      draw(this.svg, "line", { x1: x, x2: x, y1: this.y(bed.z0 - 3), y2: this.y(bed.z0 - 3.8), class: "outline" });
+      if (u % 50 === 0) draw(this.svg, "text", { x, y: this.y(bed.z0 - 3.8) + 12, "text-anchor": "middle" }, `${u}`);
+    }
+    if (bed_sensor) {
+      const on = this.scene.frame.on.includes("bed_sensor") ? " touching" : "";
+      for (const u of [low + 20, (low + high) / 2, high - 20]) this.box(`metal${on}`, u - 5, u + 5, bed.z0 - 5, bed.z0 - 3);
+    }
+  }
+
+  drawPin() {
+    const { pin } = this.parts;
+    if (!pin) return;
+    const [u, v] = this.at(pin);
+    const { pressed, z } = this.scene;
+    const isPressed = ["nozzle_pin", "body_pin", "plunger_pin"].some((site) => pressed.has(site));
+    const sunk = isPressed ? 0.4 : 0;
+    const far = this.depth(v, 35);
+    this.box(`metal${far}`, u - 7, u + 7, pin.z - 9, pin.z - 3);
+    this.box(`pin${far}${isPressed ? " touching" : ""}`, u - pin.radius, u + pin.radius, pin.z - 3, pin.z - sunk);
+  }
+
+  drawMembrane() {
+    const { membrane, bed } = this.parts;
+    if (!membrane || !this.scene.frame.laid) return;
+    const [u, v] = this.at(membrane);
+    const half = membrane.radius || membrane[`half_${this.axes[0]}`];
+    const touching = this.scene.pressed.has("nozzle_membrane") ? " touching" : "";
+    this.box(`membrane${touching}${this.depth(v, half + 6)}`, u - half, u + half, bed.z0, bed.z0 + Math.max(membrane.thickness, 0.9));
+  }
+
+  drawDock() {
+    const { dock, mag_probe: probe } = this.parts;
+    if (!dock) return;
+    const [u, v] = this.at(dock);
+    const [du, dv] = this.offset(probe);
+    const z = dock.lifted ? this.scene.z : dock.z;
+    const far = this.depth(v, 25);
+    const bottom = z - probe.body_drop;
+    this.box(`dock${far}`, u + du - 9, u + du + 9, bottom - 1, bottom + 1.5);
+    this.box(`dock${far}`, u + du + 7, u + du + 9, bottom, bottom + 14);
+    draw(this.svg, "text", { x: this.x(u + du), y: this.y(bottom - 1) + 12, "text-anchor": "middle" }, "dock");
+    if (this.scene.frame.probe === "docked") this.probeAt(u + du, bottom + 1.5, far);
+    return dv;
+  }
+
+  drawHead() {
+    const { u, z, pressed, frame } = this.scene;
+    const touching = ["nozzle_bed", "nozzle_pin", "nozzle_membrane"].some((site) => pressed.has(site));
+    this.box("metal", u - 11, u + 11, z + 6.5, z + 14);
+    this.box("head", u - 14, u + 14, z + 16, z + 40, { rx: 6 });
+    for (const dz of [22, 28, 34]) this.box("metal", u - 9, u + 9, z + dz, z + dz + 2);
+    const points = NOZZLE.map(([du, dz]) => `${this.x(u + du).toFixed(2)},${this.y(z + dz).toFixed(2)}`);
+    draw(this.svg, "polygon", { points: points.join(" "), class: `nozzle${touching ? " touching" : ""}` });
+    if (frame.dirt) this.box("dirt", u - 0.7, u + 0.7, z - Math.max(frame.dirt, 0.25), z + 0.6);
+  }
+
+  drawProbe() {
+    const { inductive, mag_probe: probe, bed } = this.parts;
+    const { u, z, pressed, frame } = this.scene;
+    if (inductive) {
+      const [du] = this.offset(inductive);
+      const on = pressed.has("inductive_bed") || frame.on.includes("probe") ? " touching" : "";
+      const bottom = z + Math.max(0.5, 2.5 - inductive.sense_distance);
+      this.box("metal", u + du - 5, u + du + 5, bottom + 2, bottom + 26);
+      this.box(`probe${on}`, u + du - 5, u + du + 5, bottom, bottom + 2);
+    }
+    if (!probe) return;
+    const [du] = this.offset(probe);
+    if (frame.probe === "attached") {
+      this.box("head", u + Math.min(0, du), u + Math.max(0, du) + 2, z + 16, z + 22);
+      this.box("head", u + du - 5, u + du + 5, z + 4, z + 20);
+      this.probeAt(u + du, z - probe.body_drop, "");
+    } else {
+      this.box("head far", u + du - 5, u + du + 5, z + 10, z + 20);
+      const words = { lost: "the probe lies somewhere", docked: "probe put away" }[frame.probe];
+      const away = !this.parts.dock || frame.probe === "lost";
+      if (away) this.lying(words, frame.probe === "lost", bed);
+    }
+  }
+
+  // One that the head does not carry, in a corner of the picture.
+  lying(words, isLost, bed) {
+    const [x, y] = [WIDTH - 70, 60];
+    const group = draw(this.svg, "g", { transform: `translate(${x} ${y}) rotate(${isLost ? 74 : 0})` });
+    draw(group, "rect", { x: -14, y: -14, width: 28, height: 26, rx: 3, class: "probe" });
+    draw(group, "rect", { x: -3, y: 12, width: 6, height: 5, class: "plunger" });
+    draw(this.svg, "text", { x, y: y + 34, "text-anchor": "middle" }, words);
+    return bed;
+  }
+
+  // Body and plunger; `z` is the body's bottom.
+  probeAt(u, z, far) {
+    const { mag_probe: probe } = this.parts;
+    const { pressed, frame } = this.scene;
+    const body = ["body_pin", "body_bed"].some((site) => pressed.has(site));
+    const plunger = ["probe_bed", "plunger_pin"].some((site) => pressed.has(site));
+    const near = new Map(frame.near.map(([site, distance]) => [site, distance]));
+    const travel = probe.switch_offset + probe.pretravel;
+    const pushed = far || frame.probe !== "attached" ? 0 : clamp(0, -(near.get("probe_bed") ?? 1), travel);
+    this.box(`plunger${plunger ? " touching" : ""}${far}`, u - 0.9, u + 0.9, z - travel + pushed, z + 1);
+    this.box(`probe${body ? " touching" : ""}${far}`, u - probe.half_width, u + probe.half_width, z, z + 11);
+  }
+}
+

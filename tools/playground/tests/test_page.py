@@ -1,0 +1,475 @@
+"""The page of `make printer` in a real browser, used as a person does."""
+
+from __future__ import annotations
+
+import re
+import time
+from contextlib import contextmanager
+
+import psutil
+import pytest
+from selenium.webdriver.common.by import By
+from selenium.webdriver.common.keys import Keys
+
+from tools.kit.setup_user import EMPTY
+from tools.playground.tests.browser import LIMIT, browser, programs
+from tools.playground.tests.test_playground import port, terminal
+
+__all__ = ["port"]
+
+# Seconds of a test that does more than one thing
+LONG = pytest.mark.timeout(8 * LIMIT)
+
+
+@contextmanager
+def looking(port, *options, size=(1400, 1000), is_dark=False):
+    """A playground, and its page in a browser."""
+    if programs() is None:
+        # Before anything is started
+        with browser(""):
+            pass
+    options = ("--port", port, "--seed", "1", *options)
+    with terminal(*options) as shown, browser(shown.page) as page:
+        page.resize(*size, is_dark)
+        page.until_ready()
+        yield shown, page
+        assert page.complaints() == []
+
+
+def gap(page):
+    """The large figures, mm; None while they are not known."""
+    found = re.fullmatch(r"(-?\d\.\d{3}) mm", page.text("#gap"))
+    return float(found[1]) if found else None
+
+
+def home(page):
+    page.press("#shortcuts", "Home")
+    page.until(lambda: gap(page) is not None, "the gap is known")
+
+
+def calibrate(page):
+    """By the button; the offset that the card shows."""
+    before = page.console().count("new offset=")
+    page.press("#shortcuts", "Calibrate")
+    page.until(
+        lambda: page.console().count("new offset=") >= before + 2,
+        "a result",
+    )
+    return float(
+        re.match(r"new Z offset(-?[\d.]+) mm", page.text("#result"))[1]
+    )
+
+
+@pytest.mark.slow
+@LONG
+def test_page_calibrates(port):
+    with looking(port, "--perfect") as (_, page):
+        assert gap(page) is None
+        home(page)
+        assert gap(page) == pytest.approx(-0.1, abs=0.03)
+        assert "scratch the plate" in page.text("#gap-words")
+        assert calibrate(page) == pytest.approx(0.16, abs=0.03)
+        page.until(
+            lambda: gap(page) == pytest.approx(0.06, abs=0.006), "the gap"
+        )
+        assert "probe on the bed" in page.text("#lines")
+        assert "plunger on bed at X152" in page.text("#touched")
+        dots = page.driver.find_elements(By.CSS_SELECTOR, "#top .dot")
+        assert len(dots) >= 9
+        assert page.value("drawn") > 30
+
+
+@pytest.mark.slow
+@LONG
+def test_broken_wire_is_refused_and_repaired(port):
+    with looking(port, "--perfect") as (_, page):
+        home(page)
+        page.do("break probe")
+        page.until(
+            lambda: "wire of probe is broken" in page.text("#told"), "told"
+        )
+        page.run("CALIBRATE_Z", "the probe reads triggered")
+        refused = page.driver.find_elements(By.CSS_SELECTOR, "#console .error")[
+            -1
+        ]
+        assert refused.text.startswith("!! z_calibration: ")
+        page.until(
+            lambda: page.find("#signals [data-signal=probe].on"), "lamp is on"
+        )
+        page.do("repair")
+        page.until(lambda: "as good as new" in page.text("#told"), "told")
+        assert calibrate(page) == pytest.approx(0.16, abs=0.03)
+
+
+@pytest.mark.slow
+@LONG
+def test_hands_change_what_is_measured(port):
+    """Each by its button; what they type is what is told."""
+    with looking(port, "--perfect") as (_, page):
+        home(page)
+        first = calibrate(page)
+        page.do("nozzle 0.15")
+        # It hangs lower, so Z=0 is lower until it is measured
+        page.until(lambda: "another nozzle" in page.text("#told"), "told")
+        assert calibrate(page) == pytest.approx(first + 0.15, abs=0.01)
+        page.do("plate 0.2")
+        assert calibrate(page) == pytest.approx(first + 0.35, abs=0.01)
+        page.do("nozzle 0")
+        page.do("plate 0")
+        assert calibrate(page) == pytest.approx(first, abs=0.01)
+        page.do("off")
+        page.until(lambda: "off the head" in page.text("#told"), "told")
+        page.run("CALIBRATE_Z", "!! z_calibration: ")
+        page.do("drop")
+        page.until(lambda: "!! the head does not" in page.text("#told"), "told")
+        page.do("attach")
+        page.until(lambda: "is on the head" in page.text("#told"), "told")
+        page.do("dirt 0.05")
+        page.until(lambda: "plastic" in page.text("#told"), "told")
+        page.do("short x_endstop")
+        page.until(lambda: "shorted to ground" in page.text("#told"), "told")
+        page.do("repair")
+        assert calibrate(page) == pytest.approx(first, abs=0.01)
+
+
+@pytest.mark.slow
+@LONG
+def test_membrane_by_dialogs(port):
+    options = ("--scene", "extra_probe", "--perfect", "--speed", "10")
+    with looking(port, *options) as (_, page):
+        home(page)
+        page.press("#shortcuts", "Calibrate")
+        page.until(lambda: page.buttons("#dialog"), "a dialog")
+        page.do("lay")
+        page.do("press membrane")
+        # It is let go after two of the printer's seconds
+        time.sleep(1.0)
+        page.press("#dialog", "Continue")
+        page.until(
+            lambda: (
+                "take" in page.text("#dialog").lower()
+                and "Continue" in page.buttons("#dialog")
+            ),
+            "the second question",
+        )
+        page.do("take")
+        page.press("#dialog", "Continue")
+        page.until(lambda: "SAVE_CONFIG" in page.console(), "it is to save")
+        page.press("#shortcuts", "Save")
+        page.until(
+            lambda: page.text("#state-klippy") and not gap(page), "a restart"
+        )
+        page.until_ready()
+        home(page)
+        page.until(lambda: abs(gap(page)) < 0.02, "the gap is right")
+
+
+@pytest.mark.slow
+@LONG
+def test_another_printer_and_its_own_file(port):
+    with looking(port, "--perfect") as (shown, page):
+        page.value(
+            "(s => { s.value = 'auto_z_offset';"
+            " s.dispatchEvent(new Event('change')); })"
+            "(document.getElementById('scene'))"
+        )
+        shown.until("^Printer +auto_z_offset, perfect")
+        page.until(
+            lambda: (
+                "AUTO_Z_CALIBRATE"
+                in str(
+                    page.value(
+                        "[...document.querySelectorAll('[data-runs]')]"
+                        ".map(b => b.dataset.runs)"
+                    )
+                )
+            ),
+            "its own button",
+        )
+        page.until_ready()
+        assert "[auto_z_offset]" in (shown.config / "printer.cfg").read_text()
+        home(page)
+        page.find("#config summary").click()
+        page.until(
+            lambda: (
+                "[auto_z_offset]"
+                in page.value("document.getElementById('config-text').value")
+            ),
+            "its printer.cfg",
+        )
+
+
+@pytest.mark.slow
+@LONG
+def test_wrong_configuration_is_told_and_mended(port):
+    """It waits for its owner; who wrote meanwhile is not overwritten."""
+    with looking(port, "--perfect") as (shown, page):
+        page.find("#config summary").click()
+        text = page.find("#config-text")
+        page.until(lambda: "[printer]" in text.get_property("value"), "text")
+        text.send_keys("\n[nonsense]\n")
+        page.press("#config", "Save and restart")
+        page.until(
+            lambda: "'nonsense' is not a valid" in page.text("#away"), "why not"
+        )
+        file = shown.config / "printer.cfg"
+        right = file.read_text().replace("[nonsense]", "")
+        page.press("#config", "Read again")
+        page.until(
+            lambda: "[nonsense]" in text.get_property("value"), "read again"
+        )
+        file.write_text(right)
+        page.press("#config", "Save and restart")
+        page.until(
+            lambda: "changed meanwhile" in page.text("#config-told"), "a hint"
+        )
+        assert file.read_text() == right
+        # Longer than its serial line can hold what nobody reads
+        time.sleep(75.0)
+        page.press("#config", "Read again")
+        page.press("#shortcuts", "Restart")
+        page.until_ready()
+        home(page)
+        # Said by the browser itself
+        assert all("412" in text for text in page.complaints())
+
+
+@pytest.mark.slow
+@LONG
+def test_who_is_away_is_said(port):
+    with looking(port, "--perfect") as (shown, page):
+        page.value("fetch('/printer.cfg').then(() => 0)")
+        (moonraker,) = [
+            p
+            for p in psutil.process_iter(["cmdline"])
+            if "moonraker" in (p.info["cmdline"] or ())
+            and str(shown.config.parent) in p.info["cmdline"]
+        ]
+        page.send("M112")
+        page.until(lambda: "shutdown" in page.text("#away"), "a shutdown")
+        page.press("#shortcuts", "Restart")
+        page.until_ready()
+        moonraker.kill()
+        page.until(
+            lambda: "Moonraker does not answer" in page.text("#away"), "away"
+        )
+        assert page.find("#state-moonraker").get_attribute("class") == "bad"
+        shown.close()
+        page.until(
+            lambda: "start it with `make printer`" in page.text("#away"), "away"
+        )
+        # The browser itself tells of connections that were refused
+        assert all("WebSocket" in text for text in page.complaints())
+
+
+@pytest.mark.slow
+@LONG
+def test_report_is_shown(port):
+    with looking(port, "--perfect") as (_, page):
+        home(page)
+        for _ in range(2):
+            calibrate(page)
+        page.press("#shortcuts", "Report")
+        page.until(
+            lambda: page.value(
+                "document.getElementById('report-picture').naturalWidth"
+            ),
+            "the picture",
+        )
+
+
+@pytest.mark.slow
+@LONG
+def test_keyboard_alone(port):
+    with looking(port, "--perfect") as (_, page):
+        field = page.find("#input")
+        field.send_keys("calibrate_z")
+        # The same name goes on; Tab shows what begins so
+        field.clear()
+        field.send_keys("PROBE_Z", Keys.TAB)
+        assert field.get_property("value").startswith("PROBE_Z_ACCURACY")
+        field.clear()
+        field.send_keys("G28", Keys.ENTER)
+        page.until(lambda: gap(page) is not None, "homed")
+        field.send_keys("M114", Keys.ENTER)
+        field.send_keys(Keys.ARROW_UP, Keys.ARROW_UP)
+        assert field.get_property("value") == "G28"
+        field.send_keys(Keys.ARROW_DOWN)
+        assert field.get_property("value") == "M114"
+        # All that can be pressed can be reached, and is seen when it is
+        page.value("document.activeElement.blur()")
+        reached, unseen = set(), []
+        for _ in range(120):
+            page.driver.switch_to.active_element.send_keys(Keys.TAB)
+            found = page.value(
+                "(e => [e.id || e.dataset.does || e.dataset.runs ||"
+                " e.textContent, e === document.body ||"
+                " getComputedStyle(e).outlineStyle !== 'none'])"
+                "(document.activeElement)"
+            )
+            reached.add(found[0])
+            if not found[1]:
+                unseen.append(found[0])
+        everything = page.value(
+            "[...document.querySelectorAll('button, input, select, summary')]"
+            ".filter(e => e.checkVisibility() && !e.disabled)"
+            ".map(e => e.id || e.dataset.does || e.dataset.runs ||"
+            " e.textContent)"
+        )
+        assert set(everything) <= reached
+        assert unseen == []
+
+
+@pytest.mark.slow
+@LONG
+@pytest.mark.parametrize("is_dark", [False, True], ids=["light", "dark"])
+@pytest.mark.parametrize("width", [1400, 400])
+def test_it_fits_and_can_be_read(port, width, is_dark):
+    with looking(port, size=(width, 900), is_dark=is_dark) as (_, page):
+        home(page)
+        calibrate(page)
+        assert page.value("document.documentElement.scrollWidth") <= width
+        assert contrasts(page) == []
+
+
+# Text against what is behind it, as WCAG 2 counts it
+_CONTRASTS = """(() => {
+  const canvas = document.createElement('canvas').getContext('2d',
+    {willReadFrequently: true});
+  const rgb = (text) => {
+    canvas.clearRect(0, 0, 1, 1); canvas.fillStyle = text;
+    canvas.fillRect(0, 0, 1, 1); return canvas.getImageData(0, 0, 1, 1).data;
+  };
+  const bright = ([r, g, b]) => [r, g, b].map((v) => v / 255).map((v) =>
+    v <= 0.03928 ? v / 12.92 : ((v + 0.055) / 1.055) ** 2.4)
+    .reduce((sum, v, i) => sum + v * [0.2126, 0.7152, 0.0722][i], 0);
+  const behind = (e) => {
+    for (; e; e = e.parentElement) {
+      const colour = rgb(getComputedStyle(e).backgroundColor);
+      if (colour[3] === 255) return colour;
+    }
+    return rgb('white');
+  };
+  const bad = [];
+  for (const e of document.querySelectorAll('body *:not(svg *)')) {
+    const own = [...e.childNodes].some((n) => n.nodeType === 3
+      && n.textContent.trim());
+    if (!own || e.offsetParent === null || e.disabled) continue;
+    const [a, b] = [bright(rgb(getComputedStyle(e).color)), bright(behind(e))];
+    const ratio = (Math.max(a, b) + 0.05) / (Math.min(a, b) + 0.05);
+    if (ratio < 4.5) bad.push(`${e.textContent.slice(0, 30)} ${ratio}`);
+  }
+  return bad;
+})()"""
+
+
+def contrasts(page):
+    """Texts that are too pale, each with its ratio."""
+    return page.value(_CONTRASTS)
+
+
+@pytest.mark.slow
+@LONG
+def test_set_up_from_nothing_by_buttons(port):
+    """As the tour has it, but for the terminal: nothing is typed."""
+    with looking(port, "--perfect", "--speed", "4") as (shown, page):
+        page.find("#config summary").click()
+        text = page.find("#config-text")
+        page.until(lambda: "[printer]" in text.get_property("value"), "text")
+        without = r"^(%s)\b.*\n" % "|".join(EMPTY)
+        page.value(
+            "(t => { t.value = t.value.replace(/%s/gm, ''); })"
+            "(document.getElementById('config-text'))"
+            % without.replace("\\n", "\\n")
+        )
+        page.press("#config", "Save and restart")
+        page.until(lambda: "run Z_CALIBRATION_SETUP" in page.console(), "note")
+        page.until_ready()
+        home(page)
+        page.press("#shortcuts", "Set up")
+        guide(page)
+        page.until(
+            lambda: (
+                "switch_offset" in (shown.config / "printer.cfg").read_text()
+            ),
+            "saved",
+        )
+        page.until(lambda: gap(page) is None, "klippy has restarted")
+        page.until_ready()
+        page.do("attach")
+        home(page)
+        calibrate(page)
+        page.until(lambda: abs(gap(page)) < 0.06, "the gap is about 0")
+
+
+# What hands do before a step's first button is pressed, and after it
+BEFORE = {"OFF": "off", "PROBE": "attach", "GAP": "off"}
+AFTER = {"PIN": "press z_endstop", "PROBE": "press probe"}
+
+
+def guide(page):
+    """The buttons of its dialogs, and hands, until it saves."""
+    for _ in range(60):
+        gcode = page.until(lambda: first_button(page), "a dialog")
+        step = re.search(r"STEP=(\w+)", gcode)[1]
+        if step in BEFORE:
+            page.do(BEFORE[step])
+            page.until(
+                lambda: "the head" in page.text("#told"), "the hand is done"
+            )
+        if step == "PAPER":
+            lower(page)
+        label = page.until(lambda: first_button(page, "textContent"), "asked")
+        page.press("#dialog", label)
+        if step in AFTER:
+            page.until(
+                lambda: "Press it now" in page.text("#dialog"), "it watches"
+            )
+            page.do(AFTER[step])
+        if label == "Save":
+            return
+        until_asked(page, gcode)
+    raise AssertionError("the guide does not end")
+
+
+def until_asked(page, before):
+    """What follows; while a switch is watched, there is nothing but Abort."""
+
+    def is_asked():
+        gcode = first_button(page) or ""
+        return gcode not in ("", before) and "STEP=ABORT" not in gcode
+
+    page.until(is_asked, f"what follows {before}")
+
+
+def first_button(page, what="dataset.runs"):
+    """Its G-code, or what it says; None while there is no dialog."""
+    button = "document.querySelector('#dialog .footer button')"
+    return page.value(f"{button}?.{what}")
+
+
+def lower(page):
+    """By the buttons, until a sheet of paper would be held."""
+    for step in (1.0, 0.1, 0.05, 0.01):
+        while height(page) > 0.1 + step and has_button(page, f"Z-{step:g}"):
+            wanted = height(page) - step / 2
+            page.press("#dialog", f"Z-{step:g}")
+            while height(page) > wanted:
+                time.sleep(0.1)
+
+
+def has_button(page, label):
+    return page.value(
+        "[...document.querySelectorAll('#dialog button')]"
+        ".some(b => b.textContent === arguments[0])",
+        label,
+    )
+
+
+def height(page):
+    """Of the nozzle above the bed, as the close-up tells it, mm."""
+    pattern = r"nozzle and bed: ([\d.]+) mm apart"
+    found = page.until(
+        lambda: re.match(pattern, page.text("#lens-words")), "it is near"
+    )
+    return float(found[1])
