@@ -133,7 +133,7 @@ def test_empty_section_to_the_true_gap(lab):
     user.set_places((226.0, 20.0), (254.0, 14.5))
     user.touch()
     assert user.step() == "GAP"
-    user.press("SSG")
+    user.press("SSG 0.2 mm")
     assert "switch_offset: 0.200" in user.dialog().text
     save = user.dialog().gcode("Save")
     with lab.moonraker.listen() as listener:
