@@ -473,3 +473,38 @@ def height(page):
         lambda: re.match(pattern, page.text("#lens-words")), "it is near"
     )
     return float(found[1])
+
+
+@pytest.mark.slow
+@pytest.mark.timeout(600)
+def test_half_an_hour_costs_no_memory(port):
+    """30 minutes of the printer at speed 10: browser and playground."""
+    with looking(port, "--speed", "10") as (shown, page):
+        home(page)
+        playground = psutil.Process(shown.pid)
+
+        def used():
+            """MB: of the page's objects, and of the playground."""
+            page.value("gc()")
+            heap = page.value("performance.memory.usedJSHeapSize")
+            return heap / 1e6, playground.memory_info().rss / 1e6
+
+        begin, found, runs = time.monotonic(), [], 0
+        while time.monotonic() - begin < 180.0:
+            runs += 1
+            page.send("CALIBRATE_Z")
+            # Answered behind it; the console forgets its first lines
+            over = f"RUN_{runs}"
+            page.send(over)
+            page.until(
+                lambda told=f'Unknown command:"{over}"': told in page.console(),
+                "the end of a run",
+            )
+            if not found and time.monotonic() - begin > 30.0:
+                found.append(used())
+        found.append(used())
+        (heap, memory), (heap_then, memory_then) = found
+        assert runs > 20
+        assert heap_then - heap < 2.0, found
+        assert memory_then - memory < 15.0, found
+        assert page.value("document.querySelectorAll('*').length") < 2500

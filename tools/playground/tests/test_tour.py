@@ -1,0 +1,268 @@
+"""The tour of docs/playground.md, typed and pressed word for word.
+
+What is slanted there is pressed, or chosen, or opened; what is code is typed:
+G-code into the console, `option: value` and bare options into printer.cfg, all
+else by hand. What has to come of each step is below.
+"""
+
+from __future__ import annotations
+
+import re
+import time
+from pathlib import Path
+from typing import NamedTuple
+
+import pytest
+
+from tests.docs.documents import part
+from tools.playground.commands import COMMANDS
+from tools.playground.playground import SHOWN
+from tools.playground.tests.browser import LIMIT
+from tools.playground.tests.test_page import gap, guide, looking, port
+
+__all__ = ["port"]
+
+DOCUMENT = Path(__file__).resolve().parents[3] / "docs" / "playground.md"
+# What is only spoken of
+SPOKEN_OF = {
+    "Home": ["position_endstop"],
+    "Calibrate": ["switch_offset", "CALIBRATE_Z"],
+    "Look at the report": ["break", "short", "late"],
+}
+# In the guide, which begins with the word before it
+GUIDED = "From here on"
+WHILE = "while it touches with the body"
+# Buttons that are always there; all others are those of dialogs
+SHORTCUTS = ("Home", "Calibrate", "Set up", "Report", "Save")
+# What a command says last
+ENDS = r"!! |\+-\d"
+
+
+class Step(NamedTuple):
+    """title, and what is to be done: (kind, word), kind * or `."""
+
+    title: str
+    text: str
+    words: list[tuple[str, str]]
+
+
+def words_of(text):
+    """What is slanted or code in it."""
+    found = re.findall(r"(?<!\*)(\*)([^*]+)\*(?!\*)|(`)([^`]+)`", text)
+    return [(a or c, b or d) for a, b, c, d in found]
+
+
+def steps():
+    """Of the document, in their order."""
+    tour = part(DOCUMENT.read_text(encoding="utf-8"), "A tour")
+    found = []
+    for text in re.split(r"^\d\. ", tour, flags=re.M)[1:]:
+        text = " ".join(text.split())
+        title = re.match(r"\*\*(.*?)\.\*\*", text)[1]
+        words = words_of(text)
+        for word in SPOKEN_OF.get(title, ()):
+            words.remove(("`", word))
+        if GUIDED in text:
+            ours = text.partition(GUIDED)[0]
+            # Behind the button that ends it
+            end = words[words.index(("*", "Save")) + 1 :]
+            words = [*words[: len(words_of(ours))], ("guide", ""), *end]
+        found.append(Step(title, text, words))
+    return found
+
+
+class Visitor:
+    """Does what the tour says, on the page."""
+
+    def __init__(self, shown, page):
+        self.shown = shown
+        self.page = page
+        # Of the console before G-code was typed last
+        self.lines = 0
+
+    def do(self, step):
+        for kind, word in step.words:
+            if kind == "guide":
+                guide(self.page)
+                self.restarted()
+            elif kind == "*":
+                self.press(word)
+            elif word.split()[0] in COMMANDS:
+                self.hand(word)
+            elif re.fullmatch(r"\w+: .*", word) or word.islower():
+                self.edit(word)
+            else:
+                self.run(word, None if WHILE in step.text else ENDS)
+                if WHILE in step.text:
+                    self.until_said("switch: touched")
+            if word == "drop":
+                self.until_said("!! ")
+
+    def press(self, label):
+        page = self.page
+        if label == "printer.cfg":
+            page.until(self.opened, "its text")
+        elif label in SHOWN:
+            self.choose(label)
+        elif label == "Save and restart":
+            page.press("#config", label)
+            self.restarted()
+        elif label in SHORTCUTS:
+            self.shortcut(label)
+        else:
+            self.answer(label)
+
+    def answer(self, label):
+        """Until something else is asked, nothing, or the switch is watched."""
+        page = self.page
+        page.until(lambda: label in page.buttons("#dialog"), label)
+        before = page.text("#dialog")
+        page.press("#dialog", label)
+        page.until(lambda: page.text("#dialog") != before, f"after {label}")
+        if label == "Watch":
+            # A head that is homed is lifted at first
+            page.until(
+                lambda: "Press it now" in page.text("#dialog"), "it watches"
+            )
+
+    def opened(self):
+        details = self.page.find("#config")
+        if details.get_attribute("open") is None:
+            details.find_element("css selector", "summary").click()
+        return self.text()
+
+    def text(self):
+        return self.page.value("document.getElementById('config-text').value")
+
+    def edit(self, word):
+        """Another line for an option, or none."""
+        option, _, value = word.partition(": ")
+        line = f"{option}: {value}\n" if value else ""
+        pattern = re.compile(rf"^{option}:.*\n", re.M)
+        before = self.text()
+        assert len(pattern.findall(before)) == 1, word
+        self.page.value(
+            "document.getElementById('config-text').value = arguments[0]",
+            pattern.sub(line, before),
+        )
+
+    def choose(self, name):
+        self.page.value(
+            "(s => { s.value = arguments[0];"
+            " s.dispatchEvent(new Event('change')); })"
+            "(document.getElementById('scene'))".replace(
+                "arguments[0]", repr(name)
+            )
+        )
+        self.shown.until(
+            rf"^Printer +{name}, as at home", len(self.shown.output)
+        )
+        self.restarted()
+
+    def restarted(self):
+        page = self.page
+        page.until(lambda: page.text("#gap") == "–", "klippy has restarted")
+        page.until_ready()
+
+    def hand(self, line):
+        if line == "take":
+            # Not while the head goes down on it
+            self.page.until(
+                lambda: "away" in self.page.text("#dialog"), "it asks for it"
+            )
+        self.shown.type(line, r"\S")
+        if line.startswith("press"):
+            # Until the finger lets go; speed 1 is the slowest
+            time.sleep(2.5)
+
+    def run(self, script, end):
+        """Type it; end: what the console says last, if that is waited for."""
+        self.lines = len(self.page.console())
+        self.page.send(script)
+        if end is not None:
+            self.until_said(end)
+
+    def until_said(self, pattern):
+        """Since G-code was typed last."""
+        self.page.until(
+            lambda: re.search(pattern, self.page.console()[self.lines :]),
+            pattern,
+        )
+
+    def shortcut(self, label):
+        page = self.page
+        script = page.value(
+            "[...document.querySelectorAll('#shortcuts button')]"
+            ".find(b => b.textContent === arguments[0]).dataset.runs",
+            label,
+        )
+        before = page.console().count("+-")
+        page.press("#shortcuts", label)
+        if label == "Home":
+            page.until(lambda: gap(page) is not None, "homed")
+        elif script == "CALIBRATE_Z":
+            page.until(lambda: page.console().count("+-") > before, "a result")
+        elif label == "Save":
+            self.restarted()
+        else:
+            page.until(
+                lambda: page.buttons("#dialog") or label == "Report", "a dialog"
+            )
+
+
+def is_about(page, wanted, within):
+    page.until(
+        lambda: gap(page) is not None and abs(gap(page) - wanted) < within,
+        f"a gap of {wanted}",
+    )
+
+
+# What has to be so after each step
+def after_home(page):
+    is_about(page, -0.1, 0.06)
+
+
+def after_wires(page):
+    assert "the probe reads triggered" in page.console()
+    assert re.search(r"expected a trigger at z=1\.(59|60)", page.console())
+    assert page.console().count("!! ") == 2
+
+
+def after_loss(page):
+    page.until(lambda: page.console().count("!! ") == 3, "it has ended")
+
+
+def after_report(page):
+    page.until(
+        lambda: page.value(
+            "document.getElementById('report-picture').naturalWidth"
+        ),
+        "the picture",
+    )
+
+
+RESULTS = {
+    "Home": after_home,
+    "Calibrate": lambda page: is_about(page, 0.06, 0.02),
+    "Break a wire": after_wires,
+    "Lose the probe": after_loss,
+    "Another nozzle": lambda page: None,
+    "Edit the configuration": lambda page: is_about(page, 0.0, 0.02),
+    "Set up from nothing": lambda page: is_about(page, 0.0, 0.06),
+    "Look at the report": after_report,
+    "Answer dialogs": lambda page: is_about(page, 0.0, 0.12),
+}
+
+
+def test_every_step_is_known():
+    assert [step.title for step in steps()] == list(RESULTS)
+
+
+@pytest.mark.slow
+@pytest.mark.timeout(20 * LIMIT)
+def test_tour(port):
+    with looking(port, "--speed", "4") as (shown, page):
+        visitor = Visitor(shown, page)
+        for step in steps():
+            visitor.do(step)
+            RESULTS[step.title](page)
