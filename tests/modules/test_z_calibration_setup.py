@@ -567,16 +567,19 @@ def test_another_value_that_cannot_be_saved(start, tmp_path):
     user = User(printer)
     advance(user, "SAVE")
     assert "SAVE_CONFIG cannot" not in user.dialog().text
-    # Handed over while the dialog is open
+    # Handed over while the dialog is open, with one that could be saved but for that
     printer.run("SET_GCODE_OFFSET Z=0.1\nZ_OFFSET_APPLY_PROBE")
+    printer.run("Z_OFFSET_APPLY_ENDSTOP")
     assert "section [z_calibration] of printer.cfg does not say" in (
         user.refused("Save")
     )
     lines = [
         t for t in user.dialog().texts if t.startswith("SAVE_CONFIG cannot")
     ]
-    assert "'z_offset: 1.900' into line 2 of" in lines[-1]
-    own = [line.split("'")[1] for line in lines[:-1]]
+    assert "'z_offset: 1.900' into line 2 of" in lines[-2]
+    # A restart would forget it
+    assert "'position_endstop: 0.400' into line" in lines[-1]
+    own = [line.split("'")[1] for line in lines[:-2]]
     assert own[0] == "switch_xy_position: 254.000, 14.500"
     assert "into section [z_calibration] of printer.cfg." in lines[0]
     # As it says
@@ -586,9 +589,14 @@ def test_another_value_that_cannot_be_saved(start, tmp_path):
         "[z_calibration]\n", "\n".join(["[z_calibration]", *own, ""])
     )
     config.write_text(text)
+    assert "does not say 'position_endstop: 0.400' yet" in user.refused("Save")
+    config.write_text(
+        text.replace("position_endstop: 0.5\n", "position_endstop: 0.4\n")
+    )
     printer.session.restart(user.dialog().gcode("Save"))
     settings = printer.status("configfile")["settings"]
     assert settings["probe"]["z_offset"] == 1.9
+    assert settings["stepper_z"]["position_endstop"] == 0.4
     assert settings["z_calibration"]["switch_xy_position"] == [254.0, 14.5]
 
 

@@ -157,12 +157,14 @@ class Saver(object):
         return [v for v in self._pending() if self.obstacle(*v[:2])]
 
     # What of 'values', pairs of option and text, has to be written by hand, and
-    # what of others that waits, too.  Empty: SAVE_CONFIG writes all.
+    # all of others that waits where SAVE_CONFIG refuses any: a restart forgets it.
+    # Empty: SAVE_CONFIG writes all.
     def by_hand(self, section, values):
         own = [(section,) + tuple(value) for value in values]
         named, refused = [value[:2] for value in own], self._refused()
         missing = [v for v in own if refused or self.obstacle(*v[:2])]
-        missing += [v for v in refused if v[:2] not in named]
+        if refused:
+            missing += [v for v in self._pending() if v[:2] not in named]
         return [
             ByHand(self._target(*value[:2]), *value)
             for value in missing

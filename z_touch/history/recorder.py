@@ -2,6 +2,7 @@
 # Copyright (C) 2026  the Z calibration developers, under the GNU GPLv3
 from __future__ import absolute_import
 
+import functools
 import logging
 import os
 import time
@@ -193,33 +194,35 @@ class Recorder(object):
                 "%s: there is no history to report of: 'history' is none"
                 % (self.host.section,)
             )
-        self.draw(self.asked_with())
+        self.draw(self.asked())
 
-    # What somebody who is asked wants to know
-    def asked_with(self):
+    # compose() of what somebody who is asked wants to know: in the thread, where
+    # nothing that is wrong with it ends a command
+    def asked(self):
         own, now = self.host.section, self.host.eventtime()
         configfile, section = map(
             self.printer.lookup_object, ("configfile", own)
         )
         version = self.printer.get_start_args().get("software_version", "?")
-        return asking.compose(
+        return functools.partial(
+            asking.compose,
             own,
             [("z_calibration", self.version), ("Klipper", version)],
             configfile.get_status(now)["settings"],
             section.get_status(now),
-            self.history.runs,
+            list(self.history.runs),
         )
 
     # In the thread of the history, after what it has to write
-    def draw(self, text=None):
-        self.history.in_thread(self.write_report, text)
+    def draw(self, compose=None):
+        self.history.in_thread(self.write_report, compose)
 
-    # With the 'text' to attach, if any
-    def write_report(self, text=None):
+    # With the text to attach, if any
+    def write_report(self, compose=None):
         path = report.write(self.history.file, self.history.printer)
         self.history.later(self.say, "the report is %s" % (path,))
-        if text is not None:
-            path = asking.write(path, text)
+        if compose is not None:
+            path = asking.write(path, compose())
             self.history.later(
                 self.say,
                 "to ask somebody, attach %s: it has your options and the last"
