@@ -2,11 +2,24 @@
 
 from __future__ import annotations
 
+import math
+import statistics
+from dataclasses import replace
+
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from simprinter.world import Bed, BedSpec, MeshSpec
+from simprinter.tests.world_machines import BED as BED_OF_MAG
+from simprinter.tests.world_machines import (
+    MAG,
+    MEMBRANE,
+    MIDDLE,
+    PIEZO,
+    Driver,
+    make,
+)
+from simprinter.world import Bed, BedSpec, MeshSpec, TextureSpec
 
 HEIGHTS = ((0.0, 0.2, -0.1), (0.3, 0.1, 0.05), (-0.2, 0.0, 0.4))
 GRID = MeshSpec(10.0, 20.0, 110.0, 220.0, HEIGHTS)
@@ -46,3 +59,61 @@ def test_plate_ends_at_its_limits():
         assert bed.covers(*at)
     for at in ((-0.001, 10), (10, 300.001), (300.001, 10), (10, -0.001)):
         assert not bed.covers(*at)
+
+
+def test_texture_has_its_spread_and_its_length_and_no_mean():
+    plates = [Bed(BedSpec(texture=TextureSpec(seed=s))) for s in range(60)]
+    at = [(11.7 * i, 7.3 * i) for i in range(1, 25)]
+
+    def product(apart):
+        pairs = [
+            bed.met(x, y) * bed.met(x + apart, y)
+            for bed in plates
+            for x, y in at
+        ]
+        return statistics.mean(pairs) / 0.015**2
+
+    heights = [bed.met(x, y) for bed in plates for x, y in at]
+    assert statistics.mean(heights) == pytest.approx(0.0, abs=0.001)
+    assert statistics.stdev(heights) == pytest.approx(0.015, rel=0.06)
+    assert product(0.5) == pytest.approx(math.exp(-1.0), abs=0.07)
+    assert product(2.0) == pytest.approx(0.0, abs=0.07)
+    assert max(heights) <= plates[0].highest == pytest.approx(0.06)
+    again = Bed(BedSpec(texture=TextureSpec(seed=3)))
+    assert [again.met(*p) for p in at] == [plates[3].met(*p) for p in at]
+
+
+def test_texture_is_met_by_tip_and_plunger_and_bridged_by_the_rest():
+    rough = replace(BED_OF_MAG, texture=TextureSpec(seed=4))
+    surface = Bed(rough)
+    x, y = MIDDLE
+    worlds = {
+        "nozzle": (replace(PIEZO, bed=rough), "bed_sensor", (x, y), True),
+        "plunger": (replace(MAG, bed=rough), "probe", (x + 5, y + 25), True),
+        "coil": (replace(PIEZO, bed=rough), "probe", (x + 17.6, y), False),
+    }
+    for spec, signal, at, meets in worlds.values():
+        plain = replace(spec, bed=BED_OF_MAG)
+        found = []
+        for each in (plain, spec):
+            driver = Driver(make(each))
+            if signal == "bed_sensor":
+                driver.world.set_output("bed_sensor_enable", 0.0, 1.0)
+            found.append(driver.find(signal))
+        bump = surface.met(*at) - surface.height(*at)
+        assert abs(bump) > 0.001
+        expected = bump if meets else 0.0
+        assert found[1] - found[0] == pytest.approx(expected, abs=1e-9)
+    truth = make(replace(MAG, bed=rough)).truth
+    smooth = make(replace(MAG, bed=BED_OF_MAG)).truth
+    assert truth.true_gap(x, y, 1.0) == smooth.true_gap(x, y, 1.0)
+
+
+def test_membrane_bridges_a_texture():
+    rough = replace(BED_OF_MAG, texture=TextureSpec(seed=4))
+    found = []
+    for bed in (BED_OF_MAG, rough):
+        driver = Driver(make(replace(MEMBRANE, bed=bed)))
+        driver.go(30.0, 20.0)
+        found.append(driver.find("membrane"))
+    assert found[0] == pytest.approx(found[1], abs=1e-9)

@@ -20,6 +20,7 @@ from .spec import (
     NoiseSpec,
     OozeSpec,
     PinSpec,
+    TextureSpec,
     WorldSpec,
 )
 from .truth import Crash, CrashError, ProbeEvent, Touch, Truth
@@ -44,6 +45,7 @@ __all__ = [
     "PinSpec",
     "Pose",
     "ProbeEvent",
+    "TextureSpec",
     "Touch",
     "Truth",
     "World",

@@ -2,7 +2,15 @@
 
 from __future__ import annotations
 
-from .spec import BedSpec, MeshSpec
+import math
+import random
+
+from .spec import BedSpec, MeshSpec, TextureSpec
+
+# Of which a texture is made: enough for heights that are as good as normal
+WAVES = 64
+# No tip and no dip is farther from the mean surface, in standard deviations
+TIPS = 4.0
 
 
 class Mesh:
@@ -42,10 +50,55 @@ def _cell(place: float, count: int) -> tuple[int, float]:
     return index, place - index
 
 
+class Texture:
+    """Heights with a Gaussian correlation: a sum of waves drawn from a seed.
+
+    Wave numbers of such a field are normal with a standard deviation of
+    sqrt(2) / length (Rahimi and Recht, Random Features, 2007).
+    """
+
+    __slots__ = ("_last", "_scale", "_waves", "highest")
+
+    def __init__(self, spec: TextureSpec) -> None:
+        draw = random.Random(f"{spec.seed}/texture")
+        wide = math.sqrt(2.0) / spec.length
+        self._waves = tuple(
+            (
+                draw.gauss(0.0, wide),
+                draw.gauss(0.0, wide),
+                draw.uniform(0.0, 2.0 * math.pi),
+            )
+            for _ in range(WAVES)
+        )
+        self._scale = spec.sigma * math.sqrt(2.0 / WAVES)
+        self.highest = TIPS * spec.sigma
+        # A touch asks for the same point again and again
+        self._last = (math.nan, math.nan, 0.0)
+
+    def height(self, x: float, y: float) -> float:
+        """Height at (x, y) above the mean surface, mm."""
+        last_x, last_y, z = self._last
+        if last_x != x or last_y != y:
+            whole = math.fsum(
+                math.cos(a * x + b * y + phase) for a, b, phase in self._waves
+            )
+            z = max(-self.highest, min(self.highest, self._scale * whole))
+            self._last = x, y, z
+        return z
+
+
 class Bed:
     """Plane plus optional mesh, and where the plate ends."""
 
-    __slots__ = ("_mesh", "_slope_x", "_slope_y", "_spec", "_z0", "highest")
+    __slots__ = (
+        "_mesh",
+        "_slope_x",
+        "_slope_y",
+        "_spec",
+        "_texture",
+        "_z0",
+        "highest",
+    )
 
     def __init__(self, spec: BedSpec) -> None:
         self._spec = spec
@@ -58,7 +111,10 @@ class Bed:
             for x in (spec.x_min, spec.x_max)
             for y in (spec.y_min, spec.y_max)
         ]
+        texture = spec.texture
+        self._texture = None if texture is None else Texture(texture)
         bump = 0.0 if self._mesh is None else self._mesh.highest()
+        bump += 0.0 if self._texture is None else self._texture.highest
         # An upper bound: plane and mesh may peak at different places
         self.highest = max(corners) + bump
 
@@ -67,8 +123,13 @@ class Bed:
         spec = self._spec
         return spec.x_min <= x <= spec.x_max and spec.y_min <= y <= spec.y_max
 
+    def met(self, x: float, y: float) -> float:
+        """Where the tip or a plunger meets the plate at (x, y), mm."""
+        z = self.height(x, y)
+        return z if self._texture is None else z + self._texture.height(x, y)
+
     def height(self, x: float, y: float) -> float:
-        """Surface z at (x, y), mm; continued outside the plate."""
+        """Mean surface z at (x, y), mm; continued outside the plate."""
         z = self._z0 + self._slope_x * x + self._slope_y * y
         if self._mesh is not None:
             z += self._mesh.height(x, y)

@@ -255,7 +255,7 @@ def nozzle_on_bed(bed: Bed, drift: Drift) -> ContactZ:
     def contact_z(x: float, y: float, t: float) -> Optional[float]:
         if not bed.covers(x, y):
             return None
-        return bed.height(x, y) + drift.bed(t) + drift.nozzle(t)
+        return bed.met(x, y) + drift.bed(t) + drift.nozzle(t)
 
     return contact_z
 
@@ -311,14 +311,17 @@ def hanging_on_bed(
         x, y = x + offset_x, y + offset_y
         if not bed.covers(x, y):
             return None
-        height = bed.height(x, y) + drop + drift.bed(t)
+        height = bed.met(x, y) + drop + drift.bed(t)
         return height + drift.body(t) + seat()
 
     return contact_z
 
 
 def sensed_bed(bed: Bed, drift: Drift, probe: InductiveSpec) -> ContactZ:
-    """The plate comes within the coil's distance; the coil is not hot."""
+    """The plate comes within the coil's distance; the coil is not hot.
+
+    It sees more of the plate than a texture is wide.
+    """
     offset_x, offset_y = probe.x_offset, probe.y_offset
     sense_distance, twist = probe.sense_distance, probe.twist
 
@@ -336,7 +339,6 @@ def nozzle_on_membrane(
     bed: Bed, drift: Drift, spec: MembraneSpec, is_laid: Callable[[], bool]
 ) -> ContactZ:
     """The tip meets the top of the membrane switch, while it lies there."""
-    surface = nozzle_on_bed(bed, drift)
 
     def inside(x: float, y: float) -> bool:
         if spec.radius is not None:
@@ -347,7 +349,10 @@ def nozzle_on_membrane(
     def contact_z(x: float, y: float, t: float) -> Optional[float]:
         if not (is_laid() and inside(x, y)):
             return None
-        plate = surface(x, y, t)
-        return None if plate is None else plate + spec.thickness
+        if not bed.covers(x, y):
+            return None
+        # It bridges a texture
+        plate = bed.height(x, y) + drift.bed(t) + drift.nozzle(t)
+        return plate + spec.thickness
 
     return contact_z

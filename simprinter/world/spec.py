@@ -99,9 +99,32 @@ class MeshSpec(Spec):
 
 
 @dataclass(frozen=True)
+class TextureSpec(Spec):
+    """A rough plate, as what is about a millimetre wide meets it, mm.
+
+    sigma: standard deviation of the heights about their mean surface
+    length: distance at which their correlation has fallen to 1 / e
+    seed: of the plate
+
+    Owners touch with a nozzle's flat or a plunger's end, each about 1 mm across,
+    so that what they find is that of a spot already: RatOS's page on Beacon's true
+    zero has up to 0.1 mm between touches 1 mm apart. With 15 um these differ by 21
+    um, and the most of many thousand by 0.1 mm; length is an estimate.
+    """
+
+    sigma: float = 0.015
+    length: float = 0.5
+    seed: int = 0
+
+    _POSITIVE = ("sigma", "length")
+
+
+@dataclass(frozen=True)
 class BedSpec(Spec):
     """The plate: surface z = z0 + slope_x * x + slope_y * y (+ mesh), mm.
 
+    texture: what a nozzle or a plunger finds above or below that surface. The true
+    gap is counted from the surface; what bridges the texture does not see it.
     There is nothing to touch outside x_min..x_max, y_min..y_max.
     allowed_press: mm the nozzle may press a plate that has no sensor.
     """
@@ -114,6 +137,7 @@ class BedSpec(Spec):
     slope_x: float = 0.0
     slope_y: float = 0.0
     mesh: Optional[MeshSpec] = None
+    texture: Optional[TextureSpec] = None
     allowed_press: float = 0.0
 
     _NOT_NEGATIVE = ("allowed_press",)

@@ -272,6 +272,7 @@ class World:
 
     def _gap(self, x: float, y: float, z: float, t: float) -> float:
         """Tip to plate, mm; positive above it."""
+        # Filament fills a texture, so its mean surface counts
         surface = self._bed.height(x, y) + self._drift.bed(t)
         return z - self._drift.nozzle(t) - surface
 
