@@ -150,8 +150,20 @@ class Docking(object):
         self._make(DOCK, state, goal)
         if goal is not None:
             self.moves.go_back(goal, 0.0)
-        self.deactivate()
+        self._deactivate_or_lift()
         return True
+
+    # The head may be back near the bed, and goes up again where that fails.
+    def _deactivate_or_lift(self):
+        done = []
+
+        def lift():
+            if not done:
+                self.moves.lift_for_dock()
+
+        with running.always(self.host, lift, "lifting the head"):
+            self.deactivate()
+            done.append(True)
 
     # Whether the way to the dock is known
     def _is_in_reach(self):
