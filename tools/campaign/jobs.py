@@ -308,6 +308,8 @@ def _extra_probe_jobs() -> list[Job]:
     calibrate = replace(
         first,
         name="EXTRA_PROBE_CALIBRATE",
+        # What was saved says how low it may go
+        script=first.script.replace(" FLOOR=-1", ""),
         margins={"nozzle_membrane": 0.125, "nozzle_bed": 0.0},
         changes=changes,
         only=(),
