@@ -5,6 +5,7 @@ from __future__ import annotations
 import pytest
 
 from simprinter import Fault
+from simprinter.scenes import heated
 from tools.kit.dockable_probe import ABOVE, QUICK, SWITCH, section, trips, where
 from tools.kit.setup_user import User
 
@@ -238,3 +239,24 @@ def test_section_in_an_included_file(start, tmp_path):
     settings = user.printer.status("configfile")["settings"]["dockable_probe"]
     wanted = [(50.0, 308.0), (50.0, 270.0), (90.0, 308.0)]
     assert [tuple(settings[name]) for name in OPTIONS] == wanted
+
+
+def test_whoever_has_preheated_is_asked(start):
+    user = owner(start, heated(SWITCH))
+    run = user.printer.run
+    run("M140 S60")
+    user.begin()
+    assert "heater_bed is kept at 60 degrees." in user.dialog().text
+    user.press("No print")
+    run("M104 S150")
+    user.press("Next")
+    assert "extruder is kept at 150 degrees." in user.dialog().text
+    user.press("No print")
+    assert user.step() == "DOCK"
+    user.jog("X", 1.0)
+    run("M104 S160")
+    user.press("X+1 mm")
+    # There is one
+    lines = "\n".join(user.press("Abort"))
+    assert "the set-up has ended, nothing was saved" in lines
+    assert user.dialog() is None

@@ -53,13 +53,13 @@ def test_from_an_empty_section_to_the_true_gap(start):
     user.press("Back")
     assert user.position()[2] > height
     user.press("Paper")
-    assert user.has("Z-1")
+    assert user.has("Z-1 mm")
     assert "Still too high: lower it" in user.dialog().text
     text = user.refused("Here")
     assert "still too high, by 1.900 mm at least" in text
     user.lower_to_the_sheet()
     # No room for larger steps
-    assert not user.has("Z-0.5")
+    assert not user.has("Z-0.5 mm")
     assert "until it just holds the sheet" in user.dialog().text
     user.press("Here")
     assert user.step() == "SAVE"
@@ -218,7 +218,7 @@ def test_abort_leaves_the_printer_as_it_was(start):
             printer.run("G91\nG1 Z-0.5 F600\nG90")
         if step == "PAPER":
             # Up to here, and no further
-            user.press("Z-0.1")
+            user.press("Z-0.1 mm")
             assert_slow(printer)
         lines = user.press("Abort")
         assert any(
@@ -363,7 +363,7 @@ def test_places_that_cannot_be_and_a_probe_that_is_lost(start):
     at = printer.session.position()
     # Not homed any more
     printer.run("M84")
-    for label in ("X+1", "Here"):
+    for label in ("X+1 mm", "Here"):
         assert "not homed: X, Y, Z; home all axes (G28) first" in user.refused(
             label
         )
@@ -381,7 +381,7 @@ def test_places_that_cannot_be_and_a_probe_that_is_lost(start):
     printer.machine.hold("probe", None)
     user.press("Attach")
     assert printer.session.position()[:2] == pytest.approx((254.0, 14.5))
-    assert "X=1 would lead to 255.000" in user.refused("X+1")
+    assert "X=1 would lead to 255.000" in user.refused("X+1 mm")
     user.press("Back")
     assert user.step() == "NOZZLE"
     assert printer.session.position()[:2] == pytest.approx((226.0, 20.0))
@@ -424,7 +424,7 @@ def test_not_during_a_print(start, tmp_path):
         assert printer.fail(script) == "z_calibration: not during a print"
     # The print would go on at another height
     lines = "\n".join(user.press("Abort"))
-    assert "printing or not homed, so nothing was moved; the probe" in lines
+    assert "nothing was moved, as a print may be on, or the printer is" in lines
     assert printer.session.position() == at
     assert where(printer) == "attached"
     assert user.dialog() is None
@@ -635,13 +635,26 @@ def test_print_that_no_print_stats_knows_of(start):
     advance(user, "NOZZLE")
     printer.run("M109 S200")
     printer.session.wait(2.0)
+    at = printer.session.position()
+    user.press("X+1 mm")
+    # It may be paused, or heat before it begins
+    assert user.dialog().headline == "Is a print paused, or about to begin?"
+    assert "extruder is kept at 200 degrees." in user.dialog().text
+    assert printer.session.position() == at
+    user.press("No print")
+    assert printer.session.position()[0] == at[0] + 1.0
     # Buttons in a row are none
-    user.jog("X", 3.0)
+    user.jog("X", 2.0)
     printer.session.wait(2.0)
     # As OctoPrint sends them
     printer.run("G91\nG1 X10 F120")
     printer.session.wait(0.5)
-    for script in (SETUP, f"{SETUP} STEP=NOZZLE X=-1", f"{SETUP} STEP=NOZZLE"):
+    for script in (
+        SETUP,
+        f"{SETUP} STEP=NOZZLE X=-1",
+        f"{SETUP} STEP=NOZZLE",
+        f"{SETUP} STEP=NOZZLE PRINT=NONE",
+    ):
         text = printer.fail(script)
         assert "the head moves with a nozzle hot enough to print" in text
     assert user.step() == "NOZZLE"
@@ -652,3 +665,51 @@ def test_print_that_no_print_stats_knows_of(start):
     printer.run("M104 S0\nG1 X1 F120")
     printer.session.wait(0.3)
     user.jog("X", -1.0)
+
+
+def test_whoever_has_preheated_is_asked_once(start):
+    printer = start(heated(SCENES["cartesian"]), changes=empty())
+    printer.session.require_ready()
+    user = User(printer)
+    printer.run("M140 S60\nM104 S150")
+    lines = "\n".join(printer.run(SETUP))
+    kept = "extruder is kept at 150 degrees, heater_bed is kept at 60 degrees."
+    assert kept in lines
+    assert f"No print: {SETUP} PRINT=NONE" in lines
+    # Nothing was begun
+    lines = "\n".join(user.press("Abort"))
+    assert "the set-up has ended, nothing was saved" in lines
+    assert user.dialog() is None
+    user.begin()
+    user.press("No print")
+    user.test_switches()
+    user.press("Home")
+    assert user.step() == "NOZZLE"
+    # Another heat is another question, and what ends it moves nothing
+    printer.run("M140 S70")
+    at = printer.session.position()
+    user.press("Here")
+    assert "heater_bed is kept at 70 degrees." in user.dialog().text
+    assert "extruder" not in user.dialog().text
+    lines = "\n".join(user.press("Abort"))
+    assert "the set-up has ended, nothing was saved" in lines
+    assert printer.session.position() == at
+
+
+def test_print_that_is_paused(start):
+    changes = {**empty(), "pause_resume": {}}
+    printer = start("cartesian", changes=changes)
+    printer.session.require_ready()
+    user = User(printer)
+    advance(user, "SWITCH")
+    at = printer.session.position()
+    printer.run("PAUSE")
+    for script in (SETUP, f"{SETUP} STEP=SWITCH"):
+        text = printer.fail(script)
+        assert "a print is paused (PAUSE), and goes on from here" in text
+    printer.run("CLEAR_PAUSE")
+    user.jog("Z", 1.0)
+    printer.run("PAUSE")
+    user.press("Abort")
+    assert printer.session.position()[2] == at[2] + 1.0
+    assert where(printer) == "attached"

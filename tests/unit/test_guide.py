@@ -163,22 +163,27 @@ def test_answer_that_nobody_asked_for(name, answer):
         steps.follow(name, answer)
 
 
-def test_jog_buttons_are_of_four_and_lead_both_ways():
+def test_jog_buttons_say_mm_and_lead_both_ways():
     shown, _ = dialog("nozzle")
     labels = [[b[0] for b in group] for group in shown.groups]
     assert labels == [
-        ["X-10", "X+10", "Y-10", "Y+10"],
-        ["X-1", "X+1", "Y-1", "Y+1"],
-        ["X-0.1", "X+0.1", "Y-0.1", "Y+0.1"],
-        ["Z-10", "Z+10", "Z-1", "Z+1"],
-        ["Z-0.1", "Z+0.1"],
+        [f"{axis}{move} mm" for move in row]
+        for axis in "XYZ"
+        for row in (("-10", "-1", "-0.1"), ("+0.1", "+1", "+10"))
     ]
-    assert shown.gcode("Y-10") == "Z_CALIBRATION_SETUP STEP=NOZZLE Y=-10"
+    assert shown.gcode("Y-10 mm") == "Z_CALIBRATION_SETUP STEP=NOZZLE Y=-10"
     shown, _ = dialog("paper")
-    fine = ["Z-0.1", "Z+0.1", "Z-0.05", "Z+0.05", "Z-0.01", "Z+0.01"]
+    fine = [
+        "Z-0.1 mm",
+        "Z+0.1 mm",
+        "Z-0.05 mm",
+        "Z+0.05 mm",
+        "Z-0.01 mm",
+        "Z+0.01 mm",
+    ]
     for room, roomy in (
-        (1.0, ["Z-1", "Z+1", "Z-0.5", "Z+0.5"]),
-        (0.9, ["Z-0.5", "Z+0.5"]),
+        (1.0, ["Z-1 mm", "Z+1 mm", "Z-0.5 mm", "Z+0.5 mm"]),
+        (0.9, ["Z-0.5 mm", "Z+0.5 mm"]),
         (0.4, []),
     ):
         shown, _ = dialog("paper", room=room)

@@ -123,7 +123,7 @@ class User:
     def jog(self, axis: str, distance: float, jogs: Iterable[float] = JOGS):
         """By the buttons."""
         for step in presses(distance, jogs):
-            self.press(f"{axis}{step:+g}")
+            self.press(f"{axis}{step:+g} mm")
 
     def jog_to(self, x: float, y: float) -> None:
         """The head there, as near as the buttons lead."""
@@ -222,6 +222,6 @@ class User:
     def lower_to_the_sheet(self, paper: float = 0.1) -> None:
         """Until the sheet is held."""
         for step in (1.0, 0.5, 0.1, 0.05, 0.01):
-            label = f"Z-{step:g}"
+            label = f"Z-{step:g} mm"
             while self.has(label) and self.gap() > paper + step:
                 self.press(label)

@@ -9,6 +9,21 @@ JOGS = (10.0, 1.0, 0.1)
 LARGEST_JOG = 10.0
 
 
+# For a dialog: (label, G-code, colour).  'command' makes the G-code of its axis and
+# text.
+def button(axis, distance, command):
+    text = "%+g" % (distance,)
+    label = "%s%s mm" % (axis, text)
+    return label, command(**{axis: text}), "secondary"
+
+
+# All of an axis: three of them fit into a row of a dialog.
+def rows(axis, command):
+    downwards = [-distance for distance in JOGS]
+    for moves in (downwards, reversed(JOGS)):
+        yield [button(axis, move, command) for move in moves]
+
+
 # What a jog leads to (mm), refused where it would go beyond (low, high).  One that
 # 'stops' ends at low, as long as there is any way to it.
 def jogged(axis, start, distance, low, high, stops=False):

@@ -2,25 +2,74 @@
 # Copyright (C) 2026  the Z calibration developers, under the GNU GPLv3
 from __future__ import absolute_import
 
+from . import dialogs
+
+HEADLINE = "Is a print paused, or about to begin?"
+QUESTION = (
+    "%s.",
+    "A paused print of OctoPrint looks like preheating.",
+    "'No print' goes on as asked.",
+)
+
 
 # Also of a print that no print_stats knows of; what moves because of a set-up itself
-# is none.
+# is none.  What is kept hot may be: that a person is asked.
 class Prints(object):
     def __init__(self, host):
         self.host = host
         # Until when own moves were queued (print time); None: there were none
         self.own_time = None
+        # Degrees C that heaters are to have, and nobody prints with: a person has
+        # said so, or a command of the set-up has left them
+        self.known_heat = {}
 
-    # The moves up to here are of the set-up
+    # The moves up to here are of the set-up, and what it has heated
     def has_moved(self):
         self.own_time = self._queued_time()
+        self.known_heat = self._heat()
+
+    # Whether there is a print, as far as anybody can know
+    def may_be(self):
+        is_known = self.host.print_state() or self._is_paused()
+        return bool(is_known or self._moves_on() or self._unknown_heat())
+
+    # Whether a person is asked first.  The answer is the same command once more, with
+    # PRINT=NONE; 'abort' is the other one.
+    def asks(self, gcmd, abort):
+        if gcmd.get("PRINT", "").strip().upper() == "NONE":
+            self.known_heat = self._heat()
+        heat = self._unknown_heat()
+        if heat:
+            self._ask(gcmd, heat, abort)
+        return bool(heat)
+
+    def _ask(self, gcmd, heat, abort):
+        params = dict(gcmd.get_command_parameters(), PRINT="NONE")
+        words = ["%s=%s" % item for item in sorted(params.items())]
+        answers = (
+            ("No print", " ".join([gcmd.get_command()] + words), "primary"),
+            ("Abort", abort, "error"),
+        )
+        kept = ["%s is kept at %.0f degrees" % item for item in heat]
+        texts = [text.replace("%s", ", ".join(kept)) for text in QUESTION]
+        said = ["%s: %s" % answer[:2] for answer in answers]
+        self.host.say("\n".join([HEADLINE] + texts + said))
+        self.host.gcode.respond_raw(dialogs.END)
+        for line in dialogs.lines(HEADLINE, texts, answers):
+            self.host.gcode.respond_raw(line)
 
     # Raises the command's error
     def check_none(self, gcmd):
         host = self.host
         if host.print_state():
             raise gcmd.error("%s: not during a print" % (host.section,))
-        if self._moves_hot() and not self._is_own():
+        if self._is_paused():
+            raise gcmd.error(
+                "%s: a print is paused (PAUSE), and goes on from here; end it"
+                " (CANCEL_PRINT), or CLEAR_PAUSE where there is none"
+                % (host.section,)
+            )
+        if self._moves_on():
             raise gcmd.error(
                 "%s: the head moves with a nozzle hot enough to print, as in a"
                 " print of OctoPrint; wait until it stands still, then again"
@@ -37,6 +86,41 @@ class Prints(object):
         return self.own_time is not None and (
             self._queued_time() == self.own_time
         )
+
+    # As PAUSE has left it, whoever sends the print
+    def _is_paused(self):
+        pauser = self.host.printer.lookup_object("pause_resume", None)
+        status = pauser.get_status(self.host.eventtime()) if pauser else {}
+        return bool(status.get("is_paused"))
+
+    # Degrees C that nozzles and bed are to have, by heater
+    def _heat(self):
+        look_up, eventtime = (
+            self.host.printer.lookup_object,
+            self.host.eventtime(),
+        )
+        heaters, targets = look_up("heaters", None), {}
+        known = (
+            heaters.get_status(eventtime)["available_heaters"]
+            if heaters
+            else ()
+        )
+        for name in known:
+            if name == "heater_bed" or name.startswith("extruder"):
+                status = look_up(name).get_status(eventtime)
+                targets[name] = status.get("target", 0.0)
+        return targets
+
+    def _unknown_heat(self):
+        heat, known = self._heat(), self.known_heat
+        return sorted(
+            (name, target)
+            for name, target in heat.items()
+            if target > 0.0 and target != known.get(name)
+        )
+
+    def _moves_on(self):
+        return self._moves_hot() and not self._is_own()
 
     # The head moves, or has done so half a second ago, with a nozzle that is kept
     # hot enough to print.

@@ -82,10 +82,7 @@ class Setup(object):
         if name != "abort":
             self.prints.check_none(gcmd)
         if not name:
-            # Later a hand is near.
-            carrying.of(self.host.printer).settle(self.host)
-            self.state = self.state or State()
-            self._ask()
+            self._begin(gcmd)
         elif self.state is None:
             # It may be one of before a restart.
             self.host.gcode.respond_raw(dialogs.END)
@@ -101,8 +98,18 @@ class Setup(object):
                 " shows it again"
                 % (self.host.section, name, self.state.step, COMMAND)
             )
-        else:
+        elif not self.prints.asks(gcmd, ABORT):
             self._answered(gcmd)
+
+    # Or shows again what is asked
+    def _begin(self, gcmd):
+        # Its end is an answer to all that is asked.
+        self.state = self.state or State()
+        if self.prints.asks(gcmd, ABORT):
+            return
+        # Later a hand is near.
+        carrying.of(self.host.printer).settle(self.host)
+        self._ask()
 
     # After a jog the dialog has the new place, after an error it says why.  For
     # longer work it closes: it would cover the emergency stop of a web interface.
@@ -341,14 +348,9 @@ class Setup(object):
     def _jog_rows(self, name):
         if not STEPS[name].jogs:
             return
-        axes = ["XY"] if self.section.settings.dock_fixed_z else ["XY", "Z"]
-        for row in axes:
-            for distance in jogging.JOGS:
-                yield [
-                    (axis + text, command(name, **{axis: text}), "secondary")
-                    for axis in row
-                    for text in ("%+g" % (-distance,), "%+g" % (distance,))
-                ]
+        for axis in self._axes().upper():
+            for row in jogging.rows(axis, lambda **by: command(name, **by)):
+                yield row
 
     def _facts(self):
         places = self.state.places

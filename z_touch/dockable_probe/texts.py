@@ -10,7 +10,7 @@ import collections
 # none.  With 'jogs' there are buttons that move the head.
 Step = collections.namedtuple("Step", "title text answers back jogs")
 
-BY_HAND = "The buttons move the head by mm; you may move it as you like, too."
+BY_HAND = "The buttons move the head; you may move it as you like, too."
 STOP = "Keep a hand on the emergency stop."
 
 

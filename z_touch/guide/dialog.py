@@ -71,11 +71,7 @@ class Setup(object):
         self.section.check_idle(gcmd)
         name = gcmd.get("STEP", "").strip().lower()
         if not name:
-            self.prints.check_none(gcmd)
-            # Later a hand is near.
-            carrying.of(self.host.printer).settle(self.host)
-            self.state = self.state or State()
-            self.ask()
+            self.begin(gcmd)
             return
         if self.state is None:
             # It may be one of before a restart
@@ -94,7 +90,19 @@ class Setup(object):
                 % (self.host.section, name, self.state.step, steps.COMMAND)
             )
         self.prints.check_none(gcmd)
-        self.answered(gcmd)
+        if not self.prints.asks(gcmd, steps.ABORT):
+            self.answered(gcmd)
+
+    # Or shows again what is asked
+    def begin(self, gcmd):
+        self.prints.check_none(gcmd)
+        # Its end is an answer to all that is asked
+        self.state = self.state or State()
+        if self.prints.asks(gcmd, steps.ABORT):
+            return
+        # Later a hand is near.
+        carrying.of(self.host.printer).settle(self.host)
+        self.ask()
 
     # After a jog the dialog has the new place, after an error it says why.  For
     # longer work it closes: it would cover the emergency stop of a web interface.
@@ -362,7 +370,7 @@ class Setup(object):
         self.host.gcode.respond_raw(END)
 
     def abort(self, gcmd):
-        state, is_printing = self.state, bool(self.host.print_state())
+        state, is_printing = self.state, self.prints.may_be()
         self.close()
         leave = self.touches.leave
         work = functools.partial(leave, gcmd, state, is_printing)

@@ -4,9 +4,9 @@ from __future__ import absolute_import, division
 
 import math
 
+from ..core import jogging
 from ..core.dialogs import lines
 from ..core.errors import CalibrationError
-from ..core.jogging import JOGS
 from ..core.sampling import accuracy
 from ..z_calibration.switches import COME_DOWN, SWITCHES
 from .state import SITES
@@ -89,31 +89,20 @@ ABORT = COMMAND + " STEP=ABORT"
 ######################################################################
 
 
-def jog_button(name, axis, distance):
-    text = "%+g" % (distance,)
-    return axis + text, command(name, **{axis: text}), "secondary"
-
-
-# Rows of buttons that move the head: four fit.  'room': as in facts
+# Rows of buttons that move the head.  'room': as in facts
 def jog_groups(name, room):
-    axes, groups = STEPS[name].axes, []
-    for distance in JOGS if "X" in axes else ():
-        groups.append(
-            [
-                jog_button(name, axis, sign * distance)
-                for axis in "XY"
-                for sign in (-1, 1)
-            ]
-        )
-    distances = JOGS
-    if axes == "Z":
-        distances = [d for d in ROOMY_JOGS if d <= room] + list(FINE_JOGS)
-    for first in range(0, len(distances) if axes else 0, 2):
-        pair = distances[first : first + 2]
-        groups.append(
-            [jog_button(name, "Z", s * d) for d in pair for s in (-1, 1)]
-        )
-    return groups
+    axes = STEPS[name].axes
+
+    def by(**move):
+        return command(name, **move)
+
+    if axes != "Z":
+        return [row for axis in axes for row in jogging.rows(axis, by)]
+    distances = [d for d in ROOMY_JOGS if d <= room] + list(FINE_JOGS)
+    return [
+        [jogging.button("Z", sign * distance, by) for sign in (-1, 1)]
+        for distance in distances
+    ]
 
 
 # Rows of buttons that lead back to a place, or tell the switch

@@ -26,7 +26,7 @@ def step(name, number, title, text, go_on, **given):
 
 
 STOP = "Keep a hand on the emergency stop."
-JOGS = "The buttons move the head by mm; you may move it as you like, too."
+JOGS = "The buttons move the head; you may move it as you like, too."
 
 
 # How low the buttons lead: over a pin that is known, with something that hangs below
@@ -46,8 +46,8 @@ LOWEST_OF_ANY = (
 AT_PLUNGER = (
     "Now the plunger is about over the pin: move some 4 mm along the body.\n"
 )
-TOO_HIGH = "Still too high: lower it with the buttons, by mm."
-NEAR_SHEET = "Lower it with the buttons, by mm, until it just holds the sheet."
+TOO_HIGH = "Still too high: lower it with the buttons."
+NEAR_SHEET = "Lower it with the buttons until it just holds the sheet."
 
 # What is looked at over each place
 LOOKED_AT = {

@@ -72,8 +72,9 @@ class Touches(object):
                 self.put_away(state)
         elif state.is_fetched:
             gcmd.respond_info(
-                "%s: printing or not homed, so nothing was moved; the probe may"
-                " still be on the head" % (self.host.section,)
+                "%s: nothing was moved, as a print may be on, or the printer is"
+                " not homed; the probe may still be on the head"
+                % (self.host.section,)
             )
 
     ##################################################################

@@ -451,9 +451,9 @@ def first_button(page, what="dataset.runs"):
 def lower(page):
     """By the buttons, until a sheet of paper would be held."""
     for step in (1.0, 0.1, 0.05, 0.01):
-        while height(page) > 0.1 + step and has_button(page, f"Z-{step:g}"):
+        while height(page) > 0.1 + step and has_button(page, f"Z-{step:g} mm"):
             wanted = height(page) - step / 2
-            page.press("#dialog", f"Z-{step:g}")
+            page.press("#dialog", f"Z-{step:g} mm")
             while height(page) > wanted:
                 time.sleep(0.1)
 
