@@ -1,6 +1,7 @@
 // What came of a command: its result in large figures, and the report's picture.
 
-const OFFSET = /new offset=(-?[\d.]+)(?: \+-([\d.]+))?/;
+const RESULT = /--> (new offset|new switch_offset|correction)=(-?[\d.]+)(?: \+-([\d.]+))?/;
+const LABELS = { "new offset": "new Z offset", correction: "correction of the probe" };
 const REPORT = /the report is \S*?(report-\d{8}-\d{6}\.svg)/;
 
 export class Result {
@@ -17,21 +18,22 @@ export class Result {
 
   // A line of the console.
   take(line) {
-    const offset = OFFSET.exec(line);
-    if (offset) {
+    const found = RESULT.exec(line);
+    if (found) {
+      const [, name, value, uncertainty] = found;
       // The uncertainty comes in a line of its own, behind that of the formula
-      if (!offset[2]) this.formula = line.replace(/^\/\/ /, "");
-      this.show(this.formula || line, Number(offset[1]), offset[2]);
+      if (!uncertainty) this.formula = line.replace(/^\/\/ /, "");
+      this.show(LABELS[name] || name, this.formula || line, Number(value), uncertainty);
     }
     const report = REPORT.exec(line);
     if (report) this.draw(report[1]);
   }
 
-  show(line, offset, uncertainty) {
+  show(name, line, value, uncertainty) {
     const figures = document.createElement("p");
     figures.className = "big";
-    figures.textContent = `${offset.toFixed(3)} mm${uncertainty ? ` ± ${uncertainty}` : ""}`;
-    const label = Object.assign(document.createElement("p"), { className: "label", textContent: "new Z offset" });
+    figures.textContent = `${value.toFixed(3)} mm${uncertainty ? ` ± ${uncertainty}` : ""}`;
+    const label = Object.assign(document.createElement("p"), { className: "label", textContent: name });
     const how = Object.assign(document.createElement("p"), { className: "quiet", textContent: line });
     this.card.replaceChildren(label, figures, how);
     this.card.hidden = false;

@@ -155,6 +155,7 @@ def test_membrane_by_dialogs(port):
         page.do("take")
         page.press("#dialog", "Continue")
         page.until(lambda: "SAVE_CONFIG" in page.console(), "it is to save")
+        assert re.match(r"new Z offset-?\d\.\d{3} mm", page.text("#result"))
         page.press("#shortcuts", "Save")
         page.until(
             lambda: page.text("#state-klippy") and not gap(page), "a restart"
@@ -276,6 +277,18 @@ def test_report_is_shown(port):
             ),
             "the picture",
         )
+
+
+@pytest.mark.slow
+@LONG
+def test_correction_of_an_inductive_probe_is_shown(port):
+    options = ("--scene", "auto_z_offset", "--perfect", "--speed", "10")
+    with looking(port, *options) as (_, page):
+        home(page)
+        page.press("#shortcuts", "Calibrate")
+        page.until(lambda: "correction=" in page.console(), "a result")
+        shown = r"correction of the probe-?\d\.\d{3} mm"
+        page.until(lambda: re.match(shown, page.text("#result")), "the card")
 
 
 @pytest.mark.slow
