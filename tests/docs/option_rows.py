@@ -10,7 +10,7 @@ from tests.docs.documents import normal, part
 from z_touch.core import options
 
 WHOLE = "The whole section"
-_SIGNS = (("above", ">"), ("minval", "≥"))
+_SIGNS = (("above", ">"), ("minval", "≥"), ("maxval", "≤"))
 
 
 def value_of(row: Any) -> str:

@@ -15,6 +15,7 @@ from __future__ import annotations
 
 import argparse
 import json
+import math
 import random
 import re
 import statistics
@@ -30,7 +31,7 @@ from typing import NamedTuple, Optional
 from simprinter import SCENES
 from simprinter.hosts.hosts import Host, find_hosts
 from simprinter.hosts.session import GcodeError
-from simprinter.world import NoiseSpec
+from simprinter.world import NoiseSpec, TextureSpec
 from tests.unit.runs import make_run
 from tools.bench.errors import UM, Condition, make_scene
 from tools.kit.printer import Printer
@@ -46,7 +47,8 @@ class Case(NamedTuple):
     """A condition, and what is to be kept under it; mm, um and seconds.
 
     touches: of each site in the runs of its history. outliers: chance and size
-    of an outlier. sigma, worst: of the error; seconds: on average.
+    of an outlier. spread: bed_spread on a textured plate, another one for each
+    seed. sigma, worst: of the error; seconds: on average.
     """
 
     name: str
@@ -55,6 +57,7 @@ class Case(NamedTuple):
     samples: str = "auto"
     target: str = "0.008"
     outliers: tuple[float, float] = (0.0, 0.0)
+    spread: Optional[str] = None
     sigma: Optional[float] = None
     worst: Optional[float] = None
     seconds: Optional[float] = None
@@ -65,6 +68,8 @@ CASES = (
     Case("3 um", 3.0, sigma=4.0, seconds=20.5),
     Case("3 um, target 0.005", 3.0, 5, target="0.005", sigma=2.6, seconds=44.0),
     Case("10 um", 10.0, 10, sigma=6.5),
+    Case("3 um, texture", 3.0, spread="0"),
+    Case("3 um, bed_spread 3", 3.0, 6, spread="3", target="0.014", sigma=7.0),
     Case("3 um, 1 % of 50 um", 3.0, outliers=(0.01, 0.05), worst=15.0),
 )
 
@@ -87,6 +92,10 @@ def run_trial(host: Host, case: Case, seed: int) -> Trial:
         mag_probe=replace(scene.world.mag_probe, noise=noise),
     )
     options = {"samples": case.samples}
+    if case.spread is not None:
+        bed = replace(scene.world.bed, texture=TextureSpec(seed=seed))
+        scene = scene.with_world(bed=bed)
+        options["bed_spread"] = case.spread
     if case.samples == "auto":
         options["target_uncertainty"] = case.target
     with TemporaryDirectory() as folder:
@@ -103,9 +112,11 @@ def write_history(folder: Path, case: Case, seed: int) -> None:
     """As ten runs would have left it."""
     noise = case.noise / UM
     draw = random.Random(seed)
+    is_spread = case.spread not in (None, "0")
+    worn = {"bed": math.hypot(noise, TextureSpec.sigma)} if is_spread else {}
     counts = [LEAST_AT_FIRST] * FIRST + [case.touches] * (HISTORY - FIRST)
     runs = [
-        make_run(draw, noise, touches=max(count, case.touches))
+        make_run(draw, noise, touches=max(count, case.touches), worn=worn)
         for count in counts
     ]
     lines = "".join(json.dumps(run) + "\n" for run in runs)

@@ -50,6 +50,8 @@ def for_cycles(settings):
         )
         for sampling in (settings.pin, settings.probe)
     ]
+    # At one point: texture would look like a switch that varies
+    settings = settings._replace(bed_spread=0.0)
     return with_counts(settings, pin, probe)
 
 

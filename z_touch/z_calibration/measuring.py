@@ -16,7 +16,8 @@ from __future__ import absolute_import
 import functools
 
 from ..core import carrying, errors, touching
-from .heights import HOME_AGAIN, below_margins
+from .heights import FREE_PLUNGER, HOME_AGAIN, below_margins
+from .sites import spread_point
 
 # What to do about samples that differ
 DIFFER = "clean the nozzle and check the switch for play"
@@ -26,6 +27,13 @@ TOO_LOW = (
     "correct switch_offset, which is larger than any switch has it, or"
     " position_max of the Z axis"
 )
+
+# By how much (mm) points of a textured plate may differ, besides samples_tolerance,
+# which is for one point: RatOS's page on Beacon's true zero has up to 0.1 mm.
+TEXTURE = 0.1
+
+# Lift (mm) before the free plunger is moved over the plate
+CLEAR_OF_PLATE = FREE_PLUNGER + 0.5
 
 LOOK_AT_PROBE = "check it with QUERY_PROBE"
 
@@ -133,8 +141,12 @@ class Measurement(object):
         self.check_pressed()
         self.taken += 1
         self.watch.touched()
-        self.report("touched at z=%.6f" % (z,))
+        self.report("touched at z=%.6f%s" % (z, self.place()))
         return z
+
+    # Where that was, in words; empty: where the head always is
+    def place(self):
+        return ""
 
     def touch_once(self, floor):
         self.head.touch(self.endstop(), floor, self.sampling.speed)
@@ -253,6 +265,33 @@ class BedMeasurement(Measurement):
     remedy = "check bed_xy_position, switch_offset and the probe"
     # The host's own probing while a session lasts that ends at the floor
     probe_once = None
+
+    # With bed_spread each sample is at a point of its own
+    def __init__(self, calibration, site, sampling):
+        self.spread = calibration.settings.bed_spread
+        self.middle = site
+        if self.spread:
+            sampling = sampling._replace(tolerance=sampling.tolerance + TEXTURE)
+            x, y = spread_point(site, self.spread, 0)
+            site = site._replace(x=x, y=y)
+        Measurement.__init__(self, calibration, site, sampling)
+
+    # X and Y of the bed
+    def place(self):
+        if not self.spread:
+            return ""
+        x, y = self.host.toolhead.get_position()[:2]
+        x_offset, y_offset = self.host.probing.offsets()[:2]
+        return " at %.2f, %.2f" % (x + x_offset, y + y_offset)
+
+    # High enough to move on to the next point
+    def retract(self):
+        pressed_z = self.head.pressed_z
+        Measurement.retract(self)
+        if self.spread and pressed_z is not None:
+            self.head.lift(pressed_z + CLEAR_OF_PLATE)
+            x, y = spread_point(self.middle, self.spread, self.taken)
+            touching.move_xy(self.host, x, y, self.settings.speed)
 
     def touch_site(self, travel_z, expected_z, floor):
         self.go_there(travel_z)

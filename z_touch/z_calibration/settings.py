@@ -36,6 +36,12 @@ TRAVEL_SPEED = 50.0
 # What the offset may be off by (mm, 95 %) with samples: auto
 TARGET_UNCERTAINTY = 0.008
 
+# The same with bed_spread: what six touches of a rough plate are worth
+ROUGH_TARGET = 0.014
+
+# From here on (mm) bed_spread measures how the bed is bent, not its texture
+LARGEST_SPREAD = 20.0
+
 # Beside printer.cfg
 FOLDER = "z_calibration"
 RUNS = 1000
@@ -129,6 +135,14 @@ POSITIONS = (
         "bed_xy_position",
         "The point of the bed that the probe touches. The default is"
         " zero_reference_position of [bed_mesh].",
+    ),
+    mm_option(
+        "bed_spread",
+        0.0,
+        "For a textured plate, such as 3: each touch of the bed is at another"
+        " point, up to so far from there, in mm. 0: all are at that point.",
+        minval=0.0,
+        maxval=LARGEST_SPREAD,
     ),
     option(
         "wiggle_xy_offsets",
@@ -262,7 +276,8 @@ SPEEDS = (
     mm_option(
         "target_uncertainty",
         TARGET_UNCERTAINTY,
-        "With samples: auto, what the offset may be off by, in mm.",
+        "With samples: auto, what the offset may be off by, in mm. With"
+        " bed_spread the default is 0.014.",
         above=0.0,
     ),
     probe_option(
@@ -380,6 +395,8 @@ def read_settings(config, z_axis, old_names):
     defaults["probing_retract_dist"] = (
         z_axis.homing_retract_dist or FALLBACK_RETRACT
     )
+    if options.number(config, "bed_spread", 0.0):
+        defaults["target_uncertainty"] = ROUGH_TARGET
     values = options.read(config, OPTIONS, old_names, **defaults)
     counting = adaptive.choose(values["samples"], values["target_uncertainty"])
     note_idle_options(counting, old_names)

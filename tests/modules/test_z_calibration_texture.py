@@ -1,0 +1,143 @@
+"""bed_spread: touches of a textured plate at points around the configured one."""
+
+from __future__ import annotations
+
+import math
+import re
+import statistics
+from dataclasses import replace
+from itertools import combinations
+
+import pytest
+
+from simprinter import SCENES
+from simprinter.world import TextureSpec
+from tools.kit.z_calibration import calibration, refusal, section
+
+MIDDLE = (152.0, 125.25)
+
+
+def rough(seed):
+    scene = SCENES["voron"]
+    bed = replace(scene.world.bed, texture=TextureSpec(seed=seed))
+    return scene.with_world(bed=bed)
+
+
+def points_of(printer, before=0):
+    """Where the bed was touched (mm)."""
+    touches = printer.machine.truth.touches[before:]
+    return [(t.x, t.y) for t in touches if t.site == "probe_bed"]
+
+
+@pytest.mark.every_host
+@pytest.mark.parametrize("first_fast", ["false", "true"])
+def test_each_touch_is_at_a_point_of_its_own(start, first_fast):
+    options = section(
+        bed_spread="3", samples="9", probing_first_fast=first_fast
+    )
+    # A plunger that hangs out of its switch is lifted clear of the plate
+    changes = {**options, "probe": {"sample_retract_dist": "0.5"}}
+    scene = SCENES["voron"]
+    probe = replace(scene.world.mag_probe, pretravel=0.9)
+    printer = start(scene.with_world(mag_probe=probe), changes=changes).homed()
+    lines = printer.run("CALIBRATE_Z")
+    told = re.findall(
+        r"bed: touched at z=\S+ at (\S+), (\S+)$", "\n".join(lines), re.M
+    )
+    points = points_of(printer)
+    if first_fast == "true":
+        # The one that does not count is where the first one does
+        assert points[0] == pytest.approx(points[1], abs=0.02)
+        points = points[1:]
+    # Of the bed, where the plunger is
+    beside = [(float(x) + 2.0, float(y) - 24.75) for x, y in told]
+    assert [pytest.approx(p, abs=0.06) for p in beside] == points
+    assert len(points) == 9
+    far = [math.dist(point, MIDDLE) for point in points]
+    assert 2.5 < max(far) <= 3.0
+    assert min(math.dist(a, b) for a, b in combinations(points, 2)) > 1.0
+    assert printer.machine.truth.drag("probe_bed") == 0.0
+    assert all(
+        t.z - t.trigger_z < 0.1
+        for t in printer.machine.truth.touches
+        if t.site == "probe_bed"
+    )
+
+
+def test_texture_is_no_reason_to_begin_again_and_is_averaged(start):
+    options = {"samples": "9", "samples_tolerance": "0.01"}
+    options["samples_tolerance_retries"] = "0"
+    errors = {"0": [], "3": []}
+    for seed in range(3):
+        for spread, found in errors.items():
+            changes = section(bed_spread=spread, **options)
+            printer = start(rough(seed), changes=changes).homed()
+            before = len(printer.machine.truth.touches)
+            calibration(printer)
+            assert len(points_of(printer, before)) == 9
+            found.append(printer.gap() - printer.scene.formula_gap())
+    single, spread = (
+        math.sqrt(statistics.mean(e * e for e in found))
+        for found in errors.values()
+    )
+    assert spread < 0.009 < single
+
+
+def test_more_than_texture_is_refused(start):
+    scene = SCENES["voron"].with_world(
+        bed=replace(SCENES["voron"].world.bed, texture=TextureSpec(sigma=0.2))
+    )
+    options = {"bed_spread": "3", "samples": "9", "samples_tolerance": "0.01"}
+    printer = start(scene, changes=section(**options)).homed()
+    message = printer.fail("CALIBRATE_Z")
+    assert "samples_tolerance is 0.1100 mm" in message
+
+
+def test_with_auto_there_are_as_many_as_texture_needs(start):
+    changes = section(bed_spread="3", samples="auto")
+    printer = start(rough(1), changes=changes).homed()
+    _, sites = calibration(printer)
+    assert 5 <= sites.count("probe_bed") <= 20
+    assert printer.status("z_calibration")["uncertainty"] > 0.008
+
+
+def test_accuracy_asks_for_one_point(start):
+    printer = start(rough(1), changes=section(bed_spread="3")).homed()
+    printer.run("CALIBRATE_Z_ACCURACY CYCLES=2")
+    points = points_of(printer)
+    assert len(points) >= 4
+    assert points == [pytest.approx(MIDDLE, abs=0.06)] * len(points)
+
+
+IN = "in section 'z_calibration'"
+REFUSED = {
+    "beyond the reach": (
+        {"bed_spread": "3", "bed_xy_position": "150, 26"},
+        f"Option 'bed_spread: 3' {IN} needs the head at Y=-1.750, outside",
+    ),
+    "no texture": (
+        {"bed_spread": "20.1"},
+        f"Option 'bed_spread' {IN} must have maximum of 20",
+    ),
+    "below nothing": (
+        {"bed_spread": "-1"},
+        f"Option 'bed_spread' {IN} must have minimum of 0",
+    ),
+    "on the pin": (
+        {"bed_spread": "6", "bed_xy_position": "196, 306"},
+        "choose a point of the bed at least 7 mm away",
+    ),
+}
+
+
+@pytest.mark.parametrize("name", REFUSED)
+def test_what_no_touch_may_do_is_refused(host, name):
+    options, words = REFUSED[name]
+    assert words in refusal(host, section(**options))
+
+
+def test_a_point_that_comes_with_the_command_is_looked_at_as_well(start):
+    printer = start(changes=section(bed_spread="3")).homed()
+    message = printer.fail("CALIBRATE_Z BED_POSITION=150,26")
+    assert "bed_spread: 3" in message
+    assert points_of(printer) == []
