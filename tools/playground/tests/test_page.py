@@ -465,10 +465,17 @@ def lower(page):
     """By the buttons, until a sheet of paper would be held."""
     for step in (1.0, 0.1, 0.05, 0.01):
         while height(page) > 0.1 + step and has_button(page, f"Z-{step:g} mm"):
-            wanted = height(page) - step / 2
-            page.press("#dialog", f"Z-{step:g} mm")
-            while height(page) > wanted:
-                time.sleep(0.1)
+            jog(page, f"Z-{step:g} mm")
+
+
+def jog(page, label):
+    """By a button, until the dialog names the new height.
+
+    The head is seen to move before; the buttons may be others then.
+    """
+    before = page.text("#dialog")
+    page.press("#dialog", label)
+    page.until(lambda: page.text("#dialog") not in ("", before), "asked again")
 
 
 def has_button(page, label):
