@@ -699,16 +699,19 @@ def test_speeds_of_one_command(host, params, more):
 IDLE = "// z_calibration: SAMPLES_TOLERANCE is ignored with 'samples: auto'"
 
 
+# Touches with samples: auto, where there is no history
+AT_FIRST = 4
+
+
 @pytest.mark.parametrize(
     ("samples", "params", "count"),
     [
         slow(None, "SAMPLES=2", 2),
-        ("4", "SAMPLES=1", 1),
-        ("4", "SAMPLES=", 4),
-        # Five where there is no history
-        ("4", "SAMPLES=auto", 5),
+        ("5", "SAMPLES=1", 1),
+        ("5", "SAMPLES=", 5),
+        ("5", "SAMPLES=auto", AT_FIRST),
         slow("auto", "SAMPLES=2", 2),
-        ("auto", "PROBE_SPEED=4", 5),
+        ("auto", "PROBE_SPEED=4", AT_FIRST),
     ],
 )
 def test_samples_of_one_command(start, samples, params, count):
@@ -721,7 +724,7 @@ def test_samples_of_one_command(start, samples, params, count):
         "body_pin": count,
         "probe_bed": count,
     }
-    assert (IDLE in lines) is (count == 5)
+    assert (IDLE in lines) is (count == AT_FIRST)
 
 
 def test_tolerance_and_result_of_one_command(start):

@@ -162,7 +162,8 @@ def test_95_of_100_are_inside_of_three_samples(noise, method, printers):
 def test_quiet_history_spares_touches(printers):
     runs = run_many(0.003, printers=printers)
     assert statistics.stdev(runs.errors) <= 0.0040
-    assert runs.touches <= 7.5
+    # 7.5 to 7.6 of 2,000 printers
+    assert runs.touches <= 7.7
     at_first = run_many(0.003, known=False, printers=printers)
     assert at_first.touches >= 3 * adaptive.LEAST_AT_FIRST
 
@@ -205,15 +206,15 @@ def collected(values, past=QUIET, share=SHARE):
     ("values", "past", "count", "z"),
     [
         ((1.0, 1.001), QUIET, 2, 1.0005),
-        ((1.0, 1.001, 1.0, 1.001, 1.0005), UNKNOWN, 5, 1.0005),
+        ((1.0, 1.001, 1.0, 1.001), UNKNOWN, 4, 1.0005),
         # Too few of before are no history
-        ((1.0, 1.001, 1.0, 1.001, 1.0005), Spread(4e-6, 7), 5, 1.0005),
+        ((1.0, 1.001, 1.0, 1.001), Spread(4e-6, 7), 4, 1.0005),
         ((1.0, 1.001), Spread(4e-6, 8), 2, 1.0005),
         # Three speak against one, six against two
         ((1.0, 1.05, 1.001, 1.002), QUIET, 4, 1.001),
         ((1.05, 1.0, 0.9, *[1.001] * 5), QUIET, 8, 1.000833),
         # Noisier than its history: that counts no more
-        ((1.0, 1.012, 1.006, 1.001, 1.011, *[1.006] * 5), QUIET, 8, 1.006),
+        ((1.0, 1.012, 1.006, 1.001, 1.011, *[1.006] * 5), QUIET, 7, 1.006),
     ],
 )
 def test_touches_until_it_is_known(values, past, count, z):
@@ -312,7 +313,7 @@ def doubt(values, past=UNKNOWN, samples=AUTO, tolerance=0.01, retries=0):
 
 
 SAME = Spread(0.0, 20)
-HIGHER = "the first touch was 0.0196 mm higher than the next ones"
+HIGHER = "the first touch was 0.0195 mm higher than the next ones"
 
 
 @pytest.mark.parametrize(
@@ -381,7 +382,7 @@ def test_nothing_is_worth_anything_before_all_is_measured():
     assert plan.uncertainty() == pytest.approx(0.006, abs=0.002)
     assert plan.expected(AUTOMATIC) == adaptive.LEAST
     at_first = plan_of({"bed": UNKNOWN}, counting)
-    assert at_first.expected(AUTOMATIC) == 5
+    assert at_first.expected(AUTOMATIC) == 4
     fixed_count = plan_of({}, adaptive.FixedCount())
     assert fixed_count.expected(AUTOMATIC._replace(samples=3)) == 3
 

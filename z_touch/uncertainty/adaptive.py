@@ -42,7 +42,7 @@ FALLING_AT_FIRST = 4
 # Touches of one site: with a history, without one, and at most.  Without one
 # fewer agree by chance too often for the uncertainty to hold.
 LEAST = 2
-LEAST_AT_FIRST = 5
+LEAST_AT_FIRST = 4
 MOST = 10
 
 # The part of the whole that the sites before the last one leave: how noisy a run was
@@ -114,11 +114,12 @@ def is_known(earlier):
     return earlier.dof >= HISTORY
 
 
-# The part of the variance at 95 % (mm^2) that a site has.  With a history the
-# other sites are known as well: t is of all three.
+# The part of the variance at 95 % (mm^2) that a site has.  t is of the whole, and the
+# other sites will be known as well: with a history all three; without one they may
+# turn out noisier, so only one of the others is counted.
 def cost(estimate):
     is_alone = estimate.dof <= estimate.spread.dof
-    dof = estimate.dof if is_alone else 3 * estimate.dof
+    dof = (2 if is_alone else 3) * estimate.dof
     return t_factor(dof) ** 2 * estimate.variance
 
 
