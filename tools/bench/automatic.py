@@ -3,12 +3,16 @@
     python -m tools.bench.automatic [--seeds N] [--host NAME]
 
 Each seed is another printer of the voron scene, as in tools/bench/errors.py,
-with a history of ten runs at the noise of its switches, of as many touches as
-such runs have: more in the first two, before anything is known.
+at the speeds of make bench, with a history of ten runs at the noise of its
+switches, of as many touches as such runs have: more in the first two, before
+anything is known. Besides, some have no history.
 For each condition: mean, standard deviation and worst of the error of the true
 gap (um), how many of the gaps were inside the uncertainty that was told,
-seconds of the command, touches that count, and refusals. The exit code is 1
-where a bound is not kept.
+seconds of the command, how many times the lower bound that is, touches that
+count, and refusals. The exit code is 1 where a bound is not kept.
+
+The bound is that of tools/bench/lower_bounds.py for so many touches, with what
+samples: auto may choose, and with what a host needs after each armed move.
 """
 
 from __future__ import annotations
@@ -20,7 +24,8 @@ import random
 import re
 import statistics
 import sys
-from collections.abc import Iterator, Sequence
+from collections import Counter
+from collections.abc import Iterator, Mapping, Sequence
 from concurrent.futures import ProcessPoolExecutor
 from dataclasses import replace
 from functools import partial
@@ -28,18 +33,27 @@ from pathlib import Path
 from tempfile import TemporaryDirectory
 from typing import NamedTuple, Optional
 
-from simprinter import SCENES
+from simprinter import SCENES, Scene
 from simprinter.hosts.hosts import Host, find_hosts
 from simprinter.hosts.session import GcodeError
 from simprinter.world import NoiseSpec, TextureSpec
 from tests.unit.runs import make_run
+from tools.bench.commands import STANDARD, calibrate_plan
 from tools.bench.errors import UM, Condition, make_scene
+from tools.bench.lower_bounds import lower_bound
 from tools.kit.printer import Printer
 from z_touch.uncertainty.adaptive import LEAST_AT_FIRST
+from z_touch.z_calibration import pace
 
 HISTORY = 10
 # As long as nothing is known of a site it is touched more often
 FIRST = 2
+# A host begins the next move so long (s) after an armed one has ended without a
+# trigger (BUFFER_TIME_START of toolhead.py), and after a trigger, as it has asked the
+# board meanwhile and has flushed ahead (BGFLUSH_HIGH_TIME of motion_queuing.py)
+AFTER_WAY = 0.25
+AFTER_TOUCH = 0.4
+TOUCHED = re.compile(r"z_calibration: (\w+): touched at z=")
 WORTH = re.compile(r"new offset=\S+ \+-(\S+)")
 
 
@@ -48,7 +62,8 @@ class Case(NamedTuple):
 
     touches: of each site in the runs of its history. outliers: chance and size
     of an outlier. spread: bed_spread on a textured plate, another one for each
-    seed. sigma, worst: of the error; seconds: on average.
+    seed. known: whether there is a history. sigma, worst: of the error;
+    seconds, ratio: on average.
     """
 
     name: str
@@ -58,14 +73,23 @@ class Case(NamedTuple):
     target: str = "0.008"
     outliers: tuple[float, float] = (0.0, 0.0)
     spread: Optional[str] = None
+    known: bool = True
     sigma: Optional[float] = None
     worst: Optional[float] = None
     seconds: Optional[float] = None
+    ratio: Optional[float] = None
 
 
 CASES = (
     Case("3 um, three samples", 3.0, 3, "3"),
-    Case("3 um", 3.0, sigma=4.0, seconds=20.5),
+    Case("3 um", 3.0, sigma=4.0, seconds=15.0, ratio=1.15),
+    Case(
+        *("3 um, no history", 3.0),
+        known=False,
+        sigma=4.0,
+        seconds=18.0,
+        ratio=1.15,
+    ),
     Case("3 um, target 0.005", 3.0, 5, target="0.005", sigma=2.6, seconds=44.0),
     Case("10 um", 10.0, 10, sigma=6.5),
     Case("3 um, texture", 3.0, spread="0"),
@@ -81,6 +105,7 @@ class Trial(NamedTuple):
     worth: float = 0.0
     seconds: float = 0.0
     touches: int = 0
+    bound: float = 1.0
 
 
 def run_trial(host: Host, case: Case, seed: int) -> Trial:
@@ -91,7 +116,7 @@ def run_trial(host: Host, case: Case, seed: int) -> Trial:
         pin=replace(scene.world.pin, noise=noise),
         mag_probe=replace(scene.world.mag_probe, noise=noise),
     )
-    options = {"samples": case.samples}
+    options = {**STANDARD["z_calibration"], "samples": case.samples}
     if case.spread is not None:
         bed = replace(scene.world.bed, texture=TextureSpec(seed=seed))
         scene = scene.with_world(bed=bed)
@@ -99,35 +124,52 @@ def run_trial(host: Host, case: Case, seed: int) -> Trial:
     if case.samples == "auto":
         options["target_uncertainty"] = case.target
     with TemporaryDirectory() as folder:
-        write_history(Path(folder), case, seed)
+        if case.known:
+            write_history(Path(folder), scene, case, seed)
         options["history"] = folder
-        with Printer(
-            host, scene, {"z_calibration": options}, seed=seed
-        ) as printer:
+        changes = {**STANDARD, "z_calibration": options}
+        with Printer(host, scene, changes, seed=seed) as printer:
             printer.homed()
             return measure(printer)
 
 
-def write_history(folder: Path, case: Case, seed: int) -> None:
-    """As ten runs would have left it."""
+def write_history(folder: Path, scene: Scene, case: Case, seed: int) -> None:
+    """As ten runs of this printer would have left it."""
     noise = case.noise / UM
     draw = random.Random(seed)
     is_spread = case.spread not in (None, "0")
     worn = {"bed": math.hypot(noise, TextureSpec.sigma)} if is_spread else {}
     counts = [LEAST_AT_FIRST] * FIRST + [case.touches] * (HISTORY - FIRST)
     runs = [
-        make_run(draw, noise, touches=max(count, case.touches), worn=worn)
+        make_run(
+            draw,
+            noise,
+            touches=max(count, case.touches),
+            worn=worn,
+            moved=moved(scene),
+        )
         for count in counts
     ]
     lines = "".join(json.dumps(run) + "\n" for run in runs)
     (folder / "history.jsonl").write_text(lines)
 
 
+def moved(scene: Scene) -> dict[str, float]:
+    """By how much (mm) its heights are others than those of the drawn runs.
+
+    Toolhead Z: homed on the pin, so that a higher one lowers the bed.
+    """
+    usual, world = SCENES["voron"].world, scene.world
+    drop = world.mag_probe.body_drop - usual.mag_probe.body_drop
+    rise = world.bed.z0 - usual.bed.z0 - (world.pin.z - usual.pin.z)
+    return {"switch": drop, "bed": drop + rise}
+
+
 def measure(printer: Printer) -> Trial:
     """What a calibration leaves."""
     clock = printer.machine.simulation.clock
     printer.session.wait(2.0)
-    began = clock.now()
+    began, start = clock.now(), printer.session.position()
     try:
         lines = printer.run("CALIBRATE_Z\nM400")
     except GcodeError:
@@ -135,8 +177,33 @@ def measure(printer: Printer) -> Trial:
     seconds = (clock.now() - began) * 1e-9
     error = printer.gap() - printer.scene.formula_gap()
     worth = [m for m in map(WORTH.search, lines) if m]
-    count = sum("touched at z=" in line for line in lines)
-    return Trial(error * UM, float(worth[0][1]) * UM, seconds, count)
+    counts = Counter(m[1] for m in map(TOUCHED.search, lines) if m)
+    told = float(worth[0][1]) * UM
+    bound = bound_of(printer.scene, counts, start)
+    return Trial(error * UM, told, seconds, sum(counts.values()), bound)
+
+
+def bound_of(
+    scene: Scene, counts: Mapping[str, int], start: tuple[float, float, float]
+) -> float:
+    """Seconds that so many touches of each site take at least."""
+    plan = calibrate_plan(scene, STANDARD)
+    fastest = plan.limits.z_velocity
+    stops = [
+        stop._replace(
+            approach_speed=fastest,
+            samples=counts[stop.name],
+            retract=pace.SHORTEST_LIFT,
+            lift_speed=fastest,
+        )
+        for stop in plan.stops
+    ]
+    plan = plan._replace(stops=stops, travel_speed=pace.FREE_TRAVEL_SPEED)
+    x, y, z = (round(value, 3) for value in start)
+    moves = math.fsum(part.seconds for part in lower_bound(plan, (x, y, z)))
+    # The way down of each site, which begins like any other move, is armed, too
+    waits = AFTER_WAY * len(stops) + AFTER_TOUCH * sum(counts.values())
+    return moves + waits
 
 
 def rows(case: Case, trials: Sequence[Trial]) -> Iterator[str]:
@@ -144,18 +211,20 @@ def rows(case: Case, trials: Sequence[Trial]) -> Iterator[str]:
     good = [trial for trial in trials if trial.error is not None]
     errors = [trial.error for trial in good]
     seconds = statistics.mean(trial.seconds for trial in good)
+    ratio = statistics.mean(trial.seconds / trial.bound for trial in good)
     sigma, worst = statistics.stdev(errors), max(errors, key=abs)
     inside = sum(abs(t.error) <= t.worth + 0.5 for t in good) / len(good)
     touches = statistics.mean(trial.touches for trial in good)
     yield (
         f"{case.name:22} mean {statistics.mean(errors):+5.1f}  sd {sigma:5.2f}"
         f"  worst {worst:+6.1f}  inside {inside:4.0%}  {seconds:5.1f} s"
-        f"  {touches:4.1f} touches  {len(trials) - len(good)} refused"
+        f"  {ratio:4.2f} x  {touches:4.1f} touches  {len(trials) - len(good)} refused"
     )
     for name, value, bound in (
         ("sd", sigma, case.sigma),
         ("worst", abs(worst), case.worst),
         ("seconds", seconds, case.seconds),
+        ("ratio", ratio, case.ratio),
         ("refused", len(trials) - len(good), 0),
     ):
         if bound is not None and value > bound:

@@ -126,8 +126,9 @@ class Carrying(object):
     ######################################################################
 
     # X and Y (mm), around the dock where there is one that is known; otherwise,
-    # with 'x_first', along X and then along Y
-    def go_to(self, host, x, y, speed, x_first=False):
+    # with 'x_first', along X and then along Y, and down to the height 'down_to'
+    # on the last straight line, where the head is higher
+    def go_to(self, host, x, y, speed, x_first=False, down_to=None):
         carrier = self.carrier(host)
         if carrier is not None:
             carrier.go_to(x, y, speed)
@@ -135,4 +136,6 @@ class Carrying(object):
         if x_first:
             start_y = host.toolhead.get_position()[1]
             touching.move_xy(host, x, start_y, speed)
+        if down_to is not None and host.z() > down_to:
+            host.toolhead.manual_move([x, y, down_to], speed)
         touching.move_xy(host, x, y, speed)

@@ -14,7 +14,7 @@ from .probing import Probing
 ZAxis = collections.namedtuple(
     "ZAxis",
     "section endstop_pin position_endstop position_min homing_speed"
-    " second_homing_speed homing_retract_dist max_accel",
+    " second_homing_speed homing_retract_dist max_speed max_accel",
 )
 
 
@@ -66,7 +66,10 @@ def read_z_axis(config):
         return None
     number = functools.partial(section.getfloat, note_valid=False)
     homing_speed = number("homing_speed", 5.0)
-    printer = config.getsection("printer")
+    printer = functools.partial(
+        config.getsection("printer").getfloat, note_valid=False
+    )
+    fastest = printer("max_velocity", float("inf"))
     return ZAxis(
         section=section.get_name(),
         endstop_pin=section.get("endstop_pin", "", note_valid=False),
@@ -75,9 +78,8 @@ def read_z_axis(config):
         homing_speed=homing_speed,
         second_homing_speed=number("second_homing_speed", homing_speed / 2.0),
         homing_retract_dist=number("homing_retract_dist", 5.0),
-        max_accel=printer.getfloat(
-            "max_z_accel", float("inf"), note_valid=False
-        ),
+        max_speed=printer("max_z_velocity", fastest),
+        max_accel=printer("max_z_accel", float("inf")),
     )
 
 
@@ -342,3 +344,12 @@ class Host(object):
 # The largest step (mm) of the motors of Z
 def z_step(host):
     return max(s.get_step_dist() for s in host.z_steppers())
+
+
+# What the Z axis can do: mm/s, mm/s^2
+def z_limits(host):
+    axis, status = host.z_axis, host.toolhead_status()
+    return (
+        min(axis.max_speed, status["max_velocity"]),
+        min(axis.max_accel, status["max_accel"]),
+    )

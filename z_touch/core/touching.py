@@ -80,6 +80,26 @@ def raise_to(host, z, speed):
         host.toolhead.manual_move([None, None, z], speed)
 
 
+# A move that follows on others in time is told to the host so long (s) before they
+# end: BUFFER_TIME_START of its toolhead.py, 0.25 s, and some for the answer of a switch
+MOVE_START = 0.3
+
+
+# The print time to look at a switch while the head is still under way: late, but the
+# next move begins in time.  Not before 'begun', a print time.
+def before_arrival(host, begun):
+    return max(begun, host.after_moves() - MOVE_START)
+
+
+# A head so near (mm) to a site is over it
+SAME_SITE = 0.01
+
+
+def is_over(host, site):
+    here = host.toolhead.get_position()
+    return max(abs(here[0] - site.x), abs(here[1] - site.y)) <= SAME_SITE
+
+
 def move_xy(host, x, y, speed):
     if tuple(host.toolhead.get_position()[:2]) != (x, y):
         host.toolhead.manual_move([x, y], speed)
@@ -140,7 +160,9 @@ class Head(object):
 
     # 'told': in other words than those of the host
     def _stopped(self, error, kind, told=None):
-        text = "%s (stopped at z=%.3f)" % (told or error, self.host.z())
+        # Without the sign of a rounded zero
+        z = round(self.host.z(), 3) + 0.0
+        text = "%s (stopped at z=%.3f)" % (told or error, z)
         if was_not_heard(error):
             return MessageLost("%s; %s" % (text, LATE))
         return kind(text)
@@ -165,6 +187,10 @@ class Head(object):
     def move_down(self, z, speed):
         if self.host.z() > z:
             self.host.toolhead.manual_move([None, None, z], speed)
+
+    # From now on retract() lifts by that (mm)
+    def use_lift(self, distance):
+        self.sampling = self.sampling._replace(retract_dist=distance)
 
     # Up to where the next touch begins
     def retract(self):

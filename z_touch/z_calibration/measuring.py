@@ -16,6 +16,7 @@ from __future__ import absolute_import
 import functools
 
 from ..core import carrying, errors, touching
+from . import pace
 from .heights import FREE_PLUNGER, HOME_AGAIN, below_margins
 from .sites import spread_point
 
@@ -78,21 +79,17 @@ class Measurement(object):
     def take_samples(self, travel_z, expected_z, floor):
         self.expected_z, self.floor = expected_z, floor
         with errors.about(self.site.name):
-            return self.touch_site(travel_z, expected_z, floor)
+            return self.touch_site(travel_z, floor)
 
     # All of it, in the order in which it is done
-    def touch_site(self, travel_z, expected_z, floor):
-        self.go_there(travel_z)
-        self.come_down(travel_z, expected_z, floor)
+    def touch_site(self, travel_z, floor):
+        self.arrive(travel_z)
+        self.come_down(travel_z, floor)
         return self.collect(floor)
 
     # What is to be pressed at this site
     def endstop(self):
         return self.pin.endstop
-
-    # Looks at the sensor that is not armed, before the first touch
-    def check_arrived(self):
-        pass
 
     # Looks at the sensor that is not armed while the head presses the other one
     def check_pressed(self):
@@ -102,24 +99,36 @@ class Measurement(object):
     def explain(self):
         self.check_pin_open(self.host.after_moves())
 
+    # A head that is over the site, and high enough for a touch, has arrived.
+    def arrive(self, travel_z):
+        is_high = self.host.z() >= self.top(travel_z)
+        is_there = self.expected_z is not None and is_high
+        if not (is_there and touching.is_over(self.host, self.site)):
+            self.go_there(travel_z)
+
     # Up first, so that nothing is hit on the way; never down to get there.
     def go_there(self, travel_z):
         self.head.lift(travel_z)
         site, speed = self.site, self.settings.speed
         everything = carrying.of(self.host.printer)
-        everything.go_to(self.host, site.x, site.y, speed, self.x_first)
-        self.check_arrived()
+        down_to = travel_z if pace.is_free(self.settings) else None
+        everything.go_to(
+            self.host, site.x, site.y, speed, self.x_first, down_to
+        )
+
+    # Where the samples begin: toolhead Z (mm)
+    def top(self, travel_z):
+        if self.expected_z is None:
+            return travel_z
+        return max(self.expected_z, self.floor) + self.sampling.retract_dist
 
     # Quickly down to where every sample begins: above the expected trigger.
     # Where nobody knows where that is, slowly from the travel height on.
-    def come_down(self, travel_z, expected_z, floor):
+    def come_down(self, travel_z, floor):
         if self.settings.probing_first_fast:
             self.first_touch(floor)
             return
-        top = travel_z
-        if expected_z is not None:
-            top = max(expected_z, floor) + self.sampling.retract_dist
-        speed = self.settings.probing_speed
+        top, speed = self.top(travel_z), self.settings.probing_speed
         self.attempt(self.head.come_down, self.endstop(), top, speed)
 
     # The first touch gets the head down; it is no sample
@@ -135,8 +144,9 @@ class Measurement(object):
 
     # One height: toolhead Z in mm
     def take_sample(self, floor):
+        before_z = self.head.pressed_z
         self.retract()
-        self.attempt(self.touch_once, floor)
+        self.attempt(self.touch_again, floor, before_z)
         z = self.head.pressed_z
         self.check_pressed()
         self.taken += 1
@@ -150,6 +160,41 @@ class Measurement(object):
 
     def touch_once(self, floor):
         self.head.touch(self.endstop(), floor, self.sampling.speed)
+
+    # The same where a switch is still pressed after a short lift.  'before_z': where
+    # it had triggered, None: it was not touched before.
+    def touch_again(self, floor, before_z):
+        try:
+            self.touch_once(floor)
+        except errors.CalibrationError:
+            if before_z is None or not self.lift_more(before_z):
+                raise
+            self.touch_once(floor)
+
+    # Up until the switch opens, which is the lift from now on; returns whether it
+    # does.
+    def lift_more(self, pressed_z):
+        endstop, lift = self.endstop(), self.sampling.retract_dist
+        if not pace.may_lengthen(self.settings):
+            return False
+        if not endstop.query_endstop(self.host.print_time()):
+            return False
+        while lift < pace.LONGEST_LIFT:
+            lift = min(2.0 * lift, pace.LONGEST_LIFT)
+            self.head.lift(pressed_z + lift)
+            if not endstop.query_endstop(self.host.after_moves()):
+                self.sampling = self.sampling._replace(retract_dist=lift)
+                self.head.use_lift(lift)
+                return True
+        self.explain()
+        return False
+
+    # Up until nothing is pressed any more, whatever is lifted between touches
+    def lift_clear(self):
+        lift = self.sampling.retract_dist
+        if pace.may_lengthen(self.settings):
+            lift = max(lift, pace.LONGEST_LIFT)
+        self.head.lift(self.host.z() + lift)
 
     # Calls touch(*args).  Its error says what was expected and what to look at;
     # where nothing triggered, or at once, the sensors may know better.
@@ -211,8 +256,8 @@ class NozzleMeasurement(Measurement):
     # A dock that nobody knows is more often beside the pin than in front of it.
     x_first = True
 
-    def touch_site(self, travel_z, expected_z, floor):
-        samples = Measurement.touch_site(self, travel_z, expected_z, floor)
+    def touch_site(self, travel_z, floor):
+        samples = Measurement.touch_site(self, travel_z, floor)
         if self.settings.wiggle_xy_offsets is not None:
             self.retract()
         return samples
@@ -235,14 +280,17 @@ class SwitchMeasurement(Measurement):
         " in section 'probe' is about the distance of nozzle and probe"
     )
 
-    def check_arrived(self):
-        self.check_probe_attached(self.host.after_moves())
+    # Looks at the probe as well, which may have been attached right before
+    def arrive(self, travel_z):
+        attached = self.host.after_moves()
+        Measurement.arrive(self, travel_z)
+        self.check_probe_attached(touching.before_arrival(self.host, attached))
 
     # A probe that reads triggered is lost, or its plunger is pressed: lifting
     # the head tells which.
     def explain(self):
         if self.host.probing.endstop().query_endstop(self.host.after_moves()):
-            self.head.lift(self.host.z() + self.sampling.retract_dist)
+            self.lift_clear()
             self.check_probe_attached(self.host.after_moves())
             raise errors.CalibrationError(
                 "the plunger of the probe was pressed where only its body"
@@ -254,7 +302,7 @@ class SwitchMeasurement(Measurement):
     # The sample counts, with a warning.
     def check_pressed(self):
         if self.host.probing.endstop().query_endstop(self.host.print_time()):
-            self.retract()
+            self.lift_clear()
             self.check_probe_attached(self.host.after_moves())
             self.calibration.warn(PLUNGER_PRESSED)
 
@@ -293,9 +341,9 @@ class BedMeasurement(Measurement):
             x, y = spread_point(self.middle, self.spread, self.taken)
             touching.move_xy(self.host, x, y, self.settings.speed)
 
-    def touch_site(self, travel_z, expected_z, floor):
-        self.go_there(travel_z)
-        down = functools.partial(self.come_down, travel_z, expected_z, floor)
+    def touch_site(self, travel_z, floor):
+        self.arrive(travel_z)
+        down = functools.partial(self.come_down, travel_z, floor)
         return self.in_session(down, travel_z, floor, self.collect)
 
     # One fast touch, which tells how long the probe is; returns toolhead Z (mm).

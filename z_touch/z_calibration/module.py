@@ -22,9 +22,9 @@ import logging
 
 from .. import __version__
 from ..core import errors, frame, notes, options, running, sampling
-from ..core.host import Host, check_z_axis
+from ..core.host import Host, check_z_axis, z_limits
 from ..history import recorder
-from . import accuracy, checks, corrections, heights, switches
+from . import accuracy, checks, corrections, heights, pace, switches
 from .calibration import Calibration, Earlier
 from .hooks import MOVED_IN_END, Hooks
 from .interface import Interface
@@ -268,6 +268,7 @@ class ZCalibration(object):
         z_adjust = options.param_number(
             gcmd, "Z_ADJUST", 0.0, minval=-LARGEST_ADJUST, maxval=LARGEST_ADJUST
         )
+        settings = pace.of_run(settings, *z_limits(self.host))
         finder = SiteFinder(self.host, settings)
         sites, before = finder.of_command(gcmd), self.host.gcode_offset()
         calibration = self.new_calibration(settings, sites, self.recorder.plan)

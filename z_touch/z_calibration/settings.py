@@ -379,11 +379,13 @@ OPTIONS = POSITIONS + RESULT + HEIGHTS + SPEEDS + KEPT + USER_GCODE
 #   position_max         of the Z axis
 #   z_offset             of the probe
 #   unmeasured_pin       how high the pin is taken for until it was touched
+#   said                 the names of those options that its owner has given, or the
+#                        command
 Settings = options.record(
     "Settings",
     [row for row in OPTIONS if row.name not in SAMPLING],
     "pin probe counting may_attach_late start_homes position_endstop position_max"
-    " z_offset unmeasured_pin",
+    " z_offset unmeasured_pin said",
 )
 
 
@@ -413,6 +415,9 @@ def read_settings(config, z_axis, old_names):
     values.update(hooks.read_texts(config))
     values.update(pin=pin, probe=probe, counting=counting)
     values["position_endstop"] = homed_z
+    values["said"] = frozenset(
+        row.name for row in OPTIONS if old_names.was_given(row.name)
+    )
     return Settings(*[values.get(name) for name in Settings._fields])
 
 
@@ -497,6 +502,13 @@ def with_counts(settings, pin, probe):
     return settings._replace(pin=pin, probe=probe, counting=counting)
 
 
+# Parameters of a command, and the options that they stand for
+PACE_PARAMS = (
+    ("SAMPLE_RETRACT_DIST", "probing_retract_dist"),
+    ("LIFT_SPEED", "lift_speed"),
+)
+
+
 # The settings with what PROBE takes as parameters; they count at all places.
 def param_touches(gcmd, settings):
     count, counting = options.param_samples(gcmd), settings.counting
@@ -509,7 +521,10 @@ def param_touches(gcmd, settings):
     if counting.count is not None:
         pin = pin._replace(samples=counting.count)
         probe = probe._replace(samples=counting.count)
-    return settings._replace(pin=pin, probe=probe, counting=counting)
+    said = settings.said.union(
+        option for name, option in PACE_PARAMS if gcmd.get(name, "").strip()
+    )
+    return settings._replace(pin=pin, probe=probe, counting=counting, said=said)
 
 
 # Of these parameters, those that count for nothing

@@ -1,0 +1,230 @@
+"""CALIBRATE_Z loses no time, and still looks before it goes down."""
+
+from __future__ import annotations
+
+import functools
+from dataclasses import replace
+
+import pytest
+
+from simprinter import SCENES, Fault
+from simprinter.world import NoiseSpec
+from tools.kit.printer import Printer
+from tools.kit.z_calibration import (
+    MICROSTEP,
+    calibration,
+    section,
+    with_moves,
+)
+
+# Of the voron scene: where G28 leaves the head, and the travel height
+HOMED_Z = 10.0
+TRAVEL_Z = 13.8
+
+
+@pytest.fixture
+def watched(start):
+    """A homed printer with these options, whose moves are recorded."""
+
+    def begin(**options):
+        changes = {"moves": {}, **section(**options)}
+        return start(changes=changes, modules=with_moves()).homed()
+
+    return begin
+
+
+def ends(printer, script="CALIBRATE_Z"):
+    """Where each move of a command ended (mm)."""
+    before = len(printer.status("moves")["ends"])
+    printer.run(script)
+    return printer.status("moves")["ends"][before:]
+
+
+def test_head_over_the_pin_is_not_lifted_first(watched):
+    printer = watched()
+    # The first move is the lift between two touches
+    assert ends(printer)[0][2] < HOMED_Z
+
+
+@pytest.mark.parametrize(
+    "place", ["Z3", "X205.5", "Y305.5"], ids=["low", "beside", "behind"]
+)
+def test_head_elsewhere_is_lifted_first(watched, place):
+    printer = watched()
+    printer.run(f"G90\nG1 {place} F600\nM400")
+    assert ends(printer)[0][2] == TRAVEL_Z
+
+
+def test_probe_is_looked_at_when_its_owner_has_attached_it(start):
+    """Also where the way to the switch takes less than the look is ahead."""
+    voron, cartesian = SCENES["voron"], SCENES["cartesian"]
+    probe = replace(voron.world.mag_probe, mode="output", attach_time=0.45)
+    outputs = cartesian.wiring.outputs
+    scene = replace(voron, wiring=replace(voron.wiring, outputs=outputs))
+    again = "\n  G90\n  G1 Z20 F900\n  SET_PIN PIN=probe_magnet VALUE=0\n"
+    again += "  G4 P500\n  ATTACH_PROBE"
+    changes = section(before_switch_gcode=again, speed="300")
+    for name in ("output_pin probe_magnet", "gcode_macro ATTACH_PROBE"):
+        changes[name] = cartesian.sections[name]
+    changes["output_pin probe_magnet"] = {
+        **cartesian.sections["output_pin probe_magnet"],
+        "value": "1",
+    }
+    calibration(start(scene.with_world(mag_probe=probe), changes).homed())
+
+
+# With samples: auto, what the owner leaves open is the module's
+
+
+def auto(**options):
+    return section(samples="auto", **options)
+
+
+def noisy(scene="voron", pin=None, probe=None, **world):
+    """A scene whose switches are so."""
+    made, before = SCENES[scene], SCENES[scene].world
+    return made.with_world(
+        pin=replace(before.pin, noise=NoiseSpec(**(pin or {}))),
+        mag_probe=replace(before.mag_probe, noise=NoiseSpec(**(probe or {}))),
+        **world,
+    )
+
+
+def spans(printer):
+    """Seconds between the second and third touch of each site, and on the way."""
+    before = len(printer.machine.truth.touches)
+    printer.run("CALIBRATE_Z")
+    times = {}
+    for touch in printer.machine.truth.touches[before:]:
+        times.setdefault(touch.site, []).append(touch.t)
+    nozzle, switch, bed = (
+        times[site] for site in ("nozzle_pin", "body_pin", "probe_bed")
+    )
+    return {
+        "nozzle": nozzle[2] - nozzle[1],
+        "switch": switch[2] - switch[1],
+        "bed": bed[2] - bed[1],
+        "to the switch": switch[0] - nozzle[-1],
+        "to the bed": bed[0] - switch[-1],
+    }
+
+
+@functools.cache
+def usual_spans(host):
+    return measured_spans(host)
+
+
+def measured_spans(host, **options):
+    with Printer(host, changes=auto(**options)) as printer:
+        return spans(printer.homed())
+
+
+# The voron's Z does 15 mm/s.  Its pin is touched at 3, its bed at 5 mm/s, with a
+# lift of 0.5 mm where the owner leaves it open.
+@pytest.mark.slow
+@pytest.mark.parametrize(
+    ("options", "more"),
+    [
+        (
+            {"probing_retract_dist": "2"},
+            {"nozzle": 1.5 / 3, "switch": 1.5 / 3, "bed": 1.5 / 5},
+        ),
+        ({"lift_speed": "1"}, {"nozzle": 0.5, "switch": 0.5, "bed": 0.5}),
+        ({"lift_speed": "5"}, {"to the switch": 12 / 5 - 12 / 15}),
+        ({"probing_speed": "3"}, {"to the bed": 6.3 / 3 - 6.3 / 15}),
+        ({"speed": "40"}, {"to the bed": 165.7 / 40 - 165.7 / 100}),
+        # Half of it is enough to stop from 4 mm/s, with two boards, too
+        ({"travel_margin": "0.2"}, {"to the bed": 6.3 / 4 - 6.3 / 15}),
+    ],
+    ids=lambda value: "-".join(value),
+)
+def test_owner_has_the_last_word(host, options, more):
+    usual, found = usual_spans(host), measured_spans(host, **options)
+    left = {part: found[part] - usual[part] for part in more}
+    assert left == pytest.approx(more, abs=0.2)
+
+
+@pytest.mark.parametrize(
+    ("param", "lift"), [("SAMPLE_RETRACT_DIST=2", 2.0), ("", 0.5)]
+)
+def test_lift_between_two_touches(start, param, lift):
+    changes = {"moves": {}, **auto()}
+    printer = start(changes=changes, modules=with_moves()).homed()
+    first, second = ends(printer, f"CALIBRATE_Z {param}")[:2]
+    pin = SCENES["voron"].number("stepper_z", "position_endstop")
+    assert [first[2], second[2]] == pytest.approx([pin + lift] * 2, abs=0.01)
+
+
+def test_nozzle_that_is_wiggled_is_lifted_as_its_owner_has_it(start):
+    changes = {"moves": {}, **auto(wiggle_xy_offsets="1, 1")}
+    printer = start(changes=changes, modules=with_moves()).homed()
+    pin = SCENES["voron"].number("stepper_z", "position_endstop")
+    assert ends(printer)[0][2] == pytest.approx(pin + 3.0, abs=0.01)
+
+
+@pytest.mark.every_host
+@pytest.mark.parametrize(
+    "scene",
+    [
+        noisy(pin={"hysteresis": 0.7}, probe={"hysteresis": 1.2}),
+        noisy(pin={"sigma": 0.003}, probe={"sigma": 0.003}, z_play=0.02),
+    ],
+    ids=["hysteresis", "play"],
+)
+def test_lift_is_as_long_as_the_switch_needs(start, scene):
+    printer = start(scene, auto()).homed()
+    calibration(printer)
+    gap = printer.gap() - printer.scene.formula_gap()
+    assert abs(gap) <= 0.02 + 2 * MICROSTEP
+
+
+def test_longer_lift_is_found_once(start):
+    changes = {"moves": {}, **auto()}
+    scene = noisy(pin={"hysteresis": 0.7})
+    printer = start(scene, changes, modules=with_moves()).homed()
+    pin = SCENES["voron"].number("stepper_z", "position_endstop")
+    lifts = [z - pin for _, _, z in ends(printer)[:4]]
+    assert lifts == pytest.approx([0.5, 1.0, 1.0, 1.0], abs=0.01)
+
+
+# The armings: two of G28, the way down, the first touch, the second
+@pytest.mark.parametrize("n", [4, 5], ids=["first", "second"])
+def test_switch_that_stays_pressed_is_no_long_lift(start, n):
+    """Nothing opens so late; the message is what it says of that switch."""
+    faults = [Fault("stuck_closed", signal="z_endstop", n=n)]
+    text = start(changes=auto(), faults=faults).homed().fail("CALIBRATE_Z")
+    assert "the Z endstop reads triggered where nothing should press" in text
+
+
+def test_touch_that_met_nothing_is_not_repeated(start):
+    faults = [Fault("trigger_never", signal="z_endstop", n=5)]
+    changes = auto(offset_margins="-0.5, 1", travel_margin="0.5")
+    printer = start(changes=changes, faults=faults)
+    printer.machine.tolerate("nozzle_pin", 0.5 + MICROSTEP)
+    text = printer.homed().fail("CALIBRATE_Z")
+    assert "did not answer" in text
+
+
+def test_plunger_that_the_pin_presses_is_lifted_clear(start):
+    """Though it still is after the lift between two touches."""
+    world = SCENES["voron"].world
+    probe = replace(world.mag_probe, plunger_on_pin=True, switch_offset=0.9)
+    scene = SCENES["voron"].with_world(mag_probe=probe)
+    lines = start(scene, auto()).homed().run("CALIBRATE_Z")
+    assert any("presses the plunger" in line for line in lines)
+
+
+def test_head_comes_down_on_its_way(start):
+    """In a straight line, down to the travel height and no lower."""
+    changes = {"moves": {}, **auto()}
+    printer = start(changes=changes, modules=with_moves()).homed()
+    printer.run("G90\nG1 X150 Y150 Z60 F6000\nM400")
+    along_x, then = ends(printer)[:2]
+    assert along_x == [206.0, 150.0, 60.0]
+    assert then == [206.0, 306.0, TRAVEL_Z]
+
+
+def test_fixed_count_stays_high(watched):
+    printer = watched()
+    printer.run("G90\nG1 X150 Y150 Z60 F6000\nM400")
+    assert [z for _, _, z in ends(printer)[:2]] == [60.0, 60.0]
