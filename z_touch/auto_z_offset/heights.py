@@ -184,8 +184,8 @@ def above_pin(floor, pin_z):
         return floor
     return Floor(
         pin_z,
-        "as far as the pin of the Z endstop may be pressed; the head is over it,"
-        " choose a point of the bed",
+        "as far as the pin of the Z endstop may be pressed, as the head is over"
+        " it; choose a point of the bed",
     )
 
 

@@ -89,7 +89,7 @@ def check_z_axis(config, z_axis):
         kinematics = printer.get("kinematics", "none", note_valid=False)
         raise config.error(
             "Option 'kinematics: %s' in section 'printer' has no Z axis with an"
-            " endstop of its own; %s cannot be used on this machine, remove"
+            " endstop of its own, and %s cannot be used on this machine; remove"
             " section '%s'" % (kinematics, config.get_name(), config.get_name())
         )
 
