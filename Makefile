@@ -117,7 +117,7 @@ tools:
 # Other versions of all that is downloaded, with the hashes of their files
 update-pins:
 	@$(PYTHON) -m simprinter.hosts.environment "$(BUILD_DIR)/pins" pins
-	cd requirements && for name in *.in; do \
+	for name in requirements/*.in simprinter/requirements/*.in; do \
 		"$(abspath $(BUILD_DIR))/pins/bin/uv" pip compile --quiet --upgrade \
 			--universal --generate-hashes --no-header --no-annotate \
 			--python-version $$(sed -n 's/^# Python //p' $$name | grep . || echo 3.9) \

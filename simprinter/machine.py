@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import os
 from collections.abc import Iterable
 from pathlib import Path
 from typing import Optional, Union
@@ -16,20 +15,13 @@ from .mcu.outputs import Outputs
 from .mcu.steppers import Steppers
 from .mcu.sync import Endstops, TrsyncTable
 from .mcu.tmc import Tmc2209, TmcUarts
+from .places import build_directory
 from .rig import Port, Rig
-from .scenes import Scene
+from .scene import Scene
 from .simulation import Simulation
 from .wire.link import Link
 from .wiring import MAIN, BoardSpec, Wiring, pin_number
 from .world import Pose, Truth, World, make_kinematics
-
-_REPO = Path(__file__).resolve().parents[1]
-
-
-def build_directory() -> Path:
-    """Where compiled parts are kept."""
-    # A relative one means the repository's, wherever klippy is started
-    return _REPO / (os.environ.get("BUILD_DIR") or "build") / "simprinter"
 
 
 class Machine:

@@ -6,12 +6,14 @@ Both meet in the wiring: the same pin texts serve both.
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Mapping, Sequence
-from dataclasses import dataclass, field, replace
-from typing import NamedTuple, Optional, Union
+from collections.abc import Iterable, Mapping
+from dataclasses import dataclass, replace
+from typing import NamedTuple, Optional
 
+from . import scene as machine_scene
 from .mcu.board import Crystal
-from .wiring import MAIN, BoardSpec, Heater, Motor, Wiring
+from .scene import HEATERS, Options, Sections, heated, parse
+from .wiring import BoardSpec, Motor, Wiring
 from .world import (
     AxisSwitchSpec,
     BedSensorSpec,
@@ -25,73 +27,16 @@ from .world import (
     WorldSpec,
 )
 
-# Of one section; a value of None leaves the option out
-Options = Mapping[str, Optional[str]]
-# By section name
-Sections = Mapping[str, Optional[Options]]
+__all__ = ["SCENES", "Options", "Scene", "Sections", "heated"]
 
 
 @dataclass(frozen=True)
-class Scene:
-    """A machine in its starting state.
+class Scene(machine_scene.Scene):
+    """A machine that the modules of this repository are tried on.
 
-    z_motors: (name, x, y) of every Z motor. start: where the nozzle tip is,
-    world frame; near the endstops, as the way there proves nothing and takes
-    time. z_skew: mm by which Z motors stand higher. Frame of the
-    configuration: x and y are the world's; its z comes from
-    homing on the pin, whose height it gives as position_endstop.
+    Frame of the configuration: x and y are the world's; its z comes from homing
+    on the pin, whose height it gives as position_endstop.
     """
-
-    name: str
-    kinematics: str
-    z_motors: Sequence[tuple[str, float, float]]
-    world: WorldSpec
-    wiring: Wiring
-    sections: Sections
-    start: Pose
-    z_skew: Mapping[str, float] = field(default_factory=dict)
-
-    def config(
-        self,
-        serial: Union[str, Mapping[str, str]],
-        changes: Optional[Sections] = None,
-    ) -> str:
-        """printer.cfg for boards on these serial devices, with changes.
-
-        serial: the main board's, or each one's by its name. A change replaces
-        or adds options; None as a value takes an option away, None as a
-        section the section.
-        """
-        serials = {MAIN: serial} if isinstance(serial, str) else serial
-        boards = {
-            MAIN if name == MAIN else f"mcu {name}": {"serial": device}
-            for name, device in serials.items()
-        }
-        merged: dict[str, dict[str, Optional[str]]] = {}
-        for part in (self.sections, boards, changes or {}):
-            for name, options in part.items():
-                if options is None:
-                    merged.pop(name, None)
-                else:
-                    merged.setdefault(name, {}).update(options)
-        lines: list[str] = []
-        for name, options in merged.items():
-            lines.append(f"[{name}]")
-            lines += [
-                f"{key}: {value}"
-                for key, value in options.items()
-                if value is not None
-            ]
-            lines.append("")
-        return "\n".join(lines)
-
-    def with_world(self, **changes: object) -> Scene:
-        """The same machine with another world."""
-        return replace(self, world=replace(self.world, **changes))
-
-    def number(self, section: str, option: str) -> float:
-        """What the configuration says."""
-        return float((self.sections[section] or {})[option] or 0.0)
 
     def formula_gap(self) -> float:
         """True gap at Z=0 that a perfect calibration leaves, mm.
@@ -125,45 +70,6 @@ class Scene:
         """
         return self.number("auto_z_offset", "z_offset") - self.piezo_depth()
 
-
-_HEATERS = {
-    "extruder": Heater("PH0", "PI0"),
-    "bed": Heater("PH1", "PI1", power=1.0, loss=0.005),
-}
-
-
-def heated(scene: Scene) -> Scene:
-    """The same with sections for its hotend and its bed.
-
-    The scenes are wired for them and do without: two thermometers make a fifth
-    of all that happens while a printer calibrates.
-    """
-    return replace(scene, sections={**scene.sections, **_parse(_HOT)})
-
-
-def _parse(text: str) -> dict[str, Options]:
-    """A printer.cfg that may have several options in a line."""
-    made: dict[str, dict[str, Optional[str]]] = {}
-    for line in filter(None, text.splitlines()):
-        if line[0] == "[":
-            section = made[line[1:-1]] = {}
-        else:
-            section.update(option.split(": ") for option in line.split("; "))
-    return made
-
-
-_HOT = """
-[thermistor beta3950]
-temperature1: 25; resistance1: 100000; beta: 3950
-[extruder]
-step_pin: PG0; dir_pin: PG1; enable_pin: !PG2; microsteps: 16
-rotation_distance: 22.6; nozzle_diameter: 0.4; filament_diameter: 1.75
-heater_pin: PH0; sensor_type: beta3950; sensor_pin: PI0; control: watermark
-min_temp: 0; max_temp: 300
-[heater_bed]
-heater_pin: PH1; sensor_type: beta3950; sensor_pin: PI1; control: watermark
-min_temp: 0; max_temp: 130
-"""
 
 # What scenes are made of
 
@@ -249,7 +155,7 @@ def _sections(
     own: str,
 ) -> Sections:
     """A printer.cfg: what its machine asks for, and sections of its own."""
-    made = _parse(_EVERY)
+    made = parse(_EVERY)
     for name, motor in motors.items():
         made[f"stepper_{name}"] = {
             "step_pin": motor.step_pin,
@@ -260,7 +166,7 @@ def _sections(
             **(ends[name].options() if name in ends else {}),
         }
     made["printer"] = {"kinematics": kinematics, **made["printer"]}
-    return _with(made, _parse(own))
+    return _with(made, parse(own))
 
 
 def _with(
@@ -420,7 +326,7 @@ def _voron() -> Scene:
         wiring=Wiring(
             motors,
             _inputs(ends, z_endstop="^PC2", probe="^PC3"),
-            heaters=_HEATERS,
+            heaters=HEATERS,
         ),
         sections=_sections("corexy", motors, ends, _GEARED_BELT, _VORON),
         start=Pose(285.0, 295.0, 12.0),
@@ -537,7 +443,7 @@ def _cartesian() -> Scene:
             motors,
             _inputs(ends, z_endstop="^!PC2", probe="^PC3"),
             outputs={"probe_attach": "PD0"},
-            heaters=_HEATERS,
+            heaters=HEATERS,
         ),
         sections=_with(
             _sections("cartesian", motors, ends, _SCREW, _CARTESIAN),
@@ -631,7 +537,7 @@ def _qidi() -> Scene:
             motors,
             _inputs(ends, probe="^!PF0", bed_sensor="PC1"),
             {"bed_sensor_enable": "!PA14"},
-            heaters=_HEATERS,
+            heaters=HEATERS,
         ),
         sections=_with(
             _sections("corexy", motors, ends, _SCREW, _QIDI),
@@ -723,7 +629,7 @@ def _membrane() -> Scene:
         wiring=Wiring(
             motors,
             _inputs(ends, z_endstop="^PC2", membrane="^!PF5"),
-            heaters=_HEATERS,
+            heaters=HEATERS,
         ),
         sections=_sections("cartesian", motors, ends, _SCREW, _MEMBRANE),
         start=Pose(-8.0, -2.0, 12.0),

@@ -20,14 +20,15 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 from simprinter.hosts import needs
+from simprinter.places import IS_CHECKOUT, PACKAGE, REPO_ROOT, VARIABLE, build_root
 
 if TYPE_CHECKING:
     from collections.abc import Iterator, Mapping, Sequence
 
-REPO_ROOT = Path(__file__).resolve().parents[2]
-
 # What each environment holds: NAME.in says what is wanted, NAME.txt which files
-# of the package index that is, with their hashes ("make update-pins")
+# of the package index that is, with their hashes ("make update-pins"); of hosts,
+# and of what else the tools of a checkout need
+OF_HOSTS = PACKAGE / "requirements"
 REQUIREMENTS = REPO_ROOT / "requirements"
 
 # How much of a failed command's output goes into the error.
@@ -57,9 +58,8 @@ CACHEDIR_TAG = "Signature: 8a477f597d28d172789f06886806bc55\n"
 STAMP = ".made-for-this-build"
 # What linters and pytest leave where they run before anything was built
 CACHES = {"CACHEDIR.TAG", "pytest_cache", "ruff_cache"}
-STAMP_TEXT = """\
-All in this folder was made by the build of klipper_z_calibration; "make clean" removes it.
-"""
+_REMOVER = '"make clean" removes it' if IS_CHECKOUT else "it may be removed"
+STAMP_TEXT = f"All in this folder was made by simprinter; {_REMOVER}.\n"
 
 
 class HostError(Exception):
@@ -73,17 +73,16 @@ class UnavailableError(HostError):
 def build_dir() -> Path:
     """The directory for everything that is built, made where missing.
 
-    It is `build` in the repository, or what BUILD_DIR names; a relative
-    BUILD_DIR is taken from the root of the repository.  Raises HostError for
-    a path that the hosts cannot be built in, and for a folder with something
-    in it that the build has not made: it would be removed with the rest.
+    See places.build_root().  Raises HostError for a path that the hosts cannot
+    be built in, and for a folder with something in it that the build has not
+    made: it would be removed with the rest.
     """
-    directory = REPO_ROOT / (os.environ.get("BUILD_DIR") or "build")
+    directory = build_root()
     if any(character.isspace() for character in str(directory)):
         # Klippy gives gcc the paths of its sources through a shell, unquoted.
         raise HostError(
             f"klippy cannot be built in {directory}, as there is a space in"
-            " the path; set BUILD_DIR to a directory without"
+            f" the path; set {VARIABLE} to a directory without"
         )
     if not (directory / STAMP).exists():
         _make_ours(directory)
@@ -99,9 +98,9 @@ def _make_ours(directory: Path) -> None:
     if not (directory / STAMP).exists() and names - CACHES - {STAMP}:
         raise HostError(
             f"{directory} holds something already, so it cannot become the"
-            ' folder of the build, which "make clean" removes as a whole. Name'
-            " a new or empty one: BUILD_DIR=FOLDER. If it is left from a build"
-            " before November 2026, remove it"
+            " folder of the build, which is removed as a whole. Name a new or"
+            f" empty one: {VARIABLE}=FOLDER. If it is left from a build before"
+            " November 2026, remove it"
         )
     # Where several begin at the same time, one is enough
     (directory / STAMP).write_text(STAMP_TEXT, encoding="ascii")
@@ -193,7 +192,8 @@ def klippy_startup() -> str:
 
 def pins(name: str) -> Path:
     """The file with the requirements of that name, each pinned by hashes."""
-    return REQUIREMENTS / f"{name}.txt"
+    own = OF_HOSTS / f"{name}.txt"
+    return own if own.exists() else REQUIREMENTS / f"{name}.txt"
 
 
 def environment_key(name: str, startup: str = "") -> str:
