@@ -25,7 +25,7 @@ from __future__ import annotations
 import random
 from dataclasses import replace
 
-from .scenes import Scene
+from .scene import S
 from .world import (
     BedSpec,
     DriftSpec,
@@ -79,7 +79,7 @@ def warming_up() -> DriftSpec:
     return DriftSpec(**rates, tau=WARM_UP)
 
 
-def as_real(scene: Scene, seed: int = 0) -> Scene:
+def as_real(scene: S, seed: int = 0) -> S:
     """The same machine as it is at home. seed: of its plate."""
     world = scene.world
     changes: dict[str, object] = {

@@ -20,7 +20,13 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 from simprinter.hosts import needs
-from simprinter.places import IS_CHECKOUT, PACKAGE, REPO_ROOT, VARIABLE, build_root
+from simprinter.places import (
+    IS_CHECKOUT,
+    PACKAGE,
+    REPO_ROOT,
+    VARIABLE,
+    build_root,
+)
 
 if TYPE_CHECKING:
     from collections.abc import Iterator, Mapping, Sequence

@@ -6,9 +6,9 @@ import os
 from collections.abc import Callable, Iterable, Mapping
 from contextlib import ExitStack
 from pathlib import Path
-from typing import Any, Optional, Union
+from typing import Any, Optional
 
-from simprinter import SCENES, Fault, Machine, RealClock, Scene
+from simprinter import Fault, Machine, RealClock, Scene
 from simprinter.clock import ClockError
 from simprinter.hosts.hosts import (
     Host,
@@ -18,7 +18,7 @@ from simprinter.hosts.hosts import (
     missing_hosts,
 )
 from simprinter.hosts.session import GcodeError, LiveSession, SessionError
-from simprinter.scenes import Sections
+from simprinter.scene import Sections
 from simprinter.simulation import SimulationError
 
 # Why there is no simulated printer, or none any more
@@ -123,23 +123,16 @@ class RunningPrinter:
         """The G-code Z offset in force, mm."""
         return self.status("gcode_move")["homing_origin"][2]
 
-    def bed_point(self) -> tuple[float, float]:
-        """Where on the bed the scene's calibration measures, mm."""
-        x, y = self.scene.sections["z_calibration"]["bed_xy_position"].split(
-            ","
-        )
-        return float(x), float(y)
-
-    def gap(self, xy: Optional[tuple[float, float]] = None) -> float:
+    def gap(self, xy: tuple[float, float]) -> float:
         """True nozzle-to-bed gap that G-code Z=0 stands for, mm.
 
         Moves the head above it, so the answer comes from steps alone. xy:
-        over which point (default: where the calibration measures).
+        over which point.
         """
-        x, y = self.bed_point() if xy is None else xy
+        x, y = xy
         self.run(f"G90\nG1 Z20 F900\nG1 X{x} Y{y} F6000\nG1 Z10 F900\nM400")
         self.session.wait(0.5)
-        return self.machine.gap_at_zero(10.0, (x, y))
+        return self.machine.gap_at_zero(10.0, xy)
 
 
 class Printer(RunningPrinter):
@@ -148,7 +141,7 @@ class Printer(RunningPrinter):
     def __init__(
         self,
         host: Host,
-        scene: Union[str, Scene] = "voron",
+        scene: Scene,
         changes: Optional[Sections] = None,
         faults: Iterable[Fault] = (),
         seed: int = 0,
@@ -159,7 +152,6 @@ class Printer(RunningPrinter):
 
         modules: see Host.install.
         """
-        scene = SCENES[scene] if isinstance(scene, str) else scene
         installed = host.install(modules or {})
         clock = RealClock() if real_time else None
         machine = Machine(scene, seed, faults, clock, firmware_of(host))

@@ -5,17 +5,16 @@ from __future__ import annotations
 import pytest
 
 from simprinter import (
-    SCENES,
     Fault,
     VirtualClock,
     heated,
 )
 from simprinter.hosts import session, starting
 from simprinter.hosts.session import GcodeError, SessionError
-from simprinter.scenes import OTHER_BOARD, on_board
 from simprinter.world import CrashError
 from tools.kit.cases import slow
 from tools.kit.printer import Printer
+from tools.kit.scenes import OTHER_BOARD, SCENES, on_board
 
 MICROSTEP = 0.0025
 # Enough to see that touches happen at the same instants of printer time

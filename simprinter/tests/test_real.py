@@ -7,9 +7,10 @@ import statistics
 
 import pytest
 
-from simprinter import SCENES, Machine, real
-from simprinter.docks import DOCK_SCENES
+from simprinter import Machine, real
 from simprinter.tests.world_machines import Driver, make
+from tools.kit.docks import DOCK_SCENES
+from tools.kit.scenes import SCENES
 
 VORON = SCENES["voron"]
 

@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Mapping
 from typing import NamedTuple, Optional
 
-from simprinter.scenes import Sections
+from tools.kit.scenes import Sections
 
 # An answer that is the document's own block of code
 SHOWN = "as the document shows it"

@@ -8,14 +8,13 @@ from dataclasses import replace
 from functools import cached_property
 from typing import Any, NamedTuple, Optional
 
-from simprinter import SCENES
 from simprinter.hosts.hosts import Host
 from simprinter.hosts.session import GcodeError
-from simprinter.scenes import Sections
 from tests.docs.documents import ini_blocks
 from tests.docs.records import Module
 from tools.kit.auto_z_offset import with_extras
 from tools.kit.printer import Printer
+from tools.kit.scenes import SCENES, Sections
 
 Options = Mapping[str, Optional[str]]
 

@@ -17,7 +17,7 @@ from tempfile import TemporaryDirectory
 
 import pytest
 
-from simprinter import SCENES, Fault
+from simprinter import Fault
 from simprinter.hosts.hosts import main_host, missing_hosts
 from simprinter.hosts.moonraker import MoonrakerError
 from simprinter.hosts.moonraker_package import find_moonraker
@@ -31,6 +31,7 @@ from tools.farm import servers
 from tools.farm.printers import Printer
 from tools.farm.telegraf import Telegraf, value_at
 from tools.kit.lab import Lab
+from tools.kit.scenes import SCENES
 
 ROOT = Path(__file__).resolve().parents[2]
 EXAMPLES = ROOT / "examples" / "print_farm"

@@ -10,7 +10,7 @@ from collections.abc import Iterable, Iterator
 from pathlib import Path
 from typing import NamedTuple, Optional
 
-from simprinter import SCENES, Fault, Machine, Scene, build_directory
+from simprinter import Fault, Machine, Scene, build_directory
 from simprinter.firmware import (
     DataDictionary,
     data_dictionary,
@@ -18,7 +18,6 @@ from simprinter.firmware import (
 )
 from simprinter.hosts.hosts import Host
 from simprinter.hosts.session import GcodeError, LiveSession
-from simprinter.scenes import Sections
 from tools.campaign.jobs import JOBS
 from tools.kit import extra_probe
 from tools.kit.printer import (
@@ -28,6 +27,7 @@ from tools.kit.printer import (
     has_kinematics,
     module_files,
 )
+from tools.kit.scenes import SCENES, Sections
 
 NOT_GIVEN = (
     "no micro-controller program is given: make test-firmware"

@@ -4,8 +4,9 @@ from __future__ import annotations
 
 import pytest
 
-from simprinter import SCENES, Machine
+from simprinter import Machine
 from tests.firmware.programs import dictionary, given, program_for, why_not
+from tools.kit.scenes import SCENES
 
 # What differs from board to board
 _OWN_CONSTANTS = {"MCU", "PWM_MAX"}

@@ -13,9 +13,10 @@ from pathlib import Path
 
 import pytest
 
-from simprinter import SCENES, Machine, RealClock
+from simprinter import Machine, RealClock
 from simprinter.hosts.session import run_file_output
 from tools.kit.printer import firmware_of, module_files
+from tools.kit.scenes import SCENES
 
 _HERE = Path(__file__).parent
 _DICTIONARY = "simulated.dict"

@@ -12,7 +12,7 @@ from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any, Optional
 
-from simprinter import SCENES, Scene, heated
+from simprinter import Scene, heated
 from simprinter.world import (
     AxisSwitchSpec,
     BedSpec,
@@ -21,6 +21,7 @@ from simprinter.world import (
     MeshSpec,
     PinSpec,
 )
+from tools.kit.scenes import SCENES
 
 Point = tuple[float, float]
 Sections = dict[str, Optional[dict[str, Optional[str]]]]

@@ -7,7 +7,7 @@ from itertools import groupby
 
 import pytest
 
-from simprinter import SCENES, Fault
+from simprinter import Fault
 from simprinter.world import NoiseSpec
 from tools.kit.auto_z_offset import (
     CORRECTION,
@@ -22,6 +22,7 @@ from tools.kit.auto_z_offset import (
     with_extras,
 )
 from tools.kit.printer import module_files
+from tools.kit.scenes import SCENES
 
 # Cycles that differ
 

@@ -14,11 +14,11 @@ from pathlib import Path
 
 import pytest
 
-from simprinter import SCENES
 from tests.modules.example_owners import lines_of, print_start_of
 from tools.kit.auto_z_offset import MICROSTEP, POINT, told
 from tools.kit.cases import all_slow_but
 from tools.kit.corpus import indented
+from tools.kit.scenes import SCENES
 
 EXAMPLES = Path(__file__).resolve().parents[2] / "examples" / "auto_z_offset"
 # Scene, and the file's pins with those of the scene

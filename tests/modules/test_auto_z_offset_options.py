@@ -6,7 +6,7 @@ from dataclasses import replace
 
 import pytest
 
-from simprinter import SCENES, Fault
+from simprinter import Fault
 from tools.kit.auto_z_offset import (
     AIR_GAP,
     DEPTH,
@@ -26,6 +26,7 @@ from tools.kit.auto_z_offset import (
     world,
 )
 from tools.kit.cases import slow
+from tools.kit.scenes import SCENES
 from tools.kit.z_calibration import refusal
 
 STEPS = 2 * MICROSTEP

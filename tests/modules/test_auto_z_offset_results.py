@@ -6,7 +6,6 @@ from dataclasses import replace
 
 import pytest
 
-from simprinter import SCENES
 from tools.kit.auto_z_offset import (
     AIR_GAP,
     CORRECTION,
@@ -26,6 +25,7 @@ from tools.kit.auto_z_offset import (
     with_extras,
 )
 from tools.kit.printer import Printer, has_kinematics
+from tools.kit.scenes import SCENES
 
 MACHINES = ("qidi", "qidi_two_boards", "piezo_cartesian", "piezo_generic")
 STEPS = 2 * MICROSTEP

@@ -6,7 +6,7 @@ from itertools import product
 
 import pytest
 
-from simprinter import SCENES, Fault
+from simprinter import Fault
 from simprinter.hosts.session import GcodeError
 from simprinter.mcu.tmc import IFCNT
 from tools.kit.auto_z_offset import (
@@ -26,6 +26,7 @@ from tools.kit.auto_z_offset import (
 )
 from tools.kit.cases import all_slow_but, slow
 from tools.kit.printer import Printer, module_files
+from tools.kit.scenes import SCENES
 from tools.kit.z_calibration import refusal
 
 STEPS = 2 * MICROSTEP

@@ -6,9 +6,9 @@ from dataclasses import replace
 
 import pytest
 
-from simprinter import SCENES
 from tools.kit.auto_z_offset import MICROSTEP, POINT, told, true_gap, world
 from tools.kit.klipper_sections import bed_mesh
+from tools.kit.scenes import SCENES
 
 STEPS = 2 * MICROSTEP
 MESH = bed_mesh("50, 50", "200, 200")

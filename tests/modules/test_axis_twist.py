@@ -6,11 +6,11 @@ from dataclasses import replace
 
 import pytest
 
-from simprinter import SCENES
 from tools.kit.auto_z_offset import PROBE_PLACE, true_gap, world
 from tools.kit.cases import slow
 from tools.kit.load_errors import load
 from tools.kit.printer import Printer
+from tools.kit.scenes import SCENES
 from tools.kit.z_calibration import BED, MICROSTEP, TRIGGER, calibration
 
 # Hosts correct other heights with it

@@ -7,7 +7,6 @@ from dataclasses import replace
 import pytest
 
 from simprinter import Fault
-from simprinter.docks import on_generic
 from tools.kit.cases import slow
 from tools.kit.dockable_probe import (
     BED,
@@ -25,6 +24,7 @@ from tools.kit.dockable_probe import (
     trips,
     where,
 )
+from tools.kit.docks import on_generic
 from tools.kit.printer import has_kinematics
 
 CENTRE = "G1 X150 Y150 Z20 F6000\n"

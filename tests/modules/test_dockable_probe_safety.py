@@ -7,7 +7,6 @@ from dataclasses import replace
 import pytest
 
 from simprinter import Fault
-from simprinter.docks import DOCK_SCENES
 from simprinter.hosts.session import GcodeError
 from tools.kit.cases import slow
 from tools.kit.dockable_probe import (
@@ -26,6 +25,7 @@ from tools.kit.dockable_probe import (
     trips,
     where,
 )
+from tools.kit.docks import DOCK_SCENES
 
 MESH = "BED_MESH_CALIBRATE PROBE_COUNT=3,3"
 EXTRACT = (50.0, 270.0)

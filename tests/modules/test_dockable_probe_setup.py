@@ -5,8 +5,8 @@ from __future__ import annotations
 import pytest
 
 from simprinter import Fault
-from simprinter.scenes import heated
 from tools.kit.dockable_probe import ABOVE, QUICK, SWITCH, section, trips, where
+from tools.kit.scenes import heated
 from tools.kit.setup_user import User
 
 SETUP = "DOCKABLE_PROBE_SETUP"

@@ -6,7 +6,6 @@ from dataclasses import replace
 
 import pytest
 
-from simprinter.docks import on_generic
 from simprinter.world import Pose
 from tools.kit.dockable_probe import (
     ABOVE,
@@ -19,6 +18,7 @@ from tools.kit.dockable_probe import (
     trips,
     where,
 )
+from tools.kit.docks import on_generic
 from tools.kit.printer import has_kinematics
 from tools.kit.z_calibration import with_moves
 

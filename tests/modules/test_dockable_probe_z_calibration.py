@@ -7,10 +7,10 @@ from dataclasses import replace
 import pytest
 
 from simprinter import Fault
-from simprinter.docks import HANG, calibrating
 from tools.kit.carrying import without_our_dock
 from tools.kit.cases import all_slow_but, slow
 from tools.kit.dockable_probe import SWITCH, trips, where
+from tools.kit.docks import HANG, calibrating
 from tools.kit.z_calibration import calibration
 
 SCENE = calibrating(SWITCH)

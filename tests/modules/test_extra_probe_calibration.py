@@ -6,7 +6,7 @@ from dataclasses import replace
 
 import pytest
 
-from simprinter import SCENES, heated
+from simprinter import heated
 from simprinter.world import AxisSwitchSpec, NoiseSpec
 from tools.kit.cases import slow
 from tools.kit.dialogs import dialogs_of
@@ -31,6 +31,7 @@ from tools.kit.extra_probe import (
     true_gap,
 )
 from tools.kit.printer import has_kinematics
+from tools.kit.scenes import SCENES
 from tools.kit.z_calibration import refusal, with_moves
 
 SCENE_NAMES = ["membrane", "membrane_and_probe"]

@@ -7,7 +7,7 @@ import statistics
 
 import pytest
 
-from simprinter import SCENES, Fault
+from simprinter import Fault
 from simprinter.world import NoiseSpec
 from tools.kit.cases import slow
 from tools.kit.extra_probe import (
@@ -24,6 +24,7 @@ from tools.kit.extra_probe import (
 )
 from tools.kit.load_errors import load
 from tools.kit.printer import Printer, has_kinematics, module_files
+from tools.kit.scenes import SCENES
 from tools.kit.z_calibration import refusal, with_moves
 
 ABOVE = "G90\nG1 Z5 F900\nG1 X30 Y20 F6000"

@@ -10,7 +10,7 @@ from pathlib import Path
 
 import pytest
 
-from simprinter import SCENES, Fault, heated
+from simprinter import Fault, heated
 from tools.kit.cases import all_slow_but
 from tools.kit.extra_probe import (
     BED,
@@ -21,6 +21,7 @@ from tools.kit.extra_probe import (
     lay,
     true_gap,
 )
+from tools.kit.scenes import SCENES
 
 EXAMPLES = Path(__file__).resolve().parents[2] / "examples" / "extra_probe"
 # The scene that each is for, what it is to save, and from which value on

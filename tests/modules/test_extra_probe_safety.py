@@ -7,7 +7,7 @@ from __future__ import annotations
 
 import pytest
 
-from simprinter import SCENES, Fault
+from simprinter import Fault
 from simprinter.hosts.session import GcodeError
 from simprinter.world import AxisSwitchSpec, NoiseSpec
 from tools.kit.cases import slow
@@ -31,6 +31,7 @@ from tools.kit.extra_probe import (
     true_gap,
 )
 from tools.kit.printer import Printer
+from tools.kit.scenes import SCENES
 
 DEEP = 3.0
 

@@ -9,13 +9,13 @@ from typing import Any, NamedTuple
 
 import pytest
 
-from simprinter import SCENES, Scene
+from simprinter import Scene
 from simprinter.hosts.hosts import Host
-from simprinter.scenes import heated
 from tools.kit.auto_z_offset import POINT
 from tools.kit.klipper_sections import TOOL, bed_mesh
 from tools.kit.load_errors import load
 from tools.kit.printer import Printer
+from tools.kit.scenes import SCENES, heated
 from tools.kit.z_calibration import MICROSTEP
 
 DOCUMENT = Path(__file__).resolve().parents[2] / "docs" / "features.csv"

@@ -7,9 +7,9 @@ from pathlib import Path
 
 import pytest
 
-from simprinter import SCENES
 from tests.modules.example_owners import OWNERS
 from tools.kit.auto_z_offset import MICROSTEP, POINT, told
+from tools.kit.scenes import SCENES
 
 DOCS = Path(__file__).resolve().parents[2] / "docs"
 

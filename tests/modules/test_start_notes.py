@@ -9,10 +9,10 @@ from contextlib import ExitStack
 
 import pytest
 
-from simprinter.docks import calibrating
 from simprinter.hosts.api import ApiClient
 from tools.kit.auto_z_offset import section as auto_z_section
 from tools.kit.dockable_probe import SWITCH
+from tools.kit.docks import calibrating
 from tools.kit.setup_user import EMPTY
 from tools.kit.z_calibration import section
 

@@ -9,9 +9,10 @@ from typing import NamedTuple
 
 import pytest
 
-from simprinter import SCENES, Fault
+from simprinter import Fault
 from simprinter.world import DriftSpec, NoiseSpec, OozeSpec
 from tools.kit.cases import all_slow_but
+from tools.kit.scenes import SCENES
 from tools.kit.z_calibration import (
     section,
     touched_sites,

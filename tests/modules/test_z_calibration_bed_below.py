@@ -7,7 +7,8 @@ from dataclasses import replace
 
 import pytest
 
-from simprinter import SCENES, Fault
+from simprinter import Fault
+from tools.kit.scenes import SCENES
 from tools.kit.z_calibration import assert_unharmed, calibration, section
 
 BELOW = "the bed is below the low end of offset_margins (%s), or the probe"

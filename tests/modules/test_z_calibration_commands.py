@@ -8,7 +8,7 @@ from dataclasses import replace
 
 import pytest
 
-from simprinter import SCENES
+from tools.kit.scenes import SCENES
 from tools.kit.z_calibration import (
     MICROSTEP,
     PIN,

@@ -15,7 +15,7 @@ from typing import Any
 
 import pytest
 
-from simprinter import SCENES, Fault, heated
+from simprinter import Fault, heated
 from simprinter.hosts.session import GcodeError
 from tests.docs.documents import (
     COMMANDS,
@@ -36,6 +36,7 @@ from tests.modules.example_owners import (
 )
 from tools.kit.cases import all_slow_but, slow
 from tools.kit.printer import Printer
+from tools.kit.scenes import SCENES
 from tools.kit.z_calibration import MICROSTEP, touched_sites
 
 ROOT = Path(__file__).resolve().parents[2]

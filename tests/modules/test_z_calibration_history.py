@@ -10,9 +10,10 @@ from xml.etree import ElementTree as ET
 
 import pytest
 
-from simprinter import SCENES, Fault, heated
+from simprinter import Fault, heated
 from simprinter.world import NoiseSpec, OozeSpec
 from tests.unit.runs import make_runs
+from tools.kit.scenes import SCENES
 from tools.kit.z_calibration import (
     assert_unharmed,
     calibration,

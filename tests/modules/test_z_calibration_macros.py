@@ -6,9 +6,9 @@ from dataclasses import replace
 
 import pytest
 
-from simprinter import SCENES
 from tools.kit.cases import slow
 from tools.kit.printer import Printer
+from tools.kit.scenes import SCENES
 from tools.kit.z_calibration import (
     PIN,
     assert_unharmed,

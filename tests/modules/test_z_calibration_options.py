@@ -12,10 +12,11 @@ from dataclasses import replace
 
 import pytest
 
-from simprinter import SCENES, Fault
+from simprinter import Fault
 from tools.kit.cases import slow
 from tools.kit.load_errors import load
 from tools.kit.printer import Printer
+from tools.kit.scenes import SCENES
 from tools.kit.z_calibration import (
     BED,
     BODY,

@@ -8,7 +8,7 @@ from dataclasses import replace
 
 import pytest
 
-from simprinter import SCENES, Fault, Machine
+from simprinter import Fault, Machine
 from simprinter.hosts.session import run_batch
 from simprinter.world import Pose
 from tools.kit.cases import slow
@@ -18,6 +18,7 @@ from tools.kit.printer import (
     has_kinematics,
     module_files,
 )
+from tools.kit.scenes import SCENES
 from tools.kit.z_calibration import (
     BED,
     BODY,

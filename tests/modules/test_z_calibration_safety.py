@@ -6,11 +6,12 @@ from dataclasses import replace
 
 import pytest
 
-from simprinter import SCENES, Fault
+from simprinter import Fault
 from simprinter.hosts.session import GcodeError
 from simprinter.world import DriftSpec
 from tools.kit.cases import all_slow_but, slow
 from tools.kit.printer import Printer, has_kinematics
+from tools.kit.scenes import SCENES
 from tools.kit.z_calibration import (
     BED,
     BODY,

@@ -6,12 +6,11 @@ from dataclasses import replace
 
 import pytest
 
-from simprinter import SCENES
-from simprinter.docks import calibrating
 from simprinter.hosts.session import GcodeError
-from simprinter.scenes import heated
 from tools.kit.cases import slow
 from tools.kit.dockable_probe import SWITCH, trips, where
+from tools.kit.docks import calibrating
+from tools.kit.scenes import SCENES, heated
 from tools.kit.setup_user import EMPTY, SETUP, User, open_dialog
 from tools.kit.z_calibration import (
     MICROSTEP,

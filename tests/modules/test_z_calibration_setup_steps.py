@@ -4,10 +4,10 @@ from __future__ import annotations
 
 import pytest
 
-from simprinter import SCENES
 from simprinter.hosts.session import GcodeError
 from tools.kit.cases import all_slow_but
 from tools.kit.dockable_probe import where
+from tools.kit.scenes import SCENES
 from tools.kit.setup_user import EMPTY, SETUP, User
 from tools.kit.z_calibration import section
 from z_touch.guide.steps import CHAINED, ORDER

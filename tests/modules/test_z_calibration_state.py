@@ -4,9 +4,8 @@ from __future__ import annotations
 
 import pytest
 
-from simprinter import SCENES
-from simprinter.scenes import heated
 from tools.kit.klipper_sections import TOOL
+from tools.kit.scenes import SCENES, heated
 from tools.kit.z_calibration import (
     SWITCH_OFFSET,
     assert_unharmed,

@@ -10,8 +10,8 @@ from itertools import combinations
 
 import pytest
 
-from simprinter import SCENES
 from simprinter.world import TextureSpec
+from tools.kit.scenes import SCENES
 from tools.kit.z_calibration import calibration, refusal, section
 
 MIDDLE = (152.0, 125.25)

@@ -6,9 +6,10 @@ from dataclasses import replace
 
 import pytest
 
-from simprinter import SCENES, Fault
+from simprinter import Fault
 from tools.kit.carrying import SWITCH
 from tools.kit.dockable_probe import QUICK, section
+from tools.kit.scenes import SCENES
 
 # Where the pin is (mm), and the toolhead Z of its trigger
 PIN = SCENES["voron"].world.pin

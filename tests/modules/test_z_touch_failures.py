@@ -6,8 +6,9 @@ from dataclasses import replace
 
 import pytest
 
-from simprinter import SCENES, heated
+from simprinter import heated
 from tools.kit.printer import Printer
+from tools.kit.scenes import SCENES
 from tools.kit.z_calibration import (
     BODY,
     calibration,

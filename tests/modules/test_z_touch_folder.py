@@ -13,13 +13,13 @@ from pathlib import Path
 
 import pytest
 
-from simprinter import SCENES, Machine
+from simprinter import Machine
 from simprinter.hosts.environment import REPO_ROOT
 from simprinter.hosts.hosts import Host
 from simprinter.hosts.session import LiveSession
 from simprinter.hosts.trees import FOLDER_PARENT, link_tree
-from simprinter.scenes import Sections
 from tools.kit.printer import FOLDER, MODULES, firmware_of, module_files
+from tools.kit.scenes import SCENES, Sections
 
 # Homes Z with its probe, which is a switch: two of the modules can be used
 SCENE = SCENES["separate_pin"]

@@ -8,11 +8,11 @@ from dataclasses import replace
 
 import pytest
 
-from simprinter import SCENES
 from simprinter.hosts.moonraker import MoonrakerError
 from tests.moonraker.updates import restarted
 from tools.kit.dockable_probe import where
 from tools.kit.lab import Lab
+from tools.kit.scenes import SCENES
 from tools.kit.setup_user import EMPTY, SETUP, User, open_dialog
 from tools.kit.z_calibration import MICROSTEP
 from z_touch.guide.steps import CHAINED, ORDER

@@ -33,7 +33,7 @@ from pathlib import Path
 from tempfile import TemporaryDirectory
 from typing import NamedTuple, Optional
 
-from simprinter import SCENES, Scene
+from simprinter import Scene
 from simprinter.hosts.hosts import Host, find_hosts
 from simprinter.hosts.session import GcodeError
 from simprinter.world import NoiseSpec, TextureSpec
@@ -42,6 +42,7 @@ from tools.bench.commands import STANDARD, calibrate_plan
 from tools.bench.errors import UM, Condition, make_scene
 from tools.bench.lower_bounds import lower_bound
 from tools.kit.printer import Printer
+from tools.kit.scenes import SCENES
 from z_touch.uncertainty.adaptive import LEAST_AT_FIRST
 from z_touch.z_calibration import pace
 

@@ -7,9 +7,7 @@ import math
 from collections.abc import Callable
 from typing import NamedTuple, Union
 
-from simprinter import SCENES, Scene, heated
-from simprinter.docks import DOCK_SCENES, HANG
-from simprinter.scenes import Sections
+from simprinter import Scene, heated
 from simprinter.world.bed import Bed
 from tools.bench.lower_bounds import (
     Limits,
@@ -21,6 +19,8 @@ from tools.bench.lower_bounds import (
     z_seconds,
 )
 from tools.kit.auto_z_offset import POINT
+from tools.kit.docks import DOCK_SCENES, HANG
+from tools.kit.scenes import SCENES, Sections
 
 # Enough for its standard deviation, and as many as PROBE_ACCURACY takes
 ACCURACY_SAMPLES = 10

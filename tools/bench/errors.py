@@ -18,7 +18,6 @@ from typing import Any, NamedTuple, Union
 from simprinter import Scene
 from simprinter.hosts.hosts import Host
 from simprinter.hosts.session import GcodeError
-from simprinter.scenes import Sections
 from simprinter.world import NoiseSpec
 from simprinter.world.bed import Bed
 from tools.bench.commands import (
@@ -30,6 +29,7 @@ from tools.bench.commands import (
 from tools.bench.timing import FAILURES, OURS, Subject, reason
 from tools.kit.auto_z_offset import POINT
 from tools.kit.printer import Printer
+from tools.kit.scenes import Sections
 
 # One touch in a hundred triggers earlier, that is higher, by so much (mm)
 OUTLIER_CHANCE = 0.01

@@ -9,7 +9,7 @@ from typing import Optional
 
 from hypothesis import strategies as st
 
-from simprinter import SCENES, Scene
+from simprinter import Scene
 from simprinter.world import (
     BedSensorSpec,
     InductiveSpec,
@@ -41,6 +41,7 @@ from tools.campaign.gap_bounds import (
     may_differ,
     variance,
 )
+from tools.kit.scenes import SCENES
 
 _PLATE = 245.0
 _DRIVER = {"run_current": "0.8", "sense_resistor": "0.110"}

@@ -8,14 +8,14 @@ from dataclasses import dataclass
 from typing import Any, Optional
 
 from simprinter import Scene
-from simprinter.scenes import (
+from simprinter.wiring import Motor
+from simprinter.world import BedSpec, MeshSpec
+from tools.kit.scenes import (
     OTHER_BOARD,
     Sections,
     on_board,
     on_carriages,
 )
-from simprinter.wiring import Motor
-from simprinter.world import BedSpec, MeshSpec
 
 # Of every printer here; a host may not have them all
 KINEMATICS = (

@@ -9,7 +9,7 @@ from typing import Optional
 
 from hypothesis import strategies as st
 
-from simprinter import SCENES, Scene
+from simprinter import Scene
 from simprinter.world import (
     Bed,
     MagProbeSpec,
@@ -35,6 +35,7 @@ from tools.campaign.drawn_machines import (
     z_section,
 )
 from tools.campaign.gap_bounds import SIGMAS, Interval, may_differ, variance
+from tools.kit.scenes import SCENES
 
 # Behind the plate, mm
 PIN_Y = 306.0

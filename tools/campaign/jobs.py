@@ -6,11 +6,11 @@ from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field, replace
 from typing import Any, Optional
 
-from simprinter import SCENES, Scene
-from simprinter.docks import DOCK_SCENES
-from simprinter.scenes import Sections
+from simprinter import Scene
 from tools.kit import auto_z_offset, carrying, dockable_probe, extra_probe
+from tools.kit.docks import DOCK_SCENES
 from tools.kit.printer import Printer
+from tools.kit.scenes import SCENES, Sections
 
 # Runs wherever the modules run G-code of their owner's; how it fails, by number
 TEMPLATE = "_OPERATION"

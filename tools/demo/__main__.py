@@ -16,11 +16,10 @@ from collections.abc import Sequence
 from pathlib import Path
 from typing import NamedTuple, Optional
 
-from simprinter import SCENES, Scene
+from simprinter import Scene
 from simprinter.hosts.environment import build_dir
 from simprinter.hosts.hosts import Host, find_hosts
 from simprinter.hosts.session import GcodeError
-from simprinter.scenes import Sections
 from simprinter.simulation import Stopwatch
 from simprinter.world import CrashError
 from tools.kit import charts
@@ -30,6 +29,7 @@ from tools.kit.printer import (
     choose_host,
     firmware_of,
 )
+from tools.kit.scenes import SCENES, Sections
 
 # How far (Z microsteps) the true gap may be off what the formula predicts
 ALLOWED_MICROSTEPS = 2

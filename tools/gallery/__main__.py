@@ -23,7 +23,6 @@ from pathlib import Path
 from typing import NamedTuple, Optional
 
 from simprinter import (
-    SCENES,
     Fault,
     Machine,
     Scene,
@@ -35,7 +34,6 @@ from simprinter.clock import WALL_START_NS
 from simprinter.hosts.hosts import Host
 from simprinter.hosts.session import GcodeError, LiveSession
 from simprinter.real import as_real
-from simprinter.scenes import Sections
 from simprinter.world import OozeSpec
 from tools.kit.printer import (
     RunningPrinter,
@@ -43,6 +41,7 @@ from tools.kit.printer import (
     firmware_of,
     module_files,
 )
+from tools.kit.scenes import SCENES, Sections
 from z_touch.history import file, report
 
 DOCS = Path(__file__).resolve().parents[2] / "docs"

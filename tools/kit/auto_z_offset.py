@@ -7,7 +7,8 @@ from pathlib import Path
 from typing import Any, NamedTuple, Optional
 
 from tools.kit.printer import Printer, module_files
-from simprinter import SCENES, Scene
+from simprinter import Scene
+from tools.kit.scenes import SCENES
 
 MICROSTEP = 0.0025
 # Of the qidi scene, mm: where both sensors touch, and in klippy's frame after

@@ -13,10 +13,11 @@ from collections.abc import Mapping
 from dataclasses import dataclass, replace
 from typing import Optional
 
-from simprinter import SCENES, Scene
+from simprinter import Scene
 from simprinter.hosts.hosts import Host
 from simprinter.world import AxisSwitchSpec, InductiveSpec
 from tools.kit.corpus import Entry, Options, Point, chosen, indented
+from tools.kit.scenes import SCENES
 
 # What the probe really senses, mm
 SENSE_DISTANCE = 1.27

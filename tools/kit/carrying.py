@@ -5,10 +5,10 @@ from __future__ import annotations
 from dataclasses import replace
 from typing import Any
 
-from simprinter.docks import DOCK_SCENES, calibrating
-from simprinter.scenes import Scene
 from simprinter.world import BedSensorSpec, MembraneSpec
+from tools.kit.docks import DOCK_SCENES, calibrating
 from tools.kit.printer import FOLDER, Printer, module_files
+from tools.kit.scenes import Scene
 
 # Where the membrane lies (mm), and how thick it is at its trigger
 POINT = (60.0, 60.0)

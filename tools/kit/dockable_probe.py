@@ -8,7 +8,7 @@ from simprinter.hosts.hosts import Host
 from tools.kit.load_errors import load
 from tools.kit.printer import Printer
 from simprinter import Scene
-from simprinter.docks import DOCK_SCENES, HANG
+from tools.kit.docks import DOCK_SCENES, HANG
 
 # Toolhead Z (mm): as low as the probe may travel
 CLEAR = HANG + 2.0

@@ -9,8 +9,8 @@ from pathlib import Path
 from typing import Any
 
 from simprinter import Scene
-from simprinter.docks import DOCK_SCENES
 from simprinter.world import AxisSwitchSpec, DockSpec, Pose
+from tools.kit.docks import DOCK_SCENES
 from tools.kit.z_calibration_corpus import indented
 
 ENTRIES = json.loads(

@@ -6,7 +6,8 @@ from dataclasses import replace
 from typing import Any, Optional
 
 from tools.kit.printer import Printer, RunningPrinter
-from simprinter import SCENES, Scene
+from simprinter import Scene
+from tools.kit.scenes import SCENES
 
 MICROSTEP = 0.0025
 # Of the scenes, mm: where the membrane lies, how thick it is at its trigger,

@@ -18,7 +18,7 @@ from fnmatch import fnmatch
 from pathlib import Path
 from typing import Optional, Union
 
-from simprinter import SCENES, Machine, Scene, heated
+from simprinter import Machine, Scene, heated
 from simprinter.hosts.environment import REPO_ROOT, clean_environment, run
 from simprinter.hosts.hosts import Host, Installed
 from simprinter.hosts.moonraker import Moonraker, free_port
@@ -30,6 +30,7 @@ from simprinter.hosts.trees import (
     put_module,
 )
 from tools.kit.printer import FOLDER, RunningPrinter, firmware_of
+from tools.kit.scenes import SCENES
 
 # How much faster than a real printer the simulated one lives
 SPEED = 20.0

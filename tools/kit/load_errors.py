@@ -9,11 +9,11 @@ from __future__ import annotations
 from collections import OrderedDict
 from typing import Optional, Union
 
-from simprinter import SCENES, Scene
-from simprinter.docks import DOCK_SCENES
+from simprinter import Scene
 from simprinter.hosts.hosts import Host
-from simprinter.scenes import Sections
+from tools.kit.docks import DOCK_SCENES
 from tools.kit.printer import Printer
+from tools.kit.scenes import SCENES, Sections
 
 # Scenes of which a printer may stay
 _KNOWN = {**SCENES, **DOCK_SCENES}

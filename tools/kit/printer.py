@@ -11,12 +11,11 @@ from simprinter.hosts import printer
 from simprinter.hosts.hosts import Host
 from simprinter.hosts.printer import (
     NO_PRINTER,
-    RunningPrinter,
     choose_host,
     firmware_of,
     has_kinematics,
 )
-from simprinter.scenes import Sections
+from tools.kit.scenes import SCENES, Sections
 
 __all__ = [
     "FOLDER",
@@ -49,7 +48,26 @@ def given_module(name: str, file: Path) -> dict[str, Path]:
     return {name: file, FOLDER: beside if beside.is_dir() else ROOT / FOLDER}
 
 
-class Printer(printer.Printer):
+class _OverBed:
+    """Where on the bed the calibration of a scene measures."""
+
+    def bed_point(self) -> tuple[float, float]:
+        """That point, mm."""
+        x, y = self.scene.sections["z_calibration"]["bed_xy_position"].split(
+            ","
+        )
+        return float(x), float(y)
+
+    def gap(self, xy: Optional[tuple[float, float]] = None) -> float:
+        """As of any printer; default: where the calibration measures."""
+        return super().gap(self.bed_point() if xy is None else xy)
+
+
+class RunningPrinter(_OverBed, printer.RunningPrinter):
+    """A machine with klippy on it; leaving it checks for crashes."""
+
+
+class Printer(_OverBed, printer.Printer):
     """A scene's machine with a host and our modules on it."""
 
     def __init__(
@@ -63,4 +81,5 @@ class Printer(printer.Printer):
         real_time: bool = False,
     ):
         modules = module_files() if modules is None else modules
+        scene = SCENES[scene] if isinstance(scene, str) else scene
         super().__init__(host, scene, changes, faults, seed, modules, real_time)

@@ -13,9 +13,8 @@ from collections.abc import Mapping
 from dataclasses import dataclass, replace
 from typing import Optional
 
-from simprinter import SCENES, Scene, heated
+from simprinter import Scene, heated
 from simprinter.hosts.hosts import Host
-from simprinter.scenes import Sections
 from simprinter.world import (
     AxisSwitchSpec,
     BedSpec,
@@ -24,6 +23,7 @@ from simprinter.world import (
     Pose,
 )
 from tools.kit.corpus import Entry, Options, Point, chosen, indented
+from tools.kit.scenes import SCENES, Sections
 
 # The true probe where the file does not say (mm)
 BODY = 6.4

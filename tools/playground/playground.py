@@ -9,15 +9,16 @@ from dataclasses import replace
 from pathlib import Path
 from typing import Any, NamedTuple, Optional
 
-from simprinter import SCENES, Machine, Scene, heated
-from simprinter.docks import DOCK_SCENES, calibrating
+from simprinter import Machine, Scene, heated
 from simprinter.hosts.hosts import Host
 from simprinter.hosts.moonraker import Moonraker
 from simprinter.hosts.session import LiveSession, SessionError
 from simprinter.real import as_real
 from simprinter.world import CrashError
+from tools.kit.docks import DOCK_SCENES, calibrating
 from tools.kit.lab import Lab
 from tools.kit.printer import firmware_of
+from tools.kit.scenes import SCENES
 from tools.playground import commands, film, network
 from tools.playground.server import PageServer
 from tools.playground.watcher import Watcher

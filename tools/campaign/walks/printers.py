@@ -9,12 +9,12 @@ from typing import Any, Optional
 
 from hypothesis import strategies as st
 
-from simprinter.docks import DOCK_SCENES
-from simprinter.scenes import SCENES, Scene
 from simprinter.world import MeshSpec, NoiseSpec
 from tools.campaign.drawing import around, often
 from tools.campaign.walks import features
 from tools.kit.carrying import with_all
+from tools.kit.docks import DOCK_SCENES
+from tools.kit.scenes import SCENES, Scene
 
 # Over the bed wherever a dock is (mm)
 POINT = (150.0, 150.0)

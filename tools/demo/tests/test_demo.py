@@ -11,10 +11,10 @@ from pathlib import Path
 
 import pytest
 
-from simprinter import SCENES
 from simprinter.hosts.environment import build_dir
 from tests.docs.pictures import DOCS, MINUS
 from tools.demo.__main__ import demonstrate
+from tools.kit.scenes import SCENES
 
 ROOT = Path(__file__).resolve().parents[3]
 MICROSTEP = 0.0025

@@ -9,8 +9,9 @@ from dataclasses import replace
 
 import pytest
 
-from simprinter import SCENES, Fault, heated
+from simprinter import Fault, heated
 from tools.kit.printer import Printer, has_kinematics
+from tools.kit.scenes import SCENES
 
 CALIBRATING = [n for n in SCENES if "z_calibration" in SCENES[n].sections]
 MICROSTEP = 0.0025

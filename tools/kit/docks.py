@@ -6,8 +6,9 @@ from collections.abc import Mapping
 from dataclasses import replace
 from typing import Optional
 
+from simprinter.world import DockSpec, MagProbeSpec
+
 from .scenes import SCENES, Scene, Sections, on_carriages, on_gantry
-from .world import DockSpec, MagProbeSpec
 
 # Of the machines here (mm): the probe triggers at this toolhead Z on the bed
 HANG = 6.9

@@ -10,11 +10,11 @@ from collections.abc import Iterable, Mapping
 from dataclasses import dataclass, replace
 from typing import NamedTuple, Optional
 
-from . import scene as machine_scene
-from .mcu.board import Crystal
-from .scene import HEATERS, Options, Sections, heated, parse
-from .wiring import BoardSpec, Motor, Wiring
-from .world import (
+from simprinter import scene as machine_scene
+from simprinter.mcu.board import Crystal
+from simprinter.scene import HEATERS, Options, Sections, heated, parse
+from simprinter.wiring import BoardSpec, Motor, Wiring
+from simprinter.world import (
     AxisSwitchSpec,
     BedSensorSpec,
     BedSpec,
