@@ -57,8 +57,8 @@ class Features(object):
     # What is shifted there besides, by whatever it may be (mm).  It may be gone
     # with the next move: exclude_object, a retraction with a lift.
     def rest(self, x, y, z):
-        found, parts = self._look(x, y, z)
-        return z - found - sum(part.height for part in parts)
+        gcode_z, parts = self._look(x, y, z)
+        return z - gcode_z - sum(part.height for part in parts)
 
     # Of the mesh and the tilt (mm): what nothing but a command changes
     def height(self, x, y):
@@ -88,10 +88,12 @@ class Features(object):
         with self._as_if_at(x, y, z):
             # The first time heat is only taken from the sensor
             gcode_move.position_with_transform()
-            found = gcode_move.position_with_transform()
+            position = gcode_move.position_with_transform()
             parts = list(self._innermost(z)) + list(self._heat())
         # A gradient of Kalico's mixing_extruder has no position
-        return found[2] if found else z - sum(p.height for p in parts), parts
+        return position[2] if position else z - sum(
+            p.height for p in parts
+        ), parts
 
     def _innermost(self, z):
         for name in INNERMOST:
@@ -110,15 +112,15 @@ class Features(object):
     @contextlib.contextmanager
     def _as_if_at(self, x, y, z):
         toolhead, name = self.host.toolhead, "get_position"
-        place = [x, y, z] + list(toolhead.get_position())[3:]
-        own = vars(toolhead).get(name)
-        setattr(toolhead, name, lambda: list(place))
+        position = [x, y, z] + list(toolhead.get_position())[3:]
+        replaced = vars(toolhead).get(name)
+        setattr(toolhead, name, lambda: list(position))
         try:
             yield
         finally:
             delattr(toolhead, name)
-            if own is not None:
-                setattr(toolhead, name, own)
+            if replaced is not None:
+                setattr(toolhead, name, replaced)
             self._gcode_move().reset_last_position()
 
     ##################################################################
@@ -180,10 +182,10 @@ class Features(object):
         return Modes(status["absolute_coordinates"], status["absolute_extrude"])
 
     def set_modes(self, modes):
-        now = self.modes()
-        if now.absolute != modes.absolute:
+        current = self.modes()
+        if current.absolute != modes.absolute:
             self._call("G90" if modes.absolute else "G91")
-        if now.absolute_extrude != modes.absolute_extrude:
+        if current.absolute_extrude != modes.absolute_extrude:
             self._call("M82" if modes.absolute_extrude else "M83")
 
     # The command's own method: a macro of that name may do anything.

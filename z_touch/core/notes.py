@@ -30,9 +30,12 @@ class Notes(object):
         self.say()
         for text in self.texts:
             self.host.warn(text)
-        reactor, now = self.host.printer.get_reactor(), self.host.eventtime()
-        self.heard, self.end = self.host.listeners(), now + LISTEN_TIME
-        reactor.register_timer(self.look, now + LISTEN_INTERVAL)
+        reactor, eventtime = (
+            self.host.printer.get_reactor(),
+            self.host.eventtime(),
+        )
+        self.heard, self.end = self.host.listeners(), eventtime + LISTEN_TIME
+        reactor.register_timer(self.look, eventtime + LISTEN_INTERVAL)
 
     def say(self):
         for text in self.texts:

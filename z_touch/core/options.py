@@ -333,38 +333,40 @@ def sampling_of(values):
 
 
 # A record as the defaults of another section's options
-def as_defaults(found):
+def as_defaults(sampling):
     return {
-        "samples": found.samples,
-        "samples_tolerance": found.tolerance,
-        "samples_tolerance_retries": found.retries,
-        "samples_result": found.result,
-        "speed": found.speed,
-        "sample_retract_dist": found.retract_dist,
-        "lift_speed": found.lift_speed,
+        "samples": sampling.samples,
+        "samples_tolerance": sampling.tolerance,
+        "samples_tolerance_retries": sampling.retries,
+        "samples_result": sampling.result,
+        "speed": sampling.speed,
+        "sample_retract_dist": sampling.retract_dist,
+        "lift_speed": sampling.lift_speed,
     }
 
 
 # What PROBE takes: SAMPLES and the rest
-def param_sampling(gcmd, own):
-    count = param_int(gcmd, "SAMPLES", own.samples, minval=1)
-    return param_touches(gcmd, own)._replace(samples=count)
+def param_sampling(gcmd, sampling):
+    count = param_int(gcmd, "SAMPLES", sampling.samples, minval=1)
+    return param_touches(gcmd, sampling)._replace(samples=count)
 
 
 # The rest alone
-def param_touches(gcmd, own):
+def param_touches(gcmd, sampling):
     get = functools.partial(param_number, gcmd)
     count = functools.partial(param_int, gcmd)
-    result = gcmd.get("SAMPLES_RESULT", "").strip().lower() or own.result
+    result = gcmd.get("SAMPLES_RESULT", "").strip().lower() or sampling.result
     if result not in RESULTS:
         raise param_error(gcmd, "SAMPLES_RESULT", "median or average")
-    return own._replace(
-        tolerance=get("SAMPLES_TOLERANCE", own.tolerance, minval=0.0),
-        retries=count("SAMPLES_TOLERANCE_RETRIES", own.retries, minval=0),
+    return sampling._replace(
+        tolerance=get("SAMPLES_TOLERANCE", sampling.tolerance, minval=0.0),
+        retries=count("SAMPLES_TOLERANCE_RETRIES", sampling.retries, minval=0),
         result=result,
-        speed=get("PROBE_SPEED", own.speed, above=0.0),
-        retract_dist=get("SAMPLE_RETRACT_DIST", own.retract_dist, above=0.0),
-        lift_speed=get("LIFT_SPEED", own.lift_speed, above=0.0),
+        speed=get("PROBE_SPEED", sampling.speed, above=0.0),
+        retract_dist=get(
+            "SAMPLE_RETRACT_DIST", sampling.retract_dist, above=0.0
+        ),
+        lift_speed=get("LIFT_SPEED", sampling.lift_speed, above=0.0),
     )
 
 

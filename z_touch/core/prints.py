@@ -100,23 +100,23 @@ class Prints(object):
             self.host.eventtime(),
         )
         heaters, targets = look_up("heaters", None), {}
-        known = (
+        names = (
             heaters.get_status(eventtime)["available_heaters"]
             if heaters
             else ()
         )
-        for name in known:
+        for name in names:
             if name == "heater_bed" or name.startswith("extruder"):
                 status = look_up(name).get_status(eventtime)
                 targets[name] = status.get("target", 0.0)
         return targets
 
     def _unknown_heat(self):
-        heat, known = self._heat(), self.known_heat
+        heat, known_heat = self._heat(), self.known_heat
         return sorted(
             (name, target)
             for name, target in heat.items()
-            if target > 0.0 and target != known.get(name)
+            if target > 0.0 and target != known_heat.get(name)
         )
 
     def _moves_on(self):

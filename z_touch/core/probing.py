@@ -95,7 +95,7 @@ class Probing(object):
         return functools.partial(self._probe_once, session, gcmd), end
 
     def _probe_once(self, session, gcmd):
-        place = self.host.toolhead.get_position()
+        position = self.host.toolhead.get_position()
         self.host.require_running()
         result = session.run_probe(gcmd)
         if hasattr(session, "pull_probed_results"):
@@ -105,16 +105,16 @@ class Probing(object):
             # A record since 2026-01-21 (2a1027ce4)
             twist = result.bed_z + self.probe.get_offsets()[2] - result.test_z
             return Probed(result.test_z, twist)
-        twist = self._twist(place)
+        twist = self._twist(position)
         return Probed(result[2] - twist, twist)
 
     # What axis_twist_compensation adds where results are lists
-    def _twist(self, place):
+    def _twist(self, position):
         twist = self.printer.lookup_object("axis_twist_compensation", None)
         # Until 2024-06-20 (e780049a7), Kalico
         if hasattr(twist, "get_z_compensation_value"):
-            return twist.get_z_compensation_value(place)
-        probed = list(place[:2]) + [0.0]
+            return twist.get_z_compensation_value(position)
+        probed = list(position[:2]) + [0.0]
         self.printer.send_event("probe:update_results", probed)
         return probed[2]
 

@@ -34,12 +34,12 @@ AUTOSAVED = "#*# "
 # include stands for any depth of folders; 'saved': also what SAVE_CONFIG has
 # written, which counts most.
 def places(path, section, option, deep=False, saved=False, seen=()):
-    found, inside = [], False
+    all_places, inside = [], False
     try:
         with io.open(path, encoding="utf-8", errors="replace") as f:
             lines = f.read().splitlines()
     except (IOError, OSError):
-        return found
+        return all_places
     for number, line in enumerate(lines, 1):
         if saved and line.startswith(AUTOSAVED):
             line = line[len(AUTOSAVED) :]
@@ -51,12 +51,12 @@ def places(path, section, option, deep=False, saved=False, seen=()):
                 for other in included(path, name[len("include ") :], deep):
                     if other not in seen:
                         outer = tuple(seen) + (path,)
-                        found += places(
+                        all_places += places(
                             other, section, option, deep, seen=outer
                         )
         elif inside and given and given.group(1).lower() == option:
-            found.append(Place(path, number, given.group(2).strip()))
-    return found
+            all_places.append(Place(path, number, given.group(2).strip()))
+    return all_places
 
 
 def included(path, pattern, deep):
@@ -96,8 +96,8 @@ class Saver(object):
 
     # Line and file, in words; empty: it is nowhere
     def where(self, section, option):
-        found = self._places(section, option)
-        return self._say(found[-1]) if found else ""
+        all_places = self._places(section, option)
+        return self._say(all_places[-1]) if all_places else ""
 
     def _say(self, place):
         name = os.path.relpath(place.path, os.path.dirname(self._path()))
@@ -106,11 +106,11 @@ class Saver(object):
     # The same of an option that SAVE_CONFIG refuses to write: with one of them
     # it would write nothing at all.
     def obstacle(self, section, option):
-        own, found = self._path(), self._places(section, option)
+        printer_cfg, all_places = self._path(), self._places(section, option)
         if self.host.includes().is_written:
-            reached = places(own, section, option)
-            found = [place for place in found if place not in reached]
-        others = [place for place in found if place.path != own]
+            reached = places(printer_cfg, section, option)
+            all_places = [place for place in all_places if place not in reached]
+        others = [place for place in all_places if place.path != printer_cfg]
         return self._say(others[-1]) if others else ""
 
     # Whether SAVE_CONFIG will write it; the console is told either way.
@@ -134,8 +134,8 @@ class Saver(object):
 
     # Whether the file says so already
     def is_written(self, section, option, text):
-        found = self._places(section, option, saved=True)
-        return bool(found) and is_same(found[-1].text, text)
+        all_places = self._places(section, option, saved=True)
+        return bool(all_places) and is_same(all_places[-1].text, text)
 
     # What waits for SAVE_CONFIG, as (section, option, text)
     def _pending(self):
@@ -160,9 +160,9 @@ class Saver(object):
     # all of others that waits where SAVE_CONFIG refuses any: a restart forgets it.
     # Empty: SAVE_CONFIG writes all.
     def by_hand(self, section, values):
-        own = [(section,) + tuple(value) for value in values]
-        named, refused = [value[:2] for value in own], self._refused()
-        missing = [v for v in own if refused or self.obstacle(*v[:2])]
+        values_here = [(section,) + tuple(value) for value in values]
+        named, refused = [value[:2] for value in values_here], self._refused()
+        missing = [v for v in values_here if refused or self.obstacle(*v[:2])]
         if refused:
             missing += [v for v in self._pending() if v[:2] not in named]
         return [

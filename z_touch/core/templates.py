@@ -32,8 +32,8 @@ GCODE = Kind("G-code", _read_gcode, ("{", "{% if %}"))
 # or begin a comment or a command.
 def as_param(value):
     text = " ".join(str(value).split())
-    for found, instead in ((";", ","), ("#", ""), ('"', "'"), ("\\", "/")):
-        text = text.replace(found, instead)
+    for character, instead in ((";", ","), ("#", ""), ('"', "'"), ("\\", "/")):
+        text = text.replace(character, instead)
     return text
 
 

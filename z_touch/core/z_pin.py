@@ -30,8 +30,8 @@ def read_pin(config, z_axis):
     trigger_z = low_switch(z_axis)
     if trigger_z is None:
         return None
-    place = _calibrated_at(config) or _homed_beside_mesh(config)
-    return place and Pin(place[0], place[1], trigger_z)
+    xy = _calibrated_at(config) or _homed_beside_mesh(config)
+    return xy and Pin(xy[0], xy[1], trigger_z)
 
 
 # The toolhead Z (mm) at which the switch triggers that Z is homed on; None: there
@@ -92,6 +92,6 @@ def _point(config, section, option):
 def floor(host, pin):
     if pin is None:
         return None
-    place = host.toolhead.get_position()
-    away = max(abs(a - b) for a, b in zip(place, (pin.x, pin.y)))
+    position = host.toolhead.get_position()
+    away = max(abs(a - b) for a, b in zip(position, (pin.x, pin.y)))
     return pin.trigger_z - BELOW_TRIGGER if away <= NEAR else None

@@ -243,15 +243,15 @@ def around(start, end, zone, limits, via=None):
 # came, no further than it has to.  'trace' are the moves of that homing, each an
 # axis (0: X) and how far (mm) the head went along it.
 def out_of_corner(start, end, zone, limits, trace, via=None):
-    came, place = [], tuple(start[:2])
+    came, corner = [], tuple(start[:2])
     for axis, moved in reversed(trace):
-        back = list(place)
+        back = list(corner)
         back[axis] -= moved
-        for stop in list(crossings(place, back, zone)) + [tuple(back)]:
+        for stop in list(crossings(corner, back, zone)) + [tuple(back)]:
             try:
                 return came + [stop] + around(stop, end, zone, limits, via)
             except NoDetour:
                 continue
-        place = tuple(back)
-        came.append(place)
+        corner = tuple(back)
+        came.append(corner)
     raise NoDetour()

@@ -87,16 +87,16 @@ class DockableProbe(object):
 
     # What the user is told when klippy is ready
     def start_notes(self):
-        found = self.old_names.notes + self.virtual_probe.notes
+        notes = self.old_names.notes + self.virtual_probe.notes
         dock, mesh = self.settings.dock_position[:2], self.settings.mesh
         is_known = mesh is not None and self.settings.is_placed
         if is_known and detour.is_within(dock, mesh):
-            found.append(
+            notes.append(
                 "dock_position (%g, %g) lies where the head goes while the bed"
                 " mesh is probed; make the mesh smaller, or move the dock"
                 % dock
             )
-        return found
+        return notes
 
     # What hangs on the head may be lower than the bed when X and Y are homed, and
     # nobody knows that yet.

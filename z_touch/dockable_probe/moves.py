@@ -29,8 +29,8 @@ class Trace(object):
         self.end = self.begun_at = None
 
     # The moves that have led to that place; empty: homing has ended elsewhere
-    def to(self, place):
-        if self.end is None or detour.distance(place, self.end) > NEAR_END:
+    def to(self, position):
+        if self.end is None or detour.distance(position, self.end) > NEAR_END:
             return []
         return self.moves
 
@@ -232,12 +232,12 @@ class Moves(object):
 
     # Whether the head is in there now, not over a dock that is entered from above
     def stands_in_dock(self):
-        place, dock_z = self.position(), self.settings.dock_position.z
-        if not self.is_in_dock(place):
+        position, dock_z = self.position(), self.settings.dock_position.z
+        if not self.is_in_dock(position):
             return False
-        if self.settings.dock_fixed_z or None in (place.z, dock_z):
+        if self.settings.dock_fixed_z or None in (position.z, dock_z):
             return True
-        return place.z < dock_z + detour.SMALLEST_DISTANCE
+        return position.z < dock_z + detour.SMALLEST_DISTANCE
 
     # To a position of the dock's, high enough for what hangs on the head.  Of a
     # dock that has a height of its own it may be above the head, where the way

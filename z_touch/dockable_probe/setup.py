@@ -60,7 +60,7 @@ def written(position):
 class State(object):
     def __init__(self):
         self.step = ORDER[0]
-        self.places = {}
+        self.positions = {}
 
 
 # The command, and what it asks
@@ -176,7 +176,7 @@ class Setup(object):
 
     def _take_dock(self, answer):
         self._require(ATTACHED, "the magnets have to hold it still")
-        self.state.places = {"dock_position": self._here()}
+        self.state.positions = {"dock_position": self._here()}
 
     def _take_out(self, answer):
         self._require(
@@ -187,8 +187,8 @@ class Setup(object):
         self._take("out")
 
     def _take_approach(self, answer):
-        places, here = self.state.places, self._here()
-        dock, detach = places["dock_position"], places["detach_position"]
+        positions, here = self.state.positions, self._here()
+        dock, detach = positions["dock_position"], positions["detach_position"]
         angle = detour.strip_angle(dock, dock.z, here, detach)
         strips = self.section.settings.detach_gcode is not None
         if angle < checks.SAME_WAY and not strips:
@@ -198,14 +198,14 @@ class Setup(object):
                 " 90 degrees" % (angle,)
             )
         self._take("approach")
-        places["insert_position"] = here
+        positions["insert_position"] = here
 
     def _take_insert(self, answer):
         if answer == "HERE":
             self._take("insert")
 
     def _take(self, name):
-        here, dock = self._here(), self.state.places["dock_position"]
+        here, dock = self._here(), self.state.positions["dock_position"]
         apart = detour.distance(here, dock)
         is_above = None not in (here.z, dock.z) and here.z - dock.z >= LEAST_WAY
         if apart < LEAST_WAY and not is_above:
@@ -213,7 +213,7 @@ class Setup(object):
                 "this is %.1f mm from the dock; go at least %g mm away, better"
                 " 40" % (apart, LEAST_WAY)
             )
-        self.state.places[OPTION_OF[name]] = here
+        self.state.positions[OPTION_OF[name]] = here
 
     # With the probe where it has to be; raises CalibrationError
     def _require(self, state, remedy):
@@ -231,16 +231,16 @@ class Setup(object):
 
     # The section's settings with what was found, and slow
     def _found(self):
-        settings, places = self.section.settings, dict(self.state.places)
-        places["extract_position"] = places["approach_position"]
-        places.update(
-            safe_dock_distance=nearest_distance(places),
+        settings, positions = self.section.settings, dict(self.state.positions)
+        positions["extract_position"] = positions["approach_position"]
+        positions.update(
+            safe_dock_distance=nearest_distance(positions),
             travel_speed=JOG_SPEED,
             attach_speed=SLOW_SPEED,
             detach_speed=SLOW_SPEED,
             is_placed=True,
         )
-        return settings._replace(**places)
+        return settings._replace(**positions)
 
     def _fetch(self, answer):
         self._require(DOCKED, "put it into the dock")
@@ -353,9 +353,9 @@ class Setup(object):
                 yield row
 
     def _facts(self):
-        places = self.state.places
+        positions = self.state.positions
         facts = {
-            name.split("_")[0]: written(places.get(name, ()))
+            name.split("_")[0]: written(positions.get(name, ()))
             for name in OPTION_OF.values()
         }
         facts.update(
@@ -372,18 +372,18 @@ class Setup(object):
 
     # What is to be written: those that are not as another one is anyway
     def _values(self):
-        places, where = self.state.places, self.saver.where
+        positions, where = self.state.positions, self.saver.where
         values = [
-            (name, written(places[name]))
+            (name, written(positions[name]))
             for name in (
                 "dock_position",
                 "approach_position",
                 "detach_position",
             )
         ]
-        approach = places["approach_position"]
+        approach = positions["approach_position"]
         for name in ("extract_position", "insert_position"):
-            place = places.get(name, approach)
+            place = positions.get(name, approach)
             if place != approach or where(self.host.section, name):
                 values.append((name, written(place)))
         return values

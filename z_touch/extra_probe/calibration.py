@@ -227,8 +227,8 @@ class Calibration(object):
 
     # Where the switch lies: shifts.Shifts
     def shifts(self, question, bed_z):
-        place = tuple(question.xy) + (bed_z,)
-        return Shifts(self.host, place, question.save)
+        point = tuple(question.xy) + (bed_z,)
+        return Shifts(self.host, point, question.save)
 
     # What SAVE_CONFIG is to write
     def corrected_zero(self, bed_z):

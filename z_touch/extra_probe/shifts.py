@@ -16,15 +16,15 @@ LARGEST_REST = 0.02
 class Shifts(object):
     # 'is_saved': for a value that counts from the next homing on, when the mesh is
     # as it is, but not the heat.
-    def __init__(self, host, place, is_saved):
-        self.place = place
+    def __init__(self, host, point, is_saved):
+        self.point = point
         self.parts = [
             part
-            for part in host.features.parts(*place)
+            for part in host.features.parts(*point)
             if abs(part.height) >= SMALLEST_PART
             and (part.name in INNERMOST or not is_saved)
         ]
-        self.rest = host.features.rest(*place)
+        self.rest = host.features.rest(*point)
 
     # mm, to be taken off the offset
     def height(self):
@@ -34,7 +34,7 @@ class Shifts(object):
     def lines(self, z_offset):
         if self.parts:
             parts = ["%s %.3f mm" % tuple(part) for part in self.parts]
-            values = (", ".join(parts),) + self.place[:2] + (z_offset,)
+            values = (", ".join(parts),) + self.point[:2] + (z_offset,)
             yield (
                 "%s at %.1f, %.1f, where the switch lay, taken off: the offset is"
                 " %.6f, and right there while that is in force" % values

@@ -238,7 +238,7 @@ class Setup(object):
         )
         if self.touches.is_homed():
             text = "The head is at X=%.1f Y=%.1f Z=%.2f."
-            facts["here"] = text % self.head.place()
+            facts["here"] = text % self.head.position()
         if name in TOUCHED:
             facts["floor"] = self.floor(TOUCHED[name])
         self.add_facts(name, facts)

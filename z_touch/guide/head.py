@@ -258,10 +258,10 @@ class GuidedHead(object):
             toolhead.manual_move(end, speed)
         # Whoever looks decides on the next one
         toolhead.wait_moves()
-        gcmd.respond_info("X=%.3f Y=%.3f Z=%.3f" % self.place())
+        gcmd.respond_info("X=%.3f Y=%.3f Z=%.3f" % self.position())
 
     # Where the head is (mm)
-    def place(self):
+    def position(self):
         return tuple(self.host.toolhead.get_position()[:3])
 
     # How low the buttons lead, in words

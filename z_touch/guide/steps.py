@@ -52,7 +52,7 @@ def after(name):
 # The step after an answer
 def follow(name, answer):
     words = [word for label, word, colour in STEPS[name].answers]
-    words += [place.upper() for place in STEPS[name].places]
+    words += [site.upper() for site in STEPS[name].sites]
     if answer not in words:
         raise CalibrationError(
             "ANSWER=%s is none of STEP=%s: %s"
@@ -107,15 +107,15 @@ def jog_groups(name, room):
 
 # Rows of buttons that lead back to a place, or tell the switch
 def other_groups(name):
-    places = [
-        (place.capitalize(), command(name, place.upper()), "secondary")
-        for place in STEPS[name].places
+    sites = [
+        (site.capitalize(), command(name, site.upper()), "secondary")
+        for site in STEPS[name].sites
     ]
     types = [
         ("%s %.1f mm" % (kind, value), command(name, TYPE=kind), "secondary")
         for kind, value in (SWITCHES.items() if name == "gap" else ())
     ]
-    return [group for group in (places, types) if group]
+    return [group for group in (sites, types) if group]
 
 
 # The answers as (label, G-code, colour)

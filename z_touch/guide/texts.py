@@ -11,18 +11,18 @@ import collections
 # 'places' the steps that buttons of their own lead back to; 'axes' are those with
 # buttons to jog.  At the foot of a dialog, "secondary" looks switched off.
 Step = collections.namedtuple(
-    "Step", "name number title text answers back places axes"
+    "Step", "name number title text answers back sites axes"
 )
 
 
 # 'given': what a step has besides, by the words of Step; 'more' answers
 def step(name, number, title, text, go_on, **given):
     answers = ((go_on, "", "primary"),) + tuple(given.get("more", ()))
-    back, places = given.get("back"), given.get("places", ())
+    back, sites = given.get("back"), given.get("sites", ())
     if back is not None:
         answers += (("Back", "BACK", "warning"),)
     axes = given.get("axes", "")
-    return Step(name, number, title, text, answers, back, places, axes)
+    return Step(name, number, title, text, answers, back, sites, axes)
 
 
 STOP = "Keep a hand on the emergency stop."
@@ -178,7 +178,7 @@ ALL = (
         ),
         "Yes",
         more=[("Again", "AGAIN", "warning")],
-        places=("nozzle", "switch", "bed"),
+        sites=("nozzle", "switch", "bed"),
     ),
     step(
         "touch_nozzle",

@@ -68,10 +68,10 @@ def names_here():
 
 # The names of the commands and macros that a template runs
 def commands_of(template):
-    found = COMMAND.findall(
+    commands = COMMAND.findall(
         re.sub(r"(?s)\{.*?\}|[#;].*?(?:\n|$)", "\n", template)
     )
-    return " ".join(found)
+    return " ".join(commands)
 
 
 # An option as a line has it
@@ -86,14 +86,18 @@ def value_of(option, value, names):
     return " ".join(without_names(text, names).split())
 
 
-def is_told(section, own):
-    return section in (own,) + SECTIONS or section.startswith(BEGINNINGS)
+def is_told(section, own_section):
+    return section in (own_section,) + SECTIONS or section.startswith(
+        BEGINNINGS
+    )
 
 
 # The sections that count, the own one first.  'settings': of configfile's status
-def sections_of(settings, own, names):
-    for section in sorted(settings, key=lambda name: (name != own, name)):
-        if not is_told(section, own):
+def sections_of(settings, own_section, names):
+    for section in sorted(
+        settings, key=lambda name: (name != own_section, name)
+    ):
+        if not is_told(section, own_section):
             continue
         yield "[%s]" % (section,)
         options = settings[section]
@@ -133,9 +137,9 @@ def last_error(runs):
 
 
 # All of it.  'versions': (name, text); 'status': of the section; 'runs': its records
-def compose(own, versions, settings, status, runs):
+def compose(own_section, versions, settings, status, runs):
     names = names_here()
-    lines = ["What to attach when you ask about [%s]" % (own,), ""]
+    lines = ["What to attach when you ask about [%s]" % (own_section,), ""]
     python = sys.version.split()[0]
     for name, version in list(versions) + [("Python", python)]:
         lines.append("%s: %s" % (name, without_names(version, names)))
@@ -148,7 +152,7 @@ def compose(own, versions, settings, status, runs):
     )
     lines += ["", "Status:", as_json(shown, names), "", "Last runs:"]
     lines += list(runs_of(runs, names)) or ["none"]
-    lines += [""] + list(sections_of(settings, own, names))
+    lines += [""] + list(sections_of(settings, own_section, names))
     return "\n".join(lines)
 
 

@@ -43,10 +43,10 @@ def minute(run):
 # In the order of the runs, whatever the clock did; None where it was never set
 def times_of(runs):
     times = [time_of(run) for run in runs]
-    known = [t for t in times if t is not None]
-    if not known:
+    dated = [t for t in times if t is not None]
+    if not dated:
         return None
-    later = known[-1]
+    later = dated[-1]
     for i in reversed(range(len(times))):
         if times[i] is not None:
             later = min(later, times[i])

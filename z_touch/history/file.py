@@ -104,13 +104,13 @@ def whole_number(digits):
 # may write anything.  None: it is none; {}: it is of a later format.
 def load(line):
     try:
-        found = json.loads(line.decode("utf-8"), parse_int=whole_number)
+        record = json.loads(line.decode("utf-8"), parse_int=whole_number)
     except (ValueError, RuntimeError, MemoryError):
         # The second one is of nesting without end
         return None
-    if isinstance(found, dict) and is_number(found.get("format")):
-        return found if found["format"] <= FORMAT else {}
-    return found if isinstance(found, dict) else None
+    if isinstance(record, dict) and is_number(record.get("format")):
+        return record if record["format"] <= FORMAT else {}
+    return record if isinstance(record, dict) else None
 
 
 # A line as a record, or None
@@ -509,7 +509,9 @@ class History(object):
         return dict((site, spreads_in(self.runs, site)) for site in SITES)
 
     def _show(self):
-        spreads = dict((s, pool(past)) for s, past in self.spreads().items())
+        spreads = dict(
+            (site, pool(runs)) for site, runs in self.spreads().items()
+        )
         names = ("time", "ok", "offset", "uncertainty", "reason")
         self.status = {
             "runs": len(self.runs),

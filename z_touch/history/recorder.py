@@ -59,9 +59,9 @@ class Recorder(object):
     # By how much (mm) switch - nozzle departs from the runs that were as hot as it is
     # now; 0: not by more than chance.
     def departure(self, body):
-        now, history = self.host.eventtime(), self.history
-        as_now = {"temperatures": self.temperatures(now)}
-        bodies = trend.bodies_as_hot(history.runs, history.summary, as_now)
+        eventtime, history = self.host.eventtime(), self.history
+        as_hot = {"temperatures": self.temperatures(eventtime)}
+        bodies = trend.bodies_as_hot(history.runs, history.summary, as_hot)
         return trend.departure(body, bodies)
 
     # When nothing is under way
@@ -70,8 +70,8 @@ class Recorder(object):
 
     # What a run knows of its sites.  'counting': adaptive.FixedCount or Automatic
     def make_plan(self, counting):
-        past = self.history.spreads()
-        return adaptive.Plan(z_step(self.host), past, counting)
+        spreads = self.history.spreads()
+        return adaptive.Plan(z_step(self.host), spreads, counting)
 
     def begin(self, counting, plate=""):
         self.plan = self.make_plan(counting)
@@ -199,17 +199,17 @@ class Recorder(object):
     # compose() of what somebody who is asked wants to know: in the thread, where
     # nothing that is wrong with it ends a command
     def asked(self):
-        own, now = self.host.section, self.host.eventtime()
+        name, eventtime = self.host.section, self.host.eventtime()
         configfile, section = map(
-            self.printer.lookup_object, ("configfile", own)
+            self.printer.lookup_object, ("configfile", name)
         )
         version = self.printer.get_start_args().get("software_version", "?")
         return functools.partial(
             asking.compose,
-            own,
+            name,
             [("z_calibration", self.version), ("Klipper", version)],
-            configfile.get_status(now)["settings"],
-            section.get_status(now),
+            configfile.get_status(eventtime)["settings"],
+            section.get_status(eventtime),
             list(self.history.runs),
         )
 

@@ -80,14 +80,14 @@ def facts(records, runs):
 
 
 # A box with a bar in the colour of the word
-def draw_verdict(page, found):
-    begin, top, colour = len(page.parts), page.y, found.level
+def draw_verdict(page, judged):
+    begin, top, colour = len(page.parts), page.y, judged.level
     page.y += 6
     head = 'font-size="16" font-weight="700"'
-    page.line(found.level.capitalize(), colour, head, x=EDGE + 18)
-    for text in found.texts[:TEXTS]:
+    page.line(judged.level.capitalize(), colour, head, x=EDGE + 18)
+    for text in judged.texts[:TEXTS]:
         page.line(text, most=LINES, x=EDGE + 18)
-    more = len(found.texts) - TEXTS
+    more = len(judged.texts) - TEXTS
     if more > 0:
         page.line("And %d more." % (more,), "soft", x=EDGE + 18)
     page.y += 12
@@ -144,8 +144,8 @@ def draw_last(page, runs):
 
 # 1.96 standard deviations of a touch in earlier runs (um), 0: nobody knows
 def usual_spread(earlier, site):
-    known = pool(spreads_in(earlier, site))
-    return 1960.0 * math.sqrt(known.variance) if known.dof else 0.0
+    pooled = pool(spreads_in(earlier, site))
+    return 1960.0 * math.sqrt(pooled.variance) if pooled.dof else 0.0
 
 
 # All touches of a site about its height (um)
@@ -158,11 +158,11 @@ def offsets_of(record):
 
 def draw_touches(plot, offs, record, usual, colour):
     plot.strip(-usual, usual, colour)
-    places = [(plot.x(i), plot.y(v)) for i, v in enumerate(offs)]
+    points = [(plot.x(i), plot.y(v)) for i, v in enumerate(offs)]
     samples = record["samples"]
     flags = counted(record.get("touches") or samples, samples)
-    plot.dots([p for p, f in zip(places, flags) if f], colour, 4.0)
-    plot.rings([p for p, f in zip(places, flags) if not f], colour)
+    plot.dots([p for p, f in zip(points, flags) if f], colour, 4.0)
+    plot.rings([p for p, f in zip(points, flags) if not f], colour)
     text = "z %.3f mm, sd %.1f %s"
     plot.below(text % (record["z"], 1000.0 * record["sd"], UM))
 
@@ -264,14 +264,16 @@ def smooth(values, pause):
 # Where switch - nozzle is not told, since nozzle and probe are the ones they are
 def band_of(runs, pause):
     summary = trend.summarize_runs(runs, pause)
-    known = trend.fingerprint_of(trend.bodies_as_hot(runs, summary, runs[-1]))
-    if known.middle is None:
+    fingerprint = trend.fingerprint_of(
+        trend.bodies_as_hot(runs, summary, runs[-1])
+    )
+    if fingerprint.middle is None:
         return None
-    far = max(trend.FAR_SIGMA * known.sigma, trend.FAR_AS_HOT)
+    far = max(trend.FAR_SIGMA * fingerprint.sigma, trend.FAR_AS_HOT)
     band, good = [], 0
     for run in runs:
         there = good >= summary.since
-        ends = (known.middle - far, known.middle + far)
+        ends = (fingerprint.middle - far, fingerprint.middle + far)
         band.append(ends if there else None)
         good += run["ok"]
     return band
@@ -427,14 +429,14 @@ def draw_samples(page, site, colour, all_samples):
     apart = (WIDTH - RIGHT - LEFT - 14) / count
     for number, samples in enumerate(all_samples):
         between = min(4.0, apart / max(1, len(samples)))
-        places = [
+        points = [
             (
                 plot.x(number) + (i - (len(samples) - 1) / 2.0) * between,
                 plot.y(1000.0 * (z - middle)),
             )
             for i, z in enumerate(samples)
         ]
-        plot.dots(places, colour)
+        plot.dots(points, colour)
     page.y = plot.bottom + BELOW + GAP
 
 

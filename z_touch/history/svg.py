@@ -256,19 +256,19 @@ class Plot(object):
                 stroke(curve.colour, 1.6),
             )
         if len(self.xs) <= 120:
-            places = [(self.x(i), self.y(v)) for i, v in points]
-            self.dots(places, curve.colour, 2.2 if curve.line else 1.5)
+            corners = [(self.x(i), self.y(v)) for i, v in points]
+            self.dots(corners, curve.colour, 2.2 if curve.line else 1.5)
 
-    def dots(self, places, colour, radius=2.2):
+    def dots(self, points, colour, radius=2.2):
         circles = [
             '<circle cx="%.1f" cy="%.1f" r="%.1f"/>' % (x, y, radius)
-            for x, y in places
+            for x, y in points
         ]
         self.page.add("<g %s>%s</g>", fill(colour), "".join(circles))
 
     # Of what does not count
-    def rings(self, places, colour):
-        for x, y in places:
+    def rings(self, points, colour):
+        for x, y in points:
             self.page.add(
                 '<circle cx="%.1f" cy="%.1f" r="4" %s/>',
                 x,

@@ -178,12 +178,12 @@ def bodies_as_hot(runs, summary, run):
 # By how much (mm) switch - nozzle of a new run departs from all of them, the last
 # included; 0: not by more than chance.
 def departure(value, bodies):
-    known = fingerprint_of(bodies)
-    if not departs(value, known, FAR_AS_HOT):
+    fingerprint = fingerprint_of(bodies)
+    if not departs(value, fingerprint, FAR_AS_HOT):
         return 0.0
     if abs(value - bodies[-1]) <= FAR_AS_HOT:
         return 0.0
-    return value - known.middle
+    return value - fingerprint.middle
 
 
 # The Summary of runs.  Two in a row that depart from all before, and agree with each other, are
@@ -249,25 +249,25 @@ def is_like(run, other):
 # Good runs from a number on that are comparable with the last one, as pairs of their
 # number and the run
 def comparable(runs, begin, pause):
-    found = []
+    runs_alike = []
     for number in range(begin, len(runs)):
         if number % 20 == 0:
             pause()
         if runs[number]["ok"] and is_like(runs[number], runs[-1]):
-            found.append((number, runs[number]))
-    return found
+            runs_alike.append((number, runs[number]))
+    return runs_alike
 
 
 # Numbers of the runs with which the stretches of a name begin, but for the first
 def begins_of(name, runs):
-    found = []
+    numbers = []
     for number, run in enumerate(runs):
         for change in run.get("changed", ()):
             if change.get("what") == name:
-                found.append(max(0, number + 1 - int(change["runs"])))
+                numbers.append(max(0, number + 1 - int(change["runs"])))
         if name in run.get("wear", ()):
-            found.append(number + 1)
-    return found
+            numbers.append(number + 1)
+    return numbers
 
 
 # Of single runs that are off, and agree with neither neighbour while these do with
@@ -275,13 +275,13 @@ def begins_of(name, runs):
 def without_single_ones(values):
     steps = [abs(b - a) for a, b in zip(values, values[1:])]
     far = FAR_SIGMA * MAD_FACTOR * summarize(steps, "median") / math.sqrt(2.0)
-    found = list(values)
+    smooth = list(values)
     for i in range(1, len(values) - 1):
         before, v, after = values[i - 1 : i + 2]
         off = min(abs(v - before), abs(v - after))
         if off > far and abs(after - before) <= far:
-            found[i] = (before + after) / 2.0
-    return found
+            smooth[i] = (before + after) / 2.0
+    return smooth
 
 
 ######################################################################
@@ -313,11 +313,11 @@ def best_split(values):
 
 # What a step leaves of the values
 def off_step(values, split):
-    found = []
+    rest = []
     for part in (values[:split], values[split:]):
         mean = math.fsum(part) / len(part)
-        found += [v - mean for v in part]
-    return found
+        rest += [v - mean for v in part]
+    return rest
 
 
 def square_of(values):
@@ -444,9 +444,9 @@ def find_change(name, value, runs, begin, pause):
     if not split:
         return None
     by, first = size_of_step(values, split), like[split][0]
-    now = summarize(values[split:], "median")
+    after = summarize(values[split:], "median")
     is_back = any(
-        abs(now - before) <= max(SHIFT, BACK * abs(by))
+        abs(after - before) <= max(SHIFT, BACK * abs(by))
         for before in levels_before(name, value, runs, pause)
     )
     return {
@@ -519,11 +519,11 @@ def grown(name, spreads):
     ]
     if not (first.dof and last.dof):
         return ""
-    before, now = math.sqrt(first.variance), math.sqrt(last.variance)
-    if now < max(before + GROWTH, before * GROWTH_TIMES):
+    before, after = math.sqrt(first.variance), math.sqrt(last.variance)
+    if after < max(before + GROWTH, before * GROWTH_TIMES):
         return ""
     limit = f_limit(last.dof, first.dof, TREND_SIGMA)
     if last.variance < limit * max(first.variance, GROWTH**2):
         return ""
     text = "%s has grown from %.4f to %.4f mm in the last %d runs"
-    return text % (name, before, now, len(spreads))
+    return text % (name, before, after, len(spreads))
