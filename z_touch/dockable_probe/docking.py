@@ -242,15 +242,14 @@ class Docking(object):
 
     # A trip with the G-code around it.  'state' is what was seen just before.
     def _make(self, trip, state, goal):
-        self.sensors.proven = UNKNOWN
-        self.sensors.may_hang = True
+        self.sensors.begin_trip()
         after = "post_" + trip.gcode
         go_on = None
         if goal is not None and getattr(self.settings, after) is None:
             go_on = functools.partial(self.moves.go_back, goal)
         with self._dock_out(trip):
             self._try(trip, state, go_on)
-        self.sensors.proven = trip.after
+        self.sensors.end_trip(trip.after)
 
     # The dock is brought out before, and put away afterwards where the head is
     # not in it.

@@ -78,7 +78,9 @@ class DockableProbe(object):
         try:
             checks.check_reach(self.settings, limits)
             if self.virtual_probe.is_z_endstop():
-                self.prober.home_xy = checks.check_homing(self.settings, limits)
+                self.prober.home_over(
+                    checks.check_homing(self.settings, limits)
+                )
         except checks.Misfit as e:
             raise self.host.printer.config_error(
                 "Option '%s' in section '%s': %s"
@@ -176,10 +178,7 @@ class DockableProbe(object):
                 "STATE=%s, but the probe is %s (%s); put it there first"
                 % (state, seen, self.sensors.describe())
             )
-        # Nobody has seen the pins change, but somebody has looked, or wants it seen.
-        self.sensors.proven = UNKNOWN
-        if state != UNKNOWN:
-            self.sensors.may_hang = state == ATTACHED
+        self.sensors.be_told(state)
         self.prober.hold(state == ATTACHED)
 
     cmd_SET_DOCKABLE_PROBE_help = "Switch going to the dock by itself on or off"

@@ -61,8 +61,7 @@ class Moves(object):
         self.use(settings)
         # Where nobody knows Z: how far (mm) the head was lifted for the dock
         self.lifted = 0.0
-        # Where the Z motors were, see motors_z(), when Z was homed with the
-        # probe
+        # See note_bed()
         self.homed_z = None
         # How homing X and Y has come to where the head stands
         self.trace = Trace(host)
@@ -101,6 +100,11 @@ class Moves(object):
             for stepper, shift in zip(steppers, datum)
         ]
         return sum(moved) / len(moved) if moved else None
+
+    # Where the Z motors are now, see motors_z(), the probe has met the bed in
+    # homing
+    def note_bed(self):
+        self.homed_z = self.motors_z()
 
     def is_homed(self, axes):
         homed = self.host.toolhead_status()["homed_axes"]

@@ -5,7 +5,7 @@ from __future__ import absolute_import
 
 from ..core import carrying, touching
 from .delay import Delay
-from .sensors import ATTACHED, UNKNOWN
+from .sensors import ATTACHED
 from .settings import REACH, travel_height
 
 # Homing goes down twice: to find the bed, and slowly again from a little above.
@@ -29,8 +29,7 @@ class Prober(object):
         self.settings = settings
         self.moves = docking.moves
         self.sensors = docking.sensors
-        # Where the head stands while Z is homed with the probe, as klippy finds
-        # when it connects; None: where it is then
+        # See home_over()
         self.home_xy = None
         # Whether commands fetch and dock the probe by themselves
         self.auto = settings.auto_attach_detach
@@ -70,6 +69,11 @@ class Prober(object):
             beyond = self.settings.z_offset - self.settings.lowest
         return motors_z - homed_z + beyond
 
+    # Where the head stands while Z is homed with the probe, as klippy finds when
+    # it connects: (x, y); None: where it is then
+    def home_over(self, xy):
+        self.home_xy = xy
+
     ######################################################################
     # What virtual_probe tells
     ######################################################################
@@ -104,7 +108,7 @@ class Prober(object):
     def _require_attached(self):
         state = self.sensors.confirm()
         if not state == self.sensors.proven == ATTACHED:
-            self.sensors.proven = UNKNOWN
+            self.sensors.distrust()
             raise self.host.error(
                 "the probe is %s at z=%.3f (%s); auto_attach_detach is off, so"
                 " it is not fetched by itself; run ATTACH_PROBE"
@@ -135,7 +139,7 @@ class Prober(object):
         elif triggered:
             # Touches elsewhere tell nothing of it: there the bed may be much
             # higher, or the gantry lower.
-            self.moves.homed_z = self.moves.motors_z()
+            self.moves.note_bed()
             self.homing = SECOND
         else:
             self._end_homing_of_nothing()
@@ -185,7 +189,7 @@ class Prober(object):
 
     # The host turns the motors off then, so the head goes up before it does.
     def _end_homing_of_nothing(self):
-        self.sensors.proven = UNKNOWN
+        self.sensors.distrust()
         distance = self.settings.sample_retract_dist + REACH
         self.host.lift_unhomed(distance, self.settings.lift_speed)
         self.host.say(
@@ -195,7 +199,7 @@ class Prober(object):
         )
 
     def _lost(self, what):
-        self.sensors.proven = UNKNOWN
+        self.sensors.distrust()
         return self.host.error(
             "the probe %s, at z=%.3f (%s); where it is lost or pressed, raise"
             " the head, put it into its dock, and check it with"

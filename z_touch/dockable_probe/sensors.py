@@ -35,22 +35,31 @@ class Sensors(object):
         # Whether 'pin' read TRIGGERED when the probe was last fetched: a wire that
         # is broken never does
         self.is_switch_seen = False
-        self._proven = UNKNOWN
+        # Where the trip that ended last has put the probe, and the pins were seen
+        # to change on it; UNKNOWN: what they read proves nothing
+        self.proven = UNKNOWN
         # Whether it may hang on the head where the pins read as if it were docked:
         # it was fetched, or was to be, and not seen to be docked since
         self.may_hang = False
         # What somebody who looked has seen last
         self.last_state = UNKNOWN
 
-    # Where the trip that ended last has put the probe, and the pins were seen to
-    # change on it; UNKNOWN: what they read proves nothing
-    @property
-    def proven(self):
-        return self._proven
+    # A trip begins that puts the probe on the head, or takes it off
+    def begin_trip(self):
+        self.distrust()
+        self.may_hang = True
 
-    @proven.setter
-    def proven(self, state):
-        self._proven = state
+    # It has put the probe there, and the pins were seen to change on it
+    def end_trip(self, state):
+        self.proven, self.may_hang = state, state == ATTACHED
+
+    # From now on what the pins read proves nothing
+    def distrust(self):
+        self.proven = UNKNOWN
+
+    # Somebody says where the probe is, and has looked, or wants it seen
+    def be_told(self, state):
+        self.distrust()
         if state != UNKNOWN:
             self.may_hang = state == ATTACHED
 
