@@ -53,6 +53,11 @@ def choose_host(name: Optional[str]) -> Host:
 def has_kinematics(host: Host, scene: Scene) -> bool:
     """Whether a host knows the kinematics that a scene is configured with."""
     name = (scene.sections["printer"] or {})["kinematics"]
+    return name is not None and knows_kinematics(host, name)
+
+
+def knows_kinematics(host: Host, name: str) -> bool:
+    """Whether a host has kinematics of that name."""
     klippy = (host.directory / "base" / host.layout.module_dir).parent
     return (klippy / "kinematics" / f"{name}.py").is_file()
 

@@ -14,6 +14,7 @@ from simprinter.hosts.printer import (
     choose_host,
     firmware_of,
     has_kinematics,
+    knows_kinematics,
 )
 from tools.kit.scenes import SCENES, Sections
 
@@ -27,6 +28,7 @@ __all__ = [
     "firmware_of",
     "given_module",
     "has_kinematics",
+    "knows_kinematics",
     "module_files",
 ]
 

@@ -15,7 +15,7 @@ from tools.kit.printer import FOLDER, MODULES, ROOT
 
 TOGETHER = 10
 USUAL = range(1, 61, TOGETHER)
-DOCK = Owned("dock_gantry_switch", frozenset({"pause"}), too_high=0.1, bow=-0.2)
+DOCK = Owned(names=frozenset({"pause"}), too_high=0.1, bow=-0.2)
 # The probe that its owner has fetched would meet the bed first
 HELD = (
     ("gcode", "G28"),

@@ -28,7 +28,7 @@ from typing import Optional
 
 from simprinter.hosts.hosts import Host, find_hosts
 from tools.campaign.walks import walking
-from tools.campaign.walks.printers import BASES
+from tools.campaign.walks.machines import BASES
 from tools.campaign.walks.walking import Report
 
 

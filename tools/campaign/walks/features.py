@@ -5,12 +5,21 @@ from __future__ import annotations
 from collections.abc import Collection, Mapping
 from typing import Optional
 
-from tools.kit.klipper_sections import bed_mesh
+from tools.kit.klipper_sections import bed_mesh, profile
 
 Section = Mapping[str, Optional[str]]
 
 # In reach of each probe, on the smallest of the beds
 _MESH = bed_mesh("40, 40", "200, 200", horizontal_move_z="10")
+
+
+def _wrapped(command: str, gcode: str) -> dict[str, Section]:
+    """A macro of that name; {own}: what the host has under it."""
+    own = "G28.1" if command == "G28" else f"_HOST_{command}"
+    text = gcode.replace("{own}", own + " {rawparams}")
+    macro = {"rename_existing": own, "gcode": f"\n  {text}"}
+    return {f"gcode_macro {command}": macro}
+
 
 # Each by a name; a printer takes any of them, but for what excludes each other
 FEATURES: Mapping[str, Mapping[str, Section]] = {
@@ -46,42 +55,50 @@ FEATURES: Mapping[str, Mapping[str, Section]] = {
     "retraction": {"firmware_retraction": {"retract_length": "1"}},
     "pause": {"pause_resume": {}},
     "respond": {"respond": {}},
-    "wrapped_offset": {
-        "gcode_macro SET_GCODE_OFFSET": {
-            "rename_existing": "SET_OFFSET_OF_HOST",
-            "gcode": "\n  SET_OFFSET_OF_HOST {rawparams}",
+    "twist": {
+        "axis_twist_compensation": {
+            "speed": "200",
+            "horizontal_move_z": "10",
+            "calibrate_start_x": "60",
+            "calibrate_end_x": "180",
+            "calibrate_y": "120",
         }
     },
-    "wrapped_homing": {
-        "gcode_macro G28": {
-            "rename_existing": "G28.1",
-            "gcode": "\n  G28.1 {rawparams}\n  SET_GCODE_OFFSET Z=0",
-        }
-    },
-    "wrapped_mesh": {
-        "gcode_macro BED_MESH_CALIBRATE": {
-            "rename_existing": "MESH_OF_HOST",
-            "gcode": "\n  G28\n  MESH_OF_HOST {rawparams}",
-        }
-    },
+    # What an adaptive mesh has been made with before
+    "saved_mesh": {"bed_mesh default": profile((0.1, 0.0, -0.1), _MESH)},
+    # The machines have what it needs, see scene.heated()
+    "hot": {},
+    "card": {"virtual_sdcard": {"path": "{card}"}},
+    "wrapped_offset": _wrapped("SET_GCODE_OFFSET", "{own}"),
+    "wrapped_homing": _wrapped("G28", "{own}\n  SET_GCODE_OFFSET Z=0"),
+    "wrapped_mesh": _wrapped("BED_MESH_CALIBRATE", "G28\n  {own}"),
+    # As the macros of a Klicky do
+    "wrapped_probe": _wrapped("PROBE", "M117 x\n  {own}\n  M117 y"),
 }
-# What needs another one, or cannot stand beside it
-NEEDS = {"wrapped_mesh": ("mesh", "mesh_zero")}
-APART = [{"mesh", "tilt"}, {"mesh_zero", "tilt"}]
+# One of each at most, what needs another one, and what cannot stand beside it
+MESHES = ("mesh", "mesh_zero")
+FRAMES = ("tilt", "skew", "twist", "heat")
+ALONE = sorted(FEATURES.keys() - {*MESHES, *FRAMES, "respond"})
+OF_MESH = {"wrapped_mesh", "saved_mesh"}
+_PROBES = {"probe", "dockable_probe"}
 
 
-def is_possible(names: frozenset[str], of_scene: Collection[str]) -> bool:
-    """Whether a host takes these together; of_scene: sections that are there."""
-    if "bed_mesh" in of_scene:
-        names = names | {"mesh"}
-    if any(pair <= names for pair in APART):
-        return False
-    return all(
-        names & set(needed) for name, needed in NEEDS.items() if name in names
-    )
+def possible(
+    names: Collection[str], of_scene: Collection[str]
+) -> frozenset[str]:
+    """Those that a host takes together; of_scene: sections that are there."""
+    found, there = set(names), set(of_scene)
+    has_mesh = "bed_mesh" in there or found & set(MESHES)
+    if has_mesh:
+        found.discard("tilt")
+    else:
+        found -= OF_MESH
+    if not there & _PROBES:
+        found -= {"twist", "wrapped_probe"}
+    return frozenset(found)
 
 
-def sections(names: frozenset[str], **paths: str) -> dict[str, Section]:
+def sections(names: Collection[str], **paths: str) -> dict[str, Section]:
     """What is written into printer.cfg; paths: of files by their name."""
     found: dict[str, Section] = {}
     for name in sorted(names):

@@ -3,103 +3,66 @@
 from __future__ import annotations
 
 import dataclasses
-from collections.abc import Mapping, Sequence
+from collections.abc import Mapping
 from dataclasses import dataclass, replace
+from functools import cached_property, lru_cache
 from typing import Any, Optional
 
 from hypothesis import strategies as st
 
-from simprinter.world import MeshSpec, NoiseSpec
+from simprinter.scene import heated
+from simprinter.world import NoiseSpec
 from tools.campaign.drawing import around, often
-from tools.campaign.walks import features
-from tools.kit.carrying import with_all
-from tools.kit.docks import DOCK_SCENES
-from tools.kit.scenes import SCENES, Scene
+from tools.campaign.walks import card, covering, features, machines, values
+from tools.campaign.walks.covering import Row
+from tools.campaign.walks.machines import BASES
+from tools.kit.scenes import Scene
 
 # Over the bed wherever a dock is (mm)
 POINT = (150.0, 150.0)
-
-# What an owner says of a probe that comes and goes; None: nothing
-_HOOKS = (
-    None,
-    "ATTACH_PROBE",
-    "DETACH_PROBE",
-    "M117 x",
-    "SET_GCODE_OFFSET Z=0.05",
-)
-_YES_NO = ("True", "False")
-# Values of options that change what follows what, by section
-CHOICES: Mapping[str, Mapping[str, Sequence[Optional[str]]]] = {
-    "dockable_probe": {
-        "restore_toolhead": _YES_NO,
-        "allow_delayed_detach": _YES_NO,
-        "auto_attach_detach": _YES_NO,
-        "detach_dockable_before_z_home": _YES_NO,
-        "z_hop": ("0", "15"),
-    },
-    "z_calibration": {
-        "start_gcode": _HOOKS,
-        "before_switch_gcode": _HOOKS,
-        "end_gcode": _HOOKS,
-        "samples": ("1", "auto"),
-        "clearance": ("5", "20"),
-    },
-    "auto_z_offset": {"samples": ("1", "3"), "offset_samples": ("1", "3")},
-    "extra_probe membrane": {"samples": ("1", "3")},
-}
-
-
-def _without(scene: Scene, *sections: str) -> Scene:
-    left = {k: v for k, v in scene.sections.items() if k not in sections}
-    return replace(scene, sections=left)
-
-
-def _bases() -> dict[str, Scene]:
-    found = {}
-    for name, scene in DOCK_SCENES.items():
-        # Where Z is homed with the probe there is no pin for the nozzle
-        whole = with_all(scene)
-        found[name] = (
-            whole if scene.world.pin else _without(whole, "z_calibration")
-        )
-    for name in ("voron", "hybrid", "cartesian", "separate_pin", "qidi"):
-        found[name] = SCENES[name]
-    for name in ("membrane_and_probe", "piezo_cartesian"):
-        found[name] = SCENES[name]
-    # Its Z switch lets the nozzle go below the bed: an owner homes beside it
-    aside = {"home_xy_position": "-8, -2", "z_hop": "10"}
-    membrane = SCENES["membrane"]
-    sections = {**membrane.sections, "safe_z_home": aside}
-    found["membrane"] = replace(membrane, sections=sections)
-    return found
-
-
-BASES = _bases()
+# By how much the heights of a bed may differ at most (mm)
+MOST_BOW = 0.3
+SLOPE = 1e-3
 
 
 @dataclass(frozen=True)
 class Owned:
     """A printer.
 
-    options: section, option, value. too_high: mm by which the z_offset of the
-    probe is too large. bow: mm that the bed is higher in its middle.
+    kinematics, z_motors: the machine's own where they are empty. is_overridden:
+    its owner's macro homes Z. options: section, option, value. too_high: mm by
+    which the z_offset of the probe is too large. slope, bow, rough: of the plate,
+    see machines.on_plate(). sigma: of the noise of all switches, mm.
     """
 
     base: str = "dock_gantry_switch"
+    kinematics: str = ""
+    z_motors: int = 0
+    is_overridden: bool = False
     names: frozenset[str] = frozenset()
     options: tuple[tuple[str, str, Optional[str]], ...] = ()
     too_high: float = 0.0
+    slope: tuple[float, float] = (0.0, 0.0)
     bow: float = 0.0
+    rough: float = 0.0
     sigma: float = 0.0
     seed: int = 0
 
-    @property
+    @cached_property
     def scene(self) -> Scene:
         """The machine and its owner's sections, but for those of Klipper."""
         scene = BASES[self.base]
+        scene = machines.built(
+            scene,
+            self.z_motors or len(scene.z_motors),
+            self.kinematics or scene.kinematics,
+        )
+        if self.is_overridden:
+            scene = machines.overridden(scene)
+        if "hot" in self.names:
+            scene = heated(scene)
+        scene = machines.on_plate(scene, self.slope, self.bow, self.rough)
         world: dict[str, Any] = {}
-        if self.bow:
-            world["bed"] = replace(scene.world.bed, mesh=self._mesh(scene))
         noise = NoiseSpec(sigma=self.sigma)
         for name in ("pin", "mag_probe", "inductive", "bed_sensor", "membrane"):
             part = getattr(scene.world, name)
@@ -108,14 +71,19 @@ class Owned:
                 world[name] = replace(part, noise=noise)
         return scene.with_world(**world) if world else scene
 
-    def _mesh(self, scene: Scene) -> MeshSpec:
-        bed, bow = scene.world.bed, self.bow
-        heights = (0.0, 0.0, 0.0), (0.0, bow, 0.0), (0.0, 0.0, 0.0)
-        return MeshSpec(bed.x_min, bed.y_min, bed.x_max, bed.y_max, heights)
+    @property
+    def uneven(self) -> float:
+        """By how much the bed may be higher where nobody has homed Z, mm."""
+        bed = BASES[self.base].world.bed
+        x, y = bed.x_max - bed.x_min, bed.y_max - bed.y_min
+        tilt = abs(self.slope[0]) * x + abs(self.slope[1]) * y
+        return abs(self.bow) + tilt
 
     def changes(self, **paths: str) -> dict[str, dict[str, Optional[str]]]:
         """To the scene's configuration; paths: of files that it names."""
         found = features.sections(self.names, **paths)
+        if "card" in self.names:
+            found.update(card.macros(self))
         for section, option, value in self.options:
             text = None if value is None else value
             if value is not None and option.endswith("_gcode"):
@@ -142,33 +110,16 @@ class Owned:
         """See as_data()."""
         options = tuple(tuple(row) for row in data["options"])
         names = frozenset(data["names"])
-        return cls(**{**data, "names": names, "options": options})
+        slope = tuple(data["slope"])
+        own = {"names": names, "options": options, "slope": slope}
+        return cls(**{**data, **own})
 
 
-def _choices(base: str) -> list[tuple[str, str, Sequence[Optional[str]]]]:
-    """Section, option and values, as far as a machine has them."""
-    scene = BASES[base]
-    rows = [
-        (section, option, values)
-        for section, options in CHOICES.items()
-        if section in scene.sections
-        for option, values in options.items()
-    ]
-    if scene.world.dock is not None:
-        return rows
-    # Whatever brings that probe is not for its owner to choose
-    kept = [row for row in rows if not row[1].endswith("_gcode")]
-    others = [hook for hook in _HOOKS if hook and "PROBE" not in hook]
-    options = scene.sections.get("z_calibration") or {}
-    if options and "end_gcode" not in options:
-        kept.append(("z_calibration", "end_gcode", others))
-    return kept
-
-
+@lru_cache(maxsize=None)
 def _options(base: str) -> st.SearchStrategy:
     rows = [
-        st.tuples(st.just(section), st.just(option), st.sampled_from(values))
-        for section, option, values in _choices(base)
+        st.tuples(st.just(section), st.just(option), st.sampled_from(found))
+        for section, option, found in values.choices(BASES[base])
     ]
     if not rows:
         return st.just(())
@@ -178,24 +129,44 @@ def _options(base: str) -> st.SearchStrategy:
     return chosen.map(tuple)
 
 
-def _printers_of(base: str) -> st.SearchStrategy:
-    there = BASES[base].sections
-    names = st.frozensets(
-        st.sampled_from(sorted(features.FEATURES)), max_size=4
-    )
-    return st.builds(
-        Owned,
-        base=st.just(base),
-        names=names.filter(lambda found: features.is_possible(found, there)),
-        options=_options(base),
-        too_high=often(0.0, around(0.0, -0.7, 0.7, 0.1)),
-        bow=often(0.0, around(0.0, -0.3, 0.3, 0.1)),
-        sigma=often(0.0, around(0.0, 0.0, 0.003, 0.001)),
-        seed=st.integers(0, 999),
-    )
+@lru_cache(maxsize=None)
+def _mostly(value: Any, simple: Any) -> st.SearchStrategy:
+    """That value; in a walk that is made shorter, the simple one."""
+    return st.sampled_from((simple,) + (value,) * 999)
 
 
-def printers(bases: Sequence[str] = ()) -> st.SearchStrategy:
-    """Random ones; bases: of these machines only."""
-    chosen = st.sampled_from(sorted(bases or BASES))
-    return chosen.flatmap(_printers_of)
+def _beyond(low: float, high: float, digit: float) -> st.SearchStrategy:
+    """Anything but what is next to nothing."""
+    return around(0.0, low, high, digit).filter(lambda found: found != 0.0)
+
+
+@st.composite
+def printers(draw: st.DrawFn, row: Row) -> Owned:
+    """Those that have what a row of the covering array says."""
+    own = covering.of_machine(row.base)
+    kept = [n for n in sorted(row.names) if draw(_mostly(True, False))]
+    names = features.possible(kept, BASES[row.base].sections)
+    slopes = _beyond(-SLOPE, SLOPE, 0.5 * SLOPE)
+    plates = {
+        "tilt": ("slope", st.tuples(slopes, slopes), (0.0, 0.0)),
+        "bow": ("bow", _beyond(-MOST_BOW, MOST_BOW, 0.1), 0.0),
+        "texture": ("rough", st.sampled_from((0.005, 0.015)), 0.0),
+    }
+    drawn: dict[str, Any] = {}
+    if row.plate:
+        name, strategy, flat = plates[row.plate]
+        drawn[name] = draw(_mostly(draw(strategy), flat))
+    if row.noise:
+        sigma = draw(_beyond(0.0, 0.003, 0.001))
+        drawn["sigma"] = draw(_mostly(sigma, 0.0))
+    return Owned(
+        base=row.base,
+        kinematics=draw(_mostly(row.kinematics, own.kinematics)),
+        z_motors=draw(_mostly(row.z_motors, own.z_motors)),
+        is_overridden=draw(_mostly(bool(row.homing), False)),
+        names=names,
+        options=draw(_options(row.base)),
+        too_high=draw(often(0.0, around(0.0, -0.7, 0.7, 0.1))),
+        seed=draw(st.integers(0, 999)),
+        **drawn,
+    )

@@ -2,11 +2,13 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from functools import lru_cache
 from typing import Any
 
 from hypothesis import strategies as st
 
+from tools.campaign.walks import card
+from tools.campaign.walks.covering import Row
 from tools.campaign.walks.printers import POINT, Owned, printers
 from tools.kit.carrying import POINT as MEMBRANE
 
@@ -36,19 +38,29 @@ HOST = (
     "RESTORE_GCODE_STATE NAME=mine",
     "ABORT",
     "ACCEPT",
+    "TESTZ Z=0.1",
     "STATUS",
+    "M220 S150",
+    "GET_POSITION",
     "SET_VELOCITY_LIMIT ACCEL=1500",
 )
 # An owner probes over the bed
 OVER_BED = AWAY % (20, *POINT)
+PAPER = f"{OVER_BED}\nPROBE_CALIBRATE"
 PROBE = (
     "QUERY_PROBE",
     *(f"{OVER_BED}\n{name}" for name in ("PROBE", "PROBE_ACCURACY SAMPLES=3")),
-    f"{OVER_BED}\nPROBE_CALIBRATE",
+    PAPER,
+    f"{OVER_BED}\nMANUAL_PROBE",
+    "Z_OFFSET_APPLY_PROBE",
 )
 # Whoever tries a dock out does not home in it, nor from behind it
 OUT = "MOVE_AVOIDING_DOCK X=150 Y=150 SPEED=100"
 OVER_MEMBRANE = AWAY % (20, *MEMBRANE)
+TWIST = "AXIS_TWIST_COMPENSATION_CALIBRATE"
+# What a slicer says of an object
+PART = "EXCLUDE_OBJECT_DEFINE NAME=part CENTER=150,120 POLYGON="
+PART += "[[120,100],[180,100],[180,140],[120,140]]"
 # By the section that has them
 OF_SECTION = {
     "z_calibration": (
@@ -56,15 +68,25 @@ OF_SECTION = {
         "CALIBRATE_Z",
         "CALIBRATE_Z BED_POSITION=100,120",
         "CALIBRATE_Z Z_ADJUST=0.03",
+        "CALIBRATE_Z SAMPLES=2 PROBE_SPEED=2 SAMPLE_RETRACT_DIST=4",
+        "CALIBRATE_Z SAMPLES_TOLERANCE=0.05 SAMPLES_RESULT=median PLATE=pei",
         "CALIBRATE_Z_ACCURACY CYCLES=2",
+        "CALIBRATE_Z_ACCURACY CYCLES=2 ATTACH=0",
+        "CALIBRATE_Z_ACCURACY CYCLES=2 HOME=1",
         "PROBE_Z_ACCURACY SAMPLES=3",
         "CALCULATE_SWITCH_OFFSET",
         "Z_CALIBRATION_SAVE_GCODE_OFFSET",
+        "Z_CALIBRATION_SAVE_GCODE_OFFSET SAVE=0 FORCE=1",
         "Z_CALIBRATION_SETUP",
+        "Z_CALIBRATION_SETUP STEP=HOME",
+        "Z_CALIBRATION_SETUP STEP=LOOK ANSWER=AGAIN",
+        "Z_CALIBRATION_SETUP X=5 Y=-5",
+        "Z_CALIBRATION_REPORT",
     ),
     "auto_z_offset": (
         "AUTO_Z_CALIBRATE",
         "AUTO_Z_CALIBRATE",
+        "AUTO_Z_CALIBRATE ACCEPT_CHANGE=1",
         # At the place where the head is, so not over the pin of Z
         f"{OVER_BED}\nAUTO_Z_PROBE",
         "AUTO_Z_HOME_Z",
@@ -81,14 +103,20 @@ OF_SECTION = {
         "MOVE_AVOIDING_DOCK X=150 Y=150 SPEED=200",
         f"MOVE_AVOIDING_DOCK X=20 Y=300 SPEED=200\n{OUT}",
         "QUERY_DOCKABLE_PROBE",
+        "GET_PROBE_STATUS",
+        "SET_PROBE_STATUS STATE=DOCKED",
+        "DOCKABLE_PROBE_SETUP",
         "SET_DOCKABLE_PROBE AUTO_ATTACH_DETACH=0",
         "SET_DOCKABLE_PROBE AUTO_ATTACH_DETACH=1",
     ),
     "extra_probe membrane": (
         f"{OVER_MEMBRANE}\nEXTRA_PROBE PROBE=membrane",
         f"{OVER_MEMBRANE}\nEXTRA_PROBE_ACCURACY PROBE=membrane SAMPLES=3",
+        f"{OVER_MEMBRANE}\nEXTRA_PROBE PROBE=membrane SAMPLES=3 PROBE_SPEED=2",
         "EXTRA_PROBE_CALIBRATE PROBE=membrane",
         "EXTRA_PROBE_CALIBRATE PROBE=membrane SAVE=1",
+        "EXTRA_PROBE_CALIBRATE PROBE=membrane FLOOR=-0.5",
+        "EXTRA_PROBE_CONTINUE PROBE=membrane QUESTION=removal",
         "EXTRA_PROBE_CONTINUE PROBE=membrane",
         "EXTRA_PROBE_ABORT PROBE=membrane",
         "QUERY_EXTRA_PROBE PROBE=membrane",
@@ -98,22 +126,61 @@ OF_SECTION = {
     "screws_tilt_adjust": ("SCREWS_TILT_CALCULATE",),
     "bed_mesh": (
         "BED_MESH_CALIBRATE",
+        "BED_MESH_CALIBRATE METHOD=manual",
         "BED_MESH_CLEAR",
         "BED_MESH_PROFILE LOAD=default",
+        "BED_MESH_PROFILE SAVE=default",
     ),
+    "axis_twist_compensation": (TWIST,),
     "pause_resume": ("PAUSE", "RESUME", "CANCEL_PRINT"),
 }
-WITH_PROBE = ("quad_gantry_level", "z_tilt", "screws_tilt_adjust", "bed_mesh")
+WITH_PROBE = (
+    "quad_gantry_level",
+    "z_tilt",
+    "screws_tilt_adjust",
+    "bed_mesh",
+    "axis_twist_compensation",
+)
+OF_PROBE = ("mesh", "mesh_zero", "screws", "twist", "exclude", "wrapped_probe")
 OF_FEATURE = {
     "mesh": OF_SECTION["bed_mesh"],
     "mesh_zero": OF_SECTION["bed_mesh"],
     "screws": OF_SECTION["screws_tilt_adjust"],
     "pause": OF_SECTION["pause_resume"],
+    "twist": OF_SECTION["axis_twist_compensation"],
+    # Older Klippers know nothing of ADAPTIVE, and mesh the whole bed
+    "exclude": (f"{PART}\nBED_MESH_CALIBRATE ADAPTIVE=1", "EXCLUDE_OBJECT"),
+    "retraction": ("G10", "G11"),
+    "variables": ("SAVE_VARIABLE VARIABLE=z VALUE=1",),
+    "idle": ("SET_IDLE_TIMEOUT TIMEOUT=20",),
+    "skew": ("SET_SKEW XY=100.5,99.5,70.7", "SET_SKEW CLEAR=1"),
+    "heat": ("SET_Z_THERMAL_ADJUST ENABLE=0", "SET_Z_THERMAL_ADJUST ENABLE=1"),
+    "shaper": ("SET_INPUT_SHAPER SHAPER_FREQ_X=60",),
+    "hot": ("M104 S150", "M140 S50", "M104 S0\nM140 S0"),
+    "wrapped_probe": (f"{OVER_BED}\nPROBE",),
 }
 # What is calibrated with before a first layer
 PRINTED = {"z_calibration": "CALIBRATE_Z", "auto_z_offset": "AUTO_Z_CALIBRATE"}
-HANDS_OF_DOCK = ("put_probe_on", "lose_probe", "bring_probe_back")
+HANDS_OF_DOCK = ("put_probe_on", "lose_probe", "take_probe_off")
+HANDS_OF_DOCK += ("bring_probe_back",)
 HANDS_OF_MEMBRANE = ("lay_membrane", "take_membrane", "press_membrane")
+# What a finger presses, of what a machine has
+PRESSED = ("probe", "z_endstop", "nozzle_endstop", "bed_sensor")
+# What a print takes, whoever sends it
+WHILE_PRINTING = (
+    "STATUS",
+    "M117 x",
+    "SET_GCODE_OFFSET Z_ADJUST=0.02 MOVE=1",
+    "PAUSE",
+    "CANCEL_PRINT",
+)
+# Ours that do not want the head, or have to say that somebody prints
+OURS_WHILE_PRINTING = {
+    "z_calibration": ("Z_CALIBRATION_SETUP", "CALIBRATE_Z"),
+    "auto_z_offset": ("AUTO_Z_CALIBRATE", "AUTO_Z_SAVE_GCODE_OFFSET"),
+    "dockable_probe": ("DETACH_PROBE", "DOCKABLE_PROBE_SETUP"),
+    "extra_probe membrane": ("QUERY_EXTRA_PROBE PROBE=membrane",),
+}
 
 
 def gcode_of(printer: Owned) -> list[str]:
@@ -129,7 +196,7 @@ def gcode_of(printer: Owned) -> list[str]:
         if section in sections and (probes or section not in WITH_PROBE):
             found += commands
     for name in sorted(printer.names):
-        if probes or name not in ("mesh", "mesh_zero", "screws"):
+        if probes or name not in OF_PROBE:
             found += OF_FEATURE.get(name, ())
     return found
 
@@ -141,35 +208,53 @@ def _hands_of(printer: Owned) -> list[str]:
         found += HANDS_OF_DOCK
     if world.membrane is not None:
         found += HANDS_OF_MEMBRANE
-    return found
+    signals = set(printer.scene.wiring.inputs)
+    return [*found, *(f"press_{name}" for name in PRESSED if name in signals)]
 
 
-def steps(printer: Owned) -> st.SearchStrategy:
-    """What may be done on a printer, in any order."""
+@lru_cache(maxsize=None)
+def _one(kind: str, *values: Any) -> st.SearchStrategy:
+    """A step of that kind, in a row that goes on."""
+    step = st.tuples(st.just(kind), st.sampled_from(values))
+    return step.map(lambda found: (found,))
+
+
+def _row(*parts: st.SearchStrategy) -> st.SearchStrategy:
+    """One after the other."""
+    return st.tuples(*parts).map(lambda found: sum(found, ()))
+
+
+def _singles(printer: Owned) -> list[st.SearchStrategy]:
+    """What may be done at any time."""
     commands = gcode_of(printer)
     own = [text for text in commands if text not in HOST]
+    home = _one("gcode", "G28")
     kinds = [
-        st.tuples(st.just("gcode"), st.sampled_from(commands)),
         # Ours more often than what every printer has
-        st.tuples(st.just("gcode"), st.sampled_from(own)),
-        st.tuples(st.just("gcode"), st.just("G28")),
-        st.tuples(st.just("wait"), st.sampled_from((1, 5, 40, 200))),
-        st.tuples(
-            st.just("away"), st.sampled_from(((20, 70, 60), (40, 200, 220)))
-        ),
-        st.tuples(st.just("lower"), st.sampled_from((0.5, 3.0))),
-        st.tuples(st.just("answer"), st.integers(0, 3)),
-        st.tuples(
-            st.just("restart"), st.sampled_from(("RESTART", "FIRMWARE_RESTART"))
-        ),
-        st.tuples(
-            st.just("both"),
-            st.tuples(st.sampled_from(own), st.sampled_from(commands)),
-        ),
+        *[_one("gcode", *own)] * 6,
+        *[_one("gcode", *commands)] * 3,
+        home,
+        _one("wait", 1, 5, 40, 200),
+        _one("away", (20, 70, 60), (40, 200, 220)),
+        _one("lower", 0.5, 3.0),
+        _one("answer", 0, 1, 2, 3),
+        _one("late", 0, 1),
+        _one("twice", 0, 1),
+        # Whoever goes on homes, mostly
+        _row(_one("restart", "RESTART", "FIRMWARE_RESTART"), home),
+        _one("restart", "RESTART", "FIRMWARE_RESTART"),
+        _row(_one("save", "SAVE_CONFIG"), home),
     ]
+    pairs = st.tuples(st.sampled_from(own), st.sampled_from(commands))
+    kinds.append(st.tuples(st.just("both"), pairs).map(lambda step: (step,)))
     hands = _hands_of(printer)
     if hands:
-        kinds.append(st.tuples(st.just("hand"), st.sampled_from(hands)))
+        kinds.append(_one("hand", *hands))
+    return kinds
+
+
+def _prints(printer: Owned) -> list[st.SearchStrategy]:
+    found = []
     # A probe that nobody ever takes off is in the way of every print
     probe = printer.scene.world.mag_probe
     printed = [v for k, v in PRINTED.items() if printer.has(k)]
@@ -179,19 +264,88 @@ def steps(printer: Owned) -> st.SearchStrategy:
     if probe is not None and probe.mode == "fixed":
         printed = []
     if printed:
-        kinds.append(st.tuples(st.just("print"), st.sampled_from(printed)))
-    return st.one_of(kinds)
+        found.append(_one("print", *printed))
+    if card.can_print(printer):
+        ours = [
+            text
+            for section, texts in OURS_WHILE_PRINTING.items()
+            if printer.has(section)
+            for text in texts
+        ]
+        meanwhile = [text for text in WHILE_PRINTING if _has(printer, text)]
+        cards = st.tuples(
+            st.sampled_from((1, 20, 60, 150)),
+            st.sampled_from(("", *meanwhile, *ours)),
+            st.sampled_from(("RESUME", "CANCEL_PRINT")),
+        )
+        kinds = st.tuples(st.just("card"), cards)
+        found.append(kinds.map(lambda step: (step,)))
+    return found
 
 
-def walks(bases: Sequence[str] = ()) -> st.SearchStrategy:
+def _has(printer: Owned, command: str) -> bool:
+    """Whether it can be paused."""
+    return command not in ("PAUSE", "CANCEL_PRINT") or "pause" in printer.names
+
+
+def _courses(printer: Owned) -> list[st.SearchStrategy]:
+    """What belongs together: single steps hardly ever come in that order."""
+    commands = gcode_of(printer)
+    lower = st.lists(_one("lower", 0.5, 3.0), max_size=2)
+    ends = _one("gcode", "ACCEPT", "ABORT", "TESTZ Z=0.1", "G28")
+    paper = _row(lower.map(lambda found: sum(found, ())), ends)
+    answers = st.lists(
+        st.one_of(
+            _one("answer", 0, 0, 1, 2), _one("twice", 0), _one("late", 0)
+        ),
+        min_size=1,
+        max_size=8,
+    ).map(lambda found: sum(found, ()))
+    saves = st.sampled_from(((), (("save", "SAVE_CONFIG"),)))
+    found = []
+    if PAPER in commands:
+        found.append(_row(_one("gcode", PAPER), paper, saves))
+    if TWIST in commands:
+        found.append(_row(_one("gcode", TWIST), *[paper] * 3))
+    for begins in ("Z_CALIBRATION_SETUP", "DOCKABLE_PROBE_SETUP"):
+        if begins in commands:
+            found.append(_row(_one("gcode", begins), answers, saves))
+    if printer.has("extra_probe membrane"):
+        found.append(
+            _row(
+                _one("gcode", "EXTRA_PROBE_CALIBRATE PROBE=membrane SAVE=1"),
+                _one("hand", "lay_membrane", "take_membrane"),
+                _one("hand", "press_membrane"),
+                answers,
+                _one("hand", "take_membrane"),
+                answers,
+                saves,
+            )
+        )
+    return found
+
+
+@lru_cache(maxsize=16)
+def steps(printer: Owned) -> st.SearchStrategy:
+    """What may be done on a printer, in any order: rows of one step or more."""
+    courses = [*_courses(printer), *_prints(printer)]
+    # One that is there more than once is more likely, other than with one_of()
+    return st.sampled_from([*_singles(printer), *courses]).flatmap(
+        lambda kind: kind
+    )
+
+
+def walks(row: Row) -> st.SearchStrategy:
     """A printer and 5 to 30 steps, the first of them a G28."""
 
     def with_steps(printer: Owned) -> st.SearchStrategy:
-        later = st.lists(steps(printer), min_size=5, max_size=30)
-        begins = later.map(lambda found: (("gcode", "G28"), *found))
+        later = st.lists(steps(printer), min_size=4, max_size=29)
+        begins = later.map(
+            lambda found: (("gcode", "G28"), *sum(found, ())[:29])
+        )
         return st.tuples(st.just(printer), begins)
 
-    return printers(bases).flatmap(with_steps)
+    return printers(row).flatmap(with_steps)
 
 
 def first_layer() -> str:

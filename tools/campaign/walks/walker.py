@@ -7,6 +7,7 @@ import tempfile
 from collections import Counter
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
+from functools import partial
 from pathlib import Path
 from typing import Any, Callable, Optional
 
@@ -14,10 +15,10 @@ from simprinter.hosts.hosts import Host
 from simprinter.hosts.session import GcodeError, SessionError
 from simprinter.world.truth import Crash
 from tools.campaign.judge import shape
+from tools.campaign.walks import card, doing
 from tools.campaign.walks import steps as stepping
 from tools.campaign.walks.printers import Owned
 from tools.campaign.walks.steps import Step
-from tools.kit.dialogs import dialogs_of
 from tools.kit.printer import Printer
 
 # Beyond what a step of the motors and the noise explain (mm)
@@ -90,7 +91,11 @@ class Walker:
             "wait": lambda seconds: printer.session.wait(float(seconds)),
             "away": lambda to: self._gcode(stepping.AWAY % tuple(to)),
             "lower": self._lower,
-            "answer": self._answer,
+            "answer": partial(doing.answer, printer.session, self._gcode),
+            "late": partial(doing.late, printer.session, self._gcode),
+            "twice": partial(doing.twice, printer.session, self._gcode),
+            "card": partial(doing.print_card, printer.session, self._gcode),
+            "save": partial(doing.save, printer.session),
             "restart": self._restart,
             "both": self._both,
             "hand": self._hand,
@@ -134,10 +139,7 @@ class Walker:
             self.refusal = str(error)
 
     def _around(self, script: str) -> str:
-        """The same where an owner has to keep clear of a dock."""
-        if not self.owned.has("dockable_probe"):
-            return script
-        return _ACROSS.sub(r"MOVE_AVOIDING_DOCK X=\1 Y=\2 SPEED=150", script)
+        return around(self.owned, script)
 
     def _print(self, calibration: str) -> None:
         """As PRINT_START: what the owner has put on the head, he takes off."""
@@ -155,23 +157,11 @@ class Walker:
         if self.printer.status("manual_probe").get("is_active"):
             tip = self.printer.machine.tip()
             truth = self.printer.machine.truth
-            distance = min(distance, truth.true_gap(*tip) - NEAR)
+            room = truth.true_gap(*tip) - hanging(self.printer) - NEAR
+            distance = min(distance, room)
             if distance > 0.0:
                 self._gcode(f"TESTZ Z=-{distance:.3f}\nM400")
                 self.printer.session.wait(0.5)
-
-    def _answer(self, button: int) -> None:
-        """A button of the dialog that is open; where none is, nothing."""
-        open_ones = [
-            d for d in dialogs_of(self.printer.session.console) if d.is_open
-        ]
-        if open_ones:
-            shown = open_ones[-1]
-            buttons = [*shown.footer_buttons, *sum(shown.groups, [])]
-            label, gcode, _ = buttons[button % len(buttons)]
-            # A person looks before the head goes down
-            if not label.startswith(("-", "Lower")):
-                self._gcode(gcode)
 
     def _restart(self, command: str) -> None:
         self.printer.session.restart(command)
@@ -205,10 +195,9 @@ class Walker:
             machine.lay_membrane()
         elif name == "take_membrane":
             machine.lay_membrane(False)
-        elif name == "press_membrane":
-            for level in True, None:
-                machine.hold("membrane", level)
-                self.printer.session.wait(0.5)
+        elif name.startswith("press_"):
+            signal = name.replace("press_", "", 1)
+            doing.finger(self.printer.session, machine, signal)
         else:
             getattr(world, name)(now)
 
@@ -259,9 +248,7 @@ class Walker:
 
         The floor counts from where its owner has Z=0.
         """
-        allowed = (
-            MEMBRANE_FLOOR + abs(self.owned.too_high) + abs(self.owned.bow)
-        )
+        allowed = MEMBRANE_FLOOR + abs(self.owned.too_high) + self.owned.uneven
         membrane = self.owned.has("extra_probe membrane")
         return (
             membrane and crash.site == "nozzle_bed" and crash.depth <= allowed
@@ -316,6 +303,21 @@ def _is_told(console: Sequence[str]) -> bool:
     return any("WARNING" in line or "not taken off" in line for line in recent)
 
 
+def hanging(printer: Printer) -> float:
+    """How far (mm) a probe that is there for good hangs below the nozzle."""
+    probe = printer.scene.world.mag_probe
+    if probe is None or probe.mode != "fixed":
+        return 0.0
+    return probe.body_drop + probe.switch_offset + probe.pretravel
+
+
+def around(owned: Owned, script: str) -> str:
+    """The same where an owner has to keep clear of a dock."""
+    if not owned.has("dockable_probe"):
+        return script
+    return _ACROSS.sub(r"MOVE_AVOIDING_DOCK X=\1 Y=\2 SPEED=150", script)
+
+
 def go(
     owned: Owned,
     walk: Sequence[Step],
@@ -333,8 +335,10 @@ def go(
         temperature = Path(folder) / "temperature"
         temperature.write_text("25000\n")
         variables = Path(folder) / "variables.cfg"
+        keep_clear = partial(around, owned)
+        card.write(Path(folder), keep_clear(stepping.first_layer()))
         changes = owned.changes(
-            temperature=str(temperature), variables=str(variables)
+            temperature=str(temperature), variables=str(variables), card=folder
         )
         printer = Printer(host, owned.scene, changes, (), owned.seed, modules)
         try:

@@ -1,4 +1,13 @@
-"""Draws walks, goes them, makes those that fail simpler, and keeps count."""
+"""Draws walks, goes them, makes those that fail simpler, and keeps count.
+
+Hypothesis draws a walk from its seed, and makes one that fails shorter; its
+RuleBasedStateMachine does not go it. Such a machine draws a step when the one
+before has been done, so a walk is nothing but what a running klippy has seen: it
+cannot be written down and gone again on another host, on the modules of another
+checkout, or after the steps to choose from have changed, and what shrinking tries
+twice is gone twice. Drawn as a value first, each walk is JSON that --replay reads.
+Which printer comes with which seed is a covering array's, see covering.py.
+"""
 
 from __future__ import annotations
 
@@ -11,12 +20,13 @@ from typing import Any, Callable, NamedTuple, Optional
 
 from simprinter.hosts.hosts import Host
 from tools.campaign.drawing import check_drawn
+from tools.campaign.walks import covering, machines, walker
 from tools.campaign.walks import steps as stepping
-from tools.campaign.walks import walker
+from tools.campaign.walks.covering import Row
 from tools.campaign.walks.printers import Owned
 from tools.campaign.walks.steps import Step
 from tools.campaign.walks.walker import Outcome
-from tools.kit.printer import FOLDER, MODULES
+from tools.kit.printer import FOLDER, MODULES, knows_kinematics
 
 # So many walks are tried to find the simplest one that fails alike
 SIMPLER = 60
@@ -80,7 +90,7 @@ def walk_of(
 ) -> Done:
     """Draw the walk of a seed and go it on a host."""
     attempts = _Attempts(lambda walk: walker.go(*walk, host, modules), simpler)
-    walks = stepping.walks(bases)
+    walks = stepping.walks(row_of(seed, host, bases))
     try:
         check_drawn(walks, attempts.check, seed, shrinks=bool(simpler))
     except Exception as error:
@@ -89,6 +99,12 @@ def walk_of(
             raise error
     assert attempts.first is not None, f"seed {seed} draws nothing"
     return Done(seed, host.name, *(attempts.worst or attempts.first))
+
+
+def row_of(seed: int, host: Host, bases: Sequence[str] = ()) -> Row:
+    """The seed's printer: each round through all is on the hosts in other turns."""
+    rows = covering.rows(tuple(bases), knows_kinematics(host, machines.GENERIC))
+    return rows[(seed + seed // len(rows)) % len(rows)]
 
 
 def modules_of(product: Optional[Path]) -> Optional[dict[str, Path]]:

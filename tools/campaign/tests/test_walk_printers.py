@@ -1,0 +1,173 @@
+"""What walks are on and made of: nothing of the tables is forgotten."""
+
+from itertools import combinations
+
+import pytest
+
+from tools.campaign.walks import (
+    card,
+    covering,
+    doing,
+    features,
+    machines,
+    values,
+    walker,
+)
+from tools.campaign.walks.machines import BASES, GENERIC
+from tools.campaign.walks.printers import Owned
+from z_touch.core import options
+from z_touch.core.templates import GCODE
+
+
+@pytest.fixture(scope="module")
+def rows():
+    return covering.rows((), True)
+
+
+@pytest.mark.parametrize("base", BASES)
+def test_each_machine_is_with_everything_that_it_can_have(rows, base):
+    of_base = [row for row in rows if row.base == base]
+    assert {row.kinematics for row in of_base} == {
+        *machines.kinematics_of(base)
+    }
+    assert {row.z_motors for row in of_base} == {*machines.counts_of(base)}
+    assert {row.plate for row in of_base} == {"", "tilt", "bow", "texture"}
+    there = BASES[base].sections
+    names = frozenset().union(*(row.names for row in of_base))
+    alone = {
+        name
+        for name in features.FEATURES.keys() - {"respond"}
+        if name in features.possible({name}, there)
+    }
+    assert alone <= names
+
+
+def test_each_pair_of_sections_is_on_a_printer(rows):
+    found = {
+        pair for row in rows for pair in combinations(sorted(row.names), 2)
+    }
+    there = {"probe"}
+    names = sorted(features.FEATURES.keys() - {"respond"})
+    missing = [
+        pair
+        for pair in combinations(names, 2)
+        if set(pair) <= features.possible({*pair, "mesh"}, there)
+        and not {*pair} <= {*features.MESHES}
+        and not {*pair} <= {*features.FRAMES}
+        and pair not in found
+    ]
+    assert not missing
+
+
+def test_a_host_without_such_kinematics_gets_no_printer_with_them():
+    assert GENERIC in {row.kinematics for row in covering.rows((), True)}
+    assert GENERIC not in {row.kinematics for row in covering.rows((), False)}
+
+
+@pytest.mark.parametrize("section", values.TABLES)
+def test_each_row_of_a_table_has_values_or_is_of_the_machine(section):
+    chosen = {
+        option
+        for scene in BASES.values()
+        for there, option, _ in values.choices(scene)
+        if there == section
+    }
+    left = {
+        row.name
+        for row in values.TABLES[section]
+        if row.kind is not GCODE
+        and not values.is_of_machine(row.name)
+        and isinstance(row.default, (bool, int, float))
+    }
+    assert left - chosen <= {"z_hop"}
+
+
+def test_real_values_are_among_them():
+    found = {row[:2]: row[2] for row in values.choices(BASES["voron"])}
+    assert "350" in found["z_calibration", "speed"]
+    assert "0.7" in found["z_calibration", "probing_retract_dist"]
+    # That file says in words what it leaves to the default
+    assert not any(" " in text for text in found["z_calibration", "samples"])
+
+
+def test_values_keep_to_the_limits():
+    row = options.option(
+        "x", options.NUMBER, 4.0, "mm", "", minval=4.0, maxval=7.0
+    )
+    assert values.of_row(row) == ()
+    assert values.of_row(row._replace(limits={})) == ("2", "8")
+
+
+@pytest.mark.parametrize("count", (1, 2, 3))
+def test_fewer_motors_are_levelled_in_their_own_way(count):
+    scene = machines.built(BASES["dock_gantry_switch"], count, "cartesian")
+    assert len(scene.z_motors) == count
+    assert "quad_gantry_level" not in scene.sections
+    assert ("z_tilt" in scene.sections) == (count > 1)
+
+
+PRINTS = frozenset({"card", "pause", "mesh"})
+
+
+def test_print_start_is_that_of_the_document():
+    text = card.macros(Owned(names=PRINTS))["gcode_macro PRINT_START"]["gcode"]
+    assert text.split("\n  ")[1:] == [
+        "SET_GCODE_OFFSET Z=0",
+        "BED_MESH_CLEAR",
+        "G28",
+        "QUAD_GANTRY_LEVEL",
+        "G28 Z",
+        "BED_MESH_CALIBRATE",
+        "CALIBRATE_Z",
+    ]
+
+
+def test_print_from_the_card(host):
+    printer = Owned(names=PRINTS)
+    print_it = ("card", (20, "", "RESUME"))
+    outcome = walker.go(printer, (("gcode", "G28"), print_it), host)
+    assert not outcome.harm
+    assert outcome.done["card"] == 1
+
+
+def test_print_that_another_client_pauses(host):
+    paused = ("card", (20, "PAUSE", "CANCEL_PRINT"))
+    walk = (("gcode", "G28"), paused, ("gcode", "CALIBRATE_Z"))
+    outcome = walker.go(Owned(names=PRINTS), walk, host)
+    assert not outcome.harm
+    assert outcome.done["CALIBRATE_Z"] == 1
+
+
+# A dialog with two buttons, and what follows the first
+SHOWN = [
+    "// action:prompt_begin One",
+    "// action:prompt_text Go on?",
+    "// action:prompt_footer_button Go on|YES|primary",
+    "// action:prompt_footer_button Abort|NO|error",
+    "// action:prompt_show",
+]
+NEXT = [
+    "// action:prompt_end",
+    *(line.replace("YES", "LATER") for line in SHOWN),
+]
+
+
+class Console:
+    """Of a session."""
+
+    def __init__(self, *console):
+        self.console = console
+
+
+@pytest.mark.parametrize(
+    ("press", "sent"),
+    (
+        (doing.answer, ["LATER"]),
+        (doing.twice, ["LATER", "LATER"]),
+        (doing.late, ["YES"]),
+    ),
+)
+def test_buttons(press, sent):
+    found = []
+    press(Console(*SHOWN, *NEXT), found.append, 0)
+    assert found == sent

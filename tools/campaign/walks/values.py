@@ -1,0 +1,161 @@
+"""Values of options: of the tables of the sections, and of real printers."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Sequence
+from functools import lru_cache
+from typing import Any, Optional
+
+from tools.kit import corpus
+from tools.kit.scenes import Scene
+from z_touch.auto_z_offset import settings as auto_z_offset
+from z_touch.core import options
+from z_touch.core.templates import GCODE
+from z_touch.dockable_probe import settings as dockable_probe
+from z_touch.extra_probe import settings as extra_probe
+from z_touch.z_calibration import settings as z_calibration
+
+# Section, option, and what may be written there
+Choice = tuple[str, str, Sequence[Optional[str]]]
+
+TABLES = {
+    "z_calibration": z_calibration.OPTIONS,
+    "auto_z_offset": auto_z_offset.OPTIONS,
+    "dockable_probe": dockable_probe.OPTIONS,
+    "extra_probe membrane": extra_probe.OPTIONS,
+}
+# What an owner says of a probe that comes and goes; None: nothing
+HOOKS = (
+    None,
+    "ATTACH_PROBE",
+    "DETACH_PROBE",
+    "M117 x",
+    "SET_GCODE_OFFSET Z=0.05",
+)
+# G-code that the tables know nothing of
+OWN: dict[str, dict[str, Sequence[Optional[str]]]] = {
+    "z_calibration": {
+        "start_gcode": HOOKS,
+        "before_switch_gcode": HOOKS,
+        "end_gcode": HOOKS,
+        "clean_gcode": ("M117 x", "G91"),
+        "error_gcode": ("M117 x", "G28 X"),
+        "bed_spread": ("3",),
+    },
+    "dockable_probe": {
+        "z_hop": ("0", "15"),
+        "detach_dockable_before_z_home": ("True", "False"),
+        "allow_delayed_detach": ("True", "False"),
+        "activate_gcode": ("M117 x", "G91"),
+        "deactivate_gcode": ("M117 x", "M83"),
+    },
+    "extra_probe membrane": {
+        "activate_gcode": ("M117 x", "M83"),
+        "deactivate_gcode": ("M117 x", "M83"),
+    },
+}
+# What is so of the machine, and what was measured of it: not for its owner to choose
+OF_MACHINE = (
+    "pin",
+    "position",
+    "offset",
+    "offsets",
+    "correction",
+    "position_min",
+    "probe_z_min",
+    "saved_homing_z",
+    "max_temperature",
+    "dock_fixed_z",
+    "check_open_attach",
+    "safe_dock_distance",
+    # Other names, and what follows from the machine
+    "history",
+    "history_runs",
+    "history_times",
+    "offset_margins",
+    "max_deviation",
+    "save_button",
+    "z_current_factor",
+)
+# Sections of which there are real ones, see tests/corpus
+OF_CORPUS = ("z_calibration", "auto_z_offset", "dockable_probe")
+
+
+def choices(scene: Scene) -> list[Choice]:
+    """All that a machine's owner may write into the sections that it has."""
+    found = [
+        (section, option, values)
+        for section in TABLES
+        if section in scene.sections
+        for option, values in _of_section(section).items()
+    ]
+    if scene.world.dock is not None:
+        return found
+    # Whatever brings that probe is not for its owner to choose
+    kept = [row for row in found if not row[1].endswith("_gcode")]
+    others = [hook for hook in HOOKS if hook and "PROBE" not in hook]
+    given = scene.sections.get("z_calibration") or {}
+    if given and "end_gcode" not in given:
+        kept.append(("z_calibration", "end_gcode", others))
+    return kept
+
+
+@lru_cache(maxsize=None)
+def _of_section(section: str) -> dict[str, Sequence[Optional[str]]]:
+    found: dict[str, Sequence[Optional[str]]] = dict(OWN.get(section, {}))
+    for row in TABLES[section]:
+        values = of_row(row)
+        if values and row.name not in found and not is_of_machine(row.name):
+            found[row.name] = values
+    for name, values in _of_corpus(section).items():
+        found[name] = tuple(dict.fromkeys((*found.get(name, ()), *values)))
+    return found
+
+
+def is_of_machine(name: str) -> bool:
+    """Whether an owner cannot choose it."""
+    return name in OF_MACHINE or name.split("_")[-1] in OF_MACHINE[:5]
+
+
+def of_row(row: Any) -> Sequence[str]:
+    """Some that its table allows."""
+    if row.kind is options.FLAG:
+        return ("True", "False")
+    if row.kind is options.SAMPLES:
+        return ("1", "3", "auto")
+    if row.kind is options.COUNT:
+        return tuple(f"{row.limits['minval'] + more:d}" for more in (0, 1, 2))
+    if row.kind is options.NUMBER:
+        return tuple(_around(row))
+    if row.kind is options.RESULT or row.name.endswith("_result"):
+        return ("median", "average")
+    return ()
+
+
+def _around(row: Any) -> Iterator[str]:
+    """Half and twice the default, as far as the row allows."""
+    if not isinstance(row.default, float) or not row.default:
+        return
+    for value in (0.5 * row.default, 2.0 * row.default):
+        low, high = (row.limits.get(k) for k in ("minval", "maxval"))
+        if (low is None or value >= low) and (high is None or value <= high):
+            yield f"{value:g}"
+
+
+@lru_cache(maxsize=None)
+def _of_corpus(section: str) -> dict[str, tuple[str, ...]]:
+    """What real printers have there."""
+    if section not in OF_CORPUS:
+        return {}
+    rows = {row.name: row for row in TABLES[section]}
+    old = {name: row for row in rows.values() for name in row.old}
+    found: dict[str, dict[str, None]] = {}
+    for entry in corpus.load(section):
+        for name, text in entry.options.items():
+            row = rows.get(name) or old.get(name)
+            if row is None or row.kind is GCODE or is_of_machine(name):
+                continue
+            # Some files say in words what they leave to the default
+            if text and not set(text) & set(", \n"):
+                found.setdefault(name, {})[text] = None
+    return {name: tuple(values) for name, values in found.items()}
