@@ -9,9 +9,11 @@ from typing import Optional, Union
 from .clock import RealClock, VirtualClock
 from .faults import Fault, Faults
 from .firmware import FirmwareBoard
-from .mcu.analog import AnalogInputs
-from .mcu.board import Board
-from .mcu.outputs import Outputs
+from .mcu.analog import AnalogInputs, BatchedAnalogInputs
+from .mcu.board import USUAL_DIALECT, Board
+from .mcu.dialect import Dialect
+from .mcu.inputs import Buttons, Counters
+from .mcu.outputs import Neopixels, Outputs
 from .mcu.steppers import Steppers
 from .mcu.sync import Endstops, TrsyncTable
 from .mcu.tmc import Tmc2209, TmcUarts
@@ -38,10 +40,10 @@ class Machine:
         seed: int = 0,
         faults: Iterable[Fault] = (),
         clock: Optional[Union[VirtualClock, RealClock]] = None,
-        app: str = "Klipper",
+        dialect: Dialect = USUAL_DIALECT,
         firmware: Optional[Path] = None,
     ):
-        """app: the host the boards' firmware was made for.
+        """dialect: of the host that the boards' firmware was made for.
 
         firmware: a program that takes the place of each board.
 
@@ -65,7 +67,7 @@ class Machine:
         for name, spec in scene.wiring.all_boards().items():
             latency_ns = round(spec.latency * 1e9)
             if firmware is None:
-                board = self._make_board(name, spec, app)
+                board = self._make_board(name, spec, dialect)
                 link = self.simulation.add_board(board, latency_ns)
             else:
                 board = self._make_program(name, firmware)
@@ -82,23 +84,30 @@ class Machine:
             ):
                 raise ValueError(f"{fault!r}: have boards {sorted(known)}")
 
-    def _make_board(self, name: str, spec: BoardSpec, app: str) -> Board:
+    def _make_board(
+        self, name: str, spec: BoardSpec, dialect: Dialect
+    ) -> Board:
         port = Port(self.rig, name)
         steppers = Steppers(port)
         trsyncs = TrsyncTable(steppers)
         endstops = Endstops(port, trsyncs)
+        batches = dialect.analog_batches
+        analog = BatchedAnalogInputs if batches else AnalogInputs
         parts = [
             steppers,
             trsyncs,
             endstops,
             Outputs(port.set_output),
-            AnalogInputs(port.voltage),
+            analog(port.voltage),
+            Buttons(port.level),
+            Counters(),
+            Neopixels(),
             TmcUarts(
                 self._make_drivers(self.scene.wiring.on_board(name)),
                 self._spoiled,
             ),
         ]
-        board = Board(self.simulation.clock.now, parts, app, spec.crystal)
+        board = Board(self.simulation.clock.now, parts, dialect, spec.crystal)
         board.is_silent = lambda: self._is_silent(name)
         port.board = board
         self.rig.on_steps.append(endstops.steps_queued)

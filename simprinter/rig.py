@@ -188,7 +188,9 @@ class Port:
             for signal, pin in wiring.outputs.items()
         }
         self._heater_pins = {
-            pin_number(h.pin): name for name, h in wiring.heaters.items()
+            pin_number(h.pin): name
+            for name, h in wiring.heaters.items()
+            if h.pin
         }
         self._sensor_pins = {
             pin_number(h.sensor_pin): name for name, h in wiring.heaters.items()

@@ -13,7 +13,8 @@ from collections.abc import Callable, Iterator, Mapping
 from dataclasses import dataclass, field, replace
 from typing import Any
 
-from .mcu.board import PORTS, USUAL_CRYSTAL, Crystal
+from .mcu.board import USUAL_CRYSTAL, Crystal
+from .mcu.pins import numbered
 
 # The board that klippy takes pins without a board's name to be on
 MAIN = "mcu"
@@ -35,10 +36,7 @@ def pin_number(text: str) -> int:
 
     ValueError where there is none.
     """
-    _, name = _split(text)
-    if name[:1] != "P" or name[1:2] not in PORTS or not name[2:].isdigit():
-        raise ValueError(f"no pin {text!r} on the board")
-    return PORTS.index(name[1]) * 16 + int(name[2:])
+    return numbered(_split(text)[1])
 
 
 def is_inverted(text: str) -> bool:
@@ -70,7 +68,8 @@ class Motor:
 class Heater:
     """A heater with its thermistor (100 kOhm at 25 C, beta 3950, 4.7 kOhm).
 
-    power: C/s at full duty; loss: 1/s towards ambient.
+    pin: empty where nothing heats what the thermistor sees. power: C/s at full
+    duty; loss: 1/s towards ambient; ambient: C.
     """
 
     pin: str
@@ -78,6 +77,10 @@ class Heater:
     power: float = 4.0
     loss: float = 0.008
     ambient: float = 25.0
+
+    def pins(self) -> tuple[str, ...]:
+        """Those that have to be on one board."""
+        return tuple(pin for pin in (self.pin, self.sensor_pin) if pin)
 
 
 @dataclass(frozen=True)
@@ -119,7 +122,7 @@ class Wiring:
         for motor in self.motors.values():
             yield motor.pins()
         for heater in self.heaters.values():
-            yield heater.pin, heater.sensor_pin
+            yield heater.pins()
         for pin in (*self.inputs.values(), *self.outputs.values()):
             yield (pin,)
 
@@ -142,7 +145,7 @@ class Wiring:
             motors=here(self.motors, lambda motor: motor.step_pin),
             inputs=here(self.inputs, str),
             outputs=here(self.outputs, str),
-            heaters=here(self.heaters, lambda heater: heater.pin),
+            heaters=here(self.heaters, lambda heater: heater.sensor_pin),
         )
 
 

@@ -18,6 +18,7 @@ from simprinter.hosts.hosts import (
     missing_hosts,
 )
 from simprinter.hosts.session import GcodeError, LiveSession, SessionError
+from simprinter.mcu.dialect import Dialect
 from simprinter.scene import Sections
 from simprinter.simulation import SimulationError
 
@@ -29,6 +30,16 @@ def firmware_of(host: Host) -> str:
     """The firmware a host insists on."""
     plugins = host.layout.module_dir.endswith("plugins")
     return "Kalico" if plugins else "Klipper"
+
+
+def dialect_of(host: Host) -> Dialect:
+    """How that firmware speaks: as this version of the host expects."""
+    klippy = host.directory / "base" / "klippy"
+    sources = [
+        (klippy / name).read_text(encoding="utf-8")
+        for name in ("mcu.py", "stepper.py")
+    ]
+    return Dialect.of(firmware_of(host), "\n".join(sources))
 
 
 def choose_host(name: Optional[str]) -> Host:
@@ -159,7 +170,7 @@ class Printer(RunningPrinter):
         """
         installed = host.install(modules or {})
         clock = RealClock() if real_time else None
-        machine = Machine(scene, seed, faults, clock, firmware_of(host))
+        machine = Machine(scene, seed, faults, clock, dialect_of(host))
         config = scene.config(machine.serials, changes)
         super().__init__(
             machine, lambda machine: LiveSession(installed, machine, config)

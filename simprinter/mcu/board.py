@@ -14,6 +14,8 @@ from collections.abc import Callable, Iterable
 from typing import Any, NamedTuple
 
 from ..wire.messages import Dictionary
+from . import pins
+from .dialect import Dialect
 
 TICK_NS = 20
 CLOCK_FREQ = 10**9 // TICK_NS
@@ -21,7 +23,6 @@ CLOCK_FREQ = 10**9 // TICK_NS
 # run crosses the wrap
 _FIRST_WRAP = 20
 _STATS_NS = 5 * 10**9
-PORTS = "ABCDEFGHI"
 # Items in the queue that steppers and outputs share
 MOVE_COUNT = 1024
 SHUTDOWN_REASONS = (
@@ -77,16 +78,6 @@ class Peripheral:
         return 0
 
 
-def pin_numbers() -> dict[str, Any]:
-    """The enumeration of the board's pins: PA0 to PI15."""
-    return {f"P{port}0": [16 * i, 16] for i, port in enumerate(PORTS)}
-
-
-def pin_name(number: int) -> str:
-    """Name of a pin as configurations spell it."""
-    return f"P{PORTS[number // 16]}{number % 16}"
-
-
 class Crystal(NamedTuple):
     """What makes a board's clock tick.
 
@@ -105,6 +96,7 @@ class Crystal(NamedTuple):
 
 
 USUAL_CRYSTAL = Crystal()
+USUAL_DIALECT = Dialect()
 _REASON_IDS = {text: i + 1 for i, text in enumerate(SHUTDOWN_REASONS)}
 
 
@@ -129,7 +121,7 @@ class Board(Peripheral):
         self,
         now_ns: Callable[[], int],
         peripherals: Iterable[Peripheral],
-        app: str,
+        dialect: Dialect = USUAL_DIALECT,
         crystal: Crystal = USUAL_CRYSTAL,
     ):
         self._now_ns = now_ns
@@ -140,7 +132,7 @@ class Board(Peripheral):
         self._order = itertools.count()
         self._parts: list[Peripheral] = [self, *peripherals]
         self._handlers: dict[str, Callable] = {}
-        self.dictionary = self._collect(app, crystal.nominal_freq())
+        self.dictionary = self._collect(dialect, crystal.nominal_freq())
         self.send: Callable[[bytes], None] = lambda content: None
         # A fault: while this is true the board neither listens nor answers
         self.is_silent: Callable[[], bool] = lambda: False
@@ -149,16 +141,16 @@ class Board(Peripheral):
         self._moves = 0  # items taken at most
         self._schedule_stats()
 
-    def _collect(self, app: str, clock_freq: int) -> Dictionary:
+    def _collect(self, dialect: Dialect, clock_freq: int) -> Dictionary:
         commands, responses = [], []
         for part in self._parts:
             part.board = self
-            responses += part.RESPONSES
+            responses += map(dialect.spelled, part.RESPONSES)
             for handler in part.handlers():
                 text = handler.command_text
                 self._handlers[text.split()[0]] = handler
                 if not text.startswith("identify "):
-                    commands.append(text)
+                    commands.append(dialect.spelled(text))
         constants = {
             "CLOCK_FREQ": clock_freq,
             "STATS_SUMSQ_BASE": 256,
@@ -166,8 +158,8 @@ class Board(Peripheral):
             "PWM_MAX": 255,
             "MCU": "simulated",
         }
-        enums = {"pin": pin_numbers(), "static_string_id": _REASON_IDS}
-        return Dictionary(commands, responses, constants, enums, app)
+        enums = {"pin": pins.enumeration(), "static_string_id": _REASON_IDS}
+        return Dictionary(commands, responses, constants, enums, dialect.app)
 
     # Time
 

@@ -153,3 +153,32 @@ class Outputs(Peripheral):
     def _queue_pwm(self, oid: int, clock: int, value: int) -> None:
         output = self.by_oid[oid]
         self._set_at(self.board.widen(clock), output, value / 255.0)
+
+    @command("set_digital_out pin=%u value=%c")
+    def _set_digital(self, pin: int, value: int) -> None:
+        self._sink(pin, self.board.ns(self.board.clock()), float(value))
+
+    @command("set_pwm_out pin=%u cycle_ticks=%u value=%hu")
+    def _set_pwm(self, pin: int, _cycle_ticks: int, value: int) -> None:
+        self._sink(pin, self.board.ns(self.board.clock()), value / 255.0)
+
+
+class Neopixels(Peripheral):
+    """Strips of lamps that take what they are told and show nothing."""
+
+    RESPONSES = ("neopixel_result oid=%c success=%c",)
+
+    @command(
+        "config_neopixel oid=%c pin=%u data_size=%hu bit_max_ticks=%u"
+        " reset_min_ticks=%u"
+    )
+    def _config(self, oid: int, *_about: int) -> None:
+        pass
+
+    @command("neopixel_update oid=%c pos=%hu data=%*s")
+    def _update(self, oid: int, position: int, data: bytes) -> None:
+        pass
+
+    @command("neopixel_send oid=%c")
+    def _send(self, oid: int) -> None:
+        self.board.respond("neopixel_result", oid=oid, success=1)

@@ -190,7 +190,7 @@ class Steppers(Peripheral):
         " step_pulse_ticks=%u"
     )
     def _config(
-        self, oid: int, step_pin: int, dir_pin: int, invert: int, pulse: int
+        self, oid: int, step_pin: int, dir_pin: int, *_pulse: int
     ) -> None:
         stepper = Stepper(self._drive.track(step_pin, dir_pin))
         stepper.zero = stepper.track.position

@@ -83,7 +83,7 @@ def test_boards_and_lines_live_though_the_process_sleeps(latency_ns):
     made = []
 
     def prepare(simulation):
-        board = Board(simulation.clock.now, [], "Klipper")
+        board = Board(simulation.clock.now, [])
         made.extend((board, simulation.add_board(board, latency_ns)))
 
     with Program(python(WAIT), prepare) as program:
@@ -172,7 +172,7 @@ def test_paced_clock_serves_who_speaks_meanwhile():
 def test_real_time_is_the_same_loop():
     simulation = Simulation(RealClock())
     try:
-        board = Board(simulation.clock.now, [], "Klipper")
+        board = Board(simulation.clock.now, [])
         simulation.add_board(board)
         ran, start = [], time.monotonic()
         board.schedule(board.clock() + 5_000_000, ran.append)  # 0.1 s
@@ -187,7 +187,7 @@ def test_real_time_is_the_same_loop():
 def test_closing_leaves_nothing_behind():
     before = set(os.listdir("/proc/self/fd"))
     simulation = Simulation(VirtualClock(build_directory()))
-    board = Board(simulation.clock.now, [], "Klipper")
+    board = Board(simulation.clock.now, [])
     link = simulation.add_board(board)
     page = simulation.clock.environment()["VCLOCK_PAGE"]
     assert os.path.exists(page)

@@ -272,7 +272,7 @@ def test_bytes_on_a_line_are_awaited():
     command = []
 
     def prepare(simulation):
-        board = Board(simulation.clock.now, [], "Klipper")
+        board = Board(simulation.clock.now, [])
         link = simulation.add_board(board)
         commands = board.dictionary.commands.values()
         uptime = next(m for m in commands if m.name == "get_uptime")

@@ -8,6 +8,7 @@ from typing import Any, Optional
 
 from simprinter.mcu.board import (
     USUAL_CRYSTAL,
+    USUAL_DIALECT,
     Board,
     Crystal,
     Peripheral,
@@ -30,7 +31,7 @@ class Bench:
         beside: Optional[Bench] = None,
     ):
         self.time = beside.time if beside else SimpleNamespace(ns=5 * 10**9)
-        self.board = Board(lambda: self.ns, parts, "Klipper", crystal)
+        self.board = Board(lambda: self.ns, parts, USUAL_DIALECT, crystal)
         self.board.send = self._take
         self.answers: list[tuple[str, dict[str, Any]]] = []
         dictionary = self.board.dictionary

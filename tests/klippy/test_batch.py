@@ -15,7 +15,7 @@ import pytest
 
 from simprinter import Machine, RealClock
 from simprinter.hosts.session import run_file_output
-from tools.kit.printer import firmware_of, module_files
+from tools.kit.printer import dialect_of, module_files
 from tools.kit.scenes import SCENES
 
 _HERE = Path(__file__).parent
@@ -70,7 +70,7 @@ def test_there_are_cases_and_all_configurations_are_used():
 def test_batch(host, test, config):
     assert test.dictionaries == [_DICTIONARY]
     with Machine(
-        SCENES["voron"], clock=RealClock(), app=firmware_of(host)
+        SCENES["voron"], clock=RealClock(), dialect=dialect_of(host)
     ) as machine:
         dictionary = machine.board.dictionary.json
     result, _ = run_file_output(

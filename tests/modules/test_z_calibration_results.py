@@ -14,7 +14,7 @@ from simprinter.world import Pose
 from tools.kit.cases import slow
 from tools.kit.printer import (
     Printer,
-    firmware_of,
+    dialect_of,
     has_kinematics,
     module_files,
 )
@@ -133,7 +133,7 @@ def test_batch_run_gives_the_same_result(host):
     with Printer(host) as printer:
         live, _ = calibration(printer.homed())
     scene = SCENES["voron"]
-    with Machine(scene, app=firmware_of(host)) as machine:
+    with Machine(scene, dialect=dialect_of(host)) as machine:
         batch = run_batch(
             host.install(module_files()),
             machine,

@@ -18,7 +18,7 @@ from simprinter.hosts.environment import REPO_ROOT
 from simprinter.hosts.hosts import Host
 from simprinter.hosts.session import LiveSession
 from simprinter.hosts.trees import FOLDER_PARENT, link_tree
-from tools.kit.printer import FOLDER, MODULES, firmware_of, module_files
+from tools.kit.printer import FOLDER, MODULES, dialect_of, module_files
 from tools.kit.scenes import SCENES, Sections
 
 # Homes Z with its probe, which is a switch: two of the modules can be used
@@ -69,7 +69,7 @@ class Home:
     @contextmanager
     def service(self, changes: Sections) -> Iterator[LiveSession]:
         """Klippy in a new process, with a printer.cfg."""
-        with Machine(SCENE, app=firmware_of(self.host)) as machine:
+        with Machine(SCENE, dialect=dialect_of(self.host)) as machine:
             config = self.config(machine, changes)
             # Files that stay: one that starts, not a fork of one that has
             # loaded the modules before

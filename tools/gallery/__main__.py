@@ -38,7 +38,7 @@ from simprinter.world import OozeSpec
 from tools.kit.printer import (
     RunningPrinter,
     choose_host,
-    firmware_of,
+    dialect_of,
     module_files,
 )
 from tools.kit.scenes import SCENES, Sections
@@ -137,8 +137,8 @@ def changes_of(day: Day, folder: Path) -> Sections:
 def live(host: Host, day: Day, wall_ns: int, seed: int, place: Path) -> None:
     """Switch it on, calibrate, switch it off. place: of klippy's files."""
     clock = VirtualClock(build_directory(), wall_ns)
-    app = firmware_of(host)
-    machine = Machine(day.scene, seed, day.faults, clock, app)
+    dialect = dialect_of(host)
+    machine = Machine(day.scene, seed, day.faults, clock, dialect)
     config = day.scene.config(
         machine.serials, changes_of(day, place / "history")
     )

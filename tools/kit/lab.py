@@ -29,7 +29,7 @@ from simprinter.hosts.trees import (
     put_folder,
     put_module,
 )
-from tools.kit.printer import FOLDER, RunningPrinter, firmware_of
+from tools.kit.printer import FOLDER, RunningPrinter, dialect_of, firmware_of
 from tools.kit.scenes import SCENES
 
 # How much faster than a real printer the simulated one lives
@@ -321,8 +321,8 @@ class Lab:
 
     def start_klipper(self) -> None:
         """Have klippy on the printer, as at boot."""
-        app = firmware_of(self.host)
-        machine = Machine(self._scene, self.seed, app=app)
+        dialect = dialect_of(self.host)
+        machine = Machine(self._scene, self.seed, dialect=dialect)
         self.printer = RunningPrinter(machine, self._begin)
         self.printer.session.require_ready()
         self._begin_to_live()

@@ -12,6 +12,7 @@ from simprinter.hosts.hosts import Host
 from simprinter.hosts.printer import (
     NO_PRINTER,
     choose_host,
+    dialect_of,
     firmware_of,
     has_kinematics,
     knows_kinematics,
@@ -25,6 +26,7 @@ __all__ = [
     "Printer",
     "RunningPrinter",
     "choose_host",
+    "dialect_of",
     "firmware_of",
     "given_module",
     "has_kinematics",
