@@ -18,10 +18,11 @@ import shutil
 import sys
 import time
 from concurrent.futures import ThreadPoolExecutor
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Optional, TypeVar
 
+from simprinter.hosts import python2
 from simprinter.hosts.environment import (
     HostError,
     UnavailableError,
@@ -73,6 +74,7 @@ __all__ = [
     "main_host",
     "missing_hosts",
     "named_checkouts",
+    "named_host",
     "usual_hosts",
 ]
 
@@ -129,18 +131,23 @@ class Installed:
 
 @dataclass(frozen=True)
 class Host:
-    """A prepared klippy; made by `find_hosts`."""
+    """A prepared klippy; made by `find_hosts`.
+
+    packages: what it needs, where its Python is no environment of ours
+    """
 
     name: str
     python: Path
     version: str
     directory: Path
     layout: Layout
+    packages: Optional[Path] = None
 
     def install(self, modules: Mapping[str, Path]) -> Installed:
         """Put modules, given as {name: file}, where a user puts them.
 
-        A folder of that name goes into klippy/extras on every host. The same
+        A folder of that name goes into klippy/extras on every host; a file
+        that is no Python goes beside the modules under its own name. The same
         content gives the same installation again. Raises HostError for a
         missing file.
         """
@@ -177,6 +184,8 @@ class Host:
         else:
             start = ("-m", str(layout.module))
             env["PYTHONPATH"] = str(tree)
+        if self.packages is not None:
+            env["PYTHONPATH"] = str(self.packages)
         return Installed(
             host=self,
             argv=(str(self.python), *start),
@@ -277,19 +286,39 @@ def checkout_hosts() -> list[Host]:
     return hosts
 
 
-def named_checkouts() -> list[Path]:
-    """The checkouts that KLIPPER_PATH names, each once."""
+def named_host(name: str) -> Host:
+    """The host that a text names: a checkout's folder, or a package.
+
+    Raises HostError where it is neither.
+    """
+    for package in PACKAGES:
+        if package.name == name:
+            return _packaged(package)
+    checkout = python2.named(name)
+    if not checkout.folder.is_dir():
+        known = ", ".join(package.name for package in PACKAGES)
+        raise HostError(
+            f"host {name}: give the folder of a Klipper or Kalico checkout, or"
+            f" the name of a package: {known}"
+        )
+    return _checkout_host(checkout)
+
+
+def named_checkouts() -> list[python2.Named]:
+    """The checkouts that KLIPPER_PATH names, each once for each Python."""
     named = os.environ.get("KLIPPER_PATH")
     if named is None:
         default = Path.home() / "klipper"
-        entries = [default] if default.exists() else []
+        entries = [python2.Named(default, None)] if default.exists() else []
     else:
-        entries = [Path(e).expanduser() for e in named.split(":") if e]
+        entries = [python2.named(entry) for entry in named.split(":") if entry]
     # One checkout named twice, perhaps by a link, is one host.
-    return list({entry.resolve(): entry for entry in entries}.values())
+    once = {(entry.folder.resolve(), entry.python): entry for entry in entries}
+    return list(once.values())
 
 
-def _checkout_host(checkout: Path) -> Host:
+def _checkout_host(named: python2.Named) -> Host:
+    checkout = named.folder
     layout = checkout_layout(checkout)
     is_kalico = layout is KALICO
     described = describe(checkout)
@@ -302,6 +331,9 @@ def _checkout_host(checkout: Path) -> Host:
             version = staging / "klippy" / ".version"
             version.write_text(described + "\n", encoding="utf-8")
 
+    if python2.is_wanted(named):
+        name += "-python2"
+        return _on_python2(named, name, described, layout, fill)
     return _prepared(
         name,
         described or own_version(checkout),
@@ -324,7 +356,7 @@ def _free_name(host: Host, taken: Iterable[str]) -> str:
 
 
 def _renamed(host: Host, name: str) -> Host:
-    return Host(name, host.python, host.version, host.directory, host.layout)
+    return replace(host, name=name)
 
 
 def if_available(name: str, prepare: Callable[[], T]) -> Optional[T]:
@@ -386,17 +418,54 @@ def _prepared(
     python = klippy_environment(requirements)
     environment = environment_key(requirements, klippy_startup())
     parts = (RECIPE, environment, *identity)
-    key = digest(part.encode() for part in parts)
+    directory = _filled(_directory(name, parts), python, layout, fill)
+    return Host(name, python, version, directory, layout)
+
+
+def _directory(name: str, identity: tuple[str, ...]) -> Path:
+    """Of the host with this identity; it may be missing."""
+    key = digest(part.encode() for part in identity)
     label = re.sub(r"[^A-Za-z0-9._-]", "-", name)
-    directory = _hosts_dir() / f"{label}-{key}"
+    return _hosts_dir() / f"{label}-{key}"
+
+
+def _filled(
+    directory: Path,
+    python: Path,
+    layout: Layout,
+    fill: Callable[[Path, Path], None],
+    packages: Optional[Path] = None,
+) -> Path:
+    """The same, with its tree compiled."""
     base = directory / "base"
     with locked(_hosts_dir() / "lock"):
         if not base.exists():
             with staged(base) as staging:
                 fill(python, staging)
-                compile_tree(staging, python, layout)
+                compile_tree(staging, python, layout, packages)
         os.utime(directory)
-    return Host(name, python, version, directory, layout)
+    return directory
+
+
+def _on_python2(
+    named: python2.Named,
+    name: str,
+    described: Optional[str],
+    layout: Layout,
+    fill: Callable[[Path, Path], None],
+) -> Host:
+    python = python2.interpreter(named)
+    packages = python2.packages(python)
+    identity = (name, str(python), packages.name, checkout_digest(named.folder))
+    directory = _directory(name, (RECIPE, *identity))
+    return Host(
+        name,
+        python,
+        described or own_version(named.folder),
+        _filled(directory, python, layout, fill, packages),
+        layout,
+        packages,
+    )
 
 
 def _hosts_dir() -> Path:

@@ -84,13 +84,22 @@ class _Process:
         command = [str(self.config), "-l", str(self.log), "-I", str(terminal)]
         command += options
         output = self.log.with_name("output.txt")
-        # Where files stay, an update may have changed the modules
-        if as_service or self._is_kept or isinstance(clock, RealClock):
+        # Where files stay, an update may have changed the modules; and what
+        # forks is no program for Python 2.7
+        is_old = self._installed.host.packages is not None
+        is_real = isinstance(clock, RealClock)
+        if as_service or self._is_kept or is_old or is_real:
             self._klippy = start(self._installed, command, clock, output)
         else:
             config = self.config.read_text()
             self._klippy = fork(self._installed, command, clock, output, config)
         self._simulation.process_fd = os.dup(self._klippy.pidfd)
+
+    @property
+    def pid(self) -> int:
+        """Its number."""
+        assert self._klippy is not None
+        return self._klippy.pid
 
     def log_text(self) -> str:
         """The log and whatever else klippy has printed."""
@@ -196,6 +205,11 @@ class LiveSession:
         if self._is_living:
             raise SessionError("the printer lives by itself: end that first")
         return self.machine.simulation
+
+    @property
+    def pid(self) -> int:
+        """The number of klippy's process."""
+        return self._process.pid
 
     @property
     def socket(self) -> Path:

@@ -220,9 +220,12 @@ def _write(tree: Path, name: str, content: bytes) -> None:
     target.write_bytes(content)
 
 
-def compile_tree(tree: Path, python: Path, layout: Layout) -> None:
+def compile_tree(
+    tree: Path, python: Path, layout: Layout, packages: Optional[Path] = None
+) -> None:
     """Build the C helper and the bytecode, so that no start has to.
 
+    packages: a folder of what the sources import, if Python has it not.
     Raises HostError if there is no C compiler or the helper does not compile.
     """
     problem = missing_compiler()
@@ -232,7 +235,7 @@ def compile_tree(tree: Path, python: Path, layout: Layout) -> None:
         [python, *layout.build_helper],
         "build of klippy's C helper",
         cwd=tree,
-        additions={"PYTHONPATH": str(tree)},
+        additions={"PYTHONPATH": str(packages or tree)},
     )
     helper = tree / C_HELPER
     if not helper.exists():
@@ -262,8 +265,12 @@ def _link(source: str, target: str) -> None:
 
 
 def put_module(folder: Path, name: str, source: Path) -> None:
-    """Put a module into a folder of a linked tree, replacing a namesake."""
-    target = folder / f"{name}.py"
+    """Put a module into a folder of a linked tree, replacing a namesake.
+
+    What is no Python keeps its name: a module may read it.
+    """
+    is_module = source.suffix == ".py"
+    target = folder / (f"{name}.py" if is_module else source.name)
     # Unlinking first, as the file may be shared with other trees.
     target.unlink(missing_ok=True)
     shutil.rmtree(folder / name, ignore_errors=True)
