@@ -20,6 +20,7 @@ from .spec import (
     NoiseSpec,
     OozeSpec,
     PinSpec,
+    SpecError,
     TextureSpec,
     WorldSpec,
 )
@@ -45,6 +46,7 @@ __all__ = [
     "PinSpec",
     "Pose",
     "ProbeEvent",
+    "SpecError",
     "TextureSpec",
     "Touch",
     "Truth",

@@ -1,7 +1,7 @@
 """What a machine is made of: immutable records, checked when built.
 
 World frame, mm and seconds, z up.  Heights of presses are positive downward
-where the field says so.  A wrong value raises ValueError naming the field.
+where the field says so.  A wrong value raises SpecError naming the field.
 """
 
 from __future__ import annotations
@@ -12,6 +12,15 @@ from dataclasses import dataclass, field
 from typing import ClassVar, Optional, Tuple
 
 Vector = Tuple[float, float, float]
+
+
+class SpecError(ValueError):
+    """A value that no machine can have: the field `name` of a `kind`."""
+
+    def __init__(self, kind: str, name: str, value: object, wanted: str):
+        super().__init__(f"{kind}.{name}: {value!r} is not {wanted}")
+        self.name = name
+        self.wanted = wanted
 
 
 @dataclass(frozen=True)
@@ -39,8 +48,8 @@ class Spec:
 
     def _require(self, good: bool, name: str, wanted: str) -> None:
         if not good:
-            value, kind = getattr(self, name), type(self).__name__
-            raise ValueError(f"{kind}.{name}: {value!r} is not {wanted}")
+            kind, value = type(self).__name__, getattr(self, name)
+            raise SpecError(kind, name, value, wanted)
 
     def _require_one_of(self, name: str, allowed: Collection) -> None:
         good = getattr(self, name) in allowed

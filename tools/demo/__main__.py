@@ -20,6 +20,7 @@ from simprinter import Scene
 from simprinter.hosts.environment import build_dir
 from simprinter.hosts.hosts import Host, find_hosts
 from simprinter.hosts.session import GcodeError
+from simprinter.shown import Shown
 from simprinter.simulation import Stopwatch
 from simprinter.world import CrashError
 from tools.kit import charts
@@ -48,31 +49,9 @@ TOUCHES = {
 }
 
 
-class ShownConsole:
-    """Prints what klippy answers at the moment it does.
-
-    Takes part in the simulation like an API client that only listens.
-    """
-
-    def __init__(self, lines: list[str]):
-        """lines: the console, which grows."""
-        self._lines = lines
-        self._shown = len(lines)
-
-    def fileno(self) -> int:
-        """There is nothing to wait for."""
-        return -1
-
-    def pump(self) -> bool:
-        """Print what is new. Nobody else has to be told."""
-        for line in self._lines[self._shown :]:
-            print(line, flush=True)
-        self._shown = len(self._lines)
-        return False
-
-    def settled(self) -> bool:
-        """Never holds up the time."""
-        return True
+def print_now(line: str) -> None:
+    """At the moment it is said."""
+    print(line, flush=True)
 
 
 class ShownPrinter(Printer):
@@ -80,7 +59,7 @@ class ShownPrinter(Printer):
 
     def show(self) -> None:
         """Show the console from now on."""
-        console = ShownConsole(self.session.console)
+        console = Shown(self.session.console, print_now)
         self.machine.simulation.peers.append(console)
 
     def run(self, script: str) -> list[str]:

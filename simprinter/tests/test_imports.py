@@ -1,0 +1,37 @@
+"""The simulated printer stands alone."""
+
+from __future__ import annotations
+
+import ast
+import sys
+
+import pytest
+
+from simprinter.places import PACKAGE
+
+# What pyproject.toml says it needs, and what runs inside pytest
+OTHERS = {"jsonschema", "tomli", "pytest", "requests", "websocket"}
+SOURCES = sorted(
+    path for path in PACKAGE.rglob("*.py") if "tests" not in path.parts
+)
+
+
+def imported(path):
+    for node in ast.walk(ast.parse(path.read_text(encoding="utf-8"))):
+        if isinstance(node, ast.Import):
+            yield from (name.name for name in node.names)
+        elif isinstance(node, ast.ImportFrom) and not node.level:
+            yield node.module
+
+
+@pytest.mark.parametrize(
+    "path", SOURCES, ids=lambda path: str(path.relative_to(PACKAGE))
+)
+def test_nothing_of_the_repository_is_imported(path):
+    """Neither its modules nor its tools: it is installed without them."""
+    roots = {name.partition(".")[0] for name in imported(path)}
+    assert roots - sys.stdlib_module_names - {"simprinter"} <= OTHERS
+
+
+def test_there_are_sources():
+    assert len(SOURCES) > 40

@@ -1,0 +1,311 @@
+"""World files: what they may hold, what they become, what is refused."""
+
+from __future__ import annotations
+
+import dataclasses
+import re
+
+import jsonschema
+import pytest
+
+from simprinter import plugin_printer, printer_cfg, world, world_file
+from simprinter.running import SAMPLE
+from simprinter.wiring import BoardSpec, Heater
+from simprinter.world_file import SCHEMA, WorldFileError
+
+CFG = (SAMPLE / "printer.cfg").read_text(encoding="utf-8")
+WORLD = (SAMPLE / "world.toml").read_text(encoding="utf-8")
+# What a key of a number ends in: a unit, or that it has none
+UNITS = ("_mm", "_s", "_deg", "_share", "_mm_per_mm", "_mm_per_s", "_c")
+NO_UNIT = {"seed", "direction"}
+
+
+def nodes():
+    """Each table of the schema, by its name there."""
+    for name, node in SCHEMA["$defs"].items():
+        yield name, node
+    for name, node in SCHEMA["properties"].items():
+        yield name, node.get("items", node)
+
+
+def test_schema_is_one():
+    jsonschema.Draft202012Validator.check_schema(SCHEMA)
+
+
+@pytest.mark.parametrize(
+    "name", [name for name, node in nodes() if "record" in node]
+)
+def test_every_field_of_a_record_has_a_key(name):
+    node = dict(nodes())[name]
+    record = getattr(world, node["record"])
+    fields = {field.name for field in dataclasses.fields(record)}
+    named = [key["field"] for key in node["properties"].values()]
+    if record is world.WorldSpec:
+        named += [
+            part["field"]
+            for part in SCHEMA["properties"].values()
+            if "field" in part
+        ]
+    assert sorted(named) == sorted(fields)
+    wanted = {
+        field.name
+        for field in dataclasses.fields(record)
+        if field.default is dataclasses.MISSING
+        and field.default_factory is dataclasses.MISSING
+    }
+    required = {
+        node["properties"][key]["field"] for key in node.get("required", ())
+    }
+    # Some have a default that nobody should rely on
+    assert wanted <= required <= {*wanted, "direction"}
+
+
+def keys_of_numbers():
+    for table, node in nodes():
+        inner = node.get("additionalProperties")
+        tables = [node, inner] if isinstance(inner, dict) else [node]
+        for part in tables:
+            for key, about in part.get("properties", {}).items():
+                if about.get("type") in ("number", "integer"):
+                    yield table, key
+
+
+def test_keys_of_numbers_name_their_units():
+    pairs = list(keys_of_numbers())
+    assert len(pairs) > 60
+    bare = {
+        key
+        for _, key in pairs
+        if key not in NO_UNIT and not key.endswith(UNITS)
+    }
+    assert bare == set()
+    # Places name their frame
+    places = {
+        k for _, k in pairs if re.match(r"(brush_|trigger_)?[xyz]_(?!play)", k)
+    }
+    framed = ("_world_mm", "_from_nozzle_mm")
+    assert {key for key in places if not key.endswith(framed)} == set()
+
+
+def test_sample_is_what_its_printer_cfg_makes():
+    cfg = printer_cfg.read(SAMPLE / "printer.cfg")
+    made = world_file.made_from(
+        printer_cfg.PrinterCfg("printer.cfg", cfg.sections)
+    )
+    assert made == WORLD
+
+
+EVERYTHING = """
+leave_out_sections = ["safe_z_home"]
+[start]
+x_world_mm = 1
+y_world_mm = 2
+z_world_mm = 3.5
+[machine]
+z_play_mm = 0.01
+allowed_overtravel_mm = 0.2
+senses_probe = true
+[bed]
+z_world_mm = 0.4
+slope_x_mm_per_mm = 0.001
+texture.sigma_mm = 0.02
+[bed.mesh]
+x_min_world_mm = 0
+x_max_world_mm = 10
+y_min_world_mm = 0
+y_max_world_mm = 20
+heights_mm = [[0.0, 0.1], [0.2, 0.3]]
+[z_pin]
+x_world_mm = 5
+y_world_mm = 6
+trigger_z_world_mm = 1.5
+signal = "pin"
+[[switches]]
+signal = "x_endstop"
+axis = "x"
+trigger_world_mm = 0
+direction = -1
+noise.latency_s = 0.001
+[switch_probe]
+x_from_nozzle_mm = -2
+y_from_nozzle_mm = 24
+body_below_nozzle_mm = 6
+trigger_below_body_mm = 0.5
+mode = "dock"
+noise.sigma_mm = 0.001
+[dock]
+x_world_mm = 1
+y_world_mm = 2
+z_world_mm = 3
+lane_directions = [[0, 1, 0]]
+[signals]
+x_endstop = "^PC0"
+pin = "PC1"
+probe = "PC2"
+probe_sense = "PC4"
+[motors.stepper_z]
+microstep_mm = 0.005
+x_world_mm = 7
+higher_at_start_mm = 0.25
+"""
+
+
+def scene(text, cfg=CFG):
+    return plugin_printer.read_scene(cfg, text)
+
+
+def test_file_becomes_a_machine():
+    made = scene(EVERYTHING)
+    spec = made.world
+    assert spec.bed.mesh.heights == ((0.0, 0.1), (0.2, 0.3))
+    assert spec.bed.texture == world.TextureSpec(sigma=0.02)
+    assert spec.pin == world.PinSpec(5, 6, 1.5, signal="pin")
+    assert spec.switches[0].noise.latency == 0.001
+    assert spec.mag_probe.switch_offset == 0.5
+    assert spec.dock.lanes == ((0, 1, 0),)
+    assert (spec.z_play, spec.overtravel) == (0.01, 0.2)
+    assert spec.probe_sense and not spec.dock_sense
+    assert made.start == (1, 2, 3.5)
+    assert made.wiring.inputs["probe"] == "PC2"
+    assert made.wiring.motors["z"].step_dist == 0.005
+    assert made.z_motors == [("z", 7, 0.0)]
+    assert made.z_skew == {"z": 0.25}
+    assert "safe_z_home" not in made.sections
+    assert "probe" in made.sections
+
+
+HOT = """
+[extruder]
+heater_pin: PH0
+sensor_pin: PI0
+[heater_bed]
+heater_pin: PH1
+sensor_pin: PI1
+[temperature_sensor room]
+sensor_pin: PI2
+[mcu tool]
+[z_tilt]
+z_positions: 0, 10
+[stepper_z1]
+step_pin: PB3
+dir_pin: PB4
+microsteps: 16
+rotation_distance: 8
+"""
+
+
+def test_heaters_boards_and_tilt_are_those_of_printer_cfg():
+    text = f"{WORLD}\n[heaters.extruder]\nambient_c = 30.0\n"
+    text += "[boards.tool]\nlatency_s = 0.002\n"
+    cfg = f"{CFG}{HOT}".replace("0, 10", "0, 10\n  200, 20")
+    made = scene(text, cfg)
+    assert made.wiring.heaters == {
+        "extruder": Heater("PH0", "PI0", ambient=30.0),
+        "heater_bed": Heater("PH1", "PI1", power=1.0, loss=0.005),
+        "temperature_sensor room": Heater("", "PI2"),
+    }
+    assert made.wiring.boards == {"tool": BoardSpec(latency=0.002)}
+    assert made.z_motors == [("z", 0.0, 10.0), ("z1", 200.0, 20.0)]
+
+
+def test_gantry_of_four_motors_stands_on_its_corners():
+    steppers = "".join(
+        f"[stepper_z{n}]\nstep_pin: PB{3 * n}\ndir_pin: PB{3 * n + 1}\n"
+        "microsteps: 16\nrotation_distance: 8\n"
+        for n in (1, 2, 3)
+    )
+    corners = "[quad_gantry_level]\ngantry_corners: -60,-10\n  410, 420\n"
+    made = scene(WORLD, CFG + steppers + corners)
+    assert made.z_motors == [
+        ("z", -60.0, -10.0),
+        ("z1", -60.0, 420.0),
+        ("z2", 410.0, 420.0),
+        ("z3", 410.0, -10.0),
+    ]
+
+
+def changed(old, new):
+    assert old in WORLD
+    return WORLD.replace(old, new, 1)
+
+
+NONSENSE = [
+    ("[bed]", "[beds]", ["[beds]: is unknown", "do you mean bed?"]),
+    ("x_max_world_mm = 220", 'x_max_world_mm = "220"', ['"220"', "a number"]),
+    ("x_max_world_mm = 220", "x_max_mm = 220", ["x_max_mm", "x_max_world_mm"]),
+    ("x_max_world_mm = 220", "x_max_world_mm = -1", ["= -1:", "must be >"]),
+    ("x_max_world_mm = 220", "x_max_world_mm = nan", ["nan", "finite"]),
+    ("x_max_world_mm = 220", "x_max_world_mm = ", ["not TOML", "line"]),
+    ("x_world_mm = 20", "", ["[start] x_world_mm: is missing; add it"]),
+    ("[start]", "[bed.texture]\nsigma_mm = 0\n[start]", ["above 0", "spread"]),
+    ("direction = -1", "direction = 0", ["(number 1)", "one of [1, -1]"]),
+    ('axis = "x"', 'axis = "w"', ['"w"', "one of"]),
+    ('probe = "^PC3"', "", ["[signals] probe", "is missing"]),
+    ('probe = "^PC3"', 'probe = "^PC0"', ["the pin of x_endstop", "its own"]),
+    ('probe = "^PC3"', 'probe = "C3"', ['"C3"', "a pin"]),
+    ('probe = "^PC3"', 'probe = "^PC3"\nno = "PA9"', ["nothing drives it"]),
+    ("[signals]", "[dock]\nx_world_mm=1\ny_world_mm=1\nz_world_mm=1\n[signals]",
+     ["[dock]", "must be"]),
+    ("[signals]", "[motors.z]\nmicrostep_mm = 1\n[signals]", ["stepper_z"]),
+    ("[signals]", "[heaters.h]\nambient_c = 1\n[signals]", ["[heaters.h]"]),
+    ("[signals]", "[boards.b]\nlatency_s = 1\n[signals]", ["[boards.b]"]),
+]  # fmt: skip
+
+
+@pytest.mark.parametrize(("old", "new", "told"), NONSENSE)
+def test_nonsense_is_refused_with_key_value_and_remedy(old, new, told):
+    with pytest.raises(WorldFileError) as error:
+        scene(changed(old, new))
+    text = str(error.value)
+    assert "world.toml: " in text
+    assert all(part in text for part in told), text
+
+
+@pytest.mark.parametrize(
+    ("old", "new", "told"),
+    [
+        ("kinematics: cartesian", "kinematics: delta", "only cartesian"),
+        ("kinematics: cartesian", "kinematics: corexz", None),
+        ("kinematics: cartesian", "kinematics: limited_corexy", None),
+    ],
+)
+def test_machines_that_are_simulated(old, new, told):
+    if told is None:
+        assert scene(WORLD, CFG.replace(old, new)).kinematics in new
+        return
+    with pytest.raises(printer_cfg.PrinterCfgError, match=told):
+        scene(WORLD, CFG.replace(old, new))
+
+
+SWITCHED = [
+    # What Z homes on, what the probe is
+    ("endstop_pin: ^PC2\nposition_endstop: 0", "", ["z_world_mm = -0.5"]),
+    ("endstop_pin: ^PC2\nposition_endstop: 250", "", ["direction = 1"]),
+    (None, "z_offset: -0.1", ["[bed_sensor]", 'bed_sensor = "^PC3"']),
+    (None, "z_offset: 2.5", ["trigger_nozzle_above_bed_mm = 2.5"]),
+]
+
+
+@pytest.mark.parametrize(("endstop", "probe", "wanted"), SWITCHED)
+def test_world_is_made_of_what_printer_cfg_says(
+    tmp_path, endstop, probe, wanted
+):
+    text = CFG
+    if endstop:
+        text = text.replace("endstop_pin: probe:z_virtual_endstop", endstop)
+    if probe:
+        text = text.replace("z_offset: 1.5", probe)
+    file = tmp_path / "printer.cfg"
+    file.write_text(
+        f"{text}\n[adxl345]\n[fan]\npin: PD1\n"
+        "[stepper_x1]\nstep_pin: PD2\ndir_pin: PD3\nendstop_pin: PD4\n"
+        "microsteps: 16\nrotation_distance: 40\n"
+        "[temperature_sensor cpu]\nsensor_type: temperature_mcu\n"
+    )
+    made = world_file.made_from(printer_cfg.read(file))
+    assert all(part in made for part in wanted), made
+    assert '"adxl345"' in made and '"temperature_sensor cpu"' in made
+    assert '"fan"' not in made
+    assert 'x1_endstop = "PD4"' in made
+    sections = scene(made, file.read_text()).sections
+    assert "adxl345" not in sections and "fan" in sections
