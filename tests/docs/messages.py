@@ -1,4 +1,4 @@
-"""The rows of docs/messages.md: what they say, and where, is of the sources.
+"""The rows of docs/all_messages.csv: what they say, and where, is of the sources.
 
     build/venv/bin/python -m tests.docs.messages
 
@@ -9,14 +9,17 @@ are written by hand.
 
 from __future__ import annotations
 
+import csv
+import io
 import re
 from functools import lru_cache
 from pathlib import Path
+from typing import NamedTuple
 
 from tests.docs.documents import normal, spans
 from tests.docs.sources import ROOT, VALUE, files, messages_of
 
-DOCUMENT = ROOT / "docs" / "messages.md"
+DOCUMENT = ROOT / "docs" / "all_messages.csv"
 NAMES = ("z_calibration", "auto_z_offset", "extra_probe", "dockable_probe")
 # Names, beginnings of lines, and what is looked for in messages
 NO_MESSAGES = {
@@ -27,7 +30,18 @@ NO_MESSAGES = {
     "Communication timeout during",
     "Unable to obtain",
 }
-HEAD = ("|message|raised in|besides|", "|---|---|---|")
+
+
+class Row(NamedTuple):
+    """Messages that belong together, as code, and what a person adds to them."""
+
+    section: str
+    message: str
+    raised_in: str
+    besides: str
+
+
+HEAD = Row("section", "message", "raised in", "besides")
 
 
 def key(span: str) -> str:
@@ -54,52 +68,43 @@ def raised() -> dict[str, dict[str, str]]:
     return {k: v for k, v in found.items() if k not in NO_MESSAGES}
 
 
-def cells(line: str) -> list[str]:
-    """Of a row of a table."""
-    return re.split(r"(?<!\\)\|", line)[1:-1]
+def rows_of(text: str) -> list[Row]:
+    """The rows of the data file, without its head."""
+    head, *rows = csv.reader(io.StringIO(text))
+    assert tuple(head) == HEAD
+    return [Row(*row) for row in rows]
 
 
-def is_row(line: str) -> bool:
-    """Whether a line is of a table, below its head."""
-    return line.startswith("|") and line not in HEAD
-
-
-def row(told: list[str], note: str) -> str:
+def row(section: str, told: list[str], besides: str) -> Row:
     """Of messages that belong together."""
     places = sorted({p for span in told for p in raised()[key(span)]})
-    cell, where = ("<br>".join(f"`{t}`" for t in c) for c in (told, places))
-    return f"|{cell}|{where}|{note}|"
+    message, where = (" ".join(f"`{t}`" for t in c) for c in (told, places))
+    return Row(section, message, where, besides)
 
 
 def generated(text: str) -> str:
-    """The document with the messages of the sources, and no others."""
-    lines: list[str] = []
+    """The data file with the messages of the sources, and no others."""
+    rows: list[Row] = []
     told: set[str] = set()
-    for line in text.splitlines():
-        if not is_row(line):
-            lines.append(line)
-            continue
-        columns = cells(line)
-        own = [s for s in spans(columns[0]) if key(s) in raised()]
+    for old in rows_of(text):
+        own = [s for s in spans(old.message) if key(s) in raised()]
         own = [s for s in own if key(s) not in told]
         told |= {key(span) for span in own}
         if own:
-            lines.append(row(own, columns[-1]))
+            rows.append(row(old.section, own, old.besides))
     for new in sorted(raised().keys() - told):
-        insert(lines, new)
-    return "\n".join(lines) + "\n"
+        insert(rows, new)
+    out = io.StringIO()
+    csv.writer(out, lineterminator="\n").writerows([HEAD, *rows])
+    return out.getvalue()
 
 
-def insert(lines: list[str], new: str) -> None:
+def insert(rows: list[Row], new: str) -> None:
     """A message that nobody has placed yet: below the others of its file."""
     (where, text), *_ = sorted(raised()[new].items())
-    ends = [
-        i
-        for i, line in enumerate(lines)
-        if is_row(line) and f"`{where}`" in cells(line)[1]
-    ]
-    rows = [i for i, line in enumerate(lines) if is_row(line)]
-    lines.insert((ends or rows)[-1] + 1, row([text], ""))
+    ends = [i for i, old in enumerate(rows) if f"`{where}`" in old.raised_in]
+    last = (ends or [len(rows) - 1])[-1]
+    rows.insert(last + 1, row(rows[last].section, [text], ""))
 
 
 if __name__ == "__main__":

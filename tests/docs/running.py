@@ -138,7 +138,9 @@ class Running:
         except GcodeError as error:
             answer = [str(error)]
         # Without what the host's own probing says, as that differs
-        own = [a for a in answer if not re.match("// probe(:| at) ", a)]
+        # The pages show no dialogs
+        hidden = "// (probe(:| at) |action:)"
+        own = [a for a in answer if not re.match(hidden, a)]
         floors: dict[str, list[float]] = {}
         for phase, z in self.printer.status("listener")["floors"][before:]:
             floors.setdefault(phase, []).append(z)

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import ast
+import csv
 import re
 import time
 from collections.abc import Iterator
@@ -17,7 +18,17 @@ from tools.gallery.__main__ import OWNER, STORIES
 from z_touch.history import file, report, verdict
 
 DOCUMENT = DOCS / "report.md"
-TEXT = DOCUMENT.read_text(encoding="utf-8")
+with (DOCS / "report_texts.csv").open(encoding="utf-8", newline="") as lines:
+    TABLE = ["| " + " | ".join(row[1:]) + " |" for row in csv.reader(lines)]
+TEXT = "\n".join(
+    [
+        DOCUMENT.read_text(encoding="utf-8"),
+        TABLE[0],
+        "|---|---|---|",
+        *TABLE[1:],
+        "",
+    ]
+)
 SOURCE = Path(verdict.__file__).read_text(encoding="utf-8")
 # For what is missing in a record, and what is looked for in it
 NO_TEXTS = {
@@ -73,11 +84,11 @@ MISTAKES = {
     "left out": (r"(?m)^\| `The nozzle had to be.*\n", ""),
     "too many": (
         r"\| `switch_offset was",
-        "| `it was so`<br>`switch_offset was",
+        "| `it was so` `switch_offset was",
     ),
     "number": (r"`OFTEN` \(3\)", "`OFTEN` (4)"),
     "picture": (r"\(report_wear.svg\)", "(report_good.svg)"),
-    "link": (r"\]\(#", "](#no-"),
+    "link": (r"\.md#", ".md#no-"),
 }
 
 

@@ -598,7 +598,7 @@ def test_section_of_the_original_module_as_it_was(start, command):
     before, first = state(printer), len(printer.machine.truth.touches)
     text = printer.fail(f"AUTO_Z_{command}")
     assert "it has calibrated_z_offset, and 'z_offset: -0.2' as the Z" in text
-    assert "with the opposite sign. Write 'z_offset: 0.2' and remove" in text
+    assert "with the opposite sign; write 'z_offset: 0.2' and remove" in text
     assert (state(printer), sites(printer, first)) == (before, [])
 
 

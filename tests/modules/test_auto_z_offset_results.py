@@ -278,7 +278,7 @@ def test_offset_that_is_none_is_not_saved_a_lost_one_is_told(start):
     assert printer.status("auto_z_offset") == before["status"]
     printer.run("SET_GCODE_OFFSET Z=0")
     lines = printer.run("AUTO_Z_SAVE_GCODE_OFFSET")
-    assert told(lines, "1.120 mm away from before; was AUTO_Z_LOAD_OFFSET")
+    assert told(lines, "1.120 mm away from before; where Z was not homed")
 
 
 # Motor current and acceleration

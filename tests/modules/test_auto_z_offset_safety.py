@@ -136,7 +136,7 @@ def test_single_fault_of_a_sensor(host, kind, signal, n, saved):
         elif signal == "bed_sensor":
             words = ["reads triggered at z=", "QUERY_ENDSTOPS"]
         elif kind == "stuck_closed":
-            words = ["check with QUERY_PROBE and PROBE"]
+            words = ["; check the probe with QUERY_PROBE and PROBE"]
         else:
             # Down to where the nozzle meets the bed, which is known by then
             words = ["No trigger", f"(stopped at z={SENSOR:.2f}"]
@@ -152,7 +152,7 @@ def test_trigger_a_little_above_the_bed_is_not_the_bed(start):
     printer = start("qidi", faults=[fault]).homed()
     text, before, after = before_and_after(printer)
     assert "probe: No trigger" in text
-    assert "it ends where the bed sensor triggered, z=0.28" in text
+    assert ") where the bed sensor triggered: that was not the bed" in text
     assert after == before
 
 

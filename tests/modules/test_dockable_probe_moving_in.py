@@ -287,7 +287,7 @@ def test_broken_wire_where_z_is_not_homed(start):
         text = printer.fail(command)
         assert "the probe reads DOCKED" in text
         assert "take it off before you home" in text
-        assert "SET_PROBE_STATUS STATE=DOCKED says so" in text
+        assert "run SET_PROBE_STATUS STATE=DOCKED where you see it" in text
     assert printer.machine.truth.touch_count("nozzle_pin") == begun
     words = "nobody has seen it docked"
     assert words in "\n".join(printer.run("GET_PROBE_STATUS"))

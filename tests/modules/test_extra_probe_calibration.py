@@ -280,7 +280,7 @@ def test_saving_where_nobody_knows_the_zero(start, tmp_path):
     text = printer.fail(f"{CALIBRATE} SAVE=1")
     assert text == (
         "extra_probe membrane: SAVE=1: nobody knows where Z gets its zero with"
-        " 'scanner:z_virtual_endstop'"
+        " 'scanner:z_virtual_endstop'; leave SAVE out"
     )
     # Without it is all the same
     printer.run(CALIBRATE)
@@ -425,7 +425,7 @@ def test_questions(start):
         "Flat on the bed, the nozzle clean.",
         "Press it once with a finger: Continue waits for it.",
         "Continue lowers the nozzle; without a trigger it stops at z=-1.000; no"
-        " calibration was saved yet, so that may be in the bed: watch, ready to"
+        " calibration was saved yet, so that may be in the bed; watch, ready to"
         " stop.",
     ]
     first.assert_stands_alone()

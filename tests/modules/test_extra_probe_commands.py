@@ -554,9 +554,8 @@ def test_generic_cartesian(start, host):
         (
             "membrane_and_probe",
             {"pin": "^!PF0"},
-            "is the pin of section 'probe'; give the pin of the switch; where"
-            " [probe] is the switch, the section has to be called"
-            " 'extra_probe probe'",
+            "is the pin of section 'probe'; give the pin of the switch, or"
+            " call the section 'extra_probe probe' where [probe] is the switch",
         ),
         (
             "membrane",

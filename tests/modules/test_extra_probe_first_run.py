@@ -23,9 +23,9 @@ from tools.kit.extra_probe import (
 )
 
 MISSING = (
-    "extra_probe membrane: the switch was not pressed yet: press it once with a"
-    " finger, then Continue; if that changes nothing, look with"
-    " QUERY_EXTRA_PROBE PROBE=membrane"
+    "extra_probe membrane: the switch was not pressed yet; press it once with a"
+    " finger, then Continue, or look with QUERY_EXTRA_PROBE PROBE=membrane if that"
+    " changes nothing"
 )
 PROVED = "the switch was pressed, and works; take the hand away"
 
@@ -121,8 +121,8 @@ def test_touch_without_a_question(start, command):
     text = printer.fail(f"{command} PROBE=membrane")
     assert "(stopped at z=-0.100); press it by hand and look with" in text
     assert text.endswith(
-        "where the bed may be lower, EXTRA_PROBE_CALIBRATE finds it, and"
-        " position_min lets any touch go there"
+        ", or where the bed may be lower find it with EXTRA_PROBE_CALIBRATE, or"
+        " set position_min"
     )
     assert deepest(printer) == pytest.approx(0.1 + BED, abs=0.01)
     assert printer.machine.truth.min_gap <= homed

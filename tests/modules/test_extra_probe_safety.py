@@ -151,7 +151,9 @@ def test_finger_on_the_membrane(start, mm):
     ]
     printer = asked(start, faults=faults)
     text = fails(printer, "the bed would be over 5 mm from Z=0")
-    assert "was it pressed by hand? If not, home Z nearer to it first" in text
+    assert (
+        "begin again if a hand has pressed it, or home Z nearer to the" in text
+    )
 
 
 def test_bed_that_is_just_not_too_far(start):
@@ -361,8 +363,8 @@ def test_head_that_was_lowered_meanwhile(start):
 @pytest.mark.parametrize(
     ("own", "params", "words"),
     [
-        ({"z_offset": None}, "", "set z_offset to the thickness of the switch"),
-        ({"z_offset": "0"}, "", "set z_offset to the thickness of the switch"),
+        ({"z_offset": None}, "", "z_offset is 0; set it to the thickness"),
+        ({"z_offset": "0"}, "", "z_offset is 0; set it to the thickness"),
         ({}, "SAVE=2", "SAVE"),
         ({}, "SAVE=-1", "SAVE"),
         ({}, "SAVE=yes", "SAVE"),
@@ -445,7 +447,7 @@ def test_not_while_a_print_is_paused(start, tmp_path):
 def test_not_while_somebody_probes_by_hand(start):
     printer = asked(start)
     printer.run("MANUAL_PROBE")
-    told = "end the manual probe first, with ACCEPT or ABORT"
+    told = "a manual probe is under way; end it with ACCEPT or ABORT first"
     fails_so(printer, told)
     assert told in printer.fail(CALIBRATE)
     assert heights(printer) == []

@@ -268,6 +268,7 @@ KNOWN_TEXTS = [
     ROOT / "docs" / "auto_z_offset.md",
     ROOT / "docs" / "extra_probe.md",
     ROOT / "docs" / "messages.md",
+    ROOT / "docs" / "all_messages.csv",
     ROOT / "docs" / "installation.md",
     ROOT / "examples" / "moonraker.conf",
     ROOT / "examples" / "z_calibration" / "calibrate_macros.cfg",

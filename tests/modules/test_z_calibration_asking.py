@@ -11,7 +11,7 @@ import pytest
 
 from z_touch import __version__
 
-MARK = "to ask somebody, attach "
+MARK = "attach "
 SECRET = "hunter2"
 
 

@@ -49,7 +49,7 @@ def test_plate_that_is_missing(start):
     text = printer.fail("CALIBRATE_Z")
     assert text.startswith("z_calibration: bed: No trigger on probe after full")
     assert BELOW % "-1.000" in text
-    assert "is dead: put the plate on; home Z again (G28 Z) after" in text
+    assert "is dead; the plate has to be on, and Z homed (G28 Z) after" in text
     assert_unharmed(printer, 0.1)
 
 

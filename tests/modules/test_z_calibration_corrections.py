@@ -85,7 +85,7 @@ def test_button_that_saves_baby_steps(start, button):
     # Homed again: the host's
     lines = printer.run(f"G28\nM84\nSET_GCODE_OFFSET Z=0.3\n{button}")
     assert pending(printer) != saved
-    text = f"{button} saves as ever, nothing goes into switch_offset"
+    text = f"{button} saves as ever, and nothing goes into switch_offset"
     assert text in "\n".join(lines)
 
 
@@ -161,7 +161,7 @@ def test_option_in_an_included_file_is_named(start, tmp_path):
     text = "\n".join(lines)
     assert "SAVE_CONFIG cannot change switch_offset: it is in line 2 of" in text
     assert (
-        "mine.cfg, an included file. Write there 'switch_offset: 0.420'" in text
+        "mine.cfg, an included file; write 'switch_offset: 0.420' there" in text
     )
     # Nothing that would keep SAVE_CONFIG from all the rest
     assert pending(printer) == {}

@@ -183,17 +183,17 @@ def test_the_first_way_goes_along_x_then_along_y(host):
     [
         (
             {"nozzle_xy_position": None},
-            "no place for the nozzle: run Z_CALIBRATION_SETUP, set"
+            "no place for the nozzle; run Z_CALIBRATION_SETUP, set"
             " nozzle_xy_position, or add",
         ),
         (
             {"switch_xy_position": None},
-            "no place for the switch: run Z_CALIBRATION_SETUP, set"
+            "no place for the switch; run Z_CALIBRATION_SETUP, set"
             " switch_xy_position or switch_xy_offsets, or add",
         ),
         (
             {"bed_xy_position": None},
-            "no place for the bed: run Z_CALIBRATION_SETUP, set bed_xy_position,"
+            "no place for the bed; run Z_CALIBRATION_SETUP, set bed_xy_position,"
             " or zero_reference_position in section 'bed_mesh', or add",
         ),
     ],

@@ -484,7 +484,9 @@ def test_floor_of_the_nozzle(start, n, options, floor):
     text = printer.homed().fail("CALIBRATE_Z")
     assert text.startswith("z_calibration: nozzle: the switch did not answer")
     assert f"(stopped at z={floor:.3f}), expected a trigger at z=1.600" in text
-    assert "home Z again (G28 Z) after any levelling; check nozzle_xy" in text
+    assert (
+        "home Z again (G28 Z) after any levelling, then check nozzle_xy" in text
+    )
     assert_unharmed(printer)
 
 

@@ -647,7 +647,7 @@ def test_pin_of_its_own_has_no_place_to_fall_back_to(start):
     printer.homed()
     before = len(printer.machine.truth.touches)
     text = printer.fail("CALIBRATE_Z")
-    assert "no place for the nozzle: run Z_CALIBRATION_SETUP" in text
+    assert "no place for the nozzle; run Z_CALIBRATION_SETUP" in text
     assert len(printer.machine.truth.touches) == before
     calibration(printer, "CALIBRATE_Z NOZZLE_POSITION=206,306")
 

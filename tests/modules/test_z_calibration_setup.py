@@ -114,10 +114,9 @@ def test_separate_pin_in_no_section_and_a_switch_from_the_list(start, tmp_path):
     assert "nozzle_xy_position: 206.000, 306.000" in lines
     assert "switch_xy_position: 208.000, 281.250" in lines
     assert (
-        "SAVE_CONFIG cannot: write 'switch_offset: 0.200' into line 2 of"
-        in text
+        "SAVE_CONFIG cannot write 'switch_offset: 0.200' into line 2 of" in text
     )
-    assert "tools.cfg." in text
+    assert "tools.cfg;" in text
     # As high as that CALIBRATE_Z has to pass
     assert "safe_z_height: 21.5" in text
     assert "All in all: good; 3 touches of each place are enough." in text
@@ -324,15 +323,15 @@ def assert_heights_and_probe_are_watched(user):
     assert user.step() == "TOUCH_SWITCH"
     printer.session.restart("RESTART")
     text = printer.fail(f"{SETUP} STEP=TOUCH_SWITCH")
-    assert "no set-up is under way, a restart ends it, too" in text
+    assert "no set-up is under way, as a restart ends it, too" in text
     assert user.dialog() is None
 
 
 def assert_jogs_are_limited(printer):
     """At the nozzle's place, 11.5 mm high; leaves the head low."""
     for params, words in (
-        ("X=+10.1", "the head is moved by at most 10 mm at once"),
-        ("Y=-25", "at most 10 mm"),
+        ("X=+10.1", "the head is moved by 10 mm at most"),
+        ("Y=-25", "by 10 mm at most"),
         ("Z=-10", "Z=-10 would lead to 1.500, outside 1.500 to 250.000"),
         ("Z=nan", "Z"),
     ):
@@ -388,7 +387,10 @@ def test_places_that_cannot_be_and_a_probe_that_is_lost(start):
         user.press(label)
     printer.run("M84")
     text = user.refused("Back")
-    assert "not homed, and the probe is on the head: unless Z is homed" in text
+    assert (
+        "not homed, and the probe is on the head; put it away unless Z is homed"
+        in text
+    )
     printer.run("DOCK_PROBE")
     assert "not homed: X" in user.refused("Back")
     printer.run("G28")
@@ -580,7 +582,7 @@ def test_another_value_that_cannot_be_saved(start, tmp_path):
     assert "'position_endstop: 0.400' into line" in lines[-1]
     own = [line.split("'")[1] for line in lines[:-2]]
     assert own[0] == "switch_xy_position: 254.000, 14.500"
-    assert "into section [z_calibration] of printer.cfg." in lines[0]
+    assert "into section [z_calibration] of printer.cfg;" in lines[0]
     # As it says
     path.write_text("[probe]\nz_offset: 1.9\n")
     config = printer.session.data / "config" / "printer.cfg"

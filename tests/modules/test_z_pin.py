@@ -72,7 +72,7 @@ def test_membrane_over_the_pin_in_a_dialog(start):
     printer.run("EXTRA_PROBE_CALIBRATE PROBE=membrane")
     shown = "\n".join(printer.session.console)
     assert "without a trigger it stops at z=0.600" in shown
-    assert "The head is over the pin of the Z endstop: move it." in shown
+    assert "The head is over the pin of the Z endstop; move it." in shown
 
 
 # Beside it, and half a pin's width nearer

@@ -80,7 +80,7 @@ class WebUser(User):
 
 @pytest.mark.slow
 def test_console_says_how_to_begin_after_each_start(lab):
-    words = "no place for the switch: run Z_CALIBRATION_SETUP"
+    words = "no place for the switch; run Z_CALIBRATION_SETUP"
     for _ in range(3):
         # What the klippy of before has told last is none of this start
         gone = restarted(lab, "RESTART")

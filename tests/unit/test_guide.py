@@ -260,7 +260,7 @@ def test_jog_that_stops_by_itself(start, distance, end):
         # Nowhere to go
         (2.0, -0.1, "would lead to 1.900, outside 2.000"),
         (1.0, -0.1, "would lead to 0.900, outside 1.000"),
-        (9.0, -10.1, "at most 10 mm at once"),
+        (9.0, -10.1, "by 10 mm at most"),
         (8.5, 1.0, "outside 2.000 to 9.000"),
     ],
 )
@@ -275,8 +275,8 @@ def test_jog_that_does_not_even_stop(start, distance, words):
         (5.0, 5.1, "X=5.1 would lead to 10.100, outside 0.000 to 10.000"),
         (5.0, -5.1, "outside"),
         (-1.0, -0.1, "would lead to -1.100"),
-        (5.0, 10.1, "at most 10 mm at once"),
-        (5.0, -10.1, "at most 10 mm at once"),
+        (5.0, 10.1, "by 10 mm at most"),
+        (5.0, -10.1, "by 10 mm at most"),
     ],
 )
 def test_jog_too_far(start, distance, words):

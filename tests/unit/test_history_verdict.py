@@ -57,7 +57,7 @@ CASES = {
         "watch",
         "+-0.012 mm only; most of it are the bed's touches, which vary by",
     ),
-    "poor": (noisy(0.03), "act", "its switch may be worn; samples: auto"),
+    "poor": (noisy(0.03), "act", "its switch for wear, or set samples: auto"),
     "doubted": (
         told(uncertainty=0.03, warnings=[MESH]),
         "watch",
@@ -66,7 +66,7 @@ CASES = {
     "worn": (
         told(-5, wear=["nozzle height"]),
         "watch",
-        "Nozzle height drifts by 0.004 mm in 30 runs, told on 2023-12-10: "
+        "Nozzle height drifts by 0.004 mm in 30 runs, told on 2023-12-10; "
         "check the switch that",
     ),
     "grown": (

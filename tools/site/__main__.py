@@ -29,7 +29,7 @@ COPIED += ("simprinter/LIMITS.md",)
 ITEM = re.compile(r"( *)((?:[-*]|\d+\.) +)")
 INDENT = 4
 # Data files that are pages here
-TABLES = ("options", "numbers", "installer")
+TABLES = ("options", "numbers", "installer", "all_messages", "report_texts")
 # As mkdocs.yml calls the folder of what was staged
 PAGES = "pages"
 
@@ -85,7 +85,8 @@ def page_of_table(path: Path) -> str:
             text += ["", f"## {section}", "", f"| {' | '.join(heads[1:])} |"]
             text += ["|---" * len(heads[1:]) + "|"]
         text.append(f"| {' | '.join(row[1:])} |")
-    return "\n".join([*text, ""])
+    # What belongs together stands below each other
+    return "\n".join([*text, ""]).replace("` `", "`<br>`")
 
 
 def page_of(folder: Path) -> str:

@@ -26,9 +26,10 @@ def check_probe(host):
     if not host.probing.can_end_at_floor():
         raise CalibrationError(
             "Section 'probe' (%s): this probe cannot be told how far down to"
-            " look, a missing trigger would drive the nozzle into the bed;"
-            " auto_z_offset needs a [probe], [smart_effector] or [bltouch], or"
-            " remove section 'auto_z_offset'" % (probe.__class__.__name__,)
+            " look, and a missing trigger would drive the nozzle into the bed;"
+            " auto_z_offset needs a [probe], [smart_effector] or [bltouch];"
+            " write one, or remove section 'auto_z_offset'"
+            % (probe.__class__.__name__,)
         )
 
 

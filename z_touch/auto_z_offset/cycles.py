@@ -64,8 +64,8 @@ class Cycles(object):
         spread = max(corrections) - min(corrections)
         if spread > touches.tolerance:
             self.say(
-                "they differ by %.4f mm, the touches of one by %.4f at most,"
-                " what is farther from the median is left out; %s"
+                "they differ by %.4f mm, and the touches of one by %.4f at"
+                " most: what is farther from the median is left out; %s"
                 % (spread, touches.tolerance, DIFFER)
             )
         return corrections

@@ -17,8 +17,8 @@ SECOND_LOOK = 0.3
 
 # What to do about samples that differ
 DIFFER = (
-    "clean the nozzle; check that nothing shakes the bed and that the sensor"
-    " triggers in time; see prepare_gcode and probe_accel"
+    "clean the nozzle and check that nothing shakes the bed and that the sensor"
+    " triggers in time (prepare_gcode, probe_accel)"
 )
 
 # What to do about a head that is below the floor of a touch
@@ -230,10 +230,10 @@ class ProbeMeasurement(object):
             return self.head.touch(self.host.probing.endstop(), floor.z, speed)
         except errors.CalibrationError as e:
             if not touching.is_at(self.host, floor.z):
-                raise
+                raise e.advised(touching.CHECK_PROBE)
             raise errors.NoTrigger(
-                "%s; it ends %s, z=%.3f: that was not the bed, or the probe does"
-                " not see it" % (e, floor.why, floor.z)
+                "%s %s: that was not the bed, or the probe does not see it; %s"
+                % (e, floor.why, touching.CHECK_PROBE)
             )
 
     # As G28, from which the correction is counted, or else the mesh sees it

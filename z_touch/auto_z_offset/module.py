@@ -131,7 +131,7 @@ class AutoZOffset(object):
                 "this section is that of the original module: it has"
                 " calibrated_z_offset, and 'z_offset: %g' as the Z of the"
                 " trigger; here z_offset is the air gap, with the opposite"
-                " sign. Write 'z_offset: %g' and remove calibrated_z_offset,"
+                " sign; write 'z_offset: %g' and remove calibrated_z_offset,"
                 " then RESTART and AUTO_Z_CALIBRATE" % (z_offset, -z_offset)
             )
 
@@ -294,7 +294,8 @@ class AutoZOffset(object):
         if abs(z) > heights.LARGEST_OFFSET:
             raise self.host.error(
                 "a G-code Z offset of %.3f is no correction of a probe; up to"
-                " %g mm can be saved" % (z, heights.LARGEST_OFFSET)
+                " %g mm can be saved; run AUTO_Z_LOAD_OFFSET, then move the"
+                " nozzle in small steps" % (z, heights.LARGEST_OFFSET)
             )
         self.correction.save(z)
         gcmd.respond_info(
@@ -303,6 +304,7 @@ class AutoZOffset(object):
         )
         if abs(z - before) > heights.EXPECTED_MARGIN:
             self.tell(
-                "that is %.3f mm away from before; was AUTO_Z_LOAD_OFFSET run,"
-                " and Z homed with the probe?" % (abs(z - before),)
+                "that is %.3f mm away from before; where Z was not homed with"
+                " the probe, or AUTO_Z_LOAD_OFFSET not run after it, do both,"
+                " then save again" % (abs(z - before),)
             )

@@ -217,14 +217,14 @@ UNUSED_OPTIONS = (
     ),
     unused("x_offset", "is ignored: the nozzle itself presses the bed"),
     unused("y_offset", "is ignored: the nozzle itself presses the bed"),
-    unused("activate_gcode", "is not run: move it into prepare_gcode"),
+    unused("activate_gcode", "is not run; move it into prepare_gcode"),
     unused(
         "deactivate_gcode",
-        "is not run: move it into a macro that runs after AUTO_Z_CALIBRATE",
+        "is not run; move it into a macro that runs after AUTO_Z_CALIBRATE",
     ),
     unused("deactivate_on_each_sample", "is ignored"),
     unused("stow_on_each_sample", "is ignored"),
-    unused("recovery_time", "is ignored: end prepare_gcode with G4 instead"),
+    unused("recovery_time", "is ignored; end prepare_gcode with G4 instead"),
 )
 
 

@@ -30,7 +30,8 @@ def wrong_gap(host, site, results):
     return (
         "%s: Z is shifted by %.3f mm here, and the probe sees the bed at %.3f:"
         " the gap is wrong by %.3f mm; a bed mesh has to be zero where Z is"
-        " homed, or nowhere; of anything else correct the first layer"
+        " homed, or nowhere; correct that, or the first layer where something"
+        " else shifts Z"
         % (", ".join(part.name for part in parts), shift, seen, wrong)
     )
 

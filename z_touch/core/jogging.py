@@ -28,7 +28,7 @@ def rows(axis, command):
 # 'stops' ends at low, as long as there is any way to it.
 def jogged(axis, start, distance, low, high, stops=False):
     if abs(distance) > LARGEST_JOG:
-        text = "%s=%g: the head is moved by at most %g mm at once"
+        text = "%s=%g: the head is moved by %g mm at most; take smaller steps"
         raise CalibrationError(text % (axis, distance, LARGEST_JOG))
     # Back from beyond a limit is allowed, too
     end = start + distance
@@ -36,6 +36,6 @@ def jogged(axis, start, distance, low, high, stops=False):
         end = max(end, low)
     low, high = min(low, start), max(high, start)
     if not low - 1e-6 <= end <= high + 1e-6:
-        text = "%s=%g would lead to %.3f, outside %.3f to %.3f; nothing moves"
+        text = "%s=%g would lead to %.3f, outside %.3f to %.3f; move it by less"
         raise CalibrationError(text % (axis, distance, end, low, high))
     return end

@@ -120,7 +120,7 @@ class Saver(object):
         if obstacle:
             say(
                 "%s: SAVE_CONFIG cannot change %s: it is in %s, an included"
-                " file. Write there '%s: %s', then RESTART"
+                " file; write '%s: %s' there, then RESTART"
                 % (self.host.section, option, obstacle, option, text)
             )
             return False
@@ -182,7 +182,7 @@ class Saver(object):
             if (section, option) not in named
         ]
         not_saved = [
-            "SAVE_CONFIG cannot: write '%s: %s' into %s."
+            "SAVE_CONFIG cannot write '%s: %s' into %s; write it there."
             % (line.option, line.text, line.where)
             for line in missing
         ]

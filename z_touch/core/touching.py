@@ -18,8 +18,11 @@ from .running import always
 # What to do about a board that was not heard
 LATE = (
     "a board was not heard in time, as the computer or the line to it is too"
-    " slow or broken: run it again, and look into klippy.log if it comes back"
+    " slow or broken; run it again, and look into klippy.log if it comes back"
 )
+
+# What to do about a touch by the host's own probing
+CHECK_PROBE = "check the probe with QUERY_PROBE and PROBE"
 
 # Nothing down to where a touch ends
 NO_ANSWER = "the switch did not answer"
@@ -152,8 +155,7 @@ class Head(object):
             probed = probe_once()
         except host.printer.command_error as e:
             pass_on_shutdown(host, e)
-            hint = "check with QUERY_PROBE and PROBE"
-            raise self._stopped(e, CalibrationError).advised(hint)
+            raise self._stopped(e, CalibrationError)
         # QIDI's hosts answer a probe that is pressed already with a result
         self._pressed(start_z, host.z(), probed.z)
         return probed

@@ -26,9 +26,7 @@ from .settings import travel_height
 ASK_AGAIN = 0.5
 
 # How a person says where it is
-IF_DOCKED = (
-    "where it is in the dock by hand, SET_PROBE_STATUS STATE=DOCKED says so"
-)
+IF_DOCKED = "run SET_PROBE_STATUS STATE=DOCKED where you see it in the dock"
 
 # What takes the probe from one state into the other: the parts of the way in
 # and out, what its options are called, what has become of the probe, and what
@@ -43,9 +41,9 @@ FETCH = Trip(
     way_out="MOVE_TO_EXTRACT_PROBE",
     gcode="attach_gcode",
     done="fetched",
-    remedy="look whether the probe is in the dock and meets the head where"
-    " dock_position is; check the pins with GET_PROBE_STATUS; if it hangs on the"
-    " head, a wire is broken: take it off before you home; " + IF_DOCKED,
+    remedy="in the dock it has to meet the head at dock_position; look where it"
+    " is, and check the pins with GET_PROBE_STATUS: where it hangs on the head, a"
+    " wire is broken, so take it off before you home, and " + IF_DOCKED,
 )
 DOCK = Trip(
     before=ATTACHED,
@@ -54,9 +52,10 @@ DOCK = Trip(
     way_out="MOVE_TO_DETACH_PROBE",
     gcode="detach_gcode",
     done="docked",
-    remedy="look whether it came off: if it did, what reads ATTACHED never"
-    " changes; check pins and wires with GET_PROBE_STATUS and QUERY_PROBE,"
-    " otherwise dock_position and detach_position",
+    remedy="the dock has to hold it back on the way to detach_position; look"
+    " whether it came off: if it did, what reads ATTACHED never changes, so check"
+    " pins and wires with GET_PROBE_STATUS and QUERY_PROBE, and if not,"
+    " dock_position and detach_position",
 )
 
 
@@ -175,8 +174,8 @@ class Docking(object):
         if not self._is_in_reach():
             raise self.host.error(
                 "the probe reads DOCKED (%s), and nobody has seen it docked: it may"
-                " hang on the head, its wire broken; take it off before you home;"
-                " %s" % (self.sensors.describe(), IF_DOCKED)
+                " hang on the head, its wire broken; if so, take it off before you"
+                " home, and %s" % (self.sensors.describe(), IF_DOCKED)
             )
 
     # To home Z on its switch with the probe on would press it into the bed.

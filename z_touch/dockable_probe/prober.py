@@ -182,8 +182,8 @@ class Prober(object):
 
     def _tell_nothing_found(self):
         self.host.say(
-            "nothing down to z=%.3f, where the nozzle is just clear of the"
-            " bed; home Z again and level; check z_offset and the probe"
+            "nothing down to z=%.3f, where the nozzle is just clear of the bed;"
+            " check z_offset and the probe, then home Z again and level"
             % (self.settings.lowest,)
         )
 
@@ -193,16 +193,16 @@ class Prober(object):
         distance = self.settings.sample_retract_dist + REACH
         self.host.lift_unhomed(distance, self.settings.lift_speed)
         self.host.say(
-            "nothing where the bed was; look whether the switch clicks, and"
-            " home again: it is docked and fetched to see that, and finds"
-            " any bed"
+            "nothing where the bed was: the probe will be docked and fetched to"
+            " see that it works, and then finds any bed; look whether its"
+            " switch clicks, then home again"
         )
 
     def _lost(self, what):
         self.sensors.distrust()
         return self.host.error(
-            "the probe %s, at z=%.3f (%s); where it is lost or pressed, raise"
-            " the head, put it into its dock, and check it with"
+            "the probe %s, at z=%.3f (%s); raise the head and put the probe"
+            " into its dock, then check it with"
             " GET_PROBE_STATUS" % (what, self.host.z(), self.sensors.describe())
         )
 

@@ -87,8 +87,9 @@ class Setup(object):
             # It may be one of before a restart.
             self.host.gcode.respond_raw(dialogs.END)
             raise gcmd.error(
-                "%s: no set-up is under way, a restart ends it, too; nothing"
-                " was saved. Begin with %s" % (self.host.section, COMMAND)
+                "%s: no set-up is under way, as a restart ends it, too, and"
+                " nothing was saved; begin with %s"
+                % (self.host.section, COMMAND)
             )
         elif name == "abort":
             self._abort(gcmd)
@@ -181,8 +182,8 @@ class Setup(object):
     def _take_out(self, answer):
         self._require(
             DOCKED,
-            "go back into the dock, and leave it another way, or put it into the"
-            " dock by hand",
+            "go back into the dock and leave it another way, or put it there by"
+            " hand",
         )
         self._take("out")
 

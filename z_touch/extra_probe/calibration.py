@@ -83,12 +83,12 @@ class Calibration(object):
     def check_settings(self, save):
         if not self.settings.z_offset:
             raise CalibrationError(
-                "set z_offset to the thickness of the switch, in mm"
+                "z_offset is 0; set it to the thickness of the switch, in mm"
             )
         if save and self.host.z_zero() is None:
             raise CalibrationError(
-                "SAVE=1: nobody knows where Z gets its zero with '%s'"
-                % (self.host.z_axis.endstop_pin,)
+                "SAVE=1: nobody knows where Z gets its zero with '%s'; leave"
+                " SAVE out" % (self.host.z_axis.endstop_pin,)
             )
 
     def travel(self):
@@ -117,10 +117,10 @@ class Calibration(object):
             lowers = (
                 "Continue lowers the nozzle; without a trigger it stops at"
                 " z=%.3f; no calibration was saved yet, so that may be in the"
-                " bed: watch, ready to stop."
+                " bed; watch, ready to stop."
             )
         if pin_z is not None:
-            says.append("The head is over the pin of the Z endstop: move it.")
+            says.append("The head is over the pin of the Z endstop; move it.")
         says.append(lowers % (floor,))
         return floor, says
 
@@ -261,7 +261,7 @@ class Calibration(object):
             )
         if self.host.probing.is_manual_probing():
             raise CalibrationError(
-                "end the manual probe first, with ACCEPT or ABORT"
+                "a manual probe is under way; end it with ACCEPT or ABORT first"
             )
         running.check_homed(self.host)
 

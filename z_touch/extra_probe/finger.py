@@ -51,8 +51,8 @@ class Finger(object):
         if self.readings[:1] == [True]:
             raise CalibrationError(TRIGGERED % (self.switch.query,))
         raise CalibrationError(
-            "the switch was not pressed yet: press it once with a finger, then"
-            " Continue; if that changes nothing, look with %s"
+            "the switch was not pressed yet; press it once with a finger, then"
+            " Continue, or look with %s if that changes nothing"
             % (self.switch.query,)
         )
 

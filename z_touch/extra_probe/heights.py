@@ -25,9 +25,9 @@ def bed_height(trigger_z, z_offset):
     bed_z = trigger_z - z_offset
     if abs(bed_z) > LARGEST_OFFSET:
         raise CalibrationError(
-            "triggered at z=%.3f, the bed would be over %g mm from Z=0; was it"
-            " pressed by hand? If not, home Z nearer to it first"
-            % (trigger_z, LARGEST_OFFSET)
+            "triggered at z=%.3f, so the bed would be over %g mm from Z=0;"
+            " begin again if a hand has pressed it, or home Z nearer to the bed"
+            " first" % (trigger_z, LARGEST_OFFSET)
         )
     return bed_z
 

@@ -33,8 +33,8 @@ class PinSwitch(object):
         self.query = query
         self.settings = read_switch_settings(config)
         remedy = (
-            "give the pin of the switch; where [probe] is the switch, the"
-            " section has to be called 'extra_probe probe'"
+            "give the pin of the switch, or call the section 'extra_probe"
+            " probe' where [probe] is the switch"
         )
         self._endstop = host.endstops.make(config, "pin", remedy)
 
@@ -55,9 +55,9 @@ class PinSwitch(object):
                 return head.touch(self._endstop, floor, head.sampling.speed)
             except CalibrationError as e:
                 hint = (
-                    "press it by hand and look with %s; where the bed may be"
-                    " lower, EXTRA_PROBE_CALIBRATE finds it, and position_min"
-                    " lets any touch go there" % (self.query,)
+                    "press it by hand and look with %s, or where the bed may be"
+                    " lower find it with EXTRA_PROBE_CALIBRATE, or set"
+                    " position_min" % (self.query,)
                 )
                 raise e.advised(hint)
 
@@ -80,7 +80,9 @@ class PinSwitch(object):
         templates.run_template(self.host, name, template)
         running.check_homed(self.host)
         if self.host.toolhead.get_position()[:3] != before:
-            raise CalibrationError("the head moved in %s" % (name,))
+            raise CalibrationError(
+                "the head moved in %s; move it before the command" % (name,)
+            )
 
 
 # [probe] is the switch: the host's own probing touches, and runs its G-code.
@@ -109,7 +111,10 @@ class ProbeSwitch(object):
             # A host unknown to us: its probing would go on to position_min
             return head.touch(self.endstop(), floor, head.sampling.speed)
         head.check_above(floor)
-        return head.probe(probe_once).z
+        try:
+            return head.probe(probe_once).z
+        except CalibrationError as e:
+            raise e.advised(touching.CHECK_PROBE)
 
 
 ######################################################################

@@ -77,8 +77,9 @@ class Setup(object):
             # It may be one of before a restart
             self.host.gcode.respond_raw(END)
             raise gcmd.error(
-                "%s: no set-up is under way, a restart ends it, too; nothing"
-                " was saved. Begin with %s" % (self.host.section, steps.COMMAND)
+                "%s: no set-up is under way, as a restart ends it, too, and"
+                " nothing was saved; begin with %s"
+                % (self.host.section, steps.COMMAND)
             )
         if name == "abort":
             self.abort(gcmd)
@@ -193,8 +194,8 @@ class Setup(object):
             return
         if not self.touches.is_homed() and self.hands.is_attached():
             raise CalibrationError(
-                "not homed, and the probe is on the head: unless Z is homed with"
-                " it, put it away first; then home all axes (G28)"
+                "not homed, and the probe is on the head; put it away unless Z is"
+                " homed with it, then home all axes (G28)"
             )
         if state.step not in NEED_HEIGHTS:
             return
@@ -318,8 +319,8 @@ class Setup(object):
         self.head.over_sheet(state)
         if self.hands.is_attached():
             raise CalibrationError(
-                "the probe is attached, the nozzle cannot reach the sheet; take"
-                " it off, or take the type of the switch"
+                "the probe is attached, so the nozzle cannot reach the sheet;"
+                " take it off, or take the type of the switch"
             )
 
     # Whether the switch_offset was told
@@ -346,7 +347,7 @@ class Setup(object):
         if not low <= z_offset <= high:
             raise CalibrationError(
                 "with %.3f mm Z=0 would move by %.3f mm, outside the %.3f to"
-                " %.3f that are allowed; home Z again (G28 Z), and check the"
+                " %.3f that are allowed; home Z again (G28 Z), then check the"
                 " three places" % (value, z_offset, low, high)
             )
         self.state.switch_offset, self.state.kind = value, kind

@@ -213,7 +213,7 @@ def repeatability(samples):
     count = max(FEWEST_SAMPLES, min(MOST_SAMPLES, int(math.ceil(needed))))
     word = "good" if needed <= FEWEST_SAMPLES else "fair"
     if needed > MOST_SAMPLES:
-        word = "poor: clean the nozzle and look for play"
+        word = "poor, so clean the nozzle and look for play"
     return word, count
 
 
@@ -228,9 +228,9 @@ def from_paper(contact, z):
         )
     if switch_offset > LARGEST_SWITCH_OFFSET:
         raise CalibrationError(
-            "the switch would move by %.3f mm, and none by more than %g mm; does"
-            " the nozzle hold the sheet, and the pin press the body?"
-            % (switch_offset, LARGEST_SWITCH_OFFSET)
+            "the switch would move by %.3f mm, and none by more than %g mm;"
+            " check that the nozzle holds the sheet and that the pin presses"
+            " the body" % (switch_offset, LARGEST_SWITCH_OFFSET)
         )
     return switch_offset
 

@@ -73,8 +73,8 @@ class Touches(object):
         elif state.is_fetched:
             gcmd.respond_info(
                 "%s: nothing was moved, as a print may be on, or the printer is"
-                " not homed; the probe may still be on the head"
-                % (self.host.section,)
+                " not homed; the probe has to be off the head; look, and put it"
+                " away by hand" % (self.host.section,)
             )
 
     ##################################################################

@@ -420,7 +420,8 @@ class History(object):
         except (IOError, OSError) as e:
             logging.warning("history: %s", e)
             text = (
-                "the history cannot be kept in %s: %s; 'history: none' ends it"
+                "the history cannot be kept in %s: %s; mend that, or set"
+                " 'history: none'"
             )
             self.later(self.warn, text % (self.file.folder, e.strerror))
         except Exception as e:
@@ -448,8 +449,8 @@ class History(object):
         for text, count in (
             ("%d damaged lines of %s are left out", damaged),
             (
-                "%d lines of %s are of a later version, and left out: update the"
-                " module",
+                "%d lines of %s are of a later version, and left out; update"
+                " the module",
                 self.file.later,
             ),
         ):

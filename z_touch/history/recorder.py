@@ -191,8 +191,8 @@ class Recorder(object):
     def cmd_Z_CALIBRATION_REPORT(self, gcmd):
         if self.history.file is None:
             raise gcmd.error(
-                "%s: there is no history to report of: 'history' is none"
-                % (self.host.section,)
+                "%s: there is no history to report of: 'history' is none; name"
+                " a folder there" % (self.host.section,)
             )
         self.draw(self.asked())
 
@@ -225,6 +225,6 @@ class Recorder(object):
             path = asking.write(path, compose())
             self.history.later(
                 self.say,
-                "to ask somebody, attach %s: it has your options and the last"
-                " runs, and names no person, computer or folder" % (path,),
+                "attach %s when you ask somebody: it has your options and the"
+                " last runs, and names no person, computer or folder" % (path,),
             )

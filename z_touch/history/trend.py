@@ -143,7 +143,7 @@ SPREADS = (
     (
         "spread of the bed's touches",
         touches("bed"),
-        "check how the probe is seated; its switch may be worn",
+        "check how the probe is seated, and its switch for wear",
     ),
 )
 

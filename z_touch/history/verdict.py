@@ -63,7 +63,7 @@ def judge(runs, cycles=None, pause=trend.no_pause):
         level = GOOD if NOTHING_TO_DO in text else WATCH
         return Verdict(level, [sentence("Accuracy run: %s" % (text,))])
     if not runs:
-        return Verdict(WATCH, ["There are no runs yet: run CALIBRATE_Z."])
+        return Verdict(WATCH, ["There are no runs yet; run CALIBRATE_Z."])
     found = []
     for rule in (refusals, warnings, worth, wear, changes, cleanings):
         found += rule(runs, pause) if rule is wear else rule(runs)
@@ -133,8 +133,8 @@ def worth(runs):
     name = "spread of the %s's touches" % (site,)
     text = (
         "The offset is known to +-%.3f mm only; most of it are the %s's touches,"
-        " which vary by %.4f mm: %s; samples: auto takes as many touches as it"
-        " needs."
+        " which vary by %.4f mm; %s, or set samples: auto, which takes as many"
+        " touches as it needs."
     )
     level = ACT if found > POOR_WORTH else WATCH
     sd = last["sites"][site]["sd"]
@@ -182,11 +182,11 @@ def worn(name, values, told_on):
     first, last = trend.thirds(values)
     end = (len(values), told_on, REMEDIES[name])
     if name in SPREADS:
-        text = "%s grows from %.4f to %.4f mm in %d runs, told on %s: %s"
+        text = "%s grows from %.4f to %.4f mm in %d runs, told on %s; %s"
         return text % ((name, first, last) + end)
     # A line shifts by half as much again as its thirds do
     shift = (last - first) * 1.5
-    text = "%s drifts by %.3f mm in %d runs, told on %s: %s"
+    text = "%s drifts by %.3f mm in %d runs, told on %s; %s"
     return text % ((name, shift) + end)
 
 
@@ -224,7 +224,7 @@ def cleanings(runs):
     count = sum(bool(run.get("cleaned")) for run in latest)
     if count >= OFTEN:
         text = (
-            "The nozzle had to be cleaned in %d of the last %d runs: clean it"
+            "The nozzle had to be cleaned in %d of the last %d runs; clean it"
             " before CALIBRATE_Z, at a temperature at which it does not drip."
         )
         yield WATCH, text % (count, len(latest))

@@ -81,24 +81,25 @@ CAUSES = {
     " warm up",
     "seat": "switch and bed shift together by %.4f mm from cycle to cycle: the"
     " probe hangs elsewhere each time; seat the probe",
-    "either": "the nozzle shifts against switch and bed by %.4f mm from cycle to"
-    " cycle, and homing hides which: clean the nozzle and seat the probe, then again",
-    "alone": "only the %s shifts, by %.4f mm from cycle to cycle: check what"
+    "either": "the nozzle shifts against switch and bed by %.4f mm from cycle"
+    " to cycle, and homing hides which; clean the nozzle and seat the probe,"
+    " then again",
+    "alone": "only the %s shifts, by %.4f mm from cycle to cycle; check what"
     " holds it, and that it is clean",
     "pin": "touches of the pin vary by %.4f mm, those of the bed do not; exchange"
     " the switch of the pin",
     "probe": "touches of the bed vary by %.4f mm, those of the pin do not;"
     " exchange the probe's switch",
-    "play": "touches of all three vary alike, by %.4f mm: check the Z axis for"
+    "play": "touches of all three vary alike, by %.4f mm; check the Z axis for"
     " play",
     "homing": "all heights shift together by %.4f mm from cycle to cycle, which"
     " leaves the gap as it is; home again after levelling",
     "tip": "only the nozzle's touches vary, by %.4f mm; clean the nozzle",
     "body": "only touches with the probe's body vary, by %.4f mm; seat the probe",
-    "most": "the %s shifts most, by %.4f mm from cycle to cycle: check what holds"
-    " it, and that it is clean",
-    "noise": "nothing shifts from cycle to cycle; touches of the %s vary most, by"
-    " %.4f mm: take more samples, or samples: auto",
+    "most": "the %s shifts most, by %.4f mm from cycle to cycle; check what"
+    " holds it, and that it is clean",
+    "noise": "nothing shifts from cycle to cycle, and touches of the %s vary"
+    " most, by %.4f mm; take more samples, or samples: auto",
     "several": "more than one thing varies: %s; begin with the first",
     "few": "%d cycles are too few for one; take %d or more",
     "none": "nothing stands out, the %s varies most (%.4f mm); nothing to do",

@@ -22,7 +22,8 @@ class CycleParams(object):
         self.home = bool(count(gcmd, "HOME", 0))
         if self.home and not self.attach:
             raise gcmd.error(
-                "HOME=1 needs ATTACH=1: the probe is put away to home"
+                "HOME=1 with ATTACH=0: the probe has to be put away to home;"
+                " leave one of the two out"
             )
         self.settings = for_cycles(settings)
 

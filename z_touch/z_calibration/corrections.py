@@ -53,7 +53,8 @@ def check_steps(base, z_offset, force):
     if new < 0.0:
         raise CalibrationError(
             "%s, which cannot be negative: the pin does not press the switch"
-            " body, or the G-code offset is none of CALIBRATE_Z" % (text,)
+            " body, or the G-code offset is none of CALIBRATE_Z; check"
+            " switch_xy_position, then run CALIBRATE_Z again" % (text,)
         )
     if force:
         return new, text
@@ -112,7 +113,10 @@ class Corrections(object):
         change = self.host.gcode_offset() - self.current().offset
         handler(gcmd)
         if keeps:
-            text = "%s: %s: %s saves as ever, nothing goes into switch_offset"
+            text = (
+                "%s: %s: %s saves as ever, and nothing goes into switch_offset;"
+                " next time save before Z is homed again"
+            )
             gcmd.respond_info(text % (self.host.section, reason, name))
         elif self.hinted or reason or self.other_tool():
             return
@@ -120,9 +124,9 @@ class Corrections(object):
             self.hinted = True
             gcmd.respond_info(
                 "%s: CALIBRATE_Z measures anew what %s saves: the baby step of"
-                " %.3f is gone then. Z_CALIBRATION_SAVE_GCODE_OFFSET keeps it,"
-                " 'save_button: switch_offset' in section '%s' makes this"
-                " button do so"
+                " %.3f is gone then; keep it with"
+                " Z_CALIBRATION_SAVE_GCODE_OFFSET, or with this button and"
+                " 'save_button: switch_offset' in section '%s'"
                 % (self.host.section, name, change, self.host.section)
             )
 
@@ -167,7 +171,7 @@ class Corrections(object):
         reason = self.why_not()
         if reason:
             raise CalibrationError(
-                "%s; baby steps count from the last CALIBRATE_Z: run it, then"
+                "%s; baby steps count from the last CALIBRATE_Z; run it, then"
                 " correct the first layer" % (reason,)
             )
         self.check_tool()
@@ -251,9 +255,9 @@ class Corrections(object):
         )
         if new < 0.0:
             raise CalibrationError(
-                "%s, which cannot be negative; the nozzle is still too far"
-                " from the bed, or the pin does not press the switch body"
-                % (text,)
+                "%s, which cannot be negative: the nozzle is still too far from"
+                " the bed, or the pin does not press the switch body; lower the"
+                " nozzle, or correct switch_xy_position" % (text,)
             )
         gcmd.respond_info("%s: %s" % (self.host.section, text))
         if options.param_int(gcmd, "SAVE", 0):

@@ -164,8 +164,8 @@ def below_margins(settings, zero):
         return ""
     return (
         "the bed is below the low end of offset_margins (%.3f), or the probe is"
-        " dead: put the plate on; home Z again (G28 Z) after any levelling;"
-        " check bed_xy_position and the probe; if all is right, correct %s"
+        " dead; the plate has to be on, and Z homed (G28 Z) after any"
+        " levelling; check bed_xy_position and the probe, then %s"
         % (low, corrected_zero(zero, low))
     )
 

@@ -252,7 +252,7 @@ class Measurement(object):
 
 # The nozzle tip on the pin
 class NozzleMeasurement(Measurement):
-    remedy = HOME_AGAIN + "; check nozzle_xy_position and the switch there"
+    remedy = HOME_AGAIN + ", then check nozzle_xy_position and the switch there"
     # A dock that nobody knows is more often beside the pin than in front of it.
     x_first = True
 
@@ -310,7 +310,7 @@ class SwitchMeasurement(Measurement):
 # The probe on the print surface, through the host's own probing, told where
 # to end.
 class BedMeasurement(Measurement):
-    remedy = "check bed_xy_position, switch_offset and the probe"
+    remedy = "check bed_xy_position, switch_offset and the probe (QUERY_PROBE, PROBE)"
     # The host's own probing while a session lasts that ends at the floor
     probe_once = None
 

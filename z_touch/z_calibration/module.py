@@ -392,8 +392,9 @@ class ZCalibration(object):
             calibration.check_probe_attached()
         except errors.CalibrationError:
             raise errors.CalibrationError(
-                "ATTACH=0 needs the probe on the head all the time: attach it"
-                " in start_gcode, not in before_switch_gcode"
+                "ATTACH=0 needs the probe on the head all the time, and it is"
+                " not attached; attach it in start_gcode, not in"
+                " before_switch_gcode"
             )
 
     ##################################################################

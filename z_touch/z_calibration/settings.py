@@ -545,7 +545,7 @@ def param_switch_offset(gcmd, default):
     value = options.param_number(gcmd, "SWITCH_OFFSET", default, minval=0.0)
     if value is None:
         raise CalibrationError(
-            "no switch_offset: run Z_CALIBRATION_SETUP, set it in section"
+            "no switch_offset; run Z_CALIBRATION_SETUP, set it in section"
             " 'z_calibration', or add SWITCH_OFFSET=mm"
         )
     return value

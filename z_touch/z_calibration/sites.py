@@ -55,7 +55,7 @@ def spread_point(site, radius, number):
 def no_site(name, mesh_option):
     elsewhere = ELSEWHERE[name].replace("%s", mesh_option)
     text = (
-        "no place for the %s: run Z_CALIBRATION_SETUP, set %s_xy_position%s, or"
+        "no place for the %s; run Z_CALIBRATION_SETUP, set %s_xy_position%s, or"
         " add %s_POSITION=X,Y"
     )
     return text % (name, name, elsewhere, name.upper())
