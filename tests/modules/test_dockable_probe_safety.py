@@ -133,8 +133,10 @@ def test_fetching_that_fails(start, n):
     assert "the probe was not fetched, it is DOCKED (pin reads TRIGGERED)" in (
         text
     )
-    assert "look whether the probe is in the dock" in text
-    assert "if it hangs on the head, a wire is broken: take it off" in text
+    assert "in the dock it has to meet the head at dock_position" in text
+    assert (
+        "where it hangs on the head, a wire is broken, so take it off" in text
+    )
     assert trips(printer).count("attach_failed") == 3
     assert len(printer.machine.truth.touches) == before
     assert at(printer) == pytest.approx((150.0, 150.0))

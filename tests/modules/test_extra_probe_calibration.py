@@ -611,7 +611,7 @@ def test_floor_of_a_membrane_that_is_the_probe(start):
     printer.run("EXTRA_PROBE_CALIBRATE PROBE=probe")
     text = printer.fail("EXTRA_PROBE_CONTINUE PROBE=probe")
     assert "No trigger" in text
-    assert "(stopped at z=0.200); check with QUERY_PROBE" in text
+    assert "(stopped at z=0.200); check the probe with QUERY_PROBE" in text
     printer.session.wait(2.0)
     assert printer.session.position()[2] == pytest.approx(10.0)
     # The host's own PROBE has its floor back

@@ -3,11 +3,9 @@
 from __future__ import annotations
 
 import json
-from pathlib import Path
 
 import pytest
 
-from tests.docs.documents import ini_blocks
 from tools.kit.z_calibration import (
     MICROSTEP,
     SWITCH_OFFSET,
@@ -19,7 +17,6 @@ from tools.kit.z_calibration import (
 SAVE = "Z_CALIBRATION_SAVE_GCODE_OFFSET"
 ENDSTOP, PROBE = "Z_OFFSET_APPLY_ENDSTOP", "Z_OFFSET_APPLY_PROBE"
 RAISE = "SET_GCODE_OFFSET Z_ADJUST=0.02 MOVE=1"
-DOCS = Path(__file__).resolve().parents[2] / "docs"
 # 0.06 mm are between nozzle and bed at Z=0
 USUAL_GAP = 0.06
 
@@ -196,20 +193,3 @@ def test_adjustment_of_a_plate(start):
     path = folder / "history.jsonl"
     runs = [json.loads(line) for line in path.read_text().splitlines()]
     assert [run["z_adjust"] for run in runs] == [0.1, 0.0]
-
-
-def test_plates_of_the_document(start, tmp_path):
-    text = (DOCS / "setup.md").read_text(encoding="utf-8")
-    changes = {
-        f"gcode_macro {name}": ini_blocks(text)[f"gcode_macro {name}"]
-        for name in ("KEEP_PLATE", "CALIBRATE_Z_ON_PLATE")
-    }
-    changes["save_variables"] = {"filename": str(tmp_path / "kept.cfg")}
-    printer = start(changes=changes).homed()
-    printer.run(
-        "KEEP_PLATE PLATE=Textured Z=0.03\nKEEP_PLATE PLATE=satin Z=-0.01"
-    )
-    for plate, z_adjust in (("textured", 0.03), ("SATIN", -0.01), ("new", 0)):
-        printer.run(f"CALIBRATE_Z_ON_PLATE PLATE={plate}")
-        assert printer.status("z_calibration")["z_adjust"] == z_adjust
-        assert printer.offset() == pytest.approx(0.16 + z_adjust, abs=0.001)

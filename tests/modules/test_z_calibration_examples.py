@@ -410,11 +410,26 @@ def test_bed_is_measured_below_the_print_with_a_mesh(start):
     )
 
 
-def test_plates_keep_their_baby_steps(start, tmp_path):
+def with_plates(start, tmp_path):
     path = EXAMPLES / f"{PLATES}.cfg"
     variables = {"filename": str(tmp_path / "variables.cfg")}
     changes = {f"include {path}": {}, "save_variables": variables}
-    printer = start(changes=changes).homed()
+    return start(changes=changes).homed()
+
+
+def test_plates_keep_a_value(start, tmp_path):
+    printer = with_plates(start, tmp_path)
+    printer.run(
+        "KEEP_PLATE PLATE=Textured Z=0.03\nKEEP_PLATE PLATE=satin Z=-0.01"
+    )
+    for plate, z_adjust in (("textured", 0.03), ("SATIN", -0.01), ("new", 0)):
+        printer.run(f"CALIBRATE_Z_ON_PLATE PLATE={plate}")
+        assert printer.status("z_calibration")["z_adjust"] == z_adjust
+        assert printer.offset() == pytest.approx(0.16 + z_adjust, abs=0.001)
+
+
+def test_plates_keep_their_baby_steps(start, tmp_path):
+    printer = with_plates(start, tmp_path)
     assert "CALIBRATE_Z_ON_PLATE first" in printer.fail("KEEP_Z_OF_PLATE")
     printer.run("CALIBRATE_Z_ON_PLATE PLATE=Textured")
     plain = printer.offset()

@@ -41,7 +41,9 @@ def test_bed_is_a_thickness_below_the_trigger(bed, thickness):
 
 @pytest.mark.parametrize("trigger_z", [5.251, -4.751])
 def test_bed_that_is_nowhere_near(trigger_z):
-    with pytest.raises(CalibrationError, match="over 5 mm from Z=0; was it"):
+    with pytest.raises(
+        CalibrationError, match="over 5 mm from Z=0; begin again"
+    ):
         heights.bed_height(trigger_z, 0.25)
 
 
