@@ -118,6 +118,16 @@ def test_g92_is_undone(start):
 # Whether the offset is still in force
 
 
+def test_zero_that_g92_has_moved_is_noticed(start):
+    printer = start().homed()
+    printer.run("CALIBRATE_Z\nG1 Z20 F900\nG92 Z19.7")
+    measured, valid, reason = validity(printer)
+    assert (measured, valid) == (True, False)
+    assert "G92 has moved Z=0 by 0.300 mm" in reason
+    printer.run("CALIBRATE_Z")
+    assert validity(printer) == (True, True, "")
+
+
 @pytest.mark.parametrize(
     ("before", "after"),
     [

@@ -92,6 +92,12 @@ class Results(object):
     # Where offset_gcode makes another one of it, or sets it later, either will do.
     def _why_not_in_force(self):
         now, last = self.host.gcode_offset(), self.last
+        moved = self.host.features.moved_by_g92()
+        if abs(moved) >= SAME_OFFSET:
+            return (
+                "G92 has moved Z=0 by %.3f mm; G28 or CALIBRATE_Z undoes that"
+                % (moved,)
+            )
         if (
             min(abs(now - z) for z in (last.applied, last.z_offset))
             < SAME_OFFSET
