@@ -185,6 +185,20 @@ def test_worst_of_several_crashes_is_kept_in_order_of_time():
     assert first.depth == pytest.approx(0.3)
 
 
+def test_what_is_forgotten_is_told_again_only_if_it_happens_again():
+    driver = drive_down(OUTPUT, MIDDLE, MIDDLE_BED - 0.5)
+    driver.go(z=HIGH)
+    truth = driver.world.truth
+    assert truth.lowest == MIDDLE_BED - 0.5
+    truth.forget()
+    assert not truth.crashes()
+    driver.go(z=MIDDLE_BED + 0.1)
+    assert not truth.crashes()
+    assert truth.lowest == MIDDLE_BED + 0.1
+    driver.go(z=MIDDLE_BED - 0.2)
+    assert [crash.site for crash in truth.crashes()] == ["nozzle_bed"]
+
+
 def test_hot_nozzle_reaches_deeper_but_not_before_its_time():
     drift = DriftSpec(nozzle=0.1, start=1.0, stop=2.0)
     world = make(replace(OUTPUT, drift=drift))

@@ -81,7 +81,7 @@ class Truth:
     """The record of one run.  Written by the world, read by tests.
 
     min_gap: smallest nozzle-to-plate gap ever (mm), infinity if the nozzle
-    was never over the plate.
+    was never over the plate. lowest: the lowest Pose.z, wherever that was.
     """
 
     __slots__ = (
@@ -90,6 +90,7 @@ class Truth:
         "_drags",
         "_gap",
         "events",
+        "lowest",
         "min_gap",
         "touches",
     )
@@ -104,6 +105,7 @@ class Truth:
         self.events: list[ProbeEvent] = []
         self.touches: list[Touch] = []
         self.min_gap = math.inf
+        self.lowest = math.inf
 
     # Reading
 
@@ -150,6 +152,11 @@ class Truth:
         if crashes:
             lines = "\n  ".join(str(crash) for crash in crashes)
             raise CrashError(f"the machine was hurt:\n  {lines}")
+
+    def forget(self) -> None:
+        """Crashes and the lowest place count from now on only."""
+        self._crashes.clear()
+        self.lowest = math.inf
 
     # Writing, by the world
 

@@ -218,6 +218,7 @@ class World:
             finding = switch.commit(pose)
             if finding is not None:
                 self._take(t, pose, finding, 0.0)
+        self.truth.lowest = min(self.truth.lowest, z)
         drift = self._drift
         bound = drift.bound(t) if drift.active else 0.0
         low = z <= self._ceiling + bound
