@@ -64,6 +64,19 @@ def _without(scene: Scene, *sections: str) -> Scene:
     return replace(scene, sections=left)
 
 
+def _front(scene: Scene) -> Scene:
+    """The same, its pin before the bed: the probe is over the bed there."""
+    assert scene.world.pin is not None
+    home = {**(scene.sections["safe_z_home"] or {})}
+    home["home_xy_position"] = "206, 10"
+    sections = {**scene.sections, "safe_z_home": home}
+    front = _without(replace(scene, sections=sections), "z_calibration")
+    return front.with_world(
+        pin=replace(scene.world.pin, y=10.0),
+        bed=replace(scene.world.bed, y_min=15.0),
+    )
+
+
 def _bases() -> dict[str, Scene]:
     found = {}
     for name, scene in DOCK_SCENES.items():
@@ -72,6 +85,7 @@ def _bases() -> dict[str, Scene]:
         found[name] = (
             whole if scene.world.pin else _without(whole, "z_calibration")
         )
+    found["dock_front"] = _front(found["dock_gantry_switch"])
     for name in ("voron", "corexz", "cartesian", "separate_pin", "qidi"):
         found[name] = SCENES[name]
     for name in ("voron_two_boards", "qidi_two_boards", "piezo_cartesian"):

@@ -93,6 +93,8 @@ class Owned:
         if self.too_high and self.has(section):
             here = self.scene.number(section, "z_offset") + self.too_high
             found.setdefault(section, {})["z_offset"] = f"{here:.4f}"
+        if self.has("dockable_probe"):
+            found["gcode_macro FETCH"] = {"gcode": "\n  ATTACH_PROBE"}
         # Klipper says nothing to dialogs without it
         found.setdefault("respond", {})
         return found

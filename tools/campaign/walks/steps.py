@@ -102,6 +102,7 @@ OF_SECTION = {
         "DETACH_PROBE",
         "MOVE_AVOIDING_DOCK X=150 Y=150 SPEED=200",
         f"MOVE_AVOIDING_DOCK X=20 Y=300 SPEED=200\n{OUT}",
+        "MOVE_AVOIDING_DOCK X=999 Y=150",
         "QUERY_DOCKABLE_PROBE",
         "GET_PROBE_STATUS",
         "SET_PROBE_STATUS STATE=DOCKED",
@@ -247,6 +248,8 @@ def _singles(printer: Owned) -> list[st.SearchStrategy]:
     ]
     pairs = st.tuples(st.sampled_from(own), st.sampled_from(commands))
     kinds.append(st.tuples(st.just("both"), pairs).map(lambda step: (step,)))
+    if "heat" in printer.names:
+        kinds.append(_one("heat", 75, 25))
     hands = _hands_of(printer)
     if hands:
         kinds.append(_one("hand", *hands))

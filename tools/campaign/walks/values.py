@@ -31,6 +31,9 @@ HOOKS = (
     "DETACH_PROBE",
     "M117 x",
     "SET_GCODE_OFFSET Z=0.05",
+    # A macro around it, and one that fails between its modes where the probe does
+    "FETCH",
+    "G91\n  G1 Z2 F600\n  ATTACH_PROBE\n  G90",
 )
 # G-code that the tables know nothing of
 OWN: dict[str, dict[str, Sequence[Optional[str]]]] = {
@@ -44,6 +47,8 @@ OWN: dict[str, dict[str, Sequence[Optional[str]]]] = {
     },
     "dockable_probe": {
         "z_hop": ("0", "15"),
+        # Out of reach
+        "safe_z_position": ("150, 350",),
         "detach_dockable_before_z_home": ("True", "False"),
         "allow_delayed_detach": ("True", "False"),
         "activate_gcode": ("M117 x", "G91"),

@@ -157,13 +157,15 @@ def replay(
 class Report:
     """Of many walks.
 
-    harmed: by kind. refused: of healthy printers, by the shape of the reason.
+    harmed: by kind. refused: by the shape of the reason; healthy: those for
+    which the world knows no reason.
     """
 
     walks: int = 0
     steps: int = 0
     harmed: Counter[str] = field(default_factory=Counter)
     refused: Counter[str] = field(default_factory=Counter)
+    healthy: Counter[str] = field(default_factory=Counter)
     refused_at_start: Counter[str] = field(default_factory=Counter)
     done: Counter[str] = field(default_factory=Counter)
 
@@ -177,6 +179,7 @@ class Report:
         if outcome.refused_at_start:
             self.refused_at_start[outcome.refused_at_start.splitlines()[0]] += 1
         self.refused.update(outcome.refusals)
+        self.healthy.update(outcome.healthy)
         self.done.update(outcome.done)
 
     def figures(self) -> dict[str, Any]:
@@ -192,6 +195,7 @@ class Report:
         groups = (
             ("not started", self.refused_at_start),
             ("refused", self.refused),
+            ("refused without a reason", self.healthy),
             ("done", self.done),
         )
         for what, counts in groups:

@@ -1,0 +1,295 @@
+"""The judge of walks sees each kind of harm, and what is right it lets be."""
+
+import pytest
+
+from tools.campaign.walks import claims, walker
+from tools.campaign.walks.claims import Facts
+from tools.campaign.walks.judging import Gone, HarmError
+from tools.campaign.walks.printers import Owned
+from tools.campaign.walks.walker import Walker
+from tools.kit.printer import Printer
+
+SWITCH = Owned("dock_gantry_switch")
+# Z is homed with the probe
+PROBED = Owned("dock_gantry")
+MEMBRANE = Owned("membrane")
+HOMED = "G28\nG90\nG1 Z20 F1200"
+CALIBRATED = ["Z-CALIBRATION: probe=6.8 - (switch=8.0 - nozzle=1.6"]
+CORRECTED = ["AUTO_Z_CALIBRATE: median of 1, range 0: probe_z_correction: 0.1"]
+PUT_DOWN = [
+    "extra_probe membrane: trigger=0.2 - z_offset=0.25 --> new offset=0"
+]
+BESIDE_BED = "G1 X100 Y305 F9000\nG1 Z%g F1200\nM400"
+
+
+@pytest.fixture
+def judged(host):
+    """judged(owned): a homed printer and its judge, as a step begins."""
+    printers = []
+
+    def make(owned):
+        scene, changes = owned.scene, owned.changes()
+        printer = Printer(host, scene, changes, (), owned.seed)
+        printers.append(printer)
+        printer.homed()
+        printer.run(HOMED)
+        printer.session.wait(2.0)
+        judge = Walker(printer, owned, walker.Outcome(), print).judge
+        judge.begin()
+        return printer, judge
+
+    yield make
+    for printer in printers:
+        printer.session.close()
+        printer.machine.close()
+
+
+def sort_of(judge, kind, script="", refusal="", lines=()):
+    """What the judge says of a step; empty: nothing."""
+    try:
+        judge.end(Gone(kind, script, refusal, lines))
+    except HarmError as error:
+        return error.sort
+    return ""
+
+
+def test_low_place_with_nothing_in_the_way(judged):
+    printer, judge = judged(SWITCH)
+    printer.run(BESIDE_BED % 0.5)
+    assert sort_of(judge, "gcode", "G1") == ""
+    judge.begin()
+    printer.run(BESIDE_BED % -3.0)
+    assert sort_of(judge, "gcode", "G1") == "too low"
+
+
+def test_bed_is_pressed_only_where_no_membrane_was_laid(judged):
+    printer, judge = judged(MEMBRANE)
+    # The owner has his zero below the bed
+    touch = "G1 X30 Y20 F6000\nG1 Z%g F600\nM400\nG1 Z20 F600\nM400"
+    printer.run(touch % 0.1)
+    script = "EXTRA_PROBE PROBE=membrane"
+    assert sort_of(judge, "gcode", script) == ""
+    judge.begin()
+    printer.run(touch % 0.1)
+    assert sort_of(judge, "gcode", "AUTO_Z_PROBE") == "harm"
+    judge.begin()
+    printer.run(touch % -1.3)
+    assert sort_of(judge, "gcode", script) == "harm"
+
+
+def test_head_that_moves_by_itself(judged):
+    printer, judge = judged(SWITCH)
+    assert sort_of(judge, "wait") == ""
+    judge.begin()
+    # To the dock, which it may
+    printer.run("G1 X140 F3000\nM400")
+    assert sort_of(judge, "wait") == ""
+    printer.run("SET_DOCKABLE_PROBE AUTO_ATTACH_DETACH=0")
+    judge.begin()
+    printer.run("G1 X150 F3000\nM400")
+    assert sort_of(judge, "wait") == "moved"
+
+
+def test_head_that_moves_while_somebody_is_asked(judged):
+    printer, judge = judged(SWITCH)
+    printer.run("EXTRA_PROBE_CALIBRATE PROBE=membrane")
+    judge.begin()
+    printer.run("G1 X70 F3000\nM400")
+    assert sort_of(judge, "wait") == "moved"
+
+
+def test_place_that_the_head_was_not_sent_to(judged):
+    printer, judge = judged(SWITCH)
+    move = "MOVE_AVOIDING_DOCK X=140 Y=150"
+    printer.run(move)
+    assert sort_of(judge, "gcode", move) == ""
+    judge.begin()
+    printer.run("PROBE")
+    places = "G1 X%d Y150 F9000\nPROBE"
+    assert sort_of(judge, "gcode", places % 140) == ""
+    judge.begin()
+    printer.run("PROBE")
+    assert sort_of(judge, "gcode", places % 145) == "elsewhere"
+
+
+def test_nozzle_that_is_left_on_the_pin(judged):
+    printer, judge = judged(SWITCH)
+    printer.run("G1 X206 Y306 F9000\nG1 Z1.59 F600\nM400")
+    assert sort_of(judge, "gcode", "CALIBRATE_Z", "no") == "left behind"
+
+
+@pytest.mark.parametrize(
+    "change",
+    [
+        "SET_GCODE_OFFSET Z=0.1",
+        "G91",
+        "M83",
+        "SET_VELOCITY_LIMIT VELOCITY=100",
+        "SET_VELOCITY_LIMIT ACCEL=100",
+    ],
+)
+def test_what_a_refusal_has_left(judged, change):
+    printer, judge = judged(SWITCH)
+    assert sort_of(judge, "gcode", "CALIBRATE_Z", "no") == ""
+    judge.begin()
+    printer.run(change)
+    assert sort_of(judge, "gcode", "CALIBRATE_Z", "no") == "left behind"
+
+
+@pytest.mark.parametrize("change", ["G91", "SET_VELOCITY_LIMIT ACCEL=100"])
+def test_what_a_good_run_has_left(judged, change):
+    printer, judge = judged(SWITCH)
+    printer.run("SET_GCODE_OFFSET Z=0.1")
+    assert sort_of(judge, "gcode", "DETACH_PROBE") == ""
+    judge.begin()
+    printer.run(change)
+    assert sort_of(judge, "gcode", "DETACH_PROBE") == "left behind"
+
+
+def test_correction_that_is_loaded_again(judged):
+    printer, judge = judged(PROBED)
+    for script in ("AUTO_Z_CALIBRATE", "G28", "AUTO_Z_LOAD_OFFSET"):
+        lines = printer.run(script)
+        assert sort_of(judge, "gcode", script, "", lines) == "", script
+        judge.begin()
+    printer.run("SET_GCODE_OFFSET Z=0.6")
+    told = sort_of(judge, "gcode", "AUTO_Z_LOAD_OFFSET", "", lines)
+    assert told == "wrong offset"
+
+
+@pytest.mark.parametrize(
+    ("owned", "script", "lines"),
+    [
+        # Nothing has run, as last_query knows
+        (SWITCH, "CALIBRATE_Z\nM400", CALIBRATED),
+        (PROBED, "AUTO_Z_CALIBRATE", CORRECTED),
+        (MEMBRANE, "EXTRA_PROBE_CONTINUE", PUT_DOWN),
+    ],
+)
+def test_gap_that_is_not_the_one_promised(judged, owned, script, lines):
+    printer, judge = judged(owned)
+    printer.run("SET_GCODE_OFFSET Z=0.6")
+    assert sort_of(judge, "print", script, lines=lines) == "wrong offset"
+    told = [*lines, "WARNING: it is wrong by 0.6 mm"]
+    judge.begin()
+    assert sort_of(judge, "print", script, lines=told) == ""
+
+
+@pytest.mark.parametrize("adjust", [0.0, 0.05])
+def test_gap_at_another_point_and_with_an_adjustment(judged, adjust):
+    printer, judge = judged(Owned("dock_gantry_switch", bow=0.3))
+    script = f"CALIBRATE_Z BED_POSITION=100,120 Z_ADJUST={adjust:g}"
+    assert sort_of(judge, "gcode", script, "", printer.run(script)) == ""
+
+
+# Baby steps, and what a state of before brings back
+CHANGES = "SET_GCODE_OFFSET Z_ADJUST=0.1 MOVE=1", "RESTORE_GCODE_STATE NAME=own"
+
+
+@pytest.mark.parametrize("change", CHANGES)
+def test_result_that_is_valid_no_more(judged, change, monkeypatch):
+    printer, judge = judged(SWITCH)
+    printer.run("SAVE_GCODE_STATE NAME=own")
+    lines = printer.run("CALIBRATE_Z")
+    assert sort_of(judge, "gcode", "CALIBRATE_Z", "", lines) == ""
+    judge.begin()
+    printer.run(change)
+    assert sort_of(judge, "gcode", change) == ""
+    # As if it were valid for ever
+    monkeypatch.setattr(judge.gaps, "_is_valid", lambda: True)
+    judge.begin()
+    assert sort_of(judge, "gcode", change) == "wrong offset"
+
+
+def test_result_is_valid_no_more_without_a_frame(judged, monkeypatch):
+    printer, judge = judged(SWITCH)
+    lines = printer.run("CALIBRATE_Z")
+    assert sort_of(judge, "gcode", "CALIBRATE_Z", "", lines) == ""
+    judge.begin()
+    printer.run("M84")
+    assert sort_of(judge, "gcode", "M84") == ""
+    monkeypatch.setattr(judge.gaps, "_is_valid", lambda: True)
+    assert sort_of(judge, "gcode", "M84") == "wrong offset"
+
+
+def test_saved_baby_steps_are_what_is_right_from_then_on(judged):
+    printer, judge = judged(SWITCH)
+    for script in (
+        "CALIBRATE_Z",
+        "SET_GCODE_OFFSET Z_ADJUST=0.1 MOVE=1",
+        "Z_CALIBRATION_SAVE_GCODE_OFFSET",
+        "CALIBRATE_Z",
+    ):
+        lines = printer.run(script)
+        assert sort_of(judge, "gcode", script, "", lines) == "", script
+        judge.begin()
+    printer.run("SET_GCODE_OFFSET Z_ADJUST=-0.1 MOVE=1")
+    told = sort_of(judge, "gcode", "CALIBRATE_Z", "", CALIBRATED)
+    assert told == "wrong offset"
+
+
+# Words
+
+
+def facts(**fields):
+    """Of a homed printer, its probe in the dock."""
+    status = {
+        "toolhead": {"homed_axes": "xyz"},
+        "manual_probe": {"is_active": False},
+        "extra_probe membrane": {"waits_for": ""},
+        "z_calibration": {"last_result": {"offset": 0.1}, "last_query": True},
+    }
+    told = {"before": status, "after": status}
+    told |= {"probes": frozenset({"docked"}), "membrane": False}
+    return Facts(**{**told, "touched": frozenset(), **fields})
+
+
+NOBODY = {
+    "toolhead": {"homed_axes": "xy"},
+    "manual_probe": {"is_active": True},
+    "extra_probe membrane": {"waits_for": "switch"},
+    "z_calibration": {"last_result": {}},
+}
+ON_HEAD = {"probes": frozenset({"attached"})}
+
+
+@pytest.mark.parametrize(
+    ("refusal", "is_so"),
+    [
+        ("z_calibration: not homed: Z; home all axes (G28) first", NOBODY),
+        ("Must home axis first: 1.0", NOBODY),
+        ("auto_z_offset: a manual probe is under way; end it", NOBODY),
+        ("section 'extra_probe membrane' waits for an answer", NOBODY),
+        ("z_calibration: not calibrated yet; run it", NOBODY),
+        ("the probe is ATTACHED, and so on", ON_HEAD),
+        ("z_calibration: the probe is attached already, and", ON_HEAD),
+    ],
+)
+def test_refusal_is_true_or_not(refusal, is_so):
+    assert claims.verdict(refusal, facts()) is False
+    there = is_so if is_so is ON_HEAD else {"before": is_so}
+    assert claims.verdict(refusal, facts(**there)) is True
+
+
+def test_refusal_without_a_reason_is_counted():
+    assert claims.verdict("z_calibration: Tuesday; wait", facts()) is None
+
+
+@pytest.mark.parametrize("lost", ["docked", "lost"])
+def test_console_says_where_the_probe_is(lost):
+    told = facts(probes=frozenset({lost}))
+    for state, count in (("ATTACHED", 1), ("DOCKED", 0), ("UNKNOWN", 0)):
+        line = f"Probe Status: {state}"
+        found = list(claims.untrue("QUERY_DOCKABLE_PROBE", "", [line], told))
+        assert len(found) == count
+
+
+def test_dock_has_not_done_what_it_says():
+    assert not list(claims.untrue("DETACH_PROBE", "", [], facts()))
+    assert list(claims.untrue("ATTACH_PROBE", "", [], facts()))
+    assert not list(claims.untrue("ATTACH_PROBE", "no way", [], facts()))
+
+
+def test_status_of_a_run_that_was_refused():
+    assert list(claims.untrue("CALIBRATE_Z", "no trigger", [], facts()))
+    assert not list(claims.untrue("CALIBRATE_Z", "", [], facts()))

@@ -1,0 +1,138 @@
+"""What refusals, status and console say of the printer, and whether it is so.
+
+A claim is judged by what was so at any moment of its step, as nobody knows at
+which of them it was made.
+"""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from dataclasses import dataclass
+from typing import Any, Optional
+
+
+@dataclass(frozen=True)
+class Facts:
+    """Of one step.
+
+    before, after: status of the printer's objects. probes: where the world had
+    the probe; membrane: whether it lies there; touched: the sites touched.
+    """
+
+    before: Mapping[str, Any]
+    after: Mapping[str, Any]
+    probes: frozenset[str]
+    membrane: bool
+    touched: frozenset[str]
+
+    def any(self, section: str, field: str, test: Callable[[Any], Any]) -> bool:
+        """Whether a field was so, before or after."""
+        return any(
+            test(status.get(section, {}).get(field))
+            for status in (self.before, self.after)
+        )
+
+
+def _not_homed(facts: Facts, axes: str = "xyz") -> bool:
+    wanted = set(re.findall("[xyz]", axes.lower()) or "xyz")
+    return facts.any("toolhead", "homed_axes", lambda had: wanted - set(had))
+
+
+def _is_manual(facts: Facts, *unused: str) -> bool:
+    return facts.any("manual_probe", "is_active", bool)
+
+
+def _is_at(facts: Facts, state: str) -> bool:
+    """The pins cannot tell a lost probe from one in its dock."""
+    wanted = {
+        "ATTACHED": {"attached"},
+        "DOCKED": {"docked", "lost"},
+        "UNKNOWN": {"attached", "docked", "lost"},
+    }
+    return bool(wanted[state.upper()] & facts.probes)
+
+
+def _is_off_head(facts: Facts, *unused: str) -> bool:
+    return bool({"docked", "lost"} & facts.probes)
+
+
+def _is_on_head(facts: Facts, *unused: str) -> bool:
+    """Already when it began."""
+    return "attached" in facts.probes
+
+
+def _waits(facts: Facts, *unused: str) -> bool:
+    return facts.any("extra_probe membrane", "waits_for", bool)
+
+
+def _waits_not(facts: Facts, *unused: str) -> bool:
+    return facts.any("extra_probe membrane", "waits_for", lambda v: not v)
+
+
+def _not_calibrated(facts: Facts, *unused: str) -> bool:
+    return facts.any("z_calibration", "last_result", lambda last: not last)
+
+
+def _no_membrane(facts: Facts, *unused: str) -> bool:
+    """Nothing lies where the nozzle looks for it."""
+    return not facts.membrane or "nozzle_membrane" not in facts.touched
+
+
+def _is_true(facts: Facts, *unused: str) -> bool:
+    """Of what its owner has asked for: only the words tell what is wrong."""
+    return True
+
+
+# A refusal begins to tell with the first of them that it has. Nothing here is of
+# a healthy printer that does what its owner has ordered.
+CLAIMS: tuple[tuple[re.Pattern, Callable[..., bool]], ...] = tuple(
+    (re.compile(pattern), test)
+    for pattern, test in (
+        (r"Must home", _not_homed),
+        (r"not homed: ([XYZ, ]+)", _not_homed),
+        (r"manual probe is under way|end the manual probe", _is_manual),
+        (r"lready in a manual Z probe", _is_manual),
+        (r"waits for an answer", _waits),
+        (r"nothing was asked", _waits_not),
+        (r"not calibrated yet", _not_calibrated),
+        (r"probe is attached already", _is_on_head),
+        (r"probe is (ATTACHED|DOCKED|UNKNOWN)", _is_at),
+        (r"not (?:attached|docked|fetched), it is (\w+)", _is_at),
+        (r"probe reads triggered", _is_off_head),
+        (r"^extra_probe .*(?:No trigger on|did not answer)", _no_membrane),
+        (r"^extra_probe .*(?:was not pressed|press it once)", _is_true),
+        (r"Unknown profile|Unknown g-code state|Move out of range", _is_true),
+    )
+)
+_SEEN = re.compile(r"Probe Status: (\w+)")
+
+
+def verdict(refusal: str, facts: Facts) -> Optional[bool]:
+    """Whether a refusal is true; None: the world knows no reason for it."""
+    for pattern, test in CLAIMS:
+        found = pattern.search(refusal)
+        if found:
+            return test(facts, *(group or "" for group in found.groups()))
+    return None
+
+
+def untrue(
+    command: str, refusal: str, lines: Sequence[str], facts: Facts
+) -> Iterator[str]:
+    """What status and console say, and is not so."""
+    for line in lines:
+        found = _SEEN.search(line)
+        if found and not _is_at(facts, found.group(1)):
+            yield f"{line!r}, and the probe is {sorted(facts.probes)}"
+    wanted = {"ATTACH_PROBE": "attached", "DETACH_PROBE": "docked"}.get(command)
+    if wanted and not refusal and wanted not in facts.probes:
+        yield f"after {command} the probe is {sorted(facts.probes)}"
+    dock = facts.after.get("dockable_probe") or {}
+    state = dock.get("last_status_name", dock.get("last_status"))
+    is_told = wanted and not refusal and isinstance(state, str)
+    if is_told and not _is_at(facts, state):
+        yield f"last_status is {state}, the probe {sorted(facts.probes)}"
+    good = (facts.after.get("z_calibration") or {}).get("last_query")
+    if command == "CALIBRATE_Z" and good is bool(refusal):
+        yield f"last_query is {good} after {refusal or 'a good run'}"

@@ -1,0 +1,359 @@
+"""Judges each step of a walk by the simulated world, which knows the truth."""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from dataclasses import dataclass
+from typing import Any, NamedTuple
+
+from simprinter.world import Bed, WorldSpec
+from simprinter.world.truth import Crash
+from tools.campaign.walks import claims
+from tools.campaign.walks import steps as stepping
+from tools.campaign.walks.gaps import Gaps
+from tools.campaign.walks.printers import Owned
+from tools.kit.dialogs import dialogs_of
+from tools.kit.printer import Printer
+
+# From where a trigger is expected to where a touch ends: docs/reliability.md (mm)
+MARGIN = 1.0
+# Of places that are the same (mm): half a step of both belts, and more
+PLACE = 0.1
+# Ours, which leave all as it was when they refuse
+OURS = frozenset(
+    line.split()[0]
+    for section in (
+        "z_calibration",
+        "auto_z_offset",
+        "dockable_probe",
+        "extra_probe membrane",
+    )
+    for text in stepping.OF_SECTION[section]
+    for line in text.splitlines()[-1:]
+)
+# Touches where the head is, by what touches
+WHERE_IT_IS = {
+    "PROBE": ("probe_bed", "inductive_bed"),
+    "PROBE_ACCURACY": ("probe_bed", "inductive_bed"),
+    "AUTO_Z_PROBE": ("nozzle_bed",),
+    "EXTRA_PROBE": ("nozzle_bed", "nozzle_membrane"),
+    "EXTRA_PROBE_ACCURACY": ("nozzle_bed", "nozzle_membrane"),
+}
+# What they may change for ever when they end well
+LASTING = ("the G-code offset", "what is saved")
+_SENT = re.compile(r"^(?:G1|MOVE_AVOIDING_DOCK) X=?(\S+) Y=?(\S+)")
+
+
+class HarmError(AssertionError):
+    """The world was hurt, or what klippy says is not so; sort: in a word."""
+
+    def __init__(self, sort: str, text: str) -> None:
+        super().__init__(text)
+        self.sort = sort
+
+
+class Gone(NamedTuple):
+    """A step that was gone: what ran, why it was refused, what was shown."""
+
+    kind: str
+    script: str
+    refusal: str
+    lines: Sequence[str]
+
+    @property
+    def command(self) -> str:
+        """The last one, without parameters."""
+        last = self.script.splitlines()[-1:] or [""]
+        return (last[0].split() or [""])[0]
+
+
+@dataclass
+class Before:
+    """What was so when a step began.
+
+    state: what a refusal leaves as it was. pressed: sites that something
+    touched. question: whether a person is asked something. events, touches:
+    how many the world had seen.
+    """
+
+    state: Mapping[str, Any]
+    status: Mapping[str, Any]
+    pressed: frozenset[str]
+    question: bool
+    tip: Sequence[float]
+    events: int
+    touches: int
+    probe: str
+
+
+@dataclass
+class Judge:
+    """Of one walk. Raises HarmError with what is wrong.
+
+    keep_clear: puts the ways of a script around what is in the way.
+    is_healthy: the step was refused, and the world knows no reason for it.
+    """
+
+    printer: Printer
+    owned: Owned
+    keep_clear: Callable[[str], str]
+    is_healthy: bool = False
+
+    def __post_init__(self) -> None:
+        self.gaps = Gaps(self.printer, self.owned, self.keep_clear)
+        self.before = self._before()
+        self.lowest = lowest(self.printer.scene.world)
+
+    def begin(self) -> None:
+        """A step begins."""
+        self.is_healthy = False
+        if self._is_asked():
+            self._stand_still()
+        self.before = self._before()
+
+    def end(self, gone: Gone) -> None:
+        """It has ended. Raises HarmError."""
+        if gone.kind in ("restart", "save"):
+            self.gaps.restarted()
+        for sort, rule in (
+            ("shutdown", self._is_shut_down),
+            ("internal error", self._is_internal),
+            ("harm", self._is_hurt),
+            ("too low", self._is_too_low),
+            ("moved", self._has_moved),
+            ("elsewhere", self._is_elsewhere),
+            ("left behind", self._has_left),
+            ("lie", self._lies),
+            ("wrong offset", self._is_off),
+        ):
+            for text in rule(gone):
+                raise HarmError(sort, text)
+
+    # What klippy is
+
+    def _is_shut_down(self, gone: Gone) -> Iterator[str]:
+        state, message = self.printer.session.state()
+        if state != "ready":
+            yield message.splitlines()[0]
+        self.printer.session.wait(0.3)
+
+    def _is_internal(self, gone: Gone) -> Iterator[str]:
+        for line in (gone.refusal, *gone.lines):
+            if "nternal error" in line:
+                yield line
+
+    # What the world has seen
+
+    def _is_hurt(self, gone: Gone) -> Iterator[str]:
+        truth = self.printer.machine.truth
+        crashes = [c for c in truth.crashes() if not self._may(gone, c)]
+        if crashes:
+            reason = f" (refused: {gone.refusal})" if gone.refusal else ""
+            yield "; ".join(map(str, crashes)) + reason
+
+    def _may(self, gone: Gone, crash: Crash) -> bool:
+        """docs/reliability.md: where no membrane was laid, 1 mm below Z=0."""
+        is_looking = "EXTRA_PROBE" in gone.script
+        is_laid = self.printer.machine.world.membrane_is_laid
+        if crash.site != "nozzle_bed" or is_laid or not is_looking:
+            return False
+        return crash.depth <= self._deepest()
+
+    def _deepest(self) -> float:
+        """How far (mm) a touch of nothing may go into the bed: below Z=0."""
+        machine = self.printer.machine
+        tip = machine.tip()
+        zero = tip.z - self.printer.session.position()[2]
+        x, y = self.membrane
+        return MARGIN + PLACE + max(0.0, -machine.truth.true_gap(x, y, zero))
+
+    @property
+    def membrane(self) -> tuple[float, float]:
+        """The middle of what a membrane is laid on (mm)."""
+        spec = self.printer.scene.world.membrane
+        assert spec is not None
+        return spec.x, spec.y
+
+    def _is_too_low(self, gone: Gone) -> Iterator[str]:
+        """Also where nothing is in the way."""
+        truth = self.printer.machine.truth
+        floor = self.lowest - MARGIN
+        if self.owned.has("extra_probe membrane"):
+            floor -= self._deepest()
+        if truth.lowest < floor:
+            yield f"the nozzle was at {truth.lowest:.3f}, {floor:.3f} is low"
+        truth.forget()
+
+    def _has_moved(self, gone: Gone) -> Iterator[str]:
+        """While nobody commands anything."""
+        if gone.kind not in ("wait", "hand"):
+            return
+        here = self.printer.machine.tip()
+        moved = max(abs(a - b) for a, b in zip(here, self.before.tip))
+        if moved > PLACE and self.before.question:
+            yield f"by {moved:.1f} mm while somebody is asked"
+        elif moved > PLACE and not self._may_dock():
+            yield f"by {moved:.1f} mm while nobody asks for it"
+
+    def _may_dock(self) -> bool:
+        """Whether a probe may go to its dock by itself, after a while."""
+        status = self.before.status.get("dockable_probe") or {}
+        is_homed = "xy" in self.before.status["toolhead"]["homed_axes"]
+        return is_homed and bool(status.get("auto_attach_detach", True))
+
+    def _is_elsewhere(self, gone: Gone) -> Iterator[str]:
+        """Where the head was sent, it is; and it touches what is there."""
+        sent = [m for m in map(_SENT.match, gone.script.splitlines()) if m]
+        if gone.refusal or gone.kind != "gcode" or not sent:
+            return
+        x, y = (float(number) for number in sent[-1].groups())
+        if gone.command == "MOVE_AVOIDING_DOCK":
+            self._stand_still()
+            places = [self.printer.machine.tip()]
+        else:
+            sites = WHERE_IT_IS.get(gone.command, ())
+            touches = self.printer.machine.truth.touches[self.before.touches :]
+            places = [touch for touch in touches if touch.site in sites]
+        for place in places:
+            if max(abs(place.x - x), abs(place.y - y)) > PLACE:
+                yield (
+                    f"at X={place.x:.3f} Y={place.y:.3f} instead of"
+                    f" X={x:.3f} Y={y:.3f}"
+                )
+
+    # What is left, and said
+
+    def _before(self) -> Before:
+        machine = self.printer.machine
+        truth = machine.truth
+        return Before(
+            state=self._state(),
+            status=self._status(),
+            pressed=self._pressed(),
+            question=self._is_asked(),
+            tip=machine.tip(),
+            events=len(truth.events),
+            touches=len(truth.touches),
+            probe=self._probe(),
+        )
+
+    def _status(self) -> dict[str, Any]:
+        names = ["toolhead", "manual_probe", "gcode_move", "z_calibration"]
+        names += ["dockable_probe", "extra_probe membrane"]
+        return {name: self.printer.status(name) for name in names}
+
+    def _state(self) -> dict[str, Any]:
+        """What a refusal leaves as it was."""
+        toolhead = self.printer.status("toolhead")
+        gcode_move = self.printer.status("gcode_move")
+        config = self.printer.status("configfile")
+        limits = [name for name in toolhead if name.startswith("max_")]
+        limits += ["axis_minimum", "axis_maximum", "square_corner_velocity"]
+        return {
+            "the G-code offset": gcode_move["homing_origin"][2],
+            "G90": gcode_move["absolute_coordinates"],
+            "M82": gcode_move["absolute_extrude"],
+            **{name: toolhead.get(name) for name in limits},
+            "what is saved": config.get("save_config_pending_items"),
+            "currents": {
+                name: driver.current()[1:]
+                for name, driver in self.printer.machine.drivers.items()
+            },
+        }
+
+    def _pressed(self) -> frozenset[str]:
+        machine = self.printer.machine
+        here = machine.world.near(self._now(), machine.tip())
+        return frozenset(near.site for near in here if near.pressed)
+
+    def _has_left(self, gone: Gone) -> Iterator[str]:
+        """All that is temporary is as before; after a refusal the rest, too."""
+        if gone.kind != "gcode" or gone.command not in OURS:
+            return
+        before, after = self.before.state, self._state()
+        lasting = () if gone.refusal else LASTING
+        changed = {
+            k: (before[k], after[k])
+            for k in after
+            if after[k] != before[k] and k not in lasting
+        }
+        if changed:
+            yield f"{changed} after {gone.refusal or 'a good run'}"
+        if not gone.refusal:
+            return
+        self._stand_still()
+        pressed = self._pressed() - self.before.pressed
+        sites = sorted(s for s in pressed if s.startswith(("nozzle", "body")))
+        if sites:
+            yield f"{sites} are pressed after {gone.refusal}"
+
+    def _lies(self, gone: Gone) -> Iterator[str]:
+        """What is said of the printer is not so."""
+        facts = claims.Facts(
+            before=self.before.status,
+            after=self._status(),
+            probes=self._probes(),
+            membrane=self.printer.machine.world.membrane_is_laid,
+            touched=frozenset(
+                touch.site
+                for touch in self.printer.machine.truth.touches[
+                    self.before.touches :
+                ]
+            ),
+        )
+        yield from claims.untrue(gone.command, gone.refusal, gone.lines, facts)
+        if gone.refusal and gone.kind in ("gcode", "print", "answer"):
+            found = claims.verdict(gone.refusal, facts)
+            if found is False:
+                yield f"it is not so: {gone.refusal}"
+            self.is_healthy = found is None
+
+    def _probes(self) -> frozenset[str]:
+        """Where the probe has been while the step went on."""
+        new = self.printer.machine.truth.events[self.before.events :]
+        names = {"attach": "attached", "dock": "docked", "lost": "lost"}
+        seen = {names[e.kind] for e in new if e.kind in names}
+        return frozenset({self.before.probe, self._probe(), *seen})
+
+    def _is_off(self, gone: Gone) -> Iterator[str]:
+        is_alone = gone.kind != "both"
+        yield from self.gaps.wrong(gone.script, gone.lines, is_alone)
+
+    # Looking
+
+    def _now(self) -> float:
+        machine = self.printer.machine
+        return machine.rig.seconds(machine.simulation.clock.now())
+
+    def _probe(self) -> str:
+        return self.printer.machine.world.probe_state(self._now())
+
+    def _is_asked(self) -> bool:
+        """Whether a dialog, or a manual probe, has a person look or reach in."""
+        if self.printer.status("manual_probe").get("is_active"):
+            return True
+        extra = self.printer.status("extra_probe membrane")
+        shown = dialogs_of(self.printer.session.console)
+        return bool(extra.get("waits_for")) or any(d.is_open for d in shown)
+
+    def _stand_still(self) -> None:
+        machine, last = self.printer.machine, None
+        while last != machine.tip():
+            last = machine.tip()
+            self.printer.session.wait(0.5)
+
+
+def lowest(world: WorldSpec) -> float:
+    """The lowest Pose.z (mm) at which something stops a nozzle: bed or switch."""
+    bed = Bed(world.bed)
+    ends = (
+        (world.bed.x_min, world.bed.x_max),
+        (world.bed.y_min, world.bed.y_max),
+    )
+    corners = [bed.height(x, y) for x in ends[0] for y in ends[1]]
+    mesh = world.bed.mesh
+    dips = min([0.0, *(min(row) for row in mesh.heights)] if mesh else [0.0])
+    switches = [s.position for s in world.switches if s.axis == "z"]
+    pins = [world.pin.z - world.pin.pin_travel] if world.pin else []
+    return min([*(corner + dips for corner in corners), *switches, *pins])
