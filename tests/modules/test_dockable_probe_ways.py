@@ -18,7 +18,7 @@ from tools.kit.dockable_probe import (
     trips,
     where,
 )
-from tools.kit.docks import on_generic
+from tools.kit.docks import DOCK_SCENES, on_generic
 from tools.kit.printer import has_kinematics
 from tools.kit.z_calibration import with_moves
 
@@ -89,6 +89,28 @@ def test_probed_where_the_head_was(start, held, restore):
     assert last_touch(printer, "probe_bed") == pytest.approx(PROBED, abs=0.02)
     stays = held or restore == "True"
     assert at(printer) == pytest.approx(PROBED if stays else DETACH)
+
+
+# The docking of homing has left it beside the dock, straight behind which the bed is
+@pytest.mark.parametrize("command", ["BED_MESH_CALIBRATE", "Z_TILT_ADJUST"])
+def test_no_way_across_the_dock_where_docking_has_left_the_head(start, command):
+    scene = DOCK_SCENES["dock_frame"]
+    printer = started(start, scene, restore_toolhead="False").homed()
+    assert at(printer) == pytest.approx((2.0, 240.0))
+    printer.run(command)
+    assert trips(printer)[-2:] == ["attach", "dock"]
+    printer.machine.truth.require_no_crash()
+
+
+def test_nothing_is_touched_where_docking_has_left_the_head(start):
+    printer = started(start, SWITCH, restore_toolhead="False").homed()
+    printer.run("G1 X150 Y150 Z20 F6000\nPROBE")
+    touches = len(printer.machine.truth.touches)
+    text = printer.fail("PROBE")
+    assert "where the last docking has left it" in text
+    assert len(printer.machine.truth.touches) == touches
+    printer.run("G1 X150 Y150 F6000\nPROBE")
+    assert len(printer.machine.truth.touches) == touches + 1
 
 
 def test_homed_with_the_probe_where_the_head_was(start):

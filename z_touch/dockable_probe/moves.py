@@ -63,6 +63,8 @@ class Moves(object):
         self.lifted = 0.0
         # See note_bed()
         self.homed_z = None
+        # See stay()
+        self.stayed_at = None
         # How homing X and Y has come to where the head stands
         self.trace = Trace(host)
         register = host.printer.register_event_handler
@@ -133,6 +135,22 @@ class Moves(object):
     # Whether X and Y are there
     def is_at(self, position):
         return detour.distance(self.position(), position) < detour.ROUNDING
+
+    # Whether a docking without a way back has ended here
+    def is_left_beside(self):
+        settings = self.settings
+        if settings.restore_toolhead or not settings.is_placed:
+            return False
+        return self.is_at(settings.detach_position)
+
+    # 'is_wanted': the probe was fetched for a command that goes on from here
+    def stay(self, is_wanted):
+        stays = is_wanted and not self.is_left_beside()
+        self.stayed_at = self.position() if stays else None
+
+    # Whether nobody has moved the head since
+    def stays(self):
+        return self.stayed_at is not None and self.is_at(self.stayed_at)
 
     ######################################################################
     # Up and down

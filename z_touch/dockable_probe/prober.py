@@ -84,6 +84,7 @@ class Prober(object):
         self.delay.cancel()
         self.homing = FIRST if is_homing else None
         self.clear_z = 0.0
+        self.moves.stay(False)
         goal = self.moves.position()
         if is_homing and self.home_xy is not None:
             goal = goal._replace(x=self.home_xy[0], y=self.home_xy[1])
@@ -93,6 +94,10 @@ class Prober(object):
                 " be touched; move it away first, as MOVE_TO_APPROACH_PROBE"
                 " does" % goal[:2]
             )
+        if self.auto and not is_homing and self.moves.is_left_beside():
+            # Nobody wants to touch there, and from there the host would go on
+            # straight across the dock.
+            goal = None
         # Nobody knows how high the head is, so the way down has no end.
         is_only_stop = is_homing and self.homing_reach() is None
         if not self.auto:
@@ -102,7 +107,9 @@ class Prober(object):
             self.is_held = False
         if is_only_stop:
             self.docking.check_switch()
-        if not self.moves.is_at(goal):
+        if goal is None:
+            self.moves.stay(True)
+        elif not self.moves.is_at(goal):
             self.moves.go_back(goal, travel_height(self.settings))
 
     def _require_attached(self):
@@ -118,6 +125,11 @@ class Prober(object):
     # A probing move begins.  'pin' tells by itself whether the probe is there:
     # where it is lost, the move ends where it began.
     def before_move(self):
+        if self.moves.stays():
+            raise self.host.error(
+                "the head stands beside the dock, where the last docking has left"
+                " it; move it to where it is to touch"
+            )
         if not self.sensors.is_sensed():
             raise self._lost("is not ready")
         if self.sensors.proven != ATTACHED:
