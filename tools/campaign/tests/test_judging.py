@@ -241,6 +241,7 @@ def facts(**fields):
     }
     told = {"before": status, "after": status}
     told |= {"probes": frozenset({"docked"}), "membrane": False}
+    told["is_asked"] = False
     return Facts(**{**told, "touched": frozenset(), **fields})
 
 
@@ -250,6 +251,7 @@ NOBODY = {
     "extra_probe membrane": {"waits_for": "switch"},
     "z_calibration": {"last_result": {}},
 }
+ASKED = {"is_asked": True}
 ON_HEAD = {"probes": frozenset({"attached"})}
 
 
@@ -259,7 +261,7 @@ ON_HEAD = {"probes": frozenset({"attached"})}
         ("z_calibration: not homed: Z; home all axes (G28) first", NOBODY),
         ("Must home axis first: 1.0", NOBODY),
         ("auto_z_offset: a manual probe is under way; end it", NOBODY),
-        ("section 'extra_probe membrane' waits for an answer", NOBODY),
+        ("section 'extra_probe membrane' waits for an answer", ASKED),
         ("z_calibration: not calibrated yet; run it", NOBODY),
         ("the probe is ATTACHED, and so on", ON_HEAD),
         ("z_calibration: the probe is attached already, and", ON_HEAD),
@@ -267,7 +269,7 @@ ON_HEAD = {"probes": frozenset({"attached"})}
 )
 def test_refusal_is_true_or_not(refusal, is_so):
     assert claims.verdict(refusal, facts()) is False
-    there = is_so if is_so is ON_HEAD else {"before": is_so}
+    there = {"before": is_so} if is_so is NOBODY else is_so
     assert claims.verdict(refusal, facts(**there)) is True
 
 

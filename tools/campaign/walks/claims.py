@@ -18,6 +18,7 @@ class Facts:
 
     before, after: status of the printer's objects. probes: where the world had
     the probe; membrane: whether it lies there; touched: the sites touched.
+    is_asked: somebody is asked something.
     """
 
     before: Mapping[str, Any]
@@ -25,6 +26,7 @@ class Facts:
     probes: frozenset[str]
     membrane: bool
     touched: frozenset[str]
+    is_asked: bool
 
     def any(self, section: str, field: str, test: Callable[[Any], Any]) -> bool:
         """Whether a field was so, before or after."""
@@ -63,7 +65,7 @@ def _is_on_head(facts: Facts, *unused: str) -> bool:
 
 
 def _waits(facts: Facts, *unused: str) -> bool:
-    return facts.any("extra_probe membrane", "waits_for", bool)
+    return facts.is_asked
 
 
 def _waits_not(facts: Facts, *unused: str) -> bool:
@@ -102,6 +104,7 @@ CLAIMS: tuple[tuple[re.Pattern, Callable[..., bool]], ...] = tuple(
         (r"probe reads triggered", _is_off_head),
         (r"^extra_probe .*(?:No trigger on|did not answer)", _no_membrane),
         (r"^extra_probe .*(?:was not pressed|press it once)", _is_true),
+        (r"no set-up is under way|did not change; check", _is_true),
         (r"Unknown profile|Unknown g-code state|Move out of range", _is_true),
     )
 )

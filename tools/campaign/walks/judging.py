@@ -295,6 +295,7 @@ class Judge:
             after=self._status(),
             probes=self._probes(),
             membrane=self.printer.machine.world.membrane_is_laid,
+            is_asked=self.before.question or self._is_asked(),
             touched=frozenset(
                 touch.site
                 for touch in self.printer.machine.truth.touches[
