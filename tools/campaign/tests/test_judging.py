@@ -295,3 +295,38 @@ def test_dock_has_not_done_what_it_says():
 def test_status_of_a_run_that_was_refused():
     assert list(claims.untrue("CALIBRATE_Z", "no trigger", [], facts()))
     assert not list(claims.untrue("CALIBRATE_Z", "", [], facts()))
+
+
+@pytest.mark.parametrize(
+    ("reason", "touched", "is_so"),
+    [
+        ("Z was homed again", {"nozzle_pin"}, True),
+        ("Z was homed again", set(), False),
+        ("the Z motors were levelled", set(), False),
+        ("the G-code Z offset is 0.100, that of CALIBRATE_Z is 0", set(), True),
+        (
+            "the G-code Z offset is 0.200, that of CALIBRATE_Z is 0",
+            set(),
+            False,
+        ),
+    ],
+)
+def test_reason_is_true_or_not(reason, touched, is_so):
+    after = {
+        "z_calibration": {"reason": reason},
+        "gcode_move": {"homing_origin": [0.0, 0.0, 0.1]},
+    }
+    told = facts(after=after, touched=frozenset(touched))
+    found = list(claims.untrue("G28", "", [], told))
+    assert found == [] if is_so else found
+    assert not list(
+        claims.untrue("G28", "", [], facts(before=after, after=after))
+    )
+
+
+def test_far_frame_is_no_floor(judged, monkeypatch):
+    printer, judge = judged(MEMBRANE)
+    # As after homing beside the bed, without an end
+    monkeypatch.setattr(printer.session, "position", lambda: (0.0, 0.0, 340.0))
+    printer.machine.truth.lowest = -340.0
+    assert sort_of(judge, "gcode", "EXTRA_PROBE PROBE=membrane") == "too low"

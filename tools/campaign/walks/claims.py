@@ -136,6 +136,23 @@ def untrue(
     is_told = wanted and not refusal and isinstance(state, str)
     if is_told and not _is_at(facts, state):
         yield f"last_status is {state}, the probe {sorted(facts.probes)}"
+    yield from _reasons(facts)
     good = (facts.after.get("z_calibration") or {}).get("last_query")
     if command == "CALIBRATE_Z" and good is bool(refusal):
         yield f"last_query is {good} after {refusal or 'a good run'}"
+
+
+def _reasons(facts: Facts) -> Iterator[str]:
+    """Why a result is not valid, where that is another reason than before."""
+    before, after = (
+        (status.get("z_calibration") or {}).get("reason") or ""
+        for status in (facts.before, facts.after)
+    )
+    if after == before:
+        return
+    if re.search("Z was homed|levelled", after) and not facts.touched:
+        yield f"reason is {after!r}, and nothing was touched"
+    found = re.match(r"the G-code Z offset is (-?[\d.]+)", after)
+    z = facts.after["gcode_move"]["homing_origin"][2] if found else 0.0
+    if found and abs(float(found.group(1)) - z) > 0.0006:
+        yield f"reason is {after!r}, and it is {z:.6f}"

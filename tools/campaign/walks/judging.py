@@ -18,6 +18,8 @@ from tools.kit.printer import Printer
 
 # From where a trigger is expected to where a touch ends: docs/reliability.md (mm)
 MARGIN = 1.0
+# How much deeper than Z=0 the bed of a new printer may be expected (mm)
+WRONG_ZERO = 1.5
 # Of places that are the same (mm): half a step of both belts, and more
 PLACE = 0.1
 # Ours, which leave all as it was when they refuse
@@ -63,7 +65,9 @@ class Gone(NamedTuple):
 
     @property
     def command(self) -> str:
-        """The last one, without parameters."""
+        """The last one, without parameters; of two clients nobody knows it."""
+        if self.kind == "both":
+            return ""
         last = self.script.splitlines()[-1:] or [""]
         return (last[0].split() or [""])[0]
 
@@ -166,7 +170,9 @@ class Judge:
         tip = machine.tip()
         zero = tip.z - self.printer.session.position()[2]
         x, y = self.membrane
-        return MARGIN + PLACE + max(0.0, -machine.truth.true_gap(x, y, zero))
+        below = -machine.truth.true_gap(x, y, zero)
+        # A frame that is farther away is no owner's mistake
+        return MARGIN + PLACE + min(max(0.0, below), WRONG_ZERO)
 
     @property
     def membrane(self) -> tuple[float, float]:
@@ -179,7 +185,7 @@ class Judge:
         """Also where nothing is in the way."""
         truth = self.printer.machine.truth
         floor = self.lowest - MARGIN
-        if self.owned.has("extra_probe membrane"):
+        if "EXTRA_PROBE" in gone.script:
             floor -= self._deepest()
         if truth.lowest < floor:
             yield f"the nozzle was at {truth.lowest:.3f}, {floor:.3f} is low"

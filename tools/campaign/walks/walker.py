@@ -94,7 +94,8 @@ class Walker:
             self.step, self.script, self.refusal = f"{kind} {what!r}", "", ""
             self.say(f"--- step {number}, {self.step}")
             try:
-                self._do(kind, what)
+                if not self._do(kind, what):
+                    return
                 gone = Gone(kind, self.script, self.refusal, console[shown:])
                 self.judge.end(gone)
             except HarmError as error:
@@ -105,11 +106,18 @@ class Walker:
                     self.say(line)
             self._count(kind, what)
 
-    def _do(self, kind: str, what: Any) -> None:
+    def _do(self, kind: str, what: Any) -> bool:
+        """Whether klippy goes on."""
         try:
             self.does[kind](what)
         except SessionError as error:
-            raise HarmError("hang", str(error).splitlines()[0]) from error
+            text = str(error).splitlines()[0]
+            # Whoever accepts what he has not measured may save what Klipper refuses
+            if kind == "save" and text.startswith("error: "):
+                self.outcome.refused_at_start = text
+                return False
+            raise HarmError("hang", text) from error
+        return True
 
     def _count(self, kind: str, what: Any) -> None:
         if self.refusal:
