@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import json
 import math
 import re
 import statistics
@@ -11,8 +12,16 @@ from itertools import combinations
 import pytest
 
 from simprinter.world import TextureSpec
+from tests.unit.runs import make_runs
+from tools.kit.dockable_probe import SWITCH
+from tools.kit.docks import calibrating
 from tools.kit.scenes import SCENES
-from tools.kit.z_calibration import calibration, refusal, section
+from tools.kit.z_calibration import (
+    calibration,
+    refusal,
+    section,
+    with_moves,
+)
 
 MIDDLE = (152.0, 125.25)
 
@@ -107,6 +116,75 @@ def test_accuracy_asks_for_one_point(start):
     points = points_of(printer)
     assert len(points) >= 4
     assert points == [pytest.approx(MIDDLE, abs=0.06)] * len(points)
+
+
+def test_history_keeps_where_it_was(start):
+    printer = start(changes=section(bed_spread="3", samples="4")).homed()
+    printer.run("CALIBRATE_Z")
+    printer.session.wait(1.0)
+    folder = printer.session.data / "config" / "z_calibration"
+    (line,) = (folder / "history.jsonl").read_text().splitlines()
+    run = json.loads(line)
+    assert run["bed_spread"] == 3.0
+    assert "points" not in run["sites"]["switch"]
+    # Of the bed, where the plunger is: it hangs beside the nozzle
+    points = [(x + 2.0, y - 24.75) for x, y in run["sites"]["bed"]["points"]]
+    assert [pytest.approx(p, abs=0.06) for p in points] == points_of(printer)
+    printer.run("Z_CALIBRATION_REPORT")
+    printer.session.wait(2.0)
+    (report,) = folder.glob("report-*.svg")
+    assert "Where the bed was touched" in report.read_text()
+
+
+def test_history_of_one_point_says_nothing_of_many(start, tmp_path):
+    """Texture would be more than its touches vary, and the +- that of them."""
+    changes = section(bed_spread="3", samples="9", history=str(tmp_path))
+    worth = {}
+    for kind in ("one point", "no bed", "many"):
+        spread = 3.0 if kind == "many" else 0.0
+        runs = make_runs(20, noise=0.001, touches=9, bed_spread=spread)
+        for run in runs if kind == "no bed" else ():
+            del run["sites"]["bed"]
+            run["ok"] = False
+        lines = [json.dumps(run) + "\n" for run in runs]
+        (tmp_path / "history.jsonl").write_text("".join(lines))
+        printer = start(rough(1), changes=changes).homed()
+        printer.run("CALIBRATE_Z")
+        worth[kind] = printer.status("z_calibration")["uncertainty"]
+    assert worth["one point"] == worth["no bed"]
+    assert worth["many"] != pytest.approx(worth["no bed"], rel=0.1)
+
+
+@pytest.mark.every_host
+def test_dock_beside_the_points_is_gone_around(start):
+    """Where the straight way from one to the next crosses its circle."""
+    dock, away, middle = (50.0, 296.0), 38.0, (50.0, 255.0)
+    scene = calibrating(SWITCH)
+    scene = scene.with_world(dock=replace(scene.world.dock, y=dock[1]))
+    changes = {
+        "moves": {},
+        **section(bed_spread="20", samples="10", bed_xy_position="48, 279.75"),
+        "dockable_probe": {
+            "dock_position": "50, 296",
+            "approach_position": "50, 258",
+            "detach_position": "90, 296",
+            "safe_dock_distance": "38",
+        },
+    }
+    printer = start(scene, changes, modules=with_moves()).homed()
+    before = len(printer.status("moves")["ends"])
+    printer.run("CALIBRATE_Z")
+    assert len(points_of(printer)) == 10
+    ends = [end[:2] for end in printer.status("moves")["ends"][before:]]
+    ends = [end for end in ends if math.dist(end, middle) < 25.0]
+    places = [
+        [a[i] + (b[i] - a[i]) * part / 50.0 for i in (0, 1)]
+        for a, b in zip(ends, ends[1:])
+        if min(math.dist(end, dock) for end in (a, b)) > away - 0.01
+        for part in range(51)
+    ]
+    assert len(places) > 300
+    assert min(math.dist(place, dock) for place in places) > away - 0.1
 
 
 IN = "in section 'z_calibration'"

@@ -82,6 +82,11 @@ def test_line_cut_by_a_power_loss_costs_itself_only(file):
         b'{"ok": false, "time": 1, "sites": {"pin": {}}}',
         b'{"ok": false, "time": 1, "sites": {"nozzle": {"z": 1, "sd": 0,'
         b' "n": 2, "samples": ["a"]}}}',
+        b'{"ok": false, "time": 1, "sites": {"bed": {"z": 1, "sd": 0, "n": 2,'
+        b' "samples": [1], "points": [[1]]}}}',
+        b'{"ok": false, "time": 1, "sites": {"bed": {"z": 1, "sd": 0, "n": 2,'
+        b' "samples": [1], "points": 1}}}',
+        b'{"ok": false, "time": 1, "sites": {}, "bed_spread": "wide"}',
         b'{"ok": false, "time": 1, "sites": []}',
         b'{"ok": false, "time": 1, "sites": {}, "temperatures": [1]}',
         b'{"ok": false, "time": 1, "sites": {}, "temperatures": {"a": "b"}}',
@@ -522,6 +527,30 @@ def test_no_folder_to_write_to_is_told_once(tmp_path, is_file):
     assert "history: none" in owner.told[0]
     # What was measured counts nevertheless
     assert owner.history.status["runs"] == 3
+
+
+def test_bed_of_another_bed_spread_says_nothing():
+    """Of its touches; those of nozzle and switch are the same."""
+    runs = make_runs(3) + make_runs(4, bed_spread=3.0)
+    known = {
+        (site, spread): sum(
+            s.dof > 0 for s in history.spreads_in(runs, site, spread)
+        )
+        for site in history.SITES
+        for spread in (0.0, 3.0, 5.0)
+    }
+    assert [known["bed", spread] for spread in (0.0, 3.0, 5.0)] == [3, 4, 0]
+    assert {known["nozzle", 5.0], known["switch", 0.0]} == {7}
+
+
+def test_status_has_the_spread_of_the_bed_spread_of_now(file):
+    owner = Owner(file).begin()
+    owner.add(*make_runs(5, touches=9))
+    owner.add(*make_runs(5, touches=9, bed_spread=3.0, worn={"bed": 0.02}))
+    spread = owner.history.status["spread"]
+    assert spread["bed"] > 3 * spread["nozzle"]
+    owner.add(*make_runs(1, touches=9))
+    assert owner.history.status["spread"]["bed"] < 2 * spread["nozzle"]
 
 
 def test_damaged_lines_are_told(file):

@@ -146,6 +146,57 @@ def test_touches_of_the_last_run_and_which_count():
     assert report.counted([1, 2, 3, 2], [3, 2]) == [False, False, True, True]
 
 
+def spread_out(points, offs, spread=3.0):
+    """A run whose bed was touched there, so many um off its height."""
+    run = make_run(random.Random(1), bed_spread=spread)
+    touches = [7.0 + off / 1000.0 for off in offs]
+    run["sites"]["bed"] = {
+        **history.site_record(touches, 7.0, 0.0025, points=points),
+        "sd": 0.015,
+    }
+    return run
+
+
+def test_points_of_the_bed():
+    points = [(150.0, 125.0), (152.0, 125.0), (150.0, 128.0), (153.0, 129.0)]
+    run = spread_out(points, [8.0, -8.0, 2.0, 0.0])
+    texts, root = drawn([*make_runs(5), run])
+    assert "the largest circle: by 8.0 \u00b5m" in texts
+    ends = ["X 149.0", "X 154.0", "Y 124.5", "Y 129.5"]
+    assert [t for t in texts if re.match(r"[XY] \d", t)] == ends
+    high, low = (
+        [c for c in root.iter(f"{SVG}circle") if c.get("class") == name]
+        for name in ("f-c", "s-c")
+    )
+    radii = [float(c.get("r")) for c in high], [float(c.get("r")) for c in low]
+    assert radii == ([8.0, 4.0], [8.0, 0.0])
+    (x, y), (_, above), (right, same) = (
+        (float(c.get("cx")), float(c.get("cy"))) for c in (*high, low[0])
+    )
+    # Y of the bed goes up, and the plan is as high as it is wide
+    assert (same, x < right) == (y, True)
+    assert (y - above) / 3.0 == pytest.approx((right - x) / 2.0, abs=0.1)
+    assert_texts_apart(root)
+
+
+def test_usual_spread_is_that_of_the_same_bed_spread():
+    smooth = make_runs(9, touches=5)
+    rough = make_runs(9, touches=5, bed_spread=3.0, worn={"bed": 0.02})
+    usual = [
+        report.usual_spread([*rough, *smooth], "bed", spread)
+        for spread in (0.0, 3.0)
+    ]
+    assert usual[0] < 15.0 < 25.0 < usual[1]
+    # Which one is drawn is that of the last run
+    _, root = drawn([*rough, *smooth, spread_out([(1, 2)] * 2, [20.0, -20.0])])
+    heights = [
+        float(r.get("height"))
+        for r in root.iter(f"{SVG}rect")
+        if r.get("fill-opacity") == "0.15"
+    ]
+    assert heights[2] > 3 * heights[0]
+
+
 def test_sites_that_were_not_reached():
     texts, _ = drawn([*make_runs(3), refused("bed: no trigger")])
     assert texts.count("not measured") == 1
@@ -244,6 +295,9 @@ def test_samples_of_the_last_accuracy_run():
         make_runs(3, warnings=3, wear=[[]], cleaned=5, revision=3, printer=""),
         make_runs(3, changed=["x", {"by": "x", "runs": []}, {}]),
         [*make_runs(2, plate=5), *make_runs(2, plate=[])],
+        make_runs(2, bed_spread=1e11),
+        [spread_out([(1.0, 2.0)], [3.0, 4.0])],
+        [spread_out([(5, 5)] * 2, [0.0, 0.0], spread=None)],
         make_runs(2, offset=1e11),
         make_runs(2, offset=-1e-12),
     ],

@@ -401,3 +401,42 @@ def test_statistic_of_mann_and_kendall():
     assert trend.kendall([1, 1, 2, 2]) == pytest.approx(
         4 / ((4 * 3 * 13 - 2 * 2 * 9) / 18) ** 0.5
     )
+
+
+# Of a textured plate: one point of it, or many
+
+
+def rough(draw, number, first, spread=3.0):
+    """From a run on its touches are spread over it."""
+    if number < first:
+        return make_run(draw, time=1.7e9 + 9e4 * number)
+    options = {"bed_spread": spread} if spread else {}
+    return make_run(
+        draw,
+        time=1.7e9 + 9e4 * number,
+        worn={"bed": 0.015},
+        moved={"bed": 0.03},
+        touches=6,
+        **options,
+    )
+
+
+@pytest.mark.parametrize(("spread", "is_told"), [(3.0, False), (0.0, True)])
+def test_bed_spread_is_neither_wear_nor_a_step(spread, is_told):
+    """Told is what looks the same without it, or the test would prove nothing."""
+    runs, told, draw = [], [], random.Random(5)
+    for number in range(80):
+        run = rough(draw, number, 30, spread)
+        found = trend.find([*runs, run])
+        run.update(wear=found.wear, changed=found.changed)
+        runs.append(run)
+        told += found.texts
+    assert bool(told) is is_told, told
+    assert any("probe - switch" in text for text in told) is is_told
+
+
+def test_runs_before_there_was_such_an_option_are_those_without():
+    old = make_run(random.Random(1))
+    assert trend.is_like({**old, "bed_spread": 0.0}, old)
+    assert not trend.is_like({**old, "bed_spread": 3.0}, old)
+    assert not trend.is_like({**old, "bed_spread": 3.0}, {"bed_spread": 4.0})

@@ -1,6 +1,6 @@
 """How exact and how quick CALIBRATE_Z is with samples: auto.
 
-    python -m tools.bench.automatic [--seeds N] [--host NAME]
+    python -m tools.bench.automatic [--seeds N] [--host NAME] [--case NAME]
 
 Each seed is another printer of the voron scene, as in tools/bench/errors.py,
 at the speeds of make bench, with a history of ten runs at the noise of its
@@ -243,12 +243,14 @@ def main(words: Sequence[str]) -> int:
     parser = argparse.ArgumentParser(prog="python -m tools.bench.automatic")
     parser.add_argument("--seeds", type=int, default=50)
     parser.add_argument("--host", default="", help="part of its name")
+    parser.add_argument("--case", default="", help="part of its name")
     given = parser.parse_args(words)
     (host, *_) = [h for h in reversed(find_hosts()) if given.host in h.name]
+    cases = [case for case in CASES if given.case in case.name]
     tell(f"{host.name}, {given.seeds} printers, um and seconds")
     is_kept = True
     with ProcessPoolExecutor(2) as pool:
-        for case in CASES:
+        for case in cases:
             work = partial(run_trial, host, case)
             for row in rows(case, list(pool.map(work, range(given.seeds)))):
                 tell(row)

@@ -67,6 +67,8 @@ class GuidedHead(object):
         settings = settings._replace(
             probing_speed=min(settings.probing_speed, 2.0 * SLOW_SPEED),
             probing_first_fast=False,
+            # Texture would look like a switch that varies
+            bed_spread=0.0,
         )
         speed = pin.speed
         return with_counts(settings, slow(pin, speed), slow(probe, speed))

@@ -65,11 +65,12 @@ def pause():
 ######################################################################
 
 # A run is a dict: 'format', 'ok', 'printer' (the path of its printer.cfg), 'plate'
-# (as in the command, ""), 'reason', 'sites' by name with 'z', 'sd', 'n' and
-# 'samples' (mm), 'temperatures' (C), 'wear' and 'changed', see trend.py, 'time' (s
-# since 1970; in the file it may be missing, read() makes 0 of that), and, of a good
-# one, 'offset', 'uncertainty' and 'switch_offset' (mm).  One of
-# CALIBRATE_Z_ACCURACY has 'cycles', too.
+# (as in the command, ""), 'bed_spread' (mm), 'reason', 'sites' by name with 'z', 'sd',
+# 'n', 'samples' (mm) and, of the bed with bed_spread, 'points' (X and Y of each
+# touch, mm), 'temperatures' (C), 'wear' and 'changed', see trend.py, 'time' (s since
+# 1970; in the file it may be missing, read() makes 0 of that), and, of a good one,
+# 'offset', 'uncertainty' and 'switch_offset' (mm).  One of CALIBRATE_Z_ACCURACY has
+# 'cycles', too.
 
 
 # Of letters: Python 2.7 has another type for these than for bytes
@@ -145,7 +146,8 @@ def has_names(record):
     if not is_number(record.setdefault("time", 0.0)):
         return False
     names = [name for name in ("printer", "plate") if name in record]
-    return all(isinstance(record[name], TEXT) for name in names)
+    is_text = all(isinstance(record[name], TEXT) for name in names)
+    return is_text and is_number(record.get("bed_spread", 0.0))
 
 
 # What was told with the run
@@ -170,7 +172,14 @@ def is_site(site):
         return False
     if not are_numbers(site.get("touches", [])):
         return False
+    points = site.get("points", [])
+    if not isinstance(points, list) or not all(map(is_point, points)):
+        return False
     return is_number(site.get("sd")) and is_number(site.get("n"))
+
+
+def is_point(point):
+    return are_numbers(point) and len(point) == 2
 
 
 def are_cycles(cycles):
@@ -181,8 +190,9 @@ def are_cycles(cycles):
 
 
 # What a record has of a site: its height (mm), the samples that count, all touches
-# where some were rejected, and how these vary, as far as they are noise.
-def site_record(samples, z, step, touches=None, earlier=UNKNOWN):
+# where some were rejected, how these vary, as far as they are noise, and where they
+# were (X and Y, mm) where that was not one point.
+def site_record(samples, z, step, touches=None, earlier=UNKNOWN, points=()):
     touches = touches or samples
     middle = summarize(touches, "median")
     near = [z for z in touches if abs(z - middle) <= NO_NOISE]
@@ -196,14 +206,21 @@ def site_record(samples, z, step, touches=None, earlier=UNKNOWN):
     }
     if len(touches) > len(samples):
         record["touches"] = [round(touch, 6) for touch in touches]
+    if points:
+        record["points"] = [[round(xy, 2) for xy in point] for point in points]
     return record
 
 
 # The Spread of one touch at a site in each of the latest runs, refused ones, too:
-# without what made them refused the others look better than they are.
-def spreads_in(runs, site):
-    measured = [run["sites"].get(site) for run in runs[-RECENT:]]
-    return [trend.spread_in(s) if s else UNKNOWN for s in measured]
+# without what made them refused the others look better than they are.  The bed's is
+# UNKNOWN in those with another bed_spread (mm).
+def spreads_in(runs, site, bed_spread=0.0):
+    def spread(run):
+        record = run["sites"].get(site)
+        is_other = site == "bed" and trend.bed_spread(run) != bed_spread
+        return UNKNOWN if is_other or not record else trend.spread_in(record)
+
+    return [spread(run) for run in runs[-RECENT:]]
 
 
 ######################################################################
@@ -505,13 +522,17 @@ class History(object):
         for text in texts:
             self.say(text)
 
-    # Of each site the Spread of one touch in each of the last runs
-    def spreads(self):
-        return dict((site, spreads_in(self.runs, site)) for site in SITES)
+    # Of each site the Spread of one touch in each of the last runs; 'bed_spread' (mm)
+    # is that of the run that asks
+    def spreads(self, bed_spread=0.0):
+        return dict(
+            (site, spreads_in(self.runs, site, bed_spread)) for site in SITES
+        )
 
     def _show(self):
+        radius = trend.bed_spread(self.runs[-1]) if self.runs else 0.0
         spreads = dict(
-            (site, pool(runs)) for site, runs in self.spreads().items()
+            (site, pool(runs)) for site, runs in self.spreads(radius).items()
         )
         names = ("time", "ok", "offset", "uncertainty", "reason")
         self.status = {

@@ -49,8 +49,8 @@ class Recorder(object):
             self.say,
         )
         self.plan = None
-        # PLATE of the command
-        self.plate = ""
+        # Of the section (mm), and PLATE of the command
+        self.bed_spread, self.plate = 0.0, ""
         self.began = 0.0
         self.cleaned = ""
         register = self.printer.register_event_handler
@@ -68,13 +68,15 @@ class Recorder(object):
     def say(self, text):
         self.host.gcode.respond_info("%s: %s" % (self.host.section, text))
 
-    # What a run knows of its sites.  'counting': adaptive.FixedCount or Automatic
-    def make_plan(self, counting):
-        spreads = self.history.spreads()
+    # What a run knows of its sites.  'counting': adaptive.FixedCount or Automatic;
+    # 'bed_spread' as in the section (mm)
+    def make_plan(self, counting, bed_spread=0.0):
+        spreads = self.history.spreads(bed_spread)
         return adaptive.Plan(z_step(self.host), spreads, counting)
 
-    def begin(self, counting, plate=""):
-        self.plan = self.make_plan(counting)
+    def begin(self, counting, bed_spread=0.0, plate=""):
+        self.bed_spread = bed_spread
+        self.plan = self.make_plan(counting, bed_spread)
         self.plate = as_text(plate)
         self.began = self.host.eventtime()
         self.cleaned = ""
@@ -82,7 +84,7 @@ class Recorder(object):
 
     # All is measured once more, after the nozzle was found dirty
     def begin_again(self):
-        self.plan = self.make_plan(self.plan.counting)
+        self.plan = self.make_plan(self.plan.counting, self.bed_spread)
         return self.plan
 
     def note_cleaning(self, why):
@@ -156,6 +158,7 @@ class Recorder(object):
         return {
             "time": round(time.time(), 1) if self.keeps_times else 0.0,
             "plate": self.plate,
+            "bed_spread": self.bed_spread,
             "revision": self.version,
             "duration": round(eventtime - self.began, 2),
             "temperatures": self.temperatures(eventtime),
@@ -171,7 +174,8 @@ class Recorder(object):
         if site in plan.estimates:
             samples, z = plan.samples[site], plan.estimates[site].z
         earlier = plan.earlier_at(site)
-        return site_record(samples, z, plan.step, touches, earlier)
+        points = plan.points if site == "bed" else []
+        return site_record(samples, z, plan.step, touches, earlier, points)
 
     # By the names of HEATERS (C)
     def temperatures(self, eventtime):

@@ -44,6 +44,9 @@ LINES, TEXTS = 4, 4
 # What a plot spans at least: less is noise of a good printer.  mm, um, um, C
 LEAST_HEIGHT, LEAST_SPREAD, LEAST_OFF, LEAST_HEAT = 0.04, 10.0, 10.0, 20.0
 
+# The largest circle around a touch of the bed, in units of the picture
+LARGEST_CIRCLE = 8.0
+
 # Micrometres, on Python 2.7, too
 UM = b"\xc2\xb5m".decode("utf-8")
 
@@ -124,7 +127,8 @@ def draw_last(page, runs):
     )
     page.y += 12
     wide = (WIDTH - RIGHT - LEFT + 48) / 3.0
-    usual = [usual_spread(runs[:-1], site) for site in SITES]
+    radius = trend.bed_spread(last)
+    usual = [usual_spread(runs[:-1], site, radius) for site in SITES]
     offs = [offsets_of(last["sites"].get(site)) for site in SITES]
     # The same for all of them
     end = 1.08 * max([LEAST_OFF] + usual + [abs(v) for o in offs for v in o])
@@ -140,11 +144,40 @@ def draw_last(page, runs):
         else:
             plot.below("not measured")
     page.y += drawing.TITLE + drawing.PLOT + BELOW
+    draw_points(page, last["sites"].get("bed"), offs[-1], box)
 
 
-# 1.96 standard deviations of a touch in earlier runs (um), 0: nobody knows
-def usual_spread(earlier, site):
-    pooled = pool(spreads_in(earlier, site))
+# With bed_spread: where each touch of the bed was, and how high (um about the height
+# that counts).  'box': left and right end
+def draw_points(page, record, offs, box):
+    points = (record or {}).get("points", [])
+    if not points or len(points) != len(offs):
+        return
+    page.y += GAP
+    plan, most = drawing.Plan(page, points, box), max(map(abs, offs)) or 1.0
+    plan.frame()
+    radii = [LARGEST_CIRCLE * math.sqrt(abs(v) / most) for v in offs]
+    for is_high, attributes in (
+        (True, drawing.fill("c")),
+        (False, drawing.stroke("c", 1.5)),
+    ):
+        chosen = [i for i, v in enumerate(offs) if (v > 0) == is_high]
+        plan.circles(
+            [points[i] for i in chosen], [radii[i] for i in chosen], attributes
+        )
+    text = "Where the bed was touched (mm), which is as rough as that:"
+    page.line(text)
+    page.line(
+        "full: higher than the height that counts; hollow: lower;", "soft"
+    )
+    page.line("the largest circle: by %.1f %s" % (most, UM), "soft")
+    page.y = plan.top + plan.side + BELOW
+
+
+# 1.96 standard deviations of a touch in earlier runs with that bed_spread (mm), in
+# um; 0: nobody knows
+def usual_spread(earlier, site, bed_spread):
+    pooled = pool(spreads_in(earlier, site, bed_spread))
     return 1960.0 * math.sqrt(pooled.variance) if pooled.dof else 0.0
 
 

@@ -330,3 +330,46 @@ class Plot(object):
 
 
 SMALL = 'font-size="11" font-weight="600"'
+
+
+# A plan of the bed from above, as high as it is wide.  'points': X and Y (mm);
+# 'box': its left and right end.
+class Plan(object):
+    def __init__(self, page, points, box):
+        self.page = page
+        self.left, self.right = box
+        self.top, self.side = page.y, box[1] - box[0]
+        ends = [(min(part), max(part)) for part in zip(*points)]
+        self.middle = [(low + high) / 2.0 for low, high in ends]
+        self.span = max([high - low for low, high in ends] + [1.0]) * 1.25
+
+    # In units of the picture; Y of the bed goes up
+    def place(self, point):
+        x, y = [
+            (xy - middle) / self.span + 0.5
+            for xy, middle in zip(point, self.middle)
+        ]
+        return self.left + x * self.side, self.top + (1.0 - y) * self.side
+
+    # With the ends of X and Y
+    def frame(self):
+        page, half, bottom = self.page, self.span / 2.0, self.top + self.side
+        (x, y), digits = self.middle, 1
+        box = (self.left, self.top, self.side, self.side, stroke("grid"))
+        rect = '<rect x="%.1f" y="%.1f" width="%.1f" height="%.1f" %s/>'
+        page.add(rect % box)
+        for end, value, more in (
+            (self.left, x - half, ""),
+            (self.right, x + half, END),
+        ):
+            text = "X %.*f" % (digits, value)
+            page.text(end, bottom + 16, text, "soft", more)
+        for end, value in ((bottom, y - half), (self.top + 12, y + half)):
+            text = "Y %.*f" % (digits, value)
+            page.text(self.left - 6, end, text, "soft", END)
+
+    # Circles around points, full or not
+    def circles(self, points, radii, attributes):
+        for point, radius in zip(points, radii):
+            circle = self.place(point) + (radius, attributes)
+            self.page.add('<circle cx="%.1f" cy="%.1f" r="%.1f" %s/>' % circle)

@@ -236,7 +236,16 @@ def is_as_hot(run, other):
     return True
 
 
+# Within how far (mm) of its point the bed was touched; before there was such an
+# option it was touched there
+def bed_spread(run):
+    return run.get("bed_spread") or 0.0
+
+
+# One point of a textured plate is another height than many, and another spread
 def is_like(run, other):
+    if bed_spread(run) != bed_spread(other):
+        return False
     plates = [r.get("plate") or "" for r in (run, other)]
     return plates[0] == plates[1] and is_as_hot(run, other)
 

@@ -334,6 +334,8 @@ class Plan(object):
         self.touches = {}
         self.samples = {}
         self.estimates = {}
+        # X and Y (mm) of each touch of the bed, with bed_spread
+        self.points = []
         self.differed = False
 
     # Spread of one touch at a site in earlier runs

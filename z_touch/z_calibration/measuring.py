@@ -16,9 +16,9 @@ from __future__ import absolute_import
 import functools
 
 from ..core import carrying, errors, touching
+from ..core.spread import spread_site, spread_tolerance
 from . import pace
 from .heights import FREE_PLUNGER, HOME_AGAIN, below_margins
-from .sites import spread_point
 
 # What to do about samples that differ
 DIFFER = "clean the nozzle and check the switch for play"
@@ -28,10 +28,6 @@ TOO_LOW = (
     "correct switch_offset, which is larger than any switch has it, or"
     " position_max of the Z axis"
 )
-
-# By how much (mm) points of a textured plate may differ, besides samples_tolerance,
-# which is for one point: RatOS's page on Beacon's true zero has up to 0.1 mm.
-TEXTURE = 0.1
 
 # Lift (mm) before the free plunger is moved over the plate
 CLEAR_OF_PLATE = FREE_PLUNGER + 0.5
@@ -154,7 +150,7 @@ class Measurement(object):
         self.report("touched at z=%.6f%s" % (z, self.place()))
         return z
 
-    # Where that was, in words; empty: where the head always is
+    # Where that was, in words; empty: where all touches are
     def place(self):
         return ""
 
@@ -318,28 +314,32 @@ class BedMeasurement(Measurement):
     def __init__(self, calibration, site, sampling):
         self.spread = calibration.settings.bed_spread
         self.middle = site
-        if self.spread:
-            sampling = sampling._replace(tolerance=sampling.tolerance + TEXTURE)
-            x, y = spread_point(site, self.spread, 0)
-            site = site._replace(x=x, y=y)
+        tolerance = spread_tolerance(sampling.tolerance, self.spread)
+        sampling = sampling._replace(tolerance=tolerance)
+        site = spread_site(site, self.spread, 0)
         Measurement.__init__(self, calibration, site, sampling)
 
-    # X and Y of the bed
+    # X and Y of the bed; the plan keeps them, too
     def place(self):
         if not self.spread:
             return ""
         x, y = self.host.toolhead.get_position()[:2]
         x_offset, y_offset = self.host.probing.offsets()[:2]
-        return " at %.2f, %.2f" % (x + x_offset, y + y_offset)
+        point = (x + x_offset, y + y_offset)
+        self.plan.points.append(point)
+        return " at %.2f, %.2f" % point
 
-    # High enough to move on to the next point
+    # High enough to move on to the next point, around a dock that is so near
     def retract(self):
         pressed_z = self.head.pressed_z
-        Measurement.retract(self)
-        if self.spread and pressed_z is not None:
-            self.head.lift(pressed_z + CLEAR_OF_PLATE)
-            x, y = spread_point(self.middle, self.spread, self.taken)
-            touching.move_xy(self.host, x, y, self.settings.speed)
+        if not self.spread or pressed_z is None:
+            Measurement.retract(self)
+            return
+        lift = max(self.sampling.retract_dist, CLEAR_OF_PLATE)
+        self.head.lift(pressed_z + lift)
+        site = spread_site(self.middle, self.spread, self.taken)
+        everything = carrying.of(self.host.printer)
+        everything.go_to(self.host, site.x, site.y, self.settings.speed)
 
     def touch_site(self, travel_z, floor):
         self.arrive(travel_z)

@@ -203,7 +203,9 @@ class ZCalibration(object):
         for name in idle_params(gcmd, settings):
             text = "%s is ignored with 'samples: auto'"
             self.runner.watch.say(text % (name,))
-        plan = self.recorder.begin(settings.counting, param_plate(gcmd))
+        plan = self.recorder.begin(
+            settings.counting, settings.bed_spread, param_plate(gcmd)
+        )
         impossible = settings.counting.impossible(plan.step)
         if impossible and settings.counting is not self.settings.counting:
             # By SAMPLES=auto: nothing was said of it at start

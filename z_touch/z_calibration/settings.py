@@ -10,6 +10,7 @@ from __future__ import absolute_import
 from ..core import options, touching
 from ..core.errors import CalibrationError
 from ..core.options import option
+from ..core.spread import LARGEST_SPREAD
 from ..core.templates import GCODE
 from ..uncertainty import adaptive
 from . import heights, hooks
@@ -38,9 +39,6 @@ TARGET_UNCERTAINTY = 0.008
 
 # The same with bed_spread: what six touches of a rough plate are worth
 ROUGH_TARGET = 0.014
-
-# From here on (mm) bed_spread measures how the bed is bent, not its texture
-LARGEST_SPREAD = 20.0
 
 # Beside printer.cfg
 FOLDER = "z_calibration"

@@ -17,6 +17,7 @@ import math
 
 from ..core import options, touching
 from ..core.errors import CalibrationError
+from ..core.spread import check_spread
 
 # A distance (mm) between nozzle and switch that no print head has: the
 # option holds a position instead of an offset.
@@ -25,11 +26,6 @@ LARGEST_SWITCH_DISTANCE = 100.0
 # Nearer (mm) to where its body is on the Z endstop the probe cannot touch the
 # bed: half the length of a usual micro switch.
 SWITCH_NEAR = 7.0
-
-# Points of bed_spread from its middle to its edge; the golden angle keeps any
-# number of them apart (Vogel, Mathematical Biosciences 44, 1979).
-SPREAD_POINTS = 10
-GOLDEN_ANGLE = math.pi * (3.0 - math.sqrt(5.0))
 
 # Where else than in <name>_xy_position a site can be set
 ELSEWHERE = {
@@ -40,15 +36,6 @@ ELSEWHERE = {
 
 # The sites of one run: touching.Site
 Sites = collections.namedtuple("Sites", "nozzle switch bed")
-
-
-# X, Y (mm) of the touch of that number, from 0, within a radius around a site.
-# After the last point it begins in the middle again, between the points before.
-def spread_point(site, radius, number):
-    part = (number % SPREAD_POINTS + 0.5) / SPREAD_POINTS
-    distance, angle = radius * math.sqrt(part), number * GOLDEN_ANGLE
-    x, y = distance * math.cos(angle), distance * math.sin(angle)
-    return site.x + x, site.y + y
 
 
 # What the user is told where nothing says where a site is
@@ -182,20 +169,8 @@ class SiteFinder(object):
         shift = ", the probe's offset included" if site.name == "bed" else ""
         touching.check_reach(self.host, site, remedy, shift)
         if site.name == "bed":
-            self.check_spread(site)
-
-    # All points around it as well
-    def check_spread(self, site):
-        spread = self.settings.bed_spread
-        origin = "Option 'bed_spread: %g' in section 'z_calibration'"
-        remedy = "choose a smaller one, or another bed_xy_position"
-        for x, y in ((-1, 0), (1, 0), (0, -1), (0, 1)):
-            edge = site._replace(
-                x=site.x + x * spread,
-                y=site.y + y * spread,
-                origin=origin % (spread,),
-            )
-            touching.check_reach(self.host, edge, remedy)
+            radius = self.settings.bed_spread
+            check_spread(self.host, site, radius, "z_calibration")
 
     # The head is also moved aside there, with wiggle_xy_offsets
     def check_nozzle(self, site):
