@@ -15,6 +15,7 @@ from tools.kit.extra_probe import (
 )
 from tools.kit.klipper_sections import bed_mesh, profile
 from tools.kit.printer import module_files
+from tools.kit.z_calibration import refusal
 
 LOAD = "BED_MESH_PROFILE LOAD=default"
 TAKEN_OFF = "where the switch lay, taken off: the offset is"
@@ -146,3 +147,13 @@ def test_what_nobody_knows_is_told_and_stays(start, tmp_path):
     (line,) = told(calibrate(printer))
     assert "another feature shifts Z by 0.120 mm there: not taken off" in line
     assert true_gap(printer) == pytest.approx(0.12, abs=2 * MICROSTEP)
+
+
+# A textured plate
+
+
+@pytest.mark.parametrize("scene", ["membrane", "membrane_and_probe"])
+def test_bed_spread_is_refused_with_the_reason(host, scene):
+    text = refusal(host, {NAME: {"bed_spread": "3"}}, scene)
+    assert "Option 'bed_spread' in section 'extra_probe" in text
+    assert "covers texture; remove it" in text

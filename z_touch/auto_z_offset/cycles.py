@@ -4,6 +4,7 @@ from __future__ import absolute_import
 
 from ..core import errors
 from ..core.sampling import collect, summarize
+from ..core.spread import spread_tolerance
 from .heights import check_correction, without_outliers
 from .measuring import DIFFER
 from .sites import probe_site
@@ -32,16 +33,21 @@ class Cycles(object):
 
     # Returns the Results that count, and the correction (mm).
     def measure(self):
-        sampling = self.settings.sampling
         corrections = self.collect()
-        counted = without_outliers(corrections, sampling.tolerance)
-        z = summarize(counted, sampling.result)
+        counted = without_outliers(corrections, self.noise())
+        z = summarize(counted, self.settings.sampling.result)
         check_correction(z)
         return tuple(self.results[-len(corrections) :]), z
 
+    # How far (mm) corrections may be apart that are all as good
+    def noise(self):
+        settings = self.settings
+        tolerance = settings.sampling.tolerance
+        return spread_tolerance(tolerance, settings.bed_spread)
+
     # One cycle; returns its correction.
     def take(self):
-        result = self.run.measure(self.bed, probe_site(self.host, self.bed))
+        result = self.run.measure(probe_site(self.host, self.bed))
         stale = self.expectations.why_stale(result)
         if stale and self.host.homes_with_probe():
             raise errors.CalibrationError(stale)
@@ -54,19 +60,21 @@ class Cycles(object):
     # The corrections of the series that agrees
     def collect(self):
         option = "cycles_tolerance"
-        tolerance = self.settings.cycles_tolerance
-        touches = self.settings.sampling
-        cycles = touches._replace(
-            samples=self.settings.offset_samples, tolerance=tolerance
+        settings = self.settings
+        tolerance = spread_tolerance(
+            settings.cycles_tolerance, settings.bed_spread
+        )
+        cycles = settings.sampling._replace(
+            samples=settings.offset_samples, tolerance=tolerance
         )
         with errors.about("cycles", only=errors.SamplesDiffer):
             corrections = collect(self.take, cycles, self.say, DIFFER, option)
         spread = max(corrections) - min(corrections)
-        if spread > touches.tolerance:
+        if spread > self.noise():
             self.say(
                 "they differ by %.4f mm, and the touches of one by %.4f at"
                 " most: what is farther from the median is left out; %s"
-                % (spread, touches.tolerance, DIFFER)
+                % (spread, self.noise(), DIFFER)
             )
         return corrections
 

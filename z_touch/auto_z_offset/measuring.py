@@ -7,10 +7,14 @@ import functools
 
 from ..core import carrying, errors, running, templates, touching, z_pin
 from ..core.sampling import collect, summarize
+from ..core.spread import spread_site, spread_tolerance
 from . import heights, motors
 
 # Above this distance (mm) a way down is quick, but ready to stop.
 FAR = 5.0
+
+# Lift (mm) before the nozzle moves on over a textured plate
+CLEAR_OF_PLATE = 1.0
 
 # A sensor that still reads triggered after lifting is asked again then (s).
 SECOND_LOOK = 0.3
@@ -61,23 +65,50 @@ class BedSensor(object):
             )
 
 
-# The nozzle on the bed, where the head is.
+# Where the nozzle touches: at one site or, with a radius (mm), each time at another
+# point around it.
+class Points(object):
+    def __init__(self, site, radius=0.0):
+        self.site = site
+        self.radius = radius
+        self.taken = 0
+        # The lowest trigger (mm) so far, or None
+        self.lowest_z = None
+
+    # The lowest trigger is this one now (mm)
+    def met(self, z):
+        self.lowest_z = z
+
+    # Of the next touch
+    def next(self):
+        return spread_site(self.site, self.radius, self.taken)
+
+    # Where the last one was, in words; empty: where all are
+    def told(self):
+        x, y = self.next()[1:3]
+        self.taken += 1
+        return " at %.2f, %.2f" % (x, y) if self.radius else ""
+
+
+# The nozzle on the bed, over the first of the Points.
 class SensorMeasurement(object):
-    # 'watch' is told of every touch; 'expected' is what is known of the bed;
-    # 'lowest_z' the lowest trigger (mm) at this site before, or None.
-    def __init__(self, sensor, settings, watch, expected, lowest_z):
+    # 'watch' is told of every touch; 'expected' is what is known of the bed.
+    def __init__(self, sensor, settings, watch, points, expected):
         self.host = sensor.host
         self.sensor = sensor
         self.settings = settings
+        self.points = points
+        sampling = settings.sampling
+        tolerance = spread_tolerance(sampling.tolerance, points.radius)
+        self.sampling = sampling._replace(tolerance=tolerance)
         self.watch = watch
         self.expected = expected
-        self.lowest_z = lowest_z
         self.head = touching.Head(self.host, settings.sampling, TOO_LOW)
 
     # Returns the height: toolhead Z in mm.  From 'top' on the way down is slow
     # where nothing is known of the bed.
     def measure(self, top):
-        sampling = self.settings.sampling
+        sampling = self.sampling
         # Each time: a probe that is docked with a delay is there again
         carrying.of(self.host.printer).free_nozzle(self.host)
         with errors.about("bed sensor"):
@@ -85,12 +116,28 @@ class SensorMeasurement(object):
             samples = collect(self.sample, sampling, self.report, DIFFER)
         return summarize(samples, sampling.result)
 
+    # How far (mm) above a trigger the nozzle is at least, where it does not touch: one
+    # point of a textured plate is higher than another
+    def least_lift(self):
+        lift = self.sampling.retract_dist
+        return max(lift, CLEAR_OF_PLATE) if self.points.radius else lift
+
+    # Up to where the next touch begins, and over its point
+    def retract(self):
+        pressed_z, radius = self.head.pressed_z, self.points.radius
+        if not radius or pressed_z is None:
+            self.head.retract()
+            return
+        self.head.lift(pressed_z + self.least_lift())
+        site, speed = self.points.next(), self.settings.travel_speed
+        carrying.of(self.host.printer).go_to(self.host, site.x, site.y, speed)
+
     # A trigger far above the bed is none: shaking makes them.
     def sample(self):
-        sampling = self.settings.sampling
+        sampling = self.sampling
         retries_left = sampling.retries
         while True:
-            self.head.retract()
+            self.retract()
             z = self.touch()
             try:
                 heights.check_expected(z, self.expected)
@@ -103,20 +150,20 @@ class SensorMeasurement(object):
                     raise
                 self.report("%s; trying again" % (e,))
                 retries_left -= 1
-        self.expected = heights.expect_again(z, self.lowest_z, sampling)
-        self.lowest_z = self.expected.z
+        self.expected = heights.expect_again(z, self.points.lowest_z, sampling)
+        self.points.met(self.expected.z)
         self.watch.touched()
-        self.report("triggered at z=%.6f" % (z,))
+        self.report("triggered at z=%.6f%s" % (z, self.points.told()))
         return z
 
     # Down to where a touch begins: at full current, and not blindly where
     # nothing was touched yet
     def come_down(self, top):
         sampling = self.settings.sampling
-        if self.lowest_z is not None:
+        if self.points.lowest_z is not None:
             speed, accel = self.speed_and_accel()
             above = heights.approach(speed, accel)
-            top = self.lowest_z + min(sampling.retract_dist, above)
+            top = self.points.lowest_z + min(self.least_lift(), above)
             self.head.move_down(top, sampling.lift_speed)
         elif self.host.z() > top + FAR:
             self.sensor.check_open(self.host.after_moves())
@@ -263,11 +310,12 @@ class Run(object):
         self.watch = watch
         self.expectations = expectations
         self.accepts_change = accepts_change
-        # They follow what the run learns: what is known of the bed, its lowest
-        # trigger, its last height, that of the probe, the height that the head
-        # is lifted to
+        # Of the nozzle's touches; see prepare()
+        self.points = None
+        # They follow what the run learns: what is known of the bed, its last
+        # height, that of the probe, the height that the head is lifted to
         self.expected = heights.NOTHING_EXPECTED
-        self.lowest_z = self.sensor_z = self.probe_z = None
+        self.sensor_z = self.probe_z = None
         probe_z = self.host.probing.homed_probe_z()
         self.travel_z = heights.travel_height(probe_z, settings.probe_hop)
         # The print time at which the head had left the bed
@@ -286,8 +334,10 @@ class Run(object):
         everything = carrying.of(self.host.printer)
         everything.go_to(self.host, site.x, site.y, speed)
 
-    # The user's G-code may have moved the head.
-    def prepare(self, site):
+    # The user's G-code may have moved the head.  'radius' (mm): within that around
+    # the site the nozzle touches.
+    def prepare(self, site, radius=0.0):
+        self.points = Points(site, radius)
         self.go_to(site)
         self.watch.enter("prepare_gcode")
         self.run_prepare_gcode()
@@ -296,7 +346,7 @@ class Run(object):
         if not self.accepts_change:
             self.expected = self.expectations.expected()
             self.probe_z = self.expectations.probe_z()
-        self.go_to(site)
+        self.go_to(self.points.next())
 
     # Relative moves must not outlive the template, also when it fails.
     def run_prepare_gcode(self):
@@ -321,11 +371,10 @@ class Run(object):
     def measure_sensor(self):
         self.watch.enter("bed sensor")
         measurement = SensorMeasurement(
-            self.sensor, self.settings, self.watch, self.expected, self.lowest_z
+            self.sensor, self.settings, self.watch, self.points, self.expected
         )
         z = self.sensor_z = measurement.measure(self.travel_z)
         self.expected = measurement.expected
-        self.lowest_z = measurement.lowest_z
         self.travel_z = z + self.settings.probe_hop
         self.lift()
         self.lifted_at = self.host.after_moves()
@@ -342,9 +391,10 @@ class Run(object):
         self.check_left()
         return z
 
-    # Both sensors over one point; returns Result.
-    def measure(self, bed, probe_site):
-        self.go_to(bed)
+    # Both sensors over one point, the nozzle around it with bed_spread; returns
+    # Result.
+    def measure(self, probe_site):
+        self.go_to(self.points.next())
         sensor_z = self.measure_sensor()
         self.watch.enter("probe")
         self.travel(probe_site)

@@ -174,7 +174,8 @@ class AutoZOffset(object):
                 "the motors of Z move X or Y, too: on such a machine nobody"
                 " would know later what Z was set to; home it with G28"
             )
-        run.prepare(bed_site(self.host, self.settings))
+        bed = bed_site(self.host, self.settings)
+        run.prepare(bed, self.settings.bed_spread)
         self.check_gcode_offset()
         z = run.measure_sensor_alone()
         run.set_z(z)
@@ -203,8 +204,8 @@ class AutoZOffset(object):
 
     def measure_once(self, run):
         bed = bed_site(self.host, self.settings)
-        run.prepare(bed)
-        result = run.measure(bed, probe_site(self.host, bed))
+        run.prepare(bed, self.settings.bed_spread)
+        result = run.measure(probe_site(self.host, bed))
         self.tell(self.expectations.why_stale(result))
         return result
 
@@ -232,7 +233,7 @@ class AutoZOffset(object):
 
     def calibrate(self, run):
         bed = bed_site(self.host, self.settings)
-        run.prepare(bed)
+        run.prepare(bed, self.settings.bed_spread)
         # Here, as prepare_gcode may have homed
         self.expectations.check_frame()
         cycles = Cycles(run, self.settings, self.expectations, bed)

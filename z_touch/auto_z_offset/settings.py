@@ -4,6 +4,7 @@ from __future__ import absolute_import
 
 from ..core import options
 from ..core.options import REQUIRED, option, unused
+from ..core.spread import LARGEST_SPREAD
 from ..core.templates import GCODE
 from ..core.touching import site_kind
 from .heights import LARGEST_OFFSET, inside_bed, section_floor
@@ -87,6 +88,16 @@ TRAVEL_OPTIONS = (
         "mm",
         "The point of the bed to measure. The default is the middle of the"
         " axes.",
+    ),
+    option(
+        "bed_spread",
+        options.NUMBER,
+        0.0,
+        "mm",
+        "For a textured plate, such as 3: each touch of the nozzle is at another"
+        " point, up to so far from there, in mm. 0: all are at that point.",
+        minval=0.0,
+        maxval=LARGEST_SPREAD,
     ),
     option(
         "probe_hop",

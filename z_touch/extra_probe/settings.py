@@ -118,7 +118,16 @@ def read_switch_settings(config):
     return SwitchSettings(**options.read(config, SWITCH_OPTIONS))
 
 
+# Of the other sections: what lies on the tips of a textured plate covers what is
+# between them, so that one point is as good as many.
+def refuse_spread(config):
+    if config.get("bed_spread", None) is not None:
+        what = "is not needed, as the switch covers texture; remove it"
+        raise options.config_error(config, "bed_spread", what)
+
+
 def read_settings(config):
+    refuse_spread(config)
     defaults = {}
     if config.get_name().split()[-1] == PROBE:
         probe = config.getsection(PROBE)
