@@ -50,9 +50,9 @@ class Summary(object):
             # CALIBRATE_Z does not know how high that pin is
             values.append(("safe_z_height", "%.1f" % (travel_z + 0.05,)))
         count = steps.repeatability(list(state.samples.values()))[1]
-        samplings = settings.pin, settings.probe
-        if settings.counting.is_exceeded(count, samplings):
-            values.append(("samples", "%d" % (count,)))
+        samples = self.section.proposed_samples(count)
+        if samples:
+            values.append(("samples", samples))
         return values
 
     # The sites that are others than those of the section

@@ -2,6 +2,9 @@
 # Copyright (C) 2026  the Z calibration developers, under the GNU GPLv3
 from __future__ import absolute_import
 
+from ..core.host import z_step
+from ..core.sampling import AUTO
+from ..uncertainty import adaptive
 from .sites import SiteFinder
 
 
@@ -25,6 +28,19 @@ class Interface(object):
     # From now on it is this one (mm)
     def use_switch_offset(self, switch_offset):
         self._section.use_switch_offset(switch_offset)
+
+    # What samples should be where so many touches of each site are enough, in words;
+    # empty: as it is.  An owner who has set enough of them keeps his.
+    def proposed_samples(self, count):
+        settings = self.settings()
+        samplings = settings.pin, settings.probe
+        is_exceeded = settings.counting.is_exceeded(count, samplings)
+        if "samples" in settings.said and not is_exceeded:
+            return ""
+        auto = adaptive.choose(AUTO, settings.target_uncertainty)
+        if not auto.impossible(z_step(self.host)):
+            return AUTO
+        return "%d" % (count,) if is_exceeded else ""
 
     # What nozzle and body press: pin.Pin
     def pin(self):
