@@ -54,9 +54,9 @@ def test_each_touch_is_at_a_point_of_its_own(start, samples, cycles, retract):
 
 
 def test_texture_is_averaged(start):
-    """One point of it is as wrong as that point."""
+    """On plates where that one point is 10 to 20 um off."""
     errors = {"0": [], "3": []}
-    for seed in range(4):
+    for seed in (3, 4, 9, 11):
         for spread, found in errors.items():
             changes = section(bed_spread=spread, offset_samples="6")
             printer = start(rough(seed), changes=changes).homed()
@@ -67,7 +67,7 @@ def test_texture_is_averaged(start):
         math.sqrt(statistics.mean(e * e for e in found))
         for found in errors.values()
     )
-    assert spread < 0.011 < single
+    assert spread < 0.008 < 0.011 < single
 
 
 def test_texture_is_no_reason_to_begin_again(start):
@@ -79,7 +79,7 @@ def test_texture_is_no_reason_to_begin_again(start):
     assert not any("differ" in line for line in lines)
     changes = section(bed_spread="3", samples="6", **options)
     text = (
-        start(rough(2, 0.2), changes=changes).homed().fail("AUTO_Z_CALIBRATE")
+        start(rough(2, 0.07), changes=changes).homed().fail("AUTO_Z_CALIBRATE")
     )
     assert "samples_tolerance is 0.1100 mm" in text
 
@@ -96,7 +96,7 @@ def test_point_of_a_command_stays_one(start):
     ("options", "words"),
     [
         (
-            {"bed_spread": "3", "bed_xy_position": "120, 243"},
+            {"bed_spread": "3", "bed_xy_position": "243, 120"},
             "Option 'bed_spread: 3' in section 'auto_z_offset' needs the head at",
         ),
         ({"bed_spread": "20.1"}, "must have maximum of 20"),

@@ -229,3 +229,16 @@ def test_fixed_count_stays_high(watched):
     printer = watched()
     printer.run("G90\nG1 X150 Y150 Z60 F6000\nM400")
     assert [z for _, _, z in ends(printer)[:2]] == [60.0, 60.0]
+
+
+@pytest.mark.every_host
+@pytest.mark.parametrize("margin", [0.2, 0.6])
+def test_what_stands_in_the_way_is_pressed_by_half_the_margin(start, margin):
+    """A plate that is higher than in the last run, met on the quick way down."""
+    changes = auto(travel_margin=f"{margin}", offset_margins="-4, 4")
+    printer = start(changes=changes).homed()
+    (before, *_), _ = calibration(printer)
+    printer.machine.world.exchange_plate(2.0)
+    (after, *_), _ = calibration(printer)
+    assert after - before == pytest.approx(2.0, abs=2 * MICROSTEP)
+    assert printer.machine.truth.depth("probe_bed") <= margin / 2.0

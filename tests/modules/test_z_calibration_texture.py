@@ -176,11 +176,15 @@ def test_dock_beside_the_points_is_gone_around(start):
     printer.run("CALIBRATE_Z")
     assert len(points_of(printer)) == 10
     ends = [end[:2] for end in printer.status("moves")["ends"][before:]]
-    ends = [end for end in ends if math.dist(end, middle) < 25.0]
+    legs = [
+        (a, b)
+        for a, b in zip(ends, ends[1:])
+        if max(math.dist(end, middle) for end in (a, b)) < 25.0
+        and min(math.dist(end, dock) for end in (a, b)) > away - 0.01
+    ]
     places = [
         [a[i] + (b[i] - a[i]) * part / 50.0 for i in (0, 1)]
-        for a, b in zip(ends, ends[1:])
-        if min(math.dist(end, dock) for end in (a, b)) > away - 0.01
+        for a, b in legs
         for part in range(51)
     ]
     assert len(places) > 300
