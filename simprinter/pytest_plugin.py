@@ -53,13 +53,14 @@ def pytest_generate_tests(metafunc: pytest.Metafunc) -> None:
     named = config.getoption(_OPTION) or shlex.split(config.getini(_OPTION))
     # Relative ones are of the folder that holds the ini file
     names = [_absolute(name, config.rootpath) for name in named]
-    metafunc.parametrize(
-        "simprinter_host",
-        names or [_USUAL],
-        ids=[Path(name).name for name in names] or [""],
-        indirect=True,
-        scope="session",
-    )
+    if names:
+        metafunc.parametrize(
+            "simprinter_host",
+            names,
+            ids=[Path(name).name for name in names],
+            indirect=True,
+            scope="session",
+        )
 
 
 def _absolute(name: str, root: Path) -> str:
@@ -75,7 +76,7 @@ def _host(name: str) -> Host:
 @pytest.fixture(scope="session")
 def simprinter_host(request: pytest.FixtureRequest) -> Host:
     """The host that a test runs on."""
-    return _host(request.param)
+    return _host(getattr(request, "param", _USUAL))
 
 
 @pytest.fixture

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import os
 import re
 import sys
 import time
@@ -49,12 +50,13 @@ def run(printer: PluginPrinter, lines: Iterable[str]) -> None:
 class Figures(NamedTuple):
     """What a printer costs.
 
-    speeds: by command, times real time. first, later: s of real time until a
+    speeds: by command, times real time and times what processors had to work,
+    the second as on a core that has nothing else to do. first, later: s of real time until a
     klippy is ready, where nothing was kept and where its modules are imported
     already. klippy, simulator: MB of memory.
     """
 
-    speeds: dict[str, float]
+    speeds: dict[str, tuple[float, float]]
     first: float
     later: float
     klippy: float
@@ -73,20 +75,37 @@ def measure(
             times.append(time.monotonic() - began)
     speeds = {}
     with start(host, *files) as printer:
-        whole = Stopwatch(printer.machine.simulation)
+        whole = _Watch(printer)
         for command in ("G28", *commands):
-            watch = Stopwatch(printer.machine.simulation)
+            watch = _Watch(printer)
             printer.run(command)
-            speeds[command] = _speed(watch)
+            speeds[command] = watch.speeds()
         if len(speeds) > 1:
-            speeds["together"] = _speed(whole)
+            speeds["together"] = whole.speeds()
         klippy = _megabytes(str(printer.session.pid))
     return Figures(speeds, times[0], min(times[1:]), klippy, _megabytes("self"))
 
 
-def _speed(watch: Stopwatch) -> float:
-    real, virtual = watch.seconds()
-    return virtual / real
+class _Watch:
+    """Of a stretch of a printer's life: printer seconds, real, and worked."""
+
+    def __init__(self, printer: PluginPrinter):
+        self._stopwatch = Stopwatch(printer.machine.simulation)
+        self._pid = printer.session.pid
+        self._worked = self._work()
+
+    def _work(self) -> float:
+        """Processor time of klippy and of the simulator, s."""
+        text = Path(f"/proc/{self._pid}/stat").read_text(encoding="ascii")
+        # Behind the program's name, which may have spaces
+        ticks = text.rpartition(")")[2].split()[11:13]
+        klippy = sum(map(int, ticks)) / os.sysconf("SC_CLK_TCK")
+        return klippy + time.process_time()
+
+    def speeds(self) -> tuple[float, float]:
+        """Times real time, and times what was worked."""
+        real, virtual = self._stopwatch.seconds()
+        return virtual / real, virtual / (self._work() - self._worked)
 
 
 def _megabytes(process: str) -> float:
@@ -100,8 +119,9 @@ def _megabytes(process: str) -> float:
 def told(figures: Figures) -> list[str]:
     """The figures, a line each."""
     lines = [
-        f"{command}: {speed:.0f} times real time"
-        for command, speed in figures.speeds.items()
+        f"{command}: {real:.0f} times real time, {worked:.0f} times processor"
+        " time"
+        for command, (real, worked) in figures.speeds.items()
     ]
     return [
         *lines,

@@ -3,12 +3,14 @@
 from __future__ import annotations
 
 import os
+import re
 import subprocess
 import sys
 
 import pytest
 
 from simprinter.hosts.environment import clean_environment
+from simprinter.hosts.hosts import named_checkouts
 from simprinter.places import PACKAGE, build_root
 
 pytestmark = [pytest.mark.slow, pytest.mark.timeout(600)]
@@ -197,3 +199,87 @@ def test_plugin_starts_printers_in_pytest(installed, hosts_of_ours, tmp_path):
         **hosts_of_ours,
     )
     assert "1 passed" in one, one
+
+
+BLOCK = re.compile(r"(?m)^```(\w*)\n((?:.*\n)*?)```$")
+
+
+class Reader:
+    """Does what the tutorial says, in a folder of its own."""
+
+    def __init__(self, folder, programs, environment):
+        self.folder = folder
+        self._programs = programs
+        self._environment = environment
+        self.done = []
+
+    def follow(self, before, language, block):
+        """One block."""
+        named = re.search(r"`([^`]+)`", before)
+        if language == "console":
+            for command, *wanted in split_commands(block):
+                self.type(command, wanted)
+            return
+        file = self.folder / named[1]
+        file.parent.mkdir(parents=True, exist_ok=True)
+        text = file.read_text() if file.exists() else ""
+        place = re.search(r"(before|from) `([^`]+)`:$", before)
+        if before.startswith("More of"):
+            text += f"\n\n{block}"
+        elif place:
+            line = re.search(rf"(?m)^.*{re.escape(place[2])}", text)
+            rest = text[line.start() :] if place[1] == "before" else ""
+            text = text[: line.start()] + block + rest
+        else:
+            assert before == f"`{named[1]}`:" and not text
+            text = block
+        file.write_text(text)
+
+    def type(self, command, wanted):
+        """A command whose output has these lines, in this order."""
+        self.done.append(command)
+        if command.startswith("git clone"):
+            (self.folder / "kit").symlink_to(PACKAGE.parent)
+            return
+        path = f"{self._programs}:{os.environ['PATH']}"
+        status = int(any("error" in line for line in wanted))
+        told = run(
+            *("bash", "-c", command),
+            cwd=self.folder,
+            status=status,
+            **{**self._environment, "PATH": path},
+        )
+        for line in wanted:
+            before, found, told = told.partition(line)
+            assert found, (command, line, before)
+
+
+def split_commands(block):
+    """The commands of a console, each with the lines that it prints."""
+    commands = []
+    for line in block.splitlines():
+        if line.startswith("$ "):
+            commands.append([line[2:]])
+        else:
+            commands[-1].append(line)
+    return commands
+
+
+def test_tutorial(installed, hosts_of_ours, tmp_path):
+    """Every line; what is cloned is linked."""
+    text = (PACKAGE / "TUTORIAL.md").read_text(encoding="utf-8")
+    assert len(text.split()) <= 900
+    reader = Reader(tmp_path, installed, hosts_of_ours)
+    for found in BLOCK.finditer(text):
+        before = text[: found.start()].rstrip().rpartition("\n")[2]
+        reader.follow(before, *found.groups())
+    checkouts = named_checkouts()
+    workflow = (tmp_path / ".github/workflows/test.yml").read_text()
+    steps = re.findall(r"- run: (.+)", workflow)
+    assert len(steps) == 2
+    assert steps[0] in reader.done
+    host = checkouts[0].folder if checkouts else None
+    if host is None:
+        pytest.skip("no checkout is named for the last step of CI")
+    (tmp_path / "klipper").symlink_to(host)
+    reader.type(steps[1], ["4 passed"])
