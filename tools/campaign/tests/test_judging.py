@@ -251,6 +251,7 @@ NOBODY = {
     "extra_probe membrane": {"waits_for": "switch"},
     "z_calibration": {"last_result": {}},
 }
+HOMED_AGAIN = {"z_calibration": {"reason": "Z was homed again"}}
 ASKED = {"is_asked": True}
 ON_HEAD = {"probes": frozenset({"attached"})}
 
@@ -263,6 +264,10 @@ ON_HEAD = {"probes": frozenset({"attached"})}
         ("auto_z_offset: a manual probe is under way; end it", NOBODY),
         ("section 'extra_probe membrane' waits for an answer", ASKED),
         ("z_calibration: not calibrated yet; run it", NOBODY),
+        (
+            "z_calibration: Z was homed again; run CALIBRATE_Z first, then",
+            {"before": HOMED_AGAIN},
+        ),
         ("the probe is ATTACHED, and so on", ON_HEAD),
         ("z_calibration: the probe is attached already, and", ON_HEAD),
     ],

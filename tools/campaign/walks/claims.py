@@ -76,6 +76,11 @@ def _not_calibrated(facts: Facts, *unused: str) -> bool:
     return facts.any("z_calibration", "last_result", lambda last: not last)
 
 
+def _holds_no_more(facts: Facts, reason: str) -> bool:
+    """As the status says by itself."""
+    return facts.any("z_calibration", "reason", lambda now: now == reason)
+
+
 def _no_membrane(facts: Facts, *unused: str) -> bool:
     """Nothing lies where the nozzle looks for it."""
     return not facts.membrane or "nozzle_membrane" not in facts.touched
@@ -98,10 +103,16 @@ CLAIMS: tuple[tuple[re.Pattern, Callable[..., bool]], ...] = tuple(
         (r"waits for an answer", _waits),
         (r"nothing was asked", _waits_not),
         (r"not calibrated yet", _not_calibrated),
+        (
+            r"^z_calibration: (.*); (?:run CALIBRATE_Z first|baby steps count)",
+            _holds_no_more,
+        ),
+        (r"switch_offset=\S+, which cannot be negative", _is_true),
         (r"probe is attached already", _is_on_head),
         (r"probe is (ATTACHED|DOCKED|UNKNOWN)", _is_at),
         (r"not (?:attached|docked|fetched), it is (\w+)", _is_at),
         (r"probe reads triggered", _is_off_head),
+        (r"needs the probe on the head all the time", _is_off_head),
         (r"^extra_probe .*(?:No trigger on|did not answer)", _no_membrane),
         (r"^extra_probe .*(?:was not pressed|press it once)", _is_true),
         (r"no set-up is under way|did not change; check", _is_true),

@@ -118,6 +118,9 @@ class Judge:
 
     def end(self, gone: Gone) -> None:
         """It has ended. Raises HarmError."""
+        if gone.kind == "print":
+            # Its last moves are queued still
+            self._stand_still()
         if gone.kind in ("restart", "save"):
             self.gaps.restarted()
         for sort, rule in (
