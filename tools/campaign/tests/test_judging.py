@@ -136,6 +136,20 @@ def test_what_a_refusal_has_left(judged, change):
     assert sort_of(judge, "gcode", "CALIBRATE_Z", "no") == "left behind"
 
 
+# What its owner's own G-code has set, which only z_calibration undoes
+OWN = ("extra_probe membrane", "dockable_probe", "z_calibration")
+
+
+@pytest.mark.parametrize("section", OWN)
+def test_mode_of_the_owner_s_own(judged, section):
+    option = {"z_calibration": "start_gcode"}.get(section, "activate_gcode")
+    own = ((section, option, "M83"),)
+    printer, judge = judged(Owned("dock_gantry_switch", options=own))
+    printer.run("M83")
+    left = "left behind" if section == "z_calibration" else ""
+    assert sort_of(judge, "gcode", "DETACH_PROBE") == left
+
+
 @pytest.mark.parametrize("change", ["G91", "SET_VELOCITY_LIMIT ACCEL=100"])
 def test_what_a_good_run_has_left(judged, change):
     printer, judge = judged(SWITCH)

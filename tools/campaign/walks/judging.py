@@ -44,6 +44,7 @@ WHERE_IT_IS = {
 }
 # What they may change for ever when they end well
 LASTING = ("the G-code offset", "what is saved")
+MODES = {"G90": ("G90", "G91"), "M82": ("M82", "M83")}
 _SENT = re.compile(r"^(?:G1|MOVE_AVOIDING_DOCK) X=?(\S+) Y=?(\S+)")
 
 
@@ -281,7 +282,7 @@ class Judge:
         if gone.kind != "gcode" or gone.command not in OURS:
             return
         before, after = self.before.state, self._state()
-        lasting = () if gone.refusal else LASTING
+        lasting = {*self._of_owner(), *(() if gone.refusal else LASTING)}
         changed = {
             k: (before[k], after[k])
             for k in after
@@ -296,6 +297,14 @@ class Judge:
         sites = sorted(s for s in pressed if s.startswith(("nozzle", "body")))
         if sites:
             yield f"{sites} are pressed after {gone.refusal}"
+
+    def _of_owner(self) -> Iterator[str]:
+        """Modes that G-code in options sets; only z_calibration undoes them."""
+        for section, option, value in self.owned.options:
+            if section != "z_calibration" and option.endswith("_gcode"):
+                for name, codes in MODES.items():
+                    if any(code in (value or "") for code in codes):
+                        yield name
 
     def _lies(self, gone: Gone) -> Iterator[str]:
         """What is said of the printer is not so."""
