@@ -194,10 +194,11 @@ QUIET = Spread(0.002**2, 20)
 SHARE = 0.004**2
 
 
-def collected(values, past=QUIET, share=SHARE):
+def collected(values, past=QUIET, share=SHARE, is_rough=False):
     touches = iter(values)
+    check = partial(adaptive.check, "look there", is_rough)
     samples, found = adaptive.collect_enough(
-        lambda: next(touches), past, STEP, share, "look there"
+        lambda: next(touches), past, STEP, share, check
     )
     return len(samples), round(found.z, 6)
 
@@ -238,6 +239,17 @@ def test_no_more_than_ten_whatever_is_wanted():
 def test_what_moves_is_told(values):
     with pytest.raises(SamplesDiffer, match="something moves.*look there"):
         collected(values, UNKNOWN)
+
+
+def test_texture_moves_nothing():
+    """Neighbours on a textured plate are up to 0.1 mm apart."""
+    values = [1.0 + 0.001 * v for v in (0, 50, 8, -52, 45, -50, -38, 52, 1, 3)]
+    with pytest.raises(SamplesDiffer):
+        collected(values, UNKNOWN)
+    assert collected(values, UNKNOWN, is_rough=True)[0] == adaptive.MOST
+    wild = [1.0 + 6.0 * (v - 1.0) for v in values]
+    with pytest.raises(SamplesDiffer):
+        collected(wild, UNKNOWN, is_rough=True)
 
 
 def shares(pasts, found=None, target=0.01, step=0.0):

@@ -4,7 +4,6 @@
 from __future__ import absolute_import, division
 
 from ..core import touching
-from ..core.spread import check_spread
 
 OUT_OF_REACH = (
     "set bed_xy_position in section 'auto_z_offset' to a point that nozzle and"
@@ -35,4 +34,4 @@ def check_sites(host, settings):
     for site in (bed, probe_site(host, bed)):
         touching.check_reach(host, site, OUT_OF_REACH)
     # The probe sees so large a spot that it stays over the middle
-    check_spread(host, bed, settings.bed_spread, "auto_z_offset")
+    touching.check_spread(host, bed, settings.bed_spread, "auto_z_offset")

@@ -13,8 +13,6 @@ from __future__ import absolute_import, division
 
 import math
 
-from . import touching
-
 # From here on (mm) it is measured how the bed is bent, not its texture
 LARGEST_SPREAD = 20.0
 
@@ -43,16 +41,3 @@ def spread_site(site, radius, number):
 # How far (mm) touches at one point may be apart, if they are at several
 def spread_tolerance(tolerance, radius):
     return tolerance + TEXTURE if radius else tolerance
-
-
-# Raises CalibrationError where the head cannot reach all of them.  'section': whose
-# option it is
-def check_spread(host, site, radius, section):
-    if not radius:
-        return
-    origin = "Option 'bed_spread: %g' in section '%s'" % (radius, section)
-    remedy = "choose a smaller one, or another bed_xy_position"
-    for x, y in ((-1, 0), (1, 0), (0, -1), (0, 1)):
-        x, y = site.x + x * radius, site.y + y * radius
-        edge = site._replace(x=x, y=y, origin=origin)
-        touching.check_reach(host, edge, remedy)

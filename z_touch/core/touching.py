@@ -65,6 +65,19 @@ def check_reach(host, site, remedy, shift=""):
             )
 
 
+# The same for all points of a bed_spread (mm) around a site.  'section': whose option
+# it is
+def check_spread(host, site, radius, section):
+    if not radius:
+        return
+    origin = "Option 'bed_spread: %g' in section '%s'" % (radius, section)
+    remedy = "choose a smaller one, or another bed_xy_position"
+    for x, y in ((-1, 0), (1, 0), (0, -1), (0, 1)):
+        x, y = site.x + x * radius, site.y + y * radius
+        edge = site._replace(x=x, y=y, origin=origin)
+        check_reach(host, edge, remedy)
+
+
 # Motors stop on whole steps, so not exactly there
 def is_at(host, z):
     steps = [s.get_step_dist() for s in host.z_steppers()]

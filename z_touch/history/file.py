@@ -18,6 +18,7 @@ import threading
 import time
 
 from ..core.sampling import summarize
+from ..core.spread import TEXTURE
 from ..uncertainty.estimate import (
     UNKNOWN,
     pool,
@@ -195,7 +196,8 @@ def are_cycles(cycles):
 def site_record(samples, z, step, touches=None, earlier=UNKNOWN, points=()):
     touches = touches or samples
     middle = summarize(touches, "median")
-    near = [z for z in touches if abs(z - middle) <= NO_NOISE]
+    far = NO_NOISE + (TEXTURE / 2.0 if points else 0.0)
+    near = [z for z in touches if abs(z - middle) <= far]
     kept = without_outliers(near, earlier, step)
     spread = spread_of(kept)
     record = {

@@ -72,7 +72,8 @@ class Recorder(object):
     # 'bed_spread' as in the section (mm)
     def make_plan(self, counting, bed_spread=0.0):
         spreads = self.history.spreads(bed_spread)
-        return adaptive.Plan(z_step(self.host), spreads, counting)
+        rough = ("bed",) if bed_spread else ()
+        return adaptive.Plan(z_step(self.host), spreads, counting, rough)
 
     def begin(self, counting, bed_spread=0.0, plate=""):
         self.bed_spread = bed_spread

@@ -11,10 +11,12 @@
 # one until the whole is what was wanted: only then all is known.
 from __future__ import absolute_import, division
 
+import functools
 import math
 
 from ..core.errors import SamplesDiffer
 from ..core.sampling import AUTO, collect
+from ..core.spread import TEXTURE
 from .estimate import (
     UNKNOWN,
     USUAL_NOISE,
@@ -136,11 +138,13 @@ def judge(samples, earlier, step, share):
     return enough, result
 
 
-# Raises SamplesDiffer where the samples differ by more than noise
-def check(samples, result, remedy):
-    far = [z for z in samples if abs(z - result.z) > SOMETHING_MOVES]
+# Raises SamplesDiffer where the samples differ by more than noise, or, at points of a
+# textured plate ('is_rough'), by more than that lies to either side of its middle
+def check(remedy, is_rough, samples, result):
+    limit = SOMETHING_MOVES + (TEXTURE / 2.0 if is_rough else 0.0)
+    far = [z for z in samples if abs(z - result.z) > limit]
     noise = math.sqrt(result.spread.variance)
-    if noise > SOMETHING_MOVES or len(far) >= FAR_ONES:
+    if noise > limit or len(far) >= FAR_ONES:
         raise SamplesDiffer(
             "something moves: %d touches lie up to %.4f mm apart, which is no"
             " noise; %s" % (len(samples), max(samples) - min(samples), remedy)
@@ -170,18 +174,16 @@ def least_uncertainty(step):
 
 
 # Call touch(), which returns a height (mm), until the site has its share, and
-# is_done(Estimate).  Returns all samples and the Estimate.  Raises SamplesDiffer,
-# with the remedy.
-def collect_enough(
-    touch, earlier, step, share, remedy, is_done=None, most=MOST
-):
+# is_done(Estimate).  Returns all samples and the Estimate, with which it has called
+# 'check' before.
+def collect_enough(touch, earlier, step, share, check, is_done=None, most=MOST):
     samples = []
     while True:
         samples.append(touch())
         enough, result = judge(samples, earlier, step, share)
         enough = enough and (is_done is None or is_done(result))
         if enough or len(samples) >= most:
-            check(samples, result, remedy)
+            check(samples, result)
             return samples, result
 
 
@@ -293,7 +295,8 @@ class Automatic(object):
             return worth <= self.target
 
         earlier, most = plan.earlier_at(site), most_touches(site, plan)
-        return collect_enough(touch, earlier, step, part, remedy, is_done, most)
+        agree = functools.partial(check, remedy, site in plan.rough)
+        return collect_enough(touch, earlier, step, part, agree, is_done, most)
 
     # Why no run can keep the target, in words; empty: it may.  'step': of the motors of
     # Z, in mm
@@ -322,9 +325,11 @@ def choose(samples, target):
 # The touches of one run, and what they say.
 class Plan(object):
     # 'step': of the Z motors (mm); 'pasts': of each site the Spreads of the last
-    # runs, see recent.py; 'counting': FixedCount or Automatic
-    def __init__(self, step, pasts, counting):
+    # runs, see recent.py; 'counting': FixedCount or Automatic; 'rough': the sites
+    # that are touched at points of a textured plate
+    def __init__(self, step, pasts, counting, rough=()):
         self.step = step
+        self.rough = rough
         self.pasts = pasts
         self.earlier = together(
             dict((site, pool_usual(pasts[site], step)) for site in pasts)

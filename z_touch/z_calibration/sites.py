@@ -17,7 +17,6 @@ import math
 
 from ..core import options, touching
 from ..core.errors import CalibrationError
-from ..core.spread import check_spread
 
 # A distance (mm) between nozzle and switch that no print head has: the
 # option holds a position instead of an offset.
@@ -170,7 +169,7 @@ class SiteFinder(object):
         touching.check_reach(self.host, site, remedy, shift)
         if site.name == "bed":
             radius = self.settings.bed_spread
-            check_spread(self.host, site, radius, "z_calibration")
+            touching.check_spread(self.host, site, radius, "z_calibration")
 
     # The head is also moved aside there, with wiggle_xy_offsets
     def check_nozzle(self, site):
