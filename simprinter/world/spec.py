@@ -217,7 +217,8 @@ class MagProbeSpec(Spec):
         point, so that it triggers on the bed at a nozzle height of
         body_drop + switch_offset
     pretravel: mm the plunger moves from first contact to the trigger
-    half_width: half the side of the body's square bottom, mm
+    half_width: half the side of the body's square bottom around the plunger,
+        mm; the body of a D2F is 12.8 mm long
     reseat: spread (sigma, mm) of how low it hangs from one attaching to the
         next, body and plunger alike; cut off at 3 sigma
     mode: "output" (a board output attaches), "dock" (moves do), "fixed"
@@ -233,7 +234,7 @@ class MagProbeSpec(Spec):
     body_drop: float
     switch_offset: float
     pretravel: float = 0.3
-    half_width: float = 4.0
+    half_width: float = 6.4
     reseat: float = 0.0
     mode: str = "fixed"
     initial: str = "attached"

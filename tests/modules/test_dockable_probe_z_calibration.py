@@ -77,7 +77,7 @@ def front(scene=SCENE):
         "z_calibration": {
             **scene.sections["z_calibration"],
             "nozzle_xy_position": "206, 100",
-            "switch_xy_position": "208, 75.25",
+            "switch_xy_position": "211.5, 75.25",
         },
     }
     x, y = _FRONT

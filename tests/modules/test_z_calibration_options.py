@@ -49,7 +49,7 @@ def watched(start):
 
 
 # Of the voron scene, but the nozzle's, on which Z is homed
-PLACES = ([208.0, 281.25], [208.5, 281.25], [152.0, 125.25])
+PLACES = ([211.5, 281.25], [212.0, 281.25], [152.0, 125.25])
 
 
 def travel_heights(printer):
@@ -99,29 +99,29 @@ def test_switch_offsets_are_relative_to_the_nozzle(start):
     changes = section(
         nozzle_xy_position="205.5, 306",
         switch_xy_position=None,
-        switch_xy_offsets="2, -24.75",
+        switch_xy_offsets="5.5, -24.75",
     )
     printer = start(changes=changes).homed()
     calibration(printer)
-    assert place_of("body_pin", printer) == (207.5, 281.25)
+    assert place_of("body_pin", printer) == (211, 281.25)
     # A nozzle that comes with the command takes the switch along
     before = len(printer.machine.truth.touches)
     calibration(printer, "CALIBRATE_Z NOZZLE_POSITION=206.25,306.25")
-    assert place_of("body_pin", printer, before) == (208.25, 281.5)
+    assert place_of("body_pin", printer, before) == (211.75, 281.5)
 
 
 def test_a_switch_position_comes_before_offsets(start):
     changes = section(switch_xy_offsets="3, -20")
     printer = start(changes=changes).homed()
     calibration(printer)
-    assert place_of("body_pin", printer) == (208, 281.25)
+    assert place_of("body_pin", printer) == (211.5, 281.25)
 
 
 def test_bed_beside_the_endstop(start):
-    printer = start(changes=section(bed_xy_position="211, 301")).homed()
+    printer = start(changes=section(bed_xy_position="214.5, 301")).homed()
     at = printer.session.position()
     # Both places may come with the command
-    for params in ("BED_POSITION=206,306", "SWITCH_POSITION=213,276.25"):
+    for params in ("BED_POSITION=209.5,306", "SWITCH_POSITION=216.5,276.25"):
         message = printer.fail(f"CALIBRATE_Z {params}")
         assert "from where it touches the switch" in message
         assert printer.session.position() == at
@@ -243,7 +243,7 @@ def test_no_wiggle_is_no_move(watched):
     plain = {tuple(end[:2]) for end in printer.status("moves")["ends"]}
     assert plain - {(0.0, 0.0)} == {
         (206.0, 306.0),
-        (208.0, 281.25),
+        (211.5, 281.25),
         (152.0, 125.25),
     }
 
@@ -291,21 +291,21 @@ REFUSED = {
         section(wiggle_xy_offsets="0, 4.5"),
         [f"Option 'wiggle_xy_offsets'{REACH} Y=310.500"],
     ),
-    # The head is at 208, 281.25 for the switch
+    # The head is at 211.5, 281.25 for the switch
     "bed on the endstop": (
-        section(bed_xy_position="206, 306"),
-        [f"Option 'bed_xy_position: 206,306'{IN} puts the head 0.0 mm from"],
+        section(bed_xy_position="209.5, 306"),
+        [f"Option 'bed_xy_position: 209.5,306'{IN} puts the head 0.0 mm from"],
     ),
     "bed near the endstop": (
-        section(bed_xy_position="211, 301.5"),
+        section(bed_xy_position="214.5, 301.5"),
         ["6.7 mm from where it touches the switch", "at least 7 mm away"],
     ),
     "position as offsets": (
-        section(switch_xy_position=None, switch_xy_offsets="208, 281.25"),
-        [f"'switch_xy_offsets'{IN}: 208 mm in X is no distance from the"],
+        section(switch_xy_position=None, switch_xy_offsets="211.5, 281.25"),
+        [f"'switch_xy_offsets'{IN}: 211.5 mm in X is no distance from the"],
     ),
     "offset too large": (
-        section(switch_xy_position=None, switch_xy_offsets="2, -101"),
+        section(switch_xy_position=None, switch_xy_offsets="5.5, -101"),
         [f"Option 'switch_xy_offsets'{IN}: -101 mm in Y is no distance"],
     ),
     "offset out of reach": (
@@ -667,7 +667,7 @@ def longer(pin, bed=0.0):
         (
             section(speed="20"),
             {
-                "switch to bed": math.hypot(208 - 152, 281.25 - 125.25)
+                "switch to bed": math.hypot(211.5 - 152, 281.25 - 125.25)
                 * (1 / 20 - 1 / 50)
             },
         ),
@@ -1004,7 +1004,7 @@ def test_old_names_work_and_are_told_once(watched):
         bed_xy_position=None,
         probe_nozzle_x="205.5",
         probe_nozzle_y="306",
-        probe_switch_x="208.5",
+        probe_switch_x="211.5",
         probe_switch_y="281.25",
         probe_bed_x="110",
         probe_bed_y="90",
@@ -1026,13 +1026,13 @@ def test_old_names_work_and_are_told_once(watched):
         "'probe_nozzle_x' and 'probe_nozzle_y' are now"
         " 'nozzle_xy_position: 205.5,306'",
         "'probe_switch_x' and 'probe_switch_y' are now"
-        " 'switch_xy_position: 208.5,281.25'",
+        " 'switch_xy_position: 211.5,281.25'",
         "'second_homing_speed' is now called 'probing_second_speed'",
     ]
     calibration(printer)
     again = [e for e in printer.session.console if e.startswith(start)]
     assert told == again
-    assert place_of("body_pin", printer) == (208.5, 281.25)
+    assert place_of("body_pin", printer) == (211.5, 281.25)
     assert place_of("probe_bed", printer) == (112.0, 65.25)
     assert 16.0 in [round(z, 2) for z in travel_heights(printer)]
     accuracy = "\n".join(printer.run("PROBE_Z_ACCURACY"))

@@ -108,12 +108,12 @@ def test_each_site_is_touched_where_it_is_wanted(start, by_command):
     if by_command:
         script += (
             " NOZZLE_POSITION=205.5,306.5 BED_POSITION=110,90"
-            ' SWITCH_POSITION="208.5, 281"'
+            ' SWITCH_POSITION="211.5, 281"'
         )
     else:
         options = {
             "nozzle_xy_position": "205.5, 306.5",
-            "switch_xy_position": "208.5, 281",
+            "switch_xy_position": "211.5, 281",
             "bed_xy_position": "110, 90",
         }
     printer = start(changes=section(**options)).homed()
@@ -123,7 +123,7 @@ def test_each_site_is_touched_where_it_is_wanted(start, by_command):
     # X and Y are homed to a full microstep
     assert {t.site: (t.x, t.y) for t in touches} == {
         "nozzle_pin": pytest.approx((205.5, 306.5), abs=0.02),
-        "body_pin": pytest.approx((208.5, 281.0), abs=0.02),
+        "body_pin": pytest.approx((211.5, 281.0), abs=0.02),
         # The probe's point is asked for, not the nozzle's
         "probe_bed": pytest.approx((112.0, 65.25), abs=0.02),
     }
@@ -251,7 +251,7 @@ def test_way_to_the_bed_is_taken_at_the_configured_speeds(start):
     bed = min(t.t for t in touches if t.site == "probe_bed")
     # Lift to 13.8, 50 mm/s in XY, down at the homing speed of 8 mm/s, and the
     # probe's own 2 mm with its own 5 mm/s
-    travel = math.hypot(208 - 152, 281.25 - 125.25)
+    travel = math.hypot(211.5 - 152, 281.25 - 125.25)
     down = (13.8 - 8.855) / 8 + 2 / 5
     seconds = (13.8 - 8.0) / 10 + travel / 50 + down
     # The rest is what starting and stopping takes
@@ -673,7 +673,9 @@ def test_switch_offset_beyond_the_travel_height(start):
     [
         ("nozzle_xy_position", "NOZZLE_POSITION=206,306", "for the nozzle"),
         slow(
-            "switch_xy_position", "SWITCH_POSITION=208,281.25", "for the switch"
+            "switch_xy_position",
+            "SWITCH_POSITION=211.5,281.25",
+            "for the switch",
         ),
         slow("bed_xy_position", "BED_POSITION=150,150", "for the bed"),
         ("switch_offset", "SWITCH_OFFSET=0.44", "no switch_offset"),

@@ -20,7 +20,7 @@ from tools.kit.z_calibration import (
 )
 
 # Where the nozzle and the body of the switch are over the pin
-CARTESIAN = {"nozzle": (226.0, 20.0), "switch": (254.0, 14.5)}
+CARTESIAN = {"nozzle": (226.0, 20.0), "switch": (254.0, 18.0)}
 
 
 def empty(**changes):
@@ -96,7 +96,11 @@ def test_separate_pin_in_no_section_and_a_switch_from_the_list(start, tmp_path):
     # By hand, as far as it is
     printer.run("G90\nG1 X205.9 Y305.9 F12000")
     user.jog_to(206.0, 306.0)
-    for label in ("Here", "Here", "Here", "Yes"):
+    user.press("Here")
+    # Along the body, as it says
+    assert user.position()[:2] == pytest.approx((208.0, 281.25))
+    user.jog("X", 4.0)
+    for label in ("Here", "Here", "Yes"):
         user.press(label)
     user.touch()
     # The probe cannot be taken off
@@ -112,7 +116,7 @@ def test_separate_pin_in_no_section_and_a_switch_from_the_list(start, tmp_path):
     text = user.dialog().text
     lines = text.splitlines()
     assert "nozzle_xy_position: 206.000, 306.000" in lines
-    assert "switch_xy_position: 208.000, 281.250" in lines
+    assert "switch_xy_position: 212.000, 281.250" in lines
     assert (
         "SAVE_CONFIG cannot write 'switch_offset: 0.200' into line 2 of" in text
     )
@@ -464,8 +468,9 @@ def test_probe_that_fetches_itself(start):
     printer.run("G90\nG1 X50 Y270 F12000\nG1 Y294")
     assert "14.0 mm from dock_position" in user.refused("Here")
     printer.run("G1 Y270\nG1 X206\nG1 Y306")
-    for label in ("Here", "Here"):
-        user.press(label)
+    user.press("Here")
+    user.jog("X", 4.0)
+    user.press("Here")
     assert where(printer) == "attached"
     for label in ("Here", "Yes", "Touch"):
         user.press(label)
@@ -554,7 +559,7 @@ def test_save_that_fails_loses_nothing(start):
     printer.session.restart(user.dialog().gcode("Save"))
     assert user.dialog() is None
     own = printer.status("configfile")["settings"]["z_calibration"]
-    assert own["switch_xy_position"] == pytest.approx((254.0, 14.5), abs=0.06)
+    assert own["switch_xy_position"] == pytest.approx((254.0, 18.0), abs=0.06)
 
 
 @pytest.mark.every_host
@@ -581,7 +586,7 @@ def test_another_value_that_cannot_be_saved(start, tmp_path):
     # A restart would forget it
     assert "'position_endstop: 0.400' into line" in lines[-1]
     own = [line.split("'")[1] for line in lines[:-2]]
-    assert own[0] == "switch_xy_position: 254.000, 14.500"
+    assert own[0] == "switch_xy_position: 254.000, 18.000"
     assert "into section [z_calibration] of printer.cfg;" in lines[0]
     # As it says
     path.write_text("[probe]\nz_offset: 1.9\n")
@@ -598,7 +603,7 @@ def test_another_value_that_cannot_be_saved(start, tmp_path):
     settings = printer.status("configfile")["settings"]
     assert settings["probe"]["z_offset"] == 1.9
     assert settings["stepper_z"]["position_endstop"] == 0.4
-    assert settings["z_calibration"]["switch_xy_position"] == [254.0, 14.5]
+    assert settings["z_calibration"]["switch_xy_position"] == [254.0, 18.0]
 
 
 @pytest.mark.every_host

@@ -130,7 +130,7 @@ def test_empty_section_to_the_true_gap(lab):
     user = WebUser(lab)
     user.begin()
     user.test_switches()
-    user.set_places((226.0, 20.0), (254.0, 14.5))
+    user.set_places((226.0, 20.0), (254.0, 18.0))
     user.touch()
     assert user.step() == "GAP"
     user.press("SSG 0.2 mm")

@@ -39,6 +39,8 @@ from tools.kit.scenes import SCENES
 
 # Behind the plate, mm
 PIN_Y = 306.0
+# Along the body from where the plunger is over the pin, mm
+BESIDE_PLUNGER = 3.5
 _PLATE = 300.0
 # Of the Z axis, mm
 _POSITION_MIN = -5.0
@@ -236,8 +238,9 @@ class ZCalibration(Drawn):
 
     @property
     def switch_head(self) -> tuple[float, float]:
-        """Where it stands for the body to press the pin."""
-        return self.pin.x - self.probe.x, PIN_Y - self.probe.y
+        """Where it stands for the body, beside its plunger, to press the pin."""
+        x, y = self.pin.x - self.probe.x, PIN_Y - self.probe.y
+        return x + BESIDE_PLUNGER, y
 
     @property
     def board_signal(self) -> str:

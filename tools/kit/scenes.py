@@ -291,7 +291,7 @@ samples_tolerance: 0.01; samples_tolerance_retries: 3
 [safe_z_home]
 home_xy_position: 206, 306; speed: 100; z_hop: 10
 [z_calibration]
-nozzle_xy_position: 206, 306; switch_xy_position: 208, 281.25
+nozzle_xy_position: 206, 306; switch_xy_position: 211.5, 281.25
 bed_xy_position: 150, 150; switch_offset: 0.44
 """
 
@@ -401,7 +401,7 @@ samples: 2; samples_tolerance: 0.02; lift_speed: 8
 [safe_z_home]
 home_xy_position: 226, 20; z_hop: 8
 [z_calibration]
-nozzle_xy_position: 226, 20; switch_xy_position: 254, 14.5
+nozzle_xy_position: 226, 20; switch_xy_position: 254, 18
 bed_xy_position: 110, 110; switch_offset: 0.65
 before_switch_gcode: ATTACH_PROBE; end_gcode: DOCK_PROBE
 """

@@ -30,7 +30,7 @@ CHAINED = {
     "TOUCH_BED": ("TOUCH_NOZZLE", "touching the bed", False),
 }
 # Where nozzle and body of the switch are over the pin of that scene
-CARTESIAN = {"NOZZLE": (226.0, 20.0), "SWITCH": (254.0, 14.5)}
+CARTESIAN = {"NOZZLE": (226.0, 20.0), "SWITCH": (254.0, 18.0)}
 
 
 def open_dialog(console: Iterable[str]) -> Optional[Shown]:

@@ -5,16 +5,21 @@ On those with a piezo bed auto_z_offset's own tests do so.
 
 from __future__ import annotations
 
+import math
 from dataclasses import replace
+from operator import attrgetter
 
 import pytest
 
 from simprinter import Fault, heated
+from tools.kit.docks import DOCK_SCENES, calibrating
 from tools.kit.printer import Printer, has_kinematics
 from tools.kit.scenes import SCENES
 
 CALIBRATING = [n for n in SCENES if "z_calibration" in SCENES[n].sections]
 MICROSTEP = 0.0025
+# Radius of the plunger of a D2F, mm
+PLUNGER = 1.0
 # Klippy retries a register's write so often
 ATTEMPTS = 5
 
@@ -60,6 +65,29 @@ def test_wiring_and_configuration_name_the_same_pins(name):
     ]
     assert set(wired) <= set(written)
     assert len(set(written)) == len(written)
+
+
+def touches_beside(scene):
+    """Where the pin meets the probe, from its plunger: mm in X and in Y."""
+    x, y = map(
+        float, scene.sections["z_calibration"]["switch_xy_position"].split(",")
+    )
+    probe, pin = scene.world.mag_probe, scene.world.pin
+    return pin.x - x - probe.x_offset, pin.y - y - probe.y_offset
+
+
+@pytest.mark.parametrize(
+    "scene",
+    [
+        *(SCENES[name] for name in CALIBRATING),
+        *(calibrating(s) for s in DOCK_SCENES.values() if s.world.pin),
+    ],
+    ids=attrgetter("name"),
+)
+def test_body_beside_the_plunger_is_over_the_pin(scene):
+    beside = touches_beside(scene)
+    assert math.hypot(*beside) >= PLUNGER + scene.world.pin.radius
+    assert max(map(abs, beside)) < scene.world.mag_probe.half_width
 
 
 @pytest.mark.slow
