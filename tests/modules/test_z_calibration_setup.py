@@ -486,6 +486,33 @@ def test_probe_that_fetches_itself(start):
     assert gap == pytest.approx(real - 0.2, abs=2 * MICROSTEP)
 
 
+def test_nothing_is_lowered_beside_the_sheet_or_with_the_probe(start):
+    printer = start("cartesian", changes=empty())
+    printer.session.require_ready()
+    user = User(printer)
+    advance(user, "PAPER")
+    # By another client, over the pin and up again
+    printer.run("G90\nG1 Z12 F600\nG1 X226 Y20 F6000")
+    for label in ("Z-1 mm", "Z-0.1 mm", "Here"):
+        text = user.refused(label)
+        assert "the nozzle has left the sheet; 'Back', then 'Paper'" in text
+    assert printer.session.position()[:3] == pytest.approx((226, 20, 12))
+    for label in ("Back", "Paper"):
+        user.press(label)
+    printer.run("G91\nG1 X1.5 F6000\nG90")
+    user.press("Z-0.1 mm")
+    # The probe comes on the head meanwhile
+    printer.run("G90\nG1 Z12 F600\nATTACH_PROBE")
+    assert "the nozzle cannot reach the sheet" in user.refused("Z-1 mm")
+    assert printer.session.position()[2] == pytest.approx(12.0)
+    printer.run("DOCK_PROBE")
+    for label in ("Back", "Paper"):
+        user.press(label)
+    user.lower_to_the_sheet()
+    user.press("Here")
+    assert user.step() == "SAVE"
+
+
 def test_one_look_at_all_places(start):
     printer = start("cartesian", changes=empty())
     printer.session.require_ready()

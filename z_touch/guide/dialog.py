@@ -136,6 +136,9 @@ class Setup(object):
             )
         self.check_heights(state)
         state.is_attached = self.hands.is_attached()
+        if state.step == "paper":
+            self.check_sheet(gcmd, state)
+            self.head.check_over_sheet(state)
         self.head.jog(gcmd, state, state.is_attached)
 
     # Does what was announced, then moves the head to where the next step begins
@@ -353,6 +356,7 @@ class Setup(object):
         self.state.switch_offset, self.state.kind = value, kind
 
     def measure_paper(self, gcmd, state):
+        self.head.check_over_sheet(state)
         contact = state.contact()
         self.use_switch_offset(steps.from_paper(contact, self.host.z()))
         self.head.lift(state)

@@ -29,8 +29,10 @@ LEAST_MEASURED = 2.0
 UNMEASURED_HANGS = 11.0
 
 # The nozzle comes down to so high (mm) above the highest bed that there may be, to
-# meet the sheet of paper by small steps from there.
+# meet the sheet of paper by small steps from there; no further (mm) aside is it over
+# the sheet.
 OVER_SHEET = 2.0
+BESIDE_SHEET = 2.0
 
 # So long (s) the head stays over each place for somebody to look
 LOOK_TIME = 4.0
@@ -221,6 +223,15 @@ class GuidedHead(object):
         site = touching.Site("bed", x, y, "The nozzle over the sheet")
         touching.check_reach(self.host, site, TAKE_THE_TYPE)
         return x, y, state.contact() + OVER_SHEET
+
+    # Elsewhere the bed has another height, or the pin is below
+    def check_over_sheet(self, state):
+        x, y = self.over_sheet(state)[:2]
+        here = self.host.toolhead.get_position()
+        if math.hypot(here[0] - x, here[1] - y) > BESIDE_SHEET:
+            raise CalibrationError(
+                "the nozzle has left the sheet; 'Back', then 'Paper'"
+            )
 
     def go_over_sheet(self, state):
         x, y, z = self.over_sheet(state)
