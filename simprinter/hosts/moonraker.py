@@ -78,6 +78,10 @@ class Moonraker:
             self.stop()
             raise
 
+    def has_ended(self) -> bool:
+        """Whether it was started and has ended by itself."""
+        return self._popen is not None and self._popen.poll() is not None
+
     def stop(self) -> None:
         """End it if it runs."""
         self._client.close()

@@ -74,7 +74,7 @@ def play(playground: Playground) -> int:
             say(f"!! the printer cannot go on: {failure}")
             return 1
         playground.obey_page()
-        for name in playground.restart_asked():
+        for name in playground.restart_ended() + playground.restart_asked():
             say(f"restarted {name}")
 
 

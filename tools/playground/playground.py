@@ -20,6 +20,7 @@ from tools.kit.lab import Lab
 from tools.kit.printer import firmware_of
 from tools.kit.scenes import SCENES
 from tools.playground import commands, film, network
+from tools.playground.parameters import all_parameters
 from tools.playground.server import PageServer
 from tools.playground.watcher import Watcher
 
@@ -180,6 +181,14 @@ class Playground(Lab):
             return None
         return living.exception() or SessionError("the printer has ended")
 
+    def restart_ended(self) -> list[str]:
+        """Start Moonraker again where it has ended, as systemd does."""
+        if not self.moonraker.has_ended():
+            return []
+        self.moonraker.stop()
+        self.moonraker.start()
+        return ["moonraker"]
+
     def do(self, line: str) -> None:
         """Do what was typed, in the simulation."""
         watcher = self.watcher
@@ -214,6 +223,7 @@ class Playground(Lab):
             "point": point_of(scene),
             "wires": list(commands.wires(scene)),
             "commands": list(commands.possible(scene)),
+            "parameters": all_parameters(),
             "config": str(self.config_file),
         }
 

@@ -226,10 +226,13 @@ def crash_line(crash: Crash) -> str:
     x, y, _ = crash.pose
     what = "deep" if crash.kind == "depth" else "dragged"
     place = f"CRASH: {SITES.get(crash.site, crash.site)}"
-    return (
+    line = (
         f"{place:24} X{x:.1f} Y{y:.1f}, {crash.depth:.3f} mm {what},"
         f" {crash.allowed:.3f} mm allowed"
     )
+    if crash.past_stop > 0.0:
+        line += f", {crash.past_stop:.3f} mm past its hard stop"
+    return line
 
 
 class _Gap:

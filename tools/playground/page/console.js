@@ -8,17 +8,23 @@ export class Console {
   constructor(lines, form, input, proposals, send) {
     Object.assign(this, { lines, input, proposals, send });
     this.commands = [];
+    // Of our commands: names and meanings
+    this.parameters = {};
     this.history = JSON.parse(sessionStorage.getItem("history") || "[]");
     this.place = this.history.length;
     this.chosen = -1;
+    this.found = [];
+    // Closed with Escape: Tab leaves the field until something is typed
+    this.isDismissed = false;
     form.addEventListener("submit", (event) => { event.preventDefault(); this.submit(); });
     input.addEventListener("keydown", (event) => this.key(event));
-    input.addEventListener("input", () => this.propose(false));
+    input.addEventListener("input", () => { this.isDismissed = false; this.propose(false); });
     input.addEventListener("blur", () => this.close());
   }
 
-  // Names and helps of all commands there are.
-  know(help) {
+  // Names and helps of all commands there are; of ours, what their parameters mean.
+  know(help, parameters) {
+    this.parameters = parameters;
     const names = Object.keys(help).filter((name) => !name.startsWith("_"));
     const rank = (name) => (OURS.test(name) ? 0 : 1);
     names.sort((a, b) => rank(a) - rank(b) || a.localeCompare(b));
@@ -66,11 +72,13 @@ export class Console {
   key(event) {
     const isOpen = !this.proposals.hidden;
     const step = { ArrowUp: -1, ArrowDown: 1 }[event.key];
-    if (event.key === "Tab" && !event.shiftKey && this.input.value && (isOpen || this.propose(true))) {
+    const completes = event.key === "Tab" && !event.shiftKey && this.input.value && !this.isDismissed;
+    if (completes && (isOpen || this.propose(true))) {
       event.preventDefault();
       this.complete();
     } else if (event.key === "Escape" && isOpen) {
       event.preventDefault();
+      this.isDismissed = true;
       this.close();
     } else if (event.key === "Enter" && isOpen && this.chosen >= 0) {
       event.preventDefault();
@@ -86,14 +94,27 @@ export class Console {
     }
   }
 
+  // What may stand where the last word is: [name, meaning], and what follows a name.
+  candidates() {
+    const typed = this.input.value.toUpperCase();
+    const [, before, word] = /^(.*?)(\S*)$/.exec(typed);
+    this.before = this.input.value.slice(0, before.length);
+    const [command, ...given] = before.trim().split(/\s+/);
+    if (!command) return { word, all: this.commands, ending: " " };
+    const names = new Set(given.map((text) => text.split("=")[0]));
+    const all = Object.entries(this.parameters[command] || {}).filter(([name]) => !names.has(name));
+    return { word, all, ending: "=" };
+  }
+
   // Show what begins with, or has in it, what was typed; whether there is any.
   propose(isAsked) {
-    const word = this.input.value.toUpperCase();
-    const isName = word.length >= (isAsked ? 1 : 2) && !/\s/.test(word);
-    const begins = isName ? this.commands.filter(([name]) => name.startsWith(word)) : [];
-    const holds = isName ? this.commands.filter(([name]) => name.indexOf(word) > 0) : [];
-    this.found = [...begins, ...holds].slice(0, 12);
-    if (!this.found.length || (begins.length === 1 && begins[0][0] === word)) {
+    const { word, all, ending } = this.candidates();
+    const least = ending === "=" ? 0 : isAsked ? 1 : 2;
+    const begins = word.length >= least ? all.filter(([name]) => name.startsWith(word)) : [];
+    const holds = word.length >= Math.max(least, 1) ? all.filter(([name]) => name.indexOf(word) > 0) : [];
+    this.found = [...begins, ...holds].slice(0, 14);
+    this.ending = ending;
+    if (!this.found.length || (ending === " " && begins.length === 1 && begins[0][0] === word)) {
       this.close();
       return false;
     }
@@ -127,17 +148,20 @@ export class Console {
       this.take(Math.max(0, this.chosen));
       return;
     }
-    const word = this.input.value.toUpperCase();
+    const { word } = this.candidates();
     const names = this.found.map(([name]) => name).filter((name) => name.startsWith(word));
     let common = names[0] || word;
     while (names.some((name) => !name.startsWith(common))) common = common.slice(0, -1);
-    if (common.length > word.length) this.input.value = common;
+    if (common.length > word.length) this.input.value = this.before + common;
     else this.choose(this.chosen + 1);
   }
 
   take(index) {
-    this.input.value = `${this.found[index][0]} `;
+    this.candidates();
+    this.input.value = `${this.before}${this.found[index][0]}${this.ending}`;
     this.close();
+    // The parameters of a command that was taken
+    if (this.ending === " ") this.propose(true);
   }
 
   close() {

@@ -49,6 +49,7 @@ const flashes = new Map();
 live.addEventListener("hello", ({ detail }) => {
   machine = detail;
   $("machine").textContent = detail.machine;
+  $("address").textContent = detail.moonraker.replace("http://", "");
   $("point").textContent = `at X${detail.point[0]} Y${detail.point[1]}`;
   const names = detail.scenes.includes(detail.scene) ? detail.scenes : [...detail.scenes, detail.scene];
   $("scene").replaceChildren(...names.map((name) => new Option(name, name, false, name === detail.scene)));
@@ -153,7 +154,7 @@ function takeLines(lines) {
 moonraker.addEventListener("lines", ({ detail }) => takeLines(detail));
 moonraker.addEventListener("sent", ({ detail }) => terminal.sent(detail));
 moonraker.addEventListener("ready", ({ detail: store }) => {
-  terminal.know(moonraker.help);
+  terminal.know(moonraker.help, machine.parameters);
   terminal.clear();
   dialog.forget();
   for (const { type, message } of store) {
@@ -168,8 +169,11 @@ moonraker.addEventListener("status", ({ detail }) => {
   const busy = Object.values(detail).find((fields) => fields.phase && fields.phase !== "idle");
   $("progress").hidden = !busy;
   if (!busy) return;
-  $("bar").value = busy.progress;
-  $("phase").textContent = `${busy.phase.replaceAll("_", " ")} ${Math.round(busy.progress * 100)} %`;
+  const phase = busy.phase.replaceAll("_", " ");
+  // Before the first touch, and where none are counted, nobody knows how far it is
+  if (busy.progress) $("bar").value = busy.progress;
+  else $("bar").removeAttribute("value");
+  $("phase").textContent = busy.progress ? `${phase} ${Math.round(busy.progress * 100)} %` : phase;
 });
 
 function showShortcuts() {

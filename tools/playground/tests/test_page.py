@@ -60,10 +60,10 @@ def calibrate(page):
     )
 
 
-@pytest.mark.slow
 @LONG
-def test_page_calibrates(port):
-    with looking(port, "--perfect") as (_, page):
+def test_page_calibrates(port, host):
+    options = ("--perfect", "--host", host.name)
+    with looking(port, *options) as (_, page):
         assert gap(page) is None
         home(page)
         assert gap(page) == pytest.approx(-0.1, abs=0.03)
@@ -77,6 +77,47 @@ def test_page_calibrates(port):
         dots = page.driver.find_elements(By.CSS_SELECTOR, "#top .dot")
         assert len(dots) >= 9
         assert page.value("drawn") > 30
+
+
+@pytest.mark.slow
+@LONG
+def test_crash_is_told(port):
+    with looking(port, "--perfect") as (_, page):
+        home(page)
+        page.run("G90", "> G90")
+        page.run("G1 X150 Y150 Z-1 F6000", "> G1")
+        page.until(lambda: "CRASH" in page.text("#lines"), "a crash")
+        told = page.driver.find_elements(By.CSS_SELECTOR, "#lines .bad")
+        crash = next(line.text for line in told if "CRASH" in line.text)
+        assert re.fullmatch(
+            r" *\d+\.\d s  CRASH: probe BODY on the bed +X150\.0 Y150\.0,"
+            r" \d\.\d{3} mm deep, 0\.000 mm allowed",
+            crash,
+        )
+
+
+@pytest.mark.slow
+@LONG
+def test_every_result_is_in_large_figures(port):
+    with looking(port, "--perfect") as (_, page):
+        home(page)
+        for script, card in (
+            (
+                "PROBE_Z_ACCURACY SAMPLES=3",
+                "touches of the nozzle: standard deviation0.0000 mm",
+            ),
+            ("PROBE", r"triggered at Z-?\d\.\d{3} mm"),
+            ("PROBE_ACCURACY", r"touches: standard deviation0\.0000 mm"),
+            (
+                "CALIBRATE_Z_ACCURACY CYCLES=6",
+                r"one CALIBRATE_Z± 0\.\d{4} mmverdict: \w",
+            ),
+        ):
+            page.send(script)
+            page.until(
+                lambda wanted=card: re.match(wanted, page.text("#result")),
+                f"the card of {script}",
+            )
 
 
 @pytest.mark.slow
@@ -255,6 +296,9 @@ def test_who_is_away_is_said(port):
             lambda: "Moonraker does not answer" in page.text("#away"), "away"
         )
         assert page.find("#state-moonraker").get_attribute("class") == "bad"
+        # It is started again, as systemd does
+        page.until_ready()
+        home(page)
         shown.close()
         page.until(
             lambda: "start it with `make printer`" in page.text("#away"), "away"
@@ -301,6 +345,17 @@ def test_keyboard_alone(port):
         field.clear()
         field.send_keys("PROBE_Z", Keys.TAB)
         assert field.get_property("value").startswith("PROBE_Z_ACCURACY")
+        field.clear()
+        completed = "CALIBRATE_Z_ACCURACY CYCLES="
+        field.send_keys("CALIBRATE_Z_", Keys.TAB, "cyc", Keys.TAB)
+        assert field.get_property("value") == completed
+        # One is not given twice; Escape, and Tab leaves the field
+        field.send_keys("3 C")
+        assert not page.find("#proposals").is_displayed()
+        field.send_keys(Keys.BACKSPACE, "H")
+        assert "HOME" in page.text("#proposals")
+        field.send_keys(Keys.ESCAPE, Keys.TAB)
+        assert page.value("document.activeElement.textContent") == "Send"
         field.clear()
         field.send_keys("G28", Keys.ENTER)
         page.until(lambda: gap(page) is not None, "homed")
@@ -415,8 +470,13 @@ def test_set_up_from_nothing_by_buttons(port):
         page.until(lambda: abs(gap(page)) < 0.06, "the gap is about 0")
 
 
-# What hands do before a step's first button is pressed, and after it
-BEFORE = {"OFF": "off", "PROBE": "attach", "GAP": "off"}
+# What hands do before a step's first button is pressed, and what is told then; what
+# they do after it
+BEFORE = {
+    "OFF": ("off", "off the head"),
+    "PROBE": ("attach", "on the head"),
+    "GAP": ("off", "off the head"),
+}
 AFTER = {"PIN": "press z_endstop", "PROBE": "press probe"}
 
 
@@ -426,11 +486,14 @@ def guide(page):
         gcode = page.until(lambda: first_button(page), "a dialog")
         step = re.search(r"STEP=(\w+)", gcode)[1]
         if step in BEFORE:
-            page.do(BEFORE[step])
-            page.until(
-                lambda: "the head" in page.text("#told"), "the hand is done"
-            )
-        if step == "PAPER":
+            hand, words = BEFORE[step]
+            page.do(hand)
+            page.until(lambda w=words: w in page.text("#told"), hand)
+        if step == "SWITCH":
+            # The plunger is over the pin: along the body
+            for _ in range(4):
+                jog(page, "X+1 mm")
+        elif step == "PAPER":
             lower(page)
         label = page.until(lambda: first_button(page, "textContent"), "asked")
         page.press("#dialog", label)

@@ -32,6 +32,7 @@ class Terminal:
 
     def __init__(self, *options: str, env: Optional[dict] = None):
         self._popen = subprocess.Popen(
+            # What is given twice counts as it is given last
             [sys.executable, "-m", "tools.playground", "--speed", "20"]
             + ["--host", main_host().name, *options],
             cwd=ROOT,
