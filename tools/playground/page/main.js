@@ -21,6 +21,7 @@ const SHORTCUTS = [
   ["Calibrate", "AUTO_Z_CALIBRATE"],
   ["Calibrate", "EXTRA_PROBE_CALIBRATE PROBE=membrane SAVE=1"],
   ["Set up", "Z_CALIBRATION_SETUP"],
+  ["Set up dock", "DOCKABLE_PROBE_SETUP"],
   ["Report", "Z_CALIBRATION_REPORT"],
   ["Save", "SAVE_CONFIG"],
 ];
