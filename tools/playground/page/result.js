@@ -3,7 +3,7 @@
 // [what the console says, the label above the figures, what is in front of them]; the
 // last line that is told counts
 const RESULTS = [
-  [/^Z-CALIBRATION: .*--> new offset=(-?[\d.]+)(?: \+-([\d.]+))?/, "new Z offset"],
+  [/--> new offset=(-?[\d.]+)(?: \+-([\d.]+))?/, "new Z offset"],
   [/--> new switch_offset=(-?[\d.]+)/, "new switch_offset"],
   [/--> correction=(-?[\d.]+)/, "correction of the probe"],
   [/^AUTO_Z_CALIBRATE: .*probe_z_correction: (-?[\d.]+)/, "correction of the probe"],
