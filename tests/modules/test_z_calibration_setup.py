@@ -486,6 +486,26 @@ def test_probe_that_fetches_itself(start):
     assert gap == pytest.approx(real - 0.2, abs=2 * MICROSTEP)
 
 
+@pytest.mark.parametrize("step", ["NOZZLE", "GAP"])
+def test_probe_that_somebody_has_put_on_is_put_away_for_the_nozzle(start, step):
+    printer = start("cartesian", changes=empty())
+    printer.session.require_ready()
+    user = User(printer)
+    advance(user, step)
+    if step == "GAP":
+        # All touches are to be made again
+        printer.run("G28 Z")
+        assert "first touches begin again" in user.refused("Paper")
+    printer.run("ATTACH_PROBE")
+    # Its body would be in the bed while the nozzle is on the pin
+    if step == "GAP":
+        user.press("Touch")
+    user.go_to("GAP")
+    printer.run("M400")
+    assert where(printer) == "docked"
+    user.go_to("SAVE")
+
+
 def test_nothing_is_lowered_beside_the_sheet_or_with_the_probe(start):
     printer = start("cartesian", changes=empty())
     printer.session.require_ready()

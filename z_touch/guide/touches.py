@@ -84,6 +84,9 @@ class Touches(object):
     def touch_nozzle(self, gcmd, state):
         self.head.lift(state)
         state.heights, state.samples = {}, {}
+        # Whoever has put it on: it may meet the bed before the nozzle meets the pin
+        is_left_on = not state.is_fixed and self.hands.is_attached()
+        state.is_fetched = state.is_fetched or is_left_on
         with self.section.holding_probe():
             self.put_away(state)
             self.fetch(state)
