@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import math
 import os
 import random
 import resource
@@ -87,6 +88,8 @@ def test_line_cut_by_a_power_loss_costs_itself_only(file):
         b'{"ok": false, "time": 1, "sites": {"bed": {"z": 1, "sd": 0, "n": 2,'
         b' "samples": [1], "points": 1}}}',
         b'{"ok": false, "time": 1, "sites": {}, "bed_spread": "wide"}',
+        b'{"ok": false, "time": 1, "sites": {"nozzle": {"z": 1, "sd": 0,'
+        b' "n": 2, "samples": [], "absolute": "a"}}}',
         b'{"ok": false, "time": 1, "sites": []}',
         b'{"ok": false, "time": 1, "sites": {}, "temperatures": [1]}',
         b'{"ok": false, "time": 1, "sites": {}, "temperatures": {"a": "b"}}',
@@ -347,8 +350,19 @@ def test_records_of_a_site():
         "z": 1.0012,
         "sd": 0.001,
         "n": 3,
+        "absolute": pytest.approx(0.001 * math.sqrt(math.pi / 3.0), abs=1e-6),
         "samples": [1.0, 1.001, 1.05, 1.002],
     }
+    single = history.site_record([1.0], 1.0, 0.0025)
+    assert "absolute" not in single
+
+
+def test_absolute_deviations_of_earlier_runs_are_known():
+    run = make_run(random.Random(1))
+    (found,) = history.spreads_in([run], "bed")
+    assert found.absolute == run["sites"]["bed"]["absolute"] > 0.0
+    del run["sites"]["bed"]["absolute"]
+    assert history.spreads_in([run], "bed")[0].absolute is None
 
 
 def test_spread_is_that_of_all_touches():

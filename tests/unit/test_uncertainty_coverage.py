@@ -5,23 +5,32 @@ The table in docs/performance.md has more; here are the corners that fail first.
 
 from __future__ import annotations
 
+import math
 import random
 
 import pytest
 
 from tools.bench.coverage import (
-    KEPT,
     STEP,
     DrawnPrinter,
     Noise,
     Setting,
     coverage,
     grown,
+    normal,
     student,
 )
-from z_touch.history.file import spreads_in
-from z_touch.uncertainty import adaptive, recent
-from z_touch.uncertainty.estimate import UNKNOWN, Spread, spread_of
+from z_touch.core.sampling import AUTO
+from z_touch.uncertainty import adaptive, recent, tails
+from z_touch.uncertainty.estimate import (
+    UNKNOWN,
+    Spread,
+    after_choice,
+    estimate,
+    expanded,
+    spread_of,
+    weighed,
+)
 
 
 @pytest.mark.parametrize(
@@ -56,22 +65,11 @@ def test_noise_that_has_grown_counts_at_once(after):
     assert sum(parts[1:]) / 3 >= 0.93
 
 
-class AutomaticPrinter(DrawnPrinter):
-    """One that touches as often as it needs."""
+AUTOMATIC = Setting(samples=AUTO, target=0.005)
 
-    target = 0.005
 
-    def run(self, setting):
-        self.heights = {site: self.draw.uniform(0.0, 10.0) for site in SITES}
-        pasts = {site: spreads_in(self.runs, site) for site in SITES}
-        counting = adaptive.Automatic(self.target)
-        self.plan = adaptive.Plan(STEP, pasts, counting)
-        found = self.measured(self.plan, setting)
-        self.runs = [*self.runs, found.record][-KEPT:]
-        return found
-
-    def touches(self):
-        return sum(len(touches) for touches in self.plan.touches.values())
+def touches_of(printer):
+    return sum(len(touches) for touches in printer.plan.touches.values())
 
 
 @pytest.mark.parametrize("sigma", [0.002, 0.003, 0.004])
@@ -79,13 +77,13 @@ def test_target_is_kept_as_long_as_there_are_touches_left(sigma):
     """Also of a run that is noisier than those before it."""
     draw, touches, inside = random.Random(f"{sigma}"), [], []
     for _ in range(4):
-        printer = AutomaticPrinter(draw, Noise("", sigma))
+        printer = DrawnPrinter(draw, Noise("", sigma))
         for number in range(30):
             if number == 25:
                 printer.noise = Noise("", 1.5 * sigma)
-            run = printer.run(Setting(0.02, 3))
-            assert run.worth <= printer.target or printer.touches() >= 30
-            touches.append(printer.touches())
+            run = printer.run(AUTOMATIC)
+            touches.append(touches_of(printer))
+            assert run.worth <= AUTOMATIC.target or touches[-1] >= 30
             inside.append(abs(run.error) <= run.worth)
     assert max(touches) <= 30
     assert sum(inside) / len(inside) >= 0.9
@@ -100,9 +98,9 @@ def test_target_below_what_steps_allow_ends_at_what_can_be_had():
     assert f"each run ends at about {least:.4f}" in counting.impossible(STEP)
     assert not adaptive.Automatic(least).impossible(STEP)
     assert not adaptive.FixedCount(3).impossible(STEP)
-    printer = AutomaticPrinter(random.Random(1), Noise("", 0.001))
-    printer.target = 0.8 * least
-    runs = [printer.run(Setting(0.02, 3)) for _ in range(25)]
+    printer = DrawnPrinter(random.Random(1), Noise("", 0.001))
+    setting = AUTOMATIC._replace(target=0.8 * least)
+    runs = [printer.run(setting) for _ in range(25)]
     assert None not in [run.error for run in runs]
     assert least <= runs[-1].worth < 1.2 * least
 
@@ -111,10 +109,10 @@ def test_run_that_is_noisier_is_seen_before_its_last_place():
     """Later it is too late: nobody goes back to the nozzle."""
     draw, missed = random.Random(6), 0
     for _ in range(6):
-        printer = AutomaticPrinter(draw, Noise("", 0.003))
+        printer = DrawnPrinter(draw, Noise("", 0.003))
         for number in range(35):
-            run = printer.run(Setting(0.02, 3))
-            missed += number >= 10 and run.worth > printer.target
+            run = printer.run(AUTOMATIC)
+            missed += number >= 10 and run.worth > AUTOMATIC.target
     assert missed <= 3
 
 
@@ -175,18 +173,18 @@ def test_single_accident_is_no_noise():
 
 
 def test_alike_is_what_cannot_be_told_apart():
-    spreads, shared = recent.spreads_of_now(
+    spreads, shared, _ = recent.spreads_of_now(
         dict.fromkeys(SITES, [QUIET] * 4), dict.fromkeys(SITES, QUIET), STEP
     )
     assert shared and spreads["bed"] == Spread(pytest.approx(9e-6), 30)
     worn = {"nozzle": [QUIET] * 10, "switch": [QUIET] * 10, "bed": [LOUD] * 10}
     now = {"nozzle": QUIET, "switch": QUIET, "bed": LOUD}
-    spreads, shared = recent.spreads_of_now(worn, now, STEP)
+    spreads, shared, _ = recent.spreads_of_now(worn, now, STEP)
     assert not shared and spreads["bed"].variance == pytest.approx(81e-6)
 
 
 def test_a_run_alone_pays_for_what_it_chose():
-    spreads, _ = recent.spreads_of_now(
+    spreads, _, _ = recent.spreads_of_now(
         dict.fromkeys(SITES, []), dict.fromkeys(SITES, QUIET), STEP
     )
     assert spreads["bed"].dof == pytest.approx(6 * recent.CHOSEN)
@@ -198,3 +196,77 @@ def test_a_run_alone_pays_for_what_it_chose():
 )
 def test_limit_is_that_of_the_tables_of_f(dof, below, sigmas, table):
     assert recent.f_limit(dof, below, sigmas) == pytest.approx(table, rel=0.02)
+
+
+# Heavy tails
+
+
+def pasts_of(shape, runs=20, touches=9, sigma=0.006):
+    draw = random.Random(f"{shape.__name__}/{sigma}")
+    return [
+        [
+            spread_of([sigma * shape(draw) for _ in range(touches)])
+            for _ in range(runs)
+        ]
+        for _ in SITES
+    ]
+
+
+@pytest.mark.parametrize("touches", [3, 9])
+def test_middle_of_heavy_tails_is_narrower(touches):
+    """0.6 of all it is, and what may be chance is left out."""
+    pasts = pasts_of(student, 400, touches)
+    assert 0.5 <= tails.middle_part(pasts, STEP) <= 0.8
+    assert tails.middle_part(pasts_of(normal, 400, touches), STEP) >= 0.95
+
+
+def test_few_touches_say_nothing_of_tails():
+    for pasts in (
+        pasts_of(student, 1, 3),
+        # Nor do steps: one of ten touches that end on the next one looks far off
+        pasts_of(student, 80, 9, sigma=0.3 * STEP),
+        [[Spread(9e-6, 20)]] * 3,
+        [[UNKNOWN]] * 3,
+    ):
+        assert tails.middle_part(pasts, STEP) == 1.0
+
+
+def test_what_no_switch_does_is_left_out():
+    draw = random.Random(1)
+    wild = [[draw.gauss(0.0, 1.0) ** 9 for _ in range(9)] for _ in range(60)]
+    part = tails.middle_part([[spread_of(values) for values in wild]], STEP)
+    assert part == pytest.approx(tails.LEAST**3)
+
+
+def test_median_is_of_the_middle_and_an_average_of_all():
+    past = [Spread(0.006**2, 8, 0.9 * 0.006)] * 20
+    found = recent.spreads_of_now(
+        dict.fromkeys(SITES, past), dict.fromkeys(SITES, past[0]), STEP
+    )
+    assert 0.4 <= found.middle <= 0.7
+    for method, whole in (("median", 1.0), ("average", 0.0)):
+        one = estimate([1.0, 1.001, 1.003], UNKNOWN, STEP, method)
+        parts = [
+            weighed(one, found.spreads["bed"], STEP, middle).variance
+            for middle in (1.0, found.middle)
+        ]
+        lack = (1.0 - found.middle) * (0.006**2 - STEP**2 / 12) / 3
+        assert parts[0] - parts[1] == pytest.approx(whole * lack)
+
+
+def test_rounding_is_known_without_a_history():
+    """It costs t nothing: three touches on one step tell as much as a hundred."""
+    one = estimate([1.0] * 3, UNKNOWN, STEP, "median")
+    assert one.variance == one.rounded
+    alone = expanded([one] * 3, STEP)
+    assert alone == pytest.approx(1.96 * STEP / math.sqrt(2.0), rel=0.001)
+
+
+def test_touches_that_were_chosen_for_being_close_cost_a_degree():
+    touches = [1.0, 1.01, 1.0, 1.003, 1.006]
+    chosen = estimate(touches[2:], UNKNOWN, STEP, "median", touches).spread
+    whole = spread_of(touches)
+    assert chosen.dof == whole.dof - 1
+    assert chosen.variance == pytest.approx(whole.variance * 4 / 3)
+    assert estimate(touches, UNKNOWN, STEP, "median").spread == whole
+    assert after_choice(Spread(1.0, 1)) == Spread(1.0, 1)

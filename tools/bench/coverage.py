@@ -1,27 +1,31 @@
 """How many offsets are inside the uncertainty that is told of them.
 
-    python -m tools.bench.coverage [--runs N] [--first]
+    python -m tools.bench.coverage [--runs N] [--first] [--csv FILE]
 
 Printers at random, without klippy: three sites whose touches vary by the same
 noise and end on whole steps of Z, so of 2.5 um. Each has a history of ten good
 runs, and of the refused ones between them; with --first it has that of the refused
 runs before its first good one only. One line for each noise and shape of it, one
-column for each samples_tolerance and samples_tolerance_retries. Nothing is said
-("-") where fewer than one run in ten is good. Then the first runs after the
-noise has grown.
+column for each samples_tolerance and samples_tolerance_retries, or for samples: auto
+with a target_uncertainty. Nothing is said ("-") where fewer than one run in ten is
+good. Then the first runs after the noise has grown.
 """
 
 from __future__ import annotations
 
 import argparse
+import csv
 import math
 import random
 import sys
-from collections.abc import Callable, Sequence
-from typing import NamedTuple, Optional
+from collections.abc import Callable, Iterator, Sequence
+from concurrent.futures import ProcessPoolExecutor
+from functools import partial
+from pathlib import Path
+from typing import NamedTuple, Optional, Union
 
 from z_touch.core.errors import SamplesDiffer
-from z_touch.core.sampling import Sampling, summarize
+from z_touch.core.sampling import AUTO, Sampling, summarize
 from z_touch.history.file import SITES, site_record, spreads_in
 from z_touch.uncertainty import adaptive
 
@@ -55,12 +59,18 @@ class Noise(NamedTuple):
 
 
 class Setting(NamedTuple):
-    """What an owner sets: mm, count, count, how."""
+    """What an owner sets: mm, count, count or auto, how, mm."""
 
-    tolerance: float
-    retries: int
-    samples: int = 3
+    tolerance: float = 0.01
+    retries: int = 0
+    samples: Union[int, str] = 3
     method: str = "median"
+    target: float = 0.008
+
+    def __str__(self) -> str:
+        if self.samples == AUTO:
+            return f"auto {1000 * self.target:.0f}"
+        return f"{1000 * self.tolerance:.0f}/{self.retries}"
 
 
 class Run(NamedTuple):
@@ -89,9 +99,9 @@ class DrawnPrinter:
         """One CALIBRATE_Z, which knows those before it."""
         self.heights = {site: self.draw.uniform(0.0, 10.0) for site in SITES}
         pasts = {site: spreads_in(self.runs, site) for site in SITES}
-        counting = adaptive.FixedCount(setting.samples)
-        plan = adaptive.Plan(STEP, pasts, counting)
-        found = self.measured(plan, setting)
+        counting = adaptive.choose(setting.samples, setting.target)
+        self.plan = adaptive.Plan(STEP, pasts, counting)
+        found = self.measured(self.plan, setting)
         self.runs = [*self.runs, found.record][-KEPT:]
         return found
 
@@ -178,12 +188,18 @@ SETTINGS = [
     Setting(tolerance, retries)
     for tolerance in (0.005, 0.008, 0.020)
     for retries in (0, 3, 10)
-]
+] + [Setting(samples=AUTO, target=target) for target in (0.005, 0.008)]
+KINDS = (
+    ("normal", normal, 0.0),
+    ("Student's t", student, 0.0),
+    ("2 % of 30 um", normal, 0.02),
+)
 GROWTH = ((0.003, 0.006), (0.003, 0.010), (0.005, 0.010))
+HEADS = ("runs", "noise", "sigma, um", "setting, um/retries", "inside, %")
 
 
 def percent(part: Optional[float]) -> str:
-    return "    -" if part is None else f"{100.0 * part:5.1f}"
+    return "-" if part is None else f"{100.0 * part:.1f}"
 
 
 def tell(text: str) -> None:
@@ -191,31 +207,45 @@ def tell(text: str) -> None:
     sys.stdout.flush()
 
 
+def tables(
+    pool: ProcessPoolExecutor, given: argparse.Namespace
+) -> Iterator[tuple]:
+    """The cells, as HEADS names them; tells a line of them at a time."""
+    runs = (
+        "first run of a printer"
+        if given.first
+        else "with a history of ten runs"
+    )
+    tell(" " * 22 + "".join(f"{setting!s:>7}" for setting in SETTINGS))
+    for kind, shape, outliers in KINDS:
+        for sigma in SIGMAS:
+            um = f"{1000 * sigma:.0f}"
+            noise = Noise(f"{kind}, {um} um", sigma, shape, outliers)
+            inside = partial(
+                coverage, noise, count=given.runs, first=given.first
+            )
+            parts = [percent(part) for part in pool.map(inside, SETTINGS)]
+            tell(f"{noise.name:22}" + "".join(f"{part:>7}" for part in parts))
+            for setting, part in zip(SETTINGS, parts):
+                yield runs, kind, um, setting, part
+
+
 def main(words: Sequence[str]) -> int:
     """Print the tables."""
     parser = argparse.ArgumentParser(prog="python -m tools.bench.coverage")
     parser.add_argument("--runs", type=int, default=600)
     parser.add_argument("--first", action="store_true")
+    parser.add_argument("--csv", type=Path, help="write the cells there, too")
     given = parser.parse_args(words)
-    heads = [f"{1000 * s.tolerance:.0f}/{s.retries}" for s in SETTINGS]
-    tell(" " * 22 + "".join(f"{head:>6}" for head in heads) + "  um/retries")
-    for kind, shape, outliers in (
-        ("normal", normal, 0.0),
-        ("Student's t", student, 0.0),
-        ("2 % of 30 um", normal, 0.02),
-    ):
-        for sigma in SIGMAS:
-            name = f"{kind}, {1000 * sigma:.0f} um"
-            noise = Noise(name, sigma, shape, outliers)
-            parts = [
-                coverage(noise, setting, given.runs, first=given.first)
-                for setting in SETTINGS
-            ]
-            tell(f"{name:22}" + "".join(f" {percent(p)}" for p in parts))
+    with ProcessPoolExecutor(2) as pool:
+        rows = list(tables(pool, given))
+    if given.csv is not None:
+        with given.csv.open("w", newline="") as file:
+            csv.writer(file, lineterminator="\n").writerows([HEADS, *rows])
     for before, after in () if given.first else GROWTH:
         parts = grown(before, after, Setting(0.020, 3), given.runs)
         name = f"{1000 * before:.0f} um, then {1000 * after:.0f}"
-        tell(f"{name:22}" + "".join(f" {percent(p)}" for p in parts))
+        tell(f"{name:22}" + "".join(f"{percent(p):>7}" for p in parts))
     return 0
 
 

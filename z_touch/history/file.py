@@ -176,7 +176,8 @@ def is_site(site):
     points = site.get("points", [])
     if not isinstance(points, list) or not all(map(is_point, points)):
         return False
-    return is_number(site.get("sd")) and is_number(site.get("n"))
+    numbers = (site.get("sd"), site.get("n"), site.get("absolute", 0.0))
+    return all(map(is_number, numbers))
 
 
 def is_point(point):
@@ -206,6 +207,8 @@ def site_record(samples, z, step, touches=None, earlier=UNKNOWN, points=()):
         "n": len(kept),
         "samples": [round(sample, 6) for sample in samples],
     }
+    if spread.absolute is not None:
+        record["absolute"] = round(spread.absolute, 6)
     if len(touches) > len(samples):
         record["touches"] = [round(touch, 6) for touch in touches]
     if points:

@@ -100,7 +100,7 @@ def spread(site):
 # The same with how well it is known: as a Spread, of what a record has of a site
 def spread_in(record):
     dof = max(int(record["n"]) - 1, 0)
-    return Spread(max(record["sd"], 0.0) ** 2, dof)
+    return Spread(max(record["sd"], 0.0) ** 2, dof, record.get("absolute"))
 
 
 def touches(site):

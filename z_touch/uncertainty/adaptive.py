@@ -411,16 +411,17 @@ class Plan(object):
         estimates = dict(self.estimates, **{site: result})
         now = dict((name, e.spread) for name, e in estimates.items())
         pasts = dict((name, self.pasts[name]) for name in now)
-        spreads, _ = spreads_of_now(pasts, now, self.step)
-        return cost(weighed(result, spreads[site], self.step))
+        known = spreads_of_now(pasts, now, self.step)
+        spread = known.spreads[site]
+        return cost(weighed(result, spread, self.step, known.middle))
 
     def worth_of(self, estimates):
         if any(site not in estimates for site in self.pasts):
             return None
         now = dict((site, estimates[site].spread) for site in self.pasts)
-        spreads, is_shared = spreads_of_now(self.pasts, now, self.step)
+        known = spreads_of_now(self.pasts, now, self.step)
         found = [
-            weighed(estimates[site], spreads[site], self.step)
-            for site in self.pasts
+            weighed(estimates[site], spread, self.step, known.middle)
+            for site, spread in known.spreads.items()
         ]
-        return expanded(found, self.step, is_shared)
+        return expanded(found, self.step, known.is_shared)

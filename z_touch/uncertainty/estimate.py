@@ -12,10 +12,13 @@
 #          are the series that kept a tolerance: average and spread of normal
 #          samples do not depend on each other
 #   m      what the median of these is less exact, see median_excess()
+#          Of a median s is that of the middle of the touches, see tails.py
 #   r      what rounding to whole steps leaves, see rounding(); a median of an odd
-#          number is as rounded as a touch
+#          number is as rounded as a touch.  It is known, and costs t nothing
 #   step   of the Z motors: a touch ends on the step after the one at which it
-#          triggered, half a step too low on average, which nobody corrects
+#          triggered, half a step too low on average.  That of the switch cancels
+#          that of the nozzle, that of the bed stays: the offset is half a step too
+#          low.  Nobody corrects it, so that it is what the heights say
 #
 # The sum, the pooling and the degrees of freedom of t are those of the Guide to
 # the Expression of Uncertainty in Measurement (JCGM 100:2008): 5.1.2, H.3.6
@@ -27,15 +30,22 @@ import math
 
 from ..core.sampling import summarize
 
-# Of a single touch: its variance, and in how many degrees of freedom that is
-# known
-Spread = collections.namedtuple("Spread", "variance dof")
-
-# Of one site: height (mm), its variance and degrees of freedom (dof), the samples
-# that count, how z comes of them, and the Spread of this run's touches
+# Of one site: height (mm), its variance, the part of that which is of rounding,
+# degrees of freedom (dof), the samples that count, how z comes of them, and the
+# Spread of this run's touches
 Estimate = collections.namedtuple(
-    "Estimate", "z variance dof kept method spread"
+    "Estimate", "z variance rounded dof kept method spread"
 )
+
+
+# Of a single touch: its variance, in how many degrees of freedom that is known, and,
+# of one run, its standard deviation by absolute deviations (mm, None: nobody knows)
+class Spread(collections.namedtuple("Spread", "variance dof absolute")):
+    __slots__ = ()
+
+    def __new__(cls, variance, dof, absolute=None):
+        return super(Spread, cls).__new__(cls, variance, dof, absolute)
+
 
 UNKNOWN = Spread(0.0, 0)
 
@@ -116,7 +126,18 @@ def spread_of(samples):
         return UNKNOWN
     mean = math.fsum(samples) / len(samples)
     squares = math.fsum((z - mean) ** 2 for z in samples)
-    return Spread(squares / dof, dof)
+    far = math.fsum(abs(z - mean) for z in samples)
+    usual = math.sqrt(2.0 / math.pi * len(samples) * dof)
+    return Spread(squares / dof, dof, far / usual)
+
+
+# The same where the touches that count were chosen, as they were close together: that
+# costs a degree of freedom.
+def after_choice(spread):
+    if spread.dof < 2:
+        return spread
+    squares, dof = spread.variance * spread.dof, spread.dof - 1
+    return spread._replace(variance=squares / dof, dof=dof)
 
 
 # Of several runs together
@@ -166,15 +187,17 @@ def median_excess(samples, spread, step):
     return max(within - whole, 0.0) * (reduction(n, "median") - 1.0 / n)
 
 
-# The variance of the average or median of samples, by the Spread of a touch
-def variance_of(samples, spread, step, method):
+# The variance of the average or median of samples, by the Spread of a touch, and the
+# part of it that is of rounding.  'middle': see tails.py
+def variance_of(samples, spread, step, method, middle=1.0):
     n, whole = len(samples), step**2 / 12.0
     if method == "average" or n <= 2:
-        return spread.variance / n + rounding(spread.variance, step)
+        rounded = rounding(spread.variance, step)
+        return spread.variance / n + rounded, rounded
     # One of the samples is as rounded as any, the mean of two a bit less
     rounded = whole if n % 2 else 0.75 * whole
-    own = max(spread.variance - whole, 0.0) / n
-    return own + median_excess(samples, spread, step) + rounded
+    own = middle * max(spread.variance - whole, 0.0) / n
+    return own + median_excess(samples, spread, step) + rounded, rounded
 
 
 # The Estimate of a site from the samples that count.  'touches': all of them,
@@ -183,17 +206,21 @@ def estimate(samples, earlier, step, method, touches=None):
     kept = without_outliers(touches or samples, earlier, step)
     z = summarize(samples, method)
     spread = spread_of(kept if touches else samples)
-    result = Estimate(z, 0.0, 0, list(samples), method, spread)
+    if len(touches or samples) > len(samples):
+        spread = after_choice(spread)
+    result = Estimate(z, 0.0, 0.0, 0, list(samples), method, spread)
     usual = is_usual(spread, earlier, step)
     return weighed(result, pool((spread, earlier)) if usual else spread, step)
 
 
 # The Estimate with what the Spread of a touch says about it
-def weighed(result, spread, step):
+def weighed(result, spread, step, middle=1.0):
     if not spread.dof:
-        return result._replace(variance=0.0, dof=0)
-    variance = variance_of(result.kept, spread, step, result.method)
-    return result._replace(variance=variance, dof=spread.dof)
+        return result._replace(variance=0.0, rounded=0.0, dof=0)
+    variance, rounded = variance_of(
+        result.kept, spread, step, result.method, middle
+    )
+    return result._replace(variance=variance, rounded=rounded, dof=spread.dof)
 
 
 # The Estimate of a site from samples of which some may be outliers, and whose
@@ -213,10 +240,10 @@ def robust_estimate(samples, earlier, step):
 def expanded(estimates, step, is_shared=False):
     if not all(e.dof for e in estimates):
         return None
-    parts = [e.variance for e in estimates]
+    parts = [e.variance - e.rounded for e in estimates]
     below = math.fsum(v**2 / e.dof for v, e in zip(parts, estimates))
     if is_shared:
         below = math.fsum(parts) ** 2 / estimates[0].dof
-    total = math.fsum(parts) + step**2 / 4.0
+    total = math.fsum(e.variance for e in estimates) + step**2 / 4.0
     dof = total**2 / below if below else float("inf")
     return t_factor(dof) * math.sqrt(total)

@@ -10,9 +10,11 @@
 # the run that ends.
 from __future__ import absolute_import, division
 
+import collections
 import math
 
 from .estimate import pool
+from .tails import middle_part
 
 # Standard deviations of a normal distribution: from the first on the last runs are
 # noisier than those before; below the second sites vary alike, as far as one can
@@ -24,10 +26,10 @@ ACCIDENT = 3.1
 # So many runs are needed to tell that one of them is an accident
 ACCIDENT_RUNS = 6
 
-# The part of the degrees of freedom that it leaves to choose the touches that count by
-# what they say, and to choose the runs: those whose noise has grown are few, and the
+# The part of the degrees of freedom that it leaves to choose by what they say which
+# sites are alike, and to choose the runs: those whose noise has grown are few, and the
 # series among them that keep samples_tolerance are the quiet ones
-CHOSEN = 0.667
+CHOSEN = 0.8
 CUT = 0.4
 
 # Behind what is compared with (degrees of freedom)
@@ -46,9 +48,13 @@ def f_limit(dof, below, sigmas):
     return ((middle + root) / square) ** 3
 
 
-# Of several runs together, without single ones that are far noisier than all
-# others: an accident.
-def pool_usual(spreads, step):
+# What is known of the touches of now: the Spread of one by site, whether that is one
+# for all sites, and middle_part() of all of them
+Now = collections.namedtuple("Now", "spreads is_shared middle")
+
+
+# Without single ones that are far noisier than all others: an accident
+def usual(spreads, step):
     spreads = [s for s in spreads if s.dof > 0]
     while len(spreads) >= ACCIDENT_RUNS:
         worst = max(spreads, key=lambda s: s.variance)
@@ -59,7 +65,12 @@ def pool_usual(spreads, step):
         if worst.variance <= limit * max(rest.variance, step**2 / 4.0):
             break
         spreads = others
-    return pool(spreads)
+    return spreads
+
+
+# Of several runs together
+def pool_usual(spreads, step):
+    return pool(usual(spreads, step))
 
 
 # From which of the earlier runs on they touch as now.  A printer whose noise has
@@ -112,23 +123,23 @@ def are_alike(spreads, step):
     return ratio < f_limit(most.dof, least.dof, AS_NOISY)
 
 
-# The Spread of a touch of now by site, and whether it is one for all of them
+# The Now of a run
 def spreads_of_now(pasts, now, step):
     begin = first_like_now(pasts, now, step)
     like = dict((site, pasts[site][begin:]) for site in now)
     is_chosen = begin or not any(s.dof for part in like.values() for s in part)
-    found = dict(
-        (site, pool_usual(like[site] + [now[site]], step)) for site in now
-    )
+    like = dict((site, usual(like[site] + [now[site]], step)) for site in now)
+    found = dict((site, pool(like[site])) for site in now)
+    middle = middle_part(like.values(), step)
     if not all(spread.dof for spread in found.values()):
-        return found, False
+        return Now(found, False, middle)
     is_shared = are_alike(list(found.values()), step)
     if is_shared:
         found = dict.fromkeys(found, pool(found.values()))
     if is_chosen:
         part = CUT if begin else CHOSEN
         found = dict((site, with_cost(s, part)) for site, s in found.items())
-    return found, is_shared
+    return Now(found, is_shared, middle)
 
 
 def with_cost(spread, part):
