@@ -311,6 +311,27 @@ def test_plates_in_turn_are_no_alarm(block, apart):
     assert len(told) == len(texts)
 
 
+def test_what_is_back_where_it_was_is_told_to_nobody():
+    def options(n):
+        return {"moved": {"bed": 0.05 * (n // 12 % 2)}}
+
+    runs, texts = living(36, options)
+    told = [c["told"] for run in runs for c in run["changed"]]
+    assert told == [True, False]
+    assert len(texts) == 1
+
+
+def test_what_a_step_explains_better_is_no_drift():
+    """Although later values are higher than earlier ones."""
+    draw = random.Random(1)
+    step = [draw.gauss(0.05 * (n >= 30), 0.003) for n in range(60)]
+    line = [draw.gauss(0.001 * n, 0.003) for n in range(60)]
+    for values, is_drift in ((step, False), (line, True)):
+        assert trend.kendall(values) > trend.TREND_SIGMA
+        text = trend.shifted("bed", values, trend.no_pause)
+        assert ("bed has drifted" in text) == is_drift
+
+
 def test_names_keep_plates_apart():
     """A drift is found though plates are changed each time."""
 
@@ -320,6 +341,7 @@ def test_names_keep_plates_apart():
 
     _, texts = living(160, options)
     assert texts and all("has drifted" in text for _, text in texts)
+    assert any("probe - switch has drifted" in text for _, text in texts)
     _, texts = living(60, lambda n: {**options(n), "plate": ""})
     assert not any("probe - switch has drifted" in text for _, text in texts)
 
