@@ -275,6 +275,16 @@ def test_no_line_holds_klippy_or_costs_the_others(file, line, monkeypatch):
     assert os.path.getsize(file.path) > len(line)
 
 
+def test_line_that_is_too_long_is_damaged_whatever_it_begins_with(file):
+    add(file, 1)
+    with open(file.path, "rb") as f:
+        line = f.read().rstrip()
+    with open(file.path, "ab") as f:
+        f.write(line + b" " * history.LONGEST + b"\n")
+    runs, damaged = file.read()
+    assert (len(runs), damaged) == (1, 1)
+
+
 def test_digits_without_end_are_no_number():
     """Python would take its time for them."""
     found = history.load(b'{"a": ' + b"9" * 5000 + b"}")

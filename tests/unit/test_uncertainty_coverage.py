@@ -5,6 +5,7 @@ The table in docs/performance.md has more; here are the corners that fail first.
 
 from __future__ import annotations
 
+import itertools
 import math
 import random
 
@@ -20,7 +21,7 @@ from tools.bench.coverage import (
     normal,
     student,
 )
-from z_touch.core.sampling import AUTO
+from z_touch.core.sampling import AUTO, Sampling
 from z_touch.uncertainty import adaptive, recent, tails
 from z_touch.uncertainty.estimate import (
     UNKNOWN,
@@ -185,9 +186,22 @@ def test_alike_is_what_cannot_be_told_apart():
 
 def test_a_run_alone_pays_for_what_it_chose():
     spreads, _, _ = recent.spreads_of_now(
-        dict.fromkeys(SITES, []), dict.fromkeys(SITES, QUIET), STEP
+        dict.fromkeys(SITES, []), dict.fromkeys(SITES, QUIET), STEP, 0.5
     )
-    assert spreads["bed"].dof == pytest.approx(6 * recent.CHOSEN)
+    assert spreads["bed"].dof == pytest.approx(6 * 0.5)
+
+
+def test_who_chooses_the_number_of_touches_pays_more():
+    pasts, worth = dict.fromkeys(SITES, []), []
+    for samples in (4, AUTO):
+        plan = adaptive.Plan(STEP, pasts, adaptive.choose(samples, 0.03))
+        touches = itertools.cycle([1.0, 1.005, 1.002, 1.01])
+        sampling = Sampling(4, 1.0, 0, "average", 2.0, 4.0, 6.0)
+        for site in SITES:
+            plan.collect(site, touches.__next__, sampling, None, "")
+        assert sum(map(len, plan.samples.values())) == 12
+        worth.append(plan.uncertainty())
+    assert worth[1] > 1.02 * worth[0]
 
 
 @pytest.mark.parametrize(
@@ -229,6 +243,15 @@ def test_few_touches_say_nothing_of_tails():
         [[UNKNOWN]] * 3,
     ):
         assert tails.middle_part(pasts, STEP) == 1.0
+
+
+def test_what_may_be_chance_is_no_tail():
+    """The more touches have it the less of it may be."""
+    past = Spread(0.006**2, 2, 0.95 * 0.006)
+    few, many = (
+        tails.middle_part([[past] * count] * 3, STEP) for count in (4, 400)
+    )
+    assert few > many + 0.15
 
 
 def test_what_no_switch_does_is_left_out():

@@ -67,6 +67,12 @@ FAR_ONES = 3
 # An outlier wants three that speak against it
 AGAINST_ONE = 3
 
+# The part of the degrees of freedom that a run without a history has left, as which
+# sites are alike is chosen by what their touches say; the same where these say, too,
+# how many there are and which of them count
+ALIKE_CHOSEN = 0.8
+CHOSEN = 0.667
+
 # Of a run
 SITES = ("nozzle", "switch", "bed")
 
@@ -227,6 +233,7 @@ class FixedCount(object):
     # Options that count for nothing then; they do with, or without, 'samples: auto'
     idle = ("target_uncertainty",)
     idle_how = "without"
+    chosen = ALIKE_CHOSEN
 
     # 'count': of the section; None: as [probe] has it
     def __init__(self, count=None):
@@ -266,6 +273,7 @@ class Automatic(object):
     idle = ("samples_tolerance", "samples_tolerance_retries", "samples_result")
     idle_how = "with"
     count = None
+    chosen = CHOSEN
 
     # 'target': mm at 95 %
     def __init__(self, target):
@@ -411,7 +419,7 @@ class Plan(object):
         estimates = dict(self.estimates, **{site: result})
         now = dict((name, e.spread) for name, e in estimates.items())
         pasts = dict((name, self.pasts[name]) for name in now)
-        known = spreads_of_now(pasts, now, self.step)
+        known = spreads_of_now(pasts, now, self.step, self.counting.chosen)
         spread = known.spreads[site]
         return cost(weighed(result, spread, self.step, known.middle))
 
@@ -419,7 +427,7 @@ class Plan(object):
         if any(site not in estimates for site in self.pasts):
             return None
         now = dict((site, estimates[site].spread) for site in self.pasts)
-        known = spreads_of_now(self.pasts, now, self.step)
+        known = spreads_of_now(self.pasts, now, self.step, self.counting.chosen)
         found = [
             weighed(estimates[site], spread, self.step, known.middle)
             for site, spread in known.spreads.items()

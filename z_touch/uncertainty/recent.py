@@ -26,10 +26,9 @@ ACCIDENT = 3.1
 # So many runs are needed to tell that one of them is an accident
 ACCIDENT_RUNS = 6
 
-# The part of the degrees of freedom that it leaves to choose by what they say which
-# sites are alike, and to choose the runs: those whose noise has grown are few, and the
-# series among them that keep samples_tolerance are the quiet ones
-CHOSEN = 0.8
+# The part of the degrees of freedom that it leaves to choose the runs: those whose noise
+# has grown are few, and the series among them that keep samples_tolerance are the quiet
+# ones
 CUT = 0.4
 
 # Behind what is compared with (degrees of freedom)
@@ -123,8 +122,9 @@ def are_alike(spreads, step):
     return ratio < f_limit(most.dof, least.dof, AS_NOISY)
 
 
-# The Now of a run
-def spreads_of_now(pasts, now, step):
+# The Now of a run.  'chosen': the part of the degrees of freedom that it leaves a run
+# without a history to choose by what its touches say
+def spreads_of_now(pasts, now, step, chosen=1.0):
     begin = first_like_now(pasts, now, step)
     like = dict((site, pasts[site][begin:]) for site in now)
     is_chosen = begin or not any(s.dof for part in like.values() for s in part)
@@ -137,7 +137,7 @@ def spreads_of_now(pasts, now, step):
     if is_shared:
         found = dict.fromkeys(found, pool(found.values()))
     if is_chosen:
-        part = CUT if begin else CHOSEN
+        part = CUT if begin else chosen
         found = dict((site, with_cost(s, part)) for site, s in found.items())
     return Now(found, is_shared, middle)
 
