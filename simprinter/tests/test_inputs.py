@@ -56,6 +56,21 @@ def test_buttons_tell_of_changes_until_they_are_acknowledged(inverted):
     assert bench.said("buttons_state")[-1] == last
 
 
+def test_buttons_are_looked_at_every_50_ms():
+    """As often as firmware does would be most of what happens."""
+    looks = []
+    bench = Bench(Buttons(lambda pin, ns: bool(looks.append(ns))))
+    at = bench.now()
+    bench.tell(
+        "config_buttons oid=1 button_count=1",
+        "buttons_add oid=1 pos=0 pin=7 pull_up=1",
+        f"buttons_query oid=1 clock={at} rest_ticks=100000 retransmit_count=50"
+        " invert=0",
+    )
+    bench.run_to(at + SECOND)
+    assert len(looks) == 21
+
+
 def test_counter_tells_of_a_fan_that_stands_still():
     bench = Bench(Counters())
     at = bench.now()

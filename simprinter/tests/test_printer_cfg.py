@@ -31,7 +31,7 @@ def test_steps_are_as_long_as_klippy_makes_them(tmp_path):
 
 def test_included_files_are_part_of_it(tmp_path):
     (tmp_path / "more").mkdir()
-    (tmp_path / "more" / "a.cfg").write_text("[fan]\npin: PD1 # cools\n")
+    (tmp_path / "more" / "a.cfg").write_text("[fan]\npin: PD1#cools\n")
     (tmp_path / "more" / "b.cfg").write_text(
         "[gcode_macro HELLO]\ngcode:\n  {% if 1 %}\n\n    M117 hi\n  {% endif %}"
     )

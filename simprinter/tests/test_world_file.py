@@ -9,6 +9,7 @@ import jsonschema
 import pytest
 
 from simprinter import plugin_printer, printer_cfg, world, world_file
+from simprinter.machine import Machine
 from simprinter.running import SAMPLE
 from simprinter.wiring import BoardSpec, Heater
 from simprinter.world_file import SCHEMA, WorldFileError
@@ -208,6 +209,26 @@ def test_heaters_boards_and_tilt_are_those_of_printer_cfg():
     assert made.z_motors == [("z", 0.0, 10.0), ("z1", 200.0, 20.0)]
 
 
+def test_thermometer_may_be_on_another_board_or_left_out():
+    cfg = f"{CFG}{HOT}".replace("sensor_pin: PI2", "sensor_pin: tool:PI2")
+    cfg = cfg.replace("0, 10", "0, 10\n  200, 20")
+    wiring = scene(WORLD, cfg).wiring
+    assert set(wiring.on_board("tool").heaters) == {"temperature_sensor room"}
+    # A pin that is nowhere does no harm there
+    cfg = cfg.replace("tool:PI2", "ZZ1")
+    left_out = 'leave_out_sections = ["temperature_sensor room"]\n'
+    assert len(scene(left_out + WORLD, cfg).wiring.heaters) == 2
+
+
+@pytest.mark.parametrize(("told", "direction"), [("True", 1), ("False", -1)])
+def test_direction_of_homing_is_the_one_that_is_told(tmp_path, told, direction):
+    file = tmp_path / "printer.cfg"
+    file.write_text(f"{CFG}[stepper_x]\nhoming_positive_dir: {told}\n")
+    made = world_file.made_from(printer_cfg.read(file))
+    (switch, _) = scene(made, file.read_text()).world.switches
+    assert switch.direction == direction
+
+
 def test_gantry_of_four_motors_stands_on_its_corners():
     steppers = "".join(
         f"[stepper_z{n}]\nstep_pin: PB{3 * n}\ndir_pin: PB{3 * n + 1}\n"
@@ -307,5 +328,8 @@ def test_world_is_made_of_what_printer_cfg_says(
     assert '"adxl345"' in made and '"temperature_sensor cpu"' in made
     assert '"fan"' not in made
     assert 'x1_endstop = "PD4"' in made
-    sections = scene(made, file.read_text()).sections
-    assert "adxl345" not in sections and "fan" in sections
+    machine = scene(made, file.read_text())
+    assert "adxl345" not in machine.sections and "fan" in machine.sections
+    # A second motor of X moves nothing by itself
+    with Machine(machine):
+        assert set(machine.wiring.motors) == {"x", "y", "z"}
