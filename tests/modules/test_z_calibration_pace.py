@@ -232,11 +232,17 @@ def test_fixed_count_stays_high(watched):
 
 
 @pytest.mark.every_host
-@pytest.mark.parametrize("margin", [0.2, 0.6])
+@pytest.mark.parametrize("margin", [0.2, 0.4])
 def test_what_stands_in_the_way_is_pressed_by_half_the_margin(start, margin):
-    """A plate that is higher than in the last run, met on the quick way down."""
-    changes = auto(travel_margin=f"{margin}", offset_margins="-4, 4")
-    printer = start(changes=changes).homed()
+    """A plate that is higher than in the last run, met on the quick way down.
+
+    Its switch is told 20 ms late, as over a slow line to another board; touches
+    are so slow that this is nothing.
+    """
+    options = {"travel_margin": f"{margin}", "offset_margins": "-4, 4"}
+    changes = {**auto(**options), "probe": {"speed": "2"}}
+    scene = noisy(probe={"latency": 0.02})
+    printer = start(scene, changes=changes).homed()
     (before, *_), _ = calibration(printer)
     printer.machine.world.exchange_plate(2.0)
     (after, *_), _ = calibration(printer)
