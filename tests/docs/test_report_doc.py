@@ -42,6 +42,7 @@ NO_TEXTS = {
 CONSTANTS = (
     "GOOD_WORTH",
     "POOR_WORTH",
+    "ROUGH_WORTH",
     "OFTEN",
     "LATEST",
     "WEAR_STAYS",

@@ -183,6 +183,21 @@ def test_each_trend_has_its_remedy():
     assert set(verdict.REMEDIES) == names
 
 
+@pytest.mark.parametrize(
+    ("spread", "worth", "level"),
+    [
+        (3.0, 0.014, verdict.GOOD),
+        (0.0, 0.014, verdict.WATCH),
+        (3.0, 0.016, verdict.WATCH),
+        (3.0, 0.021, verdict.ACT),
+    ],
+)
+def test_texture_is_part_of_what_an_offset_is_worth(spread, worth, level):
+    """The target of such runs is 0.014 mm: keeping it is good."""
+    runs = make_runs(8, uncertainty=worth, bed_spread=spread)
+    assert verdict.judge(runs).level == level
+
+
 def test_other_nozzle_is_marked():
     runs = make_runs(10) + make_runs(10, moved={"nozzle": -0.2})
     marks = verdict.marks_of(refused() + runs, trend.no_pause)

@@ -18,6 +18,8 @@ Mark = collections.namedtuple("Mark", "number text")
 
 # An offset is good to (mm); from the second on a first layer shows it
 GOOD_WORTH, POOR_WORTH = 0.01, 0.02
+# With bed_spread it is good to this, as the texture of the plate is part of it
+ROUGH_WORTH = 0.015
 
 # Latest runs that are looked at, and how many of these are often
 LATEST = 10
@@ -124,7 +126,8 @@ def sentence(text):
 def worth(runs):
     last = runs[-1]
     found = last.get("uncertainty")
-    if not last["ok"] or found is None or found <= GOOD_WORTH:
+    good = ROUGH_WORTH if trend.bed_spread(last) else GOOD_WORTH
+    if not last["ok"] or found is None or found <= good:
         return
     # What is told of the nozzle is part of it
     if texts_of(last, "warnings"):
