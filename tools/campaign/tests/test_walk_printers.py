@@ -4,6 +4,7 @@ from itertools import combinations
 
 import pytest
 
+from tools.campaign.drawing import check_drawn
 from tools.campaign.walks import (
     card,
     covering,
@@ -14,7 +15,7 @@ from tools.campaign.walks import (
     walker,
 )
 from tools.campaign.walks.machines import BASES, GENERIC
-from tools.campaign.walks.printers import Owned
+from tools.campaign.walks.printers import Owned, printers
 from z_touch.core import options
 from z_touch.core.templates import GCODE
 
@@ -64,6 +65,19 @@ def test_a_host_without_such_kinematics_gets_no_printer_with_them():
     assert GENERIC not in {row.kinematics for row in covering.rows((), False)}
 
 
+def test_no_heat_is_measured_where_klipper_cannot_start_with_it(rows):
+    row = next(row for row in rows if row.kinematics == GENERIC)
+    drawn = []
+    check_drawn(
+        printers(row._replace(names=frozenset({"heat", "skew"}))),
+        lambda printer: drawn.append(printer),
+        1,
+        shrinks=False,
+    )
+    assert drawn[1].kinematics == GENERIC
+    assert drawn[1].names == {"skew"}
+
+
 @pytest.mark.parametrize("section", values.TABLES)
 def test_each_row_of_a_table_has_values_or_is_of_the_machine(section):
     chosen = {
@@ -79,7 +93,8 @@ def test_each_row_of_a_table_has_values_or_is_of_the_machine(section):
         and not values.is_of_machine(row.name)
         and isinstance(row.default, (bool, int, float))
     }
-    assert left - chosen <= {"z_hop"}
+    # Of a default of 0 nothing follows; [z_calibration]'s is among values.OWN
+    assert left - chosen <= {"bed_spread"}
 
 
 def test_real_values_are_among_them():

@@ -147,6 +147,9 @@ def printers(draw: st.DrawFn, row: Row) -> Owned:
     """Those that have what a row of the covering array says."""
     own = covering.of_machine(row.base)
     kept = [n for n in sorted(row.names) if draw(_mostly(True, False))]
+    if row.kinematics == machines.GENERIC and "heat" in kept:
+        # Klipper itself looks for a motor that is called stepper_z
+        kept.remove("heat")
     names = features.possible(kept, BASES[row.base].sections)
     slopes = _beyond(-SLOPE, SLOPE, 0.5 * SLOPE)
     plates = {
