@@ -18,6 +18,7 @@ DOCS = Path(__file__).resolve().parents[2] / "docs"
 PAGES = {"z_calibration": ("z_calibration", "setup", "accuracy")}
 NUMBERS = "Built-in numbers"
 OPTIONS = "Which options are there?"
+OLD_NAMES = "Old names"
 COMMANDS = "Which commands are there?"
 STATUS = "What can macros read?"
 _MARKDOWN = MarkdownIt("commonmark").enable("table")
@@ -42,6 +43,13 @@ def text_of(name: str) -> str:
         for r in data_of("options.csv", name)
     ]
     text = text.replace(f"\n## {OPTIONS}\n", "\n".join([*options, ""]))
+    old = [f"\n### {OLD_NAMES}\n", "| option | now | unit, range |"]
+    old += ["|---|---|---|"]
+    old += [
+        f"| {r['option']} | {r['now']} | {r['unit, range']} |"
+        for r in data_of("old_names.csv", name)
+    ]
+    text = text.replace(f"\n### {OLD_NAMES}\n", "\n".join([*old, ""]))
     numbers = [
         f"## {NUMBERS}",
         "",

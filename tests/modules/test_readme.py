@@ -269,6 +269,7 @@ KNOWN_TEXTS = [
     ROOT / "docs" / "extra_probe.md",
     ROOT / "docs" / "messages.md",
     ROOT / "docs" / "all_messages.csv",
+    ROOT / "docs" / "old_names.csv",
     ROOT / "docs" / "installation.md",
     ROOT / "examples" / "moonraker.conf",
     ROOT / "examples" / "z_calibration" / "calibrate_macros.cfg",

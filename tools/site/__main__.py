@@ -29,7 +29,14 @@ COPIED += ("simprinter/LIMITS.md",)
 ITEM = re.compile(r"( *)((?:[-*]|\d+\.) +)")
 INDENT = 4
 # Data files that are pages here
-TABLES = ("options", "numbers", "installer", "all_messages", "report_texts")
+TABLES = (
+    "options",
+    "old_names",
+    "numbers",
+    "installer",
+    "all_messages",
+    "report_texts",
+)
 # As mkdocs.yml calls the folder of what was staged
 PAGES = "pages"
 
