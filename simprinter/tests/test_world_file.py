@@ -9,6 +9,7 @@ import jsonschema
 import pytest
 
 from simprinter import plugin_printer, printer_cfg, world, world_file
+from simprinter.hosts.hosts import named_checkouts
 from simprinter.machine import Machine
 from simprinter.running import SAMPLE
 from simprinter.wiring import BoardSpec, Heater
@@ -333,3 +334,29 @@ def test_world_is_made_of_what_printer_cfg_says(
     # A second motor of X moves nothing by itself
     with Machine(machine):
         assert set(machine.wiring.motors) == {"x", "y", "z"}
+
+
+@pytest.mark.slow
+def test_examples_of_klipper_become_machines_or_are_refused(tmp_path):
+    """Four of five; what is no whole printer, or no such machine, is told."""
+    checkouts = named_checkouts()
+    files = [f for c in checkouts[:1] for f in c.folder.glob("config/*.cfg")]
+    if not files:
+        pytest.skip("no checkout of Klipper is named")
+    refused = []
+    for file in files:
+        try:
+            machine = plugin_printer.read_scene(file)
+        except printer_cfg.PrinterCfgError as error:
+            refused.append(str(error))
+            continue
+        with Machine(machine):
+            pass
+    reasons = (
+        "kinematics is",
+        "step_pin is",
+        "dir_pin is",
+        "rotation_distance",
+    )
+    assert [t for t in refused if not any(r in t for r in reasons)] == []
+    assert len(refused) < 0.25 * len(files)
