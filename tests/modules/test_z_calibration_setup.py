@@ -68,6 +68,7 @@ def test_from_an_empty_section_to_the_true_gap(start):
     printer.run("G28")
     result, _ = calibration(printer)
     settings = printer.status("configfile")["settings"]["z_calibration"]
+    assert settings["samples"] == "auto"
     # The probe over the middle, as nothing says where else
     assert settings["bed_xy_position"] == pytest.approx((125.0, 110.5))
     assert settings["nozzle_xy_position"] == pytest.approx(

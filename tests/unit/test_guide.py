@@ -8,6 +8,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
+from tests.unit.calibrated import make_settings
 from tools.kit.dialogs import dialogs_of
 from z_touch.core import jogging
 from z_touch.core.errors import CalibrationError
@@ -15,6 +16,8 @@ from z_touch.core.touching import Site
 from z_touch.guide import steps
 from z_touch.guide.head import GuidedHead
 from z_touch.guide.state import SITES, State
+from z_touch.uncertainty.adaptive import Automatic, FixedCount
+from z_touch.z_calibration.interface import Interface
 from z_touch.z_calibration.settings import OPTIONS
 
 FACTS = {
@@ -376,3 +379,38 @@ def test_place_in_the_dock(text):
         head.check_dock(site)
     head.check_dock(site._replace(x=65.1, y=308.0))
     head_with({}).check_dock(site)
+
+
+# What is saved as samples: fifteen touches are enough, or three
+
+
+def proposed(count, step=0.0025, said=(), **options):
+    """Of a section, on a printer with such steps of Z (mm)."""
+    stepper = SimpleNamespace(get_step_dist=lambda: step)
+    settings = make_settings(
+        said=frozenset(said), target_uncertainty=0.008, **options
+    )
+    section = SimpleNamespace(
+        host=SimpleNamespace(z_steppers=lambda: [stepper]), settings=settings
+    )
+    return Interface(section).proposed_samples(count)
+
+
+@pytest.mark.parametrize(
+    ("count", "said", "counting", "step", "samples"),
+    [
+        # As many as [probe] has, which are enough, or too few
+        (3, (), FixedCount(), 0.0025, "auto"),
+        (15, (), FixedCount(), 0.0025, "auto"),
+        # His own, which are enough, or too few
+        (3, ("samples",), FixedCount(3), 0.0025, ""),
+        (15, ("samples",), FixedCount(3), 0.0025, "auto"),
+        # That is what it is already
+        (15, ("samples",), Automatic(0.008), 0.0025, ""),
+        # Such steps cannot keep the target
+        (3, (), FixedCount(), 0.01, ""),
+        (15, (), FixedCount(), 0.01, "15"),
+    ],
+)
+def test_samples_that_are_proposed(count, said, counting, step, samples):
+    assert proposed(count, step, said, counting=counting) == samples
