@@ -112,6 +112,14 @@ def test_place_that_the_head_was_not_sent_to(judged):
     assert sort_of(judge, "gcode", places % 145) == "elsewhere"
 
 
+def test_place_that_is_another_one_by_a_skew(judged):
+    owned = Owned("dock_gantry_switch", names=frozenset({"skew"}))
+    printer, judge = judged(owned)
+    places = "SET_SKEW XY=100.5,99.5,70.7\nG1 X140 Y150 F9000\nPROBE"
+    printer.run(places)
+    assert sort_of(judge, "gcode", places) == ""
+
+
 def test_nozzle_that_is_left_on_the_pin(judged):
     printer, judge = judged(SWITCH)
     printer.run("G1 X206 Y306 F9000\nG1 Z1.59 F600\nM400")

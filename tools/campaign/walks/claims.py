@@ -117,7 +117,7 @@ CLAIMS: tuple[tuple[re.Pattern, Callable[..., bool]], ...] = tuple(
         (r"^extra_probe .*(?:was not pressed|press it once)", _is_true),
         (r"no set-up is under way|did not change; check", _is_true),
         (r"Unknown profile|Unknown g-code state|Move out of range", _is_true),
-        (r"Extrude when no extruder|max_temperature is", _is_true),
+        (r"Extrude when no|Extrude below min|max_temperature is", _is_true),
     )
 )
 _SEEN = re.compile(r"Probe Status: (\w+)")

@@ -215,7 +215,9 @@ class Judge:
     def _is_elsewhere(self, gone: Gone) -> Iterator[str]:
         """Where the head was sent, it is; and it touches what is there."""
         sent = [m for m in map(_SENT.match, gone.script.splitlines()) if m]
-        if gone.refusal or gone.kind != "gcode" or not sent:
+        # A skew that is corrected is another place
+        is_skew = "skew" in self.owned.names
+        if gone.refusal or gone.kind != "gcode" or not sent or is_skew:
             return
         x, y = (float(number) for number in sent[-1].groups())
         if gone.command == "MOVE_AVOIDING_DOCK":
@@ -336,7 +338,8 @@ class Judge:
         return frozenset({self.before.probe, self._probe(), *seen})
 
     def _is_off(self, gone: Gone) -> Iterator[str]:
-        is_alone = gone.kind != "both"
+        # In a print, too, others come after it
+        is_alone = gone.kind not in ("both", "card")
         yield from self.gaps.wrong(gone.script, gone.lines, is_alone)
 
     # Looking
