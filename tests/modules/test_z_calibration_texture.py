@@ -206,7 +206,7 @@ REFUSED = {
         f"Option 'bed_spread' {IN} must have minimum of 0",
     ),
     "on the pin": (
-        {"bed_spread": "6", "bed_xy_position": "196, 306"},
+        {"bed_spread": "6", "bed_xy_position": "199.5, 306"},
         "choose a point of the bed at least 7 mm away",
     ),
 }
