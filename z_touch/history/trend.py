@@ -492,7 +492,7 @@ def wear(runs, pause=no_pause):
     for name, value, remedy in SPREADS:
         begin = max([exchanged] + begins_of(name, runs))
         like = comparable(runs, begin, pause)
-        text = grown(name, [value(run) for _, run in like])
+        text = grown(name, value, [run for _, run in like])
         told += [(name, "%s: %s" % (text, remedy))] if text else []
     return told
 
@@ -518,13 +518,13 @@ def shifted(name, values, pause):
     return text % (name, shift, len(values))
 
 
-# 'spreads': of one touch, in each run of a stretch
-def grown(name, spreads):
-    if len(spreads) < 2 * GROWTH_RUNS:
+# 'value': the Spread of one touch in a run; 'runs': of a stretch
+def grown(name, value, runs):
+    if len(runs) < 2 * GROWTH_RUNS:
         return ""
     first, last = [
-        pool_usual(part, GROWTH)
-        for part in (spreads[:GROWTH_RUNS], spreads[-GROWTH_RUNS:])
+        pool_usual([value(run) for run in part], GROWTH)
+        for part in (runs[:GROWTH_RUNS], runs[-GROWTH_RUNS:])
     ]
     if not (first.dof and last.dof):
         return ""
@@ -535,4 +535,4 @@ def grown(name, spreads):
     if last.variance < limit * max(first.variance, GROWTH**2):
         return ""
     text = "%s has grown from %.4f to %.4f mm in the last %d runs"
-    return text % (name, before, after, len(spreads))
+    return text % (name, before, after, len(runs))
