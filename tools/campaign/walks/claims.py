@@ -18,7 +18,7 @@ class Facts:
 
     before, after: status of the printer's objects. probes: where the world had
     the probe; membrane: whether it lies there; touched: the sites touched.
-    is_asked: somebody is asked something.
+    is_asked: somebody is asked something, or was by a dialog.
     """
 
     before: Mapping[str, Any]

@@ -315,7 +315,7 @@ class Judge:
             after=self._status(),
             probes=self._probes(),
             membrane=self.printer.machine.world.membrane_is_laid,
-            is_asked=self.before.question or self._is_asked(),
+            is_asked=self.before.question or self._was_asked(),
             touched=frozenset(
                 touch.site
                 for touch in self.printer.machine.truth.touches[
@@ -358,6 +358,12 @@ class Judge:
         extra = self.printer.status("extra_probe membrane")
         shown = dialogs_of(self.printer.session.console)
         return bool(extra.get("waits_for")) or any(d.is_open for d in shown)
+
+    def _was_asked(self) -> bool:
+        """Whether one is, or was: the end of a set-up closes the dialogs of all
+        sections on a page, while the others still wait."""
+        shown = dialogs_of(self.printer.session.console)
+        return bool(shown) or self._is_asked()
 
     def _stand_still(self) -> None:
         machine, last = self.printer.machine, None
