@@ -33,7 +33,11 @@ def load_config(config):
 
 @pytest.fixture(autouse=True)
 def one_host(monkeypatch):
-    """As for somebody whose Klipper is there already."""
+    """As for somebody whose Klipper is there already.
+
+    What other tests of this process have started still runs.
+    """
+    monkeypatch.setattr("simprinter.__main__.starting.close", lambda: None)
     monkeypatch.setattr(
         "simprinter.__main__.choose_host", lambda name: hosts.main_host()
     )
@@ -138,5 +142,9 @@ def test_bench_prints_speed_start_and_memory(capsys):
         r"start: ([\d.]+) s the first time, ([\d.]+) s", out
     ).groups()
     assert 0.0 < float(later) <= float(first)
-    memory = re.search(r"klippy (\d+) MB, simulator (\d+) MB", out).groups()
-    assert 10 < sum(map(int, memory)) < 150
+    klippy, simulator = map(
+        int,
+        re.search(r"klippy (\d+) MB, simulator (\d+) MB", out).groups(),
+    )
+    # The simulator is this process, which has run other tests before
+    assert 10 < klippy < 150 and simulator > 10
