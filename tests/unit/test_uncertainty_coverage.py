@@ -258,7 +258,7 @@ def test_what_no_switch_does_is_left_out():
     draw = random.Random(1)
     wild = [[draw.gauss(0.0, 1.0) ** 9 for _ in range(9)] for _ in range(60)]
     part = tails.middle_part([[spread_of(values) for values in wild]], STEP)
-    assert part == pytest.approx(tails.LEAST**3)
+    assert part == pytest.approx(tails.NARROWEST**3)
 
 
 def test_median_is_of_the_middle_and_an_average_of_all():

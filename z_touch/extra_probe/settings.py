@@ -121,7 +121,7 @@ def read_switch_settings(config):
 # Of the other sections: what lies on the tips of a textured plate covers what is
 # between them, so that one point is as good as many.
 def refuse_spread(config):
-    if config.get("bed_spread", None) is not None:
+    if config.get_prefix_options("bed_spread"):
         what = "is not needed, as the switch covers texture; remove it"
         raise options.config_error(config, "bed_spread", what)
 

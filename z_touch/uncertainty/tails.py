@@ -16,14 +16,15 @@ import math
 
 from .estimate import pool
 
+# The power of g
 MIDDLE = 3
 
 # Standard deviation of g, by one touch, and how many of these g may be too small by chance
 CHANCE = 2.0 * math.sqrt(math.pi / 2.0) * math.sqrt(1.0 - 3.0 / math.pi)
-SURE = 0.5
+CHANCES = 0.5
 
 # Less than that is no noise of a switch
-LEAST = 0.7
+NARROWEST = 0.7
 
 
 # What is left of heavy tails in deviations from an average of n, which has them, too:
@@ -49,5 +50,5 @@ def middle_part(pasts, step):
         lefts += left
     if not dof:
         return 1.0
-    chance = SURE * CHANCE * math.sqrt(dof) / lefts
-    return min(max(ratios / dof + chance, LEAST), 1.0) ** MIDDLE
+    chance = CHANCES * CHANCE * math.sqrt(dof) / lefts
+    return min(max(ratios / dof + chance, NARROWEST), 1.0) ** MIDDLE

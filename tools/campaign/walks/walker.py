@@ -76,7 +76,7 @@ class Walker:
             "answer": partial(doing.answer, printer.session, self._gcode),
             "late": partial(doing.late, printer.session, self._gcode),
             "twice": partial(doing.twice, printer.session, self._gcode),
-            "card": partial(doing.print_card, printer.session, self._gcode),
+            "card": self._card,
             "save": partial(doing.save, printer.session),
             "restart": self._restart,
             "both": self._both,
@@ -150,6 +150,12 @@ class Walker:
         self.printer.session.wait(10.0)
         if not self.refusal:
             self._gcode(stepping.first_layer())
+
+    def _card(self, what: Sequence) -> None:
+        """Nobody prints who reads that nothing was calibrated yet."""
+        status = self.printer.status("auto_z_offset")
+        if self.owned.has("z_calibration") or status.get("probe_z_correction"):
+            doing.print_card(self.printer.session, self._gcode, what)
 
     def _lower(self, distance: float) -> None:
         """As a person with paper does, who looks at the nozzle."""
