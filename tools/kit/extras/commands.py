@@ -23,7 +23,9 @@ def is_ours(handler):
         cell.cell_contents
         for cell in getattr(handler, "__closure__", None) or ()
     ]
-    return any(map(is_ours, [*inner, getattr(handler, "func", None)]))
+    # Also on a host that runs on Python 2
+    inner.append(getattr(handler, "func", None))
+    return any(map(is_ours, inner))
 
 
 def load_config(config):
