@@ -280,8 +280,8 @@ class Automatic(object):
         self.target = target
 
     def expected(self, plan, sampling):
-        known = all(map(is_known, plan.earlier.values()))
-        return LEAST if known else LEAST_AT_FIRST
+        have_history = all(map(is_known, plan.earlier.values()))
+        return LEAST if have_history else LEAST_AT_FIRST
 
     def for_spread(self, sampling):
         return MOST
@@ -417,19 +417,23 @@ class Plan(object):
     # this run is noisier than those before, as far as it has come, these say nothing
     def cost_with(self, site, result):
         estimates = dict(self.estimates, **{site: result})
-        now = dict((name, e.spread) for name, e in estimates.items())
-        pasts = dict((name, self.pasts[name]) for name in now)
-        known = spreads_of_now(pasts, now, self.step, self.counting.chosen)
-        spread = known.spreads[site]
-        return cost(weighed(result, spread, self.step, known.middle))
+        current = dict((name, e.spread) for name, e in estimates.items())
+        pasts = dict((name, self.pasts[name]) for name in current)
+        estimated = spreads_of_now(
+            pasts, current, self.step, self.counting.chosen
+        )
+        spread = estimated.spreads[site]
+        return cost(weighed(result, spread, self.step, estimated.middle))
 
     def worth_of(self, estimates):
         if any(site not in estimates for site in self.pasts):
             return None
-        now = dict((site, estimates[site].spread) for site in self.pasts)
-        known = spreads_of_now(self.pasts, now, self.step, self.counting.chosen)
-        found = [
-            weighed(estimates[site], spread, self.step, known.middle)
-            for site, spread in known.spreads.items()
+        current = dict((site, estimates[site].spread) for site in self.pasts)
+        estimated = spreads_of_now(
+            self.pasts, current, self.step, self.counting.chosen
+        )
+        parts = [
+            weighed(estimates[site], spread, self.step, estimated.middle)
+            for site, spread in estimated.spreads.items()
         ]
-        return expanded(found, self.step, known.is_shared)
+        return expanded(parts, self.step, estimated.is_shared)

@@ -318,10 +318,10 @@ def shifts(cycles):
 
 def nozzle_or_seat(cycles, shift):
     pairs = zip(heights(cycles, "switch"), heights(cycles, "nozzle"))
-    found = correlation([(s - n, s + n) for s, n in pairs])
-    if found > CORRELATED:
+    correlated = correlation([(s - n, s + n) for s, n in pairs])
+    if correlated > CORRELATED:
         return Verdict("seat", CAUSES["seat"] % (shift,))
-    if found < -CORRELATED:
+    if correlated < -CORRELATED:
         return Verdict("alone", CAUSES["alone"] % ("nozzle", shift))
     return Verdict("either", CAUSES["either"] % (shift,))
 
@@ -370,25 +370,25 @@ def is_no_chance(cycles, shift, noise):
 
 # What varies most, where nothing dominates
 def largest(cycles):
-    found = []
+    causes = []
     for site in SITES:
         pairs = [apart(cycles, site, other) for other in others_of(site)]
         if all(is_no_chance(cycles, *pair) for pair in pairs):
-            found.append((own_shift(cycles, site), "most", site))
+            causes.append((own_shift(cycles, site), "most", site))
     shift, noise = common_shift(cycles)
-    if is_no_chance(cycles, shift, noise) and not found:
-        found.append((shift, "homing", ""))
+    if is_no_chance(cycles, shift, noise) and not causes:
+        causes.append((shift, "homing", ""))
     site, most = noisiest(cycles)
-    found.append((most / math.sqrt(len(cycles[0].nozzle)), "noise", site))
-    found.sort(reverse=True)
-    if found[1:] and found[1][0] > SECOND * found[0][0]:
+    causes.append((most / math.sqrt(len(cycles[0].nozzle)), "noise", site))
+    causes.sort(reverse=True)
+    if causes[1:] and causes[1][0] > SECOND * causes[0][0]:
         parts = [
             PARTS[kind] % ((site, size) if site else size)
-            for size, kind, site in found
-            if size > SECOND * found[0][0]
+            for size, kind, site in causes
+            if size > SECOND * causes[0][0]
         ]
         return Verdict("several", CAUSES["several"] % (", ".join(parts),))
-    size, kind, site = found[0]
+    size, kind, site = causes[0]
     if kind == "homing":
         return Verdict(kind, CAUSES[kind] % (size,))
     return Verdict(

@@ -196,8 +196,8 @@ def variance_of(samples, spread, step, method, middle=1.0):
         return spread.variance / n + rounded, rounded
     # One of the samples is as rounded as any, the mean of two a bit less
     rounded = whole if n % 2 else 0.75 * whole
-    own = middle * max(spread.variance - whole, 0.0) / n
-    return own + median_excess(samples, spread, step) + rounded, rounded
+    part = middle * max(spread.variance - whole, 0.0) / n
+    return part + median_excess(samples, spread, step) + rounded, rounded
 
 
 # The Estimate of a site from the samples that count.  'touches': all of them,

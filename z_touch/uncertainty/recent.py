@@ -76,20 +76,23 @@ def pool_usual(spreads, step):
 # grown shows it at all sites, in the last runs together, long before a single site
 # does in a single run.  Where that was, the likelihood of both parts says: what is
 # most significant is often a few runs too early, and these hide how much it is.
-def first_like_now(pasts, now, step):
-    count, found, most = max(map(len, pasts.values())), 0, 0.0
+def first_like_now(pasts, current, step):
+    count, best, most = max(map(len, pasts.values())), 0, 0.0
     for begin in range(count, 0, -1):
         parts = [
-            (pool(pasts[site][:begin]), pool(pasts[site][begin:] + [now[site]]))
-            for site in now
+            (
+                pool(pasts[site][:begin]),
+                pool(pasts[site][begin:] + [current[site]]),
+            )
+            for site in current
         ]
         parts = [(old, new) for old, new in parts if old.dof and new.dof]
         if not is_noisier(parts, step):
             continue
         likely = likelihood(parts, step)
-        if not found or likely > most:
-            found, most = begin, likely
-    return found
+        if not best or likely > most:
+            best, most = begin, likely
+    return best
 
 
 # Of pairs of Spreads before and after, by site
@@ -124,22 +127,24 @@ def are_alike(spreads, step):
 
 # The Now of a run.  'chosen': the part of the degrees of freedom that it leaves a run
 # without a history to choose by what its touches say
-def spreads_of_now(pasts, now, step, chosen=1.0):
-    begin = first_like_now(pasts, now, step)
-    like = dict((site, pasts[site][begin:]) for site in now)
+def spreads_of_now(pasts, current, step, chosen=1.0):
+    begin = first_like_now(pasts, current, step)
+    like = dict((site, pasts[site][begin:]) for site in current)
     is_chosen = begin or not any(s.dof for part in like.values() for s in part)
-    like = dict((site, usual(like[site] + [now[site]], step)) for site in now)
-    found = dict((site, pool(like[site])) for site in now)
+    like = dict(
+        (site, usual(like[site] + [current[site]], step)) for site in current
+    )
+    pooled = dict((site, pool(like[site])) for site in current)
     middle = middle_part(like.values(), step)
-    if not all(spread.dof for spread in found.values()):
-        return Now(found, False, middle)
-    is_shared = are_alike(list(found.values()), step)
+    if not all(spread.dof for spread in pooled.values()):
+        return Now(pooled, False, middle)
+    is_shared = are_alike(list(pooled.values()), step)
     if is_shared:
-        found = dict.fromkeys(found, pool(found.values()))
+        pooled = dict.fromkeys(pooled, pool(pooled.values()))
     if is_chosen:
         part = CUT if begin else chosen
-        found = dict((site, with_cost(s, part)) for site, s in found.items())
-    return Now(found, is_shared, middle)
+        pooled = dict((site, with_cost(s, part)) for site, s in pooled.items())
+    return Now(pooled, is_shared, middle)
 
 
 def with_cost(spread, part):

@@ -147,11 +147,11 @@ class Measurement(object):
         self.check_pressed()
         self.taken += 1
         self.watch.touched()
-        self.report("touched at z=%.6f%s" % (z, self.place()))
+        self.report("touched at z=%.6f%s" % (z, self.point_told()))
         return z
 
     # Where that was, in words; empty: where all touches are
-    def place(self):
+    def point_told(self):
         return ""
 
     def touch_once(self, floor):
@@ -320,7 +320,7 @@ class BedMeasurement(Measurement):
         Measurement.__init__(self, calibration, site, sampling)
 
     # X and Y of the bed; the plan keeps them, too
-    def place(self):
+    def point_told(self):
         if not self.spread:
             return ""
         x, y = self.host.toolhead.get_position()[:2]

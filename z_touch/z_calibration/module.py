@@ -274,16 +274,16 @@ class ZCalibration(object):
         finder = SiteFinder(self.host, settings)
         sites, before = finder.of_command(gcmd), self.host.gcode_offset()
         calibration = self.new_calibration(settings, sites, self.recorder.plan)
-        found = self.calibrate_once(calibration, finder, z_adjust)
-        if found is None:
+        calibrated = self.calibrate_once(calibration, finder, z_adjust)
+        if calibrated is None:
             why = calibration.dirt()
             text = "%s: cleaning the nozzle, then everything once more"
             self.runner.watch.say(text % (why,))
             self.host.replace_gcode_offset(before)
             plan = self.recorder.begin_again()
             calibration = self.new_calibration(settings, sites, plan)
-            found = self.calibrate_once(calibration, finder, z_adjust, why)
-        return found
+            calibrated = self.calibrate_once(calibration, finder, z_adjust, why)
+        return calibrated
 
     # The same of one time; None where the nozzle has to be cleaned first, and the
     # probe is put away.

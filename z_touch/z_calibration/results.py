@@ -91,7 +91,7 @@ class Results(object):
 
     # Where offset_gcode makes another one of it, or sets it later, either will do.
     def _why_not_in_force(self):
-        now, last = self.host.gcode_offset(), self.last
+        offset, last = self.host.gcode_offset(), self.last
         moved = self.host.features.moved_by_g92()
         if abs(moved) >= SAME_OFFSET:
             return (
@@ -99,14 +99,14 @@ class Results(object):
                 % (moved,)
             )
         if (
-            min(abs(now - z) for z in (last.applied, last.z_offset))
+            min(abs(offset - z) for z in (last.applied, last.z_offset))
             < SAME_OFFSET
         ):
             return ""
         return (
             "the G-code Z offset is %.3f, that of CALIBRATE_Z is %.3f: changed by"
             " baby steps, SET_GCODE_OFFSET, RESUME or RESTORE_GCODE_STATE"
-            % (now, last.applied)
+            % (offset, last.applied)
         )
 
     ##################################################################

@@ -16,11 +16,11 @@ MESH = "bed_mesh"
 class Shifts(object):
     def __init__(self, host, last):
         features, self.last = host.features, last
-        place = last.point + (last.result.offset,)
-        self.rest = features.rest(*place)
+        point = last.point + (last.result.offset,)
+        self.rest = features.rest(*point)
         self.parts = [
             part
-            for part in features.parts(*place)
+            for part in features.parts(*point)
             if abs(part.height) >= SMALLEST_PART
         ]
         self.mesh_zero_option = features.mesh_zero_option()
