@@ -89,10 +89,15 @@ class Page:
         """All of its lines."""
         return self.text("#console")
 
-    def buttons(self, place: str) -> dict[str, WebElement]:
-        """Those below a place, by what they say."""
-        found = self.driver.find_elements(By.CSS_SELECTOR, f"{place} button")
-        return {button.text: button for button in found}
+    def buttons(self, place: str) -> list[str]:
+        """What those below a place say that are shown."""
+
+        # One script, as the page may draw them anew between two questions
+        script = (
+            "[...document.querySelectorAll(arguments[0])]"
+            ".filter(b => b.checkVisibility()).map(b => b.textContent)"
+        )
+        return self.value(script, f"{place} button")
 
     def press(self, place: str, label: str) -> None:
         """Press a button once it is there and may be pressed."""
