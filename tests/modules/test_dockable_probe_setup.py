@@ -228,8 +228,8 @@ def test_section_in_an_included_file(start, tmp_path):
     for label in ("Fetch", "Dock"):
         user.press(label)
     text = user.dialog().text
-    assert "SAVE_CONFIG cannot write 'dock_position: 50.000, 308.000'" in text
-    assert "into line 2 of " in text
+    assert "\ndock_position: 50.000, 308.000\n" in text
+    assert "SAVE_CONFIG cannot write this into line 2 of " in text
     assert "dock.cfg does not say 'dock_position: 50" in user.refused("Save")
     pending = user.printer.status("configfile")["save_config_pending_items"]
     assert pending == {}

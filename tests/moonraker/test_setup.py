@@ -18,7 +18,7 @@ from tools.kit.z_calibration import MICROSTEP
 from z_touch.guide.steps import CHAINED, ORDER
 
 BEGIN = "action:prompt_begin"
-PRESS = "Press it now"
+PRESS = ": press it now"
 # Real seconds that a hand needs
 HAND = 0.25
 
@@ -70,7 +70,9 @@ class WebUser(User):
     def by_hand(self, signal, *, after=None, others=()):
         watching = threading.Thread(target=self.press, args=["Watch"])
         watching.start()
-        while (shown := self.dialog()) is None or shown.headline != PRESS:
+        while (shown := self.dialog()) is None or not (
+            shown.headline.endswith(PRESS)
+        ):
             time.sleep(0.02)
         for level in (True, after):
             time.sleep(HAND)

@@ -202,7 +202,8 @@ def test_jog_buttons_say_mm_and_lead_both_ways():
 
 
 def test_dialog_while_watching_cannot_watch_twice():
-    (shown,) = dialogs_of(steps.while_watching("the probe"))
+    (shown,) = dialogs_of(steps.while_watching("probe", "the probe"))
+    assert shown.headline == "Step 3 of 12: press it now"
     assert shown.last.startswith("Press the probe by hand now")
     assert [b[0] for b in shown.footer_buttons] == ["Abort"]
 
@@ -374,7 +375,7 @@ def head_with(config):
 def test_place_in_the_dock(text):
     head = head_with({"dockable_probe": {"dock_position": text}})
     site = Site("bed", 60.0, 300.0, "The place of the bed")
-    words = "The place of the bed is 12.8 mm from dock_position; choose one"
+    words = "The place of the bed is 12.8 mm from the dock; choose one"
     with pytest.raises(CalibrationError, match=words):
         head.check_dock(site)
     head.check_dock(site._replace(x=65.1, y=308.0))

@@ -182,8 +182,8 @@ class Saver(object):
             if (section, option) not in named
         ]
         not_saved = [
-            "SAVE_CONFIG cannot write '%s: %s' into %s; write it there."
-            % (line.option, line.text, line.where)
+            "SAVE_CONFIG cannot write this into %s; write it there:\n%s: %s"
+            % (line.where, line.option, line.text)
             for line in missing
         ]
         if self.is_waiting(section) and not missing:

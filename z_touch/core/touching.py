@@ -32,14 +32,22 @@ NO_ANSWER = "the switch did not answer"
 NO_TRAVEL = 0.0001
 
 # Something to touch (mm): the word used in messages, where the head stands for
-# it, and where the user has said so.
-Site = collections.namedtuple("Site", "name x y origin")
+# it, where the user has said so, and by which option or parameter.
+class Site(collections.namedtuple("Site", "name x y origin option")):
+    __slots__ = ()
+
+    def __new__(cls, name, x, y, origin, option=""):
+        return super(Site, cls).__new__(cls, name, x, y, origin, option)
+
+    # What to check where the head does not stand as it should
+    def place(self):
+        return self.option or "the place of the %s" % (self.name,)
 
 
 def option_site(config, name, option, pair):
     origin = "Option '%s: %g,%g' in section '%s'"
     origin %= (option, pair[0], pair[1], config.get_name())
-    return Site(name, pair[0], pair[1], origin)
+    return Site(name, pair[0], pair[1], origin, option)
 
 
 # The kind of an option that is a point (mm), as a Site of that name; under an old

@@ -35,7 +35,7 @@ class Hands(object):
     def test_pin(self, gcmd, state):
         pin, probe = self.section.pin(), self.host.probing.endstop()
         option = pin.section, pin.option
-        self.watch(gcmd, pin.name, option, pin.endstop, probe)
+        self.watch(gcmd, state, pin.name, option, pin.endstop, probe)
 
     def test_off(self, gcmd, state):
         if self.is_attached():
@@ -47,7 +47,8 @@ class Hands(object):
 
     def test_probe(self, gcmd, state):
         probe, pin = self.host.probing.endstop(), self.section.pin().endstop
-        self.watch(gcmd, "the probe", self.probe_option(), probe, pin)
+        option = self.probe_option()
+        self.watch(gcmd, state, "the probe", option, probe, pin)
 
     # Section and option of the probe's pin
     def probe_option(self):
@@ -68,10 +69,10 @@ class Hands(object):
 
     # Until something is pressed by hand and let go.  Raises CalibrationError
     # where it was not 'endstop', or not only that; 'option' is that of its pin.
-    def watch(self, gcmd, name, option, endstop, other):
+    def watch(self, gcmd, state, name, option, endstop, other):
         host = self.host
         host.toolhead.wait_moves()
-        for line in steps.while_watching(name):
+        for line in steps.while_watching(state.step, name):
             host.gcode.respond_raw(line)
         gcmd.respond_info("%s: watching %s ..." % (host.section, name))
         verdict = self.look_until(

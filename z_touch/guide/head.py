@@ -185,8 +185,8 @@ class GuidedHead(object):
         apart = math.hypot(site.x - dock[0], site.y - dock[1])
         if apart < DOCK_NEAR:
             raise CalibrationError(
-                "%s is %.1f mm from dock_position; choose one at least %g mm"
-                " away" % (site.origin, apart, DOCK_NEAR)
+                "%s is %.1f mm from the dock; choose one at least %g mm away"
+                % (site.origin, apart, DOCK_NEAR)
             )
 
     ##################################################################

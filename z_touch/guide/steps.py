@@ -127,8 +127,10 @@ def buttons(name):
     return answers + [("Abort", ABORT, "error")]
 
 
-def headline(name):
-    return "Step %d of %d: %s" % (STEPS[name].number, LAST, STEPS[name].title)
+# 'title': of what goes on in it, if that is more than the step's own
+def headline(name, title=""):
+    step = STEPS[name]
+    return "Step %d of %d: %s" % (step.number, LAST, title or step.title)
 
 
 # The sentences of a step, the one of the first button last.  'late': what the head
@@ -166,14 +168,16 @@ def ask(name, facts, problem="", late=""):
     return shown, "\n".join(said)
 
 
-# The dialog until something is pressed by hand; all that it can answer waits.
-def while_watching(name):
+# The dialog of a step until something is pressed by hand; all that it can answer
+# waits.  'switch': in words
+def while_watching(name, switch):
     texts = (
         "What comes next is shown by itself.",
         "Press %s by hand now and let go, within %d seconds."
-        % (name, HAND_PATIENCE),
+        % (switch, HAND_PATIENCE),
     )
-    return lines("Press it now", texts, [("Abort", ABORT, "error")])
+    shown = headline(name, "press it now")
+    return lines(shown, texts, [("Abort", ABORT, "error")])
 
 
 ######################################################################

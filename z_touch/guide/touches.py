@@ -46,9 +46,8 @@ class Touches(object):
             state.mark = self.section.mark()
         if not self.hands.is_attached():
             raise CalibrationError(
-                "the probe reads triggered: neither start_gcode nor"
-                " before_switch_gcode has attached it; attach it by hand or"
-                " correct them"
+                "the probe reads triggered: your own G-code has not attached it;"
+                " correct that, or attach it by hand"
             )
 
     def fetch(self, state):

@@ -36,15 +36,15 @@ LOOK_AT_PROBE = "check it with QUERY_PROBE"
 
 PLUNGER_PRESSED = (
     "switch: the pin presses the plunger of the probe besides its body, which"
-    " makes the height wrong; correct switch_xy_position"
+    " makes the height wrong; correct %s"
 )
 
 
 # One site: approach it, touch it, come back up.  'calibration' is the run that
 # it is part of.
 class Measurement(object):
-    # What to look at after a touch that failed
-    remedy = ""
+    # What to look at after a touch that failed; %s is where the site comes from
+    remedy = "check %s"
     # Whether the way there goes along X, then along Y
     x_first = False
 
@@ -209,7 +209,7 @@ class Measurement(object):
 
     # What to look at after a touch that has just failed
     def advice(self):
-        return self.remedy
+        return self.remedy % (self.site.place(),)
 
     # Up to where the next touch begins
     def retract(self):
@@ -248,7 +248,7 @@ class Measurement(object):
 
 # The nozzle tip on the pin
 class NozzleMeasurement(Measurement):
-    remedy = HOME_AGAIN + ", then check nozzle_xy_position and the switch there"
+    remedy = HOME_AGAIN + ", then check %s and the switch there"
     # A dock that nobody knows is more often beside the pin than in front of it.
     x_first = True
 
@@ -272,7 +272,7 @@ class NozzleMeasurement(Measurement):
 # The body of the probe's switch on the same pin
 class SwitchMeasurement(Measurement):
     remedy = (
-        "check switch_xy_position, how the probe is seated, and that z_offset"
+        "check %s, how the probe is seated, and that z_offset"
         " in section 'probe' is about the distance of nozzle and probe"
     )
 
@@ -290,7 +290,7 @@ class SwitchMeasurement(Measurement):
             self.check_probe_attached(self.host.after_moves())
             raise errors.CalibrationError(
                 "the plunger of the probe was pressed where only its body"
-                " should meet the pin; check switch_xy_position"
+                " should meet the pin; check %s" % (self.site.place(),)
             )
         Measurement.explain(self)
 
@@ -300,13 +300,13 @@ class SwitchMeasurement(Measurement):
         if self.host.probing.endstop().query_endstop(self.host.print_time()):
             self.lift_clear()
             self.check_probe_attached(self.host.after_moves())
-            self.calibration.warn(PLUNGER_PRESSED)
+            self.calibration.warn(PLUNGER_PRESSED % (self.site.place(),))
 
 
 # The probe on the print surface, through the host's own probing, told where
 # to end.
 class BedMeasurement(Measurement):
-    remedy = "check bed_xy_position, switch_offset and the probe (QUERY_PROBE, PROBE)"
+    remedy = "check %s, switch_offset and the probe (QUERY_PROBE, PROBE)"
     # The host's own probing while a session lasts that ends at the floor
     probe_once = None
 
@@ -403,4 +403,4 @@ class BedMeasurement(Measurement):
         is_below = self.floor is not None and not self.taken
         if is_below and touching.is_at(self.host, self.floor):
             remedy = below_margins(self.settings, self.host.z_zero())
-        return remedy or self.remedy
+        return remedy or Measurement.advice(self)

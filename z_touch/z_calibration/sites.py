@@ -116,7 +116,7 @@ class SiteFinder(object):
         if point is None:
             return getattr(self.settings, name + "_xy_position")
         origin = "%s=%g,%g" % ((param,) + point)
-        return touching.Site(name, point[0], point[1], origin)
+        return touching.Site(name, point[0], point[1], origin, param)
 
     ##################################################################
     # What follows from other sections
@@ -139,8 +139,10 @@ class SiteFinder(object):
         if nozzle is None:
             return None
         x, y = nozzle.x + offsets[0], nozzle.y + offsets[1]
-        origin = "Option 'switch_xy_offsets: %g,%g' in section 'z_calibration'"
-        return touching.Site("switch", x, y, origin % tuple(offsets))
+        option = "switch_xy_offsets"
+        origin = "Option '%s: %g,%g' in section 'z_calibration'"
+        origin %= (option,) + tuple(offsets)
+        return touching.Site("switch", x, y, origin, option)
 
     # From the point of the bed, or else from the mesh; None: there is neither.
     def bed_site(self, bed):
@@ -148,8 +150,9 @@ class SiteFinder(object):
             zero = self.host.features.mesh_zero()
             if zero is None:
                 return None
-            origin = "The zero reference position of section 'bed_mesh'"
-            bed = touching.Site("bed", zero[0], zero[1], origin)
+            option = "the zero reference position of section 'bed_mesh'"
+            origin = "T" + option[1:]
+            bed = touching.Site("bed", zero[0], zero[1], origin, option)
         x_offset, y_offset = self.host.probing.offsets()[:2]
         return bed._replace(x=bed.x - x_offset, y=bed.y - y_offset)
 

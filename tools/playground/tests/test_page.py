@@ -510,7 +510,7 @@ def guide(page):
         page.press("#dialog", label)
         if step in AFTER:
             page.until(
-                lambda: "Press it now" in page.text("#dialog"), "it watches"
+                lambda: "press it now" in page.text("#dialog"), "it watches"
             )
             page.do(AFTER[step])
         if label == "Save":

@@ -122,7 +122,7 @@ class Visitor:
         if label == "Watch":
             # A head that is homed is lifted at first
             page.until(
-                lambda: "Press it now" in page.text("#dialog"), "it watches"
+                lambda: "press it now" in page.text("#dialog"), "it watches"
             )
 
     def opened(self):
