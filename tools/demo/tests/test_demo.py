@@ -22,6 +22,7 @@ RESULT = re.compile(
     r"Z-CALIBRATION: probe=(\S+) - \(switch=(\S+) - nozzle=(\S+)"
     r" \+ switch_offset=(\S+)\) --> new offset=(\S+)"
 )
+UNCERTAINTY = re.compile(r"--> new offset=\S+ \+-(\S+)")
 
 
 def demo(*options: str) -> subprocess.CompletedProcess:
@@ -77,6 +78,7 @@ def test_demo_shows_the_run_and_draws_it(host, name, tmp_path):
         # What README shows is the same run
         drawn = "".join(ET.parse(DOCS / "demo.svg").getroot().itertext())
         assert all(f"{v:.3f}".replace("-", MINUS) in drawn for v in shown)
+        assert f"±{UNCERTAINTY.search(output)[1]}" in drawn
 
 
 def test_wrong_gap_is_told_and_ends_in_1(host, tmp_path, capsys):
