@@ -6,7 +6,7 @@ import json
 import socket
 import subprocess
 import time
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
 from typing import Any, Optional
 
@@ -19,6 +19,27 @@ _START_LIMIT = 30.0
 _ANSWER_LIMIT = 60.0
 _STOP_LIMIT = 10.0
 _LOOK_EVERY = 0.05
+
+# Announcements are read from files, not from the internet
+_CONF = """\
+[server]
+host: {listen}
+port: {port}
+klippy_uds_address: {data}/comms/klippy.sock
+
+[authorization]
+trusted_clients:{trusted}
+{cors}
+[announcements]
+dev_mode: True
+
+{more}"""
+# More of it, for one that is to start, stop or update nothing
+ALONE = """\
+[machine]
+provider: none
+validate_service: False
+"""
 
 
 class MoonrakerError(Exception):
@@ -35,6 +56,34 @@ def free_port() -> int:
     with socket.socket() as probe:
         probe.bind((_HOST, 0))
         return probe.getsockname()[1]
+
+
+def write_conf(
+    data: Path,
+    port: int,
+    listen: str = _HOST,
+    trusted: Sequence[str] = (_HOST,),
+    origins: Sequence[str] = (),
+    more: str = ALONE,
+) -> None:
+    """Write config/moonraker.conf of a data directory.
+
+    trusted: addresses and networks that need no password. origins: of the web
+    pages that may ask. more: further sections.
+    """
+    conf = _CONF.format(
+        listen=listen,
+        port=port,
+        data=data,
+        trusted=_listed(trusted),
+        cors=f"cors_domains:{_listed(origins)}\n" if origins else "",
+        more=more,
+    )
+    (data / "config" / "moonraker.conf").write_text(conf)
+
+
+def _listed(words: Sequence[str]) -> str:
+    return "".join(f"\n    {word}" for word in words)
 
 
 class Moonraker:

@@ -10,26 +10,26 @@ from __future__ import annotations
 import os
 import re
 import shutil
-from collections.abc import Iterator, Mapping, Sequence
-from concurrent.futures import Future
-from contextlib import ExitStack, contextmanager
-from dataclasses import replace
+from collections.abc import Mapping
 from fnmatch import fnmatch
 from pathlib import Path
 from typing import Optional, Union
 
-from simprinter import Machine, Scene, heated
+from simprinter import Scene, heated
 from simprinter.hosts.environment import REPO_ROOT, clean_environment, run
 from simprinter.hosts.hosts import Host, Installed
-from simprinter.hosts.moonraker import Moonraker, free_port
-from simprinter.hosts.session import LiveSession
+from simprinter.hosts.living import (
+    LivingPrinter,
+    for_web_interfaces,
+    make_data,
+)
 from simprinter.hosts.trees import (
     FOLDER_PARENT,
     link_tree,
     put_folder,
     put_module,
 )
-from tools.kit.printer import FOLDER, RunningPrinter, dialect_of, firmware_of
+from tools.kit.printer import FOLDER, RunningPrinter, firmware_of
 from tools.kit.scenes import SCENES
 
 # How much faster than a real printer the simulated one lives
@@ -58,22 +58,10 @@ _GITCONFIG = """
     name = lab
     email = lab@example.com
 """
-# Announcements are read from files, not from the internet
 _MOONRAKER_CONF = """\
-[server]
-host: {listen}
-port: {port}
-klippy_uds_address: {data}/comms/klippy.sock
-
-[authorization]
-trusted_clients:{trusted}
-{cors}
 [machine]
 provider: systemd_cli
 validate_service: False
-
-[announcements]
-dev_mode: True
 
 [update_manager]
 enable_auto_refresh: False
@@ -81,13 +69,16 @@ enable_system_updates: False
 """
 
 
-class Lab:
+class Lab(LivingPrinter):
     """One such printer; use as a context manager.
 
     At first only Moonraker runs, and klippy does for systemd: install() asks
     for restarts of what it has set up, and obey() does them. Who copies by hand
     starts klippy, too.
     """
+
+    printer_class = RunningPrinter
+    moonraker_conf = _MOONRAKER_CONF
 
     def __init__(
         self,
@@ -98,41 +89,27 @@ class Lab:
         speed: float = SPEED,
     ):
         """python: the one that has Moonraker. speed: of the printer's life."""
-        self.host = host
         self.directory = directory
         self.home = directory / "home"
-        self.data = self.home / "printer_data"
         self.checkout = self.home / "klipper_z_calibration"
         self.klipper = self.home / firmware_of(host).lower()
         self.module_dir = self.klipper / host.layout.module_dir
-        self.printer: Optional[RunningPrinter] = None
-        scene = SCENES[scene] if isinstance(scene, str) else scene
-        self._scene = heated(scene)
-        self._speed = speed
-        # Of all that is random in the machine
-        self.seed = 0
-        self._living: Optional[Future] = None
         self._sources = directory / "sources"
         self._releases = 0
-        self._life = ExitStack()
-        self._env = self._environment()
-        self._make_folders()
+        data = self.home / "printer_data"
+        self._make_folders(data)
+        scene = SCENES[scene] if isinstance(scene, str) else scene
+        env = self._environment()
+        super().__init__(host, python, data, heated(scene), speed, env)
         self._make_klipper()
         self._make_checkout()
         self._make_configs()
-        self.moonraker = self._make_moonraker(python)
 
     def __enter__(self) -> Lab:
         for name in ("klipper", "moonraker"):
             (self.directory / "running" / name).touch()
-        self.moonraker.start()
+        super().__enter__()
         return self
-
-    def __exit__(self, *unused: object) -> None:
-        try:
-            self._stop_klipper()
-        finally:
-            self.moonraker.stop()
 
     # Making it
 
@@ -150,11 +127,8 @@ class Lab:
         env = {k: text for k, text in env.items() if not k.startswith("PIP_")}
         return {**env, "PIP_NO_INDEX": "1", "PIP_CONFIG_FILE": os.devnull}
 
-    def _make_folders(self) -> None:
-        for name in ("config", "comms", "gcodes", "logs", "misc"):
-            (self.data / name).mkdir(parents=True)
-        # Moonraker would fetch one from the internet
-        (self.data / "misc" / "usb.ids").touch()
+    def _make_folders(self, data: Path) -> None:
+        make_data(data)
         for name in ("tmp", "running"):
             (self.directory / name).mkdir()
         shutil.copytree(_SERVICES, self.directory / "bin")
@@ -195,41 +169,13 @@ class Lab:
         options = ("--quiet", "--tags", "--set-upstream")
         self.git(folder, "push", *options, "origin", branch)
 
-    def _make_moonraker(self, python: Path) -> Moonraker:
-        port = free_port()
-        self._write_moonraker_conf(port)
-        return Moonraker(python, self.data, port, self._env)
-
-    def _write_moonraker_conf(
-        self,
-        port: int,
-        listen: str = "127.0.0.1",
-        trusted: Sequence[str] = ("127.0.0.1",),
-        origins: Sequence[str] = (),
-    ) -> None:
-        """origins: of the web pages that may ask."""
-        cors = f"cors_domains:{_listed(origins)}\n" if origins else ""
-        conf = _MOONRAKER_CONF.format(
-            listen=listen,
-            port=port,
-            data=self.data,
-            trusted=_listed(trusted),
-            cors=cors,
-        )
-        (self.data / "config" / "moonraker.conf").write_text(conf)
-
     def _make_configs(self) -> None:
         # Klippy gets one with its serial device when it is started
         text = self._installed().config + self._config({})
         (self.data / "config" / "printer.cfg").write_text(text)
 
     def _config(self, serials: Mapping[str, str]) -> str:
-        more = {
-            "virtual_sdcard": {"path": str(self.data / "gcodes")},
-            "display_status": {},
-            "pause_resume": {},
-        }
-        return self._scene.config(serials, more)
+        return self._scene.config(serials, for_web_interfaces(self.data))
 
     def _installed(self) -> Installed:
         return self.host.at(self.klipper)
@@ -309,42 +255,6 @@ class Lab:
                 self.moonraker.start()
         return names
 
-    @contextmanager
-    def standing(self) -> Iterator[RunningPrinter]:
-        """The printer, which for so long does not live by itself."""
-        assert self.printer is not None
-        self._life.close()
-        try:
-            yield self.printer
-        finally:
-            self._begin_to_live()
-
-    def start_klipper(self) -> None:
-        """Have klippy on the printer, as at boot."""
-        dialect = dialect_of(self.host)
-        machine = Machine(self._scene, self.seed, dialect=dialect)
-        self.printer = RunningPrinter(machine, self._begin)
-        self.printer.session.require_ready()
-        self._begin_to_live()
-
-    def _begin_to_live(self) -> None:
-        assert self.printer is not None
-        living = self.printer.session.living(self._speed)
-        self._living = self._life.enter_context(living)
-
-    def _begin(self, machine: Machine) -> LiveSession:
-        installed = self._installed()
-        installed = replace(installed, env={**self._env, **installed.env})
-        config = self._config(machine.serials)
-        return LiveSession(installed, machine, config, self.data)
-
-    def _stop_klipper(self) -> None:
-        if self.printer is None:
-            return
-        printer, self.printer = self.printer, None
-        with printer:
-            self._life.close()
-
 
 def copy_own_files(folder: Path) -> None:
     """Copy this repository as it is now, but for what git would ignore."""
@@ -382,7 +292,3 @@ def _files_but_ignored_ones() -> list[str]:
         inner = Path(folder).relative_to(REPO_ROOT)
         found += [str(inner / name) for name in files]
     return found
-
-
-def _listed(words: Sequence[str]) -> str:
-    return "".join(f"\n    {word}" for word in words)

@@ -11,7 +11,7 @@ from typing import Any, NamedTuple, Optional
 
 from simprinter import Machine, Scene, heated
 from simprinter.hosts.hosts import Host
-from simprinter.hosts.moonraker import Moonraker
+from simprinter.hosts.moonraker import Moonraker, write_conf
 from simprinter.hosts.session import LiveSession, SessionError
 from simprinter.real import as_real
 from simprinter.world import CrashError
@@ -151,7 +151,8 @@ class Playground(Lab):
         port, claim = network.reserved_port(listen, wanted_port)
         self._claims = [claim]
         origins = network.origins(listen, more)
-        self._write_moonraker_conf(port, listen, trusted, origins)
+        conf = self.moonraker_conf
+        write_conf(self.data, port, listen, trusted, origins, conf)
         return Moonraker(python, self.data, port, self._env, trusted[0])
 
     def set_up(self) -> None:
