@@ -10,7 +10,14 @@ import pytest
 from simprinter.places import PACKAGE
 
 # What pyproject.toml says it needs, and what runs inside pytest
-OTHERS = {"jsonschema", "tomli", "pytest", "requests", "websocket"}
+OTHERS = {
+    "jsonschema",
+    "pytest",
+    "requests",
+    "tomli",
+    "tornado",
+    "websocket",
+}
 SOURCES = sorted(
     path for path in PACKAGE.rglob("*.py") if "tests" not in path.parts
 )

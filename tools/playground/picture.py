@@ -11,7 +11,7 @@ import sys
 from pathlib import Path
 
 from simprinter.hosts.moonraker import free_port
-from tools.playground.tests.browser import browser
+from simprinter.tests.browser import browser
 from tools.playground.tests.test_playground import terminal
 
 FILE = Path(__file__).resolve().parents[2] / "docs" / "playground.png"

@@ -14,10 +14,10 @@ from typing import NamedTuple
 
 import pytest
 
+from simprinter.play.commands import COMMANDS
+from simprinter.tests.browser import LIMIT
 from tests.docs.documents import part
-from tools.playground.commands import COMMANDS
 from tools.playground.playground import SHOWN
-from tools.playground.tests.browser import LIMIT
 from tools.playground.tests.test_page import gap, guide, looking, port
 
 __all__ = ["port"]

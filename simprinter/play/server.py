@@ -1,4 +1,4 @@
-"""Serves the page of a playground, to browsers of this computer only.
+"""Serves the page of a played printer, to browsers of this computer only.
 
 It listens on 127.0.0.1, answers who asks for it by that name or as localhost
 (another name in Host is a page from elsewhere whose name was made to lead
@@ -22,7 +22,7 @@ from typing import Any, Optional, Protocol
 from tornado import httpserver, web, websocket
 from tornado.iostream import StreamClosedError
 
-from tools.playground.network import LOOPBACK
+from simprinter.play.network import LOOPBACK
 
 _FOLDER = Path(__file__).with_name("page")
 # Bytes of a printer.cfg; of an order

@@ -1,4 +1,4 @@
-// What the playground itself shows: frames of the machine, and its terminal.
+// What the simulation itself shows: frames of the machine, and its terminal.
 
 const RETRY_MS = 1000;
 // Frames come 20 times a second; without any for so long it is switched off

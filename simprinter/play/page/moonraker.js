@@ -2,12 +2,13 @@
 
 const RETRY_MS = 1000;
 const LOOK_MS = 1500;
-const WATCHED = /^(z_calibration|auto_z_offset|dockable_probe|extra_probe)( |$)/;
 
 export class Moonraker extends EventTarget {
   constructor() {
     super();
     this.url = "";
+    // Sections whose status is shown
+    this.watched = [];
     this.isOpen = false;
     this.klippy = "away";
     this.message = "";
@@ -95,7 +96,7 @@ export class Moonraker extends EventTarget {
   async begin() {
     const { objects } = await this.call("printer.objects.list");
     const wanted = { toolhead: ["homed_axes", "position"], idle_timeout: ["state"] };
-    for (const name of objects.filter((name) => WATCHED.test(name))) wanted[name] = null;
+    for (const name of objects) if (this.watched.includes(name.split(" ")[0])) wanted[name] = null;
     this.status = {};
     const { status } = await this.call("printer.objects.subscribe", { objects: wanted });
     this.help = await this.call("printer.gcode.help");

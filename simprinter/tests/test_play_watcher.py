@@ -1,12 +1,12 @@
-"""What the playground tells of the world, in its own words."""
+"""What is told of the world to who plays with it."""
 
 from __future__ import annotations
 
 import re
 import sys
 
+from simprinter.play.watcher import SITES, crash_line
 from simprinter.world import Crash, Pose
-from tools.playground.watcher import SITES, crash_line
 
 
 def test_crashes_read_like_touches():

@@ -1,27 +1,20 @@
 // What came of a command: its result in large figures, and the report's picture.
 
-// [what the console says, the label above the figures, what is in front of them]; the
-// last line that is told counts
-const RESULTS = [
-  [/--> new offset=(-?[\d.]+)(?: \+-([\d.]+))?/, "new Z offset"],
-  [/--> new switch_offset=(-?[\d.]+)/, "new switch_offset"],
-  [/--> correction=(-?[\d.]+)/, "correction of the probe"],
-  [/^AUTO_Z_CALIBRATE: .*probe_z_correction: (-?[\d.]+)/, "correction of the probe"],
-  [/^AUTO_Z_PROBE: .*triggered at z=(-?[\d.]+)/, "the bed sensor has triggered at Z"],
-  [/^AUTO_Z_HOME_Z: .*which is z=(-?[\d.]+)/, "where the bed sensor triggers is Z"],
-  [/^Result(?: is|: .*) z=(-?[\d.]+)/, "triggered at Z"],
-  [/^probe z accuracy results: .*standard deviation ([\d.]+)/, "touches of the nozzle: standard deviation", "", 4],
-  [/^probe accuracy results: .*standard deviation ([\d.]+)/, "touches: standard deviation", "", 4],
-  [/^CALIBRATE_Z_ACCURACY: one CALIBRATE_Z: \+-([\d.]+)/, "one CALIBRATE_Z", "± ", 4],
-];
-const VERDICT = /^CALIBRATE_Z_ACCURACY: (verdict: .*)/;
-const REPORT = /the report is \S*?(report-\d{8}-\d{6}\.svg)/;
+const NEVER = /(?!)/;
 
 export class Result {
   constructor(card, section, picture, link) {
     Object.assign(this, { card, section, picture, link });
-    this.url = "";
     this.formula = "";
+    this.know({ cards: [], verdict: "", report: "", report_folder: "", moonraker: "" });
+  }
+
+  // What there is to look for, see played.py; the last line that is told counts.
+  know({ cards, verdict, report, report_folder: folder, moonraker }) {
+    this.cards = cards.map(([pattern, ...shown]) => [new RegExp(pattern), ...shown]);
+    this.verdict = verdict ? new RegExp(verdict) : NEVER;
+    this.report = report ? new RegExp(report) : NEVER;
+    this.folder = `${moonraker}/server/files/config/${folder}`;
   }
 
   forget() {
@@ -32,13 +25,13 @@ export class Result {
   // A line of the console.
   take(line) {
     const text = line.replace(/^\/\/ /, "");
-    for (const [pattern, label, sign = "", digits = 3] of RESULTS) {
+    for (const [pattern, label, sign, digits] of this.cards) {
       const found = pattern.exec(text);
       if (found) this.found(label, text, `${sign}${Number(found[1]).toFixed(digits)} mm`, found[2]);
     }
-    const verdict = VERDICT.exec(text);
+    const verdict = this.verdict.exec(text);
     if (verdict && this.how) this.how.textContent = verdict[1];
-    const report = REPORT.exec(text);
+    const report = this.report.exec(text);
     if (report) this.draw(report[1]);
   }
 
@@ -57,7 +50,7 @@ export class Result {
   }
 
   draw(name) {
-    this.picture.src = this.link.href = `${this.url}/server/files/config/z_calibration/${name}`;
+    this.picture.src = this.link.href = `${this.folder}/${name}`;
     this.section.hidden = false;
   }
 }

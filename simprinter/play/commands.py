@@ -1,4 +1,4 @@
-"""What can be typed while a playground runs: its faults, and repairs."""
+"""What can be typed while a printer is played with: faults, and repairs."""
 
 from __future__ import annotations
 
@@ -6,10 +6,10 @@ from collections.abc import Callable, Mapping
 from typing import NamedTuple
 
 from simprinter import Fault, Scene
+from simprinter.play.options import speed_of
+from simprinter.play.watcher import Watcher
 from simprinter.simulation import Pace
-from tools.playground.watcher import Watcher
 
-SLOWEST, FASTEST = 1.0, 20.0
 # The printer's seconds for which a hand presses a switch
 _PRESSED = 2.0
 
@@ -24,14 +24,6 @@ class Command(NamedTuple):
     words: str
     help: str
     run: Callable[[Watcher, Scene, list[str]], str]
-
-
-def speed_of(text: str) -> float:
-    """A speed as it is typed. Raises ValueError."""
-    speed = float(text)
-    if not SLOWEST <= speed <= FASTEST:
-        raise ValueError(f"{text} is not from {SLOWEST:g} to {FASTEST:g}")
-    return speed
 
 
 def run(line: str, watcher: Watcher, scene: Scene) -> str:

@@ -1,14 +1,12 @@
 // The console: lines, and an input with history and completion.
 
 const MOST_LINES = 400, MOST_COMMANDS = 100;
-// Commands that come first when one completes
-const OURS = /^(CALIBRATE_Z|PROBE_Z_ACCURACY|CALCULATE_SWITCH_OFFSET|Z_CALIBRATION|AUTO_Z|EXTRA_PROBE|QUERY_EXTRA|ATTACH_PROBE|DETACH_PROBE|DOCK|GET_PROBE|SET_PROBE|MOVE_)/;
 
 export class Console {
   constructor(lines, form, input, proposals, send) {
     Object.assign(this, { lines, input, proposals, send });
     this.commands = [];
-    // Of our commands: names and meanings
+    // By command: names and meanings
     this.parameters = {};
     this.history = JSON.parse(sessionStorage.getItem("history") || "[]");
     this.place = this.history.length;
@@ -22,11 +20,12 @@ export class Console {
     input.addEventListener("blur", () => this.close());
   }
 
-  // Names and helps of all commands there are; of ours, what their parameters mean.
-  know(help, parameters) {
+  // Names and helps of all commands there are; of some, what their parameters mean; how
+  // those begin that come first when one completes.
+  know(help, { parameters, first }) {
     this.parameters = parameters;
     const names = Object.keys(help).filter((name) => !name.startsWith("_"));
-    const rank = (name) => (OURS.test(name) ? 0 : 1);
+    const rank = (name) => (first.some((begin) => name.startsWith(begin)) ? 0 : 1);
     names.sort((a, b) => rank(a) - rank(b) || a.localeCompare(b));
     this.commands = names.map((name) => [name, help[name]]);
   }

@@ -1,4 +1,4 @@
-// The page of a playground: joins its parts.
+// The page of a printer to play with: joins its parts.
 
 import { Config } from "./config.js";
 import { Console } from "./console.js";
@@ -14,17 +14,13 @@ import { Top } from "./top.js";
 const $ = (id) => document.getElementById(id);
 const MOST_LINES = 300;
 const FLASH_MS = 350;
-// G-code of a button, where klippy knows its command
-const SHORTCUTS = [
-  ["Home", "G28"],
-  ["Calibrate", "CALIBRATE_Z"],
-  ["Calibrate", "AUTO_Z_CALIBRATE"],
-  ["Calibrate", "EXTRA_PROBE_CALIBRATE PROBE=membrane SAVE=1"],
-  ["Set up", "Z_CALIBRATION_SETUP"],
-  ["Set up dock", "DOCKABLE_PROBE_SETUP"],
-  ["Report", "Z_CALIBRATION_REPORT"],
-  ["Save", "SAVE_CONFIG"],
-];
+// Of a button that every printer has
+const HOME = ["Home", "G28", false];
+// What a project may say in its hello; see played.py
+const NOTHING = {
+  scene: "", scenes: [], shortcuts: [], first: [], parameters: {}, watched: [],
+  cards: [], verdict: "", report: "", report_folder: "",
+};
 
 const live = new Live();
 const moonraker = new Moonraker();
@@ -48,12 +44,14 @@ const flashes = new Map();
 // The machine
 
 live.addEventListener("hello", ({ detail }) => {
-  machine = detail;
+  machine = { ...NOTHING, ...detail };
   $("machine").textContent = detail.machine;
   $("address").textContent = detail.moonraker.replace("http://", "");
   $("point").textContent = `at X${detail.point[0]} Y${detail.point[1]}`;
-  const names = detail.scenes.includes(detail.scene) ? detail.scenes : [...detail.scenes, detail.scene];
-  $("scene").replaceChildren(...names.map((name) => new Option(name, name, false, name === detail.scene)));
+  const { scene, scenes } = machine;
+  const names = scenes.includes(scene) || !scene ? scenes : [...scenes, scene];
+  $("scene").replaceChildren(...names.map((name) => new Option(name, name, false, name === scene)));
+  $("choice").hidden = !names.length;
   for (const part of [side, lens, above]) part.build(detail.parts);
   hands.build(detail);
   $("signals").replaceChildren(...detail.wires.map((wire) => {
@@ -66,7 +64,8 @@ live.addEventListener("hello", ({ detail }) => {
     $("lines").replaceChildren();
     detail.lines.forEach(tellLine);
   } else result.forget();
-  result.url = detail.moonraker;
+  result.know(machine);
+  moonraker.watched = machine.watched;
   moonraker.connect(detail.moonraker);
 });
 
@@ -155,7 +154,7 @@ function takeLines(lines) {
 moonraker.addEventListener("lines", ({ detail }) => takeLines(detail));
 moonraker.addEventListener("sent", ({ detail }) => terminal.sent(detail));
 moonraker.addEventListener("ready", ({ detail: store }) => {
-  terminal.know(moonraker.help, machine.parameters);
+  terminal.know(moonraker.help, machine);
   terminal.clear();
   dialog.forget();
   for (const { type, message } of store) {
@@ -178,13 +177,13 @@ moonraker.addEventListener("status", ({ detail }) => {
 });
 
 function showShortcuts() {
-  const known = (script) => script === "G28" || script.split(" ")[0] in moonraker.help;
-  const buttons = SHORTCUTS.filter(([, script]) => known(script)).map(([label, script]) => {
+  const known = machine.shortcuts.filter(([, script]) => script.split(" ")[0] in moonraker.help);
+  const buttons = [HOME, ...known].map(([label, script, standsOut]) => {
     const button = document.createElement("button");
     button.textContent = label;
     button.title = script;
     button.dataset.runs = script;
-    if (label === "Calibrate") button.className = "primary";
+    if (standsOut) button.className = "primary";
     button.addEventListener("click", () => run(script));
     return button;
   });
@@ -205,7 +204,8 @@ function showStates() {
     klippy: moonraker.klippy === "ready" ? "on" : "bad",
   };
   for (const [name, state] of Object.entries(states)) $(`state-${name}`).className = state;
-  const why = !live.isOpen ? "The playground has ended, or cannot be reached: start it with `make printer`. This page goes on when it is there."
+  const start = machine ? `: start it with \`${machine.program}\`` : "";
+  const why = !live.isOpen ? `The playground has ended, or cannot be reached${start}. This page goes on when it is there.`
     : !moonraker.isOpen ? `Moonraker does not answer at ${moonraker.url}. This page goes on when it does.`
     : moonraker.klippy === "ready" ? ""
     : moonraker.klippy === "away" ? "klippy is away: it is switched off, or it restarts."

@@ -12,8 +12,8 @@ from dataclasses import asdict
 from typing import Any, Optional
 
 from simprinter import Scene
+from simprinter.play.watcher import Watcher
 from simprinter.world import Pose
-from tools.playground.watcher import Watcher
 
 # Real seconds between two frames
 EVERY = 1 / 20

@@ -1,4 +1,4 @@
-"""Who may talk to a playground's Moonraker: nobody but whom one asks for."""
+"""Who may talk to the Moonraker of a played printer: whom one asks for."""
 
 from __future__ import annotations
 
@@ -7,6 +7,10 @@ import ipaddress
 import socket
 import struct
 from collections.abc import Sequence
+from typing import NamedTuple
+
+# What holds a port; to be closed
+Claim = socket.socket
 
 LOOPBACK = "127.0.0.1"
 EVERYWHERE = "0.0.0.0"
@@ -15,6 +19,17 @@ _SIOCGIFADDR, _SIOCGIFNETMASK = 0x8915, 0x891B
 
 class AddressError(Exception):
     """An address on which this machine cannot listen."""
+
+
+class Door(NamedTuple):
+    """Where Moonraker listens, and to whom besides its own machine.
+
+    port: or the next that is free. origins: of web pages from elsewhere.
+    """
+
+    listen: str = LOOPBACK
+    port: int = 7125
+    origins: Sequence[str] = ()
 
 
 def own_networks() -> dict[str, ipaddress.IPv4Network]:
@@ -70,17 +85,17 @@ def origins(listen: str, more: Sequence[str]) -> list[str]:
     return [*own, *more]
 
 
-def reserved_port(listen: str, wanted: int) -> tuple[int, socket.socket]:
+def reserved_port(listen: str, wanted: int) -> tuple[int, Claim]:
     """The wanted port, or the first behind it that nobody uses.
 
-    Until what comes with it is closed, no other playground takes that port:
+    Until what comes with it is closed, no other played printer takes that port:
     Moonraker listens some seconds later only.
     """
     for port in range(wanted, min(wanted + 200, 65536)):
         claim = socket.socket(socket.AF_UNIX)
         try:
             # A name without a file, which ends with its process
-            claim.bind(f"\0z-offset-playground-{port}")
+            claim.bind(f"\0simprinter-play-{port}")
             with socket.socket() as probe:
                 probe.setsockopt(socket.SOL_SOCKET, socket.SO_REUSEADDR, 1)
                 probe.bind((listen, port))

@@ -1,4 +1,4 @@
-"""Lives in the simulation of a playground: tells what happens, does as told."""
+"""Lives in a simulation that is played with: tells what happens, does as told."""
 
 from __future__ import annotations
 

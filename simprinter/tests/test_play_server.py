@@ -11,7 +11,7 @@ import requests
 import websocket
 
 from simprinter.hosts.moonraker import free_port
-from tools.playground.server import PageServer
+from simprinter.play.server import PageServer
 
 LIMIT = 10.0
 CONFIG = "[printer]\nkinematics: none\n"
