@@ -147,6 +147,9 @@ class _Contacts:
         self._machine = machine
         self._tell = tell
         self._touches = self._events = 0
+        # Of switches that an axis runs into, by their signals
+        switches = machine.scene.world.switches
+        self._axes = {switch.signal: switch.axis for switch in switches}
         # Touches that have ended since somebody took them
         self.done: deque[TouchDone] = deque(maxlen=MOST_TOUCHES)
         self._crashes: dict[tuple[str, str], float] = {}
@@ -177,11 +180,12 @@ class _Contacts:
                 self._tell(crash_line(crash))
 
     def _begin(self, touch: Touch) -> None:
-        if touch.site.endswith("_endstop"):
-            axis = "XYZ"["xyz".index(touch.site[0])]
+        axis = self._axes.get(touch.site)
+        if axis is not None:
             # Where Z is, is another thing for everybody
-            at = "" if axis == "Z" else f", at {axis}{touch.trigger_z:.2f}"
-            self._tell(f"{axis} endstop{at}")
+            at = f", at {axis.upper()}{touch.trigger_z:.2f}"
+            name = SITES.get(touch.site, touch.site)
+            self._tell(name if axis == "z" else f"{name}{at}")
             return
         self._open[touch.site] = (touch, touch.z)
         # The world may have been told of it a little after it happened
