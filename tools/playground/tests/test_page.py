@@ -268,9 +268,8 @@ def test_wrong_configuration_is_told_and_mended(port):
         file = shown.config / "printer.cfg"
         right = file.read_text().replace("[nonsense]", "")
         page.press("#config", "Read again")
-        page.until(
-            lambda: "[nonsense]" in text.get_property("value"), "read again"
-        )
+        page.until(lambda: page.text("#config-told") == "", "read again")
+        assert "[nonsense]" in text.get_property("value")
         file.write_text(right)
         page.press("#config", "Save and restart")
         page.until(
