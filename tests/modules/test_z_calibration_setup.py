@@ -376,9 +376,7 @@ def test_places_that_cannot_be_and_a_probe_that_is_lost(start):
     assert printer.session.position()[:2] == pytest.approx(at[:2])
     # It does not come, for once
     printer.machine.hold("probe", True)
-    assert "your own G-code has not attached it" in user.refused(
-        "Here"
-    )
+    assert "your own G-code has not attached it" in user.refused("Here")
     # The place of the nozzle is kept
     assert user.step() == "ATTACH"
     assert printer.session.position()[2] == pytest.approx(11.5)

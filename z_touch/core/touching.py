@@ -31,6 +31,7 @@ NO_ANSWER = "the switch did not answer"
 # Less than any microstep is long, more than rounding.
 NO_TRAVEL = 0.0001
 
+
 # Something to touch (mm): the word used in messages, where the head stands for
 # it, where the user has said so, and by which option or parameter.
 class Site(collections.namedtuple("Site", "name x y origin option")):
