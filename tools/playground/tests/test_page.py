@@ -60,6 +60,32 @@ def calibrate(page):
     )
 
 
+# What is to be seen only while it calibrates: a contact, and how far it is
+PASSING = ("#signals .flash", "#progress:not([hidden])")
+
+
+def note(page, *selectors):
+    """From now on which of them there were, in `noted`."""
+    page.value(
+        "(globalThis.noted = new Set(), new MutationObserver(() => {"
+        " for (const s of arguments)"
+        " if (document.querySelector(s)) noted.add(s); }).observe("
+        "document.body, {subtree: true, attributes: true, childList: true}),"
+        " true)",
+        *selectors,
+    )
+
+
+def set_speed(page, speed):
+    """By its slider."""
+    page.value(
+        "(s => { s.value = arguments[0]; s.dispatchEvent(new Event('input'));"
+        " return true; })(document.getElementById('speed'))".replace(
+            "arguments[0]", str(speed)
+        )
+    )
+
+
 @LONG
 def test_page_calibrates(port, host):
     options = ("--perfect", "--host", host.name)
@@ -68,7 +94,13 @@ def test_page_calibrates(port, host):
         home(page)
         assert gap(page) == pytest.approx(-0.1, abs=0.03)
         assert "scratch the plate" in page.text("#gap-words")
+        set_speed(page, 8)
+        page.until(
+            lambda: "8 times as fast" in page.text("#lines"), "the speed"
+        )
+        note(page, *PASSING)
         assert calibrate(page) == pytest.approx(0.16, abs=0.03)
+        assert page.value("[...noted].sort()") == sorted(PASSING)
         page.until(
             lambda: gap(page) == pytest.approx(0.06, abs=0.006), "the gap"
         )
