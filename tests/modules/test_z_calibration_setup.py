@@ -676,7 +676,7 @@ def test_option_below_a_pattern_of_any_depth(start, host, tmp_path):
     advance(user, "GAP")
     user.press("D2F 0.2 mm")
     is_deep = "switch_offset" in found and found["switch_offset"] == 0.1
-    text = "write 'switch_offset: 0.200' into line 2 of"
+    text = "SAVE_CONFIG cannot write this into line 2 of "
     assert (text in user.dialog().text) is is_deep
     assert is_deep is host.layout.module_dir.endswith("plugins")
     if is_deep:
