@@ -43,8 +43,9 @@ PLUNGER_PRESSED = (
 # One site: approach it, touch it, come back up.  'calibration' is the run that
 # it is part of.
 class Measurement(object):
-    # What to look at after a touch that failed; %s is where the site comes from
-    remedy = "check %s"
+    # What to look at after a touch that failed; %s is where the site comes from.
+    # Each site has its own.
+    remedy = None
     # Whether the way there goes along X, then along Y
     x_first = False
 

@@ -150,8 +150,8 @@ class SiteFinder(object):
             zero = self.host.features.mesh_zero()
             if zero is None:
                 return None
-            option = "the zero reference position of section 'bed_mesh'"
-            origin = "T" + option[1:]
+            option = "zero_reference_position of section 'bed_mesh'"
+            origin = "The zero reference position of section 'bed_mesh'"
             bed = touching.Site("bed", zero[0], zero[1], origin, option)
         x_offset, y_offset = self.host.probing.offsets()[:2]
         return bed._replace(x=bed.x - x_offset, y=bed.y - y_offset)
