@@ -160,8 +160,8 @@ parse() {
 look_at_environment() {
     local script=${BASH_SOURCE[0]:-}
     [ -n "$script" ] && [ -f "$script" ] ||
-        fail "$ENVIRONMENT" "run the script from a clone: git clone, then" \
-            "./install.sh in it"
+        fail "$ENVIRONMENT" "the script is no file of a clone; git clone, then" \
+            "run ./install.sh in it"
     here=$(dirname -- "$(readlink -f -- "$script")")
     [ -d "$here/installer" ] || fail "$ENVIRONMENT" "$here has no installer/;" \
         "run the script from a complete clone"
@@ -172,8 +172,8 @@ look_at_environment() {
     # shellcheck source=installer/services.sh
     . "$here/installer/services.sh"
     [ "$(id -u)" -ne 0 ] || [ -n "$allow_root" ] ||
-        fail "$ENVIRONMENT" "do not run as root or with sudo; run it as the" \
-            "user that Klipper runs as. Where that is root, add --allow-root"
+        fail "$ENVIRONMENT" "this runs as root or with sudo; run it as the" \
+            "user that Klipper runs as, or, where that is root, with --allow-root"
 }
 
 choose_modules() {
@@ -192,7 +192,7 @@ choose_modules() {
     for name in "${wanted[@]}"; do
         case " $known " in
             *" $name "*) modules+="${modules:+ }$name" ;;
-            *) fail "$USAGE" "no module $name; there are: $known" ;;
+            *) fail "$USAGE" "no module $name; choose from: $known" ;;
         esac
     done
     modules=${modules:-$known}

@@ -142,8 +142,8 @@ link() {
     local file="$klipper/$1" name=${1##*/} kept detail=""
     local action="Linking $name into ${1%/*}"
     if is_tracked "$1"; then
-        problem "$CONFLICT" "$1 is part of this Klipper; replacing it would" \
-            "block Klipper updates. Leave it out with --modules"
+        problem "$CONFLICT" "$1 is part of this Klipper, and replacing it" \
+            "would block Klipper updates; leave it out with --modules"
         return 0
     elif is_ours "$1" && [ "$file" -ef "$here/$name" ]; then
         say "$action... [OK, already linked]"
@@ -229,8 +229,8 @@ check_kalico() {
     local lacking
     lacking=$(printers_without_override)
     [ -n "$lacking" ] || return 0
-    problem "$CONFLICT" "Kalico ships its own $shipped. Add to" \
-        "${lacking//$'\n'/ and to } first, or Kalico will not start:"
+    problem "$CONFLICT" "Kalico ships its own $shipped, and will not start" \
+        "beside ours; first add to ${lacking//$'\n'/ and to }:"
     printf '\n[danger_options]\nallow_plugin_override: True\n\n' >&2
     explain "Then run this again; --force links in any case." \
         "${others:+Without it: --modules \"$others\"}"

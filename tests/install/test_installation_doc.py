@@ -8,6 +8,7 @@ import re
 import pytest
 
 from tests.docs.documents import link_problems, part, spans
+from tests.docs.order import out_of_order
 from tests.install.box import MODULES, ORIGIN, OVERRIDE, REPO, Box, options_in
 
 DOCUMENT = REPO / "docs" / "installation.md"
@@ -194,6 +195,15 @@ def test_refusals_are_all_in_the_document():
     assert len(found) >= 14
     for text in found:
         assert any(piece in text for piece in documented_pieces()), text
+
+
+def test_advice_comes_last():
+    told = re.findall(
+        r'(?:fail "\$\w+"|problem "\$\w+"|note)\s*(?:\\\n\s*)?"([^"]*)"', JOINED
+    )
+    texts = [with_dots(text) for text in told]
+    assert len(texts) >= 30
+    assert [text for text in texts if out_of_order(text)] == []
 
 
 def test_links():

@@ -139,8 +139,10 @@ def test_floor(start, axis, own, z, why):
     printer.machine.tolerate("nozzle_bed", max(0.0, SENSOR - z) + 0.02)
     text = printer.homed().fail("AUTO_Z_MEASURE_OFFSET")
     assert "bed sensor: the switch did not answer" in text
-    assert f"(stopped at z={z:.3f})" in text
-    assert f"the lowest point of this touch, which is {why}" in text
+    assert (
+        f"(stopped at z={z:.3f}), the lowest point of this touch: {why}; "
+        in text
+    )
     assert printer.machine.truth.min_gap == pytest.approx(1.2695 + z, abs=STEPS)
     ignored = told(printer.session.console, f"'probe_z_min: {own}' is ignored")
     assert len(ignored) == (1 if own and float(own) < z else 0)
@@ -375,8 +377,10 @@ def test_saved_correction_is_the_floor(start):
     printer.machine.tolerate("nozzle_bed", 1.02)
     text = printer.homed().fail("AUTO_Z_CALIBRATE")
     assert "(stopped at z=-2.320)" in text
-    assert "1.000 mm below the expected trigger at z=-1.320" in text
-    assert "add ACCEPT_CHANGE=1 if nozzle, probe or bed was changed" in text
+    assert "1.000 mm below the expected trigger at z=-1.320; check" in text
+    assert (
+        ", or add ACCEPT_CHANGE=1 if nozzle, probe or bed was changed" in text
+    )
 
 
 @pytest.mark.parametrize("command", ["PROBE", "HOME_Z", "MEASURE_OFFSET"])

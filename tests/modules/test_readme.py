@@ -136,13 +136,16 @@ def test_readme_is_short_and_begins_with_what_one_can_try():
     }
 
 
-def test_the_address_stands_in_one_place():
-    """Whoever publishes it writes it once."""
+def test_the_address_stands_in_one_file():
+    """At the top of README and where it is installed; whoever publishes it looks
+    nowhere else."""
     paths = [*DOCUMENTS, *ROOT.glob("examples/**/*"), ROOT / "install.sh"]
-    texts = [p.read_text(encoding="utf-8") for p in paths if p.is_file()]
-    found = [a for text in texts for a in re.findall(r"ADDRESS=(\S+?);", text)]
-    assert len(found) == 1
-    assert sum(text.count(found[0]) for text in texts) == 1
+    texts = {p: p.read_text(encoding="utf-8") for p in paths if p.is_file()}
+    (address,) = re.findall(r"ADDRESS=(\S+?);", "".join(texts.values()))
+    top, _, rest = texts[README].partition("\n## ")
+    assert f"\ngit clone {address} " in top
+    assert rest.count(address) == 1
+    assert [path for path in texts if address in texts[path]] == [README]
 
 
 # Commands
@@ -173,6 +176,9 @@ INSTALLING = {
     # Typed by tests/install/test_installation_doc.py
     "ADDRESS=https://example.com/OWNER/NAME.git; git clone $ADDRESS"
     " ~/klipper_z_calibration && ~/klipper_z_calibration/install.sh",
+    # The same way as in developing.md, whose clone test_the_way_to_the_demo types
+    "git clone https://example.com/OWNER/NAME.git ~/klipper_z_calibration;"
+    " cd ~/klipper_z_calibration",
 }
 # By test_the_way_to_the_demo
 DEMO = {

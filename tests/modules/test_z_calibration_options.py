@@ -330,7 +330,7 @@ REFUSED = {
     # Twice the z_offset is no height to travel at
     "probe too long": (
         {"probe": {"z_offset": "141"}},
-        [BEYOND, "z_offset in section 'probe', which is the real distance"],
+        [BEYOND, "z_offset in section 'probe', the real distance"],
     ),
     "pin too high": (
         {"stepper_z": {"position_endstop": "271"}},

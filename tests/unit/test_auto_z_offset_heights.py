@@ -17,7 +17,7 @@ rows = load("z_touch.auto_z_offset.settings")
 CalibrationError = az.CalibrationError
 
 STEP = 1 / 64
-FLOOR = az.Floor(-4.0, "position_min")
+FLOOR = az.Floor(-4.0, "position_min", "")
 DEFAULTS = default_settings(rows)
 
 
@@ -100,7 +100,7 @@ def test_floor_leaves_room_to_brake(braking, z):
 
 @given(heights, exact(0, 3), exact(0, 4), exact(-10, 0))
 def test_floor_is_never_below_the_configured_one(z, margin, braking, lowest):
-    floor = az.Floor(lowest, "")
+    floor = az.Floor(lowest, "", "")
     speed = math.sqrt(100 * braking)
     found = az.sensor_floor(floor, az.expect_near(z, margin), speed, 50.0)
     assert found.z >= lowest
@@ -132,14 +132,14 @@ def test_default_speed_needs_no_limit_on_usual_machines():
 @pytest.mark.parametrize(
     ("position_min", "probe_z_min", "floor"),
     [
-        (-4.0, None, (-4.0, "position_min of section 'stepper_z'")),
-        (-4.0, -1.1, (-1.1, "probe_z_min")),
+        (-4.0, None, (-4.0, "position_min of section 'stepper_z'", "")),
+        (-4.0, -1.1, (-1.1, "probe_z_min", "")),
         # It can only raise what the axis allows
-        (-4.0, -7.0, (-4.0, "position_min of section 'stepper_z'")),
-        (-10.0, None, (-10.0, "position_min of section 'stepper_z'")),
-        (-10.1, None, (-10.0, "the limit of auto_z_offset")),
-        (-60.0, -50.0, (-10.0, "the limit of auto_z_offset")),
-        (-60.0, -9.0, (-9.0, "probe_z_min")),
+        (-4.0, -7.0, (-4.0, "position_min of section 'stepper_z'", "")),
+        (-10.0, None, (-10.0, "position_min of section 'stepper_z'", "")),
+        (-10.1, None, (-10.0, "the limit of auto_z_offset", "")),
+        (-60.0, -50.0, (-10.0, "the limit of auto_z_offset", "")),
+        (-60.0, -9.0, (-9.0, "probe_z_min", "")),
     ],
 )
 def test_floor_of_the_section(position_min, probe_z_min, floor):

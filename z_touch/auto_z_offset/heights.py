@@ -143,22 +143,26 @@ def check_expected(z, expected):
 # Floors and speeds
 ######################################################################
 
-# Lowest toolhead Z (mm) of a touch, and who says so.
-Floor = collections.namedtuple("Floor", "z why")
+# Lowest toolhead Z (mm) of a touch, who says so, and what to do where it is wrong.
+Floor = collections.namedtuple("Floor", "z why remedy")
 
 
 # The floor of the section.  probe_z_min (None: not given) can only raise what
 # the axis allows.
 def section_floor(z_axis, probe_z_min):
     floor = Floor(
-        z_axis.position_min, "position_min of section '%s'" % (z_axis.section,)
+        z_axis.position_min,
+        "position_min of section '%s'" % (z_axis.section,),
+        "",
     )
     if floor.z < LOWEST_FLOOR:
-        floor = Floor(LOWEST_FLOOR, "the limit of auto_z_offset")
+        floor = Floor(LOWEST_FLOOR, "the limit of auto_z_offset", "")
     if probe_z_min is None:
         return above_switch(floor, z_axis)
     return (
-        Floor(probe_z_min, "probe_z_min") if probe_z_min >= floor.z else floor
+        Floor(probe_z_min, "probe_z_min", "")
+        if probe_z_min >= floor.z
+        else floor
     )
 
 
@@ -172,8 +176,8 @@ def above_switch(floor, z_axis):
         return floor
     return Floor(
         z,
-        "%g mm below where Z is homed, and below Z=0; set probe_z_min if the bed"
-        " may be lower" % (BELOW_SWITCH,),
+        "%g mm below where Z is homed, and below Z=0" % (BELOW_SWITCH,),
+        "set probe_z_min if the bed may be lower",
     )
 
 
@@ -184,8 +188,8 @@ def above_pin(floor, pin_z):
         return floor
     return Floor(
         pin_z,
-        "as far as the pin of the Z endstop may be pressed, as the head is over"
-        " it; choose a point of the bed",
+        "as far as the pin of the Z endstop may be pressed, as the head is over it",
+        "choose a point of the bed",
     )
 
 
@@ -212,7 +216,7 @@ def sensor_floor(floor, expected, speed, accel):
     if low <= floor.z:
         return floor
     why = "%.3f mm below the expected trigger at z=%.3f"
-    return Floor(low, why % (expected.z - low, expected.z))
+    return Floor(low, why % (expected.z - low, expected.z), "add " + IF_CHANGED)
 
 
 # The lowest toolhead Z (mm) of a touch with the probe, where the nozzle meets the bed
@@ -220,9 +224,9 @@ def sensor_floor(floor, expected, speed, accel):
 def probe_floor(sensor_z, probe_z_offset):
     why = "where the bed sensor triggered"
     if probe_z_offset <= DEAD_PROBE:
-        return Floor(sensor_z, why)
+        return Floor(sensor_z, why, "")
     why = "%g mm below where the probe should trigger" % (DEAD_PROBE,)
-    return Floor(sensor_z + probe_z_offset - DEAD_PROBE, why)
+    return Floor(sensor_z + probe_z_offset - DEAD_PROBE, why, "")
 
 
 # Travel height (mm) before the bed was touched: where the probe does not

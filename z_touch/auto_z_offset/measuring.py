@@ -197,19 +197,14 @@ class SensorMeasurement(object):
             raise e.advised(
                 "check that prepare_gcode turns the sensor on, that 'pin: %s'"
                 " is the sensor's (QUERY_ENDSTOPS while you press the bed), and"
-                " that the bed is not below the lowest point of this touch,"
-                " which is %s" % (sensor.pin, self.reason(floor, lowest))
+                " that the bed is no lower%s"
+                % (sensor.pin, floor.remedy and ", or " + floor.remedy),
+                ", the lowest point of this touch: %s" % (floor.why,),
             )
         except errors.CalibrationError:
             if touching.is_at(self.host, start_z):
                 sensor.check_open(self.host.after_moves())
             raise
-
-    # 'lowest': what it is unless something is expected there
-    def reason(self, floor, lowest):
-        if floor == lowest:
-            return floor.why
-        return "%s; add %s" % (floor.why, heights.IF_CHANGED)
 
     def report(self, text):
         self.watch.say("bed sensor: %s" % (text,))

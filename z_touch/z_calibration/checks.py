@@ -58,7 +58,7 @@ def check_travel_heights(host, settings):
                 "The travel height of z_calibration, z=%.3f, must lie"
                 " within position_max (%.3f) of section '%s'; correct %s in"
                 " section 'z_calibration', or z_offset in section 'probe',"
-                " which is the real distance between nozzle and probe"
+                " the real distance between nozzle and probe"
                 % (height, high, host.z_axis.section, remedy)
             )
 

@@ -25,7 +25,7 @@ DIFFER = "clean the nozzle and check the switch for play"
 
 # What to do where the head is below the floor of a touch already
 TOO_LOW = (
-    "correct switch_offset, which is larger than any switch has it, or"
+    "correct switch_offset (larger than any switch has it) or"
     " position_max of the Z axis"
 )
 
