@@ -246,6 +246,7 @@ def test_whoever_has_preheated_is_asked(start):
     run = user.printer.run
     run("M140 S60")
     user.begin()
+    assert user.dialog().headline == "Step 1 of 8: is a print paused?"
     assert "heater_bed is kept at 60 degrees." in user.dialog().text
     user.press("No print")
     run("M104 S150")

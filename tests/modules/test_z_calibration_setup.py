@@ -696,7 +696,8 @@ def test_print_that_no_print_stats_knows_of(start):
     at = printer.session.position()
     user.press("X+1 mm")
     # It may be paused, or heat before it begins
-    assert user.dialog().headline == "Is a print paused, or about to begin?"
+    question = "Step 5 of 12: is a print paused?"
+    assert user.dialog().headline == question
     assert "extruder is kept at 200 degrees." in user.dialog().text
     assert printer.session.position() == at
     user.press("No print")

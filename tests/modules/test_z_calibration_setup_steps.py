@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import re
+
 import pytest
 
 from simprinter.hosts.session import GcodeError
@@ -11,8 +13,15 @@ from tools.kit.scenes import SCENES
 from tools.kit.setup_user import EMPTY, SETUP, User
 from tools.kit.z_calibration import section
 from z_touch.guide.steps import CHAINED, ORDER
+from z_touch.z_calibration import settings
 
 STEPS = [name.upper() for name in ORDER]
+# Of the section; the axis has an endstop_pin, too
+OPTIONS = [
+    row.name
+    for row in settings.OPTIONS
+    if "_" in row.name and row.name != "endstop_pin"
+]
 # From which step on it is noticed, and the last one that needs what is broken.
 # A G28 with a dead endstop is the host's own, and ends below the axis
 DISTURBANCES = {
@@ -65,6 +74,12 @@ def disturb(user, disturbance):
     machine.tolerate("body_bed", 1.02)
 
 
+def written(user):
+    """Options that are in printer.cfg; who has one hook knows the other."""
+    own = set(user.printer.status("configfile")["config"]["z_calibration"])
+    return own | {"start_gcode"} if "before_switch_gcode" in own else own
+
+
 def assert_aborted(user):
     """Nothing is left of it, and the head is up."""
     printer = user.printer
@@ -100,7 +115,10 @@ def test_disturbed_at_a_step(at_step, disturbance, step):
     with pytest.raises(GcodeError):
         while user.step() != "SAVE":
             user.go_on()
-    assert "Not done: " in user.dialog().text
+    text = user.dialog().text
+    assert "Not done: " in text
+    named = {name for name in OPTIONS if re.search(rf"\b{name}\b", text)}
+    assert named <= written(user)
     assert_aborted(user)
 
 

@@ -4,10 +4,10 @@ from __future__ import absolute_import
 
 from . import dialogs
 
-HEADLINE = "Is a print paused, or about to begin?"
-QUESTION = (
+QUESTION = "is a print paused?"
+TEXTS = (
     "%s.",
-    "A paused print of OctoPrint looks like preheating.",
+    "A paused print of OctoPrint, or one about to begin, looks the same.",
     "'No print' goes on as asked.",
 )
 
@@ -34,16 +34,16 @@ class Prints(object):
         return bool(is_known or self._moves_on() or self._unknown_heat())
 
     # Whether a person is asked first.  The answer is the same command once more, with
-    # PRINT=NONE; 'abort' is the other one.
-    def asks(self, gcmd, abort):
+    # PRINT=NONE; 'abort' is the other one.  'headline' has QUESTION.
+    def asks(self, gcmd, abort, headline):
         if gcmd.get("PRINT", "").strip().upper() == "NONE":
             self.known_heat = self._heat()
         heat = self._unknown_heat()
         if heat:
-            self._ask(gcmd, heat, abort)
+            self._ask(gcmd, heat, abort, headline)
         return bool(heat)
 
-    def _ask(self, gcmd, heat, abort):
+    def _ask(self, gcmd, heat, abort, headline):
         params = dict(gcmd.get_command_parameters(), PRINT="NONE")
         words = ["%s=%s" % item for item in sorted(params.items())]
         answers = (
@@ -51,11 +51,11 @@ class Prints(object):
             ("Abort", abort, "error"),
         )
         kept = ["%s is kept at %.0f degrees" % item for item in heat]
-        texts = [text.replace("%s", ", ".join(kept)) for text in QUESTION]
+        texts = [text.replace("%s", ", ".join(kept)) for text in TEXTS]
         said = ["%s: %s" % answer[:2] for answer in answers]
-        self.host.say("\n".join([HEADLINE] + texts + said))
+        self.host.say("\n".join([headline] + texts + said))
         self.host.gcode.respond_raw(dialogs.END)
-        for line in dialogs.lines(HEADLINE, texts, answers):
+        for line in dialogs.lines(headline, texts, answers):
             self.host.gcode.respond_raw(line)
 
     # Raises the command's error

@@ -99,14 +99,14 @@ class Setup(object):
                 " shows it again"
                 % (self.host.section, name, self.state.step, COMMAND)
             )
-        elif not self.prints.asks(gcmd, ABORT):
+        elif not self._asks_for_print(gcmd):
             self._answered(gcmd)
 
     # Or shows again what is asked
     def _begin(self, gcmd):
         # Its end is an answer to all that is asked.
         self.state = self.state or State()
-        if self.prints.asks(gcmd, ABORT):
+        if self._asks_for_print(gcmd):
             return
         # Later a hand is near.
         carrying.of(self.host.printer).settle(self.host)
@@ -299,14 +299,19 @@ class Setup(object):
     # What is shown, and the end
     ######################################################################
 
+    def _headline(self, title):
+        number = ORDER.index(self.state.step) + 1
+        return "Step %d of %d: %s" % (number, len(ORDER), title)
+
+    # What a print may be is asked first, in the step that it holds up
+    def _asks_for_print(self, gcmd):
+        headline = self._headline(prints.QUESTION)
+        return self.prints.asks(gcmd, ABORT, headline)
+
     # 'is_quiet': the console has been told already
     def _ask(self, problem="", is_quiet=False):
         name = self.state.step
-        headline = "Step %d of %d: %s" % (
-            ORDER.index(name) + 1,
-            len(ORDER),
-            STEPS[name].title,
-        )
+        headline = self._headline(STEPS[name].title)
         sentences = self._sentences(name, problem)
         answers = [
             (label, command(name, word), colour)

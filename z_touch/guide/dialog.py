@@ -91,7 +91,7 @@ class Setup(object):
                 % (self.host.section, name, self.state.step, steps.COMMAND)
             )
         self.prints.check_none(gcmd)
-        if not self.prints.asks(gcmd, steps.ABORT):
+        if not self.asks_for_print(gcmd):
             self.answered(gcmd)
 
     # Or shows again what is asked
@@ -99,11 +99,16 @@ class Setup(object):
         self.prints.check_none(gcmd)
         # Its end is an answer to all that is asked
         self.state = self.state or State()
-        if self.prints.asks(gcmd, steps.ABORT):
+        if self.asks_for_print(gcmd):
             return
         # Later a hand is near.
         carrying.of(self.host.printer).settle(self.host)
         self.ask()
+
+    # What a print may be is asked first, in the step that it holds up
+    def asks_for_print(self, gcmd):
+        headline = steps.headline(self.state.step, prints.QUESTION)
+        return self.prints.asks(gcmd, steps.ABORT, headline)
 
     # After a jog the dialog has the new place, after an error it says why.  For
     # longer work it closes: it would cover the emergency stop of a web interface.

@@ -157,16 +157,18 @@ def bed_floor(settings, nozzle_z, switch_z):
 
 
 # What to do where nothing triggered down to that floor; 'zero' as in
-# check_offset().  Empty: with such margins the bed is not known to be low.
-def below_margins(settings, zero):
+# check_offset(), 'site' the touched one.  Empty: with such margins the bed is not
+# known to be low.
+def below_margins(settings, zero, site):
     low = settings.offset_margins[0]
     if low >= 0.0:
         return ""
+    # Whoever is led through the set-up has not chosen it
+    lowest = "the low end of offset_margins (%.3f)" if site.option else "z=%.3f"
     return (
-        "the bed is below the low end of offset_margins (%.3f), or the probe is"
-        " dead; the plate has to be on, and Z homed (G28 Z) after any"
-        " levelling; check bed_xy_position and the probe, then %s"
-        % (low, corrected_zero(zero, low))
+        "the bed is below %s, or the probe is dead; the plate has to be on, and Z"
+        " homed (G28 Z) after any levelling; check %s and the probe, then %s"
+        % (lowest % (low,), site.place(), corrected_zero(zero, low))
     )
 
 

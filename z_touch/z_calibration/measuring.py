@@ -240,10 +240,16 @@ class Measurement(object):
                 " off, or its wire is broken; look where it is before the head"
                 " moves and " + LOOK_AT_PROBE
             )
+        # Whoever is led through the set-up may have none yet
+        where = (
+            " in start_gcode or before_switch_gcode" if self.site.option else ""
+        )
         raise errors.CalibrationError(
-            "the probe reads triggered: it is not attached, or not wired"
-            " as normally closed; attach it in start_gcode or"
-            " before_switch_gcode and " + LOOK_AT_PROBE
+            (
+                "the probe reads triggered: it is not attached, or not wired"
+                " as normally closed; attach it%s and " + LOOK_AT_PROBE
+            )
+            % (where,)
         )
 
 
@@ -307,7 +313,7 @@ class SwitchMeasurement(Measurement):
 # The probe on the print surface, through the host's own probing, told where
 # to end.
 class BedMeasurement(Measurement):
-    remedy = "check %s, switch_offset and the probe (QUERY_PROBE, PROBE)"
+    remedy = "check %s and the probe (QUERY_PROBE, PROBE)"
     # The host's own probing while a session lasts that ends at the floor
     probe_once = None
 
@@ -400,8 +406,10 @@ class BedMeasurement(Measurement):
 
     # A bed that nothing was known of, down to the lowest that it may be
     def advice(self):
-        remedy = ""
+        remedy, place = "", self.site.place()
         is_below = self.floor is not None and not self.taken
         if is_below and touching.is_at(self.host, self.floor):
-            remedy = below_margins(self.settings, self.host.z_zero())
-        return remedy or Measurement.advice(self)
+            remedy = below_margins(self.settings, self.host.z_zero(), self.site)
+        if self.site.option:
+            place += ", switch_offset"
+        return remedy or self.remedy % (place,)
