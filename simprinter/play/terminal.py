@@ -75,9 +75,12 @@ def welcome(played: Played, page: str) -> None:
 def run(make: Callable[[Path], Played], page: int) -> int:
     """Make one in a folder of its own, play, take both away; the exit code.
 
+    Where it could not go on, the folder stays.
+
     page: the port of its page, or the next that is free.
     """
     directory = Path(tempfile.mkdtemp(prefix="playground-"))
+    code = None
     try:
         played = make(directory)
         show("Starting klippy and Moonraker ...")
@@ -85,14 +88,19 @@ def run(make: Callable[[Path], Played], page: int) -> int:
             try:
                 played.set_up()
                 welcome(played, played.open_page(page))
-                return play(played)
+                code = play(played)
+                return code
             finally:
                 # Once is enough; what follows takes a second
                 for number in _ENDS:
                     signal.signal(number, signal.SIG_IGN)
     finally:
         _end_all_of(directory)
-        shutil.rmtree(directory, ignore_errors=True)
+        if code:
+            # Nobody asked for the end: printer.cfg has what was tried out
+            show(f"The folder is kept, with printer.cfg and logs: {directory}")
+        else:
+            shutil.rmtree(directory, ignore_errors=True)
 
 
 def _end_all_of(directory: Path) -> None:

@@ -121,6 +121,25 @@ def test_page_plugin_truth_and_end(files):
         assert not shown.config.parents[1].exists()
 
 
+@pytest.mark.timeout(4 * LIMIT)
+def test_folder_stays_when_the_printer_cannot_go_on(files):
+    """What was tried out in printer.cfg is not lost with klippy."""
+    with played(files / "printer.cfg", *with_plugin(files)[1:]) as shown:
+        shown.until_ready()
+        tried = shown.config / "printer.cfg"
+        tried.write_text(f"{tried.read_text()}# tried\n")
+        found = psutil.Process(shown.pid).children(recursive=True)
+        (klippy,) = [p for p in found if "klippy.py" in " ".join(p.cmdline())]
+        klippy.kill()
+        shown.until("^!! the printer cannot go on: ")
+        assert shown.ended() == 1
+        assert re.search(
+            r"^The folder is kept, with .*: (\S+)$", shown.output, re.M
+        )
+        assert tried.read_text().endswith("# tried\n")
+        assert shown.processes() == []
+
+
 @pytest.mark.slow
 @pytest.mark.timeout(8 * LIMIT)
 def test_page_in_a_browser(files):

@@ -166,7 +166,10 @@ moonraker.addEventListener("ready", ({ detail: store }) => {
 });
 
 moonraker.addEventListener("status", ({ detail }) => {
-  const busy = Object.values(detail).find((fields) => fields.phase && fields.phase !== "idle");
+  const told = Object.values(detail).find((fields) => fields.phase && fields.phase !== "idle");
+  // Homing, levelling, a mesh: klippy tells only that it is at work
+  const atWork = detail.idle_timeout?.state === "Printing" && { phase: "at work" };
+  const busy = told || atWork;
   $("progress").hidden = !busy;
   if (!busy) return;
   const phase = busy.phase.replaceAll("_", " ");

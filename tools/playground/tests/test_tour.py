@@ -18,7 +18,14 @@ from simprinter.play.commands import COMMANDS
 from simprinter.tests.browser import LIMIT
 from tests.docs.documents import part
 from tools.playground.playground import SHOWN
-from tools.playground.tests.test_page import gap, guide, looking, port
+from tools.playground.tests.test_page import (
+    AFTER,
+    BEFORE,
+    gap,
+    guide,
+    looking,
+    port,
+)
 
 __all__ = ["port"]
 
@@ -232,6 +239,10 @@ def after_loss(page):
     page.until(lambda: page.console().count("!! ") == 3, "it has ended")
 
 
+def after_nozzle(page):
+    assert "something that sticks to it is pressed flat" in page.console()
+
+
 def after_report(page):
     page.until(
         lambda: page.value(
@@ -246,7 +257,7 @@ RESULTS = {
     "Calibrate": lambda page: is_about(page, 0.06, 0.02),
     "Break a wire": after_wires,
     "Lose the probe": after_loss,
-    "Another nozzle": lambda page: None,
+    "Another nozzle": after_nozzle,
     "Edit the configuration": lambda page: is_about(page, 0.0, 0.02),
     "Set up from nothing": lambda page: is_about(page, 0.0, 0.06),
     "Look at the report": after_report,
@@ -256,6 +267,19 @@ RESULTS = {
 
 def test_every_step_is_known():
     assert [step.title for step in steps()] == list(RESULTS)
+
+
+def test_words_of_the_guide_are_what_is_done():
+    """guide() does them by itself: in this order, and nothing else."""
+    (text,) = [step.text for step in steps() if GUIDED in step.text]
+    said = text.partition("*Set up*. ")[2]
+    words = [word for _, word in words_of(said)]
+    before = ["speed 1", "Watch", AFTER["PIN"], BEFORE["OFF"][0], "Next"]
+    before += [BEFORE["PROBE"][0], "Watch", AFTER["PROBE"], "speed 4"]
+    guided = ["X+1 mm", "Paper", BEFORE["GAP"][0], "Save"]
+    assert words[: len(before) + len(guided)] == before + guided
+    assert "with *X+1 mm*, four times" in said
+    assert "until the close-up says 0.1 mm" in said
 
 
 @pytest.mark.slow
