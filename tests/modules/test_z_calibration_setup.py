@@ -201,6 +201,22 @@ def assert_slow(printer):
         assert times[-1] - times[-2] > 2.5, site
 
 
+def test_with_the_sheet_only_small_steps_lead_down_to_it(start):
+    printer = start("cartesian", changes=empty())
+    printer.session.require_ready()
+    user = User(printer)
+    advance(user, "PAPER")
+    at = user.position()
+    for typed in ("Z=-10", "Z=-3"):
+        text = printer.fail(f"{SETUP} STEP=PAPER {typed}")
+        assert "would lead to" in text
+    assert user.position() == pytest.approx(at)
+    user.lower_to_the_sheet()
+    # All that is left by then
+    assert "would lead to" in printer.fail(f"{SETUP} STEP=PAPER Z=-1")
+    assert printer.machine.truth.min_gap > 0.0
+
+
 def test_abort_leaves_the_printer_as_it_was(start):
     changes = empty(options={"probing_second_speed": "9"})
     # What the owner's G-code adds is taken back, too
@@ -257,7 +273,7 @@ def test_hands_on_the_wrong_switch(start):
         f"the Z endstop reads pressed before anything presses it; check {pin}"
         in text
     )
-    assert "the other polarity is 'endstop_pin: ^PC2'" in text
+    assert "; the other polarity: 'endstop_pin: ^PC2')" in text
     # The dialog says so, as it hides the console
     assert text in user.dialog().text
     hold(user.pin, False)

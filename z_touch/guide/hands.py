@@ -41,7 +41,7 @@ class Hands(object):
         if self.is_attached():
             raise CalibrationError(
                 "the probe reads as if it were attached: it is not wired as"
-                " normally closed, or the polarity is wrong: %s"
+                " normally closed, or the polarity is wrong; check %s"
                 % (self.remedy(*self.probe_option()),)
             )
 
@@ -63,7 +63,7 @@ class Hands(object):
     def remedy(self, section, option):
         pin = self.configured().get(section, {}).get(option, "")
         written = self.saver.where(section, option)
-        text = "'%s: %s' in section '%s' (%s); the other polarity is '%s: %s'"
+        text = "'%s: %s' in section '%s' (%s; the other polarity: '%s: %s')"
         other = steps.inverted(pin)
         return text % (option, pin, section, written, option, other)
 

@@ -209,16 +209,16 @@ def inverted(pin):
     return pin[:marks] + "!" + pin[marks:]
 
 
-# How well touches repeat, in a word, and how many a site should have
+# How well touches repeat, in words, and how many a site should have
 def repeatability(samples):
     worst = max(accuracy(z)[5] for z in samples if z)
     # Three sites, and each is averaged
     needed = 3.0 * (2.0 * worst / WANTED_UNCERTAINTY) ** 2
     count = max(FEWEST_SAMPLES, min(MOST_SAMPLES, int(math.ceil(needed))))
-    word = "good" if needed <= FEWEST_SAMPLES else "fair"
     if needed > MOST_SAMPLES:
-        word = "poor, so clean the nozzle and look for play"
-    return word, count
+        return "poor, so clean the nozzle and look for play", count
+    word = "good" if needed <= FEWEST_SAMPLES else "fair"
+    return "%s; %d touches of each place are enough" % (word, count), count
 
 
 # switch_offset (mm) with the nozzle at z where it holds the sheet: 'contact' is

@@ -25,8 +25,8 @@ def repeats(state):
     last = "The %s repeats within %.4f mm." % (name, spread)
     if len(samples) < len(SITES):
         return last
-    text = "\nAll in all: %s; %d touches of each place are enough."
-    return last + text % steps.repeatability(list(samples.values()))
+    text, _ = steps.repeatability(list(samples.values()))
+    return "%s\nAll in all: %s." % (last, text)
 
 
 # Collects what of the State has to be saved.
