@@ -316,6 +316,31 @@ def test_classes_have_a_base(path):
     assert [n.name for n in nodes(path, ast.ClassDef) if not n.bases] == []
 
 
+@sources
+def test_each_class_says_what_it_is(path):
+    lines = path.read_text(encoding="utf-8").splitlines()
+    silent = [
+        node.name
+        for node in nodes(path, ast.ClassDef)
+        if not lines[first_line(node) - 2].lstrip().startswith("#")
+    ]
+    assert silent == []
+
+
+def first_line(node):
+    return min([node.lineno, *(d.lineno for d in node.decorator_list)])
+
+
+@sources
+def test_no_comment_leans_on_another_one(path):
+    """Whoever reads a function has not read the one above it."""
+    text = path.read_text(encoding="utf-8")
+    assert (
+        re.findall(r"(?m)^\s*# (?:The same|Or|As above|Likewise)\b.*", text)
+        == []
+    )
+
+
 def in_z_touch(path):
     """As the document of developers names it, without the folder."""
     return path.relative_to(ROOT / "z_touch").as_posix()

@@ -166,7 +166,7 @@ def section_floor(z_axis, probe_z_min):
     )
 
 
-# The same where a switch has told about how high the bed is
+# A Floor, higher where the switch that homes Z has told about how high the bed is
 def above_switch(floor, z_axis):
     switch_z = z_pin.low_switch(z_axis)
     if switch_z is None:
@@ -181,8 +181,8 @@ def above_switch(floor, z_axis):
     )
 
 
-# The same over the pin of the Z endstop, where a touch ends at 'pin_z' (mm) at the
-# latest; None: the head is elsewhere.
+# A Floor, higher where the head is over the pin of the Z endstop: a touch ends at
+# 'pin_z' (mm) at the latest.  None: the head is elsewhere.
 def above_pin(floor, pin_z):
     if pin_z is None or pin_z <= floor.z:
         return floor

@@ -39,6 +39,7 @@ def of(printer):
     return carrying
 
 
+# One for a printer: each section tells it, and asks it, what is on the head
 class Carrying(object):
     def __init__(self, printer):
         self.printer = printer

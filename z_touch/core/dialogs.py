@@ -93,7 +93,7 @@ class Dialog(object):
             raise gcmd.error(text % (self.host.section, self.begin))
         return question
 
-    # The same of CONTINUE
+    # What was asked, which CONTINUE ends.  Raises where nothing is asked.
     def continued(self, gcmd):
         self.check_asked(gcmd)
         return self.answered(gcmd)

@@ -7,7 +7,7 @@ import contextlib
 
 # A condition that ends the run
 class CalibrationError(Exception):
-    # The same, with more about it, and what to look at
+    # This error with more about it, and with what to look at
     def advised(self, hint, more=""):
         return self.__class__("%s%s; %s" % (self, more, hint))
 

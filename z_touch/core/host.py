@@ -21,7 +21,7 @@ ZAxis = collections.namedtuple(
 # How every host since 2021-08-17 (1dc2ab048) begins the error of a probing move
 # that has reached its end
 NO_TRIGGER = "No trigger"
-# The same where boards did not hear of each other in time, or one is gone
+# How the error begins where boards did not hear of each other in time, or one is gone
 NOT_HEARD = ("Communication timeout during", "Unable to obtain")
 
 
@@ -255,7 +255,7 @@ class Host(object):
         gcmd = self.gcode.create_gcode_command("SET_GCODE_OFFSET", line, params)
         self.printer.lookup_object("gcode_move").cmd_SET_GCODE_OFFSET(gcmd)
 
-    # The same unless it is that already
+    # Sets the G-code Z offset (mm), unless it is that already
     def replace_gcode_offset(self, z_offset):
         if self.gcode_offset() != z_offset:
             self.set_gcode_offset(z_offset)

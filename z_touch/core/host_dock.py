@@ -20,6 +20,7 @@ def find(host):
     return HostDock(host, dockable)
 
 
+# A dockable probe of the host's own, which fetches and docks by itself
 class HostDock(object):
     def __init__(self, host, dockable):
         self.host = host

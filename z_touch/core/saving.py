@@ -103,8 +103,8 @@ class Saver(object):
         name = os.path.relpath(place.path, os.path.dirname(self._path()))
         return "line %d of %s" % (place.line, name)
 
-    # The same of an option that SAVE_CONFIG refuses to write: with one of them
-    # it would write nothing at all.
+    # Line and file, in words, of an option that SAVE_CONFIG refuses to write: with
+    # one of them it would write nothing at all.  Empty: it can be written.
     def obstacle(self, section, option):
         printer_cfg, all_places = self._path(), self._places(section, option)
         if self.host.includes().is_written:

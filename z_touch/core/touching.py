@@ -74,8 +74,8 @@ def check_reach(host, site, remedy, shift=""):
             )
 
 
-# The same for all points of a bed_spread (mm) around a site.  'section': whose option
-# it is
+# Raises CalibrationError where the head does not reach all points of a bed_spread (mm)
+# around a site.  'section': whose option it is.
 def check_spread(host, site, radius, section):
     if not radius:
         return
@@ -170,7 +170,7 @@ class Head(object):
             raise self._stopped(e, kind, told)
         return self._pressed(start_z, trigger_z, trigger_z)
 
-    # The same by the host's own probing, see probing(); returns Probed.
+    # Down until the host's own probing has triggered, see probing(); returns Probed.
     def probe(self, probe_once):
         host, start_z = self.host, self.host.z()
         try:

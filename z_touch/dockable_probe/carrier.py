@@ -14,7 +14,7 @@ from .settings import travel_height
 # Commands of the host after which a person lowers the nozzle with TESTZ, or onto
 # a sheet of paper
 BY_HAND = ("MANUAL_PROBE", "Z_ENDSTOP_CALIBRATE", "BED_SCREWS_ADJUST")
-# The same with METHOD=MANUAL
+# Commands after which a person does so if they have METHOD=MANUAL
 BY_METHOD = (
     "BED_MESH_CALIBRATE",
     "BED_TILT_CALIBRATE",
@@ -30,6 +30,8 @@ PROBE_THEN_PAPER = {
 }
 
 
+# What our [dockable_probe] tells core.carrying: where its probe is, and who wants it
+# on the head or away.
 class Carrier(object):
     # 'prober': prober.Prober
     def __init__(self, prober):

@@ -102,7 +102,7 @@ class Setup(object):
         elif not self._asks_for_print(gcmd):
             self._answered(gcmd)
 
-    # Or shows again what is asked
+    # Begins a set-up, or shows again what one that is under way asks
     def _begin(self, gcmd):
         # Its end is an answer to all that is asked.
         self.state = self.state or State()

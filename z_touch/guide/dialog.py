@@ -94,7 +94,7 @@ class Setup(object):
         if not self.asks_for_print(gcmd):
             self.answered(gcmd)
 
-    # Or shows again what is asked
+    # Begins a set-up, or shows again what one that is under way asks
     def begin(self, gcmd):
         self.prints.check_none(gcmd)
         # Its end is an answer to all that is asked

@@ -359,7 +359,7 @@ def replace(path, data):
     replace_by(path, [data])
 
 
-# The same with data in pieces
+# Writes a file anew from data in pieces, by another one that takes its place.
 def replace_by(path, pieces):
     path = os.path.realpath(path)
     new = path + ".new"

@@ -130,7 +130,7 @@ def draw_last(page, runs):
     radius = trend.bed_spread(last)
     usual = [usual_spread(runs[:-1], site, radius) for site in SITES]
     offs = [offsets_of(last["sites"].get(site)) for site in SITES]
-    # The same for all of them
+    # One scale for the three, so that they can be compared
     end = 1.08 * max([LEAST_OFF] + usual + [abs(v) for o in offs for v in o])
     for number, (site, colour) in enumerate(SITE_COLOURS):
         left = LEFT + number * wide

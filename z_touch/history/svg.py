@@ -114,7 +114,7 @@ def spanned(low, high, least):
     return low - room, high + room
 
 
-# The same of what begins with 0
+# From 0 to so much (of a plot's unit) at least, with room above
 def from_zero(high, least):
     return 0.0, max(high, least) * 1.08
 

@@ -97,7 +97,8 @@ def spread(site):
     return lambda run: run["sites"][site]["sd"]
 
 
-# The same with how well it is known: as a Spread, of what a record has of a site
+# What a record has of a site, as a Spread: how far it scatters, and how well that is
+# known.
 def spread_in(record):
     dof = max(int(record["n"]) - 1, 0)
     return Spread(max(record["sd"], 0.0) ** 2, dof, record.get("absolute"))

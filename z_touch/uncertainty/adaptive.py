@@ -409,7 +409,7 @@ class Plan(object):
     def uncertainty(self):
         return self.worth_of(self.estimates)
 
-    # The same with another Estimate of a site
+    # Of the offset (mm at 95 %), if a site had this Estimate
     def uncertainty_with(self, site, result):
         return self.worth_of(dict(self.estimates, **{site: result}))
 

@@ -131,7 +131,7 @@ def spread_of(samples):
     return Spread(squares / dof, dof, far / usual)
 
 
-# The same where the touches that count were chosen, as they were close together: that
+# A Spread of touches that were chosen to count, as they were close together: the choice
 # costs a degree of freedom.
 def after_choice(spread):
     if spread.dof < 2:

@@ -158,8 +158,8 @@ class Measurement(object):
     def touch_once(self, floor):
         self.head.touch(self.endstop(), floor, self.sampling.speed)
 
-    # The same where a switch is still pressed after a short lift.  'before_z': where
-    # it had triggered, None: it was not touched before.
+    # One touch, begun higher up where the switch is still pressed after a short lift.
+    # 'before_z': where it had triggered, None: it was not touched before.
     def touch_again(self, floor, before_z):
         try:
             self.touch_once(floor)

@@ -137,8 +137,8 @@ class ZCalibration(object):
         with self.hooks.keeping_modes():
             return self.runner.run(gcmd, work, phase, wanted, failed)
 
-    # The same for a command that applies nothing: templates meet no G-code offset,
-    # and what they make of it is undone.
+    # Runs a command that applies nothing: its templates meet no G-code offset, and
+    # what they make of it is undone.  See running.Runner for what it is given.
     def run_without_offset(self, gcmd, work, phase, wanted, failed=None):
         def work_without():
             with self.host.features.without_offset():
@@ -285,8 +285,8 @@ class ZCalibration(object):
             calibrated = self.calibrate_once(calibration, finder, z_adjust, why)
         return calibrated
 
-    # The same of one time; None where the nozzle has to be cleaned first, and the
-    # probe is put away.
+    # Measures all sites once.  None where the nozzle has to be cleaned first; the
+    # probe is put away then.
     def calibrate_once(self, calibration, finder, z_adjust, why=""):
         clean = self.clean_nozzle if self.hooks.can_clean else None
         with self.prepared(calibration, self.recorder.departure):

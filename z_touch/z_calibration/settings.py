@@ -37,7 +37,8 @@ TRAVEL_SPEED = 50.0
 # What the offset may be off by (mm, 95 %) with samples: auto
 TARGET_UNCERTAINTY = 0.008
 
-# The same with bed_spread: what six touches of a rough plate are worth
+# What it may be off by with samples: auto and bed_spread (mm, 95 %): what six touches
+# of a rough plate are worth
 ROUGH_TARGET = 0.014
 
 # Beside printer.cfg
