@@ -27,6 +27,7 @@ from tools.kit.load_errors import load
 from tools.kit.z_calibration import refusal
 from z_touch.core import options
 from z_touch.core.templates import GCODE
+from z_touch.z_calibration.settings import HISTORY
 
 ROOT = Path(__file__).resolve().parents[2]
 SCENES = {
@@ -68,8 +69,6 @@ def excluded(words: str) -> list[str]:
         return TEMPLATES
     if words == "MCU pin":
         return PINS
-    if words == "folder":
-        return ["", " "]
     _, refused = samples_of(words)
     return [*TEXTS, *refused]
 
@@ -80,16 +79,9 @@ def refused_by(row: options.Option) -> list[str]:
         return [*TEMPLATES, *options.nonsense(row)]
     if row.kind is options.PIN:
         return [*PINS, *options.nonsense(row)]
+    if row.kind is HISTORY:
+        return ["", " "]
     return [*TEXTS, *options.nonsense(row)]
-
-
-def documented(module: str) -> list[Case]:
-    """All that the tables of its document have, old names, too."""
-    text = text_of(module)
-    return [
-        Case(module, option.name, list(dict.fromkeys(excluded(option.range))))
-        for option in options_of(part(text, OPTIONS))
-    ]
 
 
 def declared(module: str) -> list[Case]:
@@ -105,8 +97,19 @@ def declared(module: str) -> list[Case]:
     ]
 
 
+def old_names(module: str) -> list[Case]:
+    """What else the tables of its document have: names that old sections use."""
+    rows = {case.name for case in declared(module)}
+    return [
+        Case(module, option.name, list(dict.fromkeys(excluded(option.range))))
+        for option in options_of(part(text_of(module), OPTIONS))
+        if option.name not in rows
+    ]
+
+
 CASES = [
-    *documented("z_calibration"),
+    *declared("z_calibration"),
+    *old_names("z_calibration"),
     *declared("auto_z_offset"),
     *declared("extra_probe"),
 ]
