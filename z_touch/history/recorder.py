@@ -64,6 +64,14 @@ class Recorder(object):
         bodies = trend.bodies_as_hot(history.runs, history.summary, as_hot)
         return trend.departure(body, bodies)
 
+    # Of the history, for the status of the section
+    def status(self):
+        return self.history.status
+
+    # The records that are kept, the oldest first
+    def runs(self):
+        return self.history.runs
+
     # When nothing is under way
     def say(self, text):
         self.host.gcode.respond_info("%s: %s" % (self.host.section, text))

@@ -234,6 +234,8 @@ class FixedCount(object):
     idle = ("target_uncertainty",)
     idle_how = "without"
     chosen = ALIKE_CHOSEN
+    # Whether the module decides on what its owner leaves open, too
+    is_free = False
 
     # 'count': of the section; None: as [probe] has it
     def __init__(self, count=None):
@@ -274,6 +276,7 @@ class Automatic(object):
     idle_how = "with"
     count = None
     chosen = CHOSEN
+    is_free = True
 
     # 'target': mm at 95 %
     def __init__(self, target):

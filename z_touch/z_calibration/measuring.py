@@ -108,7 +108,7 @@ class Measurement(object):
         self.head.lift(travel_z)
         site, speed = self.site, self.settings.speed
         everything = carrying.of(self.host.printer)
-        down_to = travel_z if pace.is_free(self.settings) else None
+        down_to = travel_z if self.settings.counting.is_free else None
         everything.go_to(
             self.host, site.x, site.y, speed, self.x_first, down_to
         )

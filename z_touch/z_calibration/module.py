@@ -111,7 +111,7 @@ class ZCalibration(object):
 
     def get_status(self, eventtime):
         status = self.results.status()
-        status["history"] = self.recorder.history.status
+        status["history"] = self.recorder.status()
         status["notes"] = list(self.notes.texts)
         status.update(self.runner.watch.status())
         return status
@@ -349,7 +349,7 @@ class ZCalibration(object):
 
     # Of a switch_offset that the set-up has taken from a list
     def remind(self, switch_offset, before):
-        runs = self.recorder.history.runs
+        runs = self.recorder.runs()
         text = switches.reminder(switch_offset, runs, before)
         if text:
             self.runner.watch.say(text)

@@ -15,8 +15,6 @@ from __future__ import absolute_import, division
 
 import math
 
-from ..uncertainty.adaptive import Automatic
-
 # XY speed (mm/s): half of what owners of magnetic probes use
 FREE_TRAVEL_SPEED = 100.0
 
@@ -45,14 +43,9 @@ def least_lift(speed, accel):
     return max(SHORTEST_LIFT, speed**2 / accel)
 
 
-# Whether the module decides on what its owner leaves open
-def is_free(settings):
-    return isinstance(settings.counting, Automatic)
-
-
 # settings.Settings of a run; 'axis_speed' and 'axis_accel' are what Z can do
 def of_run(settings, axis_speed, axis_accel):
-    if not is_free(settings):
+    if not settings.counting.is_free:
         return settings
     pin, probe = settings.pin, settings.probe
     if "lift_speed" not in settings.said:
@@ -79,4 +72,7 @@ def shortened(sampling, accel):
 
 # Whether the lifts between touches are the module's
 def may_lengthen(settings):
-    return is_free(settings) and "probing_retract_dist" not in settings.said
+    return (
+        settings.counting.is_free
+        and "probing_retract_dist" not in settings.said
+    )

@@ -528,7 +528,7 @@ def param_touches(gcmd, settings):
 
 # Of these parameters, those that count for nothing
 def idle_params(gcmd, settings):
-    if not isinstance(settings.counting, adaptive.Automatic):
+    if not settings.counting.is_free:
         return []
     names = [name.upper() for name in settings.counting.idle]
     return [name for name in names if gcmd.get(name, "").strip()]
