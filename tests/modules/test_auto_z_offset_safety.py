@@ -297,7 +297,7 @@ def test_touch_in_another_frame_says_nothing(start, script):
     printer.machine.tolerate("nozzle_bed", 10.0)
     printer.homed().run(f"AUTO_Z_PROBE\n{script}")
     text = printer.fail("AUTO_Z_PROBE")
-    assert "which is position_min of section 'stepper_z'" in text
+    assert "of this touch: position_min of section 'stepper_z'; " in text
 
 
 def test_failed_command_teaches_nothing(start):
