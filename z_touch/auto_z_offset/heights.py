@@ -134,8 +134,8 @@ def check_expected(z, expected):
         where = "%.3f mm above the expected z=%.3f"
         where %= (z - expected.z, expected.z)
     raise CalibrationError(
-        "triggered at z=%.3f, %s; clean the nozzle and the bed, see"
-        " prepare_gcode and probe_accel, or add %s" % (z, where, IF_CHANGED)
+        "triggered at z=%.3f, %s; clean the nozzle and the bed, look"
+        " at prepare_gcode and probe_accel, or add %s" % (z, where, IF_CHANGED)
     )
 
 

@@ -148,7 +148,8 @@ class SensorMeasurement(object):
                     self.head.retract()
                     self.sensor.check_open(self.host.after_moves())
                     raise
-                self.report("%s; trying again" % (e,))
+                self.report("%s" % (e,))
+                self.report("trying again")
                 retries_left -= 1
         self.expected = heights.expect_again(z, self.points.lowest_z, sampling)
         self.points.met(self.expected.z)

@@ -242,7 +242,8 @@ class Calibration(object):
     # have been exchanged: the bed tells whether that was wrong, or the switch
     # is dead.  Raises 'error' again where the floor cannot be lower.
     def find_lower_floor(self, nozzle_z, floor, error):
-        self.watch.say("%s; looking at the bed how long the probe is" % error)
+        self.watch.say("%s" % (error,))
+        self.watch.say("looking at the bed how long the probe is")
         hard = heights.switch_floor(self.settings, nozzle_z, None)
         try:
             lowest = self.lowest_switch(nozzle_z)
@@ -259,8 +260,9 @@ class Calibration(object):
         try:
             return max(hard, self.lowest_switch(nozzle_z))
         except errors.NoTrigger as e:
-            text = "%s; searching for the switch down to z=%.3f"
-            self.watch.say(text % (e, hard))
+            self.watch.say("%s" % (e,))
+            text = "searching for the switch down to z=%.3f"
+            self.watch.say(text % (hard,))
             return hard
 
     # By one touch of the bed; raises NoTrigger where that cannot be found
