@@ -75,8 +75,10 @@ def test_z_offset_that_is_too_large_is_told(start):
     lines = start(changes=changes).homed().run("CALIBRATE_Z")
     told = [line for line in lines if "looking at the bed" in line]
     assert len(told) == 1
-    assert "expected a trigger at z=10.160" in told[0]
-    assert "z_offset in section 'probe'" in told[0]
+    # The line before it
+    error = lines[lines.index(told[0]) - 1]
+    assert "expected a trigger at z=10.160" in error
+    assert "z_offset in section 'probe'" in error
 
 
 @pytest.mark.parametrize(("n", "looks"), [(8, True), (10, False)])
