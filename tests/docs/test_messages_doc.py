@@ -86,11 +86,12 @@ def test_any_three_words_find_the_message():
     shown = " ".join(TEXT.replace('""', '"').split())
     searched = 0
     for text in everything():
-        for piece in re.split(
-            r"<\.\.\.>|z_calibration|\w+_probe|auto_z_offset", text
-        ):
-            # Cut off where a value joins a word
-            words = piece.split()[1:-1]
+        pieces = re.split(
+            r"<\.\.\.>|z_calibration|\w+_probe|auto_z_offset", f" {text} "
+        )
+        for piece in pieces:
+            # A word that a value joins is no whole one
+            words = re.findall(r"(?<=\s)\S+(?=\s)", piece)
             for three in zip(words, words[1:], words[2:]):
                 searched += 1
                 assert " ".join(three) in shown, text

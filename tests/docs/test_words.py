@@ -47,9 +47,9 @@ def test_users_read_words_that_they_know(name):
 
 
 def test_there_are_not_too_many():
-    """An owner has read 30,000 at most; README 1,000 of them (test_readme)."""
+    """Pages that one can find one's way in; README has a limit in test_readme.py."""
     pages = [ROOT / "README.md", *(ROOT / "docs").glob("*.md")]
-    assert len(pages) == 18
+    assert len(pages) > len(PAGES)
     assert (
         sum(len(p.read_text(encoding="utf-8").split()) for p in pages) <= 30000
     )

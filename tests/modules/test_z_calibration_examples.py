@@ -301,7 +301,8 @@ def told(printer: Printer) -> str:
         ),
         (
             *("cartesian_switch", "start_gcode: ATTACH_PROBE\n", ""),
-            "the probe reads triggered: it is not attached",
+            "it is not attached, or not wired as normally closed; attach it in"
+            " start_gcode or before_switch_gcode and check it with QUERY_PROBE",
         ),
         (
             *("separate_pin", "^PG10", "probe:z_virtual_endstop"),

@@ -190,7 +190,9 @@ def test_floor_of_the_probe(z_offset, z):
     ("pin_z", "z"), [(None, -4.0), (0.6, 0.6), (-4.0, -4.0), (-6.0, -4.0)]
 )
 def test_floor_over_the_pin(pin_z, z):
-    assert az.above_pin(FLOOR, pin_z).z == z
+    floor = az.above_pin(FLOOR, pin_z)
+    assert floor.z == z
+    assert (floor.remedy == "choose a point of the bed") is (z == 0.6)
 
 
 # Cycles

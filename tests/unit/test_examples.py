@@ -21,6 +21,8 @@ FILES = {
     for path in sorted(EXAMPLES.glob("*/*.cfg"))
 }
 TO_SAVE = [name for name, text in FILES.items() if re.search(SAVED, text)]
+# With the pin and the probe of another example
+SAME_MACHINE = {"with_z_calibration": "voron24_klicky"}
 TOUCHING = [name for name, text in FILES.items() if "\nswitch_xy_" in text]
 
 
@@ -31,14 +33,15 @@ def test_what_is_saved_to_is_pasted(name):
     assert head, "it begins with what to do"
     words = " ".join(head[0].replace("#", " ").split())
     assert re.search(
-        "Paste this into printer.cfg|in printer.cfg itself: SAVE_CONFIG does not"
+        "Paste this into printer.cfg"
         "|SAVE_CONFIG does not write into an included file",
         words,
     )
 
 
-def test_there_are_as_many_as_there_were():
-    assert (len(TO_SAVE), len(TOUCHING)) == (18, 7)
+def test_they_are_found():
+    assert len(TO_SAVE) >= 18
+    assert len(TOUCHING) >= 7
 
 
 def point(text: str, option: str) -> tuple[float, float]:
@@ -52,8 +55,8 @@ def point(text: str, option: str) -> tuple[float, float]:
 def test_body_is_over_the_pin_and_not_the_plunger(name):
     """The plunger stands beside the pin, along the body, which is 6 mm wide."""
     stem = Path(name).stem
-    owner = OWNERS.get(stem, OWNERS["voron24_klicky"])
-    probe, pin = owner.scene.world.mag_probe, owner.scene.world.pin
+    world = OWNERS[SAME_MACHINE.get(stem, stem)].scene.world
+    probe, pin = world.mag_probe, world.pin
     assert probe is not None
     assert pin is not None
     head = point(FILES[name], "switch_xy_position")

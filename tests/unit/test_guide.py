@@ -302,6 +302,9 @@ def test_repeatability_and_samples(deviation, word, count):
     found, samples = steps.repeatability([good, bad, []])
     assert found.startswith(word)
     assert samples == count
+    # None of so poor ones
+    enough = f"; {count} touches of each place are enough"
+    assert found.endswith(enough) is (word != "poor")
 
 
 @given(st.floats(-1, 1), st.floats(0, 1.5))

@@ -30,8 +30,7 @@ PROBE_THEN_PAPER = {
 }
 
 
-# What our [dockable_probe] tells core.carrying: where its probe is, and who wants it
-# on the head or away.
+# Where our probe is, and its way onto the head and off it, as core.carrying asks
 class Carrier(object):
     # 'prober': prober.Prober
     def __init__(self, prober):

@@ -240,8 +240,8 @@ def around(start, end, zone, limits, via=None):
 
 # The points of a detour for a head that stands where homing X and Y has left it.
 # Where nothing else leads out, such as from a corner behind the dock, it goes back
-# the way it came, no further than it has to.  'trace' are the moves of that homing, each an
-# axis (0: X) and how far (mm) the head went along it.
+# the way it came, no further than it has to.  'trace' are the moves of that homing,
+# each an axis (0: X) and how far (mm) the head went along it.
 def out_of_corner(start, end, zone, limits, trace, via=None):
     came, corner = [], tuple(start[:2])
     for axis, moved in reversed(trace):

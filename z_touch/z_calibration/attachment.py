@@ -17,7 +17,7 @@ from ..core.carrying import DOCKED
 from ..core.errors import CalibrationError
 
 
-# Who has put the probe on the head in this run, and so who puts it away again
+# What one run has seen of it, and so what is left to do
 class Attachment(object):
     def __init__(self, host):
         self.host = host

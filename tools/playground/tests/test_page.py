@@ -61,7 +61,7 @@ def calibrate(page):
 
 
 # What is to be seen only while it calibrates: a contact, and how far it is
-PASSING = ("#signals .flash", "#progress:not([hidden])")
+PASSING = ("#signals .flash", "#progress:not([hidden]) progress[value]")
 
 
 def note(page, *selectors):
@@ -93,7 +93,7 @@ def test_page_calibrates(port, host):
         assert gap(page) is None
         note(page, "#progress:not([hidden]) progress:not([value])")
         home(page)
-        assert page.value("noted.size") == 1
+        page.until(lambda: page.value("noted.size") == 1, "a bar at work")
         assert gap(page) == pytest.approx(-0.1, abs=0.03)
         assert "scratch the plate" in page.text("#gap-words")
         set_speed(page, 8)
