@@ -50,6 +50,7 @@ def test_plate_that_is_missing(start):
     assert text.startswith("z_calibration: bed: No trigger on probe after full")
     assert BELOW % "-1.000" in text
     assert "is dead; the plate has to be on, and Z homed (G28 Z) after" in text
+    assert "check bed_xy_position and the probe, then position_endstop" in text
     assert_unharmed(printer, 0.1)
 
 
