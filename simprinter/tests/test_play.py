@@ -128,8 +128,11 @@ def test_folder_stays_when_the_printer_cannot_go_on(files):
         shown.until_ready()
         tried = shown.config / "printer.cfg"
         tried.write_text(f"{tried.read_text()}# tried\n")
-        found = psutil.Process(shown.pid).children(recursive=True)
-        (klippy,) = [p for p in found if "klippy.py" in " ".join(p.cmdline())]
+        (klippy,) = [
+            process
+            for process in psutil.Process(shown.pid).children(recursive=True)
+            if any(f.path.endswith("/klippy.log") for f in process.open_files())
+        ]
         klippy.kill()
         shown.until("^!! the printer cannot go on: ")
         assert shown.ended() == 1
