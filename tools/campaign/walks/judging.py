@@ -366,10 +366,11 @@ class Judge:
         return bool(shown) or self._is_asked()
 
     def _stand_still(self) -> None:
+        """A host may keep the last move to itself for most of a second."""
         machine, last = self.printer.machine, None
         while last != machine.tip():
             last = machine.tip()
-            self.printer.session.wait(0.5)
+            self.printer.session.wait(1.0)
 
 
 def lowest(world: WorldSpec) -> float:
