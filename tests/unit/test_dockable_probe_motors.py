@@ -15,7 +15,8 @@ def moved(z, datum):
     steppers = [
         SimpleNamespace(get_commanded_position=lambda z=z: z) for z in z
     ]
-    host = SimpleNamespace(z_steppers=lambda: steppers, z_datum=lambda: datum)
+    axes = SimpleNamespace(z_steppers=lambda: steppers, z_datum=lambda: datum)
+    host = SimpleNamespace(axes=axes)
     return head.Moves.motors_z(SimpleNamespace(host=host))
 
 

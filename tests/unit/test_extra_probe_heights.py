@@ -13,7 +13,7 @@ from tests.unit.room_settings import default_settings
 
 heights = load("z_touch.extra_probe.heights")
 rows = load("z_touch.extra_probe.settings")
-ZZero = load("z_touch.core.host").ZZero
+ZZero = load("z_touch.core.axes").ZZero
 CalibrationError = load("z_touch.core.errors").CalibrationError
 
 z_values = st.floats(-5.0, 5.0)

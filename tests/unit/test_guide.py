@@ -390,12 +390,12 @@ def test_place_in_the_dock(text):
 
 def proposed(count, step=0.0025, said=(), **options):
     """Of a section, on a printer with such steps of Z (mm)."""
-    stepper = SimpleNamespace(get_step_dist=lambda: step)
+    axes = SimpleNamespace(z_step=lambda: step)
     settings = make_settings(
         said=frozenset(said), target_uncertainty=0.008, **options
     )
     section = SimpleNamespace(
-        host=SimpleNamespace(z_steppers=lambda: [stepper]), settings=settings
+        host=SimpleNamespace(axes=axes), settings=settings
     )
     return Interface(section).proposed_samples(count)
 

@@ -62,6 +62,8 @@ OF_DOORS = {"traceback"}
 # Where it is known how hosts differ, as docs/developing.md has it
 OF_HOSTS = {
     "core/host.py",
+    "core/axes.py",
+    "core/motion.py",
     "core/endstops.py",
     "core/features.py",
     "core/probing.py",
@@ -158,8 +160,6 @@ FILLED_IN = {
     "history": {"page", "self.page", "thread"},
     # Wraps a command, so that its parameters are numbers
     "auto_z_offset": {"gcmd"},
-    # The toolhead exists later
-    "core": {"self.host"},
     # The progress of a set-up; the host's probe and its session, as hosts do
     "dockable_probe": {"state", "self.state", "self.probe", "self.facade"},
 }

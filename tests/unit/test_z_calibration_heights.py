@@ -24,7 +24,7 @@ from tests.unit.calibrated import (
     shifts,
     travels,
 )
-from z_touch.core.host import ZZero
+from z_touch.core.axes import ZZero
 from z_touch.z_calibration import heights as zc
 
 

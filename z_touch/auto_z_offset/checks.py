@@ -35,8 +35,8 @@ def check_probe(host):
 
 # Travel heights within the axis, and a bed that a touch can reach
 def check_heights(host, settings):
-    high = host.axis_limits()[2][1]
-    section = host.z_axis.section
+    high = host.axes.limits()[2][1]
+    section = host.axes.z_axis.section
     top = travel_height(host.probing.homed_probe_z(), settings.probe_hop)
     if top > high:
         raise CalibrationError(
@@ -71,7 +71,7 @@ def printer_notes(host, settings, motors):
             " the head could not stop soon enough below the bed"
             % (wanted, speed, accel)
         )
-    if not host.homes_with_probe():
+    if not host.axes.homes_with_probe():
         notes.append(
             "Z is not homed with the probe, so the correction holds with a bed"
             " mesh of this probe only"

@@ -49,7 +49,7 @@ class Cycles(object):
     def take(self):
         result = self.run.measure(probe_site(self.host, self.bed))
         stale = self.expectations.why_stale(result)
-        if stale and self.host.homes_with_probe():
+        if stale and self.host.axes.homes_with_probe():
             raise errors.CalibrationError(stale)
         if stale:
             self.run.watch.say(stale)

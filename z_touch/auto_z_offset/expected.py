@@ -88,7 +88,7 @@ class Expectations(object):
         if self.holds(self.mark):
             return expect_near(self.sensor_z, EXPECTED_MARGIN)
         probing = self.host.probing
-        if self.is_sensor_frame() or not self.host.homes_with_probe():
+        if self.is_sensor_frame() or not self.host.axes.homes_with_probe():
             return NOTHING_EXPECTED
         if self.correction.z is not None:
             # The trigger that the correction stands for
@@ -99,7 +99,7 @@ class Expectations(object):
     # Where (toolhead Z, mm) the probe should trigger, as Z was homed with it;
     # None: it was not.
     def probe_z(self):
-        if self.is_sensor_frame() or not self.host.homes_with_probe():
+        if self.is_sensor_frame() or not self.host.axes.homes_with_probe():
             return None
         return self.host.probing.homed_probe_z()
 
@@ -131,7 +131,7 @@ class Expectations(object):
         if abs(bed_z - homed_bed_z) <= STALE_Z:
             return ""
         remedy = "the correction holds with a bed mesh of this probe only"
-        if self.host.homes_with_probe():
+        if self.host.axes.homes_with_probe():
             remedy = (
                 "check the probe with QUERY_PROBE, and home Z again (G28) after"
                 " any levelling, over this point"

@@ -44,7 +44,7 @@ class BedSensor(object):
         remedy = "give the pin of the bed sensor, as in 'pin: U_1:PC1'"
         self.endstop = host.endstops.make(config, "pin", remedy)
         # The pin that Z is homed on, where no bed is
-        self.z_pin = z_pin.read_pin(config, host.z_axis)
+        self.z_pin = z_pin.read_pin(config, host.axes.z_axis)
         # Whose current is low while the nozzle goes down; from connect() on
         self.motors = None
 
@@ -61,7 +61,8 @@ class BedSensor(object):
             raise errors.CalibrationError(
                 "reads triggered at z=%.3f, where nothing should press it;"
                 " check prepare_gcode, and 'pin: %s' with QUERY_ENDSTOPS (a '!'"
-                " in front of it turns the meaning)" % (self.host.z(), self.pin)
+                " in front of it turns the meaning)"
+                % (self.host.motion.z(), self.pin)
             )
 
 
@@ -166,7 +167,7 @@ class SensorMeasurement(object):
             above = heights.approach(speed, accel)
             top = self.points.lowest_z + min(self.least_lift(), above)
             self.head.move_down(top, sampling.lift_speed)
-        elif self.host.z() > top + FAR:
+        elif self.host.motion.z() > top + FAR:
             self.sensor.check_open(self.host.after_moves())
             accel = motors.braking_accel(self.host, 0.0)
             speed = heights.fastest_touch(sampling.lift_speed, accel)
@@ -188,7 +189,7 @@ class SensorMeasurement(object):
         floor = heights.sensor_floor(lowest, self.expected, speed, accel)
         less_accel = motors.limited_accel(self.host, settings.probe_accel)
         less_current = sensor.motors.reduced(settings.z_current_factor)
-        start_z = self.host.z()
+        start_z = self.host.motion.z()
         try:
             with less_accel, less_current:
                 # When the moves have ended: the motors settle meanwhile
@@ -237,7 +238,7 @@ class ProbeMeasurement(object):
 
     def collect(self, floor, expected_z):
         sampling = self.settings.sampling
-        top = self.host.z()
+        top = self.host.motion.z()
         speed = "%.6f" % (sampling.speed,)
         session = touching.probing(self.head, floor.z, top, PROBE_SPEED=speed)
         with session as probe_once:
@@ -282,7 +283,7 @@ class ProbeMeasurement(object):
     # As G28, from which the correction is counted, or else the mesh sees it
     def homed_z(self, probed):
         probing = self.host.probing
-        if self.host.homes_with_probe() and not probing.homes_with_twist():
+        if self.host.axes.homes_with_probe() and not probing.homes_with_twist():
             return probed.z
         return probed.z + probed.twist
 

@@ -8,8 +8,9 @@ import logging
 
 from .. import __version__
 from ..core import notes, options, running, touching
+from ..core.axes import check_z_axis
 from ..core.errors import CalibrationError
-from ..core.host import Host, check_z_axis
+from ..core.host import Host
 from . import checks, heights, shifts
 from .cycles import Cycles, formula
 from .expected import Correction, Expectations
@@ -24,8 +25,8 @@ class AutoZOffset(object):
         logging.info("auto_z_offset %s", __version__)
         self.printer = config.get_printer()
         self.host = Host(config)
-        check_z_axis(config, self.host.z_axis)
-        self.settings = read_settings(config, self.host.z_axis)
+        check_z_axis(config, self.host.axes.z_axis)
+        self.settings = read_settings(config, self.host.axes.z_axis)
         # Of the section; printer and probe follow when klippy connects
         self.start_notes = settings_notes(config, self.settings)
         self.notes = notes.Notes(self.host, lambda: self.start_notes)
@@ -163,13 +164,13 @@ class AutoZOffset(object):
             " z=%.6f now" % (z, z_offset)
         )
         self.tell(heights.inside_bed_after_homing(z_offset))
-        gcode_offset = self.host.gcode_offset()
+        gcode_offset = self.host.gcode_offset.z()
         if gcode_offset:
             text = "the G-code Z offset of %.3f stays, on top of this"
             self.tell(text % (gcode_offset,))
 
     def home_z(self, run):
-        if not self.host.z_datum():
+        if not self.host.axes.z_datum():
             raise CalibrationError(
                 "the motors of Z move X or Y, too: on such a machine nobody"
                 " would know later what Z was set to; home it with G28"
@@ -183,7 +184,7 @@ class AutoZOffset(object):
 
     # One that was meant for the probe's Z, a correction above all
     def check_gcode_offset(self):
-        gcode_offset = self.host.gcode_offset()
+        gcode_offset = self.host.gcode_offset.z()
         z_offset = self.settings.z_offset
         if gcode_offset < 0.0 < z_offset - gcode_offset:
             raise CalibrationError(
@@ -277,7 +278,8 @@ class AutoZOffset(object):
         if bed_z:
             self.tell(
                 "%.6f more, as position_endstop of section '%s' and the"
-                " probe's z_offset differ" % (bed_z, self.host.z_axis.section)
+                " probe's z_offset differ"
+                % (bed_z, self.host.axes.z_axis.section)
             )
         if self.correction.z is None:
             self.tell(
@@ -291,7 +293,7 @@ class AutoZOffset(object):
     def cmd_AUTO_Z_SAVE_GCODE_OFFSET(self, gcmd):
         self.check(self.expectations.check_frame)
         before = self.correction.z or 0.0
-        z = self.host.gcode_offset() - self.host.probing.homed_bed_z()
+        z = self.host.gcode_offset.z() - self.host.probing.homed_bed_z()
         if abs(z) > heights.LARGEST_OFFSET:
             raise self.host.error(
                 "a G-code Z offset of %.3f is no correction of a probe; up to"

@@ -24,7 +24,7 @@ RESTORE_ATTEMPTS = 2
 # With what (mm/s^2) the head brakes in Z if 'accel' limits it, too; 0: it does
 # not
 def braking_accel(host, accel):
-    limits = [host.toolhead_status()["max_accel"], host.z_axis.max_accel]
+    limits = [host.toolhead_status()["max_accel"], host.axes.z_axis.max_accel]
     return min(limits + [accel] if accel else limits)
 
 
@@ -55,7 +55,7 @@ class Motors(object):
         self.host = host
         self.gcode = host.gcode
         drivers = host.printer.lookup_objects()
-        steppers = host.z_steppers()
+        steppers = host.axes.z_steppers()
         pure = [
             s.get_name()
             for s in steppers

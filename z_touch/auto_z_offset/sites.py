@@ -15,7 +15,7 @@ OUT_OF_REACH = (
 def bed_site(host, settings):
     if settings.bed_xy_position is not None:
         return settings.bed_xy_position
-    (x_min, x_max), (y_min, y_max) = host.axis_limits()[:2]
+    (x_min, x_max), (y_min, y_max) = host.axes.limits()[:2]
     middle = (x_min + x_max) / 2.0, (y_min + y_max) / 2.0
     origin = "The middle of the axes"
     return touching.Site("bed", middle[0], middle[1], origin)

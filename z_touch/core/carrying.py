@@ -137,6 +137,6 @@ class Carrying(object):
         if x_first:
             start_y = host.toolhead.get_position()[1]
             touching.move_xy(host, x, start_y, speed)
-        if down_to is not None and host.z() > down_to:
+        if down_to is not None and host.motion.z() > down_to:
             host.toolhead.manual_move([x, y, down_to], speed)
         touching.move_xy(host, x, y, speed)

@@ -101,8 +101,8 @@ class Endstops(object):
     def stops_z(self, endstop):
         def add_z_steppers():
             # They exist since the toolhead was loaded, just before this event
-            self.host.toolhead = self.printer.lookup_object("toolhead")
-            for stepper in self.host.z_steppers():
+            self.host.find_toolhead()
+            for stepper in self.host.axes.z_steppers():
                 endstop.add_stepper(stepper)
 
         register = self.printer.register_event_handler
@@ -111,7 +111,7 @@ class Endstops(object):
     # Registered as "z" until 2025-05-06 (cc6736c3e) and on Kalico, since then
     # under the name of the section.  None: there is none
     def find_z(self):
-        section = self.host.z_axis.section
+        section = self.host.axes.z_axis.section
         names = (section, section.split()[-1].replace("stepper_", ""))
         for endstop, name in self.query_endstops.endstops:
             if name in names:
@@ -122,7 +122,7 @@ class Endstops(object):
     # 2025-05-06 (cc6736c3e) make the whole move without any endstop.
     def check_stops_z(self, endstop, where):
         stopped = [s.get_name() for s in endstop.get_steppers()]
-        moving = [s.get_name() for s in self.host.z_steppers()]
+        moving = [s.get_name() for s in self.host.axes.z_steppers()]
         missing = [name for name in moving if name not in stopped]
         if missing:
             raise self.printer.config_error(

@@ -206,21 +206,21 @@ class Features(object):
     # and so are those that nobody has saved anew.
     @contextlib.contextmanager
     def without_offset(self):
-        before = self.host.gcode_offset()
+        before = self.host.gcode_offset.z()
         kept = [
             (state, {name: list(state[name]) for name in POSITIONS})
             for state in self._gcode_move().saved_states.values()
         ]
         for state, positions in kept:
             state.update(lowered(positions))
-        self.host.replace_gcode_offset(0.0)
+        self.host.gcode_offset.replace(0.0)
         try:
             yield
         finally:
             for state, positions in kept:
                 state.update(positions)
             if not self.printer.is_shutdown():
-                self.host.replace_gcode_offset(before)
+                self.host.gcode_offset.replace(before)
 
 
 # Without the G-code Z offset that they hold

@@ -23,7 +23,7 @@ class Frame(object):
         register("stepper_enable:motor_off", self._off)
 
     def mark(self):
-        return len(self.noted), self.host.z_datum()
+        return len(self.noted), self.host.axes.z_datum()
 
     # Why heights of before do not hold; empty: they do.  'besides' counts as
     # nothing.
@@ -40,7 +40,7 @@ class Frame(object):
     def _set(self):
         if self.host.toolhead is None:
             return
-        before, self.datum = self.datum, self.host.z_datum()
+        before, self.datum = self.datum, self.host.axes.z_datum()
         if self._motors(before) == HOMED_OR_SET:
             self._note(HOMED_OR_SET)
 
@@ -57,7 +57,7 @@ class Frame(object):
         self.noted.append(what)
 
     def _motors(self, datum):
-        shifts = [a - b for a, b in zip(self.host.z_datum(), datum)]
+        shifts = [a - b for a, b in zip(self.host.axes.z_datum(), datum)]
         if not shifts or max(map(abs, shifts)) <= DATUM_NOISE:
             return ""
         if max(shifts) - min(shifts) > DATUM_NOISE:

@@ -33,14 +33,14 @@ class HostDock(object):
     # A probe that is pressed looks as if it were docked: it is lifted first.
     def state(self):
         host, dockable = self.host, self.dockable
-        z = host.z()
+        z = host.motion.z()
         clear_z = dockable.position_endstop + dockable.sample_retract_dist
         touching.raise_to(host, clear_z, dockable.lift_speed)
         host.toolhead.wait_moves()
         reactor = host.printer.get_reactor()
         reactor.pause(reactor.monotonic() + OLD_ANSWER)
         state = STATES.get(dockable.get_probe_state(), "UNKNOWN")
-        if state == "DOCKED" and host.z() != z:
+        if state == "DOCKED" and host.motion.z() != z:
             host.toolhead.manual_move([None, None, z], dockable.lift_speed)
         return state
 
@@ -54,7 +54,7 @@ class HostDock(object):
         x, y, z = host.toolhead.get_position()[:3]
         host.gcode.run_script_from_command("DETACH_PROBE")
         self.go_to(x, y, dockable.travel_speed)
-        if host.z() != z:
+        if host.motion.z() != z:
             host.toolhead.manual_move([None, None, z], dockable.lift_speed)
 
     # Nothing tells whether it was fetched to stay.

@@ -28,8 +28,10 @@ SAMPLING_NAMES = (
 # The object 'probe' of the host, whichever section has made it.
 class Probing(object):
     # 'host': host.Host
-    def __init__(self, host):
+    def __init__(self, config, host):
         self.host = host
+        # The name of the section that makes it; None: one that we do not know
+        self.section = endstops.find_probe_section(config)
         self.printer = host.printer
         # Exists from klippy:connect on; None: the printer has none
         self.probe = None
@@ -51,8 +53,8 @@ class Probing(object):
     # where position_endstop counts.  Until 2024-07-04 (34732f857) and on Kalico
     # Z is homed to that with a smart_effector; elsewhere hosts do not accept it.
     def homed_bed_z(self):
-        homed_z = self.host.z_axis.position_endstop
-        if homed_z is None or not self.host.homes_with_probe():
+        homed_z = self.host.axes.z_axis.position_endstop
+        if homed_z is None or not self.host.axes.homes_with_probe():
             return 0.0
         return homed_z - self.offsets()[2]
 
@@ -96,7 +98,7 @@ class Probing(object):
 
     def _probe_once(self, session, gcmd):
         position = self.host.toolhead.get_position()
-        self.host.require_running()
+        self.host.motion.require_running()
         result = session.run_probe(gcmd)
         if hasattr(session, "pull_probed_results"):
             # Since 2024-06-14 (1591a51f7)

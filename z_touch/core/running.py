@@ -103,7 +103,7 @@ class Runner(object):
     # the command's error.  'wanted' is the number of touches.
     def run(self, gcmd, work, phase, wanted, failed=None):
         self.check_idle(gcmd)
-        before = self.host.gcode_offset()
+        before = self.host.gcode_offset.z()
         self.watch.begin(gcmd.respond_info, phase, wanted)
         try:
             return work()
@@ -128,6 +128,6 @@ class Runner(object):
     def _undo(self, offset, error, failed):
         if self.host.printer.is_shutdown():
             return
-        self.host.replace_gcode_offset(offset)
+        self.host.gcode_offset.replace(offset)
         if failed is not None:
             failed(error)

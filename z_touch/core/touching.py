@@ -12,7 +12,7 @@ import functools
 
 from . import options
 from .errors import CalibrationError, MessageLost, NoTrigger
-from .host import has_no_trigger, was_not_heard
+from .motion import has_no_trigger, was_not_heard
 from .running import always
 
 # What to do about a board that was not heard
@@ -66,7 +66,7 @@ def site_kind(name):
 
 # 'shift' says why the head is elsewhere than the user's point.
 def check_reach(host, site, remedy, shift=""):
-    for axis, xy, (low, high) in zip("XY", site[1:3], host.axis_limits()):
+    for axis, xy, (low, high) in zip("XY", site[1:3], host.axes.limits()):
         if not low <= xy <= high:
             raise CalibrationError(
                 "%s needs the head at %s=%.3f%s, outside its %.3f to %.3f; %s"
@@ -89,8 +89,8 @@ def check_spread(host, site, radius, section):
 
 # Motors stop on whole steps, so not exactly there
 def is_at(host, z):
-    steps = [s.get_step_dist() for s in host.z_steppers()]
-    return abs(host.z() - z) <= 2.0 * max(steps)
+    steps = [s.get_step_dist() for s in host.axes.z_steppers()]
+    return abs(host.motion.z() - z) <= 2.0 * max(steps)
 
 
 # The end of the printer is nothing that a hint of ours would mend
@@ -101,7 +101,7 @@ def pass_on_shutdown(host, error):
 
 # Never down, and not where Z is not known (any more)
 def raise_to(host, z, speed):
-    if host.z() < z and "z" in host.toolhead_status()["homed_axes"]:
+    if host.motion.z() < z and "z" in host.toolhead_status()["homed_axes"]:
         host.toolhead.manual_move([None, None, z], speed)
 
 
@@ -143,7 +143,7 @@ class Head(object):
     # Down to z where nothing should be yet.  None, or the toolhead Z where
     # the endstop triggered nevertheless.
     def come_down(self, endstop, z, speed):
-        if self.host.z() <= z:
+        if self.host.motion.z() <= z:
             return None
         try:
             return self._move_down(endstop, z, speed)
@@ -157,9 +157,9 @@ class Head(object):
         return self._move_down(endstop, floor, speed)
 
     def _move_down(self, endstop, z, speed):
-        host, start_z = self.host, self.host.z()
+        host, start_z = self.host, self.host.motion.z()
         try:
-            trigger_z = host.probing_move(endstop, z, speed)
+            trigger_z = host.motion.probing_move(endstop, z, speed)
         except host.printer.command_error as e:
             pass_on_shutdown(host, e)
             ended = has_no_trigger(e) and is_at(host, z)
@@ -172,20 +172,20 @@ class Head(object):
 
     # Down until the host's own probing has triggered, see probing(); returns Probed.
     def probe(self, probe_once):
-        host, start_z = self.host, self.host.z()
+        host, start_z = self.host, self.host.motion.z()
         try:
             probed = probe_once()
         except host.printer.command_error as e:
             pass_on_shutdown(host, e)
             raise self._stopped(e, CalibrationError)
         # QIDI's hosts answer a probe that is pressed already with a result
-        self._pressed(start_z, host.z(), probed.z)
+        self._pressed(start_z, host.motion.z(), probed.z)
         return probed
 
     # 'told': in other words than those of the host
     def _stopped(self, error, kind, told=None):
         # Without the sign of a rounded zero
-        z = round(self.host.z(), 3) + 0.0
+        z = round(self.host.motion.z(), 3) + 0.0
         text = "%s (stopped at z=%.3f)" % (told or error, z)
         if was_not_heard(error):
             return MessageLost("%s; %s" % (text, LATE))
@@ -193,7 +193,7 @@ class Head(object):
 
     # A touch goes down, whatever it is told
     def check_above(self, floor):
-        z = self.host.z()
+        z = self.host.motion.z()
         if z <= floor:
             text = "the head is at z=%.3f, this touch ends at z=%.3f already; "
             raise CalibrationError(text % (z, floor) + self.remedy)
@@ -209,7 +209,7 @@ class Head(object):
 
     # Down to z in the air above what was touched before
     def move_down(self, z, speed):
-        if self.host.z() > z:
+        if self.host.motion.z() > z:
             self.host.toolhead.manual_move([None, None, z], speed)
 
     # From now on retract() lifts by that (mm)

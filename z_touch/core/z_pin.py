@@ -25,7 +25,7 @@ Pin = collections.namedtuple("Pin", "x y trigger_z")
 
 
 # The pin that the sections of the printer tell of; None: nobody does.  'z_axis':
-# host.ZAxis
+# axes.ZAxis
 def read_pin(config, z_axis):
     trigger_z = low_switch(z_axis)
     if trigger_z is None:

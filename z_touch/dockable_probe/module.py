@@ -74,7 +74,7 @@ class DockableProbe(object):
 
     def connect(self):
         self.host.connect()
-        limits = self.host.axis_limits()
+        limits = self.host.axes.limits()
         try:
             checks.check_reach(self.settings, limits)
             if self.virtual_probe.is_z_endstop():
@@ -103,7 +103,7 @@ class DockableProbe(object):
     # What hangs on the head may be lower than the bed when X and Y are homed, and
     # nobody knows that yet.
     def lift_before_xy(self, homing_state, rails):
-        if self.is_lifted_elsewhere or self.host.homed_axis(rails) is None:
+        if self.is_lifted_elsewhere or self.host.axes.homed_axis(rails) is None:
             return
         if self.sensors.confirm() != DOCKED or self.sensors.is_doubtful():
             self.moves.lift(travel_height(self.settings))

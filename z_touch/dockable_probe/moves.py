@@ -25,7 +25,7 @@ class Trace(object):
     def forget(self):
         # Each an axis (0: X) and how far (mm) the head has gone along it
         self.moves = []
-        # Where it has ended; where the next one began, as host.motors_xy()
+        # Where it has ended; where the next one began, as host.axes.motors_xy()
         self.end = self.begun_at = None
 
     # The moves that have led to that place; empty: homing has ended elsewhere
@@ -35,19 +35,22 @@ class Trace(object):
         return self.moves
 
     def _begins(self, homing_state, rails):
-        if self.host.homed_axis(rails) is None or self.host.has_two_heads():
+        if (
+            self.host.axes.homed_axis(rails) is None
+            or self.host.axes.has_two_heads()
+        ):
             return
         self.moves = list(self.to(self.host.toolhead.get_position()))
         # Nothing is known of a homing that fails
         self.end = None
-        self.begun_at = self.host.motors_xy()
+        self.begun_at = self.host.axes.motors_xy()
 
     def _ends(self, homing_state, rails):
-        axis = self.host.homed_axis(rails)
+        axis = self.host.axes.homed_axis(rails)
         if axis is None or self.begun_at is None:
             return
         # X and Y of the host are set in homing
-        moved = self.host.motors_xy()[axis] - self.begun_at[axis]
+        moved = self.host.axes.motors_xy()[axis] - self.begun_at[axis]
         self.moves.append((axis, moved))
         self.end = tuple(self.host.toolhead.get_position()[:2])
         self.begun_at = None
@@ -96,7 +99,7 @@ class Moves(object):
     # How far (mm) the Z motors have moved, up is positive, whatever Z was set
     # to; the mean of all of them.  None where they move X or Y, too.
     def motors_z(self):
-        steppers, datum = self.host.z_steppers(), self.host.z_datum()
+        steppers, datum = self.host.axes.z_steppers(), self.host.axes.z_datum()
         moved = [
             stepper.get_commanded_position() + shift
             for stepper, shift in zip(steppers, datum)
@@ -164,7 +167,7 @@ class Moves(object):
             touching.raise_to(self.host, height, self.settings.lift_speed)
         elif self.lifted < height:
             more = height - self.lifted
-            self.host.lift_unhomed(more, self.settings.lift_speed)
+            self.host.motion.lift_unhomed(more, self.settings.lift_speed)
             self.lifted = height
 
     def lift_for_dock(self):
@@ -172,7 +175,7 @@ class Moves(object):
 
     # Up or down; z None: stay
     def go_to_height(self, z):
-        if z is not None and z != self.host.z():
+        if z is not None and z != self.host.motion.z():
             speed = self.settings.lift_speed
             self.host.toolhead.manual_move([None, None, z], speed)
 
@@ -188,7 +191,7 @@ class Moves(object):
     # To X and Y of a position, around the dock; with 'into' also where that is in
     # the circle, otherwise to its edge
     def travel(self, position, speed, into=False):
-        start, limits = self.position(), self.host.axis_limits()[:2]
+        start, limits = self.position(), self.host.axes.limits()[:2]
         goal = self._within_reach(position, limits)
         self._leave_upwards()
         is_there = into and detour.distance(start, goal) < NEAR_END

@@ -51,7 +51,7 @@ class Prober(object):
 
     # Lowest toolhead Z of a probing move
     def floor(self, is_homing=False):
-        axis = self.host.z_axis
+        axis = self.host.axes.z_axis
         position_min = axis.position_min if axis else NO_FLOOR
         lowest = NO_FLOOR if is_homing else self.settings.lowest
         return max(position_min, lowest)
@@ -119,7 +119,7 @@ class Prober(object):
             raise self.host.error(
                 "the probe is %s at z=%.3f (%s); auto_attach_detach is off, so"
                 " it is not fetched by itself; run ATTACH_PROBE"
-                % (state, self.host.z(), self.sensors.describe())
+                % (state, self.host.motion.z(), self.sensors.describe())
             )
 
     # A probing move begins.  'pin' tells by itself whether the probe is there:
@@ -139,7 +139,7 @@ class Prober(object):
     # A probing move has ended: whether the head has moved, and the probe
     # triggered
     def after_move(self, moved, triggered):
-        self.clear_z = self.host.z() + self.settings.sample_retract_dist
+        self.clear_z = self.host.motion.z() + self.settings.sample_retract_dist
         self._run_each_touch("deactivate_gcode")
         if not self.sensors.is_sensed():
             raise self._lost("was lost in a touch")
@@ -203,7 +203,7 @@ class Prober(object):
     def _end_homing_of_nothing(self):
         self.sensors.distrust()
         distance = self.settings.sample_retract_dist + REACH
-        self.host.lift_unhomed(distance, self.settings.lift_speed)
+        self.host.motion.lift_unhomed(distance, self.settings.lift_speed)
         self.host.say(
             "nothing where the bed was: the probe will be docked and fetched to"
             " see that it works, and then finds any bed; look whether its"
@@ -215,7 +215,8 @@ class Prober(object):
         return self.host.error(
             "the probe %s, at z=%.3f (%s); raise the head and put the probe"
             " into its dock, then check it with"
-            " GET_PROBE_STATUS" % (what, self.host.z(), self.sensors.describe())
+            " GET_PROBE_STATUS"
+            % (what, self.host.motion.z(), self.sensors.describe())
         )
 
     ######################################################################

@@ -371,8 +371,8 @@ def read_settings(config, host, old_names):
     values.update(options.read(config, OTHERS, old_names))
     values["dock_fixed_z"] = is_fixed_z(config, values)
     check_senses(config, values)
-    z_offset, homes_z = values["z_offset"], host.homes_with_probe()
-    endstop_z = host.z_axis.position_endstop if host.z_axis else None
+    z_offset, homes_z = values["z_offset"], host.axes.homes_with_probe()
+    endstop_z = host.axes.z_axis.position_endstop if host.axes.z_axis else None
     values.update(
         sampling=options.sampling_of(values),
         hang=hang(z_offset, homes_z),

@@ -270,7 +270,7 @@ class Setup(object):
     def _jog(self, gcmd):
         if not STEPS[self.state.step].jogs:
             raise CalibrationError("the head stays where it is at this step")
-        toolhead, limits = self.host.toolhead, self.host.axis_limits()
+        toolhead, limits = self.host.toolhead, self.host.axes.limits()
         start, end = toolhead.get_position(), [None, None, None]
         for number, axis in enumerate("XYZ"):
             distance = options.param_number(gcmd, axis)

@@ -207,7 +207,7 @@ class Session(object):
             raise gcmd.error("Must home before probe")
         facade = self.probe.mcu_probe
         floor = self.probe.device.floor(is_homing)
-        self.host.require_running()
+        self.host.motion.require_running()
         if is_homing:
             facade.shorten(floor)
         target = self.host.toolhead.get_position()
@@ -243,7 +243,7 @@ class Session(object):
         )
 
     def _retract(self, wanted):
-        z = self.host.z() + wanted.retract_dist
+        z = self.host.motion.z() + wanted.retract_dist
         self.host.toolhead.manual_move([None, None, z], wanted.lift_speed)
 
 

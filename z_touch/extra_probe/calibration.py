@@ -85,10 +85,10 @@ class Calibration(object):
             raise CalibrationError(
                 "z_offset is 0; set it to the thickness of the switch, in mm"
             )
-        if save and self.host.z_zero() is None:
+        if save and self.host.axes.z_zero() is None:
             raise CalibrationError(
                 "SAVE=1: nobody knows where Z gets its zero with '%s'; leave"
-                " SAVE out" % (self.host.z_axis.endstop_pin,)
+                " SAVE out" % (self.host.axes.z_axis.endstop_pin,)
             )
 
     def travel(self):
@@ -101,8 +101,8 @@ class Calibration(object):
 
     # The lowest point of the touches, and what the user is told of it
     def floor(self, floor_param):
-        settings, z_zero = self.settings, self.host.z_zero()
-        axis_min = self.host.z_axis.position_min
+        settings, z_zero = self.settings, self.host.axes.z_zero()
+        axis_min = self.host.axes.z_axis.position_min
         floor = heights.floor(
             settings, z_zero, axis_min, floor_param, is_proved=True
         )
@@ -128,7 +128,9 @@ class Calibration(object):
     def is_bed_known(self, floor_param):
         settings = self.settings
         is_given = not (floor_param is None and settings.position_min is None)
-        return is_given or heights.is_calibrated(settings, self.host.z_zero())
+        return is_given or heights.is_calibrated(
+            settings, self.host.axes.z_zero()
+        )
 
     ##################################################################
     # The answers
@@ -215,7 +217,7 @@ class Calibration(object):
         offset = bed_z - shifts.height()
         if question.save:
             self.save(gcmd, offset, bed_z)
-        self.host.set_gcode_offset(0.0 if question.save else offset)
+        self.host.gcode_offset.set(0.0 if question.save else offset)
         self.last_offset = offset
         say = self.runner.watch.say
         say(
@@ -232,8 +234,10 @@ class Calibration(object):
 
     # What SAVE_CONFIG is to write
     def corrected_zero(self, bed_z):
-        axis_limits = self.host.axis_limits()[2]
-        return heights.corrected_zero(self.host.z_zero(), bed_z, axis_limits)
+        axis_limits = self.host.axes.limits()[2]
+        return heights.corrected_zero(
+            self.host.axes.z_zero(), bed_z, axis_limits
+        )
 
     # 'offset' is what Z is to be lower by; with the whole of bed_z the bed would be
     # at Z=0, and that is what later floors count from.

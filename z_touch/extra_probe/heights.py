@@ -3,8 +3,8 @@
 # Copyright (C) 2026  the Z calibration developers, under the GNU GPLv3
 from __future__ import absolute_import, division
 
+from ..core.axes import ENDSTOP_OPTION
 from ..core.errors import CalibrationError
-from ..core.host import ENDSTOP_OPTION
 
 # Before a calibration was saved nobody knows where the bed is: a touch ends
 # this far (mm) below Z=0, where somebody has proved that the switch is there.
@@ -34,7 +34,7 @@ def bed_height(trigger_z, z_offset):
 
 # A saved calibration has put the bed at Z=0, give or take half the thickness of
 # the switch, unless what Z is homed at was changed since.  'z_zero' is where Z
-# gets its zero (host.ZZero), None if nobody knows.
+# gets its zero (axes.ZZero), None if nobody knows.
 def is_calibrated(settings, z_zero):
     if settings.saved_homing_z is None or z_zero is None:
         return False

@@ -7,8 +7,9 @@ import logging
 
 from .. import __version__
 from ..core import carrying, options, running, touching, z_pin
+from ..core.axes import check_z_axis
 from ..core.errors import CalibrationError
-from ..core.host import Host, check_z_axis
+from ..core.host import Host
 from ..core.sampling import accuracy, summarize
 from . import heights
 from .calibration import Calibration
@@ -31,10 +32,10 @@ class ExtraProbe(object):
         logging.info("%s: version %s", config.get_name(), __version__)
         self.name = config.get_name().split()[-1]
         self.host = Host(config)
-        check_z_axis(config, self.host.z_axis)
+        check_z_axis(config, self.host.axes.z_axis)
         self.runner = running.Runner(self.host)
         self.settings = read_settings(config)
-        self.z_pin = z_pin.read_pin(config, self.host.z_axis)
+        self.z_pin = z_pin.read_pin(config, self.host.axes.z_axis)
         # For get_status(): mm, and what the pin read
         self.last_query = False
         self.last_z_result = self.probe_z_offset = 0.0
@@ -77,7 +78,7 @@ class ExtraProbe(object):
         host.endstops.check_stops_z(self.switch.endstop(), where)
 
     def check_safe_z(self):
-        high = self.host.axis_limits()[2][1]
+        high = self.host.axes.limits()[2][1]
         safe_z = self.settings.safe_z_height
         if safe_z > high:
             raise CalibrationError(
@@ -90,7 +91,7 @@ class ExtraProbe(object):
         why = ""
         if self.host.probing.endstop() is None:
             why = "is missing or no switch on a pin"
-        elif self.host.homes_with_probe():
+        elif self.host.axes.homes_with_probe():
             why = (
                 "homes Z, and so finds nothing new; give the switch that the"
                 " nozzle presses a section 'extra_probe NAME'"
@@ -124,8 +125,8 @@ class ExtraProbe(object):
     # The heights of a series of touches; 'stay' as in Series.measure()
     def measure(self, gcmd, sampling, stay=False):
         host = self.host
-        axis_min = host.z_axis.position_min
-        floor = heights.floor(self.settings, host.z_zero(), axis_min)
+        axis_min = host.axes.z_axis.position_min
+        floor = heights.floor(self.settings, host.axes.z_zero(), axis_min)
         pin_z = z_pin.floor(host, self.z_pin)
         floor = heights.above_pin(floor, pin_z)
         if pin_z is not None:

@@ -131,7 +131,7 @@ class Series(object):
         self.respond_info = respond_info
         self.head = touching.Head(host, sampling, TOO_LOW)
         # Where the head is lifted to at the end
-        self.end_z = host.z()
+        self.end_z = host.motion.z()
 
     # The heights (toolhead Z, mm) of the touches, none of which goes below
     # 'floor'.  The head ends where it began or, if it is to 'stay', where the

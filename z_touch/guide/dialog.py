@@ -263,7 +263,7 @@ class Setup(object):
         if name in ("gap", "paper"):
             facts["paper_z"] = state.contact() + OVER_SHEET
         if name == "paper":
-            room = steps.paper_room(state.contact(), self.host.z())
+            room = steps.paper_room(state.contact(), self.host.motion.z())
             facts["room"] = room
             facts["sheet"] = texts.TOO_HIGH if room > 0.0 else texts.NEAR_SHEET
         if name == "save":
@@ -363,7 +363,7 @@ class Setup(object):
     def measure_paper(self, gcmd, state):
         self.head.check_over_sheet(state)
         contact = state.contact()
-        self.use_switch_offset(steps.from_paper(contact, self.host.z()))
+        self.use_switch_offset(steps.from_paper(contact, self.host.motion.z()))
         self.head.lift(state)
 
     ##################################################################

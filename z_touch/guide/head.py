@@ -114,7 +114,7 @@ class GuidedHead(object):
         finder = self.section.site_finder()
         site = finder.bed_site(settings.bed_xy_position)
         if site is None:
-            middle = [sum(axis) / 2.0 for axis in self.host.axis_limits()[:2]]
+            middle = [sum(axis) / 2.0 for axis in self.host.axes.limits()[:2]]
             site = self.with_probe(name, middle, "The middle of the bed")
         return site
 
@@ -137,7 +137,7 @@ class GuidedHead(object):
 
     # Where the head stands to have the probe at xy, as far as it reaches
     def with_probe(self, name, xy, origin):
-        limits, offsets = self.host.axis_limits(), self.host.probing.offsets()
+        limits, offsets = self.host.axes.limits(), self.host.probing.offsets()
         x, y = [
             min(max(a - offset, low), high)
             for a, offset, (low, high) in zip(xy, offsets, limits)
@@ -152,7 +152,7 @@ class GuidedHead(object):
         self.check_site(site, state)
         if name == "nozzle":
             # The pin is no higher than the nozzle over it
-            state.pin_below = self.host.z()
+            state.pin_below = self.host.motion.z()
         self.lift(state)
         state.sites[name] = site
 
@@ -295,7 +295,7 @@ class GuidedHead(object):
             return None
         if axis not in steps.STEPS[state.step].axes:
             raise CalibrationError("%s stays as it is here" % (axis,))
-        low, high = self.host.axis_limits()[number]
+        low, high = self.host.axes.limits()[number]
         stops = axis == "Z" and state.step != "paper"
         if stops:
             low = self.jog_floor(state, attached)

@@ -7,7 +7,6 @@ import logging
 import os
 import time
 
-from ..core.host import z_step
 from ..core.sampling import summarize
 from ..uncertainty import adaptive, cycles
 from . import asking, report, trend
@@ -81,7 +80,7 @@ class Recorder(object):
     def make_plan(self, counting, bed_spread=0.0):
         spreads = self.history.spreads(bed_spread)
         rough = ("bed",) if bed_spread else ()
-        return adaptive.Plan(z_step(self.host), spreads, counting, rough)
+        return adaptive.Plan(self.host.axes.z_step(), spreads, counting, rough)
 
     def begin(self, counting, bed_spread=0.0, plate=""):
         self.bed_spread = bed_spread

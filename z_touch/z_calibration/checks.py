@@ -5,7 +5,6 @@ from __future__ import absolute_import
 import math
 
 from ..core.errors import CalibrationError
-from ..core.host import z_step
 from . import heights
 from .sites import SiteFinder
 
@@ -59,7 +58,7 @@ def check_travel_heights(host, settings):
                 " within position_max (%.3f) of section '%s'; correct %s in"
                 " section 'z_calibration', or z_offset in section 'probe',"
                 " the real distance between nozzle and probe"
-                % (height, high, host.z_axis.section, remedy)
+                % (height, high, host.axes.z_axis.section, remedy)
             )
 
 
@@ -75,7 +74,7 @@ def notes(host, settings):
             " Z_CALIBRATION_SETUP, or set safe_z_height"
             % (travel_z, settings.unmeasured_pin)
         )
-    yield settings.counting.impossible(z_step(host))
+    yield settings.counting.impossible(host.axes.z_step())
     yield mesh_note(host, settings)
 
 

@@ -110,7 +110,7 @@ class Corrections(object):
         if keeps and not reason:
             self.answer(gcmd, self.save_steps, True, False)
             return
-        change = self.host.gcode_offset() - self.current().offset
+        change = self.host.gcode_offset.z() - self.current().offset
         handler(gcmd)
         if keeps:
             text = (
@@ -175,7 +175,7 @@ class Corrections(object):
                 " correct the first layer" % (reason,)
             )
         self.check_tool()
-        base, z_offset = self.current(), self.host.gcode_offset()
+        base, z_offset = self.current(), self.host.gcode_offset.z()
         if abs(z_offset - base.offset) < NO_STEP:
             text = "%s: nothing was changed with baby steps since CALIBRATE_Z"
             gcmd.respond_info(text % (self.host.section,))

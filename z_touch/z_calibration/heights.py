@@ -62,7 +62,7 @@ def offset(probe, switch, nozzle, switch_offset):
 
 
 # Raises CalibrationError for an offset outside of margins (low, high).  'zero' is
-# where Z gets its zero (host.ZZero), None: nobody knows.
+# where Z gets its zero (axes.ZZero), None: nobody knows.
 def check_offset(result, margins, zero):
     low, high = margins
     if low <= result.offset <= high:

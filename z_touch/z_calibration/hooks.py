@@ -148,7 +148,7 @@ class Hooks(object):
     # What is applied is a G-code Z offset (mm)
     def apply(self, z_offset):
         if self.settings.offset_gcode is None:
-            self.host.set_gcode_offset(z_offset)
+            self.host.gcode_offset.set(z_offset)
             return
         self.run_gcode("offset_gcode", Z="%.6f" % (z_offset,))
 

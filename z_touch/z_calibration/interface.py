@@ -2,7 +2,6 @@
 # Copyright (C) 2026  the Z calibration developers, under the GNU GPLv3
 from __future__ import absolute_import
 
-from ..core.host import z_step
 from ..core.sampling import AUTO
 from ..uncertainty import adaptive
 from .sites import SiteFinder
@@ -38,7 +37,7 @@ class Interface(object):
         if "samples" in settings.said and not is_exceeded:
             return ""
         auto = adaptive.choose(AUTO, settings.target_uncertainty)
-        if not auto.impossible(z_step(self.host)):
+        if not auto.impossible(self.host.axes.z_step()):
             return AUTO
         return "%d" % (count,) if is_exceeded else ""
 

@@ -98,7 +98,7 @@ class Measurement(object):
 
     # A head that is over the site, and high enough for a touch, has arrived.
     def arrive(self, travel_z):
-        is_high = self.host.z() >= self.top(travel_z)
+        is_high = self.host.motion.z() >= self.top(travel_z)
         is_there = self.expected_z is not None and is_high
         if not (is_there and touching.is_over(self.host, self.site)):
             self.go_there(travel_z)
@@ -191,12 +191,12 @@ class Measurement(object):
         lift = self.sampling.retract_dist
         if pace.may_lengthen(self.settings):
             lift = max(lift, pace.LONGEST_LIFT)
-        self.head.lift(self.host.z() + lift)
+        self.head.lift(self.host.motion.z() + lift)
 
     # Calls touch(*args).  Its error says what was expected and what to look at;
     # where nothing triggered, or at once, the sensors may know better.
     def attempt(self, touch, *args):
-        start_z = self.host.z()
+        start_z = self.host.motion.z()
         try:
             touch(*args)
         except errors.CalibrationError as e:
@@ -409,7 +409,9 @@ class BedMeasurement(Measurement):
         remedy, place = "", self.site.place()
         is_below = self.floor is not None and not self.taken
         if is_below and touching.is_at(self.host, self.floor):
-            remedy = below_margins(self.settings, self.host.z_zero(), self.site)
+            remedy = below_margins(
+                self.settings, self.host.axes.z_zero(), self.site
+            )
         if self.site.option:
             place += ", switch_offset"
         return remedy or self.remedy % (place,)

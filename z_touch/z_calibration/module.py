@@ -22,7 +22,8 @@ import logging
 
 from .. import __version__
 from ..core import errors, frame, notes, options, running, sampling
-from ..core.host import Host, check_z_axis, z_limits
+from ..core.axes import check_z_axis
+from ..core.host import Host
 from ..history import recorder
 from . import accuracy, checks, corrections, heights, pace, switches
 from .calibration import Calibration, Earlier
@@ -59,11 +60,13 @@ class ZCalibration(object):
     def __init__(self, config):
         logging.info("z_calibration %s", __version__)
         self.host = Host(config)
-        check_z_axis(config, self.host.z_axis)
+        check_z_axis(config, self.host.axes.z_axis)
         self.frame = frame.Frame(self.host)
         self.runner = running.Runner(self.host)
         self.old_names = options.OldNames(config)
-        self.settings = read_settings(config, self.host.z_axis, self.old_names)
+        self.settings = read_settings(
+            config, self.host.axes.z_axis, self.old_names
+        )
         # None: the Z endstop, which exists when klippy connects
         self.pin = read_pin(config, self.host, self.old_names)
         self.recorder = recorder.Recorder(self.host, self.settings, __version__)
@@ -96,7 +99,7 @@ class ZCalibration(object):
             self.settings,
             host.probing.sampling(),
             host.probing.offsets()[2],
-            host.axis_limits()[2][1],
+            host.axes.limits()[2][1],
         )
         try:
             checks.check_settings(host, self.settings)
@@ -253,9 +256,9 @@ class ZCalibration(object):
 
     # Returns the G-code offset (mm) that came of it
     def apply(self, z_offset):
-        before = self.host.gcode_offset()
+        before = self.host.gcode_offset.z()
         self.hooks.apply(z_offset)
-        after = self.host.gcode_offset()
+        after = self.host.gcode_offset.z()
         # An offset_gcode may only keep it, for later
         return z_offset if after == before else after
 
@@ -270,16 +273,16 @@ class ZCalibration(object):
         z_adjust = options.param_number(
             gcmd, "Z_ADJUST", 0.0, minval=-LARGEST_ADJUST, maxval=LARGEST_ADJUST
         )
-        settings = pace.of_run(settings, *z_limits(self.host))
+        settings = pace.of_run(settings, *self.host.axes.z_limits())
         finder = SiteFinder(self.host, settings)
-        sites, before = finder.of_command(gcmd), self.host.gcode_offset()
+        sites, before = finder.of_command(gcmd), self.host.gcode_offset.z()
         calibration = self.new_calibration(settings, sites, self.recorder.plan)
         calibrated = self.calibrate_once(calibration, finder, z_adjust)
         if calibrated is None:
             why = calibration.dirt()
             text = "%s: cleaning the nozzle, then everything once more"
             self.runner.watch.say(text % (why,))
-            self.host.replace_gcode_offset(before)
+            self.host.gcode_offset.replace(before)
             plan = self.recorder.begin_again()
             calibration = self.new_calibration(settings, sites, plan)
             calibrated = self.calibrate_once(calibration, finder, z_adjust, why)
@@ -303,11 +306,11 @@ class ZCalibration(object):
                 extruder=self.host.extruder(),
             )
             margins = calibration.settings.offset_margins
-            heights.check_offset(result, margins, self.host.z_zero())
+            heights.check_offset(result, margins, self.host.axes.z_zero())
             z_offset = Shifts(self.host, last).offset()
             self.results.note(last._replace(z_offset=z_offset))
-            at_end = self.host.gcode_offset()
-        added = self.host.gcode_offset() - at_end
+            at_end = self.host.gcode_offset.z()
+        added = self.host.gcode_offset.z() - at_end
         running.check_homed(self.host)
         if self.frame.moved_since(last.mark) == frame.LEVELLED:
             raise errors.CalibrationError(MOVED_IN_END % (frame.LEVELLED,))

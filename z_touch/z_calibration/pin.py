@@ -33,7 +33,7 @@ def read_pin(config, host, old_names):
 # The Z endstop, which exists when klippy connects.  Raises the error of a
 # configuration where there is none that the nozzle can press.
 def find_pin(host):
-    axis, endstop = host.z_axis, host.endstops.find_z()
+    axis, endstop = host.axes.z_axis, host.endstops.find_z()
     origin = "Option 'endstop_pin: %s' in section '%s'"
     origin %= (axis.endstop_pin, axis.section)
     if endstop is None:

@@ -91,7 +91,7 @@ class Results(object):
 
     # Where offset_gcode makes another one of it, or sets it later, either will do.
     def _why_not_in_force(self):
-        offset, last = self.host.gcode_offset(), self.last
+        offset, last = self.host.gcode_offset.z(), self.last
         moved = self.host.features.moved_by_g92()
         if abs(moved) >= SAME_OFFSET:
             return (

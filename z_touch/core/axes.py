@@ -1,0 +1,174 @@
+# The axes of the printer: what drives them, how far they reach, where Z is homed.
+# Copyright (C) 2026  the Z calibration developers, under the GNU GPLv3
+from __future__ import absolute_import, division
+
+import collections
+import functools
+
+from .endstops import chip_of
+
+# The section that configures the Z axis, and its options that matter (mm,
+# mm/s, mm/s^2); position_endstop is None where the probe homes Z.
+ZAxis = collections.namedtuple(
+    "ZAxis",
+    "section endstop_pin position_endstop position_min homing_speed"
+    " second_homing_speed homing_retract_dist max_speed max_accel",
+)
+
+# Of an axis that is homed on a switch: where that triggers
+ENDSTOP_OPTION = "position_endstop"
+
+# Where Z gets its zero: section and option, and the value in force (mm)
+ZZero = collections.namedtuple("ZZero", "section option z")
+
+
+# [stepper_z], or with "kinematics: generic_cartesian" (since 2025-05-06,
+# cc6736c3e) the [carriage ...] whose axis is z.  None: there is no Z axis
+# of its own, as on a delta.
+def find_z_section(config):
+    if config.has_section("stepper_z"):
+        return config.getsection("stepper_z")
+    for carriage in config.get_prefix_sections("carriage "):
+        name = carriage.get_name().split()[-1]
+        if carriage.get("axis", name, note_valid=False) == "z":
+            return carriage
+    return None
+
+
+# Read with the defaults that every host documents; note_valid=False leaves
+# it to the host to claim these options.
+def read_z_axis(config):
+    section = find_z_section(config)
+    if section is None:
+        return None
+    number = functools.partial(section.getfloat, note_valid=False)
+    homing_speed = number("homing_speed", 5.0)
+    printer = functools.partial(
+        config.getsection("printer").getfloat, note_valid=False
+    )
+    fastest = printer("max_velocity", float("inf"))
+    return ZAxis(
+        section=section.get_name(),
+        endstop_pin=section.get("endstop_pin", "", note_valid=False),
+        position_endstop=number("position_endstop", None),
+        position_min=number("position_min", 0.0),
+        homing_speed=homing_speed,
+        second_homing_speed=number("second_homing_speed", homing_speed / 2.0),
+        homing_retract_dist=number("homing_retract_dist", 5.0),
+        max_speed=printer("max_z_velocity", fastest),
+        max_accel=printer("max_z_accel", float("inf")),
+    )
+
+
+def check_z_axis(config, z_axis):
+    if z_axis is None:
+        printer = config.getsection("printer")
+        kinematics = printer.get("kinematics", "none", note_valid=False)
+        raise config.error(
+            "Option 'kinematics: %s' in section 'printer' has no Z axis with an"
+            " endstop of its own, and %s cannot be used on this machine; remove"
+            " section '%s'" % (kinematics, config.get_name(), config.get_name())
+        )
+
+
+# The axes as the kinematics of the host drive them; but for z_axis they can be asked
+# from klippy:connect on.
+class Axes(object):
+    # 'host': host.Host, which is connected later
+    def __init__(self, config, host):
+        self.host = host
+        # None: there is none of its own
+        self.z_axis = read_z_axis(config)
+
+    def _kinematics(self):
+        return self.host.toolhead.get_kinematics()
+
+    # (low, high) of X, Y and Z (mm)
+    def limits(self):
+        status = self.host.toolhead_status()
+        return list(zip(status["axis_minimum"], status["axis_maximum"]))[:3]
+
+    ##################################################################
+    # X and Y
+    ##################################################################
+
+    # The axis (0: X, 1: Y) that a homing move of these rails goes along.  None:
+    # another axis, or a machine that moves in another way, such as a delta.
+    def homed_axis(self, rails):
+        kinematics = self._kinematics()
+        all_rails = getattr(kinematics, "rails", [])
+        axes = list(zip(all_rails, (0, 1))) if len(all_rails) >= 3 else []
+        # generic_cartesian, since 2025-05-06 (cc6736c3e)
+        for carriage in getattr(kinematics, "carriages", {}).values():
+            axes.append((carriage.get_rail(), carriage.get_axis()))
+        if len(rails) != 1 or not self.z_datum():
+            return None
+        for rail, axis in axes:
+            if rail is rails[0] and axis in (0, 1):
+                return axis
+        return None
+
+    # Where the motors say that the head is in X and Y (mm), whatever the host
+    # believes: only differences mean something.
+    def motors_xy(self):
+        self.host.toolhead.flush_step_generation()
+        kinematics = self._kinematics()
+        return kinematics.calc_position(
+            {
+                stepper.get_name(): stepper.get_mcu_position()
+                * stepper.get_step_dist()
+                for stepper in kinematics.get_steppers()
+            }
+        )[:2]
+
+    # Whether there are two heads: what hangs where after homing is not told.
+    def has_two_heads(self):
+        lookup = self.host.printer.lookup_object
+        return lookup("dual_carriage", None) is not None
+
+    ##################################################################
+    # Z
+    ##################################################################
+
+    def z_steppers(self):
+        steppers = self._kinematics().get_steppers()
+        return [s for s in steppers if s.is_active_axis("z")]
+
+    # The largest step (mm) of the motors of Z
+    def z_step(self):
+        return max(s.get_step_dist() for s in self.z_steppers())
+
+    # Where the motors of Z stand, apart from where the host believes Z is:
+    # the difference (mm) changes only when Z is homed, set or levelled.
+    # Empty where X or Y share these motors.
+    def z_datum(self):
+        steppers = self.z_steppers()
+        if any(s.is_active_axis(axis) for s in steppers for axis in "xy"):
+            return []
+        return [
+            s.get_mcu_position() * s.get_step_dist()
+            - s.get_commanded_position()
+            for s in steppers
+        ]
+
+    # What the Z axis can do: mm/s, mm/s^2
+    def z_limits(self):
+        axis, status = self.z_axis, self.host.toolhead_status()
+        return (
+            min(axis.max_speed, status["max_velocity"]),
+            min(axis.max_accel, status["max_accel"]),
+        )
+
+    # Such a host believes what the probe says: after G28 the bed is where the
+    # probe sees it.
+    def homes_with_probe(self):
+        axis = self.z_axis
+        return axis is not None and chip_of(axis.endstop_pin) == "probe"
+
+    # None: nobody knows
+    def z_zero(self):
+        axis, probing = self.z_axis, self.host.probing
+        zero = ZZero(axis.section, ENDSTOP_OPTION, axis.position_endstop)
+        if self.homes_with_probe():
+            zero = ZZero(probing.section, "z_offset", probing.z_offset())
+        return None if None in zero else zero
