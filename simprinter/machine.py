@@ -24,6 +24,7 @@ from .simulation import Simulation
 from .wire.link import Link
 from .wiring import MAIN, BoardSpec, Wiring, pin_number
 from .world import Pose, Truth, World, make_kinematics
+from .world.sites import Near
 
 
 class Machine:
@@ -193,6 +194,12 @@ class Machine:
         """What really happened up to now."""
         self.rig.settle(self.simulation.clock.now())
         return self.world.truth
+
+    def near(self) -> list[Near]:
+        """What is below the parts of the head now, and whether it is pressed."""
+        now = self.simulation.clock.now()
+        self.rig.settle(now)
+        return self.world.near(self.rig.seconds(now), self.rig.pose(now))
 
     def tip(self) -> Pose:
         """Where the nozzle tip really is: world frame, mm."""

@@ -77,6 +77,18 @@ def test_bed_is_pressed_only_where_no_membrane_was_laid(judged):
     assert sort_of(judge, "gcode", script) == "harm"
 
 
+# A host keeps the last move back for a while, and the world lives on when it is asked
+def test_nozzle_that_is_lifted_presses_nothing(judged):
+    printer, judge = judged(MEMBRANE)
+    script = "EXTRA_PROBE PROBE=membrane"
+    refusal = "extra_probe membrane: the switch did not answer"
+    printer.run("G1 X30 Y20 F6000\nG1 Z0.1 F600\nM400")
+    assert "nozzle_bed" in {n.site for n in printer.machine.near() if n.pressed}
+    assert sort_of(judge, "gcode", script, refusal) == "left behind"
+    printer.run("G1 Z20 F1200")
+    assert sort_of(judge, "gcode", script, refusal) == ""
+
+
 def test_head_that_moves_by_itself(judged):
     printer, judge = judged(SWITCH)
     assert sort_of(judge, "wait") == ""

@@ -275,8 +275,7 @@ class Judge:
         }
 
     def _pressed(self) -> frozenset[str]:
-        machine = self.printer.machine
-        here = machine.world.near(self._now(), machine.tip())
+        here = self.printer.machine.near()
         return frozenset(near.site for near in here if near.pressed)
 
     def _has_left(self, gone: Gone) -> Iterator[str]:
