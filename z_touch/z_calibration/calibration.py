@@ -18,58 +18,37 @@
 # again.
 from __future__ import absolute_import
 
-import collections
-
 from ..core import errors, touching
 from . import heights
+from .expected import NOTHING_EARLIER, Expectations, Geometry
 from .measuring import BedMeasurement, NozzleMeasurement, SwitchMeasurement
 
-# From here on (mm) a difference is not noise or heat: of the nozzle against
-# the height Z was homed at, or of switch minus nozzle against the last run.
+# From here on (mm) the nozzle is too far from the height that Z was homed at.
 STALE_Z = 0.5
-GEOMETRY_JUMP = 0.5
-
-# What earlier runs say: the last good heights.Result or None, whether the frame
-# is still the one of that run, and departure(switch - nozzle), by how much that
-# departs from many of them (mm), or None.
-Earlier = collections.namedtuple("Earlier", "last holds departure")
-NOTHING_EARLIER = Earlier(None, False, None)
 
 
 # One run: nozzle, switch, bed.
 class Calibration(object):
-    # 'settings': completed; 'pin': what nozzle and body press; 'sites': where
-    # the head stands; 'watch' is told what happens; 'plan' has the samples.
-    def __init__(self, host, settings, pin, sites, watch, plan):
-        self.host = host
-        self.settings = settings
-        self.pin = pin
+    # 'run': measuring.Run; 'sites': where the head stands
+    def __init__(self, run, sites):
+        self.run = run
+        self.host = run.host
+        self.settings = run.settings
         self.sites = sites
-        self.watch = watch
-        self.plan = plan
-        self.warnings = []
-        # Whether somebody has seen the probe on the head in this run
-        self.was_attached = False
-        # By how much (mm) switch - nozzle departs from earlier runs
-        self.departure = 0.0
         # Why the nozzle was cleaned in this run; empty: it was not
         self.cleaned = ""
         self.know(NOTHING_EARLIER)
 
     # Before anything is measured; the frame may move until then
     def know(self, earlier):
-        self.earlier = earlier
-        self.rise_over(self.expect_nozzle())
+        self.expected = Expectations(self.settings, earlier)
+        self.geometry = Geometry(earlier)
+        self.rise_over(self.expected.nozzle())
 
     # The travel height follows what is known of the pin (toolhead Z, mm, None:
     # nobody knows its height); the head is lifted to it later.
     def rise_over(self, pin_z):
-        self.travel_z = heights.travel_height(self.settings, pin_z, self.body())
-
-    # switch - nozzle (mm) of the probe that was there last, or None
-    def body(self):
-        last, holds, _ = self.earlier
-        return last.switch - last.nozzle if holds else None
+        self.travel_z = self.expected.travel_height(pin_z)
 
     # Returns the heights.Result, or None where the nozzle is dirty.  attach_probe()
     # comes between nozzle and switch; 'clean' as in measure_nozzle(); 'why': it is
@@ -84,15 +63,16 @@ class Calibration(object):
         nozzle_z = self.measure_nozzle(clean)
         self.rise_over(nozzle_z)
         self.lift()
-        self.watch.enter("before_switch_gcode")
+        self.run.watch.enter("before_switch_gcode")
         attach_probe()
-        self.watch.enter("switch")
+        self.run.watch.enter("switch")
         switch_z = self.measure_switch(nozzle_z)
+        self.geometry.compare(switch_z - nozzle_z)
         may_clean = clean is not None and not self.cleaned
-        self.check_geometry(switch_z - nozzle_z, may_clean)
-        if self.departure and may_clean:
+        if self.geometry.departure and may_clean:
             return None
-        self.watch.enter("bed")
+        self.warn_of_geometry()
+        self.run.watch.enter("bed")
         probe_z = self.measure_bed(nozzle_z, switch_z)
         parts = (probe_z, switch_z, nozzle_z, settings.switch_offset)
         return heights.Result(*parts + (heights.offset(*parts),))
@@ -100,14 +80,13 @@ class Calibration(object):
     # What the offset may be off by (mm, 95 %), None: nobody knows.  What switch -
     # nozzle departs by may be nothing, or all wrong.
     def uncertainty(self):
-        worth = self.plan.uncertainty()
-        return worth if worth is None else worth + abs(self.departure)
+        worth = self.run.plan.uncertainty()
+        return worth if worth is None else worth + abs(self.geometry.departure)
 
-    # Once for all samples
-    def warn(self, text):
-        if text not in self.warnings:
-            self.warnings.append(text)
-            self.watch.say(text)
+    def warn_of_geometry(self):
+        problem = self.geometry.problem()
+        if problem:
+            self.run.warn(problem)
 
     # Raises CalibrationError; a probe that is pressed is lifted off first
     def check_probe_attached(self):
@@ -116,9 +95,6 @@ class Calibration(object):
             self.lift()
             switch = self.at_switch()
             switch.check_probe_attached(self.host.after_moves())
-
-    def saw_attached(self):
-        self.was_attached = True
 
     # To the travel height, never down
     def lift(self):
@@ -135,41 +111,16 @@ class Calibration(object):
         }
         return measure[name](*before)
 
-    # The heights (mm) that were touched at a site
-    def samples(self, name):
-        return self.plan.samples[name]
-
-    # Where a touch ends at the latest: toolhead Z (mm) of the nozzle; with
-    # nozzle_z of the switch; with switch_z, too, of the bed.
-    def floor(self, nozzle_z=None, switch_z=None):
-        settings = self.settings
-        if nozzle_z is None:
-            return heights.nozzle_floor(settings, self.expect_nozzle())
-        if switch_z is None:
-            expected_z = self.expect_switch(nozzle_z)
-            return heights.switch_floor(settings, nozzle_z, expected_z)
-        return heights.bed_floor(settings, nozzle_z, switch_z)
-
-    # Where nozzle and switch should trigger (toolhead Z, mm); None: nobody knows
-
-    def expect_nozzle(self):
-        last, holds, _ = self.earlier
-        return heights.expect_nozzle(self.settings, last, holds)
-
-    def expect_switch(self, nozzle_z):
-        last = self.earlier.last
-        return heights.expect_switch(self.settings, nozzle_z, last)
-
     # What touches each site
 
     def at_nozzle(self):
-        return NozzleMeasurement(self, self.sites.nozzle, self.settings.pin)
+        return NozzleMeasurement(self.run, self.sites.nozzle, self.settings.pin)
 
     def at_switch(self):
-        return SwitchMeasurement(self, self.sites.switch, self.settings.pin)
+        return SwitchMeasurement(self.run, self.sites.switch, self.settings.pin)
 
     def at_bed(self):
-        return BedMeasurement(self, self.sites.bed, self.settings.probe)
+        return BedMeasurement(self.run, self.sites.bed, self.settings.probe)
 
     ##################################################################
     # Nozzle
@@ -179,14 +130,14 @@ class Calibration(object):
     # there to do so.
     def measure_nozzle(self, clean=None):
         self.sample_clean_nozzle(clean)
-        z = self.plan.estimates["nozzle"].z
+        z = self.run.plan.estimates["nozzle"].z
         homed_z = self.settings.position_endstop
         if homed_z is not None and abs(z - homed_z) > STALE_Z:
             text = (
                 "nozzle: z=%.3f is far from position_endstop %.3f, at which Z"
                 " was homed; " + heights.HOME_AGAIN
             )
-            self.warn(text % (z, homed_z))
+            self.run.warn(text % (z, homed_z))
         return z
 
     # Cleaned once where something seems to stick to it
@@ -194,20 +145,22 @@ class Calibration(object):
         try:
             self.sample_nozzle()
         except errors.CalibrationError:
-            if clean is None or self.cleaned or not self.plan.differed:
+            if clean is None or self.cleaned or not self.run.plan.differed:
                 raise
-        why = self.plan.doubt("nozzle")
+        why = self.run.plan.doubt("nozzle")
         if clean is not None and why and not self.cleaned:
-            self.watch.say("nozzle: %s; cleaning it, then once more" % (why,))
+            self.run.watch.say(
+                "nozzle: %s; cleaning it, then once more" % (why,)
+            )
             self.clean(clean, why)
             self.sample_nozzle()
-        flattened = self.plan.flattened("nozzle")
+        flattened = self.run.plan.flattened("nozzle")
         if flattened:
             text = (
                 "nozzle: %s: something that sticks to it is pressed flat; clean"
                 " it before CALIBRATE_Z, or set clean_gcode"
             )
-            self.warn(text % (flattened,))
+            self.run.warn(text % (flattened,))
 
     def clean(self, clean, why):
         self.cleaned = why
@@ -216,8 +169,8 @@ class Calibration(object):
 
     # The heights of the samples (mm)
     def sample_nozzle(self):
-        self.watch.enter("nozzle")
-        expected_z, floor = self.expect_nozzle(), self.floor()
+        self.run.watch.enter("nozzle")
+        expected_z, floor = self.expected.nozzle(), self.expected.floor()
         return self.at_nozzle().take_samples(self.travel_z, expected_z, floor)
 
     ##################################################################
@@ -227,7 +180,8 @@ class Calibration(object):
     # Returns toolhead Z (mm)
     def measure_switch(self, nozzle_z):
         switch = self.at_switch()
-        expected_z, floor = self.expect_switch(nozzle_z), self.floor(nozzle_z)
+        expected_z = self.expected.switch(nozzle_z)
+        floor = self.expected.floor(nozzle_z)
         if expected_z is None:
             floor = self.floor_from_bed(nozzle_z, floor)
         try:
@@ -242,13 +196,13 @@ class Calibration(object):
     # have been exchanged: the bed tells whether that was wrong, or the switch
     # is dead.  Raises 'error' again where the floor cannot be lower.
     def find_lower_floor(self, nozzle_z, floor, error):
-        self.watch.say("%s" % (error,))
-        self.watch.say("looking at the bed how long the probe is")
+        self.run.watch.say("%s" % (error,))
+        self.run.watch.say("looking at the bed how long the probe is")
         hard = heights.switch_floor(self.settings, nozzle_z, None)
         try:
             lowest = self.lowest_switch(nozzle_z)
         except errors.CalibrationError as e:
-            self.watch.say("%s" % (e,))
+            self.run.watch.say("%s" % (e,))
             raise error
         if max(lowest, hard) >= floor:
             raise error
@@ -260,9 +214,9 @@ class Calibration(object):
         try:
             return max(hard, self.lowest_switch(nozzle_z))
         except errors.NoTrigger as e:
-            self.watch.say("%s" % (e,))
+            self.run.watch.say("%s" % (e,))
             text = "searching for the switch down to z=%.3f"
-            self.watch.say(text % (hard,))
+            self.run.watch.say(text % (hard,))
             return hard
 
     # By one touch of the bed; raises NoTrigger where that cannot be found
@@ -277,48 +231,15 @@ class Calibration(object):
         bed_z = self.at_bed().look(self.travel_z, floor)
         return heights.lowest_switch(settings, nozzle_z, bed_z)
 
-    # Why it is to be cleaned before all is measured again
-    def dirt(self):
-        text = "switch - nozzle is %.3f mm off earlier runs that were as hot"
-        return text % (self.departure,)
-
-    # 'body': switch - nozzle (mm) of this run
-    def departure_of(self, body):
-        departure = self.earlier.departure
-        return 0.0 if departure is None else departure(body)
-
-    # An exchanged nozzle is what the module is for; dirt, or a probe that is seated
-    # badly, looks the same.
-    # 'may_clean': it will be cleaned, and nothing is to be told yet.
-    def check_geometry(self, body, may_clean=False):
-        last = self.earlier.last
-        before = body if last is None else last.switch - last.nozzle
-        self.departure = self.departure_of(body)
-        if abs(body - before) > GEOMETRY_JUMP:
-            self.departure = 0.0
-            self.warn(
-                "switch - nozzle is %.3f mm and was %.3f mm in the last good"
-                " run; if neither nozzle nor probe was exchanged, check how the"
-                " probe is seated and that the nozzle is tight" % (body, before)
-            )
-        elif self.departure and not may_clean:
-            text = (
-                "switch - nozzle is %.3f mm and was %.3f mm in earlier runs that"
-                " were as hot: the nozzle is dirty, or was exchanged, or the"
-                " probe is not seated; clean it and run CALIBRATE_Z again"
-            )
-            self.warn(text % (body, body - self.departure))
-
     ##################################################################
     # Bed
     ##################################################################
 
     # Returns toolhead Z (mm)
     def measure_bed(self, nozzle_z, switch_z):
-        settings, last = self.settings, self.earlier.last
-        expected_z = heights.expect_bed(settings, nozzle_z, switch_z, last)
+        expected_z = self.expected.bed(nozzle_z, switch_z)
+        floor = self.expected.floor(nozzle_z, switch_z)
         self.travel_z = heights.travel_height_to_bed(
-            settings, nozzle_z, switch_z
+            self.settings, nozzle_z, switch_z
         )
-        floor = self.floor(nozzle_z, switch_z)
         return self.at_bed().measure(self.travel_z, expected_z, floor)

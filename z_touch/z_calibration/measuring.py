@@ -40,8 +40,31 @@ PLUNGER_PRESSED = (
 )
 
 
-# One site: approach it, touch it, come back up.  'calibration' is the run that
-# it is part of.
+# What the touches of one run have in common, and what was seen in it so far
+class Run(object):
+    # 'settings': completed; 'pin': what nozzle and body press; 'plan' has the
+    # samples; 'watch' is told what happens.
+    def __init__(self, host, settings, pin, plan, watch):
+        self.host = host
+        self.settings = settings
+        self.pin = pin
+        self.plan = plan
+        self.watch = watch
+        self.warnings = []
+        # Whether somebody has seen the probe on the head
+        self.was_attached = False
+
+    # Once for all samples
+    def warn(self, text):
+        if text not in self.warnings:
+            self.warnings.append(text)
+            self.watch.say(text)
+
+    def saw_attached(self):
+        self.was_attached = True
+
+
+# One site: approach it, touch it, come back up.
 class Measurement(object):
     # What to look at after a touch that failed; %s is where the site comes from.
     # Each site has its own.
@@ -49,17 +72,13 @@ class Measurement(object):
     # Whether the way there goes along X, then along Y
     x_first = False
 
-    def __init__(self, calibration, site, sampling):
-        self.calibration = calibration
-        self.host = calibration.host
-        self.settings = calibration.settings
-        self.pin = calibration.pin
-        self.plan = calibration.plan
-        # Is told of every touch
-        self.watch = calibration.watch
+    def __init__(self, run, site, sampling):
+        self.run = run
+        self.host = run.host
+        self.settings = run.settings
         self.site = site
         self.sampling = sampling
-        self.head = touching.Head(calibration.host, sampling, TOO_LOW)
+        self.head = touching.Head(run.host, sampling, TOO_LOW)
         # Of the samples; None: there are none
         self.expected_z = self.floor = None
         # Samples so far
@@ -70,7 +89,7 @@ class Measurement(object):
     # 'floor': no touch goes lower.
     def measure(self, travel_z, expected_z, floor):
         self.take_samples(travel_z, expected_z, floor)
-        return self.plan.estimates[self.site.name].z
+        return self.run.plan.estimates[self.site.name].z
 
     # The heights of the samples; more of them is in the plan.
     def take_samples(self, travel_z, expected_z, floor):
@@ -86,7 +105,7 @@ class Measurement(object):
 
     # What is to be pressed at this site
     def endstop(self):
-        return self.pin.endstop
+        return self.run.pin.endstop
 
     # Looks at the sensor that is not armed while the head presses the other one
     def check_pressed(self):
@@ -137,7 +156,7 @@ class Measurement(object):
     def collect(self, floor):
         take = functools.partial(self.take_sample, floor)
         name, sampling = self.site.name, self.sampling
-        return self.plan.collect(name, take, sampling, self.report, DIFFER)
+        return self.run.plan.collect(name, take, sampling, self.report, DIFFER)
 
     # One height: toolhead Z in mm
     def take_sample(self, floor):
@@ -147,7 +166,7 @@ class Measurement(object):
         z = self.head.pressed_z
         self.check_pressed()
         self.taken += 1
-        self.watch.touched()
+        self.run.watch.touched()
         self.report("touched at z=%.6f%s" % (z, self.point_told()))
         return z
 
@@ -217,24 +236,24 @@ class Measurement(object):
         self.head.retract()
 
     def report(self, text):
-        self.watch.say("%s: %s" % (self.site.name, text))
+        self.run.watch.say("%s: %s" % (self.site.name, text))
 
     ##################################################################
     # The two sensors, as they are at a print time
     ##################################################################
 
     def check_pin_open(self, print_time):
-        if self.pin.endstop.query_endstop(print_time):
+        if self.run.pin.endstop.query_endstop(print_time):
             raise errors.CalibrationError(
                 "%s reads triggered where nothing should press it; check it"
-                " with QUERY_ENDSTOPS" % (self.pin.name,)
+                " with QUERY_ENDSTOPS" % (self.run.pin.name,)
             )
 
     def check_probe_attached(self, print_time):
         if not self.host.probing.endstop().query_endstop(print_time):
-            self.calibration.saw_attached()
+            self.run.saw_attached()
             return
-        if self.calibration.was_attached:
+        if self.run.was_attached:
             raise errors.CalibrationError(
                 "the probe reads triggered, and was attached before: it has come"
                 " off, or its wire is broken; look where it is before the head"
@@ -307,7 +326,7 @@ class SwitchMeasurement(Measurement):
         if self.host.probing.endstop().query_endstop(self.host.print_time()):
             self.lift_clear()
             self.check_probe_attached(self.host.after_moves())
-            self.calibration.warn(PLUNGER_PRESSED % (self.site.place(),))
+            self.run.warn(PLUNGER_PRESSED % (self.site.place(),))
 
 
 # The probe on the print surface, through the host's own probing, told where
@@ -318,13 +337,13 @@ class BedMeasurement(Measurement):
     probe_once = None
 
     # With bed_spread each sample is at a point of its own
-    def __init__(self, calibration, site, sampling):
-        self.spread = calibration.settings.bed_spread
+    def __init__(self, run, site, sampling):
+        self.spread = run.settings.bed_spread
         self.middle = site
         tolerance = spread_tolerance(sampling.tolerance, self.spread)
         sampling = sampling._replace(tolerance=tolerance)
         site = spread_site(site, self.spread, 0)
-        Measurement.__init__(self, calibration, site, sampling)
+        Measurement.__init__(self, run, site, sampling)
 
     # X and Y of the bed; the plan keeps them, too
     def point_told(self):
@@ -333,7 +352,7 @@ class BedMeasurement(Measurement):
         x, y = self.host.toolhead.get_position()[:2]
         x_offset, y_offset = self.host.probing.offsets()[:2]
         point = (x + x_offset, y + y_offset)
-        self.plan.points.append(point)
+        self.run.plan.points.append(point)
         return " at %.2f, %.2f" % point
 
     # High enough to move on to the next point, around a dock that is so near

@@ -26,9 +26,11 @@ from ..core.axes import check_z_axis
 from ..core.host import Host
 from ..history import recorder
 from . import accuracy, checks, corrections, heights, pace, switches
-from .calibration import Calibration, Earlier
+from .calibration import Calibration
+from .expected import Earlier
 from .hooks import MOVED_IN_END, Hooks
 from .interface import Interface
+from .measuring import Run
 from .pin import find_pin, read_pin
 from .results import NOTHING, Results
 from .settings import (
@@ -130,7 +132,8 @@ class ZCalibration(object):
     # A Calibration; 'plan': adaptive.Plan of its touches
     def new_calibration(self, settings, sites, plan):
         watch = self.runner.watch
-        return Calibration(self.host, settings, self.pin, sites, watch, plan)
+        run = Run(self.host, settings, self.pin, plan, watch)
+        return Calibration(run, sites)
 
     # Returns what work() does, see running.Runner.  G-code has the same modes in each
     # template and afterwards.
@@ -279,7 +282,7 @@ class ZCalibration(object):
         calibration = self.new_calibration(settings, sites, self.recorder.plan)
         calibrated = self.calibrate_once(calibration, finder, z_adjust)
         if calibrated is None:
-            why = calibration.dirt()
+            why = calibration.geometry.dirt()
             text = "%s: cleaning the nozzle, then everything once more"
             self.runner.watch.say(text % (why,))
             self.host.gcode_offset.replace(before)
@@ -299,7 +302,7 @@ class ZCalibration(object):
             last = NOTHING._replace(
                 result=result,
                 mark=self.frame.mark(),
-                warnings=calibration.warnings,
+                warnings=calibration.run.warnings,
                 uncertainty=calibration.uncertainty(),
                 z_adjust=z_adjust,
                 point=finder.bed_point(calibration.sites.bed),
