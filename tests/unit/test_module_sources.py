@@ -191,8 +191,10 @@ OF_THE_ROOM = {"settings", "sites", "switches"}
 RECORDS = {"settings", "pin", "last", "host"}
 # Public for all their underscores
 OF_NAMED_TUPLES = {"_replace", "_asdict", "_fields"}
-# What the interface makes: one dot further is their business
-MADE = {"section", "calibration", "finder"}
+# Its classes, by the names that users have for them; of what else it makes, one dot
+# further is their business.
+OFFERING = {"section": "Interface", "first_touches": "FirstTouches"}
+MADE = {*OFFERING, "finder"}
 
 
 def public_names(path, name):
@@ -225,7 +227,9 @@ def chain_of(node):
 
 def reached_into(text):
     """Where a user of the interface goes further than that."""
-    offered = public_names(INTERFACE, "Interface")
+    offered = {
+        name: public_names(INTERFACE, kind) for name, kind in OFFERING.items()
+    }
     for node in ast.walk(ast.parse(text)):
         if isinstance(node, ast.ImportFrom) and node.level:
             inside = (node.module or "").rpartition("z_calibration")
@@ -233,14 +237,16 @@ def reached_into(text):
                 yield ast.unparse(node)
         if not isinstance(node, ast.Attribute):
             continue
-        head, *rest = chain_of(node) or [""]
+        chain = chain_of(node)
+        head, *rest = chain or [""]
         hidden = {name for name in rest if name.startswith("_")}
         if hidden - OF_NAMED_TUPLES:
             yield ast.unparse(node)
+        for name, asked in zip(chain, chain[1:]):
+            if name in offered and asked not in offered[name]:
+                yield ast.unparse(node)
         if head not in MADE or not rest:
             continue
-        if head == "section" and rest[0] not in offered:
-            yield ast.unparse(node)
         first = rest.pop(0) if head == "section" else head
         if first not in RECORDS and len(rest) > 1:
             yield ast.unparse(node)
@@ -257,8 +263,9 @@ REACHES = (
     "self.section._section.settings",
     "section.results.last",
     "self.section.runner.watch.phase",
-    "self.section.new_calibration(a, b, c).plan.samples",
-    "calibration.plan.samples['bed']",
+    "self.section.first_touches(a, b, c).calibration",
+    "self.head.first_touches(state).plan",
+    "first_touches.lift().now",
     "self.section.site_finder().host.toolhead",
 )
 CHANGES = (
@@ -280,9 +287,13 @@ def test_reaching_into_another_room_is_found():
 
 def test_interface_shows_nothing_of_the_object_behind_it():
     """Methods, and the host, which everybody has; a room is handed only that."""
-    shown = public_names(INTERFACE, "Interface")
+    shown = set().union(
+        *(public_names(INTERFACE, k) for k in OFFERING.values())
+    )
     methods = {n.name for n in nodes(INTERFACE, ast.FunctionDef)}
     assert shown - methods == {"host"}
+    used = {n.attr for p in INTERFACE_USERS for n in nodes(p, ast.Attribute)}
+    assert shown - used == set()
     made = [
         ast.unparse(node)
         for path in (

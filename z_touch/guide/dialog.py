@@ -272,7 +272,7 @@ class Setup(object):
     # Where a touch of a site ends at the latest (toolhead Z, mm)
     def floor(self, name):
         before = self.state.heights_before(name)
-        return self.head.calibration(self.state).floor(*before)
+        return self.head.first_touches(self.state).floor(*before)
 
     # The move that a step begins with, in words; empty: none
     def goal(self, name):

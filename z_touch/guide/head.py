@@ -75,15 +75,15 @@ class GuidedHead(object):
         speed = pin.speed
         return with_counts(settings, slow(pin, speed), slow(probe, speed))
 
-    # What touches the sites: a Calibration that knows nothing of earlier runs
-    def calibration(self, state):
+    # What touches the sites: interface.FirstTouches
+    def first_touches(self, state):
         sites = Sites(*[state.sites.get(name) for name in SITES])
         settings, pin_z = self.slow_settings(), self.pin_z(state)
-        return self.section.new_calibration(settings, sites, pin_z)
+        return self.section.first_touches(settings, sites, pin_z)
 
     # Toolhead Z (mm) at which the head moves over pin and bed
     def travel_z(self, state):
-        return self.calibration(state).travel_z
+        return self.first_touches(state).travel_z()
 
     # No higher than this is the pin (toolhead Z, mm); None: nobody knows
     def pin_z(self, state):
@@ -196,7 +196,7 @@ class GuidedHead(object):
     # Never down
     def lift(self, state):
         running.check_homed(self.host)
-        self.calibration(state).lift()
+        self.first_touches(state).lift()
 
     # Lifted to (x, y), around a dock that is known; over the pin X first, as another
     # one is more often beside it than in front of it.

@@ -106,12 +106,12 @@ class Touches(object):
 
     # Touches a site, and lifts the head
     def touch(self, state, name):
-        calibration = self.head.calibration(state)
-        with running.always(self.host, calibration.lift, "lifting"):
-            state.heights[name] = calibration.measure_site(
-                name, *state.heights_before(name)
-            )
-        state.samples[name] = list(calibration.samples(name))
-        if name == "switch" and calibration.warnings:
+        first_touches = self.head.first_touches(state)
+        before = state.heights_before(name)
+        with running.always(self.host, first_touches.lift, "lifting"):
+            touched = first_touches.touch(name, *before)
+            state.heights[name] = touched.z
+            state.samples[name] = touched.samples
+        if name == "switch" and touched.warnings:
             # The plunger was pressed, too: another place is needed
-            raise CalibrationError("; ".join(calibration.warnings))
+            raise CalibrationError("; ".join(touched.warnings))

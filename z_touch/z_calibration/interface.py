@@ -2,9 +2,42 @@
 # Copyright (C) 2026  the Z calibration developers, under the GNU GPLv3
 from __future__ import absolute_import
 
+import collections
+
 from ..core.sampling import AUTO
 from ..uncertainty import adaptive
 from .sites import SiteFinder
+
+# One site that was touched: its height (toolhead Z, mm), those of all samples, and what
+# was odd, in words
+Touched = collections.namedtuple("Touched", "z samples warnings")
+
+
+# Touches single sites, and knows nothing of earlier runs.
+class FirstTouches(object):
+    # 'calibration': calibration.Calibration, which is not used by others
+    def __init__(self, calibration):
+        self._calibration = calibration
+
+    # Toolhead Z (mm) at which the head moves over pin and bed
+    def travel_z(self):
+        return self._calibration.travel_z
+
+    # To that height, never down
+    def lift(self):
+        self._calibration.lift()
+
+    # Where a touch of a site ends at the latest (toolhead Z, mm); 'before' are the
+    # heights of the sites that come before it.
+    def floor(self, *before):
+        return self._calibration.expected.floor(*before)
+
+    # Returns Touched; 'before' as in floor().  The head stays there.  Raises
+    # CalibrationError.
+    def touch(self, name, *before):
+        run = self._calibration.run
+        z = self._calibration.measure_site(name, *before)
+        return Touched(z, list(run.plan.samples[name]), list(run.warnings))
 
 
 # The section as the guide and the corrections see it.  They get records and
@@ -66,14 +99,13 @@ class Interface(object):
     # Touches
     ##################################################################
 
-    # A Calibration that knows nothing of earlier runs, to touch single sites and
-    # to lift the head.  'settings' may be others than those in force; the pin is
-    # no higher than pin_z (toolhead Z, mm; None: nobody knows).
-    def new_calibration(self, settings, sites, pin_z):
+    # FirstTouches.  'settings' may be others than those in force; the pin is no
+    # higher than pin_z (toolhead Z, mm; None: nobody knows).
+    def first_touches(self, settings, sites, pin_z):
         plan = self._section.recorder.make_plan(settings.counting)
         calibration = self._section.new_calibration(settings, sites, plan)
         calibration.rise_over(pin_z)
-        return calibration
+        return FirstTouches(calibration)
 
     # A context in which a probe that fetches itself stays where it is
     def holding_probe(self):
