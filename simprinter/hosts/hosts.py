@@ -75,7 +75,6 @@ __all__ = [
     "missing_hosts",
     "named_checkouts",
     "named_host",
-    "usual_hosts",
 ]
 
 # Part of every key: raise it when hosts are prepared differently.
@@ -235,27 +234,21 @@ def all_hosts() -> list[Host]:
     hosts, error = _search()
     if error is not None:
         raise error
-    return _usual(hosts)[:1] if os.environ.get("ONE_HOST") else hosts
-
-
-def usual_hosts() -> list[Host]:
-    """On which of them runs what need not run on all.
-
-    The first checkout alone, as whoever has one works on that Klipper; the
-    packages, where no checkout is named.
-    """
-    return _usual(all_hosts())
+    return [_main(hosts)] if os.environ.get("ONE_HOST") else hosts
 
 
 def main_host() -> Host:
-    """The one host where one is enough: the first checkout or package."""
-    return usual_hosts()[0]
+    """The one host where one is enough: the first checkout or package.
+
+    A checkout before the packages, as whoever has one works on that Klipper.
+    """
+    return _main(all_hosts())
 
 
-def _usual(hosts: list[Host]) -> list[Host]:
+def _main(hosts: list[Host]) -> Host:
     packages = {package.name for package in PACKAGES}
     checkouts = [host for host in hosts if host.name not in packages]
-    return checkouts[:1] or hosts
+    return (checkouts or hosts)[0]
 
 
 def _packaged_if_available(package: Package) -> Optional[Host]:

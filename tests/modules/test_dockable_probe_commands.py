@@ -290,6 +290,7 @@ def test_probe_put_on_by_hand(start):
     assert trips(printer, before) == ["dock", "attach"] * 2 + ["dock"]
 
 
+@pytest.mark.every_host
 def test_status_as_other_plugins_have_it(start):
     printer = start(GANTRY, section(**QUICK)).homed()
     for name in ("last_query", "last_z_result", "name"):

@@ -56,6 +56,7 @@ def told(printer, script):
     return [line.split()[-1] for line in lines if "activate" in line]
 
 
+@pytest.mark.every_host
 @pytest.mark.parametrize(
     ("script", "wanted"),
     [
@@ -277,6 +278,7 @@ def test_dock_on_the_bed_with_the_probe_on_and_z_not_homed(start):
 
 
 # It reads as if it were docked then, and the way to this dock needs Z
+@pytest.mark.every_host
 def test_broken_wire_where_z_is_not_homed(start):
     options = {"detach_dockable_before_z_home": "True"}
     printer = started(start, BED, **options).homed()
@@ -344,6 +346,7 @@ def test_pin_that_chatters_is_no_reason_for_more_trips(start):
     assert trips(printer)[begun:] == ["attach"]
 
 
+@pytest.mark.every_host
 @pytest.mark.parametrize(
     ("initial", "changes", "hop"),
     [

@@ -453,6 +453,7 @@ def test_first_result_is_dropped_where_the_host_can(start):
     assert touches == (2 if told else 3)
 
 
+@pytest.mark.every_host
 def test_docked_before_z_is_homed(start):
     for wanted in ("False", "True"):
         printer = recording(start, detach_dockable_before_z_home=wanted)

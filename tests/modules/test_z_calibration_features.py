@@ -138,6 +138,7 @@ class Frame:
         printer.session.wait(30.0)
 
 
+@pytest.mark.every_host
 @pytest.mark.parametrize("has_mesh", [False, True])
 def test_heat_is_taken_off_once_and_goes_on(start, tmp_path, has_mesh):
     frame = Frame(tmp_path)

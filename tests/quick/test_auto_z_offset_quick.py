@@ -40,6 +40,7 @@ BAD = [
 ]
 
 
+@pytest.mark.every_host
 def test_good_run_of_every_command(start):
     printer = started(start, "qidi", {})
     done = go_well(printer, GOOD)
@@ -48,6 +49,7 @@ def test_good_run_of_every_command(start):
     assert done | go_well(printer, LAST) == ours(printer)
 
 
+@pytest.mark.every_host
 def test_bad_run_of_every_command(start):
     printer = started(start, "qidi", {})
     assert go_wrong(printer, BAD) == ours(printer)

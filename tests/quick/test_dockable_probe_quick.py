@@ -100,6 +100,7 @@ BAD = [
 WITHOUT_TWIST = {"axis_twist_compensation": None}
 
 
+@pytest.mark.every_host
 def test_good_run_of_every_command(start):
     changes = {**section(**QUICK), **WITHOUT_TWIST}
     printer = started(start, GANTRY, changes)
@@ -109,6 +110,7 @@ def test_good_run_of_every_command(start):
     assert printer.machine.truth.min_gap == pytest.approx(HANG, abs=0.02)
 
 
+@pytest.mark.every_host
 def test_bad_run_of_every_command(start):
     changes = {**section(dock_retries="0", **QUICK), **WITHOUT_TWIST}
     printer = started(start, GANTRY, changes)

@@ -54,12 +54,14 @@ BAD = [
 ]
 
 
+@pytest.mark.every_host
 def test_good_run_of_every_command(start):
     printer = started(start, "membrane", {})
     assert go_well(printer, GOOD) == ours(printer)
     assert true_gap(printer) == pytest.approx(0.0, abs=2 * MICROSTEP)
 
 
+@pytest.mark.every_host
 def test_bad_run_of_every_command(start):
     printer = started(start, "membrane", {})
     assert go_wrong(printer, BAD) == ours(printer)

@@ -57,6 +57,7 @@ BAD = [
 ]
 
 
+@pytest.mark.every_host
 def test_good_run_of_every_command(start):
     printer = started(start, "voron", {})
     assert go_well(printer, GOOD) == ours(printer)
@@ -66,6 +67,7 @@ def test_good_run_of_every_command(start):
     assert printer.gap() == pytest.approx(gap, abs=2 * MICROSTEP)
 
 
+@pytest.mark.every_host
 def test_bad_run_of_every_command(start):
     changes = section(history="none", save_button="switch_offset")
     printer = started(start, "voron", changes)

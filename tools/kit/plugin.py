@@ -2,15 +2,12 @@
 
 from __future__ import annotations
 
-import functools
 import gc
-import itertools
 import re
 from collections import Counter
 from collections.abc import Callable, Iterator
 from contextlib import ExitStack
 from operator import attrgetter
-from pathlib import Path
 from typing import Optional
 
 import pytest
@@ -23,8 +20,8 @@ from simprinter.hosts import starting
 from simprinter.hosts.hosts import (
     Host,
     all_hosts,
+    main_host,
     missing_hosts,
-    usual_hosts,
 )
 from tools.kit import load_errors
 from tools.kit.printer import MODULES, Printer
@@ -96,14 +93,14 @@ def pytest_collection_modifyitems(
 
 
 def _is_in_make_test(item: pytest.Item) -> bool:
-    """All but what is slow, on the host of its file or on every host."""
+    """All but what is slow, on the main host or on every host."""
     if item.get_closest_marker("slow") is not None:
         return False
     host = _host_of(item)
     return (
         host is None
         or item.get_closest_marker("every_host") is not None
-        or host == usual_host(item.path)
+        or host == main_host()
     )
 
 
@@ -112,18 +109,6 @@ def _host_of(item: pytest.Item) -> Optional[Host]:
     callspec = getattr(item, "callspec", None)
     values = callspec.params.values() if callspec else ()
     return next((value for value in values if isinstance(value, Host)), None)
-
-
-@functools.cache
-def usual_host(file: Path) -> Host:
-    """Where the tests of a file run in make test.
-
-    On the first checkout; where none is named, the files of a folder take the
-    packages in turn, in the order of their names.
-    """
-    hosts = usual_hosts()
-    files = sorted(file.parent.glob("test_*.py"))
-    return dict(zip(files, itertools.cycle(hosts)))[file]
 
 
 @pytest.hookimpl(optionalhook=True)
