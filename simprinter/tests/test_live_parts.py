@@ -80,7 +80,7 @@ def placed(printer):
     ["cartesian", "corexy", "corexz", "hybrid_corexy", "hybrid_corexz"],
 )
 def test_head_goes_where_klippy_sends_it(start, kinematics):
-    printer = placed(start(bare(kinematics), modules={}))
+    printer = placed(start(bare(kinematics)))
     targets = [(40.0, 160.0, 12.0), (180.0, 33.0, 55.0), (10.0, 10.0, 30.0)]
     for x, y, z in targets:
         printer.run(f"G1 X{x} Y{y} Z{z} F9000\nM400")
@@ -103,7 +103,7 @@ def test_membrane_switch(start):
         inputs={"membrane": "^PC3"},
         membrane=MembraneSpec(100.0, 100.0, 1.2, press=0.2, radius=8.0),
     )
-    printer = placed(start(with_probe(scene), modules={}))
+    printer = placed(start(with_probe(scene)))
     printer.run("PROBE\nM400")
     # It stands where it was stopped
     z = BED_Z + 1.2 - 0.2
@@ -126,7 +126,7 @@ def test_probe_is_taken_and_left_by_moves(start):
         dock=DockSpec(200.0, 20.0, 10.0),
         probe_sense=True,
     )
-    printer = placed(start(with_probe(scene), modules={}))
+    printer = placed(start(with_probe(scene)))
     assert not probe_is_open(printer)
     printer.run("G1 X200 Y60 Z10 F9000\nG1 Y20\nG1 Y60\nM400")
     assert probe_is_open(printer)

@@ -25,12 +25,12 @@ from simprinter.world import NoiseSpec
 from tests.docs.documents import rows, spans
 from tests.farm.broker import LIMIT, Broker, find_program
 from tests.unit.loading import load
-from tests.unit.runs import make_runs
 from tools.farm import __main__ as farm_tool
 from tools.farm import servers
 from tools.farm.printers import Printer
 from tools.farm.telegraf import Telegraf, value_at
 from tools.kit.lab import Lab
+from tools.kit.runs import make_runs
 from tools.kit.scenes import SCENES
 
 ROOT = Path(__file__).resolve().parents[2]

@@ -12,7 +12,7 @@ import pytest
 
 from simprinter import Fault, heated
 from simprinter.world import NoiseSpec, OozeSpec
-from tests.unit.runs import make_runs
+from tools.kit.runs import make_runs
 from tools.kit.scenes import SCENES
 from tools.kit.z_calibration import (
     assert_unharmed,

@@ -12,9 +12,9 @@ from itertools import combinations
 import pytest
 
 from simprinter.world import TextureSpec
-from tests.unit.runs import make_runs
 from tools.kit.dockable_probe import SWITCH
 from tools.kit.docks import calibrating
+from tools.kit.runs import make_runs
 from tools.kit.scenes import SCENES
 from tools.kit.z_calibration import (
     calibration,

@@ -13,9 +13,9 @@ import time
 
 import pytest
 
-from tests.unit.runs import make_run, make_runs
 from tests.unit.stretches import AT_A_STRETCH, Stretches
 from tests.unit.test_doors import ROOT, python2
+from tools.kit.runs import make_run, make_runs
 from z_touch.history import file as history
 
 

@@ -12,7 +12,7 @@ from typing import NamedTuple
 
 import pytest
 
-from tests.unit.runs import make_runs
+from tools.kit.runs import make_runs
 from z_touch.history import report, svg
 
 SVG = "{http://www.w3.org/2000/svg}"

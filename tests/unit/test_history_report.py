@@ -13,8 +13,8 @@ from pathlib import Path
 
 import pytest
 
-from tests.unit.runs import HEIGHTS, make_run, make_runs
 from tests.unit.stretches import AT_A_STRETCH, Stretches
+from tools.kit.runs import HEIGHTS, make_run, make_runs
 from z_touch.history import file as history
 from z_touch.history import report, verdict
 from z_touch.history import svg as plots

@@ -8,8 +8,8 @@ import time
 
 import pytest
 
-from tests.unit.runs import make_run, make_runs
 from tools.kit.cases import slow
+from tools.kit.runs import make_run, make_runs
 from z_touch.history import trend
 
 

@@ -6,7 +6,7 @@ import random
 
 import pytest
 
-from tests.unit.runs import make_run, make_runs
+from tools.kit.runs import make_run, make_runs
 from z_touch.history import trend, verdict
 
 DIRTY = "switch - nozzle is 6.415 mm and was 6.377 mm in earlier runs"

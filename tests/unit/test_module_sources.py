@@ -153,6 +153,24 @@ def test_rooms_lead_only_where_the_plan_of_the_house_says(path):
     assert set(rooms_imported(path)) - allowed == set()
 
 
+TOOLS = sorted(ROOT.glob("tools/**/*.py"))
+
+
+def test_tools_lead_to_no_test_of_the_product():
+    """simprinter/tests/test_imports.py has the simulator's arrows."""
+    tests = [
+        f"{path.relative_to(ROOT)}: {name}"
+        for path in TOOLS
+        for node in nodes(path, ast.Import, ast.ImportFrom)
+        for name in [
+            getattr(node, "module", None),
+            *(a.name for a in node.names),
+        ]
+        if name == "tests" or (name or "").startswith("tests.")
+    ]
+    assert TOOLS and tests == []
+
+
 # Objects of a room that others in it fill in: the progress of a set-up, a page that
 # is drawn, a thread of the library.
 FILLED_IN = {

@@ -37,11 +37,11 @@ from simprinter import Scene
 from simprinter.hosts.hosts import Host, find_hosts
 from simprinter.hosts.session import GcodeError
 from simprinter.world import NoiseSpec, TextureSpec
-from tests.unit.runs import make_run
 from tools.bench.commands import STANDARD, calibrate_plan
 from tools.bench.errors import UM, Condition, make_scene
 from tools.bench.lower_bounds import lower_bound
 from tools.kit.printer import Printer
+from tools.kit.runs import make_run
 from tools.kit.scenes import SCENES
 from z_touch.uncertainty.adaptive import LEAST_AT_FIRST
 from z_touch.z_calibration import pace

@@ -17,7 +17,7 @@ from concurrent.futures import ProcessPoolExecutor
 from functools import partial
 from typing import NamedTuple
 
-from tests.unit.runs import make_run
+from tools.kit.runs import make_run
 from z_touch.history import trend
 
 RUNS = 500

@@ -12,11 +12,12 @@ from pathlib import Path
 import pytest
 
 from simprinter.hosts.environment import build_dir
-from tests.docs.pictures import DOCS, MINUS
 from tools.demo.__main__ import demonstrate
 from tools.kit.scenes import SCENES
 
 ROOT = Path(__file__).resolve().parents[3]
+PICTURE = ROOT / "docs" / "demo.svg"
+MINUS = "\N{MINUS SIGN}"
 MICROSTEP = 0.0025
 RESULT = re.compile(
     r"Z-CALIBRATION: probe=(\S+) - \(switch=(\S+) - nozzle=(\S+)"
@@ -76,7 +77,7 @@ def test_demo_shows_the_run_and_draws_it(host, name, tmp_path):
     assert {f"{value:.3f}" for value in shown} <= words
     if name == "voron":
         # What README shows is the same run
-        drawn = "".join(ET.parse(DOCS / "demo.svg").getroot().itertext())
+        drawn = "".join(ET.parse(PICTURE).getroot().itertext())
         assert all(f"{v:.3f}".replace("-", MINUS) in drawn for v in shown)
         assert f"±{UNCERTAINTY.search(output)[1]}" in drawn
 
