@@ -6,7 +6,6 @@ import shutil
 import time
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
-from pathlib import Path
 from typing import Any, Optional
 
 import pytest
@@ -135,10 +134,6 @@ class Page:
     def complaints(self) -> list[str]:
         """What the browser had to say against the page."""
         return [entry["message"] for entry in self.driver.get_log("browser")]
-
-    def picture(self, file: Path) -> None:
-        """What it looks like, as PNG."""
-        self.driver.save_screenshot(str(file))
 
     def emulate(self, command: str, **parameters: Any) -> None:
         """A command of Chromium's own protocol."""

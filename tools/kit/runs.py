@@ -4,6 +4,8 @@ from __future__ import annotations
 
 import random
 import statistics
+from collections.abc import Mapping
+from types import MappingProxyType
 
 from z_touch.history import file as history
 
@@ -11,14 +13,20 @@ HEIGHTS = {"nozzle": 1.6, "switch": 8.015, "bed": 7.015}
 STEP = 0.0025
 
 
-def make_run(draw: random.Random, noise: float = 0.003, **options) -> dict:
+def make_run(
+    draw: random.Random,
+    noise: float = 0.003,
+    touches: int = 2,
+    homing: float = 0.003,
+    moved: Mapping[str, float] = MappingProxyType({}),
+    worn: Mapping[str, float] = MappingProxyType({}),
+    **record,
+) -> dict:
     """A good one.
 
     touches: of each site; homing: its noise (mm), the same at each site; moved:
-    mm by site; worn: other noise by site; the rest replaces what is recorded.
+    mm by site; worn: other noise by site; record: replaces what is recorded.
     """
-    touches, homing = options.pop("touches", 2), options.pop("homing", 0.003)
-    moved, worn = options.pop("moved", {}), options.pop("worn", {})
     shift, sites = draw.gauss(0.0, homing), {}
     for name, height in HEIGHTS.items():
         z = height + shift + moved.get(name, 0.0)
@@ -40,7 +48,7 @@ def make_run(draw: random.Random, noise: float = 0.003, **options) -> dict:
         "temperatures": {"extruder": 150.0, "heater_bed": 60.0},
         "reason": "",
     }
-    return {**run, **options}
+    return {**run, **record}
 
 
 def make_runs(count: int, seed: int = 1, **options) -> list[dict]:
