@@ -27,6 +27,7 @@ NO_MESSAGES = {
     "// action:prompt_",
     "named z_touch.core",
     "No trigger",
+    "nothing to do",
     "Communication timeout during",
     "Unable to obtain",
 }

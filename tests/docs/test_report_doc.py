@@ -35,8 +35,6 @@ SOURCE = Path(verdict.__file__).read_text(encoding="utf-8")
 NO_TEXTS = {
     "nobody knows why",
     "something was exchanged",
-    "switch - nozzle",
-    "nothing to do",
     "spread of the <...>'s touches",
     "clean it",
 }

@@ -97,6 +97,7 @@ def test_whole_cycles_are_measured_and_nothing_is_applied(start):
     folder = printer.session.data / "config" / "z_calibration"
     (line,) = (folder / "history.jsonl").read_text().splitlines()
     record = json.loads(line)
+    assert record["cause"] == "few"
     assert [set(cycle) for cycle in record["cycles"]] == [
         {"nozzle", "switch", "bed"}
     ] * 2

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import json
+
 import pytest
 
 from tools.kit.cases import slow
@@ -223,6 +225,12 @@ def test_what_nobody_knows_is_told_and_not_taken_off(start, tmp_path):
     assert_right(printer, GAP + 0.12)
     warnings = printer.status("z_calibration")["warnings"]
     assert sum(text in warning for warning in warnings) == 1
+    # None of them is about the touches
+    printer.session.wait(1.0)
+    folder = printer.session.data / "config" / "z_calibration"
+    (line,) = (folder / "history.jsonl").read_text().splitlines()
+    told = [(w["about"], w["text"]) for w in json.loads(line)["warnings"]]
+    assert told == list(zip(("bed_mesh", "another"), warnings))
 
 
 def test_zero_of_the_mesh_at_the_point_is_no_warning(start):

@@ -90,7 +90,7 @@ def test_each_run_says_what_it_is_worth_and_leaves_a_line(start):
         "",
         config_file,
     )
-    assert (line["plate"], line["format"], line["time"] > 1e9) == ("", 2, True)
+    assert (line["plate"], line["format"], line["time"] > 1e9) == ("", 3, True)
     assert line["offset"] == pytest.approx(offset, abs=1e-6)
     assert line["uncertainty"] == pytest.approx(status["uncertainty"], abs=1e-6)
     assert line["switch_offset"] == 0.44
@@ -248,14 +248,17 @@ def test_position_endstop_as_the_hint_says_is_a_change(start, tmp_path):
 # The fingerprint
 
 
-def test_exchanged_nozzle_is_told_once(start, with_past):
+def test_exchanged_nozzle_is_told_once(start, with_past, tmp_path):
     shorter = {"switch": -0.2, "bed": -0.2}
     printer = start(changes=section(**with_past(moved=shorter))).homed()
     text = "switch - nozzle is 6.415 mm and was 6.21"
     assert text in "".join(printer.run("CALIBRATE_Z"))
     (warning,) = printer.status("z_calibration")["warnings"]
     assert text in warning
+    told = {"about": "switch - nozzle", "text": warning}
     printer.session.wait(1.0)
+    lines = (tmp_path / "history.jsonl").read_text().splitlines()
+    assert json.loads(lines[-1])["warnings"] == [told]
     printer.run("CALIBRATE_Z")
     assert printer.status("z_calibration")["warnings"] == []
 
@@ -283,6 +286,8 @@ def test_touches_that_fall_are_told_without_clean_gcode(start):
     printer.homed().run("CALIBRATE_Z")
     (text,) = printer.status("z_calibration")["warnings"]
     assert "pressed flat; clean it before CALIBRATE_Z" in text
+    told = {"about": "nozzle", "text": text}
+    assert history(printer)[-1]["warnings"] == [told]
 
 
 # A number of samples that is found

@@ -100,6 +100,13 @@ def test_line_cut_by_a_power_loss_costs_itself_only(file):
         b'{"ok": false, "time": 1, "sites": {}, "printer": ["a"]}',
         b'{"ok": false, "time": 1, "sites": {}, "plate": 5}',
         b'{"ok": false, "time": 1, "sites": {}, "changed": 5}',
+        b'{"ok": false, "time": 1, "sites": {}, "format": 3, "warnings": 5}',
+        b'{"ok": false, "time": 1, "sites": {}, "format": 3,'
+        b' "warnings": ["bed: a"]}',
+        b'{"ok": false, "time": 1, "sites": {}, "format": 3,'
+        b' "warnings": [{"text": "bed: a"}]}',
+        b'{"ok": false, "time": 1, "sites": {}, "format": 3,'
+        b' "warnings": [{"about": "bed"}]}',
         b'{"ok": false, "time": 1, "sites": {}, "changed": [5]}',
         b'{"ok": false, "time": 1, "sites": {}, "changed": [{"what": "a"}]}',
         b'{"ok": false, "time": 1, "sites": {}, "changed": [{"by": 1,'
@@ -215,22 +222,63 @@ def test_lines_of_the_first_format_are_those_of_the_printer(tmp_path):
     owner.add(*make_runs(3))
     records, _ = file.read()
     assert [r["printer"] for r in records] == [PRINTERS[0]] * 5
-    assert [r.get("format") for r in records] == [None] * 2 + [2] * 3
+    assert [r.get("format") for r in records] == [None] * 2 + [3] * 3
     # That of another name is none of it
     other = history.File(str(tmp_path), 5, "/c/voron.cfg")
     assert Owner(other, "/c/voron.cfg").begin().history.status["runs"] == 0
 
 
+@pytest.mark.parametrize("number", [{}, {"format": 2}])
+def test_warnings_of_earlier_formats_are_about_what_they_begin_with(number):
+    texts = {
+        "nozzle: z=1.600 is far": "nozzle",
+        "switch: the pin presses": "switch",
+        "switch - nozzle is 6.415 mm and was": "switch - nozzle",
+        "bed: it moves": "bed",
+        "bed_mesh is 0.030 mm at 150, 150": "",
+        "z_tilt shifts Z by 0.030 mm": "",
+        "5": "",
+    }
+    run = make_run(random.Random(1), warnings=[*list(texts)[:-1], 5])
+    found = history.parse(json.dumps({**run, **number}).encode())
+    told = {w["text"]: w["about"] for w in found["warnings"]}
+    assert told == texts
+
+
+@pytest.mark.parametrize("number", [{}, {"format": 2}])
+@pytest.mark.parametrize(
+    ("words", "cause"),
+    [
+        ("nothing stands out, the bed varies most; nothing to do", "none"),
+        ("only the nozzle's touches vary; clean the nozzle", ""),
+        (None, ""),
+    ],
+)
+def test_accuracy_runs_of_earlier_formats_are_good_by_their_words(
+    number, words, cause
+):
+    run = make_run(random.Random(1), cycles=[], verdict=words, **number)
+    found = history.parse(json.dumps(run).encode())
+    assert (found["cause"], found["verdict"]) == (cause, words)
+
+
+def test_words_of_this_format_are_no_matter():
+    told = {"about": "z_tilt", "text": "nozzle: nothing to do"}
+    run = make_run(random.Random(1), cycles=[], warnings=[told], format=3)
+    run.update(cause="tip", verdict="nothing to do")
+    assert history.parse(json.dumps(run).encode()) == run
+
+
 def test_lines_of_a_later_format_are_told_and_stay(file):
     add(file, 2)
     with open(file.path, "ab") as f:
-        f.write(b'{"format": 3, "ok": "perhaps"}\n')
+        f.write(b'{"format": 4, "ok": "perhaps"}\n')
     owner = Owner(file).begin()
     assert owner.history.status["runs"] == 2
     (text,) = owner.told
     assert "1 lines" in text and "of a later version" in text
     owner.add(*make_runs(1))
-    assert [run["format"] for run in whole(file)] == [2, 2, 3, 2]
+    assert [run["format"] for run in whole(file)] == [3, 3, 4, 3]
 
 
 @pytest.mark.parametrize(

@@ -20,6 +20,7 @@ from z_touch.history import report, verdict
 from z_touch.history import svg as plots
 
 ROOT = Path(__file__).resolve().parents[2]
+STICKS = {"about": "nozzle", "text": "nozzle: it sticks"}
 SVG = "{http://www.w3.org/2000/svg}"
 
 
@@ -207,7 +208,7 @@ def test_marks_where_something_was_told():
     runs = make_runs(40)
     for run in runs[30:]:
         run["switch_offset"] = 0.5
-    runs[10]["warnings"] = ["nozzle: it sticks"]
+    runs[10]["warnings"] = [STICKS]
     runs[20]["wear"] = ["nozzle height", "spread of the bed's touches"]
     runs[15]["cleaned"] = runs[16]["cleaned"] = "the touches do not agree"
     texts, root = drawn(runs)
@@ -254,7 +255,7 @@ def test_each_plate_has_its_curve():
 
 
 def test_only_the_latest_marks_are_drawn():
-    runs = make_runs(40, warnings=["nozzle: it sticks"])
+    runs = make_runs(40, warnings=[STICKS])
     _, root = drawn(runs)
     dashed = [p for p in paths(root, "soft") if p.get("stroke-dasharray")]
     assert len(dashed) == report.MARKS * 6
@@ -320,7 +321,8 @@ def test_no_text_is_outside_or_upon_another():
     cycles = [{name: [z] * 10 for name, z in HEIGHTS.items()}] * 200
     text = "a verdict of many words " * 9
     reason = "bed: no trigger, after all these words; check that " * 6
-    warning = "switch - nozzle is not what it was, so clean it " * 3
+    words = "switch - nozzle is not what it was, so clean it " * 3
+    warning = {"about": "switch - nozzle", "text": words}
     runs = make_runs(200) + [refused(reason)] * 9
     runs += make_runs(3, warnings=[warning] * 5, cleaned="it had to be")
     many = make_run(random.Random(1), cycles=cycles, verdict=text)
@@ -360,7 +362,7 @@ def test_many_runs_are_drawn_with_pauses_and_in_proportion():
 
 
 def test_so_are_many_runs_with_much_to_tell():
-    runs = make_runs(1000, warnings=["x"], cleaned="x")
+    runs = make_runs(1000, warnings=[STICKS], cleaned="x")
     for number, run in enumerate(runs):
         run["plate"] = "ab"[number % 2]
     runs[900]["changed"] = [

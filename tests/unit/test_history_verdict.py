@@ -9,8 +9,14 @@ import pytest
 from tools.kit.runs import make_run, make_runs
 from z_touch.history import trend, verdict
 
-DIRTY = "switch - nozzle is 6.415 mm and was 6.377 mm in earlier runs"
-MESH = "bed_mesh is 0.030 mm at 150, 150, where the bed was measured"
+DIRTY = {
+    "about": "switch - nozzle",
+    "text": "switch - nozzle is 6.415 mm and was 6.377 mm in earlier runs",
+}
+MESH = {
+    "about": "bed_mesh",
+    "text": "bed_mesh is 0.030 mm at 150, 150, where the bed was measured",
+}
 
 
 def refused(count=1, reason="bed: no trigger"):
@@ -48,10 +54,10 @@ CASES = {
         "3 of the last 10 runs were refused, the last one on 2023-11-14: bed",
     ),
     "refused long ago": (refused(5) + make_runs(10), "good", ""),
-    "dirty": (told(warnings=[DIRTY]), "act", DIRTY[1:]),
+    "dirty": (told(warnings=[DIRTY]), "act", DIRTY["text"][1:]),
     "dirty before": (told(-2, warnings=[DIRTY]), "good", ""),
-    "mesh": (told(warnings=[MESH]), "watch", MESH[1:]),
-    "nothing of it": (told(warnings="x", wear=3), "good", ""),
+    "mesh": (told(warnings=[MESH]), "watch", MESH["text"][1:]),
+    "nothing of it": (told(warnings=[], wear=3), "good", ""),
     "vague": (
         noisy(0.012),
         "watch",
@@ -61,7 +67,7 @@ CASES = {
     "doubted": (
         told(uncertainty=0.03, warnings=[MESH]),
         "watch",
-        MESH[1:],
+        MESH["text"][1:],
     ),
     "worn": (
         told(-5, wear=["nozzle height"]),
@@ -164,18 +170,22 @@ def test_the_worst_comes_first():
 
 
 @pytest.mark.parametrize(
-    ("text", "level"),
-    [
-        ("nothing stands out, the bed varies most; nothing to do", "good"),
-        ("only the nozzle's touches vary; clean the nozzle", "watch"),
-        (None, "watch"),
-    ],
+    ("cause", "level"),
+    [("none", "good"), ("tip", "watch"), ("", "watch"), (None, "watch")],
 )
-def test_an_accuracy_run_that_was_last_decides(text, level):
-    run = {"cycles": [{}], "verdict": text}
+def test_an_accuracy_run_that_was_last_decides(cause, level):
+    """By its cause: the words are for people."""
+    text = "The words say nothing to do"
+    run = {"cycles": [{}], "verdict": text, "cause": cause}
     found = verdict.judge(make_runs(3), run)
-    assert found.level == level
-    assert (text or "") in found.texts[0]
+    assert found == (level, [f"Accuracy run: {text}."])
+
+
+@pytest.mark.parametrize("about", ["nozzle", "switch", "bed", "bed_tilt", ""])
+def test_a_warning_counts_by_what_it_is_about(about):
+    runs = told(warnings=[{"about": about, "text": "switch: it is odd"}])
+    level = "act" if about in ("nozzle", "switch", "bed") else "watch"
+    assert verdict.judge(runs) == (level, ["Switch: it is odd."])
 
 
 def test_each_trend_has_its_remedy():

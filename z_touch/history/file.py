@@ -26,13 +26,10 @@ from ..uncertainty.estimate import (
     without_outliers,
 )
 from . import trend
+from .formats import FORMAT, modernize
 
 SITES = ("nozzle", "switch", "bed")
 FILE = "history.jsonl"
-
-# Of a line.  The first format had no number, and of its printer the name of
-# printer.cfg without the folder; lines of a later one are left out, and stay.
-FORMAT = 2
 
 # A longer line (bytes) is damaged: 200 cycles of 30 touches at each site are shorter
 LONGEST = 262144
@@ -70,8 +67,9 @@ def pause():
 # 'n', 'samples' (mm) and, of the bed with bed_spread, 'points' (X and Y of each
 # touch, mm), 'temperatures' (C), 'wear' and 'changed', see trend.py, 'time' (s since
 # 1970; in the file it may be missing, read() makes 0 of that), and, of a good one,
-# 'offset', 'uncertainty' and 'switch_offset' (mm).  One of CALIBRATE_Z_ACCURACY has
-# 'cycles', too.
+# 'offset', 'uncertainty' and 'switch_offset' (mm), and 'warnings', each with 'about',
+# see formats.py, and 'text'.  One of CALIBRATE_Z_ACCURACY has 'cycles', too, and
+# 'cause' and 'verdict', see uncertainty/cycles.py.
 
 
 # Of letters: Python 2.7 has another type for these than for bytes
@@ -110,9 +108,14 @@ def load(line):
     except (ValueError, RuntimeError, MemoryError):
         # The second one is of nesting without end
         return None
-    if isinstance(record, dict) and is_number(record.get("format")):
-        return record if record["format"] <= FORMAT else {}
-    return record if isinstance(record, dict) else None
+    if not isinstance(record, dict):
+        return None
+    number = record.get("format", 0)
+    number = number if is_number(number) else 0
+    if number > FORMAT:
+        return {}
+    modernize(record, number)
+    return record
 
 
 # A line as a record, or None
@@ -158,6 +161,17 @@ def has_marks(record):
         isinstance(worn, list)
         and isinstance(changed, list)
         and all(isinstance(c, dict) and is_change(c) for c in changed)
+        and has_warnings(record)
+    )
+
+
+def has_warnings(record):
+    warnings = record.get("warnings", [])
+    return isinstance(warnings, list) and all(
+        isinstance(warning, dict)
+        and isinstance(warning.get("about"), TEXT)
+        and isinstance(warning.get("text"), TEXT)
+        for warning in warnings
     )
 
 

@@ -109,7 +109,7 @@ class Recorder(object):
         seconds = (self.host.eventtime() - self.began) / len(measured)
         for line in cycles.tell(measured, step, seconds):
             gcmd.respond_info("CALIBRATE_Z_ACCURACY: %s" % (line,))
-        offsets = cycles.offsets(measured)
+        offsets, judged = cycles.offsets(measured), cycles.judge(measured, step)
         self.add(
             ok=True,
             reason="",
@@ -117,7 +117,8 @@ class Recorder(object):
             uncertainty=round(cycles.uncertainty(measured, step), 6),
             switch_offset=measured[-1].switch_offset,
             warnings=[],
-            verdict=cycles.judge(measured, step).text,
+            cause=judged.cause,
+            verdict=judged.text,
             cycles=[
                 dict(
                     (site, [round(z, 6) for z in getattr(cycle, site)])
@@ -129,8 +130,8 @@ class Recorder(object):
         if self.history.file is not None:
             self.draw()
 
-    # CALIBRATE_Z has ended well.  'last' has the result, its uncertainty,
-    # z_adjust and warnings.
+    # CALIBRATE_Z has ended well.  'last' has the result, its uncertainty, z_adjust
+    # and warnings, each with 'about' and 'text'.
     def good(self, last):
         worth = last.uncertainty
         self.add(
@@ -140,7 +141,7 @@ class Recorder(object):
             uncertainty=None if worth is None else round(worth, 6),
             switch_offset=last.result.switch_offset,
             z_adjust=last.z_adjust,
-            warnings=list(last.warnings),
+            warnings=[dict(warning._asdict()) for warning in last.warnings],
         )
 
     def refused(self, error):

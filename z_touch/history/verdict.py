@@ -4,9 +4,11 @@ from __future__ import absolute_import, division
 
 import collections
 
+from ..uncertainty.cycles import NO_CAUSE
 from . import trend
 from .days import day
 from .file import SITES
+from .formats import BODY
 
 # 'level': GOOD, WATCH or ACT; 'texts': on what, and what to do
 Verdict = collections.namedtuple("Verdict", "level texts")
@@ -29,14 +31,11 @@ OFTEN = 3
 WEAR_STAYS = 30
 CHANGE_STAYS = 10
 
-# What an accuracy run says of a printer that is as it should be
-NOTHING_TO_DO = "nothing to do"
-
 # What is less (mm) is the same switch_offset
 SAME = 1e-6
 
-# What a warning begins with whose touches were wrong
-OF_TOUCHES = ("switch - nozzle", "nozzle:", "switch:", "bed:")
+# What a warning is about whose touches were wrong
+OF_TOUCHES = SITES + (BODY,)
 
 UNKNOWN = "nobody knows why"
 
@@ -62,7 +61,7 @@ CHANGES = dict((entry[0], entry[-1]) for entry in trend.HEIGHTS)
 def judge(runs, cycles=None, pause=trend.no_pause):
     if cycles is not None:
         text = "%s" % (cycles.get("verdict") or "",)
-        level = GOOD if NOTHING_TO_DO in text else WATCH
+        level = GOOD if cycles.get("cause") == NO_CAUSE else WATCH
         return Verdict(level, [sentence("Accuracy run: %s" % (text,))])
     if not runs:
         return Verdict(WATCH, ["There are no runs yet; run CALIBRATE_Z."])
@@ -108,8 +107,9 @@ def refusals(runs):
 
 # What the last run has told
 def warnings(runs):
-    for text in texts_of(runs[-1], "warnings"):
-        yield ACT if text.startswith(OF_TOUCHES) else WATCH, sentence(text)
+    for warning in runs[-1].get("warnings", ()):
+        is_of_touches = warning["about"] in OF_TOUCHES
+        yield ACT if is_of_touches else WATCH, sentence(warning["text"])
 
 
 # A list of texts that whoever edits the file may have made anything
@@ -130,7 +130,7 @@ def worth(runs):
     if not last["ok"] or found is None or found <= good:
         return
     # What is told of the nozzle is part of it
-    if texts_of(last, "warnings"):
+    if last.get("warnings"):
         return
     site = max(SITES, key=lambda name: variance(last, name))
     name = "spread of the %s's touches" % (site,)
@@ -248,7 +248,7 @@ def marks_of(runs, pause):
     for number, run in enumerate(runs):
         if number % 100 == 0:
             pause()
-        texts = texts_of(run, "warnings")
+        texts = [warning["text"] for warning in run.get("warnings", ())]
         for name in texts_of(run, "wear"):
             text = "told: %s grows" if name in SPREADS else "told: %s drifts"
             texts.append(text % (name,))

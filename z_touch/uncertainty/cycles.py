@@ -43,6 +43,9 @@ Verdict = collections.namedtuple("Verdict", "cause text")
 GOOD_TOUCH = 0.007
 GOOD_SHIFT = 0.008
 
+# The cause of a printer that is as it should be
+NO_CAUSE = "none"
+
 # So many times the others a site is the one that varies
 DOMINATES = 2.5
 
@@ -102,7 +105,7 @@ CAUSES = {
     " most, by %.4f mm; take more samples, or samples: auto",
     "several": "more than one thing varies: %s; begin with the first",
     "few": "%d cycles are too few for one; take %d or more",
-    "none": "nothing stands out, the %s varies most (%.4f mm); nothing to do",
+    NO_CAUSE: "nothing stands out, the %s varies most (%.4f mm); nothing to do",
 }
 
 # Of "several"
@@ -222,7 +225,7 @@ def judge(cycles, step=0.0):
             return verdict
     if uncertainty(cycles, step) > WHOLE:
         return largest(cycles)
-    return Verdict("none", CAUSES["none"] % noisiest(cycles))
+    return Verdict(NO_CAUSE, CAUSES[NO_CAUSE] % noisiest(cycles))
 
 
 # The site whose touches vary most, and by how much (mm)

@@ -19,6 +19,7 @@
 from __future__ import absolute_import
 
 from ..core import errors, touching
+from ..history.formats import BODY
 from . import heights
 from .expected import NOTHING_EARLIER, Expectations, Geometry
 from .measuring import BedMeasurement, NozzleMeasurement, SwitchMeasurement
@@ -86,7 +87,7 @@ class Calibration(object):
     def warn_of_geometry(self):
         problem = self.geometry.problem()
         if problem:
-            self.run.warn(problem)
+            self.run.warn(BODY, problem)
 
     # Raises CalibrationError; a probe that is pressed is lifted off first
     def check_probe_attached(self):
@@ -137,7 +138,7 @@ class Calibration(object):
                 "nozzle: z=%.3f is far from position_endstop %.3f, at which Z"
                 " was homed; " + heights.HOME_AGAIN
             )
-            self.run.warn(text % (z, homed_z))
+            self.run.warn("nozzle", text % (z, homed_z))
         return z
 
     # Cleaned once where something seems to stick to it
@@ -160,7 +161,7 @@ class Calibration(object):
                 "nozzle: %s: something that sticks to it is pressed flat; clean"
                 " it before CALIBRATE_Z, or set clean_gcode"
             )
-            self.run.warn(text % (flattened,))
+            self.run.warn("nozzle", text % (flattened,))
 
     def clean(self, clean, why):
         self.cleaned = why

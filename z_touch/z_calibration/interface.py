@@ -37,7 +37,8 @@ class FirstTouches(object):
     def touch(self, name, *before):
         run = self._calibration.run
         z = self._calibration.measure_site(name, *before)
-        return Touched(z, list(run.plan.samples[name]), list(run.warnings))
+        warnings = [warned.text for warned in run.warnings]
+        return Touched(z, list(run.plan.samples[name]), warnings)
 
 
 # The section as the guide and the corrections see it.  They get records and

@@ -19,6 +19,7 @@ from ..core import carrying, errors, touching
 from ..core.spread import spread_site, spread_tolerance
 from . import pace
 from .heights import FREE_PLUNGER, HOME_AGAIN, below_margins
+from .results import Warned
 
 # What to do about samples that differ
 DIFFER = "clean the nozzle and check the switch for play"
@@ -54,10 +55,11 @@ class Run(object):
         # Whether somebody has seen the probe on the head
         self.was_attached = False
 
-    # Once for all samples
-    def warn(self, text):
-        if text not in self.warnings:
-            self.warnings.append(text)
+    # Once for all samples.  'about': a site, or formats.BODY
+    def warn(self, about, text):
+        warned = Warned(about, text)
+        if warned not in self.warnings:
+            self.warnings.append(warned)
             self.watch.say(text)
 
     def saw_attached(self):
@@ -326,7 +328,8 @@ class SwitchMeasurement(Measurement):
         if self.host.probing.endstop().query_endstop(self.host.print_time()):
             self.lift_clear()
             self.check_probe_attached(self.host.after_moves())
-            self.run.warn(PLUNGER_PRESSED % (self.site.place(),))
+            text = PLUNGER_PRESSED % (self.site.place(),)
+            self.run.warn(self.site.name, text)
 
 
 # The probe on the print surface, through the host's own probing, told where

@@ -239,8 +239,8 @@ class ZCalibration(object):
         if abs(added - z_offset) <= OWN_DIGITS:
             # end_gcode has applied last_z_offset by itself
             added = 0.0
-        for _, text in shifts.lines():
-            say(text)
+        for _, told in shifts.lines():
+            say(told.text)
         moved = features.moved_by_g92()
         if abs(moved) >= NO_CHANGE:
             features.undo_g92()

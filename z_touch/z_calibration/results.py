@@ -4,11 +4,15 @@ from __future__ import absolute_import
 
 import collections
 
+# Something odd: the site, "switch - nozzle" or the feature of Klipper's that it is
+# about, and a text
+Warned = collections.namedtuple("Warned", "about text")
+
 # The last run that was applied:
 #
 #   result       its heights.Result
 #   mark         of the frame that it was measured in
-#   warnings     what was odd
+#   warnings     what was odd, each a Warned
 #   uncertainty  what it is worth (mm at 95 %, None: nobody knows)
 #   z_adjust     what Z_ADJUST added (mm)
 #   z_offset     the G-code offset that came of it (mm): what was measured, less what
@@ -126,7 +130,7 @@ class Results(object):
             "measured": not self.measured and not self.why_not_right(),
             "valid": not reason,
             "reason": reason,
-            "warnings": list(self.last.warnings),
+            "warnings": [warned.text for warned in self.last.warnings],
             "uncertainty": self.last.uncertainty,
             "z_adjust": self.last.z_adjust,
         }

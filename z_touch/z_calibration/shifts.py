@@ -3,6 +3,8 @@
 # Copyright (C) 2026  the Z calibration developers, under the GNU GPLv3
 from __future__ import absolute_import
 
+from .results import Warned
+
 # Less (mm) is rounding.
 SMALLEST_PART = 0.0005
 
@@ -30,18 +32,18 @@ class Shifts(object):
         taken = sum(part.height for part in self.parts)
         return self.last.result.offset + self.last.z_adjust - taken
 
-    # (mm, text) of each
+    # (mm, Warned) of each
     def lines(self):
         for part in self.parts:
             text = self.of_mesh if part.name == MESH else self.of_other
-            yield part.height, text(part)
+            yield part.height, Warned(part.name, text(part))
         if abs(self.rest) >= WORTH_A_WARNING:
-            yield (
-                self.rest,
+            text = (
                 "another feature shifts Z by %.3f mm there, such as"
                 " exclude_object, a retraction with a lift, or a module of its"
-                " own: not taken off; check the first layer" % (self.rest,),
+                " own: not taken off; check the first layer"
             )
+            yield self.rest, Warned("another", text % (self.rest,))
 
     def of_mesh(self, part):
         text = (
@@ -61,4 +63,4 @@ class Shifts(object):
         return text % (part.name, part.height)
 
     def warnings(self):
-        return [text for z, text in self.lines() if abs(z) >= WORTH_A_WARNING]
+        return [told for z, told in self.lines() if abs(z) >= WORTH_A_WARNING]
