@@ -201,7 +201,7 @@ class SensorMeasurement(object):
                 " is the sensor's (QUERY_ENDSTOPS while you press the bed), and"
                 " that the bed is no lower%s"
                 % (sensor.pin, floor.remedy and ", or " + floor.remedy),
-                ", the lowest point of this touch: %s" % (floor.why,),
+                floor_reason=floor.why,
             )
         except errors.CalibrationError:
             if touching.is_at(self.host, start_z):
@@ -275,10 +275,9 @@ class ProbeMeasurement(object):
         except errors.CalibrationError as e:
             if not touching.is_at(self.host, floor.z):
                 raise e.advised(touching.CHECK_PROBE)
-            raise errors.NoTrigger(
-                "%s %s: that was not the bed, or the probe does not see it; %s"
-                % (e, floor.why, touching.CHECK_PROBE)
-            )
+            text = "%s %s: that was not the bed, or the probe does not see it"
+            error = errors.NoTrigger(text % (e, floor.why))
+            raise error.advised(touching.CHECK_PROBE)
 
     # As G28, from which the correction is counted, or else the mesh sees it
     def homed_z(self, probed):

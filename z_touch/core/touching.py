@@ -11,7 +11,7 @@ import contextlib
 import functools
 
 from . import options
-from .errors import CalibrationError, MessageLost, NoTrigger
+from .errors import CalibrationError, NoTrigger
 from .motion import has_no_trigger, was_not_heard
 from .running import always
 
@@ -188,7 +188,8 @@ class Head(object):
         z = round(self.host.motion.z(), 3) + 0.0
         text = "%s (stopped at z=%.3f)" % (told or error, z)
         if was_not_heard(error):
-            return MessageLost("%s; %s" % (text, LATE))
+            # Nothing about the sensor or its place
+            return CalibrationError(text).advised(LATE)
         return kind(text)
 
     # A touch goes down, whatever it is told

@@ -224,10 +224,7 @@ class Measurement(object):
             at_start = touching.is_at(self.host, start_z)
             if isinstance(e, errors.NoTrigger) or at_start:
                 self.explain()
-            wanted = ""
-            if self.expected_z is not None:
-                wanted = ", expected a trigger at z=%.3f" % (self.expected_z,)
-            raise e.advised(self.advice(), wanted)
+            raise e.advised(self.advice(), self.expected_z)
 
     # What to look at after a touch that has just failed
     def advice(self):
