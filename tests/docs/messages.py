@@ -21,12 +21,15 @@ from tests.docs.sources import ROOT, VALUE, files, messages_of
 
 DOCUMENT = ROOT / "docs" / "all_messages.csv"
 NAMES = ("z_calibration", "auto_z_offset", "extra_probe", "dockable_probe")
-# Names, beginnings of lines, and what is looked for in messages
+# Names, beginnings of lines, what is looked for in messages, and sentences of dialogs,
+# which explain themselves
 NO_MESSAGES = {
     "get_mcu add_stepper get_steppers home_start query_endstop",
     "// action:prompt_",
     "named z_touch.core",
     "No trigger",
+    "Keep a hand on the emergency stop.",
+    "The buttons move the head; you may move it as you like, too.",
     "nothing to do",
     "Communication timeout during",
     "Unable to obtain",

@@ -82,6 +82,9 @@ CHANGE = re.compile(r"# .*\b20\d\d-\d\d(-\d\d)? \([0-9a-f]{9}\)")
 # switches the host's check for pins used twice off; the third marked copies.
 FORBIDDEN = ("register_components", "allow_multi_use_pin", "# --- shared")
 
+# Letters of what is a sentence, no name
+A_SENTENCE = 30
+
 LINES_OF_A_FILE = 600
 LINES_OF_A_FUNCTION = 40
 METHODS = 30
@@ -423,6 +426,18 @@ def test_classes_are_small(path):
 @sources
 def test_files_are_short(path):
     assert line_count(path) <= LINES_OF_A_FILE
+
+
+def test_each_sentence_stands_in_one_place():
+    """Not in the doors: each says by itself that z_touch is not there."""
+    places: dict[str, list[str]] = {}
+    for path in ROOMS:
+        for node in nodes(path, ast.Constant):
+            if isinstance(node.value, str) and len(node.value) >= A_SENTENCE:
+                where = f"{in_z_touch(path)}:{node.lineno}"
+                places.setdefault(node.value, []).append(where)
+    assert len(places) > 500
+    assert {s: where for s, where in places.items() if where[1:]} == {}
 
 
 def test_version_is_that_of_the_changelog():

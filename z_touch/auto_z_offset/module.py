@@ -118,10 +118,7 @@ class AutoZOffset(object):
                 "activate_gcode is not run, the bed sensor may be off; move it"
                 " into prepare_gcode"
             )
-        if self.host.probing.is_manual_probing():
-            raise CalibrationError(
-                "a manual probe is under way; end it with ACCEPT or ABORT first"
-            )
+        running.check_no_manual_probe(self.host)
         running.check_homed(self.host)
 
     # A correction with the wrong sign of the air gap ends in the bed.
@@ -241,7 +238,7 @@ class AutoZOffset(object):
         results, z = cycles.measure()
         # So that "move Z to 0, try a sheet of paper" is at this point
         run.go_to(bed)
-        self.tell(shifts.undo_g92(self.host))
+        self.tell(self.host.features.undo_g92(shifts.NO_SHIFT))
         self.tell(shifts.wrong_gap(self.host, bed, results))
         self.apply_offset(z + self.host.probing.homed_bed_z())
         return results, z

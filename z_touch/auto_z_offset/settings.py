@@ -219,6 +219,8 @@ SAMPLING_OPTIONS = (
 
 OPTIONS = SENSOR_OPTIONS + TRAVEL_OPTIONS + CYCLE_OPTIONS + SAMPLING_OPTIONS
 
+NOZZLE_ITSELF = "is ignored: the nozzle itself presses the bed"
+
 # Of the original module: why each is not used.
 UNUSED_OPTIONS = (
     unused(
@@ -226,8 +228,8 @@ UNUSED_OPTIONS = (
         "is not applied: it contains the whole z_offset of the probe; run"
         " AUTO_Z_CALIBRATE again, then SAVE_CONFIG",
     ),
-    unused("x_offset", "is ignored: the nozzle itself presses the bed"),
-    unused("y_offset", "is ignored: the nozzle itself presses the bed"),
+    unused("x_offset", NOZZLE_ITSELF),
+    unused("y_offset", NOZZLE_ITSELF),
     unused("activate_gcode", "is not run; move it into prepare_gcode"),
     unused(
         "deactivate_gcode",

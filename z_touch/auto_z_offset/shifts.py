@@ -34,12 +34,3 @@ def wrong_gap(host, site, results):
         " else shifts Z"
         % (", ".join(part.name for part in parts), shift, seen, wrong)
     )
-
-
-# Returns what the user is told of it; empty: there was none.
-def undo_g92(host):
-    moved = host.features.moved_by_g92()
-    if abs(moved) < NO_SHIFT:
-        return ""
-    host.features.undo_g92()
-    return "G92 had moved Z=0 by %.3f mm: undone, as G28 does" % (moved,)

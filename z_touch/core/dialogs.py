@@ -19,6 +19,7 @@
 from __future__ import absolute_import
 
 from . import carrying
+from .errors import CalibrationError
 
 PREFIX = "// action:prompt_"
 
@@ -104,3 +105,53 @@ class Dialog(object):
         if waits_for and asked not in ("", waits_for):
             text = "%s: QUESTION=%s is not what is asked now, which is %s"
             raise gcmd.error(text % (self.host.section, asked, waits_for))
+
+
+######################################################################
+# A set-up: a row of questions, each step a command of its own
+######################################################################
+
+STOP = "Keep a hand on the emergency stop."
+JOGS = "The buttons move the head; you may move it as you like, too."
+
+
+# Raises where STEP= is not 'asked', the step of the set-up that is under way, and not
+# its end.  None: there is no set-up; 'command' begins one.
+def check_step(host, gcmd, name, asked, command):
+    if asked is None:
+        # The question may be one of before a restart
+        host.gcode.respond_raw(END)
+        text = (
+            "%s: no set-up is under way, as a restart ends it, too, and nothing"
+            " was saved; begin with %s"
+        )
+        raise gcmd.error(text % (host.section, command))
+    if name not in (asked, "abort"):
+        text = (
+            "%s: STEP=%s is not what is asked now, which is STEP=%s; %s shows it"
+            " again"
+        )
+        raise gcmd.error(text % (host.section, name, asked, command))
+
+
+# Raises CalibrationError where none of the answers to a step has that word; 'answers'
+# are (label, word, colour), 'more' words without a button there.
+def check_answer(step, answer, answers, more=()):
+    words = [word for label, word, colour in answers] + list(more)
+    if answer not in words:
+        raise CalibrationError(
+            "ANSWER=%s is none of STEP=%s: %s"
+            % (answer, step, ", ".join(word or "none" for word in words))
+        )
+
+
+# Where it is to be moved by the buttons, in words
+def head_at(position):
+    return "The head is at X=%.1f Y=%.1f Z=%.2f." % tuple(position[:3])
+
+
+# After ABORT.  'saver': saving.Saver
+def tell_end(host, saver):
+    host.say("the set-up has ended, nothing was saved")
+    if saver.is_waiting(host.section):
+        host.say("values still wait for SAVE_CONFIG")

@@ -171,11 +171,16 @@ class Features(object):
         moved = status["position"][2] - status["gcode_position"][2]
         return moved - status["homing_origin"][2]
 
-    # As homing does
-    def undo_g92(self):
+    # As homing does, from 'least' (mm) on.  Returns what the user is told of it;
+    # empty: there was none.
+    def undo_g92(self, least):
+        moved = self.moved_by_g92()
+        if abs(moved) < least:
+            return ""
         status = self._status()
         z = status["position"][2] - status["homing_origin"][2]
         self._call("G92", Z="%.6f" % (z,))
+        return "G92 had moved Z=0 by %.3f mm: undone, as G28 does" % (moved,)
 
     def modes(self):
         status = self._status()

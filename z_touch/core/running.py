@@ -61,6 +61,13 @@ def check_homed(host):
         )
 
 
+def check_no_manual_probe(host):
+    if host.probing.is_manual_probing():
+        raise CalibrationError(
+            "a manual probe is under way; end it with ACCEPT or ABORT first"
+        )
+
+
 # What a run is doing, for get_status() and the console.
 class Watch(object):
     def __init__(self, name, respond_info):

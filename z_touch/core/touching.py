@@ -64,6 +64,10 @@ def site_kind(name):
     return options.Kind(options.PAIR.word, read, options.PAIR.nonsense)
 
 
+# What to do where the head does not get to a point that is the user's choice
+CHOOSE_ANOTHER = "choose a point that it can reach"
+
+
 # 'shift' says why the head is elsewhere than the user's point.
 def check_reach(host, site, remedy, shift=""):
     for axis, xy, (low, high) in zip("XY", site[1:3], host.axes.limits()):

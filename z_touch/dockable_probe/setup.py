@@ -83,22 +83,11 @@ class Setup(object):
             self.prints.check_none(gcmd)
         if not name:
             self._begin(gcmd)
-        elif self.state is None:
-            # It may be one of before a restart.
-            self.host.gcode.respond_raw(dialogs.END)
-            raise gcmd.error(
-                "%s: no set-up is under way, as a restart ends it, too, and"
-                " nothing was saved; begin with %s"
-                % (self.host.section, COMMAND)
-            )
-        elif name == "abort":
+            return
+        asked = self.state and self.state.step
+        dialogs.check_step(self.host, gcmd, name, asked, COMMAND)
+        if name == "abort":
             self._abort(gcmd)
-        elif name != self.state.step:
-            raise gcmd.error(
-                "%s: STEP=%s is not what is asked now, which is STEP=%s; %s"
-                " shows it again"
-                % (self.host.section, name, self.state.step, COMMAND)
-            )
         elif not self._asks_for_print(gcmd):
             self._answered(gcmd)
 
@@ -140,12 +129,7 @@ class Setup(object):
     def _go_on(self, gcmd):
         name, state = self.state.step, self.state
         answer = gcmd.get("ANSWER", "").strip().upper()
-        words = [word for label, word, colour in STEPS[name].answers]
-        if answer not in words:
-            raise CalibrationError(
-                "ANSWER=%s is none of STEP=%s: %s"
-                % (answer, name, ", ".join(word or "none" for word in words))
-            )
+        dialogs.check_answer(name, answer, STEPS[name].answers)
         if answer == "BACK":
             state.step = STEPS[name].back
             return
@@ -343,9 +327,8 @@ class Setup(object):
             if line
         ]
         if STEPS[name].jogs:
-            here = self.host.toolhead.get_position()[:3]
-            text = "The head is at X=%.1f Y=%.1f Z=%.2f."
-            texts.insert(-1, text % tuple(here))
+            here = self.host.toolhead.get_position()
+            texts.insert(-1, dialogs.head_at(here))
         if problem:
             texts.insert(0, "Not done: %s." % (problem.rstrip("."),))
         return texts
@@ -406,6 +389,4 @@ class Setup(object):
 
     def _abort(self, gcmd):
         self._close()
-        self.host.say("the set-up has ended, nothing was saved")
-        if self.saver.is_waiting(self.host.section):
-            self.host.say("values still wait for SAVE_CONFIG")
+        dialogs.tell_end(self.host, self.saver)

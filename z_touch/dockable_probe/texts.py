@@ -4,14 +4,13 @@ from __future__ import absolute_import
 
 import collections
 
+from ..core.dialogs import JOGS, STOP
+
 # 'text' has a sentence a line, filled in from facts; the last one says what the first
 # button does, and is all that KlipperScreen shows.  'answers' are (label, word,
 # colour), the first one without a word; 'back' is the step that BACK leads to, None:
 # none.  With 'jogs' there are buttons that move the head.
 Step = collections.namedtuple("Step", "title text answers back jogs")
-
-BY_HAND = "The buttons move the head; you may move it as you like, too."
-STOP = "Keep a hand on the emergency stop."
 
 
 def step(title, text, go_on, more=(), back=None, jogs=False):
@@ -42,7 +41,7 @@ STEPS = collections.OrderedDict(
             step(
                 "push it into its dock",
                 (
-                    BY_HAND,
+                    JOGS,
                     "'Here' when the probe on the head sits in the dock as it"
                     " should, with the magnets of both in place.",
                 ),
@@ -56,7 +55,7 @@ STEPS = collections.OrderedDict(
             step(
                 "leave without the probe",
                 (
-                    BY_HAND,
+                    JOGS,
                     "Leave along a straight way on which the dock holds the"
                     " probe back.",
                     "'Here' some 40 mm out of the dock; it looks whether the"
@@ -72,7 +71,7 @@ STEPS = collections.OrderedDict(
             step(
                 "go before the dock",
                 (
-                    BY_HAND,
+                    JOGS,
                     "Go around the dock.",
                     "'Here' some 40 mm before the dock, where the head goes"
                     " straight in to meet the probe, and comes out with it.",
@@ -87,7 +86,7 @@ STEPS = collections.OrderedDict(
             step(
                 "the way in with the probe",
                 (
-                    BY_HAND,
+                    JOGS,
                     "For another way in move the head to where that begins,"
                     " then 'Here'.",
                     "'Same': to put the probe back the dock is entered the same"

@@ -263,10 +263,7 @@ class Calibration(object):
             raise CalibrationError(
                 "a print is under way (%s); end it first" % (print_state,)
             )
-        if self.host.probing.is_manual_probing():
-            raise CalibrationError(
-                "a manual probe is under way; end it with ACCEPT or ABORT first"
-            )
+        running.check_no_manual_probe(self.host)
         running.check_homed(self.host)
 
     # Returns warnings

@@ -70,8 +70,11 @@ class ExtraProbe(object):
             if self.name == PROBE:
                 self.check_probe()
             if self.settings.xy_position is not None:
-                remedy = "choose a point that it can reach"
-                touching.check_reach(host, self.settings.xy_position, remedy)
+                site, remedy = (
+                    self.settings.xy_position,
+                    touching.CHOOSE_ANOTHER,
+                )
+                touching.check_reach(host, site, remedy)
         except CalibrationError as e:
             raise host.printer.config_error(str(e))
         where = "The switch of section '%s'" % (host.section,)

@@ -15,8 +15,7 @@ from __future__ import absolute_import, division
 
 import functools
 
-from ..core import carrying, options, prints, running, saving
-from ..core.dialogs import END
+from ..core import carrying, dialogs, options, prints, running, saving
 from ..core.errors import CalibrationError
 from ..z_calibration.switches import SWITCHES
 from . import steps, texts
@@ -73,23 +72,11 @@ class Setup(object):
         if not name:
             self.begin(gcmd)
             return
-        if self.state is None:
-            # It may be one of before a restart
-            self.host.gcode.respond_raw(END)
-            raise gcmd.error(
-                "%s: no set-up is under way, as a restart ends it, too, and"
-                " nothing was saved; begin with %s"
-                % (self.host.section, steps.COMMAND)
-            )
+        asked = self.state and self.state.step
+        dialogs.check_step(self.host, gcmd, name, asked, steps.COMMAND)
         if name == "abort":
             self.abort(gcmd)
             return
-        if name != self.state.step:
-            raise gcmd.error(
-                "%s: STEP=%s is not what is asked now, which is STEP=%s; %s"
-                " shows it again"
-                % (self.host.section, name, self.state.step, steps.COMMAND)
-            )
         self.prints.check_none(gcmd)
         if not self.asks_for_print(gcmd):
             self.answered(gcmd)
@@ -116,7 +103,7 @@ class Setup(object):
         is_jog = any(gcmd.get(axis, "").strip() for axis in "XYZ")
         work = self.jog if is_jog else self.go_on
         if not is_jog and self.state.step != "save":
-            self.host.gcode.respond_raw(END)
+            self.host.gcode.respond_raw(dialogs.END)
         try:
             answer = functools.partial(work, gcmd, self.state)
             self.section.run_command(gcmd, answer, "setup")
@@ -224,7 +211,7 @@ class Setup(object):
         shown, said = steps.ask(state.step, self.facts(), problem, late)
         if not is_quiet:
             self.host.say(said)
-        self.host.gcode.respond_raw(END)
+        self.host.gcode.respond_raw(dialogs.END)
         for line in shown:
             self.host.gcode.respond_raw(line)
 
@@ -246,8 +233,7 @@ class Setup(object):
             room=0.0,
         )
         if self.touches.is_homed():
-            text = "The head is at X=%.1f Y=%.1f Z=%.2f."
-            facts["here"] = text % self.head.position()
+            facts["here"] = dialogs.head_at(self.head.position())
         if name in TOUCHED:
             facts["floor"] = self.floor(TOUCHED[name])
         self.add_facts(name, facts)
@@ -377,7 +363,7 @@ class Setup(object):
 
     def close(self):
         self.state = None
-        self.host.gcode.respond_raw(END)
+        self.host.gcode.respond_raw(dialogs.END)
 
     def abort(self, gcmd):
         state, is_printing = self.state, self.prints.may_be()
@@ -385,6 +371,4 @@ class Setup(object):
         leave = self.touches.leave
         work = functools.partial(leave, gcmd, state, is_printing)
         self.section.run_command(gcmd, work, "setup")
-        self.host.say("the set-up has ended, nothing was saved")
-        if self.saver.is_waiting(self.host.section):
-            self.host.say("values still wait for SAVE_CONFIG")
+        dialogs.tell_end(self.host, self.saver)

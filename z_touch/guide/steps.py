@@ -4,8 +4,7 @@ from __future__ import absolute_import, division
 
 import math
 
-from ..core import jogging
-from ..core.dialogs import lines
+from ..core import dialogs, jogging
 from ..core.errors import CalibrationError
 from ..core.sampling import accuracy
 from ..z_calibration.switches import COME_DOWN, SWITCHES
@@ -51,15 +50,11 @@ def after(name):
 
 # The step after an answer
 def follow(name, answer):
-    words = [word for label, word, colour in STEPS[name].answers]
-    words += [site.upper() for site in STEPS[name].sites]
-    if answer not in words:
-        raise CalibrationError(
-            "ANSWER=%s is none of STEP=%s: %s"
-            % (answer, name, ", ".join(word or "none" for word in words))
-        )
+    step = STEPS[name]
+    sites = [site.upper() for site in step.sites]
+    dialogs.check_answer(name, answer, step.answers, sites)
     if answer == "BACK":
-        return STEPS[name].back
+        return step.back
     if answer == "AGAIN":
         return name
     return answer.lower() if answer.lower() in SITES else after(name)
@@ -159,7 +154,7 @@ def ask(name, facts, problem="", late=""):
     others = other_groups(name)
     answers, groups = buttons(name), jog_groups(name, facts["room"]) + others
     texts = sentences(name, facts, problem, late)
-    shown = list(lines(headline(name), texts, answers, groups))
+    shown = list(dialogs.lines(headline(name), texts, answers, groups))
     answers[1:1] = sum(others, [])
     said = [headline(name)] + texts
     said += ["%s: %s" % (label, gcode) for label, gcode, _ in answers]
@@ -177,7 +172,7 @@ def while_watching(name, switch):
         % (switch, HAND_PATIENCE),
     )
     shown = headline(name, "press it now")
-    return lines(shown, texts, [("Abort", ABORT, "error")])
+    return dialogs.lines(shown, texts, [("Abort", ABORT, "error")])
 
 
 ######################################################################

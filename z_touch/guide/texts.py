@@ -4,6 +4,8 @@ from __future__ import absolute_import
 
 import collections
 
+from ..core.dialogs import JOGS, STOP
+
 # 'number' counts what a person has to press; steps that follow by themselves share
 # one.  'text' has a sentence a line, filled in from facts; the last one says what the
 # first button does, and is all that KlipperScreen shows.  'answers' are (label, word,
@@ -25,9 +27,7 @@ def step(name, number, title, text, go_on, **given):
     return Step(name, number, title, text, answers, back, sites, axes)
 
 
-STOP = "Keep a hand on the emergency stop."
-JOGS = "The buttons move the head; you may move it as you like, too."
-
+TOUCH_ENDS = "Where nothing is met, a touch ends at Z=%(floor).2f."
 
 # How low the buttons lead: over a pin that is known, with something that hangs below
 # the nozzle, or over one of which nobody knows how high it is
@@ -203,7 +203,7 @@ ALL = (
         (
             "%(repeats)s",
             STOP,
-            "Where nothing is met, a touch ends at Z=%(floor).2f.",
+            TOUCH_ENDS,
             "'Touch' lifts the head to Z=%(travel_z).1f, fetches the probe by"
             " your own G-code, goes over the pin (over the bed before if nobody"
             " knows how long the probe is) and lowers it slowly, %(touches)d"
@@ -219,7 +219,7 @@ ALL = (
         (
             "%(repeats)s",
             STOP,
-            "Where nothing is met, a touch ends at Z=%(floor).2f.",
+            TOUCH_ENDS,
             "'Touch' lifts the head to Z=%(travel_z).1f, goes over the bed and"
             " lowers the probe slowly, %(touches)d times; then your own G-code"
             " puts it away.",

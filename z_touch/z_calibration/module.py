@@ -241,10 +241,9 @@ class ZCalibration(object):
             added = 0.0
         for _, told in shifts.lines():
             say(told.text)
-        moved = features.moved_by_g92()
-        if abs(moved) >= NO_CHANGE:
-            features.undo_g92()
-            say("G92 had moved Z=0 by %.3f mm: undone, as G28 does" % (moved,))
+        undone = features.undo_g92(NO_CHANGE)
+        if undone:
+            say(undone)
         applied = self.apply(z_offset + added)
         if abs(added) >= NO_CHANGE:
             text = "end_gcode changed the G-code Z offset by %.6f: it is %.6f"

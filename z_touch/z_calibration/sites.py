@@ -167,7 +167,7 @@ class SiteFinder(object):
 
     # The head must be able to stand there
     def check_reach(self, site):
-        remedy = "choose a point that it can reach"
+        remedy = touching.CHOOSE_ANOTHER
         shift = ", the probe's offset included" if site.name == "bed" else ""
         touching.check_reach(self.host, site, remedy, shift)
         if site.name == "bed":
