@@ -69,6 +69,14 @@ def test_noise_that_has_grown_counts_at_once(after):
 AUTOMATIC = Setting(samples=AUTO, target=0.005)
 
 
+@pytest.mark.parametrize("sigma", [0.005, 0.008])
+def test_a_first_run_that_ends_early_is_worth_what_it_says(sigma):
+    """By chance it looks quiet, and stops for that: 95 % is not 91."""
+    setting = Setting(samples=AUTO)
+    part = coverage(Noise("normal", sigma), setting, 1500, first=True)
+    assert 0.93 <= part <= 0.97
+
+
 def touches_of(printer):
     return sum(len(touches) for touches in printer.plan.touches.values())
 

@@ -482,11 +482,12 @@ def test_few_or_equal_samples_all_count(samples):
     ("samples", "count"),
     [
         # Few are a poor measure of what is far
-        ([1.0, 1.01, 0.99, 1.01, 1.065], 5),
-        ([1.0, 1.01, 0.99, 1.01, 1.08], 4),
+        ([1.0, 1.01, 0.99, 1.01, 1.08], 5),
+        ([1.0, 1.01, 0.99, 1.01, 1.11], 4),
         # Far from the median, not from what is left
         ([1.0, 1.0, 1.0, 1.012, 1.016], 5),
-        ([1.0, 1.0, 1.0, 1.012, 1.03], 4),
+        ([1.0, 1.0, 1.0, 1.012, 1.03], 5),
+        ([1.0, 1.0, 1.0, 1.012, 1.04], 4),
     ],
 )
 def test_samples_that_are_far_from_all_others_do_not_count(samples, count):

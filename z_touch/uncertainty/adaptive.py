@@ -70,8 +70,8 @@ AGAINST_ONE = 3
 # The part of the degrees of freedom that a run without a history has left, as which
 # sites are alike is chosen by what their touches say; the same where these say, too,
 # how many there are and which of them count
-ALIKE_CHOSEN = 0.8
-CHOSEN = 0.667
+ALIKE_CHOSEN = 0.7
+CHOSEN = 0.35
 
 # Of a run
 SITES = ("nozzle", "switch", "bed")

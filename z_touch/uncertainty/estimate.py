@@ -140,6 +140,12 @@ def after_choice(spread):
     return spread._replace(variance=squares / dof, dof=dof)
 
 
+# How many times as far apart samples may be where nobody but these few says how they
+# vary: what is cut off of a noisy site by chance makes it look quiet.
+def unsure(samples):
+    return t_factor(len(samples) - 1) / t_factor(float("inf"))
+
+
 # Of several runs together
 def pool(spreads):
     spreads = [s for s in spreads if s.dof > 0]
@@ -170,8 +176,12 @@ def without_outliers(samples, earlier, step):
     usual = max(usual, step / 2.0)
     few = MAD_OF_10[min(len(samples), len(MAD_OF_10)) - 1]
     noise = few * MAD_FACTOR * summarize(distances, "median")
+    if not earlier.dof:
+        noise *= unsure(samples)
     kept = within(samples, middle, max(usual, noise))
     noise = math.sqrt(spread_of(kept).variance)
+    if not earlier.dof:
+        noise *= unsure(kept)
     return within(samples, summarize(kept, "average"), max(usual, noise))
 
 
