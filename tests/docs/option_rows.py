@@ -18,6 +18,8 @@ def value_of(row: Any) -> str:
     default = row.default
     if default is options.REQUIRED or default is None:
         return ""
+    if isinstance(default, options.Given):
+        default = default.else_
     if isinstance(default, options.Same):
         return ""
     if isinstance(default, tuple):

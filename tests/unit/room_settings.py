@@ -15,9 +15,7 @@ def values_of(rows: tuple) -> dict[str, Any]:
     values: dict[str, Any] = {}
     for row in rows:
         value = None if row.default is options.REQUIRED else row.default
-        if isinstance(value, options.Same):
-            value = values[value.name]
-        values[row.name] = value
+        values[row.name] = options.settled(value, values)
     return values
 
 

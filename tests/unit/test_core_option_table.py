@@ -6,6 +6,7 @@ import pytest
 
 from z_touch.core import options
 from z_touch.core.options import option
+from z_touch.core.sampling import filled
 
 
 class Config:
@@ -84,8 +85,29 @@ def test_unused_options_are_told_where_they_are_given():
         options.unused("older", "is not run"),
         options.unused("oldest", "is forgotten"),
     )
-    config = Config(older="M117", oldest="")
-    assert options.unused_notes(config, rows) == ["option 'older' is not run"]
+    given = options.read(Config(older="M117", oldest=""), rows)
+    assert options.unused_notes(given, rows) == ["option 'older' is not run"]
+
+
+def test_options_that_are_wrong_here_are_refused():
+    rows = (options.refused("wrong", "is not needed; remove it"),)
+    assert options.read(Config(), rows) == {"wrong": None}
+    text = "^Option 'wrong' in section 'mine' is not needed; remove it$"
+    with pytest.raises(ValueError, match=text):
+        options.read(Config(wrong="0"), rows)
+
+
+@pytest.mark.parametrize(("touches", "height"), [("0", 1.5), ("2", 2.5)])
+def test_a_default_may_come_of_an_option_above(touches, height):
+    default = options.Given("touches", 2.5, 1.5)
+    rows = (
+        option("touches", options.COUNT, 0, "", "How many."),
+        option("height", options.NUMBER, default, "mm", "How high."),
+    )
+    given = Config(touches=touches)
+    assert options.read(given, rows)["height"] == height
+    given = Config(touches=touches, height="7")
+    assert options.read(given, rows)["height"] == 7.0
 
 
 def test_record_has_the_options_by_their_names():
@@ -99,8 +121,9 @@ def test_sampling_of_a_table():
     # As fast up as down, where nothing else is given
     assert (sampling.speed, sampling.lift_speed) == (4.0, 4.0)
     assert (sampling.samples, sampling.tolerance) == (1, 0.1)
-    as_defaults = options.as_defaults(sampling)
-    assert options.read_sampling(Config(), **as_defaults) == sampling
+    # What is left open is as in another one
+    left = sampling._replace(speed=None, samples=None, retries=2)
+    assert filled(left, sampling) == sampling._replace(retries=2)
 
 
 @pytest.mark.parametrize(

@@ -28,7 +28,7 @@ class AutoZOffset(object):
         check_z_axis(config, self.host.axes.z_axis)
         self.settings = read_settings(config, self.host.axes.z_axis)
         # Of the section; printer and probe follow when klippy connects
-        self.start_notes = settings_notes(config, self.settings)
+        self.start_notes = settings_notes(self.settings)
         self.notes = notes.Notes(self.host, lambda: self.start_notes)
         self.sensor = BedSensor(config, self.host, self.settings.pin)
         self.correction = Correction(self.host, self.settings)

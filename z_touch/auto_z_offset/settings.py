@@ -245,41 +245,42 @@ UNUSED_OPTIONS = (
 # The record
 ######################################################################
 
+# What becomes the field 'sampling'
+SAMPLING = [row.name for row in options.PROBE_OPTIONS]
+
 # mm, mm/s and mm/s^2; bed_xy_position is None for the middle of the axes.
 #
 #   sampling             what the options of sampling become
 #   floor                heights.Floor, the lowest point of all touches
+#   unused               what is given of UNUSED_OPTIONS, by their names
 #   lost_activate_gcode  the G-code is given that powered the sensor with the
 #                        original module
 #   is_others            calibrated_z_offset is given and z_offset is below 0: the
 #                        section of the original module, as it was
 Settings = options.record(
     "Settings",
-    SENSOR_OPTIONS + TRAVEL_OPTIONS + CYCLE_OPTIONS,
-    also="sampling floor lost_activate_gcode is_others",
+    [row for row in OPTIONS if row.name not in SAMPLING],
+    also="sampling floor unused lost_activate_gcode is_others",
 )
-
-
-def is_given(config, name):
-    return bool(config.get(name, "").strip())
 
 
 def read_settings(config, z_axis):
     values = options.read(config, OPTIONS)
+    unused = options.read(config, UNUSED_OPTIONS)
     values.update(
         sampling=options.sampling_of(values),
         floor=section_floor(z_axis, values["probe_z_min"]),
-        lost_activate_gcode=is_given(config, "activate_gcode"),
-        is_others=(
-            values["z_offset"] < 0.0 and is_given(config, "calibrated_z_offset")
-        ),
+        unused=unused,
+        lost_activate_gcode=bool(unused["activate_gcode"]),
+        is_others=values["z_offset"] < 0.0
+        and bool(unused["calibrated_z_offset"]),
     )
     return Settings(**{name: values[name] for name in Settings._fields})
 
 
 # What the user is told of his section when klippy is ready
-def settings_notes(config, settings):
-    notes = options.unused_notes(config, UNUSED_OPTIONS)
+def settings_notes(settings):
+    notes = options.unused_notes(settings.unused, UNUSED_OPTIONS)
     probe_z_min, floor = settings.probe_z_min, settings.floor
     if probe_z_min is not None and probe_z_min < floor.z:
         notes.append(

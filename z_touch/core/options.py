@@ -28,13 +28,6 @@ def number(config, name, default=None, **limits):
     return value
 
 
-# A count, AUTO, or None where it is not given
-def samples(config):
-    if config.get("samples", "").strip().lower() == AUTO:
-        return AUTO
-    return config.getint("samples", None, minval=1)
-
-
 # "x, y" -> (x, y), or None where it is not given
 def pair(config, name):
     values = config.getfloatlist(name, None, count=2)
@@ -61,6 +54,22 @@ def margins(config, name, default):
         text = "leaves no room between %g and %g; write the lower one first"
         raise config_error(config, name, text % tuple(values))
     return tuple(values)
+
+
+# A section of another room, which has to read all of it by itself: what is read here
+# counts as unread.
+class Foreign(object):
+    def __init__(self, section):
+        self.section = section
+        self.error = section.error
+        self.get_name = section.get_name
+        self.get_prefix_options = section.get_prefix_options
+        self.get = self._unnoted(section.get)
+        self.getfloat = self._unnoted(section.getfloat)
+        self.getfloatlist = self._unnoted(section.getfloatlist)
+
+    def _unnoted(self, read):
+        return functools.partial(read, note_valid=False)
 
 
 # Options under the names of older releases and of other plugins
@@ -131,8 +140,12 @@ REQUIRED = object()
 # In place of a default: the value of another option, which stands in a row above
 Same = collections.namedtuple("Same", "name")
 
+# In place of a default: what it is 'given' another option that is not 0, which
+# stands in a row above, and 'else_' what
+Given = collections.namedtuple("Given", "name given else_")
+
 # A row: how a value is written and read (Kind); what it is where the option is
-# left out, REQUIRED, Same, or None for "something else decides"; limits as the
+# left out, REQUIRED, Same, Given, or None for "something else decides"; limits as the
 # host's getters take them (minval, maxval, above, below); its unit, one sentence
 # for the document, and the names that the option had (pairs where it was one for
 # X and one for Y).
@@ -181,10 +194,18 @@ def _read_margins(config, name, row):
 
 
 def _read_samples(config, name, row):
-    count = samples(config)
-    return row.default if count is None else count
+    if config.get(name, "").strip().lower() == AUTO:
+        return AUTO
+    return config.getint(name, row.default, **row.limits)
 
 
+def _refuse(config, name, row):
+    # Looked for, not read: it is no option of this section.
+    if name in config.get_prefix_options(name):
+        raise config_error(config, name, row.text)
+
+
+REFUSED = Kind("nothing", _refuse, ())
 NUMBER = Kind("number", _read_number, ("many", "nan", "inf", "1,5"))
 COUNT = Kind("whole number", _read_count, ("many", "1.5"))
 FLAG = Kind("True or False", _read_flag, ("maybe",))
@@ -226,11 +247,20 @@ def read(config, rows, old_names=None, **defaults):
         if default is REQUIRED:
             # Where it is missing the host says so in its own words
             config.get(name)
-        elif isinstance(default, Same):
-            default = values[default.name]
+        else:
+            default = settled(default, values)
         row = row._replace(default=default)
         values[row.name] = row.kind.read(config, name, row)
     return values
+
+
+# The default that one of a row is by the values of the rows above
+def settled(default, values):
+    if isinstance(default, Same):
+        return values[default.name]
+    if isinstance(default, Given):
+        return default.given if values[default.name] else default.else_
+    return default
 
 
 # A row of another release's option that is read, and not used; 'why' is told
@@ -239,9 +269,13 @@ def unused(name, why):
     return option(name, TEXT, None, "", why)
 
 
-# What the user is told of such options
-def unused_notes(config, rows):
-    given = read(config, rows)
+# A row of another section's option that is wrong in this one; 'why' is the error.
+def refused(name, why):
+    return option(name, REFUSED, None, "", why)
+
+
+# What the user is told of unused options; 'given': as read() has them
+def unused_notes(given, rows):
     return [
         "option '%s' %s" % (row.name, row.text)
         for row in rows
@@ -315,10 +349,6 @@ PROBE_OPTIONS = (
 )
 
 
-def read_sampling(config, **defaults):
-    return sampling_of(read(config, PROBE_OPTIONS, **defaults))
-
-
 # The values of a table that has the PROBE_OPTIONS, as a record
 def sampling_of(values):
     return Sampling(
@@ -330,19 +360,6 @@ def sampling_of(values):
         retract_dist=values["sample_retract_dist"],
         lift_speed=values["lift_speed"],
     )
-
-
-# A record as the defaults of another section's options
-def as_defaults(sampling):
-    return {
-        "samples": sampling.samples,
-        "samples_tolerance": sampling.tolerance,
-        "samples_tolerance_retries": sampling.retries,
-        "samples_result": sampling.result,
-        "speed": sampling.speed,
-        "sample_retract_dist": sampling.retract_dist,
-        "lift_speed": sampling.lift_speed,
-    }
 
 
 # What PROBE takes: SAMPLES and the rest

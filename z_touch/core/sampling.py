@@ -16,6 +16,12 @@ Sampling = collections.namedtuple(
 )
 
 
+# A record with the values of another one where it has none
+def filled(record, other):
+    pairs = zip(record, other)
+    return record._make(b if a is None else a for a, b in pairs)
+
+
 def summarize(samples, method):
     ordered = sorted(samples)
     middle = len(ordered) // 2

@@ -64,6 +64,14 @@ def site_kind(name):
     return options.Kind(options.PAIR.word, read, options.PAIR.nonsense)
 
 
+# The row of such an option, which had one for X and one for Y until 2023
+def site_option(name, text):
+    site = name.split("_")[0]
+    axes = tuple("probe_%s_%s" % (site, axis) for axis in "xy")
+    kind = site_kind(site)
+    return options.option(name, kind, None, "mm", text, old=(axes,))
+
+
 # What to do where the head does not get to a point that is the user's choice
 CHOOSE_ANOTHER = "choose a point that it can reach"
 

@@ -9,6 +9,7 @@ from __future__ import absolute_import
 import collections
 
 from . import options
+from .pin_options import ENDSTOP_PIN, NOZZLE_POSITION
 
 # So near (mm, in X and in Y) the nozzle may meet the pin: its half, and that of a
 # worn nozzle's flat.
@@ -47,21 +48,13 @@ def low_switch(z_axis):
 def _calibrated_at(config):
     if not config.has_section("z_calibration"):
         return None
-    section = config.getsection("z_calibration")
-    if section.get("endstop_pin", "", note_valid=False):
+    section = options.Foreign(config.getsection("z_calibration"))
+    values = options.read(section, (NOZZLE_POSITION, ENDSTOP_PIN))
+    if values[ENDSTOP_PIN.name] is not None:
         # Another pin, whose height nobody knows yet
         return None
-    point = _point(config, "z_calibration", "nozzle_xy_position")
-    return point or _old_point(section) or _home(config)
-
-
-# As it was named until 2023
-def _old_point(section):
-    point = [
-        section.getfloat(name, None, note_valid=False)
-        for name in ("probe_nozzle_x", "probe_nozzle_y")
-    ]
-    return None if None in point else point
+    site = values[NOZZLE_POSITION.name]
+    return _home(config) if site is None else (site.x, site.y)
 
 
 def _homed_beside_mesh(config):

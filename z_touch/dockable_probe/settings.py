@@ -385,9 +385,10 @@ def read_settings(config, host, old_names):
 
 # Those of the dock.  A section that has none of them is to be set up.
 def read_positions(config, notes):
-    rows = (DOCK,) + POSITIONS + OLD_POSITIONS
+    places = (DOCK,) + POSITIONS
+    rows = places + OLD_POSITIONS
     if all(config.get(row.name, None) is None for row in rows):
-        values = dict.fromkeys((row.name for row in rows[:5]), NOWHERE)
+        values = dict.fromkeys((row.name for row in places), NOWHERE)
         return dict(values, is_placed=False)
     values = options.read(config, (DOCK,))
     angles = read_angles(config, values["dock_position"], notes)

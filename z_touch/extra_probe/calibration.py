@@ -28,10 +28,11 @@ Question = collections.namedtuple("Question", "floor save mark xy asks bed_z")
 # 'switch' is what lies on the bed, 'runner' runs one command at a time, 'pin' is
 # where Z is homed, see z_pin.
 class Calibration(object):
-    def __init__(self, host, runner, name, settings, switch, pin):
+    def __init__(self, host, runner, name, switch, pin):
         self.host = host
         self.runner = runner
-        self.settings = settings
+        # Complete from connect() on
+        self.settings = None
         self.switch = switch
         self.pin = pin
         self.frame = Frame(host)
@@ -41,6 +42,9 @@ class Calibration(object):
         # Of the last one that was applied or saved; None: there is none
         self.last_offset = None
         running.register_commands(host, self, name)
+
+    def connect(self, settings):
+        self.settings = settings
 
     # The question that is open, in one word; empty: there is none
     def waits_for(self):

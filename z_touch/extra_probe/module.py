@@ -13,7 +13,7 @@ from ..core.host import Host
 from ..core.sampling import accuracy, summarize
 from . import heights
 from .calibration import Calibration
-from .settings import PROBE, read_settings
+from .settings import PROBE, complete, read_settings
 from .switches import PinSwitch, ProbeSwitch, Series
 
 # What is told where the switch cannot lie
@@ -50,7 +50,6 @@ class ExtraProbe(object):
             self.host,
             self.runner,
             self.name,
-            self.settings,
             self.switch,
             self.z_pin,
         )
@@ -69,6 +68,9 @@ class ExtraProbe(object):
             self.check_safe_z()
             if self.name == PROBE:
                 self.check_probe()
+                self.settings = complete(
+                    self.settings, host.probing.sampling(), self.probe_z_offset
+                )
             if self.settings.xy_position is not None:
                 site, remedy = (
                     self.settings.xy_position,
@@ -77,6 +79,7 @@ class ExtraProbe(object):
                 touching.check_reach(host, site, remedy)
         except CalibrationError as e:
             raise host.printer.config_error(str(e))
+        self.calibration.connect(self.settings)
         where = "The switch of section '%s'" % (host.section,)
         host.endstops.check_stops_z(self.switch.endstop(), where)
 

@@ -4,6 +4,7 @@ from __future__ import absolute_import
 
 from ..core import options
 from ..core.options import REQUIRED, option
+from ..core.sampling import filled
 from ..core.templates import GCODE
 from ..core.touching import site_kind
 
@@ -46,8 +47,8 @@ SWITCH_OPTIONS = (
     ),
 )
 
-# In [extra_probe probe] the defaults of z_offset and of the options of
-# sampling are those of [probe].
+# In [extra_probe probe] the defaults of z_offset and of the options of sampling are
+# what the probe has, see complete().
 CALIBRATION_OPTIONS = (
     option(
         "z_offset",
@@ -98,6 +99,14 @@ CALIBRATION_OPTIONS = (
     ),
 )
 
+# Of the other sections: what lies on the tips of a textured plate covers what is
+# between them, so that one point is as good as many.
+REFUSED_OPTIONS = (
+    options.refused(
+        "bed_spread", "is not needed, as the switch covers texture; remove it"
+    ),
+)
+
 SAMPLING_OPTIONS = options.PROBE_OPTIONS
 OPTIONS = SWITCH_OPTIONS + SAMPLING_OPTIONS + CALIBRATION_OPTIONS
 
@@ -118,22 +127,21 @@ def read_switch_settings(config):
     return SwitchSettings(**options.read(config, SWITCH_OPTIONS))
 
 
-# Of the other sections: what lies on the tips of a textured plate covers what is
-# between them, so that one point is as good as many.
-def refuse_spread(config):
-    if config.get_prefix_options("bed_spread"):
-        what = "is not needed, as the switch covers texture; remove it"
-        raise options.config_error(config, "bed_spread", what)
-
-
 def read_settings(config):
-    refuse_spread(config)
-    defaults = {}
+    options.read(config, REFUSED_OPTIONS)
+    rows, defaults = SAMPLING_OPTIONS + CALIBRATION_OPTIONS, {}
     if config.get_name().split()[-1] == PROBE:
-        probe = config.getsection(PROBE)
-        defaults = options.as_defaults(options.read_sampling(probe))
-        defaults["z_offset"] = options.number(probe, "z_offset", 0.0)
-    rows = SAMPLING_OPTIONS + CALIBRATION_OPTIONS
+        names = [row.name for row in SAMPLING_OPTIONS]
+        defaults = dict.fromkeys(names + ["z_offset"])
     values = options.read(config, rows, **defaults)
     values["sampling"] = options.sampling_of(values)
     return Settings(**{name: values[name] for name in Settings._fields})
+
+
+# Lets the probe decide what the owner of [extra_probe probe] has left open.
+# 'sampling', 'z_offset' (mm): of the probe
+def complete(settings, sampling, z_offset):
+    settings = settings._replace(sampling=filled(settings.sampling, sampling))
+    if settings.z_offset is None:
+        settings = settings._replace(z_offset=z_offset)
+    return settings

@@ -7,9 +7,10 @@
 # and 'probe'.
 from __future__ import absolute_import
 
-from ..core import options, touching
+from ..core import options, pin_options, touching
 from ..core.errors import CalibrationError
 from ..core.options import option
+from ..core.sampling import filled
 from ..core.spread import LARGEST_SPREAD
 from ..core.templates import GCODE
 from ..uncertainty import adaptive
@@ -82,14 +83,6 @@ HISTORY = options.Kind("folder", _read_folder, ("", " "))
 ######################################################################
 
 
-# A touching.Site, which had one option for X and one for Y
-def site_option(name, text):
-    site = name.split("_")[0]
-    axes = tuple("probe_%s_%s" % (site, axis) for axis in "xy")
-    kind = touching.site_kind(site)
-    return option(name, kind, None, "mm", text, old=(axes,))
-
-
 def mm_option(name, default, text, old=(), **limits):
     return option(name, options.NUMBER, default, "mm", text, old, **limits)
 
@@ -111,13 +104,8 @@ def gcode_option(name, default, text):
 
 
 POSITIONS = (
-    site_option(
-        "nozzle_xy_position",
-        "X, Y of the head, in mm, when the nozzle is above the middle of the"
-        " metal pin. The default is home_xy_position of [safe_z_home]; there is"
-        " none with endstop_pin.",
-    ),
-    site_option(
+    pin_options.NOZZLE_POSITION,
+    touching.site_option(
         "switch_xy_position",
         "X, Y of the head when the body of the probe's switch is above the same"
         " pin, with its flat side beside the plunger.",
@@ -130,7 +118,7 @@ POSITIONS = (
         "Instead of switch_xy_position: the way from the nozzle position to it,"
         " in mm. There is no default.",
     ),
-    site_option(
+    touching.site_option(
         "bed_xy_position",
         "The point of the bed that the probe touches. The default is"
         " zero_reference_position of [bed_mesh].",
@@ -204,15 +192,7 @@ HEIGHTS = (
         "No touch goes lower, in mm. The default is position_min of"
         " [stepper_z].",
     ),
-    option(
-        "endstop_pin",
-        options.PIN,
-        None,
-        "",
-        "The MCU pin of another switch that nozzle and body press, such as"
-        " ^PG10. By default they press the Z endstop.",
-        old=("calibration_endstop_pin",),
-    ),
+    pin_options.ENDSTOP_PIN,
 )
 
 # What is left out of these is as in [probe]; two have other names than there.
@@ -274,7 +254,7 @@ SPEEDS = (
     ),
     mm_option(
         "target_uncertainty",
-        TARGET_UNCERTAINTY,
+        options.Given("bed_spread", ROUGH_TARGET, TARGET_UNCERTAINTY),
         "With samples: auto, what the offset may be off by, in mm. With"
         " bed_spread the default is 0.014.",
         above=0.0,
@@ -396,8 +376,6 @@ def read_settings(config, z_axis, old_names):
     defaults["probing_retract_dist"] = (
         z_axis.homing_retract_dist or FALLBACK_RETRACT
     )
-    if options.number(config, "bed_spread", 0.0):
-        defaults["target_uncertainty"] = ROUGH_TARGET
     values = options.read(config, OPTIONS, old_names, **defaults)
     counting = adaptive.choose(values["samples"], values["target_uncertainty"])
     note_idle_options(counting, old_names)
@@ -487,12 +465,6 @@ def complete(settings, probe, z_offset, position_max):
         safe_z_height=heights.default_safe_z(z_offset),
         unmeasured_pin=UNMEASURED_PIN if is_passed else 0.0,
     )
-
-
-# A record with the values of another one where it has none
-def filled(record, other):
-    pairs = zip(record, other)
-    return record._make(b if a is None else a for a, b in pairs)
 
 
 # The settings with a fixed number of touches: 'pin' and 'probe' are the samplings
