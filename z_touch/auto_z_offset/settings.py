@@ -27,7 +27,7 @@ def _read_result(config, name, row):
     return result
 
 
-RESULT = options.Kind("average or median", _read_result, ("neither",))
+RESULT = options.RESULT._replace(read=_read_result)
 
 
 ######################################################################

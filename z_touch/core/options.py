@@ -153,9 +153,14 @@ Option = collections.namedtuple(
     "Option", "name kind default limits unit text old"
 )
 
-# What an owner writes, in words; read(config, name, row); and values that must
-# be refused, besides those outside the limits of a row
-Kind = collections.namedtuple("Kind", "word read nonsense")
+
+# What an owner writes, in words; read(config, name, row); values that must be
+# refused, besides those outside the limits of a row; and of a choice the words
+class Kind(collections.namedtuple("Kind", "word read nonsense words")):
+    __slots__ = ()
+
+    def __new__(cls, word, read, nonsense, words=()):
+        return super(Kind, cls).__new__(cls, word, read, nonsense, words)
 
 
 def option(name, kind, default, unit, text, old=(), **limits):
@@ -208,12 +213,14 @@ def _refuse(config, name, row):
 REFUSED = Kind("nothing", _refuse, ())
 NUMBER = Kind("number", _read_number, ("many", "nan", "inf", "1,5"))
 COUNT = Kind("whole number", _read_count, ("many", "1.5"))
-FLAG = Kind("True or False", _read_flag, ("maybe",))
+FLAG = Kind("True or False", _read_flag, ("maybe",), ("True", "False"))
 TEXT = Kind("text", _read_text, ())
 PIN = Kind("MCU pin", _read_pin, ("no:PA1", "PZ9:1"))
 PAIR = Kind("X, Y", _read_pair, ("100", "1, 2, 3", "a, b", "nan, 1"))
 MARGINS = Kind("low, high", _read_margins, ("1, -1", "1, 2, 3", "nan", "0"))
-SAMPLES = Kind("whole number or auto", _read_samples, ("0", "1.5", "some"))
+SAMPLES = Kind(
+    "whole number or auto", _read_samples, ("0", "1.5", "some"), (AUTO,)
+)
 
 
 # One of some words, each for a value
@@ -221,8 +228,8 @@ def choice(values):
     def read(config, name, row):
         return config.getchoice(name, values, row.default)
 
-    words = sorted(word for word in values if word is not None)
-    return Kind(" or ".join(words), read, ("neither",))
+    words = tuple(sorted(word for word in values if word is not None))
+    return Kind(" or ".join(words), read, ("neither",), words)
 
 
 RESULT = choice(RESULTS)

@@ -243,7 +243,7 @@ SPEEDS = (
         options.FLAG,
         False,
         "",
-        "true: the first touch at each place is made at probing_speed and does"
+        "True: the first touch at each place is made at probing_speed and does"
         " not count.",
     ),
     probe_option(
@@ -295,7 +295,7 @@ KEPT = (
         options.FLAG,
         True,
         "",
-        "false: its lines do not say when that was.",
+        "False: its lines do not say when that was.",
     ),
 )
 
