@@ -124,27 +124,45 @@ def is_of_machine(name: str) -> bool:
 
 def of_row(row: Any) -> Sequence[str]:
     """Some that its table allows."""
-    if row.kind is options.FLAG:
-        return ("True", "False")
     if row.kind is options.SAMPLES:
         return ("1", "3", "auto")
+    if row.kind.words:
+        return tuple(row.kind.words)
     if row.kind is options.COUNT:
-        return tuple(f"{row.limits['minval'] + more:d}" for more in (0, 1, 2))
+        low = row.limits.get("minval", 0)
+        return tuple(
+            f"{low + more:d}" for more in (0, 1, 2) if _may_be(row, low + more)
+        )
     if row.kind is options.NUMBER:
-        return tuple(_around(row))
-    if row.kind is options.RESULT or row.name.endswith("_result"):
-        return ("median", "average")
+        return tuple(
+            f"{value:g}" for value in _around(row) if _may_be(row, value)
+        )
     return ()
 
 
-def _around(row: Any) -> Iterator[str]:
-    """Half and twice the default, as far as the row allows."""
-    if not isinstance(row.default, float) or not row.default:
+def _may_be(row: Any, value: float) -> bool:
+    """Whether a row's limits allow it."""
+    limits = row.limits
+    return (
+        value >= limits.get("minval", value)
+        and value <= limits.get("maxval", value)
+        and value > limits.get("above", value - 1.0)
+        and value < limits.get("below", value + 1.0)
+    )
+
+
+def _around(row: Any) -> Iterator[float]:
+    """Half and twice the default; of 0 a tenth of what the limits leave."""
+    default = row.default
+    if isinstance(default, options.Given):
+        default = default.else_
+    if not isinstance(default, (int, float)):
         return
-    for value in (0.5 * row.default, 2.0 * row.default):
-        low, high = (row.limits.get(k) for k in ("minval", "maxval"))
-        if (low is None or value >= low) and (high is None or value <= high):
-            yield f"{value:g}"
+    if default:
+        yield from (0.5 * default, 2.0 * default)
+        return
+    ends = [row.limits.get(name) for name in ("maxval", "below")]
+    yield 0.1 * next((end for end in ends if end is not None), 10.0)
 
 
 @lru_cache(maxsize=None)
