@@ -360,7 +360,7 @@ def test_how_low_the_head_is_moved(pin, z_offset, step, attached, floor):
     state.pin_below = 9.0
     if pin is None:
         assert head.jog_floor(state, attached) == 10.0
-    state.heights["nozzle"] = 8.0
+    state.touched["nozzle"] = SimpleNamespace(z=8.0)
     assert head.pin_z(state) == 8.0
 
 

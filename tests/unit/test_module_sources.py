@@ -176,7 +176,7 @@ def test_tools_lead_to_no_test_of_the_product(path):
 # Objects of a room that others in it fill in: the progress of a set-up, a page that
 # is drawn, a thread of the library.
 FILLED_IN = {
-    "guide": {"state", "self.state"},
+    "guide": {"state", "self.state", "state.probe"},
     "history": {"page", "self.page", "thread"},
     # Wraps a command, so that its parameters are numbers
     "auto_z_offset": {"gcmd"},

@@ -21,7 +21,7 @@ from ..z_calibration.switches import SWITCHES
 from . import steps, texts
 from .hands import Hands
 from .head import FIRST_TOUCHES, LOOK_TIME, OVER_SHEET, GuidedHead
-from .state import SITES, State
+from .state import SITES, State, SwitchOffset
 from .summary import Summary, repeats
 from .touches import Touches
 
@@ -127,11 +127,11 @@ class Setup(object):
                 "the head has not got to this place yet; answer the question"
             )
         self.check_heights(state)
-        state.is_attached = self.hands.is_attached()
+        state.probe.is_attached = self.hands.is_attached()
         if state.step == "paper":
             self.check_sheet(gcmd, state)
             self.head.check_over_sheet(state)
-        self.head.jog(gcmd, state, state.is_attached)
+        self.head.jog(gcmd, state, state.probe.is_attached)
 
     # Does what was announced, then moves the head to where the next step begins
     def go_on(self, gcmd, state):
@@ -141,7 +141,7 @@ class Setup(object):
         answer = gcmd.get("ANSWER", "").strip().upper()
         following = steps.follow(state.step, answer)
         if state.step == "off":
-            state.is_fixed = answer == "SKIP"
+            state.probe.is_fixed = answer == "SKIP"
         self.check_heights(state)
         if not (state.arrived or answer):
             self.arrive(gcmd, state)
@@ -219,6 +219,7 @@ class Setup(object):
     def facts(self):
         state, name = self.state, self.state.step
         back = steps.STEPS[name].back
+        kind = state.switch_offset.kind if state.switch_offset else ""
         facts = dict.fromkeys(FACTS, "")
         facts.update(
             patience=steps.HAND_PATIENCE,
@@ -229,7 +230,7 @@ class Setup(object):
             repeats=repeats(state),
             touches=FIRST_TOUCHES,
             come_down=steps.COME_DOWN,
-            of_a_list=steps.of_a_list(state.kind),
+            of_a_list=steps.of_a_list(kind),
             room=0.0,
         )
         if self.touches.is_homed():
@@ -295,7 +296,7 @@ class Setup(object):
             self.go_to_site(name, state)
 
     def go_to_site(self, name, state):
-        state.is_attached = self.hands.is_attached()
+        state.probe.is_attached = self.hands.is_attached()
         site = self.head.candidate(name, state)
         if site is None:
             self.head.lift(state)
@@ -344,7 +345,7 @@ class Setup(object):
                 " %.3f that are allowed; home Z again (G28 Z), then check the"
                 " three places" % (value, z_offset, low, high)
             )
-        self.state.switch_offset, self.state.kind = value, kind
+        self.state.switch_offset = SwitchOffset(value, kind)
 
     def measure_paper(self, gcmd, state):
         self.head.check_over_sheet(state)

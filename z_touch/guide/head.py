@@ -90,7 +90,8 @@ class GuidedHead(object):
         homed_z = self.section.settings().position_endstop
         if homed_z is None:
             homed_z = state.pin_below
-        return state.heights.get("nozzle", homed_z)
+        nozzle_z = state.height("nozzle")
+        return homed_z if nozzle_z is None else nozzle_z
 
     ##################################################################
     # Sites
@@ -279,7 +280,7 @@ class GuidedHead(object):
 
     # How low the buttons lead, in words
     def lowest(self, state):
-        floor = self.jog_floor(state, state.is_attached)
+        floor = self.jog_floor(state, state.probe.is_attached)
         pin_z = self.pin_z(state)
         if pin_z is None:
             return texts.LOWEST_OF_ANY % (floor,)

@@ -17,7 +17,7 @@ def near(a, b):
 
 # How well the last touches repeat, in a sentence; empty before the first ones
 def repeats(state):
-    samples = state.samples
+    samples = state.samples()
     if not samples:
         return ""
     name = [site for site in SITES if site in samples][-1]
@@ -43,13 +43,13 @@ class Summary(object):
     def values(self, state):
         settings = self.section.settings()
         values = self.sites(state)
-        values.append(("switch_offset", "%.3f" % (state.switch_offset,)))
+        values.append(("switch_offset", "%.3f" % (state.switch_offset.value,)))
         travel_z = self.head.travel_z(state)
         is_higher = travel_z > settings.safe_z_height or settings.unmeasured_pin
         if settings.position_endstop is None and is_higher:
             # CALIBRATE_Z does not know how high that pin is
             values.append(("safe_z_height", "%.1f" % (travel_z + 0.05,)))
-        count = steps.repeatability(list(state.samples.values()))[1]
+        count = steps.repeatability(list(state.samples().values()))[1]
         samples = self.section.proposed_samples(count)
         if samples:
             values.append(("samples", samples))

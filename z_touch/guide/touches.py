@@ -22,7 +22,7 @@ class Touches(object):
     def home(self, gcmd, state):
         if not self.is_homed():
             on_pin = self.section.settings().position_endstop is not None
-            if on_pin and not state.is_fixed and self.hands.is_attached():
+            if on_pin and not state.probe.is_fixed and self.hands.is_attached():
                 raise CalibrationError(
                     "the probe is on the head, and would hit the bed before the"
                     " nozzle meets the pin; put it away, or run G28 yourself"
@@ -51,14 +51,14 @@ class Touches(object):
             )
 
     def fetch(self, state):
-        state.is_fetched = True
+        state.probe.is_fetched = True
         self.section.fetch()
         state.mark = self.section.mark()
 
     def put_away(self, state):
-        if state.is_fetched:
+        if state.probe.is_fetched:
             self.section.put_away()
-            state.is_fetched = False
+            state.probe.is_fetched = False
 
     # The printer as before.  A print would go on where the head was lifted to;
     # of a printer that is not homed nothing can be moved.
@@ -69,7 +69,7 @@ class Touches(object):
             self.head.lift(state)
             with self.section.holding_probe():
                 self.put_away(state)
-        elif state.is_fetched:
+        elif state.probe.is_fetched:
             gcmd.respond_info(
                 "%s: nothing was moved, as a print may be on, or the printer is"
                 " not homed; the probe has to be off the head; look, and put it"
@@ -82,10 +82,10 @@ class Touches(object):
 
     def touch_nozzle(self, gcmd, state):
         self.head.lift(state)
-        state.heights, state.samples = {}, {}
+        state.touched = {}
         # Whoever has put it on: it may meet the bed before the nozzle meets the pin
-        is_left_on = not state.is_fixed and self.hands.is_attached()
-        state.is_fetched = state.is_fetched or is_left_on
+        is_left_on = not state.probe.is_fixed and self.hands.is_attached()
+        state.probe.is_fetched = state.probe.is_fetched or is_left_on
         with self.section.holding_probe():
             self.put_away(state)
             self.fetch(state)
@@ -110,8 +110,7 @@ class Touches(object):
         before = state.heights_before(name)
         with running.always(self.host, first_touches.lift, "lifting"):
             touched = first_touches.touch(name, *before)
-            state.heights[name] = touched.z
-            state.samples[name] = touched.samples
+            state.touched[name] = touched
         if name == "switch" and touched.warnings:
             # The plunger was pressed, too: another place is needed
             raise CalibrationError("; ".join(touched.warnings))
