@@ -52,7 +52,7 @@ class Carrier(object):
 
     @property
     def auto(self):
-        return self.prober.auto
+        return self.prober.holder.auto
 
     # Docked by 'pin' alone may be on the head, and pressed: then the head is
     # lifted for a second look, and comes back where it is docked.
@@ -81,18 +81,18 @@ class Carrier(object):
         self.prober.dock_and_come_back()
 
     def dock_pending(self):
-        self.prober.delay.hurry()
+        self.prober.holder.delay.hurry()
 
     # ATTACH_PROBE says so, also where the probe was on already; a delayed docking,
     # that it does not.
     def mark(self):
-        return self.prober.times_held
+        return self.prober.holder.times_held
 
     def is_put_on(self, mark, was_docked):
-        prober = self.prober
-        if prober.is_held:
-            return was_docked or prober.times_held != mark
-        is_free = prober.delay.mark is None
+        holder = self.prober.holder
+        if holder.is_held:
+            return was_docked or holder.times_held != mark
+        is_free = holder.delay.mark is None
         return was_docked and is_free and self.state() != DOCKED
 
     def fetch(self):
@@ -143,7 +143,7 @@ class Carrier(object):
 
     # The probe is docked at the end of each session, whoever held it.
     def _around_paper(self, asks_again, command, gcmd):
-        delay = self.prober.delay
+        delay = self.prober.holder.delay
         delay.forbid(True)
         try:
             command(gcmd)

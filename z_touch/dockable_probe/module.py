@@ -13,10 +13,11 @@ from ..core import host, notes, options, running
 from . import checks, detour
 from .carrier import Carrier
 from .docking import DOCK, FETCH, IF_DOCKED, Docking
+from .homing import BeforeHoming
 from .moves import Moves
 from .prober import Prober
 from .sensors import ATTACHED, DOCKED, UNKNOWN, Sensors
-from .settings import read_settings, travel_height
+from .settings import read_settings
 from .setup import Setup
 from .virtual_probe import VirtualProbe
 
@@ -30,28 +31,30 @@ class DockableProbe(object):
         logging.info("dockable_probe %s", __version__)
         checks.check_only_probe(config)
         self.host = host.Host(config)
-        self.old_names = options.OldNames(config)
-        settings = read_settings(config, self.host, self.old_names)
-        checks.check_positions(config, settings, self.old_names.notes)
-        self.notes = notes.Notes(self.host, self.start_notes)
+        old_names = options.OldNames(config)
+        settings = read_settings(config, self.host, old_names)
+        checks.check_positions(config, settings, old_names.notes)
+        read_notes = functools.partial(self.start_notes, old_names)
+        self.notes = notes.Notes(self.host, read_notes)
         self.settings = settings
         self.sensors = Sensors(config, self.host, settings)
         self.moves = Moves(self.host, settings)
         self.docking = Docking(settings, self.sensors, self.moves)
         self.prober = Prober(self.docking, settings)
-        self.carrier = Carrier(self.prober)
-        # Whether the owner lifts the head before X and Y are homed
-        self.is_lifted_elsewhere = checks.is_lifted_elsewhere(config)
+        Carrier(self.prober)
         self.virtual_probe = VirtualProbe(self.host)
         self.virtual_probe.install(
             config, self.prober, self.sensors.pin.endstop, settings
         )
+        self.before_homing = BeforeHoming(
+            self.prober,
+            self.virtual_probe.is_z_endstop,
+            checks.is_lifted_elsewhere(config),
+        )
         register = self.host.printer.register_event_handler
         register("klippy:connect", self.connect)
-        register("homing:home_rails_begin", self.lift_before_xy)
-        register("homing:home_rails_begin", self.home_rails_begin)
         running.register_commands(self.host, self)
-        self.setup = Setup(self)
+        Setup(self)
 
     # Another dock for a while, as it is tried before it is saved
     @contextlib.contextmanager
@@ -78,7 +81,7 @@ class DockableProbe(object):
         try:
             checks.check_reach(self.settings, limits)
             if self.virtual_probe.is_z_endstop():
-                self.prober.home_over(
+                self.prober.homing.home_over(
                     checks.check_homing(self.settings, limits)
                 )
         except checks.Misfit as e:
@@ -88,8 +91,8 @@ class DockableProbe(object):
             )
 
     # What the user is told when klippy is ready
-    def start_notes(self):
-        notes = self.old_names.notes + self.virtual_probe.notes
+    def start_notes(self, old_names):
+        notes = old_names.notes + self.virtual_probe.notes
         dock, mesh = self.settings.dock_position[:2], self.settings.mesh
         is_known = mesh is not None and self.settings.is_placed
         if is_known and detour.is_within(dock, mesh):
@@ -100,26 +103,6 @@ class DockableProbe(object):
             )
         return notes
 
-    # What hangs on the head may be lower than the bed when X and Y are homed, and
-    # nobody knows that yet.
-    def lift_before_xy(self, homing_state, rails):
-        if self.is_lifted_elsewhere or self.host.axes.homed_axis(rails) is None:
-            return
-        if self.sensors.confirm() != DOCKED or self.sensors.is_doubtful():
-            self.moves.lift(travel_height(self.settings))
-
-    # Where Z is homed without the probe, that may be in the way.
-    def home_rails_begin(self, homing_state, rails):
-        is_z = 2 in homing_state.get_axes()
-        if not self.detach_dockable_before_z_home or not is_z:
-            return
-        if self.virtual_probe.is_z_endstop():
-            return
-        # Without X and Y it cannot be docked, which is said where it is not.
-        is_on_head = self.sensors.look() != DOCKED or self.sensors.is_doubtful()
-        if self.moves.is_homed("xy") or is_on_head:
-            self.detach_probe()
-
     # Before Z is homed: the head ends where it was.  Of this name for Kalico's
     # safe_z_home, since 2026-02-24 (9500bd614)
     def detach_probe(self):
@@ -128,22 +111,19 @@ class DockableProbe(object):
     # Of this name for Kalico's safe_z_home
     @property
     def detach_dockable_before_z_home(self):
-        wanted = self.settings.detach_dockable_before_z_home
-        return (
-            not self.virtual_probe.is_z_endstop() if wanted is None else wanted
-        )
+        return self.before_homing.docks_before_z()
 
     # For z_calibration, which holds the probe for a while
     @property
     def auto_attach_detach(self):
-        return self.prober.auto
+        return self.prober.holder.auto
 
     def get_status(self, eventtime):
         status = dict(self.virtual_probe.get_status(eventtime))
         # Kalico's numbers under Kalico's name
         status["last_status"] = STATES.index(self.sensors.last_state)
         status["last_status_name"] = self.sensors.last_state
-        status["auto_attach_detach"] = self.prober.auto
+        status["auto_attach_detach"] = self.prober.holder.auto
         status["notes"] = list(self.notes.texts)
         return status
 
@@ -179,14 +159,14 @@ class DockableProbe(object):
                 % (state, seen, self.sensors.describe())
             )
         self.sensors.be_told(state)
-        self.prober.hold(state == ATTACHED)
+        self.prober.holder.hold(state == ATTACHED)
 
     cmd_SET_DOCKABLE_PROBE_help = "Switch going to the dock by itself on or off"
 
     def cmd_SET_DOCKABLE_PROBE(self, gcmd):
-        name, auto = "AUTO_ATTACH_DETACH", self.prober.auto
+        name, auto = "AUTO_ATTACH_DETACH", self.prober.holder.auto
         auto = options.param_int(gcmd, name, auto, minval=0, maxval=1)
-        self.prober.set_auto(bool(auto))
+        self.prober.holder.set_auto(bool(auto))
 
     ######################################################################
     # Commands: trips to the dock, and their parts
@@ -196,18 +176,18 @@ class DockableProbe(object):
 
     def cmd_ATTACH_PROBE(self, gcmd):
         # Until it was fetched nobody holds it.
-        self.prober.hold(False)
+        self.prober.holder.hold(False)
         goal = self.moves.position()
         if self.sensors.confirm() == self.sensors.proven == ATTACHED:
             # It is told that it will be used, wherever it was.
             self.docking.activate()
         self.docking.fetch(goal if self.settings.restore_toolhead else None)
-        self.prober.hold(True)
+        self.prober.holder.hold(True)
 
     cmd_DETACH_PROBE_help = "Dock the probe"
 
     def cmd_DETACH_PROBE(self, gcmd):
-        self.prober.hold(False)
+        self.prober.holder.hold(False)
         if not self.prober.dock_and_return(self.moves.position()):
             # It is told that it was used, wherever it is.
             self.docking.deactivate()

@@ -4,15 +4,10 @@
 from __future__ import absolute_import
 
 from ..core import carrying, touching
-from .delay import Delay
+from .holder import Holder
+from .homing import ZHoming
 from .sensors import ATTACHED
 from .settings import REACH, travel_height
-
-# Homing goes down twice: to find the bed, and slowly again from a little above.
-FIRST, SECOND = "first", "second"
-
-# The second way down of homing ends so far (mm) below the first trigger.
-SECOND_REACH = 1.0
 
 # Lower than any axis gets (mm)
 NO_FLOOR = -1e6
@@ -29,21 +24,15 @@ class Prober(object):
         self.settings = settings
         self.moves = docking.moves
         self.sensors = docking.sensors
-        # See home_over()
-        self.home_xy = None
-        # Whether commands fetch and dock the probe by themselves
-        self.auto = settings.auto_attach_detach
-        # Whether ATTACH_PROBE has fetched the probe to stay, and how often
-        self.is_held, self.times_held = False, 0
-        # The way down of homing that comes next, None where nobody homes
-        self.homing = None
+        self.homing = ZHoming(self.moves, settings)
+        auto = settings.auto_attach_detach
+        self.holder = Holder(self.host, self._dock_and_return_here, auto)
         # Toolhead Z at which the probe is just off what it has touched
         self.clear_z = 0.0
-        # The docking that is to come in a while
-        self.delay = Delay(self.host, self._dock_and_return_here)
 
     def use(self, settings):
         self.settings = settings
+        self.homing.use(settings)
 
     ######################################################################
     # How deep a touch may go
@@ -56,23 +45,9 @@ class Prober(object):
         lowest = NO_FLOOR if is_homing else self.settings.lowest
         return max(position_min, lowest)
 
-    # How far (mm) below z_offset the way down of homing may go that begins now:
-    # at first as deep as any touch, then hardly deeper than the first one.  It
-    # is counted by the motors, as homing and others say of Z what they like.
-    # None: nobody knows how high the head is.
+    # See homing.ZHoming
     def homing_reach(self):
-        motors_z, homed_z = self.moves.motors_z(), self.moves.homed_z
-        if motors_z is None or homed_z is None:
-            return None
-        beyond = SECOND_REACH
-        if self.homing == FIRST:
-            beyond = self.settings.z_offset - self.settings.lowest
-        return motors_z - homed_z + beyond
-
-    # Where the head stands while Z is homed with the probe, as klippy finds when
-    # it connects: (x, y); None: where it is then
-    def home_over(self, xy):
-        self.home_xy = xy
+        return self.homing.reach()
 
     ######################################################################
     # What virtual_probe tells
@@ -81,30 +56,28 @@ class Prober(object):
     # A command that probes begins
     def begin(self, is_homing):
         self.docking.check_idle()
-        self.delay.cancel()
-        self.homing = FIRST if is_homing else None
+        self.holder.delay.cancel()
+        self.homing.begin(is_homing)
         self.clear_z = 0.0
         self.moves.stay(False)
-        goal = self.moves.position()
-        if is_homing and self.home_xy is not None:
-            goal = goal._replace(x=self.home_xy[0], y=self.home_xy[1])
+        goal = self.homing.goal(self.moves.position())
         if self.moves.is_in_dock(goal):
             raise self.host.error(
                 "the head stands in the dock (X=%.3f Y=%.3f), where nothing can"
                 " be touched; move it away first, as MOVE_TO_APPROACH_PROBE"
                 " does" % goal[:2]
             )
-        if self.auto and not is_homing and self.moves.is_left_beside():
+        if self.holder.auto and not is_homing and self.moves.is_left_beside():
             # Nobody wants to touch there, and from there the host would go on
             # straight across the dock.
             goal = None
         # Nobody knows how high the head is, so the way down has no end.
-        is_only_stop = is_homing and self.homing_reach() is None
-        if not self.auto:
+        is_only_stop = is_homing and self.homing.reach() is None
+        if not self.holder.auto:
             self._require_attached()
         elif self.docking.fetch(goal, is_only_stop):
-            # Whoever held it has lost it, and somebody has put it there.
-            self.is_held = False
+            # Somebody has put it into its dock.
+            self.holder.lose()
         if is_only_stop:
             self.docking.check_switch()
         if goal is None:
@@ -145,20 +118,17 @@ class Prober(object):
             raise self._lost("was lost in a touch")
         if not moved:
             raise self._lost("triggered before the head moved")
-        if self.homing is None:
+        if self.homing.way is None:
             if not triggered and self._is_at_floor():
                 self._tell_nothing_found()
         elif triggered:
-            # Touches elsewhere tell nothing of it: there the bed may be much
-            # higher, or the gantry lower.
-            self.moves.note_bed()
-            self.homing = SECOND
+            self.homing.met_bed()
         else:
             self._end_homing_of_nothing()
 
     # The command has probed, or failed
     def end(self):
-        was_homing, self.homing = self.homing is not None, None
+        was_homing = self.homing.end()
         if not self.moves.is_homed("xy") or self.host.printer.is_shutdown():
             return
         goal = self.moves.position()
@@ -174,11 +144,11 @@ class Prober(object):
             self.moves.lift(max(height, clear_z))
         if self.sensors.look() != ATTACHED:
             raise self._lost("was lost, what was measured is wrong")
-        if self.delay.is_forbidden:
+        if self.holder.delay.is_forbidden:
             # Whoever holds it
-            self.hold(False)
+            self.holder.hold(False)
             self.dock_and_return(goal)
-        elif self.auto and not self.is_held:
+        elif self.holder.lets_go():
             self._dock_after_use(goal)
 
     def _run_each_touch(self, name):
@@ -232,7 +202,7 @@ class Prober(object):
     # For somebody who goes down next, where the head stands now: there it is
     # again, whatever the owner wants of the commands.
     def dock_and_come_back(self):
-        self.hold(False)
+        self.holder.hold(False)
         self.docking.dock(self.moves.position())
 
     def _dock_and_return_here(self):
@@ -242,18 +212,6 @@ class Prober(object):
     def _dock_after_use(self, goal):
         is_asking = carrying.of(self.host.printer).is_asking(self.host)
         if self.settings.allow_delayed_detach and not is_asking:
-            self.delay.start()
+            self.holder.delay.start()
         else:
             self.dock_and_return(goal)
-
-    # Whether the probe stays on the head between commands
-    def hold(self, is_held):
-        self.delay.cancel()
-        self.is_held = is_held
-        self.times_held += is_held
-
-    # Off: what is pending is called off, too.
-    def set_auto(self, auto):
-        self.auto = auto
-        if not auto:
-            self.delay.cancel()
