@@ -295,54 +295,93 @@ class ProbeMeasurement(object):
 ######################################################################
 
 
+# What is known of the bed: toolhead Z (mm), None where nobody knows; it follows what the
+# run learns.
+class BedHeights(object):
+    def __init__(self):
+        # Where the sensor should trigger
+        self.expected = heights.NOTHING_EXPECTED
+        # Where it has triggered, and where the probe does
+        self.sensor_z = self.probe_z = None
+
+    # By what is known from before the run
+    def expect(self, expectations):
+        self.expected = expectations.expected()
+        self.probe_z = expectations.probe_z()
+
+    # By the nozzle; 'expected' is for its next touch.
+    def touched(self, z, expected):
+        self.sensor_z, self.expected = z, expected
+
+    def probed(self, z):
+        self.probe_z = z
+
+    # Z was set: the sensor triggers there now.
+    def is_set(self, z):
+        self.sensor_z = z
+
+
+# The head above the bed, from place to place
+class Travel(object):
+    def __init__(self, host, settings):
+        self.host = host
+        self.settings = settings
+        # Toolhead Z (mm) that the head is lifted to; it follows what the run learns.
+        probe_z = host.probing.homed_probe_z()
+        self.z = heights.travel_height(probe_z, settings.probe_hop)
+        # The print time at which the head had left the bed
+        self.left_at = 0.0
+
+    def lift(self):
+        speed = self.settings.sampling.lift_speed
+        touching.raise_to(self.host, self.z, speed)
+
+    # From now on over a bed that the nozzle meets at that toolhead Z (mm)
+    def rise_over(self, bed_z):
+        self.z = bed_z + self.settings.probe_hop
+
+    # Off the bed
+    def leave(self):
+        self.lift()
+        self.left_at = self.host.after_moves()
+
+    def go_to(self, site):
+        self.lift()
+        self.move(site)
+
+    def move(self, site):
+        speed = self.settings.travel_speed
+        everything = carrying.of(self.host.printer)
+        everything.go_to(self.host, site.x, site.y, speed)
+
+
 # One command: goes to the bed, prepares the sensor, measures, lifts.
 class Run(object):
-    # 'expectations' tell where the bed is, unless the user 'accepts_change':
-    # whatever was changed since, nothing is expected then.
-    def __init__(self, sensor, settings, watch, expectations, accepts_change):
+    # 'expectations' tell where the bed is; None: whatever was changed since, nothing
+    # is expected.
+    def __init__(self, sensor, settings, watch, expectations):
         self.host = sensor.host
         self.sensor = sensor
         self.settings = settings
         self.watch = watch
         self.expectations = expectations
-        self.accepts_change = accepts_change
         # Of the nozzle's touches; see prepare()
         self.points = None
-        # They follow what the run learns: what is known of the bed, its last
-        # height, that of the probe, the height that the head is lifted to
-        self.expected = heights.NOTHING_EXPECTED
-        self.sensor_z = self.probe_z = None
-        probe_z = self.host.probing.homed_probe_z()
-        self.travel_z = heights.travel_height(probe_z, settings.probe_hop)
-        # The print time at which the head had left the bed
-        self.lifted_at = 0.0
-
-    def lift(self):
-        speed = self.settings.sampling.lift_speed
-        touching.raise_to(self.host, self.travel_z, speed)
-
-    def go_to(self, site):
-        self.lift()
-        self.travel(site)
-
-    def travel(self, site):
-        speed = self.settings.travel_speed
-        everything = carrying.of(self.host.printer)
-        everything.go_to(self.host, site.x, site.y, speed)
+        self.bed = BedHeights()
+        self.travel = Travel(self.host, settings)
 
     # The user's G-code may have moved the head.  'radius' (mm): within that around
     # the site the nozzle touches.
     def prepare(self, site, radius=0.0):
         self.points = Points(site, radius)
-        self.go_to(site)
+        self.travel.go_to(site)
         self.watch.enter("prepare_gcode")
         self.run_prepare_gcode()
         running.check_homed(self.host)
         # It may have homed, too
-        if not self.accepts_change:
-            self.expected = self.expectations.expected()
-            self.probe_z = self.expectations.probe_z()
-        self.go_to(self.points.next())
+        if self.expectations is not None:
+            self.bed.expect(self.expectations)
+        self.travel.go_to(self.points.next())
 
     # Relative moves must not outlive the template, also when it fails.
     def run_prepare_gcode(self):
@@ -367,20 +406,23 @@ class Run(object):
     def measure_sensor(self):
         self.watch.enter("bed sensor")
         measurement = SensorMeasurement(
-            self.sensor, self.settings, self.watch, self.points, self.expected
+            self.sensor,
+            self.settings,
+            self.watch,
+            self.points,
+            self.bed.expected,
         )
-        z = self.sensor_z = measurement.measure(self.travel_z)
-        self.expected = measurement.expected
-        self.travel_z = z + self.settings.probe_hop
-        self.lift()
-        self.lifted_at = self.host.after_moves()
+        z = measurement.measure(self.travel.z)
+        self.bed.touched(z, measurement.expected)
+        self.travel.rise_over(z)
+        self.travel.leave()
         return z
 
     # A sensor that stays triggered has not seen the bed.  The head may be under
     # way already: whoever looks only when it stands waits longer.
     def check_left(self):
         with errors.about("bed sensor"):
-            self.sensor.check_open(self.lifted_at)
+            self.sensor.check_open(self.travel.left_at)
 
     def measure_sensor_alone(self):
         z = self.measure_sensor()
@@ -390,15 +432,15 @@ class Run(object):
     # Both sensors over one point, the nozzle around it with bed_spread; returns
     # Result.
     def measure(self, probe_site):
-        self.go_to(self.points.next())
+        self.travel.go_to(self.points.next())
         sensor_z = self.measure_sensor()
         self.watch.enter("probe")
-        self.travel(probe_site)
+        self.travel.move(probe_site)
         self.check_left()
         measurement = ProbeMeasurement(self.host, self.settings, self.watch)
-        probe_z = measurement.measure(sensor_z, self.probe_z)
-        self.probe_z = probe_z
-        self.lift()
+        probe_z = measurement.measure(sensor_z, self.bed.probe_z)
+        self.bed.probed(probe_z)
+        self.travel.lift()
         probe_z_offset = self.host.probing.offsets()[2]
         parts = (sensor_z, probe_z, probe_z_offset, self.settings.z_offset)
         return heights.Result(*parts + (heights.correction(*parts),))
@@ -410,5 +452,5 @@ class Run(object):
         position = self.host.toolhead.get_position()
         position[2] += z_offset - z
         self.host.toolhead.set_position(position)
-        self.sensor_z = z_offset
-        self.travel_z = z_offset + self.settings.probe_hop
+        self.bed.is_set(z_offset)
+        self.travel.rise_over(z_offset)

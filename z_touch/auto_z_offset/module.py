@@ -98,16 +98,12 @@ class AutoZOffset(object):
             gcmd, "ACCEPT_CHANGE", 0, minval=0, maxval=1
         )
         self.check_may_measure()
-        run = Run(
-            self.sensor,
-            self.settings,
-            self.runner.watch,
-            self.expectations,
-            accepts_change,
-        )
-        with running.always(self.host, run.lift, "lifting"):
+        expectations = None if accepts_change else self.expectations
+        watch = self.runner.watch
+        run = Run(self.sensor, self.settings, watch, expectations)
+        with running.always(self.host, run.travel.lift, "lifting"):
             value = work(run)
-        self.expectations.touched(run.sensor_z)
+        self.expectations.touched(run.bed.sensor_z)
         return value
 
     def check_may_measure(self):
@@ -237,7 +233,7 @@ class AutoZOffset(object):
         cycles = Cycles(run, self.settings, self.expectations, bed)
         results, z = cycles.measure()
         # So that "move Z to 0, try a sheet of paper" is at this point
-        run.go_to(bed)
+        run.travel.go_to(bed)
         self.tell(self.host.features.undo_g92(shifts.NO_SHIFT))
         self.tell(shifts.wrong_gap(self.host, bed, results))
         self.apply_offset(z + self.host.probing.homed_bed_z())
