@@ -65,18 +65,17 @@ class ZCalibration(object):
         check_z_axis(config, self.host.axes.z_axis)
         self.frame = frame.Frame(self.host)
         self.runner = running.Runner(self.host)
-        self.old_names = options.OldNames(config)
-        self.settings = read_settings(
-            config, self.host.axes.z_axis, self.old_names
-        )
+        old_names = options.OldNames(config)
+        self.settings = read_settings(config, self.host.axes.z_axis, old_names)
         # None: the Z endstop, which exists when klippy connects
-        self.pin = read_pin(config, self.host, self.old_names)
+        self.pin = read_pin(config, self.host, old_names)
         self.recorder = recorder.Recorder(self.host, self.settings, __version__)
         self.hooks = Hooks(
             self.host, self.settings, self.frame, self.runner.watch
         )
         self.results = Results(self.host, self.frame)
-        self.notes = notes.Notes(self.host, self.start_notes)
+        read_notes = functools.partial(self.start_notes, old_names)
+        self.notes = notes.Notes(self.host, read_notes)
         register = self.host.printer.register_event_handler
         register("klippy:connect", self.connect)
         running.register_commands(self.host, self)
@@ -109,10 +108,8 @@ class ZCalibration(object):
             raise host.printer.config_error(str(e))
 
     # What the user is told when klippy is ready
-    def start_notes(self):
-        return self.old_names.notes + list(
-            checks.notes(self.host, self.settings)
-        )
+    def start_notes(self, old_names):
+        return old_names.notes + list(checks.notes(self.host, self.settings))
 
     def get_status(self, eventtime):
         status = self.results.status()
