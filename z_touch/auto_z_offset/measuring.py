@@ -392,9 +392,7 @@ class Run(object):
 
     # G90 or G91 of the user's G-code
     def is_absolute(self):
-        gcode_move = self.host.printer.lookup_object("gcode_move")
-        status = gcode_move.get_status(self.host.eventtime())
-        return status["absolute_coordinates"]
+        return self.host.features.modes().absolute
 
     def set_absolute(self, absolute):
         if self.is_absolute() != absolute:

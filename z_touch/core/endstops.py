@@ -97,6 +97,15 @@ class Endstops(object):
                 " such as ^PA1" % (e,),
             )
 
+    # What an endstop reads now, for whoever is no command; None: a command is running.
+    # That may ask the same pin, and hosts lose one of two answers then.
+    def read_between_commands(self, endstop):
+        mutex = self.host.gcode.get_mutex()
+        if mutex.test():
+            return None
+        with mutex:
+            return bool(endstop.query_endstop(self.host.print_time()))
+
     # The Z motors are to stop with this endstop
     def stops_z(self, endstop):
         def add_z_steppers():

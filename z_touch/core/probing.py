@@ -171,6 +171,11 @@ class Probing(object):
         dockable = self.printer.lookup_object("dockable_probe", None)
         return bool(getattr(dockable, "auto_attach_detach", False))
 
+    # Whether the head may be lifted after a move down to the probe's switch that no
+    # session is around: Kalico's dockable_probe does so.
+    def lifts_outside_session(self):
+        return self.printer.lookup_object("dockable_probe", None) is not None
+
     # Whether every touch of this probe can end at a floor: in the host's own
     # probing, or because its switch may be touched without that
     def can_end_at_floor(self):

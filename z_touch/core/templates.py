@@ -14,7 +14,7 @@ def load_template(config, name, default=None):
             return gcode_macro.load_template(config, name)
         return gcode_macro.load_template(config, name, default)
     except printer.command_error as e:
-        # What newer hosts raise would come out as an internal error.
+        # The error of a command; at start it would come out as an internal one.
         raise config_error(config, name, "cannot be read: %s" % (e,))
 
 

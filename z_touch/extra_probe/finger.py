@@ -60,14 +60,9 @@ class Finger(object):
         count = len(PRESSED_ONCE)
         return tuple(self.readings[-count:]) == PRESSED_ONCE
 
-    # Of the reactor.  A command that is running may ask the same pin, and hosts
-    # lose one of two answers then.
+    # Of the reactor
     def look(self, eventtime):
-        mutex, goes_on = self.host.gcode.get_mutex(), True
-        if not mutex.test():
-            with mutex:
-                goes_on = self.read()
-        if not goes_on:
+        if not self.read():
             return self.host.printer.get_reactor().NEVER
         return self.host.eventtime() + LOOK_INTERVAL
 
@@ -75,13 +70,15 @@ class Finger(object):
     def read(self):
         try:
             endstop = self.switch.endstop()
-            reading = bool(endstop.query_endstop(self.host.print_time()))
+            reading = self.host.endstops.read_between_commands(endstop)
         except Exception:
             # From here it would end klippy; the calibration can begin again
             logging.exception("%s: looking at the switch", self.host.section)
             return False
         if self.readings is None:
             return False
+        if reading is None:
+            return True
         if self.readings[-1:] != [reading]:
             self.readings.append(reading)
         if not self.was_pressed():

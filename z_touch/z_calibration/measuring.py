@@ -384,11 +384,10 @@ class BedMeasurement(Measurement):
 
     # Returns measure(floor), with the host's own probing begun.  down() comes
     # before that: some hosts run deactivate_gcode after it, too, and an error in
-    # it would end the session unseen.  But outside of a session Kalico's
-    # dockable_probe lifts the head after a move.
+    # it would end the session unseen.  But outside of a session some
+    # dockable_probe may lift the head after a move.
     def in_session(self, down, travel_z, floor, measure):
-        lookup = self.host.printer.lookup_object
-        inside = lookup("dockable_probe", None) is not None
+        inside = self.host.probing.lifts_outside_session()
         if not inside:
             down()
         speed = {"PROBE_SPEED": "%.6f" % (self.sampling.speed,)}
