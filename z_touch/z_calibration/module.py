@@ -6,6 +6,7 @@
 #   settings      what the user configured
 #   pin, sites    what is touched, and where the head stands for it
 #   calibration   one run: nozzle, switch, bed
+#   expected      what earlier runs say to it
 #   hooks         the user's G-code around it
 #   shifts        what Klipper's own features add to Z where the bed was measured
 #   results       the last run that was applied, and whether it holds
