@@ -285,6 +285,7 @@ def test_touches_that_fall_are_told_without_clean_gcode(start):
     )
     printer.homed().run("CALIBRATE_Z")
     (text,) = printer.status("z_calibration")["warnings"]
+    assert text.startswith("nozzle: each touch was lower than the one before")
     assert "pressed flat; clean it before CALIBRATE_Z" in text
     told = {"about": "nozzle", "text": text}
     assert history(printer)[-1]["warnings"] == [told]

@@ -199,17 +199,20 @@ def test_a_run_alone_pays_for_what_it_chose():
     assert spreads["bed"].dof == pytest.approx(6 * 0.5)
 
 
-def test_who_chooses_the_number_of_touches_pays_more():
+def test_who_chooses_pays_and_who_chooses_the_number_of_touches_more():
     pasts, worth = dict.fromkeys(SITES, []), []
-    for samples in (4, AUTO):
-        plan = adaptive.Plan(STEP, pasts, adaptive.choose(samples, 0.03))
+    for samples, chosen in ((4, 1.0), (4, None), (AUTO, None)):
+        counting = adaptive.choose(samples, 0.03)
+        counting.chosen = chosen or counting.chosen
+        plan = adaptive.Plan(STEP, pasts, counting)
         touches = itertools.cycle([1.0, 1.005, 1.002, 1.01])
         sampling = Sampling(4, 1.0, 0, "average", 2.0, 4.0, 6.0)
         for site in SITES:
             plan.collect(site, touches.__next__, sampling, None, "")
         assert sum(map(len, plan.samples.values())) == 12
         worth.append(plan.uncertainty())
-    assert worth[1] > 1.02 * worth[0]
+    free, fixed, automatic = worth
+    assert fixed > 1.02 * free and automatic > 1.02 * fixed
 
 
 @pytest.mark.parametrize(

@@ -325,6 +325,7 @@ def doubt(values, past=UNKNOWN, samples=AUTO, tolerance=0.01, retries=0):
 
 
 SAME = Spread(0.0, 20)
+FALLING = (1.5825, 1.5725, 1.565, 1.56, 1.5575)
 HIGHER = "the first touch was 0.0195 mm higher than the next ones"
 
 
@@ -337,6 +338,8 @@ HIGHER = "the first touch was 0.0195 mm higher than the next ones"
         ((1.02, *[1.0, 1.001] * 4), {"past": QUIET}, "higher"),
         # Lower is not pressed flat, but it is no agreement, either
         ((1.0, *[1.02, 1.021] * 4), {}, adaptive.DOUBT),
+        # Nor is the first one alone far from the others where all of them fall
+        (FALLING, {"samples": 5, "tolerance": 0.1}, "each touch was lower"),
         # Less than noise
         ((1.009, 1.0, 1.001, 1.0, 1.0), {}, ""),
         ((1.009, 1.0, 1.0, 1.0), {"past": QUIET, "samples": 4}, "0.0090"),
