@@ -93,6 +93,23 @@ def test_residue_is_told_among_runs_that_were_as_hot():
     assert told == 0
 
 
+@pytest.mark.parametrize(("sd", "part"), [(0.003, 1.0), (0.006, 0.89)])
+def test_so_much_residue_is_found_after_twenty_clean_runs(sd, part):
+    """And two false warnings in 5,400 runs at most."""
+    draw, found, told, many = random.Random(1), 0, 0, 1000
+    for _ in range(many):
+        bodies = [draw.gauss(6.4, sd) for _ in range(20)]
+        found += bool(trend.departure(draw.gauss(6.362, sd), bodies))
+    assert found >= part * many
+    for _ in range(18):
+        bodies = [draw.gauss(6.4, sd) for _ in range(300)]
+        told += sum(
+            bool(trend.departure(bodies[n], bodies[max(0, n - 50) : n]))
+            for n in range(1, 300)
+        )
+    assert told <= 2
+
+
 def test_residue_is_no_matter_of_runs_that_were_colder():
     cold = make_runs(20, temperatures={"extruder": 150.0, "heater_bed": 20.0})
     hot = make_runs(6, 2, moved={"nozzle": 0.038})

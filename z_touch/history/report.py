@@ -302,7 +302,7 @@ def band_of(runs, pause):
     )
     if fingerprint.middle is None:
         return None
-    far = max(trend.FAR_SIGMA * fingerprint.sigma, trend.FAR_AS_HOT)
+    far = trend.limit_as_hot(fingerprint)
     band, good = [], 0
     for run in runs:
         there = good >= summary.since

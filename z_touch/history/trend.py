@@ -45,7 +45,9 @@ LATEST_RUNS = 50
 FAR_SIGMA = 5.0
 FAR = 0.05
 
-# Among runs that were as hot less is no chance (mm): 38 um of residue on the nozzle
+# Among runs that were as hot less is enough: 38 um of residue on the nozzle are seen
+# where switch - nozzle varies by 6
+FAR_SIGMA_AS_HOT = 4.25
 FAR_AS_HOT = 0.02
 
 # Runs for a trend of a height: at least, and the latest that count
@@ -162,11 +164,16 @@ def fingerprint_of(values):
     return Fingerprint(middle, MAD_FACTOR * far, len(values))
 
 
-def departs(value, fingerprint, far=FAR):
+def departs(value, fingerprint):
     if fingerprint.middle is None:
         return False
-    limit = max(FAR_SIGMA * fingerprint.sigma, far)
+    limit = max(FAR_SIGMA * fingerprint.sigma, FAR)
     return abs(value - fingerprint.middle) > limit
+
+
+# How far (mm) a run may be off the fingerprint of those that were as hot
+def limit_as_hot(fingerprint):
+    return max(FAR_SIGMA_AS_HOT * fingerprint.sigma, FAR_AS_HOT)
 
 
 # What a new run is compared with: the last values of switch - nozzle (mm) among good
@@ -180,7 +187,9 @@ def bodies_as_hot(runs, summary, run):
 # included; 0: not by more than chance.
 def departure(value, bodies):
     fingerprint = fingerprint_of(bodies)
-    if not departs(value, fingerprint, FAR_AS_HOT):
+    if fingerprint.middle is None:
+        return 0.0
+    if abs(value - fingerprint.middle) <= limit_as_hot(fingerprint):
         return 0.0
     if abs(value - bodies[-1]) <= FAR_AS_HOT:
         return 0.0
