@@ -349,6 +349,31 @@ def test_what_a_step_explains_better_is_no_drift():
         assert ("bed has drifted" in text) == is_drift
 
 
+def test_small_steps_are_no_drift():
+    """Of which a line leaves little more than a step."""
+    told = 0
+    for seed in range(150):
+        draw = random.Random(seed)
+        n = draw.choice((40, 60, 100))
+        at = draw.randrange(5, n - 4)
+        values = [draw.gauss(0.012 * (k >= at), 0.003) for k in range(n)]
+        told += bool(trend.shifted("bed", values, trend.no_pause))
+    # 13 by the trend alone
+    assert told == 0
+
+
+def test_what_hangs_together_counts_as_fewer_runs():
+    """Two plates, six runs each on average: 33 of 60 where each counts."""
+    found = 0
+    for seed in range(60):
+        draw, on, values = random.Random(seed), False, []
+        for _ in range(100):
+            on ^= draw.random() < 1 / 6
+            values.append(draw.gauss(0.04 * on, 0.003))
+        found += any(trend.find_step(values[:e]) for e in range(10, 101, 5))
+    assert found <= 25
+
+
 def test_names_keep_plates_apart():
     """A drift is found though plates are changed each time."""
 
