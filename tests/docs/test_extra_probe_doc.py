@@ -83,7 +83,7 @@ MISTAKES = {
     "command": (r"(?m)^### EXTRA_PROBE_ABORT$", "### EXTRA_PROBE_STOP"),
     "parameter left out": (r"(?m)^\| `FLOOR` \|.*\n", ""),
     "field": (r"\| `waits_for` ", "| `waits` "),
-    "constant": (r"`SAME_PLACE` \| 0.1", "`SAME_PLACE` | 0.2"),
+    "constant": (r"`SAME_POSITION` \| 0.1", "`SAME_POSITION` | 0.2"),
     "answer": (r"--> new offset=0.45", "--> new offset=0.46"),
     "term": (r"(?m)^\| trigger \| \d", "| trigger | 9"),
     "formula": (r"(?m)^(0.450  = )0.7", r"\g<1>0.8"),

@@ -132,8 +132,10 @@ SITES = ("nozzle", "switch", "bed")
 
 
 def begin(past, now=LOUD):
-    pasts = dict.fromkeys(SITES, past)
-    return recent.first_like_now(pasts, dict.fromkeys(SITES, now), STEP)
+    earlier_runs = dict.fromkeys(SITES, past)
+    return recent.first_like_current(
+        earlier_runs, dict.fromkeys(SITES, now), STEP
+    )
 
 
 @pytest.mark.parametrize(
@@ -155,9 +157,9 @@ def test_history_counts_from_the_run_on_that_is_like_this_one(past, now, first):
 
 def test_one_site_alone_is_told_by_several_runs():
     past = [QUIET] * 10 + [LOUD] * 3
-    pasts = {"nozzle": [QUIET] * 13, "switch": [QUIET] * 13, "bed": past}
+    earlier_runs = {"nozzle": [QUIET] * 13, "switch": [QUIET] * 13, "bed": past}
     now = {"nozzle": QUIET, "switch": QUIET, "bed": LOUD}
-    assert recent.first_like_now(pasts, now, STEP) == 10
+    assert recent.first_like_current(earlier_runs, now, STEP) == 10
 
 
 def test_quiet_runs_before_it_are_no_part_of_what_has_grown():
@@ -169,9 +171,9 @@ def test_quiet_runs_before_it_are_no_part_of_what_has_grown():
             for past in runs.values():
                 values = [draw.gauss(0.0, sigma) for _ in range(3)]
                 past.append(spread_of(values))
-        pasts = {site: past[:-1] for site, past in runs.items()}
+        earlier_runs = {site: past[:-1] for site, past in runs.items()}
         now = {site: past[-1] for site, past in runs.items()}
-        early += recent.first_like_now(pasts, now, STEP) < 11
+        early += recent.first_like_current(earlier_runs, now, STEP) < 11
     assert early <= 20
 
 
@@ -182,29 +184,29 @@ def test_single_accident_is_no_noise():
 
 
 def test_alike_is_what_cannot_be_told_apart():
-    spreads, shared, _ = recent.spreads_of_now(
+    spreads, shared, _ = recent.current_spreads(
         dict.fromkeys(SITES, [QUIET] * 4), dict.fromkeys(SITES, QUIET), STEP
     )
     assert shared and spreads["bed"] == Spread(pytest.approx(9e-6), 30)
     worn = {"nozzle": [QUIET] * 10, "switch": [QUIET] * 10, "bed": [LOUD] * 10}
     now = {"nozzle": QUIET, "switch": QUIET, "bed": LOUD}
-    spreads, shared, _ = recent.spreads_of_now(worn, now, STEP)
+    spreads, shared, _ = recent.current_spreads(worn, now, STEP)
     assert not shared and spreads["bed"].variance == pytest.approx(81e-6)
 
 
 def test_a_run_alone_pays_for_what_it_chose():
-    spreads, _, _ = recent.spreads_of_now(
+    spreads, _, _ = recent.current_spreads(
         dict.fromkeys(SITES, []), dict.fromkeys(SITES, QUIET), STEP, 0.5
     )
     assert spreads["bed"].dof == pytest.approx(6 * 0.5)
 
 
 def test_who_chooses_pays_and_who_chooses_the_number_of_touches_more():
-    pasts, worth = dict.fromkeys(SITES, []), []
+    earlier_runs, worth = dict.fromkeys(SITES, []), []
     for samples, chosen in ((4, 1.0), (4, None), (AUTO, None)):
         counting = adaptive.choose(samples, 0.03)
         counting.chosen = chosen or counting.chosen
-        plan = adaptive.Plan(STEP, pasts, counting)
+        plan = adaptive.Plan(STEP, earlier_runs, counting)
         touches = itertools.cycle([1.0, 1.005, 1.002, 1.01])
         sampling = Sampling(4, 1.0, 0, "average", 2.0, 4.0, 6.0)
         for site in SITES:
@@ -240,20 +242,20 @@ def pasts_of(shape, runs=20, touches=9, sigma=0.006):
 @pytest.mark.parametrize("touches", [3, 9])
 def test_middle_of_heavy_tails_is_narrower(touches):
     """0.6 of all it is, and what may be chance is left out."""
-    pasts = pasts_of(student, 400, touches)
-    assert 0.5 <= tails.middle_part(pasts, STEP) <= 0.8
+    earlier_runs = pasts_of(student, 400, touches)
+    assert 0.5 <= tails.middle_part(earlier_runs, STEP) <= 0.8
     assert tails.middle_part(pasts_of(normal, 400, touches), STEP) >= 0.95
 
 
 def test_few_touches_say_nothing_of_tails():
-    for pasts in (
+    for earlier_runs in (
         pasts_of(student, 1, 3),
         # Nor do steps: one of ten touches that end on the next one looks far off
         pasts_of(student, 80, 9, sigma=0.3 * STEP),
         [[Spread(9e-6, 20)]] * 3,
         [[UNKNOWN]] * 3,
     ):
-        assert tails.middle_part(pasts, STEP) == 1.0
+        assert tails.middle_part(earlier_runs, STEP) == 1.0
 
 
 def test_what_may_be_chance_is_no_tail():
@@ -274,7 +276,7 @@ def test_what_no_switch_does_is_left_out():
 
 def test_median_is_of_the_middle_and_an_average_of_all():
     past = [Spread(0.006**2, 8, 0.9 * 0.006)] * 20
-    found = recent.spreads_of_now(
+    found = recent.current_spreads(
         dict.fromkeys(SITES, past), dict.fromkeys(SITES, past[0]), STEP
     )
     assert 0.4 <= found.middle <= 0.7

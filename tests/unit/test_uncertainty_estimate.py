@@ -72,15 +72,15 @@ SITES = ("nozzle", "switch", "bed")
 AUTOMATIC = Sampling(None, 0.0, 0, "median", 2.0, 4.0, 6.0)
 
 
-def plan_of(pasts, counting):
+def plan_of(earlier_runs, counting):
     """One that knows of each site what one earlier run says."""
-    listed = {site: [past] for site, past in pasts.items()}
+    listed = {site: [past] for site, past in earlier_runs.items()}
     return adaptive.Plan(STEP, listed, counting)
 
 
-def automatic(printer, pasts, target):
+def automatic(printer, earlier_runs, target):
     counting = adaptive.Automatic(target)
-    plan = plan_of(dict(zip(SITES, pasts)), counting)
+    plan = plan_of(dict(zip(SITES, earlier_runs)), counting)
     for number, site in enumerate(SITES):
         touch = partial(printer.touch, number)
         plan.collect(site, touch, AUTOMATIC, None, "")
@@ -88,12 +88,12 @@ def automatic(printer, pasts, target):
     return [plan.estimates[site] for site in SITES], touches
 
 
-def fixed(printer, pasts, method):
+def fixed(printer, earlier_runs, method):
     found = [
         uncertainty.estimate(
             [printer.touch(site) for _ in range(3)], past, STEP, method
         )
-        for site, past in enumerate(pasts)
+        for site, past in enumerate(earlier_runs)
     ]
     return found, 9
 
@@ -107,11 +107,11 @@ def run_many(noise, outliers=0.0, method="", *, known=True, **options):
     for _ in range(printers):
         printer = RandomPrinter(draw, noise, outliers, **options)
         past = partial(printer.past, touches=usual)
-        pasts = [past(site) if known else UNKNOWN for site in range(3)]
+        earlier_runs = [past(site) if known else UNKNOWN for site in range(3)]
         if method:
-            found, count = fixed(printer, pasts, method)
+            found, count = fixed(printer, earlier_runs, method)
         else:
-            found, count = automatic(printer, pasts, target)
+            found, count = automatic(printer, earlier_runs, target)
         errors.append(printer.error(found))
         inside += abs(errors[-1]) <= uncertainty.expanded(found, STEP)
         touches += count
@@ -252,25 +252,25 @@ def test_texture_moves_nothing():
         collected(wild, UNKNOWN, is_rough=True)
 
 
-def shares(pasts, found=None, target=0.01, step=0.0):
+def shares(earlier_runs, found=None, target=0.01, step=0.0):
     """Of the first site, in parts of the whole."""
-    pasts = dict(zip(SITES, pasts))
+    earlier_runs = dict(zip(SITES, earlier_runs))
     (site, *_) = [name for name in SITES if name not in (found or {})]
-    part = adaptive.share(site, target, step, pasts, found or {})
+    part = adaptive.share(site, target, step, earlier_runs, found or {})
     return part / target**2
 
 
 def test_shares_follow_the_noise():
     quiet, noisy = Spread(0.001**2, 20), Spread(0.003**2, 20)
     before_the_last = 1 - adaptive.RESERVE
-    for pasts, part in (
+    for earlier_runs, part in (
         ([noisy, quiet, quiet], 3 / 5),
         # Nobody has to be better than a third
         ([quiet, noisy, quiet], 1 / 3),
         # What is not known of one is known of none
         ([noisy, UNKNOWN, quiet], 1 / 3),
     ):
-        assert shares(pasts) == pytest.approx(part * before_the_last)
+        assert shares(earlier_runs) == pytest.approx(part * before_the_last)
 
 
 def test_what_one_site_leaves_is_for_the_others():
@@ -289,12 +289,12 @@ def test_what_one_site_leaves_is_for_the_others():
 
 def test_sites_that_vary_alike_are_known_together():
     spreads = [Spread(v * 1e-6, 20) for v in (4.0, 7.0, 10.0)]
-    pasts = dict(zip(SITES, spreads))
+    earlier_runs = dict(zip(SITES, spreads))
     counting = adaptive.Automatic(0.008)
-    found = plan_of(pasts, counting).earlier
+    found = plan_of(earlier_runs, counting).earlier
     assert found == dict.fromkeys(SITES, Spread(pytest.approx(7e-6), 60))
     for other in (Spread(12e-6, 20), UNKNOWN):
-        unlike = {**pasts, "bed": other}
+        unlike = {**earlier_runs, "bed": other}
         found = plan_of(unlike, counting).earlier
         assert found == {
             site: Spread(pytest.approx(past.variance), past.dof)

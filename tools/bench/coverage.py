@@ -98,9 +98,9 @@ class DrawnPrinter:
     def run(self, setting: Setting) -> Run:
         """One CALIBRATE_Z, which knows those before it."""
         self.heights = {site: self.draw.uniform(0.0, 10.0) for site in SITES}
-        pasts = {site: spreads_in(self.runs, site) for site in SITES}
+        earlier_runs = {site: spreads_in(self.runs, site) for site in SITES}
         counting = adaptive.choose(setting.samples, setting.target)
-        self.plan = adaptive.Plan(STEP, pasts, counting)
+        self.plan = adaptive.Plan(STEP, earlier_runs, counting)
         found = self.measured(self.plan, setting)
         self.runs = [*self.runs, found.record][-KEPT:]
         return found

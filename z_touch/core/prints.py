@@ -18,27 +18,27 @@ class Prints(object):
     def __init__(self, host):
         self.host = host
         # Until when own moves were queued (print time); None: there were none
-        self.own_time = None
+        self.setup_time = None
         # Degrees C that heaters are to have, and nobody prints with: a person has
         # said so, or a command of the set-up has left them
-        self.known_heat = {}
+        self.allowed_heat = {}
 
     # The moves up to here are of the set-up, and what it has heated
     def has_moved(self):
-        self.own_time = self._queued_time()
-        self.known_heat = self._heat()
+        self.setup_time = self._queued_time()
+        self.allowed_heat = self._heat()
 
     # Whether there is a print, as far as anybody can know
     def may_be(self):
         is_known = self.host.print_state() or self._is_paused()
-        return bool(is_known or self._moves_on() or self._unknown_heat())
+        return bool(is_known or self._moves_on() or self._unexpected_heat())
 
     # Whether a person is asked first.  The answer is the same command once more, with
     # PRINT=NONE; 'abort' is the other one.  'headline' has QUESTION.
     def asks(self, gcmd, abort, headline):
         if gcmd.get("PRINT", "").strip().upper() == "NONE":
-            self.known_heat = self._heat()
-        heat = self._unknown_heat()
+            self.allowed_heat = self._heat()
+        heat = self._unexpected_heat()
         if heat:
             self._ask(gcmd, heat, abort, headline)
         return bool(heat)
@@ -83,8 +83,8 @@ class Prints(object):
         return queued if is_empty else None
 
     def _is_own(self):
-        return self.own_time is not None and (
-            self._queued_time() == self.own_time
+        return self.setup_time is not None and (
+            self._queued_time() == self.setup_time
         )
 
     # As PAUSE has left it, whoever sends the print
@@ -111,12 +111,12 @@ class Prints(object):
                 targets[name] = status.get("target", 0.0)
         return targets
 
-    def _unknown_heat(self):
-        heat, known_heat = self._heat(), self.known_heat
+    def _unexpected_heat(self):
+        heat, allowed_heat = self._heat(), self.allowed_heat
         return sorted(
             (name, target)
             for name, target in heat.items()
-            if target > 0.0 and target != known_heat.get(name)
+            if target > 0.0 and target != allowed_heat.get(name)
         )
 
     def _moves_on(self):

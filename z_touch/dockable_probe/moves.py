@@ -196,7 +196,9 @@ class Moves(object):
         self._leave_upwards()
         is_there = into and detour.distance(start, goal) < NEAR_END
         try:
-            points = [] if is_there else self._way(start[:2], goal, limits)
+            points = (
+                [] if is_there else self._points_around(start[:2], goal, limits)
+            )
         except detour.NoDetour:
             raise self.host.error(
                 "no way from %.3f, %.3f to %.3f, %.3f around the dock in the"
@@ -209,7 +211,7 @@ class Moves(object):
 
     # Around the dock; out of the corner where homing has put the head, or back
     # into it, along the way that homing came, where nothing else leads there
-    def _way(self, start, goal, limits):
+    def _points_around(self, start, goal, limits):
         zone, via = self.zone, self.settings.safe_position
         try:
             return detour.around(start, goal, zone, limits, via)

@@ -15,7 +15,7 @@ from .shifts import Shifts
 from .switches import TOO_LOW, Series
 
 TRAVEL_SPEED = 50.0  # mm/s, in XY
-SAME_PLACE = 0.1  # mm; a head further from where it was has been moved
+SAME_POSITION = 0.1  # mm; a head further from where it was has been moved
 SOFT_TEMPERATURE = 60.0  # C; here the plastic of a membrane begins to melt
 
 # What waits for an answer: 'asks' for the "switch", or, with the height 'bed_z'
@@ -294,7 +294,7 @@ class Calibration(object):
     # Whoever has moved the head may have moved it off the switch
     def check_place(self, question):
         here = zip(self.host.toolhead.get_position(), question.xy)
-        if max(abs(a - b) for a, b in here) > SAME_PLACE:
+        if max(abs(a - b) for a, b in here) > SAME_POSITION:
             self.check_unchanged("the head was moved")
 
     # 'what' has happened while the user was asked; empty: nothing

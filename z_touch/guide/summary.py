@@ -4,15 +4,13 @@ from __future__ import absolute_import
 
 import math
 
+from ..core import touching
 from . import steps
 from .state import SITES
 
-# More (mm) than this is another place
-SAME_PLACE = 0.01
-
 
 def near(a, b):
-    return math.hypot(a.x - b.x, a.y - b.y) <= SAME_PLACE
+    return math.hypot(a.x - b.x, a.y - b.y) <= touching.SAME_SITE
 
 
 # How well the last touches repeat, in a sentence; empty before the first ones

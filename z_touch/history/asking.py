@@ -86,18 +86,18 @@ def value_of(option, value, names):
     return " ".join(without_names(text, names).split())
 
 
-def is_told(section, own_section):
-    return section in (own_section,) + SECTIONS or section.startswith(
+def is_told(section, asked_section):
+    return section in (asked_section,) + SECTIONS or section.startswith(
         BEGINNINGS
     )
 
 
 # The sections that count, the own one first.  'settings': of configfile's status
-def sections_of(settings, own_section, names):
+def sections_of(settings, asked_section, names):
     for section in sorted(
-        settings, key=lambda name: (name != own_section, name)
+        settings, key=lambda name: (name != asked_section, name)
     ):
-        if not is_told(section, own_section):
+        if not is_told(section, asked_section):
             continue
         yield "[%s]" % (section,)
         options = settings[section]
@@ -137,9 +137,9 @@ def last_error(runs):
 
 
 # All of it.  'versions': (name, text); 'status': of the section; 'runs': its records
-def compose(own_section, versions, settings, status, runs):
+def compose(asked_section, versions, settings, status, runs):
     names = names_here()
-    lines = ["What to attach when you ask about [%s]" % (own_section,), ""]
+    lines = ["What to attach when you ask about [%s]" % (asked_section,), ""]
     python = sys.version.split()[0]
     for name, version in list(versions) + [("Python", python)]:
         lines.append("%s: %s" % (name, without_names(version, names)))
@@ -152,7 +152,7 @@ def compose(own_section, versions, settings, status, runs):
     )
     lines += ["", "Status:", as_json(shown, names), "", "Last runs:"]
     lines += list(runs_of(runs, names)) or ["none"]
-    lines += [""] + list(sections_of(settings, own_section, names))
+    lines += [""] + list(sections_of(settings, asked_section, names))
     return "\n".join(lines)
 
 

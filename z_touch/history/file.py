@@ -346,22 +346,22 @@ class File(object):
             if name is not None
         ]
 
-        def is_own(begins, piece):
+        def is_of_printer(begins, piece):
             return begins and any(mark in piece for mark in marks)
 
         with open(self.path, "rb") as f:
-            count = sum(is_own(*piece) for piece in pieces_of(f))
+            count = sum(is_of_printer(*piece) for piece in pieces_of(f))
             if count <= self.limit:
                 return
             f.seek(0)
-            kept = self._without_first(f, count - self.limit, is_own)
+            kept = self._without_first(f, count - self.limit, is_of_printer)
             replace_by(self.path, kept)
 
-    def _without_first(self, f, drop, is_own):
+    def _without_first(self, f, drop, is_of_printer):
         drops = False
         for begins, piece in pieces_of(f):
             if begins:
-                drops = drop > 0 and is_own(begins, piece)
+                drops = drop > 0 and is_of_printer(begins, piece)
                 drop -= drops
             if not drops:
                 yield piece

@@ -65,13 +65,13 @@ def judge(runs, cycles=None, pause=trend.no_pause):
         return Verdict(level, [sentence("Accuracy run: %s" % (text,))])
     if not runs:
         return Verdict(WATCH, ["There are no runs yet; run CALIBRATE_Z."])
-    found = []
+    advices = []
     for rule in (refusals, warnings, worth, wear, changes, cleanings):
-        found += rule(runs, pause) if rule is wear else rule(runs)
+        advices += rule(runs, pause) if rule is wear else rule(runs)
     # sorted() keeps the order of those of one level
-    found.sort(key=lambda entry: -LEVELS.index(entry[0]))
-    if found:
-        return Verdict(found[0][0], [text for _, text in found])
+    advices.sort(key=lambda entry: -LEVELS.index(entry[0]))
+    if advices:
+        return Verdict(advices[0][0], [text for _, text in advices])
     good = sum(run["ok"] for run in runs)
     texts, lack = [nothing_to_do(runs[-1])], trend.LEAST_RUNS - good
     if lack > 0:
@@ -81,11 +81,11 @@ def judge(runs, cycles=None, pause=trend.no_pause):
 
 
 def nothing_to_do(last):
-    found = last.get("uncertainty")
-    if found is None:
+    uncertainty = last.get("uncertainty")
+    if uncertainty is None:
         return "Nothing to do."
     text = "Nothing to do. The offset is known to +-%.3f mm (95 %%)."
-    return text % (found,)
+    return text % (uncertainty,)
 
 
 def good_of(runs):
@@ -125,9 +125,9 @@ def sentence(text):
 # What the last offset is worth, and which site makes it so
 def worth(runs):
     last = runs[-1]
-    found = last.get("uncertainty")
+    uncertainty = last.get("uncertainty")
     good = ROUGH_WORTH if trend.bed_spread(last) else GOOD_WORTH
-    if not last["ok"] or found is None or found <= good:
+    if not last["ok"] or uncertainty is None or uncertainty <= good:
         return
     # What is told of the nozzle is part of it
     if last.get("warnings"):
@@ -139,9 +139,9 @@ def worth(runs):
         " which vary by %.4f mm; %s, or set samples: auto, which takes as many"
         " touches as it needs."
     )
-    level = ACT if found > POOR_WORTH else WATCH
+    level = ACT if uncertainty > POOR_WORTH else WATCH
     sd = last["sites"][site]["sd"]
-    yield level, text % (found, site, sd, REMEDIES.get(name, "clean it"))
+    yield level, text % (uncertainty, site, sd, REMEDIES.get(name, "clean it"))
 
 
 # Of the height of a site (mm^2)
@@ -209,12 +209,12 @@ def changes(runs):
 
 # Pairs of what has changed, and the number of the first run after it
 def changes_of(runs):
-    found = []
+    pairs = []
     for number, run in enumerate(runs):
         for change in run.get("changed") or ():
             first = number + 1 - int(change["runs"])
-            found.append((change, max(0, first)))
-    return found
+            pairs.append((change, max(0, first)))
+    return pairs
 
 
 # Without what went back to where it had been

@@ -30,7 +30,7 @@ from .estimate import (
     t_factor,
     weighed,
 )
-from .recent import pool_usual, spreads_of_now
+from .recent import current_spreads, pool_usual
 
 DOUBT = "the touches do not agree"
 
@@ -160,11 +160,11 @@ def check(remedy, is_rough, samples, result):
 # How often a site may be touched: nobody goes back, so the last one may have what
 # those before it have left.
 def most_touches(site, plan):
-    others = [name for name in plan.pasts if name != site]
+    others = [name for name in plan.earlier_runs if name != site]
     if not others or any(name not in plan.estimates for name in others):
         return MOST
     used = sum(len(plan.touches[name]) for name in others)
-    return MOST * len(plan.pasts) - used
+    return MOST * len(plan.earlier_runs) - used
 
 
 # What an offset is worth at best (mm, 95 %), with MOST touches of each site: with
@@ -335,15 +335,18 @@ def choose(samples, target):
 
 # The touches of one run, and what they say.
 class Plan(object):
-    # 'step': of the Z motors (mm); 'pasts': of each site the Spreads of the last
+    # 'step': of the Z motors (mm); 'earlier_runs': of each site the Spreads of the last
     # runs, see recent.py; 'counting': FixedCount or Automatic; 'rough': the sites
     # that are touched at points of a textured plate
-    def __init__(self, step, pasts, counting, rough=()):
+    def __init__(self, step, earlier_runs, counting, rough=()):
         self.step = step
         self.rough = rough
-        self.pasts = pasts
+        self.earlier_runs = earlier_runs
         self.earlier = together(
-            dict((site, pool_usual(pasts[site], step)) for site in pasts)
+            dict(
+                (site, pool_usual(earlier_runs[site], step))
+                for site in earlier_runs
+            )
         )
         self.counting = counting
         # By site: its touches, those of the series that counts, its Estimate
@@ -421,19 +424,21 @@ class Plan(object):
     def cost_with(self, site, result):
         estimates = dict(self.estimates, **{site: result})
         current = dict((name, e.spread) for name, e in estimates.items())
-        pasts = dict((name, self.pasts[name]) for name in current)
-        estimated = spreads_of_now(
-            pasts, current, self.step, self.counting.chosen
+        earlier_runs = dict((name, self.earlier_runs[name]) for name in current)
+        estimated = current_spreads(
+            earlier_runs, current, self.step, self.counting.chosen
         )
         spread = estimated.spreads[site]
         return cost(weighed(result, spread, self.step, estimated.middle))
 
     def worth_of(self, estimates):
-        if any(site not in estimates for site in self.pasts):
+        if any(site not in estimates for site in self.earlier_runs):
             return None
-        current = dict((site, estimates[site].spread) for site in self.pasts)
-        estimated = spreads_of_now(
-            self.pasts, current, self.step, self.counting.chosen
+        current = dict(
+            (site, estimates[site].spread) for site in self.earlier_runs
+        )
+        estimated = current_spreads(
+            self.earlier_runs, current, self.step, self.counting.chosen
         )
         parts = [
             weighed(estimates[site], spread, self.step, estimated.middle)

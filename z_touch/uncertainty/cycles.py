@@ -292,7 +292,7 @@ def apart(cycles, one, other):
 
 # How much a site shifts (mm) against the other two, which do so less against each
 # other
-def own_shift(cycles, site):
+def shift_alone(cycles, site):
     a, b = others_of(site)
     squares = [
         apart(cycles, *p)[0] ** 2 for p in ((site, a), (site, b), (a, b))
@@ -312,7 +312,7 @@ def shifts(cycles):
         is_sure = all(p[0] > limit for p, limit in zip(pairs, limits))
         if not is_sure or least < DOMINATES * rest:
             continue
-        shift = own_shift(cycles, site)
+        shift = shift_alone(cycles, site)
         if site != "nozzle":
             return Verdict("alone", CAUSES["alone"] % (site, shift))
         return nozzle_or_seat(cycles, shift)
@@ -377,7 +377,7 @@ def largest(cycles):
     for site in SITES:
         pairs = [apart(cycles, site, other) for other in others_of(site)]
         if all(is_no_chance(cycles, *pair) for pair in pairs):
-            causes.append((own_shift(cycles, site), "most", site))
+            causes.append((shift_alone(cycles, site), "most", site))
     shift, noise = common_shift(cycles)
     if is_no_chance(cycles, shift, noise) and not causes:
         causes.append((shift, "homing", ""))

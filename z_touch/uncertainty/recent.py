@@ -5,7 +5,7 @@
 # it is, the more of it is hidden by what was rejected.  So a Spread is that of all
 # touches of a site in a run, rejected ones and those of refused runs included.
 #
-# 'pasts': of each site the Spreads of the last runs, the oldest first, of the same
+# 'earlier_runs': of each site the Spreads of the last runs, the oldest first, of the same
 # runs for all sites, UNKNOWN where one was not touched; 'now': the Spread by site of
 # the run that ends.
 from __future__ import absolute_import, division
@@ -49,7 +49,7 @@ def f_limit(dof, below, sigmas):
 
 # What is known of the touches of now: the Spread of one by site, whether that is one
 # for all sites, and middle_part() of all of them
-Now = collections.namedtuple("Now", "spreads is_shared middle")
+Current = collections.namedtuple("Current", "spreads is_shared middle")
 
 
 # Without single ones that are far noisier than all others: an accident
@@ -76,13 +76,13 @@ def pool_usual(spreads, step):
 # grown shows it at all sites, in the last runs together, long before a single site
 # does in a single run.  Where that was, the likelihood of both parts says: what is
 # most significant is often a few runs too early, and these hide how much it is.
-def first_like_now(pasts, current, step):
-    count, best, most = max(map(len, pasts.values())), 0, 0.0
+def first_like_current(earlier_runs, current, step):
+    count, best, most = max(map(len, earlier_runs.values())), 0, 0.0
     for begin in range(count, 0, -1):
         parts = [
             (
-                pool(pasts[site][:begin]),
-                pool(pasts[site][begin:] + [current[site]]),
+                pool(earlier_runs[site][:begin]),
+                pool(earlier_runs[site][begin:] + [current[site]]),
             )
             for site in current
         ]
@@ -125,11 +125,11 @@ def are_alike(spreads, step):
     return ratio < f_limit(most.dof, least.dof, AS_NOISY)
 
 
-# The Now of a run.  'chosen': the part of the degrees of freedom that it leaves a run
+# The Current of a run.  'chosen': the part of the degrees of freedom that it leaves a run
 # without a history to choose by what its touches say
-def spreads_of_now(pasts, current, step, chosen=1.0):
-    begin = first_like_now(pasts, current, step)
-    like = dict((site, pasts[site][begin:]) for site in current)
+def current_spreads(earlier_runs, current, step, chosen=1.0):
+    begin = first_like_current(earlier_runs, current, step)
+    like = dict((site, earlier_runs[site][begin:]) for site in current)
     is_chosen = begin or not any(s.dof for part in like.values() for s in part)
     like = dict(
         (site, usual(like[site] + [current[site]], step)) for site in current
@@ -137,14 +137,14 @@ def spreads_of_now(pasts, current, step, chosen=1.0):
     pooled = dict((site, pool(like[site])) for site in current)
     middle = middle_part(like.values(), step)
     if not all(spread.dof for spread in pooled.values()):
-        return Now(pooled, False, middle)
+        return Current(pooled, False, middle)
     is_shared = are_alike(list(pooled.values()), step)
     if is_shared:
         pooled = dict.fromkeys(pooled, pool(pooled.values()))
     if is_chosen:
         part = CUT if begin else chosen
         pooled = dict((site, with_cost(s, part)) for site, s in pooled.items())
-    return Now(pooled, is_shared, middle)
+    return Current(pooled, is_shared, middle)
 
 
 def with_cost(spread, part):

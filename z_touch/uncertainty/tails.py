@@ -33,11 +33,11 @@ def left_of_tails(n):
     return (n**2 - 3.0 * n + 3.0) / (n * (n - 1.0))
 
 
-# The variance of the middle, in variances of a touch.  'pasts': of each site the
+# The variance of the middle, in variances of a touch.  'earlier_runs': of each site the
 # Spreads of its runs.  Touches that vary by less than a step say nothing.
-def middle_part(pasts, step):
+def middle_part(earlier_runs, step):
     dof, ratios, lefts = 0, 0.0, 0.0
-    for spreads in pasts:
+    for spreads in earlier_runs:
         spreads = [s for s in spreads if s.dof and s.absolute is not None]
         pooled = pool(spreads)
         if not pooled.dof or pooled.variance < step**2:
