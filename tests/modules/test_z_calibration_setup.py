@@ -675,6 +675,24 @@ def test_another_value_that_cannot_be_saved(start, tmp_path):
 
 
 @pytest.mark.every_host
+def test_option_in_an_include_that_the_host_writes(start, host, tmp_path):
+    """Kalico's SAVE_CONFIG reaches it where it is told to, no other one does."""
+    (tmp_path / "own.cfg").write_text("[z_calibration]\nswitch_offset: 0.1\n")
+    changes = empty()
+    changes[f"include {tmp_path}/own.cfg"] = {}
+    is_written = host.layout.module_dir.endswith("plugins")
+    if is_written:
+        changes["danger_options"] = {"autosave_includes": "True"}
+    printer = start("cartesian", changes=changes)
+    printer.session.require_ready()
+    user = User(printer)
+    advance(user, "GAP")
+    user.press("D2F 0.2 mm")
+    text = "SAVE_CONFIG cannot write this into line 2 of "
+    assert (text in user.dialog().text) is not is_written
+
+
+@pytest.mark.every_host
 def test_option_below_a_pattern_of_any_depth(start, host, tmp_path):
     deep = tmp_path / "tools" / "one" / "two"
     deep.mkdir(parents=True)
