@@ -47,6 +47,7 @@ export BUILD_DIR
 TOOLS = $(BUILD_DIR)/venv/bin
 SOURCES = $(wildcard *.py z_touch/*.py z_touch/*/*.py)
 
+# vermin takes any variable called file for that of Python 2.
 # Python 2.7 refuses what vermin allows, such as a comma behind *args
 COMPILE = import sys; [compile(open(f).read(), f, 'exec') for f in sys.argv[1:]]
 
@@ -101,6 +102,8 @@ lint: tools
 	$(TOOLS)/ruff check .
 	$(TOOLS)/ruff format --check .
 	$(TOOLS)/vermin --no-tips --violations --target=2.7- --target=3.7- $(SOURCES)
+	$(TOOLS)/vermin --no-tips --violations --target=3.9- --exclude file \
+		simprinter tools tests
 	@for python in ~/.pyenv/versions/2.7*/bin/python2.7 python2.7; do \
 		$$python -c "" 2>/dev/null && exec $$python -c "$(COMPILE)" $(SOURCES); \
 	done; echo "NOT COMPILED by Python 2.7, which is not to be had: $(SOURCES)"

@@ -244,6 +244,15 @@ def test_hot_runs_are_not_compared_with_cold_ones():
     assert "switch - nozzle" in changes(cold + hot)
 
 
+# The good runs before it have told what there is
+def test_run_that_was_refused_tells_of_no_change():
+    moved = {"bed": 0.05}
+    runs = make_runs(20) + make_runs(8, 2, moved=moved)
+    refused = make_run(random.Random(3), ok=False, moved=moved)
+    assert "probe - switch" in changes(runs)
+    assert changes([*runs, refused]) == {}
+
+
 # Steps
 
 
@@ -410,10 +419,10 @@ def test_bent_line_is_the_best_one():
 
     def left(bend):
         x = [max(0, n - bend) for n in range(20)]
-        fit = statistics.linear_regression(x, values)
-        return sum(
-            (v - fit.slope * a - fit.intercept) ** 2 for a, v in zip(x, values)
-        )
+        mean_x, mean = statistics.mean(x), statistics.mean(values)
+        pairs = [(a - mean_x, v - mean) for a, v in zip(x, values)]
+        slope = sum(a * v for a, v in pairs) / sum(a**2 for a, _ in pairs)
+        return sum((v - slope * a) ** 2 for a, v in pairs)
 
     least = min(left(bend) for bend in range(19))
     assert trend.square_off_bend(values) == pytest.approx(least)

@@ -54,6 +54,28 @@ def collected(tmp_path):
     return names
 
 
+@pytest.mark.parametrize(
+    "workers", [0, pytest.param(2, marks=pytest.mark.slow)]
+)
+def test_last_line_counts_what_is_left(tmp_path, workers):
+    path = tmp_path / "test_some.py"
+    path.write_text(FILE)
+    command = [sys.executable, "-m", "pytest", "-c", "pyproject.toml"]
+    command += ["-k", "long or without", "-n", str(workers), path]
+    ends = []
+    for part in ("test", "all"):
+        done = subprocess.run(
+            [*command, "--cases", part],
+            cwd=REPO_ROOT,
+            stdout=subprocess.PIPE,
+            text=True,
+        )
+        assert done.returncode == 0, done.stdout
+        ends.append(done.stdout.splitlines()[-1])
+    assert ends[0] == "1 cases left to make test-all"
+    assert "2 passed" in ends[1]
+
+
 def test_each_case_is_in_one_of_both(collected):
     test, rest, everything = map(collected, ("test", "rest", "all"))
     assert test == [
