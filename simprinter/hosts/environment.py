@@ -288,9 +288,11 @@ def _create(directory: Path) -> None:
 
 def _install(python: Path, name: str) -> None:
     try:
-        # What is downloaded is what was looked at, and none of it runs here
+        # What is downloaded is what was looked at, and none of it runs here.
+        # The file is complete: until 23.2 pip takes an extra of something that
+        # is pinned for another requirement, without a pin.
         run(
-            [python, "-m", "pip", "install", *PIP_OPTIONS]
+            [python, "-m", "pip", "install", *PIP_OPTIONS, "--no-deps"]
             + ["--require-hashes", "--only-binary=:all:", "-r", pins(name)],
             f"installation of requirements/{name}.txt",
         )
