@@ -16,6 +16,8 @@ OTHERS = {
     "pytest",
     "requests",
     "tomli",
+    # Of Python itself since 3.11, of which tomli is the copy for those before
+    "tomllib",
     "tornado",
     "websocket",
 }
