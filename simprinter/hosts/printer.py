@@ -135,6 +135,10 @@ class RunningPrinter:
         """Status fields of a printer object."""
         return self.session.status(name)
 
+    def statuses(self, *names: str) -> dict[str, dict[str, Any]]:
+        """Of several at one moment."""
+        return self.session.statuses(dict.fromkeys(names))
+
     def offset(self) -> float:
         """The G-code Z offset in force, mm."""
         return self.status("gcode_move")["homing_origin"][2]

@@ -6,7 +6,7 @@ import os
 import shutil
 import tempfile
 import threading
-from collections.abc import Callable, Iterator, Mapping
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from concurrent.futures import Future, ThreadPoolExecutor
 from concurrent.futures import TimeoutError as NotYetError
 from contextlib import contextmanager
@@ -378,8 +378,17 @@ class LiveSession:
 
     def status(self, name: str) -> dict[str, Any]:
         """All status fields of one printer object."""
-        reply = self.call("objects/query", {"objects": {name: None}})
-        return reply["status"].get(name, {})
+        return self.statuses({name: None}).get(name, {})
+
+    def statuses(
+        self, fields: Mapping[str, Optional[Sequence[str]]]
+    ) -> dict[str, dict[str, Any]]:
+        """Of several printer objects at one moment; None: all fields.
+
+        Klippy answers four questions a second, so several cost printer time.
+        """
+        reply = self.call("objects/query", {"objects": dict(fields)})
+        return reply["status"]
 
     def position(self) -> tuple[float, float, float]:
         """Where klippy believes the toolhead is, mm."""

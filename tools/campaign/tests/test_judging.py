@@ -2,7 +2,7 @@
 
 import pytest
 
-from tools.campaign.walks import claims, walker
+from tools.campaign.walks import claims, values, walker
 from tools.campaign.walks.claims import Facts
 from tools.campaign.walks.judging import Gone, HarmError
 from tools.campaign.walks.printers import Owned
@@ -230,7 +230,7 @@ def test_result_that_is_valid_no_more(judged, change, monkeypatch):
     printer.run(change)
     assert sort_of(judge, "gcode", change) == ""
     # As if it were valid for ever
-    monkeypatch.setattr(judge.gaps, "_is_valid", lambda: True)
+    monkeypatch.setattr(judge.gaps, "_is_valid", lambda status: True)
     judge.begin()
     assert sort_of(judge, "gcode", change) == "wrong offset"
 
@@ -242,7 +242,7 @@ def test_result_is_valid_no_more_without_a_frame(judged, monkeypatch):
     judge.begin()
     printer.run("M84")
     assert sort_of(judge, "gcode", "M84") == ""
-    monkeypatch.setattr(judge.gaps, "_is_valid", lambda: True)
+    monkeypatch.setattr(judge.gaps, "_is_valid", lambda status: True)
     assert sort_of(judge, "gcode", "M84") == "wrong offset"
 
 
@@ -310,6 +310,17 @@ def test_refusal_is_true_or_not(refusal, is_so):
     assert claims.verdict(refusal, facts()) is False
     there = {"before": is_so} if is_so is NOBODY else is_so
     assert claims.verdict(refusal, facts(**there)) is True
+
+
+def test_our_calibrations_go_nowhere_out_of_reach():
+    out = "Move out of range: 356.000 450.000 2.000 [0.000]"
+    assert claims.verdict(out, facts()) is True
+    assert claims.verdict(f"z_calibration: {out}", facts()) is False
+
+
+def test_owner_s_own_refusal_is_true():
+    refusal = f"z_calibration: start_gcode: {values.NOT_READY}"
+    assert claims.verdict(refusal, facts()) is True
 
 
 def test_refusal_without_a_reason_is_counted():

@@ -11,6 +11,7 @@ from tools.campaign.walks import (
     doing,
     features,
     machines,
+    steps,
     values,
     walker,
 )
@@ -76,6 +77,39 @@ def test_no_heat_is_measured_where_klipper_cannot_start_with_it(rows):
     )
     assert drawn[1].kinematics == GENERIC
     assert drawn[1].names == {"skew"}
+
+
+def test_sections_of_ours_are_left_out(rows):
+    assert {row.left_out for row in rows} == {"", *machines.OURS}
+    there = (("z_calibration", "speed", "25"), ("dockable_probe", "speed", "7"))
+    whole = Owned(options=there)
+    rest = Owned(options=there, left_out=("z_calibration",))
+    assert whole.has("z_calibration")
+    assert not rest.has("z_calibration")
+    assert rest.changes()["dockable_probe"] == {"speed": "7"}
+    assert "z_calibration" not in rest.changes()
+    assert "z_calibration" not in rest.scene.sections
+    assert "CALIBRATE_Z" in steps.gcode_of(whole)
+    assert "CALIBRATE_Z" not in steps.gcode_of(rest)
+    assert Owned.from_data(rest.as_data()) == rest
+
+
+def test_only_section_of_ours_is_not_left_out():
+    assert not machines.can_leave_out("voron", "z_calibration")
+    assert machines.can_leave_out("dock_bed", "z_calibration")
+
+
+def test_kinds_of_options():
+    kinds = {
+        choice[:2]: values.kind_of(choice)
+        for choice in values.choices(BASES["dock_bed"])
+    }
+    assert kinds["z_calibration", "end_gcode"] == "hook"
+    assert kinds["dockable_probe", "restore_toolhead"] == "switch"
+    assert kinds["dockable_probe", "safe_z_position"] == "switch"
+    assert kinds["dockable_probe", "z_hop"] == "switch"
+    assert kinds["z_calibration", "samples"] == "number"
+    assert kinds["extra_probe membrane", "speed"] == "number"
 
 
 @pytest.mark.parametrize("section", values.TABLES)

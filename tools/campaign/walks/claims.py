@@ -11,6 +11,8 @@ from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any, Optional
 
+from tools.campaign.walks import values
+
 
 @dataclass(frozen=True)
 class Facts:
@@ -91,6 +93,11 @@ def _is_true(facts: Facts, *unused: str) -> bool:
     return True
 
 
+def _is_never(facts: Facts, *unused: str) -> bool:
+    """Of what nobody has asked for."""
+    return False
+
+
 # A refusal begins to tell with the first of them that it has. Nothing here is of
 # a healthy printer that does what its owner has ordered.
 CLAIMS: tuple[tuple[re.Pattern, Callable[..., bool]], ...] = tuple(
@@ -116,6 +123,9 @@ CLAIMS: tuple[tuple[re.Pattern, Callable[..., bool]], ...] = tuple(
         (r"^extra_probe .*(?:No trigger on|did not answer)", _no_membrane),
         (r"^extra_probe .*(?:was not pressed|press it once)", _is_true),
         (r"no set-up is under way|did not change; check", _is_true),
+        # Our calibrations are asked to go nowhere else
+        (r"^(?:z_calibration|auto_z_offset): .*Move out of range", _is_never),
+        (values.NOT_READY, _is_true),
         (r"Unknown profile|Unknown g-code state|Move out of range", _is_true),
         (r"Extrude when no|Extrude below min|max_temperature is", _is_true),
     )

@@ -29,6 +29,7 @@ class Row(NamedTuple):
     homing: str = ""
     plate: str = ""
     noise: str = ""
+    left_out: str = ""
     names: frozenset[str] = frozenset()
 
     def items(self) -> set[Item]:
@@ -79,6 +80,7 @@ def _choices(bases: Sequence[str], is_generic: bool) -> dict[str, Sequence]:
         "homing": ("", "override"),
         "plate": _PLATES,
         "noise": ("", "some"),
+        "left_out": ("", *machines.OURS),
         "mesh": ("", *features.MESHES),
         "frame": ("", *features.FRAMES),
         **{name: ("", name) for name in features.ALONE},
@@ -95,6 +97,8 @@ def _built(chosen: dict[str, Any]) -> Row:
         plate=chosen.get("plate", ""),
         noise=chosen.get("noise", ""),
     )
+    if machines.can_leave_out(base, chosen.get("left_out", "")):
+        row = row._replace(left_out=chosen["left_out"])
     if chosen.get("kinematics") in machines.kinematics_of(base):
         row = row._replace(kinematics=chosen["kinematics"])
     if chosen.get("z_motors") in machines.counts_of(base):

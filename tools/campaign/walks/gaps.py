@@ -6,7 +6,7 @@ Gaps are nozzle to plate, mm, over the point that was measured.
 from __future__ import annotations
 
 import re
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any, NamedTuple, Optional
 
@@ -141,7 +141,7 @@ class Gaps:
         told = float("inf") if any(map(TOLD.search, lines)) else 0.0
         if shows(CALIBRATED):
             yield self._of_calibration(script, told)
-        elif shows(CORRECTED) or (self._can_load() and shows(LOADED)):
+        elif shows(CORRECTED) or (shows(LOADED) and self._can_load()):
             self.is_corrected = True
             place, gap = self._homed_at(), self._piezo_gap()
             if place is not None:
@@ -228,9 +228,12 @@ class Gaps:
 
     def _not_valid(self) -> Iterator[str]:
         kept = self.kept
-        if kept is None or not self._is_valid():
+        if kept is None:
             return
-        if "z" not in self.printer.status("toolhead")["homed_axes"]:
+        status = self.printer.statuses("z_calibration", "toolhead")
+        if not self._is_valid(status["z_calibration"]):
+            return
+        if "z" not in status["toolhead"]["homed_axes"]:
             yield "z_calibration is valid, and Z is not homed"
             return
         seen = self._depends_on()
@@ -248,8 +251,8 @@ class Gaps:
                 f" {promise.gap:.4f}"
             )
 
-    def _is_valid(self) -> bool:
-        status = self.printer.status("z_calibration")
+    @staticmethod
+    def _is_valid(status: Mapping[str, Any]) -> bool:
         return bool(status.get("valid")) and not status.get("warnings")
 
     def _heat(self) -> float:
@@ -258,12 +261,12 @@ class Gaps:
 
     def _depends_on(self) -> Any:
         """All that Z=0 depends on, but for heat."""
-        gcode = self.printer.status("gcode_move")
-        machine = self.printer.machine
-        frame = machine.tip().z - self.printer.session.position()[2]
-        mesh = self.printer.status("bed_mesh")
+        status = self.printer.statuses("gcode_move", "toolhead", "bed_mesh")
+        tip, gcode = self.printer.machine.tip(), status["gcode_move"]
+        frame = tip.z - status["toolhead"]["position"][2]
         shift = gcode["position"][2] - gcode["gcode_position"][2]
-        return round(shift, 4), round(frame, 2), mesh.get("mesh_matrix")
+        mesh = status["bed_mesh"].get("mesh_matrix")
+        return round(shift, 4), round(frame, 2), mesh
 
     # Looking
 

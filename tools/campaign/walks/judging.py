@@ -5,7 +5,7 @@ from __future__ import annotations
 import re
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
-from typing import Any, NamedTuple
+from typing import Any, NamedTuple, Optional
 
 from simprinter.world import Bed, WorldSpec
 from simprinter.world.truth import Crash
@@ -44,6 +44,18 @@ WHERE_IT_IS = {
 }
 # What they may change for ever when they end well
 LASTING = ("the G-code offset", "what is saved")
+# All that is looked at before and after each step, at one moment
+PENDING = "save_config_pending_items"
+Status = Mapping[str, Mapping[str, Any]]
+LOOKED_AT: Mapping[str, Optional[Sequence[str]]] = {
+    "toolhead": None,
+    "gcode_move": None,
+    "configfile": (PENDING,),
+    "manual_probe": None,
+    "z_calibration": None,
+    "dockable_probe": None,
+    "extra_probe membrane": None,
+}
 MODES = {"G90": ("G90", "G91"), "M82": ("M82", "M83")}
 _SENT = re.compile(r"^(?:G1|MOVE_AVOIDING_DOCK) X=?(\S+) Y=?(\S+)")
 
@@ -113,9 +125,10 @@ class Judge:
     def begin(self) -> None:
         """A step begins."""
         self.is_healthy = False
-        if self._is_asked():
-            self._stand_still()
         self.before = self._before()
+        if self.before.question:
+            self._stand_still()
+            self.before = self._before()
 
     def end(self, gone: Gone) -> None:
         """It has ended. Raises HarmError."""
@@ -239,27 +252,24 @@ class Judge:
     def _before(self) -> Before:
         machine = self.printer.machine
         truth = machine.truth
+        status = self._status()
         return Before(
-            state=self._state(),
-            status=self._status(),
+            state=self._state(status),
+            status=status,
             pressed=self._pressed(),
-            question=self._is_asked(),
+            question=self._is_asked(status),
             tip=machine.tip(),
             events=len(truth.events),
             touches=len(truth.touches),
             probe=self._probe(),
         )
 
-    def _status(self) -> dict[str, Any]:
-        names = ["toolhead", "manual_probe", "gcode_move", "z_calibration"]
-        names += ["dockable_probe", "extra_probe membrane"]
-        return {name: self.printer.status(name) for name in names}
+    def _status(self) -> Status:
+        return self.printer.session.statuses(LOOKED_AT)
 
-    def _state(self) -> dict[str, Any]:
+    def _state(self, status: Status) -> dict[str, Any]:
         """What a refusal leaves as it was."""
-        toolhead = self.printer.status("toolhead")
-        gcode_move = self.printer.status("gcode_move")
-        config = self.printer.status("configfile")
+        toolhead, gcode_move = status["toolhead"], status["gcode_move"]
         limits = [name for name in toolhead if name.startswith("max_")]
         limits += ["axis_minimum", "axis_maximum", "square_corner_velocity"]
         return {
@@ -267,7 +277,7 @@ class Judge:
             "G90": gcode_move["absolute_coordinates"],
             "M82": gcode_move["absolute_extrude"],
             **{name: toolhead.get(name) for name in limits},
-            "what is saved": config.get("save_config_pending_items"),
+            "what is saved": status["configfile"].get(PENDING),
             "currents": {
                 name: driver.current()[1:]
                 for name, driver in self.printer.machine.drivers.items()
@@ -282,7 +292,7 @@ class Judge:
         """All that is temporary is as before; after a refusal the rest, too."""
         if gone.kind != "gcode" or gone.command not in OURS:
             return
-        before, after = self.before.state, self._state()
+        before, after = self.before.state, self._state(self._status())
         lasting = {*self._of_owner(), *(() if gone.refusal else LASTING)}
         changed = {
             k: (before[k], after[k])
@@ -309,12 +319,13 @@ class Judge:
 
     def _lies(self, gone: Gone) -> Iterator[str]:
         """What is said of the printer is not so."""
+        status = self._status()
         facts = claims.Facts(
             before=self.before.status,
-            after=self._status(),
+            after=status,
             probes=self._probes(),
             membrane=self.printer.machine.world.membrane_is_laid,
-            is_asked=self.before.question or self._was_asked(),
+            is_asked=self.before.question or self._was_asked(status),
             touched=frozenset(
                 touch.site
                 for touch in self.printer.machine.truth.touches[
@@ -350,19 +361,19 @@ class Judge:
     def _probe(self) -> str:
         return self.printer.machine.world.probe_state(self._now())
 
-    def _is_asked(self) -> bool:
+    def _is_asked(self, status: Status) -> bool:
         """Whether a dialog, or a manual probe, has a person look or reach in."""
-        if self.printer.status("manual_probe").get("is_active"):
+        if status["manual_probe"].get("is_active"):
             return True
-        extra = self.printer.status("extra_probe membrane")
+        extra = status["extra_probe membrane"]
         shown = dialogs_of(self.printer.session.console)
         return bool(extra.get("waits_for")) or any(d.is_open for d in shown)
 
-    def _was_asked(self) -> bool:
+    def _was_asked(self, status: Status) -> bool:
         """Whether one is, or was: the end of a set-up closes the dialogs of all
         sections on a page, while the others still wait."""
         shown = dialogs_of(self.printer.session.console)
-        return bool(shown) or self._is_asked()
+        return bool(shown) or self._is_asked(status)
 
     def _stand_still(self) -> None:
         """A host may keep the last move to itself for most of a second."""

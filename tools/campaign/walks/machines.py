@@ -47,6 +47,8 @@ LEVELS: dict[int, dict[str, Options]] = {
         }
     },
 }
+# Sections of ours that an owner of several may do without
+OURS = ("z_calibration", "auto_z_offset", "extra_probe membrane")
 _OF_MOTORS = ("z_tilt", "quad_gantry_level")
 OVERRIDE = """
   G90
@@ -59,7 +61,8 @@ _ACROSS = "G1 X%g Y%g F9000"
 _AROUND = "MOVE_AVOIDING_DOCK X=%g Y=%g SPEED=150"
 
 
-def _without(scene: Scene, *sections: str) -> Scene:
+def without(scene: Scene, *sections: str) -> Scene:
+    """The same without those."""
     left = {k: v for k, v in scene.sections.items() if k not in sections}
     return replace(scene, sections=left)
 
@@ -70,10 +73,28 @@ def _front(scene: Scene) -> Scene:
     home = {**(scene.sections["safe_z_home"] or {})}
     home["home_xy_position"] = "206, 10"
     sections = {**scene.sections, "safe_z_home": home}
-    front = _without(replace(scene, sections=sections), "z_calibration")
+    front = without(replace(scene, sections=sections), "z_calibration")
     return front.with_world(
         pin=replace(scene.world.pin, y=10.0),
         bed=replace(scene.world.bed, y_min=15.0),
+    )
+
+
+def _docked_at(scene: Scene, **positions: str) -> Scene:
+    """The same, its dock approached or left from elsewhere."""
+    dock = {**(scene.sections["dockable_probe"] or {}), **positions}
+    return replace(scene, sections={**scene.sections, "dockable_probe": dock})
+
+
+def _near_pin(scene: Scene) -> Scene:
+    """The same, its dock so near to the pin that ways go around both."""
+    assert scene.world.dock is not None
+    dock = replace(scene.world.dock, x=170.0, release=(-1.0, 0.0, 0.0))
+    return _docked_at(
+        scene.with_world(dock=dock),
+        dock_position="170, 308",
+        approach_position="170, 270",
+        detach_position="130, 308",
     )
 
 
@@ -83,9 +104,10 @@ def _bases() -> dict[str, Scene]:
         # Where Z is homed with the probe there is no pin for the nozzle
         whole = with_all(scene)
         found[name] = (
-            whole if scene.world.pin else _without(whole, "z_calibration")
+            whole if scene.world.pin else without(whole, "z_calibration")
         )
     found["dock_front"] = _front(found["dock_gantry_switch"])
+    found["dock_near_pin"] = _near_pin(found["dock_gantry_switch"])
     for name in ("voron", "corexz", "cartesian", "separate_pin", "qidi"):
         found[name] = SCENES[name]
     for name in ("voron_two_boards", "qidi_two_boards", "piezo_cartesian"):
@@ -124,13 +146,22 @@ def can_override(base: str) -> bool:
     return "safe_z_home" in BASES[base].sections
 
 
+def can_leave_out(base: str, section: str) -> bool:
+    """Whether another one of ours is there, too."""
+    there = BASES[base].sections
+    others = [
+        n for n in (*OURS, "dockable_probe") if n in there and n != section
+    ]
+    return section in there and bool(others)
+
+
 def built(scene: Scene, z_motors: int, kinematics: str) -> Scene:
     """The same on another gantry; what levels it is there where it was."""
     if z_motors != len(scene.z_motors):
         name = scene.name
         scene = on_gantry(scene, name, scene.kinematics, **Z_MOTORS[z_motors])
         levels = any(name in scene.sections for name in _OF_MOTORS)
-        scene = _without(scene, *_OF_MOTORS)
+        scene = without(scene, *_OF_MOTORS)
         sections = {**scene.sections, **(LEVELS[z_motors] if levels else {})}
         scene = replace(scene, sections=sections)
     if kinematics == GENERIC:
@@ -148,7 +179,7 @@ def overridden(scene: Scene) -> Scene:
     code = OVERRIDE % (way % (x, y))
     section = {"axes": "z", "set_position_z": "0", "gcode": code}
     sections = {**scene.sections, "homing_override": section}
-    return _without(replace(scene, sections=sections), "safe_z_home")
+    return without(replace(scene, sections=sections), "safe_z_home")
 
 
 def _numbers(scene: Scene, section: str, option: str) -> list[float]:

@@ -22,6 +22,8 @@ from tools.kit.scenes import Scene
 POINT = (150.0, 150.0)
 # By how much the heights of a bed may differ at most (mm)
 MOST_BOW = 0.3
+# How many options of each kind an owner has chosen at most
+MOST = {"hook": 3, "switch": 3, "number": 2}
 SLOPE = 1e-3
 
 
@@ -29,13 +31,14 @@ SLOPE = 1e-3
 class Owned:
     """A printer.
 
-    kinematics, z_motors: the machine's own where they are empty. is_overridden:
-    its owner's macro homes Z. options: section, option, value. too_high: mm by
+    left_out: of our sections. kinematics, z_motors: the machine's own where they
+    are empty. is_overridden: its owner's macro homes Z. options: section, option, value. too_high: mm by
     which the z_offset of the probe is too large. slope, bow, rough: of the plate,
     see machines.on_plate(). sigma: of the noise of all switches, mm.
     """
 
     base: str = "dock_gantry_switch"
+    left_out: tuple[str, ...] = ()
     kinematics: str = ""
     z_motors: int = 0
     is_overridden: bool = False
@@ -51,7 +54,7 @@ class Owned:
     @cached_property
     def scene(self) -> Scene:
         """The machine and its owner's sections, but for those of Klipper."""
-        scene = BASES[self.base]
+        scene = machines.without(BASES[self.base], *self.left_out)
         scene = machines.built(
             scene,
             self.z_motors or len(scene.z_motors),
@@ -85,6 +88,8 @@ class Owned:
         if "card" in self.names:
             found.update(card.macros(self))
         for section, option, value in self.options:
+            if section in self.left_out:
+                continue
             text = None if value is None else value
             if value is not None and option.endswith("_gcode"):
                 text = "\n  " + value
@@ -101,7 +106,8 @@ class Owned:
 
     def has(self, section: str) -> bool:
         """Whether its scene has that section."""
-        return section in BASES[self.base].sections
+        there = section in BASES[self.base].sections
+        return there and section not in self.left_out
 
     def as_data(self) -> dict[str, Any]:
         """What from_data() makes it of again, for JSON."""
@@ -114,21 +120,26 @@ class Owned:
         names = frozenset(data["names"])
         slope = tuple(data["slope"])
         own = {"names": names, "options": options, "slope": slope}
+        own["left_out"] = tuple(data.get("left_out", ()))
         return cls(**{**data, **own})
 
 
 @lru_cache(maxsize=None)
 def _options(base: str) -> st.SearchStrategy:
-    rows = [
-        st.tuples(st.just(section), st.just(option), st.sampled_from(found))
-        for section, option, found in values.choices(BASES[base])
+    kinds: dict[str, list[st.SearchStrategy]] = {}
+    for choice in values.choices(BASES[base]):
+        section, option, found = choice
+        row = st.tuples(
+            st.just(section), st.just(option), st.sampled_from(found)
+        )
+        kinds.setdefault(values.kind_of(choice), []).append(row)
+    chosen = [
+        st.lists(
+            st.one_of(rows), max_size=MOST[kind], unique_by=lambda row: row[:2]
+        )
+        for kind, rows in sorted(kinds.items())
     ]
-    if not rows:
-        return st.just(())
-    chosen = st.lists(
-        st.one_of(rows), max_size=4, unique_by=lambda row: row[:2]
-    )
-    return chosen.map(tuple)
+    return st.tuples(*chosen).map(lambda found: tuple(sum(found, [])))
 
 
 @lru_cache(maxsize=None)
@@ -166,6 +177,7 @@ def printers(draw: st.DrawFn, row: Row) -> Owned:
         drawn["sigma"] = draw(_mostly(sigma, 0.0))
     return Owned(
         base=row.base,
+        left_out=draw(_mostly((row.left_out,) if row.left_out else (), ())),
         kinematics=draw(_mostly(row.kinematics, own.kinematics)),
         z_motors=draw(_mostly(row.z_motors, own.z_motors)),
         is_overridden=draw(_mostly(bool(row.homing), False)),

@@ -296,7 +296,15 @@ def _courses(printer: Owned) -> list[st.SearchStrategy]:
     commands = gcode_of(printer)
     lower = st.lists(_one("lower", 0.5, 3.0), max_size=2)
     ends = _one("gcode", "ACCEPT", "ABORT", "TESTZ Z=0.1", "G28")
-    paper = _row(lower.map(lambda found: sum(found, ())), ends)
+    # Whoever looks for the paper lets time pass
+    looks = st.sampled_from(((), (("wait", 40),)))
+    paper = _row(looks, lower.map(lambda found: sum(found, ())), ends)
+    attaches = st.just(())
+    if "ATTACH_PROBE" in commands:
+        attaches = st.sampled_from(((), (("gcode", "ATTACH_PROBE"),)))
+    meshes = st.just(())
+    if "BED_MESH_CALIBRATE" in commands:
+        meshes = st.sampled_from(((), (("gcode", "BED_MESH_CALIBRATE"),)))
     answers = st.lists(
         st.one_of(
             _one("answer", 0, 0, 1, 2), _one("twice", 0), _one("late", 0)
@@ -307,7 +315,7 @@ def _courses(printer: Owned) -> list[st.SearchStrategy]:
     saves = st.sampled_from(((), (("save", "SAVE_CONFIG"),)))
     found = []
     if PAPER in commands:
-        found.append(_row(_one("gcode", PAPER), paper, saves))
+        found.append(_row(attaches, _one("gcode", PAPER), paper, saves))
     if TWIST in commands:
         found.append(_row(_one("gcode", TWIST), *[paper] * 3))
     for begins in ("Z_CALIBRATION_SETUP", "DOCKABLE_PROBE_SETUP"):
@@ -316,7 +324,12 @@ def _courses(printer: Owned) -> list[st.SearchStrategy]:
     if printer.has("extra_probe membrane"):
         found.append(
             _row(
-                _one("gcode", "EXTRA_PROBE_CALIBRATE PROBE=membrane SAVE=1"),
+                meshes,
+                _one(
+                    "gcode",
+                    "EXTRA_PROBE_CALIBRATE PROBE=membrane SAVE=1",
+                    "EXTRA_PROBE_CALIBRATE PROBE=membrane",
+                ),
                 _one("hand", "lay_membrane", "take_membrane"),
                 _one("hand", "press_membrane"),
                 answers,

@@ -35,12 +35,17 @@ HOOKS = (
     "FETCH",
     "G91\n  G1 Z2 F600\n  ATTACH_PROBE\n  G90",
 )
+# One that asks first whether all is ready, and says no
+NOT_READY = "the bed is cold"
+ASKS = "G91\n  G1 Z2 F600\n  {action_raise_error('%s')}\n  G90" % NOT_READY
+# Some park the head when all is done
+PARKS = ("DETACH_PROBE\n  G1 X150 Y150 F9000", "M117 x\n  G1 X150 Y150 F9000")
 # G-code that the tables know nothing of
 OWN: dict[str, dict[str, Sequence[Optional[str]]]] = {
     "z_calibration": {
-        "start_gcode": HOOKS,
-        "before_switch_gcode": HOOKS,
-        "end_gcode": HOOKS,
+        "start_gcode": (*HOOKS, ASKS),
+        "before_switch_gcode": (*HOOKS, ASKS),
+        "end_gcode": (*HOOKS, *PARKS),
         "clean_gcode": ("M117 x", "G91"),
         "error_gcode": ("M117 x", "G28 X"),
         "bed_spread": ("3",),
@@ -82,8 +87,27 @@ OF_MACHINE = (
     "save_button",
     "z_current_factor",
 )
+# Numbers of which some are another way to go on
+SWITCHES = ("z_hop", "bed_spread")
 # Sections of which there are real ones, see tests/corpus
 OF_CORPUS = ("z_calibration", "auto_z_offset", "dockable_probe")
+
+
+def kind_of(choice: Choice) -> str:
+    """Hooks, switches and numbers: of each some are chosen.
+
+    What a number is changes how long a way is; where the probe hangs, who moves
+    and where to follows from the others.
+    """
+    _, option, found = choice
+    if option.endswith("_gcode"):
+        return "hook"
+    is_word = not any(_is_number(value) for value in found)
+    return "switch" if is_word or option in SWITCHES else "number"
+
+
+def _is_number(value: Optional[str]) -> bool:
+    return bool(value) and value.replace(".", "", 1).isdigit()
 
 
 def choices(scene: Scene) -> list[Choice]:
