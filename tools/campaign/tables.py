@@ -114,6 +114,31 @@ def printers_table(figures: Figures) -> str:
     return markdown(heads, rows)
 
 
+# What a walk is harmed by, in columns
+_OF_KLIPPY = ("internal error", "shutdown", "hang")
+_OF_WORLD = ("harm", "wrong offset")
+
+
+def walks_table(figures: Figures) -> str:
+    """A line for all walks, and one for each healthy refusal."""
+    harmed = dict(figures["harmed"])
+    ends = [harmed.pop(name, 0) for name in _OF_WORLD]
+    ends.append(sum(harmed.pop(name, 0) for name in _OF_KLIPPY))
+    heads = ["walks", "steps", *_OF_WORLD, ", ".join(_OF_KLIPPY)]
+    heads += ["anything else", "steps refused", "without a reason"]
+    refused = [sum(figures[name].values()) for name in ("refused", "healthy")]
+    numbers = [figures["walks"], figures["steps"], *ends, sum(harmed.values())]
+    rows = [[str(number) for number in (*numbers, *refused)]]
+    lines = [f"- {count}: `{name}`" for name, count in figures["healthy"].items()]
+    return "\n".join([markdown(heads, rows), "", *lines]).rstrip()
+
+
+def render_walks(file: str) -> str:
+    """That of a document, from the figures in a file."""
+    figures = json.loads(Path(file).read_text(encoding="utf-8"))
+    return "\n" + walks_table(figures) + "\n"
+
+
 # The page says what each of them does
 KINDS = (
     "stuck_open",

@@ -4,6 +4,7 @@ import shutil
 
 import pytest
 
+from tools.campaign import tables
 from tools.campaign.walks import walker, walking
 from tools.campaign.walks.printers import Owned
 from tools.campaign.walks.steps import OVER_MEMBRANE
@@ -92,3 +93,17 @@ def test_seed_draws_the_same_again(host):
     first, again = (walking.walk_of(3, host, simpler=0) for _ in range(2))
     assert first.walk == again.walk
     assert first.outcome == again.outcome
+
+
+def test_figures_as_a_table():
+    figures = {
+        "walks": 10,
+        "steps": 90,
+        "harmed": {"harm": 1, "lie": 2, "hang": 3, "shutdown": 4},
+        "refused": {"not homed": 5, "Tuesday": 2},
+        "healthy": {"Tuesday": 2},
+    }
+    lines = tables.walks_table(figures).splitlines()
+    numbers = [cell.strip() for cell in lines[2].strip("|").split("|")]
+    assert numbers == ["10", "90", "1", "0", "7", "2", "7", "2"]
+    assert lines[3:] == ["", "- 2: `Tuesday`"]

@@ -92,7 +92,9 @@ def main(arguments: Optional[Sequence[str]] = None) -> int:
     say(report.text())
     say(f"seeds {seeds.start} to {seeds.stop - 1}, {minutes:.1f} min")
     if options.json:
-        figures = {"hosts": [h.name for h in hosts], **report.figures()}
+        ends = [seeds.start, seeds.stop - 1]
+        figures = {"hosts": [host.name for host in hosts], "seeds": ends}
+        figures.update(report.figures())
         options.json.write_text(json.dumps(figures, indent=1) + "\n")
     return 1 if report.harmed else 0
 
