@@ -129,7 +129,9 @@ def walks_table(figures: Figures) -> str:
     refused = [sum(figures[name].values()) for name in ("refused", "healthy")]
     numbers = [figures["walks"], figures["steps"], *ends, sum(harmed.values())]
     rows = [[str(number) for number in (*numbers, *refused)]]
-    lines = [f"- {count}: `{name}`" for name, count in figures["healthy"].items()]
+    lines = [
+        f"- {count}: `{name}`" for name, count in figures["healthy"].items()
+    ]
     return "\n".join([markdown(heads, rows), "", *lines]).rstrip()
 
 

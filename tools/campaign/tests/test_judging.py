@@ -6,6 +6,7 @@ from tools.campaign.walks import claims, values, walker
 from tools.campaign.walks.claims import Facts
 from tools.campaign.walks.judging import Gone, HarmError
 from tools.campaign.walks.printers import Owned
+from tools.campaign.walks.steps import OVER_MEMBRANE
 from tools.campaign.walks.walker import Walker
 from tools.kit.printer import Printer
 
@@ -154,6 +155,18 @@ def test_what_a_refusal_has_left(judged, change):
     judge.begin()
     printer.run(change)
     assert sort_of(judge, "gcode", "CALIBRATE_Z", "no") == "left behind"
+
+
+# The way over the membrane was refused, which the walk itself goes
+def test_mode_that_the_step_itself_has_left(judged):
+    printer, judge = judged(SWITCH)
+    printer.run("G91")
+    judge.begin()
+    printer.run("G90")
+    script, refusal = "EXTRA_PROBE PROBE=membrane", "no"
+    over = f"{OVER_MEMBRANE}\n{script}"
+    assert sort_of(judge, "gcode", over, refusal) == ""
+    assert sort_of(judge, "gcode", script, refusal) == "left behind"
 
 
 # What its owner's own G-code has set, which only z_calibration undoes

@@ -294,6 +294,9 @@ class Judge:
             return
         before, after = self.before.state, self._state(self._status())
         lasting = {*self._of_owner(), *(() if gone.refusal else LASTING)}
+        if gone.refusal and gone.script.startswith(stepping.AWAY[:20]):
+            # Before the command the way there may have failed, between its modes
+            lasting.add("G90")
         changed = {
             k: (before[k], after[k])
             for k in after

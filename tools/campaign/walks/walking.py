@@ -6,7 +6,9 @@ before has been done, so a walk is nothing but what a running klippy has seen: i
 cannot be written down and gone again on another host, on the modules of another
 checkout, or after the steps to choose from have changed, and what shrinking tries
 twice is gone twice. Drawn as a value first, each walk is JSON that --replay reads.
-Which printer comes with which seed is a covering array's, see covering.py.
+Which printer comes with which seed is a covering array's, see covering.py. It is
+one of its own: forked from a klippy that has imported, it starts in a tenth of
+the time of its walk.
 """
 
 from __future__ import annotations
