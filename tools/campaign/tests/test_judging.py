@@ -103,6 +103,18 @@ def test_head_that_moves_by_itself(judged):
     assert sort_of(judge, "wait") == "moved"
 
 
+def test_head_on_its_last_way_does_not_move_by_itself(judged):
+    printer, judge = judged(SWITCH)
+    printer.run("SET_DOCKABLE_PROBE AUTO_ATTACH_DETACH=0\nG1 X140 F1200")
+    judge.begin("wait")
+    printer.session.wait(3.0)
+    assert sort_of(judge, "wait") == ""
+    printer.run("G1 X180 F1200")
+    judge.begin()
+    printer.session.wait(3.0)
+    assert sort_of(judge, "wait") == "moved"
+
+
 def test_head_that_moves_while_somebody_is_asked(judged):
     printer, judge = judged(SWITCH)
     printer.run("EXTRA_PROBE_CALIBRATE PROBE=membrane")

@@ -56,6 +56,8 @@ LOOKED_AT: Mapping[str, Optional[Sequence[str]]] = {
     "dockable_probe": None,
     "extra_probe membrane": None,
 }
+# Steps during which nobody commands anything
+UNCOMMANDED = ("wait", "hand")
 MODES = {"G90": ("G90", "G91"), "M82": ("M82", "M83")}
 _SENT = re.compile(r"^(?:G1|MOVE_AVOIDING_DOCK) X=?(\S+) Y=?(\S+)")
 
@@ -122,11 +124,12 @@ class Judge:
         self.before = self._before()
         self.lowest = lowest(self.printer.scene.world)
 
-    def begin(self) -> None:
+    def begin(self, kind: str = "") -> None:
         """A step begins."""
         self.is_healthy = False
         self.before = self._before()
-        if self.before.question:
+        # Its last command's moves are queued still
+        if self.before.question or kind in UNCOMMANDED:
             self._stand_still()
             self.before = self._before()
 
@@ -210,7 +213,7 @@ class Judge:
 
     def _has_moved(self, gone: Gone) -> Iterator[str]:
         """While nobody commands anything."""
-        if gone.kind not in ("wait", "hand"):
+        if gone.kind not in UNCOMMANDED:
             return
         here = self.printer.machine.tip()
         moved = max(abs(a - b) for a, b in zip(here, self.before.tip))

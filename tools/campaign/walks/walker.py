@@ -89,7 +89,7 @@ class Walker:
         """All steps. Raises HarmError at the first that does harm."""
         console = self.printer.session.console
         for number, (kind, what) in enumerate(walk, 1):
-            self.judge.begin()
+            self.judge.begin(kind)
             shown = len(console)
             self.step, self.script, self.refusal = f"{kind} {what!r}", "", ""
             self.say(f"--- step {number}, {self.step}")
