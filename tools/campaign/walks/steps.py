@@ -193,13 +193,20 @@ def gcode_of(printer: Owned) -> list[str]:
     sections = set(printer.scene.sections)
     if sections & {"probe", "dockable_probe"} and probes:
         found += PROBE
+    over = over_membrane(printer)
     for section, commands in OF_SECTION.items():
         if section in sections and (probes or section not in WITH_PROBE):
-            found += commands
+            found += [text.replace(OVER_MEMBRANE, over) for text in commands]
     for name in sorted(printer.names):
         if probes or name not in OF_PROBE:
             found += OF_FEATURE.get(name, ())
     return found
+
+
+def over_membrane(printer: Owned) -> str:
+    """The way to where it lies."""
+    spec = printer.scene.world.membrane
+    return AWAY % (20, spec.x, spec.y) if spec else OVER_MEMBRANE
 
 
 def _hands_of(printer: Owned) -> list[str]:
