@@ -102,6 +102,49 @@ def test_no_way_across_the_dock_where_docking_has_left_the_head(start, command):
     printer.machine.truth.require_no_crash()
 
 
+# Whatever the owner wants of the head: the host goes on from where it has probed
+@pytest.mark.parametrize("restore", ["True", "False"])
+def test_paper_is_put_where_the_probe_was(start, restore):
+    printer = started(start, SWITCH, restore_toolhead=restore).homed()
+    printer.run("G1 X150 Y150 Z20 F6000\nPROBE_CALIBRATE")
+    assert where(printer) == "docked"
+    assert at(printer) == pytest.approx((148.0, 174.75))
+
+
+# Straight from the dock to those points the way is across it
+@pytest.mark.parametrize(
+    "script",
+    [
+        "AXIS_TWIST_COMPENSATION_CALIBRATE SAMPLE_COUNT=2\nACCEPT",
+        "G1 X150 Y100 Z20 F6000\nG1 X60\nPROBE_CALIBRATE",
+    ],
+)
+def test_no_paper_across_the_dock(start, script):
+    scene = DOCK_SCENES["dock_frame"]
+    printer = started(start, scene, restore_toolhead="False").homed()
+    printer.run(script)
+    assert where(printer) == "docked"
+    printer.run("ABORT")
+    printer.machine.truth.require_no_crash()
+
+
+# The end of X is on the dock's other side
+def test_no_homing_across_the_dock_where_docking_has_left_the_head(start):
+    dock = replace(SWITCH.world.dock, x=170.0, release=(-1.0, 0.0, 0.0))
+    printer = started(
+        start,
+        SWITCH.with_world(dock=dock),
+        dock_position="170, 308",
+        approach_position="170, 270",
+        detach_position="130, 308",
+        restore_toolhead="False",
+    ).homed()
+    printer.run("G1 X150 Y150 Z20 F6000\nPROBE")
+    assert at(printer) == pytest.approx((130.0, 308.0))
+    printer.run("G28 X")
+    printer.machine.truth.require_no_crash()
+
+
 def test_nothing_is_touched_where_docking_has_left_the_head(start):
     printer = started(start, SWITCH, restore_toolhead="False").homed()
     printer.run("G1 X150 Y150 Z20 F6000\nPROBE")

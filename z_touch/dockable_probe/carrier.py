@@ -23,7 +23,8 @@ BY_METHOD = (
     "SCREWS_TILT_CALCULATE",
     "Z_TILT_ADJUST",
 )
-# These probe, and then ask for the paper; the second does so again at each ACCEPT.
+# These probe, and then ask for the paper; the second does so again at each ACCEPT,
+# at points of its own.
 PROBE_THEN_PAPER = {
     "PROBE_CALIBRATE": False,
     "AXIS_TWIST_COMPENSATION_CALIBRATE": True,
@@ -143,6 +144,9 @@ class Carrier(object):
 
     # The probe is docked at the end of each session, whoever held it.
     def _around_paper(self, asks_again, command, gcmd):
+        if asks_again:
+            # It goes straight to its first point, before the probe is fetched.
+            self.prober.docking.leave()
         delay = self.prober.holder.delay
         delay.forbid(True)
         try:

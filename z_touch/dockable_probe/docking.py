@@ -325,6 +325,8 @@ class Docking(object):
             return
         if moves.stands_in_dock():
             self.go_out(DOCK, settings.detach_position, settings.detach_speed)
+        elif moves.is_left_beside():
+            moves.go_beside(settings.approach_position)
 
     # The parts of the way are commands, so that a macro may stand in for one.
     def _visit_dock(self, trip):

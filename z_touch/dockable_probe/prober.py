@@ -145,9 +145,10 @@ class Prober(object):
         if self.sensors.look() != ATTACHED:
             raise self._lost("was lost, what was measured is wrong")
         if self.holder.delay.is_forbidden:
-            # Whoever holds it
+            # Whoever holds it, and wherever its owner wants the head: the paper is
+            # put where the probe was.
             self.holder.hold(False)
-            self.dock_and_return(goal)
+            self.docking.dock(goal)
         elif self.holder.lets_go():
             self._dock_after_use(goal)
 
