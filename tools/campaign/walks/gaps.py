@@ -5,6 +5,7 @@ Gaps are nozzle to plate, mm, over the point that was measured.
 
 from __future__ import annotations
 
+import math
 import re
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
@@ -127,7 +128,10 @@ class Gaps:
                 self.kept = Kept(promise, self._heat(), seen)
         if _CHANGES.search(script):
             self.is_corrected = False
-        if _SAVES.search(script):
+        if _SAVES.search(script) and not is_alone:
+            # Before the other client's command or after it, nobody knows
+            self.kept, self.steps = None, math.nan
+        elif _SAVES.search(script):
             self._save()
         else:
             yield from self._not_valid()
