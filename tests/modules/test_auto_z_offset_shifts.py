@@ -52,6 +52,24 @@ def test_shift_that_makes_the_gap_wrong_is_told(
     assert bool(words) is bool(told(lines, "the gap is wrong by"))
 
 
+# Some hosts keep it when Z is homed with the probe; QIDI's goes to Z=3
+@pytest.mark.parametrize("command", ["AUTO_Z_PROBE", "AUTO_Z_CALIBRATE"])
+def test_g92_does_not_lower_what_prepare_gcode_does(start, command):
+    printer = start("qidi").homed()
+    over = "G90\nG1 Z20 F900\nG1 X%g Y%g F6000\nG92 Z26" % POINT
+    lines = printer.run(f"{over}\n{command}")
+    assert told(lines, "G92 had moved Z=0 by -6.000 mm: undone, as G28 does")
+    printer.machine.truth.require_no_crash()
+
+
+def test_g92_of_prepare_gcode_is_undone(start):
+    own = {"prepare_gcode": "\n  SET_PIN PIN=bed_sensor VALUE=1\n  G92 Z26"}
+    printer = start("qidi", {"auto_z_offset": own}).homed()
+    assert told(printer.run("AUTO_Z_CALIBRATE"), "G92 had moved Z=0 by")
+    gap = printer.scene.piezo_gap()
+    assert true_gap(printer) == pytest.approx(gap, abs=STEPS)
+
+
 def test_g92_is_undone(start):
     printer = start("qidi").homed()
     lines = printer.run("G1 Z30 F900\nG92 Z29.7\nAUTO_Z_CALIBRATE")

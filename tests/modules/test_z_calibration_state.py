@@ -115,6 +115,25 @@ def test_g92_is_undone(start):
     assert printer.gap() == pytest.approx(0.06, abs=0.005)
 
 
+# Some hosts keep it when Z is homed with the probe, and G1 goes lower then
+def test_g92_does_not_lower_what_start_gcode_does(start):
+    lift = {"start_gcode": "\n  G90\n  G1 Z5 F900"}
+    printer = start(changes={"z_calibration": lift}).homed()
+    printer.run("G1 Z20 F900\nG92 Z30\nPROBE_Z_ACCURACY SAMPLES=2")
+    printer.run("G92 Z40")
+    lines = printer.run("CALIBRATE_Z")
+    assert "G92 had moved Z=0 by" in "\n".join(lines)
+    assert printer.gap() == pytest.approx(0.06, abs=0.005)
+
+
+def test_g92_of_start_gcode_is_undone(start):
+    own = {"start_gcode": "\n  G90\n  G1 Z20 F900\n  G92 Z19.7"}
+    printer = start(changes={"z_calibration": own}).homed()
+    lines = printer.run("CALIBRATE_Z")
+    assert "G92 had moved Z=0 by 0.300 mm: undone" in "\n".join(lines)
+    assert printer.gap() == pytest.approx(0.06, abs=0.005)
+
+
 # Whether the offset is still in force
 
 

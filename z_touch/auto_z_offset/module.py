@@ -98,6 +98,8 @@ class AutoZOffset(object):
             gcmd, "ACCEPT_CHANGE", 0, minval=0, maxval=1
         )
         self.check_may_measure()
+        # What prepare_gcode takes for a height is one of the nozzle
+        self.undo_g92()
         expectations = None if accepts_change else self.expectations
         watch = self.runner.watch
         run = Run(self.sensor, self.settings, watch, expectations)
@@ -105,6 +107,9 @@ class AutoZOffset(object):
             value = work(run)
         self.expectations.touched(run.bed.sensor_z)
         return value
+
+    def undo_g92(self):
+        self.tell(self.host.features.undo_g92(shifts.NO_SHIFT))
 
     def check_may_measure(self):
         self.check_section()
@@ -234,7 +239,7 @@ class AutoZOffset(object):
         results, z = cycles.measure()
         # So that "move Z to 0, try a sheet of paper" is at this point
         run.travel.go_to(bed)
-        self.tell(self.host.features.undo_g92(shifts.NO_SHIFT))
+        self.undo_g92()
         self.tell(shifts.wrong_gap(self.host, bed, results))
         self.apply_offset(z + self.host.probing.homed_bed_z())
         return results, z

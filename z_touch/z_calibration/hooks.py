@@ -20,6 +20,9 @@ from ..core.errors import CalibrationError
 from .attachment import Attachment
 
 # What the user is told where his G-code has moved the frame of the heights
+# Less (mm) is rounding.
+NO_SHIFT = 0.0000001
+
 BEFORE = "do it before CALIBRATE_Z"
 MOVED_IN_CLEAN = "%s in clean_gcode; " + BEFORE
 MOVED_IN_BEFORE_SWITCH = (
@@ -113,6 +116,8 @@ class Hooks(object):
     # User G-code may home, move, or turn the motors off.  What hangs on the head
     # afterwards is there because start_gcode has put it there.
     def start(self):
+        # What the templates take for a height is one of the nozzle
+        self.undo_g92()
         self.attachment.begin()
         self.run_gcode("start_gcode")
         running.check_homed(self.host)
@@ -126,6 +131,11 @@ class Hooks(object):
         if mark is not None:
             self.check_frame(mark, MOVED_IN_BEFORE_SWITCH)
         running.check_homed(self.host)
+
+    def undo_g92(self):
+        undone = self.host.features.undo_g92(NO_SHIFT)
+        if undone:
+            self.watch.say(undone)
 
     def clean(self):
         self.watch.enter("clean_gcode")

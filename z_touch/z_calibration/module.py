@@ -228,7 +228,7 @@ class ZCalibration(object):
 
     # Returns the results.Last
     def calibrate_and_apply(self, gcmd, settings):
-        features, say = self.host.features, self.runner.watch.say
+        features = self.host.features
         states = features.saved_offsets()
         with features.without_offset():
             last, added = self.calibrate(gcmd, settings)
@@ -238,14 +238,12 @@ class ZCalibration(object):
             # end_gcode has applied last_z_offset by itself
             added = 0.0
         for _, told in shifts.lines():
-            say(told.text)
-        undone = features.undo_g92(NO_CHANGE)
-        if undone:
-            say(undone)
+            self.runner.watch.say(told.text)
+        self.hooks.undo_g92()
         applied = self.apply(z_offset + added)
         if abs(added) >= NO_CHANGE:
             text = "end_gcode changed the G-code Z offset by %.6f: it is %.6f"
-            say(text % (added, z_offset + added))
+            self.runner.watch.say(text % (added, z_offset + added))
         return last._replace(
             z_offset=z_offset + added,
             applied=applied,
