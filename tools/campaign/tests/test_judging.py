@@ -287,6 +287,18 @@ def test_saved_baby_steps_are_what_is_right_from_then_on(judged):
     assert told == "wrong offset"
 
 
+def test_what_two_clients_save_at_once_nobody_knows(judged):
+    printer, judge = judged(SWITCH)
+    lines = printer.run("CALIBRATE_Z")
+    assert sort_of(judge, "gcode", "CALIBRATE_Z", "", lines) == ""
+    judge.begin()
+    save = "Z_CALIBRATION_SAVE_GCODE_OFFSET"
+    printer.run(f"SET_GCODE_OFFSET Z_ADJUST=0.1\n{save}")
+    assert sort_of(judge, "both", save) == ""
+    judge.begin()
+    assert sort_of(judge, "gcode", "CALIBRATE_Z", "", CALIBRATED) == ""
+
+
 # Words
 
 
