@@ -34,6 +34,12 @@ HIGHER = 0.1
             0.08,
             "bed_tilt: Z is shifted by 0.080 mm here",
         ),
+        (
+            {"bed_tilt": {"z_adjust": "0.017"}},
+            "",
+            0.017,
+            "bed_tilt: Z is shifted by 0.017 mm here",
+        ),
         ({"bed_tilt": {"z_adjust": "0.01"}}, "", 0.01, None),
     ],
 )

@@ -60,6 +60,16 @@ def test_probe_is_docked_before_the_nozzle_goes_down(start, reason, touch):
     assert trips(printer)[:2] == ["attach", "dock"]
 
 
+# A first layer may come next
+@pytest.mark.parametrize("touch", ["AUTO_Z_MEASURE_OFFSET", "AUTO_Z_CALIBRATE"])
+def test_docking_is_not_delayed_where_the_nozzle_goes_down_next(start, touch):
+    printer = ready(start, {"allow_delayed_detach": "True"})
+    lines = f"{TOUCHES[touch]}\nG90\nG1 X150 Y150 F9000\nG1 Z0.5 F900\nM400"
+    printer.run(lines)
+    assert untouched(printer)
+    assert where(printer) == "docked"
+
+
 @pytest.mark.parametrize("touch", ["EXTRA_PROBE", "AUTO_Z_CALIBRATE"])
 def test_touch_is_refused_where_no_trips_are_wanted(start, touch):
     printer = ready(start, {"auto_attach_detach": "False"})

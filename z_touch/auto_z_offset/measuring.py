@@ -439,6 +439,8 @@ class Run(object):
         probe_z = measurement.measure(sensor_z, self.bed.probe_z)
         self.bed.probed(probe_z)
         self.travel.lift()
+        # It is the nozzle that goes down next, whoever sends it
+        carrying.of(self.host.printer).settle(self.host)
         probe_z_offset = self.host.probing.offsets()[2]
         parts = (sensor_z, probe_z, probe_z_offset, self.settings.z_offset)
         return heights.Result(*parts + (heights.correction(*parts),))
