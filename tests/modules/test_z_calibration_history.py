@@ -429,7 +429,7 @@ def test_nozzle_that_cannot_be_cleaned_is_refused_as_before(start):
 
 def test_pin_that_fails_is_no_reason_to_clean(start):
     """The first touch is higher than the second; there is no third."""
-    faults = [Fault("trigger_never", signal="z_endstop", n=6)]
+    faults = [Fault("trigger_never", signal="z_endstop", n=5)]
     scene = voron(ooze=OozeSpec(0.4, 0.5))
     printer = start(scene, changes=cleaning(**AUTO), faults=faults).homed()
     printer.machine.tolerate("nozzle_pin", 2.0)

@@ -464,17 +464,17 @@ def test_wrong_z_offset_drags_nothing(start, z_offset):
 @pytest.mark.parametrize(
     ("n", "options", "floor"),
     [
-        # Two armings belong to G28, one to the way down to each site
-        slow(4, {}, PIN - 1.0),
-        (6, {}, PIN - 1.0),
-        slow(4, {"travel_margin": "0.5"}, PIN - 1.0),
-        (4, {"travel_margin": "0.5", "offset_margins": "-0.3,0.3"}, PIN - 0.5),
-        slow(4, {"offset_margins": "-0.3,0.3"}, PIN - 1.0),
-        (4, {"travel_margin": "1.5"}, PIN - 1.5),
-        (4, {"offset_margins": "-2,2"}, PIN - 2.0),
-        (4, {"position_min": "1.2", "offset_margins": "-2,2"}, 1.2),
+        # Two armings belong to G28
+        slow(3, {}, PIN - 1.0),
+        (5, {}, PIN - 1.0),
+        slow(3, {"travel_margin": "0.5"}, PIN - 1.0),
+        (3, {"travel_margin": "0.5", "offset_margins": "-0.3,0.3"}, PIN - 0.5),
+        slow(3, {"offset_margins": "-0.3,0.3"}, PIN - 1.0),
+        (3, {"travel_margin": "1.5"}, PIN - 1.5),
+        (3, {"offset_margins": "-2,2"}, PIN - 2.0),
+        (3, {"position_min": "1.2", "offset_margins": "-2,2"}, 1.2),
         # What the axis allows stays the last word
-        (4, {"position_min": "-8", "offset_margins": "-9,9"}, -5.0),
+        (3, {"position_min": "-8", "offset_margins": "-9,9"}, -5.0),
     ],
 )
 def test_floor_of_the_nozzle(start, n, options, floor):
@@ -492,7 +492,7 @@ def test_floor_of_the_nozzle(start, n, options, floor):
 
 def test_floor_without_position_min_is_zero(start):
     changes = {"stepper_z": {"position_min": None}}
-    fault = Fault("trigger_never", signal="z_endstop", n=4)
+    fault = Fault("trigger_never", signal="z_endstop", n=3)
     printer = start("cartesian", changes=changes, faults=[fault])
     printer.machine.tolerate("nozzle_pin", 0.5 + MICROSTEP)
     text = printer.homed().fail("CALIBRATE_Z")
@@ -509,7 +509,7 @@ def test_floor_without_position_min_is_zero(start):
     ],
 )
 def test_floor_of_the_switch(start, options, floor):
-    faults = [Fault("trigger_never", signal="z_endstop", n=8)]
+    faults = [Fault("trigger_never", signal="z_endstop", n=6)]
     printer = start(changes=section(**options), faults=faults)
     printer.machine.tolerate("body_pin", 1.42)
     printer.homed()
@@ -551,10 +551,10 @@ def test_floor_of_the_bed(start, options, below, n):
 @pytest.mark.parametrize(
     ("options", "n", "fails"),
     [
-        ({"samples_tolerance": "0.06"}, 5, False),
-        ({"samples_tolerance_retries": "0"}, 5, True),
-        ({"samples_tolerance": "0.06"}, 9, False),
-        ({"samples_tolerance_retries": "0"}, 9, True),
+        ({"samples_tolerance": "0.06"}, 4, False),
+        ({"samples_tolerance_retries": "0"}, 4, True),
+        ({"samples_tolerance": "0.06"}, 7, False),
+        ({"samples_tolerance_retries": "0"}, 7, True),
     ],
 )
 def test_tolerance_and_retries(start, options, n, fails):
@@ -574,8 +574,8 @@ def test_tolerance_and_retries(start, options, n, fails):
 @pytest.mark.parametrize(
     ("signal", "n", "of_probe", "own", "share"),
     [
-        ("z_endstop", 5, "average", None, 1),
-        ("z_endstop", 5, "median", "average", 1),
+        ("z_endstop", 4, "average", None, 1),
+        ("z_endstop", 4, "median", "average", 1),
         ("probe", 3, "average", None, 1),
         ("probe", 3, "average", "median", 0),
         ("probe", 3, "median", "average", 1),
@@ -954,13 +954,10 @@ def test_pin_of_its_own_is_looked_for_down_to_position_min_once(start):
     assert_unharmed(printer)
 
 
-@pytest.mark.parametrize(
-    ("between", "n"), [("", 9), ("G28\n", 9), ("M84\nG28\n", 9)]
-)
-def test_pin_of_its_own_is_known_after_a_good_run(start, between, n):
-    # A good run: a way down (none is known), 3 + 3 samples with a way down
-    # to the switch; then again
-    fault = Fault("trigger_never", signal="nozzle_endstop", n=n + 1)
+@pytest.mark.parametrize("between", ["", "G28\n", "M84\nG28\n"])
+def test_pin_of_its_own_is_known_after_a_good_run(start, between):
+    # A good run has 3 + 3 samples
+    fault = Fault("trigger_never", signal="nozzle_endstop", n=7)
     printer = start("separate_pin", faults=[fault])
     printer.machine.tolerate("nozzle_pin", 1.01)
     printer.homed()

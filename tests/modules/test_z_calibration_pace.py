@@ -9,12 +9,18 @@ import pytest
 
 from simprinter import Fault
 from simprinter.world import NoiseSpec
+from tools.bench import commands
+from tools.kit.cases import slow
 from tools.kit.printer import Printer
 from tools.kit.scenes import SCENES
 from tools.kit.z_calibration import (
+    BODY,
     MICROSTEP,
+    PIN,
+    SWITCH_OFFSET,
     calibration,
     section,
+    with_extra,
     with_moves,
 )
 
@@ -72,6 +78,84 @@ def test_probe_is_looked_at_when_its_owner_has_attached_it(start):
         "value": "1",
     }
     calibration(start(scene.with_world(mag_probe=probe), changes).homed())
+
+
+# With the section of make bench, printer s: what is configured, and what hosts take to
+# stop and begin again
+LONGEST = 22.5
+
+
+@pytest.mark.every_host
+def test_count_takes_as_long_as_configured(start):
+    """Whenever it begins: hosts wait for what boards tell at their own times."""
+    command = commands.CALIBRATE_Z
+    printer = start(command.scene, command.changes)
+    printer.session.require_ready()
+    clock, seconds = printer.machine.simulation.clock, []
+    for phase in range(5):
+        printer.run("G28\nM400")
+        printer.session.wait(0.05 * phase)
+        began = clock.now()
+        printer.run("CALIBRATE_Z\nM400")
+        seconds.append((clock.now() - began) * 1e-9)
+    assert max(seconds) <= LONGEST
+
+
+def armings(printer, script="CALIBRATE_Z"):
+    """How often each signal was armed by a command."""
+    found = []
+    listen = printer.machine.rig.on_operation.append
+    listen(lambda kind, signal, ns: found.append((kind, signal)))
+    printer.run(script)
+    return {
+        signal: found.count(("touch", signal))
+        for signal in ("z_endstop", "probe")
+    }
+
+
+@pytest.mark.every_host
+def test_way_down_to_the_pin_is_one_move_with_the_first_touch(start):
+    # The bed is touched by the host's own probing
+    assert armings(start().homed()) == {"z_endstop": 6, "probe": 4}
+
+
+def test_way_down_is_a_move_of_its_own_where_homing_moves_are_not_known(
+    start, tmp_path
+):
+    modules = with_extra(tmp_path, "type(homing).__module__ = 'elsewhere'")
+    printer = start(changes={"extra": {}}, modules=modules).homed()
+    assert armings(printer) == {"z_endstop": 8, "probe": 4}
+    assert printer.gap() == pytest.approx(0.06, abs=2 * MICROSTEP)
+
+
+# The body meets the pin where the way down ends, or so much (mm) above or below
+@pytest.mark.every_host
+@pytest.mark.parametrize(
+    "below", [slow(-1.5), -0.3, slow(-0.02), 0.0, slow(0.02), 0.3]
+)
+def test_pin_is_met_where_the_way_down_ends(start, below):
+    z_offset = BODY + SWITCH_OFFSET - 3.0 + below
+    changes = {"probe": {"z_offset": f"{z_offset:.4f}"}}
+    printer = start(changes=changes).homed()
+    (_, switch, *_), sites = calibration(printer)
+    assert switch == pytest.approx(PIN + BODY, abs=MICROSTEP)
+    # A touch is as slow as configured: what is met before is no sample
+    assert sites.count("body_pin") == (3 if below > 0.01 else 4)
+    assert printer.machine.truth.depth("body_pin") <= 0.02
+
+
+@pytest.mark.parametrize("mm", [3.7, 2.998])
+def test_what_bounces_on_the_way_down_is_no_sample(start, mm):
+    """Nor where it ends, and the head stands before the touch begins."""
+    early = Fault("trigger_early", signal="z_endstop", mm=mm, n=6)
+    z_offset = f"{BODY + SWITCH_OFFSET:.4f}"
+    changes = {
+        "probe": {"z_offset": z_offset, "samples_tolerance_retries": "0"}
+    }
+    printer = start(changes=changes, faults=[early]).homed()
+    (_, switch, *_), _ = calibration(printer)
+    assert switch == pytest.approx(PIN + BODY, abs=MICROSTEP)
+    assert printer.machine.faults.unfired() == []
 
 
 # With samples: auto, what the owner leaves open is the module's
@@ -188,8 +272,8 @@ def test_longer_lift_is_found_once(start):
     assert lifts == pytest.approx([0.5, 1.0, 1.0, 1.0], abs=0.01)
 
 
-# The armings: two of G28, the way down, the first touch, the second
-@pytest.mark.parametrize("n", [4, 5], ids=["first", "second"])
+# The armings: two of G28, the first touch with the way down, the second
+@pytest.mark.parametrize("n", [3, 4], ids=["first", "second"])
 def test_switch_that_stays_pressed_is_no_long_lift(start, n):
     """Nothing opens so late; the message is what it says of that switch."""
     faults = [Fault("stuck_closed", signal="z_endstop", n=n)]
@@ -198,7 +282,7 @@ def test_switch_that_stays_pressed_is_no_long_lift(start, n):
 
 
 def test_touch_that_met_nothing_is_not_repeated(start):
-    faults = [Fault("trigger_never", signal="z_endstop", n=5)]
+    faults = [Fault("trigger_never", signal="z_endstop", n=4)]
     changes = auto(offset_margins="-0.5, 1", travel_margin="0.5")
     printer = start(changes=changes, faults=faults)
     printer.machine.tolerate("nozzle_pin", 0.5 + MICROSTEP)

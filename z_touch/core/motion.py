@@ -2,6 +2,9 @@
 # Copyright (C) 2026  the Z calibration developers, under the GNU GPLv3
 from __future__ import absolute_import
 
+import collections
+import sys
+
 # How every host since 2021-08-17 (1dc2ab048) begins the error of a probing move
 # that has reached its end
 NO_TRIGGER = "No trigger"
@@ -23,6 +26,28 @@ def was_not_heard(error):
 class _AxisZ(str):
     def __contains__(self, axis):
         return axis in (2, "z")
+
+
+# Down to a toolhead Z (mm) where nothing should be yet, at a speed (mm/s)
+Way = collections.namedtuple("Way", "z speed")
+
+
+# The toolhead as a homing move sees it: it goes a Way first, and on from there as it is
+# told.  After an armed move that ends without a trigger hosts wait for the board's
+# next report and then begin anew, 0.35 to 0.55 s; within one they begin after 0.15 s.
+class _OnItsWay(object):
+    def __init__(self, toolhead, way):
+        self._toolhead = toolhead
+        self._way = way
+
+    def __getattr__(self, name):
+        return getattr(self._toolhead, name)
+
+    def drip_move(self, target, speed, completion):
+        way_end = target[:2] + [self._way.z] + target[3:]
+        self._toolhead.drip_move(way_end, self._way.speed, completion)
+        if not completion.test():
+            self._toolhead.drip_move(target, speed, completion)
 
 
 # The moves of the head in Z: toolhead coordinates (mm), mm/s
@@ -55,6 +80,33 @@ class Motion(object):
         # A method of the host since 2021-03-29 (862d3f963)
         homing = self.printer.lookup_object("homing")
         return homing.probing_move(endstop, target, speed)[2]
+
+    # The host's own kind of homing moves, which takes any toolhead since the same day
+    # (37a263c0b); None: somebody has put his own in their place
+    def _homing_moves(self):
+        homing = self.printer.lookup_object("homing")
+        module = sys.modules.get(homing.__class__.__module__)
+        return getattr(module, "HomingMove", None)
+
+    # Whether probing_move_after() is to be had
+    def can_join(self):
+        return self._homing_moves() is not None
+
+    # A probing move after a Way, in one that is armed from its beginning on: the
+    # trigger may be on the Way, too.
+    def probing_move_after(self, way, endstop, z, speed):
+        self.require_running()
+        toolhead = _OnItsWay(self.host.toolhead, way)
+        target = toolhead.get_position()
+        target[2] = z
+        endstops = [(endstop, "probe")]
+        move = self._homing_moves()(self.printer, endstops, toolhead)
+        trigger_z = move.homing_move(target, speed, probe_pos=True)[2]
+        if move.check_no_movement() is not None:
+            raise self.printer.command_error(
+                "Probe triggered prior to movement"
+            )
+        return trigger_z
 
     # Z up by a distance (mm) where nobody knows where it is, and still nobody
     # does then.

@@ -100,9 +100,12 @@ def check_spread(host, site, radius, section):
 
 
 # Motors stop on whole steps, so not exactly there
+def is_near(host, z, there):
+    return abs(z - there) <= 2.0 * host.axes.z_step()
+
+
 def is_at(host, z):
-    steps = [s.get_step_dist() for s in host.axes.z_steppers()]
-    return abs(host.motion.z() - z) <= 2.0 * max(steps)
+    return is_near(host, host.motion.z(), z)
 
 
 # The end of the printer is nothing that a hint of ours would mend
@@ -168,10 +171,20 @@ class Head(object):
         self.check_above(floor)
         return self._move_down(endstop, floor, speed)
 
-    def _move_down(self, endstop, z, speed):
+    # A touch after a motion.Way, in one move.  Returns whether it was the touch that
+    # has triggered: what is met on the way is met at another speed.
+    def touch_after(self, way, endstop, floor, speed):
+        self.check_above(floor)
+        z = self._move_down(endstop, floor, speed, way)
+        return z < way.z and not is_near(self.host, z, way.z)
+
+    def _move_down(self, endstop, z, speed, way=None):
         host, start_z = self.host, self.host.motion.z()
+        move = host.motion.probing_move
+        if way is not None:
+            move = functools.partial(host.motion.probing_move_after, way)
         try:
-            trigger_z = host.motion.probing_move(endstop, z, speed)
+            trigger_z = move(endstop, z, speed)
         except host.printer.command_error as e:
             pass_on_shutdown(host, e)
             ended = has_no_trigger(e) and is_at(host, z)

@@ -15,7 +15,7 @@ from __future__ import absolute_import
 
 import functools
 
-from ..core import carrying, errors, touching
+from ..core import carrying, errors, motion, touching
 from ..core.spread import spread_site, spread_tolerance
 from . import pace
 from .heights import FREE_PLUNGER, HOME_AGAIN, below_margins
@@ -85,6 +85,8 @@ class Measurement(object):
         self.expected_z = self.floor = None
         # Samples so far
         self.taken = 0
+        # What the first touch goes before, in one move (motion.Way), or None
+        self.way = None
 
     # Returns the height: toolhead Z in mm.  'travel_z': where the head moves in
     # X and Y; 'expected_z': where the trigger should be, None: nobody knows;
@@ -147,7 +149,14 @@ class Measurement(object):
             self.first_touch(floor)
             return
         top, speed = self.top(travel_z), self.settings.probing_speed
-        self.attempt(self.head.come_down, self.endstop(), top, speed)
+        if not self.can_join_way():
+            self.attempt(self.head.come_down, self.endstop(), top, speed)
+        elif self.host.motion.z() > top:
+            self.way = motion.Way(top, speed)
+
+    # Whether the first touch may be one move with the way down
+    def can_join_way(self):
+        return self.host.motion.can_join()
 
     # The first touch gets the head down; it is no sample
     def first_touch(self, floor):
@@ -162,15 +171,24 @@ class Measurement(object):
 
     # One height: toolhead Z in mm
     def take_sample(self, floor):
-        before_z = self.head.pressed_z
-        self.retract()
-        self.attempt(self.touch_again, floor, before_z)
+        if not self.is_touched_after_way(floor):
+            before_z = self.head.pressed_z
+            self.retract()
+            self.attempt(self.touch_again, floor, before_z)
         z = self.head.pressed_z
         self.check_pressed()
         self.taken += 1
         self.run.watch.touched()
         self.report("touched at z=%.6f%s" % (z, self.point_told()))
         return z
+
+    # Whether the way down is done in this move, and has ended with a touch
+    def is_touched_after_way(self, floor):
+        way, self.way = self.way, None
+        if way is None:
+            return False
+        arguments = way, self.endstop(), floor, self.sampling.speed
+        return self.attempt(self.head.touch_after, *arguments)
 
     # Where that was, in words; empty: where all touches are
     def point_told(self):
@@ -214,12 +232,12 @@ class Measurement(object):
             lift = max(lift, pace.LONGEST_LIFT)
         self.head.lift(self.host.motion.z() + lift)
 
-    # Calls touch(*args).  Its error says what was expected and what to look at;
+    # Returns touch(*args).  Its error says what was expected and what to look at;
     # where nothing triggered, or at once, the sensors may know better.
     def attempt(self, touch, *args):
         start_z = self.host.motion.z()
         try:
-            touch(*args)
+            return touch(*args)
         except errors.CalibrationError as e:
             at_start = touching.is_at(self.host, start_z)
             if isinstance(e, errors.NoTrigger) or at_start:
@@ -409,6 +427,10 @@ class BedMeasurement(Measurement):
 
     def endstop(self):
         return self.host.probing.endstop()
+
+    # The host's own probing begins a move of its own
+    def can_join_way(self):
+        return False
 
     # A host unknown to us cannot be told the floor: its probing would go on to
     # position_min, so the module touches by itself.
