@@ -413,6 +413,10 @@ def test_records_of_a_site():
     }
     single = history.site_record([1.0], 1.0, 0.0025)
     assert "absolute" not in single
+    # At points of a textured plate that is no outlier
+    points = [(150.0, 120.0 + i) for i in range(4)]
+    rough = history.site_record(found["samples"], 1.0, 0.0025, points=points)
+    assert rough["n"] == 4
 
 
 def test_absolute_deviations_of_earlier_runs_are_known():

@@ -8,6 +8,7 @@ from __future__ import annotations
 import itertools
 import math
 import random
+import statistics
 
 import pytest
 
@@ -201,6 +202,18 @@ def test_a_run_alone_pays_for_what_it_chose():
     assert spreads["bed"].dof == pytest.approx(6 * 0.5)
 
 
+def test_a_site_without_a_history_pays_for_what_it_chose():
+    """The bed, in the first run with a bed_spread."""
+    earlier_runs = {**dict.fromkeys(SITES, [QUIET] * 4), "bed": [UNKNOWN] * 4}
+    now = {**dict.fromkeys(SITES, QUIET), "bed": LOUD}
+    spreads, shared, _ = recent.current_spreads(earlier_runs, now, STEP, 0.5)
+    assert not shared
+    assert [spreads[site].dof for site in SITES] == [10, 10, 1]
+    now["bed"] = QUIET
+    spreads, shared, _ = recent.current_spreads(earlier_runs, now, STEP, 0.5)
+    assert shared and spreads["bed"].dof == pytest.approx(10 + 10 + 1)
+
+
 def test_who_chooses_pays_and_who_chooses_the_number_of_touches_more():
     earlier_runs, worth = dict.fromkeys(SITES, []), []
     for samples, chosen in ((4, 1.0), (4, None), (AUTO, None)):
@@ -306,3 +319,55 @@ def test_touches_that_were_chosen_for_being_close_cost_a_degree():
     assert chosen.variance == pytest.approx(whole.variance * 4 / 3)
     assert estimate(touches, UNKNOWN, STEP, "median").spread == whole
     assert after_choice(Spread(1.0, 1)) == Spread(1.0, 1)
+
+
+# Textured plates: each touch of the bed is at another point, which is ROUGHNESS (mm)
+# off the mean surface; with a history, without one of the bed, and without any
+ROUGHNESS = 0.015
+
+
+def rough_run(draw, known, counting):
+    """Error and uncertainty (mm) of a run with bed_spread, and its plan."""
+    noises = {
+        **dict.fromkeys(SITES, 0.003),
+        "bed": math.hypot(0.003, ROUGHNESS),
+    }
+
+    def touch(site):
+        return math.floor(draw.gauss(5.0, noises[site]) / STEP) * STEP
+
+    earlier_runs = {
+        site: [
+            spread_of([touch(site) for _ in range(6)])
+            for _ in range(10 if site in known else 0)
+        ]
+        for site in SITES
+    }
+    plan = adaptive.Plan(STEP, earlier_runs, counting, rough=("bed",))
+    sampling = Sampling(5, 0.11, 3, "average", 2.0, 4.0, 6.0)
+    for site in SITES:
+        plan.collect(site, lambda site=site: touch(site), sampling, None, "")
+    nozzle, switch, bed = (plan.estimates[site].z for site in SITES)
+    return bed - switch + nozzle - 5.0, plan.uncertainty(), plan
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize(
+    "known", [SITES, SITES[:2], ()], ids=["all", "no bed", "nothing"]
+)
+def test_uncertainty_covers_texture(known):
+    draw, counting = random.Random(4), adaptive.choose(AUTO, 0.014)
+    runs = [rough_run(draw, known, counting)[:2] for _ in range(1000)]
+    inside = sum(abs(error) <= worth for error, worth in runs)
+    assert 930 <= inside <= 970
+    assert statistics.stdev(error for error, _ in runs) <= 0.007
+
+
+@pytest.mark.parametrize("samples", [AUTO, 5])
+def test_texture_that_nobody_knows_has_no_outliers(samples):
+    """Points up to 50 um off, where a touch may be 14."""
+    draw, counting = random.Random(4), adaptive.choose(samples, 0.014)
+    for _ in range(100):
+        *_, plan = rough_run(draw, SITES[:2], counting)
+        touches = plan.touches["bed"]
+        assert plan.estimates["bed"].spread.dof == len(touches) - 1

@@ -18,6 +18,7 @@ import pytest
 from tools.kit.cases import all_slow_but, slow
 from z_touch.core.errors import NoTrigger, SamplesDiffer
 from z_touch.core.sampling import AUTO, Sampling
+from z_touch.core.spread import ROUGH
 from z_touch.uncertainty import adaptive
 from z_touch.uncertainty import estimate as uncertainty
 from z_touch.uncertainty.estimate import UNKNOWN, Spread
@@ -197,8 +198,12 @@ SHARE = 0.004**2
 def collected(values, past=QUIET, share=SHARE, is_rough=False):
     touches = iter(values)
     check = partial(adaptive.check, "look there", is_rough)
+    unknown = ROUGH if is_rough else uncertainty.USUAL_NOISE
+    judged = partial(
+        adaptive.judge, earlier=past, step=STEP, share=share, unknown=unknown
+    )
     samples, found = adaptive.collect_enough(
-        lambda: next(touches), past, STEP, share, check
+        lambda: next(touches), judged, check
     )
     return len(samples), round(found.z, 6)
 

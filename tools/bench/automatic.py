@@ -50,9 +50,11 @@ HISTORY = 10
 # As long as nothing is known of a site it is touched more often
 FIRST = 2
 # A host begins the next move so long (s) after an armed one has ended without a
-# trigger (BUFFER_TIME_START of toolhead.py), and after a trigger, as it has asked the
-# board meanwhile and has flushed ahead (BGFLUSH_HIGH_TIME of motion_queuing.py)
+# trigger (BUFFER_TIME_START of toolhead.py), or, within the same one, before all of
+# that is sent (DRIP_TIME), and after a trigger, as it has asked the board meanwhile and
+# has flushed ahead (BGFLUSH_HIGH_TIME of motion_queuing.py)
 AFTER_WAY = 0.25
+WITHIN_WAY = 0.15
 AFTER_TOUCH = 0.4
 TOUCHED = re.compile(r"z_calibration: (\w+): touched at z=")
 WORTH = re.compile(r"new offset=\S+ \+-(\S+)")
@@ -148,6 +150,7 @@ def write_history(folder: Path, scene: Scene, case: Case, seed: int) -> None:
             touches=max(count, case.touches),
             worn=worn,
             moved=moved(scene),
+            bed_spread=float(case.spread or 0.0),
         )
         for count in counts
     ]
@@ -202,8 +205,9 @@ def bound_of(
     plan = plan._replace(stops=stops, travel_speed=pace.FREE_TRAVEL_SPEED)
     x, y, z = (round(value, 3) for value in start)
     moves = math.fsum(part.seconds for part in lower_bound(plan, (x, y, z)))
-    # The way down of each site, which begins like any other move, is armed, too
-    waits = AFTER_WAY * len(stops) + AFTER_TOUCH * sum(counts.values())
+    # The way down of each site is armed, too, to the pin in one move with a touch
+    waits = AFTER_WAY + WITHIN_WAY * (len(stops) - 1)
+    waits += AFTER_TOUCH * sum(counts.values())
     return moves + waits
 
 

@@ -25,6 +25,9 @@ GOLDEN_ANGLE = math.pi * (3.0 - math.sqrt(5.0))
 # point may: RatOS's page on Beacon's true zero has up to 0.1 mm.
 TEXTURE = 0.1
 
+# The standard deviation (mm) of such points: six of them are nearly all
+ROUGH = TEXTURE / 6.0
+
 
 # The Site of the touch of that number, from 0, within a radius (mm) around a site;
 # 0: that site.  After the last point it begins in the middle again, between the

@@ -18,9 +18,10 @@ import threading
 import time
 
 from ..core.sampling import summarize
-from ..core.spread import TEXTURE
+from ..core.spread import ROUGH, TEXTURE
 from ..uncertainty.estimate import (
     UNKNOWN,
+    USUAL_NOISE,
     pool,
     spread_of,
     without_outliers,
@@ -213,7 +214,8 @@ def site_record(samples, z, step, touches=None, earlier=UNKNOWN, points=()):
     middle = summarize(touches, "median")
     far = NO_NOISE + (TEXTURE / 2.0 if points else 0.0)
     near = [z for z in touches if abs(z - middle) <= far]
-    kept = without_outliers(near, earlier, step)
+    unknown = ROUGH if points else USUAL_NOISE
+    kept = without_outliers(near, earlier, step, unknown)
     spread = spread_of(kept)
     record = {
         "z": round(z, 6),

@@ -16,7 +16,7 @@ import math
 
 from ..core.errors import SamplesDiffer
 from ..core.sampling import AUTO, collect
-from ..core.spread import TEXTURE
+from ..core.spread import ROUGH, TEXTURE
 from .estimate import (
     UNKNOWN,
     USUAL_NOISE,
@@ -131,10 +131,11 @@ def cost(estimate):
     return t_factor(dof) ** 2 * estimate.variance
 
 
-# Whether the samples are enough for a share, and their Estimate
-def judge(samples, earlier, step, share):
+# Whether the samples are enough for a share, and their Estimate; 'unknown' (mm): what a
+# touch varies by where 'earlier' says nothing
+def judge(samples, earlier, step, share, unknown=USUAL_NOISE):
     earlier = earlier if is_known(earlier) else UNKNOWN
-    result = robust_estimate(samples, earlier, step)
+    result = robust_estimate(samples, earlier, step, unknown)
     usual = is_known(earlier) and is_usual(result.spread, earlier, step)
     least = LEAST if usual else LEAST_AT_FIRST
     outliers = len(samples) - len(result.kept)
@@ -181,12 +182,12 @@ def least_uncertainty(step):
 
 # Call touch(), which returns a height (mm), until the site has its share, and
 # is_done(Estimate).  Returns all samples and the Estimate, with which it has called
-# 'check' before.
-def collect_enough(touch, earlier, step, share, check, is_done=None, most=MOST):
+# 'check' before.  'judged': judge() of the samples
+def collect_enough(touch, judged, check, is_done=None, most=MOST):
     samples = []
     while True:
         samples.append(touch())
-        enough, result = judge(samples, earlier, step, share)
+        enough, result = judged(samples)
         enough = enough and (is_done is None or is_done(result))
         if enough or len(samples) >= most:
             check(samples, result)
@@ -265,8 +266,10 @@ class FixedCount(object):
     def collect(self, plan, site, touch, sampling, say, remedy):
         samples = collect(touch, sampling, say, remedy)
         earlier, touches = plan.earlier_at(site), plan.touches[site]
-        method = sampling.result
-        return samples, estimate(samples, earlier, plan.step, method, touches)
+        method, unknown = sampling.result, plan.unknown_at(site)
+        return samples, estimate(
+            samples, earlier, plan.step, method, touches, unknown
+        )
 
 
 # As many touches as the result needs (samples: auto); how far those of [probe]
@@ -307,7 +310,14 @@ class Automatic(object):
 
         earlier, most = plan.earlier_at(site), most_touches(site, plan)
         agree = functools.partial(check, remedy, site in plan.rough)
-        return collect_enough(touch, earlier, step, part, agree, is_done, most)
+        judged = functools.partial(
+            judge,
+            earlier=earlier,
+            step=step,
+            share=part,
+            unknown=plan.unknown_at(site),
+        )
+        return collect_enough(touch, judged, agree, is_done, most)
 
     # Why no run can keep the target, in words; empty: it may.  'step': of the motors of
     # Z, in mm
@@ -360,6 +370,10 @@ class Plan(object):
     # Spread of one touch at a site in earlier runs
     def earlier_at(self, site):
         return self.earlier.get(site, UNKNOWN)
+
+    # The standard deviation (mm) of one touch at a site that nobody knows yet
+    def unknown_at(self, site):
+        return ROUGH if site in self.rough else USUAL_NOISE
 
     def expected(self, sampling):
         return self.counting.expected(self, sampling)

@@ -166,13 +166,14 @@ def is_usual(spread, earlier, step):
 
 # The samples without those that are far from all others, in their order: first
 # by their median, then, as that is a poor measure for few, by what is left.
-# 'earlier': Spread of one touch in earlier runs.
-def without_outliers(samples, earlier, step):
+# 'earlier': Spread of one touch in earlier runs; 'unknown': its standard deviation (mm)
+# where these say nothing.
+def without_outliers(samples, earlier, step, unknown=USUAL_NOISE):
     if len(samples) < 3:
         return list(samples)
     middle = summarize(samples, "median")
     distances = [abs(z - middle) for z in samples]
-    usual = math.sqrt(earlier.variance) if earlier.dof else USUAL_NOISE
+    usual = math.sqrt(earlier.variance) if earlier.dof else unknown
     usual = max(usual, step / 2.0)
     few = MAD_OF_10[min(len(samples), len(MAD_OF_10)) - 1]
     noise = few * MAD_FACTOR * summarize(distances, "median")
@@ -211,9 +212,9 @@ def variance_of(samples, spread, step, method, middle=1.0):
 
 
 # The Estimate of a site from the samples that count.  'touches': all of them,
-# rejected ones, too
-def estimate(samples, earlier, step, method, touches=None):
-    kept = without_outliers(touches or samples, earlier, step)
+# rejected ones, too; 'unknown' as in without_outliers()
+def estimate(samples, earlier, step, method, touches=None, unknown=USUAL_NOISE):
+    kept = without_outliers(touches or samples, earlier, step, unknown)
     z = summarize(samples, method)
     spread = spread_of(kept if touches else samples)
     if len(touches or samples) > len(samples):
@@ -236,9 +237,9 @@ def weighed(result, spread, step, middle=1.0):
 # The Estimate of a site from samples of which some may be outliers, and whose
 # number depends on what they say: without a history that costs about two degrees
 # of freedom.
-def robust_estimate(samples, earlier, step):
-    kept = without_outliers(samples, earlier, step)
-    result = estimate(kept, earlier, step, "average")
+def robust_estimate(samples, earlier, step, unknown=USUAL_NOISE):
+    kept = without_outliers(samples, earlier, step, unknown)
+    result = estimate(kept, earlier, step, "average", unknown=unknown)
     if 2 < result.dof <= result.spread.dof:
         result = result._replace(dof=result.dof - 2)
     return result

@@ -125,12 +125,15 @@ def are_alike(spreads, step):
     return ratio < f_limit(most.dof, least.dof, AS_NOISY)
 
 
-# The Current of a run.  'chosen': the part of the degrees of freedom that it leaves a run
-# without a history to choose by what its touches say
+# The Current of a run.  'chosen': the part of the degrees of freedom that it leaves a
+# site without a history to choose by what its touches say
 def current_spreads(earlier_runs, current, step, chosen=1.0):
     begin = first_like_current(earlier_runs, current, step)
     like = dict((site, earlier_runs[site][begin:]) for site in current)
-    is_chosen = begin or not any(s.dof for part in like.values() for s in part)
+    parts = dict(
+        (site, CUT if begin else 1.0 if pool(like[site]).dof else chosen)
+        for site in current
+    )
     like = dict(
         (site, usual(like[site] + [current[site]], step)) for site in current
     )
@@ -139,13 +142,13 @@ def current_spreads(earlier_runs, current, step, chosen=1.0):
     if not all(spread.dof for spread in pooled.values()):
         return Current(pooled, False, middle)
     is_shared = are_alike(list(pooled.values()), step)
+    left = dict((site, parts[site] * pooled[site].dof) for site in current)
     if is_shared:
         pooled = dict.fromkeys(pooled, pool(pooled.values()))
-    if is_chosen:
-        part = CUT if begin else chosen
-        pooled = dict((site, with_cost(s, part)) for site, s in pooled.items())
+        left = dict.fromkeys(pooled, sum(left.values()))
+    pooled = dict((site, with_dof(pooled[site], left[site])) for site in pooled)
     return Current(pooled, is_shared, middle)
 
 
-def with_cost(spread, part):
-    return spread._replace(dof=max(part * spread.dof, 1.0))
+def with_dof(spread, dof):
+    return spread._replace(dof=max(dof, 1.0))
