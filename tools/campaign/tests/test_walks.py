@@ -5,7 +5,7 @@ import shutil
 import pytest
 
 from tools.campaign import tables
-from tools.campaign.walks import walker, walking
+from tools.campaign.walks import values, walker, walking
 from tools.campaign.walks.printers import Owned
 from tools.campaign.walks.steps import OVER_MEMBRANE
 from tools.campaign.walks.walker import Outcome
@@ -63,7 +63,7 @@ def test_harm_is_found(host, product):
 
 
 # A run that ends in an error when all is measured
-BEYOND = Owned(options=(("z_calibration", "end_gcode", "G90\n  G1 X999"),))
+NOT_READY = Owned(options=(("z_calibration", "end_gcode", values.ASKS),))
 REFUSED = (
     ("gcode", "G28"),
     ("gcode", "SET_GCODE_OFFSET Z=0.1"),
@@ -75,10 +75,10 @@ FORGOTTEN = ("core/running.py", REFUSES, f"{SLOW}\n            {REFUSES}")
 
 
 def test_what_a_refusal_leaves_is_found(host, product):
-    outcome = walker.go(BEYOND, REFUSED, host)
+    outcome = walker.go(NOT_READY, REFUSED, host)
     assert not outcome.harm
     assert outcome.refusals
-    outcome = walker.go(BEYOND, REFUSED, host, product(*FORGOTTEN))
+    outcome = walker.go(NOT_READY, REFUSED, host, product(*FORGOTTEN))
     assert outcome.kind == "left behind"
     assert "max_accel" in outcome.harm
 
