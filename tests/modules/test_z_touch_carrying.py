@@ -60,6 +60,20 @@ def test_probe_is_docked_before_the_nozzle_goes_down(start, reason, touch):
     assert trips(printer)[:2] == ["attach", "dock"]
 
 
+# It was seen in its dock, and is there until those moves are gone
+@every_host
+def test_probe_that_queued_moves_fetch_is_seen(start):
+    printer = ready(start)
+    printer.run(f"{OVER}PROBE\nG1 Z20 F900\nM400")
+    assert where(printer) == "docked"
+    printer.run(
+        "MOVE_TO_DOCK_PROBE\nMOVE_AVOIDING_DOCK X=150 Y=150 SPEED=100\n"
+        "AUTO_Z_MEASURE_OFFSET"
+    )
+    assert untouched(printer)
+    assert trips(printer)[2:4] == ["attach", "dock"]
+
+
 # A first layer may come next
 @pytest.mark.parametrize("touch", ["AUTO_Z_MEASURE_OFFSET", "AUTO_Z_CALIBRATE"])
 def test_docking_is_not_delayed_where_the_nozzle_goes_down_next(start, touch):

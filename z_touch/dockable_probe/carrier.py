@@ -59,7 +59,7 @@ class Carrier(object):
     # lifted for a second look, and comes back where it is docked.
     def state(self):
         sensors, moves = self.sensors, self.moves
-        state, z = sensors.confirm(), moves.position().z
+        state, z = sensors.look(), moves.position().z
         is_certain = sensors.proven == DOCKED or sensors.senses
         clear_z = travel_height(self.settings)
         if state != DOCKED or is_certain or z is None or z >= clear_z:
