@@ -115,6 +115,21 @@ def test_head_on_its_last_way_does_not_move_by_itself(judged):
     assert sort_of(judge, "wait") == "moved"
 
 
+def test_head_that_a_pending_docking_moves_is_not_elsewhere(judged):
+    printer, judge = judged(
+        Owned(
+            "dock_gantry_switch",
+            options=(
+                ("dockable_probe", "allow_delayed_detach", "True"),
+                ("dockable_probe", "restore_toolhead", "False"),
+            ),
+        )
+    )
+    move = "MOVE_AVOIDING_DOCK X=140 Y=150"
+    printer.run(f"G1 X150 Y150 F9000\nPROBE\n{move}")
+    assert sort_of(judge, "gcode", move) == ""
+
+
 def test_head_that_moves_while_somebody_is_asked(judged):
     printer, judge = judged(SWITCH)
     printer.run("EXTRA_PROBE_CALIBRATE PROBE=membrane")
@@ -285,6 +300,20 @@ def test_saved_baby_steps_are_what_is_right_from_then_on(judged):
     printer.run("SET_GCODE_OFFSET Z_ADJUST=-0.1 MOVE=1")
     told = sort_of(judge, "gcode", "CALIBRATE_Z", "", CALIBRATED)
     assert told == "wrong offset"
+
+
+def test_what_was_not_saved_is_not_right(judged):
+    printer, judge = judged(SWITCH)
+    lines = printer.run("CALIBRATE_Z")
+    assert sort_of(judge, "gcode", "CALIBRATE_Z", "", lines) == ""
+    printer.run("SET_GCODE_OFFSET Z_ADJUST=0.1 MOVE=1")
+    judge.begin()
+    save = "Z_CALIBRATION_SAVE_GCODE_OFFSET"
+    assert judge.gaps.steps == 0.0
+    list(judge.gaps.wrong(save, (), is_refused=True))
+    assert judge.gaps.steps == 0.0
+    list(judge.gaps.wrong(save, ()))
+    assert judge.gaps.steps == pytest.approx(0.1, abs=0.002)
 
 
 def test_what_two_clients_save_at_once_nobody_knows(judged):

@@ -99,6 +99,15 @@ def test_only_section_of_ours_is_not_left_out():
     assert machines.can_leave_out("dock_bed", "z_calibration")
 
 
+def test_probe_is_docked_where_it_would_meet_the_bed_in_homing():
+    chosen = {
+        base: {option for _, option, _ in values.choices(BASES[base])}
+        for base in ("dock_front", "dock_gantry_switch")
+    }
+    assert values.BEFORE_Z in chosen["dock_gantry_switch"]
+    assert values.BEFORE_Z not in chosen["dock_front"]
+
+
 def test_kinds_of_options():
     kinds = {
         choice[:2]: values.kind_of(choice)

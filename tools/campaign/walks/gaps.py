@@ -109,7 +109,11 @@ class Gaps:
         return config.get(section, {}).get(option)
 
     def wrong(
-        self, script: str, lines: Sequence[str], is_alone: bool = True
+        self,
+        script: str,
+        lines: Sequence[str],
+        is_alone: bool = True,
+        is_refused: bool = False,
     ) -> Iterator[str]:
         """What is not as a step has promised, or as `valid` says.
 
@@ -131,7 +135,7 @@ class Gaps:
         if _SAVES.search(script) and not is_alone:
             # Before the other client's command or after it, nobody knows
             self.kept, self.steps = None, math.nan
-        elif _SAVES.search(script):
+        elif _SAVES.search(script) and not is_refused:
             self._save()
         else:
             yield from self._not_valid()

@@ -239,6 +239,10 @@ class Judge:
         if gone.command == "MOVE_AVOIDING_DOCK":
             self._stand_still()
             places = [self.printer.machine.tip()]
+            # A docking that was pending may leave it beside the dock
+            new = self.printer.machine.truth.events[self.before.events :]
+            if any(event.kind == "dock" for event in new):
+                return
         else:
             sites = WHERE_IT_IS.get(gone.command, ())
             touches = self.printer.machine.truth.touches[self.before.touches :]
@@ -356,7 +360,9 @@ class Judge:
     def _is_off(self, gone: Gone) -> Iterator[str]:
         # In a print, too, others come after it
         is_alone = gone.kind not in ("both", "card")
-        yield from self.gaps.wrong(gone.script, gone.lines, is_alone)
+        yield from self.gaps.wrong(
+            gone.script, gone.lines, is_alone, bool(gone.refusal)
+        )
 
     # Looking
 

@@ -89,6 +89,7 @@ OF_MACHINE = (
 )
 # Numbers of which some are another way to go on
 SWITCHES = ("z_hop", "bed_spread")
+BEFORE_Z = "detach_dockable_before_z_home"
 # Sections of which there are real ones, see tests/corpus
 OF_CORPUS = ("z_calibration", "auto_z_offset", "dockable_probe")
 
@@ -118,6 +119,10 @@ def choices(scene: Scene) -> list[Choice]:
         if section in scene.sections
         for option, values in _of_section(section).items()
     ]
+    pin, bed = scene.world.pin, scene.world.bed
+    if pin is not None and pin.y < bed.y_min:
+        # There the probe would be over the bed when Z is homed
+        found = [row for row in found if row[1] != BEFORE_Z]
     if scene.world.dock is not None:
         return found
     # Whatever brings that probe is not for its owner to choose
