@@ -91,8 +91,13 @@ CASES = {
         "watch",
         "Probe - switch changed by 0.120 mm on 2023-12-05, between two runs: ",
     ),
+    "told some time after it changed": (
+        told(-10, changed=[{"what": "probe - switch", "by": 0.05, "runs": 15}]),
+        "watch",
+        "Probe - switch changed by 0.050 mm on 2023-11-21, between two runs: ",
+    ),
     "changed some time ago": (
-        told(-6, changed=[{"what": "probe - switch", "by": 0.12, "runs": 6}]),
+        told(-11, changed=[{"what": "probe - switch", "by": 0.12, "runs": 6}]),
         "good",
         "",
     ),

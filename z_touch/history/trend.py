@@ -8,7 +8,8 @@
 # hangs together from run to run, such as plates in turn, counts as fewer runs.
 #
 # What one step between two runs explains better than a line is a change: told once,
-# and a new stretch begins, in which older runs have no say.
+# and a new stretch begins, in which older runs have no say.  Two plates in turn are one
+# step, too, until the first of them is back: only time tells which it is.
 #
 # With the run that has shown it the history keeps, by the names of HEIGHTS and
 # SPREADS:
@@ -76,6 +77,15 @@ STEP_SIGMA = 6.0
 STEP_ODDS = 3.0
 LINE_ODDS = 0.5
 
+# The height that another plate changes; unless runs name their plates, a step of less
+# than plates usually differ by (mm) is told once it has held for so many runs
+OF_PLATES = "probe - switch"
+PLATES_DIFFER = 0.06
+PLATE_RUNS = 40
+
+# The part of such a step from which on the plate of before it is back
+PLATE_NEAR = 2.0 / 3.0
+
 # Part of a change by which one may miss where it was before, and is back there
 BACK = 0.2
 
@@ -125,7 +135,7 @@ HEIGHTS = (
         "another nozzle does that, another probe, or how it is seated",
     ),
     (
-        "probe - switch",
+        OF_PLATES,
         lambda run: height("bed")(run) - height("switch")(run),
         "check the bed and the probe's switch for wear",
         "another plate does that (with CALIBRATE_Z PLATE=name each counts for"
@@ -380,6 +390,33 @@ def odds_of_step(values, split, line):
     return len(values) * math.log(max(line, least) / step)
 
 
+# Whether a step has held for long, and on neither side the middle of any few runs in a
+# row was as good as on the other one, as it is where a plate comes back.  'values':
+# all of the stretch
+def has_held(values, split, pause=no_pause):
+    before, after = values[:split], values[split:]
+    if len(after) < PLATE_RUNS:
+        return False
+    was = summarize(before[-PLATE_RUNS:], "median")
+    now = summarize(after, "median")
+    return not (
+        was == now
+        or is_near(before, was, now, pause)
+        or is_near(after, now, was, pause)
+    )
+
+
+# Whether values that are about 'here' were near 'there', a few in a row
+def is_near(values, here, there, pause):
+    for i in range(len(values) - STEP_RUNS + 1):
+        if i % 20 == 0:
+            pause()
+        middle = summarize(values[i : i + STEP_RUNS], "median")
+        if (middle - here) / (there - here) >= PLATE_NEAR:
+            return True
+    return False
+
+
 # The number of the values before a change, 0: there is none
 def find_step(values):
     n = len(values)
@@ -457,12 +494,17 @@ def exchanged_with(runs, pause):
 def find_change(name, value, runs, begin, pause):
     if not (runs and runs[-1]["ok"]):
         return None
-    like = comparable(runs, begin, pause)[-TREND_RUNS:]
+    like = comparable(runs, begin, pause)
     values = [value(run) for _, run in like]
-    split = find_step(values)
+    old = max(0, len(values) - TREND_RUNS)
+    split = find_step(values[old:])
     if not split:
         return None
+    split += old
     by, first = size_of_step(values, split), like[split][0]
+    if may_be_plates(name, by, runs[-1]):
+        if not has_held(values, split, pause):
+            return None
     after = summarize(values[split:], "median")
     is_back = any(
         abs(after - before) <= max(SHIFT, BACK * abs(by))
@@ -474,6 +516,12 @@ def find_change(name, value, runs, begin, pause):
         "runs": len(runs) - first,
         "told": not is_back,
     }
+
+
+# Whether a step may be the first exchange of plates that are used in turn
+def may_be_plates(name, by, run):
+    is_of_plates = name == OF_PLATES and not run.get("plate")
+    return is_of_plates and abs(by) < PLATES_DIFFER
 
 
 # Where a height was at the end of each stretch before this one (mm)

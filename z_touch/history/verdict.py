@@ -195,9 +195,9 @@ def worn(name, values, told_on):
 
 # What one step has changed, as long as it is news
 def changes(runs):
-    for change, number in told_of(changes_of(runs)):
-        if sum(run["ok"] for run in runs[number:]) > CHANGE_STAYS:
-            continue
+    latest = [number for number, run in enumerate(runs) if run["ok"]]
+    begin = latest[-CHANGE_STAYS] if len(latest) > CHANGE_STAYS else 0
+    for change, number in told_of(changes_of(runs, begin)):
         text = (
             "%s changed by %.3f mm on %s, between two runs: %s; otherwise look for"
             " what is loose"
@@ -207,11 +207,12 @@ def changes(runs):
         yield WATCH, sentence(text % (name, change["by"], date, cause))
 
 
-# Pairs of what has changed, and the number of the first run after it
-def changes_of(runs):
+# Pairs of what has changed, and the number of the first run after it; 'begin': of the
+# first run with which it was told
+def changes_of(runs, begin=0):
     pairs = []
-    for number, run in enumerate(runs):
-        for change in run.get("changed") or ():
+    for number in range(begin, len(runs)):
+        for change in runs[number].get("changed") or ():
             first = number + 1 - int(change["runs"])
             pairs.append((change, max(0, first)))
     return pairs
