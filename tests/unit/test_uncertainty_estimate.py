@@ -509,6 +509,23 @@ def test_number_of_touches_that_was_found_costs_freedom():
     assert uncertainty.robust_estimate([1.0] * 5, QUIET, STEP).dof == 24
 
 
+@pytest.mark.parametrize("sigma", [0.3, 1.0, 5.0])
+def test_reach_has_95_of_100(sigma):
+    """Of what is off by 1, however it varies."""
+    reach = uncertainty.reach(1.0, sigma)
+    normal = statistics.NormalDist(1.0, sigma)
+    inside = normal.cdf(reach) - normal.cdf(-reach)
+    assert inside == pytest.approx(0.95, abs=1e-4)
+
+
+def test_half_a_step_is_no_variance():
+    """Without noise the offset is off by it, and by no more."""
+    assert uncertainty.reach(1.0, 0.0) == 1.0
+    assert uncertainty.expand(1.96, 0.0, STEP) == pytest.approx(STEP / 2)
+    much = uncertainty.expand(2.5, STEP**2, STEP)
+    assert much == pytest.approx(2.5 * STEP * math.sqrt(1.25), rel=0.01)
+
+
 def test_nothing_is_said_of_a_single_sample_without_a_history():
     one = uncertainty.estimate([1.0], UNKNOWN, STEP, "median")
     two = uncertainty.estimate([1.0, 1.001], UNKNOWN, STEP, "median")

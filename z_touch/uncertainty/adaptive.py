@@ -21,6 +21,7 @@ from .estimate import (
     UNKNOWN,
     USUAL_NOISE,
     estimate,
+    expand,
     expanded,
     is_usual,
     pool,
@@ -176,8 +177,7 @@ def least_uncertainty(step):
         variance / MOST + rounding(variance, step)
         for variance in ((step * part / 50.0) ** 2 for part in range(100))
     )
-    half = step**2 / 4.0
-    return t_factor(float("inf")) * math.sqrt(len(SITES) * best + half)
+    return expand(t_factor(float("inf")), len(SITES) * best, step)
 
 
 # Call touch(), which returns a height (mm), until the site has its share, and

@@ -1,10 +1,13 @@
 # What a measured offset is worth: pure functions; mm, and mm^2 for variances.
 # Copyright (C) 2026  the Z calibration developers, under the GNU GPLv3
 #
-# 95 % of all offsets are no further from the truth than U, t of Student's
-# distribution:
+# 95 % of all offsets are no further from the truth than U.  With t of Student's
+# distribution, and q of a normal distribution about half a step, see reach():
 #
-#   U^2 = t^2 * (sum over the sites of (s^2 / n + m + r^2)  +  (step / 2)^2)
+#   u^2 = sum over the sites of (s^2 / n + m + r^2)
+#   U = t / 1.96 * q(step / 2, u)
+#
+# where u is large, that is t * sqrt(u^2 + (step / 2)^2).
 #
 #   s      spread of one touch: of all touches of this run at the site, rejected
 #          ones, too, pooled with that of its earlier runs, see recent.py
@@ -18,11 +21,12 @@
 #   step   of the Z motors: a touch ends on the step after the one at which it
 #          triggered, half a step too low on average.  That of the switch cancels
 #          that of the nozzle, that of the bed stays: the offset is half a step too
-#          low.  Nobody corrects it, so that it is what the heights say
+#          low.  Nobody corrects it, so that it is what the heights say.  Its sign is
+#          known: as a variance it would make quiet printers look worse than they are
 #
 # The sum, the pooling and the degrees of freedom of t are those of the Guide to
 # the Expression of Uncertainty in Measurement (JCGM 100:2008): 5.1.2, H.3.6
-# and G.4.1 (Welch and Satterthwaite); the uncorrected half step as in F.2.4.5.
+# and G.4.1 (Welch and Satterthwaite), these with the half step in the sum.
 from __future__ import absolute_import, division
 
 import collections
@@ -70,6 +74,9 @@ MEDIAN_OF_10 = (1, 1, 1.346, 1.193, 1.434, 1.288, 1.473, 1.346, 1.495, 1.383)
 
 # The usual noise (mm) of a switch, for whoever knows nothing better
 USUAL_NOISE = 0.004
+
+# Of a length of two standard deviations, so that a millionth of that is left
+REACH_HALVINGS = 20
 
 # Median of the absolute deviations from the median -> standard deviation, of
 # many, and how much more for n = 1, 2 ... 10: Croux and Rousseeuw, Computational
@@ -245,6 +252,24 @@ def robust_estimate(samples, earlier, step, unknown=USUAL_NOISE):
     return result
 
 
+# How far from 0 (mm) 95 % of a normal distribution are, about 'bias'.
+def reach(bias, sigma):
+    low, high, root = bias, bias + 2.0 * sigma, sigma * math.sqrt(2.0)
+    for _ in range(REACH_HALVINGS if sigma else 0):
+        middle = (low + high) / 2.0
+        ends = (middle - bias) / root, (middle + bias) / root
+        if sum(map(math.erf, ends)) < 2.0 * 0.95:
+            low = middle
+        else:
+            high = middle
+    return high
+
+
+# Of an offset (mm): half a step too low, with a variance that t says how well is known
+def expand(t, variance, step):
+    return t / t_factor(float("inf")) * reach(step / 2.0, math.sqrt(variance))
+
+
 # What the offset may be off by (mm, 95 %), from the Estimates of all sites; None
 # where nothing is known of the spread of one.  'is_shared': they were weighed by
 # the same Spread.
@@ -255,6 +280,7 @@ def expanded(estimates, step, is_shared=False):
     below = math.fsum(v**2 / e.dof for v, e in zip(parts, estimates))
     if is_shared:
         below = math.fsum(parts) ** 2 / estimates[0].dof
-    total = math.fsum(e.variance for e in estimates) + step**2 / 4.0
+    variance = math.fsum(e.variance for e in estimates)
+    total = variance + step**2 / 4.0
     dof = total**2 / below if below else float("inf")
-    return t_factor(dof) * math.sqrt(total)
+    return expand(t_factor(dof), variance, step)
