@@ -10,7 +10,7 @@ import pytest
 
 from tools.kit.cases import slow
 from tools.kit.runs import make_run, make_runs
-from z_touch.history import trend
+from z_touch.history import steps, trend
 
 
 def names(worn):
@@ -355,7 +355,7 @@ def test_plates_in_turn_are_no_alarm(block, apart):
 )
 def test_step_has_held_where_nothing_was_back(before, after, is_held):
     values = [0.04 * (letter == "B") for letter in before + after]
-    assert trend.has_held(values, len(before)) is is_held
+    assert steps.has_held(values, len(before)) is is_held
 
 
 def test_what_is_back_where_it_was_is_told_to_nobody():
@@ -400,7 +400,7 @@ def test_what_hangs_together_counts_as_fewer_runs():
         for _ in range(100):
             on ^= draw.random() < 1 / 6
             values.append(draw.gauss(0.04 * on, 0.003))
-        found += any(trend.find_step(values[:e]) for e in range(10, 101, 5))
+        found += any(steps.find_step(values[:e]) for e in range(10, 101, 5))
     assert found <= 25
 
 
@@ -421,9 +421,9 @@ def test_names_keep_plates_apart():
 def test_single_runs_that_are_off_are_no_step_and_hide_none():
     values = [0.001 * (n % 3) for n in range(30)]
     values[10] = values[27] = 0.3
-    assert trend.find_step(values) == 0
+    assert steps.find_step(values) == 0
     stepped = values[:15] + [v + 0.02 for v in values[15:]]
-    assert trend.find_step(stepped) == 15
+    assert steps.find_step(stepped) == 15
 
 
 def test_drift_that_has_just_begun_is_no_step():
@@ -431,7 +431,7 @@ def test_drift_that_has_just_begun_is_no_step():
     for by in (0.0005, 0.001, 0.002):
         values = [draw.gauss(max(0, n - 60) * by, 0.0025) for n in range(85)]
         for end in range(60, 86):
-            assert trend.find_step(values[:end]) == 0
+            assert steps.find_step(values[:end]) == 0
 
 
 def test_bent_line_is_the_best_one():
@@ -446,14 +446,14 @@ def test_bent_line_is_the_best_one():
         return sum((v - slope * a) ** 2 for a, v in pairs)
 
     least = min(left(bend) for bend in range(19))
-    assert trend.square_off_bend(values) == pytest.approx(least)
+    assert steps.square_off_bend(values) == pytest.approx(least)
 
 
 def test_step_wants_five_runs_on_both_sides():
     values = [0.001 * (n % 3) for n in range(24)] + [0.1] * 5
-    assert trend.find_step(values) == 24
-    assert trend.find_step(values[:-1]) == 0
-    assert trend.find_step(values[-8:]) == 0
+    assert steps.find_step(values) == 24
+    assert steps.find_step(values[:-1]) == 0
+    assert steps.find_step(values[-8:]) == 0
 
 
 def test_noise_that_grows_slowly_is_told_against_the_first_runs():

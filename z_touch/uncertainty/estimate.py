@@ -1,13 +1,13 @@
 # What a measured offset is worth: pure functions; mm, and mm^2 for variances.
 # Copyright (C) 2026  the Z calibration developers, under the GNU GPLv3
 #
-# 95 % of all offsets are no further from the truth than U.  With t of Student's
-# distribution, and q of a normal distribution about half a step, see reach():
+# 95 % of all offsets are no further from the truth than t / 1.96 * q, with t of
+# Student's distribution, and q of a normal one about half a step, see reach(), that
+# varies by u:
 #
 #   u^2 = sum over the sites of (s^2 / n + m + r^2)
-#   U = t / 1.96 * q(step / 2, u)
 #
-# where u is large, that is t * sqrt(u^2 + (step / 2)^2).
+# Where u is large, that is t times the root of u^2 + (step / 2)^2.
 #
 #   s      spread of one touch: of all touches of this run at the site, rejected
 #          ones, too, pooled with that of its earlier runs, see recent.py
