@@ -369,6 +369,10 @@ ON_HEAD = {"probes": frozenset({"attached"})}
             {"before": HOMED_AGAIN},
         ),
         ("the probe is ATTACHED, and so on", ON_HEAD),
+        (
+            "auto_z_offset: with the G-code Z offset of -0.3 in force the",
+            {"before": {"gcode_move": {"homing_origin": (0.0, 0.0, -0.3)}}},
+        ),
         ("z_calibration: the probe is attached already, and", ON_HEAD),
     ],
 )

@@ -93,6 +93,12 @@ def _is_true(facts: Facts, *unused: str) -> bool:
     return True
 
 
+def _has_offset(facts: Facts, *unused: str) -> bool:
+    return facts.any(
+        "gcode_move", "homing_origin", lambda now: now and now[2] < 0.0
+    )
+
+
 def _is_never(facts: Facts, *unused: str) -> bool:
     """Of what nobody has asked for."""
     return False
@@ -123,6 +129,10 @@ CLAIMS: tuple[tuple[re.Pattern, Callable[..., bool]], ...] = tuple(
         (r"^extra_probe .*(?:No trigger on|did not answer)", _no_membrane),
         (r"^extra_probe .*(?:was not pressed|press it once)", _is_true),
         (r"no set-up is under way|did not change; check", _is_true),
+        (r"is not what is asked now|since the calibration began", _is_true),
+        (r"reach of the axis|Z was set by AUTO_Z_HOME_Z", _is_true),
+        (r"a print is paused \(PAUSE\)", _is_true),
+        (r"with the G-code Z offset of \S+ in force", _has_offset),
         # Our calibrations are asked to go nowhere else
         (r"^(?:z_calibration|auto_z_offset): .*Move out of range", _is_never),
         (values.NOT_READY, _is_true),
