@@ -100,6 +100,8 @@ class Owned:
             found.setdefault(section, {})["z_offset"] = f"{here:.4f}"
         if self.has("dockable_probe"):
             found["gcode_macro FETCH"] = {"gcode": "\n  ATTACH_PROBE"}
+            refuses = "{action_raise_error('%s')}" % values.NOT_READY
+            found["gcode_macro READY"] = {"gcode": f"\n  {refuses}"}
         # Klipper says nothing to dialogs without it
         found.setdefault("respond", {})
         return found

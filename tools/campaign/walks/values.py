@@ -35,9 +35,9 @@ HOOKS = (
     "FETCH",
     "G91\n  G1 Z2 F600\n  ATTACH_PROBE\n  G90",
 )
-# One that asks first whether all is ready, and says no
+# A macro asks whether all is ready, and says no
 NOT_READY = "the bed is cold"
-ASKS = "G91\n  G1 Z2 F600\n  {action_raise_error('%s')}\n  G90" % NOT_READY
+ASKS = "G91\n  G1 Z2 F600\n  READY\n  G90"
 # Some park the head when all is done
 PARKS = ("DETACH_PROBE\n  G1 X150 Y150 F9000", "M117 x\n  G1 X150 Y150 F9000")
 # G-code that the tables know nothing of
