@@ -83,6 +83,20 @@ def test_what_a_refusal_leaves_is_found(host, product):
     assert "max_accel" in outcome.harm
 
 
+NEVER = ("core/running.py", "    if missing:", "    if missing or True:")
+
+
+def test_walk_is_gone_on_both_products(host, product):
+    walk = Owned("voron"), (("gcode", "G28"), ("gcode", "CALIBRATE_Z"))
+    strict, ours = product(*NEVER), walking.modules_of(ROOT)
+    done = Done(1, host.name, walk, walker.go(*walk, host, strict))
+    told = walking.compared(done, host, ours).alone
+    assert told.startswith("gcode 'CALIBRATE_Z': z_calibration: not homed")
+    assert not walking.compared(done, host, strict).alone
+    done = Done(1, host.name, walk, walker.go(*walk, host, ours))
+    assert not walking.compared(done, host, strict).alone
+
+
 def test_walk_is_kept(tmp_path):
     outcome = Outcome(harm="harm: x", kind="harm")
     done = Done(7, "klipper", (DOCK, HELD), outcome)

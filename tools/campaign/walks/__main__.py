@@ -1,7 +1,8 @@
 """Random walks: make walks.
 
     python -m tools.campaign.walks [--count N] [--seed N] [--host NAME]
-        [--base NAME] [--product DIR] [--json FILE] [--replay FILE]
+        [--base NAME] [--product DIR] [--against DIR] [--json FILE]
+        [--replay FILE]
 
 A walk is a drawn printer, and 5 to 30 steps of what owners, Klipper and another
 client do, and hands. After each step the simulated world judges: nothing is hit
@@ -10,7 +11,8 @@ refusal, and the gap is right or a warning says why not. One that fails is made
 as short as it gets, and written to FOLDER/SEED.json with its printer.cfg;
 --replay goes it again, and shows the console.
 
---product: with the modules of another checkout.
+--product: with the modules of another checkout. --against: a walk with refusals
+is gone on that checkout's modules, too; what they do not refuse is told.
 """
 
 from __future__ import annotations
@@ -50,6 +52,11 @@ def parse(arguments: Optional[Sequence[str]]) -> argparse.Namespace:
     parser.add_argument(
         "--product", type=Path, help="another checkout's modules"
     )
+    parser.add_argument(
+        "--against",
+        type=Path,
+        help="tell what another checkout does not refuse",
+    )
     parser.add_argument("--simpler", type=int, default=walking.SIMPLER)
     parser.add_argument("--workers", type=int, default=2)
     parser.add_argument("--folder", type=Path, default=Path("build/walks"))
@@ -77,17 +84,19 @@ def main(arguments: Optional[Sequence[str]] = None) -> int:
         bases=(options.base,) if options.base else (),
         modules=modules,
         simpler=options.simpler,
+        against=walking.modules_of(options.against),
     )
     report = Report()
     # What a worker has imported must not be forked
     with ProcessPoolExecutor(options.workers, get_context("spawn")) as pool:
         for done in pool.map(go, seeds, hosts_in_turn):
             report.add(done)
-            if done.outcome.harm:
+            told = done.outcome.harm
+            if done.alone:
+                told = told or f"only this product: {done.alone}"
+            if told:
                 file = walking.write(done, options.folder)
-                say(
-                    f"{done.outcome.harm}\n    --replay {file} --host {done.host}"
-                )
+                say(f"{told}\n    --replay {file} --host {done.host}")
     minutes = (time.monotonic() - began) / 60.0
     say(report.text())
     say(f"seeds {seeds.start} to {seeds.stop - 1}, {minutes:.1f} min")

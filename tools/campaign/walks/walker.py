@@ -37,7 +37,8 @@ class Outcome:
 
     harm: what was wrong with which step; empty if nothing. refusals: by their
     shape; healthy: those for which the world knows no reason. done: of each
-    kind of step, how many without an error.
+    kind of step, how many without an error. ends: why each step was refused, in
+    their order; empty if it was not.
     """
 
     harm: str = ""
@@ -45,6 +46,7 @@ class Outcome:
     refusals: Counter[str] = field(default_factory=Counter)
     healthy: Counter[str] = field(default_factory=Counter)
     done: Counter[str] = field(default_factory=Counter)
+    ends: list[str] = field(default_factory=list)
     refused_at_start: str = ""
 
 
@@ -120,6 +122,7 @@ class Walker:
         return True
 
     def _count(self, kind: str, what: Any) -> None:
+        self.outcome.ends.append(self.refusal)
         if self.refusal:
             self.outcome.refusals[shape(self.refusal)] += 1
             if self.judge.is_healthy:

@@ -22,6 +22,7 @@ from typing import Any, Callable, NamedTuple, Optional
 
 from simprinter.hosts.hosts import Host
 from tools.campaign.drawing import check_drawn
+from tools.campaign.judge import shape
 from tools.campaign.walks import covering, machines, walker
 from tools.campaign.walks import steps as stepping
 from tools.campaign.walks.covering import Row
@@ -36,12 +37,16 @@ Walk = tuple[Owned, tuple[Step, ...]]
 
 
 class Done(NamedTuple):
-    """A walk that was gone; where it failed, the simplest that does."""
+    """A walk that was gone; where it failed, the simplest that does.
+
+    alone: the step that only this product refuses, see compared().
+    """
 
     seed: int
     host: str
     walk: Walk
     outcome: Outcome
+    alone: str = ""
 
 
 class _HarmedError(Exception):
@@ -89,8 +94,12 @@ def walk_of(
     bases: Sequence[str] = (),
     modules: Optional[Mapping[str, Path]] = None,
     simpler: int = SIMPLER,
+    against: Optional[Mapping[str, Path]] = None,
 ) -> Done:
-    """Draw the walk of a seed and go it on a host."""
+    """Draw the walk of a seed and go it on a host.
+
+    against: another product's modules; a walk with refusals is gone on them, too.
+    """
     attempts = _Attempts(lambda walk: walker.go(*walk, host, modules), simpler)
     walks = stepping.walks(row_of(seed, host, bases))
     try:
@@ -100,7 +109,25 @@ def walk_of(
         if attempts.worst is None:
             raise error
     assert attempts.first is not None, f"seed {seed} draws nothing"
-    return Done(seed, host.name, *(attempts.worst or attempts.first))
+    done = Done(seed, host.name, *(attempts.worst or attempts.first))
+    return done if against is None else compared(done, host, against)
+
+
+def compared(done: Done, host: Host, against: Mapping[str, Path]) -> Done:
+    """With what another product's modules do not refuse.
+
+    From the first step that ends otherwise on the two printers are not in the
+    same state.
+    """
+    if not done.outcome.refusals:
+        return done
+    there = walker.go(*done.walk, host, against)
+    ends = zip(done.walk[1], done.outcome.ends, there.ends)
+    for (kind, what), own, other in ends:
+        if bool(own) != bool(other):
+            alone = f"{kind} {what!r}: {own}" if own else ""
+            return done._replace(alone=alone)
+    return done
 
 
 def row_of(seed: int, host: Host, bases: Sequence[str] = ()) -> Row:
@@ -160,7 +187,7 @@ class Report:
     """Of many walks.
 
     harmed: by kind. refused: by the shape of the reason; healthy: those for
-    which the world knows no reason.
+    which the world knows no reason; alone: those of this product only.
     """
 
     walks: int = 0
@@ -169,6 +196,7 @@ class Report:
     refused: Counter[str] = field(default_factory=Counter)
     healthy: Counter[str] = field(default_factory=Counter)
     refused_at_start: Counter[str] = field(default_factory=Counter)
+    alone: Counter[str] = field(default_factory=Counter)
     done: Counter[str] = field(default_factory=Counter)
 
     def add(self, done: Done) -> None:
@@ -182,6 +210,8 @@ class Report:
             self.refused_at_start[outcome.refused_at_start.splitlines()[0]] += 1
         self.refused.update(outcome.refusals)
         self.healthy.update(outcome.healthy)
+        if done.alone:
+            self.alone[shape(done.alone)] += 1
         self.done.update(outcome.done)
 
     def figures(self) -> dict[str, Any]:
@@ -198,6 +228,7 @@ class Report:
             ("not started", self.refused_at_start),
             ("refused", self.refused),
             ("refused without a reason", self.healthy),
+            ("refused by this product only", self.alone),
             ("done", self.done),
         )
         for what, counts in groups:
