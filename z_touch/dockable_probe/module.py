@@ -239,4 +239,9 @@ class DockableProbe(object):
         start = self.moves.position()
         goal = detour.Position(number("X", start.x), number("Y", start.y), None)
         speed = number("SPEED", self.settings.travel_speed, above=0.0)
-        self.moves.travel(goal, speed)
+        if self.moves.is_in_dock(goal):
+            raise self.host.error(
+                "X=%.3f Y=%.3f is in the dock; MOVE_TO_DOCK_PROBE goes there"
+                % (goal.x, goal.y)
+            )
+        self.moves.travel(goal, speed, into=True)
