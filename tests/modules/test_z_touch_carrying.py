@@ -311,18 +311,32 @@ def test_delayed_docking_waits_until_a_person_has_answered(start):
     assert trips(printer) == ["attach", "dock"]
 
 
-def test_docking_is_not_delayed_while_a_question_is_open(start):
+# By its section: what asks, and what ends that
+QUESTIONS = {
+    "extra_probe membrane": (
+        f"EXTRA_PROBE_CALIBRATE {MEMBRANE}",
+        f"EXTRA_PROBE_ABORT {MEMBRANE}",
+    ),
+    "z_calibration": ("Z_CALIBRATION_SETUP", "Z_CALIBRATION_SETUP STEP=ABORT"),
+    "dockable_probe": ("DOCKABLE_PROBE_SETUP", "DOCKABLE_PROBE_SETUP STEP=ABORT"),
+}
+
+
+@pytest.mark.parametrize("section", ["extra_probe membrane", "z_calibration"])
+def test_docking_is_not_delayed_while_a_question_is_open(start, section):
     printer = ready(start, {"allow_delayed_detach": "True"})
-    printer.run(f"{OVER}EXTRA_PROBE_CALIBRATE {MEMBRANE}\nPROBE\nM400")
+    printer.run(f"{OVER}{QUESTIONS[section][0]}\nPROBE\nM400")
     assert trips(printer) == ["attach", "dock"]
 
 
-def test_question_of_one_section_stops_the_others(start):
+@pytest.mark.parametrize("section", QUESTIONS)
+def test_question_of_one_section_stops_the_others(start, section):
     printer = ready(start)
-    printer.run("EXTRA_PROBE_CALIBRATE PROBE=membrane")
+    ask, end = QUESTIONS[section]
+    printer.run(ask)
     text = printer.fail("AUTO_Z_PROBE")
-    assert "section 'extra_probe membrane' waits for an answer" in text
-    printer.run("EXTRA_PROBE_ABORT PROBE=membrane\nAUTO_Z_PROBE")
+    assert f"section '{section}' waits for an answer" in text
+    printer.run(f"{end}\n{OVER}AUTO_Z_PROBE")
 
 
 def test_print_that_begins_ends_the_question(start, tmp_path):

@@ -214,6 +214,9 @@ class Setup(object):
         self.host.gcode.respond_raw(dialogs.END)
         for line in shown:
             self.host.gcode.respond_raw(line)
+        # A hand may be near the head.
+        answers = steps.COMMAND, steps.ABORT
+        carrying.of(self.host.printer).asking(self.host.section, answers)
 
     # What the texts of the steps are filled in with
     def facts(self):
@@ -364,6 +367,7 @@ class Setup(object):
 
     def close(self):
         self.state = None
+        carrying.of(self.host.printer).answered(self.host.section)
         self.host.gcode.respond_raw(dialogs.END)
 
     def abort(self, gcmd):
