@@ -130,6 +130,16 @@ def test_head_that_a_pending_docking_moves_is_not_elsewhere(judged):
     assert sort_of(judge, "gcode", move) == ""
 
 
+def test_head_that_drives_off_when_its_command_has_ended(judged):
+    printer, judge = judged(SWITCH)
+    printer.run("SET_DOCKABLE_PROBE AUTO_ATTACH_DETACH=0")
+    printer.run("G1 X120 F1200")
+    assert sort_of(judge, "gcode", "G1") == ""
+    printer.run("G1 X140 F1200")
+    printer.session.begin("M400\nG1 X180 F3000")
+    assert sort_of(judge, "gcode", "G1") == "moved"
+
+
 def test_head_that_moves_while_somebody_is_asked(judged):
     printer, judge = judged(SWITCH)
     printer.run("EXTRA_PROBE_CALIBRATE PROBE=membrane")

@@ -15,6 +15,7 @@ from tools.campaign.walks.gaps import Gaps
 from tools.campaign.walks.printers import Owned
 from tools.kit.dialogs import dialogs_of
 from tools.kit.printer import Printer
+from z_touch.dockable_probe.delay import DETACH_DELAY
 
 # From where a trigger is expected to where a touch ends: docs/reliability.md (mm)
 MARGIN = 1.0
@@ -56,8 +57,9 @@ LOOKED_AT: Mapping[str, Optional[Sequence[str]]] = {
     "dockable_probe": None,
     "extra_probe membrane": None,
 }
-# Steps during which nobody commands anything
+# Steps during which nobody commands anything, and those after which nobody has
 UNCOMMANDED = ("wait", "hand")
+RESTARTS = ("restart", "save")
 MODES = {"G90": ("G90", "G91"), "M82": ("M82", "M83")}
 _SENT = re.compile(r"^(?:G1|MOVE_AVOIDING_DOCK) X=?(\S+) Y=?(\S+)")
 
@@ -138,7 +140,7 @@ class Judge:
         if gone.kind == "print":
             # Its last moves are queued still
             self._stand_still()
-        if gone.kind in ("restart", "save"):
+        if gone.kind in RESTARTS:
             self.gaps.restarted()
         for sort, rule in (
             ("shutdown", self._is_shut_down),
@@ -213,20 +215,23 @@ class Judge:
 
     def _has_moved(self, gone: Gone) -> Iterator[str]:
         """While nobody commands anything."""
-        if gone.kind not in UNCOMMANDED:
+        if gone.kind in UNCOMMANDED:
+            here, there = self.printer.machine.tip(), self.before.tip
+            status, is_asked = self.before.status, self.before.question
+        elif gone.kind in RESTARTS or not self.owned.has("dockable_probe"):
             return
-        here = self.printer.machine.tip()
-        moved = max(abs(a - b) for a, b in zip(here, self.before.tip))
-        if moved > PLACE and self.before.question:
+        else:
+            # Where its moves end, klippy knows before they have been made
+            there = self.printer.session.position()[:3]
+            self.printer.session.wait(DETACH_DELAY)
+            self._stand_still()
+            here, status = self.printer.session.position()[:3], self._status()
+            is_asked = self._is_asked(status)
+        moved = max(abs(a - b) for a, b in zip(here, there))
+        if moved > PLACE and is_asked:
             yield f"by {moved:.1f} mm while somebody is asked"
-        elif moved > PLACE and not self._may_dock():
+        elif moved > PLACE and not _may_dock(status):
             yield f"by {moved:.1f} mm while nobody asks for it"
-
-    def _may_dock(self) -> bool:
-        """Whether a probe may go to its dock by itself, after a while."""
-        status = self.before.status.get("dockable_probe") or {}
-        is_homed = "xy" in self.before.status["toolhead"]["homed_axes"]
-        return is_homed and bool(status.get("auto_attach_detach", True))
 
     def _is_elsewhere(self, gone: Gone) -> Iterator[str]:
         """Where the head was sent, it is; and it touches what is there."""
@@ -393,6 +398,13 @@ class Judge:
         while last != machine.tip():
             last = machine.tip()
             self.printer.session.wait(1.0)
+
+
+def _may_dock(status: Status) -> bool:
+    """Whether a probe may go to its dock by itself, after a while."""
+    dock = status.get("dockable_probe") or {}
+    is_homed = "xy" in status["toolhead"]["homed_axes"]
+    return is_homed and bool(dock.get("auto_attach_detach", True))
 
 
 def lowest(world: WorldSpec) -> float:

@@ -87,14 +87,14 @@ def _docked_at(scene: Scene, **positions: str) -> Scene:
 
 
 def _near_pin(scene: Scene) -> Scene:
-    """The same, its dock so near to the pin that ways go around both."""
+    """The same, the pin within the circle around the dock that ways go around."""
     assert scene.world.dock is not None
-    dock = replace(scene.world.dock, x=170.0, release=(-1.0, 0.0, 0.0))
+    dock = replace(scene.world.dock, x=178.0, release=(-1.0, 0.0, 0.0))
     return _docked_at(
         scene.with_world(dock=dock),
-        dock_position="170, 308",
-        approach_position="170, 270",
-        detach_position="130, 308",
+        dock_position="178, 308",
+        approach_position="178, 270",
+        detach_position="138, 308",
     )
 
 

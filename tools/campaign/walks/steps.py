@@ -239,15 +239,14 @@ def _singles(printer: Owned) -> list[st.SearchStrategy]:
     home = _one("gcode", "G28")
     kinds = [
         # Ours more often than what every printer has
-        *[_one("gcode", *own)] * 6,
+        *[_one("gcode", *own)] * 10,
         *[_one("gcode", *commands)] * 3,
-        home,
+        *[home] * 2,
         _one("wait", 1, 5, 40, 200),
         _one("away", (20, 70, 60), (40, 200, 220)),
         _one("lower", 0.5, 3.0),
         _one("answer", 0, 1, 2, 3),
         _one("late", 0, 1),
-        _one("twice", 0, 1),
         # Whoever goes on homes, mostly
         _row(_one("restart", "RESTART", "FIRMWARE_RESTART"), home),
         _one("restart", "RESTART", "FIRMWARE_RESTART"),

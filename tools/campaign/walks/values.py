@@ -87,8 +87,10 @@ OF_MACHINE = (
     "save_button",
     "z_current_factor",
 )
-# Numbers of which some are another way to go on
+# Numbers of which some are another way to go on, and words that only say how
+# touches are taken together
 SWITCHES = ("z_hop", "bed_spread")
+OF_TOUCHES = ("sample", "result")
 BEFORE_Z = "detach_dockable_before_z_home"
 # Sections of which there are real ones, see tests/corpus
 OF_CORPUS = ("z_calibration", "auto_z_offset", "dockable_probe")
@@ -103,6 +105,8 @@ def kind_of(choice: Choice) -> str:
     _, option, found = choice
     if option.endswith("_gcode"):
         return "hook"
+    if any(word in option for word in OF_TOUCHES):
+        return "number"
     is_word = not any(_is_number(value) for value in found)
     return "switch" if is_word or option in SWITCHES else "number"
 
