@@ -19,6 +19,7 @@ from tools.kit.dockable_probe import (
     where,
 )
 from tools.kit.docks import DOCK_SCENES, on_generic
+from tools.kit.klipper_sections import bed_mesh
 from tools.kit.printer import has_kinematics
 from tools.kit.z_calibration import with_moves
 
@@ -99,6 +100,16 @@ def test_no_way_across_the_dock_where_docking_has_left_the_head(start, command):
     assert at(printer) == pytest.approx((2.0, 240.0))
     printer.run(command)
     assert trips(printer)[-2:] == ["attach", "dock"]
+    printer.machine.truth.require_no_crash()
+
+
+# The host goes down to 10 mm from where fetching has ended, and then across
+def test_no_way_down_into_the_dock_where_fetching_has_left_the_head(start):
+    mesh = {"bed_mesh": bed_mesh("40, 40", "200, 200", horizontal_move_z="10")}
+    changes = {**mesh, **section(restore_toolhead="False", **QUICK)}
+    printer = start(ABOVE, changes).homed()
+    printer.run("G1 X150 Y150 Z20 F6000\nPROBE\nBED_MESH_CALIBRATE")
+    assert trips(printer) == ["attach", "dock"] * 2
     printer.machine.truth.require_no_crash()
 
 

@@ -253,6 +253,16 @@ class Moves(object):
             if self.is_in_dock(position) and position.z is not None:
                 self.lift(position.z)
 
+    # From straight above the dock to the edge of the circle, on the side of the
+    # bed: a host that goes on from there goes down at first.
+    def leave_top(self):
+        start, limits = self.position(), self.host.axes.limits()[:2]
+        if not self.is_in_dock(start):
+            return
+        middle = [0.5 * (low + high) for low, high in limits]
+        x, y = detour.find_exit(start, self.zone, limits, other=middle)
+        touching.move_xy(self.host, x, y, self.settings.travel_speed)
+
     # Whether X and Y are those of the dock itself
     def is_in_dock(self, position):
         return detour.is_in_dock(position, self.zone)

@@ -81,6 +81,7 @@ class Prober(object):
         if is_only_stop:
             self.docking.check_switch()
         if goal is None:
+            self.moves.leave_top()
             self.moves.stay(True)
         elif not self.moves.is_at(goal):
             self.moves.go_back(goal, travel_height(self.settings))
