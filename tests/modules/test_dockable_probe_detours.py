@@ -217,7 +217,7 @@ def test_move_out_of_reach(start, place, words):
 def test_move_into_the_dock_itself(start):
     printer = started(start, SWITCH).homed()
     before = printer.session.position()
-    words = "X=50.200 Y=308.000 is in the dock; MOVE_TO_DOCK_PROBE"
+    words = "50.200, 308.000 is in the dock; MOVE_TO_DOCK_PROBE"
     assert words in printer.fail("MOVE_AVOIDING_DOCK X=50.2 Y=308")
     assert printer.session.position() == before
 

@@ -318,7 +318,10 @@ QUESTIONS = {
         f"EXTRA_PROBE_ABORT {MEMBRANE}",
     ),
     "z_calibration": ("Z_CALIBRATION_SETUP", "Z_CALIBRATION_SETUP STEP=ABORT"),
-    "dockable_probe": ("DOCKABLE_PROBE_SETUP", "DOCKABLE_PROBE_SETUP STEP=ABORT"),
+    "dockable_probe": (
+        "DOCKABLE_PROBE_SETUP",
+        "DOCKABLE_PROBE_SETUP STEP=ABORT",
+    ),
 }
 
 

@@ -239,9 +239,4 @@ class DockableProbe(object):
         start = self.moves.position()
         goal = detour.Position(number("X", start.x), number("Y", start.y), None)
         speed = number("SPEED", self.settings.travel_speed, above=0.0)
-        if self.moves.is_in_dock(goal):
-            raise self.host.error(
-                "X=%.3f Y=%.3f is in the dock; MOVE_TO_DOCK_PROBE goes there"
-                % (goal.x, goal.y)
-            )
-        self.moves.travel(goal, speed, into=True)
+        self.moves.travel_beside(goal, speed)

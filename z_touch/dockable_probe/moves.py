@@ -209,6 +209,15 @@ class Moves(object):
         for x, y in points + [goal] * into:
             touching.move_xy(self.host, x, y, speed)
 
+    # To a place around the dock that anybody may have asked for
+    def travel_beside(self, position, speed):
+        if self.is_in_dock(position):
+            raise self.host.error(
+                "%.3f, %.3f is in the dock; MOVE_TO_DOCK_PROBE goes there"
+                % (position.x, position.y)
+            )
+        self.travel(position, speed, into=True)
+
     # Around the dock; out of the corner where homing has put the head, or back
     # into it, along the way that homing came, where nothing else leads there
     def _points_around(self, start, goal, limits):
