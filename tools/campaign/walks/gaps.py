@@ -159,8 +159,8 @@ class Gaps:
             assert membrane is not None
             gap = membrane.thickness - membrane.press
             gap -= self.printer.scene.number("extra_probe membrane", "z_offset")
-            last = self.printer.status("configfile")["save_config_pending"]
-            if not last:
+            # A button does not say whether the zero itself is to be saved
+            if not self._pending():
                 place = (membrane.x, membrane.y)
                 yield Promise("EXTRA_PROBE_CALIBRATE", place, gap, told)
 
@@ -202,6 +202,12 @@ class Gaps:
         section = scene.sections["auto_z_offset"] or {}
         depth = scene.piezo_depth(float(section.get("speed") or 0.0))
         return scene.number("auto_z_offset", "z_offset") - depth
+
+    def _pending(self) -> list[str]:
+        """Sections that SAVE_CONFIG would change, but for meshes."""
+        status = self.printer.status("configfile")
+        pending = status.get("save_config_pending_items") or {}
+        return [name for name in pending if not name.startswith("bed_mesh")]
 
     def _homes_with_probe(self) -> bool:
         section = self.printer.scene.sections.get("stepper_z") or {}

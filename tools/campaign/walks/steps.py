@@ -273,7 +273,9 @@ def _prints(printer: Owned) -> list[st.SearchStrategy]:
     if probe is not None and probe.mode == "fixed":
         printed = []
     if printed:
-        found.append(_one("print", *printed))
+        # Heating may take a while before the first layer
+        starts = [(text, pause) for text in printed for pause in (0, 10)]
+        found.append(_one("print", *starts))
     if card.can_print(printer):
         ours = [
             text
@@ -319,7 +321,14 @@ def _courses(printer: Owned) -> list[st.SearchStrategy]:
         max_size=8,
     ).map(lambda found: sum(found, ()))
     saves = st.sampled_from(((), (("save", "SAVE_CONFIG"),)))
+    # Nobody has to stand still while he is asked
+    away = st.sampled_from(((), (), (("away", (40, 200, 220)),)))
     found = []
+    if "ATTACH_PROBE" in commands:
+        # On the head, whatever comes next
+        own = [text for text in commands if text not in HOST]
+        nexts = _one("gcode", "G28", "G28 Z", *own)
+        found.append(_row(_one("gcode", "ATTACH_PROBE"), nexts))
     if PAPER in commands:
         found.append(_row(attaches, _one("gcode", PAPER), paper, saves))
     if TWIST in commands:
@@ -338,6 +347,7 @@ def _courses(printer: Owned) -> list[st.SearchStrategy]:
                 ),
                 _one("hand", "lay_membrane", "take_membrane"),
                 _one("hand", "press_membrane"),
+                away,
                 answers,
                 _one("hand", "take_membrane"),
                 answers,

@@ -143,14 +143,12 @@ class Walker:
     def _around(self, script: str) -> str:
         return around(self.owned, script)
 
-    def _print(self, calibration: str) -> None:
-        """As PRINT_START: what the owner has put on the head, he takes off."""
-        script = "G28\n"
-        if self.owned.has("dockable_probe"):
-            script += "DETACH_PROBE\n"
-        self._gcode(script + calibration)
-        # Of a docking that is delayed, and of heating
-        self.printer.session.wait(10.0)
+    def _print(self, what: Sequence) -> None:
+        """As PRINT_START: G28, a calibration, a pause of so many seconds, a layer."""
+        calibration, pause = what
+        self._gcode("G28\n" + calibration)
+        if pause:
+            self.printer.session.wait(float(pause))
         if not self.refusal:
             self._gcode(stepping.first_layer())
 
