@@ -342,6 +342,37 @@ def test_question_of_one_section_stops_the_others(start, section):
     printer.run(f"{end}\n{OVER}AUTO_Z_PROBE")
 
 
+# Nobody's end_gcode and error_gcode move a head that has not moved
+@pytest.mark.parametrize(
+    "ask", [f"EXTRA_PROBE_CALIBRATE {MEMBRANE}", "MANUAL_PROBE"]
+)
+@pytest.mark.parametrize(
+    "command",
+    [
+        "CALIBRATE_Z",
+        slow("CALIBRATE_Z_ACCURACY CYCLES=2 HOME=1"),
+        "PROBE_Z_ACCURACY",
+        "Z_CALIBRATION_SETUP",
+    ],
+)
+def test_nothing_of_z_calibration_moves_while_another_one_asks(
+    start, command, ask
+):
+    moves = {
+        "start_gcode": "ATTACH_PROBE",
+        "end_gcode": "G1 X100 Y100 F6000",
+        "error_gcode": "G28 X",
+    }
+    printer = ready(start, changes={"z_calibration": moves})
+    printer.run(f"{OVER}{ask}\nM400")
+    before, tip = printer.session.position(), printer.machine.tip()
+    text = printer.fail(command)
+    assert "waits for an answer" in text or "manual probe is under way" in text
+    printer.session.wait(2.0)
+    assert printer.session.position() == before
+    assert printer.machine.tip() == tip
+
+
 def test_print_that_begins_ends_the_question(start, tmp_path):
     (tmp_path / "print.gcode").write_text("AUTO_Z_PROBE\nG4 P100\n")
     changes = {"virtual_sdcard": {"path": str(tmp_path)}}

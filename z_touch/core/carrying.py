@@ -66,7 +66,7 @@ class Carrying(object):
     # host.Host of whoever asks.  A dock is left alone where its owner wants no
     # trips, unless 'regardless'.
     def free_nozzle(self, host, regardless=False):
-        self._check_questions(host)
+        self.check_questions(host)
         carrier = self.carrier(host)
         if carrier is None:
             return
@@ -89,8 +89,9 @@ class Carrying(object):
                 " again" % tuple(here + place)
             )
 
-    # What lies on the bed, or whose hand is there, nobody else knows.
-    def _check_questions(self, host):
+    # What lies on the bed, or whose hand is there, nobody else knows.  Raises
+    # CalibrationError.
+    def check_questions(self, host):
         if host.print_state():
             # Whoever prints has cleared the bed: an answer comes no more.
             self.questions.clear()

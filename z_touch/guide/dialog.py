@@ -68,6 +68,7 @@ class Setup(object):
 
     def cmd_Z_CALIBRATION_SETUP(self, gcmd):
         self.section.check_idle(gcmd)
+        self.section.check_nobody_asked(gcmd)
         name = gcmd.get("STEP", "").strip().lower()
         if not name:
             self.begin(gcmd)

@@ -91,6 +91,10 @@ class Interface(object):
     def check_idle(self, gcmd):
         self._section.runner.check_idle(gcmd)
 
+    # Raises the command's error while anybody else is asked something
+    def check_nobody_asked(self, gcmd):
+        self._section.check_nobody_asked(gcmd)
+
     # Returns what work() does, which meets no G-code offset and leaves none; see
     # running.Runner.  The status shows 'phase' meanwhile.
     def run_command(self, gcmd, work, phase):

@@ -22,7 +22,7 @@ import functools
 import logging
 
 from .. import __version__
-from ..core import errors, frame, notes, options, running, sampling
+from ..core import carrying, errors, frame, notes, options, running, sampling
 from ..core.axes import check_z_axis
 from ..core.host import Host
 from ..history import recorder
@@ -138,8 +138,18 @@ class ZCalibration(object):
     def run(self, gcmd, work, phase, wanted, failed=None):
         # A template of a run that is under way must not end what that keeps
         self.runner.check_idle(gcmd)
+        self.check_nobody_asked(gcmd)
         with self.hooks.keeping_modes():
             return self.runner.run(gcmd, work, phase, wanted, failed)
+
+    # Before anything moves, templates included: of a run that has not begun neither
+    # end_gcode nor error_gcode has to undo anything
+    def check_nobody_asked(self, gcmd):
+        try:
+            running.check_no_manual_probe(self.host)
+            carrying.of(self.host.printer).check_questions(self.host)
+        except errors.CalibrationError as e:
+            raise gcmd.error("%s: %s" % (self.host.section, e))
 
     # Runs a command that applies nothing: its templates meet no G-code offset, and
     # what they make of it is undone.  See running.Runner for what it is given.
