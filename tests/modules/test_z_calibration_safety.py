@@ -329,6 +329,10 @@ def validity(printer):
         slow("G28", "Z was homed again"),
         ("M84", "the motors were turned off"),
         slow("M84\nG28", "Z was homed again"),
+        (
+            "SET_STEPPER_ENABLE STEPPER=stepper_z2 ENABLE=0",
+            "the motors were turned off",
+        ),
         ("SHIFT", "Z was homed again or set"),
     ],
 )
@@ -344,6 +348,17 @@ def test_result_is_valid_until_z_moves(start, script, reason):
     if "M84" not in script or "G28" in script:
         calibration(printer, "G28\nCALIBRATE_Z" if reason else "CALIBRATE_Z")
         assert validity(printer) == (True, "")
+
+
+# Hosts before 2024-12 know nothing of the parameter
+@pytest.mark.parametrize("word", ["CLEAR", "CLEAR_HOMED"])
+def test_result_is_not_valid_where_nobody_knows_z(start, word):
+    printer = stale(start, 0.05)
+    calibration(printer)
+    printer.run(f"SET_KINEMATIC_POSITION {word}=Z")
+    if "z" in printer.status("toolhead")["homed_axes"]:
+        pytest.skip(f"the host has no {word}")
+    assert validity(printer) == (False, "Z is not homed")
 
 
 LEVEL = {

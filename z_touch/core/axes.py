@@ -134,6 +134,17 @@ class Axes(object):
         steppers = self._kinematics().get_steppers()
         return [s for s in steppers if s.is_active_axis("z")]
 
+    # switched(print_time, is_on) is called when one of them is turned on or off
+    def watch_z_enabling(self, switched):
+        enabling = self.host.printer.lookup_object("stepper_enable")
+        for stepper in self.z_steppers():
+            try:
+                line = enabling.lookup_enable(stepper.get_name())
+            except self.host.printer.config_error:
+                # Of another name there: it tells nothing
+                continue
+            line.register_state_callback(switched)
+
     # The largest step (mm) of the motors of Z
     def z_step(self):
         return max(s.get_step_dist() for s in self.z_steppers())

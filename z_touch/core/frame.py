@@ -3,6 +3,7 @@
 HOMED_OR_SET = "Z was homed again or set"
 LEVELLED = "the Z motors were levelled"
 MOTORS_OFF = "the motors were turned off"
+NOT_HOMED = "Z is not homed"
 
 # Every probing move may shift the frame by a part of a microstep; what adds
 # up to less than this (mm) is neither homing nor levelling.
@@ -21,6 +22,11 @@ class Frame(object):
         register("toolhead:set_position", self._set)
         register("homing:home_rails_end", self._homed)
         register("stepper_enable:motor_off", self._off)
+        register("klippy:ready", self._watch_motors)
+
+    # SET_STEPPER_ENABLE turns one off without an event
+    def _watch_motors(self):
+        self.host.axes.watch_z_enabling(self._switched)
 
     def mark(self):
         return len(self.noted), self.host.axes.z_datum()
@@ -29,11 +35,20 @@ class Frame(object):
     # nothing.
     def moved_since(self, mark, besides=None):
         count, datum = mark
+        if besides != MOTORS_OFF and not self._is_homed():
+            return self._last(count) or NOT_HOMED
         motors = self._motors(datum)
+        noted = self._last(count, besides)
+        return motors if motors == LEVELLED else noted or motors
+
+    # The last that was noted since then; empty: nothing
+    def _last(self, count, besides=None):
         noted = [what for what in self.noted[count:] if what != besides]
-        if not noted or motors == LEVELLED:
-            return motors
-        return noted[-1]
+        return noted[-1] if noted else ""
+
+    # SET_KINEMATIC_POSITION forgets it without an event
+    def _is_homed(self):
+        return "z" in self.host.toolhead_status()["homed_axes"]
 
     # Homing sets Z somewhere else at first, on every host; it may come back
     # to where it was.
@@ -52,6 +67,10 @@ class Frame(object):
     # With a print time until 2026; nobody needs it
     def _off(self, *unused):
         self._note(MOTORS_OFF)
+
+    def _switched(self, print_time, is_on):
+        if not is_on:
+            self._note(MOTORS_OFF)
 
     def _note(self, what):
         self.noted.append(what)
