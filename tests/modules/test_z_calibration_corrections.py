@@ -38,6 +38,13 @@ def test_baby_steps_are_there_again_in_the_next_run(start):
     assert pending(printer) == {"z_calibration": {"switch_offset": "0.420"}}
     # Nothing has moved, and nothing counts twice
     assert printer.offset() == pytest.approx(0.18)
+    # What macros read of it is what is in force
+    status = printer.status("z_calibration")
+    assert (status["valid"], status["measured"]) == (True, True)
+    assert status["last_z_offset"] == pytest.approx(0.18)
+    result = status["last_result"]
+    numbers = result["switch_offset"], result["offset"]
+    assert numbers == pytest.approx((0.42, 0.18))
     text = "// z_calibration: nothing was changed with baby steps since"
     assert printer.run(SAVE)[0].startswith(text)
     result, _ = calibration(printer)

@@ -269,6 +269,7 @@ def test_result_ends_with_another_height_of_the_mesh(
     printer.run(after)
     is_measured, is_valid, reason = validity(printer)
     assert (is_measured, is_valid) == (not is_other, not is_other)
+    assert reason.startswith("bed_mesh is") is is_other
     assert ("mm at 150.0, 150.0 and was" in reason) is is_other
     if is_other:
         for command in ("CALCULATE_SWITCH_OFFSET", SAVE):

@@ -141,8 +141,12 @@ def test_zero_that_g92_has_moved_is_noticed(start):
     printer = start().homed()
     printer.run("CALIBRATE_Z\nG1 Z20 F900\nG92 Z19.7")
     measured, valid, reason = validity(printer)
-    assert (measured, valid) == (True, False)
+    assert (measured, valid) == (False, False)
     assert "G92 has moved Z=0 by 0.300 mm" in reason
+    # What only makes good for it is no baby step
+    printer.run("SET_GCODE_OFFSET Z_ADJUST=-0.3")
+    assert "G92 has moved Z=0" in printer.fail(SAVE)
+    assert pending(printer) == {}
     printer.run("CALIBRATE_Z")
     assert validity(printer) == (True, True, "")
 
@@ -228,6 +232,7 @@ def test_offset_of_another_tool_is_no_baby_step(start, tmp_path, keeps):
     calibration(printer)
     printer.run("T1")
     told = "extruder1 is active, and CALIBRATE_Z was run with extruder"
+    assert validity(printer) == (False, False, told)
     for command in (SAVE, "CALCULATE_SWITCH_OFFSET"):
         assert told in printer.fail(command)
     if keeps:
@@ -238,7 +243,9 @@ def test_offset_of_another_tool_is_no_baby_step(start, tmp_path, keeps):
         lines = printer.run("Z_OFFSET_APPLY_ENDSTOP")
         assert "stepper_z" in pending(printer)
         assert "CALIBRATE_Z measures anew" not in "\n".join(lines)
-    printer.run(f"T0\nSET_GCODE_OFFSET Z_ADJUST=0.02\n{SAVE}")
+    printer.run("T0")
+    assert validity(printer) == (True, True, "")
+    printer.run(f"SET_GCODE_OFFSET Z_ADJUST=0.02\n{SAVE}")
     saved = pending(printer)["z_calibration"]
     assert saved == {"switch_offset": "0.420"}
 

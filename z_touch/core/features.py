@@ -70,9 +70,10 @@ class Features(object):
             return x * tilt.x_adjust + y * tilt.y_adjust + tilt.z_adjust
         return 0.0
 
-    # The section that it is of
+    # The section that it is of; a host takes one of them
     def mesh_name(self):
-        return "bed_mesh" if self._mesh() is not None else "bed_tilt"
+        tilt = self.printer.lookup_object("bed_tilt", None)
+        return "bed_mesh" if tilt is None else "bed_tilt"
 
     # The mesh in force, or None
     def _mesh(self):

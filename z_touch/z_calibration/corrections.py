@@ -84,9 +84,6 @@ class Corrections(object):
         self.section = section
         self.host = section.host
         self.saver = saving.Saver(section.host)
-        # Which results.Last was corrected, and what came of it
-        self.corrected = None
-        self.base = None
         self.hinted = False
         # A switch_offset that counts, and was not handed to SAVE_CONFIG
         self.unsaved = None
@@ -142,16 +139,12 @@ class Corrections(object):
     # Why there is nothing that baby steps could be counted from; empty: there
     # is.  After a print the motors may be off.
     def why_not(self):
-        return self.section.why_not_right(frame.MOTORS_OFF)
+        return self.section.why_no_steps(frame.MOTORS_OFF)
 
-    # The Base of the last run
+    # The Base of the last run, or of its last correction
     def current(self):
         last = self.section.last()
-        if last is not self.corrected:
-            result = last.result
-            self.corrected = last
-            self.base = Base(last.applied, result and result.switch_offset)
-        return self.base
+        return Base(last.applied, last.result and last.result.switch_offset)
 
     ##################################################################
     # Z_CALIBRATION_SAVE_GCODE_OFFSET
@@ -185,8 +178,7 @@ class Corrections(object):
             self.check_restored(z_offset)
         new, text = check_steps(base, z_offset, force)
         new = round(new, 3)
-        self.base = Base(z_offset, new)
-        self.section.use_switch_offset(new)
+        self.section.correct(new, z_offset)
         gcmd.respond_info("%s: %s" % (self.host.section, text))
         self.unsaved = new
         self.keep(is_saved)

@@ -43,7 +43,7 @@ class FirstTouches(object):
 
 # The section as the guide and the corrections see it.  They get records and
 # objects of their own from it; the object behind the section is not theirs, and
-# only use_switch_offset() changes something in there.
+# only correct() changes something in there.
 class Interface(object):
     # 'section': the object behind [z_calibration]
     def __init__(self, section):
@@ -58,9 +58,11 @@ class Interface(object):
     def settings(self):
         return self._section.settings
 
-    # From now on it is this one (mm)
-    def use_switch_offset(self, switch_offset):
+    # From now on it is this one (mm), with which the last run comes to what is in
+    # force: 'z_offset' (mm)
+    def correct(self, switch_offset, z_offset):
         self._section.use_switch_offset(switch_offset)
+        self._section.results.correct(switch_offset, z_offset)
 
     # What samples should be where so many touches of each site are enough, in words;
     # empty: as it is.  An owner who has set enough of them keeps his.
@@ -153,3 +155,8 @@ class Interface(object):
     # another one is set now.  'besides' counts as nothing.
     def why_not_right(self, besides=None):
         return self._section.results.why_not_right(besides)
+
+    # Why no baby steps can be counted from it, alike
+    def why_no_steps(self, besides=None):
+        results = self._section.results
+        return results.why_not_right(besides) or results.why_moved_by_g92()

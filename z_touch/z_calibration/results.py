@@ -64,6 +64,17 @@ class Results(object):
         self.last = last
         self.is_good = True
 
+    # What is in force (mm) is the offset of the last run now, with another switch_offset
+    def correct(self, switch_offset, z_offset):
+        result = self.last.result
+        change = result.switch_offset - switch_offset
+        corrected = result._replace(
+            switch_offset=switch_offset, offset=result.offset + change
+        )
+        self.last = self.last._replace(
+            result=corrected, z_offset=z_offset, applied=z_offset
+        )
+
     ##################################################################
     # Whether it holds: why it does not (any more), in words; empty: it does
     ##################################################################
@@ -80,7 +91,33 @@ class Results(object):
 
     # The offset, and that it is set
     def why_not(self):
-        return self.why_not_right() or self._why_not_in_force()
+        return self.why_not_measured() or self._why_not_in_force()
+
+    # The measurement, for the nozzle that is active and where Z=0 is
+    def why_not_measured(self):
+        return (
+            self.why_not_right()
+            or self._why_other_tool()
+            or self.why_moved_by_g92()
+        )
+
+    def _why_other_tool(self):
+        active, calibrated = self.host.extruder(), self.last.extruder
+        if active == calibrated:
+            return ""
+        return "%s is active, and CALIBRATE_Z was run with %s" % (
+            active,
+            calibrated,
+        )
+
+    def why_moved_by_g92(self):
+        moved = self.host.features.moved_by_g92()
+        if abs(moved) < SAME_OFFSET:
+            return ""
+        return (
+            "G92 has moved Z=0 by %.3f mm; G28 or CALIBRATE_Z undoes that"
+            % (moved,)
+        )
 
     def _why_not_as_high(self):
         last, features = self.last, self.host.features
@@ -96,12 +133,6 @@ class Results(object):
     # Where offset_gcode makes another one of it, or sets it later, either will do.
     def _why_not_in_force(self):
         offset, last = self.host.gcode_offset.z(), self.last
-        moved = self.host.features.moved_by_g92()
-        if abs(moved) >= SAME_OFFSET:
-            return (
-                "G92 has moved Z=0 by %.3f mm; G28 or CALIBRATE_Z undoes that"
-                % (moved,)
-            )
         if (
             min(abs(offset - z) for z in (last.applied, last.z_offset))
             < SAME_OFFSET
@@ -127,7 +158,7 @@ class Results(object):
             "last_query": self.is_good,
             "last_z_offset": shown.z_offset,
             "last_result": {} if result is None else dict(result._asdict()),
-            "measured": not self.measured and not self.why_not_right(),
+            "measured": not self.measured and not self.why_not_measured(),
             "valid": not reason,
             "reason": reason,
             "warnings": [warned.text for warned in self.last.warnings],

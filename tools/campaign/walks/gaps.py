@@ -233,7 +233,9 @@ class Gaps:
             return
         promise = self.kept.promise
         gap = self.look(promise.point)
-        if gap is not None:
+        if gap is None:
+            self.kept, self.steps = None, math.nan
+        else:
             # Saved are thousandths
             change = round(gap - promise.gap, 3)
             self.steps += change
