@@ -147,3 +147,15 @@ def test_failure_leaves_everything_as_it_was(start):
     printer.run("G28\nCALIBRATE_Z")
     error = printer.fail("CALIBRATE_Z_ACCURACY ATTACH=0")
     assert "ATTACH=0 needs the probe on the head all the time" in error
+
+
+# Macros bring this probe, and here nobody takes it off before Z is homed on the pin
+@pytest.mark.parametrize("end_gcode", ["\n  DOCK_PROBE", None])
+def test_z_is_not_homed_with_the_probe_on_the_head(start, end_gcode):
+    changes = {"z_calibration": {"end_gcode": end_gcode}}
+    printer = start("cartesian", changes=changes).homed()
+    if end_gcode:
+        printer.run("CALIBRATE_Z\nATTACH_PROBE")
+    text = printer.fail("CALIBRATE_Z_ACCURACY CYCLES=2 HOME=1")
+    assert "put it away before Z is homed" in text
+    printer.machine.truth.require_no_crash()

@@ -311,6 +311,22 @@ def test_pin_that_is_much_lower_is_not_looked_for(start):
     assert_unharmed(printer)
 
 
+# Macros bring this probe, for the switch, and here somebody has brought it before; what
+# its switch reads then is no proof, as one that is normally open reads so, too
+@pytest.mark.every_host
+@pytest.mark.parametrize(
+    "script", ["ATTACH_PROBE\nCALIBRATE_Z", "ATTACH_PROBE\nPROBE_Z_ACCURACY"]
+)
+def test_probe_that_is_left_on_meets_the_bed_without_harm(start, script):
+    printer = start("cartesian").homed()
+    text = printer.fail(script)
+    assert "the probe is on the head, and has met the bed at z=2.050" in text
+    assert "before the pin at z=0.500" in text
+    printer.machine.truth.require_no_crash()
+    # Once it is off all goes on
+    printer.run("DOCK_PROBE\nG28\nCALIBRATE_Z")
+
+
 # Validity
 
 

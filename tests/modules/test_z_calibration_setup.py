@@ -522,6 +522,23 @@ def test_probe_that_somebody_has_put_on_is_put_away_for_the_nozzle(start, step):
     user.go_to("SAVE")
 
 
+# Whoever has no hooks yet has put it on himself, as the set-up has told him
+def test_probe_that_nobody_puts_away_is_not_on_for_the_nozzle(start):
+    hooks = {"before_switch_gcode": None, "end_gcode": None}
+    section = {**empty()["z_calibration"], **hooks}
+    printer = start("cartesian", changes={**empty(), "z_calibration": section})
+    printer.session.require_ready()
+    user = User(printer)
+    advance(user, "NOZZLE")
+    assert "or attach it by hand" in user.refused("Here")
+    printer.run("ATTACH_PROBE")
+    for label in ("Attach", "Here", "Here", "Yes"):
+        user.press(label)
+    before = len(printer.machine.truth.touches)
+    assert "end_gcode has not put it away" in user.refused("Touch")
+    assert len(printer.machine.truth.touches) == before
+
+
 def test_nothing_is_lowered_beside_the_sheet_or_with_the_probe(start):
     printer = start("cartesian", changes=empty())
     printer.session.require_ready()

@@ -88,6 +88,12 @@ class Touches(object):
         state.probe.is_fetched = state.probe.is_fetched or is_left_on
         with self.section.holding_probe():
             self.put_away(state)
+            if is_left_on and self.hands.is_attached():
+                raise CalibrationError(
+                    "the probe is on the head, and would meet the bed before the"
+                    " nozzle meets the pin; end_gcode has not put it away: take"
+                    " it off by hand"
+                )
             self.fetch(state)
             self.touch(state, "nozzle")
 

@@ -65,6 +65,17 @@ class Attachment(object):
                 " nozzle; detach it in start_gcode and check it with QUERY_PROBE"
             )
 
+    # Before Z is homed on the pin with what hangs on the head now; 'axes': axes.Axes
+    def check_homing(self, axes):
+        if not self.is_late or axes.homes_with_probe():
+            return
+        if self.reads_attached(self.host.after_moves()):
+            raise CalibrationError(
+                "the probe is on the head, and would meet the bed before the"
+                " nozzle meets the pin; put it away before Z is homed: in"
+                " end_gcode, or by hand"
+            )
+
     # Around before_switch_gcode, which run() runs
     def come_late(self, run):
         was_on = self.reads_attached(self.host.print_time())

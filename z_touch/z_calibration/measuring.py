@@ -30,6 +30,10 @@ TOO_LOW = (
     " position_max of the Z axis"
 )
 
+# So far (mm) above where the nozzle should meet the pin a probe that is left on the
+# head has met the bed, if it does so at all
+CLEAR_OF_PIN = 0.5
+
 # Lift (mm) before the free plunger is moved over the plate
 CLEAR_OF_PLATE = FREE_PLUNGER + 0.5
 
@@ -296,6 +300,34 @@ class NozzleMeasurement(Measurement):
     x_first = True
 
     def touch_site(self, travel_z, floor):
+        comes_late = self.settings.may_attach_late
+        if not comes_late or self.host.probing.attaches_by_itself():
+            return self.touch_free_site(travel_z, floor)
+        moved = self.host.after_moves()
+        self.arrive(travel_z)
+        looked = touching.before_arrival(self.host, moved)
+        if not self.host.probing.endstop().query_endstop(looked):
+            self.look_for_bed(floor)
+        return self.touch_free_site(travel_z, floor)
+
+    # A probe that before_switch_gcode is there for reads attached by now: left on,
+    # or it always does, as one that is wired as normally open.  With its switch
+    # armed, not down to the pin.
+    def look_for_bed(self, floor):
+        if self.expected_z is None:
+            return
+        low = max(self.expected_z, floor) + CLEAR_OF_PIN
+        probe, speed = self.host.probing.endstop(), self.settings.probing_speed
+        met = self.head.come_down(probe, low, speed)
+        if met is not None:
+            raise errors.CalibrationError(
+                "the probe is on the head, and has met the bed at z=%.3f, where"
+                " nothing should be met before the pin at z=%.3f; put it away, it"
+                " is for before_switch_gcode to attach it"
+                % (met, self.expected_z)
+            )
+
+    def touch_free_site(self, travel_z, floor):
         samples = Measurement.touch_site(self, travel_z, floor)
         if self.settings.wiggle_xy_offsets is not None:
             self.retract()

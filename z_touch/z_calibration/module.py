@@ -388,6 +388,7 @@ class ZCalibration(object):
         cycles = []
         while len(cycles) < params.cycles:
             if params.home:
+                self.hooks.attachment.check_homing(self.host.axes)
                 self.host.gcode.run_script_from_command("G28 Z")
             plan = self.recorder.plan
             calibration = self.new_calibration(settings, sites, plan)
