@@ -58,8 +58,8 @@ class Interface(object):
     def settings(self):
         return self._section.settings
 
-    # From now on it is this one (mm), with which the last run comes to what is in
-    # force: 'z_offset' (mm)
+    # From now on it is this one (mm).  The last run comes to 'z_offset' (mm) with it,
+    # which is in force.
     def correct(self, switch_offset, z_offset):
         self._section.use_switch_offset(switch_offset)
         self._section.results.correct(switch_offset, z_offset)
