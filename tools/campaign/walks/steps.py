@@ -320,9 +320,19 @@ def _courses(printer: Owned) -> list[st.SearchStrategy]:
         min_size=1,
         max_size=8,
     ).map(lambda found: sum(found, ()))
+    # Mostly what it asks for, once
+    answered = st.sampled_from(range(8)).flatmap(
+        lambda n: answers if n == 7 else _one("answer", 0)
+    )
     saves = st.sampled_from(((), (("save", "SAVE_CONFIG"),)))
     # Nobody has to stand still while he is asked
-    away = st.sampled_from(((), (), (("away", (40, 200, 220)),)))
+    away = st.sampled_from(range(8)).map(
+        lambda n: (("away", (40, 200, 220)),) if n == 7 else ()
+    )
+    # Mostly what was under way is ended first
+    fresh = st.sampled_from(range(4)).map(
+        lambda n: () if n == 3 else (("gcode", "ABORT"), ("gcode", "G28"))
+    )
     found = []
     if "ATTACH_PROBE" in commands:
         # On the head, whatever comes next
@@ -339,18 +349,19 @@ def _courses(printer: Owned) -> list[st.SearchStrategy]:
     if printer.has("extra_probe membrane"):
         found.append(
             _row(
+                fresh,
                 meshes,
                 _one(
                     "gcode",
                     "EXTRA_PROBE_CALIBRATE PROBE=membrane SAVE=1",
                     "EXTRA_PROBE_CALIBRATE PROBE=membrane",
                 ),
-                _one("hand", "lay_membrane", "take_membrane"),
+                _one("hand", *["lay_membrane"] * 3, "take_membrane"),
                 _one("hand", "press_membrane"),
                 away,
-                answers,
+                answered,
                 _one("hand", "take_membrane"),
-                answers,
+                answered,
                 saves,
             )
         )

@@ -24,8 +24,8 @@ from tools.kit.printer import Printer
 
 # Whose nozzle comes so near to the bed (mm) puts paper below it and goes on by hand
 NEAR = 1.0
-# Of a hand, and what it holds (mm)
-HAND = 15.0
+# Of a hand, and what it holds (mm): a probe, or a switch that is flat
+HAND, FINGERS = 15.0, 5.0
 # Of one command, printer seconds: a mesh of nine points takes 100
 LIMIT = 900.0
 _ACROSS = re.compile(r"G1 X(\S+) Y(\S+) F9000")
@@ -201,7 +201,8 @@ class Walker:
         machine.rig.settle(machine.simulation.clock.now())
         now = self._now()
         # No hand fits below a nozzle that is down
-        if machine.truth.true_gap(*machine.tip(), now) < HAND:
+        room = FINGERS if name.endswith("_membrane") else HAND
+        if machine.truth.true_gap(*machine.tip(), now) < room:
             return
         if name == "lay_membrane":
             machine.lay_membrane()
