@@ -535,7 +535,7 @@ def test_probe_that_nobody_puts_away_is_not_on_for_the_nozzle(start):
     for label in ("Attach", "Here", "Here", "Yes"):
         user.press(label)
     before = len(printer.machine.truth.touches)
-    assert "as end_gcode has not put it away" in user.refused("Touch")
+    assert "as no G-code of yours has put it away" in user.refused("Touch")
     assert len(printer.machine.truth.touches) == before
 
 

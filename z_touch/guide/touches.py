@@ -90,9 +90,9 @@ class Touches(object):
             self.put_away(state)
             if is_left_on and self.hands.is_attached():
                 raise CalibrationError(
-                    "the probe is on the head, as end_gcode has not put it away,"
-                    " and would meet the bed before the nozzle meets the pin;"
-                    " take it off by hand"
+                    "the probe is on the head, as no G-code of yours has put it"
+                    " away, and would meet the bed before the nozzle meets the"
+                    " pin; take it off by hand"
                 )
             self.fetch(state)
             self.touch(state, "nozzle")
