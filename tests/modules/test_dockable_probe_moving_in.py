@@ -28,6 +28,7 @@ from tools.kit.docks import on_generic
 from tools.kit.printer import has_kinematics
 
 CENTRE = "G1 X150 Y150 Z20 F6000\n"
+AROUND = "MOVE_AVOIDING_DOCK X=150 Y=150 SPEED=100"
 MESH = "BED_MESH_CALIBRATE PROBE_COUNT=3,3"
 
 
@@ -184,6 +185,74 @@ def test_homing_from_in_the_dock(start, scene, command):
     if scene is SERVO:
         assert not is_out(printer)
     assert_safe(printer)
+
+
+# Part by part: what the pins read before the way into the dock is over
+
+
+def open_switch(start):
+    """A switch that is normally open, and a sensor on the head."""
+    options = {"check_open_attach": "False", "dock_sense_pin": None}
+    return started(
+        start,
+        with_probe(SENSED, normally_open=True),
+        {"safe_z_home": None},
+        **options,
+    )
+
+
+def closed_switch(start):
+    return started(start, GANTRY, {"safe_z_home": None})
+
+
+# The nozzle went down with the probe in the dock
+@pytest.mark.every_host
+@pytest.mark.parametrize("ready", [open_switch, closed_switch])
+@pytest.mark.parametrize(
+    "script",
+    [
+        # In the dock when homing leaves it
+        f"{steps('DOCK')}\nM400\nG28 Z",
+        # Still on the head when the last command is read
+        f"{steps('DOCK', 'DETACH')}\n{AROUND}\nG28 Z",
+    ],
+)
+def test_homing_with_what_was_left_in_the_dock(start, ready, script):
+    printer = ready(start)
+    printer.run("G28 X Y\nATTACH_PROBE")
+    printer.run(script)
+    assert trips(printer)[:3] == ["attach", "dock", "attach"]
+    assert printer.machine.truth.min_gap > HANG - 0.1
+
+
+@pytest.mark.parametrize("ready", [open_switch, closed_switch])
+def test_touch_with_what_was_left_in_the_dock(start, ready):
+    printer = ready(start).homed()
+    printer.run(f"{CENTRE}ATTACH_PROBE")
+    begun = len(trips(printer))
+    printer.run(f"{steps('DOCK', 'DETACH')}\n{AROUND}\nPROBE")
+    assert trips(printer, begun)[:2] == ["dock", "attach"]
+    assert printer.machine.truth.min_gap > HANG - 0.1
+
+
+# It was seen docked, and is until those moves are gone
+@pytest.mark.every_host
+def test_docking_of_what_queued_moves_have_fetched(start):
+    printer = started(start, SWITCH).homed()
+    printer.run(f"{CENTRE}ATTACH_PROBE\nDETACH_PROBE")
+    script = steps("APPROACH", "DOCK", "EXTRACT") + "\nDETACH_PROBE"
+    printer.run(f"{script}\n{AROUND}\nG1 Z0.3\nM400")
+    assert trips(printer) == ["attach", "dock"] * 2
+    assert printer.machine.truth.touch_count("body_bed") == 0
+
+
+# What has changed on the way in and out is believed, as that of a trip is: the
+# way to this dock is not known, and nobody is asked whether it hangs on the head.
+def test_parts_of_the_way_prove_what_a_trip_does(start):
+    printer = started(start, BED).homed()
+    way = steps("DOCK", "EXTRACT", "DOCK", "DETACH")
+    printer.run(f"{CENTRE}{way}\nM84\nG28")
+    assert trips(printer) == ["attach", "dock"]
 
 
 # A command in the middle of fetching

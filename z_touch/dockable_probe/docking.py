@@ -71,6 +71,8 @@ class Docking(object):
         self.running = None
         # Whether the parts of a trip are run by the trip
         self.is_on_trip = False
+        # What the pins read before a way into the dock by itself
+        self.seen_before = UNKNOWN
 
     def use(self, settings):
         self.settings = settings
@@ -306,16 +308,27 @@ class Docking(object):
             moves.go_in(beside)
             return
         moves.require_homed()
-        trip = DOCK if self.sensors.look() == ATTACHED else FETCH
+        state = self.sensors.look()
+        trip = DOCK if state == ATTACHED else FETCH
+        # The owner may leave it in any way, also without our commands.
+        self.sensors.begin_trip()
+        self.seen_before = state
         with self._dock_out(trip):
             moves.go_in(beside)
 
     # Out of the dock as a trip ends; by itself the dock is put away, too.
     def go_out(self, trip, position, speed):
-        was_in = self.moves.stands_in_dock()
+        is_by_itself = self.moves.stands_in_dock() and not self.is_on_trip
+        if is_by_itself:
+            before, self.seen_before = self.seen_before, UNKNOWN
+            self.sensors.begin_trip()
         self.moves.go_out(position, speed)
-        if was_in and not self.is_on_trip:
-            self.run("post_" + trip.gcode)
+        if not is_by_itself:
+            return
+        # A way in and out part by part proves as much as a trip.
+        if (before, self.sensors.look()) == (trip.before, trip.after):
+            self.sensors.end_trip(trip.after)
+        self.run("post_" + trip.gcode)
 
     # Homing would begin across the dock.  Where nobody knows the way out, or the
     # way is part of a trip, the head stays.
