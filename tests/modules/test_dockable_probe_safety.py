@@ -26,6 +26,7 @@ from tools.kit.dockable_probe import (
     where,
 )
 from tools.kit.docks import DOCK_SCENES
+from tools.kit.scenes import on_gantry
 
 MESH = "BED_MESH_CALIBRATE PROBE_COUNT=3,3"
 EXTRACT = (50.0, 270.0)
@@ -454,6 +455,44 @@ def test_not_homed(start, name):
         assert printer.machine.tip().z == pytest.approx(z, abs=0.01)
         assert "z" not in printer.status("toolhead")["homed_axes"]
         assert "Must home" in printer.fail("PROBE")
+
+
+# Where nobody knows Z the head was lifted for the dock, and went down since: the
+# probe was dragged along the bed
+
+
+# Until 2024 (v0.12.0) no command forgets a homed axis, and Z is known there
+@pytest.mark.every_host
+def test_lift_of_before_z_was_homed_and_forgotten(start):
+    changes = {"force_move": {"enable_force_move": "True"}}
+    printer = ready(start(SWITCH, {**changes, **section(**QUICK)}))
+    printer.run("G28 X Y\nATTACH_PROBE\nG28 Z\nG90\nG1 X150 Y150 F6000")
+    printer.run("G1 Z0.5 F600\nM400\nSET_KINEMATIC_POSITION CLEAR=Z")
+    printer.run("ATTACH_PROBE\nM400")
+    assert where(printer) == "attached"
+    assert printer.machine.tip().z > CLEAR
+    assert printer.machine.truth.depth("body_bed") == 0.0
+
+
+@pytest.mark.every_host
+def test_lift_of_before_the_motors_were_forced(start):
+    one_motor = on_gantry(SWITCH, "one_motor", "corexy", z=(150.0, 150.0))
+    changes = {
+        "force_move": {"enable_force_move": "True"},
+        "quad_gantry_level": None,
+        **section(**QUICK),
+    }
+    printer = start(one_motor, changes).homed()
+    printer.run("G90\nG1 X150 Y150 Z5 F6000\nM84\nG28 X Y")
+    printer.run("MOVE_AVOIDING_DOCK X=150 Y=150 SPEED=100")
+    printer.run("ATTACH_PROBE\nDETACH_PROBE")
+    z = printer.machine.tip().z
+    force = "FORCE_MOVE STEPPER=stepper_z DISTANCE=%g VELOCITY=10\n"
+    printer.run(force % -13 + "ATTACH_PROBE\nM400")
+    assert printer.machine.tip().z == pytest.approx(z, abs=0.01)
+    # Not up again where it was forced up
+    printer.run(force % 4 + "DETACH_PROBE\nM400")
+    assert printer.machine.tip().z == pytest.approx(z + 4.0, abs=0.01)
 
 
 def test_emergency_stop_while_fetching(start):

@@ -62,8 +62,9 @@ class Moves(object):
     def __init__(self, host, settings):
         self.host = host
         self.use(settings)
-        # Where nobody knows Z: how far (mm) the head was lifted for the dock
-        self.lifted = 0.0
+        # Where nobody knows Z: how far (mm) the head was lifted for the dock, and
+        # where the Z motors were then, see motors_z()
+        self.lifted, self.lifted_to = 0.0, None
         # See note_bed()
         self.homed_z = None
         # See stay()
@@ -160,15 +161,30 @@ class Moves(object):
     ######################################################################
 
     # Z up to a height where the head is lower, never down.  Where nobody knows
-    # Z, so much up in all, until Z is homed or the motors are off.
+    # Z, so much up in all, less what the head went down since, until the motors
+    # are off.
     def lift(self, height):
         if self.is_homed("z"):
             self.lifted = 0.0
             touching.raise_to(self.host, height, self.settings.lift_speed)
-        elif self.lifted < height:
-            more = height - self.lifted
+            return
+        more = height - self._lifted_now()
+        if more > 0.0:
             self.host.motion.lift_unhomed(more, self.settings.lift_speed)
-            self.lifted = height
+            self.lifted, self.lifted_to = height, self._motors_z_now()
+
+    # Counted by the motors, as Z may have been homed and forgotten again, and
+    # FORCE_MOVE tells nobody.
+    def _lifted_now(self):
+        here = self._motors_z_now()
+        if not self.lifted or None in (here, self.lifted_to):
+            return self.lifted
+        return self.lifted + (here - self.lifted_to)
+
+    # The motors count their steps only when those were made.
+    def _motors_z_now(self):
+        self.host.toolhead.flush_step_generation()
+        return self.motors_z()
 
     def lift_for_dock(self):
         self.lift(dock_height(self.settings))
