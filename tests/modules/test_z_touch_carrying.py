@@ -252,6 +252,70 @@ def test_probe_is_docked_before_each_paper_of_a_twist(start):
     printer.run("ABORT")
 
 
+TWIST = "AXIS_TWIST_COMPENSATION_CALIBRATE"
+
+
+# It took the docking before each paper with it: the probe was 2.5 mm in the bed
+@every_host
+def test_refused_command_in_the_middle_of_a_twist(start):
+    printer = ready(start, {"allow_delayed_detach": "True"})
+    printer.run(TWIST)
+    printer.fail("PROBE_CALIBRATE")
+    printer.run("TESTZ Z=-9\nACCEPT")
+    assert where(printer) == "docked"
+    printer.run("TESTZ Z=-9\nM400")
+    assert untouched(printer)
+    printer.run("ABORT")
+
+
+# G-code of the owner's between two points is none of another command
+@every_host
+def test_homing_on_the_way_to_the_dock_of_a_twist(start):
+    homing = {"pre_attach_gcode": "\n  G28 X"}
+    printer = ready(start, {"allow_delayed_detach": "True", **homing})
+    printer.run(TWIST)
+    printer.run("TESTZ Z=-9\nACCEPT")
+    assert where(printer) == "docked"
+    printer.run("ABORT")
+
+
+# How a twist comes to its end, and whether without an error
+ENDED = {
+    "aborted": (f"{TWIST}\nABORT", True),
+    "accepted": (f"{TWIST} SAMPLE_COUNT=2\nACCEPT\nACCEPT", True),
+    "refused": (f"{TWIST} SAMPLE_COUNT=1", False),
+}
+
+
+@every_host
+@pytest.mark.parametrize("end", ENDED)
+def test_probe_that_is_held_stays_on_after_a_twist(start, end):
+    script, is_done = ENDED[end]
+    printer = ready(start)
+    (printer.run if is_done else printer.fail)(script)
+    begun = len(trips(printer))
+    printer.run(
+        f"ATTACH_PROBE\n{OVER}PROBE\nBED_MESH_CALIBRATE PROBE_COUNT=3,3"
+    )
+    assert trips(printer, begun) == ["attach"]
+    assert where(printer) == "attached"
+
+
+def test_probe_stays_on_after_a_twist_where_no_trips_are_wanted(start):
+    printer = ready(start)
+    printer.run(f"{TWIST}\nABORT\nSET_DOCKABLE_PROBE AUTO_ATTACH_DETACH=0")
+    printer.run(f"ATTACH_PROBE\n{OVER}PROBE\nPROBE")
+    assert where(printer) == "attached"
+
+
+# The owner wants the head to stay there
+@pytest.mark.parametrize("command", ["PROBE", "PROBE_ACCURACY SAMPLES=2"])
+def test_docking_as_the_owner_wants_it_after_a_twist(start, command):
+    printer = ready(start, {"restore_toolhead": "False"})
+    printer.run(f"{TWIST}\nABORT\n{OVER}{command}\nM400")
+    assert printer.session.position()[:2] == pytest.approx((90.0, 308.0))
+
+
 def test_another_method_probes_as_before(start):
     printer = ready(start)
     printer.run("ATTACH_PROBE\nBED_MESH_CALIBRATE PROBE_COUNT=3,3")

@@ -29,6 +29,14 @@ PROBE_THEN_PAPER = {
     "PROBE_CALIBRATE": False,
     "AXIS_TWIST_COMPENSATION_CALIBRATE": True,
 }
+# What else uses the probe, or says who holds it
+OTHERS = (
+    "ATTACH_PROBE",
+    "PROBE",
+    "PROBE_ACCURACY",
+    "SET_DOCKABLE_PROBE",
+    "SET_PROBE_STATUS",
+)
 
 
 # Where our probe is, and its way onto the head and off it, as core.carrying asks
@@ -116,7 +124,7 @@ class Carrier(object):
     ######################################################################
 
     def _guard_commands(self):
-        wrap = self.host.wrap_command
+        wrap = self._guard
         wrap("G28", self._before_homing)
         for name in BY_HAND:
             wrap(name, self._before_paper)
@@ -124,6 +132,24 @@ class Carrier(object):
             wrap(name, self._before_manual_method)
         for name, asks_again in PROBE_THEN_PAPER.items():
             wrap(name, functools.partial(self._around_paper, asks_again))
+        for name in OTHERS:
+            wrap(name, lambda command, gcmd: command(gcmd))
+
+    def _guard(self, name, around):
+        def guarded(command, gcmd):
+            self._end_asking_again()
+            around(command, gcmd)
+
+        self.host.wrap_command(name, guarded)
+
+    # No host tells when a command that asks again has ended.  Between its points a
+    # person is asked; the owner's G-code on the way to the dock is part of one.
+    def _end_asking_again(self):
+        if not (
+            self.host.probing.is_manual_probing()
+            or self.prober.docking.is_busy()
+        ):
+            self.prober.holder.delay.forbid(False)
 
     def _before_homing(self, command, gcmd):
         self.prober.docking.leave()
@@ -148,8 +174,11 @@ class Carrier(object):
             # It goes straight to its first point, before the probe is fetched.
             self.prober.docking.leave()
         delay = self.prober.holder.delay
+        # What is refused changes nothing: another one may be asking.
+        is_forbidden = delay.is_forbidden
         delay.forbid(True)
         try:
             command(gcmd)
+            is_forbidden = asks_again and self.auto
         finally:
-            delay.forbid(asks_again and self.auto)
+            delay.forbid(is_forbidden)

@@ -229,6 +229,10 @@ class Docking(object):
         if not self.settings.deactivate_on_each_sample:
             self.run_still("deactivate_gcode")
 
+    # Whether G-code of the owner's may be running
+    def is_busy(self):
+        return self.is_on_trip or self.running is not None
+
     # Fetching it for what runs in the middle of fetching it would never end.
     def check_idle(self):
         if self.running is not None:
