@@ -48,18 +48,22 @@ def owner(start, scene=SWITCH, faults=(), **options):
     return user
 
 
-def find(user: Owner) -> None:
-    """The places, up to the trial."""
+def find(user: Owner, until: str = "FETCH") -> None:
+    """The places, up to the trial or to a step before."""
     user.begin()
     user.press("Next")
     user.go("X50 Y270", "Y306")
     user.jog("Y", 2.0)
-    user.press("Here")
-    user.go("X90")
-    user.press("Here")
-    user.go("Y270", "X50")
-    user.press("Here")
-    user.press("Same")
+    for label, places in (
+        ("Here", ["X90"]),
+        ("Here", ["Y270", "X50"]),
+        ("Here", []),
+        ("Same", []),
+    ):
+        if user.step() == until:
+            return
+        user.press(label)
+        user.go(*places)
 
 
 @pytest.mark.every_host
@@ -212,6 +216,19 @@ def test_not_homed(start):
     user.put_on()
     user.begin()
     assert "not homed: X, Y; home first (G28 X Y)" in user.refused("Next")
+
+
+# A hand may have moved it, and what the host says of X and Y is as before
+@pytest.mark.parametrize("step", ["DOCK", "OUT", "APPROACH", "INSERT"])
+def test_place_is_not_taken_where_the_motors_are_off(start, step):
+    user = owner(start)
+    find(user, until=step)
+    assert user.step() == step
+    user.printer.run("M84")
+    text = user.refused("Here")
+    assert "not homed: X, Y; nobody knows where the head is" in text
+    assert "by hand, and home (G28 X Y)" in text
+    assert user.step() == step
 
 
 def test_section_in_an_included_file(start, tmp_path):

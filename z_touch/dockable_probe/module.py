@@ -10,6 +10,7 @@ import logging
 
 from .. import __version__
 from ..core import host, notes, options, running
+from ..core.errors import CalibrationError
 from . import checks, detour
 from .carrier import Carrier
 from .docking import DOCK, FETCH, IF_DOCKED, Docking
@@ -175,6 +176,11 @@ class DockableProbe(object):
     cmd_ATTACH_PROBE_help = "Fetch the probe"
 
     def cmd_ATTACH_PROBE(self, gcmd):
+        try:
+            # The nozzle is lowered onto the paper next.
+            running.check_no_manual_probe(self.host)
+        except CalibrationError as e:
+            raise self.host.error(str(e))
         # Until it was fetched nobody holds it.
         self.prober.holder.hold(False)
         goal = self.moves.position()

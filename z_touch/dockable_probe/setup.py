@@ -149,15 +149,9 @@ class Setup(object):
 
     def _check_on(self, answer):
         self._require(ATTACHED, "put it on the head, or correct pin (!)")
-        missing = [
-            a for a in self._axes() if not self.section.moves.is_homed(a)
-        ]
-        if missing:
-            axes = " ".join(missing).upper()
-            raise CalibrationError(
-                "not homed: %s; home first (G28 %s), if the probe is on with"
-                " room below it" % (axes.replace(" ", ", "), axes)
-            )
+        self._require_homed(
+            "home first (G28 %s), if the probe is on with room below it"
+        )
 
     def _take_dock(self, answer):
         self._require(ATTACHED, "the magnets have to hold it still")
@@ -199,6 +193,18 @@ class Setup(object):
                 " 40" % (apart, LEAST_WAY)
             )
         self.state.positions[OPTION_OF[name]] = here
+
+    # 'remedy' takes the axes; raises CalibrationError
+    def _require_homed(self, remedy):
+        missing = [
+            a for a in self._axes() if not self.section.moves.is_homed(a)
+        ]
+        if missing:
+            axes = " ".join(missing).upper()
+            raise CalibrationError(
+                "not homed: %s; %s"
+                % (axes.replace(" ", ", "), remedy % (axes,))
+            )
 
     # With the probe where it has to be; raises CalibrationError
     def _require(self, state, remedy):
@@ -245,7 +251,12 @@ class Setup(object):
     def _axes(self):
         return "xy" if self.section.settings.dock_fixed_z else "xyz"
 
+    # Where the motors are off a hand may have moved it.
     def _here(self):
+        self._require_homed(
+            "nobody knows where the head is; move it clear of the dock by hand, and"
+            " home (G28 %s)"
+        )
         place = self.section.moves.position()
         x, y, z = [None if at is None else round(at, 3) for at in place]
         return Position(x, y, None if self.section.settings.dock_fixed_z else z)
