@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import pytest
 
 from simprinter import Fault
@@ -58,12 +60,13 @@ def find(user: Owner, until: str = "FETCH") -> None:
         ("Here", ["X90"]),
         ("Here", ["Y270", "X50"]),
         ("Here", []),
-        ("Same", []),
     ):
         if user.step() == until:
             return
         user.press(label)
         user.go(*places)
+    if until == "FETCH":
+        user.press("Same")
 
 
 @pytest.mark.every_host
@@ -229,6 +232,47 @@ def test_place_is_not_taken_where_the_motors_are_off(start, step):
     assert "not homed: X, Y; nobody knows where the head is" in text
     assert "by hand, and home (G28 X Y)" in text
     assert user.step() == step
+
+
+# The second time the dock is entered the same way.  What 'Save' has written the first
+# time does not stay in force, nor what SAVE_CONFIG has refused then.
+@pytest.mark.parametrize("is_refused", [False, True])
+def test_two_set_ups_in_a_row(start, is_refused):
+    user = owner(start, scene=refusing(SWITCH) if is_refused else SWITCH)
+    printer = user.printer
+    find(user, until="INSERT")
+    user.go("Y262")
+    for label in ("Here", "Fetch", "Dock"):
+        user.press(label)
+    assert "insert_position: 50.000, 262.000" in user.dialog().text
+    if is_refused:
+        assert "no" in user.refused("Save")
+        user.press("Abort")
+    else:
+        printer.session.restart(user.dialog().gcode("Save"))
+        printer.run("G28")
+    user.go("X150 Y150 Z20")
+    user.put_on()
+    find(user)
+    for label in ("Fetch", "Dock"):
+        user.press(label)
+    assert "insert_position: 50.000, 270.000" in user.dialog().text
+    if is_refused:
+        user.refused("Save")
+    script = "REALLY_SAVE" if is_refused else user.dialog().gcode("Save")
+    printer.session.restart(script)
+    settings = printer.status("configfile")["settings"]["dockable_probe"]
+    assert tuple(settings["insert_position"]) == (50.0, 270.0)
+
+
+def refusing(scene):
+    """The same, but for SAVE_CONFIG."""
+    macro = {
+        "rename_existing": "REALLY_SAVE",
+        "gcode": "\n  {action_raise_error('no')}",
+    }
+    sections = {**scene.sections, "gcode_macro SAVE_CONFIG": macro}
+    return replace(scene, sections=sections)
 
 
 def test_section_in_an_included_file(start, tmp_path):

@@ -148,6 +148,16 @@ class Saver(object):
             for option, text in sorted((options or {}).items())
         ]
 
+    # What an option will be after the next SAVE_CONFIG, as text; None: nothing says
+    # so.  What SAVE_CONFIG has written before is in what klippy has read.
+    def given(self, section, option):
+        for waiting in self._pending():
+            if waiting[:2] == (section, option):
+                return waiting[2]
+        configfile = self.printer.lookup_object("configfile")
+        status = configfile.get_status(self.host.eventtime())
+        return status["config"].get(section, {}).get(option)
+
     # Whether anything of a section does
     def is_waiting(self, section):
         return any(value[0] == section for value in self._pending())

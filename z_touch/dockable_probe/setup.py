@@ -372,7 +372,7 @@ class Setup(object):
 
     # What is to be written: those that are not as another one is anyway
     def _values(self):
-        positions, where = self.state.positions, self.saver.where
+        positions, given = self.state.positions, self.saver.given
         values = [
             (name, written(positions[name]))
             for name in (
@@ -384,7 +384,7 @@ class Setup(object):
         approach = positions["approach_position"]
         for name in ("extract_position", "insert_position"):
             place = positions.get(name, approach)
-            if place != approach or where(self.host.section, name):
+            if place != approach or given(self.host.section, name):
                 values.append((name, written(place)))
         return values
 
