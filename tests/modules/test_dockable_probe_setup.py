@@ -7,7 +7,16 @@ from dataclasses import replace
 import pytest
 
 from simprinter import Fault
-from tools.kit.dockable_probe import ABOVE, QUICK, SWITCH, section, trips, where
+from tools.kit.dockable_probe import (
+    ABOVE,
+    CLEAR,
+    FRAME,
+    QUICK,
+    SWITCH,
+    section,
+    trips,
+    where,
+)
 from tools.kit.scenes import heated
 from tools.kit.setup_user import User
 
@@ -273,6 +282,60 @@ def refusing(scene):
     }
     sections = {**scene.sections, "gcode_macro SAVE_CONFIG": macro}
     return replace(scene, sections=sections)
+
+
+# 28 mm before the dock, where klippy refuses 38; 28.0179 is not rounded up
+@pytest.mark.parametrize(
+    ("given", "place", "wanted"),
+    [
+        ("38", "X50", "28.000"),
+        ("38", "X51", "28.017"),
+        ("27", "X50", None),
+        (None, "X50", None),
+    ],
+)
+def test_way_around_the_dock_fits_what_was_found(start, given, place, wanted):
+    user = owner(start, safe_dock_distance=given)
+    find(user, until="APPROACH")
+    user.go(f"Y280 {place}")
+    for label in ("Here", "Same", "Fetch", "Dock"):
+        user.press(label)
+    line = f"safe_dock_distance: {wanted}\n"
+    assert (line in user.dialog().text) is (wanted is not None)
+    user.printer.session.restart(user.dialog().gcode("Save"))
+    user.printer.session.require_ready()
+    settings = user.printer.status("configfile")["settings"]["dockable_probe"]
+    distance = float(wanted or given or 28.0)
+    assert settings["safe_dock_distance"] == pytest.approx(distance)
+    user.printer.run("G28\nG90\nG1 X150 Y150 Z20 F6000\nPROBE")
+    assert where(user.printer) == "docked"
+
+
+# It goes up and down with the head, which is so much higher there
+def test_z_of_a_dock_at_the_height_of_the_head_is_kept(start):
+    placed = {
+        name: FRAME.sections["dockable_probe"][name]
+        for name in ("dock_position", "approach_position", "detach_position")
+    }
+    user = owner(start, FRAME, **placed)
+    user.go("Z40", "X44 Y200")
+    user.begin()
+    user.press("Next")
+    user.go("X2")
+    user.press("Here")
+    user.go("Y240")
+    user.press("Here")
+    user.go("X44", "Y200")
+    for label in ("Here", "Same"):
+        user.press(label)
+    assert "dock 2.000, 200.000, 8.000, out to" in user.dialog().text
+    user.press("Fetch")
+    # As high as it will be
+    user.go("Z9")
+    user.press("Dock")
+    assert user.position()[2] == pytest.approx(CLEAR + 8.0)
+    assert "dock_position: 2.000, 200.000, 8.000\n" in user.dialog().text
+    assert user.dialog().text.count("200.000, 8.000") == 1
 
 
 def test_section_in_an_included_file(start, tmp_path):

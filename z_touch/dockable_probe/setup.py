@@ -23,7 +23,7 @@ from ..core.errors import CalibrationError
 from . import checks, detour
 from .detour import Position
 from .sensors import ATTACHED, DOCKED
-from .settings import nearest_distance
+from .settings import DISTANCE, nearest_distance
 from .texts import ORDER, STEPS
 
 COMMAND = "DOCKABLE_PROBE_SETUP"
@@ -155,7 +155,11 @@ class Setup(object):
 
     def _take_dock(self, answer):
         self._require(ATTACHED, "the magnets have to hold it still")
-        self.state.positions = {"dock_position": self._here()}
+        settings, here = self.section.settings, self._here()
+        if settings.dock_fixed_z:
+            # That is no place of the head's, but how much higher it has to be there.
+            here = here._replace(z=settings.dock_position.z)
+        self.state.positions = {"dock_position": here}
 
     def _take_out(self, answer):
         self._require(
@@ -220,10 +224,14 @@ class Setup(object):
     # The trial
     ######################################################################
 
+    # All of the dock's, by their options
+    def _positions(self):
+        found = self.state.positions
+        return dict(found, extract_position=found["approach_position"])
+
     # The section's settings with what was found, and slow
     def _found(self):
-        settings, positions = self.section.settings, dict(self.state.positions)
-        positions["extract_position"] = positions["approach_position"]
+        settings, positions = self.section.settings, self._positions()
         positions.update(
             safe_dock_distance=nearest_distance(positions),
             travel_speed=JOG_SPEED,
@@ -372,7 +380,7 @@ class Setup(object):
 
     # What is to be written: those that are not as another one is anyway
     def _values(self):
-        positions, given = self.state.positions, self.saver.given
+        positions, given = self._positions(), self.saver.given
         values = [
             (name, written(positions[name]))
             for name in (
@@ -381,11 +389,20 @@ class Setup(object):
                 "detach_position",
             )
         ]
-        approach = positions["approach_position"]
         for name in ("extract_position", "insert_position"):
-            place = positions.get(name, approach)
-            if place != approach or given(self.host.section, name):
+            place = positions[name]
+            is_default = place == positions["approach_position"]
+            if not is_default or given(self.host.section, name):
                 values.append((name, written(place)))
+        distance = given(self.host.section, DISTANCE.name)
+        nearest = nearest_distance(positions)
+        if distance is not None and float(distance) > nearest:
+            # klippy would refuse it, and what is rounded up.
+            text = "%.3f" % (nearest,)
+            is_up = float(text) > nearest
+            values.append(
+                (DISTANCE.name, "%.3f" % (nearest - 0.001) if is_up else text)
+            )
         return values
 
     # What has failed is asked again: nothing is over before klippy restarts.
