@@ -12,6 +12,7 @@ from tools.kit.dockable_probe import (
     CLEAR,
     FRAME,
     QUICK,
+    SENSED,
     SWITCH,
     section,
     trips,
@@ -336,6 +337,64 @@ def test_z_of_a_dock_at_the_height_of_the_head_is_kept(start):
     assert user.position()[2] == pytest.approx(CLEAR + 8.0)
     assert "dock_position: 2.000, 200.000, 8.000\n" in user.dialog().text
     assert user.dialog().text.count("200.000, 8.000") == 1
+
+
+# In the dock one tells that it is on the head, the other that it is docked
+@pytest.mark.parametrize(
+    "options",
+    [
+        {},
+        {"check_open_attach": None},
+        {"probe_sense_pin": None},
+        {"dock_sense_pin": None},
+        {"check_open_attach": None, "probe_sense_pin": None},
+        {"check_open_attach": None, "dock_sense_pin": None},
+    ],
+    ids=lambda options: ", ".join(options) or "all",
+)
+def test_with_sensors(start, options):
+    user = sensed(start, **options)
+    find(user)
+    for label in ("Fetch", "Dock"):
+        user.press(label)
+    assert where(user.printer) == "docked"
+    user.printer.session.restart(user.dialog().gcode("Save"))
+    user.printer.run("G28")
+    assert where(user.printer) == "docked"
+
+
+@pytest.mark.parametrize(
+    ("signal", "words"),
+    [
+        ("probe_sense", "probe_sense_pin reads open, dock_sense_pin reads TRI"),
+        (
+            "dock_sense",
+            "probe_sense_pin reads TRIGGERED, dock_sense_pin reads o",
+        ),
+    ],
+)
+def test_sensor_that_says_nothing_in_the_dock(start, signal, words):
+    user = sensed(start)
+    find(user, until="DOCK")
+    user.printer.machine.break_down(Fault("stuck_open", signal=signal, t=0.0))
+    text = user.refused("Here")
+    assert "the probe is not on the head and in the dock at once (pin " in text
+    assert words in text
+    wanted = (
+        "probe_sense_pin TRIGGERED, dock_sense_pin TRIGGERED, pin open; the"
+    )
+    assert f"expected {wanted}" in text
+    assert user.step() == "DOCK"
+
+
+def sensed(start, **options):
+    """An owner of sensors, whose Z is homed with the probe."""
+    printer = start(SENSED, section(**{**UNKNOWN, **QUICK, **options}))
+    printer.session.require_ready()
+    printer.run("G28 X Y")
+    user = Owner(printer)
+    user.put_on()
+    return user
 
 
 def test_section_in_an_included_file(start, tmp_path):

@@ -11,6 +11,11 @@ from ..core.carrying import ATTACHED, DOCKED, UNKNOWN
 Sense = collections.namedtuple("Sense", "name endstop when_attached")
 
 
+# What a pin reads, for people
+def level(is_triggered):
+    return "TRIGGERED" if is_triggered else "open"
+
+
 # What tells where the probe is
 class Sensors(object):
     # 'settings': settings.Settings
@@ -104,6 +109,22 @@ class Sensors(object):
             return state
         return self.look()
 
+    # The pins that tell where the probe is, and whether each reads TRIGGERED with
+    # the probe on the head and in the dock at once
+    def when_joined(self):
+        asked = [(sense, True) for sense in self.senses]
+        if self.is_pin_asked or not asked:
+            asked.append((self.pin, False))
+        return asked
+
+    # Whether they read so after all moves
+    def is_joined(self):
+        print_time = self.host.after_moves()
+        return all(
+            self.is_triggered(sense, print_time) == wanted
+            for sense, wanted in self.when_joined()
+        )
+
     # While the probe is in the dock
     def look_at_switch(self):
         print_time = self.host.print_time()
@@ -122,9 +143,6 @@ class Sensors(object):
         print_time = self.host.after_moves()
         return ", ".join(
             "%s reads %s"
-            % (
-                sense.name,
-                "TRIGGERED" if self.is_triggered(sense, print_time) else "open",
-            )
+            % (sense.name, level(self.is_triggered(sense, print_time)))
             for sense in [self.pin] + self.senses
         )
