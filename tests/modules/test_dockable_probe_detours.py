@@ -10,8 +10,10 @@ from simprinter.world import Pose
 from tools.kit.dockable_probe import (
     ABOVE,
     CLEAR,
+    FRAME,
     GANTRY,
     QUICK,
+    SERVO,
     SWITCH,
     refusal,
     section,
@@ -153,6 +155,39 @@ def test_no_homing_across_the_dock_where_docking_has_left_the_head(start):
     printer.run("G1 X150 Y150 Z20 F6000\nPROBE")
     assert at(printer) == pytest.approx((130.0, 308.0))
     printer.run("G28 X")
+    printer.machine.truth.require_no_crash()
+
+
+# Straight before the dock homing goes into it; beside it, where docking has left
+# the head, it does not.  It went 0.0 mm deep, and 2.8 where the dock is swung away.
+@pytest.mark.every_host
+@pytest.mark.parametrize("scene", [SWITCH, SERVO], ids=lambda s: s.name)
+@pytest.mark.parametrize(
+    ("script", "is_moved"),
+    [
+        ("ATTACH_PROBE\nDETACH_PROBE", False),
+        ("ATTACH_PROBE", True),
+        ("MOVE_TO_APPROACH_PROBE", True),
+        ("MOVE_TO_DOCK_PROBE", False),
+    ],
+)
+def test_no_homing_into_the_dock(start, scene, script, is_moved):
+    printer = start(scene, section(restore_toolhead="False", **QUICK)).homed()
+    printer.run(f"G1 X150 Y150 Z20 F6000\n{script}\nG28 Y")
+    # On the side where X ends, as far away as its nearest position
+    x = printer.session.position()[0]
+    assert x == pytest.approx(88.0 if is_moved else DETACH[0], abs=0.01)
+    printer.run("G28 X")
+    printer.machine.truth.require_no_crash()
+
+
+# In either order, as macros have it
+@pytest.mark.parametrize("command", ["G28 X Y", "G28", "G28 X\nG28 Y"])
+@pytest.mark.parametrize("scene", [SWITCH, FRAME], ids=lambda s: s.name)
+def test_homing_from_each_position_of_the_dock(start, scene, command):
+    printer = start(scene, section(restore_toolhead="False", **QUICK)).homed()
+    for position in ("APPROACH", "EXTRACT", "INSERT", "DETACH"):
+        printer.run(f"MOVE_TO_{position}_PROBE\n{command}")
     printer.machine.truth.require_no_crash()
 
 

@@ -220,3 +220,49 @@ def test_angle_between_two_ways_out(extract, detach, degrees):
 def test_lowest_touch(z_offset, with_probe, pin_z, lowest):
     z = settings_of.lowest_touch(z_offset, with_probe, pin_z)
     assert z == pytest.approx(lowest)
+
+
+# Homing
+
+
+END = st.sampled_from([0.0, 300.0])
+
+
+@given(
+    zone=zones(),
+    start=point,
+    ends=st.dictionaries(st.sampled_from([0, 1]), END, min_size=1),
+)
+def test_homing_from_a_place_stays_out_of_the_circle(zone, start, ends):
+    places = detour.places_for_homing(start, ends, zone, LIMITS)
+    far = [math.dist(start, place) for place in places]
+    assert far == sorted(far)
+    for place in places:
+        assert detour.is_within(place, LIMITS)
+        for axes in {tuple(sorted(ends)), tuple(sorted(ends))[::-1]}:
+            here = list(place)
+            for axis in axes:
+                length = ends[axis] - here[axis]
+                for part in range(51):
+                    at = list(here)
+                    at[axis] += length * part / 50.0
+                    assert detour.distance(at, zone) > zone.radius - 0.01
+                here[axis] = ends[axis]
+
+
+@pytest.mark.parametrize(
+    ("ends", "wanted"),
+    [
+        # Straight before the dock: to either side, and to the right with X
+        ({1: 310.0}, (12.0, 270.0)),
+        ({0: 300.0, 1: 310.0}, (88.0, 270.0)),
+        # Away from it
+        ({1: 0.0}, (50.0, 270.0)),
+        # In the corner of the dock
+        ({0: 40.0, 1: 310.0}, None),
+    ],
+)
+def test_nearest_place_to_home_from(ends, wanted):
+    zone = detour.Zone(50.0, 308.0, 38.0, [(0.0, -1.0), (1.0, 0.0)])
+    places = detour.places_for_homing((50.0, 270.0), ends, zone, LIMITS)
+    assert (places[0] if places else None) == wanted

@@ -108,6 +108,22 @@ class Axes(object):
                 return axis
         return None
 
+    # Where homing X (0) and Y (1) ends (mm), by the axis; empty on machines that
+    # home in another way, and where there are two heads
+    def xy_ends(self):
+        found = {}
+        if self.has_two_heads():
+            return found
+        kinematics = self._kinematics()
+        rails = list(getattr(kinematics, "rails", []))
+        for carriage in getattr(kinematics, "carriages", {}).values():
+            rails.append(carriage.get_rail())
+        for rail in rails:
+            axis = self.homed_axis([rail])
+            if axis is not None:
+                found[axis] = rail.get_homing_info().position_endstop
+        return found
+
     # Where the motors say that the head is in X and Y (mm), whatever the host
     # believes: only differences mean something.
     def motors_xy(self):

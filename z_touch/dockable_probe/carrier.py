@@ -152,7 +152,12 @@ class Carrier(object):
             self.prober.holder.delay.forbid(False)
 
     def _before_homing(self, command, gcmd):
-        self.prober.docking.leave()
+        axes = [
+            number
+            for number, axis in enumerate("XYZ")
+            if gcmd.get(axis, None) is not None
+        ]
+        self.prober.docking.leave(axes or (0, 1, 2))
         command(gcmd)
 
     def _before_paper(self, command, gcmd):

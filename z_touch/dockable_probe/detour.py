@@ -255,3 +255,43 @@ def out_of_corner(start, end, zone, limits, trace, via=None):
         corner = tuple(back)
         came.append(corner)
     raise NoDetour()
+
+
+######################################################################
+# Homing beside the dock
+######################################################################
+
+
+# The lines (from, to) that homing goes from a place: along each axis to its end, in
+# either order, which macros choose.  'ends' are mm by the axis (0: X).
+def homing_lines(place, ends):
+    for order in (sorted(ends), sorted(ends, reverse=True)):
+        here = tuple(place[:2])
+        for axis in order:
+            there = list(here)
+            there[axis] = ends[axis]
+            yield here, tuple(there)
+            here = tuple(there)
+
+
+# Whether homing from a place stays out of the circle around the dock
+def is_clear_for_homing(place, ends, zone):
+    return all(
+        least_distance(start, end, zone) >= zone.radius - ROUNDING
+        for start, end in homing_lines(place, ends)
+    )
+
+
+# Places from where homing stays out of it: beside the circle, or where an axis ends;
+# the nearest one first
+def places_for_homing(start, ends, zone, limits):
+    choices = []
+    for axis, middle in enumerate((zone.x, zone.y)):
+        beside = [middle - zone.radius, middle + zone.radius]
+        choices.append([start[axis], ends.get(axis, start[axis])] + beside)
+    places = [(x, y) for x in choices[0] for y in choices[1]]
+    return [
+        place
+        for place in sorted(places, key=lambda place: distance(start, place))
+        if is_within(place, limits) and is_clear_for_homing(place, ends, zone)
+    ]

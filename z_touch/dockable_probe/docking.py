@@ -19,8 +19,9 @@ import contextlib
 import functools
 
 from ..core import running
+from . import detour
 from .sensors import ATTACHED, DOCKED, UNKNOWN
-from .settings import travel_height
+from .settings import POSITIONS, travel_height
 
 # A contradiction of pins is believed when it still is there so long (s) after.
 ASK_AGAIN = 0.5
@@ -334,16 +335,51 @@ class Docking(object):
             self.sensors.end_trip(trip.after)
         self.run("post_" + trip.gcode)
 
-    # Homing would begin across the dock.  Where nobody knows the way out, or the
-    # way is part of a trip, the head stays.
-    def leave(self):
+    # Homing, and what else goes straight on, would begin across the dock.  Where
+    # nobody knows the way out, or the way is part of a trip, the head stays.  'axes'
+    # are those that are homed (0: X).
+    def leave(self, axes=()):
         moves, settings = self.moves, self.settings
         if self.is_on_trip or not self._is_in_reach():
             return
+        is_left_beside = moves.is_left_beside()
         if moves.stands_in_dock():
             self.go_out(DOCK, settings.detach_position, settings.detach_speed)
-        elif moves.is_left_beside():
+        if self._is_beside() and self._make_way_for_homing(axes):
+            return
+        if is_left_beside:
             moves.go_beside(settings.approach_position)
+
+    # Whether the head stands at a position of the dock's, out of it
+    def _is_beside(self):
+        positions = [getattr(self.settings, row.name) for row in POSITIONS]
+        return any(
+            self.moves.is_at(position)
+            for position in positions
+            if not self.moves.is_in_dock(position)
+        )
+
+    # Rather for both axes: the other one may be homed next, from where this ends.
+    # Returns whether homing does not pass the dock now.
+    def _make_way_for_homing(self, axes):
+        ends = self.host.axes.xy_ends()
+        wanted = {axis: end for axis, end in ends.items() if axis in axes}
+        return bool(wanted) and (self._make_way(ends) or self._make_way(wanted))
+
+    # To the nearest place where that is so, see detour.homing_lines()
+    def _make_way(self, ends):
+        moves, via = self.moves, self.settings.safe_position
+        start, limits = moves.position(), self.host.axes.limits()[:2]
+        if detour.is_clear_for_homing(start, ends, moves.zone):
+            return True
+        for x, y in detour.places_for_homing(start, ends, moves.zone, limits):
+            try:
+                detour.around(start, (x, y), moves.zone, limits, via)
+            except detour.NoDetour:
+                continue
+            moves.go_beside(detour.Position(x, y, None))
+            return True
+        return False
 
     # The parts of the way are commands, so that a macro may stand in for one.
     def _visit_dock(self, trip):
