@@ -154,7 +154,18 @@ class Setup(object):
         )
 
     def _take_dock(self, answer):
-        self._require_joined()
+        sensors = self.section.sensors
+        if not sensors.is_joined():
+            # A sensor of the dock tells by now that it is there, too.
+            wanted = ", ".join(
+                "%s %s" % (sense.name, level(is_triggered))
+                for sense, is_triggered in sensors.when_joined()
+            )
+            raise CalibrationError(
+                "the probe is not on the head and in the dock at once (%s),"
+                " expected %s; the magnets of both have to hold it"
+                % (sensors.describe(), wanted)
+            )
         settings, here = self.section.settings, self._here()
         if settings.dock_fixed_z:
             # That is no place of the head's, but how much higher it has to be there.
@@ -218,20 +229,6 @@ class Setup(object):
             raise CalibrationError(
                 "the probe is %s (%s), and has to be %s; %s"
                 % (seen, sensors.describe(), state, remedy)
-            )
-
-    # A dock sensor tells by now that it is there, too; raises CalibrationError
-    def _require_joined(self):
-        sensors = self.section.sensors
-        if not sensors.is_joined():
-            wanted = ", ".join(
-                "%s %s" % (sense.name, level(is_triggered))
-                for sense, is_triggered in sensors.when_joined()
-            )
-            raise CalibrationError(
-                "the probe is not on the head and in the dock at once (%s),"
-                " expected %s; the magnets of both have to hold it"
-                % (sensors.describe(), wanted)
             )
 
     ######################################################################
