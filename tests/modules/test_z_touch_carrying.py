@@ -34,6 +34,8 @@ REASONS = {
     "held": ({}, "ATTACH_PROBE"),
     "delayed": ({"allow_delayed_detach": "True"}, "PROBE"),
 }
+# Down to where the nozzle is free, as those that shake the bed do
+GOES_DOWN = {"auto_z_offset": {"prepare_gcode": "\n  G90\n  G0 Z3\n  M400"}}
 every_host = pytest.mark.every_host
 
 
@@ -52,7 +54,7 @@ def untouched(printer):
 @pytest.mark.parametrize("reason", ["held", slow("delayed")])
 def test_probe_is_docked_before_the_nozzle_goes_down(start, reason, touch):
     options, fetch = REASONS[reason]
-    printer = ready(start, options)
+    printer = ready(start, options, GOES_DOWN)
     printer.run(f"{OVER}{fetch}")
     printer.machine.lay_membrane(touch.startswith("EXTRA"))
     printer.run(TOUCHES[touch])
@@ -86,7 +88,7 @@ def test_docking_is_not_delayed_where_the_nozzle_goes_down_next(start, touch):
 
 @pytest.mark.parametrize("touch", ["EXTRA_PROBE", "AUTO_Z_CALIBRATE"])
 def test_touch_is_refused_where_no_trips_are_wanted(start, touch):
-    printer = ready(start, {"auto_attach_detach": "False"})
+    printer = ready(start, {"auto_attach_detach": "False"}, GOES_DOWN)
     printer.run(f"{OVER}ATTACH_PROBE\nM400")
     height = printer.session.position()[2]
     text = printer.fail(TOUCHES[touch])

@@ -110,7 +110,8 @@ class SensorMeasurement(object):
     # where nothing is known of the bed.
     def measure(self, top):
         sampling = self.sampling
-        # Each time: a probe that is docked with a delay is there again
+        # Each time: prepare_gcode may have fetched it, and a probe that is docked
+        # with a delay is there again
         carrying.of(self.host.printer).free_nozzle(self.host)
         with errors.about("bed sensor"):
             self.come_down(top)
@@ -376,6 +377,8 @@ class Run(object):
         self.points = Points(site, radius)
         self.travel.go_to(site)
         self.watch.enter("prepare_gcode")
+        # It goes down to where the nozzle is free, and a probe on the head is not
+        carrying.of(self.host.printer).free_nozzle(self.host)
         self.run_prepare_gcode()
         running.check_homed(self.host)
         # It may have homed, too

@@ -50,6 +50,10 @@ OWN: dict[str, dict[str, Sequence[Optional[str]]]] = {
         "error_gcode": ("M117 x", "G28 X"),
         "bed_spread": ("3",),
     },
+    "auto_z_offset": {
+        # Down to where the nozzle is free, whatever hangs on the head
+        "prepare_gcode": ("G90\n  G0 Z3\n  M400", "G91\n  G0 Z-1\n  G90"),
+    },
     "dockable_probe": {
         "z_hop": ("0", "15"),
         # Out of reach
