@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from itertools import product
 
 import pytest
@@ -24,7 +25,9 @@ from tools.kit.auto_z_offset import (
     touches,
     true_gap,
 )
+from tools.kit.carrying import with_all
 from tools.kit.cases import all_slow_but, slow
+from tools.kit.docks import DOCK_SCENES, HANG
 from tools.kit.printer import Printer, module_files
 from tools.kit.scenes import SCENES
 from tools.kit.z_calibration import refusal
@@ -360,6 +363,62 @@ def test_levelling_does_not_end_what_home_z_has_set(start):
     assert "Z was set by AUTO_Z_HOME_Z" in printer.fail("AUTO_Z_LOAD_OFFSET")
     # Nor is the bed where the correction says
     printer.run("AUTO_Z_PROBE\nG28 Z\nAUTO_Z_LOAD_OFFSET")
+
+
+# In the second two pairs of motors turn as far, in the third by less than a step
+# more
+@pytest.mark.every_host
+@pytest.mark.parametrize(
+    "slope", [(0.0008, 0.0005), slow((0.0008, 0.0)), slow((0.0008, 0.000004))]
+)
+def test_levelling_of_the_host_does_not_end_it_either(start, slope):
+    scene = with_all(DOCK_SCENES["dock_gantry"])
+    bed = replace(scene.world.bed, slope_x=slope[0], slope_y=slope[1])
+    # The probe is wrong by so much, which somebody has measured
+    wrong = 1.2
+    options = section(
+        probe_z_correction=f"{0.15 - wrong}",
+        corrected_probe_z_offset=f"{HANG - wrong}",
+    )
+    hangs = {"z_calibration": None, "dockable_probe": {}, **options}
+    hangs["dockable_probe"]["z_offset"] = f"{HANG - wrong}"
+    printer = start(scene.with_world(bed=bed), hangs).homed()
+    printer.run("AUTO_Z_HOME_Z\nQUAD_GANTRY_LEVEL")
+    for command in ("LOAD_OFFSET", "SAVE_GCODE_OFFSET"):
+        text, before, after = before_and_after(printer, f"AUTO_Z_{command}")
+        assert "Z was set by AUTO_Z_HOME_Z" in text
+        assert after == before
+    # Nor is the bed where the correction says
+    printer.run("AUTO_Z_PROBE")
+    printer.run("G28 Z\nAUTO_Z_LOAD_OFFSET\nAUTO_Z_SAVE_GCODE_OFFSET")
+
+
+def test_z_that_is_set_after_levelling_is_another_one(start):
+    scene = with_all(DOCK_SCENES["dock_gantry"])
+    bed = replace(scene.world.bed, slope_x=0.0008, slope_y=0.0005)
+    changes = {
+        "force_move": {"enable_force_move": "true"},
+        "z_calibration": None,
+    }
+    printer = start(scene.with_world(bed=bed), changes).homed()
+    # The motors stay where levelling leaves them
+    printer.run("AUTO_Z_HOME_Z\nATTACH_PROBE\nQUAD_GANTRY_LEVEL")
+    assert "Z was set by AUTO_Z_HOME_Z" in printer.fail("AUTO_Z_LOAD_OFFSET")
+    z = printer.status("toolhead")["position"][2]
+    printer.run(f"SET_KINEMATIC_POSITION Z={z + 1.0}\nAUTO_Z_LOAD_OFFSET")
+
+
+# Z=0 is where the probe sees the bed then, as after G28
+@pytest.mark.every_host
+def test_z_tilt_sets_z_with_the_probe(start):
+    scene = with_all(DOCK_SCENES["dock_frame"])
+    bed = replace(scene.world.bed, slope_x=0.0008, slope_y=0.0005)
+    changes = {"z_calibration": None, **section(probe_z_correction="0.16")}
+    changes["dockable_probe"] = {"z_offset": f"{HANG - 0.4}"}
+    printer = start(scene.with_world(bed=bed), changes).homed()
+    printer.run("AUTO_Z_HOME_Z")
+    assert "Z was set by AUTO_Z_HOME_Z" in printer.fail("AUTO_Z_LOAD_OFFSET")
+    printer.run("Z_TILT_ADJUST\nAUTO_Z_LOAD_OFFSET")
 
 
 def test_homing_in_prepare_gcode_is_the_frame(start):

@@ -9,6 +9,9 @@ NOT_HOMED = "Z is not homed"
 # up to less than this (mm) is neither homing nor levelling.
 DATUM_NOISE = 0.02
 
+# Where no motor turns, all shifts are the same but for this (mm).
+ROUNDING = 0.000001
+
 
 # What happened to the frame since a mark was set
 class Frame(object):
@@ -18,6 +21,9 @@ class Frame(object):
         self.noted = []
         # Of the last time Z was set
         self.datum = []
+        # Where the motors stood when one of them had been levelled (empty: none
+        # was, or that has ended), and the datum before any was
+        self.levelled_at = self.unlevelled = []
         register = host.printer.register_event_handler
         register("toolhead:set_position", self._set)
         register("homing:home_rails_end", self._homed)
@@ -56,8 +62,36 @@ class Frame(object):
         if self.host.toolhead is None:
             return
         before, self.datum = self.datum, self.host.axes.z_datum()
-        if self._motors(before) == HOMED_OR_SET:
+        if self._ends_levelling(before):
+            shifts = self._shifts(self.unlevelled)
+            # [z_tilt] also makes Z=0 where the probe sees the bed; with
+            # [quad_gantry_level] the middle stays as high.
+            is_set = abs(sum(shifts)) > DATUM_NOISE * len(shifts)
+        else:
+            is_set = self._motors(before) == HOMED_OR_SET
+        if is_set:
             self._note(HOMED_OR_SET)
+
+    # The host levels one motor after another, and sets Z each time, which shifts
+    # those that are still to come.  In the end it shifts all of them, with none
+    # turned since.
+    def _ends_levelling(self, before):
+        shifts, stands = self._shifts(before), self.host.axes.z_motors()
+        if not shifts or max(map(abs, shifts)) <= ROUNDING:
+            # Of two motors that turn as far
+            return False
+        spread = max(shifts) - min(shifts)
+        if spread > self.host.axes.z_step():
+            self.unlevelled = self.unlevelled if self.levelled_at else before
+            self.levelled_at = stands
+            return False
+        turned = [abs(a - b) for a, b in zip(stands, self.levelled_at)]
+        is_under_way = bool(turned) and max(turned) <= DATUM_NOISE
+        if is_under_way and spread > ROUNDING:
+            # Of a motor that turns by less than a step
+            return False
+        self.levelled_at = []
+        return is_under_way
 
     # Not sent where Z is homed with the probe since 2026-05-25 (5cbebdc3c)
     def _homed(self, homing_state, rails):
@@ -76,9 +110,13 @@ class Frame(object):
         self.noted.append(what)
 
     def _motors(self, datum):
-        shifts = [a - b for a, b in zip(self.host.axes.z_datum(), datum)]
+        shifts = self._shifts(datum)
         if not shifts or max(map(abs, shifts)) <= DATUM_NOISE:
             return ""
         if max(shifts) - min(shifts) > DATUM_NOISE:
             return LEVELLED
         return HOMED_OR_SET
+
+    # By how much (mm) each motor is elsewhere since
+    def _shifts(self, datum):
+        return [a - b for a, b in zip(self.host.axes.z_datum(), datum)]
