@@ -292,7 +292,7 @@ def test_saving_where_nobody_knows_the_zero(start, tmp_path):
 FLOOR_LINE = (
     "Continue lowers the nozzle; without a trigger it stops at z={:.3f}"
 )
-UNSAVED = "no calibration was saved yet, so that may be in the bed"
+UNSAVED = "no saved calibration holds, so that may be in the bed"
 
 
 @pytest.mark.parametrize(
@@ -425,7 +425,7 @@ def test_questions(start):
         "Flat on the bed, the nozzle clean.",
         "Press it once with a finger: Continue waits for it.",
         "Continue lowers the nozzle; without a trigger it stops at z=-1.000; no"
-        " calibration was saved yet, so that may be in the bed; watch, ready to"
+        " saved calibration holds, so that may be in the bed; watch, ready to"
         " stop.",
     ]
     first.assert_stands_alone()

@@ -5,13 +5,18 @@ Nothing gets hurt, and everything is as before.
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import pytest
 
 from simprinter import Fault
 from simprinter.hosts.session import GcodeError
 from simprinter.world import AxisSwitchSpec, NoiseSpec
+from tools.kit.carrying import OVER, SWITCH, with_all
 from tools.kit.cases import slow
 from tools.kit.dialogs import dialogs_of
+from tools.kit.dockable_probe import QUICK
+from tools.kit.docks import DOCK_SCENES, HANG
 from tools.kit.extra_probe import (
     ABORT,
     BED,
@@ -31,7 +36,7 @@ from tools.kit.extra_probe import (
     true_gap,
 )
 from tools.kit.printer import Printer
-from tools.kit.scenes import SCENES
+from tools.kit.scenes import SCENES, on_gantry
 
 DEEP = 3.0
 
@@ -399,6 +404,165 @@ def test_floor_above_the_head(start):
     printer.run(ABORT)
     printer.run(f"{CALIBRATE} FLOOR=12")
     fails(printer, "the head is at z=10.000, this touch ends at z=12.000")
+
+
+# Z=0 is not where G28 has put it
+
+TILTED = (0.0008, 0.0005)
+GANTRY = with_all(DOCK_SCENES["dock_gantry"])
+SCREWS = {"z": (-50.0, 18.0), "z1": (150.0, 348.0), "z2": (350.0, 18.0)}
+Z_TILT = {
+    "quad_gantry_level": None,
+    "z_tilt": {
+        "z_positions": "-50, 18\n  150, 348\n  350, 18",
+        "points": "40, 20\n  150, 230\n  250, 20",
+        "horizontal_move_z": "10",
+        "speed": "200",
+    },
+}
+# A probe whose z_offset is 0.6 mm wrong
+WRONG_PROBE = {"dockable_probe": {"z_offset": f"{HANG - 0.6}", **QUICK}}
+SET = "Z was homed again or set since G28"
+LEVELLED = "the Z motors were levelled since G28"
+SINCE_G28 = {
+    "QUAD_GANTRY_LEVEL": (SWITCH, {}, LEVELLED),
+    "Z_TILT_ADJUST": (
+        on_gantry(SWITCH, "three_screws", SWITCH.kinematics, **SCREWS),
+        {**Z_TILT, **WRONG_PROBE},
+        SET,
+    ),
+    "AUTO_Z_HOME_Z": (
+        GANTRY,
+        {"auto_z_offset": {"z_offset": "0.8"}, "z_calibration": None},
+        SET,
+    ),
+}
+
+
+def tilted(scene, slope=TILTED):
+    bed = replace(scene.world.bed, slope_x=slope[0], slope_y=slope[1])
+    return scene.with_world(bed=bed)
+
+
+def moved(start, script, saved=None):
+    """A printer whose Z=0 is elsewhere since G28, and the words for that."""
+    scene, changes, words = SINCE_G28[script]
+    scene = tilted(scene) if script == "QUAD_GANTRY_LEVEL" else scene
+    if saved:
+        changes = {**changes, **section(saved_homing_z=saved)}
+    printer = start(scene, changes=changes).homed()
+    printer.run(f"{script}\n{OVER}")
+    return printer, words
+
+
+@pytest.mark.every_host
+@pytest.mark.parametrize("script", SINCE_G28)
+def test_nothing_is_saved_where_g28_has_not_put_z(start, script):
+    printer, words = moved(start, script)
+    at = printer.session.position()
+    text = printer.fail(f"{CALIBRATE} SAVE=1")
+    assert f"SAVE=1: {words}, and what is saved counts from G28 on" in text
+    assert text.endswith("; run G28 first")
+    assert printer.session.position() == at
+    # As it is for now it can be right
+    lines = calibrate(printer)
+    told = f"{words[0].upper()}{words[1:]}: the offset will be right until"
+    assert any(told in line for line in printer.session.console)
+    assert any("--> new offset=" in line for line in lines)
+    assert printer.gap((60.0, 60.0)) == pytest.approx(0.0, abs=2 * MICROSTEP)
+    # After it all is as ever
+    printer.run(f"SET_GCODE_OFFSET Z=0\nG28 Z\n{OVER}")
+    count = len(printer.session.console)
+    calibrate(printer, f"{CALIBRATE} SAVE=1")
+    printer.session.restart("SAVE_CONFIG")
+    printer.run(f"G28\n{OVER}")
+    assert printer.gap((60.0, 60.0)) == pytest.approx(0.0, abs=2 * MICROSTEP)
+    assert not any(told in line for line in printer.session.console[count:])
+
+
+# Z=0.125, where touches end otherwise, is inside the bed
+@pytest.mark.every_host
+def test_saved_calibration_does_not_hold_where_z_was_set(start):
+    printer, words = moved(start, "AUTO_Z_HOME_Z", saved=f"{HANG}")
+    text = "\n".join(printer.run(CALIBRATE))
+    assert "no saved calibration holds, so that may be in the bed" in text
+    assert "the switch was not pressed yet" in printer.fail(CONTINUE)
+    printer.run(ABORT)
+    for command in ("EXTRA_PROBE", "EXTRA_PROBE_ACCURACY"):
+        at = printer.session.position()
+        text = printer.fail(f"{command} PROBE=membrane")
+        assert f"{words}, and the saved calibration does not tell any" in text
+        assert text.endswith("; run G28 first, or set position_min")
+        assert printer.session.position() == at
+    assert printer.machine.truth.depth("nozzle_bed") < 0.05
+    printer.run(f"G28 Z\n{OVER}")
+    printer.machine.lay_membrane()
+    printer.run("EXTRA_PROBE PROBE=membrane")
+
+
+# By 0.06 mm; half a membrane is left over the bed
+def test_saved_calibration_holds_after_a_little_levelling(start):
+    scene = tilted(SWITCH, (0.0003, 0.0))
+    zero = SWITCH.number("stepper_z", "position_endstop")
+    changes = section(saved_homing_z=f"{zero}")
+    printer = start(scene, changes=changes).homed()
+    printer.run(f"QUAD_GANTRY_LEVEL\n{OVER}")
+    assert "(stopped at z=0.12" in printer.fail("EXTRA_PROBE PROBE=membrane")
+    assert LEVELLED in printer.fail(f"{CALIBRATE} SAVE=1")
+    printer.session.wait(5.0)
+    printer.machine.lay_membrane()
+    printer.run("EXTRA_PROBE PROBE=membrane")
+
+
+# It changes nothing
+def test_levelling_of_what_is_level(start):
+    printer = start(SWITCH).homed()
+    printer.run(f"QUAD_GANTRY_LEVEL\n{OVER}")
+    calibrate(printer, f"{CALIBRATE} SAVE=1")
+
+
+# What comes after it in there is no homing
+@pytest.mark.every_host
+@pytest.mark.parametrize("wrapped", ["homing_override", slow("macro")])
+@pytest.mark.parametrize("homes", [False, True])
+def test_levelling_in_g28(start, homes, wrapped):
+    gcode = ["", "G28.1 X Y", "G90", "G1 X206 Y306 F9000", "G28.1 Z"]
+    gcode += ["G1 Z20 F900", "QUAD_GANTRY_LEVEL"]
+    if homes:
+        gcode += ["G1 X206 Y306 Z20 F9000", "G28.1 Z"]
+    code = "\n  ".join([*gcode, "G1 Z20 F900"])
+    changes = {"safe_z_home": None}
+    if wrapped == "macro":
+        macro = {"rename_existing": "G28.1", "gcode": code}
+        changes["gcode_macro G28"] = macro
+    else:
+        code = code.replace("G28.1", "G28")
+        changes["homing_override"] = {"axes": "z", "gcode": code}
+    printer = start(tilted(SWITCH), changes=changes).homed()
+    if homes:
+        calibrate(printer, f"{CALIBRATE} SAVE=1")
+    else:
+        assert LEVELLED in printer.fail(f"{CALIBRATE} SAVE=1")
+
+
+def test_z_that_nobody_has_homed(start):
+    changes = {"force_move": {"enable_force_move": "true"}}
+    printer = start("membrane", changes=changes)
+    printer.session.require_ready()
+    printer.run("SET_KINEMATIC_POSITION X=100 Y=100 Z=10")
+    text = printer.fail(f"{CALIBRATE} SAVE=1")
+    assert "SAVE=1: Z was not homed with G28, and what is saved" in text
+    text = "\n".join(printer.run(CALIBRATE))
+    assert "Z was not homed with G28: the offset will be right until" in text
+
+
+# Its Z motor moves X, too, and tells nothing
+@pytest.mark.every_host
+def test_saving_where_the_motors_do_not_tell(start):
+    scene = with_all(SCENES["corexz"])
+    changes = {"auto_z_offset": None, "z_calibration": None}
+    printer = start(scene, changes=changes).homed()
+    printer.run(f"{CALIBRATE} SAVE=1\n{ABORT}")
 
 
 def printing(tmp_path, lines):

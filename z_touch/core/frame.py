@@ -56,6 +56,10 @@ class Frame(object):
     def _is_homed(self):
         return "z" in self.host.toolhead_status()["homed_axes"]
 
+    # By how much (mm) the motor that has moved most is elsewhere now
+    def moved_by(self, mark):
+        return max([abs(shift) for shift in self._shifts(mark[1])] or [0.0])
+
     # Homing sets Z somewhere else at first, on every host; it may come back
     # to where it was.
     def _set(self):
@@ -120,3 +124,46 @@ class Frame(object):
     # By how much (mm) each motor is elsewhere since
     def _shifts(self, datum):
         return [a - b for a, b in zip(self.host.axes.z_datum(), datum)]
+
+
+# The frame that G28 has left: only there a height says what Z is to be homed at.
+class HomedFrame(object):
+    def __init__(self, frame):
+        self.host = frame.host
+        self.frame = frame
+        # None: nobody has homed Z with it
+        self.mark = None
+        # How many of these commands have begun: one may have others in it
+        self.begun = 0
+        # All sections have registered their commands then, and no macro has
+        # taken the place of one.
+        register = self.host.printer.register_event_handler
+        register("klippy:mcu_identify", self._watch)
+
+    def _watch(self):
+        self.host.wrap_command("G28", self._around_homing)
+
+    # In a [homing_override] anything may follow, which is no homing.
+    def _around_homing(self, command, gcmd):
+        self.begun += 1
+        own, noted = self.begun, len(self.frame.noted)
+        command(gcmd)
+        if self.begun == own and len(self.frame.noted) > noted:
+            self.mark = self.frame.mark()
+
+    # What has moved it since, in words; empty: nothing has, or the motors do not
+    # tell
+    def moved(self):
+        if self.moved_by() <= DATUM_NOISE:
+            return ""
+        if self.mark is None:
+            return "Z was not homed with G28"
+        return "%s since G28" % (self.frame.moved_since(self.mark),)
+
+    # By how much (mm)
+    def moved_by(self):
+        if not self.host.axes.z_datum():
+            return 0.0
+        if self.mark is None:
+            return float("inf")
+        return self.frame.moved_by(self.mark)

@@ -7,7 +7,7 @@ import functools
 
 from ..core import carrying, dialogs, options, running, touching, z_pin
 from ..core.errors import CalibrationError
-from ..core.frame import Frame
+from ..core.frame import Frame, HomedFrame
 from ..core.sampling import summarize
 from . import heights
 from .finger import TRIGGERED, Finger
@@ -17,6 +17,9 @@ from .switches import TOO_LOW, Series
 TRAVEL_SPEED = 50.0  # mm/s, in XY
 SAME_POSITION = 0.1  # mm; a head further from where it was has been moved
 SOFT_TEMPERATURE = 60.0  # C; here the plastic of a membrane begins to melt
+
+# Without SAVE, with what has moved Z
+UNTIL_HOMED = "%s: the offset will be right until the next G28 only."
 
 # What waits for an answer: 'asks' for the "switch", or, with the height 'bed_z'
 # that was measured, for its "removal".  'floor' and 'save' are those of the
@@ -36,6 +39,8 @@ class Calibration(object):
         self.switch = switch
         self.pin = pin
         self.frame = Frame(host)
+        # What is saved counts from there on
+        self.homed = HomedFrame(self.frame)
         command = "EXTRA_PROBE_%s PROBE=" + name
         self.dialog = dialogs.Dialog(host, runner.watch.say, command)
         self.finger = Finger(host, switch, runner.watch.say)
@@ -94,6 +99,12 @@ class Calibration(object):
                 "SAVE=1: nobody knows where Z gets its zero with '%s'; leave"
                 " SAVE out" % (self.host.axes.z_axis.endstop_pin,)
             )
+        moved = self.homed.moved()
+        if save and moved:
+            raise CalibrationError(
+                "SAVE=1: %s, and what is saved counts from G28 on; run G28"
+                " first" % (moved,)
+            )
 
     def travel(self):
         settings, site = self.settings, self.settings.xy_position
@@ -108,11 +119,19 @@ class Calibration(object):
         settings, z_zero = self.settings, self.host.axes.z_zero()
         axis_min = self.host.axes.z_axis.position_min
         floor = heights.floor(
-            settings, z_zero, axis_min, floor_param, is_proved=True
+            settings,
+            z_zero,
+            axis_min,
+            floor_param,
+            is_proved=True,
+            moved_by=self.homed.moved_by(),
         )
         pin_z = z_pin.floor(self.host, self.pin)
         floor = heights.above_pin(floor, pin_z)
+        moved = self.homed.moved()
         says = []
+        if moved:
+            says.append(UNTIL_HOMED % (moved[0].upper() + moved[1:],))
         lowers = (
             "Continue lowers the nozzle; without a trigger it stops at z=%.3f."
         )
@@ -120,8 +139,8 @@ class Calibration(object):
             says.append("Press it once with a finger: Continue waits for it.")
             lowers = (
                 "Continue lowers the nozzle; without a trigger it stops at"
-                " z=%.3f; no calibration was saved yet, so that may be in the"
-                " bed; watch, ready to stop."
+                " z=%.3f; no saved calibration holds, so that may be in the bed;"
+                " watch, ready to stop."
             )
         if pin_z is not None:
             says.append("The head is over the pin of the Z endstop; move it.")
@@ -133,7 +152,7 @@ class Calibration(object):
         settings = self.settings
         is_given = not (floor_param is None and settings.position_min is None)
         return is_given or heights.is_calibrated(
-            settings, self.host.axes.z_zero()
+            settings, self.host.axes.z_zero(), self.homed.moved_by()
         )
 
     ##################################################################

@@ -34,11 +34,12 @@ def bed_height(trigger_z, z_offset):
 
 # A saved calibration has put the bed at Z=0, give or take half the thickness of
 # the switch, unless what Z is homed at was changed since.  'z_zero' is where Z
-# gets its zero (axes.ZZero), None if nobody knows.
-def is_calibrated(settings, z_zero):
+# gets its zero (axes.ZZero), None if nobody knows; 'moved_by' (mm) is how far Z=0
+# is from there by now.
+def is_calibrated(settings, z_zero, moved_by=0.0):
     if settings.saved_homing_z is None or z_zero is None:
         return False
-    change = abs(settings.saved_homing_z - z_zero.z)
+    change = abs(settings.saved_homing_z - z_zero.z) + moved_by
     return change < settings.z_offset / 2.0
 
 
@@ -47,12 +48,19 @@ def is_calibrated(settings, z_zero):
 # above a bed at Z=0 a switch that lies there has triggered, and the nozzle does
 # not reach a bed that is bare.  A bed that nobody knows is looked for no lower than
 # homing goes, unless the switch 'is_proved' to be there.
-def floor(settings, z_zero, axis_min, floor_param=None, is_proved=False):
+def floor(
+    settings,
+    z_zero,
+    axis_min,
+    floor_param=None,
+    is_proved=False,
+    moved_by=0.0,
+):
     if floor_param is not None:
         return max(floor_param, axis_min)
     if settings.position_min is not None:
         return max(settings.position_min, axis_min)
-    if is_calibrated(settings, z_zero):
+    if is_calibrated(settings, z_zero, moved_by):
         return max(settings.z_offset / 2.0, axis_min)
     is_homed_on_switch = z_zero is not None and z_zero.option == ENDSTOP_OPTION
     if is_homed_on_switch and not is_proved:

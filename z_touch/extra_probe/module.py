@@ -3,6 +3,7 @@
 # Copyright (C) 2026  the Z calibration developers, under the GNU GPLv3
 from __future__ import absolute_import
 
+import functools
 import logging
 
 from .. import __version__
@@ -131,6 +132,7 @@ class ExtraProbe(object):
     # The heights of a series of touches; 'stay' as in Series.measure()
     def measure(self, gcmd, sampling, stay=False):
         host = self.host
+        self.check_homed_frame()
         axis_min = host.axes.z_axis.position_min
         floor = heights.floor(self.settings, host.axes.z_zero(), axis_min)
         pin_z = z_pin.floor(host, self.z_pin)
@@ -139,6 +141,21 @@ class ExtraProbe(object):
             host.say(OVER_PIN % (floor,))
         series = Series(host, self.switch, sampling, gcmd.respond_info)
         return series.measure(floor, stay)
+
+    # A saved calibration has promised that a switch which is not there does no
+    # harm: where Z is elsewhere by now, nobody knows how low that is.
+    def check_homed_frame(self):
+        settings, z_zero = self.settings, self.host.axes.z_zero()
+        homed = self.calibration.homed
+        is_calibrated = functools.partial(
+            heights.is_calibrated, settings, z_zero
+        )
+        is_lost = is_calibrated() and not is_calibrated(homed.moved_by())
+        if is_lost and settings.position_min is None:
+            raise CalibrationError(
+                "%s, and the saved calibration does not tell any more where the"
+                " bed is; run G28 first, or set position_min" % (homed.moved(),)
+            )
 
     def run(self, gcmd, sampling, stay=False):
         def work():
