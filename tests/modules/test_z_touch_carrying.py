@@ -453,6 +453,21 @@ def test_nothing_of_z_calibration_moves_while_another_one_asks(
     assert printer.machine.tip() == tip
 
 
+@pytest.mark.parametrize(
+    "touch", [name for name in TOUCHES if name.startswith("AUTO_Z")]
+)
+def test_nothing_moves_where_a_question_is_open(start, touch):
+    gcode = "\n  RESPOND MSG=prepared\n  G0 Z3"
+    changes = {"auto_z_offset": {"prepare_gcode": gcode}, "respond": {}}
+    printer = ready(start, changes=changes)
+    printer.run(f"{OVER}EXTRA_PROBE_CALIBRATE {MEMBRANE}")
+    at = printer.session.position()
+    assert "waits for an answer" in printer.fail(TOUCHES[touch])
+    printer.session.wait(1.0)
+    assert printer.session.position() == at
+    assert not any("prepared" in line for line in printer.session.console)
+
+
 def test_print_that_begins_ends_the_question(start, tmp_path):
     (tmp_path / "print.gcode").write_text("AUTO_Z_PROBE\nG4 P100\n")
     changes = {"virtual_sdcard": {"path": str(tmp_path)}}

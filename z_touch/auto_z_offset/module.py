@@ -7,7 +7,7 @@ import functools
 import logging
 
 from .. import __version__
-from ..core import notes, options, running, touching
+from ..core import carrying, notes, options, running, touching
 from ..core.axes import check_z_axis
 from ..core.errors import CalibrationError
 from ..core.host import Host
@@ -120,6 +120,8 @@ class AutoZOffset(object):
                 " into prepare_gcode"
             )
         running.check_no_manual_probe(self.host)
+        # Before the head moves: a hand may be near
+        carrying.of(self.printer).check_questions(self.host)
         running.check_homed(self.host)
 
     # A correction with the wrong sign of the air gap ends in the bed.
