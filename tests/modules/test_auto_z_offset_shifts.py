@@ -82,3 +82,16 @@ def test_g92_is_undone(start):
     assert told(lines, "G92 had moved Z=0 by 0.300 mm: undone, as G28 does")
     gap = printer.scene.piezo_gap()
     assert true_gap(printer) == pytest.approx(gap, abs=STEPS)
+
+
+def test_g92_is_undone_where_the_correction_is_loaded(start):
+    printer = start("qidi").homed()
+    printer.run("AUTO_Z_CALIBRATE\nG28\nG90\nG1 Z20 F900\nG92 Z10")
+    lines = printer.run("AUTO_Z_LOAD_OFFSET")
+    assert told(lines, "G92 had moved Z=0 by 10.000 mm: undone, as G28 does")
+    gap = printer.scene.piezo_gap()
+    assert true_gap(printer) == pytest.approx(gap, abs=STEPS)
+    # Where it is refused all stays
+    printer.run("SET_GCODE_OFFSET Z=0\nAUTO_Z_HOME_Z\nG1 Z20 F900\nG92 Z10")
+    assert "Z was set by" in printer.fail("AUTO_Z_LOAD_OFFSET")
+    assert printer.status("gcode_move")["gcode_position"][2] == 10.0

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import pytest
 
+from tools.kit.cases import slow
 from tools.kit.extra_probe import (
     BED,
     CALIBRATE,
@@ -72,6 +73,21 @@ def test_mesh_is_taken_off_what_is_saved(start, scene, height):
     # The bed is no more at Z=0 without the mesh: floors count from where it is
     text = "\n".join(printer.run(CALIBRATE))
     assert ("no saved calibration holds" in text) is (height > 0.125)
+
+
+@pytest.mark.parametrize("script", ["", slow(" SAVE=1")])
+@pytest.mark.parametrize("scene", ["membrane", slow("membrane_and_probe")])
+def test_g92_is_undone(start, scene, script):
+    printer = start(scene).homed()
+    printer.run("G90\nG1 Z20 F900\nG92 Z10")
+    lines = calibrate(printer, CALIBRATE + script)
+    words = "G92 had moved Z=0 by 10.000 mm: undone, as G28 does"
+    assert [words in line for line in lines].count(True) == 1
+    if script:
+        assert printer.status("gcode_move")["gcode_position"][2] >= 10.0
+        printer.session.restart("SAVE_CONFIG")
+        printer.run("G28")
+    assert_right(printer)
 
 
 def test_without_a_mesh_nothing_is_told(start):

@@ -268,6 +268,8 @@ class AutoZOffset(object):
     def cmd_AUTO_Z_LOAD_OFFSET(self, gcmd):
         self.check(self.check_section)
         self.check(self.expectations.check_frame)
+        # It would shift what the offset makes right
+        self.undo_g92()
         z = self.correction.z or 0.0
         bed_z = self.host.probing.homed_bed_z()
         self.apply_offset(z + bed_z)

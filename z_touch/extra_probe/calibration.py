@@ -11,7 +11,7 @@ from ..core.frame import Frame, HomedFrame
 from ..core.sampling import summarize
 from . import heights
 from .finger import TRIGGERED, Finger
-from .shifts import Shifts
+from .shifts import SMALLEST_PART, Shifts
 from .switches import TOO_LOW, Series
 
 TRAVEL_SPEED = 50.0  # mm/s, in XY
@@ -240,9 +240,13 @@ class Calibration(object):
         offset = bed_z - shifts.height()
         if question.save:
             self.save(gcmd, offset, bed_z)
+        say = self.runner.watch.say
+        # It would shift what the offset makes right
+        undone = self.host.features.undo_g92(SMALLEST_PART)
+        if undone:
+            say(undone)
         self.host.gcode_offset.set(0.0 if question.save else offset)
         self.last_offset = offset
-        say = self.runner.watch.say
         say(
             "trigger=%.6f - z_offset=%.3f --> new offset=%.6f"
             % (bed_z + z_offset, z_offset, bed_z)
