@@ -707,6 +707,21 @@ def test_other_section_is_not_asked(start):
     assert gap_is_right(printer)
 
 
+def test_other_section_asks_already(start):
+    changes = {
+        **as_probe(),
+        "extra_probe other": {"pin": "^PG5", "z_offset": "0.3"},
+    }
+    printer = start("membrane", changes=changes).homed()
+    printer.run("EXTRA_PROBE_CALIBRATE PROBE=other")
+    at = printer.session.position()
+    text = printer.fail("EXTRA_PROBE_CALIBRATE PROBE=probe")
+    assert "section 'extra_probe other' waits for an answer" in text
+    assert printer.session.position() == at
+    printer.run("EXTRA_PROBE_ABORT PROBE=other")
+    printer.run("EXTRA_PROBE_CALIBRATE PROBE=probe")
+
+
 def test_second_board_keeps_its_own_time(start):
     scene = SCENES["membrane_two_boards"]
     board = scene.wiring.boards["loadcell"]

@@ -55,6 +55,16 @@ class Calibration(object):
     def waits_for(self):
         return self.dialog.waits_for()
 
+    # Raises CalibrationError while it is open.  Whoever prints has cleared the bed:
+    # an answer comes no more.
+    def check_answered(self):
+        if self.waits_for() and not self.host.print_state():
+            raise CalibrationError(
+                "EXTRA_PROBE_CALIBRATE waits for an answer, and somebody's hand"
+                " may be near; answer with %s, or %s"
+                % (self.dialog.go_on, self.dialog.abort)
+            )
+
     def run(self, gcmd, step, *args):
         work = functools.partial(step, gcmd, *args)
         self.runner.run(gcmd, work, "touch", 0)
@@ -206,8 +216,10 @@ class Calibration(object):
         self.dialog.ask(question, "Take the switch away", sentences)
 
     def free_nozzle(self):
+        everything = carrying.of(self.host.printer)
+        everything.check_questions(self.host)
         if self.switch.is_below_nozzle:
-            carrying.of(self.host.printer).free_nozzle(self.host)
+            everything.free_nozzle(self.host)
 
     # To where the touches begin, with the switch watched on the way
     def come_down(self):

@@ -7,7 +7,7 @@ import functools
 import logging
 
 from .. import __version__
-from ..core import carrying, options, running, touching, z_pin
+from ..core import options, running, touching, z_pin
 from ..core.axes import check_z_axis
 from ..core.errors import CalibrationError
 from ..core.host import Host
@@ -132,7 +132,6 @@ class ExtraProbe(object):
     # The heights of a series of touches; 'stay' as in Series.measure()
     def measure(self, gcmd, sampling, stay=False):
         host = self.host
-        self.check_homed_frame()
         axis_min = host.axes.z_axis.position_min
         floor = heights.floor(self.settings, host.axes.z_zero(), axis_min)
         pin_z = z_pin.floor(host, self.z_pin)
@@ -159,8 +158,10 @@ class ExtraProbe(object):
 
     def run(self, gcmd, sampling, stay=False):
         def work():
-            if self.switch.is_below_nozzle:
-                carrying.of(self.host.printer).free_nozzle(self.host)
+            running.check_no_manual_probe(self.host)
+            self.calibration.check_answered()
+            self.check_homed_frame()
+            self.calibration.free_nozzle()
             return self.measure(gcmd, sampling, stay)
 
         return self.runner.run(gcmd, work, "touch", 0)
