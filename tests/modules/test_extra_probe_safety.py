@@ -608,6 +608,26 @@ def test_not_while_a_print_is_paused(start, tmp_path):
     printer.run(CALIBRATE)
 
 
+# OctoPrint sends the lines itself: nothing but PAUSE tells of its print
+@pytest.mark.parametrize("after", [0, 1, 2])
+def test_not_while_a_print_of_octoprint_is_paused(start, after):
+    printer = start("membrane", changes={"pause_resume": {}}).homed()
+    printer.run("SET_GCODE_OFFSET Z=0.3")
+    if after:
+        printer.run(CALIBRATE)
+        lay(printer)
+    if after > 1:
+        printer.run(CONTINUE)
+    printer.run("PAUSE")
+    at = printer.session.position()
+    text = printer.fail(CONTINUE if after else CALIBRATE)
+    assert "extra_probe membrane: a print is paused (PAUSE)" in text
+    assert text.endswith("or CLEAR_PAUSE where there is none")
+    assert printer.session.position() == at
+    assert printer.offset() == pytest.approx(0.3)
+    printer.run(f"CLEAR_PAUSE\n{CALIBRATE}")
+
+
 def test_not_while_somebody_probes_by_hand(start):
     printer = asked(start)
     printer.run("MANUAL_PROBE")

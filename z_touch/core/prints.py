@@ -11,6 +11,18 @@ TEXTS = (
     "'No print' goes on as asked.",
 )
 
+PAUSED = (
+    "a print is paused (PAUSE), and goes on from here; end it (CANCEL_PRINT),"
+    " or CLEAR_PAUSE where there is none"
+)
+
+
+# As PAUSE has left it, whoever sends the print
+def is_paused(host):
+    pauser = host.printer.lookup_object("pause_resume", None)
+    status = pauser.get_status(host.eventtime()) if pauser else {}
+    return bool(status.get("is_paused"))
+
 
 # Also of a print that no print_stats knows of; what moves because of a set-up itself
 # is none.  What is kept hot may be: that a person is asked.
@@ -30,7 +42,7 @@ class Prints(object):
 
     # Whether there is a print, as far as anybody can know
     def may_be(self):
-        is_known = self.host.print_state() or self._is_paused()
+        is_known = self.host.print_state() or is_paused(self.host)
         return bool(is_known or self._moves_on() or self._unexpected_heat())
 
     # Whether a person is asked first.  The answer is the same command once more, with
@@ -63,12 +75,8 @@ class Prints(object):
         host = self.host
         if host.print_state():
             raise gcmd.error("%s: not during a print" % (host.section,))
-        if self._is_paused():
-            raise gcmd.error(
-                "%s: a print is paused (PAUSE), and goes on from here; end it"
-                " (CANCEL_PRINT), or CLEAR_PAUSE where there is none"
-                % (host.section,)
-            )
+        if is_paused(host):
+            raise gcmd.error("%s: %s" % (host.section, PAUSED))
         if self._moves_on():
             raise gcmd.error(
                 "%s: the head moves with a nozzle hot enough to print, as in a"
@@ -86,12 +94,6 @@ class Prints(object):
         return self.setup_time is not None and (
             self._queued_time() == self.setup_time
         )
-
-    # As PAUSE has left it, whoever sends the print
-    def _is_paused(self):
-        pauser = self.host.printer.lookup_object("pause_resume", None)
-        status = pauser.get_status(self.host.eventtime()) if pauser else {}
-        return bool(status.get("is_paused"))
 
     # Degrees C that nozzles and bed are to have, by heater
     def _heat(self):

@@ -5,7 +5,15 @@ from __future__ import absolute_import
 import collections
 import functools
 
-from ..core import carrying, dialogs, options, running, touching, z_pin
+from ..core import (
+    carrying,
+    dialogs,
+    options,
+    prints,
+    running,
+    touching,
+    z_pin,
+)
 from ..core.errors import CalibrationError
 from ..core.frame import Frame, HomedFrame
 from ..core.sampling import summarize
@@ -302,6 +310,8 @@ class Calibration(object):
             raise CalibrationError(
                 "a print is under way (%s); end it first" % (print_state,)
             )
+        if prints.is_paused(self.host):
+            raise CalibrationError(prints.PAUSED)
         running.check_no_manual_probe(self.host)
         running.check_homed(self.host)
 
