@@ -110,6 +110,25 @@ def test_no_finger_where_the_lowest_point_is_known(start, known):
     assert printer.status(NAME)["waits_for"] == "removal"
 
 
+# Nobody has to press what cannot go on
+@pytest.mark.parametrize(
+    ("script", "words"),
+    [
+        ("M84", "not homed: X, Y, Z; home all axes (G28) first"),
+        ("G28\nG1 Z10\nG1 X30 Y20", "since the calibration began; begin again"),
+        ("MANUAL_PROBE", "a manual probe is under way; end it with ACCEPT or"),
+    ],
+)
+def test_finger_is_not_asked_for_in_vain(start, script, words):
+    printer, _ = asked(start)
+    printer.run(script)
+    text = printer.fail(CONTINUE)
+    assert words in text
+    assert "press it" not in text
+    assert printer.status(NAME)["waits_for"] == ""
+    assert not any(d.is_open for d in dialogs_of(printer.session.console))
+
+
 # Commands that cannot ask go no lower than homing does, give or take 0.1 mm
 @pytest.mark.every_host
 @pytest.mark.parametrize("command", ["EXTRA_PROBE", "EXTRA_PROBE_ACCURACY"])

@@ -165,16 +165,16 @@ class Axes(object):
     def z_step(self):
         return max(s.get_step_dist() for s in self.z_steppers())
 
-    # Where the motors of Z stand (mm): only differences mean something.  Empty
-    # where X or Y share these motors.
+    # How far the motors of Z have turned (mm): only differences mean something.
+    # Empty where X or Y share these motors.
     def z_motors(self):
         steppers = self.z_steppers()
         if any(s.is_active_axis(axis) for s in steppers for axis in "xy"):
             return []
         return [s.get_mcu_position() * s.get_step_dist() for s in steppers]
 
-    # The same, apart from where the host believes Z is: the difference (mm)
-    # changes only when Z is homed, set or levelled.
+    # Where the motors of Z stand, apart from where the host believes Z is: the
+    # difference (mm) changes only when Z is homed, set or levelled.
     def z_datum(self):
         return [
             z - stepper.get_commanded_position()

@@ -20,7 +20,7 @@ from ..core.sampling import summarize
 from . import heights
 from .finger import TRIGGERED, Finger
 from .shifts import SMALLEST_PART, Shifts
-from .switches import TOO_LOW, Series
+from .switches import LOWER_FLOOR, TOO_LOW, Series
 
 TRAVEL_SPEED = 50.0  # mm/s, in XY
 SAME_POSITION = 0.1  # mm; a head further from where it was has been moved
@@ -186,13 +186,14 @@ class Calibration(object):
 
     cmd_EXTRA_PROBE_CONTINUE_help = "Go on with a calibration"
 
-    # The question stays until the switch was pressed.
+    # The question stays until the switch was pressed, unless that is in vain.
     def cmd_EXTRA_PROBE_CONTINUE(self, gcmd):
         self.dialog.check_asked(gcmd)
         try:
             self.finger.check()
         except CalibrationError as e:
-            raise gcmd.error("%s: %s" % (self.host.section, e))
+            if self.is_open(self.dialog.question):
+                raise gcmd.error("%s: %s" % (self.host.section, e))
         self.finger.end()
         question = self.dialog.continued(gcmd)
         step = self.touch if question.bed_z is None else self.apply
@@ -244,7 +245,9 @@ class Calibration(object):
     # The toolhead Z (mm) at which the switch triggers
     def measure(self, gcmd, question):
         sampling = self.settings.sampling
-        series = Series(self.host, self.switch, sampling, gcmd.respond_info)
+        series = Series(
+            self.host, self.switch, sampling, gcmd.respond_info, LOWER_FLOOR
+        )
         triggers = series.measure(question.floor)
         self.check_frame(question)
         return summarize(triggers, sampling.result)
@@ -335,6 +338,14 @@ class Calibration(object):
     def check_frame(self, question):
         self.check_printer()
         self.check_unchanged(self.frame.moved_since(question.mark))
+
+    # Whether an answer can lead on
+    def is_open(self, question):
+        try:
+            self.check_frame(question)
+        except CalibrationError:
+            return False
+        return True
 
     # Whoever has moved the head may have moved it off the switch
     def check_place(self, question):

@@ -15,7 +15,7 @@ from ..core.sampling import accuracy, summarize
 from . import heights
 from .calibration import Calibration
 from .settings import PROBE, complete, read_settings
-from .switches import PinSwitch, ProbeSwitch, Series
+from .switches import FIND_BED, PinSwitch, ProbeSwitch, Series
 
 # What is told where the switch cannot lie
 OVER_PIN = (
@@ -138,7 +138,9 @@ class ExtraProbe(object):
         floor = heights.above_pin(floor, pin_z)
         if pin_z is not None:
             host.say(OVER_PIN % (floor,))
-        series = Series(host, self.switch, sampling, gcmd.respond_info)
+        series = Series(
+            host, self.switch, sampling, gcmd.respond_info, FIND_BED
+        )
         return series.measure(floor, stay)
 
     # A saved calibration has promised that a switch which is not there does no

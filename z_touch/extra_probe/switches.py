@@ -15,6 +15,10 @@ from .settings import read_switch_settings
 DIFFER = "clean the nozzle, and check what it touches for play"
 # What to do about a head that is below the floor of a touch
 TOO_LOW = "begin higher up, or with a lower FLOOR"
+# What to do where the bed may be lower than a touch of EXTRA_PROBE goes, and one of
+# EXTRA_PROBE_CALIBRATE
+FIND_BED = "find it with EXTRA_PROBE_CALIBRATE, or set position_min"
+LOWER_FLOOR = "begin again with a lower FLOOR, ready to stop"
 
 
 ######################################################################
@@ -43,21 +47,21 @@ class PinSwitch(object):
 
     # A series of touches; yields the function that makes one and returns its
     # height.  'top' is where the head has to be lifted to before a switch is
-    # put away, which this one is not.
+    # put away, which this one is not; 'lower' is what to do where the bed may be
+    # below the floor.
     @contextlib.contextmanager
-    def series(self, head, floor, top):
+    def series(self, head, floor, top, lower):
         with self._active(not self.settings.deactivate_on_each_sample):
-            yield functools.partial(self._touch, head, floor)
+            yield functools.partial(self._touch, head, floor, lower)
 
-    def _touch(self, head, floor):
+    def _touch(self, head, floor, lower):
         with self._active(self.settings.deactivate_on_each_sample):
             try:
                 return head.touch(self._endstop, floor, head.sampling.speed)
             except CalibrationError as e:
                 hint = (
                     "press it by hand and look with %s, or where the bed may be"
-                    " lower find it with EXTRA_PROBE_CALIBRATE, or set"
-                    " position_min" % (self.query,)
+                    " lower %s" % (self.query, lower)
                 )
                 raise e.advised(hint)
 
@@ -98,9 +102,9 @@ class ProbeSwitch(object):
         return self.host.probing.endstop()
 
     # As that of PinSwitch; the host may put the probe away at its end, so the
-    # head is lifted to 'top' before.
+    # head is lifted to 'top' before.  What to do is the same anywhere.
     @contextlib.contextmanager
-    def series(self, head, floor, top):
+    def series(self, head, floor, top, unused_lower):
         speed = "%.6f" % (head.sampling.speed,)
         session = touching.probing(head, floor, top, PROBE_SPEED=speed)
         with session as probe_once:
@@ -122,13 +126,15 @@ class ProbeSwitch(object):
 ######################################################################
 
 
-# One series of touches where the head is.  'respond_info' tells the user.
+# One series of touches where the head is.  'respond_info' tells the user; 'lower':
+# see PinSwitch.series()
 class Series(object):
-    def __init__(self, host, switch, sampling, respond_info):
+    def __init__(self, host, switch, sampling, respond_info, lower):
         self.host = host
         self.switch = switch
         self.sampling = sampling
         self.respond_info = respond_info
+        self.lower = lower
         self.head = touching.Head(host, sampling, TOO_LOW)
         # Where the head is lifted to at the end
         self.end_z = host.motion.z()
@@ -138,7 +144,10 @@ class Series(object):
     # last touch has ended; after a failure always where it began.
     def measure(self, floor, stay=False):
         with running.always(self.host, self._lift, "lifting"):
-            with self.switch.series(self.head, floor, self.end_z) as touch:
+            series = self.switch.series(
+                self.head, floor, self.end_z, self.lower
+            )
+            with series as touch:
                 heights = collect(
                     functools.partial(self._sample, touch),
                     self.sampling,
