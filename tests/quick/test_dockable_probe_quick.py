@@ -15,6 +15,7 @@ GUARDED = {
     *carrier.BY_HAND,
     *carrier.BY_METHOD,
     *carrier.PROBE_THEN_PAPER,
+    *carrier.PROBING,
 }
 
 

@@ -29,14 +29,9 @@ PROBE_THEN_PAPER = {
     "PROBE_CALIBRATE": False,
     "AXIS_TWIST_COMPENSATION_CALIBRATE": True,
 }
-# What else uses the probe, or says who holds it
-OTHERS = (
-    "ATTACH_PROBE",
-    "PROBE",
-    "PROBE_ACCURACY",
-    "SET_DOCKABLE_PROBE",
-    "SET_PROBE_STATUS",
-)
+# What else probes, and what of ours says who holds the probe
+PROBING = ("PROBE", "PROBE_ACCURACY")
+HOLDING = ("ATTACH_PROBE", "SET_DOCKABLE_PROBE", "SET_PROBE_STATUS")
 
 
 # Where our probe is, and its way onto the head and off it, as core.carrying asks
@@ -132,8 +127,8 @@ class Carrier(object):
             wrap(name, self._before_manual_method)
         for name, asks_again in PROBE_THEN_PAPER.items():
             wrap(name, functools.partial(self._around_paper, asks_again))
-        for name in OTHERS:
-            wrap(name, lambda command, gcmd: command(gcmd))
+        for name in PROBING + HOLDING:
+            wrap(name, self._as_it_is)
 
     def _guard(self, name, around):
         def guarded(command, gcmd):
@@ -150,6 +145,9 @@ class Carrier(object):
             or self.prober.docking.is_busy()
         ):
             self.prober.holder.delay.forbid(False)
+
+    def _as_it_is(self, command, gcmd):
+        command(gcmd)
 
     def _before_homing(self, command, gcmd):
         axes = [
