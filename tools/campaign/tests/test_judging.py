@@ -403,6 +403,11 @@ def test_owner_s_own_refusal_is_true():
     assert claims.verdict(refusal, facts()) is True
 
 
+def test_levelling_after_g28_is_a_reason():
+    refusal = "extra_probe membrane: SAVE=1: the Z motors were levelled since"
+    assert claims.verdict(f"{refusal} G28, and what is", facts()) is True
+
+
 def test_refusal_without_a_reason_is_counted():
     assert claims.verdict("z_calibration: Tuesday; wait", facts()) is None
 

@@ -131,6 +131,8 @@ CLAIMS: tuple[tuple[re.Pattern, Callable[..., bool]], ...] = tuple(
         (r"no set-up is under way|did not change; check", _is_true),
         (r"is not what is asked now|since the calibration began", _is_true),
         (r"reach of the axis|Z was set by AUTO_Z_HOME_Z", _is_true),
+        # Only the motors know, and whoever has levelled or set them
+        (r"since G28,|Z was not homed with G28", _is_true),
         (r"a print is paused \(PAUSE\)", _is_true),
         (r"with the G-code Z offset of \S+ in force", _has_offset),
         # Our calibrations are asked to go nowhere else
