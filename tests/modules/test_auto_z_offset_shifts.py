@@ -91,6 +91,11 @@ def test_g92_is_undone_where_the_correction_is_loaded(start):
     assert told(lines, "G92 had moved Z=0 by 10.000 mm: undone, as G28 does")
     gap = printer.scene.piezo_gap()
     assert true_gap(printer) == pytest.approx(gap, abs=STEPS)
+    # What only makes good for it is no baby step
+    printer.run("G1 Z20 F900\nG92 Z19.7\nSET_GCODE_OFFSET Z_ADJUST=-0.3")
+    text = printer.fail("AUTO_Z_SAVE_GCODE_OFFSET")
+    assert "G92 has moved Z=0 by 0.300 mm" in text
+    printer.run("AUTO_Z_LOAD_OFFSET")
     # Where it is refused all stays
     printer.run("SET_GCODE_OFFSET Z=0\nAUTO_Z_HOME_Z\nG1 Z20 F900\nG92 Z10")
     assert "Z was set by" in printer.fail("AUTO_Z_LOAD_OFFSET")

@@ -294,6 +294,14 @@ class AutoZOffset(object):
 
     def cmd_AUTO_Z_SAVE_GCODE_OFFSET(self, gcmd):
         self.check(self.expectations.check_frame)
+        moved = self.host.features.moved_by_g92()
+        if abs(moved) >= shifts.NO_SHIFT:
+            # Baby steps may only have made good for it
+            raise self.host.error(
+                "G92 has moved Z=0 by %.3f mm, which is no part of the G-code"
+                " offset; run AUTO_Z_LOAD_OFFSET, which undoes it, then move the"
+                " nozzle in small steps" % (moved,)
+            )
         before = self.correction.z or 0.0
         z = self.host.gcode_offset.z() - self.host.probing.homed_bed_z()
         if abs(z) > heights.LARGEST_OFFSET:
