@@ -327,6 +327,15 @@ def test_probe_that_is_left_on_meets_the_bed_without_harm(start, script):
     printer.run("DOCK_PROBE\nG28\nCALIBRATE_Z")
 
 
+# start_gcode brings it, and it is nowhere in the way
+@pytest.mark.every_host
+def test_probe_that_is_on_from_the_start_meets_nothing(start):
+    printer = start(changes=section(before_switch_gcode="M400")).homed()
+    result, _ = calibration(printer)
+    assert result[2] == pytest.approx(PIN, abs=MICROSTEP)
+    assert printer.gap() == pytest.approx(0.06, abs=2 * MICROSTEP)
+
+
 # Validity
 
 

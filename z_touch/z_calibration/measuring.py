@@ -300,8 +300,8 @@ class NozzleMeasurement(Measurement):
     x_first = True
 
     def touch_site(self, travel_z, floor):
-        comes_late = self.settings.may_attach_late
-        if not comes_late or self.host.probing.attaches_by_itself():
+        carrier = carrying.of(self.host.printer).carrier(self.host)
+        if carrier is not None or not self.settings.may_attach_late:
             return self.touch_free_site(travel_z, floor)
         moved = self.host.after_moves()
         self.arrive(travel_z)
