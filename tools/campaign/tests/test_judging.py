@@ -140,6 +140,21 @@ def test_head_that_drives_off_when_its_command_has_ended(judged):
     assert sort_of(judge, "gcode", "G1") == "moved"
 
 
+def test_head_that_a_refused_command_has_moved_while_somebody_is_asked(judged):
+    printer, judge = judged(SWITCH)
+    printer.run("EXTRA_PROBE_CALIBRATE PROBE=membrane")
+    judge.begin()
+    assert (
+        sort_of(judge, "gcode", "CALIBRATE_Z\n", "it waits for an answer") == ""
+    )
+    judge.begin()
+    printer.run("G1 X70 F3000")
+    assert (
+        sort_of(judge, "gcode", "CALIBRATE_Z\n", "it waits for an answer")
+        == "moved"
+    )
+
+
 def test_head_that_moves_while_somebody_is_asked(judged):
     printer, judge = judged(SWITCH)
     printer.run("EXTRA_PROBE_CALIBRATE PROBE=membrane")

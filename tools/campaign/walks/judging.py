@@ -227,11 +227,22 @@ class Judge:
             self._stand_still()
             here, status = self.printer.session.position()[:3], self._status()
             is_asked = self._is_asked(status)
+            if self._is_refused_beside(gone) and is_asked:
+                # Before the head moves, and whatever templates run
+                there = self.before.tip
+                here = self.printer.machine.tip()
         moved = max(abs(a - b) for a, b in zip(here, there))
         if moved > PLACE and is_asked:
             yield f"by {moved:.1f} mm while somebody is asked"
         elif moved > PLACE and not _may_dock(status):
             yield f"by {moved:.1f} mm while nobody asks for it"
+
+    def _is_refused_beside(self, gone: Gone) -> bool:
+        """Something of ours was refused that is no answer to what is asked."""
+        is_answer = re.search("_CONTINUE|_ABORT|_SETUP", gone.script)
+        is_one = gone.command in OURS and gone.script.count("\n") <= 1
+        is_beside = self.before.question and is_one and not is_answer
+        return bool(gone.refusal and is_beside)
 
     def _is_elsewhere(self, gone: Gone) -> Iterator[str]:
         """Where the head was sent, it is; and it touches what is there."""
