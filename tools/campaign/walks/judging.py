@@ -24,17 +24,19 @@ WRONG_ZERO = 1.5
 # Of places that are the same (mm): half a step of both belts, and more
 PLACE = 0.1
 # Ours, which leave all as it was when they refuse
-OURS = frozenset(
-    line.split()[0]
+OF_Z_CALIBRATION, *_OTHERS = (
+    frozenset(
+        text.splitlines()[-1].split()[0]
+        for text in stepping.OF_SECTION[section]
+    )
     for section in (
         "z_calibration",
         "auto_z_offset",
         "dockable_probe",
         "extra_probe membrane",
     )
-    for text in stepping.OF_SECTION[section]
-    for line in text.splitlines()[-1:]
 )
+OURS = OF_Z_CALIBRATION.union(*_OTHERS)
 # Touches where the head is, by what touches
 WHERE_IT_IS = {
     "PROBE": ("probe_bed", "inductive_bed"),
@@ -240,6 +242,13 @@ class Judge:
     def _is_refused_beside(self, gone: Gone) -> bool:
         """Something of ours was refused that is no answer to what is asked."""
         is_answer = re.search("_CONTINUE|_ABORT|_SETUP", gone.script)
+        if gone.command in OF_Z_CALIBRATION:
+            # Its own set-up asks its owner, who has sent the command
+            status = self.before.status
+            waits_for = status["extra_probe membrane"].get("waits_for")
+            is_answer = not (
+                waits_for or status["manual_probe"].get("is_active")
+            )
         is_one = gone.command in OURS and gone.script.count("\n") <= 1
         is_beside = self.before.question and is_one and not is_answer
         return bool(gone.refusal and is_beside)
