@@ -159,3 +159,16 @@ def test_z_is_not_homed_with_the_probe_on_the_head(start, end_gcode):
     text = printer.fail("CALIBRATE_Z_ACCURACY CYCLES=2 HOME=1")
     assert "put it away before Z is homed" in text
     printer.machine.truth.require_no_crash()
+
+
+# Only a G28 of the owner's own takes it off
+def test_homing_that_puts_the_probe_away(start):
+    homing = {
+        "rename_existing": "G28.1",
+        "gcode": "\n  DOCK_PROBE\n  G28.1 {rawparams}",
+    }
+    changes = {"z_calibration": {"end_gcode": None}, "gcode_macro G28": homing}
+    printer = start("cartesian", changes=changes).homed()
+    for _ in range(2):
+        printer.run("CALIBRATE_Z_ACCURACY CYCLES=2 HOME=1")
+    printer.machine.truth.require_no_crash()

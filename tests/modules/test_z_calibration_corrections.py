@@ -61,6 +61,20 @@ def test_baby_steps_are_there_again_in_the_next_run(start):
     assert pending(printer)["z_calibration"] == {"switch_offset": "0.470"}
 
 
+# Macros pass last_z_offset on to it
+def test_what_offset_gcode_adds_is_no_correction(start):
+    adding = "SET_GCODE_OFFSET Z={params.Z|float + 0.1}"
+    printer = start(changes=section(offset_gcode=adding)).homed()
+    calibration(printer)
+    printer.run(f"{RAISE}\n{SAVE}")
+    status = printer.status("z_calibration")
+    assert status["last_z_offset"] == pytest.approx(0.18)
+    assert printer.offset() == pytest.approx(0.28)
+    assert status["valid"]
+    printer.run(f"SET_GCODE_OFFSET Z={status['last_z_offset']}")
+    assert printer.status("z_calibration")["valid"]
+
+
 def test_two_corrections_of_one_run_add_up(start):
     printer = start().homed()
     # Of the run itself, not of the section

@@ -539,6 +539,43 @@ def test_probe_that_nobody_puts_away_is_not_on_for_the_nozzle(start):
     assert len(printer.machine.truth.touches) == before
 
 
+# start_gcode brings it, and nobody takes it off: it stays on at the nozzle, beside
+# which there is no bed
+def test_probe_that_is_there_for_all_sites(start):
+    hooks = {
+        "start_gcode": "\n  ATTACH_PROBE",
+        "before_switch_gcode": None,
+        "end_gcode": None,
+    }
+    bed = replace(SCENES["cartesian"].world.bed, x_max=180.0)
+    scene = SCENES["cartesian"].with_world(bed=bed)
+    printer = start(scene, changes=empty(options=hooks)).homed()
+    user = User(printer)
+    advance(user, "GAP")
+    # All touches once more, with the probe on
+    printer.run("G28 Z")
+    assert "first touches begin again" in user.refused("Paper")
+    user.press("Touch")
+    assert user.step() == "GAP"
+
+
+def test_dockable_probe_that_is_docked_by_itself_alone(start):
+    off = {"auto_attach_detach": "False"}
+    changes = empty(dockable_probe=off)
+    printer = start(calibrating(SWITCH), changes=changes)
+    printer.session.require_ready()
+    user = User(printer)
+    user.begin()
+    user.test_switches()
+    user.press("Home")
+    printer.run("ATTACH_PROBE\nG90\nG1 X206 Y270 F12000\nG1 Y306")
+    user.press("Here")
+    user.jog("X", 4.0)
+    for label in ("Here", "Here", "Yes", "Touch"):
+        user.press(label)
+    assert trips(printer)[:2] == ["attach", "dock"]
+
+
 def test_nothing_is_lowered_beside_the_sheet_or_with_the_probe(start):
     printer = start("cartesian", changes=empty())
     printer.session.require_ready()

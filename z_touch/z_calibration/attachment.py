@@ -16,6 +16,9 @@ from ..core import carrying
 from ..core.carrying import DOCKED
 from ..core.errors import CalibrationError
 
+# With these G28 is what its owner has made of it
+OWN_HOMING = ("gcode_macro G28", "homing_override")
+
 
 # What one run has seen of it, and so what is left to do
 class Attachment(object):
@@ -65,9 +68,12 @@ class Attachment(object):
                 " nozzle; detach it in start_gcode and check it with QUERY_PROBE"
             )
 
-    # Before Z is homed on the pin with what hangs on the head now; 'axes': axes.Axes
+    # Before Z is homed on the pin with what hangs on the head now; 'axes': axes.Axes.
+    # A G28 of the owner's own may put it away.
     def check_homing(self, axes):
-        if not self.is_late or axes.homes_with_probe():
+        lookup = self.host.printer.lookup_object
+        is_own = any(lookup(name, None) for name in OWN_HOMING)
+        if is_own or not self.is_late or axes.homes_with_probe():
             return
         if self.reads_attached(self.host.after_moves()):
             raise CalibrationError(

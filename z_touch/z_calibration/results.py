@@ -71,8 +71,10 @@ class Results(object):
         corrected = result._replace(
             switch_offset=switch_offset, offset=result.offset + change
         )
+        # What offset_gcode adds is no part of it
+        added = self.last.applied - self.last.z_offset
         self.last = self.last._replace(
-            result=corrected, z_offset=z_offset, applied=z_offset
+            result=corrected, z_offset=z_offset - added, applied=z_offset
         )
 
     ##################################################################
