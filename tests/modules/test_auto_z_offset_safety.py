@@ -365,6 +365,17 @@ def test_levelling_does_not_end_what_home_z_has_set(start):
     printer.run("AUTO_Z_PROBE\nG28 Z\nAUTO_Z_LOAD_OFFSET")
 
 
+@pytest.mark.every_host
+def test_motor_that_was_off_does_not_end_it(start):
+    options = section(probe_z_correction="-1.12")
+    printer = start("qidi", changes=options).homed()
+    off = "SET_STEPPER_ENABLE STEPPER=stepper_z ENABLE=0"
+    printer.run(f"AUTO_Z_HOME_Z\n{off}")
+    for command in ("AUTO_Z_LOAD_OFFSET", "AUTO_Z_SAVE_GCODE_OFFSET"):
+        assert "Z was set by AUTO_Z_HOME_Z" in printer.fail(command)
+    printer.run("G28 Z\nAUTO_Z_LOAD_OFFSET")
+
+
 # In the second two pairs of motors turn as far, in the third by less than a step
 # more
 @pytest.mark.every_host

@@ -106,9 +106,15 @@ def test_no_way_across_the_dock_where_docking_has_left_the_head(start, command):
 
 
 # The host goes down to 10 mm from where fetching has ended, and then across
-def test_no_way_down_into_the_dock_where_fetching_has_left_the_head(start):
+@pytest.mark.parametrize("distance", [None, "0", "1"])
+def test_no_way_down_into_the_dock_where_fetching_has_left_the_head(
+    start, distance
+):
     mesh = {"bed_mesh": bed_mesh("40, 40", "200, 200", horizontal_move_z="10")}
-    changes = {**mesh, **section(restore_toolhead="False", **QUICK)}
+    own = {"restore_toolhead": "False", **QUICK}
+    if distance is not None:
+        own["safe_dock_distance"] = distance
+    changes = {**mesh, **section(**own)}
     printer = start(ABOVE, changes).homed()
     printer.run("G1 X150 Y150 Z20 F6000\nPROBE\nBED_MESH_CALIBRATE")
     assert trips(printer) == ["attach", "dock"] * 2

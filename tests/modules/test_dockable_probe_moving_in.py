@@ -246,13 +246,26 @@ def test_docking_of_what_queued_moves_have_fetched(start):
     assert printer.machine.truth.touch_count("body_bed") == 0
 
 
-# What has changed on the way in and out is believed, as that of a trip is: the
-# way to this dock is not known, and nobody is asked whether it hangs on the head.
-def test_parts_of_the_way_prove_what_a_trip_does(start):
+# What has changed on the way in and out is believed, as that of a trip is, and what
+# has not is as it was known: the way to this dock is not known, and nobody is asked
+# whether it hangs on the head.
+@pytest.mark.parametrize(
+    "way", [steps("DOCK", "EXTRACT", "DOCK", "DETACH"), steps("DOCK", "DETACH")]
+)
+def test_parts_of_the_way_prove_what_a_trip_does(start, way):
     printer = started(start, BED).homed()
-    way = steps("DOCK", "EXTRACT", "DOCK", "DETACH")
-    printer.run(f"{CENTRE}{way}\nM84\nG28")
-    assert trips(printer) == ["attach", "dock"]
+    printer.run(f"{CENTRE}ATTACH_PROBE\nDETACH_PROBE\n{way}\nM84\nG28")
+    trip = ["attach", "dock"]
+    assert trips(printer) == (trip * 2 if "EXTRACT" in way else trip)
+
+
+# With a broken wire it reads docked on the head
+def test_way_out_with_the_probe_proves_nothing(start):
+    printer = started(start, BED).homed()
+    printer.run(f"{CENTRE}ATTACH_PROBE\nDETACH_PROBE")
+    printer.machine.hold("probe", True)
+    text = printer.fail(f"{steps('DOCK', 'EXTRACT')}\nM84\nG28")
+    assert "nobody has seen it docked" in text
 
 
 # A command in the middle of fetching

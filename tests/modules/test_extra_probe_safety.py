@@ -427,7 +427,9 @@ Z_TILT = {
 WRONG_PROBE = {"dockable_probe": {"z_offset": f"{HANG - 0.6}", **QUICK}}
 SET = "Z was homed again or set since G28"
 LEVELLED = "the Z motors were levelled since G28"
+OFF = "SET_STEPPER_ENABLE STEPPER=stepper_z ENABLE=0"
 SINCE_G28 = {
+    OFF: (SWITCH, {}, "the motors were turned off since G28"),
     "QUAD_GANTRY_LEVEL": (SWITCH, {}, LEVELLED),
     "Z_TILT_ADJUST": (
         on_gantry(SWITCH, "three_screws", SWITCH.kinematics, **SCREWS),

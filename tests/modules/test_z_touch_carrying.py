@@ -524,3 +524,11 @@ def test_probe_of_the_hosts_own_section(start, host, touch):
     printer.run(TOUCHES[touch])
     assert untouched(printer)
     assert trips(printer)[:2] == ["attach", "dock"]
+
+
+# Commands of the host that are guarded, and ours, keep the words that they had
+@every_host
+def test_help_of_guarded_commands(start):
+    text = "\n".join(ready(start).run("HELP"))
+    assert "partial(" not in text
+    assert re.search(r"SET_PROBE_STATUS\s*: Tell where", text)

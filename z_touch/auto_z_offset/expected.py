@@ -112,8 +112,9 @@ class Expectations(object):
     # Whether Z is the bed sensor's.  Levelling does not change that: only what
     # sets Z does.
     def is_sensor_frame(self):
-        mark = self.home_mark
-        return mark is not None and mark[0] == len(self.frame.noted)
+        mark, frame = self.home_mark, self.frame
+        is_set = mark is not None and not frame.was_set_since(mark)
+        return is_set and frame.is_homed()
 
     # The correction of the probe means nothing in a frame of the bed sensor.
     def check_frame(self):

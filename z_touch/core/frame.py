@@ -41,7 +41,7 @@ class Frame(object):
     # nothing.
     def moved_since(self, mark, besides=None):
         count, datum = mark
-        if besides != MOTORS_OFF and not self._is_homed():
+        if besides != MOTORS_OFF and not self.is_homed():
             return self._last(count) or NOT_HOMED
         motors = self._motors(datum)
         noted = self._last(count, besides)
@@ -53,8 +53,12 @@ class Frame(object):
         return noted[-1] if noted else ""
 
     # SET_KINEMATIC_POSITION forgets it without an event
-    def _is_homed(self):
+    def is_homed(self):
         return "z" in self.host.toolhead_status()["homed_axes"]
+
+    # Whether Z was homed or set; a motor that was off has set nothing
+    def was_set_since(self, mark):
+        return any(what != MOTORS_OFF for what in self.noted[mark[0] :])
 
     # By how much (mm) the motor that has moved most is elsewhere now
     def moved_by(self, mark):
@@ -164,6 +168,7 @@ class HomedFrame(object):
     def moved_by(self):
         if not self.host.axes.z_datum():
             return 0.0
-        if self.mark is None:
+        if self.mark is None or MOTORS_OFF in self.frame.noted[self.mark[0] :]:
+            # Nobody knows how far
             return float("inf")
         return self.frame.moved_by(self.mark)

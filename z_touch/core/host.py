@@ -3,7 +3,6 @@
 from __future__ import absolute_import
 
 import collections
-import functools
 
 from .axes import Axes
 from .endstops import Endstops
@@ -108,7 +107,10 @@ class Host(object):
     def wrap_command(self, name, around):
         command = self.gcode.register_command(name, None)
         if command is not None:
-            wrapped = functools.partial(around, command)
+            # Kalico would take the words about a partial for its help
+            def wrapped(gcmd):
+                around(command, gcmd)
+
             self.gcode.register_command(name, wrapped)
 
     # The clients of the API that listen to the console.  No host says so; each

@@ -72,8 +72,9 @@ class Docking(object):
         self.running = None
         # Whether the parts of a trip are run by the trip
         self.is_on_trip = False
-        # What the pins read before a way into the dock by itself
-        self.seen_before = UNKNOWN
+        # What the pins read before a way into the dock by itself, and whether that
+        # was doubtful
+        self.seen_before, self.was_doubtful = UNKNOWN, True
 
     def use(self, settings):
         self.settings = settings
@@ -316,6 +317,7 @@ class Docking(object):
         state = self.sensors.look()
         trip = DOCK if state == ATTACHED else FETCH
         # The owner may leave it in any way, also without our commands.
+        self.was_doubtful = self.sensors.may_hang
         self.sensors.begin_trip()
         self.seen_before = state
         with self._dock_out(trip):
@@ -330,9 +332,13 @@ class Docking(object):
         self.moves.go_out(position, speed)
         if not is_by_itself:
             return
-        # A way in and out part by part proves as much as a trip.
-        if (before, self.sensors.look()) == (trip.before, trip.after):
+        # A way in and out part by part proves as much as a trip, and one on which the
+        # probe has stayed in the dock nothing else than what was known.
+        state = self.sensors.look()
+        if (before, state) == (trip.before, trip.after):
             self.sensors.end_trip(trip.after)
+        elif before == state == trip.after == DOCKED:
+            self.sensors.may_hang = self.was_doubtful
         self.run("post_" + trip.gcode)
 
     # Homing, and what else goes straight on, would begin across the dock.  Where

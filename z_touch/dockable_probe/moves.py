@@ -5,7 +5,7 @@ from __future__ import absolute_import, division
 
 from ..core import touching
 from . import detour
-from .settings import POSITIONS, dock_height
+from .settings import POSITIONS, dock_height, nearest_distance
 
 # A place so near (mm) is where homing has left the head: hosts correct it by part
 # of a step after the event that tells the end.
@@ -278,14 +278,23 @@ class Moves(object):
             if self.is_in_dock(position) and position.z is not None:
                 self.lift(position.z)
 
-    # From straight above the dock to the edge of the circle, on the side of the
-    # bed: a host that goes on from there goes down at first.
+    # From straight above the dock to the edge of the circle, and as far as its
+    # nearest position, on the side of the bed: a host that goes on from there goes
+    # down at first.
     def leave_top(self):
         start, limits = self.position(), self.host.axes.limits()[:2]
         if not self.is_in_dock(start):
             return
+        nearest = nearest_distance(self.settings._asdict())
+        zone = self.zone._replace(radius=max(self.zone.radius, nearest))
         middle = [0.5 * (low + high) for low, high in limits]
-        x, y = detour.find_exit(start, self.zone, limits, other=middle)
+        try:
+            x, y = detour.find_exit(start, zone, limits, other=middle)
+        except detour.NoDetour:
+            raise self.host.error(
+                "no way from over the dock in the reach of X and Y; set"
+                " restore_toolhead: True"
+            )
         touching.move_xy(self.host, x, y, self.settings.travel_speed)
 
     # Whether X and Y are those of the dock itself
