@@ -338,7 +338,7 @@ class Docking(object):
         if (before, state) == (trip.before, trip.after):
             self.sensors.end_trip(trip.after)
         elif before == state == trip.after == DOCKED:
-            self.sensors.may_hang = self.was_doubtful
+            self.sensors.stayed_docked(self.was_doubtful)
         self.run("post_" + trip.gcode)
 
     # Homing, and what else goes straight on, would begin across the dock.  Where

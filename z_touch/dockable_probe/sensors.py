@@ -58,6 +58,10 @@ class Sensors(object):
     def end_trip(self, state):
         self.proven, self.may_hang = state, state == ATTACHED
 
+    # It was on its way without the probe, which is as doubtful as it was before
+    def stayed_docked(self, was_doubtful):
+        self.may_hang = was_doubtful
+
     # From now on what the pins read proves nothing
     def distrust(self):
         self.proven = UNKNOWN
