@@ -158,6 +158,11 @@ class Running:
         """What macros read after these steps."""
         return self.example(text)[-1].status
 
+    def result(self, text: str) -> dict[str, Any]:
+        """Of the first run of these steps: later ones may correct it."""
+        results = [s.status.get("last_result") for s in self.example(text)]
+        return next(filter(None, results), {})
+
     def gap(self, script: str, xy: tuple[float, float]) -> float:
         """True gap at Z=0 over a point that G-code leaves, mm."""
         if script not in self._gaps:

@@ -264,7 +264,7 @@ def filled(formula: str, values: dict[str, float]) -> str:
 def wrong_terms(running: Running, text: str) -> Found:
     """The table of heights is the picture, and the picture is the run."""
     shown = numbers(running.module.name)
-    result = running.status(text)["last_result"]
+    result = running.result(text)
     for name, value in result.items():
         if shown.get(name) != pytest.approx(value, abs=1e-6):
             yield f"the picture: {name} is {value}"
@@ -280,7 +280,7 @@ def wrong_terms(running: Running, text: str) -> Found:
 
 def wrong_formulas(running: Running, text: str) -> Found:
     """Below a formula the same with numbers, which have to be right."""
-    result = running.status(text)["last_result"]
+    result = running.result(text)
     found = re.findall(r"```\n(\w.* = .*)\n([-\d].* = .*)\n```", text)
     real = [filled(formula, result) for formula, _ in found]
     complete = [line for line in real if not re.search("[a-z]", line)]

@@ -135,7 +135,7 @@ CASES = {
         {"extruder1": TOOL},
         "",
         "ACTIVATE_EXTRUDER EXTRUDER=extruder1\nSET_GCODE_OFFSET Z_ADJUST=0.3",
-        "SET_GCODE_OFFSET",
+        "extruder1 is active",
     ),
 }
 

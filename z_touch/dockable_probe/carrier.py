@@ -167,6 +167,8 @@ class Carrier(object):
 
     def _before_manual_method(self, command, gcmd):
         if gcmd.get("METHOD", "").strip().lower() == "manual":
+            # It goes straight to its first point.
+            self.prober.docking.leave()
             self._before_paper(command, gcmd)
         else:
             command(gcmd)

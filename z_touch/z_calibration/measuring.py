@@ -32,7 +32,7 @@ TOO_LOW = (
 
 # So far (mm) above where the nozzle should meet the pin a probe that is left on the
 # head has met the bed, if it does so at all
-CLEAR_OF_PIN = 0.5
+ABOVE_PIN = 0.5
 
 # Lift (mm) before the free plunger is moved over the plate
 CLEAR_OF_PLATE = FREE_PLUNGER + 0.5
@@ -316,7 +316,7 @@ class NozzleMeasurement(Measurement):
     def look_for_bed(self, floor):
         if self.expected_z is None:
             return
-        low = max(self.expected_z, floor) + CLEAR_OF_PIN
+        low = max(self.expected_z, floor) + ABOVE_PIN
         probe, speed = self.host.probing.endstop(), self.settings.probing_speed
         met = self.head.come_down(probe, low, speed)
         if met is not None:
