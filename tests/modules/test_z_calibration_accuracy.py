@@ -172,3 +172,30 @@ def test_homing_that_puts_the_probe_away(start):
     for _ in range(2):
         printer.run("CALIBRATE_Z_ACCURACY CYCLES=2 HOME=1")
     printer.machine.truth.require_no_crash()
+
+
+# Z is homed with the probe here, which stays on the head until start_gcode docks it
+def test_homing_that_needs_the_probe_on_the_head(start):
+    scene = SCENES["cartesian"]
+    inputs = dict(scene.wiring.inputs)
+    pin_input = inputs["nozzle_endstop"] = inputs.pop("z_endstop")
+    scene = replace(scene, wiring=replace(scene.wiring, inputs=inputs))
+    pin = replace(scene.world.pin, signal="nozzle_endstop")
+    changes = {
+        "stepper_z": {
+            "endstop_pin": "probe:z_virtual_endstop",
+            "position_endstop": None,
+        },
+        "safe_z_home": {"home_xy_position": "110, 110"},
+        "z_calibration": {
+            "endstop_pin": pin_input,
+            "start_gcode": "DOCK_PROBE",
+            "end_gcode": None,
+        },
+    }
+    printer = start(scene.with_world(pin=pin), changes=changes)
+    printer.session.require_ready()
+    printer.run("ATTACH_PROBE\nG28")
+    for _ in range(2):
+        printer.run("CALIBRATE_Z_ACCURACY CYCLES=2 HOME=1")
+    printer.machine.truth.require_no_crash()

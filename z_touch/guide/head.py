@@ -71,6 +71,8 @@ class GuidedHead(object):
             probing_first_fast=False,
             # Texture would look like a switch that varies
             bed_spread=0.0,
+            # Where it is on the head, the bed may be met before the pin
+            may_attach_late=True,
         )
         speed = pin.speed
         return with_counts(settings, slow(pin, speed), slow(probe, speed))

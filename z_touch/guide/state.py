@@ -19,8 +19,6 @@ class ProbeState(object):
         self.is_fixed = False
         # A start_gcode has run since the last end_gcode
         self.is_fetched = False
-        # start_gcode was seen to put it on: there it stays at the nozzle
-        self.comes_first = False
         # It was on the head when that has got to a place, or was moved by hand
         self.is_attached = False
 

@@ -2,7 +2,7 @@
 # Copyright (C) 2026  the Z calibration developers, under the GNU GPLv3
 from __future__ import absolute_import
 
-from ..core import carrying, running
+from ..core import running
 from ..core.errors import CalibrationError
 
 
@@ -52,17 +52,8 @@ class Touches(object):
 
     def fetch(self, state):
         state.probe.is_fetched = True
-        was_attached = self.hands.is_attached()
         self.section.fetch()
-        if not was_attached and self.hands.is_attached():
-            state.probe.comes_first = True
         state.mark = self.section.mark()
-
-    # A probe that fetches itself is docked for the nozzle
-    def is_in_the_way(self, state):
-        if carrying.of(self.host.printer).carrier(self.host) is not None:
-            return False
-        return not state.probe.comes_first and self.hands.is_attached()
 
     def put_away(self, state):
         if state.probe.is_fetched:
@@ -92,17 +83,11 @@ class Touches(object):
     def touch_nozzle(self, gcmd, state):
         self.head.lift(state)
         state.touched = {}
-        # Whoever has put it on: it may meet the bed before the nozzle meets the pin
+        # Whoever has put it on
         is_left_on = not state.probe.is_fixed and self.hands.is_attached()
         state.probe.is_fetched = state.probe.is_fetched or is_left_on
         with self.section.holding_probe():
             self.put_away(state)
-            if is_left_on and self.is_in_the_way(state):
-                raise CalibrationError(
-                    "the probe is on the head, as no G-code of yours has put it"
-                    " away, and would meet the bed before the nozzle meets the"
-                    " pin; take it off by hand"
-                )
             self.fetch(state)
             self.touch(state, "nozzle")
 

@@ -42,7 +42,7 @@ class Attachment(object):
     def begin(self):
         carrier = self.carrier()
         self.was_docked = False
-        self.was_on = self.reads_attached(self.host.print_time())
+        self.was_on = self.reads_attached(self.host.after_moves())
         if carrier is not None:
             self.was_docked = carrier.state() == DOCKED
             self.mark = carrier.mark()
@@ -84,7 +84,7 @@ class Attachment(object):
 
     # Around before_switch_gcode, which run() runs
     def come_late(self, run):
-        was_on = self.reads_attached(self.host.print_time())
+        was_on = self.reads_attached(self.host.after_moves())
         run()
         carrier = self.carrier()
         if carrier is not None:

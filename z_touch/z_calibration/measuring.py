@@ -315,17 +315,32 @@ class NozzleMeasurement(Measurement):
     # armed, not down to the pin.
     def look_for_bed(self, floor):
         if self.expected_z is None:
+            self.look_in_steps(floor)
             return
         low = max(self.expected_z, floor) + ABOVE_PIN
         probe, speed = self.host.probing.endstop(), self.settings.probing_speed
-        met = self.head.come_down(probe, low, speed)
-        if met is not None:
-            raise errors.CalibrationError(
-                "the probe is on the head, and has met the bed at z=%.3f, where"
-                " nothing should be met before the pin at z=%.3f; put it away, it"
-                " is for before_switch_gcode to attach it"
-                % (met, self.expected_z)
-            )
+        met_z = self.head.come_down(probe, low, speed)
+        if met_z is not None:
+            self.refuse_attached(met_z)
+
+    # Alike where nobody knows how high the pin is: it is armed, and the probe looked
+    # at after each step.  The plunger goes in further than a step.
+    def look_in_steps(self, floor):
+        probe, speed = self.host.probing.endstop(), self.settings.probing_speed
+        while self.host.motion.z() > floor:
+            z = max(self.host.motion.z() - ABOVE_PIN, floor)
+            if self.head.come_down(self.endstop(), z, speed) is not None:
+                return
+            if probe.query_endstop(self.host.after_moves()):
+                self.refuse_attached(z)
+
+    def refuse_attached(self, met_z):
+        raise errors.CalibrationError(
+            "the probe is on the head, and has met the bed at z=%.3f, where"
+            " nothing should be met before the pin; put it away, and attach it"
+            " after the nozzle only, in before_switch_gcode"
+            % (met_z,)
+        )
 
     def touch_free_site(self, travel_z, floor):
         samples = Measurement.touch_site(self, travel_z, floor)
