@@ -95,12 +95,19 @@ def test_probed_where_the_head_was(start, held, restore):
 
 
 # The docking of homing has left it beside the dock, straight behind which the bed is
-@pytest.mark.parametrize("command", ["BED_MESH_CALIBRATE", "Z_TILT_ADJUST"])
+@pytest.mark.parametrize(
+    "command",
+    [
+        "BED_MESH_CALIBRATE",
+        "Z_TILT_ADJUST",
+        "BED_MESH_CALIBRATE METHOD=manual\nABORT",
+    ],
+)
 def test_no_way_across_the_dock_where_docking_has_left_the_head(start, command):
     scene = DOCK_SCENES["dock_frame"]
     printer = started(start, scene, restore_toolhead="False").homed()
     assert at(printer) == pytest.approx((2.0, 240.0))
-    printer.run(command)
+    printer.run(f"{command}\nM400")
     assert trips(printer)[-2:] == ["attach", "dock"]
     printer.machine.truth.require_no_crash()
 

@@ -505,6 +505,23 @@ def test_saved_calibration_does_not_hold_where_z_was_set(start):
     printer.run("EXTRA_PROBE PROBE=membrane")
 
 
+# A lowest Z that its owner has set needs no calibration
+def test_position_min_holds_where_z_was_set(start):
+    scene, changes, _words = SINCE_G28["AUTO_Z_HOME_Z"]
+    options = section(saved_homing_z=f"{HANG}", position_min="-1.0")
+    printer = start(scene, changes={**changes, **options}).homed()
+    printer.run(f"AUTO_Z_HOME_Z\n{OVER}")
+    printer.machine.lay_membrane()
+    printer.run("EXTRA_PROBE PROBE=membrane")
+
+
+# Homing X is none of Z
+def test_homing_of_another_axis_after_levelling(start):
+    printer, words = moved(start, "QUAD_GANTRY_LEVEL")
+    printer.run(f"G28 X\n{OVER}")
+    assert f"SAVE=1: {words}" in printer.fail(f"{CALIBRATE} SAVE=1")
+
+
 # By 0.06 mm; half a membrane is left over the bed
 def test_saved_calibration_holds_after_a_little_levelling(start):
     scene = tilted(SWITCH, (0.0003, 0.0))

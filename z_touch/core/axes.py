@@ -154,11 +154,7 @@ class Axes(object):
     def watch_z_enabling(self, switched):
         enabling = self.host.printer.lookup_object("stepper_enable")
         for stepper in self.z_steppers():
-            try:
-                line = enabling.lookup_enable(stepper.get_name())
-            except self.host.printer.config_error:
-                # Of another name there: it tells nothing
-                continue
+            line = enabling.lookup_enable(stepper.get_name())
             line.register_state_callback(switched)
 
     # The largest step (mm) of the motors of Z

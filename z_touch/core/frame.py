@@ -9,8 +9,8 @@ NOT_HOMED = "Z is not homed"
 # up to less than this (mm) is neither homing nor levelling.
 DATUM_NOISE = 0.02
 
-# Where no motor turns, all shifts are the same but for this (mm).
-ROUNDING = 0.000001
+# Each sets Z once for every motor that it turns, and in the end for all of them
+LEVELLING = ("QUAD_GANTRY_LEVEL", "Z_TILT_ADJUST")
 
 
 # What happened to the frame since a mark was set
@@ -21,14 +21,19 @@ class Frame(object):
         self.noted = []
         # Of the last time Z was set
         self.datum = []
-        # Where the motors stood when one of them had been levelled (empty: none
-        # was, or that has ended), and the datum before any was
-        self.levelled_at = self.unlevelled = []
+        self.is_levelling = False
         register = host.printer.register_event_handler
         register("toolhead:set_position", self._set)
         register("homing:home_rails_end", self._homed)
         register("stepper_enable:motor_off", self._off)
         register("klippy:ready", self._watch_motors)
+        # All sections have registered their commands then, and no macro has taken the
+        # place of one.
+        register("klippy:mcu_identify", self._watch_levelling)
+
+    def _watch_levelling(self):
+        for name in LEVELLING:
+            self.host.wrap_command(name, self._around_levelling)
 
     # SET_STEPPER_ENABLE turns one off without an event
     def _watch_motors(self):
@@ -70,36 +75,21 @@ class Frame(object):
         if self.host.toolhead is None:
             return
         before, self.datum = self.datum, self.host.axes.z_datum()
-        if self._ends_levelling(before):
-            shifts = self._shifts(self.unlevelled)
-            # [z_tilt] also makes Z=0 where the probe sees the bed; with
-            # [quad_gantry_level] the middle stays as high.
-            is_set = abs(sum(shifts)) > DATUM_NOISE * len(shifts)
-        else:
-            is_set = self._motors(before) == HOMED_OR_SET
-        if is_set:
+        is_homed = self._motors(before) == HOMED_OR_SET
+        if is_homed and not self.is_levelling:
             self._note(HOMED_OR_SET)
 
-    # The host levels one motor after another, and sets Z each time, which shifts
-    # those that are still to come.  In the end it shifts all of them, with none
-    # turned since.
-    def _ends_levelling(self, before):
-        shifts, stands = self._shifts(before), self.host.axes.z_motors()
-        if not shifts or max(map(abs, shifts)) <= ROUNDING:
-            # Of two motors that turn as far
-            return False
-        spread = max(shifts) - min(shifts)
-        if spread > self.host.axes.z_step():
-            self.unlevelled = self.unlevelled if self.levelled_at else before
-            self.levelled_at = stands
-            return False
-        turned = [abs(a - b) for a, b in zip(stands, self.levelled_at)]
-        is_under_way = bool(turned) and max(turned) <= DATUM_NOISE
-        if is_under_way and spread > ROUNDING:
-            # Of a motor that turns by less than a step
-            return False
-        self.levelled_at = []
-        return is_under_way
+    # [z_tilt] also makes Z=0 where the probe sees the bed; with [quad_gantry_level]
+    # the middle stays as high, whatever the probe says.
+    def _around_levelling(self, command, gcmd):
+        before, self.is_levelling = self.host.axes.z_datum(), True
+        try:
+            command(gcmd)
+        finally:
+            self.is_levelling = False
+        shifts = self._shifts(before)
+        if abs(sum(shifts)) > DATUM_NOISE * len(shifts):
+            self._note(HOMED_OR_SET)
 
     # Not sent where Z is homed with the probe since 2026-05-25 (5cbebdc3c)
     def _homed(self, homing_state, rails):
@@ -139,8 +129,7 @@ class HomedFrame(object):
         self.mark = None
         # How many of these commands have begun: one may have others in it
         self.begun = 0
-        # All sections have registered their commands then, and no macro has
-        # taken the place of one.
+        # As for levelling
         register = self.host.printer.register_event_handler
         register("klippy:mcu_identify", self._watch)
 

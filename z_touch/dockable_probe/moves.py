@@ -288,13 +288,7 @@ class Moves(object):
         nearest = nearest_distance(self.settings._asdict())
         zone = self.zone._replace(radius=max(self.zone.radius, nearest))
         middle = [0.5 * (low + high) for low, high in limits]
-        try:
-            x, y = detour.find_exit(start, zone, limits, other=middle)
-        except detour.NoDetour:
-            raise self.host.error(
-                "no way from over the dock in the reach of X and Y; set"
-                " restore_toolhead: True"
-            )
+        x, y = detour.find_exit(start, zone, limits, other=middle)
         touching.move_xy(self.host, x, y, self.settings.travel_speed)
 
     # Whether X and Y are those of the dock itself

@@ -338,8 +338,7 @@ class NozzleMeasurement(Measurement):
         raise errors.CalibrationError(
             "the probe is on the head, and has met the bed at z=%.3f, where"
             " nothing should be met before the pin; put it away, and attach it"
-            " after the nozzle only, in before_switch_gcode"
-            % (met_z,)
+            " after the nozzle only, in before_switch_gcode" % (met_z,)
         )
 
     def touch_free_site(self, travel_z, floor):
