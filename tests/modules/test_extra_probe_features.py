@@ -59,6 +59,23 @@ def test_mesh_is_taken_off(start, scene, height):
     assert measured == pytest.approx(BEDS[scene], abs=2 * MICROSTEP)
 
 
+# As an adaptive one does: the host goes on with its rim
+@pytest.mark.every_host
+@pytest.mark.parametrize("zero", [None, "30, 20", "100, 100"])
+def test_mesh_that_ends_before_the_switch(start, zero):
+    own = bed_mesh("60, 60", "180, 180", zero_reference_position=zero)
+    changes = {"bed_mesh": own, "bed_mesh default": profile([0.2] * 3, own)}
+    printer = start("membrane", changes=changes).homed()
+    printer.run(LOAD)
+    lines = told(calibrate(printer))
+    is_zero = zero == "30, 20"
+    taken_off = 0.0 if is_zero else 0.2
+    wanted = pytest.approx(BED - taken_off, abs=2 * MICROSTEP)
+    assert printer.offset() == wanted
+    ends = "bed_mesh ends before 30.0, 20.0, where the switch lay"
+    assert any(ends in line for line in lines) != is_zero
+
+
 @pytest.mark.parametrize("height", [0.2, 0.05])
 @pytest.mark.parametrize("scene", ["membrane", "membrane_and_probe"])
 def test_mesh_is_taken_off_what_is_saved(start, scene, height):

@@ -11,6 +11,7 @@ import pytest
 
 from simprinter import Scene
 from simprinter.hosts.hosts import Host
+from simprinter.world import MeshSpec
 from tools.kit.auto_z_offset import POINT
 from tools.kit.klipper_sections import TOOL, bed_mesh
 from tools.kit.load_errors import load
@@ -258,3 +259,62 @@ def test_gap_is_that_of_the_table(host, title, module, tmp_path):
     wanted = float(of_host(gap_cell, host))
     assert gap == pytest.approx(wanted, abs=2 * MICROSTEP), (gap, told)
     assert told == of_host(told_cell, host)
+
+
+# Around a print at PRINT, and nowhere else
+PRINT = (70.0, 70.0)
+ADAPTIVE = f"{PROBED} MESH_MIN=50,50 MESH_MAX=90,90"
+
+
+def dented(module: str) -> Scene:
+    """Where it is measured the bed is 0.15 mm lower than at the print."""
+    scene = SCENES["voron" if module == "z_calibration" else "qidi"]
+    x, y = POINTS[module]
+    row = (0.0, 0.0, 0.0)
+    dent = MeshSpec(
+        x - 40.0, y - 40.0, x + 40.0, y + 40.0, (row, (0.0, -0.15, 0.0), row)
+    )
+    bed = replace(scene.world.bed, mesh=dent)
+    return scene.with_world(bed=bed)
+
+
+@pytest.mark.every_host
+@pytest.mark.parametrize("is_late", [False, True])
+@pytest.mark.parametrize("zero", ["there", "none", "elsewhere"])
+@pytest.mark.parametrize("module", COMMANDS)
+def test_mesh_that_ends_before_the_point(host, module, zero, is_late):
+    x, y = POINTS[module]
+    places = {"there": {**ZERO}, "none": {}}
+    options = {
+        **MESH,
+        **places.get(zero, {"zero_reference_position": "60, 60"}),
+    }
+    if zero == "there":
+        options["zero_reference_position"] %= POINTS[module]
+    with Printer(host, dented(module), {"bed_mesh": options}) as printer:
+        printer.session.require_ready()
+        printer.homed()
+        if module == "auto_z_offset":
+            # Where it homes, and so its mesh
+            printer.run(f"G1 X{x} Y{y} F6000")
+        scripts = [ADAPTIVE, COMMANDS[module]][:: -1 if is_late else 1]
+        printer.run(scripts[0])
+        told = "\n".join(printer.run(scripts[1]))
+        gap = printer.gap(PRINT)
+        status = printer.status(module)
+        wanted = float(table()["none"][module][0])
+    if module == "auto_z_offset":
+        # A mesh with its zero there, and one without, is right
+        is_right = zero != "elsewhere"
+        assert (abs(gap - wanted) < 0.006) == is_right, gap
+        assert ("the gap is wrong" in told) == (not is_right and not is_late)
+        return
+    is_right = zero == "there" or (zero == "none" and not is_late)
+    assert (abs(gap - wanted) < 0.006) == is_right, gap
+    if zero == "elsewhere" and not is_late:
+        assert "the first layer may be wrong" in told
+        assert any("ends before" in text for text in status["warnings"])
+    elif is_right:
+        assert "wrong" not in told and status["valid"]
+    else:
+        assert not status["valid"]

@@ -17,10 +17,18 @@ NO_SHIFT = 0.0005
 # What the user is told of the gap at a point; empty: it is right.  'site': the
 # nozzle's touching.Site; 'results': heights.Result of all cycles.
 def wrong_gap(host, site, results):
+    if host.features.is_mesh_guessed(site.x, site.y):
+        return (
+            "bed_mesh ends before %.1f, %.1f, and its zero is elsewhere: nobody"
+            " knows by how much the gap is wrong; a bed mesh has to be zero where"
+            " Z is homed, or nowhere" % (site.x, site.y)
+        )
     seen = sum(r.probe - r.probe_z_offset for r in results) / len(results)
     parts = [
         part
-        for part in host.features.parts(site.x, site.y, results[0].sensor)
+        for part in host.features.parts(
+            site.x, site.y, results[0].sensor, bed_z=seen
+        )
         if abs(part.height) >= NO_SHIFT
     ]
     shift = sum(part.height for part in parts)

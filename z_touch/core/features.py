@@ -13,6 +13,7 @@ from __future__ import absolute_import, division
 
 import collections
 import contextlib
+import math
 
 # A feature by the name of its section, and what it adds to Z (mm)
 Part = collections.namedtuple("Part", "name height")
@@ -24,6 +25,9 @@ Modes = collections.namedtuple("Modes", "absolute absolute_extrude")
 INNERMOST = ("bed_mesh", "bed_tilt")
 # On Kalico there may be several, with names of their own
 HEAT = "z_thermal_adjust"
+
+# Within this distance (mm) of its zero a bed mesh is as good as zero.
+MESH_ZERO_NEAR = 1.0
 
 # Of a saved state of G-code, what holds the G-code offset
 POSITIONS = ("homing_position", "base_position")
@@ -48,11 +52,21 @@ class Features(object):
 
     # toolhead Z - G-code Z (mm), the G-code offset left out, with the head at x, y, z
     # (toolhead, mm).  parts() and rest() are for a command that moves nothing
-    # meanwhile; get_status() has height().
+    # meanwhile; get_status() has height().  Of a mesh that ends before the point it is
+    # what it would be there, see _beyond_mesh(); 'bed_z': where the probe sees the bed
+    # there, its z_offset off (toolhead Z, mm), None: nobody knows.
 
     # What each feature that is known shifts there, 0 included
-    def parts(self, x, y, z):
-        return self._look(x, y, z)[1]
+    def parts(self, x, y, z, bed_z=None):
+        parts = self._look(x, y, z)[1]
+        if not self.is_beyond_mesh(x, y):
+            return parts
+        return [
+            part._replace(height=self._beyond_mesh(x, y, bed_z))
+            if part.name in INNERMOST
+            else part
+            for part in parts
+        ]
 
     # What is shifted there besides, by whatever it may be (mm).  It may be gone
     # with the next move: exclude_object, a retraction with a lift.
@@ -61,9 +75,11 @@ class Features(object):
         return z - gcode_z - sum(part.height for part in parts)
 
     # Of the mesh and the tilt (mm): what nothing but a command changes
-    def height(self, x, y):
+    def height(self, x, y, bed_z=None):
         mesh = self._mesh()
         tilt = self.printer.lookup_object("bed_tilt", None)
+        if self.is_beyond_mesh(x, y):
+            return self._beyond_mesh(x, y, bed_z)
         if mesh is not None:
             return mesh.calc_z(x, y)
         if tilt is not None:
@@ -80,6 +96,30 @@ class Features(object):
         owner = self.printer.lookup_object("bed_mesh", None)
         get_mesh = getattr(owner, "get_mesh", None)
         return get_mesh() if get_mesh else None
+
+    # Whether the mesh ends before that point, as an adaptive one may
+    def is_beyond_mesh(self, x, y):
+        if self._mesh() is None:
+            return False
+        owner = self.printer.lookup_object("bed_mesh")
+        status = owner.get_status(self.host.eventtime())
+        ends = zip(status["mesh_min"], (x, y), status["mesh_max"])
+        return not all(low <= at <= high for low, at, high in ends)
+
+    # Whether nobody knows what it would be there: its zero is elsewhere
+    def is_mesh_guessed(self, x, y):
+        has_zero = self.mesh_zero() is not None
+        is_there = self.is_mesh_zero(x, y)
+        return has_zero and not is_there and self.is_beyond_mesh(x, y)
+
+    # There the host goes on with the height of its rim.  But its zero may be there,
+    # which was probed then besides the mesh; and without a zero its heights are what
+    # the probe has seen.
+    def _beyond_mesh(self, x, y, bed_z):
+        zero = self.mesh_zero()
+        if zero is None and bed_z is not None:
+            return bed_z
+        return 0.0 if self.is_mesh_zero(x, y) else self._mesh().calc_z(x, y)
 
     # G-code Z (mm) there, and the parts of its shift
     def _look(self, x, y, z):
@@ -148,6 +188,12 @@ class Features(object):
         if index is None or not 0 <= index < len(points):
             return None
         return tuple(points[index])[:2]
+
+    def is_mesh_zero(self, x, y):
+        zero = self.mesh_zero()
+        if zero is None:
+            return False
+        return math.hypot(x - zero[0], y - zero[1]) <= MESH_ZERO_NEAR
 
     def _mesh_calibrate(self):
         mesh = self.printer.lookup_object("bed_mesh", None)

@@ -25,6 +25,10 @@ class Shifts(object):
             and (part.name in INNERMOST or not is_saved)
         ]
         self.rest = host.features.rest(*point)
+        # Nobody knows what the mesh would be there
+        self.is_guessed = host.features.is_beyond_mesh(
+            *point[:2]
+        ) and not host.features.is_mesh_zero(*point[:2])
 
     # mm, to be taken off the offset
     def height(self):
@@ -38,6 +42,12 @@ class Shifts(object):
             yield (
                 "%s at %.1f, %.1f, where the switch lay, taken off: the offset is"
                 " %.6f, and right there while that is in force" % values
+            )
+        if self.is_guessed:
+            yield (
+                "bed_mesh ends before %.1f, %.1f, where the switch lay: what was"
+                " taken off is the height of its rim; check the first layer"
+                % self.point[:2]
             )
         if abs(self.rest) >= LARGEST_REST:
             yield (

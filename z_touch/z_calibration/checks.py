@@ -2,14 +2,9 @@
 # Copyright (C) 2026  the Z calibration developers, under the GNU GPLv3
 from __future__ import absolute_import
 
-import math
-
 from ..core.errors import CalibrationError
 from . import heights
 from .sites import SiteFinder
-
-# Within this distance (mm) of its zero a bed mesh is as good as zero.
-MESH_ZERO_NEAR = 1.0
 
 
 # Raises the error of a configuration whose probe cannot press the pin.
@@ -91,7 +86,7 @@ def mesh_note(host, settings):
             " (%.3f, %.3f); set it to that point, or load the mesh before"
             % (option, bed.x, bed.y)
         )
-    if math.hypot(bed.x - zero[0], bed.y - zero[1]) <= MESH_ZERO_NEAR:
+    if host.features.is_mesh_zero(bed.x, bed.y):
         return ""
     return (
         "bed_xy_position (%.3f, %.3f) is not where the bed mesh is zero"

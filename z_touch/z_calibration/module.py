@@ -33,7 +33,7 @@ from .hooks import MOVED_IN_END, Hooks
 from .interface import Interface
 from .measuring import Run
 from .pin import find_pin, read_pin
-from .results import NOTHING, Results
+from .results import NOTHING, Results, height_of
 from .settings import (
     complete,
     idle_params,
@@ -257,7 +257,8 @@ class ZCalibration(object):
         return last._replace(
             z_offset=z_offset + added,
             applied=applied,
-            height=features.height(*last.point),
+            height=height_of(self.host, last),
+            guessed=features.is_mesh_guessed(*last.point),
             states=states,
             warnings=last.warnings + shifts.warnings(),
         )

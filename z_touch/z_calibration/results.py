@@ -21,20 +21,27 @@ Warned = collections.namedtuple("Warned", "about text")
 #                has made another one of it
 #   point        X, Y of the bed that was measured (mm)
 #   height       of bed mesh or bed tilt there, when it was applied (mm)
+#   guessed      whether nobody knew it, see features
 #   extruder     whose nozzle it was
 #   states       the G-code offsets (mm) of saved states of before, by their names
 Last = collections.namedtuple(
     "Last",
     "result mark warnings uncertainty z_adjust z_offset applied point height"
-    " extruder states",
+    " guessed extruder states",
 )
-NOTHING = Last(None, None, (), None, 0.0, 0.0, 0.0, None, 0.0, "", {})
+NOTHING = Last(None, None, (), None, 0.0, 0.0, 0.0, None, 0.0, False, "", {})
 
 # By less (mm) the bed mesh is as high as it was.
 SAME_HEIGHT = 0.01
 
 # Offsets that differ by less (mm) are the same, but for their digits in G-code.
 SAME_OFFSET = 0.000002
+
+
+# The height (mm) of bed mesh or bed tilt at the point of the results.Last
+def height_of(host, last):
+    bed_z = last.result.probe - host.probing.z_offset()
+    return host.features.height(*last.point, bed_z=bed_z)
 
 
 # What macros read of results, and what the next run knows of the last one.
@@ -123,7 +130,13 @@ class Results(object):
 
     def _why_not_as_high(self):
         last, features = self.last, self.host.features
-        height = features.height(*last.point)
+        height = height_of(self.host, last)
+        if features.is_mesh_guessed(*last.point) and not last.guessed:
+            return (
+                "bed_mesh ends before %.1f, %.1f, where CALIBRATE_Z has measured,"
+                " and its zero is elsewhere; set %s of section 'bed_mesh' there"
+                % (last.point + (features.mesh_zero_option(),))
+            )
         if abs(height - last.height) <= SAME_HEIGHT:
             return ""
         return (
