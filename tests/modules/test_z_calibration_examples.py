@@ -35,6 +35,7 @@ from tests.modules.example_owners import (
     print_start_of,
 )
 from tools.kit.cases import all_slow_but, slow
+from tools.kit.klipper_sections import bed_mesh
 from tools.kit.printer import Printer
 from tools.kit.scenes import SCENES
 from tools.kit.z_calibration import MICROSTEP, touched_sites
@@ -411,10 +412,10 @@ def test_bed_is_measured_below_the_print_with_a_mesh(start):
     )
 
 
-def with_plates(start, tmp_path):
+def with_plates(start, tmp_path, more=()):
     path = EXAMPLES / f"{PLATES}.cfg"
     variables = {"filename": str(tmp_path / "variables.cfg")}
-    changes = {f"include {path}": {}, "save_variables": variables}
+    changes = {f"include {path}": {}, "save_variables": variables, **dict(more)}
     return start(changes=changes).homed()
 
 
@@ -449,6 +450,23 @@ def test_plates_keep_their_baby_steps(start, tmp_path):
     assert printer.offset() == pytest.approx(plain + 0.02, abs=2 * MICROSTEP)
     printer.run("CALIBRATE_Z_ON_PLATE")
     assert printer.offset() == pytest.approx(plain, abs=2 * MICROSTEP)
+
+
+# What a mesh shifts, and end_gcode adds, are no baby steps
+def test_plates_keep_nothing_else(start, tmp_path):
+    own = {"end_gcode": "SET_GCODE_OFFSET Z_ADJUST=0.1"}
+    mesh = bed_mesh("50, 50", "250, 250")
+    more = {"bed_mesh": mesh, "probe": {"z_offset": "6.9"}}
+    more["z_calibration"] = {**SCENES["voron"].sections["z_calibration"], **own}
+    printer = with_plates(start, tmp_path, more)
+    run = "G28\nBED_MESH_CALIBRATE\nCALIBRATE_Z_ON_PLATE PLATE=textured"
+    printer.run(run)
+    plain, steps = printer.offset(), 0.0
+    for step in (0.02, 0.01):
+        steps += step
+        printer.run(f"SET_GCODE_OFFSET Z_ADJUST={step}\nKEEP_Z_OF_PLATE\n{run}")
+        wanted = pytest.approx(plain + steps, abs=2 * MICROSTEP)
+        assert printer.offset() == wanted
 
 
 def test_tools_keep_their_offsets(start):

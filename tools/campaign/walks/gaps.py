@@ -33,6 +33,9 @@ G1 X%.4f Y%.4f F9000
 G1 Z%.4f F1200
 M400"""
 
+# Another client may measure meanwhile, and apply nothing
+_RUN = re.compile("CALIBRATE_Z(?!_ACCURACY)")
+
 # What the console shows of each calibration that has ended well
 CALIBRATED = re.compile(r"Z-CALIBRATION: probe=\S+ - ")
 CORRECTED = re.compile(r"AUTO_Z_CALIBRATE: .*probe_z_correction:")
@@ -168,7 +171,7 @@ class Gaps:
         status = self.printer.status("z_calibration")
         worth = (status.get("last_result") or {}).get("uncertainty")
         told += float(status.get("uncertainty") or worth or 0.0)
-        last = script.rpartition("CALIBRATE_Z")[2]
+        last = _RUN.split(script)[-1]
         point, adjust = _POINT.search(last), _ADJUST.search(last)
         place = self._bed_point()
         if point is not None:
@@ -286,11 +289,21 @@ class Gaps:
 
     # Looking
 
+    def _is_beyond_mesh(self, point: Point) -> bool:
+        mesh = self.printer.status("bed_mesh")
+        if not any(mesh.get("mesh_matrix") or ()):
+            return False
+        ends = zip(mesh["mesh_min"], point, mesh["mesh_max"])
+        return not all(low <= at <= high for low, at, high in ends)
+
     def look(self, point: Point) -> Optional[float]:
         """The gap over a point; None where the head cannot go there.
 
-        The head comes back.
+        The head comes back. Nor where an adaptive mesh has ended: beyond its rim
+        Klipper goes on as high as that, whatever the bed is there.
         """
+        if self._is_beyond_mesh(point):
+            return None
         session, machine = self.printer.session, self.printer.machine
         status = self.printer.status("gcode_move")
         back = tuple(status["gcode_position"][:3])
