@@ -577,6 +577,7 @@ def test_tolerance_and_retries(start, options, n, fails):
         ("z_endstop", 4, "average", None, 1),
         ("z_endstop", 4, "median", "average", 1),
         ("probe", 3, "average", None, 1),
+        ("probe", 3, "average", "none", 1),
         ("probe", 3, "average", "median", 0),
         ("probe", 3, "median", "average", 1),
     ],

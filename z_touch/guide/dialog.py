@@ -184,22 +184,36 @@ class Setup(object):
             "save": self.save,
         }.get(name, lambda gcmd, state: None)
 
-    # Heights hold no more where Z was homed again; sites do
+    # Heights hold no more where Z was homed again; sites do.  The last step only saves
+    # what was measured.
     def check_heights(self, state):
-        if state.mark is None:
+        if state.mark is None or state.step == "save":
             return
-        if not self.touches.is_homed() and self.hands.is_attached():
-            raise CalibrationError(
-                "not homed, and the probe is on the head; put it away unless Z is"
-                " homed with it, then home all axes (G28)"
-            )
-        if state.step not in NEED_HEIGHTS:
-            return
+        self.check_homed(state)
         moved = self.section.moved_since(state.mark)
-        if moved:
+        if not moved:
+            return
+        state.touched, state.pin_below = {}, None
+        state.mark = self.section.mark()
+        if state.step in NEED_HEIGHTS:
             state.step, state.arrived = "touch_nozzle", True
             text = "%s: the heights hold no more, the first touches begin again"
             raise CalibrationError(text % (moved,))
+
+    def check_homed(self, state):
+        is_homed = self.touches.is_homed()
+        may_hang = not (is_homed or state.probe.is_fixed)
+        if may_hang and self.hands.is_attached():
+            raise CalibrationError(
+                "not homed, and the probe is on the head; put it away unless"
+                " Z is homed with it, then home all axes (G28)"
+            )
+        moved = is_homed and self.section.pin_moved()
+        if moved:
+            raise CalibrationError(
+                "%s, and nobody knows how high the pin is; home Z again (G28 Z),"
+                " the probe off the head" % (moved,)
+            )
 
     ##################################################################
     # What is shown

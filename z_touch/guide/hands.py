@@ -18,6 +18,10 @@ VERDICTS = {
 }
 
 
+# Of a pin that reads pressed: after G28 the nozzle may stand on it
+LIFT_OFF = "lift the nozzle by hand if it stands on the pin, and otherwise %s"
+
+
 # Watches the two switches while a hand presses one of them.
 class Hands(object):
     # 'section': interface.Interface; 'saver': saving.Saver, which knows where an
@@ -79,9 +83,11 @@ class Hands(object):
             host.eventtime() + steps.HAND_PATIENCE, endstop, other
         )
         if verdict != "good":
+            remedy = "check %s" % (self.remedy(*option),)
+            if verdict == "early" and endstop is self.section.pin().endstop:
+                remedy = LIFT_OFF % (remedy,)
             raise CalibrationError(
-                "%s %s; check %s"
-                % (name, VERDICTS[verdict], self.remedy(*option))
+                "%s %s; %s" % (name, VERDICTS[verdict], remedy)
             )
         gcmd.respond_info("%s: %s works" % (host.section, name))
 

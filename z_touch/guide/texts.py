@@ -267,7 +267,7 @@ ALL = (
             "%(repeats)s",
             "%(values)s",
             "%(not_saved)s",
-            "After this, home (G28) and run CALIBRATE_Z.",
+            "After this: G28, level and G28 Z if the printer levels, CALIBRATE_Z.",
             "%(of_a_list)s",
             "%(saving)s",
         ),

@@ -19,15 +19,18 @@ class Touches(object):
         homed = self.host.toolhead_status()["homed_axes"]
         return all(axis in homed for axis in "xyz")
 
+    # Again where the pin is elsewhere since: how low the head may be moved by hand
+    # counts from it.
     def home(self, gcmd, state):
-        if not self.is_homed():
+        moved = self.is_homed() and self.section.pin_moved()
+        if moved or not self.is_homed():
             on_pin = self.section.settings().position_endstop is not None
             if on_pin and not state.probe.is_fixed and self.hands.is_attached():
                 raise CalibrationError(
                     "the probe is on the head, and would hit the bed before the"
                     " nozzle meets the pin; put it away, or run G28 yourself"
                 )
-            self.host.gcode.run_script_from_command("G28")
+            self.host.gcode.run_script_from_command("G28 Z" if moved else "G28")
         running.check_homed(self.host)
         state.mark = self.section.mark()
 
@@ -40,8 +43,8 @@ class Touches(object):
         self.head.lift(state)
         if self.hands.is_attached():
             return
+        self.fetch(state)
         with self.section.holding_probe():
-            self.fetch(state)
             self.section.fetch_late(None)
             state.mark = self.section.mark()
         if not self.hands.is_attached():
@@ -67,8 +70,7 @@ class Touches(object):
             return
         if self.is_homed() and not is_printing:
             self.head.lift(state)
-            with self.section.holding_probe():
-                self.put_away(state)
+            self.put_away(state)
         elif state.probe.is_fetched:
             gcmd.respond_info(
                 "%s: nothing was moved, as a print may be on, or the printer is"
@@ -86,9 +88,9 @@ class Touches(object):
         # Whoever has put it on
         is_left_on = not state.probe.is_fixed and self.hands.is_attached()
         state.probe.is_fetched = state.probe.is_fetched or is_left_on
+        self.put_away(state)
+        self.fetch(state)
         with self.section.holding_probe():
-            self.put_away(state)
-            self.fetch(state)
             self.touch(state, "nozzle")
 
     def touch_switch(self, gcmd, state):
@@ -102,7 +104,7 @@ class Touches(object):
     def touch_bed(self, gcmd, state):
         with self.section.holding_probe():
             self.touch(state, "bed")
-            self.put_away(state)
+        self.put_away(state)
 
     # Touches a site, and lifts the head
     def touch(self, state, name):

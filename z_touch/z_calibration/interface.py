@@ -102,6 +102,12 @@ class Interface(object):
     def run_command(self, gcmd, work, phase):
         return self._section.run_without_offset(gcmd, work, phase, 0)
 
+    # What has moved the pin since Z was homed on it, in words; empty: nothing has, or
+    # Z is not homed on it
+    def pin_moved(self):
+        is_homed_on = self.settings().position_endstop is not None
+        return self._section.homed.moved() if is_homed_on else ""
+
     ##################################################################
     # Touches
     ##################################################################

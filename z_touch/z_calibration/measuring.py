@@ -34,6 +34,9 @@ TOO_LOW = (
 # head has met the bed, if it does so at all
 ABOVE_PIN = 0.5
 
+# At least so far (mm) a plunger goes in beyond where it triggers
+LOOK_STEP = 0.2
+
 # Lift (mm) before the free plunger is moved over the plate
 CLEAR_OF_PLATE = FREE_PLUNGER + 0.5
 
@@ -48,13 +51,14 @@ PLUNGER_PRESSED = (
 # What the touches of one run have in common, and what was seen in it so far
 class Run(object):
     # 'settings': completed; 'pin': what nozzle and body press; 'plan' has the
-    # samples; 'watch' is told what happens.
-    def __init__(self, host, settings, pin, plan, watch):
+    # samples; 'watch' is told what happens; 'homed' is the frame.HomedFrame.
+    def __init__(self, host, settings, pin, plan, watch, homed):
         self.host = host
         self.settings = settings
         self.pin = pin
         self.plan = plan
         self.watch = watch
+        self.homed = homed
         self.warnings = []
         # Whether somebody has seen the probe on the head
         self.was_attached = False
@@ -311,10 +315,11 @@ class NozzleMeasurement(Measurement):
         return self.touch_free_site(travel_z, floor)
 
     # A probe that before_switch_gcode is there for reads attached by now: left on,
-    # or it always does, as one that is wired as normally open.  With its switch
-    # armed, not down to the pin.
+    # or it always does, as one that is wired as normally open.  Its switch ends the
+    # way down where the pin is known to be below, as Z was homed on it.
     def look_for_bed(self, floor):
-        if self.expected_z is None:
+        is_homed_on = self.settings.position_endstop is not None
+        if not is_homed_on or self.run.homed.moved():
             self.look_in_steps(floor)
             return
         low = max(self.expected_z, floor) + ABOVE_PIN
@@ -323,12 +328,12 @@ class NozzleMeasurement(Measurement):
         if met_z is not None:
             self.refuse_attached(met_z)
 
-    # Alike where nobody knows how high the pin is: it is armed, and the probe looked
-    # at after each step.  The plunger goes in further than a step.
+    # Only one switch can end a move: otherwise that is the pin, and the probe is
+    # looked at after each step.
     def look_in_steps(self, floor):
         probe, speed = self.host.probing.endstop(), self.settings.probing_speed
         while self.host.motion.z() > floor:
-            z = max(self.host.motion.z() - ABOVE_PIN, floor)
+            z = max(self.host.motion.z() - LOOK_STEP, floor)
             if self.head.come_down(self.endstop(), z, speed) is not None:
                 return
             if probe.query_endstop(self.host.after_moves()):

@@ -65,6 +65,8 @@ class ZCalibration(object):
         self.host = Host(config)
         check_z_axis(config, self.host.axes.z_axis)
         self.frame = frame.Frame(self.host)
+        # There the pin is where Z was homed on it
+        self.homed = frame.HomedFrame(self.frame)
         self.runner = running.Runner(self.host)
         old_names = options.OldNames(config)
         self.settings = read_settings(config, self.host.axes.z_axis, old_names)
@@ -130,7 +132,7 @@ class ZCalibration(object):
     # A Calibration; 'plan': adaptive.Plan of its touches
     def new_calibration(self, settings, sites, plan):
         watch = self.runner.watch
-        run = Run(self.host, settings, self.pin, plan, watch)
+        run = Run(self.host, settings, self.pin, plan, watch, self.homed)
         return Calibration(run, sites)
 
     # Returns what work() does, see running.Runner.  G-code has the same modes in each

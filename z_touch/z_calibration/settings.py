@@ -269,7 +269,9 @@ SPEEDS = (
     ),
     probe_option(
         "samples_result",
-        "median or average. The default is that of [probe].",
+        "median or average. The default is that of [probe]; none, which the"
+        " original has by default, is the same as that.",
+        kind=options.choice(dict(options.RESULTS, none=None)),
     ),
 )
 

@@ -37,6 +37,11 @@ ELSEWHERE = {
 Sites = collections.namedtuple("Sites", "nozzle switch bed")
 
 
+# Coordinates (mm) that add up to the end of an axis are not beyond it
+def rounded(x, y):
+    return round(x, 6), round(y, 6)
+
+
 # What the user is told where nothing says where a site is
 def no_site(name, mesh_option):
     elsewhere = ELSEWHERE[name].replace("%s", mesh_option)
@@ -138,7 +143,7 @@ class SiteFinder(object):
                 )
         if nozzle is None:
             return None
-        x, y = nozzle.x + offsets[0], nozzle.y + offsets[1]
+        x, y = rounded(nozzle.x + offsets[0], nozzle.y + offsets[1])
         option = "switch_xy_offsets"
         origin = "Option '%s: %g,%g' in section 'z_calibration'"
         origin %= (option,) + tuple(offsets)
@@ -154,7 +159,8 @@ class SiteFinder(object):
             origin = "The zero reference position of section 'bed_mesh'"
             bed = touching.Site("bed", zero[0], zero[1], origin, option)
         x_offset, y_offset = self.host.probing.offsets()[:2]
-        return bed._replace(x=bed.x - x_offset, y=bed.y - y_offset)
+        x, y = rounded(bed.x - x_offset, bed.y - y_offset)
+        return bed._replace(x=x, y=y)
 
     # X and Y (mm) of the bed that the probe touches at a site
     def bed_point(self, site):

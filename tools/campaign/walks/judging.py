@@ -61,6 +61,8 @@ LOOKED_AT: Mapping[str, Optional[Sequence[str]]] = {
 }
 # Steps during which nobody commands anything, and those after which nobody has
 UNCOMMANDED = ("wait", "hand")
+# What klippy says as it goes
+RESTARTED = "Klipper state: Disconnect"
 RESTARTS = ("restart", "save")
 MODES = {"G90": ("G90", "G91"), "M82": ("M82", "M83")}
 _SENT = re.compile(r"^(?:G1|MOVE_AVOIDING_DOCK) X=?(\S+) Y=?(\S+)")
@@ -403,8 +405,14 @@ class Judge:
         if status["manual_probe"].get("is_active"):
             return True
         extra = status["extra_probe membrane"]
-        shown = dialogs_of(self.printer.session.console)
+        shown = dialogs_of(self._console_of_now())
         return bool(extra.get("waits_for")) or any(d.is_open for d in shown)
+
+    def _console_of_now(self) -> Sequence[str]:
+        """Since klippy has started: nobody has asked what was open before."""
+        console = self.printer.session.console
+        starts = [i for i, line in enumerate(console) if RESTARTED in line]
+        return console[starts[-1] :] if starts else console
 
     def _was_asked(self, status: Status) -> bool:
         """Whether one is, or was: the end of a set-up closes the dialogs of all
