@@ -467,7 +467,7 @@ def test_nothing_is_saved_where_g28_has_not_put_z(start, script):
     at = printer.session.position()
     text = printer.fail(f"{CALIBRATE} SAVE=1")
     assert f"SAVE=1: {words}, and what is saved counts from G28 on" in text
-    assert text.endswith("; run G28 first")
+    assert "; run G28 first" in text
     assert printer.session.position() == at
     # As it is for now it can be right
     lines = calibrate(printer)

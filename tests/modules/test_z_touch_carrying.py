@@ -86,7 +86,7 @@ def test_docking_is_not_delayed_where_the_nozzle_goes_down_next(start, touch):
     assert where(printer) == "docked"
 
 
-@pytest.mark.parametrize("touch", ["EXTRA_PROBE", "AUTO_Z_CALIBRATE"])
+@pytest.mark.parametrize("touch", ["EXTRA_PROBE", "AUTO_Z_PROBE"])
 def test_touch_is_refused_where_no_trips_are_wanted(start, touch):
     printer = ready(start, {"auto_attach_detach": "False"}, GOES_DOWN)
     printer.run(f"{OVER}ATTACH_PROBE\nM400")
@@ -96,6 +96,18 @@ def test_touch_is_refused_where_no_trips_are_wanted(start, touch):
     assert text.endswith("run DETACH_PROBE")
     assert printer.session.position()[2] >= height
     assert (pressed(printer), trips(printer)) == (0.0, ["attach"])
+
+
+# Nozzle and probe take turns there
+@pytest.mark.parametrize("touch", ["AUTO_Z_MEASURE_OFFSET", "AUTO_Z_CALIBRATE"])
+@pytest.mark.parametrize("before", ["ATTACH_PROBE", "DETACH_PROBE"])
+def test_both_touch_only_with_trips(start, before, touch):
+    printer = ready(start, {"auto_attach_detach": "False"}, GOES_DOWN)
+    printer.run(f"{OVER}{before}\nM400")
+    text = printer.fail(TOUCHES[touch])
+    assert "auto_attach_detach is off, and both nozzle and probe" in text
+    assert untouched(printer)
+    printer.run(f"SET_DOCKABLE_PROBE AUTO_ATTACH_DETACH=1\n{TOUCHES[touch]}")
 
 
 # In the dock there is no bed to touch, and no way back into it
@@ -343,7 +355,7 @@ def test_another_method_probes_as_before(start):
 
 @pytest.mark.parametrize(
     "end",
-    ["SET_DOCKABLE_PROBE AUTO_ATTACH_DETACH=0", "M84", "RESTART"],
+    ["SET_DOCKABLE_PROBE AUTO_ATTACH_DETACH=0", "RESTART"],
 )
 def test_nothing_is_pending_after(start, end):
     printer = ready(start, {"allow_delayed_detach": "True"})

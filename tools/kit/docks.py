@@ -148,7 +148,7 @@ def _servo() -> Scene:
     switch = _gantry_switch()
     assert switch.world.dock is not None
     out = "\n  SET_SERVO SERVO=dock ANGLE=90\n  G4 P400"
-    away = "\n  SET_SERVO SERVO=dock ANGLE=0"
+    away = "\n  SET_SERVO SERVO=dock ANGLE=0\n  G4 P400"
     options = {
         **(switch.sections["dockable_probe"] or {}),
         "pre_attach_gcode": out,

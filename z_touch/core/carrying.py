@@ -64,8 +64,9 @@ class Carrying(object):
     # Nothing hangs below the nozzle afterwards, and the head is where it was;
     # otherwise raises CalibrationError, or the host's error.  'host' is the
     # host.Host of whoever asks.  A dock is left alone where its owner wants no
-    # trips, unless 'regardless'.
-    def free_nozzle(self, host, regardless=False):
+    # trips, unless 'regardless'.  'goes_on': whoever asks moves to its own place
+    # next.
+    def free_nozzle(self, host, regardless=False, goes_on=False):
         self.check_questions(host)
         carrier = self.carrier(host)
         if carrier is None:
@@ -82,11 +83,12 @@ class Carrying(object):
         place = host.toolhead.get_position()[:2]
         carrier.dock_and_come_back()
         here = host.toolhead.get_position()[:2]
-        if max(abs(a - b) for a, b in zip(place, here)) > touching.NO_TRAVEL:
+        moved = max(abs(a - b) for a, b in zip(place, here))
+        if moved > touching.NO_TRAVEL and not goes_on:
             raise CalibrationError(
                 "the probe was docked, and the head did not come back from"
-                " X=%.3f Y=%.3f to X=%.3f Y=%.3f; move it there, and begin"
-                " again" % tuple(here + place)
+                " X=%.3f Y=%.3f to X=%.3f Y=%.3f; move it to where it is to"
+                " touch, and begin again" % tuple(here + place)
             )
 
     # What lies on the bed, or whose hand is there, nobody else knows.  Raises

@@ -13,7 +13,9 @@ from .settings import travel_height
 
 # Commands of the host after which a person lowers the nozzle with TESTZ, or onto
 # a sheet of paper
-BY_HAND = ("MANUAL_PROBE", "Z_ENDSTOP_CALIBRATE", "BED_SCREWS_ADJUST")
+BY_HAND = ("MANUAL_PROBE", "Z_ENDSTOP_CALIBRATE")
+# After this one, too, straight at the first screw
+SCREWS = "BED_SCREWS_ADJUST"
 # Commands after which a person does so if they have METHOD=MANUAL
 BY_METHOD = (
     "BED_MESH_CALIBRATE",
@@ -22,6 +24,9 @@ BY_METHOD = (
     "QUAD_GANTRY_LEVEL",
     "SCREWS_TILT_CALCULATE",
     "Z_TILT_ADJUST",
+    # Of Kalico's [z_tilt_ng]
+    "Z_TILT_AUTODETECT",
+    "Z_TILT_CALIBRATE",
 )
 # These probe, and then ask for the paper; the second does so again at each ACCEPT,
 # at points of its own.
@@ -29,6 +34,9 @@ PROBE_THEN_PAPER = {
     "PROBE_CALIBRATE": False,
     "AXIS_TWIST_COMPENSATION_CALIBRATE": True,
 }
+# After these nobody docks what was to be docked in a while.  RESTART has to be there
+# when klippy is not ready, too, and nothing in its place would.
+ENDS = ("M18", "M84", "SAVE_CONFIG")
 # What else probes, and what of ours says who holds the probe
 PROBING = ("PROBE", "PROBE_ACCURACY")
 HOLDING = ("ATTACH_PROBE", "SET_DOCKABLE_PROBE", "SET_PROBE_STATUS")
@@ -123,6 +131,9 @@ class Carrier(object):
         wrap("G28", self._before_homing)
         for name in BY_HAND:
             wrap(name, self._before_paper)
+        wrap(SCREWS, self._before_paper_elsewhere)
+        for name in ENDS:
+            wrap(name, self._before_end)
         for name in BY_METHOD:
             wrap(name, self._before_manual_method)
         for name, asks_again in PROBE_THEN_PAPER.items():
@@ -167,11 +178,18 @@ class Carrier(object):
 
     def _before_manual_method(self, command, gcmd):
         if gcmd.get("METHOD", "").strip().lower() == "manual":
-            # It goes straight to its first point.
-            self.prober.docking.leave()
-            self._before_paper(command, gcmd)
+            self._before_paper_elsewhere(command, gcmd)
         else:
             command(gcmd)
+
+    # It goes straight to its first point.
+    def _before_paper_elsewhere(self, command, gcmd):
+        self.prober.docking.leave()
+        self._before_paper(command, gcmd)
+
+    def _before_end(self, command, gcmd):
+        self.prober.holder.delay.end()
+        command(gcmd)
 
     # The probe is docked at the end of each session, whoever held it.
     def _around_paper(self, asks_again, command, gcmd):

@@ -63,8 +63,16 @@ class Delay(object):
                 # A hand may be near the head.
                 self._wait(mark)
                 return
-            try:
-                self.hurry()
-            except self.host.printer.command_error as e:
-                # There is no command that it could be the error of.
-                self.host.gcode.respond_raw("!! %s" % (e,))
+            self._hurry_and_tell()
+
+    # There is no command that an error could be of.
+    def _hurry_and_tell(self):
+        try:
+            self.hurry()
+        except self.host.printer.command_error as e:
+            self.host.gcode.respond_raw("!! %s" % (e,))
+
+    # Before what ends it: later nobody would find the dock.
+    def end(self):
+        if not carrying.of(self.host.printer).is_asking(self.host):
+            self._hurry_and_tell()

@@ -267,10 +267,24 @@ class Docking(object):
         self.is_on_trip = True
         try:
             with running.always(self.host, put_away, "putting the dock away"):
+                self._make_room(trip)
                 self.run("pre_" + trip.gcode)
                 yield
         finally:
             self.is_on_trip = False
+
+    # While the dock is away a head may stand where it comes out.
+    def _make_room(self, trip):
+        moves, settings = self.moves, self.settings
+        comes_out = getattr(settings, "pre_" + trip.gcode) is not None
+        is_near = detour.is_inside(moves.position(), moves.zone)
+        if comes_out and is_near and not moves.stands_in_dock():
+            is_fetched = trip is FETCH
+            moves.go_beside(
+                settings.approach_position
+                if is_fetched
+                else settings.insert_position
+            )
 
     # A head that was not brought out of the dock still is in it.
     def _run_beside_dock(self, name):
@@ -341,6 +355,16 @@ class Docking(object):
             self.sensors.stayed_docked(self.was_doubtful)
         self.run("post_" + trip.gcode)
 
+    # Around another way out of the dock: what was brought out for the way in is put
+    # away.
+    @contextlib.contextmanager
+    def putting_away(self):
+        is_by_itself = self.moves.stands_in_dock() and not self.is_on_trip
+        yield
+        if is_by_itself:
+            trip = FETCH if self.sensors.look() == ATTACHED else DOCK
+            self.run("post_" + trip.gcode)
+
     # Homing, and what else goes straight on, would begin across the dock.  Where
     # nobody knows the way out, or the way is part of a trip, the head stays.  'axes'
     # are those that are homed (0: X).
@@ -348,13 +372,15 @@ class Docking(object):
         moves, settings = self.moves, self.settings
         if self.is_on_trip or not self._is_in_reach():
             return
-        is_left_beside = moves.is_left_beside()
         if moves.stands_in_dock():
             self.go_out(DOCK, settings.detach_position, settings.detach_speed)
         if self._is_beside() and self._make_way_for_homing(axes):
             return
-        if is_left_beside:
+        if moves.is_at_detach():
             moves.go_beside(settings.approach_position)
+        if not axes:
+            # What goes on from straight above it goes down at first.
+            moves.leave_top()
 
     # Whether the head stands at a position of the dock's, out of it
     def _is_beside(self):

@@ -245,4 +245,5 @@ class DockableProbe(object):
         start = self.moves.position()
         goal = detour.Position(number("X", start.x), number("Y", start.y), None)
         speed = number("SPEED", self.settings.travel_speed, above=0.0)
-        self.moves.travel_beside(goal, speed)
+        with self.docking.putting_away():
+            self.moves.travel_beside(goal, speed)

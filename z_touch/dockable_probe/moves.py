@@ -140,16 +140,14 @@ class Moves(object):
     def is_at(self, position):
         return detour.distance(self.position(), position) < detour.ROUNDING
 
-    # Whether a docking without a way back has ended here
-    def is_left_beside(self):
+    # Whether the head is where a docking without a way back ends
+    def is_at_detach(self):
         settings = self.settings
-        if settings.restore_toolhead or not settings.is_placed:
-            return False
-        return self.is_at(settings.detach_position)
+        return settings.is_placed and self.is_at(settings.detach_position)
 
     # 'is_wanted': the probe was fetched for a command that goes on from here
     def stay(self, is_wanted):
-        stays = is_wanted and not self.is_left_beside()
+        stays = is_wanted and not self.is_at_detach()
         self.stayed_at = self.position() if stays else None
 
     # Whether nobody has moved the head since

@@ -61,13 +61,17 @@ class Prober(object):
         self.clear_z = 0.0
         self.moves.stay(False)
         goal = self.homing.goal(self.moves.position())
-        if self.moves.is_in_dock(goal):
+        is_over_dock = self.moves.is_in_dock(goal)
+        if is_over_dock and (is_homing or self.moves.stands_in_dock()):
             raise self.host.error(
                 "the head stands in the dock (X=%.3f Y=%.3f), where nothing can"
                 " be touched; move it away first, as MOVE_TO_APPROACH_PROBE"
                 " does" % goal[:2]
             )
-        if self.holder.auto and not is_homing and self.moves.is_left_beside():
+        is_left = (
+            self.holder.auto and not is_homing and self.moves.is_at_detach()
+        )
+        if is_over_dock or is_left:
             # Nobody wants to touch there, and from there the host would go on
             # straight across the dock.
             goal = None
@@ -213,7 +217,9 @@ class Prober(object):
     # Where a person is asked meanwhile, nothing may drive off later.
     def _dock_after_use(self, goal):
         is_asking = carrying.of(self.host.printer).is_asking(self.host)
-        if self.settings.allow_delayed_detach and not is_asking:
+        # The first layer may come at once.
+        may_wait = not (is_asking or self.host.print_state())
+        if self.settings.allow_delayed_detach and may_wait:
             self.holder.delay.start()
         else:
             self.dock_and_return(goal)

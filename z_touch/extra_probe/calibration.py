@@ -95,7 +95,7 @@ class Calibration(object):
         self.check_settings(save)
         warnings = self.check_temperature()
         # Before a hand comes near: later nothing drives to a dock by itself
-        self.free_nozzle()
+        self.free_nozzle(goes_on=self.settings.xy_position is not None)
         self.travel()
         self.stand_still()
         floor, says = self.floor(floor_param)
@@ -121,7 +121,8 @@ class Calibration(object):
         if save and moved:
             raise CalibrationError(
                 "SAVE=1: %s, and what is saved counts from G28 on; run G28"
-                " first" % (moved,)
+                " first, or leave SAVE out where that levels after homing Z"
+                % (moved,)
             )
 
     def travel(self):
@@ -224,11 +225,11 @@ class Calibration(object):
         question = question._replace(asks="removal", bed_z=bed_z)
         self.dialog.ask(question, "Take the switch away", sentences)
 
-    def free_nozzle(self):
+    def free_nozzle(self, goes_on=False):
         everything = carrying.of(self.host.printer)
         everything.check_questions(self.host)
         if self.switch.is_below_nozzle:
-            everything.free_nozzle(self.host)
+            everything.free_nozzle(self.host, goes_on=goes_on)
 
     # To where the touches begin, with the switch watched on the way
     def come_down(self):

@@ -55,7 +55,7 @@ class Attachment(object):
             self.check_absent()
         elif not carrier.is_put_on(self.mark, self.was_docked):
             everything = carrying.of(self.host.printer)
-            everything.free_nozzle(self.host, regardless=True)
+            everything.free_nozzle(self.host, regardless=True, goes_on=True)
 
     # Of a plain probe that was there before start_gcode, too
     def check_absent(self):
