@@ -455,6 +455,21 @@ def test_probe_calibrated_by_its_host(start):
     assert true_gap(printer) == pytest.approx(gap, abs=STEPS)
 
 
+# z_offset takes the correction over, and nothing else
+@pytest.mark.parametrize("step", [0.0, 0.05])
+def test_baby_steps_and_the_button_of_the_host(start, step):
+    printer = start("qidi").homed()
+    printer.run(f"AUTO_Z_CALIBRATE\nSET_GCODE_OFFSET Z_ADJUST={step} MOVE=0")
+    lines = printer.run("Z_OFFSET_APPLY_PROBE")
+    hint = f"{step:.3f} mm of baby steps are gone after SAVE_CONFIG"
+    assert any(hint in line for line in lines) == bool(step)
+    printer.run("AUTO_Z_SAVE_GCODE_OFFSET")
+    printer.session.restart("SAVE_CONFIG")
+    printer.run("G28\nAUTO_Z_LOAD_OFFSET")
+    gap = printer.scene.piezo_gap() + step
+    assert true_gap(printer) == pytest.approx(gap, abs=STEPS)
+
+
 @pytest.mark.parametrize("value", ["0", "0.0"])
 def test_documented_default_of_the_correction_means_none(start, value):
     printer = start("qidi", changes=section(probe_z_correction=value)).homed()

@@ -373,8 +373,30 @@ def test_motor_that_was_off_does_not_end_it(start):
     printer.run(f"AUTO_Z_HOME_Z\n{off}")
     for command in ("AUTO_Z_LOAD_OFFSET", "AUTO_Z_SAVE_GCODE_OFFSET"):
         assert "Z was set by AUTO_Z_HOME_Z" in printer.fail(command)
-    # Z is to be homed with the probe then
-    printer.run("M84\nAUTO_Z_LOAD_OFFSET\nG28\nAUTO_Z_LOAD_OFFSET")
+    # Z is to be homed with the probe then, and the offset is still that of before
+    printer.run("M84")
+    text = printer.fail("AUTO_Z_SAVE_GCODE_OFFSET")
+    assert "Z was set by AUTO_Z_HOME_Z" in text
+    printer.run("AUTO_Z_LOAD_OFFSET\nG28\nAUTO_Z_LOAD_OFFSET")
+
+
+def wrong_probe(start, slope_x, slope_y, sigma=0.0):
+    """A gantry on a slope, and a probe that is 1.2 mm wrong, which is known."""
+    scene = with_all(DOCK_SCENES["dock_gantry"])
+    bed = replace(scene.world.bed, slope_x=slope_x, slope_y=slope_y)
+    probe = scene.world.mag_probe
+    probe = replace(probe, noise=replace(probe.noise, sigma=sigma))
+    scene = scene.with_world(mag_probe=probe)
+    wrong = 1.2
+    options = section(
+        probe_z_correction=f"{0.15 - wrong}",
+        corrected_probe_z_offset=f"{HANG - wrong}",
+    )
+    hangs = {"z_calibration": None, "dockable_probe": {}, **options}
+    hangs["dockable_probe"]["z_offset"] = f"{HANG - wrong}"
+    averaged = {"samples": "3", "samples_result": "average"}
+    hangs["dockable_probe"].update(averaged if sigma else {})
+    return start(scene.with_world(bed=bed), hangs).homed()
 
 
 # In the second two pairs of motors turn as far, in the others by less than a step
@@ -385,22 +407,7 @@ def test_motor_that_was_off_does_not_end_it(start):
     [(0.0005, 0.0), slow(0.0, 0.0), slow(4e-6, 0.0), slow(6e-6, 0.003)],
 )
 def test_levelling_of_the_host_does_not_end_it_either(start, slope_y, sigma):
-    scene = with_all(DOCK_SCENES["dock_gantry"])
-    bed = replace(scene.world.bed, slope_x=0.0008, slope_y=slope_y)
-    probe = scene.world.mag_probe
-    probe = replace(probe, noise=replace(probe.noise, sigma=sigma))
-    scene = scene.with_world(mag_probe=probe)
-    # The probe is wrong by so much, which somebody has measured
-    wrong = 1.2
-    options = section(
-        probe_z_correction=f"{0.15 - wrong}",
-        corrected_probe_z_offset=f"{HANG - wrong}",
-    )
-    hangs = {"z_calibration": None, "dockable_probe": {}, **options}
-    hangs["dockable_probe"]["z_offset"] = f"{HANG - wrong}"
-    averaged = {"samples": "3", "samples_result": "average"}
-    hangs["dockable_probe"].update(averaged if sigma else {})
-    printer = start(scene.with_world(bed=bed), hangs).homed()
+    printer = wrong_probe(start, 0.0008, slope_y, sigma)
     printer.run("AUTO_Z_HOME_Z\nQUAD_GANTRY_LEVEL")
     for command in ("LOAD_OFFSET", "SAVE_GCODE_OFFSET"):
         text, before, after = before_and_after(printer, f"AUTO_Z_{command}")
@@ -409,6 +416,40 @@ def test_levelling_of_the_host_does_not_end_it_either(start, slope_y, sigma):
     # Nor is the bed where the correction says
     printer.run("AUTO_Z_PROBE")
     printer.run("G28 Z\nAUTO_Z_LOAD_OFFSET\nAUTO_Z_SAVE_GCODE_OFFSET")
+
+
+# The motors turn when the last sheet is there, long after the command
+@pytest.mark.every_host
+def test_levelling_by_hand_does_not_end_it_either(start):
+    printer = wrong_probe(start, 0.0008, 0.0005)
+    printer.run("AUTO_Z_HOME_Z\nQUAD_GANTRY_LEVEL METHOD=manual")
+    for _ in range(4):
+        printer.session.wait(2.0)
+        for _ in range(12):
+            tip = printer.machine.tip()
+            gap = printer.machine.truth.true_gap(tip.x, tip.y, tip.z)
+            if gap < 0.12:
+                break
+            printer.run(f"TESTZ Z={0.1 - gap:.3f}\nM400")
+            printer.session.wait(1.0)
+        printer.run("ACCEPT")
+    assert "Z was set by AUTO_Z_HOME_Z" in printer.fail("AUTO_Z_LOAD_OFFSET")
+
+
+# "Too many retries", and Z is the probe's all the same
+@pytest.mark.every_host
+def test_z_tilt_that_fails_in_the_end(start):
+    scene = with_all(DOCK_SCENES["dock_frame"])
+    probe = scene.world.mag_probe
+    probe = replace(probe, noise=replace(probe.noise, sigma=0.003))
+    changes = {"z_calibration": None, **section(probe_z_correction="0.16")}
+    changes["z_tilt"] = {"retries": "1", "retry_tolerance": "0.0001"}
+    changes["dockable_probe"] = {"z_offset": f"{HANG - 0.4}"}
+    printer = start(scene.with_world(mag_probe=probe), changes).homed()
+    easy = "RETRY_TOLERANCE=0.05 RETRIES=5"
+    printer.run(f"Z_TILT_ADJUST {easy}\nG28\nAUTO_Z_HOME_Z")
+    assert "retries" in printer.fail("Z_TILT_ADJUST")
+    printer.run("AUTO_Z_LOAD_OFFSET")
 
 
 def test_z_that_is_set_after_levelling_is_another_one(start):

@@ -112,17 +112,28 @@ class Expectations(object):
     # Whether Z is the bed sensor's.  Levelling does not change that: only what
     # sets Z does.
     def is_sensor_frame(self):
-        mark, frame = self.home_mark, self.frame
-        is_set = mark is not None and not frame.was_set_since(mark)
-        return is_set and frame.is_homed()
+        return self.was_sensor_frame() and self.frame.is_homed()
 
-    # The correction of the probe means nothing in a frame of the bed sensor.
+    # Whether it was, and perhaps Z is not homed any more
+    def was_sensor_frame(self):
+        mark = self.home_mark
+        return mark is not None and not self.frame.was_set_since(mark)
+
+    # The correction of the probe means nothing in a frame of the bed sensor, and where
+    # that is gone the G-code offset may still be the one that was right in it.
+    def check_offset(self):
+        if self.was_sensor_frame():
+            self.refuse_frame()
+
     def check_frame(self):
         if self.is_sensor_frame():
-            raise CalibrationError(
-                "Z was set by AUTO_Z_HOME_Z, a correction of the probe does not"
-                " hold there; home Z with the probe (G28) first"
-            )
+            self.refuse_frame()
+
+    def refuse_frame(self):
+        raise CalibrationError(
+            "Z was set by AUTO_Z_HOME_Z, a correction of the probe does not"
+            " hold there; home Z with the probe (G28) first"
+        )
 
     # The correction is the G-code offset only where the probe sees the bed at
     # about 0.  Returns what is wrong with that; empty: nothing.

@@ -40,6 +40,8 @@ class AutoZOffset(object):
         self.results = ()
         register = self.printer.register_event_handler
         register("klippy:connect", self.connect)
+        # All sections have registered their commands then
+        register("klippy:mcu_identify", self.watch_button)
         running.register_commands(self.host, self)
 
     ##################################################################
@@ -57,6 +59,24 @@ class AutoZOffset(object):
         self.start_notes += checks.printer_notes(
             self.host, self.settings, self.sensor.motors
         )
+
+    def watch_button(self):
+        self.host.wrap_command("Z_OFFSET_APPLY_PROBE", self.after_button)
+
+    # The button of the host, which knows nothing of a correction
+    def after_button(self, command, gcmd):
+        command(gcmd)
+        corrected, z = self.correction.z, self.host.gcode_offset.z()
+        if corrected is None:
+            return
+        step = z - self.host.probing.homed_bed_z() - corrected
+        if abs(step) >= shifts.NO_SHIFT:
+            self.host.say(
+                "Z_OFFSET_APPLY_PROBE moves the probe's Z=0, which"
+                " probe_z_correction is counted from: %.3f mm of baby steps are"
+                " gone after SAVE_CONFIG; run AUTO_Z_SAVE_GCODE_OFFSET, too"
+                % (step,)
+            )
 
     # Empty: nothing is to be told
     def tell(self, text):
@@ -136,6 +156,15 @@ class AutoZOffset(object):
                 " then RESTART and AUTO_Z_CALIBRATE" % (z_offset, -z_offset)
             )
 
+    # The nozzle touches without the probe, and then the probe
+    def check_both(self):
+        carrier = carrying.of(self.printer).carrier(self.host)
+        if carrier is not None and not carrier.auto:
+            raise CalibrationError(
+                "auto_attach_detach is off, and both nozzle and probe have to"
+                " touch; run SET_DOCKABLE_PROBE AUTO_ATTACH_DETACH=1 first"
+            )
+
     # AUTO_Z_PROBE
     cmd_AUTO_Z_PROBE_help = "Touch the bed with the nozzle where the head is"
 
@@ -204,6 +233,7 @@ class AutoZOffset(object):
         self.tell(heights.inside_bed(result.z_offset))
 
     def measure_once(self, run):
+        self.check_both()
         bed = bed_site(self.host, self.settings)
         run.prepare(bed, self.settings.bed_spread)
         result = run.measure(probe_site(self.host, bed))
@@ -233,6 +263,7 @@ class AutoZOffset(object):
         self.tell(heights.inside_bed(settings.z_offset))
 
     def calibrate(self, run):
+        self.check_both()
         bed = bed_site(self.host, self.settings)
         run.prepare(bed, self.settings.bed_spread)
         # Here, as prepare_gcode may have homed
@@ -293,7 +324,7 @@ class AutoZOffset(object):
     cmd_AUTO_Z_SAVE_GCODE_OFFSET_help = "Save the G-code Z offset in force"
 
     def cmd_AUTO_Z_SAVE_GCODE_OFFSET(self, gcmd):
-        self.check(self.expectations.check_frame)
+        self.check(self.expectations.check_offset)
         moved = self.host.features.moved_by_g92()
         if abs(moved) >= shifts.NO_SHIFT:
             # Baby steps may only have made good for it

@@ -18,6 +18,12 @@ ZAxis = collections.namedtuple(
 # Of an axis that is homed on a switch: where that triggers
 ENDSTOP_OPTION = "position_endstop"
 
+# Sections that level the Z motors; the last one is Kalico's
+LEVELLING = ("quad_gantry_level", "z_tilt", "z_tilt_ng")
+
+# What they turn the motors with
+ADJUST = "adjust_steppers"
+
 # Where Z gets its zero: section and option, and the value in force (mm)
 ZZero = collections.namedtuple("ZZero", "section option z")
 
@@ -156,6 +162,17 @@ class Axes(object):
         for stepper in self.z_steppers():
             line = enabling.lookup_enable(stepper.get_name())
             line.register_state_callback(switched)
+
+    # around(adjust, *args) comes in the place of adjust(*args), which turns the motors
+    # of Z one after another, and sets Z for each.  The command may have ended long
+    # before: with METHOD=manual that is at the last ACCEPT.
+    def wrap_levelling(self, around):
+        for name in LEVELLING:
+            section = self.host.printer.lookup_object(name, None)
+            helper = getattr(section, "z_helper", None)
+            adjust = getattr(helper, ADJUST, None)
+            if adjust is not None:
+                setattr(helper, ADJUST, functools.partial(around, adjust))
 
     # The largest step (mm) of the motors of Z
     def z_step(self):

@@ -9,9 +9,6 @@ NOT_HOMED = "Z is not homed"
 # up to less than this (mm) is neither homing nor levelling.
 DATUM_NOISE = 0.02
 
-# Each sets Z once for every motor that it turns, and in the end for all of them
-LEVELLING = ("QUAD_GANTRY_LEVEL", "Z_TILT_ADJUST")
-
 
 # What happened to the frame since a mark was set
 class Frame(object):
@@ -27,13 +24,10 @@ class Frame(object):
         register("homing:home_rails_end", self._homed)
         register("stepper_enable:motor_off", self._off)
         register("klippy:ready", self._watch_motors)
-        # All sections have registered their commands then, and no macro has taken the
-        # place of one.
-        register("klippy:mcu_identify", self._watch_levelling)
+        register("klippy:connect", self._watch_levelling)
 
     def _watch_levelling(self):
-        for name in LEVELLING:
-            self.host.wrap_command(name, self._around_levelling)
+        self.host.axes.wrap_levelling(self._around_levelling)
 
     # SET_STEPPER_ENABLE turns one off without an event
     def _watch_motors(self):
@@ -81,15 +75,15 @@ class Frame(object):
 
     # [z_tilt] also makes Z=0 where the probe sees the bed; with [quad_gantry_level]
     # the middle stays as high, whatever the probe says.
-    def _around_levelling(self, command, gcmd):
+    def _around_levelling(self, adjust, *args):
         before, self.is_levelling = self.host.axes.z_datum(), True
         try:
-            command(gcmd)
+            return adjust(*args)
         finally:
             self.is_levelling = False
-        shifts = self._shifts(before)
-        if abs(sum(shifts)) > DATUM_NOISE * len(shifts):
-            self._note(HOMED_OR_SET)
+            shifts = self._shifts(before)
+            if abs(sum(shifts)) > DATUM_NOISE * len(shifts):
+                self._note(HOMED_OR_SET)
 
     # Not sent where Z is homed with the probe since 2026-05-25 (5cbebdc3c)
     def _homed(self, homing_state, rails):
@@ -129,7 +123,8 @@ class HomedFrame(object):
         self.mark = None
         # How many of these commands have begun: one may have others in it
         self.begun = 0
-        # As for levelling
+        # All sections have registered their commands then, and no macro has
+        # taken the place of one.
         register = self.host.printer.register_event_handler
         register("klippy:mcu_identify", self._watch)
 
