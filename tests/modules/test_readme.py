@@ -194,7 +194,7 @@ ADDED = {
     "make test": " --dry-run",
     "make test-all": " --dry-run",
     "KLIPPER_PATH=~/klipper:~/kalico make test": " PYTEST_ARGS=--version",
-    "build/venv/bin/python -m tools.demo --help": "",
+    "make demo DEMO_ARGS=--help": "",
 }
 # What collects no tests
 SHORT = [name for name in ADDED if not name.startswith("KLIPPER_PATH")]
@@ -203,7 +203,7 @@ EXPECTED = {
     "make test": r"-m pytest --cases test -n \d",
     "make test-all": r"-m pytest --cases all -n \d",
     "KLIPPER_PATH=~/klipper:~/kalico make test": r"klipper@klipper.*\nkalico@",
-    "build/venv/bin/python -m tools.demo --help": r"--scene",
+    "make demo DEMO_ARGS=--help": r"--scene",
 }
 
 
@@ -266,7 +266,8 @@ def test_the_way_to_the_demo(home):
 
 # Words of Klipper, of web interfaces and of others' macros
 FOREIGN = """QUERY_ENDSTOPS QUERY_PROBE RESTORE_GCODE_STATE Internal klippy base
-smart_effector qdprobe extra_probe rename_existing client macros CHAMBER"""
+smart_effector qdprobe extra_probe rename_existing client macros CHAMBER
+KAMP_Settings variable_probe_dock_enable"""
 KNOWN_TEXTS = [
     ROOT / "docs" / "setup.md",
     ROOT / "docs" / "accuracy.md",
