@@ -45,7 +45,7 @@ every_conf=()       # and all others, as their printers may be printing
 scratch=""
 
 # What was done
-rehearsal="" first_problem=0 links_changed="" confs_changed=""
+rehearsal="" first_problem=0 links_changed="" confs_changed="" unwritable=""
 
 # Talking
 
@@ -69,8 +69,12 @@ fail() {
 report() { say "$1... [${dry_run:-OK}${2:+, $2}]"; }
 change() { [ -n "$dry_run$rehearsal" ] || "$@"; }
 
+# Each is told once
 needs_writable() {
-    [ -w "$1" ] || problem "$NOT_WRITABLE" "cannot write to $1"
+    [[ -w $1 || $unwritable = *":$1:"* ]] && return 0
+    unwritable+=":$1:"
+    problem "$NOT_WRITABLE" "cannot write to $1; give it to your user:" \
+        "sudo chown $(id -un) $1"
 }
 
 # A file that is replaced, and its folder
@@ -171,6 +175,8 @@ look_at_environment() {
     . "$here/installer/moonraker.sh"
     # shellcheck source=installer/services.sh
     . "$here/installer/services.sh"
+    [ -n "${HOME:-}" ] || fail "$ENVIRONMENT" "HOME is not set; run it as the" \
+        "user that Klipper runs as"
     [ "$(id -u)" -ne 0 ] || [ -n "$allow_root" ] ||
         fail "$ENVIRONMENT" "this runs as root or with sudo; run it as the" \
             "user that Klipper runs as, or, where that is root, with --allow-root"

@@ -274,8 +274,8 @@ set_up_exclude() {
     [ -z "$1" ] || [ ! -f "$file" ] || change clean_exclude "$file" "$1"
 }
 
-# clean_exclude FILE PLACES: the lines of links that are gone, and our mark where
-# no line follows it
+# clean_exclude FILE PLACES: the lines of links that are gone, and our mark, with the
+# empty line before it, where no line follows
 # shellcheck disable=SC2329 # called by change
 clean_exclude() {
     awk -v gone="$2 " -v prefix="/$git_prefix" -v mark="$MARK" '
@@ -284,10 +284,13 @@ clean_exclude() {
         { line[++n] = $0 }
         END {
             for (i = 1; i <= n; i++) {
-                if (index(line[i], mark) == 1 && index(line[i + 1], prefix) != 1)
+                if (index(line[i], mark) == 1 && index(line[i + 1], prefix) != 1) {
+                    if (kept && !length(shown[kept])) kept--
                     continue
-                print line[i]
+                }
+                shown[++kept] = line[i]
             }
+            for (i = 1; i <= kept; i++) print shown[i]
         }' "$1" >"$scratch/new"
     replace "$1" 2>/dev/null || true
 }

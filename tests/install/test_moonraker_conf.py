@@ -316,7 +316,7 @@ def test_folder_that_cannot_be_written(machine, conf, text, options):
     conf.parent.chmod(0o555)
     err = machine.refused(5, *options)
     conf.parent.chmod(0o755)
-    assert f"cannot write to {conf.parent}\n" in err
+    assert f"cannot write to {conf.parent}; give it to your user: sudo" in err
 
 
 @pytest.mark.slow
