@@ -62,6 +62,46 @@ def test_baby_steps_are_there_again_in_the_next_run(start):
 
 
 # Macros pass last_z_offset on to it
+# The second time it sets just what was in force
+def test_offset_gcode_that_sets_the_same_again(start):
+    adding = "SET_GCODE_OFFSET Z={(params.Z|float + 0.1)|round(4)}"
+    printer = start(changes=section(offset_gcode=adding)).homed()
+    for _ in range(2):
+        printer.run("G28\nCALIBRATE_Z")
+        assert printer.status("z_calibration")["valid"]
+    lines = printer.run("Z_CALIBRATION_SAVE_GCODE_OFFSET SAVE=0")
+    assert any("nothing was changed with baby steps" in n for n in lines)
+
+
+# Z_ADJUST is an addition, as large as it may be
+def test_end_gcode_that_adds_much(start):
+    options = {"end_gcode": "SET_GCODE_OFFSET Z_ADJUST=0.25"}
+    changes = {**section(**options), "stepper_z": {"position_endstop": "1.85"}}
+    printer = start(changes=changes).homed()
+    printer.run("CALIBRATE_Z")
+    plain = printer.status("z_calibration")["last_result"]["offset"]
+    assert plain > 0.3
+    assert printer.offset() == pytest.approx(plain + 0.25, abs=1e-5)
+
+
+# As in the original, where end_gcode came after the offset
+@pytest.mark.parametrize(
+    ("endstop", "more", "own"),
+    [("1.0", 0.05, True), ("2.2", -0.05, True), ("1.5", 0.05, False)],
+)
+def test_end_gcode_that_applies_the_offset_with_more(start, endstop, more, own):
+    line = "SET_GCODE_OFFSET Z={printer.z_calibration.last_z_offset + %g}"
+    options = {"end_gcode": line % (more,), "offset_margins": "-1.5, 1.5"}
+    changes = {**section(**options), "stepper_z": {"position_endstop": endstop}}
+    printer = start(changes=changes).homed()
+    printer.run("CALIBRATE_Z")
+    status = printer.status("z_calibration")
+    plain = status["last_result"]["offset"]
+    total = plain + more + (0.0 if own else plain)
+    assert printer.offset() == pytest.approx(total, abs=1e-5)
+    assert status["last_z_offset"] == pytest.approx(total, abs=1e-5)
+
+
 def test_what_offset_gcode_adds_is_no_correction(start):
     adding = "SET_GCODE_OFFSET Z={params.Z|float + 0.1}"
     printer = start(changes=section(offset_gcode=adding)).homed()

@@ -35,7 +35,7 @@ from tests.modules.example_owners import (
     print_start_of,
 )
 from tools.kit.cases import all_slow_but, slow
-from tools.kit.klipper_sections import bed_mesh
+from tools.kit.klipper_sections import TOOL, bed_mesh
 from tools.kit.printer import Printer
 from tools.kit.scenes import SCENES
 from tools.kit.z_calibration import MICROSTEP, touched_sites
@@ -378,12 +378,45 @@ def test_calibration_is_made_only_if_needed(macros):
     )
 
 
+# What offset_gcode adds belongs to it, and Z_ADJUST is for one print
+def test_what_holds_is_what_was_applied(start):
+    own = {"offset_gcode": "SET_GCODE_OFFSET Z={params.Z|float + 0.05}"}
+    section = {**SCENES["voron"].sections["z_calibration"], **own}
+    changes = with_macros(z_calibration=section)
+    printer = start(heated(SCENES["voron"]), changes).homed()
+    assert measured(printer, "CALIBRATE_Z_IF_NEEDED")
+    applied = printer.offset()
+    assert not measured(printer, "CALIBRATE_Z_IF_NEEDED")
+    assert printer.offset() == pytest.approx(applied, abs=1e-6)
+    lines = printer.run("Z_CALIBRATION_SAVE_GCODE_OFFSET SAVE=0")
+    assert any("nothing was changed with baby steps" in n for n in lines)
+    assert measured(printer, "CALIBRATE_Z_IF_NEEDED Z_ADJUST=-0.05")
+    assert measured(printer, "CALIBRATE_Z_IF_NEEDED")
+    assert printer.offset() == pytest.approx(applied, abs=2 * MICROSTEP)
+
+
 @pytest.mark.parametrize("before", [0, 200])
 def test_nozzle_is_soft_and_clean_for_the_calibration(macros, before):
     macros.run(f"M109 S{before}")
     lines = macros.run("CALIBRATE_Z_CLEAN")
     assert_soft_and_clean(lines)
     assert macros.status("extruder")["target"] == SOFT
+
+
+def second_tool(tmp_path):
+    """Its nozzle is as hot as a soft one, always."""
+    path = tmp_path / "temp"
+    path.write_text("150000")
+    return {"extruder1": {**TOOL, "sensor_path": str(path)}}
+
+
+def test_the_nozzle_of_the_active_tool_is_soft(start, tmp_path):
+    scene = heated(SCENES["voron"])
+    changes = with_macros(**second_tool(tmp_path))
+    printer = start(scene, changes).homed()
+    printer.run("ACTIVATE_EXTRUDER EXTRUDER=extruder1\nCALIBRATE_Z_CLEAN")
+    assert printer.status("extruder1")["target"] == SOFT
+    assert printer.status("extruder")["target"] == 0
 
 
 def test_bed_is_measured_below_the_print(macros):
@@ -469,6 +502,18 @@ def test_plates_keep_nothing_else(start, tmp_path):
         assert printer.offset() == wanted
 
 
+def test_plates_keep_nothing_of_another_tool(start, tmp_path):
+    path = EXAMPLES / f"{PLATES}.cfg"
+    variables = {"filename": str(tmp_path / "variables.cfg")}
+    changes = {f"include {path}": {}, "save_variables": variables}
+    scene = heated(SCENES["voron"])
+    printer = start(scene, {**changes, **second_tool(tmp_path)}).homed()
+    printer.run("CALIBRATE_Z_ON_PLATE PLATE=a")
+    other = "ACTIVATE_EXTRUDER EXTRUDER=extruder1"
+    printer.run(f"{other}\nSET_GCODE_OFFSET Z_ADJUST=-0.3")
+    assert "extruder1 is active" in printer.fail("KEEP_Z_OF_PLATE")
+
+
 def test_tools_keep_their_offsets(start):
     path = EXAMPLES / f"{TOOLS}.cfg"
     scene = heated(SCENES["voron"])
@@ -505,13 +550,15 @@ def test_macro_of_the_document_is_the_example():
     assert shown in text_of(MACROS)
 
 
-def test_nothing_stays_hot_after_a_failure(start):
+def test_nothing_stays_hot_after_a_failure(start, tmp_path):
     faults = [Fault("trigger_never", signal="z_endstop", n=4)]
     scene = heated(SCENES["voron"])
-    changes = {f"include {EXAMPLES / f'{OFF}.cfg'}": {}}
+    path = EXAMPLES / f"{OFF}.cfg"
+    changes = {f"include {path}": {}, **second_tool(tmp_path)}
     printer = start(scene, changes, faults).homed()
     printer.machine.tolerate("nozzle_pin", 1.01)
-    printer.run("M140 S40\nM104 S150")
+    printer.run("M140 S40\nM104 T0 S150\nACTIVATE_EXTRUDER EXTRUDER=extruder1")
+    printer.run("M104 S150")
     before = len(printer.session.console)
     error = printer.fail("CALIBRATE_Z")
     (line,) = [
@@ -521,5 +568,5 @@ def test_nothing_stays_hot_after_a_failure(start):
     ]
     assert "nozzle: the switch did not answer" in line
     assert "nozzle: the switch did not answer" in error
-    for name in ("extruder", "heater_bed"):
+    for name in ("extruder", "extruder1", "heater_bed"):
         assert printer.status(name)["target"] == 0

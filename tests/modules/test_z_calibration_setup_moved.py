@@ -25,6 +25,12 @@ LEVEL = {
 }
 # Levelling lifts the pin by 3.1 mm
 SLOPE = -0.02
+TILT = {
+    "z_positions": "-60, -10\n  -60, 370\n  360, 370\n  360, -10",
+    "points": "50, 25\n  50, 225\n  250, 225\n  250, 25",
+    "speed": "200",
+    "horizontal_move_z": "10",
+}
 OVER_PIN = "G90\nG1 X206 Y270 Z15 F12000\nG1 Y306"
 # Z is homed with the probe, and the pin is one of its own
 OWN_PIN = {
@@ -122,6 +128,30 @@ def test_levelled_before_the_head_is_lowered(start, is_late):
     user.printer.machine.truth.require_no_crash()
     user.press("Here")
     assert user.step() == "SWITCH"
+
+
+# It would be asked for again and again
+@pytest.mark.every_host
+def test_homing_that_ends_with_levelling(start):
+    homing = {
+        "rename_existing": "G28.1",
+        "gcode": "\n  G28.1 {rawparams}\n  Z_TILT_ADJUST",
+    }
+    changes = {
+        **section(**EMPTY),
+        "quad_gantry_level": None,
+        "z_tilt": TILT,
+        "stepper_z": {"position_endstop": "1.0"},
+        "gcode_macro G28": homing,
+    }
+    user = begun(start, DOCK, changes)
+    user.printer.run(OVER_PIN)
+    assert "home Z again (G28 Z)" in user.refused("Here")
+    user.printer.run("G28")
+    places(user)
+    user.press("Touch")
+    assert user.step() == "GAP"
+    user.printer.machine.truth.require_no_crash()
 
 
 def test_heights_that_hold_no_more_are_no_floor(start):

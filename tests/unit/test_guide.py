@@ -352,7 +352,9 @@ def test_lower_towards_the_sheet_in_small_steps_only():
 )
 def test_how_low_the_head_is_moved(pin, z_offset, step, attached, floor):
     settings = SimpleNamespace(position_endstop=pin, z_offset=z_offset)
-    head = GuidedHead(SimpleNamespace(host=None, settings=lambda: settings))
+    section = Interface(SimpleNamespace(host=None, settings=settings))
+    section.pin_moved = lambda: ""
+    head = GuidedHead(section)
     state = State()
     state.step = step
     assert head.jog_floor(state, attached) == floor

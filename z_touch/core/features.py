@@ -103,8 +103,14 @@ class Features(object):
             return False
         owner = self.printer.lookup_object("bed_mesh")
         status = owner.get_status(self.host.eventtime())
-        ends = zip(status["mesh_min"], (x, y), status["mesh_max"])
-        return not all(low <= at <= high for low, at, high in ends)
+        # BED_MESH_OFFSET, and the last point may be rounded off
+        moved = getattr(self._mesh(), "mesh_offsets", (0.0, 0.0))
+        place = (x + moved[0], y + moved[1])
+        ends = zip(status["mesh_min"], place, status["mesh_max"])
+        near = MESH_ZERO_NEAR
+        return not all(
+            low - near <= at <= high + near for low, at, high in ends
+        )
 
     # Whether nobody knows what it would be there: its zero is elsewhere
     def is_mesh_guessed(self, x, y):

@@ -23,11 +23,6 @@ USUAL_SWITCH_OFFSET = 0.5
 CLEAR_OF_PIN = 1.0
 CLEAR_OF_UNKNOWN_PIN = 3.0
 
-# A smaller z_offset (mm) of the probe was never measured; the probe may hang so far
-# (mm) below the nozzle then.
-LEAST_MEASURED = 2.0
-UNMEASURED_HANGS = 11.0
-
 # The nozzle comes down to so high (mm) above the highest bed that there may be, to
 # meet the sheet of paper by small steps from there; no further (mm) aside is it over
 # the sheet.
@@ -90,7 +85,7 @@ class GuidedHead(object):
     # No higher than this is the pin (toolhead Z, mm); None: nobody knows
     def pin_z(self, state):
         homed_z = self.section.settings().position_endstop
-        if homed_z is None:
+        if homed_z is None or self.section.pin_moved():
             homed_z = state.pin_below
         nozzle_z = state.height("nozzle")
         return homed_z if nozzle_z is None else nozzle_z
@@ -244,7 +239,7 @@ class GuidedHead(object):
 
     # How low (toolhead Z, mm) the head may be moved by hand at a step
     def jog_floor(self, state, attached):
-        z_offset, pin_z = self.section.settings().z_offset, self.pin_z(state)
+        pin_z = self.pin_z(state)
         if state.step == "bed":
             return self.travel_z(state)
         clear = CLEAR_OF_PIN
@@ -253,9 +248,7 @@ class GuidedHead(object):
         hangs = 0.0
         if attached or state.step == "switch":
             # With what the plunger hangs lower than its trigger
-            hangs = z_offset + CLEAR_OF_PIN
-            if z_offset < LEAST_MEASURED:
-                hangs = UNMEASURED_HANGS
+            hangs = self.section.may_hang(CLEAR_OF_PIN)
         return max(pin_z, 0.0) + hangs + clear
 
     # Moves by the X, Y and Z of the command (mm), up first

@@ -32,6 +32,8 @@ class State(object):
         self.probe = ProbeState()
         # Of the frame of the heights; None: not homed yet
         self.mark = None
+        # Its owner knows that the pin has moved since Z was homed on it
+        self.is_pin_told = False
         # Toolhead Z (mm) that the pin lies below; None: nobody knows
         self.pin_below = None
         # By name: touching.Site, interface.Touched

@@ -112,7 +112,7 @@ class Corrections(object):
         if keeps:
             text = (
                 "%s: %s: %s saves as ever, and nothing goes into switch_offset;"
-                " next time save before Z is homed again"
+                " next time save as long as the result of CALIBRATE_Z holds"
             )
             gcmd.respond_info(text % (self.host.section, reason, name))
         elif self.hinted or reason or self.other_tool():

@@ -61,6 +61,12 @@ def offset(probe, switch, nozzle, switch_offset):
     return probe - (switch - nozzle + switch_offset)
 
 
+# So far (mm) a probe may hang below the nozzle, with 'more' for what it is not sure of
+def may_hang(z_offset, more):
+    is_measured = z_offset >= SMALLEST_Z_OFFSET
+    return (z_offset if is_measured else UNMEASURED_PROBE) + more
+
+
 # Raises CalibrationError for an offset outside of margins (low, high).  'zero' is
 # where Z gets its zero (axes.ZZero), None: nobody knows.
 def check_offset(result, margins, zero):

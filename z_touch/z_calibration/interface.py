@@ -6,6 +6,7 @@ import collections
 
 from ..core.sampling import AUTO
 from ..uncertainty import adaptive
+from . import heights
 from .sites import SiteFinder
 
 # One site that was touched: its height (toolhead Z, mm), those of all samples, and what
@@ -76,6 +77,10 @@ class Interface(object):
         if not auto.impossible(self.host.axes.z_step()):
             return AUTO
         return "%d" % (count,) if is_exceeded else ""
+
+    # So far (mm) the probe may hang below the nozzle, with 'more' on top
+    def may_hang(self, more):
+        return heights.may_hang(self.settings().z_offset, more)
 
     # What nozzle and body press: pin.Pin
     def pin(self):

@@ -18,7 +18,7 @@ import functools
 from ..core import carrying, errors, motion, touching
 from ..core.spread import spread_site, spread_tolerance
 from . import pace
-from .heights import FREE_PLUNGER, HOME_AGAIN, below_margins
+from .heights import FREE_PLUNGER, HOME_AGAIN, below_margins, may_hang
 from .results import Warned
 
 # What to do about samples that differ
@@ -60,6 +60,8 @@ class Run(object):
         self.watch = watch
         self.homed = homed
         self.warnings = []
+        # What the host adds to what the probe says there (mm), for a twisted axis
+        self.twist = 0.0
         # Whether somebody has seen the probe on the head
         self.was_attached = False
 
@@ -69,6 +71,9 @@ class Run(object):
         if warned not in self.warnings:
             self.warnings.append(warned)
             self.watch.say(text)
+
+    def saw_twist(self, twist):
+        self.twist = twist
 
     def saw_attached(self):
         self.was_attached = True
@@ -316,10 +321,11 @@ class NozzleMeasurement(Measurement):
 
     # A probe that before_switch_gcode is there for reads attached by now: left on,
     # or it always does, as one that is wired as normally open.  Its switch ends the
-    # way down where the pin is known to be below, as Z was homed on it.
+    # way down where the pin is known to be below.
     def look_for_bed(self, floor):
         is_homed_on = self.settings.position_endstop is not None
-        if not is_homed_on or self.run.homed.moved():
+        is_moved = is_homed_on and bool(self.run.homed.moved())
+        if self.expected_z is None or is_moved:
             self.look_in_steps(floor)
             return
         low = max(self.expected_z, floor) + ABOVE_PIN
@@ -332,12 +338,19 @@ class NozzleMeasurement(Measurement):
     # looked at after each step.
     def look_in_steps(self, floor):
         probe, speed = self.host.probing.endstop(), self.settings.probing_speed
+        if self.head.come_down(self.endstop(), self.hangs(), speed) is not None:
+            return
         while self.host.motion.z() > floor:
             z = max(self.host.motion.z() - LOOK_STEP, floor)
             if self.head.come_down(self.endstop(), z, speed) is not None:
                 return
             if probe.query_endstop(self.host.after_moves()):
                 self.refuse_attached(z)
+
+    # No higher than this (toolhead Z, mm) the probe meets the bed
+    def hangs(self):
+        settings = self.settings
+        return may_hang(settings.z_offset, settings.offset_margins[1])
 
     def refuse_attached(self, met_z):
         raise errors.CalibrationError(
@@ -488,7 +501,7 @@ class BedMeasurement(Measurement):
     def touch_once(self, floor):
         self.head.check_above(floor)
         if self.probe_once is not None:
-            self.head.probe(self.probe_once)
+            self.run.saw_twist(self.head.probe(self.probe_once).twist)
         else:
             Measurement.touch_once(self, floor)
 

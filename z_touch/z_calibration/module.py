@@ -51,11 +51,22 @@ NO_CHANGE = 0.0000001
 # How far (mm) last_z_offset may be rounded by an end_gcode that applies it itself
 OWN_DIGITS = 0.0006
 
+# So much (mm) is added to see whether offset_gcode sets anything
+UNTOUCHED = 0.00001
+
 # What a plate or a material may need (mm) on top of what was measured
 LARGEST_ADJUST = 0.5
 
 # An offset of more than this (mm) is worth correcting in position_endstop.
 LARGE_OFFSET = 0.2
+
+
+# Whether end_gcode has set the offset itself, perhaps with something more, rather than
+# what is to be added to it: a Z that is large, and nearer to it than to 0
+def is_own(added, z_offset, is_set_anew):
+    is_large = is_set_anew and abs(added) > LARGE_OFFSET
+    apart = abs(added - z_offset)
+    return apart <= OWN_DIGITS or (is_large and apart < abs(added))
 
 
 # The object behind [z_calibration]
@@ -81,8 +92,12 @@ class ZCalibration(object):
         self.notes = notes.Notes(self.host, read_notes)
         register = self.host.printer.register_event_handler
         register("klippy:connect", self.connect)
+        # All sections have registered their commands then
+        register("klippy:mcu_identify", self.watch_offset)
         running.register_commands(self.host, self)
         running.register_commands(self.host, self.recorder)
+        # A SET_GCODE_OFFSET with Z has run since end_gcode began
+        self.is_set_anew = False
         # For the guide and the corrections
         self.interface = Interface(self)
         corrections.Corrections(self.interface)
@@ -109,6 +124,14 @@ class ZCalibration(object):
             checks.check_settings(host, self.settings)
         except errors.CalibrationError as e:
             raise host.printer.config_error(str(e))
+
+    # Who sets the offset to something else than it is, in a macro, too
+    def watch_offset(self):
+        self.host.wrap_command("SET_GCODE_OFFSET", self.around_offset)
+
+    def around_offset(self, command, gcmd):
+        self.is_set_anew |= gcmd.get("Z", None) is not None
+        command(gcmd)
 
     # What the user is told when klippy is ready
     def start_notes(self, old_names):
@@ -246,9 +269,10 @@ class ZCalibration(object):
             last, added = self.calibrate(gcmd, settings)
         shifts = Shifts(self.host, last)
         z_offset = shifts.offset()
-        if abs(added - z_offset) <= OWN_DIGITS:
+        if is_own(added, z_offset, self.is_set_anew):
             # end_gcode has applied last_z_offset by itself
-            added = 0.0
+            added -= z_offset
+            added = added if abs(added) > OWN_DIGITS else 0.0
         for _, told in shifts.lines():
             self.runner.watch.say(told.text)
         self.hooks.undo_g92()
@@ -268,10 +292,15 @@ class ZCalibration(object):
     # Returns the G-code offset (mm) that came of it
     def apply(self, z_offset):
         before = self.host.gcode_offset.z()
+        # An offset_gcode may only keep it, for later, or set the same as it was
+        untouched = before + UNTOUCHED
+        self.host.gcode_offset.set(untouched)
         self.hooks.apply(z_offset)
         after = self.host.gcode_offset.z()
-        # An offset_gcode may only keep it, for later
-        return z_offset if after == before else after
+        if abs(after - untouched) < NO_CHANGE:
+            self.host.gcode_offset.set(before)
+            return z_offset
+        return after
 
     # Returns the results.Last, not applied yet, and what end_gcode has added to the
     # G-code offset (mm).  That runs before the offset is applied: the way to the
@@ -314,6 +343,7 @@ class ZCalibration(object):
                 uncertainty=calibration.uncertainty(),
                 z_adjust=z_adjust,
                 point=finder.bed_point(calibration.sites.bed),
+                twist=calibration.run.twist,
                 extruder=self.host.extruder(),
             )
             margins = calibration.settings.offset_margins
@@ -321,6 +351,7 @@ class ZCalibration(object):
             z_offset = Shifts(self.host, last).offset()
             self.results.note(last._replace(z_offset=z_offset))
             at_end = self.host.gcode_offset.z()
+            self.is_set_anew = False
         added = self.host.gcode_offset.z() - at_end
         running.check_homed(self.host)
         if self.frame.moved_since(last.mark) == frame.LEVELLED:

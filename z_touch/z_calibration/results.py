@@ -22,14 +22,17 @@ Warned = collections.namedtuple("Warned", "about text")
 #   point        X, Y of the bed that was measured (mm)
 #   height       of bed mesh or bed tilt there, when it was applied (mm)
 #   guessed      whether nobody knew it, see features
+#   twist        what the host adds to the height of the bed there (mm)
 #   extruder     whose nozzle it was
 #   states       the G-code offsets (mm) of saved states of before, by their names
 Last = collections.namedtuple(
     "Last",
     "result mark warnings uncertainty z_adjust z_offset applied point height"
-    " guessed extruder states",
+    " guessed twist extruder states",
 )
-NOTHING = Last(None, None, (), None, 0.0, 0.0, 0.0, None, 0.0, False, "", {})
+NOTHING = Last(
+    None, None, (), None, 0.0, 0.0, 0.0, None, 0.0, False, 0.0, "", {}
+)
 
 # By less (mm) the bed mesh is as high as it was.
 SAME_HEIGHT = 0.01
@@ -38,9 +41,14 @@ SAME_HEIGHT = 0.01
 SAME_OFFSET = 0.000002
 
 
-# The height (mm) of bed mesh or bed tilt at the point of the results.Last
+# Where the host's probe sees the bed at the point of the results.Last (toolhead Z, mm)
+def bed_seen(host, last):
+    return last.result.probe + last.twist - host.probing.z_offset()
+
+
+# The height (mm) of bed mesh or bed tilt there
 def height_of(host, last):
-    bed_z = last.result.probe - host.probing.z_offset()
+    bed_z = bed_seen(host, last)
     return host.features.height(*last.point, bed_z=bed_z)
 
 
@@ -179,4 +187,5 @@ class Results(object):
             "warnings": [warned.text for warned in self.last.warnings],
             "uncertainty": self.last.uncertainty,
             "z_adjust": self.last.z_adjust,
+            "applied": self.last.applied,
         }

@@ -3,7 +3,7 @@
 # Copyright (C) 2026  the Z calibration developers, under the GNU GPLv3
 from __future__ import absolute_import
 
-from .results import Warned
+from .results import Warned, bed_seen
 
 # Less (mm) is rounding.
 SMALLEST_PART = 0.0005
@@ -19,7 +19,7 @@ class Shifts(object):
     def __init__(self, host, last):
         features, self.last = host.features, last
         point = last.point + (last.result.offset,)
-        bed_z = last.result.probe - host.probing.z_offset()
+        bed_z = bed_seen(host, last)
         self.rest = features.rest(*point)
         self.parts = [
             part
@@ -52,12 +52,16 @@ class Shifts(object):
             yield True, Warned("another", text % (self.rest,))
 
     def of_mesh(self, part):
-        where = "within the mesh" if self.is_beyond_mesh else "there"
         text = (
             "bed_mesh is %.3f mm at %.1f, %.1f, where the bed was measured:"
-            " taken off, the gap is right %s"
-        ) % ((part.height,) + self.last.point + (where,))
-        if self.is_guessed or abs(part.height) < WORTH_A_WARNING:
+            " taken off"
+        ) % ((part.height,) + self.last.point)
+        if self.is_guessed:
+            return text
+        text += ", the gap is right %s" % (
+            "within the mesh" if self.is_beyond_mesh else "there",
+        )
+        if abs(part.height) < WORTH_A_WARNING:
             return text
         return "%s; for all of the bed set %s of section 'bed_mesh' there" % (
             text,
