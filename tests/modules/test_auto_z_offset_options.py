@@ -470,6 +470,26 @@ def test_baby_steps_and_the_button_of_the_host(start, step):
     assert true_gap(printer) == pytest.approx(gap, abs=STEPS)
 
 
+# Nobody knows of baby steps there
+@pytest.mark.parametrize(
+    "script", ["G28", "G28\nAUTO_Z_LOAD_OFFSET\nSET_GCODE_OFFSET Z=0"]
+)
+def test_button_of_the_host_without_a_correction_in_force(start, script):
+    changes = section(probe_z_correction="-1.12")
+    printer = start("qidi", changes=changes).homed()
+    lines = printer.run(f"{script}\nZ_OFFSET_APPLY_PROBE")
+    assert not any("baby steps" in line for line in lines)
+
+
+def test_button_of_the_host_in_the_frame_of_the_sensor(start):
+    changes = section(probe_z_correction="-1.12")
+    printer = start("qidi", changes=changes).homed()
+    script = "AUTO_Z_LOAD_OFFSET\nSET_GCODE_OFFSET Z=0\nAUTO_Z_HOME_Z"
+    printer.run(f"{script}\nSET_GCODE_OFFSET Z=0.05")
+    lines = printer.run("Z_OFFSET_APPLY_PROBE")
+    assert not any("baby steps" in line for line in lines)
+
+
 @pytest.mark.parametrize("value", ["0", "0.0"])
 def test_documented_default_of_the_correction_means_none(start, value):
     printer = start("qidi", changes=section(probe_z_correction=value)).homed()

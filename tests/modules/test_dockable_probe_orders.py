@@ -8,7 +8,7 @@ from dataclasses import replace
 import pytest
 
 from simprinter.hosts.session import GcodeError
-from tools.campaign.walks.machines import BASES
+from tools.campaign.walks.machines import BASES, overridden
 from tools.kit.carrying import QUICK, pressed, with_all
 from tools.kit.cases import slow
 from tools.kit.dockable_probe import trips, where
@@ -80,6 +80,22 @@ ORDERS = {
         {},
         [INTO, "EXTRA_PROBE_CALIBRATE PROBE=membrane"],
     ),
+    "a probe that is on, from detach_position": (
+        "dock_frame",
+        {},
+        ["ATTACH_PROBE", "MOVE_TO_DETACH_PROBE", "Z_TILT_ADJUST"],
+    ),
+    "the same without trips": (
+        "dock_frame",
+        {},
+        [
+            "ATTACH_PROBE",
+            "SET_DOCKABLE_PROBE AUTO_ATTACH_DETACH=0",
+            "MOVE_TO_DETACH_PROBE",
+            "Z_TILT_ADJUST",
+        ],
+    ),
+    "G28 from beside the dock": ("dock_gantry", {}, [AROUND, "G28"]),
     "CALIBRATE_Z from the dock": (
         "dock_gantry_switch",
         {},
@@ -120,12 +136,15 @@ def test_first_layer_at_once(start, tmp_path, delayed):
     assert where(printer) == "docked"
 
 
-# Afterwards nobody would find the dock
+# Afterwards nobody would find the dock, and homing goes on from where the head is
 @pytest.mark.every_host
 @pytest.mark.parametrize("end", ["M84", "SAVE_CONFIG"])
-def test_what_ends_a_docking_that_is_to_come(start, end):
-    own = {**QUICK, "allow_delayed_detach": "True"}
-    printer = start(BASES["dock_bed"], {"dockable_probe": own}).homed()
+@pytest.mark.parametrize(
+    ("base", "restore"), [("dock_bed", "True"), ("dock_near_pin", "False")]
+)
+def test_what_ends_a_docking_that_is_to_come(start, base, restore, end):
+    own = {**QUICK, "allow_delayed_detach": "True", "restore_toolhead": restore}
+    printer = start(BASES[base], {"dockable_probe": own}).homed()
     script = f"{OVER}\nBED_MESH_CALIBRATE"
     if end == "SAVE_CONFIG":
         printer.session.restart(f"{script}\n{end}")
@@ -133,19 +152,25 @@ def test_what_ends_a_docking_that_is_to_come(start, end):
         printer.run(f"{script}\n{end}")
     assert where(printer) == "docked"
     assert trips(printer)[-1] == "dock"
-    printer.run("G28")
+    printer.run("G28\nM400")
+    printer.machine.truth.require_no_crash()
 
 
-# A hand may be near; the motors go off all the same
-def test_nothing_is_docked_while_somebody_is_asked(start):
-    own = {**QUICK, "allow_delayed_detach": "True"}
-    scene = DOCK_SCENES["dock_gantry"]
-    printer = start(scene, {"dockable_probe": own}).homed()
-    printer.run(f"{OVER}\nPROBE\nDOCKABLE_PROBE_SETUP")
-    begun = trips(printer)
-    printer.run("M84")
-    printer.session.wait(3.0)
-    assert trips(printer) == begun
+# Z is anything for a moment there, and the way to such a dock goes by it
+@pytest.mark.every_host
+@pytest.mark.parametrize(
+    ("base", "script"),
+    [
+        ("dock_bed", "ATTACH_PROBE\nG28\nG28"),
+        slow("dock_above", "MOVE_TO_APPROACH_PROBE\nG28\nG28"),
+    ],
+)
+def test_homing_override_and_a_dock_with_a_height(start, base, script):
+    scene = overridden(BASES[base])
+    printer = start(scene, {"dockable_probe": dict(QUICK)}).homed()
+    printer.run(f"{OVER}\n{script}\nM400")
+    assert where(printer) == "docked"
+    printer.machine.truth.require_no_crash()
 
 
 @pytest.mark.every_host

@@ -36,6 +36,8 @@ class AutoZOffset(object):
             self.host, self.settings, self.correction
         )
         self.runner = running.Runner(self.host)
+        # The G-code offset (mm) that was set last; None: not since klippy has started
+        self.applied = None
         # Result of each cycle of the last command that measured both heights
         self.results = ()
         register = self.printer.register_event_handler
@@ -66,10 +68,12 @@ class AutoZOffset(object):
     # The button of the host, which knows nothing of a correction
     def after_button(self, command, gcmd):
         command(gcmd)
-        corrected, z = self.correction.z, self.host.gcode_offset.z()
-        if corrected is None:
+        z = self.host.gcode_offset.z()
+        # Of 0 the host saves nothing
+        is_of_sensor = self.expectations.was_sensor_frame()
+        if self.applied is None or not z or is_of_sensor:
             return
-        step = z - self.host.probing.homed_bed_z() - corrected
+        step = z - self.applied
         if abs(step) >= shifts.NO_SHIFT:
             self.host.say(
                 "Z_OFFSET_APPLY_PROBE moves the probe's Z=0, which"
@@ -285,6 +289,7 @@ class AutoZOffset(object):
     def apply_offset(self, gcode_offset):
         script = "SET_GCODE_OFFSET Z=%.6f MOVE=0" % (gcode_offset,)
         self.host.gcode.run_script_from_command(script)
+        self.applied = self.host.gcode_offset.z()
 
     # Raises the error of a command, with what 'check' says
     def check(self, check):

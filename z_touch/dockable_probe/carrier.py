@@ -166,8 +166,22 @@ class Carrier(object):
             for number, axis in enumerate("XYZ")
             if gcmd.get(axis, None) is not None
         ]
-        self.prober.docking.leave(axes or (0, 1, 2))
+        axes = axes or (0, 1, 2)
+        self.prober.docking.leave(axes)
+        if 2 in axes:
+            self._dock_where_height_counts()
         command(gcmd)
+
+    # The way to such a dock goes by Z, which a [homing_override] may set to anything
+    # before it homes.
+    def _dock_where_height_counts(self):
+        settings = self.settings
+        is_known = settings.is_placed and self.moves.is_homed("xyz")
+        wanted = settings.detach_dockable_before_z_home is not False
+        if settings.dock_fixed_z or not (is_known and wanted and self.auto):
+            return
+        if self.sensors.look() != DOCKED:
+            self.prober.dock_and_come_back()
 
     def _before_paper(self, command, gcmd):
         try:
@@ -188,7 +202,7 @@ class Carrier(object):
         self._before_paper(command, gcmd)
 
     def _before_end(self, command, gcmd):
-        self.prober.holder.delay.end()
+        self.prober.holder.delay.end(self.prober.dock_and_come_back)
         command(gcmd)
 
     # The probe is docked at the end of each session, whoever held it.

@@ -63,16 +63,18 @@ class Delay(object):
                 # A hand may be near the head.
                 self._wait(mark)
                 return
-            self._hurry_and_tell()
+            self._tell(self.hurry)
 
     # There is no command that an error could be of.
-    def _hurry_and_tell(self):
+    def _tell(self, dock):
         try:
-            self.hurry()
+            dock()
         except self.host.printer.command_error as e:
             self.host.gcode.respond_raw("!! %s" % (e,))
 
-    # Before what ends it: later nobody would find the dock.
-    def end(self):
-        if not carrying.of(self.host.printer).is_asking(self.host):
-            self._hurry_and_tell()
+    # Before what ends it: later nobody would find the dock.  dock() does not leave the
+    # head beside it, whence homing goes across.
+    def end(self, dock):
+        if self.mark is not None:
+            self.mark = None
+            self._tell(dock)

@@ -374,13 +374,14 @@ class Docking(object):
             return
         if moves.stands_in_dock():
             self.go_out(DOCK, settings.detach_position, settings.detach_speed)
-        if self._is_beside() and self._make_way_for_homing(axes):
+        is_near = detour.is_inside(moves.position(), moves.zone)
+        is_beside = is_near or self._is_beside()
+        if is_beside and self._make_way_for_homing(axes):
             return
         if moves.is_at_detach():
             moves.go_beside(settings.approach_position)
-        if not axes:
-            # What goes on from straight above it goes down at first.
-            moves.leave_top()
+        # What goes on from straight above it goes down at first.
+        moves.leave_top()
 
     # Whether the head stands at a position of the dock's, out of it
     def _is_beside(self):

@@ -68,9 +68,7 @@ class Prober(object):
                 " be touched; move it away first, as MOVE_TO_APPROACH_PROBE"
                 " does" % goal[:2]
             )
-        is_left = (
-            self.holder.auto and not is_homing and self.moves.is_at_detach()
-        )
+        is_left = not is_homing and self.moves.is_at_detach()
         if is_over_dock or is_left:
             # Nobody wants to touch there, and from there the host would go on
             # straight across the dock.
@@ -85,6 +83,9 @@ class Prober(object):
         if is_only_stop:
             self.docking.check_switch()
         if goal is None:
+            if self.moves.is_at_detach():
+                # It was on the head already.
+                self.moves.go_beside(self.settings.extract_position)
             self.moves.leave_top()
             self.moves.stay(True)
         elif not self.moves.is_at(goal):
@@ -105,8 +106,7 @@ class Prober(object):
     def before_move(self):
         if self.moves.stays():
             raise self.host.error(
-                "the head stands beside the dock, where the last docking has left"
-                " it; move it to where it is to touch"
+                "the head stands beside the dock; move it to where it is to touch"
             )
         if not self.sensors.is_sensed():
             raise self._lost("is not ready")
