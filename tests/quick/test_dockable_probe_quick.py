@@ -16,6 +16,8 @@ GUARDED = {
     *carrier.BY_METHOD,
     *carrier.PROBE_THEN_PAPER,
     *carrier.PROBING,
+    *carrier.ENDS,
+    carrier.SCREWS,
 }
 
 
