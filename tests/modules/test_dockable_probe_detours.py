@@ -209,7 +209,7 @@ def test_nothing_is_touched_where_docking_has_left_the_head(start):
     printer.run("G1 X150 Y150 Z20 F6000\nPROBE")
     touches = len(printer.machine.truth.touches)
     text = printer.fail("PROBE")
-    assert "where the last docking has left it" in text
+    assert "the head stands beside the dock; move it to where" in text
     assert len(printer.machine.truth.touches) == touches
     printer.run("G1 X150 Y150 F6000\nPROBE")
     assert len(printer.machine.truth.touches) == touches + 1

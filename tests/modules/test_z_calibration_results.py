@@ -67,6 +67,7 @@ def test_result_line_and_status_hold_the_heights(start):
         "notes": [],
         "uncertainty": None,
         "z_adjust": 0.0,
+        "applied": 0.0,
         "history": {
             "runs": 0,
             "results": [],
@@ -94,6 +95,7 @@ def test_result_line_and_status_hold_the_heights(start):
     parts = status["last_result"]
     assert parts["switch_offset"] == SWITCH_OFFSET
     assert parts["offset"] == status["last_z_offset"]
+    assert status["applied"] == pytest.approx(offset, abs=1e-6)
     assert [round(parts[k], 3) for k in ("probe", "switch", "nozzle")] == [
         probe,
         switch,
