@@ -419,6 +419,7 @@ def test_levelling_of_the_host_does_not_end_it_either(start, slope_y, sigma):
 
 
 # The motors turn when the last sheet is there, long after the command
+@pytest.mark.slow
 @pytest.mark.every_host
 def test_levelling_by_hand_does_not_end_it_either(start):
     printer = wrong_probe(start, 0.0008, 0.0005)
@@ -437,6 +438,7 @@ def test_levelling_by_hand_does_not_end_it_either(start):
 
 
 # "Too many retries", and Z is the probe's all the same
+@pytest.mark.slow
 @pytest.mark.every_host
 def test_z_tilt_that_fails_in_the_end(start):
     scene = with_all(DOCK_SCENES["dock_frame"])

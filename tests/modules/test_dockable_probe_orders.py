@@ -137,6 +137,7 @@ def test_first_layer_at_once(start, tmp_path, delayed):
 
 
 # Afterwards nobody would find the dock, and homing goes on from where the head is
+@pytest.mark.slow
 @pytest.mark.every_host
 @pytest.mark.parametrize("end", ["M84", "SAVE_CONFIG"])
 @pytest.mark.parametrize(
@@ -157,6 +158,7 @@ def test_what_ends_a_docking_that_is_to_come(start, base, restore, end):
 
 
 # Z is anything for a moment there, and the way to such a dock goes by it
+@pytest.mark.slow
 @pytest.mark.every_host
 @pytest.mark.parametrize(
     ("base", "script"),

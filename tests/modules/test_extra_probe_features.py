@@ -60,6 +60,7 @@ def test_mesh_is_taken_off(start, scene, height):
 
 
 # As an adaptive one does: the host goes on with its rim
+@pytest.mark.slow
 @pytest.mark.every_host
 @pytest.mark.parametrize("zero", [None, "30, 20", "100, 100"])
 def test_mesh_that_ends_before_the_switch(start, zero):

@@ -278,6 +278,7 @@ def dented(module: str) -> Scene:
     return scene.with_world(bed=bed)
 
 
+@pytest.mark.slow
 @pytest.mark.every_host
 @pytest.mark.parametrize("is_late", [False, True])
 @pytest.mark.parametrize("zero", ["there", "none", "elsewhere"])
@@ -322,6 +323,7 @@ def test_mesh_that_ends_before_the_point(host, module, zero, is_late):
 
 
 # klippy rounds the distances of its points down; the second moves the mesh to it
+@pytest.mark.slow
 @pytest.mark.parametrize(
     ("low", "high", "script"),
     [

@@ -327,6 +327,7 @@ def test_probe_that_is_left_on_meets_the_bed_without_harm(start, script):
 
 
 # With a pin of its own nobody knows how high that is, in the first run
+@pytest.mark.slow
 @pytest.mark.every_host
 @pytest.mark.parametrize("y_max", [300.0, 400.0], ids=["beside", "over"])
 def test_probe_that_is_left_on_over_a_pin_of_its_own(start, y_max):

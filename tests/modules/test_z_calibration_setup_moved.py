@@ -85,6 +85,7 @@ def lower(user):
 
 
 # With the probe on the head only that would end the way down
+@pytest.mark.slow
 @pytest.mark.every_host
 def test_levelled_before_home(start):
     changes = {**section(**EMPTY), **LEVEL}
@@ -131,6 +132,7 @@ def test_levelled_before_the_head_is_lowered(start, is_late):
 
 
 # It would be asked for again and again
+@pytest.mark.slow
 @pytest.mark.every_host
 def test_homing_that_ends_with_levelling(start):
     homing = {
@@ -165,6 +167,7 @@ def test_heights_that_hold_no_more_are_no_floor(start):
     assert "Nobody knows yet how high the pin is" in user.dialog().text
 
 
+@pytest.mark.slow
 @pytest.mark.every_host
 def test_start_gcode_that_homes_with_the_probe(start):
     options = {"endstop_pin": "^PC2", "safe_z_height": "30"}
@@ -178,6 +181,7 @@ def test_start_gcode_that_homes_with_the_probe(start):
 
 
 # Whoever has fetched it is not asked to take it off again
+@pytest.mark.slow
 @pytest.mark.every_host
 @pytest.mark.parametrize("is_good", [True, False])
 def test_probe_that_its_owner_has_fetched(start, is_good):
@@ -197,6 +201,7 @@ def test_probe_that_its_owner_has_fetched(start, is_good):
 
 
 # 188.3 + 31.8 is more than 220.1 for a computer
+@pytest.mark.slow
 def test_place_at_the_end_of_an_axis_can_be_saved(start):
     scene = SCENES["cartesian"]
     probe = replace(scene.world.mag_probe, y_offset=-31.8)
@@ -219,6 +224,7 @@ def test_place_at_the_end_of_an_axis_can_be_saved(start):
     printer.run("G28\nCALIBRATE_Z")
 
 
+@pytest.mark.slow
 def test_saved_with_the_motors_off(start):
     user = begun(start, VORON, section(**EMPTY), is_fixed=True)
     places(user)
