@@ -82,15 +82,18 @@ class Attachment(object):
                 " end_gcode, or by hand"
             )
 
-    # Around before_switch_gcode, which run() runs
-    def come_late(self, run):
-        was_on = self.reads_attached(self.host.after_moves())
-        run()
+    # Around before_switch_gcode, which run() runs; 'may_attach': something stands in
+    # it
+    def come_late(self, run, may_attach):
         carrier = self.carrier()
+        # A look waits until the head stands still: not for what is known already
+        looks = carrier is None and may_attach and not self.is_late
+        was_on = looks and self.reads_attached(self.host.after_moves())
+        run()
         if carrier is not None:
             carrier.fetch()
-        elif not was_on and self.reads_attached(self.host.after_moves()):
-            self.is_late = True
+        elif looks and not was_on:
+            self.is_late = self.reads_attached(self.host.after_moves())
 
     # After end_gcode.  Where its owner wants no trips, the probe is where it was
     # before the run.

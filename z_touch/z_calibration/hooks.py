@@ -127,7 +127,7 @@ class Hooks(object):
     # was measured yet.
     def before_switch(self, mark=None):
         run = functools.partial(self.run_gcode, "before_switch_gcode")
-        self.attachment.come_late(run)
+        self.attachment.come_late(run, self.settings.may_attach_late)
         if mark is not None:
             self.check_frame(mark, MOVED_IN_BEFORE_SWITCH)
         running.check_homed(self.host)
