@@ -103,10 +103,13 @@ def test_touch_is_refused_where_no_trips_are_wanted(start, touch):
 @pytest.mark.parametrize("before", ["ATTACH_PROBE", "DETACH_PROBE"])
 def test_both_touch_only_with_trips(start, before, touch):
     printer = ready(start, {"auto_attach_detach": "False"}, GOES_DOWN)
-    printer.run(f"{OVER}{before}\nM400")
+    printer.run(f"{OVER}{before}\nG92 Z10\nM400")
+    was = printer.session.position(), printer.status("gcode_move")
     text = printer.fail(TOUCHES[touch])
     assert "auto_attach_detach is off, and both nozzle and probe" in text
     assert untouched(printer)
+    # Refused before anything has moved, or was undone
+    assert (printer.session.position(), printer.status("gcode_move")) == was
     printer.run(f"SET_DOCKABLE_PROBE AUTO_ATTACH_DETACH=1\n{TOUCHES[touch]}")
 
 

@@ -112,16 +112,18 @@ class AutoZOffset(object):
 
     # Runs what a command does with the machine: 'work' gets a Run and returns
     # what the command stores or says.  On any failure the head is lifted, and
-    # nothing has changed.
-    def measure(self, gcmd, touches, work):
-        begin = functools.partial(self.begin, gcmd, work)
+    # nothing has changed.  'with_probe': it touches, too.
+    def measure(self, gcmd, touches, work, with_probe=False):
+        begin = functools.partial(self.begin, gcmd, work, with_probe)
         return self.runner.run(gcmd, begin, "prepare_gcode", touches)
 
-    def begin(self, gcmd, work):
+    def begin(self, gcmd, work, with_probe):
         accepts_change = options.param_int(
             gcmd, "ACCEPT_CHANGE", 0, minval=0, maxval=1
         )
         self.check_may_measure()
+        if with_probe:
+            self.check_both()
         # What prepare_gcode takes for a height is one of the nozzle
         self.undo_g92()
         expectations = None if accepts_change else self.expectations
@@ -231,13 +233,14 @@ class AutoZOffset(object):
 
     def cmd_AUTO_Z_MEASURE_OFFSET(self, gcmd):
         touches = 2 * self.settings.sampling.samples
-        result = self.measure(gcmd, touches, self.measure_once)
+        result = self.measure(
+            gcmd, touches, self.measure_once, with_probe=True
+        )
         self.results = (result,)
         gcmd.respond_info(formula("AUTO_Z_MEASURE_OFFSET", result))
         self.tell(heights.inside_bed(result.z_offset))
 
     def measure_once(self, run):
-        self.check_both()
         bed = bed_site(self.host, self.settings)
         run.prepare(bed, self.settings.bed_spread)
         result = run.measure(probe_site(self.host, bed))
@@ -250,7 +253,9 @@ class AutoZOffset(object):
     def cmd_AUTO_Z_CALIBRATE(self, gcmd):
         settings = self.settings
         touches = 2 * settings.sampling.samples * settings.offset_samples
-        self.results, z = self.measure(gcmd, touches, self.calibrate)
+        self.results, z = self.measure(
+            gcmd, touches, self.calibrate, with_probe=True
+        )
         self.correction.save(z)
         corrections = [result.correction for result in self.results]
         gcmd.respond_info(
@@ -267,7 +272,6 @@ class AutoZOffset(object):
         self.tell(heights.inside_bed(settings.z_offset))
 
     def calibrate(self, run):
-        self.check_both()
         bed = bed_site(self.host, self.settings)
         run.prepare(bed, self.settings.bed_spread)
         # Here, as prepare_gcode may have homed
