@@ -74,7 +74,7 @@ needs_writable() {
     [[ -w $1 || $unwritable = *":$1:"* ]] && return 0
     unwritable+=":$1:"
     problem "$NOT_WRITABLE" "cannot write to $1; give it to your user:" \
-        "sudo chown $(id -un) $1"
+        "sudo chown $(id -un) $(printf %q "$1")"
 }
 
 # A file that is replaced, and its folder

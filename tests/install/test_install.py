@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import os
 import re
+import shlex
 import shutil
 import subprocess
 import sys
@@ -118,6 +119,16 @@ def test_spaces_in_home(new_box):
     assert conf.read_text() == "[server]\n"
     box.installed("-u")
     assert klipper.links() == {}
+
+
+def test_advice_about_a_path_with_a_space_can_be_typed(new_box):
+    box = new_box("the home of [me]")
+    folder = box.klipper().path / "klippy/extras"
+    folder.chmod(0o555)
+    err = box.refused(5)
+    folder.chmod(0o755)
+    (advice,) = re.findall("sudo chown (.*)", err)
+    assert shlex.split(advice)[1:] == [str(folder)]
 
 
 def test_neither_moonraker_nor_services_are_needed(box):
