@@ -233,9 +233,7 @@ class AutoZOffset(object):
 
     def cmd_AUTO_Z_MEASURE_OFFSET(self, gcmd):
         touches = 2 * self.settings.sampling.samples
-        result = self.measure(
-            gcmd, touches, self.measure_once, with_probe=True
-        )
+        result = self.measure(gcmd, touches, self.measure_once, with_probe=True)
         self.results = (result,)
         gcmd.respond_info(formula("AUTO_Z_MEASURE_OFFSET", result))
         self.tell(heights.inside_bed(result.z_offset))

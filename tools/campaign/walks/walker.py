@@ -254,8 +254,9 @@ def go(
         )
         printer = Printer(host, owned.scene, changes, (), owned.seed, modules)
         try:
-            walker = Walker(printer, owned, outcome, say, temperature)
-            _go(walker, walk)
+            # A printer that does not start may know nothing of its own yet
+            if _starts(printer, outcome):
+                _go(Walker(printer, owned, outcome, say, temperature), walk)
         finally:
             printer.session.close()
             printer.machine.close()
@@ -267,14 +268,18 @@ def heat(file: Path, celsius: float) -> None:
     file.write_text(f"{1000.0 * celsius:.0f}\n")
 
 
+def _starts(printer: Printer, outcome: Outcome) -> bool:
+    state, message = printer.session.start()
+    if state == "ready":
+        return True
+    if "nternal error" in message:
+        outcome.harm, outcome.kind = message, "internal error"
+    outcome.refused_at_start = message
+    return False
+
+
 def _go(walker: Walker, walk: Sequence[Step]) -> None:
     outcome = walker.outcome
-    state, message = walker.printer.session.start()
-    if state != "ready":
-        if "nternal error" in message:
-            outcome.harm, outcome.kind = message, "internal error"
-        outcome.refused_at_start = message
-        return
     try:
         walker.go(walk)
     except HarmError as error:
