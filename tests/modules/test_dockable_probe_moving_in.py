@@ -145,6 +145,11 @@ def test_part_by_part_the_dock_is_brought_out_and_put_away(start):
     # A probe that is fetched from there
     printer.run(CENTRE + steps("DOCK") + "\nATTACH_PROBE")
     assert (is_out(printer), where(printer)) == (False, "attached")
+    # Another way out than the dock's own
+    printer.run(CENTRE + steps("DOCK"))
+    assert is_out(printer)
+    printer.run("MOVE_AVOIDING_DOCK X=20 Y=300")
+    assert not is_out(printer)
     assert_safe(printer)
 
 
