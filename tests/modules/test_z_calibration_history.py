@@ -12,6 +12,7 @@ import pytest
 
 from simprinter import Fault, heated
 from simprinter.world import NoiseSpec, OozeSpec
+from tools.kit.klipper_sections import TOOL
 from tools.kit.runs import make_runs
 from tools.kit.scenes import SCENES
 from tools.kit.z_calibration import (
@@ -261,6 +262,39 @@ def test_exchanged_nozzle_is_told_once(start, with_past, tmp_path):
     assert json.loads(lines[-1])["warnings"] == [told]
     printer.run("CALIBRATE_Z")
     assert printer.status("z_calibration")["warnings"] == []
+
+
+def test_nozzle_of_another_tool_is_neither_dirt_nor_a_change(start, tmp_path):
+    """Its own runs of before are what a run is compared with."""
+    longer = {"nozzle": 0.25, "switch": 0.0, "bed": 0.0}
+    hot = {"extruder": 150.0}
+    runs = make_runs(20, moved=longer, extruder="extruder1", temperatures=hot)
+    runs += make_runs(4, 2, extruder="extruder", temperatures={})
+    with (tmp_path / "history.jsonl").open("w") as f:
+        f.writelines(json.dumps(run) + "\n" for run in runs)
+    changes = section(history=str(tmp_path))
+    heat = tmp_path / "temp"
+    heat.write_text("150000")
+    changes["extruder1"] = {**TOOL, "sensor_path": str(heat)}
+    printer = start(heated(SCENES["voron"]), changes).homed()
+    printer.machine.tolerate("nozzle_pin", 1.01)
+    printer.session.wait(1.0)
+    printer.run("CALIBRATE_Z")
+    printer.session.wait(2.0)
+    assert "changed" not in "".join(printer.session.console)
+    status = printer.status("z_calibration")
+    assert status["warnings"] == []
+    middle = status["history"]["switch_nozzle"]
+    assert middle == pytest.approx(6.415, abs=0.01)
+    # As if that one were no longer than this one any more
+    printer.run("ACTIVATE_EXTRUDER EXTRUDER=extruder1\nCALIBRATE_Z")
+    (warning,) = printer.status("z_calibration")["warnings"]
+    assert re.search(r"switch - nozzle is 6\.41\d mm and was 6\.16", warning)
+    printer.session.wait(2.0)
+    lines = (tmp_path / "history.jsonl").read_text().splitlines()
+    own, other = map(json.loads, lines[-2:])
+    assert (own["extruder"], other["extruder"]) == ("extruder", "extruder1")
+    assert other["temperatures"]["extruder"] == 150.0
 
 
 @pytest.mark.parametrize("residue", [0.04, 0.01])

@@ -254,6 +254,16 @@ def test_each_plate_has_its_curve():
     assert_texts_apart(root)
 
 
+def test_runs_with_another_tool_are_not_drawn():
+    runs = make_runs(6, extruder="extruder")
+    texts, _ = drawn([*make_runs(9, 2, extruder="extruder1"), *runs])
+    assert any("6 runs" in text and "with extruder" in text for text in texts)
+    # Nobody with one tool is told its name
+    texts, _ = drawn([*make_runs(3), *runs])
+    assert any("9 runs" in text for text in texts)
+    assert not any("with extruder" in text for text in texts)
+
+
 def test_only_the_latest_marks_are_drawn():
     runs = make_runs(40, warnings=[STICKS])
     _, root = drawn(runs)

@@ -64,7 +64,8 @@ def pause():
 ######################################################################
 
 # A run is a dict: 'format', 'ok', 'printer' (the path of its printer.cfg), 'plate'
-# (as in the command, ""), 'bed_spread' (mm), 'reason', 'sites' by name with 'z', 'sd',
+# (as in the command, ""), 'extruder' (whose nozzle it was), 'bed_spread' (mm),
+# 'reason', 'sites' by name with 'z', 'sd',
 # 'n', 'samples' (mm) and, of the bed with bed_spread, 'points' (X and Y of each
 # touch, mm), 'temperatures' (C), 'wear' and 'changed', see trend.py, 'time' (s since
 # 1970; in the file it may be missing, read() makes 0 of that), and, of a good one,
@@ -150,7 +151,9 @@ def is_record(record):
 def has_names(record):
     if not is_number(record.setdefault("time", 0.0)):
         return False
-    names = [name for name in ("printer", "plate") if name in record]
+    names = [
+        name for name in ("printer", "plate", "extruder") if name in record
+    ]
     is_text = all(isinstance(record[name], TEXT) for name in names)
     return is_text and is_number(record.get("bed_spread", 0.0))
 
@@ -430,7 +433,8 @@ class History(object):
         self.printer = printer
         self.say = say
         self.runs = []
-        self.summary = trend.summarize_runs([])
+        # Of the runs with each extruder, by its name
+        self.summaries = {}
         self.told = set()
         self.status = {}
         self.lock = threading.Lock()
@@ -495,7 +499,7 @@ class History(object):
             if count:
                 self.later(self.warn, text % (count, self.file.path))
         runs = self._of_this_printer(records)
-        self.later(self._take, runs, trend.summarize_runs(runs, pause), [])
+        self.later(self._take, runs, trend.summarize_tools(runs, pause), [])
 
     def _of_this_printer(self, records):
         return [
@@ -525,23 +529,30 @@ class History(object):
     # What is worn, or has changed, is told with the run that has shown it
     def _write(self, record, runs):
         pause()
-        told = trend.find(runs, pause)
+        own = trend.of_tool(runs, trend.tool(record), pause)
+        told = trend.find(own, pause)
         record.update(wear=told.wear, changed=told.changed)
-        summary = trend.summarize_runs(runs, pause)
+        summaries = trend.summarize_tools(runs, pause)
         try:
             self.file.append(record)
         finally:
-            self.later(self._take, None, summary, told.texts)
+            self.later(self._take, None, summaries, told.texts)
 
     # 'runs' None: they are here already
-    def _take(self, runs, summary, texts):
+    def _take(self, runs, summaries, texts):
         if runs is not None:
             # A run may have ended before all was read
             self.runs = (runs + self.runs)[-self.file.limit :]
-        self.summary = summary
+        self.summaries = summaries
         self._show()
         for text in texts:
             self.say(text)
+
+    # The trend.Summary of the runs with the nozzle of an extruder.  Of a first one only
+    # runs of before there was such a name are known.
+    def summary(self, name):
+        summary = self.summaries.get(name, self.summaries.get(""))
+        return summary or trend.summarize_runs([])
 
     # Of each site the Spread of one touch in each of the last runs; 'bed_spread' (mm)
     # is that of the run that asks
@@ -551,7 +562,9 @@ class History(object):
         )
 
     def _show(self):
-        radius = trend.bed_spread(self.runs[-1]) if self.runs else 0.0
+        last = self.runs[-1] if self.runs else {}
+        radius = trend.bed_spread(last)
+        fingerprint = self.summary(trend.tool(last)).fingerprint
         spreads = dict(
             (site, pool(runs)) for site, runs in self.spreads(radius).items()
         )
@@ -566,5 +579,5 @@ class History(object):
                 (site, math.sqrt(spread.variance) if spread.dof else None)
                 for site, spread in spreads.items()
             ),
-            "switch_nozzle": self.summary.fingerprint.middle,
+            "switch_nozzle": fingerprint.middle,
         }

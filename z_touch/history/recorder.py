@@ -55,12 +55,13 @@ class Recorder(object):
         register = self.printer.register_event_handler
         register("klippy:ready", self.history.begin)
 
-    # By how much (mm) switch - nozzle departs from the runs that were as hot as it is
-    # now; 0: not by more than chance.
+    # By how much (mm) switch - nozzle departs from the runs with this extruder that
+    # were as hot as it is now; 0: not by more than chance.
     def departure(self, body):
-        eventtime, history = self.host.eventtime(), self.history
-        as_hot = {"temperatures": self.temperatures(eventtime)}
-        bodies = trend.bodies_as_hot(history.runs, history.summary, as_hot)
+        as_hot = {"temperatures": self.temperatures(self.host.eventtime())}
+        history, tool = self.history, self.host.extruder()
+        runs = trend.of_tool(history.runs, tool)
+        bodies = trend.bodies_as_hot(runs, history.summary(tool), as_hot)
         return trend.departure(body, bodies)
 
     # Of the history, for the status of the section
@@ -167,6 +168,7 @@ class Recorder(object):
         return {
             "time": round(time.time(), 1) if self.keeps_times else 0.0,
             "plate": self.plate,
+            "extruder": self.host.extruder(),
             "bed_spread": self.bed_spread,
             "revision": self.version,
             "duration": round(eventtime - self.began, 2),
@@ -186,10 +188,12 @@ class Recorder(object):
         points = plan.points if site == "bed" else []
         return site_record(samples, z, plan.step, touches, earlier, points)
 
-    # By the names of HEATERS (C)
+    # Of bed and nozzle, by the names of HEATERS (C): that of the extruder that is active
     def temperatures(self, eventtime):
+        active = {"extruder": self.host.extruder() or "extruder"}
         heaters = [
-            (name, self.printer.lookup_object(name, None)) for name in HEATERS
+            (name, self.printer.lookup_object(active.get(name, name), None))
+            for name in HEATERS
         ]
         return {
             name: round(heater.get_status(eventtime)["temperature"], 1)

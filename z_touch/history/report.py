@@ -77,6 +77,9 @@ def facts(records, runs):
     if runs:
         days = sorted(set(day(run) for run in (runs[0], runs[-1])))
         yield "%d runs, %s" % (len(runs), " to ".join(days))
+        tools = set(trend.tool(run) for run in records)
+        if len(tools - {""}) > 1:
+            yield "with %s" % (trend.tool(runs[-1]),)
     revision = records[-1].get("revision") if records else None
     if revision:
         yield "z_calibration %s" % (revision,)
@@ -482,6 +485,9 @@ def draw_samples(page, site, colour, all_samples):
 def svg(records, pause=trend.no_pause, printer=""):
     page = Page(pause)
     runs = [r for r in records if "cycles" not in r]
+    # Nozzles of two lengths are no change from run to run
+    if runs:
+        runs = trend.of_tool(runs, trend.tool(runs[-1]), pause)
     cycles = [r for r in records if r.get("cycles")]
     latest = cycles[-1] if cycles and cycles[-1] is records[-1] else None
     draw_head(page, records, runs, latest, printer)

@@ -201,6 +201,37 @@ def departure(value, bodies):
     return value - fingerprint.middle
 
 
+# The name of the extruder whose nozzle it was; empty: nobody knows, as there was no
+# such field
+def tool(run):
+    return run.get("extruder") or ""
+
+
+# The runs with the nozzle of an extruder: that of another one, which is longer, is
+# neither dirt nor another nozzle
+def of_tool(runs, name, pause=no_pause):
+    own = []
+    for number, run in enumerate(runs):
+        if number % 100 == 0:
+            pause()
+        if tool(run) in ("", name):
+            own.append(run)
+    return own
+
+
+# The Summary of the runs with each extruder, by its name
+def summarize_tools(runs, pause=no_pause):
+    summaries = {}
+    for number, run in enumerate(runs):
+        if number % 100 == 0:
+            pause()
+        name = tool(run)
+        if name not in summaries:
+            own = of_tool(runs, name, pause)
+            summaries[name] = summarize_runs(own, pause)
+    return summaries
+
+
 # The Summary of runs.  Two in a row that depart from all before, and agree with each other, are
 # the first ones of another nozzle or probe.
 def summarize_runs(runs, pause=no_pause):
