@@ -114,6 +114,17 @@ def armings(printer, script="CALIBRATE_Z"):
 
 
 @pytest.mark.every_host
+def test_bed_is_looked_for_only_where_nobody_has_met_the_pin(start):
+    """Neither where Z is homed, nor in a second run."""
+    printer = start().homed()
+    assert armings(printer)["probe"] == 4
+    printer.run("G28")
+    beside = "CALIBRATE_Z NOZZLE_POSITION=207.2,306"
+    looks = [armings(printer, beside)["probe"] for _ in range(2)]
+    assert looks == [5, 4]
+
+
+@pytest.mark.every_host
 def test_way_down_to_the_pin_is_one_move_with_the_first_touch(start):
     # The bed is touched by the host's own probing
     assert armings(start().homed()) == {"z_endstop": 6, "probe": 4}

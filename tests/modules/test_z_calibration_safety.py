@@ -781,3 +781,14 @@ def test_noise_leaves_a_small_mean_error(host):
     errors = [gap + z - offsets[-1] - noisy.formula_gap() for z in offsets]
     assert abs(sum(errors) / RUNS) < 0.0015
     assert 0.001 < max(map(abs, errors)) < 0.015
+
+
+# The probe that start_gcode, or a hand, has put on hangs lower than the nozzle
+@pytest.mark.every_host
+@pytest.mark.parametrize("command", ["CALIBRATE_Z", slow("PROBE_Z_ACCURACY")])
+def test_place_of_the_nozzle_that_is_over_the_bed(start, command):
+    printer = start().homed()
+    text = printer.fail(f"{command} NOZZLE_POSITION=150,150")
+    assert "nozzle: the probe is on the head, and has met the bed at z=" in text
+    assert text.endswith("check that the pin is at NOZZLE_POSITION")
+    assert_unharmed(printer)

@@ -1,5 +1,9 @@
 # What moved the frame that heights are measured in.
 # Copyright (C) 2026  the Z calibration developers, under the GNU GPLv3
+from __future__ import absolute_import
+
+import math
+
 HOMED_OR_SET = "Z was homed again or set"
 LEVELLED = "the Z motors were levelled"
 MOTORS_OFF = "the motors were turned off"
@@ -8,6 +12,9 @@ NOT_HOMED = "Z is not homed"
 # Every probing move may shift the frame by a part of a microstep; what adds
 # up to less than this (mm) is neither homing nor levelling.
 DATUM_NOISE = 0.02
+
+# The pin is wider than this (mm)
+SAME_PLACE = 1.0
 
 
 # What happened to the frame since a mark was set
@@ -123,13 +130,32 @@ class HomedFrame(object):
         self.mark = None
         # How many of these commands have begun: one may have others in it
         self.begun = 0
+        # X, Y (mm) where Z was homed, or the nozzle has met its pin, since klippy has
+        # started
+        self.proven = []
         # All sections have registered their commands then, and no macro has
         # taken the place of one.
         register = self.host.printer.register_event_handler
         register("klippy:mcu_identify", self._watch)
+        register("homing:home_rails_end", self._homed)
 
     def _watch(self):
         self.host.wrap_command("G28", self._around_homing)
+
+    def _homed(self, homing_state, rails):
+        if 2 in homing_state.get_axes():
+            self.prove(*self.host.toolhead.get_position()[:2])
+
+    # The nozzle has met the pin there (mm)
+    def prove(self, x, y):
+        if not self.is_proven(x, y):
+            self.proven.append((x, y))
+
+    # Whether it has met the pin about there before
+    def is_proven(self, x, y):
+        return any(
+            math.hypot(x - px, y - py) <= SAME_PLACE for px, py in self.proven
+        )
 
     # In a [homing_override] anything may follow, which is no homing.
     def _around_homing(self, command, gcmd):

@@ -309,23 +309,40 @@ class NozzleMeasurement(Measurement):
     x_first = True
 
     def touch_site(self, travel_z, floor):
-        carrier = carrying.of(self.host.printer).carrier(self.host)
-        if carrier is not None or not self.settings.may_attach_late:
-            return self.touch_free_site(travel_z, floor)
-        moved = self.host.after_moves()
-        self.arrive(travel_z)
-        looked = touching.before_arrival(self.host, moved)
-        if not self.host.probing.endstop().query_endstop(looked):
-            self.look_for_bed(floor)
-        return self.touch_free_site(travel_z, floor)
+        if self.may_meet_bed():
+            moved = self.host.after_moves()
+            self.arrive(travel_z)
+            looked = touching.before_arrival(self.host, moved)
+            if not self.host.probing.endstop().query_endstop(looked):
+                self.look_for_bed(floor)
+        samples = self.touch_free_site(travel_z, floor)
+        self.run.homed.prove(self.site.x, self.site.y)
+        return samples
 
-    # A probe that before_switch_gcode is there for reads attached by now: left on,
-    # or it always does, as one that is wired as normally open.  Its switch ends the
-    # way down where the pin is known to be below.
-    def look_for_bed(self, floor):
+    # Whether what hangs on the head may meet the bed before the nozzle meets the pin:
+    # a probe that before_switch_gcode is there for, or one that start_gcode has put
+    # on, where nobody knows yet that the pin is here.
+    def may_meet_bed(self):
+        if self.is_attached_late():
+            return True
+        is_proven = self.run.homed.is_proven(self.site.x, self.site.y)
+        return self.is_pin_known() and not is_proven
+
+    def is_attached_late(self):
+        carrier = carrying.of(self.host.printer).carrier(self.host)
+        return carrier is None and self.settings.may_attach_late
+
+    # Whether the pin is as high as expected_z says
+    def is_pin_known(self):
         is_homed_on = self.settings.position_endstop is not None
         is_moved = is_homed_on and bool(self.run.homed.moved())
-        if self.expected_z is None or is_moved:
+        return self.expected_z is not None and not is_moved
+
+    # The probe reads attached by now: left on, put on by start_gcode, or it always
+    # does, as one that is wired as normally open.  Its switch ends the way down
+    # where the pin is known to be below.
+    def look_for_bed(self, floor):
+        if not self.is_pin_known():
             self.look_in_steps(floor)
             return
         low = max(self.expected_z, floor) + ABOVE_PIN
@@ -353,10 +370,15 @@ class NozzleMeasurement(Measurement):
         return may_hang(settings.z_offset, settings.offset_margins[1])
 
     def refuse_attached(self, met_z):
+        remedy = "check that the pin is at %s" % (self.site.place(),)
+        if self.is_attached_late():
+            remedy = (
+                "put it away, and attach it after the nozzle only, in"
+                " before_switch_gcode"
+            )
         raise errors.CalibrationError(
             "the probe is on the head, and has met the bed at z=%.3f, where"
-            " nothing should be met before the pin; put it away, and attach it"
-            " after the nozzle only, in before_switch_gcode" % (met_z,)
+            " nothing should be met before the pin; %s" % (met_z, remedy)
         )
 
     def touch_free_site(self, travel_z, floor):
