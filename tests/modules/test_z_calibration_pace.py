@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import functools
+from collections import Counter
 from dataclasses import replace
 
 import pytest
@@ -107,10 +108,7 @@ def armings(printer, script="CALIBRATE_Z"):
     listen = printer.machine.rig.on_operation.append
     listen(lambda kind, signal, ns: found.append((kind, signal)))
     printer.run(script)
-    return {
-        signal: found.count(("touch", signal))
-        for signal in ("z_endstop", "probe")
-    }
+    return Counter(signal for kind, signal in found if kind == "touch")
 
 
 @pytest.mark.every_host
@@ -122,6 +120,17 @@ def test_bed_is_looked_for_only_where_nobody_has_met_the_pin(start):
     beside = "CALIBRATE_Z NOZZLE_POSITION=207.2,306"
     looks = [armings(printer, beside)["probe"] for _ in range(2)]
     assert looks == [5, 4]
+
+
+def test_place_of_the_pin_is_known_from_the_history(start):
+    """Of one of its own nobody else knows; the probe is asked on the way down."""
+    printer = start("separate_pin").homed()
+    began = armings(printer)["nozzle_endstop"]
+    printer.session.wait(1.0)
+    printer.session.restart("RESTART")
+    printer.homed().session.wait(1.0)
+    assert began > 20
+    assert armings(printer)["nozzle_endstop"] < 10
 
 
 @pytest.mark.every_host

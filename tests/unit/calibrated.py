@@ -143,6 +143,7 @@ def make_settings(**changes):
         "position_max": 500.0,
         "z_offset": 6.5,
         "unmeasured_pin": 0.0,
+        "mesh_area": None,
         "said": frozenset(),
     }
     return Settings(**{**DEFAULTS, **values, **changes})

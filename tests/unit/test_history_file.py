@@ -99,6 +99,8 @@ def test_line_cut_by_a_power_loss_costs_itself_only(file):
         b'{"ok": false, "time": 1, "sites": {}, "cycles": [{"bed": ["a"]}]}',
         b'{"ok": false, "time": 1, "sites": {}, "printer": ["a"]}',
         b'{"ok": false, "time": 1, "sites": {}, "plate": 5}',
+        b'{"ok": false, "time": 1, "sites": {}, "extruder": 5}',
+        b'{"ok": false, "time": 1, "sites": {}, "nozzle_at": [1]}',
         b'{"ok": false, "time": 1, "sites": {}, "changed": 5}',
         b'{"ok": false, "time": 1, "sites": {}, "format": 3, "warnings": 5}',
         b'{"ok": false, "time": 1, "sites": {}, "format": 3,'

@@ -25,6 +25,7 @@ from tests.unit.calibrated import (
     travels,
 )
 from z_touch.core.axes import ZZero
+from z_touch.core.touching import Site
 from z_touch.z_calibration import heights as zc
 
 
@@ -167,6 +168,21 @@ class TestExpect:
 
 
 class TestFloors:
+    @pytest.mark.parametrize(
+        ("area", "floor"),
+        [
+            (None, -5.0),
+            (((10.0, 10.0), (50.0, 50.0)), -1.0),
+            (((10.0, 31.0), (50.0, 50.0)), -5.0),
+            (((10.0, 10.0), (19.0, 50.0)), -5.0),
+        ],
+    )
+    def test_no_pin_is_lower_than_the_bed(self, area, floor):
+        settings = make_settings(mesh_area=area, offset_margins=(-1.0, 1.0))
+        site = Site("nozzle", 20.0, 30.0, "")
+        assert zc.nozzle_floor_over(settings, -5.0, site) == floor
+        assert zc.nozzle_floor_over(settings, 0.6, site) == 0.6
+
     @pytest.mark.parametrize(
         ("endstop", "margins", "travel_margin", "position_min", "floor"),
         [

@@ -58,14 +58,26 @@ def _calibrated_at(config):
 
 
 def _homed_beside_mesh(config):
-    home = _home(config)
-    low = _point(config, "bed_mesh", "mesh_min")
-    high = _point(config, "bed_mesh", "mesh_max")
-    if None in (home, low, high):
+    home, area = _home(config), mesh_area(config)
+    if None in (home, area):
         return None
-    ends = zip(home, low, high)
-    is_beside = any(not a - NEAR <= xy <= b + NEAR for xy, a, b in ends)
-    return home if is_beside else None
+    return None if is_over(home, area, NEAR) else home
+
+
+# What the bed mesh covers: its corners (X and Y, mm); None: it is round, or there is
+# none
+def mesh_area(config):
+    ends = [
+        _point(config, "bed_mesh", name) for name in ("mesh_min", "mesh_max")
+    ]
+    return None if None in ends else tuple(ends)
+
+
+# Whether X and Y (mm) are in it, or that near to it
+def is_over(xy, area, near=0.0):
+    return all(
+        low - near <= at <= high + near for at, low, high in zip(xy, *area)
+    )
 
 
 def _home(config):

@@ -69,7 +69,8 @@ def pause():
 # 'n', 'samples' (mm) and, of the bed with bed_spread, 'points' (X and Y of each
 # touch, mm), 'temperatures' (C), 'wear' and 'changed', see trend.py, 'time' (s since
 # 1970; in the file it may be missing, read() makes 0 of that), and, of a good one,
-# 'offset', 'uncertainty' and 'switch_offset' (mm), and 'warnings', each with 'about',
+# 'nozzle_at' (X and Y of the pin, mm), 'offset', 'uncertainty' and 'switch_offset'
+# (mm), and 'warnings', each with 'about',
 # see formats.py, and 'text'.  One of CALIBRATE_Z_ACCURACY has 'cycles', too, and
 # 'cause' and 'verdict', see uncertainty/cycles.py.
 
@@ -147,7 +148,7 @@ def is_record(record):
     return True
 
 
-# Its printer and plate, and when it was
+# Its printer, plate and places, and when it was
 def has_names(record):
     if not is_number(record.setdefault("time", 0.0)):
         return False
@@ -155,7 +156,8 @@ def has_names(record):
         name for name in ("printer", "plate", "extruder") if name in record
     ]
     is_text = all(isinstance(record[name], TEXT) for name in names)
-    return is_text and is_number(record.get("bed_spread", 0.0))
+    is_at = is_point(record.get("nozzle_at", [0.0, 0.0]))
+    return is_text and is_at and is_number(record.get("bed_spread", 0.0))
 
 
 # What was told with the run

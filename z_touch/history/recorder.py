@@ -131,13 +131,21 @@ class Recorder(object):
         if self.history.file is not None:
             self.draw()
 
+    # X, Y (mm) where the nozzle has met the pin in the last good run; None: nobody knows
+    def nozzle_at(self):
+        for run in reversed(self.history.runs):
+            if run["ok"]:
+                return run.get("nozzle_at")
+        return None
+
     # CALIBRATE_Z has ended well.  'last' has the result, its uncertainty, z_adjust
-    # and warnings, each with 'about' and 'text'.
+    # nozzle_at and warnings, each with 'about' and 'text'.
     def good(self, last):
         worth = last.uncertainty
         self.add(
             ok=True,
             reason="",
+            nozzle_at=[round(xy, 3) for xy in last.nozzle_at],
             offset=round(last.result.offset, 6),
             uncertainty=None if worth is None else round(worth, 6),
             switch_offset=last.result.switch_offset,

@@ -172,6 +172,9 @@ class Calibration(object):
     def sample_nozzle(self):
         self.run.watch.enter("nozzle")
         expected_z, floor = self.expected.nozzle(), self.expected.floor()
+        floor = heights.nozzle_floor_over(
+            self.settings, floor, self.sites.nozzle
+        )
         return self.at_nozzle().take_samples(self.travel_z, expected_z, floor)
 
     ##################################################################

@@ -19,6 +19,7 @@ from __future__ import absolute_import
 
 import collections
 
+from ..core import z_pin
 from ..core.errors import CalibrationError
 
 # The switch body hangs at least this far (mm) below the nozzle tip: a probe
@@ -144,6 +145,15 @@ def nozzle_floor(settings, expected_z):
     if homed_z is None:
         return settings.position_min
     return max(settings.position_min, homed_z - reach)
+
+
+# Over what the bed mesh covers ('site': the head's) no pin is lower than the bed, which
+# meets the nozzle where the offset is.
+def nozzle_floor_over(settings, floor, site):
+    area = settings.mesh_area
+    if area is None or not z_pin.is_over((site.x, site.y), area):
+        return floor
+    return max(floor, settings.offset_margins[0])
 
 
 # The body hangs below the nozzle, in any case; where a trigger is expected,

@@ -325,8 +325,7 @@ class NozzleMeasurement(Measurement):
     def may_meet_bed(self):
         if self.is_attached_late():
             return True
-        is_proven = self.run.homed.is_proven(self.site.x, self.site.y)
-        return self.is_pin_known() and not is_proven
+        return not self.run.homed.is_proven(self.site.x, self.site.y)
 
     def is_attached_late(self):
         carrier = carrying.of(self.host.printer).carrier(self.host)

@@ -154,7 +154,9 @@ class ZCalibration(object):
 
     # A Calibration; 'plan': adaptive.Plan of its touches
     def new_calibration(self, settings, sites, plan):
-        watch = self.runner.watch
+        watch, nozzle_at = self.runner.watch, self.recorder.nozzle_at()
+        if nozzle_at is not None:
+            self.homed.prove(*nozzle_at)
         run = Run(self.host, settings, self.pin, plan, watch, self.homed)
         return Calibration(run, sites)
 
@@ -342,6 +344,7 @@ class ZCalibration(object):
                 warnings=calibration.run.warnings,
                 uncertainty=calibration.uncertainty(),
                 z_adjust=z_adjust,
+                nozzle_at=calibration.sites.nozzle[1:3],
                 point=finder.bed_point(calibration.sites.bed),
                 twist=calibration.run.twist,
                 extruder=self.host.extruder(),

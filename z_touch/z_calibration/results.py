@@ -19,6 +19,7 @@ Warned = collections.namedtuple("Warned", "about text")
 #                Klipper's own features shift there, with what was added
 #   applied      the G-code offset that was set (mm): the same, unless offset_gcode
 #                has made another one of it
+#   nozzle_at    X, Y where the nozzle has met the pin (mm)
 #   point        X, Y of the bed that was measured (mm)
 #   height       of bed mesh or bed tilt there, when it was applied (mm)
 #   guessed      whether nobody knew it, see features
@@ -27,11 +28,11 @@ Warned = collections.namedtuple("Warned", "about text")
 #   states       the G-code offsets (mm) of saved states of before, by their names
 Last = collections.namedtuple(
     "Last",
-    "result mark warnings uncertainty z_adjust z_offset applied point height"
-    " guessed twist extruder states",
+    "result mark warnings uncertainty z_adjust z_offset applied nozzle_at point"
+    " height guessed twist extruder states",
 )
 NOTHING = Last(
-    None, None, (), None, 0.0, 0.0, 0.0, None, 0.0, False, 0.0, "", {}
+    None, None, (), None, 0.0, 0.0, 0.0, None, None, 0.0, False, 0.0, "", {}
 )
 
 # By less (mm) the bed mesh is as high as it was.

@@ -7,7 +7,7 @@
 # and 'probe'.
 from __future__ import absolute_import
 
-from ..core import options, pin_options, touching
+from ..core import options, pin_options, touching, z_pin
 from ..core.errors import CalibrationError
 from ..core.options import option
 from ..core.sampling import filled
@@ -360,13 +360,14 @@ OPTIONS = POSITIONS + RESULT + HEIGHTS + SPEEDS + KEPT + USER_GCODE
 #   position_max         of the Z axis
 #   z_offset             of the probe
 #   unmeasured_pin       how high the pin is taken for until it was touched
+#   mesh_area            what the bed mesh covers, see z_pin
 #   said                 the names of those options that its owner has given, or the
 #                        command
 Settings = options.record(
     "Settings",
     [row for row in OPTIONS if row.name not in SAMPLING],
     "pin probe counting may_attach_late start_homes position_endstop position_max"
-    " z_offset unmeasured_pin said",
+    " z_offset unmeasured_pin mesh_area said",
 )
 
 
@@ -394,6 +395,7 @@ def read_settings(config, z_axis, old_names):
     values.update(hooks.read_texts(config))
     values.update(pin=pin, probe=probe, counting=counting)
     values["position_endstop"] = homed_z
+    values["mesh_area"] = z_pin.mesh_area(config)
     values["said"] = frozenset(
         row.name for row in OPTIONS if old_names.was_given(row.name)
     )
