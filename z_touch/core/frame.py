@@ -142,7 +142,10 @@ class HomedFrame(object):
     def _watch(self):
         self.host.wrap_command("G28", self._around_homing)
 
+    # Where Z is homed with the probe there is a bed
     def _homed(self, homing_state, rails):
+        if self.host.axes.homes_with_probe():
+            return
         if 2 in homing_state.get_axes():
             self.prove(*self.host.toolhead.get_position()[:2])
 

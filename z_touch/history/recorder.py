@@ -138,7 +138,7 @@ class Recorder(object):
                 return run.get("nozzle_at")
         return None
 
-    # CALIBRATE_Z has ended well.  'last' has the result, its uncertainty, z_adjust
+    # CALIBRATE_Z has ended well.  'last' has the result, its uncertainty, z_adjust,
     # nozzle_at and warnings, each with 'about' and 'text'.
     def good(self, last):
         worth = last.uncertainty
