@@ -6,6 +6,7 @@ What options refuse besides is in test_wrong_values.py.
 from __future__ import annotations
 
 import functools
+import json
 import math
 import re
 from dataclasses import replace
@@ -16,6 +17,7 @@ from simprinter import Fault
 from tools.kit.cases import slow
 from tools.kit.load_errors import load
 from tools.kit.printer import Printer
+from tools.kit.runs import make_runs
 from tools.kit.scenes import SCENES
 from tools.kit.z_calibration import (
     BED,
@@ -941,12 +943,21 @@ def test_position_min_is_not_the_matter_where_the_probe_homes(host):
     assert "is the probe: z_calibration needs a Z endstop" in message
 
 
-def test_pin_of_its_own_is_looked_for_down_to_position_min_once(start):
+def proven(folder):
+    """The nozzle has met the pin there in a run of before."""
+    (run,) = make_runs(1, nozzle_at=[206.0, 306.0])
+    (folder / "history.jsonl").write_text(json.dumps(run) + "\n")
+    return section(history=str(folder))
+
+
+def test_pin_of_its_own_is_looked_for_down_to_position_min_once(
+    start, tmp_path
+):
     # Nobody knows its height; after a good run it is known
     scene = SCENES["separate_pin"]
     fault = Fault("trigger_never", signal="nozzle_endstop", n=2)
     deep = replace(scene.world.pin, pin_travel=8.0)
-    changes = {"stepper_z": {"position_min": "-2"}}
+    changes = {"stepper_z": {"position_min": "-2"}, **proven(tmp_path)}
     printer = start(scene.with_world(pin=deep), changes, [fault])
     printer.machine.tolerate("nozzle_pin", 4.0)
     text = printer.homed().fail("CALIBRATE_Z")
@@ -956,10 +967,10 @@ def test_pin_of_its_own_is_looked_for_down_to_position_min_once(start):
 
 
 @pytest.mark.parametrize("between", ["", "G28\n", "M84\nG28\n"])
-def test_pin_of_its_own_is_known_after_a_good_run(start, between):
+def test_pin_of_its_own_is_known_after_a_good_run(start, tmp_path, between):
     # A good run has 3 + 3 samples
     fault = Fault("trigger_never", signal="nozzle_endstop", n=7)
-    printer = start("separate_pin", faults=[fault])
+    printer = start("separate_pin", proven(tmp_path), faults=[fault])
     printer.machine.tolerate("nozzle_pin", 1.01)
     printer.homed()
     result, _ = calibration(printer)

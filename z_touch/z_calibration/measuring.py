@@ -351,17 +351,21 @@ class NozzleMeasurement(Measurement):
             self.refuse_attached(met_z)
 
     # Only one switch can end a move: otherwise that is the pin, and the probe is
-    # looked at after each step.
+    # looked at after each step.  Once it is met, its height is known.
     def look_in_steps(self, floor):
         probe, speed = self.host.probing.endstop(), self.settings.probing_speed
-        if self.head.come_down(self.endstop(), self.hangs(), speed) is not None:
-            return
-        while self.host.motion.z() > floor:
-            z = max(self.host.motion.z() - LOOK_STEP, floor)
-            if self.head.come_down(self.endstop(), z, speed) is not None:
+        z = max(self.hangs(), floor)
+        while True:
+            met_z = self.head.come_down(self.endstop(), z, speed)
+            if met_z is not None:
+                self.expected_z = met_z
+                self.retract()
                 return
             if probe.query_endstop(self.host.after_moves()):
-                self.refuse_attached(z)
+                self.refuse_attached(self.host.motion.z())
+            if z <= floor:
+                return
+            z = max(min(z, self.host.motion.z()) - LOOK_STEP, floor)
 
     # No higher than this (toolhead Z, mm) the probe meets the bed
     def hangs(self):
