@@ -325,11 +325,16 @@ class NozzleMeasurement(Measurement):
     def may_meet_bed(self):
         if self.is_attached_late():
             return True
-        return not self.run.homed.is_proven(self.site.x, self.site.y)
+        if self.run.homed.is_proven(self.site.x, self.site.y):
+            return False
+        carrier = self.carrier()
+        return carrier is None or carrier.state() != carrying.DOCKED
 
     def is_attached_late(self):
-        carrier = carrying.of(self.host.printer).carrier(self.host)
-        return carrier is None and self.settings.may_attach_late
+        return self.carrier() is None and self.settings.may_attach_late
+
+    def carrier(self):
+        return carrying.of(self.host.printer).carrier(self.host)
 
     # Whether the pin is as high as expected_z says
     def is_pin_known(self):
