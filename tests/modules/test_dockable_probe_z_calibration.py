@@ -9,7 +9,7 @@ import pytest
 from simprinter import Fault
 from tools.kit.carrying import without_our_dock
 from tools.kit.cases import all_slow_but, slow
-from tools.kit.dockable_probe import SENSED, SWITCH, trips, where
+from tools.kit.dockable_probe import SWITCH, trips, where
 from tools.kit.docks import HANG, calibrating
 from tools.kit.z_calibration import calibration
 
@@ -205,34 +205,3 @@ def test_probe_that_is_not_there(start):
     assert "the probe was not fetched" in printer.fail("CALIBRATE_Z")
     assert printer.machine.truth.min_gap > 9.0
     assert printer.session.state()[0] == "ready"
-
-
-# The body would meet the bed before the nozzle meets a pin that is elsewhere
-@pytest.mark.every_host
-@pytest.mark.parametrize("is_put_on", [True, False])
-def test_place_of_the_nozzle_that_is_over_the_bed(start, is_put_on):
-    hooks = z_section(start_gcode="ATTACH_PROBE", end_gcode="DETACH_PROBE")
-    printer = start(SCENE, hooks if is_put_on else {}).homed()
-    text = printer.fail("CALIBRATE_Z NOZZLE_POSITION=150,150")
-    if is_put_on:
-        assert "the probe is on the head, and has met the bed at z=" in text
-    else:
-        assert "nozzle: the switch did not answer" in text
-    printer.machine.truth.require_no_crash()
-    assert where(printer) == "docked"
-
-
-# In the dock it reads as it does on the head
-def test_place_of_the_nozzle_with_a_switch_that_is_normally_open(start):
-    probe = replace(SENSED.world.mag_probe, normally_open=True)
-    sensed = SENSED.with_world(mag_probe=probe)
-    inputs = {**sensed.wiring.inputs, "z_endstop": "^PC2"}
-    on_pin = replace(sensed, wiring=replace(sensed.wiring, inputs=inputs))
-    scene = calibrating(on_pin.with_world(pin=SWITCH.world.pin))
-    changes = {
-        "stepper_z": dict(SWITCH.sections["stepper_z"]),
-        "safe_z_home": SWITCH.sections["safe_z_home"],
-        "dockable_probe": {"check_open_attach": None},
-    }
-    printer = start(scene, changes).homed()
-    calibration(printer, "CALIBRATE_Z NOZZLE_POSITION=207.2,306")

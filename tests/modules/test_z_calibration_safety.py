@@ -10,7 +10,6 @@ from simprinter import Fault
 from simprinter.hosts.session import GcodeError
 from simprinter.world import DriftSpec
 from tools.kit.cases import all_slow_but, slow
-from tools.kit.klipper_sections import bed_mesh
 from tools.kit.printer import Printer, has_kinematics
 from tools.kit.scenes import SCENES
 from tools.kit.z_calibration import (
@@ -782,37 +781,3 @@ def test_noise_leaves_a_small_mean_error(host):
     errors = [gap + z - offsets[-1] - noisy.formula_gap() for z in offsets]
     assert abs(sum(errors) / RUNS) < 0.0015
     assert 0.001 < max(map(abs, errors)) < 0.015
-
-
-# The probe that start_gcode, or a hand, has put on hangs lower than the nozzle
-@pytest.mark.every_host
-@pytest.mark.parametrize("command", ["CALIBRATE_Z", slow("PROBE_Z_ACCURACY")])
-def test_place_of_the_nozzle_that_is_over_the_bed(start, command):
-    printer = start().homed()
-    text = printer.fail(f"{command} NOZZLE_POSITION=150,150")
-    assert "nozzle: the probe is on the head, and has met the bed at z=" in text
-    assert text.endswith("check that the pin is at NOZZLE_POSITION")
-    assert_unharmed(printer)
-
-
-# Nobody knows how high a pin of its own is, and position_min is 5 mm below the bed
-@pytest.mark.every_host
-@pytest.mark.parametrize("is_on_head", [True, False])
-def test_place_of_an_own_pin_that_is_over_the_bed(start, is_on_head):
-    changes = {"bed_mesh": bed_mesh("30, 30", "270, 240")}
-    if not is_on_head:
-        changes.update(section(before_switch_gcode="G4 P1"))
-    printer = start("separate_pin", changes).homed()
-    if not is_on_head:
-        printer.run("G1 Z30 F600\nM400")
-        machine = printer.machine
-        now = machine.rig.seconds(machine.simulation.clock.now())
-        machine.world.take_probe_off(now)
-        machine.tolerate("nozzle_bed", 1.01)
-    # Where Z was homed, with the probe
-    text = printer.fail("CALIBRATE_Z NOZZLE_POSITION=152,125.25")
-    if is_on_head:
-        assert text.endswith("check that the pin is at NOZZLE_POSITION")
-    else:
-        assert "did not answer (stopped at z=-1.000)" in text
-    assert_unharmed(printer)

@@ -121,6 +121,11 @@ class Frame(object):
         return [a - b for a, b in zip(self.host.axes.z_datum(), datum)]
 
 
+# Whether one of the places (X and Y, mm) is about there
+def is_at(places, x, y):
+    return any(math.hypot(x - px, y - py) <= SAME_PLACE for px, py in places)
+
+
 # The frame that G28 has left: only there a height says what Z is to be homed at.
 class HomedFrame(object):
     def __init__(self, frame):
@@ -130,9 +135,9 @@ class HomedFrame(object):
         self.mark = None
         # How many of these commands have begun: one may have others in it
         self.begun = 0
-        # X, Y (mm) where Z was homed, or the nozzle has met its pin, since klippy has
-        # started
-        self.proven = []
+        # X, Y (mm) where Z was homed since klippy has started, and where the nozzle has
+        # met its pin
+        self.homed_at, self.met_at = [], []
         # All sections have registered their commands then, and no macro has
         # taken the place of one.
         register = self.host.printer.register_event_handler
@@ -142,23 +147,21 @@ class HomedFrame(object):
     def _watch(self):
         self.host.wrap_command("G28", self._around_homing)
 
-    # Where Z is homed with the probe there is a bed
     def _homed(self, homing_state, rails):
-        if self.host.axes.homes_with_probe():
-            return
-        if 2 in homing_state.get_axes():
-            self.prove(*self.host.toolhead.get_position()[:2])
+        x, y = self.host.toolhead.get_position()[:2]
+        if 2 in homing_state.get_axes() and not is_at(self.homed_at, x, y):
+            self.homed_at.append((x, y))
 
-    # The nozzle has met the pin there (mm)
-    def prove(self, x, y):
-        if not self.is_proven(x, y):
-            self.proven.append((x, y))
+    # The nozzle has met its pin there (mm)
+    def note_met(self, x, y):
+        if not is_at(self.met_at, x, y):
+            self.met_at.append((x, y))
 
-    # Whether it has met the pin about there before
-    def is_proven(self, x, y):
-        return any(
-            math.hypot(x - px, y - py) <= SAME_PLACE for px, py in self.proven
-        )
+    # Whether it has met the pin about there before; 'with_homing': that is what Z is
+    # homed on
+    def is_met_at(self, x, y, with_homing):
+        places = self.met_at + (self.homed_at if with_homing else [])
+        return is_at(places, x, y)
 
     # In a [homing_override] anything may follow, which is no homing.
     def _around_homing(self, command, gcmd):

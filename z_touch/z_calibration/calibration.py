@@ -42,7 +42,8 @@ class Calibration(object):
 
     # Before anything is measured; the frame may move until then
     def know(self, earlier):
-        self.expected = Expectations(self.settings, earlier)
+        nozzle = self.sites.nozzle
+        self.expected = Expectations(self.settings, earlier, nozzle)
         self.geometry = Geometry(earlier)
         self.rise_over(self.expected.nozzle())
 
@@ -172,9 +173,6 @@ class Calibration(object):
     def sample_nozzle(self):
         self.run.watch.enter("nozzle")
         expected_z, floor = self.expected.nozzle(), self.expected.floor()
-        floor = heights.nozzle_floor_over(
-            self.settings, floor, self.sites.nozzle
-        )
         return self.at_nozzle().take_samples(self.travel_z, expected_z, floor)
 
     ##################################################################

@@ -20,10 +20,11 @@ NOTHING_EARLIER = Earlier(None, False, None)
 
 # Heights of one run before they are measured: toolhead Z (mm)
 class Expectations(object):
-    # 'settings': completed
-    def __init__(self, settings, earlier):
+    # 'settings': completed; 'nozzle': its site, None: nobody knows it yet
+    def __init__(self, settings, earlier, nozzle=None):
         self.settings = settings
         self.earlier = earlier
+        self.nozzle_site = nozzle
 
     # Where each site should trigger; None: nobody knows
 
@@ -44,7 +45,8 @@ class Expectations(object):
     def floor(self, nozzle_z=None, switch_z=None):
         settings = self.settings
         if nozzle_z is None:
-            return heights.nozzle_floor(settings, self.nozzle())
+            floor = heights.nozzle_floor(settings, self.nozzle())
+            return heights.nozzle_floor_over(settings, floor, self.nozzle_site)
         if switch_z is None:
             expected_z = self.switch(nozzle_z)
             return heights.switch_floor(settings, nozzle_z, expected_z)

@@ -147,11 +147,11 @@ def nozzle_floor(settings, expected_z):
     return max(settings.position_min, homed_z - reach)
 
 
-# Over what the bed mesh covers ('site': the head's) no pin is lower than the bed, which
-# meets the nozzle where the offset is.
+# Over what the bed mesh covers ('site': the head's, None: nobody knows) no pin is lower
+# than the bed, which meets the nozzle where the offset is.
 def nozzle_floor_over(settings, floor, site):
     area = settings.mesh_area
-    if area is None or not z_pin.is_over((site.x, site.y), area):
+    if None in (area, site) or not z_pin.is_over((site.x, site.y), area):
         return floor
     return max(floor, settings.offset_margins[0])
 

@@ -18,7 +18,13 @@ import functools
 from ..core import carrying, errors, motion, touching
 from ..core.spread import spread_site, spread_tolerance
 from . import pace
-from .heights import FREE_PLUNGER, HOME_AGAIN, below_margins, may_hang
+from .heights import (
+    FREE_PLUNGER,
+    HOME_AGAIN,
+    below_margins,
+    may_hang,
+    nozzle_floor,
+)
 from .results import Warned
 
 # What to do about samples that differ
@@ -309,14 +315,10 @@ class NozzleMeasurement(Measurement):
     x_first = True
 
     def touch_site(self, travel_z, floor):
-        if self.may_meet_bed():
-            moved = self.host.after_moves()
-            self.arrive(travel_z)
-            looked = touching.before_arrival(self.host, moved)
-            if not self.host.probing.endstop().query_endstop(looked):
-                self.look_for_bed(floor)
+        if self.may_meet_bed() and self.reads_attached(travel_z):
+            floor = self.look_for_bed(floor)
         samples = self.touch_free_site(travel_z, floor)
-        self.run.homed.prove(self.site.x, self.site.y)
+        self.run.homed.note_met(self.site.x, self.site.y)
         return samples
 
     # Whether what hangs on the head may meet the bed before the nozzle meets the pin:
@@ -325,7 +327,9 @@ class NozzleMeasurement(Measurement):
     def may_meet_bed(self):
         if self.is_attached_late():
             return True
-        if self.run.homed.is_proven(self.site.x, self.site.y):
+        is_homed_on = self.settings.position_endstop is not None
+        x, y = self.site.x, self.site.y
+        if self.run.homed.is_met_at(x, y, with_homing=is_homed_on):
             return False
         carrier = self.carrier()
         return carrier is None or carrier.state() != carrying.DOCKED
@@ -336,19 +340,37 @@ class NozzleMeasurement(Measurement):
     def carrier(self):
         return carrying.of(self.host.printer).carrier(self.host)
 
+    # Over the pin: left on, put on by start_gcode, or it always does, as one that is
+    # wired as normally open
+    def reads_attached(self, travel_z):
+        moved = self.host.after_moves()
+        self.arrive(travel_z)
+        looked = touching.before_arrival(self.host, moved)
+        return not self.host.probing.endstop().query_endstop(looked)
+
+    # Returns the floor of what follows.  In each run that has to be quick: the
+    # probe's switch ends the way down where the pin is known to be below.
+    def look_for_bed(self, floor):
+        if self.is_attached_late() and self.is_pin_known():
+            self.look_in_one_move(floor)
+            return floor
+        met_z = self.look_in_steps(floor)
+        if met_z is None:
+            return floor
+        # A switch may open late, and its height is known from now on
+        self.retract()
+        self.lift_clear()
+        self.expected_z = met_z
+        self.floor = max(floor, nozzle_floor(self.settings, met_z))
+        return self.floor
+
     # Whether the pin is as high as expected_z says
     def is_pin_known(self):
         is_homed_on = self.settings.position_endstop is not None
         is_moved = is_homed_on and bool(self.run.homed.moved())
         return self.expected_z is not None and not is_moved
 
-    # The probe reads attached by now: left on, put on by start_gcode, or it always
-    # does, as one that is wired as normally open.  Its switch ends the way down
-    # where the pin is known to be below.
-    def look_for_bed(self, floor):
-        if not self.is_pin_known():
-            self.look_in_steps(floor)
-            return
+    def look_in_one_move(self, floor):
         low = max(self.expected_z, floor) + ABOVE_PIN
         probe, speed = self.host.probing.endstop(), self.settings.probing_speed
         met_z = self.head.come_down(probe, low, speed)
@@ -356,20 +378,18 @@ class NozzleMeasurement(Measurement):
             self.refuse_attached(met_z)
 
     # Only one switch can end a move: otherwise that is the pin, and the probe is
-    # looked at after each step.  Once it is met, its height is known.
+    # looked at after each step.  Returns where the pin was met, None: nowhere.
     def look_in_steps(self, floor):
         probe, speed = self.host.probing.endstop(), self.settings.probing_speed
         z = max(self.hangs(), floor)
         while True:
             met_z = self.head.come_down(self.endstop(), z, speed)
             if met_z is not None:
-                self.expected_z = met_z
-                self.retract()
-                return
+                return met_z
             if probe.query_endstop(self.host.after_moves()):
                 self.refuse_attached(self.host.motion.z())
             if z <= floor:
-                return
+                return None
             z = max(min(z, self.host.motion.z()) - LOOK_STEP, floor)
 
     # No higher than this (toolhead Z, mm) the probe meets the bed

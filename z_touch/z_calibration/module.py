@@ -156,7 +156,7 @@ class ZCalibration(object):
     def new_calibration(self, settings, sites, plan):
         watch, nozzle_at = self.runner.watch, self.recorder.nozzle_at()
         if nozzle_at is not None:
-            self.homed.prove(*nozzle_at)
+            self.homed.note_met(*nozzle_at)
         run = Run(self.host, settings, self.pin, plan, watch, self.homed)
         return Calibration(run, sites)
 
@@ -207,8 +207,8 @@ class ZCalibration(object):
 
     # What the next run knows before it begins
     def earlier(self, departure=None):
-        holds = not self.results.why_outdated()
-        return Earlier(self.results.last.result, holds, departure)
+        last, holds = self.results.earlier(self.host.extruder())
+        return Earlier(last, holds, departure)
 
     # Returns the heights.Result, None where the nozzle is dirty.  'why': it was found
     # to be so, and is cleaned first.

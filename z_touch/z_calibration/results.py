@@ -60,6 +60,8 @@ class Results(object):
         self.host = host
         self.frame = frame
         self.last = NOTHING
+        # The last one with each extruder, by its name: another nozzle is longer
+        self.of_tools = {}
         # The Last of the run that is under way, as soon as it has measured:
         # end_gcode may read it.
         self.measured = None
@@ -77,8 +79,16 @@ class Results(object):
 
     # A run has ended well
     def keep(self, last):
-        self.last = last
+        self.last = self.of_tools[last.extruder] = last
         self.is_good = True
+
+    # What the next run with an extruder knows: the last good heights.Result or None,
+    # and whether its heights hold
+    def earlier(self, extruder):
+        last = self.of_tools.get(extruder, NOTHING)
+        if last.result is None:
+            return None, False
+        return last.result, not self.frame.moved_since(last.mark)
 
     # What is in force (mm) is the offset of the last run now, with another switch_offset
     def correct(self, switch_offset, z_offset):
@@ -89,9 +99,10 @@ class Results(object):
         )
         # What offset_gcode adds is no part of it
         added = self.last.applied - self.last.z_offset
-        self.last = self.last._replace(
+        last = self.last._replace(
             result=corrected, z_offset=z_offset - added, applied=z_offset
         )
+        self.last = self.of_tools[last.extruder] = last
 
     ##################################################################
     # Whether it holds: why it does not (any more), in words; empty: it does
