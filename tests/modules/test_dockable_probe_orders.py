@@ -199,3 +199,34 @@ def test_tilt_by_hand_of_kalico(start, host):
     with contextlib.suppress(GcodeError):
         printer.run("TESTZ Z=-7\nM400")
     assert pressed(printer) < 0.1
+
+
+# "About how far" the probe hangs below the nozzle is what the set-up asks for
+@pytest.mark.every_host
+@pytest.mark.parametrize("z_offset", ["4", slow("4.8")])
+@pytest.mark.parametrize(
+    "then", ["PROBE", slow("ATTACH_PROBE"), slow("BED_MESH_CALIBRATE")]
+)
+def test_z_offset_that_is_too_small(start, z_offset, then):
+    own = {**QUICK, "z_offset": z_offset}
+    printer = start(DOCK_SCENES["dock_gantry_switch"], {"dockable_probe": own})
+    printer.homed().run(f"{OVER}\nPROBE\n{then}\nM400")
+    assert printer.machine.truth.drag("probe_bed") < 0.5
+    assert pressed(printer) < 0.2
+    # Z is another one once it was homed again
+    printer.run("G28")
+    height = printer.session.position()[2]
+    printer.run("ATTACH_PROBE")
+    assert printer.session.position()[2] >= height
+
+
+@pytest.mark.parametrize("z", ["4", "12"])
+def test_dock_that_is_lower_than_the_probe_hangs_is_told(start, z):
+    own = {"dock_position": f"50, 308, {z}"}
+    printer = start(DOCK_SCENES["dock_bed"], {"dockable_probe": own})
+    printer.session.require_ready()
+    printer.session.wait(10.0)
+    told = "".join(printer.status("dockable_probe")["notes"])
+    assert (f"Z of the dock ({z}) is less than the probe hangs" in told) == (
+        z == "4"
+    )

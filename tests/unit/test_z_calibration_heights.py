@@ -25,7 +25,6 @@ from tests.unit.calibrated import (
     travels,
 )
 from z_touch.core.axes import ZZero
-from z_touch.core.touching import Site
 from z_touch.z_calibration import heights as zc
 
 
@@ -179,9 +178,13 @@ class TestFloors:
     )
     def test_no_pin_is_lower_than_the_bed(self, area, floor):
         settings = make_settings(mesh_area=area, offset_margins=(-1.0, 1.0))
-        site = Site("nozzle", 20.0, 30.0, "")
-        assert zc.nozzle_floor_over(settings, -5.0, site) == floor
-        assert zc.nozzle_floor_over(settings, 0.6, site) == 0.6
+        point = 20.0, 30.0
+        assert zc.floor_over(settings, -5.0, point) == floor
+        assert zc.floor_over(settings, 0.6, point) == 0.6
+        is_raised = floor > -5.0
+        body = zc.floor_over(settings, -5.0, point, below=6.0)
+        assert body == (5.0 if is_raised else -5.0)
+        assert zc.floor_over(settings, -5.0, None) == -5.0
 
     @pytest.mark.parametrize(
         ("endstop", "margins", "travel_margin", "position_min", "floor"),

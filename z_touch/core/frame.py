@@ -1,9 +1,5 @@
 # What moved the frame that heights are measured in.
 # Copyright (C) 2026  the Z calibration developers, under the GNU GPLv3
-from __future__ import absolute_import
-
-import math
-
 HOMED_OR_SET = "Z was homed again or set"
 LEVELLED = "the Z motors were levelled"
 MOTORS_OFF = "the motors were turned off"
@@ -12,9 +8,6 @@ NOT_HOMED = "Z is not homed"
 # Every probing move may shift the frame by a part of a microstep; what adds
 # up to less than this (mm) is neither homing nor levelling.
 DATUM_NOISE = 0.02
-
-# The pin is wider than this (mm)
-SAME_PLACE = 1.0
 
 
 # What happened to the frame since a mark was set
@@ -121,11 +114,6 @@ class Frame(object):
         return [a - b for a, b in zip(self.host.axes.z_datum(), datum)]
 
 
-# Whether one of the places (X and Y, mm) is about there
-def is_at(places, x, y):
-    return any(math.hypot(x - px, y - py) <= SAME_PLACE for px, py in places)
-
-
 # The frame that G28 has left: only there a height says what Z is to be homed at.
 class HomedFrame(object):
     def __init__(self, frame):
@@ -135,33 +123,13 @@ class HomedFrame(object):
         self.mark = None
         # How many of these commands have begun: one may have others in it
         self.begun = 0
-        # X, Y (mm) where Z was homed since klippy has started, and where the nozzle has
-        # met its pin
-        self.homed_at, self.met_at = [], []
         # All sections have registered their commands then, and no macro has
         # taken the place of one.
         register = self.host.printer.register_event_handler
         register("klippy:mcu_identify", self._watch)
-        register("homing:home_rails_end", self._homed)
 
     def _watch(self):
         self.host.wrap_command("G28", self._around_homing)
-
-    def _homed(self, homing_state, rails):
-        x, y = self.host.toolhead.get_position()[:2]
-        if 2 in homing_state.get_axes() and not is_at(self.homed_at, x, y):
-            self.homed_at.append((x, y))
-
-    # The nozzle has met its pin there (mm)
-    def note_met(self, x, y):
-        if not is_at(self.met_at, x, y):
-            self.met_at.append((x, y))
-
-    # Whether it has met the pin about there before; 'with_homing': that is what Z is
-    # homed on
-    def is_met_at(self, x, y, with_homing):
-        places = self.met_at + (self.homed_at if with_homing else [])
-        return is_at(places, x, y)
 
     # In a [homing_override] anything may follow, which is no homing.
     def _around_homing(self, command, gcmd):

@@ -43,6 +43,13 @@ def is_lifted_elsewhere(config):
     return section.getfloat("z_hop", 0.0, note_valid=False) > 0.0
 
 
+# Z (mm) of the dock and its positions, as far as they have one
+def low_positions(settings):
+    positions = [settings.dock_position]
+    positions += [getattr(settings, row.name) for row in POSITIONS]
+    return [p.z for p in positions if p.z is not None] or [settings.hang]
+
+
 # Whether the positions lead out of the dock, and whether detach_position strips
 # the probe off; 'notes' is told where that is doubtful
 def check_positions(config, settings, notes):
@@ -57,6 +64,14 @@ def check_positions(config, settings, notes):
     if settings.dock_fixed_z:
         # No move to a position changes Z, whatever the third numbers are
         z = None
+    else:
+        lowest = min(low_positions(settings))
+        if lowest < settings.hang:
+            notes.append(
+                "Z of the dock (%g) is less than the probe hangs below the nozzle"
+                " (%g): where there is a bed it would be dragged over it; check"
+                " the Z of the positions" % (lowest, settings.hang)
+            )
     for row in POSITIONS:
         position = getattr(settings, row.name)
         if detour.first_leg(dock, z, position) == (0.0, 0.0, 0.0):

@@ -5,7 +5,12 @@ from __future__ import absolute_import, division
 
 from ..core import touching
 from . import detour
-from .settings import POSITIONS, dock_height, nearest_distance
+from .settings import (
+    POSITIONS,
+    dock_height,
+    nearest_distance,
+    travel_height,
+)
 
 # A place so near (mm) is where homing has left the head: hosts correct it by part
 # of a step after the event that tells the end.
@@ -67,12 +72,15 @@ class Moves(object):
         self.lifted, self.lifted_to = 0.0, None
         # See note_bed()
         self.homed_z = None
+        # See note_clear()
+        self.clear_z = 0.0
         # See stay()
         self.stayed_at = None
         # How homing X and Y has come to where the head stands
         self.trace = Trace(host)
         register = host.printer.register_event_handler
         register("stepper_enable:motor_off", self.forget)
+        register("homing:home_rails_begin", self._forget_clear)
 
     def use(self, settings):
         self.settings = settings
@@ -111,6 +119,18 @@ class Moves(object):
     # homing
     def note_bed(self):
         self.homed_z = self.motors_z()
+
+    # The probe is clear of the bed at that toolhead Z (mm): z_offset may be too small
+    def note_clear(self, z):
+        self.clear_z = max(self.clear_z, z)
+
+    def _forget_clear(self, homing_state, rails):
+        if 2 in homing_state.get_axes():
+            self.clear_z = 0.0
+
+    # The head goes no lower (toolhead Z, mm) with the probe on it, but to touch
+    def lowest_travel(self):
+        return max(travel_height(self.settings), self.clear_z)
 
     def is_homed(self, axes):
         homed = self.host.toolhead_status()["homed_axes"]
@@ -185,7 +205,7 @@ class Moves(object):
         return self.motors_z()
 
     def lift_for_dock(self):
-        self.lift(dock_height(self.settings))
+        self.lift(max(dock_height(self.settings), self.clear_z))
 
     # Up or down; z None: stay
     def go_to_height(self, z):

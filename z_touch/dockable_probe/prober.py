@@ -89,7 +89,7 @@ class Prober(object):
             self.moves.leave_top()
             self.moves.stay(True)
         elif not self.moves.is_at(goal):
-            self.moves.go_back(goal, travel_height(self.settings))
+            self.moves.go_back(goal, self.moves.lowest_travel())
 
     def _require_attached(self):
         state = self.sensors.confirm()
@@ -118,6 +118,8 @@ class Prober(object):
     # triggered
     def after_move(self, moved, triggered):
         self.clear_z = self.host.motion.z() + self.settings.sample_retract_dist
+        if triggered:
+            self.moves.note_clear(self.clear_z)
         self._run_each_touch("deactivate_gcode")
         if not self.sensors.is_sensed():
             raise self._lost("was lost in a touch")

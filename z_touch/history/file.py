@@ -69,7 +69,7 @@ def pause():
 # 'n', 'samples' (mm) and, of the bed with bed_spread, 'points' (X and Y of each
 # touch, mm), 'temperatures' (C), 'wear' and 'changed', see trend.py, 'time' (s since
 # 1970; in the file it may be missing, read() makes 0 of that), and, of a good one,
-# 'nozzle_at' (X and Y of the pin, mm), 'offset', 'uncertainty' and 'switch_offset'
+# 'nozzle_at' (X and Y of the pin, mm, see places.py; None), 'offset', 'uncertainty' and 'switch_offset'
 # (mm), and 'warnings', each with 'about',
 # see formats.py, and 'text'.  One of CALIBRATE_Z_ACCURACY has 'cycles', too, and
 # 'cause' and 'verdict', see uncertainty/cycles.py.
@@ -156,8 +156,9 @@ def has_names(record):
         name for name in ("printer", "plate", "extruder") if name in record
     ]
     is_text = all(isinstance(record[name], TEXT) for name in names)
-    is_at = is_point(record.get("nozzle_at", [0.0, 0.0]))
-    return is_text and is_at and is_number(record.get("bed_spread", 0.0))
+    place = record.get("nozzle_at")
+    is_place = place is None or is_point(place)
+    return is_text and is_place and is_number(record.get("bed_spread", 0.0))
 
 
 # What was told with the run

@@ -131,11 +131,12 @@ class Recorder(object):
         if self.history.file is not None:
             self.draw()
 
-    # X, Y (mm) where the nozzle has met the pin in the last good run; None: nobody knows
+    # X, Y (mm) of the last good run that has met the pin with the probe on the head;
+    # None: none has
     def nozzle_at(self):
         for run in reversed(self.history.runs):
-            if run["ok"]:
-                return run.get("nozzle_at")
+            if run["ok"] and run.get("nozzle_at"):
+                return run["nozzle_at"]
         return None
 
     # CALIBRATE_Z has ended well.  'last' has the result, its uncertainty, z_adjust,
@@ -145,7 +146,8 @@ class Recorder(object):
         self.add(
             ok=True,
             reason="",
-            nozzle_at=[round(xy, 3) for xy in last.nozzle_at],
+            nozzle_at=last.nozzle_at
+            and [round(xy, 3) for xy in last.nozzle_at],
             offset=round(last.result.offset, 6),
             uncertainty=None if worth is None else round(worth, 6),
             switch_offset=last.result.switch_offset,

@@ -23,6 +23,7 @@ from ..history.formats import BODY
 from . import heights
 from .expected import NOTHING_EARLIER, Expectations, Geometry
 from .measuring import BedMeasurement, NozzleMeasurement, SwitchMeasurement
+from .sites import SiteFinder
 
 # From here on (mm) the nozzle is too far from the height that Z was homed at.
 STALE_Z = 0.5
@@ -42,8 +43,14 @@ class Calibration(object):
 
     # Before anything is measured; the frame may move until then
     def know(self, earlier):
-        nozzle = self.sites.nozzle
-        self.expected = Expectations(self.settings, earlier, nozzle)
+        nozzle, switch = self.sites.nozzle, self.sites.switch
+        finder = SiteFinder(self.host, self.settings)
+        self.expected = Expectations(
+            self.settings,
+            earlier,
+            nozzle=nozzle and (nozzle.x, nozzle.y),
+            body=switch and finder.bed_point(switch),
+        )
         self.geometry = Geometry(earlier)
         self.rise_over(self.expected.nozzle())
 

@@ -20,11 +20,12 @@ NOTHING_EARLIER = Earlier(None, False, None)
 
 # Heights of one run before they are measured: toolhead Z (mm)
 class Expectations(object):
-    # 'settings': completed; 'nozzle': its site, None: nobody knows it yet
-    def __init__(self, settings, earlier, nozzle=None):
+    # 'settings': completed.  Of the touches on the pin: X and Y (mm) of the nozzle and
+    # of the probe's body, None: nobody knows.
+    def __init__(self, settings, earlier, nozzle=None, body=None):
         self.settings = settings
         self.earlier = earlier
-        self.nozzle_site = nozzle
+        self.points = nozzle, body
 
     # Where each site should trigger; None: nobody knows
 
@@ -46,10 +47,12 @@ class Expectations(object):
         settings = self.settings
         if nozzle_z is None:
             floor = heights.nozzle_floor(settings, self.nozzle())
-            return heights.nozzle_floor_over(settings, floor, self.nozzle_site)
+            return heights.floor_over(settings, floor, self.points[0])
         if switch_z is None:
             expected_z = self.switch(nozzle_z)
-            return heights.switch_floor(settings, nozzle_z, expected_z)
+            floor = heights.switch_floor(settings, nozzle_z, expected_z)
+            below = heights.least_body(settings)
+            return heights.floor_over(settings, floor, self.points[1], below)
         return heights.bed_floor(settings, nozzle_z, switch_z)
 
     # Where the head moves over the pin; 'pin_z': how high that is, None: nobody knows

@@ -147,13 +147,21 @@ def nozzle_floor(settings, expected_z):
     return max(settings.position_min, homed_z - reach)
 
 
-# Over what the bed mesh covers ('site': the head's, None: nobody knows) no pin is lower
-# than the bed, which meets the nozzle where the offset is.
-def nozzle_floor_over(settings, floor, site):
+# Over what the bed mesh covers no pin is lower than the bed, which meets the nozzle
+# where the offset is.  'point': X and Y (mm) of what touches, None: nobody knows;
+# 'below': how far (mm) it hangs below the nozzle.
+def floor_over(settings, floor, point, below=0.0):
     area = settings.mesh_area
-    if None in (area, site) or not z_pin.is_over((site.x, site.y), area):
+    if None in (area, point) or not z_pin.is_over(point, area):
         return floor
-    return max(floor, settings.offset_margins[0])
+    return max(floor, settings.offset_margins[0] + below)
+
+
+# How far (mm) the body hangs below the nozzle, at least
+def least_body(settings):
+    if settings.z_offset < SMALLEST_Z_OFFSET:
+        return BODY_BELOW_NOZZLE
+    return settings.z_offset - settings.switch_offset
 
 
 # The body hangs below the nozzle, in any case; where a trigger is expected,

@@ -315,10 +315,12 @@ class NozzleMeasurement(Measurement):
     x_first = True
 
     def touch_site(self, travel_z, floor):
-        if self.may_meet_bed() and self.reads_attached(travel_z):
+        is_on = self.may_meet_bed() and self.reads_attached(travel_z)
+        if is_on:
             floor = self.look_for_bed(floor)
         samples = self.touch_free_site(travel_z, floor)
-        self.run.homed.note_met(self.site.x, self.site.y)
+        if is_on:
+            self.run.pin.places.note(self.site.x, self.site.y)
         return samples
 
     # Whether what hangs on the head may meet the bed before the nozzle meets the pin:
@@ -327,9 +329,7 @@ class NozzleMeasurement(Measurement):
     def may_meet_bed(self):
         if self.is_attached_late():
             return True
-        is_homed_on = self.settings.position_endstop is not None
-        x, y = self.site.x, self.site.y
-        if self.run.homed.is_met_at(x, y, with_homing=is_homed_on):
+        if self.run.pin.places.is_met_at(self.site.x, self.site.y):
             return False
         carrier = self.carrier()
         return carrier is None or carrier.state() != carrying.DOCKED
@@ -398,7 +398,10 @@ class NozzleMeasurement(Measurement):
         return may_hang(settings.z_offset, settings.offset_margins[1])
 
     def refuse_attached(self, met_z):
-        remedy = "check that the pin is at %s" % (self.site.place(),)
+        remedy = (
+            "check that the pin is at %s, or attach the probe later, in"
+            " before_switch_gcode" % (self.site.place(),)
+        )
         if self.is_attached_late():
             remedy = (
                 "put it away, and attach it after the nozzle only, in"

@@ -156,9 +156,15 @@ class ZCalibration(object):
     def new_calibration(self, settings, sites, plan):
         watch, nozzle_at = self.runner.watch, self.recorder.nozzle_at()
         if nozzle_at is not None:
-            self.homed.note_met(*nozzle_at)
+            self.pin.places.note(*nozzle_at)
         run = Run(self.host, settings, self.pin, plan, watch, self.homed)
         return Calibration(run, sites)
+
+    # A site, as X and Y (mm), if the probe was on the head there; None: it may meet the
+    # bed
+    def nozzle_at(self, site):
+        is_met = self.pin.places.is_met_at(site.x, site.y)
+        return (site.x, site.y) if is_met else None
 
     # Returns what work() does, see running.Runner.  G-code has the same modes in each
     # template and afterwards.
@@ -344,7 +350,7 @@ class ZCalibration(object):
                 warnings=calibration.run.warnings,
                 uncertainty=calibration.uncertainty(),
                 z_adjust=z_adjust,
-                nozzle_at=calibration.sites.nozzle[1:3],
+                nozzle_at=self.nozzle_at(calibration.sites.nozzle),
                 point=finder.bed_point(calibration.sites.bed),
                 twist=calibration.run.twist,
                 extruder=self.host.extruder(),

@@ -5,10 +5,11 @@ from __future__ import absolute_import
 import collections
 
 from ..core import endstops
+from .places import Places
 
 # An endstop that stops the Z motors; what messages call it; where its MCU pin is
-# written, in words and as section and option.
-Pin = collections.namedtuple("Pin", "endstop name origin section option")
+# written, in words and as section and option; and where the nozzle has met it.
+Pin = collections.namedtuple("Pin", "endstop name origin section option places")
 
 
 # Another switch than the Z endstop, with endstop_pin; None without.  'old_names'
@@ -27,6 +28,7 @@ def read_pin(config, host, old_names):
         origin="Option 'endstop_pin' in section 'z_calibration'",
         section=config.get_name(),
         option=option,
+        places=Places(host, is_homed_on=False),
     )
 
 
@@ -47,4 +49,11 @@ def find_pin(host):
             " nozzle can press; set it to the pin of that switch, or give"
             " the pin as endstop_pin in section 'z_calibration'" % (origin,)
         )
-    return Pin(endstop, "the Z endstop", origin, axis.section, "endstop_pin")
+    return Pin(
+        endstop=endstop,
+        name="the Z endstop",
+        origin=origin,
+        section=axis.section,
+        option="endstop_pin",
+        places=Places(host, is_homed_on=True),
+    )

@@ -19,7 +19,8 @@ Warned = collections.namedtuple("Warned", "about text")
 #                Klipper's own features shift there, with what was added
 #   applied      the G-code offset that was set (mm): the same, unless offset_gcode
 #                has made another one of it
-#   nozzle_at    X, Y where the nozzle has met the pin (mm)
+#   nozzle_at    X, Y where the nozzle has met the pin with the probe on the head (mm),
+#                None: that was elsewhere
 #   point        X, Y of the bed that was measured (mm)
 #   height       of bed mesh or bed tilt there, when it was applied (mm)
 #   guessed      whether nobody knew it, see features
