@@ -95,7 +95,7 @@ class Docking(object):
         if not state == sensors.proven == ATTACHED:
             self._fetch_from(state, goal, is_only_stop)
         if goal is not None:
-            self.moves.go_back(goal, self.moves.lowest_travel())
+            self.moves.go_back(goal, self.moves.clear.lowest(self.settings))
         return state == DOCKED
 
     def _fetch_from(self, state, goal, is_only_stop):

@@ -61,6 +61,32 @@ class Trace(object):
         self.begun_at = None
 
 
+# How high the head was clear of what the probe has touched, since Z was homed: a
+# z_offset that is too small is no height to travel at.
+class Clearance(object):
+    def __init__(self, host):
+        # Toolhead Z (mm)
+        self.z = 0.0
+        register = host.printer.register_event_handler
+        register("homing:home_rails_begin", self._homes)
+
+    def note(self, z):
+        self.z = max(self.z, z)
+
+    # Z is another one from now on
+    def forget(self):
+        self.z = 0.0
+
+    # Not sent where Z is homed with the probe since 2026-05-25 (5cbebdc3c)
+    def _homes(self, homing_state, rails):
+        if 2 in homing_state.get_axes():
+            self.forget()
+
+    # With the probe on it the head goes no lower (toolhead Z, mm), but to touch
+    def lowest(self, settings):
+        return max(travel_height(settings), self.z)
+
+
 # The head, and what is known of how high it is
 class Moves(object):
     # 'host': host.Host; 'settings': settings.Settings
@@ -72,15 +98,13 @@ class Moves(object):
         self.lifted, self.lifted_to = 0.0, None
         # See note_bed()
         self.homed_z = None
-        # See note_clear()
-        self.clear_z = 0.0
+        self.clear = Clearance(host)
         # See stay()
         self.stayed_at = None
         # How homing X and Y has come to where the head stands
         self.trace = Trace(host)
         register = host.printer.register_event_handler
         register("stepper_enable:motor_off", self.forget)
-        register("homing:home_rails_begin", self._forget_clear)
 
     def use(self, settings):
         self.settings = settings
@@ -119,18 +143,6 @@ class Moves(object):
     # homing
     def note_bed(self):
         self.homed_z = self.motors_z()
-
-    # The probe is clear of the bed at that toolhead Z (mm): z_offset may be too small
-    def note_clear(self, z):
-        self.clear_z = max(self.clear_z, z)
-
-    def _forget_clear(self, homing_state, rails):
-        if 2 in homing_state.get_axes():
-            self.clear_z = 0.0
-
-    # The head goes no lower (toolhead Z, mm) with the probe on it, but to touch
-    def lowest_travel(self):
-        return max(travel_height(self.settings), self.clear_z)
 
     def is_homed(self, axes):
         homed = self.host.toolhead_status()["homed_axes"]
@@ -205,7 +217,7 @@ class Moves(object):
         return self.motors_z()
 
     def lift_for_dock(self):
-        self.lift(max(dock_height(self.settings), self.clear_z))
+        self.lift(max(dock_height(self.settings), self.clear.z))
 
     # Up or down; z None: stay
     def go_to_height(self, z):

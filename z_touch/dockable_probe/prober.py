@@ -59,6 +59,8 @@ class Prober(object):
         self.holder.delay.cancel()
         self.homing.begin(is_homing)
         self.clear_z = 0.0
+        if is_homing:
+            self.moves.clear.forget()
         self.moves.stay(False)
         goal = self.homing.goal(self.moves.position())
         is_over_dock = self.moves.is_in_dock(goal)
@@ -89,7 +91,7 @@ class Prober(object):
             self.moves.leave_top()
             self.moves.stay(True)
         elif not self.moves.is_at(goal):
-            self.moves.go_back(goal, self.moves.lowest_travel())
+            self.moves.go_back(goal, self.moves.clear.lowest(self.settings))
 
     def _require_attached(self):
         state = self.sensors.confirm()
@@ -118,8 +120,9 @@ class Prober(object):
     # triggered
     def after_move(self, moved, triggered):
         self.clear_z = self.host.motion.z() + self.settings.sample_retract_dist
-        if triggered:
-            self.moves.note_clear(self.clear_z)
+        # Homing sets Z to anything meanwhile
+        if triggered and self.homing.way is None:
+            self.moves.clear.note(self.clear_z)
         self._run_each_touch("deactivate_gcode")
         if not self.sensors.is_sensed():
             raise self._lost("was lost in a touch")

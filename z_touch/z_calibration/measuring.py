@@ -351,7 +351,8 @@ class NozzleMeasurement(Measurement):
     # Returns the floor of what follows.  In each run that has to be quick: the
     # probe's switch ends the way down where the pin is known to be below.
     def look_for_bed(self, floor):
-        if self.is_attached_late() and self.is_pin_known():
+        is_met = self.run.pin.places.is_met_at(self.site.x, self.site.y)
+        if is_met and self.is_pin_known():
             self.look_in_one_move(floor)
             return floor
         met_z = self.look_in_steps(floor)
