@@ -77,7 +77,7 @@ class Clearance(object):
     def forget(self):
         self.z = 0.0
 
-    # Not sent where Z is homed with the probe since 2026-05-25 (5cbebdc3c)
+    # Not sent everywhere where Z is homed with the probe
     def _homes(self, homing_state, rails):
         if 2 in homing_state.get_axes():
             self.forget()
