@@ -226,8 +226,8 @@ def real_status():
     history = module.History(None, module.File("", 50), "printer.cfg", None)
     refused = {"ok": False, "time": 1.8e9, "reason": "odd", "sites": {}}
     runs = [*make_runs(8), {**make_runs(1)[0], **refused}]
-    summary = load("z_touch.history.trend").summarize_runs(runs)
-    history._take(runs, summary, [])  # noqa: SLF001
+    summaries = load("z_touch.history.trend").summarize_tools(runs)
+    history._take(runs, summaries, [])  # noqa: SLF001
     known = {
         "z_calibration": {
             "last_z_offset": 0.16,

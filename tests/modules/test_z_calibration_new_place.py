@@ -82,6 +82,7 @@ def test_pin_of_its_own(start, is_on_head):
     assert_unharmed(printer)
 
 
+@pytest.mark.slow
 def test_pin_of_its_own_where_z_is_homed_on_another_switch(start):
     scene = SCENES["separate_pin"]
     inputs = {**scene.wiring.inputs, "z_endstop": "^PC6"}
@@ -103,6 +104,7 @@ def test_pin_of_its_own_where_z_is_homed_on_another_switch(start):
     assert_unharmed(printer)
 
 
+@pytest.mark.slow
 def test_pin_as_high_as_the_probe_is_long(start):
     scene = SCENES["voron"]
     high = replace(scene.world.pin, z=7.2012)
@@ -150,6 +152,7 @@ def test_start_gcode_where_before_switch_gcode_is_needed(start, command):
 
 
 # With a pin that is lower than the bed
+@pytest.mark.slow
 def test_body_over_the_bed(start):
     scene = SCENES["voron"]
     low = replace(scene.world.pin, z=-2.6988)
@@ -178,6 +181,7 @@ def test_dock_that_the_host_has(start, host, auto):
 
 
 # In the dock it reads as it does on the head
+@pytest.mark.slow
 def test_switch_in_a_dock_that_is_normally_open(start):
     probe = replace(SENSED.world.mag_probe, normally_open=True)
     sensed = SENSED.with_world(mag_probe=probe)
@@ -217,6 +221,7 @@ def test_probe_that_is_put_away_after_each_session(start):
     calibration(start(scene, changes).homed(), BESIDE)
 
 
+@pytest.mark.slow
 def test_switch_that_opens_late(start):
     scene = SCENES["separate_pin"]
     pin = replace(scene.world.pin, noise=NoiseSpec(hysteresis=0.7))
@@ -225,7 +230,7 @@ def test_switch_that_opens_late(start):
 
 
 # A tool whose nozzle is 2 mm longer, and which stands elsewhere
-@pytest.mark.parametrize("scene", ["voron", "separate_pin"])
+@pytest.mark.parametrize("scene", ["voron", slow("separate_pin")])
 def test_longer_tool(start, tmp_path, scene):
     heat = tmp_path / "temp"
     heat.write_text("20000")
@@ -247,6 +252,7 @@ def test_longer_tool(start, tmp_path, scene):
 
 
 # Once the pin was met its height is known, and what is dead ends there
+@pytest.mark.slow
 def test_pin_that_is_dead_once_it_was_met(start):
     scene = SCENES["separate_pin"]
     deep = replace(scene.world.pin, pin_travel=8.0)

@@ -14,7 +14,7 @@ from tools.kit.cases import all_slow_but
 from tools.kit.printer import FOLDER, MODULES, ROOT
 
 TOGETHER = 10
-USUAL = range(1, 31, TOGETHER)
+USUAL = range(1, 21, TOGETHER)
 DOCK = Owned(names=frozenset({"pause"}), too_high=0.1, bow=-0.2)
 # The probe that its owner has fetched would meet the bed first
 HELD = (
