@@ -120,14 +120,14 @@ class Prober(object):
     # triggered
     def after_move(self, moved, triggered):
         self.clear_z = self.host.motion.z() + self.settings.sample_retract_dist
-        # Homing sets Z to anything meanwhile
-        if triggered and self.homing.way is None:
-            self.moves.clear.note(self.clear_z)
         self._run_each_touch("deactivate_gcode")
         if not self.sensors.is_sensed():
             raise self._lost("was lost in a touch")
         if not moved:
             raise self._lost("triggered before the head moved")
+        # Homing sets Z to anything meanwhile
+        if triggered and self.homing.way is None:
+            self.moves.clear.note(self.clear_z)
         if self.homing.way is None:
             if not triggered and self._is_at_floor():
                 self._tell_nothing_found()

@@ -65,14 +65,13 @@ def pause():
 
 # A run is a dict: 'format', 'ok', 'printer' (the path of its printer.cfg), 'plate'
 # (as in the command, ""), 'extruder' (whose nozzle it was), 'bed_spread' (mm),
-# 'reason', 'sites' by name with 'z', 'sd',
-# 'n', 'samples' (mm) and, of the bed with bed_spread, 'points' (X and Y of each
-# touch, mm), 'temperatures' (C), 'wear' and 'changed', see trend.py, 'time' (s since
-# 1970; in the file it may be missing, read() makes 0 of that), and, of a good one,
-# 'nozzle_at' (X and Y of the pin, mm, see places.py; None), 'offset', 'uncertainty' and 'switch_offset'
-# (mm), and 'warnings', each with 'about',
-# see formats.py, and 'text'.  One of CALIBRATE_Z_ACCURACY has 'cycles', too, and
-# 'cause' and 'verdict', see uncertainty/cycles.py.
+# 'reason', 'sites' by name with 'z', 'sd', 'n', 'samples' (mm) and, of the bed with
+# bed_spread, 'points' (X and Y of each touch, mm), 'temperatures' (C), 'wear' and
+# 'changed', see trend.py, 'time' (s since 1970; in the file it may be missing, read()
+# makes 0 of that), and, of a good one, 'nozzle_at' (X and Y, mm, or None, see
+# places.py), 'offset', 'uncertainty' and 'switch_offset' (mm), and 'warnings', each
+# with 'about', see formats.py, and 'text'.  One of CALIBRATE_Z_ACCURACY has 'cycles',
+# too, and 'cause' and 'verdict', see uncertainty/cycles.py.
 
 
 # Of letters: Python 2.7 has another type for these than for bytes
