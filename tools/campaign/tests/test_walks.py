@@ -83,6 +83,20 @@ def test_what_a_refusal_leaves_is_found(host, product):
     assert "max_accel" in outcome.harm
 
 
+# One's own macro that has homing begin without an offset, after an error, too
+HOMES = Owned(
+    names=frozenset({"wrapped_homing"}),
+    options=(("z_calibration", "error_gcode", "G28 X"),),
+)
+
+
+def test_what_an_owner_wants_is_not_left_behind(host):
+    refused = ("gcode", "M84"), *REFUSED[1:]
+    outcome = walker.go(HOMES, refused, host)
+    assert not outcome.harm
+    assert outcome.refusals
+
+
 NEVER = ("core/running.py", "    if missing:", "    if missing or True:")
 
 

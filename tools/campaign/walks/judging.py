@@ -347,8 +347,12 @@ class Judge:
             yield f"{sites} are pressed after {gone.refusal}"
 
     def _of_owner(self) -> Iterator[str]:
-        """Modes that G-code in options sets; only z_calibration undoes them."""
+        """What G-code in options sets: modes, which only z_calibration undoes,
+        and the offset, where homing does."""
         for section, option, value in self.owned.options:
+            is_homing = option == "error_gcode" and "G28" in (value or "")
+            if is_homing and "wrapped_homing" in self.owned.names:
+                yield LASTING[0]
             if section != "z_calibration" and option.endswith("_gcode"):
                 for name, codes in MODES.items():
                     if any(code in (value or "") for code in codes):
