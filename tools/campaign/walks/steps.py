@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from functools import lru_cache
 from typing import Any
 
@@ -165,6 +166,13 @@ PRINTED = {"z_calibration": "CALIBRATE_Z", "auto_z_offset": "AUTO_Z_CALIBRATE"}
 HANDS_OF_DOCK = ("put_probe_on", "lose_probe", "take_probe_off")
 HANDS_OF_DOCK += ("bring_probe_back",)
 HANDS_OF_MEMBRANE = ("lay_membrane", "take_membrane", "press_membrane")
+# What a calibration leaves, what may come in between, and what uses it
+MEASURES = ("CALIBRATE_Z", "AUTO_Z_CALIBRATE")
+USES = (
+    "AUTO_Z_LOAD_OFFSET",
+    "AUTO_Z_SAVE_GCODE_OFFSET",
+    "Z_CALIBRATION_SAVE_GCODE_OFFSET",
+)
 # What a finger presses, of what a machine has
 PRESSED = ("probe", "z_endstop", "nozzle_endstop", "bed_sensor")
 # What a print takes, whoever sends it
@@ -299,6 +307,18 @@ def _has(printer: Owned, command: str) -> bool:
     return command not in ("PAUSE", "CANCEL_PRINT") or "pause" in printer.names
 
 
+def _uses_of_results(commands: Sequence[str]) -> list[st.SearchStrategy]:
+    """Anything between a calibration and what counts on its result."""
+    measures, uses = (
+        [text for text in commands if text in names]
+        for names in (MEASURES, USES)
+    )
+    if not measures or not uses:
+        return []
+    between = _one("gcode", *commands)
+    return [_row(_one("gcode", *measures), between, _one("gcode", *uses))]
+
+
 def _courses(printer: Owned) -> list[st.SearchStrategy]:
     """What belongs together: single steps hardly ever come in that order."""
     commands = gcode_of(printer)
@@ -326,14 +346,15 @@ def _courses(printer: Owned) -> list[st.SearchStrategy]:
     )
     saves = st.sampled_from(((), (("save", "SAVE_CONFIG"),)))
     # Nobody has to stand still while he is asked
-    away = st.sampled_from(range(8)).map(
-        lambda n: (("away", (40, 200, 220)),) if n == 7 else ()
-    )
+    meanwhile = [(("away", (40, 200, 220)),)]
+    if printer.scene.world.dock is not None:
+        meanwhile.append((("hand", HANDS_OF_DOCK[0]),))
+    away = st.sampled_from([*meanwhile, *[()] * 7])
     # Mostly what was under way is ended first
     fresh = st.sampled_from(range(4)).map(
         lambda n: () if n == 3 else (("gcode", "ABORT"), ("gcode", "G28"))
     )
-    found = []
+    found = _uses_of_results(commands)
     if "ATTACH_PROBE" in commands:
         # On the head, whatever comes next
         own = [text for text in commands if text not in HOST]
