@@ -166,8 +166,21 @@ PRINTED = {"z_calibration": "CALIBRATE_Z", "auto_z_offset": "AUTO_Z_CALIBRATE"}
 HANDS_OF_DOCK = ("put_probe_on", "lose_probe", "take_probe_off")
 HANDS_OF_DOCK += ("bring_probe_back",)
 HANDS_OF_MEMBRANE = ("lay_membrane", "take_membrane", "press_membrane")
-# What a calibration leaves, what may come in between, and what uses it
+# What a calibration leaves, what may shift Z in between, and what uses it
 MEASURES = ("CALIBRATE_Z", "AUTO_Z_CALIBRATE")
+SHIFTS = (
+    "G28",
+    "G92 Z10",
+    "AUTO_Z_HOME_Z",
+    "BED_MESH_CALIBRATE",
+    "BED_MESH_CLEAR",
+    "BED_MESH_PROFILE LOAD=default",
+    "QUAD_GANTRY_LEVEL",
+    "RESTORE_GCODE_STATE NAME=mine",
+    "SET_GCODE_OFFSET Z=0.1",
+    "SET_SKEW XY=100.5,99.5,70.7",
+    "Z_TILT_ADJUST",
+)
 USES = (
     "AUTO_Z_LOAD_OFFSET",
     "AUTO_Z_SAVE_GCODE_OFFSET",
@@ -308,14 +321,14 @@ def _has(printer: Owned, command: str) -> bool:
 
 
 def _uses_of_results(commands: Sequence[str]) -> list[st.SearchStrategy]:
-    """Anything between a calibration and what counts on its result."""
-    measures, uses = (
+    """Something between a calibration and what counts on its result."""
+    measures, shifts, uses = (
         [text for text in commands if text in names]
-        for names in (MEASURES, USES)
+        for names in (MEASURES, SHIFTS, USES)
     )
     if not measures or not uses:
         return []
-    between = _one("gcode", *commands)
+    between = st.one_of(_one("gcode", *shifts), _one("gcode", *commands))
     return [_row(_one("gcode", *measures), between, _one("gcode", *uses))]
 
 
