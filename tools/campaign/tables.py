@@ -85,16 +85,6 @@ def commands_of(figures: Figures) -> list[Figures]:
     return [together(name, jobs) for name, jobs in groups.items()]
 
 
-def docks_of(figures: Figures) -> list[Figures]:
-    """All commands on each kind of dock."""
-    by_dock: dict[str, list[Figures]] = {}
-    for one in figures["faults"]:
-        by_dock.setdefault(one["job"].rpartition(", ")[2], []).append(one)
-    return [
-        together(f"all, dock {name}", jobs) for name, jobs in by_dock.items()
-    ]
-
-
 def printers_table(figures: Figures) -> str:
     """A line for each module."""
     heads = ["random printers", "deepest, mm", "tried", "right gap"]
@@ -166,7 +156,7 @@ def render(file: str) -> str:
     figures = json.loads(Path(file).read_text(encoding="utf-8"))
     jobs = [
         *commands_of(figures),
-        *docks_of(figures["docks"]),
+        together("all, each kind of dock", figures["docks"]["faults"]),
         together("all, pairs of faults", figures["pairs"]["faults"]),
     ]
     parts = [faults_table(jobs), printers_table(figures)]
