@@ -9,6 +9,7 @@ from tools.campaign.walks.printers import Owned
 from tools.campaign.walks.steps import OVER_MEMBRANE
 from tools.campaign.walks.walker import Walker
 from tools.kit.printer import Printer
+from z_touch.core.frame import MOTORS_OFF
 
 SWITCH = Owned("dock_gantry_switch")
 # Z is homed with the probe
@@ -392,6 +393,10 @@ ON_HEAD = {"probes": frozenset({"attached"})}
         (
             "z_calibration: Z was homed again; run CALIBRATE_Z first, then",
             {"before": HOMED_AGAIN},
+        ),
+        (
+            "z_calibration: Z was homed again; baby steps count from the last",
+            {"after": {"z_calibration": {"reason": MOTORS_OFF}}},
         ),
         ("the probe is ATTACHED, and so on", ON_HEAD),
         (

@@ -97,6 +97,22 @@ def test_what_an_owner_wants_is_not_left_behind(host):
     assert outcome.refusals
 
 
+# Macros are to dock it, and its owner has tried the dock out
+NO_TRIPS = Owned(
+    options=(("dockable_probe", "auto_attach_detach", "False"),),
+    names=frozenset({"card"}),
+)
+PRINTS = ("print", ("CALIBRATE_Z", 0)), ("card", (1, "", "CANCEL_PRINT"))
+
+
+@pytest.mark.parametrize("prints", PRINTS)
+def test_who_wants_no_trips_prints_without_the_probe(host, prints):
+    walk = ("gcode", "G28"), ("gcode", "ATTACH_PROBE"), prints
+    outcome = walker.go(NO_TRIPS, walk, host)
+    assert not outcome.harm
+    assert outcome.done[prints[0]] == 1
+
+
 NEVER = ("core/running.py", "    if missing:", "    if missing or True:")
 
 

@@ -12,6 +12,7 @@ from dataclasses import dataclass
 from typing import Any, Optional
 
 from tools.campaign.walks import values
+from z_touch.core.frame import MOTORS_OFF
 
 
 @dataclass(frozen=True)
@@ -79,8 +80,10 @@ def _not_calibrated(facts: Facts, *unused: str) -> bool:
 
 
 def _holds_no_more(facts: Facts, reason: str) -> bool:
-    """As the status says by itself."""
-    return facts.any("z_calibration", "reason", lambda now: now == reason)
+    """As the status says by itself; motors that are off hide what was before."""
+    return facts.any(
+        "z_calibration", "reason", lambda now: now in (reason, MOTORS_OFF)
+    )
 
 
 def _no_membrane(facts: Facts, *unused: str) -> bool:

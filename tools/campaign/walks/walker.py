@@ -146,16 +146,25 @@ class Walker:
     def _print(self, what: Sequence) -> None:
         """As PRINT_START: G28, a calibration, a pause of so many seconds, a layer."""
         calibration, pause = what
-        self._gcode("G28\n" + calibration)
+        self._gcode(f"G28\n{self._of_owner()}{calibration}")
         if pause:
             self.printer.session.wait(float(pause))
         if not self.refusal:
             self._gcode(stepping.first_layer())
 
+    def _of_owner(self) -> str:
+        """Who wants no trips puts the probe away himself before he prints."""
+        status = self.printer.status("dockable_probe")
+        is_own = status.get("auto_attach_detach") is False
+        return "DETACH_PROBE\n" if is_own else ""
+
     def _card(self, what: Sequence) -> None:
         """Nobody prints who reads that nothing was calibrated yet."""
         status = self.printer.status("auto_z_offset")
-        if self.owned.has("z_calibration") or status.get("probe_z_correction"):
+        if self._of_owner():
+            self._gcode(f"G28\n{self._of_owner()}")
+        is_right = self.owned.has("z_calibration")
+        if not self.refusal and (is_right or status.get("probe_z_correction")):
             doing.print_card(self.printer.session, self._gcode, what)
 
     def _lower(self, distance: float) -> None:
