@@ -99,7 +99,10 @@ def test_what_an_owner_wants_is_not_left_behind(host):
 
 # Macros are to dock it, and its owner has tried the dock out
 NO_TRIPS = Owned(
-    options=(("dockable_probe", "auto_attach_detach", "False"),),
+    options=(
+        ("dockable_probe", "auto_attach_detach", "False"),
+        ("dockable_probe", "detach_dockable_before_z_home", "False"),
+    ),
     names=frozenset({"card"}),
 )
 PRINTS = ("print", ("CALIBRATE_Z", 0)), ("card", (1, "", "CANCEL_PRINT"))
