@@ -151,6 +151,27 @@ def test_sampling_is_that_of_the_section(start, own):
     assert printer.offset() == pytest.approx(wanted - THICKNESS, abs=2e-6)
 
 
+@pytest.mark.parametrize(
+    ("z_offset", "low"),
+    [
+        (
+            2.5,
+            ["That is low; check that the switch is z_offset=2.500 mm thick."],
+        ),
+        (THICKNESS, []),
+    ],
+)
+def test_decimal_point_too_many_is_asked_for(start, z_offset, low):
+    # Z=0 would be that far in the bed
+    changes = section(z_offset=str(z_offset))
+    printer = start("membrane", changes=changes).homed()
+    (shown,) = dialogs_of(touch(printer))
+    told, *hints = shown.texts
+    bed = float(told.rstrip(".").split("z=")[-1])
+    assert bed == pytest.approx(BED + THICKNESS - z_offset, abs=MICROSTEP)
+    assert hints == ["Continue makes that Z=0.", *low]
+
+
 # Saved
 
 

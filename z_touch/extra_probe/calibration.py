@@ -222,6 +222,11 @@ class Calibration(object):
             % (trigger_z, bed_z),
             "Continue makes that Z=0.",
         ]
+        if heights.is_low(bed_z):
+            sentences.append(
+                "That is low; check that the switch is z_offset=%.3f mm thick."
+                % (self.settings.z_offset,)
+            )
         question = question._replace(asks="removal", bed_z=bed_z)
         self.dialog.ask(question, "Take the switch away", sentences)
 

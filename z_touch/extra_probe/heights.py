@@ -32,6 +32,12 @@ def bed_height(trigger_z, z_offset):
     return bed_z
 
 
+# Whether a bed is lower than a first touch goes: the zero of a new printer may be
+# that wrong, but so it looks, too, where z_offset has a decimal point too many.
+def is_low(bed_z):
+    return bed_z < UNSAVED_FLOOR
+
+
 # A saved calibration has put the bed at Z=0, give or take half the thickness of
 # the switch, unless what Z is homed at was changed since.  'z_zero' is where Z
 # gets its zero (axes.ZZero), None if nobody knows; 'moved_by' (mm) is how far Z=0
