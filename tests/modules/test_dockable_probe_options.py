@@ -445,6 +445,22 @@ def test_dock_where_the_mesh_is(start):
     assert "dock_position (150, 150) lies where the head goes" in lines
 
 
+CROSSES = {"restore_toolhead": "False", "detach_position": "10, 308"}
+
+
+@pytest.mark.every_host
+@pytest.mark.parametrize("right", ["", *CROSSES])
+def test_left_where_homing_goes_across_the_dock(start, right):
+    # X is homed to the right, and nobody knows after a restart where the head is
+    own = {name: value for name, value in CROSSES.items() if name != right}
+    lines = "\n".join(start(SWITCH, section(**own)).homed().session.console)
+    note = (
+        "leaves the head at detach_position (10, 308), from where homing X and Y"
+        " after a restart goes across the dock"
+    )
+    assert (note in lines) is not bool(right)
+
+
 @pytest.mark.every_host
 def test_first_result_is_dropped_where_the_host_can(start):
     printer = start(

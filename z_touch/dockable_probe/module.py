@@ -102,7 +102,24 @@ class DockableProbe(object):
                 " mesh is probed; make the mesh smaller, or move the dock"
                 % dock
             )
-        return notes
+        return notes + self.homing_notes()
+
+    # After a restart, or with motors that were off, nobody knows where the head is
+    def homing_notes(self):
+        place, ends = self.settings.detach_position, self.host.axes.xy_ends()
+        is_left_there = (
+            self.settings.is_placed and not self.settings.restore_toolhead
+        )
+        if not is_left_there or detour.is_clear_for_homing(
+            place, ends, self.moves.zone
+        ):
+            return []
+        return [
+            "restore_toolhead: False leaves the head at detach_position (%g, %g),"
+            " from where homing X and Y after a restart goes across the dock; set"
+            " it to True, or choose a detach_position on the other side"
+            % place[:2]
+        ]
 
     # Before Z is homed: the head ends where it was.  Of this name for Kalico's
     # safe_z_home, since 2026-02-24 (9500bd614)

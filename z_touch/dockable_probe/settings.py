@@ -218,7 +218,7 @@ TRIP = (
     flag_option(
         "restore_toolhead",
         True,
-        "False: the head stays beside the dock afterwards.",
+        "False: the head stays at detach_position afterwards.",
         old=("return_to_last_probe_position_after_detach",),
     ),
 )

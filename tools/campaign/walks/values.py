@@ -96,6 +96,8 @@ OF_MACHINE = (
 SWITCHES = ("z_hop", "bed_spread")
 OF_TOUCHES = ("sample", "result")
 BEFORE_Z = "detach_dockable_before_z_home"
+# False leaves the head beside the dock
+STAYS = ("restore_toolhead", "return_to_last_probe_position_after_detach")
 # Sections of which there are real ones, see tests/corpus
 OF_CORPUS = ("z_calibration", "auto_z_offset", "dockable_probe")
 
@@ -119,6 +121,14 @@ def _is_number(value: Optional[str]) -> bool:
     return bool(value) and value.replace(".", "", 1).isdigit()
 
 
+def _is_left_of_dock(scene: Scene) -> bool:
+    """Whether homing, to the right, goes across the dock from where it is left."""
+    dock = scene.sections.get("dockable_probe") or {}
+    places = [dock.get(f"{name}_position") for name in ("detach", "dock")]
+    detach, middle = (float((at or "0").split(",")[0]) for at in places)
+    return detach < middle
+
+
 def choices(scene: Scene) -> list[Choice]:
     """All that a machine's owner may write into the sections that it has."""
     found = [
@@ -131,6 +141,9 @@ def choices(scene: Scene) -> list[Choice]:
     if pin is not None and pin.y < bed.y_min:
         # There the probe would be over the bed when Z is homed
         found = [row for row in found if row[1] != BEFORE_Z]
+    if _is_left_of_dock(scene):
+        # What Klipper's start tells of it its owner heeds
+        found = [row for row in found if row[1] not in STAYS]
     if scene.world.dock is not None:
         return found
     # Whatever brings that probe is not for its owner to choose
