@@ -62,6 +62,18 @@ def test_harm_is_found(host, product):
     assert not walker.go(DOCK, HELD, host).harm
 
 
+IS_ASKED = ("core/carrying.py", "if section != host.section:", "if False:")
+
+
+def test_a_touch_beside_a_hand_is_found(host, product):
+    asks = ("gcode", "EXTRA_PROBE_CALIBRATE PROBE=membrane")
+    walk = ("gcode", "G28"), asks, ("gcode", "CALIBRATE_Z")
+    outcome = walker.go(DOCK, walk, host, product(*IS_ASKED))
+    assert outcome.kind == "moved"
+    assert "nozzle_pin while somebody is asked" in outcome.harm
+    assert not walker.go(DOCK, walk, host).harm
+
+
 # A run that ends in an error when all is measured
 NOT_READY = Owned(options=(("z_calibration", "end_gcode", values.ASKS),))
 REFUSED = (

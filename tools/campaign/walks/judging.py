@@ -152,6 +152,7 @@ class Judge:
             ("harm", self._is_hurt),
             ("too low", self._is_too_low),
             ("moved", self._has_moved),
+            ("moved", self._is_among_hands),
             ("elsewhere", self._is_elsewhere),
             ("left behind", self._has_left),
             ("lie", self._lies),
@@ -240,6 +241,17 @@ class Judge:
             yield f"by {moved:.1f} mm while somebody is asked"
         elif moved > PLACE and not _may_dock(status):
             yield f"by {moved:.1f} mm while nobody asks for it"
+
+    def _is_among_hands(self, gone: Gone) -> Iterator[str]:
+        """Nothing of ours touches while another asks a person, who reaches in."""
+        status = self.before.status
+        is_asked = status["manual_probe"].get("is_active")
+        is_asked = is_asked or status["extra_probe membrane"].get("waits_for")
+        is_answer = re.search("EXTRA_PROBE_(CONTINUE|ABORT)", gone.script)
+        is_ours = gone.kind == "gcode" and gone.command in OURS
+        touches = self.printer.machine.truth.touches[self.before.touches :]
+        if is_asked and is_ours and not is_answer and touches:
+            yield f"touched {touches[0].site} while somebody is asked"
 
     def _is_refused_beside(self, gone: Gone) -> bool:
         """Something of ours was refused that is no answer to what is asked."""

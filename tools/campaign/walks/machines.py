@@ -172,11 +172,15 @@ def built(scene: Scene, z_motors: int, kinematics: str) -> Scene:
     return on_gantry(scene, scene.name, kinematics, **motors)
 
 
-def overridden(scene: Scene) -> Scene:
-    """The same homed by its owner's macro instead of [safe_z_home]."""
+def overridden(scene: Scene, has_skew: bool = False) -> Scene:
+    """The same homed by its owner's macro instead of [safe_z_home].
+
+    has_skew: it is told to correct one, with which it would go beside the pin.
+    """
     x, y = _numbers(scene, "safe_z_home", "home_xy_position")
     way = _AROUND if "dockable_probe" in scene.sections else _ACROSS
-    code = OVERRIDE % (way % (x, y))
+    clear = "\n  SET_SKEW CLEAR=1" if has_skew else ""
+    code = clear + OVERRIDE % (way % (x, y))
     section = {"axes": "z", "set_position_z": "0", "gcode": code}
     sections = {**scene.sections, "homing_override": section}
     return without(replace(scene, sections=sections), "safe_z_home")

@@ -61,7 +61,7 @@ class Owned:
             self.kinematics or scene.kinematics,
         )
         if self.is_overridden:
-            scene = machines.overridden(scene)
+            scene = machines.overridden(scene, "skew" in self.names)
         if "hot" in self.names:
             scene = heated(scene)
         scene = machines.on_plate(scene, self.slope, self.bow, self.rough)
