@@ -25,7 +25,9 @@ from tools.kit.auto_z_offset import (
     with_extras,
     world,
 )
+from tools.kit.carrying import with_all
 from tools.kit.cases import slow
+from tools.kit.docks import DOCK_SCENES
 from tools.kit.scenes import SCENES
 from tools.kit.z_calibration import refusal
 
@@ -453,6 +455,51 @@ def test_probe_calibrated_by_its_host(start):
     printer.run("G28\nAUTO_Z_LOAD_OFFSET")
     gap = printer.scene.piezo_gap()
     assert true_gap(printer) == pytest.approx(gap, abs=STEPS)
+
+
+# Its next run sets Z anew, and the step is part of nothing
+@pytest.mark.parametrize(("step", "is_told"), [(0.08, True), (0.0, False)])
+def test_button_of_the_host_after_homing_with_the_sensor(start, step, is_told):
+    changes = section(z_offset="-0.05")
+    printer = start("qidi", changes=changes).homed()
+    printer.run(f"AUTO_Z_HOME_Z\nSET_GCODE_OFFSET Z_ADJUST={step}")
+    gap = true_gap(printer)
+    lines = printer.run("Z_OFFSET_APPLY_PROBE")
+    hint = "write z_offset: -0.130 into section 'auto_z_offset' for it"
+    assert any(hint in line for line in lines) is is_told
+    if is_told:
+        changes = section(z_offset="-0.130")
+        printer = start("qidi", changes=changes).homed()
+        printer.run("AUTO_Z_HOME_Z")
+        assert true_gap(printer) == pytest.approx(gap, abs=STEPS)
+
+
+OVER_BED = (150.0, 155.0)
+
+
+def homed_on_pin(start):
+    """Z homed on a switch, the probe 0.7 mm wrong, and its mesh in force."""
+    scene = with_all(DOCK_SCENES["dock_gantry_switch"])
+    probe = {"dockable_probe": {"samples": "1", "z_offset": "6.2"}}
+    printer = start(scene, probe).homed()
+    printer.run("BED_MESH_CALIBRATE\nAUTO_Z_CALIBRATE")
+    return printer
+
+
+@pytest.mark.parametrize("step", [0.0, -0.05])
+def test_button_that_puts_the_correction_into_the_endstop(start, step):
+    printer = homed_on_pin(start)
+    gap = printer.gap(OVER_BED)
+    printer.run(f"SET_GCODE_OFFSET Z_ADJUST={step}")
+    lines = printer.run("Z_OFFSET_APPLY_ENDSTOP")
+    hint = f"by it, and {step:.3f} mm of baby steps are gone; RESTART instead"
+    assert any(hint in line for line in lines)
+    # As it says
+    printer.session.restart("SAVE_CONFIG")
+    printer.homed().run("BED_MESH_PROFILE LOAD=default\nAUTO_Z_LOAD_OFFSET")
+    assert printer.gap(OVER_BED) < -0.3
+    printer.run("BED_MESH_CALIBRATE\nAUTO_Z_LOAD_OFFSET")
+    assert printer.gap(OVER_BED) == pytest.approx(gap, abs=2 * STEPS)
 
 
 # z_offset takes the correction over, and nothing else

@@ -277,8 +277,56 @@ def test_offset_that_is_none_is_not_saved_a_lost_one_is_told(start):
     assert pending(printer) == before["pending"]
     assert printer.status("auto_z_offset") == before["status"]
     printer.run("SET_GCODE_OFFSET Z=0")
-    lines = printer.run("AUTO_Z_SAVE_GCODE_OFFSET")
+    lines = printer.run("AUTO_Z_SAVE_GCODE_OFFSET FORCE=1")
     assert told(lines, "1.120 mm away from before; where Z was not homed")
+
+
+LOAD = "AUTO_Z_LOAD_OFFSET"
+RESET = "the G-code Z offset is 0, not the -1.120 of the correction"
+
+
+# What a next print would load, and the nozzle be as much too low or too high
+@pytest.mark.parametrize(
+    ("script", "words"),
+    [
+        (f"{LOAD}\nSET_GCODE_OFFSET Z=0", RESET),
+        (f"SAVE_GCODE_STATE\n{LOAD}\nRESTORE_GCODE_STATE", RESET),
+        (f"PAUSE\n{LOAD}\nRESUME", RESET),
+        # Nobody has loaded it since the start
+        ("M400", RESET),
+        ("SET_GCODE_OFFSET Z=0.1", "is 0.100, with the correction it was -1.1"),
+        (f"{LOAD}\nSET_GCODE_OFFSET Z_ADJUST=-0.51", "of more than 0.5 mm"),
+    ],
+)
+def test_what_are_no_baby_steps_is_not_saved(start, script, words):
+    options = section(probe_z_correction="-1.12")
+    changes = {**options, "pause_resume": {}}
+    printer = start("qidi", changes=changes).homed()
+    printer.run(script)
+    before = state(printer)
+    assert words in printer.fail("AUTO_Z_SAVE_GCODE_OFFSET")
+    assert state(printer) == before
+    printer.run("AUTO_Z_SAVE_GCODE_OFFSET FORCE=1")
+    saved = printer.status("auto_z_offset")["probe_z_correction"]
+    assert saved == pytest.approx(printer.offset())
+
+
+@pytest.mark.parametrize("load", [LOAD, "SET_GCODE_OFFSET Z=-1.12"])
+def test_steps_from_what_was_loaded_are_saved(start, load):
+    options = section(probe_z_correction="-1.12")
+    printer = start("qidi", changes=options).homed()
+    printer.run(f"{load}\nSET_GCODE_OFFSET Z_ADJUST=0.5")
+    printer.run("AUTO_Z_SAVE_GCODE_OFFSET")
+    saved = printer.status("auto_z_offset")["probe_z_correction"]
+    assert saved == pytest.approx(-0.62)
+
+
+def test_first_offset_of_all_is_saved_without_a_correction(start):
+    printer = start("qidi").homed()
+    printer.run(f"{LOAD}\nSET_GCODE_OFFSET Z=-1.1")
+    printer.run("AUTO_Z_SAVE_GCODE_OFFSET")
+    saved = printer.status("auto_z_offset")["probe_z_correction"]
+    assert saved == pytest.approx(-1.1)
 
 
 # Motor current and acceleration

@@ -7,7 +7,7 @@ from dataclasses import replace
 import pytest
 
 from tools.kit.auto_z_offset import MICROSTEP, POINT, told, true_gap, world
-from tools.kit.klipper_sections import bed_mesh
+from tools.kit.klipper_sections import bed_mesh, profile
 from tools.kit.scenes import SCENES
 
 STEPS = 2 * MICROSTEP
@@ -56,6 +56,42 @@ def test_shift_that_makes_the_gap_wrong_is_told(
     (text,) = told(lines, "the gap is wrong by") if words else ("",)
     assert (words or "") in text
     assert bool(words) is bool(told(lines, "the gap is wrong by"))
+
+
+BELOW = {"auto_z_offset": {"z_offset": "-0.05"}, "probe": {"z_offset": "2"}}
+ZERO = "%g, %g" % POINT
+OWN_MESH = {**MESH, "zero_reference_position": ZERO}
+LOADS = "BED_MESH_PROFILE LOAD=default"
+NO_ZERO = "bed_mesh has no zero at 119.8, 126.8"
+
+
+# After it Z counts from the bed: the probe's error of 0.73 mm is in its own mesh
+@pytest.mark.parametrize(
+    ("sections", "before", "words", "wrong"),
+    [
+        ({"bed_tilt": {"z_adjust": "-0.15"}}, "", "shifted by -0.150", -0.15),
+        ({"bed_tilt": {"z_adjust": "0.01"}}, "", None, 0.01),
+        (
+            {"bed_mesh": MESH, "bed_mesh default": profile((-0.2,) * 3, MESH)},
+            LOADS,
+            "bed_mesh: Z is shifted by -0.2",
+            -0.2,
+        ),
+        ({"bed_mesh": MESH}, "", NO_ZERO, 0.0),
+        ({"bed_mesh": OWN_MESH}, "", None, 0.0),
+    ],
+)
+def test_zero_of_the_bed_sensor_below_a_shift(
+    start, sections, before, words, wrong
+):
+    printer = start("qidi", {**BELOW, **sections}).homed()
+    lines = printer.run(f"{before}\nAUTO_Z_HOME_Z")
+    assert true_gap(printer) == pytest.approx(wrong, abs=2 * STEPS)
+    told_of = [
+        line for line in lines if "shifted by" in line or NO_ZERO in line
+    ]
+    assert len(told_of) == bool(words)
+    assert not words or words in told_of[0]
 
 
 # Some hosts keep it when Z is homed with the probe; QIDI's goes to Z=3

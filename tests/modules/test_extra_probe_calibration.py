@@ -30,6 +30,7 @@ from tools.kit.extra_probe import (
     touch,
     true_gap,
 )
+from tools.kit.klipper_sections import TOOL
 from tools.kit.printer import has_kinematics
 from tools.kit.scenes import SCENES
 from tools.kit.z_calibration import refusal, with_moves
@@ -170,6 +171,23 @@ def test_decimal_point_too_many_is_asked_for(start, z_offset, low):
     bed = float(told.rstrip(".").split("z=")[-1])
     assert bed == pytest.approx(BED + THICKNESS - z_offset, abs=MICROSTEP)
     assert hints == ["Continue makes that Z=0.", *low]
+
+
+@pytest.mark.parametrize("asks", ["switch", "removal"])
+def test_nozzle_of_another_extruder_is_another_height(start, tmp_path, asks):
+    warm = tmp_path / "warm"
+    warm.write_text("25000")
+    tool = {"extruder1": {**TOOL, "sensor_path": str(warm)}}
+    printer = start(heated(SCENES["membrane"]), changes=tool).homed()
+    if asks == "removal":
+        touch(printer)
+    else:
+        printer.run(CALIBRATE)
+        lay(printer)
+    printer.run("ACTIVATE_EXTRUDER EXTRUDER=extruder1")
+    text = printer.fail(CONTINUE)
+    assert "another extruder is active since the calibration began" in text
+    assert printer.offset() == 0.0
 
 
 # Saved

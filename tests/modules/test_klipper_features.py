@@ -13,7 +13,7 @@ from simprinter import Scene
 from simprinter.hosts.hosts import Host
 from simprinter.world import MeshSpec
 from tools.kit.auto_z_offset import POINT
-from tools.kit.klipper_sections import TOOL, bed_mesh
+from tools.kit.klipper_sections import TOOL, bed_mesh, profile
 from tools.kit.load_errors import load
 from tools.kit.printer import Printer
 from tools.kit.scenes import SCENES, heated
@@ -338,3 +338,26 @@ def test_point_at_the_end_of_the_mesh(start, low, high, script):
     told = "\n".join(printer.run(f"{PROBED}\n{script}\nCALIBRATE_Z"))
     assert "ends before" not in told
     assert printer.status("z_calibration")["valid"]
+
+
+# The offset was made for the mesh of before
+@pytest.mark.parametrize(
+    ("before", "line"),
+    [
+        ("BED_MESH_PROFILE LOAD=default", "BED_MESH_CLEAR"),
+        ("M400", "BED_MESH_PROFILE LOAD=default"),
+    ],
+)
+def test_offset_gcode_that_changes_the_mesh(start, before, line):
+    code = f"\n  {line}\n  SET_GCODE_OFFSET Z={{params.Z}}"
+    sections = {
+        "bed_mesh": MESH,
+        "bed_mesh default": profile((0.3, 0.35, 0.45), MESH),
+        "z_calibration": {"offset_gcode": code},
+    }
+    printer = start(SCENES["voron"], sections).homed()
+    printer.run(f"{before}\nCALIBRATE_Z")
+    status = printer.status("z_calibration")
+    assert not status["valid"]
+    assert "bed_mesh" in status["reason"]
+    assert abs(printer.gap() - printer.scene.formula_gap()) > 0.2

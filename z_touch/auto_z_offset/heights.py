@@ -55,6 +55,12 @@ DEAD_PROBE = 5.0
 # An air gap or a correction beyond this (mm) is none.
 LARGEST_OFFSET = 10.0
 
+# More (mm) is no baby step: the offset is none of the correction.
+LARGEST_STEP = 0.5
+
+# Less (mm) is rounding.
+NO_STEP = 0.0000005
+
 # What an error that rests on an expected height ends with
 IF_CHANGED = "ACCEPT_CHANGE=1 if nozzle, probe or bed was changed"
 
@@ -261,3 +267,22 @@ def inside_bed_after_homing(z_offset):
         " inside the bed; home with G28 and use AUTO_Z_LOAD_OFFSET to print"
         % (z_offset, z_offset)
     )
+
+
+# Whether a G-code offset (mm) is that of the correction and baby steps; 'base': what
+# has applied the correction has left there.  Raises CalibrationError.
+def check_steps(offset, base):
+    change = offset - base
+    if not offset and abs(change) > NO_STEP:
+        raise CalibrationError(
+            "the G-code Z offset is 0, not the %.3f of the correction: something"
+            " has reset it; run AUTO_Z_LOAD_OFFSET and set the steps again, or"
+            " add FORCE=1 if 0 is right" % (base,)
+        )
+    if abs(change) > LARGEST_STEP:
+        raise CalibrationError(
+            "the G-code Z offset is %.3f, with the correction it was %.3f: a change"
+            " of more than %g mm is none of baby steps; run AUTO_Z_LOAD_OFFSET and"
+            " set the steps again, or add FORCE=1"
+            % (offset, base, LARGEST_STEP)
+        )

@@ -43,7 +43,7 @@ class AutoZOffset(object):
         register = self.printer.register_event_handler
         register("klippy:connect", self.connect)
         # All sections have registered their commands then
-        register("klippy:mcu_identify", self.watch_button)
+        register("klippy:mcu_identify", self.watch_buttons)
         running.register_commands(self.host, self)
 
     ##################################################################
@@ -62,25 +62,50 @@ class AutoZOffset(object):
             self.host, self.settings, self.sensor.motors
         )
 
-    def watch_button(self):
-        self.host.wrap_command("Z_OFFSET_APPLY_PROBE", self.after_button)
+    # The buttons of the host, which know nothing of a correction
+    def watch_buttons(self):
+        for button, says in (
+            ("Z_OFFSET_APPLY_PROBE", self.of_probe_button),
+            ("Z_OFFSET_APPLY_ENDSTOP", self.of_endstop_button),
+        ):
+            after = functools.partial(self.after_button, says)
+            self.host.wrap_command(button, after)
 
-    # The button of the host, which knows nothing of a correction
-    def after_button(self, command, gcmd):
+    def after_button(self, says, command, gcmd):
         command(gcmd)
         z = self.host.gcode_offset.z()
-        # Of 0 the host saves nothing
-        is_of_sensor = self.expectations.was_sensor_frame()
-        if self.applied is None or not z or is_of_sensor:
+        if not z:
+            # The host saves nothing
             return
-        step = z - self.applied
-        if abs(step) >= shifts.NO_SHIFT:
-            self.host.say(
-                "Z_OFFSET_APPLY_PROBE moves the probe's Z=0, which"
-                " probe_z_correction is counted from: %.3f mm of baby steps are"
-                " gone after SAVE_CONFIG; run AUTO_Z_SAVE_GCODE_OFFSET, too"
-                % (step,)
-            )
+        if self.expectations.was_sensor_frame():
+            self.tell(self.of_sensor(z))
+        elif self.applied is not None:
+            self.tell(says(z - self.applied))
+
+    def of_sensor(self, z):
+        return (
+            "AUTO_Z_HOME_Z sets Z anew, and the G-code Z offset of %.3f has no part"
+            " in that; write z_offset: %.3f into section '%s' for it"
+            % (z, self.settings.z_offset - z, self.host.section)
+        )
+
+    def of_probe_button(self, step):
+        if abs(step) < shifts.NO_SHIFT:
+            return ""
+        return (
+            "Z_OFFSET_APPLY_PROBE moves the probe's Z=0, which"
+            " probe_z_correction is counted from: %.3f mm of baby steps are"
+            " gone after SAVE_CONFIG; run AUTO_Z_SAVE_GCODE_OFFSET, too"
+            % (step,)
+        )
+
+    def of_endstop_button(self, step):
+        return (
+            "Z_OFFSET_APPLY_ENDSTOP puts the correction into position_endstop:"
+            " after SAVE_CONFIG a bed mesh of before makes the gap wrong by it, and"
+            " %.3f mm of baby steps are gone; RESTART instead, and run"
+            " AUTO_Z_SAVE_GCODE_OFFSET; or probe the mesh again" % (step,)
+        )
 
     # Empty: nothing is to be told
     def tell(self, text):
@@ -191,7 +216,8 @@ class AutoZOffset(object):
     cmd_AUTO_Z_HOME_Z_help = "Set Z to z_offset where the bed sensor triggers"
 
     def cmd_AUTO_Z_HOME_Z(self, gcmd):
-        z = self.measure(gcmd, self.settings.sampling.samples, self.home_z)
+        touches = self.settings.sampling.samples
+        z, wrong = self.measure(gcmd, touches, self.home_z)
         self.expectations.homed_by_sensor()
         z_offset = self.settings.z_offset
         gcmd.respond_info(
@@ -199,6 +225,7 @@ class AutoZOffset(object):
             " z=%.6f now" % (z, z_offset)
         )
         self.tell(heights.inside_bed_after_homing(z_offset))
+        self.tell(wrong)
         gcode_offset = self.host.gcode_offset.z()
         if gcode_offset:
             text = "the G-code Z offset of %.3f stays, on top of this"
@@ -215,7 +242,7 @@ class AutoZOffset(object):
         self.check_gcode_offset()
         z = run.measure_sensor_alone()
         run.set_z(z)
-        return z
+        return z, shifts.wrong_zero(self.host, bed, self.settings.z_offset)
 
     # One that was meant for the probe's Z, a correction above all
     def check_gcode_offset(self):
@@ -341,13 +368,18 @@ class AutoZOffset(object):
                 " nozzle in small steps" % (moved,)
             )
         before = self.correction.z or 0.0
-        z = self.host.gcode_offset.z() - self.host.probing.homed_bed_z()
+        bed_z = self.host.probing.homed_bed_z()
+        z = self.host.gcode_offset.z() - bed_z
         if abs(z) > heights.LARGEST_OFFSET:
             raise self.host.error(
                 "a G-code Z offset of %.3f is no correction of a probe; up to"
                 " %g mm can be saved; run AUTO_Z_LOAD_OFFSET, then move the"
                 " nozzle in small steps" % (z, heights.LARGEST_OFFSET)
             )
+        force = options.param_int(gcmd, "FORCE", 0, minval=0, maxval=1)
+        # Without a correction there is nothing that steps count from
+        if self.correction.z is not None and not force:
+            self.check(functools.partial(self.check_steps, before + bed_z))
         self.correction.save(z)
         gcmd.respond_info(
             "AUTO_Z_SAVE_GCODE_OFFSET: probe_z_correction: %.6f (was %.6f)\n%s"
@@ -359,3 +391,8 @@ class AutoZOffset(object):
                 " the probe, or AUTO_Z_LOAD_OFFSET not run after it, do both,"
                 " then save again" % (abs(z - before),)
             )
+
+    # 'loaded': what AUTO_Z_LOAD_OFFSET would set, mm
+    def check_steps(self, loaded):
+        base = loaded if self.applied is None else self.applied
+        heights.check_steps(self.host.gcode_offset.z(), base)

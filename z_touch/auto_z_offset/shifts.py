@@ -14,6 +14,34 @@ WORTH_TELLING = 0.015
 NO_SHIFT = 0.0005
 
 
+# What shifts Z at a site, by what is worth a word; see features.parts()
+def parts_at(host, site, z, **known):
+    parts = host.features.parts(site.x, site.y, z, **known)
+    return [part for part in parts if abs(part.height) >= NO_SHIFT]
+
+
+# What the user is told where the bed sensor has set Z, the bed at 'z' (mm) now; empty:
+# the gap is right, and stays so.  Here it counts from the bed, not from the probe.
+def wrong_zero(host, site, z):
+    parts, features = parts_at(host, site, z), host.features
+    shift = sum(part.height for part in parts)
+    if abs(shift) >= WORTH_TELLING:
+        return (
+            "%s: Z is shifted by %.3f mm here, and the gap is wrong by that; clear"
+            " it before AUTO_Z_HOME_Z, or use AUTO_Z_CALIBRATE"
+            % (", ".join(part.name for part in parts), shift)
+        )
+    if features.has_mesh_section() and not features.is_mesh_zero(
+        site.x, site.y
+    ):
+        return (
+            "bed_mesh has no zero at %.1f, %.1f: one that is probed or loaded now"
+            " makes the gap wrong by its height there; set its %s to that point"
+            % (site.x, site.y, features.mesh_zero_option())
+        )
+    return ""
+
+
 # What the user is told of the gap at a point; empty: it is right.  'site': the
 # nozzle's touching.Site; 'results': heights.Result of all cycles.
 def wrong_gap(host, site, results):
@@ -24,13 +52,7 @@ def wrong_gap(host, site, results):
             " Z is homed, or nowhere" % (site.x, site.y)
         )
     seen = sum(r.probe - r.probe_z_offset for r in results) / len(results)
-    parts = [
-        part
-        for part in host.features.parts(
-            site.x, site.y, results[0].sensor, bed_z=seen
-        )
-        if abs(part.height) >= NO_SHIFT
-    ]
+    parts = parts_at(host, site, results[0].sensor, bed_z=seen)
     shift = sum(part.height for part in parts)
     wrong = shift - (seen - host.probing.homed_bed_z())
     # Without any part it is homing that is old, and that is told by itself

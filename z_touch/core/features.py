@@ -174,6 +174,10 @@ class Features(object):
     # The zero of the bed mesh
     ##################################################################
 
+    # Whether a mesh may be probed, or loaded
+    def has_mesh_section(self):
+        return self._mesh_calibrate() is not None
+
     # The option of section 'bed_mesh' that says where it is
     def mesh_zero_option(self):
         calibrate = self._mesh_calibrate()

@@ -31,8 +31,11 @@ UNTIL_HOMED = "%s: the offset will be right until the next G28 only."
 
 # What waits for an answer: 'asks' for the "switch", or, with the height 'bed_z'
 # that was measured, for its "removal".  'floor' and 'save' are those of the
-# command, 'mark' and 'xy' (mm) where the head was when it began.
-Question = collections.namedtuple("Question", "floor save mark xy asks bed_z")
+# command, 'mark', 'xy' (mm) and 'extruder' where the head was when it began, and
+# whose nozzle was active.
+Question = collections.namedtuple(
+    "Question", "floor save mark xy extruder asks bed_z"
+)
 
 
 # The commands of a calibration, and the question that is open between them.
@@ -101,7 +104,8 @@ class Calibration(object):
         floor, says = self.floor(floor_param)
         xy = self.host.toolhead.get_position()[:2]
         mark = self.frame.mark()
-        question = Question(floor, save, mark, xy, "switch", None)
+        tool = self.host.extruder()
+        question = Question(floor, save, mark, xy, tool, "switch", None)
         sentences = ["Flat on the bed, the nozzle clean."] + warnings + says
         self.dialog.ask(question, "Lay the switch below the nozzle", sentences)
         if not self.is_bed_known(floor_param):
@@ -344,6 +348,8 @@ class Calibration(object):
     def check_frame(self, question):
         self.check_printer()
         self.check_unchanged(self.frame.moved_since(question.mark))
+        if self.host.extruder() != question.extruder:
+            self.check_unchanged("another extruder is active")
 
     # Whether an answer can lead on
     def is_open(self, question):

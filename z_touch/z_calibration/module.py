@@ -284,6 +284,9 @@ class ZCalibration(object):
         for _, told in shifts.lines():
             self.runner.watch.say(told.text)
         self.hooks.undo_g92()
+        # What the offset was made for; an offset_gcode may load a mesh, or clear it
+        height = height_of(self.host, last)
+        is_guessed = features.is_mesh_guessed(*last.point)
         applied = self.apply(z_offset + added)
         if abs(added) >= NO_CHANGE:
             text = "end_gcode changed the G-code Z offset by %.6f: it is %.6f"
@@ -291,8 +294,8 @@ class ZCalibration(object):
         return last._replace(
             z_offset=z_offset + added,
             applied=applied,
-            height=height_of(self.host, last),
-            guessed=features.is_mesh_guessed(*last.point),
+            height=height,
+            guessed=is_guessed,
             states=states,
             warnings=last.warnings + shifts.warnings(),
         )

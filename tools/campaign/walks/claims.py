@@ -102,6 +102,10 @@ def _has_offset(facts: Facts, *unused: str) -> bool:
     )
 
 
+def _is_reset(facts: Facts, *unused: str) -> bool:
+    return facts.any("gcode_move", "homing_origin", lambda now: not now[2])
+
+
 def _is_never(facts: Facts, *unused: str) -> bool:
     """Of what nobody has asked for."""
     return False
@@ -138,6 +142,8 @@ CLAIMS: tuple[tuple[re.Pattern, Callable[..., bool]], ...] = tuple(
         (r"since G28,|Z was not homed with G28", _is_true),
         (r"a print is paused \(PAUSE\)", _is_true),
         (r"with the G-code Z offset of \S+ in force", _has_offset),
+        (r"G-code Z offset is 0, not the", _is_reset),
+        (r"is none of baby steps", _is_true),
         # A retraction of Klipper's that fails leaves G91 to its owner's templates
         (r"^z_calibration: \w+_gcode: .*Move out of range", _is_true),
         # Our calibrations are asked to go nowhere else
