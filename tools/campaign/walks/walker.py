@@ -168,11 +168,12 @@ class Walker:
             doing.print_card(self.printer.session, self._gcode, what)
 
     def _lower(self, distance: float) -> None:
-        """As a person with paper does, who looks at the nozzle."""
+        """As a person with paper does, who looks at the nozzle, and at the pin."""
+        machine = self.printer.machine
         if self.printer.status("manual_probe").get("is_active"):
-            tip = self.printer.machine.tip()
-            truth = self.printer.machine.truth
-            room = truth.true_gap(*tip) - hanging(self.printer) - NEAR
+            gap = machine.truth.true_gap(*machine.tip())
+            below = [n.distance for n in machine.near() if "nozzle" in n.site]
+            room = min([gap, *below]) - hanging(self.printer) - NEAR
             distance = min(distance, room)
             if distance > 0.0:
                 self._gcode(f"TESTZ Z=-{distance:.3f}\nM400")
