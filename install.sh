@@ -120,7 +120,7 @@ Links the modules into Klipper or Kalico and has Moonraker update them.
       --no-restart           restart no service
       --dry-run              show what would be done, change nothing
       --allow-root           for machines on which all runs as root
-  -f, --force                replace what is somebody else's (links, files, an
+  -f, --force                replace what is in the way (links, files, an
                              updater section), and link beside Kalico's modules
   -u, --uninstall            take links and updater section back
   -h, --help                 this text

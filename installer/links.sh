@@ -17,6 +17,21 @@ places() {
     [ -n "$is_needed" ] || say "$SHARED"
 }
 
+# Wherever a link of this project may be
+every_place() {
+    local name
+    say "$SHARED"
+    for name in $MODULES; do
+        printf '%s\n' "klippy/extras/$name.py" "klippy/plugins/$name.py"
+    done
+}
+
+# Whether it is that of a module to link, or the folder
+is_chosen() {
+    local name=${1##*/}
+    [[ $1 = "$SHARED" || " $modules " = *" ${name%.py} "* ]]
+}
+
 # Where a link has to be; in the other one of Kalico's folders it must not
 is_wanted() {
     [ -z "$uninstall" ] && [[ $1 = "$SHARED" || ${1%/*} = "$folder" ]]
@@ -33,8 +48,19 @@ is_ours() {
     [ -L "$klipper/$1" ] && [[ $(readlink -f -- "$klipper/$1") = "$here"/* ]]
 }
 
+# other_checkout PLACE: that of this project which a link leads to, if not this one
+other_checkout() {
+    local dir
+    [ -L "$klipper/$1" ] && [ -e "$klipper/$1" ] && ! is_ours "$1" || return 0
+    dir=$(dirname -- "$(readlink -f -- "$klipper/$1")")
+    # In klippy/extras, where somebody may keep a file, the folder is a link
+    [ ! -d "$dir/${SHARED##*/}" ] || [ -L "$dir/${SHARED##*/}" ] || say "$dir"
+}
+
 # A link to a file that is gone is of use to nobody
-is_foreign() { [ -e "$klipper/$1" ] && ! is_ours "$1"; }
+is_foreign() {
+    [ -e "$klipper/$1" ] && ! is_ours "$1" && [ -z "$(other_checkout "$1")" ]
+}
 
 # Links that lead nowhere: into this checkout, from which an update has removed a
 # file, or under a name of ours into one that was moved or renamed. Kalico does
@@ -103,19 +129,20 @@ unlink_place() {
 # Two versions side by side fail in the middle of a command: all modules come
 # from the checkout that the folder comes from.
 check_one_checkout() {
-    local name dir file other
-    for name in $MODULES; do
-        for dir in klippy/extras klippy/plugins; do
-            file="$klipper/$dir/$name.py"
-            [[ " $modules " != *" $name "* ]] && [ -L "$file" ] &&
-                [ -e "$file" ] || continue
-            other=$(dirname -- "$(readlink -f -- "$file")")
-            [ "$other" != "$here" ] && [ -d "$other/${SHARED##*/}" ] || continue
-            problem "$CONFLICT" "$file is a link to another checkout, $other;" \
-                "its version and this one cannot be mixed"
+    local place name other
+    for place in $(every_place); do
+        other=$(other_checkout "$place")
+        [ -n "$other" ] || continue
+        ! is_chosen "$place" || [ -z "$force" ] || continue
+        problem "$CONFLICT" "$klipper/$place is a link to another checkout of" \
+            "this project, $other; its version and this one cannot be mixed"
+        name=${place##*/} name=${name%.py}
+        if is_chosen "$place"; then
+            explain "To change to this checkout: --force"
+        else
             explain "Name $name, too, and change all of them to this checkout:" \
                 "--modules \"$modules $name\" --force"
-        done
+        fi
     done
 }
 

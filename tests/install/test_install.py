@@ -764,6 +764,49 @@ def test_modules_of_two_checkouts_are_not_mixed(machine, klipper):
     assert set(told.split()) <= set(MODULES)
 
 
+@pytest.fixture
+def second(machine):
+    """The script of a second checkout, on a machine that has the first."""
+    machine.installed()
+    return machine.clone(machine.home / "second") / "install.sh"
+
+
+def leads_to(klipper):
+    """The folders that the links of a Klipper lead to."""
+    return {os.path.dirname(target) for target in klipper.links().values()}
+
+
+def test_another_checkout_is_none_of_somebody_else(machine, klipper, second):
+    before = klipper.links()
+    err = machine.run(script=second).err
+    for name in [*[f"{name}.py" for name in MODULES], "z_touch"]:
+        line = (
+            f"Error: {klipper.place(name)} is a link to another checkout of"
+            f" this project, {machine.checkout}; "
+        )
+        assert err.count(line) == 1
+    for words in ("somebody else", "opposite sign", "migration.md", "rm -r"):
+        assert words not in err
+    assert klipper.links() == before
+    outcome = machine.run("--force", script=second)
+    assert (outcome.code, outcome.err) == (0, "")
+    assert f"[OK, pointed to {machine.checkout}/{NAME}.py" in outcome.out
+    assert "opposite sign" not in outcome.out
+    assert "migration.md" not in outcome.out
+    assert leads_to(klipper) == {str(second.parent)}
+
+
+def test_file_beside_the_linked_folder_is_no_checkout(machine, klipper):
+    """As of somebody who has renamed what was there."""
+    machine.installed("--modules", "z_calibration")
+    kept = klipper.place("kept.py")
+    kept.write_text("theirs = 1\n")
+    klipper.place(f"{NAME}.py").symlink_to(kept)
+    err = machine.refused(4)
+    assert "belongs to somebody else" in err
+    assert "opposite sign" in err
+
+
 def test_what_was_put_aside_is_named_at_the_end(machine, klipper):
     klipper.place().write_text("theirs = 1\n")
     machine.installed("--force")
