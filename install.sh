@@ -231,9 +231,10 @@ locate_klipper() {
         problem "$ENVIRONMENT" "git does not tell what is part of $klipper:" \
             "$(cat -- "$scratch/git")"
     fi
-    # Whoever has a section for Kalico's own goes on with that
+    # Whoever has a section for Kalico's own goes on with that, unless it is ours
     if [ "$folder" = klippy/plugins ] && [ -z "$given_modules$uninstall" ] &&
-        is_tracked klippy/extras/dockable_probe.py; then
+        is_tracked klippy/extras/dockable_probe.py &&
+        ! is_of_project klippy/plugins/dockable_probe.py; then
         modules=${modules/dockable_probe /}
         note "Kalico's own dockable_probe stays; --modules takes ours"
     fi

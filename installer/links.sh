@@ -57,10 +57,10 @@ other_checkout() {
     [ ! -d "$dir/${SHARED##*/}" ] || [ -L "$dir/${SHARED##*/}" ] || say "$dir"
 }
 
+is_of_project() { is_ours "$1" || [ -n "$(other_checkout "$1")" ]; }
+
 # A link to a file that is gone is of use to nobody
-is_foreign() {
-    [ -e "$klipper/$1" ] && ! is_ours "$1" && [ -z "$(other_checkout "$1")" ]
-}
+is_foreign() { [ -e "$klipper/$1" ] && ! is_of_project "$1"; }
 
 # Links that lead nowhere: into this checkout, from which an update has removed a
 # file, or under a name of ours into one that was moved or renamed. Kalico does
@@ -94,14 +94,19 @@ set_up_links() {
     for place in $(places); do
         if is_wanted "$place"; then
             link "$place"
-        elif is_ours "$place" && [[ $emptied != *" $place"* ]]; then
-            unlink_place "$place"
+        elif is_left "$place" && [[ $emptied != *" $place"* ]]; then
+            unlink_place "$place" "$(strange_target "$place")"
             emptied+=" $place"
         fi
     done
     [ -n "$uninstall" ] || check_kalico
     [ -z "$uninstall" ] || name_backups
     [ "$git_prefix" = - ] || set_up_exclude "$emptied"
+}
+
+# A link of ours, or of the checkout that is changed to this one
+is_left() {
+    is_ours "$1" || { [ -z "$uninstall" ] && is_of_project "$1"; }
 }
 
 # Where a link leads, if that is not this checkout
@@ -129,21 +134,21 @@ unlink_place() {
 # Two versions side by side fail in the middle of a command: all modules come
 # from the checkout that the folder comes from.
 check_one_checkout() {
-    local place name other
+    local place other found="" unnamed="" name
     for place in $(every_place); do
         other=$(other_checkout "$place")
         [ -n "$other" ] || continue
+        is_chosen "$place" || unnamed=1
         ! is_chosen "$place" || [ -z "$force" ] || continue
         problem "$CONFLICT" "$klipper/$place is a link to another checkout of" \
             "this project, $other; its version and this one cannot be mixed"
-        name=${place##*/} name=${name%.py}
-        if is_chosen "$place"; then
-            explain "To change to this checkout: --force"
-        else
-            explain "Name $name, too, and change all of them to this checkout:" \
-                "--modules \"$modules $name\" --force"
-        fi
+        name=${place##*/}
+        [ -e "$here/$name" ] || explain "This checkout has no $name. First:" \
+            "rm '$klipper/$place'"
+        found=1
     done
+    [ -z "$found" ] || explain "To change all of them to this checkout:" \
+        "--force${unnamed:+, without --modules}"
 }
 
 # What --force has put aside

@@ -18,6 +18,7 @@ from tests.install.box import (
     MODULES,
     OVERRIDE,
     REPO,
+    Box,
     options_in,
     snapshot,
 )
@@ -753,15 +754,7 @@ def test_modules_of_two_checkouts_are_not_mixed(machine, klipper):
     assert outcome.code == 4
     assert "its version and this one cannot be mixed" in outcome.err
     assert klipper.links() == before
-    told = re.search(r'--modules "([^"]*)" --force', outcome.err).group(1)
-    outcome = machine.run(
-        "--modules", " ".join(MODULES), "--force", script=script
-    )
-    assert outcome.code == 0, outcome
-    assert {os.path.dirname(to) for to in klipper.links().values()} == {
-        str(other)
-    }
-    assert set(told.split()) <= set(MODULES)
+    assert "all of them to this checkout: --force, without" in outcome.err
 
 
 @pytest.fixture
@@ -794,6 +787,50 @@ def test_another_checkout_is_none_of_somebody_else(machine, klipper, second):
     assert "opposite sign" not in outcome.out
     assert "migration.md" not in outcome.out
     assert leads_to(klipper) == {str(second.parent)}
+
+
+@pytest.mark.parametrize("make", [Box.klipper, Box.kalico])
+@pytest.mark.parametrize("options", [[], ["--modules", "z_calibration"]])
+def test_proposal_for_another_checkout_works(machine, make, options):
+    either = make(machine)
+    machine.write("printer_data/config/printer.cfg", OVERRIDE)
+    machine.installed("--modules", " ".join(MODULES))
+    count = len(either.links())
+    second = machine.clone(machine.home / "second") / "install.sh"
+    err = machine.run(*options, script=second).err
+    assert "--modules" not in err.replace("without --modules", "")
+    assert err.count("To change all of them to this checkout: --force") == 1
+    assert ("--force, without --modules\n" in err) is bool(options)
+    outcome = machine.run("--force", script=second)
+    assert (outcome.code, outcome.err) == (0, "")
+    assert leads_to(either) == {str(second.parent)}
+    assert len(either.links()) == count == len(MODULES) + 1
+    assert "stays; --modules takes ours" not in outcome.out
+
+
+def test_module_that_this_checkout_has_not(machine, klipper, second):
+    (second.parent / f"{NAME}.py").unlink()
+    err = machine.run("--force", script=second).err
+    assert f"This checkout has no {NAME}.py. First: rm '" in err
+    command = re.search(r"rm '.*?'", err).group(0)
+    machine.command(["bash", "-c", command])
+    assert machine.run("--force", script=second).code == 0
+    assert leads_to(klipper) == {str(second.parent)}
+
+
+def test_links_of_another_checkout_for_the_other_host_go(machine):
+    """As after a change of the branch of ~/klipper."""
+    machine.write("printer_data/config/printer.cfg", OVERRIDE)
+    kalico = machine.kalico()
+    marker = kalico.path / "klippy/plugins/__init__.py"
+    marker.rename(marker.with_suffix(".away"))
+    machine.installed("--modules", NAME)
+    marker.with_suffix(".away").rename(marker)
+    second = machine.clone(machine.home / "second") / "install.sh"
+    assert machine.run(script=second).code == 4
+    outcome = machine.run("--force", script=second)
+    assert f"Removing {NAME}.py from klippy/extras... [OK, which" in outcome.out
+    assert leads_to(kalico) == {str(second.parent)}
 
 
 def test_file_beside_the_linked_folder_is_no_checkout(machine, klipper):
