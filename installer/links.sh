@@ -109,6 +109,16 @@ is_left() {
     is_ours "$1" || { [ -z "$uninstall" ] && is_of_project "$1"; }
 }
 
+# Each Klipper in which links into this checkout stay when some are taken away
+still_linked() {
+    local other
+    [[ $(places) = *"$SHARED"* ]] || say "$klipper"
+    for other in "$HOME/klipper" "$HOME/kalico"; do
+        [ "$other" -ef "$klipper" ] ||
+            [[ $(readlink -m -- "$other/$SHARED") != "$here"/* ]] || say "$other"
+    done
+}
+
 # Where a link leads, if that is not this checkout
 strange_target() {
     local target

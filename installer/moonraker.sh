@@ -87,9 +87,18 @@ setting() {
 }
 
 set_up_updates() {
-    local conf
+    local conf users=""
     [ -n "$use_moonraker" ] || return 0
-    [ -n "$uninstall" ] || look_at_checkout
+    if [ -n "$uninstall" ]; then
+        users=$(still_linked)
+    else
+        look_at_checkout
+    fi
+    if [ -n "$users" ] && [ "${#confs[@]}" -gt 0 ]; then
+        note "moonraker.conf stays as it is, for updates of the links that are" \
+            "still in ${users//$'\n'/ and }"
+        return 0
+    fi
     if [ -n "$unregistrable" ]; then
         note "automatic updates not set up: $unregistrable"
         return 0

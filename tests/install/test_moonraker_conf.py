@@ -7,7 +7,7 @@ import re
 
 import pytest
 
-from tests.install.box import ORIGIN, snapshot
+from tests.install.box import MODULES, ORIGIN, snapshot
 from tools.kit.cases import slow
 
 HEADER = "[update_manager z_calibration]"
@@ -220,6 +220,31 @@ def test_uninstall_leaves_the_section_of_somebody_else(machine, conf):
     assert conf.read_text() == OTHER_PATH
     assert "updates ~/old from" in out
     assert "--force" not in out
+
+
+def test_section_stays_while_a_module_is_linked(machine, conf, klipper):
+    machine.installed()
+    text = conf.read_text()
+    machine.restarted()
+    for _ in range(2):  # The second time no link is removed
+        out = machine.installed("-u", "--modules", MODULES[0])
+        assert f"the links that are still in {klipper.path}\n" in out
+        assert conf.read_text() == text
+        assert machine.restarted() == []
+    out = machine.installed("-u", "--modules", " ".join(MODULES[1:]))
+    assert f"Removing {HEADER} from {conf}... [OK]\n" in out
+    assert (conf.read_text(), klipper.links()) == ("[server]\n", {})
+
+
+def test_section_stays_while_another_klipper_has_links(machine, conf):
+    other = machine.klipper("kalico")
+    machine.installed("-k", str(other.path))
+    machine.installed()
+    out = machine.installed("-u")
+    assert f"the links that are still in {other.path}\n" in out
+    assert HEADER in conf.read_text()
+    machine.installed("-u", "-k", str(other.path))
+    assert conf.read_text() == "[server]\n"
 
 
 @pytest.mark.parametrize(
