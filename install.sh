@@ -209,8 +209,8 @@ locate_klipper() {
     if [ -z "$klipper" ]; then
         for found in "$HOME/klipper" "$HOME/kalico"; do
             [ -d "$found/klippy/extras" ] || continue
-            [ -z "$first" ] || note "$first is taken; -k '$found' takes the" \
-                "other one that is here"
+            [ -z "$first" ] || note "using $first; for the other one:" \
+                "-k '$found'"
             first=${first:-$found}
         done
         klipper=$first

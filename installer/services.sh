@@ -101,8 +101,7 @@ restart_services() {
     [ -n "$what" ] || return 0
     what=${what# }
     if [ -z "$use_restart" ] || ! has_systemd; then
-        say "Services not restarted. Restart ${what/ / and } yourself (the" \
-            "service; RESTART in the console does not load a changed module)"
+        tell_to_restart "$what"
         return 0
     fi
     # Before one of them is restarted, and does not answer any more
@@ -111,6 +110,25 @@ restart_services() {
     for kind in $what; do
         restart_kind "${kind,,}"
     done
+}
+
+# tell_to_restart KINDS: the command, with those that run or the usual names
+tell_to_restart() {
+    local kind units command="sudo systemctl restart"
+    for kind in $1; do
+        units=$(active_units "${kind,,}")
+        [ -n "$units" ] || units=$(services_of "${kind,,}")
+        command+=" ${units:-${kind,,}}"
+    done
+    command=${command//$'\n'/ }
+    if has_systemd; then
+        say "Services not restarted. When nothing prints: $command"
+    else
+        say "Services not restarted: no systemd answers. Restart" \
+            "${1/ / and } as you start them; with systemd: $command"
+    fi
+    [[ $1 != *Klipper* ]] ||
+        say "RESTART in the console does not load a changed module"
 }
 
 # The units of one kind, each of which belongs to another printer. What nobody

@@ -137,7 +137,8 @@ def test_neither_moonraker_nor_services_are_needed(box):
     out = box.installed()
     assert klipper.links() == klipper.expected(*MODULES)
     assert "No moonraker.conf found: automatic updates not set up" in out
-    assert "Services not restarted. Restart Klipper yourself" in out
+    command = "with systemd: sudo systemctl restart klipper\n"
+    assert f"Restart Klipper as you start them; {command}" in out
 
 
 # What belongs to somebody else
@@ -854,8 +855,10 @@ def test_what_was_put_aside_is_named_at_the_end(machine, klipper):
 def test_which_klipper_was_taken(box):
     box.klipper(), box.kalico("kalico")
     out = box.installed()
-    assert f"{box.home}/klipper is taken; -k '{box.home}/kalico' takes" in out
-    assert "is taken" not in box.installed("-k", str(box.home / "klipper"))
+    klipper, kalico = box.home / "klipper", box.home / "kalico"
+    told = f"using {klipper}; for the other one: -k '{kalico}'\n"
+    assert f"Note: {told}" in out
+    assert "the other one" not in box.installed("-k", str(klipper))
 
 
 # The script as such

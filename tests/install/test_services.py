@@ -84,8 +84,44 @@ def test_nothing_is_restarted_without_systemd(
     machine.systemd(state=state)
     out = machine.installed(*options)
     assert machine.restarted() == (BOTH if is_restarted else [])
-    text = "Services not restarted. Restart Klipper and Moonraker yourself"
+    text = "Services not restarted"
     assert (text in out) is not is_restarted
+    command = "sudo systemctl restart klipper moonraker\n"
+    assert (command in out) is not is_restarted
+
+
+@pytest.mark.parametrize(
+    ("units", "stopped", "names"),
+    [
+        (BOTH, [], "klipper moonraker"),
+        (
+            ["klipper-1", "klipper-2", "klipper-3", "moonraker-1"],
+            ["klipper-3"],
+            "klipper-1 klipper-2 moonraker-1",
+        ),
+        (["klipper-1", "moonraker"], ["klipper-1"], "klipper-1 moonraker"),
+        ([], [], "klipper moonraker"),
+    ],
+)
+def test_command_that_restarts_is_told(machine, units, stopped, names):
+    machine.systemd(units, stopped=stopped)
+    command = "Services not restarted. When nothing prints: sudo systemctl"
+    out = machine.installed("--no-restart")
+    console = "RESTART in the console does not load a changed module\n"
+    assert f"{command} restart {names}\n{console}" in out
+    assert machine.restarted() == []
+    out = machine.installed("-u", "--no-restart")
+    moonrakers = " ".join(n for n in names.split() if n.startswith("moon"))
+    assert out.endswith(f"{command} restart {moonrakers}\n")
+    assert "console" not in out
+
+
+def test_services_where_no_systemd_answers(machine):
+    machine.systemd(["klipper-1", "moonraker-1"], "offline", stopped=BOTH)
+    out = machine.installed()
+    text = "no systemd answers. Restart Klipper and Moonraker as you start"
+    assert f"Services not restarted: {text} them; with systemd: sudo" in out
+    assert "restart klipper-1 moonraker-1\n" in out
 
 
 def test_no_service_of_that_kind(machine):
