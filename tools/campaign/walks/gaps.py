@@ -171,6 +171,9 @@ class Gaps:
         status = self.printer.status("z_calibration")
         worth = (status.get("last_result") or {}).get("uncertainty")
         told += float(status.get("uncertainty") or worth or 0.0)
+        if not worth:
+            # A single touch, which does not know what the plate is like beside it
+            told += 3.0 * self.owned.rough
         last = _RUN.split(script)[-1]
         point, adjust = _POINT.search(last), _ADJUST.search(last)
         place = self._bed_point()
