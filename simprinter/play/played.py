@@ -139,14 +139,14 @@ class Played(LivingPrinter):
 
     def hello(self) -> dict[str, Any]:
         """The machine, what can be done to it, and what is this project's."""
-        host, scene = self.host, self._scene
+        host, scene, watcher = self.host, self._scene, self.watcher
         return {
             "kind": "hello",
             "program": self.program,
             "machine": f"{self.about()}, {firmware_of(host)} {host.version}",
             "moonraker": self.moonraker_url,
             "parts": film.parts_of(scene),
-            "point": self.point(),
+            "point": watcher.point if watcher else self.place({}),
             "wires": list(commands.wires(scene)),
             "commands": list(commands.possible(scene)),
             "config": str(self.config_file),
@@ -171,8 +171,12 @@ class Played(LivingPrinter):
         """
         return {}
 
-    def point(self) -> tuple[float, float]:
-        """Where on the bed the true gap is told, X and Y in mm."""
+    def place(self, settings: dict[str, Any]) -> tuple[float, float]:
+        """Where on the bed the true gap is told, X and Y in mm.
+
+        settings: what klippy says of its configuration, by sections; {} before it
+        has said anything.
+        """
         return middle_of_bed(self._scene)
 
     def choose(self, name: str) -> None:
@@ -191,9 +195,7 @@ class Played(LivingPrinter):
     def _begin(self, machine: Machine) -> LiveSession:
         session = super()._begin(machine)
         socket = self.data / "comms" / "klippy.sock"
-        watcher = self.watcher = Watcher(
-            machine, socket, self.point(), self._say
-        )
+        watcher = self.watcher = Watcher(machine, socket, self.place, self._say)
         watcher.on_look = film.Film(watcher, self._is_watched, self._show).look
         machine.simulation.peers.append(self.watcher)
         return session

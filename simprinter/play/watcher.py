@@ -7,7 +7,7 @@ import time
 from collections import deque
 from collections.abc import Callable
 from pathlib import Path
-from typing import NamedTuple, Optional
+from typing import Any, NamedTuple, Optional
 
 from simprinter import Machine
 from simprinter.hosts.api import ApiClient, ApiError
@@ -38,6 +38,8 @@ _STANDS = 500_000_000
 _ASK_EVERY = 2.0
 # Changes of the true gap that are not told, mm
 _SAME = 0.0005
+# X and Y of a point by the settings of klippy, mm
+Place = Callable[[dict[str, Any]], tuple[float, float]]
 # That are kept for a page; none looks, and nobody takes them
 MOST_TOUCHES = 100
 
@@ -45,14 +47,15 @@ MOST_TOUCHES = 100
 class Watcher:
     """Takes part in the simulation like an API client.
 
-    say: shows a line. point: X and Y of the bed at which the gap is told, mm.
+    say: shows a line. place: X and Y of the bed (mm) at which the gap is told, by
+    what klippy says of its configuration ({} before it has said anything).
     """
 
     def __init__(
         self,
         machine: Machine,
         socket: Path,
-        point: tuple[float, float],
+        place: Place,
         say: Callable[[str], None],
     ):
         self.machine = machine
@@ -66,7 +69,7 @@ class Watcher:
         # Looked at last of all, such as by a film of it
         self.on_look: Optional[Callable[[], None]] = None
         self._contacts = _Contacts(machine, self.tell)
-        self._gap = _Gap(machine, self._api, point, self.tell)
+        self._gap = GapTeller(machine, self._api, place, self.tell)
 
     def order(self, action: Callable[[], None]) -> None:
         """Have something done to the machine, soon; for other threads."""
@@ -122,6 +125,11 @@ class Watcher:
     def gap(self) -> Optional[float]:
         """The true gap at Z=0 (mm) as it was known last; None: not homed."""
         return self._gap.height
+
+    @property
+    def point(self) -> tuple[float, float]:
+        """Where on the bed that is, X and Y in mm."""
+        return self._gap.point
 
     def touches(self) -> list[TouchDone]:
         """Those that have ended since the last call."""
@@ -239,21 +247,24 @@ def crash_line(crash: Crash) -> str:
     return line
 
 
-class _Gap:
+class GapTeller:
     """Tells the true gap between nozzle and bed that G-code Z=0 stands for."""
 
     def __init__(
         self,
         machine: Machine,
         api: ApiClient,
-        point: tuple[float, float],
+        place: Place,
         tell: Callable[[str], None],
     ):
         self.is_wanted = False
         self._machine = machine
         self._api = api
-        self._point = point
+        self._place = place
         self._tell = tell
+        self.point = place({})
+        # Of the klippy whose configuration the point is of; None: of none yet
+        self._known: Optional[int] = None
         self._tip: Optional[Pose] = None
         self._stands_since = machine.simulation.clock.now()
         self._asked = time.monotonic()
@@ -281,6 +292,9 @@ class _Gap:
             "gcode_move": ["gcode_position"],
             "toolhead": ["homed_axes", "print_time", "estimated_print_time"],
         }
+        if self._known != self._api.connections:
+            # Another one for each start of klippy
+            objects["configfile"] = ["settings"]
         number = self._api.request("objects/query", {"objects": objects})
         self._question = (number, self._api.connections)
         return True
@@ -294,9 +308,18 @@ class _Gap:
                 status = self._api.answer(number)["status"]
             except ApiError:
                 return
+            self._take_place(status, connections)
             self._tell_gap(status)
         elif self._api.connections != connections:
             self._question = None  # klippy has restarted
+
+    def _take_place(self, status: dict, connections: int) -> None:
+        settings = status.get("configfile", {}).get("settings")
+        if settings is not None:
+            self._known = connections
+            self.point = self._place(settings)
+            # At another place it is another one
+            self._told = None
 
     def _tell_gap(self, status: dict) -> None:
         # Where printer.cfg has a mistake there is none
@@ -311,11 +334,11 @@ class _Gap:
             return
         self.is_wanted = False
         z = status["gcode_move"]["gcode_position"][2]
-        gap = self.height = self._machine.gap_at_zero(z, self._point)
+        gap = self.height = self._machine.gap_at_zero(z, self.point)
         if self._told is None or abs(gap - self._told) > _SAME or wanted:
             self._told = gap
             where = "above the bed" if gap >= 0 else "IN THE BED"
-            x, y = self._point
+            x, y = self.point
             self._tell(
                 f"true gap: Z=0 is {abs(gap):.3f} mm {where} at X{x:g} Y{y:g}"
             )

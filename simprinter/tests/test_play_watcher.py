@@ -4,7 +4,11 @@ from __future__ import annotations
 
 import re
 import sys
+from types import SimpleNamespace
 
+import pytest
+
+from simprinter.play import watcher
 from simprinter.play.watcher import SITES, crash_line
 from simprinter.world import Crash, Pose
 
@@ -33,3 +37,93 @@ def test_every_site_has_words():
     assert len(sites) == 7
     for site in (*sites, "dock", "x_endstop", "y_endstop", "z_endstop"):
         assert SITES[site] != site
+
+
+class Klippy:
+    """Answers each question at once, as API clients see it."""
+
+    def __init__(self):
+        self.connections = 0
+        self.settings = {}
+        self.asked = []
+
+    def connected(self):
+        return True
+
+    def request(self, method, params):
+        self.asked.append(params["objects"])
+        return len(self.asked)
+
+    def answered(self, number):
+        return True
+
+    def answer(self, number):
+        status = {
+            "gcode_move": {"gcode_position": [0.0, 0.0, 5.0, 0.0]},
+            "toolhead": {
+                "homed_axes": "xyz",
+                "print_time": 1.0,
+                "estimated_print_time": 2.0,
+            },
+        }
+        if "configfile" in self.asked[number - 1]:
+            status["configfile"] = {"settings": self.settings}
+        return {"status": status}
+
+
+class Standing:
+    """A machine whose head stands, and one who tells its gap."""
+
+    def __init__(self, monkeypatch):
+        self.gap, self.at, self.told = 0.06, None, []
+        self.now = 0.0
+        monkeypatch.setattr(watcher.time, "monotonic", lambda: self.now)
+        clock = SimpleNamespace(now=lambda: round(self.now * 1e9))
+        machine = SimpleNamespace(
+            simulation=SimpleNamespace(clock=clock),
+            tip=lambda: Pose(1.0, 2.0, 5.0),
+            gap_at_zero=self.gap_at_zero,
+        )
+        self.klippy = Klippy()
+        self.teller = watcher.GapTeller(
+            machine,
+            self.klippy,
+            lambda settings: settings.get("place", (150.0, 150.0)),
+            self.told.append,
+        )
+        # It has to stand before
+        for _ in range(2):
+            self.look()
+
+    def gap_at_zero(self, z, xy):
+        self.at = xy
+        return self.gap
+
+    def look(self, gap=None):
+        """Some seconds later: the question, and its answer."""
+        self.gap = self.gap if gap is None else gap
+        self.now += 8.0
+        for _ in range(3):
+            self.teller.look()
+
+
+@pytest.fixture
+def standing(monkeypatch):
+    return Standing(monkeypatch)
+
+
+def test_gap_is_told_where_the_running_klippy_has_it(standing):
+    standing.klippy.settings = {"place": (150.0, 155.0)}
+    standing.look()
+    # Asked for once: it is long, and does not change
+    assert ["configfile" in asked for asked in standing.klippy.asked] == [
+        True,
+        False,
+    ] + [False] * (len(standing.klippy.asked) - 2)
+    assert standing.teller.point == standing.at == (150.0, 150.0)
+    standing.klippy.connections += 1
+    standing.look(0.08)
+    assert standing.teller.point == standing.at == (150.0, 155.0)
+    assert standing.told[-1].endswith(
+        "Z=0 is 0.080 mm above the bed at X150 Y155"
+    )

@@ -3,10 +3,10 @@
 from __future__ import annotations
 
 import queue
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from dataclasses import replace
 from pathlib import Path
-from typing import Any, NamedTuple
+from typing import Any, NamedTuple, Optional
 
 from simprinter import Scene, heated
 from simprinter.hosts.hosts import Host
@@ -52,13 +52,21 @@ def dressed(scene: Scene) -> Scene:
     return replace(scene, sections={**_MACROS, **scene.sections})
 
 
-def point_of(scene: Scene) -> tuple[float, float]:
-    """Where on the bed the gap is told, X and Y in mm."""
-    section = scene.sections.get("z_calibration") or {}
-    place = section.get("bed_xy_position")
+def point_of(
+    scene: Scene, settings: Optional[Mapping[str, Any]] = None
+) -> tuple[float, float]:
+    """Where on the bed the gap is told, X and Y in mm: where z_calibration measures.
+
+    settings: what klippy says of its configuration (default: as the scene has it).
+    """
+    sections = settings or scene.sections
+    place = (sections.get("z_calibration") or {}).get("bed_xy_position")
+    if place is None and "z_calibration" in sections:
+        mesh = sections.get("bed_mesh") or {}
+        place = mesh.get("zero_reference_position")
     if place is None:
         return middle_of_bed(scene)
-    x, y = map(float, place.split(","))
+    x, y = map(float, place.split(",") if isinstance(place, str) else place)
     return x, y
 
 
@@ -127,9 +135,9 @@ class Playground(Played, Lab):
         self._obey_page()
         return super().look_after() + self.restart_asked()
 
-    def point(self) -> tuple[float, float]:
+    def place(self, settings: dict[str, Any]) -> tuple[float, float]:
         """Where the module measures."""
-        return point_of(self._scene)
+        return point_of(self._scene, settings)
 
     def more_of_hello(self) -> dict[str, Any]:
         """What is of our modules."""

@@ -47,7 +47,7 @@ live.addEventListener("hello", ({ detail }) => {
   machine = { ...NOTHING, ...detail };
   $("machine").textContent = detail.machine;
   $("address").textContent = detail.moonraker.replace("http://", "");
-  $("point").textContent = `at X${detail.point[0]} Y${detail.point[1]}`;
+  showPoint(detail.point);
   const { scene, scenes } = machine;
   const names = scenes.includes(scene) || !scene ? scenes : [...scenes, scene];
   $("scene").replaceChildren(...names.map((name) => new Option(name, name, false, name === scene)));
@@ -92,6 +92,7 @@ function drawFrame() {
   hands.show(shown);
   showSignals(shown);
   showGap(shown.gap);
+  showPoint(shown.point);
   if (document.activeElement !== $("speed")) showSpeed(shown.speed);
 }
 
@@ -111,6 +112,12 @@ function showGap(gap) {
   $("gap").textContent = isKnown ? `${gap.toFixed(3)} mm` : "–";
   $("gap").className = `big ${!isKnown ? "" : gap < 0 ? "bad" : gap < 0.1 ? "good" : ""}`;
   if ($("gap-words").textContent !== words) $("gap-words").textContent = words;
+}
+
+// Another one where printer.cfg has another place
+function showPoint([x, y]) {
+  const words = `at X${x} Y${y}`;
+  if ($("point").textContent !== words) $("point").textContent = words;
 }
 
 function showSpeed(speed) {

@@ -512,6 +512,13 @@ def test_set_up_from_nothing_by_buttons(port):
         home(page)
         calibrate(page)
         page.until(lambda: abs(gap(page)) < 0.06, "the gap is about 0")
+        # Told where it is measured, which the set-up has proposed
+        places = re.findall(
+            r"bed_xy_position = ([\d.]+), ([\d.]+)",
+            (shown.config / "printer.cfg").read_text(),
+        )
+        ((x, y),) = places
+        assert page.text("#point") == f"at X{float(x):g} Y{float(y):g}"
 
 
 # What hands do before a step's first button is pressed, and what is told then; what

@@ -14,6 +14,7 @@ from simprinter.hosts.moonraker import free_port
 from simprinter.hosts.moonraker_package import find_moonraker
 from simprinter.tests.browser import browser, programs
 from simprinter.tests.terminals import LIMIT, Terminal
+from tools.playground.playground import SHOWN, point_of
 
 
 @contextmanager
@@ -93,3 +94,44 @@ def test_start_home_and_end(port):
         # Itself, klippy, Moonraker, and what that runs at its start
         assert len(shown.processes()) >= 3
         shown.assert_ends(signal.SIGINT)
+
+
+OWN = {"bed_xy_position": [150.0, 155.0]}
+MESH = {"zero_reference_position": [120.0, 130.0]}
+
+
+@pytest.mark.parametrize(
+    ("settings", "point"),
+    [
+        (None, (150.0, 150.0)),
+        ({"z_calibration": OWN}, (150.0, 155.0)),
+        ({"z_calibration": OWN, "bed_mesh": MESH}, (150.0, 155.0)),
+        ({"z_calibration": {}, "bed_mesh": MESH}, (120.0, 130.0)),
+        # Nothing says where; and who has not the section does not measure there
+        ({"z_calibration": {}}, (150.0, 150.0)),
+        ({"bed_mesh": MESH}, (150.0, 150.0)),
+    ],
+)
+def test_point_of_the_gap(settings, point):
+    assert point_of(SHOWN["z_calibration"], settings) == point
+
+
+@pytest.mark.slow
+@pytest.mark.timeout(4 * LIMIT)
+def test_gap_is_told_where_printer_cfg_has_it_now(port):
+    with terminal("--port", port, "--perfect") as shown:
+        assert shown.run("G28").ok
+        shown.until(r"true gap: .* at X150 Y150$")
+        file = shown.config / "printer.cfg"
+        text, count = re.subn(
+            r"(?m)^bed_xy_position: .*$",
+            "bed_xy_position: 140, 155",
+            file.read_text(),
+        )
+        assert count == 1
+        file.write_text(text)
+        before = len(shown.output)
+        shown.run("RESTART")
+        shown.until_ready()
+        assert shown.run("G28").ok
+        shown.until(r"true gap: .* at X140 Y155$", before)

@@ -259,7 +259,7 @@ RESULTS = {
     "Lose the probe": after_loss,
     "Another nozzle": after_nozzle,
     "Edit the configuration": lambda page: is_about(page, 0.0, 0.02),
-    "Set up from nothing": lambda page: is_about(page, 0.0, 0.06),
+    "Set up from nothing": lambda page: is_about(page, 0.0, 0.03),
     "Look at the report": after_report,
     "Answer dialogs": lambda page: is_about(page, 0.0, 0.12),
 }
