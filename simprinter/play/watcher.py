@@ -36,8 +36,9 @@ _SETTLE_EVERY = 100_000_000
 # real seconds between two questions for it
 _STANDS = 500_000_000
 _ASK_EVERY = 2.0
-# Changes of the true gap that are not told, mm
-_SAME = 0.0005
+# Smaller changes of the true gap are not told, mm: a printer that warms up would
+# tell nothing else
+WORTH_TELLING = 0.005
 # X and Y of a point by the settings of klippy, mm
 Place = Callable[[dict[str, Any]], tuple[float, float]]
 # That are kept for a page; none looks, and nobody takes them
@@ -247,6 +248,11 @@ def crash_line(crash: Crash) -> str:
     return line
 
 
+def is_news(told: Optional[float], gap: float) -> bool:
+    """Whether a gap is told; told: the last one that was, mm; None: none was."""
+    return told is None or abs(gap - told) >= WORTH_TELLING
+
+
 class GapTeller:
     """Tells the true gap between nozzle and bed that G-code Z=0 stands for."""
 
@@ -335,7 +341,7 @@ class GapTeller:
         self.is_wanted = False
         z = status["gcode_move"]["gcode_position"][2]
         gap = self.height = self._machine.gap_at_zero(z, self.point)
-        if self._told is None or abs(gap - self._told) > _SAME or wanted:
+        if wanted or is_news(self._told, gap):
             self._told = gap
             where = "above the bed" if gap >= 0 else "IN THE BED"
             x, y = self.point

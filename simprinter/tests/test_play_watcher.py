@@ -9,7 +9,7 @@ from types import SimpleNamespace
 import pytest
 
 from simprinter.play import watcher
-from simprinter.play.watcher import SITES, crash_line
+from simprinter.play.watcher import SITES, WORTH_TELLING, crash_line
 from simprinter.world import Crash, Pose
 
 
@@ -110,6 +110,23 @@ class Standing:
 @pytest.fixture
 def standing(monkeypatch):
     return Standing(monkeypatch)
+
+
+def test_gap_of_a_printer_that_warms_up_is_told_now_and_then(standing):
+    standing.look()
+    assert len(standing.told) == 1
+    # As much as the nozzle grows, in ten minutes
+    for step in range(75):
+        standing.look(0.06 - 0.034 * (step + 1) / 75)
+    assert len(standing.told) == 1 + int(0.034 / WORTH_TELLING)
+    # The large figure follows anyway
+    assert standing.teller.height == pytest.approx(0.026)
+    before = len(standing.told)
+    standing.look(0.026 + 2 * WORTH_TELLING)
+    assert len(standing.told) == before + 1
+    standing.teller.is_wanted = True
+    standing.look()
+    assert len(standing.told) == before + 2
 
 
 def test_gap_is_told_where_the_running_klippy_has_it(standing):
