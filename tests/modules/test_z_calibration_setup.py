@@ -667,7 +667,7 @@ def test_save_that_fails_loses_nothing(start):
         t for t in user.dialog().texts if "_position: " in t
     ]
     lines = "\n".join(user.press("Abort"))
-    assert "values still wait for SAVE_CONFIG" in lines
+    assert "earlier values still wait for SAVE_CONFIG" in lines
     advance(user, "SAVE")
     printer.run(
         "SET_GCODE_VARIABLE MACRO=SAVE_CONFIG VARIABLE=fails VALUE=False"

@@ -154,4 +154,4 @@ def head_at(position):
 def tell_end(host, saver):
     host.say("the set-up has ended, nothing was saved")
     if saver.is_waiting(host.section):
-        host.say("values still wait for SAVE_CONFIG")
+        host.say("earlier values still wait for SAVE_CONFIG")
