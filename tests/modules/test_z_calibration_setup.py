@@ -390,7 +390,7 @@ def test_places_that_cannot_be_and_a_probe_that_is_lost(start):
     assert printer.session.position()[:2] == pytest.approx(at[:2])
     # It does not come, for once
     printer.machine.hold("probe", True)
-    assert "your own G-code has not attached it" in user.refused("Here")
+    assert "nothing has attached it; attach it by hand" in user.refused("Here")
     # The place of the nozzle is kept
     assert user.step() == "ATTACH"
     assert printer.session.position()[2] == pytest.approx(11.5)
@@ -427,6 +427,60 @@ def test_places_that_cannot_be_and_a_probe_that_is_lost(start):
     for label in ("Here", "Yes"):
         user.press(label)
     assert_heights_and_probe_are_watched(user)
+
+
+def test_owner_without_gcode_attaches_the_probe_by_hand(start):
+    hooks = {"before_switch_gcode": None, "end_gcode": None}
+    # It hangs beside the bed while the nozzle is on the pin
+    bed = replace(SCENES["cartesian"].world.bed, x_max=180.0)
+    scene = SCENES["cartesian"].with_world(bed=bed)
+    printer = start(scene, changes=empty(options=hooks))
+    printer.session.require_ready()
+    user = User(printer)
+    advance(user, "NOZZLE")
+    assert ", asks for the probe unless it is there, and" in user.dialog().text
+    user.jog_to(*CARTESIAN["nozzle"])
+    assert "nothing has attached it; attach it by hand" in user.refused("Here")
+    assert user.step() == "ATTACH"
+    first = "Attach the probe by hand first, unless it is on the head."
+    assert first in user.dialog().text
+    printer.run("ATTACH_PROBE")
+    user.press("Attach")
+    user.jog_to(*CARTESIAN["switch"])
+    for label in ("Here", "Here", "Yes"):
+        user.press(label)
+    assert user.step() == "TOUCH_NOZZLE"
+    assert first in user.dialog().text
+    user.fail_after("touching the switch", True)
+    assert user.step() == "TOUCH_SWITCH"
+    assert first in user.dialog().text
+    user.fail_after("touching the bed", False)
+    assert user.step() == "TOUCH_BED"
+    user.touch()
+    assert user.step() == "GAP"
+    # Whoever has such G-code is told what it does, see below
+    assert not any("own G-code" in line for line in printer.session.console)
+
+
+@pytest.mark.parametrize(
+    "hooks",
+    [
+        {"before_switch_gcode": "ATTACH_PROBE", "start_gcode": None},
+        {"before_switch_gcode": None, "start_gcode": "ATTACH_PROBE"},
+    ],
+    ids=["late", "early"],
+)
+def test_owner_with_gcode_is_told_what_it_does(start, hooks):
+    printer = start("cartesian", changes=empty(options=hooks))
+    printer.session.require_ready()
+    user = User(printer)
+    advance(user, "NOZZLE")
+    words = "fetches the probe by your own G-code unless it is there"
+    assert words in user.dialog().text
+    advance(user, "TOUCH_NOZZLE")
+    words = "; your own G-code puts the probe away before, fetches it and"
+    assert words in user.dialog().text
+    assert "by hand first" not in user.dialog().text
 
 
 def test_not_during_a_print(start, tmp_path):
@@ -528,7 +582,7 @@ def test_probe_that_nobody_puts_away_is_not_on_for_the_nozzle(start):
     printer.session.require_ready()
     user = User(printer)
     advance(user, "NOZZLE")
-    assert "or attach it by hand" in user.refused("Here")
+    assert "nothing has attached it; attach it by hand" in user.refused("Here")
     printer.run("ATTACH_PROBE")
     for label in ("Attach", "Here", "Here", "Yes"):
         user.press(label)

@@ -13,7 +13,7 @@ from tools.kit.dialogs import dialogs_of
 from z_touch.core import jogging
 from z_touch.core.errors import CalibrationError
 from z_touch.core.touching import Site
-from z_touch.guide import steps
+from z_touch.guide import steps, texts
 from z_touch.guide.head import GuidedHead
 from z_touch.guide.state import SITES, State
 from z_touch.uncertainty.adaptive import Automatic, FixedCount
@@ -40,6 +40,8 @@ FACTS = {
     "sheet": "Lower it.",
     "look_goal": "the head looks around",
     "room": 1.9,
+    "too_small": "",
+    **texts.BY_GCODE,
 }
 every_step = pytest.mark.parametrize("name", steps.ORDER)
 
@@ -50,9 +52,10 @@ def dialog(name, **changes):
     return found, said
 
 
+@pytest.mark.parametrize("who", [texts.BY_GCODE, texts.BY_HAND])
 @every_step
-def test_dialog_and_console_say_the_same(name):
-    shown, said = dialog(name)
+def test_dialog_and_console_say_the_same(name, who):
+    shown, said = dialog(name, **who)
     assert shown.text in said
     assert shown.headline in said
     shown.assert_stands_alone()
@@ -82,6 +85,13 @@ def test_move_that_follows_is_announced(name):
     assert (FACTS["goal"] in shown.last) == (follows in moves), follows
     back, _ = dialog(name, back_goal="the head flies")
     assert "'Back': the head flies." in back.texts
+
+
+@every_step
+def test_own_gcode_is_spoken_of_where_there_is_some(name):
+    assert "own G-code" not in dialog(name, **texts.BY_HAND)[1]
+    speaks = name in ("nozzle", "attach", *(f"touch_{site}" for site in SITES))
+    assert ("your own G-code" in dialog(name)[1]) is speaks
 
 
 def test_twelve_steps_are_asked():

@@ -241,6 +241,8 @@ class Setup(object):
         back = steps.STEPS[name].back
         kind = state.switch_offset.kind if state.switch_offset else ""
         facts = dict.fromkeys(FACTS, "")
+        is_by_hand = not self.section.is_fetched()
+        facts.update(texts.BY_HAND if is_by_hand else texts.BY_GCODE)
         facts.update(
             patience=steps.HAND_PATIENCE,
             travel_z=self.head.travel_z(state),

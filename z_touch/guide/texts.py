@@ -49,6 +49,26 @@ AT_PLUNGER = (
 TOO_HIGH = "Still too high: lower it with the buttons."
 NEAR_SHEET = "Lower it with the buttons until it just holds the sheet."
 
+# Who puts the probe on the head and takes it off: the owner's G-code, or a dock, or
+# his hands where there is neither
+BY_GCODE = {
+    "attach_it": "",
+    "after_here": "fetches the probe by your own G-code unless it is there",
+    "attaching": "runs your own G-code that fetches the probe, unless it is there",
+    "around": "; your own G-code puts the probe away before, fetches it and puts"
+    " it away again",
+    "before_switch": " fetches the probe by your own G-code,",
+    "after_bed": "; then your own G-code puts it away",
+}
+BY_HAND = {
+    "attach_it": "Attach the probe by hand first, unless it is on the head.",
+    "after_here": "asks for the probe unless it is there",
+    "attaching": "looks whether it is there",
+    "around": "",
+    "before_switch": "",
+    "after_bed": "",
+}
+
 # What is looked at over each place
 LOOKED_AT = {
     "nozzle": "is the nozzle over the pin?",
@@ -116,9 +136,8 @@ ALL = (
             "Move the nozzle right over the middle of the pin.",
             JOGS,
             "%(lowest)s",
-            "'Here' keeps the place, lifts the head to Z=%(travel_z).1f, fetches"
-            " the probe by your own G-code unless it is there, and then"
-            " %(goal)s.",
+            "'Here' keeps the place, lifts the head to Z=%(travel_z).1f,"
+            " %(after_here)s, and then %(goal)s.",
         ),
         "Here",
         axes="XYZ",
@@ -129,8 +148,8 @@ ALL = (
         "fetch the probe",
         (
             "The place of the nozzle is kept.",
-            "'Attach' runs your own G-code that fetches the probe, unless it is"
-            " there, and then %(goal)s.",
+            "%(attach_it)s",
+            "'Attach' %(attaching)s, and then %(goal)s.",
         ),
         "Attach",
         back="nozzle",
@@ -186,12 +205,12 @@ ALL = (
         "touch all places",
         (
             "Clean the nozzle.",
+            "%(attach_it)s",
             STOP,
             "Where no pin is met, the nozzle stops at Z=%(floor).2f; the console"
             " says that of the other places.",
             "'Touch' lifts the head to Z=%(travel_z).1f and touches pin, switch"
-            " and bed slowly, %(touches)d times each; your own G-code puts the"
-            " probe away before, fetches it and puts it away again.",
+            " and bed slowly, %(touches)d times each%(around)s.",
         ),
         "Touch",
         back="nozzle",
@@ -202,12 +221,12 @@ ALL = (
         "touch switch and bed",
         (
             "%(repeats)s",
+            "%(attach_it)s",
             STOP,
             TOUCH_ENDS,
-            "'Touch' lifts the head to Z=%(travel_z).1f, fetches the probe by"
-            " your own G-code, goes over the pin (over the bed before if nobody"
-            " knows how long the probe is) and lowers it slowly, %(touches)d"
-            " times; then the bed.",
+            "'Touch' lifts the head to Z=%(travel_z).1f,%(before_switch)s goes"
+            " over the pin (over the bed before if nobody knows how long the"
+            " probe is) and lowers it slowly, %(touches)d times; then the bed.",
         ),
         "Touch",
         back="switch",
@@ -221,8 +240,7 @@ ALL = (
             STOP,
             TOUCH_ENDS,
             "'Touch' lifts the head to Z=%(travel_z).1f, goes over the bed and"
-            " lowers the probe slowly, %(touches)d times; then your own G-code"
-            " puts it away.",
+            " lowers the probe slowly, %(touches)d times%(after_bed)s.",
         ),
         "Touch",
         back="bed",

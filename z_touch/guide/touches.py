@@ -49,8 +49,8 @@ class Touches(object):
             state.mark = self.section.mark()
         if not self.hands.is_attached():
             raise CalibrationError(
-                "the probe reads triggered: your own G-code has not attached it;"
-                " correct that, or attach it by hand"
+                "the probe reads triggered: nothing has attached it; attach it by"
+                " hand, or correct what should have done so"
             )
 
     def fetch(self, state):

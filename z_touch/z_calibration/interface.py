@@ -125,6 +125,11 @@ class Interface(object):
         calibration.rise_over(pin_z)
         return FirstTouches(calibration)
 
+    # Whether something puts the probe on the head: the owner's G-code, or a dock
+    def is_fetched(self):
+        settings = self.settings()
+        return settings.may_attach_late or "start_gcode" in settings.said
+
     # A context in which a probe that fetches itself stays where it is
     def holding_probe(self):
         return self._section.hooks.holding_probe()
