@@ -56,6 +56,11 @@ def test_from_an_empty_section_to_the_true_gap(start):
     assert "Still too high: lower it" in user.dialog().text
     text = user.refused("Here")
     assert "still too high, by 1.900 mm at least" in text
+    # Just where a switch that does not move would hold it
+    for label in ("Z-1 mm", "Z-0.5 mm", *["Z-0.1 mm"] * 4):
+        user.press(label)
+    assert "Still too high: lower it" in user.dialog().text
+    assert "still too high, by 0.000 mm at least" in user.refused("Here")
     user.lower_to_the_sheet()
     # No room for larger steps
     assert not user.has("Z-0.5 mm")
@@ -114,8 +119,14 @@ def test_separate_pin_in_no_section_and_a_switch_from_the_list(start, tmp_path):
     assert "outside the -1.000 to 1.000 that are allowed" in printer.fail(
         f"{SETUP} STEP=GAP VALUE=1.5"
     )
+    for value, is_told in (("0.099", True), ("0.1", False)):
+        printer.run(f"{SETUP} STEP=GAP VALUE={value}")
+        text = "0.099 mm is less than any healthy switch moves: did the nozzle"
+        assert (text in user.dialog().text) is is_told
+        user.press("Back")
     user.press("D2F 0.2 mm")
     text = user.dialog().text
+    assert "any healthy switch" not in text
     lines = text.splitlines()
     assert "nozzle_xy_position: 206.000, 306.000" in lines
     assert "switch_xy_position: 212.000, 281.250" in lines

@@ -317,25 +317,40 @@ def test_repeatability_and_samples(deviation, word, count):
     assert found.endswith(enough) is (word != "poor")
 
 
-@given(st.floats(-1, 1), st.floats(0, 1.5))
+@given(st.floats(-1, 1), st.floats(0.001, 1.5))
 def test_paper_gives_back_the_switch_offset(contact, switch_offset):
     # The bed is switch_offset lower, the sheet is held 0.1 above it
     z = contact - switch_offset + steps.PAPER
     assert steps.from_paper(contact, z) == pytest.approx(
         switch_offset, abs=6e-4
     )
+    assert not steps.is_too_high(contact, z)
 
 
 @pytest.mark.parametrize(
     ("wrong", "words"),
     [
         (-0.01, "still too high, by 0.010 mm"),
+        (0.0, "still too high, by 0.000 mm"),
+        (0.0004, "still too high, by 0.000 mm"),
         (1.51, "none by more than 1.5 mm"),
     ],
 )
 def test_paper_where_no_switch_would_be(wrong, words):
     with pytest.raises(CalibrationError, match=words):
         steps.from_paper(0.3, 0.3 - wrong + steps.PAPER)
+
+
+@pytest.mark.parametrize(
+    ("wrong", "is_told"),
+    [(0.001, True), (0.099, True), (0.1, False), (0.2, False), (1.5, False)],
+)
+def test_switch_that_hardly_moves_is_told(wrong, is_told):
+    switch_offset = steps.from_paper(0.3, 0.3 - wrong + steps.PAPER)
+    assert switch_offset == pytest.approx(wrong)
+    text = steps.too_small(switch_offset)
+    assert text.startswith(f"{wrong:.3f} mm is less than any") is is_told
+    assert bool(text) is is_told
 
 
 def test_lower_towards_the_sheet_in_small_steps_only():

@@ -37,6 +37,7 @@ FACTS = (
     "values",
     "not_saved",
     "saving",
+    "too_small",
     "floor",
     "paper_z",
 )
@@ -272,11 +273,13 @@ class Setup(object):
         if name in ("gap", "paper"):
             facts["paper_z"] = state.contact() + OVER_SHEET
         if name == "paper":
-            room = steps.paper_room(state.contact(), self.host.motion.z())
-            facts["room"] = room
-            facts["sheet"] = texts.TOO_HIGH if room > 0.0 else texts.NEAR_SHEET
+            z = self.host.motion.z()
+            is_too_high = steps.is_too_high(state.contact(), z)
+            facts["room"] = steps.paper_room(state.contact(), z)
+            facts["sheet"] = texts.TOO_HIGH if is_too_high else texts.NEAR_SHEET
         if name == "save":
             facts.update(self.summary.facts(state))
+            facts["too_small"] = steps.too_small(state.switch_offset.value)
 
     # Where a touch of a site ends at the latest (toolhead Z, mm)
     def floor(self, name):

@@ -19,8 +19,10 @@ HAND_PATIENCE = 20.0
 # A sheet of paper is so thick (mm)
 PAPER = 0.1
 
-# From the body to the trigger point (mm): more than any switch has
+# From the body to the trigger point (mm): more than any switch has, and less than any
+# healthy one
 LARGEST_SWITCH_OFFSET = 1.5
+SMALLEST_SWITCH_OFFSET = 0.1
 
 # By how much (mm) the buttons move the head over a sheet of paper, and by how much
 # as long as it is that far above the highest bed there may be
@@ -216,14 +218,25 @@ def repeatability(samples):
     return "%s; %d touches of each place are enough" % (word, count), count
 
 
-# switch_offset (mm) with the nozzle at z where it holds the sheet: 'contact' is
-# the toolhead Z of the bed with a switch_offset of 0.
+# switch_offset (mm) if the nozzle at z holds the sheet: 'contact' is the toolhead Z
+# of the bed with a switch_offset of 0.
+def held_at(contact, z):
+    return round(contact - (z - PAPER), 3) + 0.0
+
+
+# Whether nothing can be held there: every switch moves before it triggers
+def is_too_high(contact, z):
+    return held_at(contact, z) <= 0.0
+
+
+# switch_offset (mm) with the nozzle at z where it holds the sheet; raises
+# CalibrationError where it cannot
 def from_paper(contact, z):
-    switch_offset = round(contact - (z - PAPER), 3) + 0.0
-    if switch_offset < 0.0:
+    switch_offset = held_at(contact, z)
+    if is_too_high(contact, z):
         raise CalibrationError(
             "still too high, by %.3f mm at least: the nozzle cannot hold the"
-            " sheet yet; lower it" % (-switch_offset,)
+            " sheet yet; lower it" % (abs(switch_offset),)
         )
     if switch_offset > LARGEST_SWITCH_OFFSET:
         raise CalibrationError(
@@ -244,6 +257,17 @@ def paper_floor(contact, z, distance):
     if distance < -FINE_JOGS[0] - 1e-6 and z + distance < contact + PAPER:
         return min(z, contact + PAPER)
     return contact - LARGEST_SWITCH_OFFSET
+
+
+# Of a switch_offset (mm) that no healthy switch has, for the last step; else empty
+def too_small(switch_offset):
+    if switch_offset >= SMALLEST_SWITCH_OFFSET:
+        return ""
+    text = (
+        "%.3f mm is less than any healthy switch moves: did the nozzle hold the"
+        " sheet? If not, Z=0 is too high; 'Back', then 'Paper'."
+    )
+    return text % (switch_offset,)
 
 
 # What a switch from the list means for Z=0, for the last step; empty: it was measured

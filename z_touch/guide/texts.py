@@ -287,6 +287,7 @@ ALL = (
             "%(not_saved)s",
             "After this: G28, level and G28 Z if the printer levels, CALIBRATE_Z.",
             "%(of_a_list)s",
+            "%(too_small)s",
             "%(saving)s",
         ),
         "Save",
