@@ -33,6 +33,7 @@ DOCUMENT = Path(__file__).resolve().parents[3] / "docs" / "playground.md"
 SPOKEN_OF = {
     "Home": ["position_endstop"],
     "Calibrate": ["switch_offset", "CALIBRATE_Z"],
+    "Break a wire": ["CRASH"],
     "Look at the report": ["break", "short", "late"],
 }
 # In the guide, which begins with the word before it
