@@ -321,6 +321,24 @@ def test_steps_from_what_was_loaded_are_saved(start, load):
     assert saved == pytest.approx(-0.62)
 
 
+def test_steps_after_a_save_count_from_there(start):
+    options = section(probe_z_correction="-1.12")
+    printer = start("qidi", changes=options).homed()
+    printer.run(LOAD)
+    for _ in range(2):
+        printer.run("SET_GCODE_OFFSET Z_ADJUST=0.4\nAUTO_Z_SAVE_GCODE_OFFSET")
+    saved = printer.status("auto_z_offset")["probe_z_correction"]
+    assert saved == pytest.approx(-0.32)
+    # Saved before it, they are part of what the button takes over
+    lines = printer.run("Z_OFFSET_APPLY_PROBE")
+    assert not told(lines, "baby steps are gone")
+    printer.session.restart("SAVE_CONFIG")
+    printer.run("G28\nAUTO_Z_LOAD_OFFSET")
+    assert true_gap(printer) == pytest.approx(
+        printer.scene.piezo_gap() + 0.8, abs=2 * STEPS
+    )
+
+
 def test_first_offset_of_all_is_saved_without_a_correction(start):
     printer = start("qidi").homed()
     printer.run(f"{LOAD}\nSET_GCODE_OFFSET Z=-1.1")

@@ -275,8 +275,8 @@ def check_steps(offset, base):
     change = offset - base
     if not offset and abs(change) > NO_STEP:
         raise CalibrationError(
-            "the G-code Z offset is 0, not the %.3f of the correction: something"
-            " has reset it; run AUTO_Z_LOAD_OFFSET and set the steps again, or"
+            "the G-code Z offset is 0, not the %.3f of the correction: it was reset,"
+            " or not loaded; run AUTO_Z_LOAD_OFFSET and set the steps again, or"
             " add FORCE=1 if 0 is right" % (base,)
         )
     if abs(change) > LARGEST_STEP:

@@ -381,6 +381,8 @@ class AutoZOffset(object):
         if self.correction.z is not None and not force:
             self.check(functools.partial(self.check_steps, before + bed_z))
         self.correction.save(z)
+        # Further steps count from here
+        self.applied = self.host.gcode_offset.z()
         gcmd.respond_info(
             "AUTO_Z_SAVE_GCODE_OFFSET: probe_z_correction: %.6f (was %.6f)\n%s"
             % (z, before, options.SAVE_HINT)

@@ -161,8 +161,9 @@ class Walker:
     def _card(self, what: Sequence) -> None:
         """Nobody prints who reads that nothing was calibrated yet."""
         status = self.printer.status("auto_z_offset")
-        if self._of_owner():
-            self._gcode(f"G28\n{self._of_owner()}")
+        before = self._of_owner()
+        if before:
+            self._gcode(f"G28\n{before}")
         is_right = self.owned.has("z_calibration")
         if not self.refusal and (is_right or status.get("probe_z_correction")):
             doing.print_card(self.printer.session, self._gcode, what)
