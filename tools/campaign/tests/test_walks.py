@@ -7,7 +7,7 @@ import pytest
 from tools.campaign import tables
 from tools.campaign.walks import values, walker, walking
 from tools.campaign.walks.printers import Owned
-from tools.campaign.walks.steps import OVER_MEMBRANE
+from tools.campaign.walks.steps import OVER_MEMBRANE, PROBE
 from tools.campaign.walks.walker import Outcome
 from tools.campaign.walks.walking import Done
 from tools.kit.cases import all_slow_but
@@ -126,6 +126,23 @@ def test_who_wants_no_trips_prints_without_the_probe(host, prints):
     outcome = walker.go(NO_TRIPS, walk, host)
     assert not outcome.harm
     assert outcome.done[prints[0]] == 1
+
+
+# The probe waits on the head a while, as it may be wanted again
+WAITS = Owned(options=(("dockable_probe", "allow_delayed_detach", "True"),))
+LATER = (
+    ("gcode", "G28"),
+    ("macro", (PROBE[1], "SET_DOCKABLE_PROBE AUTO_ATTACH_DETACH=0")),
+)
+STAYS = "            self.delay.cancel()\n"
+OUTLIVES = ("dockable_probe/holder.py", f"        if not auto:\n{STAYS}", "")
+
+
+def test_what_a_macro_leaves_pending_is_found(host, product):
+    outcome = walker.go(WAITS, LATER, host, product(*OUTLIVES))
+    assert outcome.kind == "moved"
+    assert "while nobody asks for it" in outcome.harm
+    assert not walker.go(WAITS, LATER, host).harm
 
 
 NEVER = ("core/running.py", "    if missing:", "    if missing or True:")

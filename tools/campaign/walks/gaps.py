@@ -121,7 +121,7 @@ class Gaps:
         """What is not as a step has promised, or as `valid` says.
 
         script: all that ran; lines: what the console has shown meanwhile.
-        is_alone: no other client has changed anything since.
+        is_alone: nothing else has changed anything since.
         """
         for promise in self._promises(script, lines):
             gap = self.look(promise.point) if is_alone else None

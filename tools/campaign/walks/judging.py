@@ -86,8 +86,8 @@ class Gone(NamedTuple):
 
     @property
     def command(self) -> str:
-        """The last one, without parameters; of two clients nobody knows it."""
-        if self.kind == "both":
+        """The last one, without parameters; of two nobody knows which it was."""
+        if self.kind in stepping.MANY:
             return ""
         last = self.script.splitlines()[-1:] or [""]
         return (last[0].split() or [""])[0]
@@ -228,6 +228,7 @@ class Judge:
         else:
             # Where its moves end, klippy knows before they have been made
             there = self.printer.session.position()[:3]
+            trips = self._trips()
             self.printer.session.wait(DETACH_DELAY)
             self._stand_still()
             here, status = self.printer.session.position()[:3], self._status()
@@ -236,11 +237,19 @@ class Judge:
                 # Before the head moves, and whatever templates run
                 there = self.before.tip
                 here = self.printer.machine.tip()
+            if self._trips() > trips and not _may_dock(status):
+                yield "to the dock and back while nobody asks for it"
         moved = max(abs(a - b) for a, b in zip(here, there))
         if moved > PLACE and is_asked:
             yield f"by {moved:.1f} mm while somebody is asked"
         elif moved > PLACE and not _may_dock(status):
             yield f"by {moved:.1f} mm while nobody asks for it"
+
+    def _trips(self) -> int:
+        """How often the probe was fetched and docked, when all moves are made."""
+        self.printer.session.run("M400")
+        events = self.printer.machine.truth.events
+        return sum(event.kind in ("attach", "dock") for event in events)
 
     def _is_among_hands(self, gone: Gone) -> Iterator[str]:
         """Nothing of ours touches while another asks a person, who reaches in."""
@@ -402,7 +411,7 @@ class Judge:
 
     def _is_off(self, gone: Gone) -> Iterator[str]:
         # In a print, too, others come after it
-        is_alone = gone.kind not in ("both", "card")
+        is_alone = gone.kind not in (*stepping.MANY, "card")
         yield from self.gaps.wrong(
             gone.script, gone.lines, is_alone, bool(gone.refusal)
         )

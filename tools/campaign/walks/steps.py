@@ -15,6 +15,8 @@ from tools.kit.carrying import POINT as MEMBRANE
 
 # A step is its kind and what with: JSON, and readable
 Step = tuple[str, Any]
+# Two commands, of two clients at once, or straight after each other as in a macro
+MANY = ("both", "macro")
 
 AWAY = "SAVE_GCODE_STATE NAME=away\nG90\nG1 Z%g F1200\nG1 X%g Y%g F9000\nM400\n"
 AWAY += "RESTORE_GCODE_STATE NAME=away"
@@ -48,6 +50,7 @@ HOST = (
 # An owner probes over the bed
 OVER_BED = AWAY % (20, *POINT)
 PAPER = f"{OVER_BED}\nPROBE_CALIBRATE"
+PAPER_MESH = "BED_MESH_CALIBRATE METHOD=manual"
 PROBE = (
     "QUERY_PROBE",
     *(f"{OVER_BED}\n{name}" for name in ("PROBE", "PROBE_ACCURACY SAMPLES=3")),
@@ -128,7 +131,7 @@ OF_SECTION = {
     "screws_tilt_adjust": ("SCREWS_TILT_CALCULATE",),
     "bed_mesh": (
         "BED_MESH_CALIBRATE",
-        "BED_MESH_CALIBRATE METHOD=manual",
+        PAPER_MESH,
         "BED_MESH_CLEAR",
         "BED_MESH_PROFILE LOAD=default",
         "BED_MESH_PROFILE SAVE=default",
@@ -274,7 +277,8 @@ def _singles(printer: Owned) -> list[st.SearchStrategy]:
         _row(_one("save", "SAVE_CONFIG"), home),
     ]
     pairs = st.tuples(st.sampled_from(own), st.sampled_from(commands))
-    kinds.append(st.tuples(st.just("both"), pairs).map(lambda step: (step,)))
+    for kind in MANY:
+        kinds.append(st.tuples(st.just(kind), pairs).map(lambda step: (step,)))
     if "heat" in printer.names:
         kinds.append(_one("heat", 75, 25))
     hands = _hands_of(printer)
@@ -373,8 +377,9 @@ def _courses(printer: Owned) -> list[st.SearchStrategy]:
         own = [text for text in commands if text not in HOST]
         nexts = _one("gcode", "G28", "G28 Z", *own)
         found.append(_row(_one("gcode", "ATTACH_PROBE"), nexts))
-    if PAPER in commands:
-        found.append(_row(attaches, _one("gcode", PAPER), paper, saves))
+    papers = [text for text in (PAPER, PAPER_MESH) if text in commands]
+    if papers:
+        found.append(_row(attaches, _one("gcode", *papers), paper, saves))
     if TWIST in commands:
         found.append(_row(_one("gcode", TWIST), *[paper] * 3))
     for begins in ("Z_CALIBRATION_SETUP", "DOCKABLE_PROBE_SETUP"):

@@ -82,6 +82,7 @@ class Walker:
             "save": partial(doing.save, printer.session),
             "restart": self._restart,
             "both": self._both,
+            "macro": lambda commands: self._gcode("\n".join(commands)),
             "hand": self._hand,
             "print": self._print,
             "heat": self._heat,
