@@ -254,3 +254,16 @@ def test_adjustment_of_a_plate(start):
     path = folder / "history.jsonl"
     runs = [json.loads(line) for line in path.read_text().splitlines()]
     assert [run["z_adjust"] for run in runs] == [0.1, 0.0]
+
+
+def test_what_counted_before_the_paper_is_not_saved_after_it(start):
+    printer = start().homed()
+    calibration(printer)
+    printer.run("SET_GCODE_OFFSET Z_ADJUST=-0.05")
+    printer.run(f"{SAVE} SAVE=0")
+    beside = "G1 X20 Y305 F6000\nG1 Z-0.02 F900\nM400"
+    printer.run(f"{beside}\nCALCULATE_SWITCH_OFFSET SAVE=1")
+    saved = {"z_calibration": {"switch_offset": "0.510"}}
+    assert pending(printer) == saved
+    printer.run(SAVE)
+    assert pending(printer) == saved

@@ -253,4 +253,7 @@ class Corrections(object):
             )
         gcmd.respond_info("%s: %s" % (self.host.section, text))
         if options.param_int(gcmd, "SAVE", 0):
-            self.saver.save(self.host.section, "switch_offset", "%.3f" % (new,))
+            text = "%.3f" % (new,)
+            if self.saver.save(self.host.section, "switch_offset", text):
+                # What counted before is none of it any more
+                self.unsaved = None
