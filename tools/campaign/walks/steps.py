@@ -23,6 +23,7 @@ AWAY += "RESTORE_GCODE_STATE NAME=away"
 # What a print does: the first layer, 0.3 mm above the bed
 PRINT = "G90\nG1 Z15 F1200\nG1 X%g Y%g F9000\nG1 Z0.3 F600\nG1 X%g F3000\nG1 Z20 F1200"
 
+SHIFTED = "G92 Z10"
 # Of Klipper, on each printer
 HOST = (
     "G28",
@@ -33,7 +34,7 @@ HOST = (
     "G90",
     "G91",
     "M83",
-    "G92 Z10",
+    SHIFTED,
     "SET_GCODE_OFFSET Z=0.1",
     "SET_GCODE_OFFSET Z=0",
     "SET_GCODE_OFFSET Z_ADJUST=-0.05 MOVE=0",
@@ -173,7 +174,7 @@ HANDS_OF_MEMBRANE = ("lay_membrane", "take_membrane", "press_membrane")
 MEASURES = ("CALIBRATE_Z", "AUTO_Z_CALIBRATE")
 SHIFTS = (
     "G28",
-    "G92 Z10",
+    SHIFTED,
     "AUTO_Z_HOME_Z",
     "BED_MESH_CALIBRATE",
     "BED_MESH_CLEAR",
@@ -211,6 +212,9 @@ OURS_WHILE_PRINTING = {
 def gcode_of(printer: Owned) -> list[str]:
     """All that its console takes."""
     found = list(HOST)
+    if printer.is_overridden:
+        # Hosts that home with the probe keep it, and the macro's own ways go by it
+        found.remove(SHIFTED)
     probe = printer.scene.world.mag_probe
     # Klipper does not know of a probe that macros bring, and takes the nozzle
     probes = probe is None or probe.mode != "output"
