@@ -18,6 +18,7 @@ from tools.kit.dockable_probe import (
     SENSED,
     SERVO,
     SWITCH,
+    WAY,
     section,
     trips,
     where,
@@ -94,7 +95,7 @@ def test_bed_on_three_screws_is_levelled(start):
     assert trips(printer, before) == ["attach", "dock"] * 3
     # Z of dock_position is what the head is higher there
     printer.run("G1 X150 Y150 Z5\nMOVE_TO_APPROACH_PROBE")
-    assert printer.session.position() == pytest.approx((44, 200, CLEAR + 8))
+    assert printer.session.position() == pytest.approx((44, 200, WAY + 8))
     assert printer.machine.truth.min_gap > HANG - 2.5
 
 

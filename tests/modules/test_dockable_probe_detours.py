@@ -9,12 +9,12 @@ import pytest
 from simprinter.world import Pose
 from tools.kit.dockable_probe import (
     ABOVE,
-    CLEAR,
     FRAME,
     GANTRY,
     QUICK,
     SERVO,
     SWITCH,
+    WAY,
     refusal,
     section,
     trips,
@@ -429,4 +429,4 @@ def test_no_further_out_of_the_corner_than_homing_came(start):
     z = printer.machine.tip().z
     assert "no way from 300." in printer.fail("ATTACH_PROBE")
     assert at(printer) == pytest.approx((300.0, 310.0), abs=0.02)
-    assert printer.machine.tip().z == pytest.approx(z + CLEAR, abs=0.01)
+    assert printer.machine.tip().z == pytest.approx(z + WAY, abs=0.01)

@@ -2,13 +2,16 @@
 
 from __future__ import annotations
 
+import math
 from dataclasses import replace
 
 import pytest
 
 from simprinter import Fault
+from tools.campaign.walks.machines import on_plate
 from tools.kit.cases import slow
 from tools.kit.dockable_probe import (
+    ABOVE,
     BED,
     CLEAR,
     FRAME,
@@ -18,6 +21,7 @@ from tools.kit.dockable_probe import (
     SENSED,
     SERVO,
     SWITCH,
+    WAY,
     assert_safe,
     refusal,
     section,
@@ -26,6 +30,7 @@ from tools.kit.dockable_probe import (
 )
 from tools.kit.docks import on_generic
 from tools.kit.printer import has_kinematics
+from tools.kit.z_calibration import with_moves
 
 CENTRE = "G1 X150 Y150 Z20 F6000\n"
 AROUND = "MOVE_AVOIDING_DOCK X=150 Y=150 SPEED=100"
@@ -485,3 +490,117 @@ def test_hop_before_x_and_y_are_homed_again(start):
 def test_old_probe_behind_other_sections(host):
     message = refusal(host, {"bltouch": {"sensor_pin": "^PC4"}})
     assert "there is a [bltouch], too, and a printer has one probe" in message
+
+
+# In the dock by hand, or by a macro, and not to a thousandth
+
+
+@pytest.mark.every_host
+@pytest.mark.parametrize("script", ["MOVE_TO_DETACH_PROBE", "G28 X Y"])
+@pytest.mark.parametrize("aside", ["0", "0.1", "0.9"])
+def test_head_that_was_moved_a_little_in_the_dock(start, script, aside):
+    printer = started(start, SWITCH).homed()
+    printer.run(
+        f"ATTACH_PROBE\nG90\nG1 Z20 F900\nMOVE_TO_DOCK_PROBE\nG91\nG1 X{aside}"
+    )
+    printer.run(f"G90\n{script}\nM400")
+    assert trips(printer) == ["attach", "dock"]
+    # The way in has no detour either
+    printer.run(
+        "MOVE_TO_DOCK_PROBE\nG91\nG1 X0.1\nG90\nMOVE_TO_DOCK_PROBE\nM400"
+    )
+    assert trips(printer) == ["attach", "dock"]
+    assert printer.session.position()[:2] == pytest.approx((50.0, 308.0))
+
+
+@pytest.mark.parametrize(
+    ("options", "script"),
+    [
+        ({}, "SET_GCODE_OFFSET X=0.05"),
+        ({"dock_position": "50.0042, 308"}, ""),
+    ],
+)
+def test_macro_that_ends_a_little_beside_the_dock(start, options, script):
+    wiggle = "\n  G90\n  G1 X50 Y306 F3000\n  G1 X50 Y308 F3000"
+    options = {**options, "detach_gcode": wiggle}
+    printer = started(start, SWITCH, **options).homed()
+    printer.run(f"{script}\n{CENTRE}PROBE")
+    assert trips(printer) == ["attach", "dock"]
+
+
+# Down into a dock from above leads only where it is entered from there
+
+
+@pytest.mark.parametrize(
+    "command",
+    ["MOVE_TO_DETACH_PROBE", "MOVE_TO_EXTRACT_PROBE", "MOVE_TO_DOCK_PROBE"],
+)
+def test_from_above_a_dock_that_is_entered_from_the_side(start, command):
+    changes = {"moves": {}, **section(**QUICK)}
+    printer = start(BED, changes, modules=with_moves()).homed()
+    printer.run("G90\nG1 Z60 F900\nG1 X50 Y308 F6000\nM400")
+    before = len(printer.status("moves")["ends"])
+    printer.run(command)
+    first = printer.status("moves")["ends"][before]
+    # Aside, as high as it is
+    assert tuple(first[:2]) != (50.0, 308.0)
+    assert first[2] == pytest.approx(60.0)
+
+
+@pytest.mark.every_host
+@pytest.mark.parametrize(("xy", "goes"), [("50, 308", 40.0), ("150, 155", 0.0)])
+def test_dock_that_all_positions_are_above(start, xy, goes):
+    options = {
+        "dock_position": f"{xy}, 12",
+        "approach_position": f"{xy}, 30",
+        "detach_position": f"{xy}, 32",
+        "detach_gcode": "\n  G4 P100",
+        "safe_dock_distance": None,
+    }
+    changes = {"moves": {}, **section(**{**QUICK, **options})}
+    printer = start(ABOVE, changes, modules=with_moves()).homed()
+    printer.run("MOVE_TO_APPROACH_PROBE")
+    before = len(printer.status("moves")["ends"])
+    printer.run("G28 X Y")
+    x, y = (float(part) for part in xy.split(","))
+    ends = printer.status("moves")["ends"][before:]
+    gone = [math.hypot(end[0] - x, end[1] - y) for end in ends]
+    assert max(gone, default=0.0) == pytest.approx(goes, abs=0.1)
+    assert printer.session.state()[0] == "ready"
+
+
+# A motor that is off lets Z sink as all of them do
+
+
+@pytest.mark.every_host
+@pytest.mark.parametrize(
+    "off", ["M84", "SET_STEPPER_ENABLE STEPPER=stepper_z1 ENABLE=0"]
+)
+def test_height_is_forgotten_with_the_motors(start, off):
+    printer = started(start, GANTRY, {"safe_z_home": None})
+    printer.run("G28 X Y\nATTACH_PROBE\nDETACH_PROBE\nM400")
+    z = printer.machine.tip().z
+    printer.run(f"{off}\nG28 X Y\nATTACH_PROBE\nM400")
+    assert printer.machine.tip().z == pytest.approx(z + WAY, abs=0.01)
+
+
+# The gantry hangs askew until it was levelled, which is what fetches the probe
+
+
+@pytest.mark.every_host
+@pytest.mark.parametrize("slope", [0.015, -0.02, 0.025])
+def test_gantry_that_hangs_askew(start, slope):
+    scene = on_plate(GANTRY, (0.0, slope), 0.0, 0.0)
+    printer = started(start, scene)
+    printer.run("G28")
+    assert trips(printer) == ["attach", "dock"]
+    assert_safe(printer)
+
+
+@pytest.mark.parametrize("retract", ["2", "0.2"])
+def test_bed_that_is_bent_and_lifts_that_are_short(start, retract):
+    scene = on_plate(SWITCH, (0.0, 0.0), 0.3, 0.0)
+    printer = started(start, scene, sample_retract_dist=retract).homed()
+    for x in 40, 260:
+        printer.run(f"G90\nG1 Z20 F900\nG1 X{x} Y40 F6000\nPROBE\nM400")
+    assert_safe(printer)

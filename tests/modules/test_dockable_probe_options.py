@@ -13,12 +13,12 @@ from simprinter import Fault
 from simprinter.hosts.hosts import Host
 from tools.kit.dockable_probe import (
     BED,
-    CLEAR,
     GANTRY,
     HANG,
     QUICK,
     SENSED,
     SWITCH,
+    WAY,
     refusal,
     section,
     trips,
@@ -136,7 +136,7 @@ def test_missing_option_is_told_or_has_a_default(host: Host, row):
         ({"insert_position": "50, -3"}, "'insert_position' in section"),
         (
             {"dock_position": "50, 308, 275", "dock_fixed_z": "True"},
-            "the way there is at z=283.900, above position_max (280.000)",
+            "the way there is at z=286.900, above position_max (280.000)",
         ),
         ({"z_hop": "281"}, "above position_max"),
         (
@@ -255,11 +255,12 @@ def test_lift_speed(start):
 @pytest.mark.parametrize(
     ("options", "height"),
     [
-        ({}, CLEAR),
-        ({"sample_retract_dist": "4"}, HANG + 4.0),
+        ({}, WAY),
+        ({"sample_retract_dist": "4"}, WAY),
+        ({"sample_retract_dist": "6"}, HANG + 6.0),
         ({"z_hop": "15"}, 15.0),
-        ({"z_hop": "3"}, CLEAR),
-        ({"dock_position": "50, 308, 5", "dock_fixed_z": "True"}, CLEAR + 5),
+        ({"z_hop": "3"}, WAY),
+        ({"dock_position": "50, 308, 5", "dock_fixed_z": "True"}, WAY + 5),
     ],
 )
 def test_height_of_the_way(start, options, height):
@@ -316,14 +317,14 @@ def test_back_or_not(start):
 def test_head_is_not_lifted_again(start):
     # The host has lifted it from the last point of the mesh
     changes = {"moves": {}, "force_move": {"enable_force_move": "True"}}
-    changes.update(section(**QUICK))
+    changes.update(bed_mesh={"horizontal_move_z": "12"}, **section(**QUICK))
     printer = start(SWITCH, changes, modules=with_moves()).homed()
     printer.run("G1 X150 Y150 Z20 F6000\nM400")
     ends = moves(printer, "BED_MESH_CALIBRATE PROBE_COUNT=3,3\nBED_MESH_CLEAR")
-    first = [z for _, _, z in ends].index(10.0)
-    assert {z for _, _, z in ends[first:] if z > HANG + 0.1} == {10.0}
+    first = [z for _, _, z in ends].index(12.0)
+    assert {z for _, _, z in ends[first:] if z > HANG + 0.1} == {12.0}
     # It is lifted from a bed that is higher than Z=0
-    ends = moves(printer, "SET_KINEMATIC_POSITION Z=16\nG1 Z20\nPROBE")
+    ends = moves(printer, "SET_KINEMATIC_POSITION Z=18\nG1 Z20\nPROBE")
     low = [z for x, y, z in ends if (x, y) == DOCK]
     assert min(low) == pytest.approx(HANG + 6.0 + 2.0, abs=0.2)
 
@@ -616,9 +617,9 @@ def test_gantry_homes_with_a_hop_of_its_own(start):
     printer.session.require_ready()
     z = printer.machine.tip().z
     printer.run("G28 X Y\nATTACH_PROBE")
-    assert printer.machine.tip().z == pytest.approx(z + CLEAR, abs=0.01)
+    assert printer.machine.tip().z == pytest.approx(z + WAY, abs=0.01)
     # Once, until the motors are off and it may have sunk
     printer.run("DETACH_PROBE")
-    assert printer.machine.tip().z == pytest.approx(z + CLEAR, abs=0.01)
+    assert printer.machine.tip().z == pytest.approx(z + WAY, abs=0.01)
     printer.run("M84\nG28 X Y\nATTACH_PROBE")
-    assert printer.machine.tip().z == pytest.approx(z + 2 * CLEAR, abs=0.01)
+    assert printer.machine.tip().z == pytest.approx(z + 2 * WAY, abs=0.01)

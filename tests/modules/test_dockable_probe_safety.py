@@ -20,6 +20,7 @@ from tools.kit.dockable_probe import (
     QUICK,
     SENSED,
     SWITCH,
+    WAY,
     assert_safe,
     section,
     trips,
@@ -449,7 +450,7 @@ def test_not_homed(start, name):
         printer.run("ATTACH_PROBE")
         assert where(printer) == "attached"
         # Up, and once only
-        z += CLEAR + (8.0 if name == "dock_frame" else 0.0)
+        z += WAY + (8.0 if name == "dock_frame" else 0.0)
         assert printer.machine.tip().z == pytest.approx(z, abs=0.01)
         printer.run("DETACH_PROBE")
         assert printer.machine.tip().z == pytest.approx(z, abs=0.01)

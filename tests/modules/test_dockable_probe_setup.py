@@ -9,11 +9,11 @@ import pytest
 from simprinter import Fault
 from tools.kit.dockable_probe import (
     ABOVE,
-    CLEAR,
     FRAME,
     QUICK,
     SENSED,
     SWITCH,
+    WAY,
     section,
     trips,
     where,
@@ -334,7 +334,7 @@ def test_z_of_a_dock_at_the_height_of_the_head_is_kept(start):
     # As high as it will be
     user.go("Z9")
     user.press("Dock")
-    assert user.position()[2] == pytest.approx(CLEAR + 8.0)
+    assert user.position()[2] == pytest.approx(WAY + 8.0)
     assert "dock_position: 2.000, 200.000, 8.000\n" in user.dialog().text
     assert user.dialog().text.count("200.000, 8.000") == 1
 

@@ -12,6 +12,8 @@ from tools.kit.docks import DOCK_SCENES, HANG
 
 # Toolhead Z (mm): as low as the probe may travel
 CLEAR = HANG + 2.0
+# On the way to the dock, where the gantry may hang askew
+WAY = HANG + 5.0
 # A dead switch is pressed until the floor of the touch
 FLOOR = HANG - 5.0
 GANTRY = DOCK_SCENES["dock_gantry"]

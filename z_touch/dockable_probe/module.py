@@ -78,6 +78,10 @@ class DockableProbe(object):
 
     def connect(self):
         self.host.connect()
+        # Of one motor alone nobody tells that it is off, but its enable line.
+        self.host.axes.watch_z_enabling(
+            lambda print_time, is_on: is_on or self.moves.forget()
+        )
         limits = self.host.axes.limits()
         try:
             checks.check_reach(self.settings, limits)

@@ -12,6 +12,9 @@ from .settings import (
     travel_height,
 )
 
+# From above a dock that all positions are above the head goes so far (mm) aside.
+ASIDE = 40.0
+
 # A place so near (mm) is where homing has left the head: hosts correct it by part
 # of a step after the event that tells the end.
 NEAR_END = 0.5
@@ -315,9 +318,13 @@ class Moves(object):
         start, limits = self.position(), self.host.axes.limits()[:2]
         if not self.is_in_dock(start):
             return
-        nearest = nearest_distance(self.settings._asdict())
-        zone = self.zone._replace(radius=max(self.zone.radius, nearest))
         middle = [0.5 * (low + high) for low, high in limits]
+        nearest = nearest_distance(self.settings._asdict())
+        radius = max(self.zone.radius, nearest)
+        radius = radius or min(ASIDE, detour.distance(start, middle))
+        if not radius:
+            return
+        zone = self.zone._replace(radius=radius)
         x, y = detour.find_exit(start, zone, limits, other=middle)
         touching.move_xy(self.host, x, y, self.settings.travel_speed)
 
@@ -345,22 +352,25 @@ class Moves(object):
         self.travel(position, self.settings.travel_speed, into=True)
         self.go_to_z_of(position)
 
-    # Into the dock, straight from a position outside of it
+    # Into the dock, straight from a position outside of it.  In there already, by hand
+    # or by the owner's G-code a little beside its middle, to that.
     def go_in(self, beside):
         self.require_homed()
         dock, speed = self.settings.dock_position, self.settings.attach_speed
-        if not self.is_at(beside) and not self.is_at(dock):
+        if not self.is_at(beside) and not self.stands_in_dock():
             self.go_beside(beside)
         self.go_to_z_of(dock)
         touching.move_xy(self.host, dock.x, dock.y, speed)
 
-    # Straight out of the dock to a position; from elsewhere there, around the
-    # dock
+    # Straight out of the dock to a position, by way of its middle; from elsewhere, also
+    # from above it, around the dock
     def go_out(self, position, speed):
         self.require_homed()
-        if not self.is_at(self.settings.dock_position):
+        if not self.stands_in_dock():
             self.go_beside(position)
             return
+        dock = self.settings.dock_position
+        touching.move_xy(self.host, dock.x, dock.y, speed)
         self.go_to_z_of(position)
         touching.move_xy(self.host, position.x, position.y, speed)
 

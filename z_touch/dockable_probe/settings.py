@@ -497,8 +497,10 @@ def travel_height(settings):
     return settings.hang + settings.sample_retract_dist
 
 
-# Toolhead Z (mm) of the way to the dock.  Where a dock goes up and down with
-# the head, its Z is what has to be cleared besides the bed.
+# Toolhead Z (mm) of the way to the dock, over a bed or below a gantry that may hang
+# askew: levelling is what fetches the probe.  Where a dock goes up and down with the
+# head, its Z is what has to be cleared besides the bed.
 def dock_height(settings):
     more = settings.dock_position.z or 0.0 if settings.dock_fixed_z else 0.0
-    return max(travel_height(settings) + more, settings.z_hop)
+    clear = settings.hang + max(settings.sample_retract_dist, REACH)
+    return max(clear + more, settings.z_hop)
