@@ -604,3 +604,33 @@ def test_bed_that_is_bent_and_lifts_that_are_short(start, retract):
     for x in 40, 260:
         printer.run(f"G90\nG1 Z20 F900\nG1 X{x} Y40 F6000\nPROBE\nM400")
     assert_safe(printer)
+
+
+# The pin that Z is homed on is at one place
+
+
+@pytest.mark.every_host
+def test_touch_ends_above_the_pin_only_over_it(start, host):
+    pin = SWITCH.world.pin
+    scene = on_plate(SWITCH, (0.0, 0.0), -0.3, 0.0)
+    scene = scene.with_world(pin=replace(pin, z=pin.z + 4.2))
+    high = {"stepper_z": {"position_endstop": "5.8"}}
+    printer = started(start, scene, high).homed()
+    text = printer.fail(f"G90\nG1 Z20 F900\nG1 X{pin.x} Y{pin.y} F6000\nPROBE")
+    assert "No trigger" in text
+    said = "nothing down to z=6.800, where the nozzle is just clear of the pin"
+    assert said in "\n".join(printer.session.console)
+    if asks_at_each_place(host):
+        printer.run(MESH)
+    else:
+        # Such a host asks for one height, before anything moves
+        assert "No trigger" in printer.fail(MESH)
+    assert_safe(printer)
+
+
+def asks_at_each_place(host):
+    """Whether its probe has ours move, or is ours."""
+    folder = host.directory / "base" / host.layout.module_dir
+    source = (folder.parent / "extras" / "probe.py").read_text()
+    is_of_host = "def multi_probe_begin" in source
+    return not is_of_host or "self.mcu_probe.probing_move(" in source

@@ -92,11 +92,16 @@ def _point(config, section, option):
     return point if point and all(map(options.is_finite, point)) else None
 
 
+# Whether the nozzle stands over it now.  'pin': as read_pin()
+def is_over_pin(host, pin):
+    if pin is None:
+        return False
+    position = host.toolhead.get_position()
+    return max(abs(a - b) for a, b in zip(position, (pin.x, pin.y))) <= NEAR
+
+
 # The lowest toolhead Z (mm) of a touch where the head stands now; None: it is not
 # over the pin.  'pin': as read_pin()
 def floor(host, pin):
-    if pin is None:
-        return None
-    position = host.toolhead.get_position()
-    away = max(abs(a - b) for a, b in zip(position, (pin.x, pin.y)))
-    return pin.trigger_z - BELOW_TRIGGER if away <= NEAR else None
+    is_over = is_over_pin(host, pin)
+    return pin.trigger_z - BELOW_TRIGGER if is_over else None

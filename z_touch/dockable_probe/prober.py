@@ -3,11 +3,11 @@
 # Copyright (C) 2026  the Z calibration developers, under the GNU GPLv3
 from __future__ import absolute_import
 
-from ..core import carrying, touching
+from ..core import carrying, touching, z_pin
 from .holder import Holder
 from .homing import ZHoming
 from .sensors import ATTACHED
-from .settings import REACH, travel_height
+from .settings import LOWEST_NOZZLE, REACH, travel_height
 
 # Lower than any axis gets (mm)
 NO_FLOOR = -1e6
@@ -29,6 +29,8 @@ class Prober(object):
         self.holder = Holder(self.host, self._dock_and_return_here, auto)
         # Toolhead Z at which the probe is just off what it has touched
         self.clear_z = 0.0
+        # Whether the host asks at each place how deep a touch may go
+        self.is_asked_there = True
 
     def use(self, settings):
         self.settings = settings
@@ -42,8 +44,29 @@ class Prober(object):
     def floor(self, is_homing=False):
         axis = self.host.axes.z_axis
         position_min = axis.position_min if axis else NO_FLOOR
-        lowest = NO_FLOOR if is_homing else self.settings.lowest
-        return max(position_min, lowest)
+        return max(position_min, NO_FLOOR if is_homing else self._lowest())
+
+    # Lowest toolhead Z for a host that asks once, before anything moves.  'goes_on':
+    # it has each target raised, see raised().
+    def floor_everywhere(self, goes_on):
+        self.is_asked_there = goes_on
+        if not goes_on:
+            return self.floor()
+        axis = self.host.axes.z_axis
+        return max(
+            axis.position_min if axis else NO_FLOOR, self.settings.lowest
+        )
+
+    # A target (toolhead Z) as high as it has to be where the head stands now
+    def raised(self, z):
+        is_over_pin = z_pin.is_over_pin(self.host, self.settings.z_pin)
+        return max(z, self.settings.over_pin) if is_over_pin else z
+
+    # The lowest useful one
+    def _lowest(self):
+        if not self.is_asked_there:
+            return self.settings.over_pin
+        return self.raised(self.settings.lowest)
 
     # See homing.ZHoming
     def homing_reach(self):
@@ -171,13 +194,16 @@ class Prober(object):
     ######################################################################
 
     def _is_at_floor(self):
-        return touching.is_at(self.host, self.settings.lowest)
+        return touching.is_at(self.host, self._lowest())
 
     def _tell_nothing_found(self):
+        lowest = self._lowest()
+        is_bed = self.host.axes.homes_with_probe() or lowest <= LOWEST_NOZZLE
+        what = "bed" if is_bed else "pin that Z is homed on"
         self.host.say(
-            "nothing down to z=%.3f, where the nozzle is just clear of the bed;"
+            "nothing down to z=%.3f, where the nozzle is just clear of the %s;"
             " check z_offset and the probe, then home Z again and level"
-            % (self.settings.lowest,)
+            % (lowest, what)
         )
 
     # The host turns the motors off then, so the head goes up before it does.

@@ -10,7 +10,7 @@ from __future__ import absolute_import, division
 import functools
 import math
 
-from ..core import options
+from ..core import options, z_pin
 from ..core.options import (
     COUNT,
     FLAG,
@@ -337,6 +337,9 @@ OLD_POSITIONS = (
 #   hang       how far (mm) the probe triggers below the nozzle, as far as that
 #              is known
 #   lowest     lowest useful toolhead Z (mm) of a probing move
+#   z_pin      the z_pin.Pin that Z is homed on; None: there is none, or nobody knows
+#              where
+#   over_pin   lowest over it; where it is not known, everywhere
 #   home_xy    where the head stands while Z is homed with the probe: (x, y),
 #              MIDDLE, or None for "where it is then"
 #   mesh       (low, high) of X and Y (mm) of the head while a bed mesh is
@@ -344,7 +347,9 @@ OLD_POSITIONS = (
 #   is_placed  whether the section says where the dock is; where it does not, the
 #              positions stand for none
 Settings = options.record(
-    "Settings", OPTIONS, "sampling hang lowest home_xy mesh is_placed"
+    "Settings",
+    OPTIONS,
+    "sampling hang lowest z_pin over_pin home_xy mesh is_placed",
 )
 
 # Stands for a position that is not known yet
@@ -373,10 +378,14 @@ def read_settings(config, host, old_names):
     check_senses(config, values)
     z_offset, homes_z = values["z_offset"], host.axes.homes_with_probe()
     endstop_z = host.axes.z_axis.position_endstop if host.axes.z_axis else None
+    over_pin = lowest_touch(z_offset, homes_z, endstop_z)
+    pin = z_pin.read_pin(config, host.axes.z_axis)
     values.update(
         sampling=options.sampling_of(values),
         hang=hang(z_offset, homes_z),
-        lowest=lowest_touch(z_offset, homes_z, endstop_z),
+        lowest=over_pin if pin is None else LOWEST_NOZZLE,
+        z_pin=pin,
+        over_pin=over_pin,
         home_xy=home_xy(config, values["safe_z_position"]),
         mesh=read_mesh(config, (values["x_offset"], values["y_offset"])),
     )

@@ -35,6 +35,8 @@ DIFFER = "clean the nozzle and check the probe for play"
 #   before_move(), after_move(moved,    around each probing move
 #   triggered)
 #   floor(is_homing)                    the lowest toolhead Z of a touch
+#   floor_everywhere(goes_on)           the same for a host that asks once
+#   raised(z)                           a target as high as it has to be here
 #   homing_reach()                      how far (mm) below z_offset the homing
 #                                       move may go that comes next, or None
 class Facade(object):
@@ -76,6 +78,7 @@ class Facade(object):
     # 2025-12-14 (e8182b7f0), as Kalico's own probes have it
     def probing_move(self, pos, speed, gcmd=None):
         homing = self.device.host.printer.lookup_object("homing")
+        pos[2] = self.device.raised(pos[2])
         return homing.probing_move(self, pos, speed)
 
     # A homing move goes down to 'end' (toolhead Z) from wherever Z is said to
@@ -295,7 +298,9 @@ class VirtualProbe(object):
     # Until 2024-06-10 (d4bae4dff), Kalico, QIDI
     def _install_host_probe(self, config, settings, module):
         self.probe = module.PrinterProbe(config, self.facade)
-        floor = self.facade.device.floor()
+        # The wrapper of its own pin moves by itself where it asks ours for that
+        moves = hasattr(module.ProbeEndstopWrapper, "probing_move")
+        floor = self.facade.device.floor_everywhere(moves)
         self.probe.z_position = max(self.probe.z_position, floor)
         can_drop = hasattr(self.probe, "drop_first_result")
         if settings.drop_first_result and not can_drop:
