@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 from dataclasses import replace
 from itertools import product
 
@@ -10,6 +11,7 @@ import pytest
 from simprinter import Fault
 from simprinter.hosts.session import GcodeError
 from simprinter.mcu.tmc import IFCNT
+from tools.campaign.walks.machines import on_plate
 from tools.kit.auto_z_offset import (
     DEPTH,
     HOMING_ARMS,
@@ -33,6 +35,7 @@ from tools.kit.scenes import SCENES
 from tools.kit.z_calibration import refusal
 
 STEPS = 2 * MICROSTEP
+CENTRE = (150.0, 150.0)
 MEASURING = ("PROBE", "HOME_Z", "MEASURE_OFFSET", "CALIBRATE")
 PREPARE = SCENES["qidi"].sections["auto_z_offset"]["prepare_gcode"]
 # Depth of the nozzle (mm) that one touch at 5 mm/s takes, with its overshoot
@@ -482,6 +485,33 @@ def test_z_tilt_sets_z_with_the_probe(start):
     printer.run("AUTO_Z_HOME_Z")
     assert "Z was set by AUTO_Z_HOME_Z" in printer.fail("AUTO_Z_LOAD_OFFSET")
     printer.run("Z_TILT_ADJUST\nAUTO_Z_LOAD_OFFSET")
+
+
+# The points of levelling lie lower than the middle, where Z was homed
+@pytest.mark.every_host
+@pytest.mark.parametrize(
+    ("script", "is_told"),
+    [
+        ("Z_TILT_ADJUST", True),
+        ("Z_TILT_ADJUST\nG28 Z", False),
+        ("", False),
+        # What holds the axis nobody sees, and nobody has homed
+        ("Z_TILT_ADJUST\nM84", False),
+    ],
+)
+def test_correction_of_a_z_that_levelling_has_moved(start, script, is_told):
+    scene = on_plate(with_all(DOCK_SCENES["dock_frame"]), (0.0, 0.0), 0.2, 0.0)
+    correction = section(probe_z_correction="0.16")
+    printer = start(scene, {"z_calibration": None, **correction}).homed()
+    before = printer.gap(CENTRE)
+    printer.run(script)
+    lines = printer.run("AUTO_Z_LOAD_OFFSET\nSET_GCODE_OFFSET Z=0")
+    (text,) = told(lines, "as levelling does") or ("",)
+    assert bool(text) is is_told
+    if is_told:
+        moved = float(re.search(r"up to (\S+) mm since G28", text)[1])
+        assert 0.1 < abs(printer.gap(CENTRE) - before) < moved + STEPS
+        assert text.endswith("run G28 Z, then AUTO_Z_LOAD_OFFSET again")
 
 
 def test_homing_in_prepare_gcode_is_the_frame(start):

@@ -5,7 +5,7 @@ from __future__ import absolute_import
 
 from ..core import options
 from ..core.errors import CalibrationError
-from ..core.frame import Frame
+from ..core.frame import DATUM_NOISE, Frame, HomedFrame
 from .heights import (
     EXPECTED_MARGIN,
     NOTHING_EXPECTED,
@@ -68,6 +68,7 @@ class Expectations(object):
         self.settings = settings
         self.correction = correction
         self.frame = Frame(host)
+        self.homed = HomedFrame(self.frame)
         # Toolhead Z (mm) of the last trigger, and the frame it was seen in
         self.sensor_z = self.mark = None
         # The frame that AUTO_Z_HOME_Z has made
@@ -102,6 +103,18 @@ class Expectations(object):
         if self.is_sensor_frame() or not self.host.axes.homes_with_probe():
             return None
         return self.host.probing.homed_probe_z()
+
+    # What has become of Z since it was homed, which the correction is of; empty:
+    # nothing, or nobody knows
+    def levelled(self):
+        moved = self.homed.moved_by() if self.frame.is_homed() else 0.0
+        if not DATUM_NOISE < moved < float("inf"):
+            return ""
+        return (
+            "the Z motors have moved by up to %.3f mm since G28, as levelling does:"
+            " the offset is wrong by up to that; run G28 Z, then"
+            " AUTO_Z_LOAD_OFFSET again" % (moved,)
+        )
 
     # Whether Z is still what it was when the frame was marked.  Where the
     # motors do not tell (empty datum), nobody knows.

@@ -348,6 +348,7 @@ class AutoZOffset(object):
                 " probe's z_offset differ"
                 % (bed_z, self.host.axes.z_axis.section)
             )
+        self.tell(self.expectations.levelled())
         if self.correction.z is None:
             self.tell(
                 "there is no probe_z_correction yet; run AUTO_Z_CALIBRATE, then"
