@@ -16,6 +16,7 @@ from tools.kit.printer import FOLDER, MODULES, ROOT
 TOGETHER = 10
 USUAL = range(1, 21, TOGETHER)
 DOCK = Owned(names=frozenset({"pause"}), too_high=0.1, bow=-0.2)
+AGAIN, FIXED = "CALIBRATE_Z", "SET_GCODE_OFFSET Z=0.05"
 # The probe that its owner has fetched would meet the bed first
 HELD = (
     ("gcode", "G28"),
@@ -126,6 +127,34 @@ def test_who_wants_no_trips_prints_without_the_probe(host, prints):
     outcome = walker.go(NO_TRIPS, walk, host)
     assert not outcome.harm
     assert outcome.done[prints[0]] == 1
+
+
+# What is right, and was called harm: an end_gcode that happens to set what was
+# measured, an offset that is rounded, an owner who puts away what he has fetched
+RIGHT = (
+    (
+        Owned("voron", options=(("z_calibration", "end_gcode", FIXED),)),
+        ("SET_GCODE_OFFSET Z=0.1", "Z_CALIBRATION_SAVE_GCODE_OFFSET", AGAIN),
+    ),
+    (
+        Owned("cartesian"),
+        ("SET_GCODE_OFFSET Z_ADJUST=-0.05", f"{AGAIN}_ACCURACY ATTACH=0"),
+    ),
+    (
+        Owned("dock_gantry", names=frozenset({"card"})),
+        ("AUTO_Z_CALIBRATE", "ATTACH_PROBE"),
+    ),
+)
+
+
+@pytest.mark.parametrize(("owned", "commands"), RIGHT)
+def test_what_is_right_is_no_harm(host, owned, commands):
+    walk = [("gcode", text) for text in ("G28", AGAIN, *commands)]
+    if "card" in owned.names:
+        walk.append(("card", (1, "", "CANCEL_PRINT")))
+    outcome = walker.go(owned, walk, host)
+    assert not outcome.harm
+    assert outcome.done["card"] == ("card" in owned.names)
 
 
 # The probe waits on the head a while, as it may be wanted again

@@ -328,7 +328,7 @@ class Judge:
         limits = [name for name in toolhead if name.startswith("max_")]
         limits += ["axis_minimum", "axis_maximum", "square_corner_velocity"]
         return {
-            "the G-code offset": gcode_move["homing_origin"][2],
+            "the G-code offset": round(gcode_move["homing_origin"][2], 9),
             "G90": gcode_move["absolute_coordinates"],
             "M82": gcode_move["absolute_extrude"],
             **{name: toolhead.get(name) for name in limits},

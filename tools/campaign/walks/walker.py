@@ -154,9 +154,12 @@ class Walker:
             self._gcode(stepping.first_layer())
 
     def _of_owner(self) -> str:
-        """Who wants no trips puts the probe away himself before he prints."""
+        """Who wants no trips, or holds the probe, puts it away before he prints."""
         status = self.printer.status("dockable_probe")
         is_own = status.get("auto_attach_detach") is False
+        if not self.owned.has("z_calibration"):
+            # Which docks what ATTACH_PROBE has fetched
+            is_own = is_own or status.get("last_status_name") == "ATTACHED"
         return "DETACH_PROBE\n" if is_own else ""
 
     def _card(self, what: Sequence) -> None:
