@@ -13,6 +13,7 @@ from simprinter import Fault
 from simprinter.hosts.hosts import Host
 from tools.kit.dockable_probe import (
     BED,
+    CLEAR,
     GANTRY,
     HANG,
     QUICK,
@@ -252,24 +253,42 @@ def test_lift_speed(start):
     assert seconds(printer, "ATTACH_PROBE") > quick + 2.0
 
 
+# Also while it travels
+@pytest.mark.parametrize(("speed", "least"), [("1", 5.5), ("200", 0.0)])
+def test_lift_speed_on_the_way(start, speed, least):
+    printer = recording(start, lift_speed=speed)
+    printer.run(f"G1 Z{CLEAR}\nM400")
+    assert least < seconds(printer, "ATTACH_PROBE") < least + 6.0
+
+
 @pytest.mark.parametrize(
-    ("options", "height"),
+    ("options", "first", "height"),
     [
-        ({}, WAY),
-        ({"sample_retract_dist": "4"}, WAY),
-        ({"sample_retract_dist": "6"}, HANG + 6.0),
-        ({"z_hop": "15"}, 15.0),
-        ({"z_hop": "3"}, WAY),
-        ({"dock_position": "50, 308, 5", "dock_fixed_z": "True"}, WAY + 5),
+        # Up, and the rest comes with the way
+        ({}, CLEAR, WAY),
+        ({"sample_retract_dist": "0.5"}, CLEAR, WAY),
+        ({"sample_retract_dist": "4"}, HANG + 4.0, WAY),
+        ({"sample_retract_dist": "6"}, HANG + 6.0, HANG + 6.0),
+        # Whoever wants it higher has a reason: at once
+        ({"z_hop": "15"}, 15.0, 15.0),
+        ({"z_hop": "11"}, 11.0, WAY),
+        ({"z_hop": "3"}, CLEAR, WAY),
+        # There may be something beside it
+        (
+            {"dock_position": "50, 308, 5", "dock_fixed_z": "True"},
+            WAY + 5.0,
+            WAY + 5.0,
+        ),
     ],
 )
-def test_height_of_the_way(start, options, height):
+def test_height_of_the_way(start, options, first, height):
     printer = recording(start, **options)
     printer.run("G1 Z2\nM400")
     ends = moves(printer, "ATTACH_PROBE")
-    assert [z for _, _, z in ends[:-1]] == pytest.approx(
-        [height] * len(ends[:-1])
-    )
+    assert ends[0] == pytest.approx((150.0, 150.0, first))
+    away = [z for x, y, z in ends if (x, y) != (150.0, 150.0)]
+    assert away == pytest.approx([height] * len(away))
+    assert min(z for _, _, z in ends[:-1]) == pytest.approx(first)
     # Back as low as the probe allows
     low = HANG + float(options.get("sample_retract_dist", "2"))
     assert ends[-1][2] == pytest.approx(low)

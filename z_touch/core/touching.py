@@ -9,6 +9,7 @@ from __future__ import absolute_import
 import collections
 import contextlib
 import functools
+import math
 
 from . import options
 from .errors import CalibrationError, NoTrigger
@@ -143,6 +144,20 @@ def is_over(host, site):
 def move_xy(host, x, y, speed):
     if tuple(host.toolhead.get_position()[:2]) != (x, y):
         host.toolhead.manual_move([x, y], speed)
+
+
+# Straight to X, Y and Z (mm); Z None: as high as it is.  At 'speed' in the plane and
+# 'lift_speed' up or down (mm/s), whichever takes longer.
+def move_xyz(host, place, speed, lift_speed):
+    x, y, z = place
+    here = host.toolhead.get_position()
+    up = 0.0 if z is None else abs(z - here[2])
+    if not up:
+        move_xy(host, x, y, speed)
+        return
+    flat = math.hypot(x - here[0], y - here[1])
+    seconds = max(flat / speed, up / lift_speed)
+    host.toolhead.manual_move([x, y, z], math.hypot(flat, up) / seconds)
 
 
 # The head at one place, and whether it still presses what it has touched.

@@ -88,7 +88,7 @@ class Docking(object):
         if state == sensors.proven == ATTACHED:
             return False
         self._require_homed(state)
-        self.moves.lift_for_dock()
+        self.moves.lift_for_dock(on_the_way=True)
         if not state == sensors.proven == DOCKED:
             # Where the probe was pressed it looked as if it were not there.
             state = sensors.look()
@@ -149,7 +149,7 @@ class Docking(object):
             self.moves.go_to_height(z)
             return False
         self._require_homed(state)
-        self.moves.lift_for_dock()
+        self.moves.lift_for_dock(on_the_way=True)
         self._make(DOCK, state, goal)
         if goal is not None:
             self.moves.go_back(goal, 0.0)

@@ -7,6 +7,7 @@ from ..core import touching
 from . import detour
 from .settings import (
     POSITIONS,
+    clear_height,
     dock_height,
     nearest_distance,
     travel_height,
@@ -219,8 +220,18 @@ class Moves(object):
         self.host.toolhead.flush_step_generation()
         return self.motors_z()
 
-    def lift_for_dock(self):
-        self.lift(max(dock_height(self.settings), self.clear.z))
+    # Up for the way to the dock, to the toolhead Z that it returns.  'on_the_way': what
+    # is more than to be clear of the bed comes with the first straight line, on which
+    # the head is nowhere nearer to a bed askew than at one of its ends.
+    def lift_for_dock(self, on_the_way=False):
+        settings = self.settings
+        height = max(dock_height(settings), self.clear.z)
+        is_high = settings.dock_position.z or not settings.dock_fixed_z
+        if on_the_way and not is_high and self.is_homed("z"):
+            self.lift(max(clear_height(settings), self.clear.z))
+        else:
+            self.lift(height)
+        return height
 
     # Up or down; z None: stay
     def go_to_height(self, z):
@@ -238,8 +249,9 @@ class Moves(object):
     ######################################################################
 
     # To X and Y of a position, around the dock; with 'into' also where that is in
-    # the circle, otherwise to its edge
-    def travel(self, position, speed, into=False):
+    # the circle, otherwise to its edge.  'rise', 'sink' (toolhead Z): up on the first
+    # straight line, where the head is lower, and down on the last one
+    def travel(self, position, speed, into=False, rise=None, sink=None):
         start, limits = self.position(), self.host.axes.limits()[:2]
         goal = self._within_reach(position, limits)
         self._leave_upwards()
@@ -255,8 +267,14 @@ class Moves(object):
                 " safe_dock_distance (%.3f)"
                 % (start[:2] + goal + (self.zone.radius,))
             )
-        for x, y in points + [goal] * into:
-            touching.move_xy(self.host, x, y, speed)
+        ways, lift_speed = points + [goal] * into, self.settings.lift_speed
+        heights, z = [None] * len(ways), self.position().z
+        if ways and None not in (rise, z):
+            heights[0] = max(rise, z)
+        if ways and sink is not None:
+            heights[-1] = sink
+        for (x, y), z in zip(ways, heights):
+            touching.move_xyz(self.host, (x, y, z), speed, lift_speed)
 
     # To a place around the dock that anybody may have asked for
     def travel_beside(self, position, speed):
@@ -346,10 +364,10 @@ class Moves(object):
     # up is clear of the dock, and below, where only the place itself is.
     def go_beside(self, position):
         self.require_homed()
-        self.lift_for_dock()
+        rise = self.lift_for_dock(on_the_way=True)
         if not self.settings.dock_fixed_z and position.z is not None:
             self.lift(position.z)
-        self.travel(position, self.settings.travel_speed, into=True)
+        self.travel(position, self.settings.travel_speed, into=True, rise=rise)
         self.go_to_z_of(position)
 
     # Into the dock, straight from a position outside of it.  In there already, by hand
@@ -380,6 +398,9 @@ class Moves(object):
     def go_back(self, position, lowest=None):
         self.lift_for_dock()
         into = not self.is_in_dock(position)
-        self.travel(position, self.settings.travel_speed, into)
+        speed, z, sink = self.settings.travel_speed, None, None
         if None not in (lowest, position.z, self.position().z):
-            self.go_to_height(max(position.z, lowest))
+            z = max(position.z, lowest)
+            sink = max(z, clear_height(self.settings), self.clear.z)
+        self.travel(position, speed, into, sink=sink)
+        self.go_to_height(z)

@@ -38,6 +38,10 @@ LOWEST_NOZZLE = 1.0
 # than the body of a usual probe is long, more than a bed or gantry hangs askew.
 REACH = 5.0
 
+# Between two places a bed that is bent is no higher (mm) than that above the straight
+# line from one to the other.
+BENT = 2.0
+
 # A smaller z_offset (mm) of a switch was not measured yet; then the probe may
 # hang so much (mm) lower than the nozzle.
 SMALLEST_Z_OFFSET = 2.0
@@ -504,6 +508,13 @@ def lowest_touch(z_offset, homes_z, endstop_z):
 # Toolhead Z (mm) at which the probe on the head is clear of the bed
 def travel_height(settings):
     return settings.hang + settings.sample_retract_dist
+
+
+# Toolhead Z (mm) where a straight line to or from the height of the way to the dock
+# begins or ends
+def clear_height(settings):
+    clear = settings.hang + max(settings.sample_retract_dist, BENT)
+    return max(clear, settings.z_hop)
 
 
 # Toolhead Z (mm) of the way to the dock, over a bed or below a gantry that may hang
