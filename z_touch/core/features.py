@@ -97,6 +97,9 @@ class Features(object):
         get_mesh = getattr(owner, "get_mesh", None)
         return get_mesh() if get_mesh else None
 
+    def has_mesh(self):
+        return self._mesh() is not None
+
     # Whether the mesh ends before that point, as an adaptive one may
     def is_beyond_mesh(self, x, y):
         if self._mesh() is None:
