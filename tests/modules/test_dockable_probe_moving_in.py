@@ -8,6 +8,7 @@ from dataclasses import replace
 import pytest
 
 from simprinter import Fault
+from simprinter.hosts.session import GcodeError
 from tools.campaign.walks.machines import on_plate
 from tools.kit.cases import slow
 from tools.kit.dockable_probe import (
@@ -567,6 +568,48 @@ def test_dock_that_all_positions_are_above(start, xy, goes):
     gone = [math.hypot(end[0] - x, end[1] - y) for end in ends]
     assert max(gone, default=0.0) == pytest.approx(goes, abs=0.1)
     assert printer.session.state()[0] == "ready"
+
+
+# Out of such a dock the way is up at first, also from a little above its place
+
+
+@pytest.mark.parametrize(
+    "above",
+    [
+        {},
+        {
+            "approach_position": "50, 308, 30",
+            "detach_position": "50, 308, 32",
+            "detach_gcode": "\n  G4 P100",
+            "safe_dock_distance": None,
+        },
+    ],
+)
+@pytest.mark.parametrize("nudge", ["Z2", "X0.1 Z2"])
+@pytest.mark.parametrize("command", ["G28 Z", "G28"])
+def test_from_a_little_above_a_dock_that_is_left_upwards(
+    start, above, nudge, command
+):
+    printer = started(start, ABOVE, **above).homed()
+    printer.run(f"MOVE_TO_DOCK_PROBE\nG91\nG1 {nudge} F600\nG90\nM400")
+    try:
+        printer.run(command)
+    except GcodeError as error:
+        # This dock holds nothing back that is lifted
+        assert above and "was not docked" in str(error)
+    assert_safe(printer)
+
+
+# Only on the way that it is a part of
+
+
+@pytest.mark.every_host
+def test_detach_gcode_that_lifts_the_head_in_the_dock(start):
+    lifts = "\n  G91\n  G1 Z1.5 F600\n  G90"
+    printer = started(start, BED, detach_gcode=lifts).homed()
+    printer.run("ATTACH_PROBE\nDETACH_PROBE")
+    assert trips(printer) == ["attach", "dock"]
+    assert_safe(printer)
 
 
 # A motor that is off lets Z sink as all of them do

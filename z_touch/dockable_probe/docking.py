@@ -343,7 +343,7 @@ class Docking(object):
         if is_by_itself:
             before, self.seen_before = self.seen_before, UNKNOWN
             self.sensors.begin_trip()
-        self.moves.go_out(position, speed)
+        self.moves.go_out(position, speed, self.is_on_trip)
         if not is_by_itself:
             return
         # A way in and out part by part proves as much as a trip, and one on which the

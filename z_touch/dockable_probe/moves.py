@@ -249,9 +249,9 @@ class Moves(object):
     ######################################################################
 
     # To X and Y of a position, around the dock; with 'into' also where that is in
-    # the circle, otherwise to its edge.  'rise', 'sink' (toolhead Z): up on the first
-    # straight line, where the head is lower, and down on the last one
-    def travel(self, position, speed, into=False, rise=None, sink=None):
+    # the circle, otherwise to its edge.  'rise' (toolhead Z): up to it on the first
+    # straight line, where the head is lower
+    def travel(self, position, speed, into=False, rise=None):
         start, limits = self.position(), self.host.axes.limits()[:2]
         goal = self._within_reach(position, limits)
         self._leave_upwards()
@@ -267,14 +267,12 @@ class Moves(object):
                 " safe_dock_distance (%.3f)"
                 % (start[:2] + goal + (self.zone.radius,))
             )
-        ways, lift_speed = points + [goal] * into, self.settings.lift_speed
-        heights, z = [None] * len(ways), self.position().z
-        if ways and None not in (rise, z):
-            heights[0] = max(rise, z)
-        if ways and sink is not None:
-            heights[-1] = sink
-        for (x, y), z in zip(ways, heights):
-            touching.move_xyz(self.host, (x, y, z), speed, lift_speed)
+        for x, y in points + [goal] * into:
+            z = self.position().z
+            up = None if None in (rise, z) else max(rise, z)
+            touching.move_xyz(
+                self.host, (x, y, up), speed, self.settings.lift_speed
+            )
 
     # To a place around the dock that anybody may have asked for
     def travel_beside(self, position, speed):
@@ -336,6 +334,8 @@ class Moves(object):
         start, limits = self.position(), self.host.axes.limits()[:2]
         if not self.is_in_dock(start):
             return
+        # It may be hardly above it.
+        self._leave_upwards()
         middle = [0.5 * (low + high) for low, high in limits]
         nearest = nearest_distance(self.settings._asdict())
         radius = max(self.zone.radius, nearest)
@@ -381,10 +381,12 @@ class Moves(object):
         touching.move_xy(self.host, dock.x, dock.y, speed)
 
     # Straight out of the dock to a position, by way of its middle; from elsewhere, also
-    # from above it, around the dock
-    def go_out(self, position, speed):
+    # from above it, around the dock.  'is_on_trip': what has lifted the head there is
+    # G-code of the owner's that is a part of the way.
+    def go_out(self, position, speed, is_on_trip=False):
         self.require_homed()
-        if not self.stands_in_dock():
+        is_above = not is_on_trip and not self.stands_in_dock()
+        if is_above or not self.is_in_dock(self.position()):
             self.go_beside(position)
             return
         dock = self.settings.dock_position
@@ -398,9 +400,6 @@ class Moves(object):
     def go_back(self, position, lowest=None):
         self.lift_for_dock()
         into = not self.is_in_dock(position)
-        speed, z, sink = self.settings.travel_speed, None, None
+        self.travel(position, self.settings.travel_speed, into)
         if None not in (lowest, position.z, self.position().z):
-            z = max(position.z, lowest)
-            sink = max(z, clear_height(self.settings), self.clear.z)
-        self.travel(position, speed, into, sink=sink)
-        self.go_to_height(z)
+            self.go_to_height(max(position.z, lowest))
