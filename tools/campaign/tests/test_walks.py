@@ -157,6 +157,34 @@ def test_what_is_right_is_no_harm(host, owned, commands):
     assert outcome.done["card"] == ("card" in owned.names)
 
 
+# Nor is a print that ends a question, or a touch at the mesh's zero
+def test_nobody_is_asked_any_more_after_a_print(host):
+    owned = Owned("dock_above", names=frozenset({"card"}))
+    asks = "EXTRA_PROBE_CALIBRATE PROBE=membrane FLOOR=-0.5"
+    walk = (
+        ("gcode", "G28"),
+        ("gcode", asks),
+        ("card", (1, "", "CANCEL_PRINT")),
+        ("gcode", AGAIN),
+    )
+    outcome = walker.go(owned, walk, host)
+    assert not outcome.harm
+    assert outcome.done[AGAIN] == 1
+
+
+def test_gap_is_looked_at_where_the_plate_was_touched(host):
+    owned = Owned(
+        "dock_frame", z_motors=3, names=frozenset({"mesh_zero", "saved_mesh"})
+    )
+    for between in "BED_MESH_CLEAR", "BED_MESH_PROFILE LOAD=default":
+        walk = [
+            ("gcode", text) for text in ("G28", between, "AUTO_Z_CALIBRATE")
+        ]
+        outcome = walker.go(owned, walk, host)
+        assert not outcome.harm
+        assert outcome.done["AUTO_Z_CALIBRATE"] == 1
+
+
 # The probe waits on the head a while, as it may be wanted again
 WAITS = Owned(options=(("dockable_probe", "allow_delayed_detach", "True"),))
 LATER = (

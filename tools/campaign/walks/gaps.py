@@ -157,6 +157,8 @@ class Gaps:
         elif shows(CORRECTED) or (shows(LOADED) and self._can_load()):
             self.is_corrected = True
             place, gap = self._homed_at(), self._piezo_gap()
+            if place is not None and shows(CORRECTED) and self._has_mesh():
+                place = self._touched_at()
             if place is not None:
                 yield Promise("a correction", place, gap, told)
         elif shows(PUT_DOWN) and "SAVE=1" not in script:
@@ -204,9 +206,11 @@ class Gaps:
 
     def _can_load(self) -> bool:
         """Whether a correction is all that makes Z=0 right, docs/reliability.md."""
-        mesh = self.printer.status("bed_mesh").get("mesh_matrix")
-        is_plain = not (self.owned.names & SHIFTING or any(mesh or ()))
+        is_plain = not (self.owned.names & SHIFTING or self._has_mesh())
         return self.is_corrected and is_plain
+
+    def _has_mesh(self) -> bool:
+        return any(self.printer.status("bed_mesh").get("mesh_matrix") or ())
 
     def _piezo_gap(self) -> float:
         scene = self.printer.scene
@@ -235,6 +239,12 @@ class Gaps:
             return None
         x, y = (float(number) for number in home.split(","))
         return x + probe.x_offset, y + probe.y_offset
+
+    def _touched_at(self) -> Optional[Point]:
+        """Where the nozzle has touched the plate: at the zero of a mesh."""
+        touches = self.printer.machine.truth.touches
+        found = [t for t in touches if t.site == "nozzle_bed"]
+        return (found[-1].x, found[-1].y) if found else None
 
     # As long as it is valid
 

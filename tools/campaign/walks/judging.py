@@ -129,6 +129,8 @@ class Judge:
         self.gaps = Gaps(self.printer, self.owned, self.keep_clear)
         self.before = self._before()
         self.lowest = lowest(self.printer.scene.world)
+        # What nobody answers any more: whoever prints has cleared the bed
+        self.over = ""
 
     def begin(self, kind: str = "") -> None:
         """A step begins."""
@@ -146,6 +148,9 @@ class Judge:
             self._stand_still()
         if gone.kind in RESTARTS:
             self.gaps.restarted()
+        if gone.kind in (*RESTARTS, "card") or "EXTRA_PROBE_C" in gone.script:
+            waits = self._status()["extra_probe membrane"].get("waits_for", "")
+            self.over = waits if gone.kind == "card" else ""
         for sort, rule in (
             ("shutdown", self._is_shut_down),
             ("internal error", self._is_internal),
@@ -254,8 +259,9 @@ class Judge:
     def _is_among_hands(self, gone: Gone) -> Iterator[str]:
         """Nothing of ours touches while another asks a person, who reaches in."""
         status = self.before.status
+        waits_for = status["extra_probe membrane"].get("waits_for", "")
         is_asked = status["manual_probe"].get("is_active")
-        is_asked = is_asked or status["extra_probe membrane"].get("waits_for")
+        is_asked = is_asked or waits_for != self.over
         is_answer = re.search("EXTRA_PROBE_(CONTINUE|ABORT)", gone.script)
         is_ours = gone.kind == "gcode" and gone.command in OURS
         touches = self.printer.machine.truth.touches[self.before.touches :]
