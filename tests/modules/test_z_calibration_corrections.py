@@ -256,14 +256,22 @@ def test_adjustment_of_a_plate(start):
     assert [run["z_adjust"] for run in runs] == [0.1, 0.0]
 
 
-def test_what_counted_before_the_paper_is_not_saved_after_it(start):
-    printer = start().homed()
+@pytest.mark.parametrize("is_included", [False, True])
+def test_what_counted_before_the_paper_is_not_saved_after_it(
+    start, tmp_path, is_included
+):
+    path, changes = tmp_path / "mine.cfg", {}
+    path.write_text(f"[z_calibration]\nswitch_offset: {SWITCH_OFFSET}\n")
+    if is_included:
+        changes = {f"include {path}": {}, **section(switch_offset=None)}
+    printer = start(changes=changes).homed()
     calibration(printer)
     printer.run("SET_GCODE_OFFSET Z_ADJUST=-0.05")
     printer.run(f"{SAVE} SAVE=0")
     beside = "G1 X20 Y305 F6000\nG1 Z-0.02 F900\nM400"
-    printer.run(f"{beside}\nCALCULATE_SWITCH_OFFSET SAVE=1")
+    told = printer.run(f"{beside}\nCALCULATE_SWITCH_OFFSET SAVE=1")
+    assert "switch_offset: 0.510" in "\n".join(told)
     saved = {"z_calibration": {"switch_offset": "0.510"}}
-    assert pending(printer) == saved
-    printer.run(SAVE)
-    assert pending(printer) == saved
+    assert pending(printer) == ({} if is_included else saved)
+    assert "0.490" not in "\n".join(printer.run(SAVE))
+    assert pending(printer) == ({} if is_included else saved)

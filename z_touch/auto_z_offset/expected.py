@@ -105,17 +105,16 @@ class Expectations(object):
         return self.host.probing.homed_probe_z()
 
     # What has become of Z since it was homed, which the correction is of; empty:
-    # nothing, or nobody knows.  Levelling has made Z=0 where the probe sees the plane
-    # of its points, and a mesh may have been probed since, which goes with that.
+    # nothing, or nobody knows, or a mesh is in force that may go with it.
     def levelled(self):
         moved = self.homed.moved_by() if self.frame.is_homed() else 0.0
         is_known = DATUM_NOISE < moved < float("inf")
         if not is_known or self.host.features.has_mesh():
             return ""
         return (
-            "the Z motors have moved since G28, as levelling does: where the bed is"
-            " no plane the offset is wrong by what it is bent; run G28 Z, then what"
-            " else needs it, such as a mesh, then AUTO_Z_LOAD_OFFSET again"
+            "the Z motors have moved since G28, as levelling does: where Z=0 is"
+            " another one now, the offset is wrong by that; run G28 Z, then the mesh"
+            " if you use one, then AUTO_Z_LOAD_OFFSET again"
         )
 
     # Whether Z is still what it was when the frame was marked.  Where the

@@ -46,11 +46,11 @@ class Prober(object):
         position_min = axis.position_min if axis else NO_FLOOR
         return max(position_min, NO_FLOOR if is_homing else self._lowest())
 
-    # Lowest toolhead Z for a host that asks once, before anything moves.  'goes_on':
+    # Lowest toolhead Z for a host that asks once, before anything moves.  'is_raised':
     # it has each target raised, see raised().
-    def floor_everywhere(self, goes_on):
-        self.is_asked_there = goes_on
-        if not goes_on:
+    def floor_everywhere(self, is_raised):
+        self.is_asked_there = is_raised
+        if not is_raised:
             return self.floor()
         axis = self.host.axes.z_axis
         return max(

@@ -35,7 +35,7 @@ DIFFER = "clean the nozzle and check the probe for play"
 #   before_move(), after_move(moved,    around each probing move
 #   triggered)
 #   floor(is_homing)                    the lowest toolhead Z of a touch
-#   floor_everywhere(goes_on)           the same for a host that asks once
+#   floor_everywhere(is_raised)         the same for a host that asks once
 #   raised(z)                           a target as high as it has to be here
 #   homing_reach()                      how far (mm) below z_offset the homing
 #                                       move may go that comes next, or None

@@ -253,7 +253,6 @@ class Corrections(object):
             )
         gcmd.respond_info("%s: %s" % (self.host.section, text))
         if options.param_int(gcmd, "SAVE", 0):
-            text = "%.3f" % (new,)
-            if self.saver.save(self.host.section, "switch_offset", text):
-                # What counted before is none of it any more
-                self.unsaved = None
+            # What counted before is none of it any more, wherever the owner writes it
+            self.unsaved = None
+            self.saver.save(self.host.section, "switch_offset", "%.3f" % (new,))

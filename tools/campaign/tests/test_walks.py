@@ -166,10 +166,12 @@ def test_nobody_is_asked_any_more_after_a_print(host):
         ("gcode", asks),
         ("card", (1, "", "CANCEL_PRINT")),
         ("gcode", AGAIN),
+        ("gcode", "EXTRA_PROBE_ABORT PROBE=membrane"),
+        ("gcode", AGAIN),
     )
     outcome = walker.go(owned, walk, host)
     assert not outcome.harm
-    assert outcome.done[AGAIN] == 1
+    assert outcome.done[AGAIN] == 2
 
 
 def test_gap_is_looked_at_where_the_plate_was_touched(host):

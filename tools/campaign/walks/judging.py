@@ -148,9 +148,12 @@ class Judge:
             self._stand_still()
         if gone.kind in RESTARTS:
             self.gaps.restarted()
-        if gone.kind in (*RESTARTS, "card") or "EXTRA_PROBE_C" in gone.script:
-            waits = self._status()["extra_probe membrane"].get("waits_for", "")
-            self.over = waits if gone.kind == "card" else ""
+            self.over = ""
+        if gone.kind == "card":
+            after = self._status()["extra_probe membrane"]
+            self.over = after.get("waits_for", "")
+        elif "EXTRA_PROBE_CALIBRATE" in gone.script:
+            self.over = ""
         for sort, rule in (
             ("shutdown", self._is_shut_down),
             ("internal error", self._is_internal),
@@ -261,7 +264,7 @@ class Judge:
         status = self.before.status
         waits_for = status["extra_probe membrane"].get("waits_for", "")
         is_asked = status["manual_probe"].get("is_active")
-        is_asked = is_asked or waits_for != self.over
+        is_asked = is_asked or waits_for not in ("", self.over)
         is_answer = re.search("EXTRA_PROBE_(CONTINUE|ABORT)", gone.script)
         is_ours = gone.kind == "gcode" and gone.command in OURS
         touches = self.printer.machine.truth.touches[self.before.touches :]
