@@ -5,6 +5,7 @@ from __future__ import annotations
 import os
 from collections.abc import Callable, Iterable, Mapping
 from contextlib import ExitStack
+from functools import lru_cache
 from pathlib import Path
 from typing import Any, Optional
 
@@ -32,6 +33,7 @@ def firmware_of(host: Host) -> str:
     return "Kalico" if plugins else "Klipper"
 
 
+@lru_cache(maxsize=None)
 def dialect_of(host: Host) -> Dialect:
     """How that firmware speaks: as this version of the host expects."""
     klippy = host.directory / "base" / "klippy"

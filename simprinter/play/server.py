@@ -93,8 +93,10 @@ class PageServer:
             self._thread = None
 
     def show_frame(self, frame: dict[str, Any]) -> None:
-        """Show it to whoever keeps up."""
-        self._publish({"kind": "frame", **frame}, True)
+        """Show it to whoever keeps up, and to all if something was touched."""
+        # No later frame tells of its touches again; they are as rare as lines
+        may_skip = not frame.get("touches")
+        self._publish({"kind": "frame", **frame}, may_skip)
 
     def show_line(self, line: str) -> None:
         """Show what the terminal shows."""

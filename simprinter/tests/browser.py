@@ -84,6 +84,22 @@ class Page:
             "all is there",
         )
 
+    @contextmanager
+    def restarts(self) -> Iterator[None]:
+        """What is done inside restarts klippy: wait until it is ready again."""
+        # Moonraker may tell that klippy is away long after the machine has lost its
+        # place, and that it is ready again before anybody looks here
+        self.value(
+            "(globalThis.wasAway = false, new MutationObserver(() => {"
+            " if (!document.querySelector('#state-klippy.on'))"
+            " globalThis.wasAway = true; }).observe("
+            "document.querySelector('#state-klippy'), {attributes: true}),"
+            " true)"
+        )
+        yield
+        self.until(lambda: self.value("globalThis.wasAway"), "it is away")
+        self.until_ready()
+
     def console(self) -> str:
         """All of its lines."""
         return self.text("#console")

@@ -21,6 +21,8 @@ from simprinter.running import SAMPLE
 from simprinter.tests.browser import browser, programs
 from simprinter.tests.terminals import LIMIT, Terminal
 
+pytestmark = pytest.mark.slow
+
 WORLD = str(SAMPLE / "world.toml")
 # One that tells how far it is, as the page shows it of any plugin
 PLUGIN = """
@@ -143,7 +145,6 @@ def test_folder_stays_when_the_printer_cannot_go_on(files):
         assert shown.processes() == []
 
 
-@pytest.mark.slow
 @pytest.mark.timeout(8 * LIMIT)
 def test_page_in_a_browser(files):
     """What fits any printer, and nothing of anybody's modules."""
@@ -178,9 +179,9 @@ def test_page_in_a_browser(files):
         text = page.find("#config-text")
         page.until(lambda: "[halfway]" in text.get_property("value"), "text")
         text.send_keys("\n[gcode_macro HELLO]\ngcode: HALFWAY\n")
-        page.press("#config", "Save and restart")
-        page.until(lambda: page.text("#gap") == "–", "a restart")
-        page.until_ready()
+        with page.restarts():
+            page.press("#config", "Save and restart")
+        page.until(lambda: page.text("#gap") == "–", "nothing is homed")
         page.run("HELLO", "Halfway down")
         page.press("#shortcuts", "Emergency stop")
         page.until(lambda: "shutdown" in page.text("#away"), "shutdown")
@@ -189,7 +190,6 @@ def test_page_in_a_browser(files):
         assert page.complaints() == []
 
 
-@pytest.mark.slow
 @pytest.mark.timeout(4 * LIMIT)
 def test_sample_and_what_klippy_refuses(files):
     """Without a file it is the sample; Moonraker comes back; a mistake waits."""
@@ -213,7 +213,6 @@ def test_sample_and_what_klippy_refuses(files):
         shown.assert_ends(signal.SIGTERM)
 
 
-@pytest.mark.slow
 @pytest.mark.timeout(4 * LIMIT)
 def test_switch_of_any_name(files):
     """A world may call it anything."""

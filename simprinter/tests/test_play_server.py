@@ -222,6 +222,23 @@ def test_one_who_reads_nothing_costs_no_memory(served):
         assert json.loads(slow.recv())["n"] == "last"
 
 
+def test_touches_reach_one_who_is_late(served):
+    """A frame with touches is never left out: no other tells of them."""
+    text = "x" * 10_000
+    with looking(served) as late:
+        late.recv()
+        for number in range(2000):
+            touched = [] if number % 100 else ["nozzle_pin"]
+            served.show_frame({"n": number, "text": text, "touches": touched})
+        served.show_line("end")
+        touches, frames = [], 0
+        while (message := json.loads(late.recv()))["kind"] == "frame":
+            frames += 1
+            touches += [message["n"]] * len(message["touches"])
+        assert touches == list(range(0, 2000, 100))
+        assert frames < 1000
+
+
 def test_more_pages_than_there_is_room_for(served):
     sockets = []
     for _ in range(8):

@@ -9,7 +9,7 @@ import { Live } from "./live.js";
 import { Moonraker } from "./moonraker.js";
 import { Result } from "./result.js";
 import { Side } from "./side.js";
-import { Top } from "./top.js";
+import { DOTS, Top, WAY } from "./top.js";
 
 const $ = (id) => document.getElementById(id);
 const MOST_LINES = 300;
@@ -71,8 +71,13 @@ live.addEventListener("hello", ({ detail }) => {
 
 live.addEventListener("frame", ({ detail }) => {
   const isFirst = frame === null;
-  // A frame that was not drawn yet leaves its way and its touches to this one
-  frame = isFirst ? detail : { ...detail, way: [...frame.way, ...detail.way], touches: [...frame.touches, ...detail.touches] };
+  // A frame that was not drawn yet leaves its way and its touches to this one; a
+  // page that nobody sees draws none for hours
+  frame = isFirst ? detail : {
+    ...detail,
+    way: [...frame.way, ...detail.way].slice(-WAY),
+    touches: [...frame.touches, ...detail.touches].slice(-DOTS),
+  };
   if (isFirst) requestAnimationFrame(drawFrame);
 });
 

@@ -59,6 +59,11 @@ export class Moonraker extends EventTarget {
       this.tell("lines", message.params[0].split("\n"));
     } else if (message.method === "notify_status_update") {
       this.take(message.params[0]);
+    } else if (message.method === "notify_klippy_disconnected") {
+      // Whoever asks may be told "ready" of the one that follows, which is to be
+      // subscribed to anew
+      this.become("away", "");
+      this.look();
     } else if (/^notify_klippy_/.test(message.method || "")) {
       this.look();
     }

@@ -3,7 +3,8 @@
 import { SITES, clear, draw, set } from "./svg.js";
 
 const SIZE = 340, EDGE = 22;
-const WAY = 900, DOTS = 80;
+// Places of the way, and touches, that are shown
+export const WAY = 900, DOTS = 80;
 
 export class Top {
   constructor(svg, words) {

@@ -15,6 +15,8 @@ from simprinter.tests.browser import LIMIT, browser, programs
 from tools.kit.setup_user import EMPTY
 from tools.playground.tests.test_playground import port, terminal
 
+pytestmark = pytest.mark.slow
+
 __all__ = ["port"]
 
 # Seconds of a test that does more than one thing
@@ -113,7 +115,6 @@ def test_page_calibrates(port, host):
         assert page.value("drawn") > 30
 
 
-@pytest.mark.slow
 @LONG
 def test_crash_is_told(port):
     with looking(port, "--perfect") as (_, page):
@@ -136,7 +137,6 @@ def test_crash_is_told(port):
         )
 
 
-@pytest.mark.slow
 @LONG
 def test_every_result_is_in_large_figures(port):
     with looking(port, "--perfect") as (_, page):
@@ -165,7 +165,6 @@ def test_every_result_is_in_large_figures(port):
             )
 
 
-@pytest.mark.slow
 @LONG
 def test_broken_wire_is_refused_and_repaired(port):
     with looking(port, "--perfect") as (_, page):
@@ -187,7 +186,6 @@ def test_broken_wire_is_refused_and_repaired(port):
         assert calibrate(page) == pytest.approx(0.16, abs=0.03)
 
 
-@pytest.mark.slow
 @LONG
 def test_hands_change_what_is_measured(port):
     """Each by its button; what they type is what is told."""
@@ -218,7 +216,6 @@ def test_hands_change_what_is_measured(port):
         assert calibrate(page) == pytest.approx(first, abs=0.01)
 
 
-@pytest.mark.slow
 @LONG
 def test_membrane_by_dialogs(port):
     options = ("--scene", "extra_probe", "--perfect", "--speed", "10")
@@ -242,16 +239,13 @@ def test_membrane_by_dialogs(port):
         page.press("#dialog", "Continue")
         page.until(lambda: "SAVE_CONFIG" in page.console(), "it is to save")
         assert re.match(r"new Z offset-?\d\.\d{3} mm", page.text("#result"))
-        page.press("#shortcuts", "Save")
-        page.until(
-            lambda: page.text("#state-klippy") and not gap(page), "a restart"
-        )
-        page.until_ready()
+        with page.restarts():
+            page.press("#shortcuts", "Save")
+        page.until(lambda: gap(page) is None, "nothing is homed")
         home(page)
         page.until(lambda: abs(gap(page)) < 0.02, "the gap is right")
 
 
-@pytest.mark.slow
 @LONG
 def test_another_printer_and_its_own_file(port):
     with looking(port, "--perfect") as (shown, page):
@@ -286,7 +280,6 @@ def test_another_printer_and_its_own_file(port):
         )
 
 
-@pytest.mark.slow
 @LONG
 def test_wrong_configuration_is_told_and_mended(port):
     """It waits for its owner; who wrote meanwhile is not overwritten."""
@@ -320,7 +313,6 @@ def test_wrong_configuration_is_told_and_mended(port):
         assert all("412" in text for text in page.complaints())
 
 
-@pytest.mark.slow
 @LONG
 def test_who_is_away_is_said(port):
     with looking(port, "--perfect") as (shown, page):
@@ -351,7 +343,6 @@ def test_who_is_away_is_said(port):
         assert all("WebSocket" in text for text in page.complaints())
 
 
-@pytest.mark.slow
 @LONG
 def test_report_is_shown(port):
     with looking(port, "--perfect") as (_, page):
@@ -367,7 +358,6 @@ def test_report_is_shown(port):
         )
 
 
-@pytest.mark.slow
 @LONG
 def test_correction_of_an_inductive_probe_is_shown(port):
     options = ("--scene", "auto_z_offset", "--perfect", "--speed", "10")
@@ -379,7 +369,6 @@ def test_correction_of_an_inductive_probe_is_shown(port):
         page.until(lambda: re.match(shown, page.text("#result")), "the card")
 
 
-@pytest.mark.slow
 @LONG
 def test_keyboard_alone(port):
     with looking(port, "--perfect") as (_, page):
@@ -432,7 +421,6 @@ def test_keyboard_alone(port):
         assert unseen == []
 
 
-@pytest.mark.slow
 @LONG
 @pytest.mark.parametrize("is_dark", [False, True], ids=["light", "dark"])
 @pytest.mark.parametrize("width", [1400, 400])
@@ -480,7 +468,6 @@ def contrasts(page):
     return page.value(_CONTRASTS)
 
 
-@pytest.mark.slow
 @LONG
 def test_set_up_from_nothing_by_buttons(port):
     """As the tour has it, but for the terminal: nothing is typed."""
@@ -499,15 +486,10 @@ def test_set_up_from_nothing_by_buttons(port):
         page.until_ready()
         home(page)
         page.press("#shortcuts", "Set up")
-        guide(page)
-        page.until(
-            lambda: (
-                "switch_offset" in (shown.config / "printer.cfg").read_text()
-            ),
-            "saved",
-        )
-        page.until(lambda: gap(page) is None, "klippy has restarted")
-        page.until_ready()
+        with page.restarts():
+            guide(page)
+        page.until(lambda: gap(page) is None, "nothing is homed")
+        assert "switch_offset" in (shown.config / "printer.cfg").read_text()
         page.do("attach")
         home(page)
         calibrate(page)
@@ -609,7 +591,6 @@ def height(page):
     return float(found[1])
 
 
-@pytest.mark.slow
 @pytest.mark.timeout(600)
 def test_half_an_hour_costs_no_memory(port):
     """30 minutes of the printer at speed 10: the page, and each program."""
