@@ -40,6 +40,7 @@ unregistrable=""    # why Moonraker cannot update it
 modules=""          # those to link or unlink
 folder=""           # where they belong: klippy/extras, or klippy/plugins
 git_prefix="-"      # of Klipper in its repository, - if it is in none
+tracked=""          # files that are part of Klipper, each in a line
 confs=()            # the moonraker.conf files to change
 every_conf=()       # and all others, as their printers may be printing
 scratch=""
@@ -224,8 +225,8 @@ locate_klipper() {
     # Links of ours may keep that of Kalico when Klipper has come back
     folder="klippy/extras"
     [ ! -e "$klipper/klippy/plugins/__init__.py" ] || folder="klippy/plugins"
-    # With the index, which tells what is part of Klipper
-    if git -C "$klipper" ls-files -- klippy >/dev/null 2>"$scratch/git"; then
+    if tracked=$(git -C "$klipper" ls-files -- klippy 2>"$scratch/git"); then
+        tracked=$'\n'"$tracked"$'\n'
         git_prefix=$(git -C "$klipper" rev-parse --show-prefix)
     elif [ -e "$klipper/.git" ]; then
         problem "$ENVIRONMENT" "git does not tell what is part of $klipper:" \

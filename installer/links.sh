@@ -39,8 +39,7 @@ is_wanted() {
 
 # Whether it, or a package of that name, is part of Klipper
 is_tracked() {
-    [ "$git_prefix" != - ] &&
-        [ -n "$(git -C "$klipper" ls-files -- "$1" "${1%.py}")" ]
+    [[ $tracked = *$'\n'"$1"$'\n'* || $tracked = *$'\n'"${1%.py}"[/$'\n']* ]]
 }
 
 # A link into this checkout, also one to a file that is gone
@@ -298,12 +297,17 @@ printers_without_override() {
 # set_up_exclude REMOVED: git's list of files that are not Klipper's. If it
 # cannot be written, git shows what is harmless.
 set_up_exclude() {
-    local file place new=""
+    local file place wanted=() ignored="" new=""
     file=$(git -C "$klipper" rev-parse --git-path info/exclude)
     [[ $file = /* ]] || file="$klipper/$file"
     for place in $(places); do
-        ! is_wanted "$place" ||
-            git -C "$klipper" check-ignore -q -- "$place" ||
+        ! is_wanted "$place" || wanted+=("$place")
+    done
+    # It fails where none is
+    [ "${#wanted[@]}" -eq 0 ] ||
+        ignored=$(git -C "$klipper" check-ignore -- "${wanted[@]}") || true
+    for place in "${wanted[@]}"; do
+        [[ $'\n'$ignored$'\n' = *$'\n'"$place"$'\n'* ]] ||
             new+=$'\n'"/$git_prefix$place"
     done
     if [ -n "$new" ]; then

@@ -22,7 +22,8 @@ from tests.install.box import (
     options_in,
     snapshot,
 )
-from tools.kit.cases import slow
+
+pytestmark = pytest.mark.slow
 
 NAME = "auto_z_offset"  # which no host ships
 PLACE = f"klippy/extras/{NAME}.py"
@@ -181,8 +182,8 @@ def test_link_of_somebody_else_can_be_taken_over_as_told(machine, klipper):
     ("path", "is_named"),
     [
         ("~/FreeDi/", True),
-        slow("HOME/FreeDi  # theirs", True),
-        slow("~/other", False),
+        ("HOME/FreeDi  # theirs", True),
+        ("~/other", False),
         ("~/Free", False),
         ("", False),
     ],
@@ -270,9 +271,9 @@ def test_copies_by_hand_are_kept(machine, klipper):
     assert (kept[1] / "mine.py").read_text() == "mine = 2\n"
 
 
-@pytest.mark.parametrize("options", [slow([]), ["--force"]])
+@pytest.mark.parametrize("options", [[], ["--force"]])
 @pytest.mark.parametrize("path", [PLACE, f"klippy/extras/{NAME}/__init__.py"])
-@pytest.mark.parametrize("is_linked", [slow(False), True])
+@pytest.mark.parametrize("is_linked", [False, True])
 def test_part_of_klipper_is_never_replaced(
     machine, klipper, options, path, is_linked
 ):
@@ -341,9 +342,7 @@ def test_klipper_in_a_bigger_repository(box):
     assert "klippy" not in exclude.read_text()
 
 
-@pytest.mark.parametrize(
-    "text", [slow("# mine\n*.bak\n"), "*.bak", slow(""), None]
-)
+@pytest.mark.parametrize("text", ["# mine\n*.bak\n", "*.bak", "", None])
 def test_lines_of_others_in_the_exclude_file_stay(machine, klipper, text):
     klipper.exclude.unlink()
     if text is not None:
@@ -386,7 +385,6 @@ def test_kalico_needs_the_override(box):
     box.installed()
 
 
-@pytest.mark.slow
 @pytest.mark.parametrize(
     ("name", "line", "is_allowed"),
     [
@@ -402,9 +400,7 @@ def test_kalico_needs_the_override(box):
         ("printer-20261121_174500.cfg", "allow_plugin_override: True", False),
     ],
 )
-@pytest.mark.parametrize(
-    "folder", ["printer_data/config", slow("klipper_config")]
-)
+@pytest.mark.parametrize("folder", ["printer_data/config", "klipper_config"])
 def test_override_is_read_from_what_the_printer_reads(
     box, folder, name, line, is_allowed
 ):
@@ -553,18 +549,18 @@ def test_extras_that_cannot_be_written(machine, klipper):
     ("options", "message"),
     [
         (["--what"], "unknown option --what"),
-        slow(["-x"], "unknown option -x"),
-        slow(["here"], "unknown option here"),
+        (["-x"], "unknown option -x"),
+        (["here"], "unknown option here"),
         (["-k"], "-k needs a value"),
-        slow(["-k", ""], "-k needs a value"),
-        slow(["-m"], "-m needs a value"),
-        slow(["-n"], "-n needs a value"),
+        (["-k", ""], "-k needs a value"),
+        (["-m"], "-m needs a value"),
+        (["-n"], "-n needs a value"),
         (["--modules", ""], "--modules needs a value"),
         (
             ["--modules", "z_calibration other"],
             "no module other; choose from: ",
         ),
-        slow(["--modules", "*"], "no module *; choose from: "),
+        (["--modules", "*"], "no module *; choose from: "),
         # Ours, but not in this checkout
         (["--modules", "extra_probe"], "no module extra_probe; choose from"),
     ],
@@ -703,7 +699,6 @@ def test_dry_run_refuses_the_same(machine, klipper):
 # A clone that was moved, and a module that is gone
 
 
-@pytest.mark.slow
 @pytest.mark.parametrize("options", [[], ["--uninstall"]])
 def test_links_of_a_clone_that_was_moved(machine, either, options):
     machine.installed()
@@ -864,7 +859,6 @@ def test_which_klipper_was_taken(box):
 # The script as such
 
 
-@pytest.mark.slow
 @pytest.mark.parametrize("shell", ["sh", "bash --posix", "dash"])
 def test_any_shell_may_be_named(machine, klipper, shell):
     real = shutil.which(shell.split()[0])

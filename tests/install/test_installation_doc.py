@@ -11,6 +11,8 @@ from tests.docs.documents import link_problems, part, spans
 from tests.docs.order import out_of_order
 from tests.install.box import MODULES, ORIGIN, OVERRIDE, REPO, Box, options_in
 
+pytestmark = pytest.mark.slow
+
 DOCUMENT = REPO / "docs" / "installation.md"
 README = REPO / "README.md"
 EXAMPLE = REPO / "examples" / "moonraker.conf"

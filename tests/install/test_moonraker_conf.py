@@ -8,7 +8,8 @@ import re
 import pytest
 
 from tests.install.box import MODULES, ORIGIN, snapshot
-from tools.kit.cases import slow
+
+pytestmark = pytest.mark.slow
 
 HEADER = "[update_manager z_calibration]"
 MARK = "# Added by install.sh of z_calibration\n"
@@ -36,10 +37,10 @@ def conf(machine, klipper):
     "text",
     [
         "[server]\n",
-        slow("[server]"),
-        slow(""),
+        "[server]",
+        "",
         "[server]\r\n",
-        slow("[server]\n#é\xff"),
+        "[server]\n#é\xff",
     ],
 )
 def test_section_is_appended(machine, conf, text):
@@ -70,7 +71,6 @@ def test_file_keeps_its_identity(machine, conf):
         assert [path.name for path in real.parent.glob(".real*")] == []
 
 
-@pytest.mark.slow
 @pytest.mark.parametrize(
     "places",
     [
@@ -128,13 +128,13 @@ def test_no_moonraker(machine, conf):
     ("old", "new"),
     [
         ("", ""),
-        slow(HEADER, "[update_manager  z_calibration]  # updates"),
-        slow(HEADER, "[update_manager client z_calibration]"),
+        (HEADER, "[update_manager  z_calibration]  # updates"),
+        (HEADER, "[update_manager client z_calibration]"),
         ("\n", "\r\n"),
-        slow("~/klipper_z_calibration", "~/klipper_z_calibration/"),
-        slow("~/klipper_z_calibration", "HOME/klipper_z_calibration  # here"),
-        slow("~/klipper_z_calibration", "~/link"),
-        slow(".git", ""),
+        ("~/klipper_z_calibration", "~/klipper_z_calibration/"),
+        ("~/klipper_z_calibration", "HOME/klipper_z_calibration  # here"),
+        ("~/klipper_z_calibration", "~/link"),
+        (".git", ""),
         ("primary_branch", "channel: stable\nprimary_branch"),
     ],
 )
@@ -148,7 +148,6 @@ def test_section_that_is_right_stays(machine, conf, old, new):
     assert machine.restarted() == ["klipper"]
 
 
-@pytest.mark.slow
 @pytest.mark.parametrize(
     "line",
     [
@@ -165,7 +164,6 @@ def test_what_only_looks_like_it_does_not_count(machine, conf, line):
     assert conf.read_text().endswith(f"\n\n{MARK}{SECTION}")
 
 
-@pytest.mark.slow
 @pytest.mark.parametrize(
     "include",
     ["more.conf", "conf.d/*.conf", "ABSOLUTE/conf.d/a b.conf", "first.conf"],
@@ -308,15 +306,15 @@ def test_checkout_that_cannot_be_updated(machine, conf, klipper, command):
     [
         ("[server]\n", [], True),
         ("[server]\n", ["--no-moonraker"], False),
-        slow("[server]\n", ["-u"], False),
-        slow(SECTION, [], False),
-        slow(SECTION, ["-u"], True),
-        slow(OTHER_PATH, [], False),
+        ("[server]\n", ["-u"], False),
+        (SECTION, [], False),
+        (SECTION, ["-u"], True),
+        (OTHER_PATH, [], False),
         (OTHER_PATH, ["-f"], True),
-        slow(OTHER_PATH, ["-u"], False),
+        (OTHER_PATH, ["-u"], False),
     ],
 )
-@pytest.mark.parametrize("mode", [0o444, slow(0o000)])
+@pytest.mark.parametrize("mode", [0o444, 0o000])
 def test_file_that_cannot_be_written(
     machine, conf, text, options, is_needed, mode
 ):
@@ -344,10 +342,9 @@ def test_folder_that_cannot_be_written(machine, conf, text, options):
     assert f"cannot write to {conf.parent}; give it to your user: sudo" in err
 
 
-@pytest.mark.slow
 @pytest.mark.parametrize(
     ("text", "options"),
-    [(SECTION, ["-u"]), slow(OTHER_PATH, ["-f"]), ("[server]\n", [])],
+    [(SECTION, ["-u"]), (OTHER_PATH, ["-f"]), ("[server]\n", [])],
 )
 @pytest.mark.parametrize(
     ("program", "words"), [("cat", "*/new"), ("cp", "*"), ("mv", "*")]

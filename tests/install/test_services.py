@@ -12,11 +12,9 @@ from http.server import BaseHTTPRequestHandler, HTTPServer
 
 import pytest
 
-from tools.kit.cases import slow
-
 BOTH = ["klipper", "moonraker"]
 
-pytestmark = pytest.mark.usefixtures("klipper")
+pytestmark = [pytest.mark.slow, pytest.mark.usefixtures("klipper")]
 
 
 def test_what_changed_is_restarted(machine):
@@ -66,7 +64,6 @@ def test_stopped_service_stays_stopped(machine):
     assert machine.restarted() == BOTH
 
 
-@pytest.mark.slow
 @pytest.mark.parametrize(
     ("state", "options", "is_restarted"),
     [
@@ -140,9 +137,7 @@ WAIT = "a print is running. When it has ended: sudo systemctl restart"
 ASK = "no Moonraker tells whether a print is running. When it is not: sudo"
 
 
-@pytest.mark.parametrize(
-    "options", [[], slow(["-m", "CONF"]), slow(["--no-moonraker"])]
-)
+@pytest.mark.parametrize("options", [[], ["-m", "CONF"], ["--no-moonraker"]])
 @pytest.mark.parametrize(
     ("first", "second", "restarted", "said"),
     [
@@ -161,10 +156,10 @@ ASK = "no Moonraker tells whether a print is running. When it is not: sudo"
             {"1": ASK},
         ),
         # One that does not answer: another one's answer says nothing of it
-        slow("", "klipper-2 moonraker-2 idle", "2", {"1": ASK}),
+        ("", "klipper-2 moonraker-2 idle", "2", {"1": ASK}),
         ("klipper-1 moonraker-1 idle", "", "1", {"2": ASK}),
         # Nobody knows whose it is
-        slow("idle", "klipper-2 moonraker-2 idle", "2", {"1": ASK}),
+        ("idle", "klipper-2 moonraker-2 idle", "2", {"1": ASK}),
         (
             "klipper moonraker idle",
             "klipper moonraker idle",
@@ -229,7 +224,6 @@ def test_moonraker_that_does_not_tell(machine, stopped):
     assert machine.restarted() == (["moonraker"] if stopped else [])
 
 
-@pytest.mark.slow
 @pytest.mark.parametrize(
     ("server", "address"),
     [
@@ -290,20 +284,20 @@ UNKNOWN = "no Moonraker tells"
     ("code", "info", "query", "said"),
     [
         (200, *objects("standby"), RESTARTED),
-        slow(200, *objects("complete", "Ready"), RESTARTED),
+        (200, *objects("complete", "Ready"), RESTARTED),
         (200, *objects("printing"), BUSY),
-        slow(200, *objects("paused"), BUSY),
+        (200, *objects("paused"), BUSY),
         # A script, such as a calibration
-        slow(200, *objects("standby", "Printing"), BUSY),
+        (200, *objects("standby", "Printing"), BUSY),
         # With no [virtual_sdcard] something else sends the print
         (200, *objects(None), UNKNOWN),
         # It may print for somebody else, or from another socket
         (200, {"klippy_state": "disconnected"}, None, UNKNOWN),
-        slow(200, {"klippy_state": "startup"}, None, UNKNOWN),
-        slow(200, {"klippy_state": "shutdown"}, None, RESTARTED),
+        (200, {"klippy_state": "startup"}, None, UNKNOWN),
+        (200, {"klippy_state": "shutdown"}, None, RESTARTED),
         # As after an update that has removed the links
-        slow(200, {"klippy_state": "error"}, None, RESTARTED),
-        slow(401, *objects("standby"), UNKNOWN),
+        (200, {"klippy_state": "error"}, None, RESTARTED),
+        (401, *objects("standby"), UNKNOWN),
     ],
 )
 def test_what_a_moonraker_answers(machine, code, info, query, said):
