@@ -24,6 +24,8 @@ from tools.kit.auto_z_offset import (
 from tools.kit.printer import module_files
 from tools.kit.scenes import SCENES
 
+pytestmark = pytest.mark.slow
+
 # Cycles that differ
 
 
@@ -104,7 +106,6 @@ OWNERS = section(
 )
 
 
-@pytest.mark.every_host
 def test_four_cycles_of_an_owner(start):
     printer = start("qidi", changes=OWNERS).homed()
     taken = seconds(printer, "AUTO_Z_CALIBRATE")

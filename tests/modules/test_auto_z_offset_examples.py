@@ -16,9 +16,10 @@ import pytest
 
 from tests.modules.example_owners import lines_of, print_start_of
 from tools.kit.auto_z_offset import MICROSTEP, POINT, told
-from tools.kit.cases import all_slow_but
 from tools.kit.corpus import indented
 from tools.kit.scenes import SCENES
+
+pytestmark = pytest.mark.slow
 
 EXAMPLES = Path(__file__).resolve().parents[2] / "examples" / "auto_z_offset"
 # Scene, and the file's pins with those of the scene
@@ -93,7 +94,7 @@ def machine_of(name):
     return replace(scene, sections=kept), changes
 
 
-@pytest.mark.parametrize("name", all_slow_but(["q1_pro"], sorted(MACHINES)))
+@pytest.mark.parametrize("name", sorted(MACHINES))
 def test_example_prints_at_the_right_height(start, name):
     scene, changes = machine_of(name)
     own = changes["auto_z_offset"]

@@ -715,7 +715,7 @@ def test_gcode_that_would_be_missed_is_asked_for(start, command):
     assert "activate_gcode is not run" in text
     assert "move it into prepare_gcode" in text
     assert sites(printer, first) == []
-    printer.run("AUTO_Z_LOAD_OFFSET\nAUTO_Z_SAVE_GCODE_OFFSET")
+    printer.run("AUTO_Z_LOAD_OFFSET\nAUTO_Z_SAVE_GCODE_OFFSET FORCE=1")
 
 
 def test_numbers_are_numbers_to_macros(start):

@@ -6,6 +6,7 @@ from dataclasses import replace
 
 import pytest
 
+from simprinter.scene import heated
 from tools.kit.auto_z_offset import (
     AIR_GAP,
     CORRECTION,
@@ -24,7 +25,9 @@ from tools.kit.auto_z_offset import (
     true_gap,
     with_extras,
 )
+from tools.kit.klipper_sections import TOOL
 from tools.kit.printer import Printer, has_kinematics
+from tools.kit.prints import paused
 from tools.kit.scenes import SCENES
 
 MACHINES = ("qidi", "qidi_two_boards", "piezo_cartesian", "piezo_generic")
@@ -34,7 +37,6 @@ STEPS = 2 * MICROSTEP
 # AUTO_Z_CALIBRATE
 
 
-@pytest.mark.every_host
 @pytest.mark.parametrize("scene", MACHINES)
 def test_calibration_leaves_the_air_gap(host, scene):
     if not has_kinematics(host, SCENES[scene]):
@@ -281,6 +283,35 @@ def test_offset_that_is_none_is_not_saved_a_lost_one_is_told(start):
     assert told(lines, "1.120 mm away from before; where Z was not homed")
 
 
+# Touches would then be expected where nobody has measured anything
+def test_zero_is_no_first_correction(start):
+    printer = start("qidi").homed()
+    before = state(printer)
+    text = printer.fail("AUTO_Z_SAVE_GCODE_OFFSET")
+    assert "holds no correction, and none was saved before" in text
+    assert state(printer) == before
+    printer.run("AUTO_Z_SAVE_GCODE_OFFSET FORCE=1")
+    assert printer.status("auto_z_offset")["probe_z_correction"] == 0.0
+
+
+# Its macros have added what it differs by
+def test_steps_of_another_tool_are_not_saved(start, tmp_path):
+    warm = tmp_path / "warm"
+    warm.write_text("25000")
+    tool = {"extruder1": {**TOOL, "sensor_path": str(warm)}}
+    printer = start(heated(SCENES["qidi"]), changes=tool).homed()
+    printer.run("AUTO_Z_CALIBRATE\nACTIVATE_EXTRUDER EXTRUDER=extruder1")
+    printer.run("SET_GCODE_OFFSET Z_ADJUST=0.3")
+    before = state(printer)
+    text = printer.fail("AUTO_Z_SAVE_GCODE_OFFSET")
+    assert "extruder1 is active, and the correction was applied with" in text
+    assert state(printer) == before
+    printer.run("AUTO_Z_LOAD_OFFSET\nSET_GCODE_OFFSET Z_ADJUST=0.02")
+    printer.run("AUTO_Z_SAVE_GCODE_OFFSET")
+    saved = printer.status("auto_z_offset")["probe_z_correction"]
+    assert saved == pytest.approx(CORRECTION + 0.02, abs=STEPS)
+
+
 LOAD = "AUTO_Z_LOAD_OFFSET"
 RESET = "the G-code Z offset is 0, not the -1.120 of the correction"
 
@@ -302,13 +333,25 @@ def test_what_are_no_baby_steps_is_not_saved(start, script, words):
     options = section(probe_z_correction="-1.12")
     changes = {**options, "pause_resume": {}}
     printer = start("qidi", changes=changes).homed()
-    printer.run(script)
+    lines = printer.run(script)
+    told = "has brought back the G-code Z offset 0.000; it was -1.120, from"
+    assert (told in "\n".join(lines)) is ("PAUSE" in script or "SAVE" in script)
     before = state(printer)
     assert words in printer.fail("AUTO_Z_SAVE_GCODE_OFFSET")
     assert state(printer) == before
     printer.run("AUTO_Z_SAVE_GCODE_OFFSET FORCE=1")
     saved = printer.status("auto_z_offset")["probe_z_correction"]
     assert saved == pytest.approx(printer.offset())
+
+
+# What is printed already stands where the head would go
+def test_nothing_goes_across_a_paused_print(start, tmp_path):
+    printer = paused(start, tmp_path, "qidi")
+    at = printer.session.position()
+    told = "a print is paused, and the head would go across it; end it first"
+    assert told in printer.fail("AUTO_Z_CALIBRATE")
+    assert printer.session.position() == at
+    printer.run("CANCEL_PRINT\nAUTO_Z_CALIBRATE")
 
 
 @pytest.mark.parametrize("load", [LOAD, "SET_GCODE_OFFSET Z=-1.12"])

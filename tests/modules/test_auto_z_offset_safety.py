@@ -26,7 +26,7 @@ from tools.kit.auto_z_offset import (
     touches,
     true_gap,
 )
-from tools.kit.carrying import with_all
+from tools.kit.carrying import SWITCH, with_all
 from tools.kit.cases import all_slow_but, slow
 from tools.kit.docks import DOCK_SCENES, HANG
 from tools.kit.printer import Printer, module_files
@@ -485,6 +485,9 @@ def test_z_tilt_sets_z_with_the_probe(start):
     printer.run("Z_TILT_ADJUST\nAUTO_Z_LOAD_OFFSET")
 
 
+MESH = "BED_MESH_CALIBRATE PROBE_COUNT=3,3"
+
+
 # The points of levelling lie lower than the middle, where Z was homed
 @pytest.mark.every_host
 @pytest.mark.parametrize(
@@ -493,7 +496,15 @@ def test_z_tilt_sets_z_with_the_probe(start):
         ("Z_TILT_ADJUST", True),
         ("Z_TILT_ADJUST\nG28 Z", False),
         # Probed since, it goes with where Z is now
-        ("Z_TILT_ADJUST\nBED_MESH_CALIBRATE PROBE_COUNT=3,3", False),
+        (f"Z_TILT_ADJUST\n{MESH}", False),
+        (f"Z_TILT_ADJUST\n{MESH}\nBED_MESH_PROFILE LOAD=default", False),
+        # One of before does not
+        (f"{MESH}\nZ_TILT_ADJUST", True),
+        (
+            f"{MESH} PROFILE=old\nZ_TILT_ADJUST\n{MESH} PROFILE=new"
+            "\nBED_MESH_PROFILE LOAD=old",
+            True,
+        ),
         ("", False),
         # What holds the axis nobody sees, and nobody has homed
         ("Z_TILT_ADJUST\nM84", False),
@@ -512,6 +523,33 @@ def test_correction_of_a_z_that_levelling_has_moved(start, script, is_told):
         lines = printer.run("G28 Z\nAUTO_Z_LOAD_OFFSET")
         assert abs(printer.gap(printer.bed_point()) - levelled) > 0.1
         assert not told(lines, "as levelling does")
+
+
+# Whatever Z=0 has moved by, it is 0 at its point
+@pytest.mark.every_host
+def test_mesh_with_a_zero_does_not_go_with_a_z_that_has_moved(start):
+    scene = on_plate(with_all(DOCK_SCENES["dock_frame"]), (0.0, 0.0), 0.2, 0.0)
+    changes = {"z_calibration": None, **section(probe_z_correction="0.16")}
+    changes["bed_mesh"] = {"zero_reference_position": "150, 150"}
+    printer = start(scene, changes).homed()
+    printer.run(f"Z_TILT_ADJUST\n{MESH}")
+    assert told(printer.run("AUTO_Z_LOAD_OFFSET"), "as levelling does")
+    printer.run(f"G28 Z\n{MESH}")
+    assert not told(printer.run("AUTO_Z_LOAD_OFFSET"), "as levelling does")
+
+
+# The nozzle was 0.1 mm inside the bed in a print of walk 8573
+@pytest.mark.every_host
+@pytest.mark.parametrize("zero", ["150, 150", None])
+def test_mesh_with_a_zero_where_a_switch_homes_z(start, zero):
+    changes = {"z_calibration": None, **section(probe_z_correction="-0.34")}
+    changes["bed_mesh"] = {"zero_reference_position": zero}
+    printer = start(SWITCH, changes).homed()
+    words = "the bed mesh has a zero of its own: the gap is wrong"
+    assert bool(told(printer.session.console, words)) is bool(zero)
+    assert not told(printer.run("AUTO_Z_LOAD_OFFSET"), words)
+    lines = printer.run(f"{MESH}\nAUTO_Z_LOAD_OFFSET")
+    assert bool(told(lines, words)) is bool(zero)
 
 
 def test_homing_in_prepare_gcode_is_the_frame(start):
@@ -876,7 +914,10 @@ def test_smart_effector_that_homes_to_something_else(host, start):
     if kind == "error":
         assert "'position_endstop' is not valid" in message
         pytest.skip(f"{host.name}: {message.splitlines()[0]}")
-    printer.run("G28")
+    printer.run("G28\nAUTO_Z_LOAD_OFFSET")
+    # What it has set is the difference, and no correction
+    text = printer.fail("AUTO_Z_SAVE_GCODE_OFFSET")
+    assert "holds no correction, and none was saved" in text
     gap = printer.scene.piezo_gap()
     printer.run("AUTO_Z_CALIBRATE")
     assert true_gap(printer) == pytest.approx(gap, abs=STEPS)

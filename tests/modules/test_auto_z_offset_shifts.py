@@ -10,6 +10,8 @@ from tools.kit.auto_z_offset import MICROSTEP, POINT, told, true_gap, world
 from tools.kit.klipper_sections import bed_mesh, profile
 from tools.kit.scenes import SCENES
 
+pytestmark = pytest.mark.slow
+
 STEPS = 2 * MICROSTEP
 MESH = bed_mesh("50, 50", "200, 200")
 PROBED = "BED_MESH_CALIBRATE"

@@ -15,6 +15,8 @@ from tools.kit.auto_z_offset import CORRECTION, POINT, section, touches
 from tools.kit.scenes import SCENES
 from tools.kit.z_calibration import refusal
 
+pytestmark = pytest.mark.slow
+
 AT = re.compile(r"bed sensor: triggered at z=\S+ at (\S+), (\S+)$")
 
 
@@ -32,7 +34,6 @@ def points_of(printer, script="AUTO_Z_CALIBRATE"):
     return [(t.x, t.y) for t in found if t.site == "nozzle_bed"], lines
 
 
-@pytest.mark.every_host
 @pytest.mark.parametrize(
     ("samples", "cycles", "retract"), [("1", "6", "3"), ("3", "2", "0.2")]
 )

@@ -80,6 +80,22 @@ def test_corrected_probe_on_a_twisted_axis(host, home):
         assert printer.gap(over) == pytest.approx(gap, abs=2 * MICROSTEP)
 
 
+# Where homing knows it, Z=0 is another one afterwards, and nobody would say so
+def test_new_twist_is_told(host):
+    correction = {"probe_z_correction": "-1.12"}
+    # The head has to reach both ends with the probe
+    heights = (20 * TWIST, 200 * TWIST)
+    changes = compensation(host, "qidi", 20, 200, *heights)
+    changes["safe_z_home"] = {"home_xy_position": "%g, %g" % FAR}
+    changes["auto_z_offset"] = correction
+    with Printer(host, "qidi", changes) as printer:
+        printer.homed().run("G90\nPROBE")
+        knows = printer.status("probe")["last_z_result"] < 0.1
+        lines = printer.run("AXIS_TWIST_COMPENSATION_CALIBRATE\nABORT")
+    told = "another twist moves the Z=0 of G28" in "\n".join(lines)
+    assert told is knows
+
+
 def test_correction_goes_with_a_mesh_where_a_switch_homes_z(host):
     # The mesh has the twist on every host
     name = "piezo_cartesian"

@@ -3,6 +3,7 @@
 from __future__ import absolute_import
 
 from ..core.errors import CalibrationError
+from . import shifts
 from .heights import fastest_touch, travel_height
 from .motors import braking_accel
 from .sites import check_sites
@@ -76,4 +77,5 @@ def printer_notes(host, settings, motors):
             "Z is not homed with the probe, so the correction holds with a bed"
             " mesh of this probe only"
         )
+        notes.append(shifts.wrong_mesh(host))
     return notes

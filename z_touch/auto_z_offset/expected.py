@@ -6,6 +6,7 @@ from __future__ import absolute_import
 from ..core import options
 from ..core.errors import CalibrationError
 from ..core.frame import DATUM_NOISE, Frame, HomedFrame
+from ..core.probing import TWIST
 from .heights import (
     EXPECTED_MARGIN,
     NOTHING_EXPECTED,
@@ -73,6 +74,36 @@ class Expectations(object):
         self.sensor_z = self.mark = None
         # The frame that AUTO_Z_HOME_Z has made
         self.home_mark = None
+        # Heights of the mesh that was probed last, and the frame it was probed in
+        self.mesh = self.mesh_mark = None
+        # All sections have registered their commands then, and no macro has
+        # taken the place of one.
+        register = host.printer.register_event_handler
+        register("klippy:mcu_identify", self._watch_commands)
+
+    def _watch_commands(self):
+        wrap = self.host.wrap_command
+        wrap("BED_MESH_CALIBRATE", self._around_mesh)
+        wrap(TWIST, self._before_twist)
+
+    def _around_mesh(self, command, gcmd):
+        command(gcmd)
+        self.mesh = self.host.features.mesh_heights()
+        self.mesh_mark = self.frame.mark()
+
+    # The host forgets the old one before it asks for the first paper.
+    def _before_twist(self, command, gcmd):
+        is_in_zero = (
+            self.host.axes.homes_with_probe()
+            and self.host.probing.homes_with_twist()
+        )
+        if is_in_zero and self.correction.z is not None:
+            self.host.say(
+                "another twist moves the Z=0 of G28, which probe_z_correction is"
+                " counted from; after the last ACCEPT run G28, AUTO_Z_CALIBRATE and"
+                " SAVE_CONFIG, after ABORT RESTART, which brings the old twist back"
+            )
+        command(gcmd)
 
     # The bed sensor has triggered there.
     def touched(self, sensor_z):
@@ -105,17 +136,27 @@ class Expectations(object):
         return self.host.probing.homed_probe_z()
 
     # What has become of Z since it was homed, which the correction is of; empty:
-    # nothing, or nobody knows, or a mesh is in force that may go with it.
+    # nothing, or nobody knows, or the mesh in force goes with it.
     def levelled(self):
         moved = self.homed.moved_by() if self.frame.is_homed() else 0.0
         is_known = DATUM_NOISE < moved < float("inf")
-        if not is_known or self.host.features.has_mesh():
+        if not is_known or self.is_in_mesh():
             return ""
         return (
             "the Z motors have moved since G28, as levelling does: where Z=0 is"
             " another one now, the offset is wrong by that; run G28 Z, then the mesh"
             " if you use one, then AUTO_Z_LOAD_OFFSET again"
         )
+
+    # Whether the mesh in force holds what Z=0 has moved by: it was probed since then,
+    # and has no zero of its own.
+    def is_in_mesh(self):
+        features = self.host.features
+        # Whoever has saved it as a profile may have loaded it again.
+        is_last = self.mesh is not None and self.mesh == features.mesh_heights()
+        if not is_last or features.mesh_zero() is not None:
+            return False
+        return self.frame.moved_by(self.mesh_mark) <= DATUM_NOISE
 
     # Whether Z is still what it was when the frame was marked.  Where the
     # motors do not tell (empty datum), nobody knows.

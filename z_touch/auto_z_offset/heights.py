@@ -18,6 +18,7 @@ import collections
 import math
 
 from ..core import z_pin
+from ..core.baby_steps import LARGEST_STEP, NO_STEP
 from ..core.errors import CalibrationError
 from ..core.sampling import summarize
 
@@ -54,12 +55,6 @@ DEAD_PROBE = 5.0
 
 # An air gap or a correction beyond this (mm) is none.
 LARGEST_OFFSET = 10.0
-
-# More (mm) is no baby step: the offset is none of the correction.
-LARGEST_STEP = 0.5
-
-# Less (mm) is rounding.
-NO_STEP = 0.0000005
 
 # What an error that rests on an expected height ends with
 IF_CHANGED = "ACCEPT_CHANGE=1 if nozzle, probe or bed was changed"
@@ -267,6 +262,17 @@ def inside_bed_after_homing(z_offset):
         " inside the bed; home with G28 and use AUTO_Z_LOAD_OFFSET to print"
         % (z_offset, z_offset)
     )
+
+
+# Whether that (mm) may be the first correction.  Once it is saved, touches are
+# expected there.  Raises CalibrationError.
+def check_first(correction):
+    if abs(correction) <= NO_STEP:
+        raise CalibrationError(
+            "the G-code Z offset holds no correction, and none was saved before:"
+            " nothing was measured yet; run AUTO_Z_CALIBRATE, or add FORCE=1 if 0"
+            " is right"
+        )
 
 
 # Whether a G-code offset (mm) is that of the correction and baby steps; 'base': what

@@ -7,7 +7,7 @@ import functools
 import logging
 
 from .. import __version__
-from ..core import carrying, notes, options, running, touching
+from ..core import carrying, notes, options, restoring, running, touching
 from ..core.axes import check_z_axis
 from ..core.errors import CalibrationError
 from ..core.host import Host
@@ -36,8 +36,10 @@ class AutoZOffset(object):
             self.host, self.settings, self.correction
         )
         self.runner = running.Runner(self.host)
-        # The G-code offset (mm) that was set last; None: not since klippy has started
-        self.applied = None
+        carrying.of(self.host.printer).watches.append(self.runner.watch)
+        # The G-code offset (mm) that was set last, and with which extruder; None: not
+        # since klippy has started
+        self.applied = self.applied_with = None
         # Result of each cycle of the last command that measured both heights
         self.results = ()
         register = self.printer.register_event_handler
@@ -70,6 +72,7 @@ class AutoZOffset(object):
         ):
             after = functools.partial(self.after_button, says)
             self.host.wrap_command(button, after)
+        restoring.watch(self.host, "AUTO_Z_LOAD_OFFSET", lambda: self.applied)
 
     def after_button(self, says, command, gcmd):
         command(gcmd)
@@ -170,6 +173,7 @@ class AutoZOffset(object):
                 "activate_gcode is not run, the bed sensor may be off; move it"
                 " into prepare_gcode"
             )
+        running.check_no_pause(self.host)
         running.check_no_manual_probe(self.host)
         # Before the head moves: a hand may be near
         carrying.of(self.printer).check_questions(self.host)
@@ -318,7 +322,11 @@ class AutoZOffset(object):
     def apply_offset(self, gcode_offset):
         script = "SET_GCODE_OFFSET Z=%.6f MOVE=0" % (gcode_offset,)
         self.host.gcode.run_script_from_command(script)
+        self.note_applied()
+
+    def note_applied(self):
         self.applied = self.host.gcode_offset.z()
+        self.applied_with = self.host.extruder()
 
     # Raises the error of a command, with what 'check' says
     def check(self, check):
@@ -349,6 +357,8 @@ class AutoZOffset(object):
                 % (bed_z, self.host.axes.z_axis.section)
             )
         self.tell(self.expectations.levelled())
+        if self.host.features.mesh_heights() is not None:
+            self.tell(shifts.wrong_mesh(self.host))
         if self.correction.z is None:
             self.tell(
                 "there is no probe_z_correction yet; run AUTO_Z_CALIBRATE, then"
@@ -378,12 +388,11 @@ class AutoZOffset(object):
                 " nozzle in small steps" % (z, heights.LARGEST_OFFSET)
             )
         force = options.param_int(gcmd, "FORCE", 0, minval=0, maxval=1)
-        # Without a correction there is nothing that steps count from
-        if self.correction.z is not None and not force:
+        if not force:
             self.check(functools.partial(self.check_steps, before + bed_z))
         self.correction.save(z)
         # Further steps count from here
-        self.applied = self.host.gcode_offset.z()
+        self.note_applied()
         gcmd.respond_info(
             "AUTO_Z_SAVE_GCODE_OFFSET: probe_z_correction: %.6f (was %.6f)\n%s"
             % (z, before, options.SAVE_HINT)
@@ -397,5 +406,17 @@ class AutoZOffset(object):
 
     # 'loaded': what AUTO_Z_LOAD_OFFSET would set, mm
     def check_steps(self, loaded):
+        active = self.host.extruder()
+        if self.applied is not None and active != self.applied_with:
+            # Its macros add what one tool differs from another by.
+            raise CalibrationError(
+                "%s is active, and the correction was applied with %s: what the"
+                " offset differs by is no baby step; activate %s first, or add"
+                " FORCE=1" % (active, self.applied_with, self.applied_with)
+            )
+        if self.correction.z is None:
+            # There is nothing that steps count from
+            heights.check_first(self.host.gcode_offset.z() - loaded)
+            return
         base = loaded if self.applied is None else self.applied
         heights.check_steps(self.host.gcode_offset.z(), base)

@@ -42,6 +42,21 @@ def wrong_zero(host, site, z):
     return ""
 
 
+# What the user is told of a bed mesh with a zero of its own where Z is not homed with
+# the probe: there it takes off nothing of what the probe says of the bed; empty: it is
+# none.
+def wrong_mesh(host):
+    features = host.features
+    if host.axes.homes_with_probe() or features.mesh_zero() is None:
+        return ""
+    return (
+        "Z is homed without the probe, and the bed mesh has a zero of its own: the"
+        " gap is wrong by the height at which the probe sees the bed there; remove"
+        " %s from section 'bed_mesh', and probe the mesh again"
+        % (features.mesh_zero_option(),)
+    )
+
+
 # What the user is told of the gap at a point; empty: it is right.  'site': the
 # nozzle's touching.Site; 'results': heights.Result of all cycles.
 def wrong_gap(host, site, results):

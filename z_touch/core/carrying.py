@@ -47,10 +47,16 @@ class Carrying(object):
         self.joined = None
         # The commands that answer a question, by the section that has asked it
         self.questions = {}
+        # The running.Watch of each section that measures
+        self.watches = []
 
     # While the configuration is read
     def join(self, carrier):
         self.joined = carrier
+
+    # Whether a command is under way that measures, and knows what hangs there
+    def is_measuring(self):
+        return any(watch.phase != "idle" for watch in self.watches)
 
     # Whose probe may hang there; None: nobody tells.  A [probe] that macros fetch
     # is not asked: a pin that reads open may be anything.
@@ -91,14 +97,14 @@ class Carrying(object):
                 " touch, and begin again" % tuple(here + place)
             )
 
-    # What lies on the bed, or whose hand is there, nobody else knows.  Raises
-    # CalibrationError.
-    def check_questions(self, host):
+    # What lies on the bed, or whose hand is there, nobody else knows.  'own': nor does
+    # who asks now know of a question of the same section.  Raises CalibrationError.
+    def check_questions(self, host, own=False):
         if host.print_state():
             # Whoever prints has cleared the bed: an answer comes no more.
             self.questions.clear()
         for section, answers in self.questions.items():
-            if section != host.section:
+            if own or section != host.section:
                 raise CalibrationError(
                     "section '%s' waits for an answer, and somebody's hand may"
                     " be near; answer with %s, or %s" % ((section,) + answers)

@@ -18,8 +18,9 @@ import math
 # A feature by the name of its section, and what it adds to Z (mm)
 Part = collections.namedtuple("Part", "name height")
 
-# Whether G1 has absolute coordinates, and an absolute extruder
-Modes = collections.namedtuple("Modes", "absolute absolute_extrude")
+# Whether G1 has absolute coordinates, and an absolute extruder, and how fast it is
+# where it has no F (mm/min)
+Modes = collections.namedtuple("Modes", "absolute absolute_extrude speed")
 
 # Transforms that ask nobody but the toolhead; a printer has one of them at most.
 INNERMOST = ("bed_mesh", "bed_tilt")
@@ -97,8 +98,10 @@ class Features(object):
         get_mesh = getattr(owner, "get_mesh", None)
         return get_mesh() if get_mesh else None
 
-    def has_mesh(self):
-        return self._mesh() is not None
+    # What was probed for the mesh in force (mm), rounded; None: there is none
+    def mesh_heights(self):
+        mesh = self._mesh()
+        return None if mesh is None else mesh.get_probed_matrix()
 
     # Whether the mesh ends before that point, as an adaptive one may
     def is_beyond_mesh(self, x, y):
@@ -155,6 +158,19 @@ class Features(object):
         for name, adjuster in self.printer.lookup_objects(HEAT):
             status = adjuster.get_status(self.host.eventtime())
             yield Part(name, status["current_z_adjust"])
+
+    # What commands set of it, by the names of its sections: whether it is on, the
+    # temperature (degrees C) that it counts from, and mm for each
+    def heat_settings(self):
+        found, eventtime = {}, self.host.eventtime()
+        for name, adjuster in self.printer.lookup_objects(HEAT):
+            status = adjuster.get_status(eventtime)
+            found[name] = (
+                status.get("enabled", True),
+                status.get("z_adjust_ref_temperature"),
+                getattr(adjuster, "temp_coeff", None),
+            )
+        return found
 
     # No host says what a transform does elsewhere.  But each asks the toolhead where
     # it is, or the next one, so the answer is another one for a moment in which
@@ -244,7 +260,11 @@ class Features(object):
 
     def modes(self):
         status = self._status()
-        return Modes(status["absolute_coordinates"], status["absolute_extrude"])
+        return Modes(
+            status["absolute_coordinates"],
+            status["absolute_extrude"],
+            status["speed"],
+        )
 
     def set_modes(self, modes):
         current = self.modes()
@@ -252,19 +272,14 @@ class Features(object):
             self._call("G90" if modes.absolute else "G91")
         if current.absolute_extrude != modes.absolute_extrude:
             self._call("M82" if modes.absolute_extrude else "M83")
+        if current.speed != modes.speed:
+            self._call("G1", F="%.6f" % (modes.speed,))
 
     # The command's own method: a macro of that name may do anything.
     def _call(self, name, **params):
         line = " ".join([name] + ["%s%s" % item for item in params.items()])
         gcmd = self.host.gcode.create_gcode_command(name, line, params)
         getattr(self._gcode_move(), "cmd_" + name)(gcmd)
-
-    # The G-code Z offset (mm) of each state that was saved, by its name
-    def saved_offsets(self):
-        states = self._gcode_move().saved_states
-        return {
-            name: state["homing_position"][2] for name, state in states.items()
-        }
 
     # While this lasts the G-code Z offset is 0, that of each saved state, too: what
     # is restored meanwhile brings no offset with it.  Afterwards it is as before,

@@ -13,6 +13,9 @@ from .sampling import Sampling
 # to that for a twisted X axis.
 Probed = collections.namedtuple("Probed", "z twist")
 
+# Asks a person at each point, and forgets the twist that it knew
+TWIST = "AXIS_TWIST_COMPENSATION_CALIBRATE"
+
 # Of the fields of Sampling, in a probe's parameters and as its attributes
 SAMPLING_NAMES = (
     ("samples", "sample_count"),
@@ -186,10 +189,26 @@ class Probing(object):
         is_plain = [lookup(name) for name in special] == [None, None]
         return is_plain and self.endstop() is not None
 
-    # Somebody else measures; its next step starts where it left the head
-    def is_manual_probing(self):
+    # What has a person go on with ACCEPT, in words; its next step starts where it
+    # left the head.  Empty: nothing.
+    def manual_helper(self):
         manual = self.printer.lookup_object("manual_probe", None)
-        if hasattr(manual, "get_status"):
-            return manual.get_status(self.host.eventtime())["is_active"]
-        # Until 2022-07-20 (282d1113e)
-        return "ACCEPT" in self.host.gcode.ready_gcode_handlers
+        screws = self.printer.lookup_object("bed_screws", None)
+        is_waiting = "ACCEPT" in self.host.gcode.ready_gcode_handlers
+        # Older hosts stay active where the move to the next screw has failed.
+        if is_waiting and self._is_active(screws):
+            return "BED_SCREWS_ADJUST"
+        is_probing = self._is_active(manual)
+        if not hasattr(manual, "get_status"):
+            # Until 2022-07-20 (282d1113e)
+            is_probing = is_waiting
+        return "a manual probe" if is_probing else ""
+
+    def _is_active(self, helper):
+        get_status = getattr(helper, "get_status", None)
+        return (
+            bool(get_status) and get_status(self.host.eventtime())["is_active"]
+        )
+
+    def is_manual_probing(self):
+        return bool(self.manual_helper())

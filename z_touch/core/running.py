@@ -61,10 +61,20 @@ def check_homed(host):
         )
 
 
-def check_no_manual_probe(host):
-    if host.probing.is_manual_probing():
+# What is printed stands where the head would go.
+def check_no_pause(host):
+    if host.print_state() == "paused":
         raise CalibrationError(
-            "a manual probe is under way; end it with ACCEPT or ABORT first"
+            "a print is paused, and the head would go across it; end it first"
+            " (CANCEL_PRINT)"
+        )
+
+
+def check_no_manual_probe(host):
+    helper = host.probing.manual_helper()
+    if helper:
+        raise CalibrationError(
+            "%s is under way; end it with ACCEPT or ABORT first" % (helper,)
         )
 
 
