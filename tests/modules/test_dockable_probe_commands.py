@@ -10,6 +10,7 @@ from tools.kit.dockable_probe import (
     ABOVE,
     BED,
     CLEAR,
+    FORCE,
     FRAME,
     GANTRY,
     HANG,
@@ -19,6 +20,7 @@ from tools.kit.dockable_probe import (
     SERVO,
     SWITCH,
     WAY,
+    down_by_force,
     section,
     trips,
     where,
@@ -130,11 +132,11 @@ def test_attached_until_it_is_detached(start, scene):
 
 
 def test_probe_that_is_pressed_is_not_fetched_again(start):
-    changes = {"moves": {}, **section(**QUICK)}
+    changes = {"moves": {}, **section(**QUICK), **FORCE}
     printer = start(GANTRY, changes, modules=with_moves()).homed()
-    printer.run("ATTACH_PROBE")
+    printer.run("ATTACH_PROBE\nG90\nG1 X150 Y150 F6000")
     # As a command of the owner's leaves it: the pin reads as without a probe
-    printer.run(f"G90\nG1 X150 Y150 Z20 F6000\nG1 Z{HANG - 0.2} F300\nM400")
+    printer.run(down_by_force(HANG - 0.2))
     assert "pin reads TRIGGERED" in "".join(printer.run("GET_PROBE_STATUS"))
     ends = moves(printer, "ATTACH_PROBE\nPROBE")
     assert all(end[:2] == pytest.approx((150, 150)) for end in ends)
@@ -142,10 +144,10 @@ def test_probe_that_is_pressed_is_not_fetched_again(start):
 
 
 def test_probe_that_is_pressed_until_the_head_has_gone_up_is_there(start):
-    changes = section(auto_attach_detach="False", **QUICK)
+    changes = {**section(auto_attach_detach="False", **QUICK), **FORCE}
     printer = start(SWITCH, changes).homed()
-    press = f"G90\nG1 X150 Y150 Z20 F6000\nG1 Z{HANG - 0.2} F300"
-    printer.run(f"ATTACH_PROBE\n{press}\nM400")
+    printer.run("ATTACH_PROBE\nG90\nG1 X150 Y150 F6000")
+    printer.run(down_by_force(HANG - 0.2))
     # The pin is read while the head goes up, and again when it is there.
     printer.run("G1 Z20 F600\nPROBE")
     assert where(printer) == "attached"

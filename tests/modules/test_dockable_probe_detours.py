@@ -173,7 +173,6 @@ def test_no_homing_across_the_dock_where_docking_has_left_the_head(start):
 
 # Straight before the dock homing goes into it; beside it, where docking has left
 # the head, it does not.  It went 0.0 mm deep, and 2.8 where the dock is swung away.
-@pytest.mark.every_host
 @pytest.mark.parametrize("scene", [SWITCH, SERVO], ids=lambda s: s.name)
 @pytest.mark.parametrize(
     ("script", "is_moved"),

@@ -15,6 +15,7 @@ from tools.kit.dockable_probe import (
     ABOVE,
     BED,
     CLEAR,
+    FORCE,
     FRAME,
     GANTRY,
     HANG,
@@ -24,6 +25,7 @@ from tools.kit.dockable_probe import (
     SWITCH,
     WAY,
     assert_safe,
+    down_by_force,
     refusal,
     section,
     trips,
@@ -479,9 +481,9 @@ def test_hop_of_a_generic_cartesian(start, host, initial, hop):
 
 
 def test_hop_before_x_and_y_are_homed_again(start):
-    changes = {"safe_z_home": None}
+    changes = {"safe_z_home": None, **FORCE}
     printer = started(start, GANTRY, changes).homed()
-    printer.run(CENTRE + f"ATTACH_PROBE\nG1 Z{HANG + 0.5}\nG28 X Y")
+    printer.run(f"{CENTRE}ATTACH_PROBE\n{down_by_force(HANG + 0.5)}\nG28 X Y")
     assert printer.session.position()[2] == pytest.approx(CLEAR, abs=0.02)
 
 
@@ -496,7 +498,6 @@ def test_old_probe_behind_other_sections(host):
 # In the dock by hand, or by a macro, and not to a thousandth
 
 
-@pytest.mark.every_host
 @pytest.mark.parametrize("script", ["MOVE_TO_DETACH_PROBE", "G28 X Y"])
 @pytest.mark.parametrize("aside", ["0", "0.1", "0.9"])
 def test_head_that_was_moved_a_little_in_the_dock(start, script, aside):
@@ -630,7 +631,6 @@ def test_height_is_forgotten_with_the_motors(start, off):
 # The gantry hangs askew until it was levelled, which is what fetches the probe
 
 
-@pytest.mark.every_host
 @pytest.mark.parametrize("slope", [0.015, -0.02, 0.025])
 def test_gantry_that_hangs_askew(start, slope):
     scene = on_plate(GANTRY, (0.0, slope), 0.0, 0.0)

@@ -10,10 +10,13 @@ import pytest
 from simprinter.hosts.session import GcodeError
 from tools.campaign.walks.machines import BASES, overridden
 from tools.kit.carrying import QUICK, pressed, with_all
-from tools.kit.cases import slow
-from tools.kit.dockable_probe import trips, where
+from tools.kit.carrying import SWITCH as WITH_ALL
+from tools.kit.cases import all_slow_but, slow
+from tools.kit.dockable_probe import FORCE, down_by_force, trips, where
 from tools.kit.docks import DOCK_SCENES
+from tools.kit.klipper_sections import bed_mesh, profile
 from tools.kit.printer import firmware_of
+from tools.kit.scenes import heated
 
 OVER = "G90\nG1 Z20 F900\nG1 X150 Y150 F6000"
 STAYS = {"restore_toolhead": "False"}
@@ -25,6 +28,8 @@ SCREWS = {
         "speed": "100",
     }
 }
+MESH = bed_mesh("40, 40", "250, 250")
+PLACES = ("dock_position", "approach_position", "detach_position")
 INTO = "MOVE_TO_DOCK_PROBE"
 TWIST = "AXIS_TWIST_COMPENSATION_CALIBRATE"
 BY_HAND = "BED_MESH_CALIBRATE METHOD=manual"
@@ -119,21 +124,436 @@ def test_nothing_is_hit(start, order):
     assert pressed(printer) < 0.1
 
 
+FIRST_LAYER = "G90\nG1 Z0.3 F600\nG1 X200 Y150 F3000\nG1 X100\n"
+PRINT = "SDCARD_PRINT_FILE FILENAME=a.gcode"
+
+
+def seconds(printer):
+    """Of the printer."""
+    machine = printer.machine
+    return machine.rig.seconds(machine.simulation.clock.now())
+
+
+def with_card(start, folder, lines, changes=None, **options):
+    """A printer with a dock, and a card with one file."""
+    (folder / "a.gcode").write_text(lines)
+    own = {
+        "dockable_probe": {**QUICK, **options},
+        "virtual_sdcard": {"path": str(folder)},
+        "pause_resume": {},
+    }
+    return start(DOCK_SCENES["dock_gantry"], {**own, **(changes or {})})
+
+
+def require_printed(printer):
+    """Until it is printed: nothing was hit, and the probe is in the dock."""
+    printer.session.wait(120)
+    assert printer.status("print_stats")["state"] == "complete"
+    printer.machine.truth.require_no_crash()
+    assert where(printer) == "docked"
+
+
 # Whatever a macro does at once after its last touch
 @pytest.mark.every_host
 @pytest.mark.parametrize("delayed", ["True", "False"])
 def test_first_layer_at_once(start, tmp_path, delayed):
-    lines = "G28\nG90\nG1 Z0.3 F600\nG1 X200 Y150 F3000\nG1 X100\n"
-    (tmp_path / "a.gcode").write_text(lines)
-    own = {**QUICK, "allow_delayed_detach": delayed}
-    card = {"virtual_sdcard": {"path": str(tmp_path)}}
-    changes = {"dockable_probe": own, **card}
-    printer = start(DOCK_SCENES["dock_gantry"], changes)
+    lines = f"G28\n{FIRST_LAYER}"
+    printer = with_card(start, tmp_path, lines, allow_delayed_detach=delayed)
     printer.session.require_ready()
-    printer.run("SDCARD_PRINT_FILE FILENAME=a.gcode")
-    printer.session.wait(120)
+    printer.run(PRINT)
+    require_printed(printer)
+
+
+# What leaves the probe on the head, the file, and allow_delayed_detach
+LEFT_ON = {
+    "forgotten": ("ATTACH_PROBE", FIRST_LAYER, "False"),
+    "forgotten, motors off": (
+        "ATTACH_PROBE\nM84",
+        f"G28\n{FIRST_LAYER}",
+        "False",
+    ),
+    "forgotten before homing": ("ATTACH_PROBE", f"G28\n{FIRST_LAYER}", "False"),
+    "to be docked in a while": ("PROBE", FIRST_LAYER, "True"),
+}
+
+
+@pytest.mark.every_host
+@pytest.mark.parametrize(
+    "left_on", all_slow_but(["forgotten", "forgotten, motors off"], LEFT_ON)
+)
+def test_print_begins_without_the_probe(start, tmp_path, left_on):
+    before, lines, delayed = LEFT_ON[left_on]
+    printer = with_card(start, tmp_path, lines, allow_delayed_detach=delayed)
+    printer.homed().run(f"{OVER}\n{before}")
+    assert where(printer) == "attached"
+    printer.run(PRINT)
+    require_printed(printer)
+    # It was where the file says
+    assert printer.machine.truth.min_gap == pytest.approx(0.3, abs=0.05)
+
+
+# A macro that goes back to the print before it runs the command, and a print that is
+# higher than the probe is long
+RESUMES = {
+    "plain": {},
+    "macro": {
+        "gcode_macro RESUME": {
+            "rename_existing": "BASE_RESUME",
+            "gcode": "\n  RESTORE_GCODE_STATE NAME=PAUSE_STATE MOVE=1"
+            "\n  BASE_RESUME",
+        }
+    },
+}
+
+
+@pytest.mark.every_host
+@pytest.mark.parametrize("z", [0.3, slow(40)])
+@pytest.mark.parametrize("resume", RESUMES)
+def test_print_goes_on_without_the_probe(start, tmp_path, resume, z):
+    lines = f"{FIRST_LAYER}G1 Z{z}\nG4 P2000\nPAUSE\nG1 X120\n"
+    tell = "action_respond_info('docks at %.1f' % printer.toolhead.position.z)"
+    tells = {"pre_detach_gcode": f"{{{tell}}}"}
+    printer = with_card(start, tmp_path, lines, RESUMES[resume], **tells)
+    printer.homed().run(f"{OVER}\n{PRINT}")
+    printer.session.wait(30)
+    assert printer.status("print_stats")["state"] == "paused"
+    printer.run("G90\nG1 Z60 F900\nG1 X150 Y150 F6000\nATTACH_PROBE")
+    assert "docks at 60.0" in "\n".join(printer.run("RESUME"))
+    require_printed(printer)
+    assert printer.session.position()[2] == pytest.approx(z)
+
+
+# What has failed once is tried again
+@pytest.mark.every_host
+def test_print_that_cannot_go_on_with_the_probe(start, tmp_path):
+    lines = f"{FIRST_LAYER}G4 P2000\nPAUSE\nG1 X120\n"
+    is_broken = "printer['gcode_macro DOCK'].broken"
+    raises = f"{{% if {is_broken} %}}{{action_raise_error('no')}}{{% endif %}}"
+    macro = {"gcode_macro DOCK": {"variable_broken": "0", "gcode": ""}}
+    options = {"pre_detach_gcode": raises}
+    printer = with_card(start, tmp_path, lines, macro, **options).homed()
+    printer.run(f"{OVER}\n{PRINT}")
+    printer.session.wait(30)
+    printer.run(f"{OVER}\nATTACH_PROBE")
+    printer.run("SET_GCODE_VARIABLE MACRO=DOCK VARIABLE=broken VALUE=1")
+    for _ in range(2):
+        printer.fail("RESUME")
+        printer.session.wait(20)
+    assert where(printer) == "attached"
+    assert printer.status("print_stats")["state"] == "paused"
+    printer.machine.truth.require_no_crash()
+
+
+# Sent line by line, or by a macro, there is no print that the host knows of
+@pytest.mark.every_host
+def test_macro_goes_down_before_the_probe_is_docked(start):
+    # G-code of the dock's begins from where the head is
+    own = {
+        **QUICK,
+        "allow_delayed_detach": "True",
+        "pre_detach_gcode": "G1 X160",
+    }
+    macro = "".join(f"\n  {line}" for line in FIRST_LAYER.splitlines())
+    changes = {
+        "dockable_probe": own,
+        "gcode_macro LINES": {"gcode": f"\n  PROBE{macro}"},
+    }
+    printer = start(DOCK_SCENES["dock_gantry"], changes).homed()
+    printer.run(f"{OVER}\nLINES\nM400")
     printer.machine.truth.require_no_crash()
     assert where(printer) == "docked"
+    assert printer.session.position()[:3] == pytest.approx([100, 150, 0.3])
+    # It goes on from where it is
+    printer.run("G91\nG1 X5 Z5\nM400")
+    assert printer.session.position()[:3] == pytest.approx([105, 150, 5.3])
+
+
+# What goes down with it may be in the middle of anything, and goes on so
+@pytest.mark.every_host
+def test_own_gcode_of_a_trip_meets_no_mode_and_leaves_none(start):
+    own = {
+        **QUICK,
+        "allow_delayed_detach": "True",
+        "pre_detach_gcode": "\n  M82\n  G1 X160 F1200",
+    }
+    lines = ("PROBE", "M220 S50", "G91", "M83", "G1 Z-5 F6000", "G1 X-40")
+    macro = "".join(f"\n  {line}" for line in lines)
+    changes = {"dockable_probe": own, "gcode_macro LINES": {"gcode": macro}}
+    printer = start(DOCK_SCENES["dock_gantry"], changes).homed()
+    printer.run(f"{OVER}\nLINES\nM400")
+    assert where(printer) == "docked"
+    assert printer.session.position()[0] == pytest.approx(110)
+    status = printer.status("gcode_move")
+    assert status["speed"] == pytest.approx(6000)
+    assert not status["absolute_coordinates"]
+    assert not status["absolute_extrude"]
+
+
+# What takes the head down, with a probe that was fetched to stay
+DOWN = {
+    "G1": "G1 Z5",
+    "G91": "G91\nG1 Z-15",
+    "arc": "G2 X150 Y150 I10 J0 Z5",
+    "state": "G1 X160\nRESTORE_GCODE_STATE NAME=low MOVE=1",
+    "offset": "SET_GCODE_OFFSET Z=-15 MOVE=1",
+}
+
+
+@pytest.mark.every_host
+@pytest.mark.parametrize("down", all_slow_but(["G1", "state"], DOWN))
+def test_probe_that_is_kept_is_not_taken_down(start, down):
+    changes = {"dockable_probe": QUICK, "gcode_arcs": {}}
+    printer = start(DOCK_SCENES["dock_gantry"], changes).homed()
+    printer.run(
+        f"{OVER}\nG1 Z5\nSAVE_GCODE_STATE NAME=low\nG1 Z20\nATTACH_PROBE"
+    )
+    before = printer.session.position()
+    text = printer.fail(DOWN[down])
+    assert (
+        "dockable_probe: the probe may be on the head (pin reads open), and"
+        in text
+    )
+    assert text.endswith("run DETACH_PROBE first")
+    if down != "arc":
+        assert printer.session.position()[2] == pytest.approx(before[2])
+    printer.machine.truth.require_no_crash()
+    assert where(printer) == "attached"
+
+
+# As one of OctoPrint does, of which the host knows nothing
+@pytest.mark.parametrize("celsius", [90, 110])
+def test_hot_nozzle_is_that_of_a_print(start, celsius):
+    scene = heated(DOCK_SCENES["dock_gantry"])
+    printer = start(scene, {"dockable_probe": QUICK}).homed()
+    printer.run(f"{OVER}\nATTACH_PROBE\nM104 S{celsius}")
+    if celsius == 90:
+        printer.fail(FIRST_LAYER)
+    else:
+        printer.run(f"{FIRST_LAYER}M400")
+    assert where(printer) == ("attached" if celsius == 90 else "docked")
+    printer.machine.truth.require_no_crash()
+
+
+# A question of which nobody minds any more; another dock may be where it has been put
+def test_hot_nozzle_goes_no_lower_while_somebody_is_asked(start):
+    scene = heated(DOCK_SCENES["dock_gantry"])
+    printer = start(scene, {"dockable_probe": QUICK}).homed()
+    printer.run("DOCKABLE_PROBE_SETUP")
+    printer.run(f"{OVER}\nATTACH_PROBE\nM104 S110")
+    printer.fail(FIRST_LAYER)
+    assert where(printer) == "attached"
+    printer.run("DOCKABLE_PROBE_SETUP STEP=ABORT")
+    printer.run(f"{FIRST_LAYER}M400")
+    assert where(printer) == "docked"
+    printer.machine.truth.require_no_crash()
+
+
+# Two pins say that it is in the dock
+def test_probe_that_somebody_has_taken_off(start):
+    changes = {"dockable_probe": QUICK}
+    printer = start(DOCK_SCENES["dock_sensed"], changes).homed()
+    printer.run(f"{OVER}\nATTACH_PROBE")
+    printer.machine.world.take_probe_off(seconds(printer))
+    before = trips(printer)
+    begun = seconds(printer)
+    lines = "".join(f"G1 X{100 + i} Z{5 - i / 100} F6000\n" for i in range(100))
+    printer.run(f"G1 Z5\n{lines}M400")
+    assert printer.session.position()[2] == pytest.approx(4.01)
+    assert trips(printer) == before
+    # Nobody waits for the pins at each move
+    assert seconds(printer) - begun < 10.0
+
+
+# A dock that is put away, by the owner's G-code
+def test_own_gcode_of_a_trip_goes_where_it_likes(start):
+    lines = """
+      {% if 'z' in printer.toolhead.homed_axes %}
+        G90
+        G1 X250 Y305 F6000
+        G1 Z5 F900
+        G1 Z20
+      {% endif %}
+    """
+    changes = {"dockable_probe": {**QUICK, "post_attach_gcode": lines}}
+    printer = start(DOCK_SCENES["dock_gantry"], changes).homed()
+    printer.run(f"{OVER}\nATTACH_PROBE")
+    assert where(printer) == "attached"
+    printer.machine.truth.require_no_crash()
+
+
+# What goes up, or stays as high, is no way down, whatever lies between G-code and head
+@pytest.mark.parametrize("skew", ["", "SET_SKEW XY=100.4,99.6,70.71"])
+def test_probe_that_is_low_may_go_up(start, skew):
+    changes = {"dockable_probe": QUICK, "skew_correction": {}, **FORCE}
+    printer = start(DOCK_SCENES["dock_gantry"], changes).homed()
+    printer.run(f"{OVER}\nATTACH_PROBE\n{down_by_force(7.6)}\n{skew}")
+    printer.run("G1 Z7.7\nG1 X151\nG1 X152 Z7.8\nM400")
+    assert printer.session.position()[2] == pytest.approx(7.8)
+    printer.fail("G1 Z7.7")
+    assert where(printer) == "attached"
+
+
+# What has probed leaves the head as high as that; and a mesh lifts it
+@pytest.mark.parametrize("retract", ["0.5", "1", "2"])
+def test_head_goes_on_from_where_it_has_probed(start, retract):
+    own = {**QUICK, "sample_retract_dist": retract}
+    own_mesh = {"bed_mesh": MESH, "bed_mesh default": profile((0.3,) * 3, MESH)}
+    changes = {"dockable_probe": own, **own_mesh}
+    printer = start(DOCK_SCENES["dock_gantry"], changes).homed()
+    printer.run(f"BED_MESH_PROFILE LOAD=default\n{OVER}\nATTACH_PROBE\nPROBE")
+    printer.run("G1 X100 Y100\nG1 Z20\nG1 Z7.7\nM400")
+    assert printer.session.position()[2] == pytest.approx(8.0, abs=0.01)
+    printer.fail("G1 Z7.5")
+    assert where(printer) == "attached"
+
+
+OVERRIDE = """
+  G90
+  G0 Z5 F600
+  G28 X Y
+  G0 X150 Y150 F3600
+  G28 Z
+"""
+# How owners home, with a Z that nobody knows yet
+HOMES = {
+    "homing_override": {
+        "homing_override": {
+            "axes": "z",
+            "set_position_z": "0",
+            "gcode": OVERRIDE,
+        },
+        "safe_z_home": None,
+    },
+    "macro": {
+        "gcode_macro G28": {
+            "rename_existing": "G28.1",
+            "gcode": "\n  {% if printer.toolhead.homed_axes %}"
+            "\n  G91\n  G1 Z5 F600\n  G90\n  {% endif %}\n  G28.1",
+        }
+    },
+}
+
+
+@pytest.mark.every_host
+@pytest.mark.parametrize("homes", all_slow_but(["homing_override"], HOMES))
+@pytest.mark.parametrize("auto", [1, slow(0)])
+def test_owners_home_in_their_own_way(start, homes, auto):
+    changes = {"dockable_probe": QUICK, **HOMES[homes]}
+    printer = start(DOCK_SCENES["dock_gantry"], changes).homed()
+    printer.run(f"SET_DOCKABLE_PROBE AUTO_ATTACH_DETACH={auto}\n{OVER}")
+    printer.run("ATTACH_PROBE\nG28\nG1 Z20")
+    assert where(printer) == "attached"
+    printer.fail("G1 Z5")
+
+
+# Such as to a brush behind the bed
+def test_own_gcode_of_a_calibration_goes_where_it_likes(start):
+    lines = "\n  G90\n  G1 X200 Y308 F6000\n  G1 Z5 F900\n  G1 Z20"
+    own = {"before_switch_gcode": lines, "start_gcode": "ATTACH_PROBE"}
+    changes = {"dockable_probe": QUICK, "z_calibration": own}
+    printer = start(WITH_ALL, changes).homed()
+    assert "new offset=" in "\n".join(printer.run("CALIBRATE_Z"))
+    printer.machine.truth.require_no_crash()
+
+
+# While somebody brings it to its dock, and where no dock is known
+def test_probe_is_taken_down_by_hand(start):
+    printer = start(
+        DOCK_SCENES["dock_gantry"], {"dockable_probe": QUICK}
+    ).homed()
+    printer.run(f"{OVER}\nATTACH_PROBE\nG1 X250 Y305\nDOCKABLE_PROBE_SETUP")
+    printer.run("G1 Z5\nG1 Z20\nDOCKABLE_PROBE_SETUP STEP=ABORT\nM400")
+    printer.fail("G1 Z5")
+    assert where(printer) == "attached"
+
+
+def test_nobody_knows_of_a_dock(start):
+    places = dict.fromkeys(PLACES)
+    changes = {"dockable_probe": {**QUICK, **places}}
+    printer = start(DOCK_SCENES["dock_gantry_switch"], changes).homed()
+    printer.run(f"{OVER}\nG1 X20 Y305")
+    printer.machine.hold("probe", False)
+    printer.run("SET_PROBE_STATUS STATE=ATTACHED\nG1 Z5\nM400")
+    assert printer.session.position()[2] == pytest.approx(5.0)
+
+
+# Nobody can dock it without trips, and the dock has its own height
+def test_where_the_probe_may_be_low(start):
+    printer = start(
+        DOCK_SCENES["dock_gantry"], {"dockable_probe": QUICK}
+    ).homed()
+    printer.run("SET_DOCKABLE_PROBE AUTO_ATTACH_DETACH=0")
+    printer.run(f"{OVER}\nATTACH_PROBE")
+    printer.fail("G1 Z5")
+    printer.run("G1 X155\nMOVE_TO_DOCK_PROBE")
+    # Out of it and down at once
+    printer.fail("G1 X50 Y200 Z5")
+    printer.run("G1 Z6\nG1 Z5\nM400")
+    assert printer.session.position()[2] == pytest.approx(5.0)
+    for place in ("approach_position", "insert_position", "detach_position"):
+        where_to = DOCK_SCENES["dock_gantry"].sections["dockable_probe"]
+        x, y = (where_to.get(place) or where_to["approach_position"]).split(",")
+        printer.run(f"G1 Z20\nG1 X{x} Y{y}\nG1 Z7.8\nG1 Z20")
+    assert where(printer) == "attached"
+
+
+# What nobody knows the way of is left to the host
+def test_print_that_goes_on_with_the_motors_off(start, tmp_path):
+    lines = "G90\nG1 Z40 F900\nG4 P2000\nPAUSE\nG1 X120\n"
+    printer = with_card(start, tmp_path, lines).homed()
+    printer.run(f"{OVER}\n{PRINT}")
+    printer.session.wait(30)
+    printer.run("ATTACH_PROBE\nM84")
+    (line,) = printer.run("RESUME")
+    assert "Must home axis first: 120.000" in line
+
+
+# Nobody docks it without trips
+@pytest.mark.every_host
+def test_print_goes_no_lower_without_trips(start, tmp_path):
+    lines = f"G90\nG1 X140\n{FIRST_LAYER}"
+    printer = with_card(start, tmp_path, lines).homed()
+    off = "SET_DOCKABLE_PROBE AUTO_ATTACH_DETACH=0"
+    printer.run(f"{OVER}\n{off}\nATTACH_PROBE\n{PRINT}")
+    printer.session.wait(20)
+    assert printer.status("print_stats")["state"] == "error"
+    printer.machine.truth.require_no_crash()
+    assert where(printer) == "attached"
+
+
+# Beside what is printed, however high that is
+def test_print_does_not_go_on_without_trips(start, tmp_path):
+    lines = "G90\nG1 Z40 F900\nG4 P2000\nPAUSE\nG1 X120\n"
+    printer = with_card(start, tmp_path, lines).homed()
+    printer.run(f"{OVER}\n{PRINT}")
+    printer.session.wait(30)
+    off = "SET_DOCKABLE_PROBE AUTO_ATTACH_DETACH=0"
+    printer.run(f"G1 Z60\n{off}\nATTACH_PROBE")
+    told = (
+        "auto_attach_detach is off, so it is not docked by itself; run DETACH"
+    )
+    assert told in printer.fail("RESUME")
+    assert printer.session.position()[2] == pytest.approx(60)
+    printer.run("DETACH_PROBE\nRESUME")
+    require_printed(printer)
+
+
+# The circle around the dock reaches over the bed
+@pytest.mark.every_host
+def test_print_below_the_dock(start, tmp_path):
+    lines = "G90\nG1 X50 Y272 F6000\nG1 Z0.3 F600\nG1 X80\n"
+    printer = with_card(start, tmp_path, lines).homed()
+    printer.run(f"{OVER}\nATTACH_PROBE\n{PRINT}")
+    require_printed(printer)
+
+
+# Without trips its owner's macros know when it is on
+def test_print_leaves_the_probe_without_trips(start, tmp_path):
+    printer = with_card(start, tmp_path, "G90\nG1 Z20 F900\n").homed()
+    off = "SET_DOCKABLE_PROBE AUTO_ATTACH_DETACH=0"
+    printer.run(f"{OVER}\n{off}\nATTACH_PROBE\n{PRINT}")
+    printer.session.wait(20)
+    assert where(printer) == "attached"
 
 
 # Afterwards nobody would find the dock, and homing goes on from where the head is

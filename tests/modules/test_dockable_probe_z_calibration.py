@@ -8,10 +8,11 @@ import pytest
 
 from simprinter import Fault
 from tools.kit.carrying import without_our_dock
-from tools.kit.cases import all_slow_but, slow
 from tools.kit.dockable_probe import SWITCH, trips, where
 from tools.kit.docks import HANG, calibrating
 from tools.kit.z_calibration import calibration
+
+pytestmark = pytest.mark.slow
 
 SCENE = calibrating(SWITCH)
 # What the scene's [z_calibration] says of the switch, and what is so
@@ -28,10 +29,10 @@ WAYS = pytest.mark.parametrize(
     [
         {},
         z_section(start_gcode="ATTACH_PROBE", end_gcode="DETACH_PROBE"),
-        slow(z_section(before_switch_gcode="ATTACH_PROBE")),
+        z_section(before_switch_gcode="ATTACH_PROBE"),
         {"dockable_probe": {"auto_attach_detach": "False"}},
         # The bed is looked at first, in a session of its own
-        slow({"dockable_probe": {"z_offset": "0"}}),
+        {"dockable_probe": {"z_offset": "0"}},
     ],
     ids=["by itself", "told", "before the switch", "not automatic", "length"],
 )
@@ -57,7 +58,6 @@ def test_calibrate_z(start, changes):
 
 
 # Of which only Kalico has one
-@pytest.mark.every_host
 @WAYS
 def test_calibrate_z_with_the_one_that_the_host_has(start, host, changes):
     if not host.layout.module_dir.endswith("plugins"):
@@ -110,8 +110,7 @@ def hooks_of(name):
     return z_section(**dict(zip(names, lines)))
 
 
-@pytest.mark.slow
-@pytest.mark.parametrize("before", all_slow_but(["held"], BEFORE))
+@pytest.mark.parametrize("before", BEFORE)
 @pytest.mark.parametrize("hooks", HOOKS)
 def test_each_hook_has_its_own_default(start, hooks, before):
     options, script = BEFORE[before]
@@ -128,8 +127,7 @@ def test_each_hook_has_its_own_default(start, hooks, before):
     assert printer.gap() == pytest.approx(GAP, abs=0.01)
 
 
-@pytest.mark.every_host
-@pytest.mark.parametrize("script", [slow("G4 P1"), "ATTACH_PROBE"])
+@pytest.mark.parametrize("script", ["G4 P1", "ATTACH_PROBE"])
 @pytest.mark.parametrize("hooks", ["none", "before the switch", "end"])
 def test_hooks_with_the_one_that_the_host_has(start, host, hooks, script):
     if not host.layout.module_dir.endswith("plugins"):

@@ -13,12 +13,16 @@ from tools.kit.carrying import (
     POINT,
     SWITCH,
     pressed,
+    with_membrane,
     without_our_dock,
 )
 from tools.kit.cases import all_slow_but, slow
+from tools.kit.dialogs import dialogs_of
 from tools.kit.dockable_probe import QUICK, section, trips, where
+from tools.kit.scenes import SCENES
 
 MEMBRANE = "PROBE=membrane"
+TWIST = "AXIS_TWIST_COMPENSATION_CALIBRATE"
 # What lowers the nozzle
 TOUCHES = {
     "EXTRA_PROBE": f"EXTRA_PROBE {MEMBRANE}",
@@ -258,6 +262,70 @@ def test_bed_screws(start):
     assert untouched(printer)
 
 
+# The head goes on to the next screw as low as it is, and down to Z=0
+@every_host
+def test_probe_is_not_fetched_between_screws(start):
+    screws = {"screw1": "60, 60", "screw2": "240, 60", "screw3": "150, 240"}
+    options = {**screws, "probe_height": "2", "speed": "100"}
+    printer = ready(start, changes={"bed_screws": options})
+    printer.run(f"{OVER}BED_SCREWS_ADJUST")
+    text = printer.fail("ATTACH_PROBE")
+    told = "dockable_probe: BED_SCREWS_ADJUST is under way; end it with ACCEPT"
+    assert told in text
+    printer.run("ACCEPT\nM400")
+    assert untouched(printer)
+    assert trips(printer) == []
+    printer.run("ABORT\nATTACH_PROBE")
+    assert trips(printer) == ["attach"]
+
+
+# What macros have put on the head hangs lower than the nozzle
+@every_host
+@pytest.mark.parametrize("is_on", [True, False])
+def test_probe_of_macros_is_told_before_the_nozzle_goes_down(start, is_on):
+    printer = start(with_membrane(SCENES["cartesian"])).homed()
+    printer.run(OVER + ("ATTACH_PROBE" if is_on else "DOCK_PROBE"))
+    (dialog,) = dialogs_of(printer.run(f"EXTRA_PROBE_CALIBRATE {MEMBRANE}"))
+    told = "The probe reads open, as on the head; put it away first."
+    assert (told in dialog.text) is is_on
+
+
+# Older hosts stay active when the way to the next screw has failed
+@every_host
+def test_screws_that_cannot_go_on_are_no_dialog(start):
+    screws = {"screw1": "60, 60", "screw2": "240, 60", "screw3": "150, 240"}
+    options = {**screws, "probe_height": "2", "speed": "100"}
+    printer = ready(start, changes={"bed_screws": options})
+    printer.run(f"{OVER}BED_SCREWS_ADJUST\nM84")
+    printer.fail("ACCEPT")
+    printer.run(f"G28\n{OVER}ATTACH_PROBE")
+    assert trips(printer) == ["attach"]
+
+
+# How it is wired nobody knows without [z_calibration]
+def test_probe_that_is_always_on_needs_no_word(start):
+    printer = start("membrane_and_probe").homed()
+    (dialog,) = dialogs_of(printer.run(f"EXTRA_PROBE_CALIBRATE {MEMBRANE}"))
+    assert "reads open, as on the head" not in dialog.text
+
+
+def test_probe_that_docks_itself_needs_no_word(start):
+    printer = ready(start)
+    printer.run(f"{OVER}ATTACH_PROBE")
+    (dialog,) = dialogs_of(printer.run(f"EXTRA_PROBE_CALIBRATE {MEMBRANE}"))
+    assert "reads open, as on the head" not in dialog.text
+    assert where(printer) == "docked"
+
+
+@every_host
+def test_twist_without_trips_does_not_begin(start):
+    printer = ready(start)
+    printer.run(f"{OVER}SET_DOCKABLE_PROBE AUTO_ATTACH_DETACH=0\nATTACH_PROBE")
+    assert "and the probe has to be fetched and" in printer.fail(TWIST)
+    assert where(printer) == "attached"
+    assert not printer.status("manual_probe")["is_active"]
+
+
 @every_host
 def test_probe_is_docked_before_each_paper_of_a_twist(start):
     printer = ready(start, {"allow_delayed_detach": "True"})
@@ -281,9 +349,6 @@ def test_probe_is_not_fetched_while_the_paper_is_asked_for(start, command):
     assert untouched(printer)
     printer.run("ABORT\nATTACH_PROBE")
     assert trips(printer, begun) == ["attach"]
-
-
-TWIST = "AXIS_TWIST_COMPENSATION_CALIBRATE"
 
 
 # It took the docking before each paper with it: the probe was 2.5 mm in the bed
@@ -435,6 +500,27 @@ def test_question_of_one_section_stops_the_others(start, section):
     text = printer.fail("AUTO_Z_PROBE")
     assert f"section '{section}' waits for an answer" in text
     printer.run(f"{end}\n{OVER}AUTO_Z_PROBE")
+
+
+# Its set-up may have a sheet of paper on the bed, which the probe would measure
+@pytest.mark.parametrize(
+    "command",
+    ["CALIBRATE_Z", "CALIBRATE_Z_ACCURACY CYCLES=2", "PROBE_Z_ACCURACY"],
+)
+def test_set_up_stops_what_is_no_part_of_it(start, command):
+    printer = ready(start)
+    printer.run(f"{OVER}CALIBRATE_Z")
+    printer.run(QUESTIONS["z_calibration"][0])
+    at = printer.session.position()
+    text = printer.fail(command)
+    assert text.startswith(
+        "z_calibration: section 'z_calibration' waits for an answer"
+    )
+    assert printer.session.position() == at
+    # As after each CALIBRATE_Z that has not ended well
+    is_good = printer.status("z_calibration")["last_query"]
+    assert is_good is (command != "CALIBRATE_Z")
+    printer.run(f"{QUESTIONS['z_calibration'][1]}\n{command}")
 
 
 # Nobody's end_gcode and error_gcode move a head that has not moved

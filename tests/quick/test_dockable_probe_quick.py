@@ -17,6 +17,7 @@ GUARDED = {
     *carrier.PROBE_THEN_PAPER,
     *carrier.PROBING,
     *carrier.ENDS,
+    *carrier.GOES_ON,
     carrier.SCREWS,
 }
 

@@ -35,20 +35,29 @@ _SECTIONS: dict[str, dict[str, str]] = {
 }
 
 
-def with_all(scene: Scene) -> Scene:
-    """The same with a membrane, a sensor below the bed, and our sections."""
-    scene = calibrating(scene)
-    inputs = {**scene.wiring.inputs, "membrane": "^!PF5", "bed_sensor": "PC7"}
+def _with_section(scene: Scene, name: str, **inputs: str) -> Scene:
     return replace(
         scene,
-        sections={**scene.sections, **_SECTIONS},
-        wiring=replace(scene.wiring, inputs=inputs),
-    ).with_world(
+        sections={**scene.sections, name: _SECTIONS[name]},
+        wiring=replace(scene.wiring, inputs={**scene.wiring.inputs, **inputs}),
+    )
+
+
+def with_membrane(scene: Scene) -> Scene:
+    """The same with a membrane, which a hand has to lay, and its section."""
+    name = "extra_probe membrane"
+    return _with_section(scene, name, membrane="^!PF5").with_world(
         membrane=MembraneSpec(
             *POINT, thickness=0.3, press=0.05, radius=9.0, laid=False
-        ),
-        bed_sensor=BedSensorSpec(press_depth=0.04),
+        )
     )
+
+
+def with_all(scene: Scene) -> Scene:
+    """The same with a membrane, a sensor below the bed, and our sections."""
+    scene = with_membrane(calibrating(scene))
+    scene = _with_section(scene, "auto_z_offset", bed_sensor="PC7")
+    return scene.with_world(bed_sensor=BedSensorSpec(press_depth=0.04))
 
 
 SWITCH = with_all(DOCK_SCENES["dock_gantry_switch"])

@@ -65,6 +65,18 @@ def where(printer: Printer) -> str:
     return machine.world.probe_state(now)
 
 
+# What G-code does not do with the probe on: straight down from Z=20 to a Z
+FORCE = {"force_move": {"enable_force_move": "True"}}
+
+
+def down_by_force(z: float) -> str:
+    """The lines for it."""
+    return (
+        f"G90\nG1 Z20 F900\nSET_KINEMATIC_POSITION Z={40 - z}\nG1 Z20 F300"
+        f"\nSET_KINEMATIC_POSITION Z={z}\nM400"
+    )
+
+
 def trips(printer: Printer, start: int = 0) -> list[str]:
     """What became of the probe, in order: attach, dock, lost ..."""
     return [event.kind for event in printer.machine.truth.events[start:]]

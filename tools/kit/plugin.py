@@ -62,7 +62,9 @@ def pytest_addoption(parser: pytest.Parser) -> None:
 def pytest_generate_tests(metafunc: pytest.Metafunc) -> None:
     """Each host in turn as `host`."""
     if "host" in metafunc.fixturenames:
-        metafunc.parametrize("host", all_hosts(), ids=attrgetter("name"))
+        is_one = metafunc.definition.get_closest_marker("one_host")
+        hosts = [main_host()] if is_one else all_hosts()
+        metafunc.parametrize("host", hosts, ids=attrgetter("name"))
 
 
 _LEFT = pytest.StashKey[int]()
@@ -85,6 +87,7 @@ def pytest_collection_modifyitems(
         items[:] = [n for n in items if wanted[n] is (cases == "test")]
         if cases == "test":
             config.stash[_LEFT] = len(others)
+    items.sort(key=_turn)
     for item in items:
         host = _host_of(item)
         if host is not None:
@@ -127,18 +130,30 @@ def pytest_xdist_make_scheduler(
     return _ByFile(config, log) if config.option.dist == "loadfile" else None
 
 
+# Waits for browsers, servers and a clock that nobody turns. One worker goes through
+# them, from the beginning, while the others compute: at the end nobody would.
+_REAL_TIME = re.compile(
+    r"tools/playground/tests/|tools/kit/tests/test_live\.py"
+    r"|simprinter/tests/test_play\.py|tests/(?:moonraker|farm)/"
+)
+
+# Long, and each by itself
+_APART = re.compile(r"tools/campaign/tests/test_walks\.py")
+
+
+def _turn(item: pytest.Item) -> int:
+    """What takes long comes first, so that all workers end at the same time."""
+    if _REAL_TIME.match(item.nodeid):
+        return 0
+    return 1 if _APART.match(item.nodeid) else 2
+
+
 class _ByFile(LoadFileScheduling):
-    # Making a printer with Moonraker takes seconds
-    _TOGETHER = re.compile(r"tests/moonraker/test_(?!dialogs|setup)")
-
-    # Long, last of all, and each by itself
-    _APART = re.compile(r"tools/campaign/tests/test_walks\.py")
-
     def _split_scope(self, nodeid: str) -> str:
-        if self._APART.match(nodeid):
+        if _APART.match(nodeid):
             return nodeid
-        found = self._TOGETHER.match(nodeid)
-        return found[0] if found else super()._split_scope(nodeid)
+        is_waiting = _REAL_TIME.match(nodeid)
+        return "real time" if is_waiting else super()._split_scope(nodeid)
 
 
 @pytest.fixture

@@ -8,6 +8,7 @@ import functools
 from ..core import carrying, touching
 from ..core.carrying import DOCKED, UNKNOWN
 from ..core.errors import CalibrationError
+from ..core.probing import TWIST
 from . import detour
 from .settings import travel_height
 
@@ -32,11 +33,13 @@ BY_METHOD = (
 # at points of its own.
 PROBE_THEN_PAPER = {
     "PROBE_CALIBRATE": False,
-    "AXIS_TWIST_COMPENSATION_CALIBRATE": True,
+    TWIST: True,
 }
 # After these nobody docks what was to be docked in a while.  RESTART has to be there
 # when klippy is not ready, too, and nothing in its place would.
 ENDS = ("M18", "M84", "SAVE_CONFIG")
+# With these a print goes on where it has stopped, however high that is
+GOES_ON = ("M24", "RESUME")
 # What else probes, and what of ours says who holds the probe
 PROBING = ("PROBE", "PROBE_ACCURACY")
 HOLDING = ("ATTACH_PROBE", "SET_DOCKABLE_PROBE", "SET_PROBE_STATUS")
@@ -57,6 +60,7 @@ class Carrier(object):
         # taken the place of one.
         register = self.host.printer.register_event_handler
         register("klippy:mcu_identify", self._guard_commands)
+        register("klippy:ready", self._guard_macros)
 
     ######################################################################
     # For whoever lowers the nozzle
@@ -134,12 +138,19 @@ class Carrier(object):
         wrap(SCREWS, self._before_paper_elsewhere)
         for name in ENDS:
             wrap(name, self._before_end)
+        for name in GOES_ON:
+            wrap(name, self._before_going_on)
         for name in BY_METHOD:
             wrap(name, self._before_manual_method)
         for name, asks_again in PROBE_THEN_PAPER.items():
             wrap(name, functools.partial(self._around_paper, asks_again))
         for name in PROBING + HOLDING:
             wrap(name, self._as_it_is)
+
+    # A macro of that name may go back to the print before it runs the command.
+    def _guard_macros(self):
+        for name in GOES_ON:
+            self._guard(name, self._before_going_on)
 
     def _guard(self, name, around):
         def guarded(command, gcmd):
@@ -205,9 +216,24 @@ class Carrier(object):
         self.prober.holder.delay.end(self.prober.dock_and_come_back)
         command(gcmd)
 
+    # The way back ends beside what is printed, where the probe hangs lower.
+    def _before_going_on(self, command, gcmd):
+        is_known = self.settings.is_placed and self.moves.is_homed("xyz")
+        if self.sensors.may_hang and is_known:
+            self._before_paper(command, gcmd)
+        else:
+            command(gcmd)
+
     # The probe is docked at the end of each session, whoever held it.
     def _around_paper(self, asks_again, command, gcmd):
         if asks_again:
+            if not self.auto:
+                # Docked for the paper it could not be fetched for the next point.
+                raise self.host.error(
+                    "auto_attach_detach is off, and the probe has to be fetched and"
+                    " docked at each point; run SET_DOCKABLE_PROBE"
+                    " AUTO_ATTACH_DETACH=1 first"
+                )
             # It goes straight to its first point, before the probe is fetched.
             self.prober.docking.leave()
         delay = self.prober.holder.delay

@@ -201,16 +201,22 @@ class Docking(object):
     # G-code of the owner's
     ######################################################################
 
-    # The G-code of an option, where it is given
+    # The G-code of an option, where it is given.  A trip may begin in the middle of
+    # anybody's G-code: it begins with absolute coordinates, and what comes after it
+    # goes on with the modes and the speed of before.
     def run(self, name):
         template = getattr(self.settings, name)
         if template is None:
             return
         outer, self.running = self.running, name
+        features = self.host.features
+        modes = features.modes()
+        features.set_modes(modes._replace(absolute=True))
         try:
             template.run_gcode_from_command()
         finally:
             self.running = outer
+            features.set_modes(modes)
 
     # It must not move the head.
     def run_still(self, name):

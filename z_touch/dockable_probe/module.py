@@ -14,6 +14,7 @@ from ..core.errors import CalibrationError
 from . import checks, detour
 from .carrier import Carrier
 from .docking import DOCK, FETCH, IF_DOCKED, Docking
+from .gcode_moves import GcodeMoves
 from .homing import BeforeHoming
 from .moves import Moves
 from .prober import Prober
@@ -42,7 +43,7 @@ class DockableProbe(object):
         self.moves = Moves(self.host, settings)
         self.docking = Docking(settings, self.sensors, self.moves)
         self.prober = Prober(self.docking, settings)
-        Carrier(self.prober)
+        GcodeMoves(self.prober, Carrier(self.prober))
         self.virtual_probe = VirtualProbe(self.host)
         self.virtual_probe.install(
             config, self.prober, self.sensors.pin.endstop, settings

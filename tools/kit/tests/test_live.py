@@ -12,9 +12,10 @@ from simprinter import (
 from simprinter.hosts import session, starting
 from simprinter.hosts.session import GcodeError, SessionError
 from simprinter.world import CrashError
-from tools.kit.cases import slow
 from tools.kit.printer import Printer
 from tools.kit.scenes import OTHER_BOARD, SCENES, on_board
+
+pytestmark = pytest.mark.slow
 
 MICROSTEP = 0.0025
 # Enough to see that touches happen at the same instants of printer time
@@ -71,7 +72,6 @@ def test_klippy_that_is_not_on_the_clock_is_noticed(host, monkeypatch):
         printer.session.require_ready()
 
 
-@pytest.mark.slow
 def test_real_time_gives_the_same_gap(host):
     # Quick enough to be waited for
     changes = {
@@ -236,7 +236,7 @@ def test_heater_that_nobody_refreshes_goes_out(start):
 
 
 @pytest.mark.parametrize("command", ["RESTART", "FIRMWARE_RESTART"])
-@pytest.mark.parametrize("scene", [slow("voron"), "voron_two_boards"])
+@pytest.mark.parametrize("scene", ["voron", "voron_two_boards"])
 def test_restart_keeps_the_motors_where_they_are(start, scene, command):
     printer = start(scene).homed()
     gap = printer.gap()

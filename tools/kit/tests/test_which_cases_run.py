@@ -10,6 +10,8 @@ import pytest
 from simprinter.hosts.environment import REPO_ROOT
 from simprinter.hosts.hosts import all_hosts, main_host
 
+pytestmark = pytest.mark.slow
+
 FILE = """
 import pytest
 
@@ -31,6 +33,11 @@ def test_what_hosts_differ_in(host, n):
 
 @pytest.mark.slow
 def test_long():
+    pass
+
+
+@pytest.mark.one_host
+def test_tool(host):
     pass
 """
 
@@ -54,9 +61,7 @@ def collected(tmp_path):
     return names
 
 
-@pytest.mark.parametrize(
-    "workers", [0, pytest.param(2, marks=pytest.mark.slow)]
-)
+@pytest.mark.parametrize("workers", [0, 2])
 def test_last_line_counts_what_is_left(tmp_path, workers):
     path = tmp_path / "test_some.py"
     path.write_text(FILE)
@@ -82,6 +87,7 @@ def test_each_case_is_in_one_of_both(collected):
         "test_without_a_host",
         f"test_table[{main_host().name}-1]",
         *(f"test_what_hosts_differ_in[{h.name}-1]" for h in all_hosts()),
+        f"test_tool[{main_host().name}]",
     ]
-    assert len({*everything}) == 2 + 4 * len(all_hosts())
+    assert len({*everything}) == 3 + 4 * len(all_hosts())
     assert sorted(test + rest) == sorted(everything)
