@@ -11,7 +11,6 @@ from pathlib import Path
 import pytest
 
 from simprinter import Fault, heated
-from tools.kit.cases import all_slow_but
 from tools.kit.extra_probe import (
     BED,
     CONTINUE,
@@ -22,6 +21,8 @@ from tools.kit.extra_probe import (
     true_gap,
 )
 from tools.kit.scenes import SCENES
+
+pytestmark = pytest.mark.slow
 
 EXAMPLES = Path(__file__).resolve().parents[2] / "examples" / "extra_probe"
 # The scene that each is for, what it is to save, and from which value on
@@ -87,9 +88,7 @@ def test_example_ends_with_the_bed_at_zero(start, name):
     assert true_gap(printer) == pytest.approx(0.0, abs=2 * MICROSTEP)
 
 
-@pytest.mark.parametrize(
-    "name", all_slow_but(["z_switch", "probe_homing_macros"], OWNERS)
-)
+@pytest.mark.parametrize("name", OWNERS)
 def test_example_used_again(start, name):
     # There is nothing left to correct, and the sign would show
     printer = owned(start, name)

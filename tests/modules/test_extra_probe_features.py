@@ -93,6 +93,45 @@ def test_mesh_is_taken_off_what_is_saved(start, scene, height):
     assert ("no saved calibration holds" in text) is (height > 0.125)
 
 
+# One that comes later, such as of PRINT_START
+@pytest.mark.parametrize(
+    ("scene", "zero", "is_told"),
+    [
+        ("membrane", None, True),
+        ("membrane", "30, 20", False),
+        ("membrane", "100, 100", True),
+        slow("membrane_and_probe", None, True),
+        slow("membrane_and_probe", "30, 20", False),
+    ],
+)
+@pytest.mark.parametrize("script", ["", " SAVE=1"])
+@pytest.mark.parametrize("is_in_force", [False, True])
+def test_later_mesh_is_told(start, scene, zero, is_told, script, is_in_force):
+    own = bed_mesh("20, 15", "180, 180", zero_reference_position=zero)
+    changes = {"bed_mesh": own, "bed_mesh default": profile([0.05] * 3, own)}
+    printer = start(scene, changes=changes).homed()
+    if is_in_force:
+        printer.run(LOAD)
+    lines = "\n".join(calibrate(printer, CALIBRATE + script))
+    # What was taken off is right as long as it is in force.
+    is_told = is_told and not is_in_force
+    assert ("bed_mesh has no zero at 30.0, 20.0, where" in lines) is is_told
+
+
+@pytest.mark.parametrize("script", ["", " SAVE=1"])
+def test_no_mesh_is_no_other_one(start, script):
+    printer = start("membrane").homed()
+    assert "bed_mesh" not in "\n".join(calibrate(printer, CALIBRATE + script))
+
+
+def test_later_mesh_makes_it_wrong_by_its_height(start):
+    printer = start("membrane", changes=mesh(0.2)).homed()
+    calibrate(printer)
+    assert_right(printer)
+    printer.run(LOAD)
+    assert true_gap(printer) == pytest.approx(0.2, abs=2 * MICROSTEP)
+
+
 @pytest.mark.parametrize("script", ["", slow(" SAVE=1")])
 @pytest.mark.parametrize("scene", ["membrane", slow("membrane_and_probe")])
 def test_g92_is_undone(start, scene, script):

@@ -96,7 +96,7 @@ class Calibration(object):
         floor_param = options.param_number(gcmd, "FLOOR")
         self.check_printer()
         self.check_settings(save)
-        warnings = self.check_temperature()
+        warnings = self.check_temperature() + self.look_at_probe()
         # Before a hand comes near: later nothing drives to a dock by itself
         self.free_nozzle(goes_on=self.settings.xy_position is not None)
         self.travel()
@@ -272,7 +272,7 @@ class Calibration(object):
         shifts = self.shifts(question, bed_z)
         offset = bed_z - shifts.height()
         if question.save:
-            self.save(gcmd, offset, bed_z)
+            self.save(gcmd, question, offset)
         say = self.runner.watch.say
         # It would shift what the offset makes right
         undone = self.host.features.undo_g92(SMALLEST_PART)
@@ -301,12 +301,12 @@ class Calibration(object):
 
     # 'offset' is what Z is to be lower by; with the whole of bed_z the bed would be
     # at Z=0, and that is what later floors count from.
-    def save(self, gcmd, offset, bed_z):
+    def save(self, gcmd, question, offset):
         section, option, z = self.corrected_zero(offset)
         text = "%.3f" % (z,)
         printer = self.host.printer
         options.save(printer, section, option, text)
-        saved_z = "%.3f" % (z + offset - bed_z,)
+        saved_z = "%.3f" % (z + offset - question.bed_z,)
         options.save(printer, self.host.section, "saved_homing_z", saved_z)
         gcmd.respond_info(
             "%s: %s: %s\n%s\nUntil then the G-code offset is 0."
@@ -327,6 +327,19 @@ class Calibration(object):
             raise CalibrationError(prints.PAUSED)
         running.check_no_manual_probe(self.host)
         running.check_homed(self.host)
+
+    # Of a [probe] that macros fetch only the switch tells, where it is wired as
+    # [z_calibration] needs it.  Returns warnings.
+    def look_at_probe(self):
+        printer = self.host.printer
+        endstop = self.host.probing.endstop()
+        is_wired = printer.lookup_object("z_calibration", None) is not None
+        is_plain = carrying.of(printer).carrier(self.host) is None
+        if not (is_wired and is_plain and endstop is not None):
+            return []
+        if endstop.query_endstop(self.host.after_moves()):
+            return []
+        return ["The probe reads open, as on the head; put it away first."]
 
     # Returns warnings
     def check_temperature(self):

@@ -7,7 +7,7 @@ import functools
 import logging
 
 from .. import __version__
-from ..core import options, running, touching, z_pin
+from ..core import carrying, options, running, touching, z_pin
 from ..core.axes import check_z_axis
 from ..core.errors import CalibrationError
 from ..core.host import Host
@@ -35,6 +35,7 @@ class ExtraProbe(object):
         self.host = Host(config)
         check_z_axis(config, self.host.axes.z_axis)
         self.runner = running.Runner(self.host)
+        carrying.of(self.host.printer).watches.append(self.runner.watch)
         self.settings = read_settings(config)
         self.z_pin = z_pin.read_pin(config, self.host.axes.z_axis)
         # For get_status(): mm, and what the pin read

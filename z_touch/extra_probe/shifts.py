@@ -18,6 +18,7 @@ class Shifts(object):
     # as it is, but not the heat.
     def __init__(self, host, point, is_saved):
         self.point = point
+        self.features = host.features
         self.parts = [
             part
             for part in host.features.parts(*point)
@@ -34,6 +35,16 @@ class Shifts(object):
     def height(self):
         return sum(part.height for part in self.parts)
 
+    # Whether Z=0 will be where a later bed mesh sees it, not where the switch lay.  One
+    # in force was taken off, and stays right.
+    def is_mesh_elsewhere(self):
+        features = self.features
+        return (
+            features.has_mesh_section()
+            and features.mesh_heights() is None
+            and not features.is_mesh_zero(*self.point[:2])
+        )
+
     # What the user is told; 'z_offset': what has become of the offset (mm)
     def lines(self, z_offset):
         if self.parts:
@@ -48,6 +59,14 @@ class Shifts(object):
                 "bed_mesh ends before %.1f, %.1f, where the switch lay: what was"
                 " taken off is the height of its rim; check the first layer"
                 % self.point[:2]
+            )
+        if self.is_mesh_elsewhere():
+            option = self.features.mesh_zero_option()
+            yield (
+                "bed_mesh has no zero at %.1f, %.1f, where the switch lay: one that"
+                " is probed or loaded now makes Z=0 wrong by its height there; set"
+                " its %s to that point, probe it, and calibrate again"
+                % (self.point[:2] + (option,))
             )
         if abs(self.rest) >= LARGEST_REST:
             yield (
