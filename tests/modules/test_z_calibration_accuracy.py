@@ -11,12 +11,13 @@ import pytest
 
 from simprinter import Fault
 from simprinter.world import DriftSpec, NoiseSpec, OozeSpec
-from tools.kit.cases import all_slow_but
 from tools.kit.scenes import SCENES
 from tools.kit.z_calibration import (
     section,
     touched_sites,
 )
+
+pytestmark = pytest.mark.slow
 
 MIDDLING = 0.002
 WORN = 0.015
@@ -54,9 +55,7 @@ CAUSES = {
 }
 
 
-@pytest.mark.parametrize(
-    "name", all_slow_but(["nothing", "loose probe"], CAUSES)
-)
+@pytest.mark.parametrize("name", CAUSES)
 def test_each_cause_is_told(start, name):
     cause = CAUSES[name]
     printer = start(cartesian(**cause.scene)).homed()

@@ -11,6 +11,8 @@ from simprinter import Fault
 from tools.kit.scenes import SCENES
 from tools.kit.z_calibration import assert_unharmed, calibration, section
 
+pytestmark = pytest.mark.slow
+
 BELOW = "the bed is below the low end of offset_margins (%s), or the probe"
 TRY = re.compile(r"(\w+) of section '(\w+)' \((\S+) - (\S+): try (\S+)\)")
 

@@ -14,6 +14,8 @@ from tools.kit.z_calibration import (
     touched_sites,
 )
 
+pytestmark = pytest.mark.slow
+
 SAVE = "Z_CALIBRATION_SAVE_GCODE_OFFSET"
 ENDSTOP, PROBE = "Z_OFFSET_APPLY_ENDSTOP", "Z_OFFSET_APPLY_PROBE"
 RAISE = "SET_GCODE_OFFSET Z_ADJUST=0.02 MOVE=1"

@@ -34,11 +34,12 @@ from tests.modules.example_owners import (
     lines_of,
     print_start_of,
 )
-from tools.kit.cases import all_slow_but, slow
 from tools.kit.klipper_sections import TOOL, bed_mesh
 from tools.kit.printer import Printer
 from tools.kit.scenes import SCENES
 from tools.kit.z_calibration import MICROSTEP, touched_sites
+
+pytestmark = pytest.mark.slow
 
 ROOT = Path(__file__).resolve().parents[2]
 EXAMPLES = ROOT / "examples" / "z_calibration"
@@ -144,9 +145,7 @@ def assert_ready_to_print(printer: Printer, owner: Owner) -> None:
 # As they are
 
 
-@pytest.mark.parametrize(
-    "name", all_slow_but(("voron24_klicky", "cartesian_switch"), sorted(OWNERS))
-)
+@pytest.mark.parametrize("name", sorted(OWNERS))
 def test_print_start_ends_at_the_right_height(start, name):
     owner = OWNERS[name]
     path = EXAMPLES / f"{name}.cfg"
@@ -157,7 +156,6 @@ def test_print_start_ends_at_the_right_height(start, name):
     assert_ready_to_print(printer, owner)
 
 
-@pytest.mark.slow
 def test_next_print_starts_as_well(host):
     # The offset of the first one, a large one, would miss the dock
     owner = OWNERS["euclid"]
@@ -171,7 +169,7 @@ def test_next_print_starts_as_well(host):
 
 @pytest.mark.parametrize(
     "path",
-    all_slow_but([EXAMPLES / "euclid.cfg"], STARTS),
+    STARTS,
     ids=attrgetter("stem"),
 )
 def test_print_start_without_temperatures_does_nothing(start, path):
@@ -290,13 +288,13 @@ def told(printer: Printer) -> str:
             *("voron24_klicky", "#     G28 Z  ", "#     M400 #"),
             "home Z again (G28 Z) after any levelling",
         ),
-        slow(
+        (
             *("trident_z_tilt", "nozzle_xy_position: 173, 300.5\n"),
             "nozzle_xy_position: 183, 300\n",
             "check nozzle_xy_position",
         ),
         # Where the nozzle is
-        slow(
+        (
             *("cartesian_switch", "221.5, 118", "244, 118"),
             "check switch_xy_position",
         ),
@@ -320,7 +318,6 @@ def test_mistake_of_an_owner_is_told(host, tmp_path, name, old, new, message):
         assert message in told(printer)
 
 
-@pytest.mark.slow
 @pytest.mark.parametrize(
     ("fault", "message"),
     [

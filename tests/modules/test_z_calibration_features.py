@@ -6,7 +6,6 @@ import json
 
 import pytest
 
-from tools.kit.cases import slow
 from tools.kit.klipper_sections import bed_mesh, profile
 from tools.kit.z_calibration import (
     MICROSTEP,
@@ -14,6 +13,8 @@ from tools.kit.z_calibration import (
     result_of,
     with_extra,
 )
+
+pytestmark = pytest.mark.slow
 
 # What is between nozzle and bed at Z=0 after a perfect calibration
 GAP = 0.06
@@ -85,14 +86,13 @@ def test_mesh_of_a_probe_with_a_wrong_z_offset(start, error):
 TILT = {"x_adjust": "0.001", "y_adjust": "-0.0002", "z_adjust": "0.03"}
 
 
-@pytest.mark.every_host
 @pytest.mark.parametrize(
     ("changes", "script", "point", "told"),
     [
         (mesh(), LOAD, POINT, "bed_mesh is 0.057 mm at 150.0, 150.0"),
-        slow(mesh(), LOAD, (100, 100), "bed_mesh is -0.014 mm at 100.0, 100.0"),
+        (mesh(), LOAD, (100, 100), "bed_mesh is -0.014 mm at 100.0, 100.0"),
         # Nothing up where the head travels
-        slow(mesh(**FADING), LOAD, POINT, "bed_mesh is 0.057 mm at"),
+        (mesh(**FADING), LOAD, POINT, "bed_mesh is 0.057 mm at"),
         (
             mesh(),
             f"{LOAD}\nBED_MESH_OFFSET Y=30",
@@ -140,7 +140,6 @@ class Frame:
         printer.session.wait(30.0)
 
 
-@pytest.mark.every_host
 @pytest.mark.parametrize("has_mesh", [False, True])
 def test_heat_is_taken_off_once_and_goes_on(start, tmp_path, has_mesh):
     frame = Frame(tmp_path)
@@ -161,6 +160,26 @@ def test_heat_is_taken_off_once_and_goes_on(start, tmp_path, has_mesh):
     printer.run("G1 X20 F6000")
     assert_right(printer, GAP - 0.02)
     assert validity(printer) == (True, True, "")
+
+
+@pytest.mark.parametrize("change", ["REF_TEMP=75", "ENABLE=0", "TEMP_COEFF=0"])
+def test_heat_that_is_set_anew_is_noticed(start, tmp_path, change):
+    frame = Frame(tmp_path)
+    printer = start(changes=frame.section())
+    printer.session.require_ready()
+    printer.session.wait(30.0)
+    printer.homed()
+    frame.heat(printer, 75.0)
+    printer.run("CALIBRATE_Z\nSET_Z_THERMAL_ADJUST")
+    assert validity(printer) == (True, True, "")
+    printer.run(f"SET_Z_THERMAL_ADJUST {change}")
+    told = "SET_Z_THERMAL_ADJUST has moved Z=0 since CALIBRATE_Z"
+    assert validity(printer)[:2] == (False, False)
+    assert told in validity(printer)[2]
+    assert told in printer.fail(SAVE)
+    printer.run("CALIBRATE_Z")
+    assert validity(printer) == (True, True, "")
+    assert_right(printer)
 
 
 ASK = """
@@ -252,10 +271,10 @@ def test_zero_of_the_mesh_at_the_point_is_no_warning(start):
     ("before", "after", "is_other"),
     [
         ("", LOAD, True),
-        slow(LOAD, "BED_MESH_CLEAR", True),
+        (LOAD, "BED_MESH_CLEAR", True),
         (LOAD, "BED_MESH_OFFSET Y=30", True),
         (LOAD, LOAD, False),
-        slow(LOAD, f"BED_MESH_CLEAR\n{LOAD}", False),
+        (LOAD, f"BED_MESH_CLEAR\n{LOAD}", False),
         # As high there by chance
         (LOAD, "BED_MESH_OFFSET X=30", False),
     ],

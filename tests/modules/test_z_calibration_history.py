@@ -21,6 +21,8 @@ from tools.kit.z_calibration import (
     section,
 )
 
+pytestmark = pytest.mark.slow
+
 WORTH = re.compile(r"Z-CALIBRATION: --> new offset=(\S+) \+-(\d\.\d{3})$")
 NOZZLE = (206.0, 306.0)
 BRUSH = (120.0, 300.0)

@@ -6,7 +6,6 @@ from dataclasses import replace
 
 import pytest
 
-from tools.kit.cases import slow
 from tools.kit.printer import Printer
 from tools.kit.scenes import SCENES
 from tools.kit.z_calibration import (
@@ -17,6 +16,8 @@ from tools.kit.z_calibration import (
     section,
     with_moves,
 )
+
+pytestmark = pytest.mark.slow
 
 # A z_calibration without an offset of its own would say 0.16 here
 OFFSET = 0.16
@@ -133,10 +134,10 @@ def test_start_gcode_may_home(start, by_macro):
     ("before_switch", "start_gcode"),
     [
         ("Look_At_It", ""),
-        slow("look_at_it", "LOOK_AT_IT"),
-        slow("G0 Z20\n  M117 switch", ""),
+        ("look_at_it", "LOOK_AT_IT"),
+        ("G0 Z20\n  M117 switch", ""),
         ("{% if True %}LOOK_AT_IT{% endif %}", ""),
-        slow("SET_PIN PIN=servo VALUE=1", ""),
+        ("SET_PIN PIN=servo VALUE=1", ""),
     ],
 )
 def test_before_switch_gcode_that_attaches_nothing(
@@ -155,7 +156,6 @@ def test_before_switch_gcode_that_attaches_nothing(
         calibration(printer)
 
 
-@pytest.mark.every_host
 def test_before_switch_gcode_that_hides_what_attaches(start):
     code = '\n  {% set name = "ATTACH_PROBE" %}\n  {name}'
     printer = start("cartesian", section(before_switch_gcode=code)).homed()

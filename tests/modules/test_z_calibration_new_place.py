@@ -128,7 +128,6 @@ def test_places_that_are_exchanged(start, place, is_docked):
 
 
 # The pin is there, but so is a bed below the probe: Z was homed without it
-@pytest.mark.every_host
 @pytest.mark.parametrize("command", ["CALIBRATE_Z", slow("PROBE_Z_ACCURACY")])
 def test_start_gcode_where_before_switch_gcode_is_needed(start, command):
     scene = SCENES["cartesian"]

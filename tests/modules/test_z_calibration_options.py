@@ -186,7 +186,6 @@ printer.register_event_handler("klippy:ready", age)
 """
 
 
-@pytest.mark.every_host
 @pytest.mark.parametrize("index", [2, slow(3), None])
 def test_the_meshs_point_on_an_old_host(start, tmp_path, index):
     modules = with_extra(tmp_path, OLD_MESH % (index,))
@@ -328,6 +327,10 @@ REFUSED = {
     "travel too high": (
         section(safe_z_height="281"),
         [f"z_calibration, z=281.000, {BEYOND} correct safe_z_height in"],
+    ),
+    "clearance too large": (
+        section(clearance="281"),
+        [f"{BEYOND} correct clearance in"],
     ),
     # Twice the z_offset is no height to travel at
     "probe too long": (
@@ -1018,7 +1021,6 @@ def test_old_names_work_and_are_told_once(watched):
         probe_bed_x="110",
         probe_bed_y="90",
         max_deviation="0.2",
-        clearance="16",
         # Of others
         homing_speed="7",
         second_homing_speed="2",
@@ -1027,7 +1029,6 @@ def test_old_names_work_and_are_told_once(watched):
     start = "// z_calibration: option"
     told = [e for e in printer.session.console if e.startswith(start)]
     assert sorted(re.split("options? ", e, maxsplit=1)[1] for e in told) == [
-        "'clearance' is now called 'safe_z_height'",
         "'homing_retract_dist' is now called 'probing_retract_dist'",
         "'homing_speed' is now called 'probing_speed'",
         "'max_deviation' is now called 'offset_margins'",
@@ -1043,7 +1044,6 @@ def test_old_names_work_and_are_told_once(watched):
     assert told == again
     assert place_of("body_pin", printer) == (211.5, 281.25)
     assert place_of("probe_bed", printer) == (112.0, 65.25)
-    assert 16.0 in [round(z, 2) for z in travel_heights(printer)]
     accuracy = "\n".join(printer.run("PROBE_Z_ACCURACY"))
     assert "retract=2.500 speed=2.0" in accuracy
 
@@ -1069,7 +1069,6 @@ def test_new_names_come_before_old_ones(watched):
         probe_nozzle_y="2",
         max_deviation="0.1",
         offset_margins="-1,1",
-        clearance="30",
         safe_z_height="14",
     )
     console = "\n".join(printer.session.console)
@@ -1077,7 +1076,6 @@ def test_new_names_come_before_old_ones(watched):
         "'probe_nozzle_x' and 'probe_nozzle_y' are ignored,"
         " 'nozzle_xy_position' is given",
         "'max_deviation' is ignored, 'offset_margins' is given",
-        "'clearance' is ignored, 'safe_z_height' is given",
     ):
         assert text in console
     result, _ = calibration(printer)
@@ -1085,7 +1083,14 @@ def test_new_names_come_before_old_ones(watched):
     assert max(travel_heights(printer)) == pytest.approx(14.0, abs=0.01)
 
 
-def test_clearance_of_zero_was_no_clearance(watched):
+def test_clearance_counts_from_each_touch(watched):
+    printer = watched(clearance="16")
+    calibration(printer)
+    wanted = [PIN + 16.0, PIN + BODY + 16.0]
+    assert travel_heights(printer)[-2:] == pytest.approx(wanted, abs=0.01)
+
+
+def test_clearance_of_zero_is_none(watched):
     printer = watched(clearance="0")
     calibration(printer)
     assert 13.8 in [round(z, 2) for z in travel_heights(printer)]

@@ -111,7 +111,6 @@ def armings(printer, script="CALIBRATE_Z"):
     return Counter(signal for kind, signal in found if kind == "touch")
 
 
-@pytest.mark.every_host
 def test_bed_is_looked_for_only_where_nobody_has_met_the_pin(start):
     """Neither where Z is homed, nor in a second run."""
     printer = start().homed()

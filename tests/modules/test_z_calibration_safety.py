@@ -688,6 +688,15 @@ def test_emergency_stop_is_told_without_hints(start):
     assert text == "Probing failed due to printer shutdown"
 
 
+# The speed of before is not set again, from where the host takes the head to be
+@pytest.mark.every_host
+def test_emergency_stop_is_told_whatever_a_template_has_left(start):
+    gcode = "\n  G91\n  G1 X1 F1234"
+    printer = start(changes=section(start_gcode=gcode)).homed()
+    text = printer.stopped("CALIBRATE_Z", "nozzle_pin", 1.6)
+    assert text == "Probing failed due to printer shutdown"
+
+
 @pytest.mark.every_host
 @pytest.mark.parametrize("site", ["nozzle_pin", "probe_bed"])
 def test_emergency_stop_before_a_touch_hangs_no_host(start, site):

@@ -10,6 +10,7 @@ from simprinter.hosts.session import GcodeError
 from tools.kit.cases import slow
 from tools.kit.dockable_probe import SWITCH, trips, where
 from tools.kit.docks import calibrating
+from tools.kit.klipper_sections import TOOL
 from tools.kit.scenes import SCENES, heated
 from tools.kit.setup_user import EMPTY, SETUP, User, open_dialog
 from tools.kit.z_calibration import (
@@ -210,6 +211,24 @@ def assert_slow(printer):
     for site in ("nozzle_pin", "body_pin"):
         times = [t.t for t in printer.machine.truth.touches if t.site == site]
         assert times[-1] - times[-2] > 2.5, site
+
+
+# Its nozzle may be longer
+def test_heights_are_those_of_a_nozzle(start, tmp_path):
+    heat = tmp_path / "temp"
+    heat.write_text("25000")
+    changes = {**empty(), "extruder1": {**TOOL, "sensor_path": str(heat)}}
+    printer = start(heated(SCENES["cartesian"]), changes=changes)
+    printer.session.require_ready()
+    user = User(printer)
+    advance(user, "PAPER")
+    z = printer.session.position()[2]
+    printer.run("ACTIVATE_EXTRUDER EXTRUDER=extruder1")
+    text = user.refused("Z-0.1 mm")
+    assert "extruder1 is active, and the pin was touched with extruder" in text
+    assert "the heights hold no more, the first touches begin again" in text
+    assert printer.session.position()[2] == z
+    user.go_to("PAPER")
 
 
 def test_with_the_sheet_only_small_steps_lead_down_to_it(start):

@@ -5,6 +5,7 @@ from __future__ import annotations
 import pytest
 
 from tools.kit.klipper_sections import TOOL
+from tools.kit.prints import paused
 from tools.kit.scenes import SCENES, heated
 from tools.kit.z_calibration import (
     SWITCH_OFFSET,
@@ -163,7 +164,11 @@ def test_offset_that_is_gone_is_noticed(start, before, after):
     printer = start(changes={"pause_resume": {}}).homed()
     printer.run(f"SET_GCODE_OFFSET Z=0.1\n{before}\nCALIBRATE_Z")
     assert validity(printer) == (True, True, "")
-    printer.run(after)
+    lines = printer.run(after)
+    told = (
+        "brought back the G-code Z offset 0.100; it was 0.160, from CALIBRATE_Z"
+    )
+    assert (told in "\n".join(lines)) is bool(before)
     is_measured, is_valid, reason = validity(printer)
     assert (is_measured, is_valid) == (True, False)
     assert reason == (
@@ -176,10 +181,70 @@ def test_offset_that_is_gone_is_noticed(start, before, after):
         assert pending(printer) == {}
         printer.run(f"{SAVE} FORCE=1")
         assert pending(printer)["z_calibration"] == {"switch_offset": "0.500"}
+    if before:
+        # Counted once
+        assert "nothing was changed" in "".join(printer.run(SAVE))
+        printer.run("CALIBRATE_Z")
     # Set again it is valid again
     z_offset = printer.status("z_calibration")["last_z_offset"]
     printer.run(f"SET_GCODE_OFFSET Z={z_offset}")
     assert validity(printer) == (True, True, "")
+
+
+# A state that nobody has restored since says nothing of baby steps
+def test_second_print_may_have_the_same_baby_steps(start):
+    printer = start(changes={"pause_resume": {}}).homed()
+    printer.run("CALIBRATE_Z\nSET_GCODE_OFFSET Z_ADJUST=-0.02\nPAUSE")
+    assert "brought back" not in "".join(printer.run("RESUME"))
+    printer.run("SET_GCODE_OFFSET Z=0\nG28\nCALIBRATE_Z")
+    printer.run(f"SET_GCODE_OFFSET Z_ADJUST=-0.02\n{SAVE}")
+    assert pending(printer)["z_calibration"] == {"switch_offset": "0.460"}
+
+
+# What a baby step of then is taken back to is no offset that is gone; and what was
+# there when it was saved are baby steps
+def test_state_of_since_is_as_it_was(start):
+    printer = start(changes={"pause_resume": {}}).homed()
+    printer.run("CALIBRATE_Z\nSAVE_GCODE_STATE NAME=old")
+    printer.run("SET_GCODE_OFFSET Z_ADJUST=0.3")
+    assert printer.run(RESTORE) == []
+    assert validity(printer) == (True, True, "")
+    # An offset that is nobody's baby step was not that of CALIBRATE_Z
+    printer.run("SET_GCODE_OFFSET Z=0.3\nSAVE_GCODE_STATE NAME=own")
+    printer.run("SET_GCODE_OFFSET Z=1")
+    assert printer.run("RESTORE_GCODE_STATE NAME=own") == []
+    printer.run(RESTORE)
+    printer.run("SET_GCODE_OFFSET Z_ADJUST=-0.05\nPAUSE")
+    printer.run("SET_GCODE_OFFSET Z_ADJUST=0.02\nRESUME")
+    printer.run(SAVE)
+    assert pending(printer)["z_calibration"] == {"switch_offset": "0.490"}
+
+
+# RESUME takes back what was kept while the print was paused, and nobody wants that
+def test_resume_takes_no_baby_step_back(start):
+    printer = start(changes={"pause_resume": {}}).homed()
+    printer.run("CALIBRATE_Z\nPAUSE\nSET_GCODE_OFFSET Z_ADJUST=-0.02")
+    told = (
+        "brought back the G-code Z offset 0.160; it was 0.140, from CALIBRATE_Z"
+    )
+    assert told in "".join(printer.run(f"{SAVE}\nRESUME"))
+    assert "is that of G-code state PAUSE_STATE" in printer.fail(SAVE)
+    assert pending(printer)["z_calibration"] == {"switch_offset": "0.460"}
+    # What is set again counts again
+    printer.run("SET_GCODE_OFFSET Z_ADJUST=-0.03")
+    printer.run(SAVE)
+    assert pending(printer)["z_calibration"] == {"switch_offset": "0.470"}
+
+
+# What is printed already stands where the head would go
+@pytest.mark.parametrize("command", ["CALIBRATE_Z", "PROBE_Z_ACCURACY"])
+def test_nothing_goes_across_a_paused_print(start, tmp_path, command):
+    printer = paused(start, tmp_path)
+    at = printer.session.position()
+    told = "a print is paused, and the head would go across it; end it first"
+    assert told in printer.fail(command)
+    assert printer.session.position() == at
+    printer.run(f"CANCEL_PRINT\n{command}")
 
 
 @pytest.mark.parametrize(

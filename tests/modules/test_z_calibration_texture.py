@@ -23,6 +23,8 @@ from tools.kit.z_calibration import (
     with_moves,
 )
 
+pytestmark = pytest.mark.slow
+
 MIDDLE = (152.0, 125.25)
 
 
@@ -38,7 +40,6 @@ def points_of(printer, before=0):
     return [(t.x, t.y) for t in touches if t.site == "probe_bed"]
 
 
-@pytest.mark.every_host
 @pytest.mark.parametrize("first_fast", ["false", "true"])
 def test_each_touch_is_at_a_point_of_its_own(start, first_fast):
     options = section(
@@ -155,7 +156,6 @@ def test_history_of_one_point_says_nothing_of_many(start, tmp_path):
     assert worth["many"] != pytest.approx(worth["no bed"], rel=0.1)
 
 
-@pytest.mark.every_host
 def test_dock_beside_the_points_is_gone_around(start):
     """Where the straight way from one to the next crosses its circle."""
     dock, away, middle = (50.0, 296.0), 38.0, (50.0, 255.0)

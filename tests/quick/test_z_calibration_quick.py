@@ -8,7 +8,7 @@ from tests.quick.runs import Run, go_well, go_wrong, ours, started
 from tools.kit.z_calibration import MICROSTEP, section
 
 # Of the host: what has moved the pin, and what end_gcode sets, is looked at
-GUARDED = {"G28", "SET_GCODE_OFFSET"}
+GUARDED = {"G28", "RESTORE_GCODE_STATE", "SET_GCODE_OFFSET"}
 BESIDE = "G90\nG1 Z20 F900\nG1 X20 Y305 F6000\nG1 Z5 F900"
 
 

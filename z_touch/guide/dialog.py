@@ -185,13 +185,13 @@ class Setup(object):
             "save": self.save,
         }.get(name, lambda gcmd, state: None)
 
-    # Heights hold no more where Z was homed again; sites do.  The last step only saves
-    # what was measured.
+    # Heights hold no more where Z was homed again, or with another nozzle; sites do.
+    # The last step only saves what was measured.
     def check_heights(self, state):
         if state.mark is None or state.step == "save":
             return
         self.check_homed(state)
-        moved = self.section.moved_since(state.mark)
+        moved = self.section.moved_since(state.mark) or self.other_nozzle(state)
         if not moved:
             return
         state.touched, state.pin_below = {}, None
@@ -200,6 +200,16 @@ class Setup(object):
             state.step, state.arrived = "touch_nozzle", True
             text = "%s: the heights hold no more, the first touches begin again"
             raise CalibrationError(text % (moved,))
+
+    # That may be longer than the one that was touched; empty: it is the same
+    def other_nozzle(self, state):
+        active = self.host.extruder()
+        if not state.touched or active == state.extruder:
+            return ""
+        return "%s is active, and the pin was touched with %s" % (
+            active,
+            state.extruder,
+        )
 
     def check_homed(self, state):
         is_homed = self.touches.is_homed()

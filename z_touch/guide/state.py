@@ -39,6 +39,8 @@ class State(object):
         # By name: touching.Site, interface.Touched
         self.sites = {}
         self.touched = {}
+        # The extruder that was active then
+        self.extruder = ""
         self.switch_offset = None
 
     # Toolhead Z (mm) at which the probe triggers on the bed, less what the body

@@ -90,6 +90,7 @@ class Touches(object):
         state.probe.is_fetched = state.probe.is_fetched or is_left_on
         self.put_away(state)
         self.fetch(state)
+        state.extruder = self.host.extruder()
         with self.section.holding_probe():
             self.touch(state, "nozzle")
 

@@ -45,6 +45,7 @@ def check_travel_heights(host, settings):
     above_pin = heights.travel_height(unlimited, homed_z, None)
     for height, remedy in (
         (settings.safe_z_height, "safe_z_height"),
+        (homed_z + settings.clearance, "clearance"),
         (above_pin, "position_endstop there, travel_margin"),
     ):
         if height > high:

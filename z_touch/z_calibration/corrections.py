@@ -12,18 +12,13 @@ from __future__ import absolute_import
 import collections
 import functools
 
-from ..core import frame, options, running, saving
+from ..core import frame, options, restoring, running, saving
+from ..core.baby_steps import LARGEST_STEP, NO_STEP
 from ..core.errors import CalibrationError
 from .settings import param_switch_offset
 
 # What the web interfaces send when their user saves the Z offset
 BUTTONS = ("Z_OFFSET_APPLY_ENDSTOP", "Z_OFFSET_APPLY_PROBE")
-
-# More (mm) is no baby step, or a typing error
-LARGEST_STEP = 0.5
-
-# Less (mm) than this is rounding
-NO_STEP = 0.0000005
 
 ######################################################################
 # Maths
@@ -88,7 +83,11 @@ class Corrections(object):
         # A switch_offset that counts, and was not handed to SAVE_CONFIG
         self.unsaved = None
         register = self.host.printer.register_event_handler
+        # The G-code offsets (mm) that saved states have brought back since the
+        # results.Last of 'restored_since', by their names
+        self.restored, self.restored_since = {}, None
         register("klippy:connect", self.take_buttons)
+        register("klippy:mcu_identify", self.watch_states)
         running.register_commands(self.host, self)
 
     # The commands of the host: whoever sends them is asked first
@@ -100,6 +99,24 @@ class Corrections(object):
                 press = functools.partial(self.press, name, handler)
                 text = gcode.gcode_help.get(name)
                 gcode.register_command(name, press, desc=text)
+
+    def watch_states(self):
+        restoring.watch(
+            self.host, "CALIBRATE_Z", self.applied, self.note_restored
+        )
+
+    # What the last run has applied (mm), None: there was none, or Z was homed since
+    def applied(self):
+        return None if self.why_not() else self.section.last().applied
+
+    # One that was saved since has the baby steps of then.
+    def note_restored(self, name, z_offset):
+        last = self.section.last()
+        if last.states.get(name) is not restoring.saved(self.host)[name]:
+            return
+        if self.restored_since is not last:
+            self.restored, self.restored_since = {}, last
+        self.restored[name] = z_offset
 
     # A button was pressed; 'handler' is the host's own command
     def press(self, name, handler, gcmd):
@@ -198,15 +215,17 @@ class Corrections(object):
                 % (other, calibrated, calibrated)
             )
 
-    # One of before CALIBRATE_Z that came back, such as with RESUME, is no baby step
-    # away from that of CALIBRATE_Z.
+    # One that came back, such as with RESUME, is no baby step away from that of
+    # CALIBRATE_Z, or of the last correction.
     def check_restored(self, z_offset):
-        for name, kept in sorted(self.section.last().states.items()):
+        if self.restored_since is not self.section.last():
+            return
+        for name, kept in sorted(self.restored.items()):
             if abs(kept - z_offset) < NO_STEP:
                 raise CalibrationError(
-                    "the G-code offset %.3f is that of G-code state %s, which was"
-                    " saved before CALIBRATE_Z: nothing to count from; run"
-                    " CALIBRATE_Z again, or add FORCE=1 if it is of baby steps"
+                    "the G-code offset %.3f is that of G-code state %s, which has"
+                    " brought it back: nothing to count from; run CALIBRATE_Z"
+                    " again, or add FORCE=1 if it is of baby steps"
                     % (z_offset, name)
                 )
 

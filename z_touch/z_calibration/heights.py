@@ -238,7 +238,7 @@ def travel_height(settings, pin_z, body):
     if body is not None:
         hangs = body + settings.switch_offset + FREE_PLUNGER
     clear = max(pin_z, 0.0) + hangs + settings.travel_margin
-    return min(max(settings.safe_z_height, clear), settings.position_max)
+    return at_least(settings, clear, pin_z)
 
 
 # Above the pin and above the bed, which may lie as high as the upper margin
@@ -247,4 +247,10 @@ def travel_height_to_bed(settings, nozzle_z, switch_z):
     gap = switch_z - nozzle_z + settings.switch_offset
     highest = max(nozzle_z, settings.offset_margins[1])
     clear = highest + gap + FREE_PLUNGER + settings.travel_margin
-    return min(max(settings.safe_z_height, clear), settings.position_max)
+    return at_least(settings, clear, switch_z)
+
+
+# 'clear', or as high as the owner wants it after a touch at trigger_z
+def at_least(settings, clear, trigger_z):
+    wanted = max(settings.safe_z_height, trigger_z + settings.clearance)
+    return min(max(clear, wanted), settings.position_max)

@@ -22,7 +22,16 @@ import functools
 import logging
 
 from .. import __version__
-from ..core import carrying, errors, frame, notes, options, running, sampling
+from ..core import (
+    carrying,
+    errors,
+    frame,
+    notes,
+    options,
+    restoring,
+    running,
+    sampling,
+)
 from ..core.axes import check_z_axis
 from ..core.host import Host
 from ..history import recorder
@@ -79,6 +88,7 @@ class ZCalibration(object):
         # There the pin is where Z was homed on it
         self.homed = frame.HomedFrame(self.frame)
         self.runner = running.Runner(self.host)
+        carrying.of(self.host.printer).watches.append(self.runner.watch)
         old_names = options.OldNames(config)
         self.settings = read_settings(config, self.host.axes.z_axis, old_names)
         # None: the Z endstop, which exists when klippy connects
@@ -176,11 +186,13 @@ class ZCalibration(object):
             return self.runner.run(gcmd, work, phase, wanted, failed)
 
     # Before anything moves, templates included: of a run that has not begun neither
-    # end_gcode nor error_gcode has to undo anything
-    def check_nobody_asked(self, gcmd):
+    # end_gcode nor error_gcode has to undo anything.  'own': what begins is no part of
+    # the set-up, which may have its sheet of paper on the bed.
+    def check_nobody_asked(self, gcmd, own=False):
         try:
+            running.check_no_pause(self.host)
             running.check_no_manual_probe(self.host)
-            carrying.of(self.host.printer).check_questions(self.host)
+            carrying.of(self.host.printer).check_questions(self.host, own)
         except errors.CalibrationError as e:
             raise gcmd.error("%s: %s" % (self.host.section, e))
 
@@ -246,6 +258,7 @@ class ZCalibration(object):
     def cmd_CALIBRATE_Z(self, gcmd):
         self.runner.check_idle(gcmd)
         self.results.begin()
+        self.check_nobody_asked(gcmd, own=True)
         settings = param_touches(gcmd, self.settings)
         for name in idle_params(gcmd, settings):
             text = "%s is ignored with 'samples: auto'"
@@ -272,7 +285,6 @@ class ZCalibration(object):
     # Returns the results.Last
     def calibrate_and_apply(self, gcmd, settings):
         features = self.host.features
-        states = features.saved_offsets()
         with features.without_offset():
             last, added = self.calibrate(gcmd, settings)
         shifts = Shifts(self.host, last)
@@ -296,7 +308,8 @@ class ZCalibration(object):
             applied=applied,
             height=height,
             guessed=is_guessed,
-            states=states,
+            heat=features.heat_settings(),
+            states=restoring.saved(self.host),
             warnings=last.warnings + shifts.warnings(),
         )
 
@@ -421,6 +434,7 @@ class ZCalibration(object):
         params = accuracy.CycleParams(gcmd, self.settings)
         work = functools.partial(self.measure_cycles, gcmd, params)
         self.runner.check_idle(gcmd)
+        self.check_nobody_asked(gcmd, own=True)
         self.recorder.begin(params.settings.counting)
         cycles = self.run_without_offset(
             gcmd, work, "start_gcode", params.touches(), self.failed
@@ -465,6 +479,7 @@ class ZCalibration(object):
 
     def cmd_PROBE_Z_ACCURACY(self, gcmd):
         work = functools.partial(self.measure_accuracy, gcmd)
+        self.check_nobody_asked(gcmd, own=True)
         samples = self.run_without_offset(gcmd, work, "nozzle", 0)
         gcmd.respond_info(
             "probe z accuracy results: maximum %.6f, minimum %.6f, range"

@@ -4,6 +4,8 @@ from __future__ import absolute_import
 
 import collections
 
+from ..core import restoring
+
 # Something odd: the site, "switch - nozzle" or the feature of Klipper's that it is
 # about, and a text
 Warned = collections.namedtuple("Warned", "about text")
@@ -26,14 +28,16 @@ Warned = collections.namedtuple("Warned", "about text")
 #   guessed      whether nobody knew it, see features
 #   twist        what the host adds to the height of the bed there (mm)
 #   extruder     whose nozzle it was
-#   states       the G-code offsets (mm) of saved states of before, by their names
+#   heat         what was set of z_thermal_adjust, see features.heat_settings()
+#   states       the states of G-code that were saved, see restoring.saved(): when it was
+#                applied, or corrected since
 Last = collections.namedtuple(
     "Last",
     "result mark warnings uncertainty z_adjust z_offset applied nozzle_at point"
-    " height guessed twist extruder states",
+    " height guessed twist extruder heat states",
 )
 NOTHING = Last(
-    None, None, (), None, 0.0, 0.0, 0.0, None, None, 0.0, False, 0.0, "", {}
+    None, None, (), None, 0.0, 0.0, 0.0, None, None, 0.0, False, 0.0, "", {}, {}
 )
 
 # By less (mm) the bed mesh is as high as it was.
@@ -101,7 +105,10 @@ class Results(object):
         # What offset_gcode adds is no part of it
         added = self.last.applied - self.last.z_offset
         last = self.last._replace(
-            result=corrected, z_offset=z_offset - added, applied=z_offset
+            result=corrected,
+            z_offset=z_offset - added,
+            applied=z_offset,
+            states=restoring.saved(self.host),
         )
         self.last = self.of_tools[last.extruder] = last
 
@@ -117,7 +124,11 @@ class Results(object):
 
     # The offset that came of them, if it is set (again)
     def why_not_right(self, besides=None):
-        return self.why_outdated(besides) or self._why_not_as_high()
+        return (
+            self.why_outdated(besides)
+            or self._why_not_as_high()
+            or self._why_other_heat()
+        )
 
     # The offset, and that it is set
     def why_not(self):
@@ -164,6 +175,14 @@ class Results(object):
             "%s is %.3f mm at %.1f, %.1f and was %.3f mm there after"
             " CALIBRATE_Z; run that when the mesh is loaded"
             % ((features.mesh_name(), height) + last.point + (last.height,))
+        )
+
+    def _why_other_heat(self):
+        if self.host.features.heat_settings() == self.last.heat:
+            return ""
+        return (
+            "SET_Z_THERMAL_ADJUST has moved Z=0 since CALIBRATE_Z; run it before"
+            " that"
         )
 
     # Where offset_gcode makes another one of it, or sets it later, either will do.

@@ -59,12 +59,6 @@ def _read_shift(config, name, row):
     return shift if shift and any(shift) else None
 
 
-# Under its old name 0 was "as the probe has it"
-def _read_safe_z(config, name, row):
-    limits = {"minval": 0.0} if name in row.old else row.limits
-    return options.number(config, name, **limits) or None
-
-
 # A folder; None: there is to be none
 def _read_folder(config, name, row):
     folder = config.get(name, row.default).strip()
@@ -75,7 +69,6 @@ def _read_folder(config, name, row):
 
 # A distance in X and Y; none at all counts as not given
 SHIFT = options.PAIR._replace(read=_read_shift)
-SAFE_Z = options.NUMBER._replace(read=_read_safe_z)
 HISTORY = options.Kind("folder", _read_folder, ("", " "))
 
 ######################################################################
@@ -171,13 +164,18 @@ RESULT = (
 HEIGHTS = (
     option(
         "safe_z_height",
-        SAFE_Z,
+        options.NUMBER,
         None,
         "mm",
         "The head travels at least so high, in mm. The default is twice the"
         " z_offset of [probe].",
-        old=("clearance",),
         above=0.0,
+    ),
+    mm_option(
+        "clearance",
+        0.0,
+        "The head is lifted by at least this after each touch, in mm.",
+        minval=0.0,
     ),
     mm_option(
         "travel_margin",
