@@ -53,8 +53,9 @@ def test_random_printers_are_right_or_refused(host, module):
     assert not problems, "\n".join(problems)
 
 
+@pytest.mark.slow
 @pytest.mark.timeout(600)
-@pytest.mark.parametrize("name", all_slow_but(["gap"], PLANTED))
+@pytest.mark.parametrize("name", PLANTED)
 def test_planted_fault_is_found(host, tmp_path, name):
     command, around, words = PLANTED[name]
     modules = planted(tmp_path, command, **around)

@@ -16,7 +16,7 @@ from tools.campaign.fault_cases import (
 )
 from tools.campaign.jobs import ALL_JOBS
 from tools.campaign.tests.planting import planted
-from tools.kit.cases import all_slow_but, slow
+from tools.kit.cases import slow
 from tools.kit.printer import module_files
 
 Z, ATTACHING = "CALIBRATE_Z", "CALIBRATE_Z, attaching"
@@ -187,9 +187,8 @@ PLANTED = {
 }
 
 
-@pytest.mark.parametrize(
-    "name", all_slow_but(["head stays down", "result is wrong"], PLANTED)
-)
+@pytest.mark.slow
+@pytest.mark.parametrize("name", PLANTED)
 def test_module_that_does_it_wrong_is_found(host, tmp_path, name):
     which, around, problem = PLANTED[name]
     case, good = case_of(host, *which)

@@ -9,7 +9,10 @@ from tools.campaign.walks.printers import Owned
 from tools.campaign.walks.steps import OVER_MEMBRANE
 from tools.campaign.walks.walker import Walker
 from tools.kit.printer import Printer
-from z_touch.core.frame import MOTORS_OFF
+from z_touch.core.frame import HOMED_OR_SET, MOTORS_OFF
+
+# It judges walks, which make test has some of
+pytestmark = [pytest.mark.slow, pytest.mark.one_host]
 
 SWITCH = Owned("dock_gantry_switch")
 # Z is homed with the probe
@@ -356,6 +359,13 @@ def test_what_two_clients_save_at_once_nobody_knows(judged):
 
 # Words
 
+# With a G-code offset, and without what G92 moves
+MOVES = {
+    "position": (0.0, 0.0, 10.2),
+    "gcode_position": (0.0, 0.0, 10.0),
+    "homing_origin": (0.0, 0.0, 0.2),
+}
+
 
 def facts(**fields):
     """Of a homed printer, its probe in the dock."""
@@ -364,6 +374,9 @@ def facts(**fields):
         "manual_probe": {"is_active": False},
         "extra_probe membrane": {"waits_for": ""},
         "z_calibration": {"last_result": {"offset": 0.1}, "last_query": True},
+        "dockable_probe": {"auto_attach_detach": True},
+        "auto_z_offset": {"probe_z_correction": -1.12},
+        "gcode_move": MOVES,
     }
     told = {"before": status, "after": status}
     told |= {"probes": frozenset({"docked"}), "membrane": False}
@@ -377,6 +390,9 @@ NOBODY = {
     "extra_probe membrane": {"waits_for": "switch"},
     "z_calibration": {"last_result": {}},
 }
+NO_TRIPS = {"dockable_probe": {"auto_attach_detach": False}}
+NO_OFFSET = {"gcode_move": {**MOVES, "homing_origin": (0.0, 0.0, 0.0)}}
+MOVED = {"gcode_move": {**MOVES, "position": (0.0, 0.0, 12.2)}}
 HOMED_AGAIN = {"z_calibration": {"reason": "Z was homed again"}}
 ASKED = {"is_asked": True}
 ON_HEAD = {"probes": frozenset({"attached"})}
@@ -401,8 +417,26 @@ ON_HEAD = {"probes": frozenset({"attached"})}
         ("the probe is ATTACHED, and so on", ON_HEAD),
         (
             "auto_z_offset: with the G-code Z offset of -0.3 in force the",
-            {"before": {"gcode_move": {"homing_origin": (0.0, 0.0, -0.3)}}},
+            {
+                "before": {
+                    "gcode_move": {**MOVES, "homing_origin": (0.0, 0.0, -0.3)}
+                }
+            },
         ),
+        (
+            "auto_z_offset: auto_attach_detach is off, and both nozzle",
+            {"after": {**NO_TRIPS, "gcode_move": MOVES}},
+        ),
+        (
+            "z_calibration: the G-code offset is 0, not that of CALIBRATE_Z",
+            {"after": NO_OFFSET},
+        ),
+        (
+            "auto_z_offset: the G-code Z offset holds no correction, and none"
+            " was saved before: nothing",
+            {"before": {"auto_z_offset": {"probe_z_correction": 0.0}}},
+        ),
+        ("auto_z_offset: G92 has moved Z=0 by 2.000 mm", {"after": MOVED}),
         ("z_calibration: the probe is attached already, and", ON_HEAD),
     ],
 )
@@ -458,6 +492,7 @@ def test_status_of_a_run_that_was_refused():
         ("Z was homed again", {"nozzle_pin"}, True),
         ("Z was homed again", set(), False),
         ("the Z motors were levelled", set(), False),
+        (HOMED_OR_SET, set(), False),
         ("the G-code Z offset is 0.100, that of CALIBRATE_Z is 0", set(), True),
         (
             "the G-code Z offset is 0.200, that of CALIBRATE_Z is 0",
@@ -477,6 +512,14 @@ def test_reason_is_true_or_not(reason, touched, is_so):
     assert not list(
         claims.untrue("G28", "", [], facts(before=after, after=after))
     )
+
+
+# Which it lifts by
+def test_safe_z_home_sets_a_z_that_is_not_homed():
+    before = {"toolhead": {"homed_axes": "xy"}}
+    after = {"z_calibration": {"reason": HOMED_OR_SET}}
+    told = facts(before=before, after=after)
+    assert not list(claims.untrue("G28", "Must home X", [], told))
 
 
 def test_far_frame_is_no_floor(judged, monkeypatch):

@@ -197,6 +197,7 @@ def test_print_start_is_that_of_the_document():
     ]
 
 
+@pytest.mark.slow
 def test_print_from_the_card(host):
     printer = Owned(names=PRINTS)
     print_it = ("card", (20, "", "RESUME"))
@@ -205,6 +206,7 @@ def test_print_from_the_card(host):
     assert outcome.done["card"] == 1
 
 
+@pytest.mark.slow
 def test_print_that_another_client_pauses(host):
     paused = ("card", (20, "PAUSE", "CANCEL_PRINT"))
     walk = (("gcode", "G28"), paused, ("gcode", "CALIBRATE_Z"))

@@ -56,6 +56,7 @@ def product(tmp_path):
 PLANTED = ("core/carrying.py", "if state == DOCKED:", "if state is not None:")
 
 
+@pytest.mark.one_host
 def test_harm_is_found(host, product):
     outcome = walker.go(DOCK, HELD, host, product(*PLANTED))
     assert outcome.kind == "harm"
@@ -63,9 +64,15 @@ def test_harm_is_found(host, product):
     assert not walker.go(DOCK, HELD, host).harm
 
 
-IS_ASKED = ("core/carrying.py", "if section != host.section:", "if False:")
+IS_ASKED = (
+    "core/carrying.py",
+    "if own or section != host.section:",
+    "if False:",
+)
 
 
+@pytest.mark.one_host
+@pytest.mark.slow
 def test_a_touch_beside_a_hand_is_found(host, product):
     asks = ("gcode", "EXTRA_PROBE_CALIBRATE PROBE=membrane")
     walk = ("gcode", "G28"), asks, ("gcode", "CALIBRATE_Z")
@@ -87,6 +94,8 @@ SLOW = 'self.host.gcode.run_script_from_command("SET_VELOCITY_LIMIT ACCEL=77")'
 FORGOTTEN = ("core/running.py", REFUSES, f"{SLOW}\n            {REFUSES}")
 
 
+@pytest.mark.one_host
+@pytest.mark.slow
 def test_what_a_refusal_leaves_is_found(host, product):
     outcome = walker.go(NOT_READY, REFUSED, host)
     assert not outcome.harm
@@ -103,6 +112,8 @@ HOMES = Owned(
 )
 
 
+@pytest.mark.one_host
+@pytest.mark.slow
 def test_what_an_owner_wants_is_not_left_behind(host):
     refused = ("gcode", "M84"), *REFUSED[1:]
     outcome = walker.go(HOMES, refused, host)
@@ -121,6 +132,8 @@ NO_TRIPS = Owned(
 PRINTS = ("print", ("CALIBRATE_Z", 0)), ("card", (1, "", "CANCEL_PRINT"))
 
 
+@pytest.mark.one_host
+@pytest.mark.slow
 @pytest.mark.parametrize("prints", PRINTS)
 def test_who_wants_no_trips_prints_without_the_probe(host, prints):
     walk = ("gcode", "G28"), ("gcode", "ATTACH_PROBE"), prints
@@ -147,6 +160,8 @@ RIGHT = (
 )
 
 
+@pytest.mark.one_host
+@pytest.mark.slow
 @pytest.mark.parametrize(("owned", "commands"), RIGHT)
 def test_what_is_right_is_no_harm(host, owned, commands):
     walk = [("gcode", text) for text in ("G28", AGAIN, *commands)]
@@ -158,6 +173,8 @@ def test_what_is_right_is_no_harm(host, owned, commands):
 
 
 # Nor is a print that ends a question, or a touch at the mesh's zero
+@pytest.mark.one_host
+@pytest.mark.slow
 def test_nobody_is_asked_any_more_after_a_print(host):
     owned = Owned("dock_above", names=frozenset({"card"}))
     asks = "EXTRA_PROBE_CALIBRATE PROBE=membrane FLOOR=-0.5"
@@ -174,6 +191,8 @@ def test_nobody_is_asked_any_more_after_a_print(host):
     assert outcome.done[AGAIN] == 2
 
 
+@pytest.mark.one_host
+@pytest.mark.slow
 def test_gap_is_looked_at_where_the_plate_was_touched(host):
     owned = Owned(
         "dock_frame", z_motors=3, names=frozenset({"mesh_zero", "saved_mesh"})
@@ -197,6 +216,8 @@ STAYS = "            self.delay.cancel()\n"
 OUTLIVES = ("dockable_probe/holder.py", f"        if not auto:\n{STAYS}", "")
 
 
+@pytest.mark.one_host
+@pytest.mark.slow
 def test_what_a_macro_leaves_pending_is_found(host, product):
     outcome = walker.go(WAITS, LATER, host, product(*OUTLIVES))
     assert outcome.kind == "moved"
@@ -207,6 +228,8 @@ def test_what_a_macro_leaves_pending_is_found(host, product):
 NEVER = ("core/running.py", "    if missing:", "    if missing or True:")
 
 
+@pytest.mark.one_host
+@pytest.mark.slow
 def test_walk_is_gone_on_both_products(host, product):
     walk = Owned("voron"), (("gcode", "G28"), ("gcode", "CALIBRATE_Z"))
     strict, ours = product(*NEVER), walking.modules_of(ROOT)

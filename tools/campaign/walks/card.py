@@ -34,8 +34,18 @@ def can_print(printer: Owned) -> bool:
     """Whether it has a card, Z=0 is made right, and no probe is in the way."""
     probe = printer.scene.world.mag_probe
     is_in_the_way = probe is not None and probe.mode == "fixed"
-    is_right = any(map(printer.has, PAGES))
+    is_right = printer.has("z_calibration") or (
+        printer.has("auto_z_offset") and not _loses_correction(printer)
+    )
     return "card" in printer.names and is_right and not is_in_the_way
+
+
+def _loses_correction(printer: Owned) -> bool:
+    """A mesh with a zero takes nothing off where a switch homes Z: it is told."""
+    sections = printer.scene.sections
+    axis = sections.get("carriage z") or sections.get("stepper_z") or {}
+    is_switch = axis.get("endstop_pin") != "probe:z_virtual_endstop"
+    return is_switch and "mesh_zero" in printer.names
 
 
 def macros(printer: Owned) -> dict[str, dict[str, Optional[str]]]:

@@ -12,7 +12,7 @@ from dataclasses import dataclass
 from typing import Any, Optional
 
 from tools.campaign.walks import values
-from z_touch.core.frame import MOTORS_OFF
+from z_touch.core.frame import HOMED_OR_SET, MOTORS_OFF
 
 
 @dataclass(frozen=True)
@@ -106,6 +106,30 @@ def _is_reset(facts: Facts, *unused: str) -> bool:
     return facts.any("gcode_move", "homing_origin", lambda now: not now[2])
 
 
+def _wants_no_trips(facts: Facts, *unused: str) -> bool:
+    return facts.any(
+        "dockable_probe", "auto_attach_detach", lambda now: now is False
+    )
+
+
+def _has_g92(facts: Facts, *unused: str) -> bool:
+    """Z=0 is elsewhere than homing and the G-code offset have it."""
+    moves = facts.before["gcode_move"], facts.after["gcode_move"]
+    return any(
+        abs(z["position"][2] - z["gcode_position"][2] - z["homing_origin"][2])
+        > 0.0004
+        for z in moves
+    )
+
+
+def _has_no_correction(facts: Facts, *unused: str) -> bool:
+    return facts.any("auto_z_offset", "probe_z_correction", lambda z: not z)
+
+
+def _is_paused(facts: Facts, *unused: str) -> bool:
+    return facts.any("print_stats", "state", lambda now: now == "paused")
+
+
 def _is_never(facts: Facts, *unused: str) -> bool:
     """Of what nobody has asked for."""
     return False
@@ -141,8 +165,12 @@ CLAIMS: tuple[tuple[re.Pattern, Callable[..., bool]], ...] = tuple(
         # Only the motors know, and whoever has levelled or set them
         (r"since G28,|Z was not homed with G28", _is_true),
         (r"a print is paused \(PAUSE\)", _is_true),
+        (r"a print is paused, and the head", _is_paused),
         (r"with the G-code Z offset of \S+ in force", _has_offset),
-        (r"G-code Z offset is 0, not the", _is_reset),
+        (r"G-code (?:Z )?offset is 0, not th", _is_reset),
+        (r"holds no correction, and none was saved", _has_no_correction),
+        (r"auto_attach_detach is off, and", _wants_no_trips),
+        (r"G92 has moved Z=0 by", _has_g92),
         (r"is none of baby steps", _is_true),
         # A retraction of Klipper's that fails leaves G91 to its owner's templates
         (r"^z_calibration: \w+_gcode: .*Move out of range", _is_true),
@@ -195,7 +223,11 @@ def _reasons(facts: Facts) -> Iterator[str]:
     )
     if after == before:
         return
-    if re.search("Z was homed|levelled", after) and not facts.touched:
+    # To hop, [safe_z_home] sets a Z that is not homed, and touches nothing
+    was_homed = "z" in facts.before["toolhead"]["homed_axes"]
+    is_set = after == HOMED_OR_SET and not was_homed
+    is_homed = re.search("Z was homed|levelled", after) and not is_set
+    if is_homed and not facts.touched:
         yield f"reason is {after!r}, and nothing was touched"
     found = re.match(r"the G-code Z offset is (-?[\d.]+)", after)
     z = facts.after["gcode_move"]["homing_origin"][2] if found else 0.0

@@ -55,6 +55,7 @@ LOOKED_AT: Mapping[str, Optional[Sequence[str]]] = {
     "gcode_move": None,
     "configfile": (PENDING,),
     "manual_probe": None,
+    "print_stats": ("state",),
     "z_calibration": None,
     "dockable_probe": None,
     "extra_probe membrane": None,
