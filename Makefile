@@ -52,10 +52,11 @@ SOURCES = $(wildcard *.py z_touch/*.py z_touch/*/*.py)
 COMPILE = import sys; [compile(open(f).read(), f, 'exec') for f in sys.argv[1:]]
 
 # Test files import each other as tests.*, from the root of the repository.
-.PHONY: test test-rest test-all test-firmware quick demo printer speed bench faults walks hosts prepared
+.PHONY: test test-rest test-all test-firmware quick demo printer speed bench faults walks hosts
+.PHONY: prepared checked
 .PHONY: docs lint format tools update-pins clean
 
-test test-rest test-all: prepared lint
+test test-rest test-all: checked
 	$(TOOLS)/python -m pytest --cases $(@:test-%=%) -n $(PYTEST_WORKERS) \
 		--dist loadfile --no-loadscope-reorder $(PYTEST_ARGS)
 
@@ -63,7 +64,7 @@ test-firmware: prepared
 	FIRMWARE="$(FIRMWARE)" $(TOOLS)/python -m pytest --cases all \
 		-n $(PYTEST_WORKERS) tests/firmware $(PYTEST_ARGS)
 
-quick: prepared lint
+quick: checked
 	ONE_HOST=1 $(TOOLS)/python -m pytest -n 2 tests/unit tests/quick
 
 # Without the linters and what else the tests need
@@ -97,6 +98,10 @@ docs:
 # At the same time: a tenth to a quarter less time on an empty machine
 prepared:
 	@$(MAKE) --no-print-directory -j2 tools hosts
+
+# lint needs tools
+checked:
+	@$(MAKE) --no-print-directory -j2 lint hosts
 
 lint: tools
 	$(TOOLS)/ruff check .

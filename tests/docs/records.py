@@ -43,6 +43,8 @@ Z_CALIBRATION = Module(
         "display_status": {},
         "stepper_z": {"position_endstop": "1.9"},
         "z_calibration": {
+            # What paper finds on this printer; its section begins lower
+            "switch_offset": "0.44",
             "before_switch_gcode": "G4 P1",
             "error_gcode": "M118 failed",
         },

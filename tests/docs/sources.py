@@ -27,6 +27,7 @@ def trees(name: str) -> list[ast.Module]:
     return list(files(name).values())
 
 
+@lru_cache(maxsize=None)
 def files(name: str) -> dict[Path, ast.Module]:
     """The same by their paths."""
     found: dict[Path, ast.Module] = {}

@@ -5,6 +5,7 @@ from __future__ import annotations
 import difflib
 import re
 from collections.abc import Iterator
+from functools import lru_cache
 from itertools import groupby
 
 import pytest
@@ -72,14 +73,15 @@ def test_mistakes_are_found():
         assert list(problems(changed)), what
 
 
-def everything() -> set[str]:
+@lru_cache(maxsize=None)
+def everything() -> frozenset[str]:
     """All messages of the modules, values left out."""
-    return {
+    return frozenset(
         text
         for name in NAMES
         for tree in files(name).values()
         for text in messages_of(tree) - NO_MESSAGES
-    }
+    )
 
 
 def test_any_three_words_find_the_message():

@@ -89,6 +89,7 @@ def typed(title: str) -> list[str]:
     return [re.sub(r"(?m)^   ", "", lines).strip() for lines in found]
 
 
+@pytest.mark.slow
 def test_first_run_and_a_position_found_by_hand(start, tmp_path):
     owner = OWNERS["voron24_klicky"]
     document = SETUP[1]
@@ -243,6 +244,7 @@ def test_command_works(home, command):
     assert re.search(EXPECTED[command], done.stdout), done.stdout
 
 
+@pytest.mark.slow
 @pytest.mark.timeout(300)
 def test_the_way_to_the_demo(home):
     """From the clone to the true gap; make test is above."""

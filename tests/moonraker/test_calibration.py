@@ -9,6 +9,8 @@ import pytest
 from simprinter.hosts.moonraker import MoonrakerError
 from tests.moonraker.updates import calibrated
 
+pytestmark = pytest.mark.slow
+
 MICROSTEP = 0.0025
 SITES = ["nozzle", "switch", "bed"]
 
@@ -98,7 +100,6 @@ def test_calibration_that_cannot_begin_tells_why(lab):
     calibrated(lab)
 
 
-@pytest.mark.slow
 def test_calibration_that_fails_on_the_way_tells_why(lab):
     before = calibrated(lab)
     # So large that the probe does not go down to the bed

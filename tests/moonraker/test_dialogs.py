@@ -22,6 +22,8 @@ from tools.kit.extra_probe import (
 )
 from tools.kit.lab import Lab
 
+pytestmark = pytest.mark.slow
+
 # Real seconds that a finger stays
 HAND = 0.3
 
@@ -67,7 +69,6 @@ def lay_membrane(lab, is_laid):
     time.sleep(HAND)
 
 
-@pytest.mark.slow
 def test_calibration_by_buttons_only(lab):
     lab.moonraker.run(CALIBRATE)
     assert open_dialog(lab).headline == "Lay the switch below the nozzle"

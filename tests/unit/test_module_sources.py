@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import ast
 import re
+from functools import lru_cache
 from pathlib import Path
 
 import pytest
@@ -99,9 +100,13 @@ def line_count(path):
     return len(path.read_text().splitlines())
 
 
+@lru_cache(maxsize=None)
+def every_node(path):
+    return list(ast.walk(ast.parse(path.read_text())))
+
+
 def nodes(path, *kinds):
-    found = ast.walk(ast.parse(path.read_text()))
-    return [node for node in found if isinstance(node, kinds)]
+    return [node for node in every_node(path) if isinstance(node, kinds)]
 
 
 def test_there_are_sources():

@@ -34,6 +34,8 @@ from z_touch.uncertainty.estimate import (
     weighed,
 )
 
+pytestmark = pytest.mark.slow
+
 
 @pytest.mark.parametrize(
     ("sigma", "setting", "first"),
@@ -351,7 +353,6 @@ def rough_run(draw, known, counting):
     return bed - switch + nozzle - 5.0, plan.uncertainty(), plan
 
 
-@pytest.mark.slow
 @pytest.mark.parametrize(
     "known", [SITES, SITES[:2], ()], ids=["all", "no bed", "nothing"]
 )
