@@ -45,6 +45,7 @@ class Page:
 
     def __init__(self, driver: WebDriver):
         self.driver = driver
+        self._watches = 0
 
     def find(self, selector: str) -> WebElement:
         """The first that is there."""
@@ -84,20 +85,35 @@ class Page:
             "all is there",
         )
 
+    def watch(self, *conditions: str) -> Callable[[], list[str]]:
+        """Look from now on; what is returned tells which were true meanwhile.
+
+        conditions: JavaScript. One may be true for less than a look from here takes.
+        """
+        self._watches += 1
+        name = f"seen{self._watches}"
+        looks = "".join(
+            f"if ({condition}) {name}.add(arguments[1][{number}]);"
+            for number, condition in enumerate(conditions)
+        )
+        self.driver.execute_script(
+            f"const {name} = globalThis[arguments[0]] = new Set();"
+            f"const look = () => {{ {looks} }};"
+            "new MutationObserver(look).observe(document.body, {subtree: true,"
+            " attributes: true, childList: true, characterData: true});",
+            name,
+            conditions,
+        )
+        return lambda: self.value(f"[...{name}]")
+
     @contextmanager
     def restarts(self) -> Iterator[None]:
         """What is done inside restarts klippy: wait until it is ready again."""
         # Moonraker may tell that klippy is away long after the machine has lost its
         # place, and that it is ready again before anybody looks here
-        self.value(
-            "(globalThis.wasAway = false, new MutationObserver(() => {"
-            " if (!document.querySelector('#state-klippy.on'))"
-            " globalThis.wasAway = true; }).observe("
-            "document.querySelector('#state-klippy'), {attributes: true}),"
-            " true)"
-        )
+        was_away = self.watch("!document.querySelector('#state-klippy.on')")
         yield
-        self.until(lambda: self.value("globalThis.wasAway"), "it is away")
+        self.until(was_away, "klippy is away")
         self.until_ready()
 
     def console(self) -> str:

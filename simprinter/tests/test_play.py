@@ -166,8 +166,11 @@ def test_page_in_a_browser(files):
         page.until(lambda: "mm" in page.text("#gap"), "the gap is known")
         assert abs(float(page.text("#gap").split()[0])) < 0.05
         page.run("G1 Z20 F600", "> G1")
+        told = page.watch(
+            "document.querySelector('#phase').textContent === 'going down 50 %'"
+        )
         page.send("HALFWAY")
-        page.until(lambda: "going down 50 %" in page.text("#phase"), "phase")
+        page.until(told, "phase")
         page.until(lambda: "Halfway down" in page.console(), "its line")
         page.press("#dialog", "Again")
         page.until(lambda: page.console().count("> HALFWAY") == 2, "again")

@@ -63,19 +63,16 @@ def calibrate(page):
 
 
 # What is to be seen only while it calibrates: a contact, and how far it is
-PASSING = ("#signals .flash", "#progress:not([hidden]) progress[value]")
-
-
-def note(page, *selectors):
-    """From now on which of them there were, in `noted`."""
-    page.value(
-        "(globalThis.noted = new Set(), new MutationObserver(() => {"
-        " for (const s of arguments)"
-        " if (document.querySelector(s)) noted.add(s); }).observe("
-        "document.body, {subtree: true, attributes: true, childList: true}),"
-        " true)",
-        *selectors,
+PASSING = tuple(
+    f"document.querySelector('{selector}')"
+    for selector in (
+        "#signals .flash",
+        "#progress:not([hidden]) progress[value]",
     )
+)
+AT_WORK = (
+    "document.querySelector('#progress:not([hidden]) progress:not([value])')"
+)
 
 
 def set_speed(page, speed):
@@ -93,18 +90,18 @@ def test_page_calibrates(port, host):
     options = ("--perfect", "--host", host.name)
     with looking(port, *options) as (_, page):
         assert gap(page) is None
-        note(page, "#progress:not([hidden]) progress:not([value])")
+        was_at_work = page.watch(AT_WORK)
         home(page)
-        page.until(lambda: page.value("noted.size") == 1, "a bar at work")
+        page.until(was_at_work, "a bar at work")
         assert gap(page) == pytest.approx(-0.1, abs=0.03)
         assert "scratch the plate" in page.text("#gap-words")
         set_speed(page, 8)
         page.until(
             lambda: "8 times as fast" in page.text("#lines"), "the speed"
         )
-        note(page, *PASSING)
+        passed = page.watch(*PASSING)
         assert calibrate(page) == pytest.approx(0.16, abs=0.03)
-        assert set(PASSING) <= set(page.value("[...noted]"))
+        assert set(PASSING) == set(passed())
         page.until(
             lambda: gap(page) == pytest.approx(0.06, abs=0.006), "the gap"
         )
