@@ -8,6 +8,7 @@ import pytest
 
 from tools.kit.auto_z_offset import PROBE_PLACE, true_gap, world
 from tools.kit.cases import slow
+from tools.kit.docks import DOCK_SCENES, calibrating
 from tools.kit.klipper_sections import bed_mesh
 from tools.kit.load_errors import load
 from tools.kit.printer import Printer
@@ -47,10 +48,15 @@ def compensation(host, scene, start_x, end_x, *heights):
 # The heights of a mesh have the twist in them
 @pytest.mark.every_host
 @pytest.mark.parametrize("corner", [slow(("250", "250")), ("90", "90")])
-def test_mesh_that_ends_before_the_point_of_a_twisted_axis(host, corner):
-    changes = compensation(host, "voron", 0, 300, 0.1, 0.1)
+@pytest.mark.parametrize(
+    "scene",
+    [SCENES["voron"], calibrating(DOCK_SCENES["dock_gantry_switch"])],
+    ids=["probe", "dockable_probe"],
+)
+def test_mesh_that_ends_before_the_point_of_a_twisted_axis(host, scene, corner):
+    changes = compensation(host, scene, 0, 300, 0.1, 0.1)
     changes["bed_mesh"] = bed_mesh("50, 50", "250, 250")
-    with Printer(host, "voron", changes) as printer:
+    with Printer(host, scene, changes) as printer:
         printer.homed()
         ends = ",".join(corner)
         printer.run(f"BED_MESH_CALIBRATE MESH_MIN=50,50 MESH_MAX={ends}")

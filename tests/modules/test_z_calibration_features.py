@@ -267,6 +267,21 @@ def test_zero_of_the_mesh_at_the_point_is_no_warning(start):
 # Until it changes
 
 
+def test_switch_offset_is_calculated_over_the_mesh_only(start):
+    """Beyond it Z holds the height of its rim."""
+    changes = mesh(zero_reference_position="150, 150")
+    printer = start(changes=changes).homed()
+    printer.run("BED_MESH_CALIBRATE MESH_MIN=20,50 MESH_MAX=90,250")
+    printer.run("CALIBRATE_Z")
+    assert validity(printer) == (True, True, "")
+    text = printer.fail("G1 X150 Y150 Z1 F6000\nCALCULATE_SWITCH_OFFSET SAVE=1")
+    assert "the bed mesh ends before X150.0 Y150.0" in text
+    (line,) = printer.run(
+        "G1 X80 Y150 F6000\nG1 Z0.05\nCALCULATE_SWITCH_OFFSET"
+    )
+    assert "new switch_offset=" in line
+
+
 @pytest.mark.parametrize(
     ("before", "after", "is_other"),
     [

@@ -248,6 +248,16 @@ def test_owner_has_the_last_word(host, options, more):
     assert left == pytest.approx(more, abs=0.2)
 
 
+def test_z_whose_owner_has_not_said_what_it_can_do(start):
+    """Hosts would let it go as fast as X and Y do, 300 mm/s."""
+    changes = {"printer": {"max_z_velocity": None}}
+    # What [probe] has, as ever
+    changes = {**auto(), **changes, "probe": {"lift_speed": "7"}}
+    found = spans(start(changes=changes).homed())
+    # Over 12 mm up
+    assert found["to the switch"] > 12 / 7
+
+
 @pytest.mark.parametrize(
     ("param", "lift"), [("SAMPLE_RETRACT_DIST=2", 2.0), ("", 0.5)]
 )

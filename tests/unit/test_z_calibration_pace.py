@@ -29,12 +29,12 @@ def test_touch_has_its_speed_after_half_of_its_way(speed, accel):
     assert speed**2 / (2.0 * accel) <= lift / 2.0 * (1.0 + 1e-9)
 
 
-def made(counting, retract=2.0, said=()):
+def made(counting, retract=2.0, said=(), axis_speed=15.0):
     pin = make_sampling(retract_dist=retract, lift_speed=7.0, speed=3.0)
     settings = make_settings(
         counting=counting, pin=pin, probe=pin, said=frozenset(said), speed=50.0
     )
-    return settings, pace.of_run(settings, 15.0, 350.0)
+    return settings, pace.of_run(settings, axis_speed, 350.0)
 
 
 def test_count_is_as_configured():
@@ -57,3 +57,13 @@ def test_what_the_owner_has_said_is_kept():
     assert free.probing_speed == 15.0
     # Of the touches it is always the owner's
     assert free.pin.speed == 3.0
+
+
+def test_z_is_no_quicker_than_its_owner_has_it():
+    """Without max_z_velocity hosts would drive a screw as fast as X and Y."""
+    settings, run = made(Automatic(0.008), axis_speed=None)
+    assert run.pin.lift_speed == run.probe.lift_speed == 7.0
+    assert run.probing_speed == settings.probing_speed
+    # Nor where half of the margin would be too short for it
+    short = settings._replace(travel_margin=0.1)
+    assert pace.of_run(short, None, 350.0).probing_speed == pytest.approx(2.0)

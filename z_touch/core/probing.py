@@ -113,6 +113,14 @@ class Probing(object):
         twist = self._twist(position)
         return Probed(result[2] - twist, twist)
 
+    # What the host adds to the height of the bed below the head (mm), where nobody has
+    # touched in a session of its own
+    def twist(self):
+        position = self.host.toolhead.get_position()
+        # Only our dockable_probe has it
+        of_probe = getattr(self.probe, "twist", self._twist)
+        return of_probe(position)
+
     # What axis_twist_compensation adds where results are lists
     def _twist(self, position):
         twist = self.printer.lookup_object("axis_twist_compensation", None)

@@ -150,6 +150,28 @@ class SessionProbe(object):
         self.session = Session(self)
         return self.session
 
+    # Records since 2026-01-21 (2a1027ce4): where the bed is, where the head
+    # was.  The event is for axis_twist_compensation, since 2024-06-20
+    # (e780049a7).
+    def result(self, trigger):
+        head = list(trigger[:3])
+        if self.result_class is None:
+            # Whoever hears of it may change it
+            self.device.host.printer.send_event("probe:update_results", head)
+            return head
+        x, y, z = self.get_offsets()
+        bed = [head[0] + x, head[1] + y, head[2] - z]
+        results = [self.result_class(*(bed + head))]
+        self.device.host.printer.send_event("probe:update_results", results)
+        return results[0]
+
+    # What it adds there to the height of the bed (mm), of a touch in no session
+    def twist(self, position):
+        result = self.result(position)
+        if self.result_class is None:
+            return result[2] - position[2]
+        return result.bed_z + self.settings.z_offset - result.test_z
+
     def end_session(self):
         self.session = None
         self.device.end()
@@ -215,27 +237,11 @@ class Session(object):
             facade.shorten(floor)
         target = self.host.toolhead.get_position()
         target[2] = min(floor, target[2])
-        result = self._result(facade.probing_move(target, speed))
+        result = self.probe.result(facade.probing_move(target, speed))
         if not is_homing:
             text = "probe at %.3f,%.3f is z=%.6f"
             gcmd.respond_info(text % tuple(result[:3]))
         return result
-
-    # Records since 2026-01-21 (2a1027ce4): where the bed is, where the head
-    # was.  The event is for axis_twist_compensation, since 2024-06-20
-    # (e780049a7).
-    def _result(self, trigger):
-        head = list(trigger[:3])
-        result_class = self.probe.result_class
-        if result_class is None:
-            # Whoever hears of it may change it
-            self.host.printer.send_event("probe:update_results", head)
-            return head
-        x, y, z = self.probe.get_offsets()
-        bed = [head[0] + x, head[1] + y, head[2] - z]
-        results = [result_class(*(bed + head))]
-        self.host.printer.send_event("probe:update_results", results)
-        return results[0]
 
     # A result by so much (mm) higher
     def _shifted(self, result, dz):

@@ -229,6 +229,16 @@ class Corrections(object):
                     % (z_offset, name)
                 )
 
+    # Where the mesh ends before the nozzle, G-code Z holds the height of its rim.
+    def check_mesh_here(self):
+        x, y = self.host.toolhead.get_position()[:2]
+        if self.host.features.is_beyond_mesh(x, y):
+            raise CalibrationError(
+                "the bed mesh ends before X%.1f Y%.1f, and what it takes off Z there"
+                " nobody has measured; move over the mesh, or BED_MESH_CLEAR and"
+                " CALIBRATE_Z again" % (x, y)
+            )
+
     # Hands it to SAVE_CONFIG, if that is wanted
     def keep(self, is_saved):
         if is_saved and self.unsaved is not None:
@@ -257,6 +267,7 @@ class Corrections(object):
                 " should be" % (reason,)
             )
         self.check_tool()
+        self.check_mesh_here()
         old = param_switch_offset(gcmd, last.result.switch_offset)
         z, z_offset = self.host.features.z(), last.applied
         new = corrected_switch_offset(old, z, z_offset)

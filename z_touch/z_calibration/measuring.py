@@ -558,6 +558,7 @@ class BedMeasurement(Measurement):
             self.run.saw_twist(self.head.probe(self.probe_once).twist)
         else:
             Measurement.touch_once(self, floor)
+            self.run.saw_twist(self.host.probing.twist())
 
     def explain(self):
         self.check_probe_attached(self.host.after_moves())

@@ -7,7 +7,7 @@
 # rest follows from the machine:
 #
 #   from place to place  FREE_TRAVEL_SPEED; down to the travel height on the way
-#   up, no touch         what the Z axis can do
+#   up, no touch         what the Z axis can do, if its owner has said so
 #   down, armed          as fast as half of travel_margin is enough to stop
 #   between touches      lifted by SHORTEST_LIFT, or more where the switch is still
 #                        pressed then, see measuring.py
@@ -43,12 +43,15 @@ def least_lift(speed, accel):
     return max(SHORTEST_LIFT, speed**2 / accel)
 
 
-# settings.Settings of a run; 'axis_speed' and 'axis_accel' are what Z can do
+# settings.Settings of a run; 'axis_speed' and 'axis_accel' are what Z can do, None: its
+# owner has not said, so nothing of Z is quicker than he has it.
 def of_run(settings, axis_speed, axis_accel):
     if not settings.counting.is_free:
         return settings
     pin, probe = settings.pin, settings.probe
-    if "lift_speed" not in settings.said:
+    if axis_speed is None:
+        axis_speed = settings.probing_speed
+    elif "lift_speed" not in settings.said:
         pin = pin._replace(lift_speed=axis_speed)
         probe = probe._replace(lift_speed=axis_speed)
     if may_lengthen(settings):
