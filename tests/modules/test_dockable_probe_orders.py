@@ -621,6 +621,20 @@ def test_tilt_by_hand_of_kalico(start, host):
     assert pressed(printer) < 0.1
 
 
+# Older hosts and Kalico take it for paper, whatever it is
+@pytest.mark.every_host
+def test_levelling_by_another_method_never_lowers_the_probe(start):
+    scene = with_all(DOCK_SCENES["dock_frame"])
+    changes = {"z_calibration": None, "dockable_probe": dict(QUICK)}
+    flat = replace(scene.world.bed, slope_x=0.0, slope_y=0.0)
+    printer = start(scene.with_world(bed=flat), changes).homed()
+    printer.run(f"{OVER}\nATTACH_PROBE\nZ_TILT_ADJUST METHOD=auto")
+    assert where(printer) == "docked"
+    with contextlib.suppress(GcodeError):
+        printer.run("TESTZ Z=-7\nM400")
+    assert pressed(printer) < 0.1
+
+
 # "About how far" the probe hangs below the nozzle is what the set-up asks for
 @pytest.mark.every_host
 @pytest.mark.parametrize("z_offset", ["4", slow("4.8")])

@@ -202,7 +202,10 @@ class Carrier(object):
         command(gcmd)
 
     def _before_manual_method(self, command, gcmd):
-        if gcmd.get("METHOD", "").strip().lower() == "manual":
+        # To some hosts whatever else is paper, too; a probe that is docked in vain is
+        # fetched again.
+        method = gcmd.get("METHOD", "automatic").strip().lower()
+        if method != "automatic":
             self._before_paper_elsewhere(command, gcmd)
         else:
             command(gcmd)
