@@ -428,12 +428,43 @@ def test_correction_follows_the_probe(start):
     (line,) = told(printer.session.console, "the probe's z_offset is 1.120")
     assert "and was 0.000 when the correction was saved" in line
     assert "probe_z_correction -1.120000 is taken as 0.000000" in line
+    assert line.endswith(
+        "if the probe was moved meanwhile, run AUTO_Z_CALIBRATE"
+    )
     lines = printer.run("AUTO_Z_LOAD_OFFSET")
     assert not told(lines, "there is no probe_z_correction yet")
+    assert told(lines, "1.120 mm of it follow the probe's new z_offset")
     gap = printer.scene.piezo_gap()
     assert true_gap(printer) == pytest.approx(gap, abs=STEPS)
     printer.run("AUTO_Z_CALIBRATE")
     assert true_gap(printer) == pytest.approx(gap, abs=STEPS)
+    assert not told(printer.run("AUTO_Z_LOAD_OFFSET"), "mm of it follow")
+
+
+def test_correction_of_a_probe_that_was_mounted_anew(start):
+    """Nobody sees that it was moved; what is told of it is what it is wrong by."""
+    # It was 0.3 mm lower, and is as its owner has measured it by paper now
+    scene = SCENES["qidi"]
+    spec = scene.world.inductive
+    hang = spec.sense_distance
+    printer = start(
+        scene,
+        changes={
+            "probe": {"z_offset": f"{hang}"},
+            **section(
+                probe_z_correction="0.07",
+                corrected_probe_z_offset=f"{hang + 0.3}",
+            ),
+        },
+    ).homed()
+    right = printer.run("AUTO_Z_LOAD_OFFSET")
+    (line,) = told(right, "mm of it follow the probe's new z_offset")
+    assert "-0.300 mm of it follow" in line
+    wrong = true_gap(printer)
+    printer.run("AUTO_Z_CALIBRATE")
+    gap = printer.scene.piezo_gap()
+    assert true_gap(printer) == pytest.approx(gap, abs=STEPS)
+    assert wrong < gap - 0.2
 
 
 def test_correction_of_the_same_probe_stays(start):

@@ -525,6 +525,22 @@ def test_correction_of_a_z_that_levelling_has_moved(start, script, is_told):
         assert not told(lines, "as levelling does")
 
 
+@pytest.mark.parametrize("is_levelled", [False, True])
+def test_steps_that_make_good_for_levelling_are_told(start, is_levelled):
+    scene = on_plate(with_all(DOCK_SCENES["dock_frame"]), (0.0, 0.0), 0.2, 0.0)
+    correction = section(probe_z_correction="0.16")
+    printer = start(scene, {"z_calibration": None, **correction}).homed()
+    printer.run("AUTO_Z_LOAD_OFFSET")
+    script = "Z_TILT_ADJUST" if is_levelled else "G28 Z"
+    printer.run(f"{script}\nSET_GCODE_OFFSET Z_ADJUST=-0.1")
+    before = printer.gap(printer.bed_point())
+    lines = printer.run("AUTO_Z_SAVE_GCODE_OFFSET")
+    assert bool(told(lines, "steps that make good for it")) is is_levelled
+    printer.run("G28 Z\nAUTO_Z_LOAD_OFFSET")
+    changed = abs(printer.gap(printer.bed_point()) - before) > 0.1
+    assert changed is is_levelled
+
+
 # Whatever Z=0 has moved by, it is 0 at its point
 @pytest.mark.every_host
 def test_mesh_with_a_zero_does_not_go_with_a_z_that_has_moved(start):

@@ -388,6 +388,28 @@ def test_saved_with_a_probe_that_homes(start):
     assert FLOOR_LINE.format(0.125) in text
 
 
+@pytest.mark.every_host
+def test_saved_where_a_probe_homes_to_something_else(host, start):
+    """Some hosts ask for position_endstop there, and home Z to that."""
+    probe = dict(SCENES["membrane_and_probe"].sections["probe"])
+    changes = {
+        "probe": None,
+        "smart_effector": {**probe, "recovery_time": "0"},
+        "stepper_z": {"position_endstop": "1.7"},
+    }
+    printer = start("membrane_and_probe", changes=changes)
+    kind, message = printer.session.start()
+    if kind == "error":
+        assert "'position_endstop' is not valid" in message
+        pytest.skip(f"{host.name}: {message.splitlines()[0]}")
+    calibrate(printer.homed(), f"{CALIBRATE} SAVE=1")
+    pending = printer.status("configfile")["save_config_pending_items"]
+    assert set(pending) == {"stepper_z", NAME}
+    printer.session.restart("SAVE_CONFIG")
+    printer.run("G28")
+    assert true_gap(printer) == pytest.approx(0.0, abs=2 * MICROSTEP)
+
+
 # The way
 
 

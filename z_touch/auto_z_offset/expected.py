@@ -32,6 +32,8 @@ class Correction(object):
         self.z = settings.probe_z_correction
         if self.probe_z_offset is None:
             self.z = self.z or None
+        # What the probe's z_offset has changed by since it was measured or saved (mm)
+        self.followed = 0.0
 
     # Z_OFFSET_APPLY_PROBE and PROBE_CALIBRATE move the probe's Z=0, and the
     # correction is counted from there.  Returns what the user is told.
@@ -44,15 +46,28 @@ class Correction(object):
             return ""
         saved_z = self.z
         self.z = saved_z + moved
+        self.followed = moved
         return (
             "the probe's z_offset is %.3f and was %.3f when the correction was"
-            " saved: probe_z_correction %.6f is taken as %.6f"
+            " saved: probe_z_correction %.6f is taken as %.6f; if the probe was moved"
+            " meanwhile, run AUTO_Z_CALIBRATE"
             % (z_offset, self.probe_z_offset, saved_z, self.z)
+        )
+
+    # What the user is told whenever it is loaded; empty: nothing
+    def unsure(self):
+        if not self.followed:
+            return ""
+        # Mounted anew it has another z_offset, and the same correction as before.
+        return (
+            "%.3f mm of it follow the probe's new z_offset, which is wrong by as"
+            " much if the probe was moved; then run AUTO_Z_CALIBRATE and"
+            " SAVE_CONFIG" % (self.followed,)
         )
 
     # Ready for SAVE_CONFIG, and in force from here on
     def save(self, z):
-        self.z = z
+        self.z, self.followed = z, 0.0
         for option, value in (
             ("probe_z_correction", z),
             ("corrected_probe_z_offset", self.host.probing.z_offset()),
@@ -135,17 +150,30 @@ class Expectations(object):
             return None
         return self.host.probing.homed_probe_z()
 
-    # What has become of Z since it was homed, which the correction is of; empty:
-    # nothing, or nobody knows, or the mesh in force goes with it.
-    def levelled(self):
+    # Whether Z=0 is another one since it was homed, which the correction is of.  Not
+    # where nobody knows, or where the mesh in force goes with it.
+    def is_levelled(self):
         moved = self.homed.moved_by() if self.frame.is_homed() else 0.0
-        is_known = DATUM_NOISE < moved < float("inf")
-        if not is_known or self.is_in_mesh():
+        return DATUM_NOISE < moved < float("inf") and not self.is_in_mesh()
+
+    # What the user is told then of an offset that is set; empty: nothing
+    def levelled(self):
+        if not self.is_levelled():
             return ""
         return (
             "the Z motors have moved since G28, as levelling does: where Z=0 is"
             " another one now, the offset is wrong by that; run G28 Z, then the mesh"
             " if you use one, then AUTO_Z_LOAD_OFFSET again"
+        )
+
+    # What the user is told then of steps that are saved; empty: nothing
+    def levelled_steps(self):
+        if not self.is_levelled():
+            return ""
+        return (
+            "the Z motors have moved since G28, as levelling does: steps that make"
+            " good for it are wrong after the next G28; before SAVE_CONFIG run G28 Z,"
+            " AUTO_Z_LOAD_OFFSET, and look again"
         )
 
     # Whether the mesh in force holds what Z=0 has moved by: it was probed since then,

@@ -357,6 +357,7 @@ class AutoZOffset(object):
                 % (bed_z, self.host.axes.z_axis.section)
             )
         self.tell(self.expectations.levelled())
+        self.tell(self.correction.unsure())
         if self.host.features.mesh_heights() is not None:
             self.tell(shifts.wrong_mesh(self.host))
         if self.correction.z is None:
@@ -397,6 +398,7 @@ class AutoZOffset(object):
             "AUTO_Z_SAVE_GCODE_OFFSET: probe_z_correction: %.6f (was %.6f)\n%s"
             % (z, before, options.SAVE_HINT)
         )
+        self.tell(self.expectations.levelled_steps())
         if abs(z - before) > heights.EXPECTED_MARGIN:
             self.tell(
                 "that is %.3f mm away from before; where Z was not homed with"

@@ -52,7 +52,6 @@ def read_z_axis(config):
     printer = functools.partial(
         config.getsection("printer").getfloat, note_valid=False
     )
-    fastest = printer("max_velocity", float("inf"))
     return ZAxis(
         section=section.get_name(),
         endstop_pin=section.get("endstop_pin", "", note_valid=False),
@@ -61,7 +60,7 @@ def read_z_axis(config):
         homing_speed=homing_speed,
         second_homing_speed=number("second_homing_speed", homing_speed / 2.0),
         homing_retract_dist=number("homing_retract_dist", 5.0),
-        max_speed=printer("max_z_velocity", fastest),
+        max_speed=printer("max_z_velocity", None),
         max_accel=printer("max_z_accel", float("inf")),
     )
 
@@ -194,11 +193,13 @@ class Axes(object):
             for z, stepper in zip(self.z_motors(), self.z_steppers())
         ]
 
-    # What the Z axis can do: mm/s, mm/s^2
+    # What the Z axis can do: mm/s, mm/s^2.  None: its owner has not said, and the host
+    # would take what X and Y can do.
     def z_limits(self):
         axis, status = self.z_axis, self.host.toolhead_status()
+        speed = axis.max_speed
         return (
-            min(axis.max_speed, status["max_velocity"]),
+            None if speed is None else min(speed, status["max_velocity"]),
             min(axis.max_accel, status["max_accel"]),
         )
 
@@ -212,6 +213,8 @@ class Axes(object):
     def z_zero(self):
         axis, probing = self.z_axis, self.host.probing
         zero = ZZero(axis.section, ENDSTOP_OPTION, axis.position_endstop)
-        if self.homes_with_probe():
+        # Where a probe homes Z to position_endstop (Probing.homed_bed_z), its
+        # z_offset moves no Z=0.
+        if self.homes_with_probe() and axis.position_endstop is None:
             zero = ZZero(probing.section, "z_offset", probing.z_offset())
         return None if None in zero else zero
