@@ -10,6 +10,7 @@ import pytest
 from tests.modules.example_owners import OWNERS
 from tools.kit.auto_z_offset import MICROSTEP, POINT, told
 from tools.kit.scenes import SCENES
+from tools.kit.z_calibration import refusal
 
 DOCS = Path(__file__).resolve().parents[2] / "docs"
 
@@ -95,14 +96,23 @@ def test_freedis_section_as_the_document_changes_it(start):
     assert printer.gap(POINT) == pytest.approx(gap, abs=4 * MICROSTEP)
 
 
-def test_line_that_stops_the_original_module_is_named(start):
-    # Which is what our own correction leaves behind
-    printer = start("qidi", changes={}).homed()
-    printer.run("AUTO_Z_CALIBRATE")
-    pending = printer.status("configfile")["save_config_pending_items"]
-    (name,) = set(pending["auto_z_offset"]) - {"probe_z_correction"}
-    text = (DOCS / "auto_z_offset.md").read_text(encoding="utf-8")
-    assert f"delete the line `#*# {name} = ...`" in text
+def test_option_that_stops_the_original_module_is_in_the_section(host):
+    """Klipper says nothing of an unknown option that SAVE_CONFIG has written."""
+    text = (DOCS / "migration.md").read_text(encoding="utf-8")
+    name, said = re.search(
+        r"With `(\w+)` in the section\s+Klipper does not start then \(`(.+?)`\)",
+        text,
+        re.DOTALL,
+    ).groups()
+    said = " ".join(said.split())
+    for example in DOCS.parent.glob("examples/auto_z_offset/*_freedi.cfg"):
+        lines = example.read_text(encoding="utf-8").splitlines()
+        assert any(line.startswith(f"{name}: ") for line in lines), example
+    # Unknown to the original is what nobody reads, as this is here
+    changes = {"auto_z_offset": {f"{name}s": "-4"}}
+    assert said in refusal(host, changes, "qidi").replace(f"{name}s", name)
+    going_back = (DOCS / "auto_z_offset.md").read_text(encoding="utf-8")
+    assert f"such as `{name}`" in going_back.split("**Going back**")[1]
 
 
 def test_locked_probe_is_put_away_as_documented(start):
