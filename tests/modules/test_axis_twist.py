@@ -6,6 +6,7 @@ from dataclasses import replace
 
 import pytest
 
+from tests.modules.test_z_calibration_safety import OTHERS
 from tools.kit.auto_z_offset import PROBE_PLACE, true_gap, world
 from tools.kit.cases import slow
 from tools.kit.docks import DOCK_SCENES, calibrating
@@ -13,7 +14,13 @@ from tools.kit.klipper_sections import bed_mesh
 from tools.kit.load_errors import load
 from tools.kit.printer import Printer
 from tools.kit.scenes import SCENES
-from tools.kit.z_calibration import BED, MICROSTEP, TRIGGER, calibration
+from tools.kit.z_calibration import (
+    BED,
+    MICROSTEP,
+    TRIGGER,
+    calibration,
+    with_extra,
+)
 
 # Hosts correct other heights with it
 pytestmark = pytest.mark.every_host
@@ -62,6 +69,19 @@ def test_mesh_that_ends_before_the_point_of_a_twisted_axis(host, scene, corner):
         printer.run(f"BED_MESH_CALIBRATE MESH_MIN=50,50 MESH_MAX={ends}")
         printer.run("CALIBRATE_Z")
         gap = printer.gap((70.0, 70.0))
+        wanted = printer.scene.formula_gap()
+    assert gap == pytest.approx(wanted, abs=2 * MICROSTEP)
+
+
+def test_probe_of_others_on_a_twisted_axis(host, tmp_path):
+    """Its results may be anything: nobody asks what would be added to them."""
+    changes = compensation(host, "voron", 0, 300, 0.1, 0.1)
+    changes["extra"] = {}
+    files = with_extra(tmp_path, OTHERS)
+    with Printer(host, "voron", changes, modules=files) as printer:
+        printer.machine.tolerate("body_bed", 1.0)
+        printer.homed().run("CALIBRATE_Z")
+        gap = printer.gap()
         wanted = printer.scene.formula_gap()
     assert gap == pytest.approx(wanted, abs=2 * MICROSTEP)
 

@@ -114,12 +114,11 @@ class Probing(object):
         return Probed(result[2] - twist, twist)
 
     # What the host adds to the height of the bed below the head (mm), where nobody has
-    # touched in a session of its own
+    # touched in a session of its own.  Only our dockable_probe says it; what other
+    # probes have for results nobody knows.
     def twist(self):
-        position = self.host.toolhead.get_position()
-        # Only our dockable_probe has it
-        of_probe = getattr(self.probe, "twist", self._twist)
-        return of_probe(position)
+        twist_at = getattr(self.probe, "twist", lambda position: 0.0)
+        return twist_at(self.host.toolhead.get_position())
 
     # What axis_twist_compensation adds where results are lists
     def _twist(self, position):
