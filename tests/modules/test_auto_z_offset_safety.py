@@ -29,7 +29,7 @@ from tools.kit.auto_z_offset import (
 from tools.kit.carrying import SWITCH, with_all
 from tools.kit.cases import all_slow_but, slow
 from tools.kit.docks import DOCK_SCENES, HANG
-from tools.kit.printer import Printer, module_files
+from tools.kit.printer import Printer, module_files, saved_before
 from tools.kit.scenes import SCENES
 from tools.kit.z_calibration import refusal
 
@@ -537,8 +537,13 @@ def test_steps_that_make_good_for_levelling_are_told(start, is_levelled):
     lines = printer.run("AUTO_Z_SAVE_GCODE_OFFSET")
     assert bool(told(lines, "steps that make good for it")) is is_levelled
     printer.run("G28 Z\nAUTO_Z_LOAD_OFFSET")
-    changed = abs(printer.gap(printer.bed_point()) - before) > 0.1
-    assert changed is is_levelled
+    wrong = printer.gap(printer.bed_point())
+    assert (abs(wrong - before) > 0.1) is is_levelled
+    # What it advises brings the correction back
+    printer.session.restart("RESTART")
+    printer.run(f"G28\n{script}\nG28 Z\nAUTO_Z_LOAD_OFFSET")
+    right = printer.gap(printer.bed_point())
+    assert right - wrong == pytest.approx(0.1, abs=0.02)
 
 
 # Whatever Z=0 has moved by, it is 0 at its point
@@ -947,6 +952,19 @@ def test_smart_effector_that_homes_to_something_else(host, start):
     )
     assert true_gap(printer) == pytest.approx(gap + 0.05, abs=STEPS)
     printer.run("AUTO_Z_CALIBRATE")
+    assert true_gap(printer) == pytest.approx(gap, abs=STEPS)
+
+
+@pytest.mark.every_host
+def test_height_that_a_switch_has_left_is_none(start):
+    """As Z_ENDSTOP_CALIBRATE had saved it: hosts pass over it and say nothing."""
+    printer = start("qidi")
+    printer.session.require_ready()
+    saved_before(printer, "stepper_z", "position_endstop = -0.5")
+    gap = printer.scene.piezo_gap()
+    printer.homed().run("AUTO_Z_CALIBRATE")
+    assert true_gap(printer) == pytest.approx(gap, abs=STEPS)
+    printer.run("G28\nAUTO_Z_LOAD_OFFSET")
     assert true_gap(printer) == pytest.approx(gap, abs=STEPS)
 
 

@@ -31,7 +31,7 @@ from tools.kit.extra_probe import (
     true_gap,
 )
 from tools.kit.klipper_sections import TOOL
-from tools.kit.printer import has_kinematics
+from tools.kit.printer import has_kinematics, saved_before
 from tools.kit.scenes import SCENES
 from tools.kit.z_calibration import refusal, with_moves
 
@@ -405,6 +405,20 @@ def test_saved_where_a_probe_homes_to_something_else(host, start):
     calibrate(printer.homed(), f"{CALIBRATE} SAVE=1")
     pending = printer.status("configfile")["save_config_pending_items"]
     assert set(pending) == {"stepper_z", NAME}
+    printer.session.restart("SAVE_CONFIG")
+    printer.run("G28")
+    assert true_gap(printer) == pytest.approx(0.0, abs=2 * MICROSTEP)
+
+
+@pytest.mark.every_host
+def test_saved_where_a_switch_has_left_its_height(start):
+    """As Z_ENDSTOP_CALIBRATE had saved it: hosts pass over it and say nothing."""
+    printer = start("membrane_and_probe")
+    printer.session.require_ready()
+    saved_before(printer, "stepper_z", "position_endstop = -0.5")
+    calibrate(printer.homed(), f"{CALIBRATE} SAVE=1")
+    pending = printer.status("configfile")["save_config_pending_items"]
+    assert set(pending) == {"probe", NAME}
     printer.session.restart("SAVE_CONFIG")
     printer.run("G28")
     assert true_gap(printer) == pytest.approx(0.0, abs=2 * MICROSTEP)

@@ -32,6 +32,7 @@ __all__ = [
     "has_kinematics",
     "knows_kinematics",
     "module_files",
+    "saved_before",
 ]
 
 ROOT = Path(__file__).resolve().parents[2]
@@ -87,3 +88,18 @@ class Printer(_OverBed, printer.Printer):
         modules = module_files() if modules is None else modules
         scene = SCENES[scene] if isinstance(scene, str) else scene
         super().__init__(host, scene, changes, faults, seed, modules, real_time)
+
+
+def saved_before(printer: RunningPrinter, section: str, line: str) -> None:
+    """Klippy restarts with what SAVE_CONFIG had written some day."""
+    file = printer.session.data / "config" / "printer.cfg"
+    block = (
+        "#*# <---------------------- SAVE_CONFIG ---------------------->",
+        "#*# DO NOT EDIT THIS BLOCK OR BELOW. The contents are auto-generated.",
+        "#*#",
+        f"#*# [{section}]",
+        f"#*# {line}",
+        "",
+    )
+    file.write_text(file.read_text() + "\n" + "\n".join(block))
+    printer.session.restart("RESTART")

@@ -5,10 +5,11 @@ from __future__ import absolute_import, division
 import collections
 import functools
 
-from .endstops import chip_of
+from .endstops import chip_of, is_virtual
 
 # The section that configures the Z axis, and its options that matter (mm,
-# mm/s, mm/s^2); position_endstop is None where the probe homes Z.
+# mm/s, mm/s^2); where the probe homes Z, position_endstop may be left over from a
+# switch, see Axes.probe_homes_to().
 ZAxis = collections.namedtuple(
     "ZAxis",
     "section endstop_pin position_endstop position_min homing_speed"
@@ -209,12 +210,22 @@ class Axes(object):
         axis = self.z_axis
         return axis is not None and chip_of(axis.endstop_pin) == "probe"
 
+    # Toolhead Z (mm) that G28 sets where the probe triggers, in place of its z_offset,
+    # which moves no Z=0 then.  Hosts take position_endstop where the endstop of a probe
+    # says no height, as that of a smart_effector until 2024-07-04 (34732f857) and on
+    # Kalico.  Otherwise they pass over it, also where SAVE_CONFIG had written one for a
+    # switch.  None: it is the z_offset.
+    def probe_homes_to(self):
+        endstop = self.host.endstops.find_z()
+        is_told = endstop is None or is_virtual(endstop)
+        if is_told or not self.homes_with_probe():
+            return None
+        return self.z_axis.position_endstop
+
     # None: nobody knows
     def z_zero(self):
         axis, probing = self.z_axis, self.host.probing
         zero = ZZero(axis.section, ENDSTOP_OPTION, axis.position_endstop)
-        # Where a probe homes Z to position_endstop (Probing.homed_bed_z), its
-        # z_offset moves no Z=0.
-        if self.homes_with_probe() and axis.position_endstop is None:
+        if self.homes_with_probe() and self.probe_homes_to() is None:
             zero = ZZero(probing.section, "z_offset", probing.z_offset())
         return None if None in zero else zero

@@ -53,13 +53,10 @@ class Probing(object):
         return get_offsets()[2] if get_offsets else 0.0
 
     # Where (toolhead Z, mm) the probe sees the bed right after G28: at 0, except
-    # where position_endstop counts.  Until 2024-07-04 (34732f857) and on Kalico
-    # Z is homed to that with a smart_effector; elsewhere hosts do not accept it.
+    # where position_endstop counts.
     def homed_bed_z(self):
-        homed_z = self.host.axes.z_axis.position_endstop
-        if homed_z is None or not self.host.axes.homes_with_probe():
-            return 0.0
-        return homed_z - self.offsets()[2]
+        homed_z = self.host.axes.probe_homes_to()
+        return 0.0 if homed_z is None else homed_z - self.offsets()[2]
 
     # Where (toolhead Z, mm) it triggers there
     def homed_probe_z(self):
