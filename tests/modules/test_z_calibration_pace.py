@@ -253,7 +253,14 @@ def test_z_whose_owner_has_not_said_what_it_can_do(start):
     changes = {"printer": {"max_z_velocity": None}}
     # What [probe] has, as ever
     changes = {**auto(), **changes, "probe": {"lift_speed": "7"}}
-    found = spans(start(changes=changes).homed())
+    printer = start(changes=changes).homed()
+    machine = printer.machine
+    printer.run("G1 X150 Y150 Z100 F6000\nM400")
+    count = len(machine.truth.touches)
+    began = machine.rig.seconds(machine.simulation.clock.now())
+    found = spans(printer)
+    # Over 80 mm down, which is not on the way then; probing_speed is 8 mm/s at most
+    assert machine.truth.touches[count].t - began > 80 / 8
     # Over 12 mm up
     assert found["to the switch"] > 12 / 7
 

@@ -47,9 +47,10 @@ HOLDING = ("ATTACH_PROBE", "SET_DOCKABLE_PROBE", "SET_PROBE_STATUS")
 
 # Where our probe is, and its way onto the head and off it, as core.carrying asks
 class Carrier(object):
-    # 'prober': prober.Prober
-    def __init__(self, prober):
+    # 'prober': prober.Prober; 'is_by_paper': virtual_probe.VirtualProbe.is_by_paper
+    def __init__(self, prober, is_by_paper):
         self.host = prober.host
+        self.is_by_paper = is_by_paper
         self.prober = prober
         self.moves = prober.moves
         self.sensors = prober.sensors
@@ -202,10 +203,8 @@ class Carrier(object):
         command(gcmd)
 
     def _before_manual_method(self, command, gcmd):
-        # To some hosts whatever else is paper, too; a probe that is docked in vain is
-        # fetched again.
         method = gcmd.get("METHOD", "automatic").strip().lower()
-        if method != "automatic":
+        if self.is_by_paper(method):
             self._before_paper_elsewhere(command, gcmd)
         else:
             command(gcmd)

@@ -43,8 +43,9 @@ class DockableProbe(object):
         self.moves = Moves(self.host, settings)
         self.docking = Docking(settings, self.sensors, self.moves)
         self.prober = Prober(self.docking, settings)
-        GcodeMoves(self.prober, Carrier(self.prober))
         self.virtual_probe = VirtualProbe(self.host)
+        carrier = Carrier(self.prober, self.virtual_probe.is_by_paper)
+        GcodeMoves(self.prober, carrier)
         self.virtual_probe.install(
             config, self.prober, self.sensors.pin.endstop, settings
         )

@@ -327,6 +327,13 @@ class VirtualProbe(object):
     def get_status(self, eventtime):
         return self.probe.get_status(eventtime)
 
+    # Whether that METHOD of levelling and of a mesh may be a person with paper: to
+    # hosts without sessions whatever they do not know is.
+    def is_by_paper(self, method):
+        if isinstance(self.probe, SessionProbe):
+            return method == "manual"
+        return method != "automatic"
+
     # Whether Z is homed with the probe
     def is_z_endstop(self):
         return self.is_among(self._rails())
