@@ -172,9 +172,8 @@ class Expectations(object):
             return ""
         return (
             "the Z motors have moved since G28, as levelling does: steps that make"
-            " good for it are wrong after the next G28; to forget them RESTART instead"
-            " of SAVE_CONFIG, then G28, level, G28 Z, AUTO_Z_LOAD_OFFSET, and set the"
-            " steps again"
+            " good for it are wrong after the next G28; before SAVE_CONFIG run G28,"
+            " level, G28 Z, AUTO_Z_CALIBRATE, which measures without them"
         )
 
     # Whether the mesh in force holds what Z=0 has moved by: it was probed since then,

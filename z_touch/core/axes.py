@@ -216,11 +216,11 @@ class Axes(object):
     # Kalico.  Otherwise they pass over it, also where SAVE_CONFIG had written one for a
     # switch.  None: it is the z_offset.
     def probe_homes_to(self):
+        if not self.homes_with_probe():
+            return None
         endstop = self.host.endstops.find_z()
         is_told = endstop is None or is_virtual(endstop)
-        if is_told or not self.homes_with_probe():
-            return None
-        return self.z_axis.position_endstop
+        return None if is_told else self.z_axis.position_endstop
 
     # None: nobody knows
     def z_zero(self):

@@ -6,8 +6,9 @@
 # Speeds of touches are always the owner's: what a switch says depends on them.  The
 # rest follows from the machine:
 #
-#   from place to place  FREE_TRAVEL_SPEED; down to the travel height on the way
-#   up, no touch         what the Z axis can do, if its owner has said so
+#   from place to place  FREE_TRAVEL_SPEED; down to the travel height on the way, if the
+#                        owner has said what the Z axis can do
+#   up, no touch         what the Z axis can do, likewise
 #   down, armed          as fast as half of travel_margin is enough to stop
 #   between touches      lifted by SHORTEST_LIFT, or more where the switch is still
 #                        pressed then, see measuring.py
