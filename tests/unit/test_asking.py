@@ -50,6 +50,23 @@ def test_of_gcode_there_are_the_names_of_commands():
 
 
 @pytest.mark.parametrize(
+    ("template", "commands"),
+    [
+        ("M117 Hello {name} Smith", "M117"),
+        ("M118 key={k} s3cr3t {% if a %}tok123{% endif %}", "M118"),
+        ('{action_respond_info("a } hunter2")}\nG28', "G28"),
+        ("{action_raise_error('anna\\'s')} s3cr3t", ""),
+        ("G1 X{x} Y{y} F{f}\n  G28 Z", "G1 G28"),
+        ("{# for anna #} G28 # and tom", "G28"),
+        ("{% if a %} G28 {% endif %}", "G28"),
+        ("M118 open { s3cr3t\nG28", "M118"),
+    ],
+)
+def test_nothing_behind_a_value_is_a_command(template, commands):
+    assert commands_of(template) == commands
+
+
+@pytest.mark.parametrize(
     "option", ["serial", "canbus_uuid", "api_token", "filename", "host"]
 )
 def test_private_options_have_no_value(option):

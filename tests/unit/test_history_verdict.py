@@ -186,6 +186,30 @@ def test_an_accuracy_run_that_was_last_decides(cause, level):
     assert found == (level, [f"Accuracy run: {text}."])
 
 
+def test_an_accuracy_run_hides_nothing():
+    """Dirt that is hard repeats as well as a clean nozzle."""
+    run = {"cycles": [{}], "verdict": "nothing stands out", "cause": "none"}
+    level, texts = verdict.judge(told(warnings=[DIRTY]), run)
+    assert (level, len(texts)) == ("act", 2)
+    assert DIRTY["text"][1:] in texts[0]
+    assert texts[1] == "Accuracy run: nothing stands out."
+    assert verdict.judge([], run).texts == texts[1:]
+
+
+def test_of_a_long_stretch_it_says_how_much_of_late():
+    """What has begun 100 runs ago is little in 850."""
+    runs = make_runs(850, homing=0.0, noise=0.0)
+    for number, run in enumerate(runs[-100:]):
+        run["sites"]["bed"]["z"] += 0.0003 * number
+    for run in runs[-20:]:
+        run["sites"]["nozzle"]["sd"] = 0.01
+    runs[-1]["wear"] = ["probe - switch", "spread of the nozzle's touches"]
+    first, second = verdict.judge(runs).texts
+    assert first.startswith("Probe - switch drifts by 0.030 mm in 100 runs")
+    assert second.startswith("Spread of the nozzle's touches grows from 0.0000")
+    assert "to 0.0100 mm in 850 runs" in second
+
+
 @pytest.mark.parametrize("about", ["nozzle", "switch", "bed", "bed_tilt", ""])
 def test_a_warning_counts_by_what_it_is_about(about):
     runs = told(warnings=[{"about": about, "text": "switch: it is odd"}])

@@ -38,6 +38,12 @@ BEGINNINGS = ("stepper_z", "carriage ", "extra_probe ")
 PRIVATE = re.compile("serial|uuid|token|secret|passw|user|host|url|path|file")
 GCODE = re.compile("gcode$")
 COMMAND = re.compile(r"(?m)^[ \t]*([A-Za-z_][\w.]*)")
+# Of a template: statements and remarks, values with the texts in them, and what a line
+# of G-code ends with
+NO_COMMAND = re.compile(
+    r"""(?s)\{%.*?%\}|\{#.*?#\}"""
+    r"""|(\{(?:"[^"]*"|'[^']*'|[^"'}])*\}?)|[#;][^\n]*"""
+)
 # Runs that it has
 RUNS = 10
 
@@ -68,10 +74,11 @@ def names_here():
 
 # The names of the commands and macros that a template runs
 def commands_of(template):
-    commands = COMMAND.findall(
-        re.sub(r"(?s)\{.*?\}|[#;].*?(?:\n|$)", "\n", template)
+    # What stands behind one of them on its line is no command: a value leaves a mark.
+    lines = NO_COMMAND.sub(
+        lambda found: "." if found.group(1) else " ", template
     )
-    return " ".join(commands)
+    return " ".join(COMMAND.findall(lines))
 
 
 # An option as a line has it

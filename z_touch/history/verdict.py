@@ -59,14 +59,11 @@ CHANGES = dict((entry[0], entry[-1]) for entry in trend.HEIGHTS)
 # The Verdict of runs, the oldest first.  'cycles': an accuracy run after these, or
 # None; pause() is called often.
 def judge(runs, cycles=None, pause=trend.no_pause):
-    if cycles is not None:
-        text = "%s" % (cycles.get("verdict") or "",)
-        level = GOOD if cycles.get("cause") == NO_CAUSE else WATCH
-        return Verdict(level, [sentence("Accuracy run: %s" % (text,))])
-    if not runs:
+    advices = [] if cycles is None else [of_cycles(cycles)]
+    if not (runs or advices):
         return Verdict(WATCH, ["There are no runs yet; run CALIBRATE_Z."])
-    advices = []
-    for rule in (refusals, warnings, worth, wear, changes, cleanings):
+    rules = (refusals, warnings, worth, wear, changes, cleanings)
+    for rule in rules if runs else ():
         advices += rule(runs, pause) if rule is wear else rule(runs)
     # sorted() keeps the order of those of one level
     advices.sort(key=lambda entry: -LEVELS.index(entry[0]))
@@ -78,6 +75,14 @@ def judge(runs, cycles=None, pause=trend.no_pause):
         text = "New runs are compared with these after %d more good ones."
         texts.append(text % (lack,))
     return Verdict(GOOD, texts)
+
+
+# What one repeats within minutes is all that an accuracy run sees: dirt that is hard,
+# and a part that has moved, are seen by the runs before it.
+def of_cycles(cycles):
+    level = GOOD if cycles.get("cause") == NO_CAUSE else WATCH
+    text = "%s" % (cycles.get("verdict") or "",)
+    return level, sentence("Accuracy run: %s" % (text,))
 
 
 def nothing_to_do(last):
@@ -180,17 +185,21 @@ def told_worn(run):
     )
 
 
-# 'values' (mm) of a height or a spread; by the middles of their first and last third
+# 'values' (mm) of a height or a spread; by the middles of the first and last third of
+# those that trend.wear() looks at: most of a long stretch was as good as new
 def worn(name, values, told_on):
-    first, last = trend.thirds(values)
-    end = (len(values), told_on, REMEDIES[name])
+    count, remedy = len(values), REMEDIES[name]
     if name in SPREADS:
+        ends = values[: trend.GROWTH_RUNS] + values[-trend.GROWTH_RUNS :]
+        first, last = trend.thirds(ends if count > len(ends) else values)
         text = "%s grows from %.4f to %.4f mm in %d runs, told on %s; %s"
-        return text % ((name, first, last) + end)
+        return text % (name, first, last, count, told_on, remedy)
+    values = values[-trend.TREND_RUNS :]
+    first, last = trend.thirds(values)
     # A line shifts by half as much again as its thirds do
     shift = (last - first) * 1.5
     text = "%s drifts by %.3f mm in %d runs, told on %s; %s"
-    return text % ((name, shift) + end)
+    return text % (name, shift, len(values), told_on, remedy)
 
 
 # What one step has changed, as long as it is news
