@@ -255,38 +255,67 @@ updater_of() {
 
 # Kalico does not start with two modules of one name, unless it is told to.
 check_kalico() {
-    local name shipped="" others=""
-    [ "$folder" = klippy/plugins ] && [ -z "$force" ] || return 0
+    local name place shipped="" others="" lacking where
+    [ "$folder" = klippy/plugins ] || return 0
     for name in $modules; do
-        if is_tracked "klippy/extras/$name.py"; then
+        place=klippy/extras/$name.py
+        if is_tracked "$place"; then
             shipped+="${shipped:+ and }$name"
-        elif is_foreign "klippy/extras/$name.py"; then
-            refuse_to_replace "klippy/extras/$name.py"
+        elif is_foreign "$place" && [ -n "$force" ]; then
+            put_aside "$place"
+        elif is_foreign "$place"; then
+            refuse_to_replace "$place"
         else
             others+="${others:+ }$name"
         fi
     done
     [ -n "$shipped" ] || return 0
-    local lacking
     lacking=$(printers_without_override)
     [ -n "$lacking" ] || return 0
+    where=${lacking//$'\n'/ and to }
+    if [ -n "$force" ]; then
+        note "Kalico ships its own $shipped, and does not start beside ours" \
+            "before [danger_options] with allow_plugin_override: True is added" \
+            "to $where"
+        return 0
+    fi
     problem "$CONFLICT" "Kalico ships its own $shipped, and will not start" \
-        "beside ours; first add to ${lacking//$'\n'/ and to }:"
+        "beside ours; first add to $where:"
     printf '\n[danger_options]\nallow_plugin_override: True\n\n' >&2
-    explain "Then run this again; --force links in any case." \
+    explain "Then run this again, with -m if one of these is of another Klipper," \
+        "which would not start with it; --force links in any case." \
         "${others:+Without it: --modules \"$others\"}"
+}
+
+# put_aside PLACE: a module of somebody else that ours, linked elsewhere, stands for
+put_aside() {
+    local file="$klipper/$1" kept detail
+    needs_writable "${file%/*}"
+    note "$(difference "${1##*/}")"
+    if [ -L "$file" ]; then
+        detail="which led to $(readlink -m -- "$file")"
+        change rm -- "$file"
+    else
+        kept=$(backup_name "$file")
+        detail="kept as ${kept##*/}"
+        change mv -- "$file" "$kept"
+    fi
+    report "Removing ${1##*/} from ${1%/*}" "$detail"
+    links_changed=1
 }
 
 # The printer.cfg of each printer that does not let plugins replace what Kalico
 # ships, in itself or in what it includes
 printers_without_override() {
     local conf cfg value files=()
-    for conf in "${every_conf[@]}"; do
+    # Another one may be of another Klipper, which does not start with that option
+    for conf in "${confs[@]}"; do
         files+=("${conf%/*}/printer.cfg")
     done
-    mapfile -t files < <(each_once "${files[@]}" \
-        "$HOME"/*_data/config/printer.cfg \
-        "$HOME"/klipper_config/{,*/}printer.cfg)
+    [ "${#given_confs[@]}" -gt 0 ] ||
+        files+=("$HOME"/*_data/config/printer.cfg
+            "$HOME"/klipper_config/{,*/}printer.cfg)
+    mapfile -t files < <(each_once "${files[@]}")
     [ "${#files[@]}" -gt 0 ] || say "printer.cfg"
     for cfg in "${files[@]}"; do
         value=$(setting "$cfg" danger_options allow_plugin_override)

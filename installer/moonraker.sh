@@ -111,18 +111,19 @@ set_up_updates() {
 }
 
 set_up_conf() {
-    local file files path theirs followed ours=${origin%.git} is_path_ours=""
+    local file="" files path theirs followed ours=${origin%.git} is_path_ours=""
     if [ ! -r "$1" ]; then
         problem "$NOT_WRITABLE" "cannot read $1"
         return 0
     fi
     mapfile -t files < <(settings "$1" | awk -F '\t' -v section="$SECTION" '
         $2 == section && $3 == "" { print $1 }')
-    if [ "${#files[@]}" -gt 1 ]; then
+    if [ -n "$(printf '%s\n' "${files[@]}" | awk 'seen[$0]++')" ]; then
         mend_sections "${files[@]}"
         return 0
     fi
-    file=${files[0]:-}
+    # Of several files the last one counts
+    [ "${#files[@]}" -eq 0 ] || file=${files[-1]}
     path=$(setting "$1" "$SECTION" path)
     theirs=$(setting "$1" "$SECTION" origin)
     followed=$(setting "$1" "$SECTION" primary_branch)
@@ -158,7 +159,7 @@ set_up_conf() {
 }
 
 # mend_sections FILE FILE ...: one for each time that our section is there. With
-# two of them Moonraker does not start.
+# two of them in one file Moonraker does not start.
 mend_sections() {
     local file text=""
     if [ -z "$force$uninstall" ]; then

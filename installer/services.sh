@@ -104,6 +104,8 @@ restart_services() {
         tell_to_restart "$what"
         return 0
     fi
+    # A password may take as long as a print takes to begin
+    [ -n "$dry_run" ] || [ "$(id -u)" -eq 0 ] || [ ! -t 0 ] || sudo -v || true
     # Before one of them is restarted, and does not answer any more
     answers=$(ask_moonrakers)
     klippers=$(active_units klipper)
@@ -139,8 +141,9 @@ restart_kind() {
     [ -n "$units" ] || say "No $1 service found. Restart it yourself"
     for unit in $units; do
         state=$(state_of "$1" "$unit")
-        # With no Klipper running nobody prints
-        [ -n "$klippers" ] || state=idle
+        # With no Klipper running nobody prints, but one whose unit has a name of
+        # its own
+        [ -n "$klippers" ] || [ "$state" = busy ] || state=idle
         if ! systemctl is-active --quiet "$unit"; then
             say "$unit not restarted: it does not run"
         elif [ "$state" = busy ]; then

@@ -451,8 +451,19 @@ def test_override_beside_a_named_moonraker_conf(box):
 
 def test_force_links_without_the_override(box):
     kalico = box.kalico()
-    box.installed("--force")
+    out = box.installed("--force")
     assert kalico.links() == kalico.expected(*MODULES)
+    assert "does not start beside ours before [danger_options]" in out
+
+
+def test_printer_of_another_klipper_needs_no_override(box):
+    """It would not start with it."""
+    box.kalico()
+    conf = box.conf("kalico_data/config")
+    conf.with_name("printer.cfg").write_text(OVERRIDE)
+    box.conf("klipper_data/config").with_name("printer.cfg").write_text("")
+    assert "with -m if one of these is of another Klipper" in box.refused(4)
+    box.installed("-m", str(conf))
 
 
 def test_module_of_somebody_else_in_extras_of_kalico(machine):
@@ -462,6 +473,14 @@ def test_module_of_somebody_else_in_extras_of_kalico(machine):
     other.symlink_to(machine.write(FREEDI, "theirs = 1\n"))
     err = machine.refused(4)
     assert f"{other} belongs to somebody else" in err
+    # As it advises; beside ours Kalico would not start
+    out = machine.installed("--force")
+    assert not other.is_symlink() and "which led to" in out
+    assert kalico.links() == kalico.expected(*MODULES)
+    other.write_text("theirs = 1\n")
+    machine.installed("--force")
+    (kept,) = other.parent.glob(f"{other.name}.bak-*")
+    assert (kept.read_text(), other.exists()) == ("theirs = 1\n", False)
 
 
 @pytest.mark.parametrize("was", ["kalico", "klipper"])

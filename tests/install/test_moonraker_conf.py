@@ -391,6 +391,17 @@ def test_section_that_is_there_twice(machine, conf, extra):
     assert conf.read_text() == "[server]\n\n[n]\na: 1\n"
 
 
+def test_section_in_two_files_is_one_to_moonraker(machine, conf):
+    """It joins them, and the last one counts."""
+    theirs = f"{HEADER}\npath: ~/theirs\n"
+    more = conf.with_name("more.conf")
+    more.write_text(theirs)
+    conf.write_text(f"{theirs}[include more.conf]\n")
+    assert "updates ~/theirs from" in machine.installed()
+    machine.installed("--uninstall")
+    assert (more.read_text(), theirs in conf.read_text()) == (theirs, True)
+
+
 def test_section_with_a_blank_is_ours(machine, conf):
     conf.write_text(SECTION.replace("calibration]", "calibration ]"))
     assert THERE in machine.installed()

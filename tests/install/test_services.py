@@ -224,6 +224,14 @@ def test_moonraker_that_does_not_tell(machine, stopped):
     assert machine.restarted() == (["moonraker"] if stopped else [])
 
 
+def test_print_of_a_klipper_of_another_name(machine):
+    """No klipper.service runs, and yet its Moonraker sees a print."""
+    machine.systemd(answer="busy", stopped=["klipper"])
+    out = machine.installed()
+    assert machine.restarted() == []
+    assert f"moonraker not restarted: {WAIT} moonraker" in out
+
+
 @pytest.mark.parametrize(
     ("server", "address"),
     [
