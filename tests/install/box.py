@@ -47,7 +47,7 @@ case " $* " in
 esac
 """
 )
-SUDO = FAKE + '[ "$1" != -n ] || shift\nexec "$@"\n'
+SUDO = FAKE + '[ "$1" != -v ] || exit 0\n[ "$1" != -n ] || shift\nexec "$@"\n'
 # What the program says of the Moonraker at an address: two units and a state
 PYTHON = """#!/usr/bin/env bash
 url=${*: -1}
