@@ -388,6 +388,16 @@ def test_saved_with_a_probe_that_homes(start):
     assert FLOOR_LINE.format(0.125) in text
 
 
+def assert_right_once_saved(printer, section):
+    """SAVE=1 changes that section, and after G28 Z=0 is the bed."""
+    calibrate(printer.homed(), f"{CALIBRATE} SAVE=1")
+    pending = printer.status("configfile")["save_config_pending_items"]
+    assert set(pending) == {section, NAME}
+    printer.session.restart("SAVE_CONFIG")
+    printer.run("G28")
+    assert true_gap(printer) == pytest.approx(0.0, abs=2 * MICROSTEP)
+
+
 @pytest.mark.every_host
 def test_saved_where_a_probe_homes_to_something_else(host, start):
     """Some hosts ask for position_endstop there, and home Z to that."""
@@ -402,12 +412,7 @@ def test_saved_where_a_probe_homes_to_something_else(host, start):
     if kind == "error":
         assert "'position_endstop' is not valid" in message
         pytest.skip(f"{host.name}: {message.splitlines()[0]}")
-    calibrate(printer.homed(), f"{CALIBRATE} SAVE=1")
-    pending = printer.status("configfile")["save_config_pending_items"]
-    assert set(pending) == {"stepper_z", NAME}
-    printer.session.restart("SAVE_CONFIG")
-    printer.run("G28")
-    assert true_gap(printer) == pytest.approx(0.0, abs=2 * MICROSTEP)
+    assert_right_once_saved(printer, "stepper_z")
 
 
 @pytest.mark.every_host
@@ -416,12 +421,7 @@ def test_saved_where_a_switch_has_left_its_height(start):
     printer = start("membrane_and_probe")
     printer.session.require_ready()
     saved_before(printer, "stepper_z", "position_endstop = -0.5")
-    calibrate(printer.homed(), f"{CALIBRATE} SAVE=1")
-    pending = printer.status("configfile")["save_config_pending_items"]
-    assert set(pending) == {"probe", NAME}
-    printer.session.restart("SAVE_CONFIG")
-    printer.run("G28")
-    assert true_gap(printer) == pytest.approx(0.0, abs=2 * MICROSTEP)
+    assert_right_once_saved(printer, "probe")
 
 
 # The way
