@@ -37,8 +37,8 @@ def typed(box: Box, lines):
     source = box.directory / "source"
     if not source.exists():
         box.clone(source)
-    lines = re.sub(r"ADDRESS=[^;]+", f"ADDRESS='{source}'", lines)
-    lines = re.sub(r"(?<!\$)\bADDRESS(?!=)", str(source), lines)
+    lines = re.sub(r"ADDRESS=[^\s;]+", f"ADDRESS='{source}'", lines)
+    lines = re.sub(r"(?<!\$)\bADDRESS\b(?!=)", str(source), lines)
     script = f"set -e\n{lines}"
     outcome = box.command(["bash", "-c", script])
     assert (outcome.code, outcome.err) == (0, ""), outcome
@@ -112,6 +112,26 @@ def test_kalico(home):
     assert commands(TEXT, "On Kalico", "ini") == OVERRIDE
 
 
+CHANGING = "You have klipper_z_calibration already"
+
+
+def test_lines_for_owners_of_the_original_never_run_its_installer(home):
+    """The address is a placeholder: typed word for word, line by line."""
+    old = home.home / "klipper_z_calibration"
+    old.mkdir()
+    script = old / "install.sh"
+    script.write_text(f'#!/bin/sh\necho "$@" >{old}/ran\n')
+    script.chmod(0o755)
+    there = commands(README.read_text(), CHANGING, "").partition("\n\n")[0]
+    for lines in (there, there.partition("\n")[2]):
+        # Also where the first line was forgotten
+        outcome = home.command(["bash", "-c", lines])
+        assert outcome.code != 0
+        assert "fatal:" in outcome.err
+        assert [p.name for p in old.iterdir()] == ["install.sh"]
+        assert not (home.home / "klipper_z_calibration.old").exists()
+
+
 def test_from_the_original_plugin_and_back(home, klipper):
     old = home.clone(home.home / "klipper_z_calibration")
     (old / "theirs").write_text("")
@@ -122,9 +142,7 @@ def test_from_the_original_plugin_and_back(home, klipper):
         "install_script: install.sh\nmanaged_services: klipper\n"
     )
     conf = home.conf(text=theirs)
-    lines = commands(
-        README.read_text(), "You have klipper_z_calibration already", ""
-    )
+    lines = commands(README.read_text(), CHANGING, "")
     there, _, back = cloned(lines).partition("\n\n")
     for part_of_them in (there, back):
         assert len(part_of_them.strip().splitlines()) == 3
