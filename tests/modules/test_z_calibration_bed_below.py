@@ -17,28 +17,34 @@ BELOW = "the bed is below the low end of offset_margins (%s), or the probe"
 TRY = re.compile(r"(\w+) of section '(\w+)' \((\S+) - (\S+): try (\S+)\)")
 
 
-# How much too low (mm) what Z is homed at is, and by how much it is told to change
+# How much too low (mm) what Z is homed at is
 @pytest.mark.parametrize(
-    ("scene", "section_name", "option", "right", "low", "change"),
+    ("scene", "section_name", "option", "right", "low"),
     [
-        ("voron", "stepper_z", "position_endstop", 1.6, 1.2, 1.0),
-        # The bed is found, above the margins
-        ("voron", "stepper_z", "position_endstop", 1.6, -1.4, -1.56),
-        ("separate_pin", "probe", "z_offset", 6.9, 1.3, 1.0),
+        ("voron", "stepper_z", "position_endstop", 1.6, 1.2),
+        ("separate_pin", "probe", "z_offset", 6.9, 1.3),
     ],
 )
-def test_value_that_is_named_is_a_good_one(
-    start, scene, section_name, option, right, low, change
+def test_bed_that_is_lower_is_told_without_a_number(
+    start, scene, section_name, option, right, low
 ):
     changes = {section_name: {option: str(right - low)}}
     text = start(scene, changes=changes).homed().fail("CALIBRATE_Z")
+    assert BELOW % "-1.000" in text
+    assert text.endswith(
+        f"only then correct {option} of section '{section_name}'"
+    )
+
+
+def test_value_that_is_named_is_a_good_one(start):
+    """The bed is found, above the margins."""
+    changes = {"stepper_z": {"position_endstop": "3"}}
+    text = start(changes=changes).homed().fail("CALIBRATE_Z")
     (found,) = TRY.findall(text.replace("\n", " "))
-    assert found[:2] == (option, section_name)
-    assert float(found[2]) == pytest.approx(right - low)
-    assert float(found[4]) == pytest.approx(right - low + change, abs=0.01)
-    assert (BELOW % "-1.000" in text) == (low > 0.0)
-    changes = {section_name: {option: found[4]}}
-    printer = start(scene, changes=changes).homed()
+    assert found[:3] == ("position_endstop", "stepper_z", "3.000")
+    assert float(found[4]) == pytest.approx(3.0 - 1.56, abs=0.01)
+    changes = {"stepper_z": {"position_endstop": found[4]}}
+    printer = start(changes=changes).homed()
     calibration(printer)
     assert printer.gap() == pytest.approx(printer.scene.formula_gap(), abs=0.01)
 
@@ -51,8 +57,11 @@ def test_plate_that_is_missing(start):
     text = printer.fail("CALIBRATE_Z")
     assert text.startswith("z_calibration: bed: No trigger on probe after full")
     assert BELOW % "-1.000" in text
-    assert "is dead; the plate has to be on, and Z homed (G28 Z) after" in text
-    assert "check bed_xy_position and the probe, then position_endstop" in text
+    assert (
+        "is dead; check that the plate is on, the probe (QUERY_PROBE) and"
+        in (text)
+    )
+    assert "Z was homed (G28 Z) after any levelling; only then correct" in text
     assert_unharmed(printer, 0.1)
 
 

@@ -18,6 +18,8 @@ pytestmark = pytest.mark.slow
 
 SAVE = "Z_CALIBRATION_SAVE_GCODE_OFFSET"
 ENDSTOP, PROBE = "Z_OFFSET_APPLY_ENDSTOP", "Z_OFFSET_APPLY_PROBE"
+# What an offset_gcode has to say that makes another offset of it
+OWN = "Z_CALIBRATION_KEEP_OFFSET"
 RAISE = "SET_GCODE_OFFSET Z_ADJUST=0.02 MOVE=1"
 # 0.06 mm are between nozzle and bed at Z=0
 USUAL_GAP = 0.06
@@ -67,7 +69,8 @@ def test_baby_steps_are_there_again_in_the_next_run(start):
 # The second time it sets just what was in force
 def test_offset_gcode_that_sets_the_same_again(start):
     adding = "SET_GCODE_OFFSET Z={(params.Z|float + 0.1)|round(4)}"
-    printer = start(changes=section(offset_gcode=adding)).homed()
+    printer = start(changes=section(offset_gcode=f"\n  {adding}\n  {OWN}"))
+    printer.homed()
     for _ in range(2):
         printer.run("G28\nCALIBRATE_Z")
         assert printer.status("z_calibration")["valid"]
@@ -106,7 +109,8 @@ def test_end_gcode_that_applies_the_offset_with_more(start, endstop, more, own):
 
 def test_what_offset_gcode_adds_is_no_correction(start):
     adding = "SET_GCODE_OFFSET Z={params.Z|float + 0.1}"
-    printer = start(changes=section(offset_gcode=adding)).homed()
+    printer = start(changes=section(offset_gcode=f"\n  {adding}\n  {OWN}"))
+    printer.homed()
     calibration(printer)
     printer.run(f"{RAISE}\n{SAVE}")
     status = printer.status("z_calibration")

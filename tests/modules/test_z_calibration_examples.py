@@ -377,7 +377,8 @@ def test_calibration_is_made_only_if_needed(macros):
 
 # What offset_gcode adds belongs to it, and Z_ADJUST is for one print
 def test_what_holds_is_what_was_applied(start):
-    own = {"offset_gcode": "SET_GCODE_OFFSET Z={params.Z|float + 0.05}"}
+    code = "\n  SET_GCODE_OFFSET Z={params.Z|float + 0.05}"
+    own = {"offset_gcode": f"{code}\n  Z_CALIBRATION_KEEP_OFFSET"}
     section = {**SCENES["voron"].sections["z_calibration"], **own}
     changes = with_macros(z_calibration=section)
     printer = start(heated(SCENES["voron"]), changes).homed()

@@ -251,13 +251,14 @@ def test_nothing_goes_across_a_paused_print(start, tmp_path, command):
     ("offset_gcode", "offset"),
     [
         # Of a tool, on top
-        ("SET_GCODE_OFFSET Z={params.Z|float + 0.1}", OFFSET + 0.1),
+        ("\n  SET_GCODE_OFFSET Z={params.Z|float + 0.1}", OFFSET + 0.1),
         # Kept for later
-        ("RESPOND MSG='keep {params.Z}'", 0.0),
+        ("\n  RESPOND MSG='keep {params.Z}'", 0.0),
     ],
 )
 def test_offset_gcode_may_make_another_one_of_it(start, offset_gcode, offset):
-    changes = {"respond": {}, **section(offset_gcode=offset_gcode)}
+    code = f"{offset_gcode}\n  Z_CALIBRATION_KEEP_OFFSET"
+    changes = {"respond": {}, **section(offset_gcode=code)}
     printer = start(changes=changes).homed()
     printer.run("CALIBRATE_Z")
     assert printer.offset() == pytest.approx(offset, abs=0.001)
@@ -351,7 +352,7 @@ def test_modes_are_as_before_in_every_template(start, mode):
         **section(
             start_gcode="\n  LOOK\n  CHANGE",
             end_gcode="\n  LOOK\n  CHANGE",
-            offset_gcode="\n  LOOK\n  CHANGE",
+            offset_gcode="\n  LOOK\n  CHANGE\n  Z_CALIBRATION_KEEP_OFFSET",
         ),
     }
     printer = start(changes=changes).homed()

@@ -47,6 +47,7 @@ def let_go(printer):
 
 
 BAD = [
+    Run("Z_CALIBRATION_KEEP_OFFSET", "belongs into offset_gcode"),
     Run("CALCULATE_SWITCH_OFFSET", "CALIBRATE_Z"),
     Run("Z_CALIBRATION_SAVE_GCODE_OFFSET", "CALIBRATE_Z"),
     Run("Z_CALIBRATION_REPORT", "'history' is none"),
@@ -62,7 +63,9 @@ BAD = [
 @pytest.mark.every_host
 def test_good_run_of_every_command(start):
     printer = started(start, "voron", {})
-    assert go_well(printer, GOOD) == ours(printer) - GUARDED
+    # That one is for a macro in offset_gcode
+    alone = {"Z_CALIBRATION_KEEP_OFFSET"}
+    assert go_well(printer, GOOD) == ours(printer) - GUARDED - alone
     printer.run(END)
     # The baby step counts in each run that follows
     gap = printer.scene.formula_gap() + 0.02

@@ -11,7 +11,7 @@ LAST = heights.Result(8.5, 8.0, 1.0, 0.5, 1.0)
 
 
 def geometry(body, last=LAST, departure=None):
-    compared = expected.Geometry(expected.Earlier(last, True, departure))
+    compared = expected.Geometry(expected.Earlier(last, True, departure, None))
     compared.compare(body)
     return compared
 
@@ -43,5 +43,5 @@ def test_what_departs_from_many_runs_is_dirt():
 
 def test_body_of_before_holds_as_long_as_the_frame():
     for holds, body in ((True, 7.0), (False, None)):
-        earlier = expected.Earlier(LAST, holds, None)
+        earlier = expected.Earlier(LAST, holds, None, None)
         assert expected.Expectations(None, earlier).body() == body

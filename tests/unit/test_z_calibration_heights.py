@@ -81,10 +81,11 @@ class TestCheckOffset:
         check, margins = zc.check_offset, (-1.0, 1.0)
         assert complaint(check, result, margins, None) == text
         zero = ZZero("stepper_z", "position_endstop", 3.0)
-        assert complaint(check, result, margins, zero) == (
-            f"{text} of section 'stepper_z' (3.000 - {value:.3f}:"
-            f" try {3.0 - value:.3f})"
-        )
+        right = f" (3.000 - {value:.3f}: try {3.0 - value:.3f})"
+        # None that brings the nozzle closer to the bed
+        right = "" if value < 0.0 else right
+        text += f" of section 'stepper_z'{right}"
+        assert complaint(check, result, margins, zero) == text
 
     @given(results, margin_pairs)
     def test_refuses_just_what_is_outside(self, result, margins):
@@ -191,8 +192,8 @@ class TestFloors:
         [
             (0.0, (-1.0, 1.0), 1.0, -5.0, -1.0),
             (2.25, (-1.0, 1.0), 1.0, -5.0, 1.25),
-            (0.0, (-3.0, 1.0), 1.0, -5.0, -3.0),  # what the margins allow
-            (0.0, (-0.25, 3.0), 1.0, -5.0, -1.0),  # the travel margin is larger
+            (0.0, (-3.0, 1.0), 1.0, -5.0, -1.0),  # margins are for the result
+            (0.0, (-0.25, 3.0), 1.0, -5.0, -1.0),
             (0.0, (-0.25, 3.0), 0.5, -5.0, -0.5),
             (0.0, (0.0, 1.0), 1.0, -5.0, -1.0),
             (0.0, (-1.0, 1.0), 1.0, -0.5, -0.5),  # never below position_min
@@ -216,8 +217,8 @@ class TestFloors:
         ("expected", "position_min", "floor"),
         [
             (None, -5.0, -5.0),
-            (2.0, -5.0, -1.0),  # within the margins
-            (0.0, -5.0, -3.0),
+            (2.0, -5.0, 1.5),
+            (0.0, -5.0, -0.5),
             (2.0, 1.75, 1.75),
         ],
     )

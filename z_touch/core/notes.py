@@ -18,24 +18,31 @@ class Notes(object):
         self.host = host
         self.read = read
         self.texts = []
+        self.is_looking = False
         # Who has heard them, and when to give up (eventtime)
         self.heard = []
         self.end = 0.0
         host.printer.register_event_handler("klippy:ready", self.begin)
 
     def begin(self):
-        self.texts = [text for text in self.read() if text]
-        if not self.texts:
+        self.add([text for text in self.read() if text])
+
+    # Some may be known later
+    def add(self, texts):
+        if not texts:
             return
-        self.say()
-        for text in self.texts:
+        self.texts = self.texts + texts
+        for text in texts:
+            self.host.say(text)
             self.host.warn(text)
         reactor, eventtime = (
             self.host.printer.get_reactor(),
             self.host.eventtime(),
         )
         self.heard, self.end = self.host.listeners(), eventtime + LISTEN_TIME
-        reactor.register_timer(self.look, eventtime + LISTEN_INTERVAL)
+        if not self.is_looking:
+            self.is_looking = True
+            reactor.register_timer(self.look, eventtime + LISTEN_INTERVAL)
 
     def say(self):
         for text in self.texts:
@@ -47,5 +54,6 @@ class Notes(object):
         if is_new:
             self.say()
         if is_new or eventtime > self.end:
+            self.is_looking = False
             return self.host.printer.get_reactor().NEVER
         return eventtime + LISTEN_INTERVAL

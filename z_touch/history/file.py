@@ -427,13 +427,15 @@ class Turn(object):
 # The runs of one printer, on klippy's main thread
 class History(object):
     # 'file': None where nothing is kept.  say(text) is called on the main
-    # thread, when there is something to warn of.
-    def __init__(self, reactor, file, printer, say):
+    # thread, when there is something to warn of, begun() when the runs of before are
+    # here.
+    def __init__(self, reactor, file, printer, say, begun=None):
         self.reactor = reactor
         self.file = file
         # The path of printer.cfg, as several printers may have one folder
         self.printer = printer
         self.say = say
+        self.begun = begun
         self.runs = []
         # Of the runs with each extruder, by its name
         self.summaries = {}
@@ -446,6 +448,8 @@ class History(object):
     def begin(self):
         if self.file is not None:
             self.in_thread(self._read)
+        elif self.begun is not None:
+            self.later(self.begun)
 
     # Calls work(*args) in a thread, which ends with that: klippy's end waits for
     # nobody.
@@ -545,6 +549,8 @@ class History(object):
         if runs is not None:
             # A run may have ended before all was read
             self.runs = (runs + self.runs)[-self.file.limit :]
+            if self.begun is not None:
+                self.begun()
         self.summaries = summaries
         self._show()
         for text in texts:

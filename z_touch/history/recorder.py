@@ -34,8 +34,9 @@ def find_file(config_file, folder, runs):
 # Of a run that is under way: when it began (eventtime), its adaptive.Plan, and why
 # the nozzle was cleaned.
 class Recorder(object):
-    # 'settings' name the folder; 'version' of the modules
-    def __init__(self, host, settings, version):
+    # 'settings' name the folder; 'version' of the modules; begun() is called when the
+    # runs of before are known, after klippy is ready
+    def __init__(self, host, settings, version, begun):
         self.host = host
         self.printer = host.printer
         self.version = version
@@ -46,6 +47,7 @@ class Recorder(object):
             find_file(config_file, settings.history, settings.history_runs),
             as_text(config_file),
             self.say,
+            begun,
         )
         self.plan = None
         # Of the section (mm), and PLATE of the command
@@ -130,6 +132,16 @@ class Recorder(object):
         )
         if self.history.file is not None:
             self.draw()
+
+    # The last good run with the extruder that is active: toolhead Z (mm) of each site,
+    # and its switch_offset; None: there is none
+    def last_good(self):
+        own = trend.of_tool(self.history.runs, self.host.extruder())
+        for run in reversed(own):
+            if run["ok"]:
+                heights = {site: run["sites"][site]["z"] for site in SITES}
+                return dict(heights, switch_offset=run["switch_offset"])
+        return None
 
     # X, Y (mm) of the last good run that has met the pin with the probe on the head;
     # None: none has

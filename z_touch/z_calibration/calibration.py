@@ -128,8 +128,11 @@ class Calibration(object):
     def at_switch(self):
         return SwitchMeasurement(self.run, self.sites.switch, self.settings.pin)
 
-    def at_bed(self):
-        return BedMeasurement(self.run, self.sites.bed, self.settings.probe)
+    # 'lowest': the lowest offset (mm) that the bed may have; None: its floor is not of
+    # what that may be
+    def at_bed(self, lowest=None):
+        site, sampling = self.sites.bed, self.settings.probe
+        return BedMeasurement(self.run, site, sampling, lowest)
 
     ##################################################################
     # Nozzle
@@ -221,12 +224,13 @@ class Calibration(object):
     # goes down where it may meet something else than the pin.
     def floor_from_bed(self, nozzle_z, hard):
         try:
-            return max(hard, self.lowest_switch(nozzle_z))
+            lowest = self.lowest_switch(nozzle_z)
         except errors.NoTrigger as e:
             self.run.watch.say("%s" % (e,))
             text = "searching for the switch down to z=%.3f"
             self.run.watch.say(text % (hard,))
             return hard
+        return max(heights.switch_floor(self.settings, nozzle_z, None), lowest)
 
     # By one touch of the bed; raises NoTrigger where that cannot be found
     def lowest_switch(self, nozzle_z):
@@ -238,7 +242,8 @@ class Calibration(object):
                 " first, below z=%.3f" % (floor,)
             )
         bed_z = self.at_bed().look(self.travel_z, floor)
-        return heights.lowest_switch(settings, nozzle_z, bed_z)
+        kept = self.expected.earlier.kept
+        return heights.lowest_switch(settings, nozzle_z, bed_z, kept)
 
     ##################################################################
     # Bed
@@ -251,4 +256,7 @@ class Calibration(object):
         self.travel_z = heights.travel_height_to_bed(
             self.settings, nozzle_z, switch_z
         )
-        return self.at_bed().measure(self.travel_z, expected_z, floor)
+        kept = self.expected.earlier.kept
+        lowest, _ = heights.possible_offsets(self.settings, nozzle_z, kept)
+        bed = self.at_bed(lowest)
+        return bed.measure(self.travel_z, expected_z, floor)

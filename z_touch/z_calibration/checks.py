@@ -26,6 +26,21 @@ def check_probe(host):
         )
 
 
+# klipper-toolchanger shifts Z by what the section of the tool on the toolhead says,
+# below the G-code offset, which would then hold it a second time.  Raises
+# CalibrationError.
+def check_tool_offset(host):
+    for name, tool in host.printer.lookup_objects("tool"):
+        status = tool.get_status(host.eventtime())
+        shift = status.get("gcode_z_offset") or 0.0
+        if status.get("active") and shift:
+            raise CalibrationError(
+                "gcode_z_offset of section '%s' is %.3f and that tool is active:"
+                " CALIBRATE_Z measures what its nozzle needs, so it would count"
+                " twice; set it to 0 there" % (name, shift)
+            )
+
+
 # Raises CalibrationError.  'settings' are completed.
 def check_settings(host, settings):
     result = settings.probe.result
@@ -71,7 +86,50 @@ def notes(host, settings):
             % (travel_z, settings.unmeasured_pin)
         )
     yield settings.counting.impossible(host.axes.z_step())
+    yield position_min_note(host, settings)
     yield mesh_note(host, settings)
+
+
+# A position_min that lets the nozzle's touch go less far down than it may; empty: it
+# does not
+def position_min_note(host, settings):
+    homed_z = settings.position_endstop
+    if homed_z is None:
+        return ""
+    floor = homed_z - settings.travel_margin
+    if settings.position_min <= floor + heights.ROUNDING:
+        return ""
+    return (
+        "the nozzle's touch ends at position_min (%.3f), only %.3f mm below"
+        " position_endstop (%.3f); set position_min of section '%s' to %.3f or lower"
+        % (
+            settings.position_min,
+            homed_z - settings.position_min,
+            homed_z,
+            position_min_section(host, settings),
+            floor,
+        )
+    )
+
+
+# The section that position_min is of
+def position_min_section(host, settings):
+    axis = host.axes.z_axis
+    is_own = settings.position_min > axis.position_min
+    return host.section if is_own else axis.section
+
+
+# Until a run was good, no touch of the bed knows better how low that may be.  Empty:
+# with these margins it ends soon enough
+def margins_note(settings):
+    low = settings.offset_margins[0]
+    if low > -heights.BED_VARIES:
+        return ""
+    return (
+        "until a run was good, 'offset_margins' down to %g let a probe that does not"
+        " answer be pressed %g mm into the bed; watch the first run, or write -1, 1"
+        % (low, -low)
+    )
 
 
 # What a mesh that is loaded after CALIBRATE_Z does to the gap; empty: nothing

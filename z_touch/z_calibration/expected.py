@@ -13,9 +13,10 @@ GEOMETRY_JUMP = 0.5
 
 # What earlier runs say: the last good heights.Result or None, whether the frame
 # is still the one of that run, and departure(switch - nozzle), by how much that
-# departs from many of them (mm), or None.
-Earlier = collections.namedtuple("Earlier", "last holds departure")
-NOTHING_EARLIER = Earlier(None, False, None)
+# departs from many of them (mm), or None; and what of a good run holds for all later
+# ones, heights.Kept or None.
+Earlier = collections.namedtuple("Earlier", "last holds departure kept")
+NOTHING_EARLIER = Earlier(None, False, None, None)
 
 
 # Heights of one run before they are measured: toolhead Z (mm)
@@ -30,7 +31,7 @@ class Expectations(object):
     # Where each site should trigger; None: nobody knows
 
     def nozzle(self):
-        last, holds, _ = self.earlier
+        last, holds = self.earlier.last, self.earlier.holds
         return heights.expect_nozzle(self.settings, last, holds)
 
     def switch(self, nozzle_z):
@@ -44,16 +45,16 @@ class Expectations(object):
     # Where a touch ends at the latest: of the nozzle; with nozzle_z of the switch;
     # with switch_z, too, of the bed.
     def floor(self, nozzle_z=None, switch_z=None):
-        settings = self.settings
+        settings, kept = self.settings, self.earlier.kept
         if nozzle_z is None:
             floor = heights.nozzle_floor(settings, self.nozzle())
             return heights.floor_over(settings, floor, self.points[0])
         if switch_z is None:
             expected_z = self.switch(nozzle_z)
-            floor = heights.switch_floor(settings, nozzle_z, expected_z)
+            floor = heights.switch_floor(settings, nozzle_z, expected_z, kept)
             below = heights.least_body(settings)
             return heights.floor_over(settings, floor, self.points[1], below)
-        return heights.bed_floor(settings, nozzle_z, switch_z)
+        return heights.bed_floor(settings, nozzle_z, switch_z, kept)
 
     # Where the head moves over the pin; 'pin_z': how high that is, None: nobody knows
     def travel_height(self, pin_z):
@@ -61,7 +62,7 @@ class Expectations(object):
 
     # switch - nozzle (mm) of the probe that was there last, or None
     def body(self):
-        last, holds, _ = self.earlier
+        last, holds = self.earlier.last, self.earlier.holds
         return last.switch - last.nozzle if holds else None
 
 

@@ -38,8 +38,23 @@ UNMEASURED_PROBE = 10.0
 # triggers; no micro switch has a longer pretravel.
 FREE_PLUNGER = 1.0
 
+# Plates of one printer differ in thickness by less than this (mm), so its bed is found
+# so near to where the last good run has found it, seen from the pin.
+BED_VARIES = 2.0
+
+# A nozzle that meets its pin this much (mm) higher than where Z was homed on that pin
+# does not meet it itself: something hangs below it.  Tools differ by less in length.
+HANGS_BELOW = 3.0
+
+# So far (mm) below position_endstop a touch has to be able to go at least: homing
+# again moves the trigger by some microsteps.
+LEAST_ROOM = 0.05
+
 # What to do about a frame that may be outdated
 HOME_AGAIN = "home Z again (G28 Z) after any levelling"
+
+# Heights (mm) that differ by less are the same.
+ROUNDING = 0.0000001
 
 # Travel height (mm) where twice the probe's z_offset is no real height.
 SMALLEST_SAFE_Z = 3.0
@@ -85,10 +100,14 @@ def check_offset(result, margins, zero):
     raise CalibrationError(text % values)
 
 
-# What would make the offset (mm) 0, in words
+# What would make the offset (mm) 0, in words.  A bed that is lower than expected gets
+# no number: that would bring the nozzle closer to it, and without plate or probe the
+# bed only seems to be so low.
 def corrected_zero(zero, z_offset):
     if zero is None:
         return "position_endstop"
+    if z_offset < 0.0:
+        return "%s of section '%s'" % (zero.option, zero.section)
     text = "%s of section '%s' (%.3f - %.3f: try %.3f)"
     values = zero.option, zero.section, zero.z, z_offset, zero.z - z_offset
     return text % values
@@ -135,16 +154,36 @@ def expect_bed(settings, nozzle_z, switch_z, last):
 # nozzle in the air.
 
 
-# The nozzle meets the Z endstop where Z was homed, give or take what the
-# margins allow.  Nobody knows how high a pin of its own is until it was touched.
+# The nozzle meets the Z endstop where Z was homed: what the *result* may be has no say
+# in it.  Nobody knows how high a pin of its own is until it was touched.
 def nozzle_floor(settings, expected_z):
-    reach = max(settings.travel_margin, -settings.offset_margins[0])
     homed_z = settings.position_endstop
     if homed_z is None:
         homed_z = expected_z
     if homed_z is None:
         return settings.position_min
-    return max(settings.position_min, homed_z - reach)
+    return max(settings.position_min, homed_z - settings.travel_margin)
+
+
+# What the offset can be (low, high; mm): as offset_margins say, and, once a run was
+# good ('kept', None: none was), so near to the bed of that run as plates differ.
+def possible_offsets(settings, nozzle_z, kept):
+    low, high = settings.offset_margins
+    if kept is None:
+        return low, high
+    before = nozzle_z + kept.bed
+    return max(low, before - BED_VARIES), min(high, before + BED_VARIES)
+
+
+# The heights of a good run as they hold for later ones (mm): switch - nozzle of its
+# probe, and how high the bed is above where the nozzle meets the pin.
+Kept = collections.namedtuple("Kept", "body bed")
+
+
+# From toolhead Z of the three sites and the switch_offset (mm) of that run
+def kept_of(nozzle, switch, bed, switch_offset):
+    z_offset = offset(bed, switch, nozzle, switch_offset)
+    return Kept(switch - nozzle, z_offset - nozzle)
 
 
 # Over what the bed mesh covers no pin is lower than the bed, which meets the nozzle
@@ -167,33 +206,62 @@ def least_body(settings):
 # The body hangs below the nozzle, in any case; where a trigger is expected,
 # the touch ends travel_margin below it.  The probe's z_offset would be tighter, but
 # many configurations hold a value there that was never measured.
-def switch_floor(settings, nozzle_z, expected_z):
+# 'kept' as in possible_offsets()
+def switch_floor(settings, nozzle_z, expected_z, kept=None):
     floor = max(settings.position_min, nozzle_z + BODY_BELOW_NOZZLE)
+    if kept is not None:
+        floor = max(floor, nozzle_z + kept.body - BED_VARIES)
     if expected_z is None:
         return floor
     return max(floor, expected_z - settings.travel_margin)
 
 
-# A bed that is lower than this would give an offset below the lower margin.
-def bed_floor(settings, nozzle_z, switch_z):
+# A bed that is lower than this would give an offset that cannot be.
+def bed_floor(settings, nozzle_z, switch_z, kept=None):
     gap = switch_z - nozzle_z + settings.switch_offset
-    return max(settings.position_min, gap + settings.offset_margins[0])
+    low, _ = possible_offsets(settings, nozzle_z, kept)
+    return max(settings.position_min, gap + low)
 
 
-# What to do where nothing triggered down to that floor; 'zero' as in
-# check_offset(), 'site' the touched one.  Empty: with such margins the bed is not
-# known to be low.
-def below_margins(settings, zero, site):
+# What to do where nothing triggered down to that floor, 'lowest': the offset (mm) there;
+# 'zero' as in check_offset(), 'site' the touched one.  Empty: with such margins the bed
+# is not known to be low.
+def below_margins(settings, lowest, zero, site):
     low = settings.offset_margins[0]
+    check = (
+        "check that the plate is on, the probe (QUERY_PROBE) and %s, and that Z was"
+        " homed (G28 Z) after any levelling" % (site.place(),)
+    )
+    if lowest > low:
+        return (
+            "the last good run has found the bed %g mm higher; %s; if pin or bed is"
+            " elsewhere now, CALIBRATE_Z ACCEPT_CHANGE=1" % (BED_VARIES, check)
+        )
     if low >= 0.0:
         return ""
     # Whoever is led through the set-up has not chosen it
-    lowest = "the low end of offset_margins (%.3f)" if site.option else "z=%.3f"
-    return (
-        "the bed is below %s, or the probe is dead; the plate has to be on, and Z"
-        " homed (G28 Z) after any levelling; check %s and the probe, then %s"
-        % (lowest % (low,), site.place(), corrected_zero(zero, low))
+    end = "the low end of offset_margins (%.3f)" if site.option else "z=%.3f"
+    text = "the bed is below %s, or the probe is dead; %s; only then correct %s"
+    return text % (end % (low,), check, corrected_zero(zero, low))
+
+
+# What to do where position_min of 'section' has ended a touch early, without a trigger;
+# 'expected_z': where it was expected (toolhead Z, mm; None: nobody knew).  Empty: it
+# has not.
+def ended_by_position_min(settings, section, floor, expected_z):
+    position_min = settings.position_min
+    if floor > position_min + ROUNDING:
+        return ""
+    end = "position_min (%.3f) of section '%s' has ended this touch" % (
+        position_min,
+        section,
     )
+    if expected_z is None:
+        return end
+    wanted = expected_z - settings.travel_margin
+    if wanted > position_min - ROUNDING:
+        return ""
+    return "%s; set it to %.3f or lower" % (end, wanted)
 
 
 # Where the bed may be looked for with a probe of unknown length: the nozzle
@@ -207,9 +275,9 @@ def unmeasured_bed_floor(settings, nozzle_z):
 
 
 # The lowest height of the body on the pin if the probe triggered on the bed
-# at bed_z: the offset can be no larger than the upper margin.
-def lowest_switch(settings, nozzle_z, bed_z):
-    gap = bed_z - settings.offset_margins[1]
+# at bed_z: the offset can be no larger than that.
+def lowest_switch(settings, nozzle_z, bed_z, kept=None):
+    gap = bed_z - possible_offsets(settings, nozzle_z, kept)[1]
     return nozzle_z + gap - settings.switch_offset
 
 

@@ -90,6 +90,8 @@ class Hooks(object):
         # How G-code reads coordinates where each of them begins; None: as it does
         # by then
         self.modes = None
+        # offset_gcode is under way, and has said that it keeps the offset
+        self.is_applying = self.is_kept = False
 
     # While this lasts G-code reads coordinates as it does now wherever a template
     # begins, and when it ends: one that fails between its G91 and G90 makes no
@@ -155,12 +157,23 @@ class Hooks(object):
         with running.always(self.host, put_away, "docking the probe"):
             self.run_gcode("end_gcode")
 
-    # What is applied is a G-code Z offset (mm)
+    # What is applied is a G-code Z offset (mm).  Returns whether offset_gcode has said
+    # that it keeps it, or makes another one of it.
     def apply(self, z_offset):
         if self.settings.offset_gcode is None:
             self.host.gcode_offset.set(z_offset)
-            return
-        self.run_gcode("offset_gcode", Z="%.6f" % (z_offset,))
+            return False
+        self.is_applying, self.is_kept = True, False
+        try:
+            self.run_gcode("offset_gcode", Z="%.6f" % (z_offset,))
+        finally:
+            self.is_applying = False
+        return self.is_kept
+
+    # Whoever runs now says so; returns whether that is offset_gcode
+    def keep_offset(self):
+        self.is_kept = self.is_applying
+        return self.is_applying
 
     # After a failure, last of all; an error of its own must not hide 'error'.
     def failed(self, error):

@@ -17,11 +17,13 @@ import functools
 
 from ..core import carrying, errors, motion, touching
 from ..core.spread import spread_site, spread_tolerance
-from . import pace
+from . import checks, pace
 from .heights import (
     FREE_PLUNGER,
+    HANGS_BELOW,
     HOME_AGAIN,
     below_margins,
+    ended_by_position_min,
     may_hang,
     nozzle_floor,
 )
@@ -259,16 +261,32 @@ class Measurement(object):
     def attempt(self, touch, *args):
         start_z = self.host.motion.z()
         try:
-            return touch(*args)
+            touched = touch(*args)
         except errors.CalibrationError as e:
             at_start = touching.is_at(self.host, start_z)
             if isinstance(e, errors.NoTrigger) or at_start:
                 self.explain()
-            raise e.advised(self.advice(), self.expected_z)
+            advice = self.ended_early() or self.advice()
+            raise e.advised(advice, self.expected_z)
+        self.check_height()
+        return touched
+
+    # Raises CalibrationError where what was just touched cannot be the right thing
+    def check_height(self):
+        pass
 
     # What to look at after a touch that has just failed
     def advice(self):
         return self.remedy % (self.site.place(),)
+
+    # What to do where position_min has ended it; empty: it has not
+    def ended_early(self):
+        if self.floor is None or not touching.is_at(self.host, self.floor):
+            return ""
+        section = checks.position_min_section(self.host, self.settings)
+        return ended_by_position_min(
+            self.settings, section, self.floor, self.expected_z
+        )
 
     # Up to where the next touch begins
     def retract(self):
@@ -389,6 +407,7 @@ class NozzleMeasurement(Measurement):
         while True:
             met_z = self.head.come_down(self.endstop(), z, speed)
             if met_z is not None:
+                self.check_height()
                 return met_z
             if probe.query_endstop(self.host.after_moves()):
                 self.refuse_attached(self.host.motion.z())
@@ -414,6 +433,24 @@ class NozzleMeasurement(Measurement):
         raise errors.CalibrationError(
             "the probe is on the head, and has met the bed at z=%.3f, where"
             " nothing should be met before the pin; %s" % (met_z, remedy)
+        )
+
+    # Z was homed on this pin, so the nozzle meets it about there.
+    def check_height(self):
+        homed_z, z = self.settings.position_endstop, self.head.pressed_z
+        if None in (homed_z, z) or z <= homed_z + HANGS_BELOW:
+            return
+        text = "triggered at z=%.3f, %.1f mm above position_endstop (%.3f)"
+        text %= (z, z - homed_z, homed_z)
+        moved = self.run.homed.moved()
+        if moved:
+            raise errors.CalibrationError(
+                "%s, and %s; %s" % (text, moved, HOME_AGAIN)
+            )
+        raise errors.CalibrationError(
+            "%s, at which Z was homed on this pin: something hangs below the"
+            " nozzle, such as the probe; take it off, or attach it in"
+            " before_switch_gcode" % (text,)
         )
 
     def touch_free_site(self, travel_z, floor):
@@ -475,8 +512,10 @@ class BedMeasurement(Measurement):
     # The host's own probing while a session lasts that ends at the floor
     probe_once = None
 
-    # With bed_spread each sample is at a point of its own
-    def __init__(self, run, site, sampling):
+    # With bed_spread each sample is at a point of its own.  'lowest': the lowest offset
+    # (mm) that the floor allows for, None: it is another floor
+    def __init__(self, run, site, sampling, lowest=None):
+        self.lowest = lowest
         self.spread = run.settings.bed_spread
         self.middle = site
         tolerance = spread_tolerance(sampling.tolerance, self.spread)
@@ -569,11 +608,10 @@ class BedMeasurement(Measurement):
     # A bed that nothing was known of, down to the lowest that it may be
     def advice(self):
         remedy, place = "", self.site.place()
-        is_below = self.floor is not None and not self.taken
+        is_below = self.lowest is not None and not self.taken
         if is_below and touching.is_at(self.host, self.floor):
-            remedy = below_margins(
-                self.settings, self.host.axes.z_zero(), self.site
-            )
+            zero = self.host.axes.z_zero()
+            remedy = below_margins(self.settings, self.lowest, zero, self.site)
         if self.site.option:
             place += ", switch_offset"
         return remedy or self.remedy % (place,)

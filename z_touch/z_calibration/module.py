@@ -46,6 +46,7 @@ from .results import NOTHING, Results, height_of
 from .settings import (
     complete,
     idle_params,
+    param_accept_change,
     param_plate,
     param_switch_offset,
     param_touches,
@@ -59,9 +60,6 @@ NO_CHANGE = 0.0000001
 
 # How far (mm) last_z_offset may be rounded by an end_gcode that applies it itself
 OWN_DIGITS = 0.0006
-
-# So much (mm) is added to see whether offset_gcode sets anything
-UNTOUCHED = 0.00001
 
 # What a plate or a material may need (mm) on top of what was measured
 LARGEST_ADJUST = 0.5
@@ -93,7 +91,9 @@ class ZCalibration(object):
         self.settings = read_settings(config, self.host.axes.z_axis, old_names)
         # None: the Z endstop, which exists when klippy connects
         self.pin = read_pin(config, self.host, old_names)
-        self.recorder = recorder.Recorder(self.host, self.settings, __version__)
+        self.recorder = recorder.Recorder(
+            self.host, self.settings, __version__, self.history_read
+        )
         self.hooks = Hooks(
             self.host, self.settings, self.frame, self.runner.watch
         )
@@ -108,6 +108,8 @@ class ZCalibration(object):
         running.register_commands(self.host, self.recorder)
         # A SET_GCODE_OFFSET with Z has run since end_gcode began
         self.is_set_anew = False
+        # The run that is under way believes no heights of earlier runs
+        self.accepts_change = False
         # For the guide and the corrections
         self.interface = Interface(self)
         corrections.Corrections(self.interface)
@@ -146,6 +148,12 @@ class ZCalibration(object):
     # What the user is told when klippy is ready
     def start_notes(self, old_names):
         return old_names.notes + list(checks.notes(self.host, self.settings))
+
+    # The runs of before are known: how low the first one may go
+    def history_read(self):
+        if self.recorder.last_good() is None:
+            note = checks.margins_note(self.settings)
+            self.notes.add([note] if note else [])
 
     def get_status(self, eventtime):
         status = self.results.status()
@@ -226,7 +234,10 @@ class ZCalibration(object):
     # What the next run knows before it begins
     def earlier(self, departure=None):
         last, holds = self.results.earlier(self.host.extruder())
-        return Earlier(last, holds, departure)
+        good, kept = self.recorder.last_good(), None
+        if good is not None and not self.accepts_change:
+            kept = heights.kept_of(**good)
+        return Earlier(last, holds, departure, kept)
 
     # Returns the heights.Result, None where the nozzle is dirty.  'why': it was found
     # to be so, and is cleaned first.
@@ -259,6 +270,10 @@ class ZCalibration(object):
         self.runner.check_idle(gcmd)
         self.results.begin()
         self.check_nobody_asked(gcmd, own=True)
+        try:
+            checks.check_tool_offset(self.host)
+        except errors.CalibrationError as e:
+            raise gcmd.error("%s: %s" % (self.host.section, e))
         settings = param_touches(gcmd, self.settings)
         for name in idle_params(gcmd, settings):
             text = "%s is ignored with 'samples: auto'"
@@ -272,10 +287,12 @@ class ZCalibration(object):
             self.runner.watch.say(impossible)
         wanted = 2 * plan.expected(settings.pin) + plan.expected(settings.probe)
         work = functools.partial(self.calibrate_and_apply, gcmd, settings)
+        self.accepts_change = param_accept_change(gcmd)
         try:
             last = self.run(gcmd, work, "start_gcode", wanted, self.failed)
         finally:
             self.results.note(None)
+            self.accepts_change = False
         before = self.results.last.result
         self.results.keep(last)
         self.report(gcmd, last)
@@ -313,18 +330,37 @@ class ZCalibration(object):
             warnings=last.warnings + shifts.warnings(),
         )
 
-    # Returns the G-code offset (mm) that came of it
+    # Returns the G-code offset (mm) that came of it.  An offset_gcode begins with 0, so
+    # that it is seen whether it sets anything.
     def apply(self, z_offset):
         before = self.host.gcode_offset.z()
-        # An offset_gcode may only keep it, for later, or set the same as it was
-        untouched = before + UNTOUCHED
-        self.host.gcode_offset.set(untouched)
-        self.hooks.apply(z_offset)
+        self.host.gcode_offset.replace(0.0)
+        is_kept = self.hooks.apply(z_offset)
         after = self.host.gcode_offset.z()
-        if abs(after - untouched) < NO_CHANGE:
-            self.host.gcode_offset.set(before)
+        if not is_kept and abs(after - z_offset) > OWN_DIGITS:
+            raise errors.CalibrationError(
+                "offset_gcode has left a G-code Z offset of %.6f instead of %.6f;"
+                " check its macros for a misspelt name, or write"
+                " Z_CALIBRATION_KEEP_OFFSET into one that makes another offset of"
+                " it, or keeps it for later" % (after, z_offset)
+            )
+        if is_kept and not after:
+            self.host.gcode_offset.replace(before)
             return z_offset
         return after
+
+    cmd_Z_CALIBRATION_KEEP_OFFSET_help = (
+        "In offset_gcode: it keeps the offset, or makes another one of it"
+    )
+
+    # Without it an offset_gcode that sets another offset than was measured, or none
+    # as its macro is misspelt, is an error.
+    def cmd_Z_CALIBRATION_KEEP_OFFSET(self, gcmd):
+        if not self.hooks.keep_offset():
+            raise gcmd.error(
+                "%s: Z_CALIBRATION_KEEP_OFFSET belongs into offset_gcode, or a"
+                " macro that it runs" % (self.host.section,)
+            )
 
     # Returns the results.Last, not applied yet, and what end_gcode has added to the
     # G-code offset (mm).  That runs before the offset is applied: the way to the
@@ -357,6 +393,8 @@ class ZCalibration(object):
     def calibrate_once(self, calibration, finder, z_adjust, why=""):
         clean = self.clean_nozzle if self.hooks.can_clean else None
         with self.prepared(calibration, self.recorder.departure):
+            # start_gcode may have fetched another tool
+            checks.check_tool_offset(self.host)
             result = self.measure(calibration, clean, why)
             if result is None:
                 return None
@@ -410,11 +448,18 @@ class ZCalibration(object):
             text = "Z-CALIBRATION: --> G-code Z offset %.6f"
             gcmd.respond_info(text % (last.z_offset,))
         homed_z = self.settings.position_endstop
-        if homed_z is not None and abs(result.offset) > LARGE_OFFSET:
+        if homed_z is not None and result.offset > LARGE_OFFSET:
             gcmd.respond_info(
                 "HINT: z position_endstop=%.3f - offset=%.6f --> possible z"
                 " position_endstop=%.3f"
                 % (homed_z, result.offset, homed_z - result.offset)
+            )
+        elif homed_z is not None and result.offset < -LARGE_OFFSET:
+            # A number would bring the nozzle closer to a bed that only seems so low
+            gcmd.respond_info(
+                "HINT: the bed is %.3f mm lower than position_endstop=%.3f says;"
+                " check that the plate is on and how the probe is seated"
+                % (-result.offset, homed_z)
             )
 
     # Of a switch_offset that the set-up has taken from a list

@@ -8,6 +8,7 @@
 from __future__ import absolute_import
 
 from ..core import options, pin_options, touching, z_pin
+from ..core.endstops import chip_of
 from ..core.errors import CalibrationError
 from ..core.options import option
 from ..core.sampling import filled
@@ -386,7 +387,12 @@ def read_settings(config, z_axis, old_names):
         homed_z = z_axis.position_endstop
         values["nozzle_xy_position"] = site or read_home(config)
     values["position_min"] = limit_position_min(
-        config, values["position_min"], z_axis, homed_z, old_names
+        config,
+        values["position_min"],
+        z_axis,
+        homed_z,
+        values["travel_margin"],
+        old_names,
     )
     values["samples"] = counting.count
     pin, probe = samplings_of(values, old_names)
@@ -424,22 +430,24 @@ def samplings_of(values, old_names):
     return pin, probe
 
 
-def limit_position_min(config, lowest, z_axis, homed_z, old_names):
-    if lowest is None:
-        return z_axis.position_min
-    if homed_z is not None and lowest > homed_z:
-        raise config.error(
-            "Option 'position_min' in section 'z_calibration': %.3f is above"
-            " position_endstop (%.3f) of section '%s', no touch could reach"
-            " the pin; remove it or write a smaller value"
-            % (lowest, homed_z, z_axis.section)
-        )
-    if lowest < z_axis.position_min:
+def limit_position_min(config, lowest, z_axis, homed_z, margin, old_names):
+    position_min, section = z_axis.position_min, z_axis.section
+    if lowest is not None and lowest < position_min:
         old_names.notes.append(
             "option 'position_min: %g' is ignored, section '%s' ends at %g"
-            % (lowest, z_axis.section, z_axis.position_min)
+            % (lowest, section, position_min)
         )
-    return max(lowest, z_axis.position_min)
+    elif lowest is not None and lowest > position_min:
+        position_min, section = lowest, config.get_name()
+    is_homed_on = homed_z is not None and chip_of(z_axis.endstop_pin) != "probe"
+    if is_homed_on and homed_z - position_min < heights.LEAST_ROOM:
+        raise config.error(
+            "Option 'position_min' in section '%s': %.3f leaves no touch the room to"
+            " press the pin at position_endstop (%.3f) of section '%s'; set it to"
+            " %.3f or lower"
+            % (section, position_min, homed_z, z_axis.section, homed_z - margin)
+        )
+    return position_min
 
 
 # Options that count for nothing, as samples is auto, or is not
@@ -506,6 +514,12 @@ def idle_params(gcmd, settings):
         return []
     names = [name.upper() for name in settings.counting.idle]
     return [name for name in names if gcmd.get(name, "").strip()]
+
+
+# ACCEPT_CHANGE of a command: pin, bed or plate was changed
+def param_accept_change(gcmd):
+    value = options.param_int(gcmd, "ACCEPT_CHANGE", 0, minval=0, maxval=1)
+    return bool(value)
 
 
 # PLATE of a command: the owner's name of it, in any case of its letters

@@ -1,0 +1,451 @@
+"""What owners of [z_calibration] reported of their printers, rebuilt small."""
+
+from __future__ import annotations
+
+import re
+from dataclasses import replace
+from pathlib import Path
+
+import pytest
+
+from simprinter import Fault
+from tests.docs.documents import part
+from tools.kit.load_errors import load
+from tools.kit.printer import module_files
+from tools.kit.scenes import SCENES
+from tools.kit.z_calibration import (
+    BED,
+    BODY,
+    MICROSTEP,
+    PIN,
+    SWITCH_OFFSET,
+    TRIGGER,
+    assert_unharmed,
+    calibration,
+    lowest_tip,
+    section,
+    touched_sites,
+)
+
+# The offset of a good run, mm: what its bed is above margins around 0
+LOWEST = BED + TRIGGER - (BODY + SWITCH_OFFSET)
+ROOT = Path(__file__).resolve().parents[2]
+EXTRAS = ROOT / "tools" / "kit" / "extras"
+WIDE = {"offset_margins": "-5, 5"}
+
+
+def told(printer, words):
+    """The notes of the section that have these words."""
+    return [n for n in printer.status("z_calibration")["notes"] if words in n]
+
+
+def kill_probe(printer, depth):
+    """From now on it does not answer; it may be pressed so deep (mm) then."""
+    printer.machine.break_down(Fault("stuck_open", signal="probe", n=1))
+    printer.machine.tolerate("probe_bed", depth)
+    printer.machine.tolerate("body_bed", depth)
+
+
+def stopped_at(text):
+    return float(text.split("(stopped at z=")[1].split(")")[0])
+
+
+# Margins are for the result: how far down a touch may go is another question
+
+
+@pytest.mark.parametrize("is_calibrated", [False, True])
+def test_wide_margins_with_the_nozzle_beside_the_pin(start, is_calibrated):
+    """58 of 120 owners have a low end below -1."""
+    printer = start(changes=section(**WIDE)).homed()
+    if is_calibrated:
+        calibration(printer)
+    text = printer.fail("CALIBRATE_Z NOZZLE_POSITION=206,292")
+    assert f"(stopped at z={PIN - 1.0:.3f})" in text
+    assert lowest_tip(printer) > 0.0
+    assert "nozzle_bed" not in touched_sites(printer)
+
+
+def test_wide_margins_with_a_dead_endstop(start):
+    printer = start(changes=section(**WIDE)).homed()
+    printer.machine.break_down(Fault("stuck_open", signal="z_endstop", n=1))
+    printer.machine.tolerate("nozzle_pin", 1.0 + MICROSTEP)
+    text = printer.fail("CALIBRATE_Z")
+    assert f"(stopped at z={PIN - 1.0:.3f})" in text
+
+
+@pytest.mark.parametrize(
+    ("restarts", "parameter", "below"),
+    [
+        # The bed was found: plates differ by less than 2 mm
+        (False, "", 2.0),
+        # As the history has it
+        (True, "", 2.0),
+        # Pin or bed was changed: as if there were no history
+        (True, " ACCEPT_CHANGE=1", 5.0 + LOWEST),
+    ],
+)
+def test_dead_probe_after_a_good_run(start, restarts, parameter, below):
+    printer = start(changes=section(**WIDE)).homed()
+    calibration(printer)
+    if restarts:
+        printer.session.wait(2.0)
+        printer.session.restart("FIRMWARE_RESTART")
+        printer.homed()
+        assert told(printer, "until a run was good") == []
+    kill_probe(printer, below + MICROSTEP)
+    text = printer.fail("CALIBRATE_Z" + parameter)
+    floor = BED + TRIGGER - below
+    assert stopped_at(text) == pytest.approx(floor, abs=2 * MICROSTEP)
+    kept = "the last good run has found the bed 2 mm higher; check that the"
+    first = "the bed is below the low end of offset_margins (-5.000), or the"
+    assert (kept in text, first in text) == (below == 2.0, below != 2.0)
+    assert ("if pin or bed is elsewhere now, CALIBRATE_Z ACCEPT" in text) == (
+        below == 2.0
+    )
+    assert_unharmed(printer, printer.offset())
+    # ACCEPT_CHANGE counts for one run
+    text = printer.fail("CALIBRATE_Z")
+    assert stopped_at(text) == pytest.approx(
+        BED + TRIGGER - 2.0, abs=2 * MICROSTEP
+    )
+    printer.machine.repair()
+    calibration(printer)
+
+
+def test_margins_that_are_narrower_than_plates_differ_count(start):
+    printer = start(changes=section(offset_margins="-0.5, 0.5")).homed()
+    calibration(printer)
+    kill_probe(printer, 0.5 + LOWEST + MICROSTEP)
+    text = printer.fail("CALIBRATE_Z")
+    assert stopped_at(text) == pytest.approx(
+        BED + TRIGGER - 0.5 - LOWEST, abs=2 * MICROSTEP
+    )
+    assert "below the low end of offset_margins (-0.500)" in text
+
+
+@pytest.mark.parametrize(("known", "deep"), [(True, 2.0), (False, 5.0 - 0.16)])
+def test_dead_pin_below_the_body(start, known, deep):
+    """z_offset was never measured: the bed tells how long the probe is, give or
+    take what the bed may be off by."""
+    changes = {"probe": {"z_offset": "0"}, **section(**WIDE)}
+    printer = start(changes=changes).homed()
+    if known:
+        calibration(printer)
+        printer.session.wait(2.0)
+        printer.session.restart("FIRMWARE_RESTART")
+        printer.homed()
+    printer.machine.break_down(Fault("stuck_open", signal="z_endstop", n=4))
+    printer.machine.tolerate("body_pin", deep + 3 * MICROSTEP)
+    text = printer.fail("CALIBRATE_Z")
+    assert text.startswith("z_calibration: switch: the switch did not answer")
+    assert stopped_at(text) == pytest.approx(
+        PIN + BODY - deep, abs=3 * MICROSTEP
+    )
+    assert_unharmed(printer, printer.offset())
+
+
+@pytest.mark.parametrize(
+    ("margins", "is_told"),
+    [("-1.9, 1.9", False), ("-2, 2", True), ("-5, 5", True)],
+)
+@pytest.mark.parametrize("history", ["z_calibration", "none"])
+def test_wide_margins_are_told_before_the_first_run(
+    start, margins, is_told, history
+):
+    options = {"offset_margins": margins, "history": history}
+    printer = start(changes=section(**options))
+    printer.session.require_ready()
+    printer.session.wait(1.0)
+    low = margins.split(",")[0]
+    words = f"'offset_margins' down to {low} let a probe that does not answer"
+    console = "\n".join(printer.session.console)
+    assert len(told(printer, words)) == console.count(words) == is_told
+
+
+# An offset_gcode that does not do what it says
+
+
+def test_misspelt_offset_gcode_fails_the_run(start):
+    """Klipper answers an unknown command with a line, and goes on."""
+    changes = section(offset_gcode="_KEEP_OFFSETT Z={params.Z}")
+    printer = start(changes=changes).homed()
+    printer.run("SET_GCODE_OFFSET Z=0.3")
+    text = printer.fail("CALIBRATE_Z")
+    assert "offset_gcode has left a G-code Z offset of 0.000000 instead of" in (
+        text
+    )
+    assert "Z_CALIBRATION_KEEP_OFFSET" in text
+    status = printer.status("z_calibration")
+    assert (status["valid"], status["last_query"]) == (False, False)
+    assert_unharmed(printer, 0.3)
+
+
+@pytest.mark.parametrize("script", ["CALIBRATE_Z Z_ADJUST=0.05", "CALIBRATE_Z"])
+@pytest.mark.parametrize("digits", [3, 6])
+def test_offset_gcode_that_sets_what_was_measured(start, script, digits):
+    line = "SET_GCODE_OFFSET Z={params.Z|float|round(%d)}" % (digits,)
+    printer = start(changes=section(offset_gcode=line)).homed()
+    printer.run("SET_GCODE_OFFSET Z=0.3")
+    result, _ = calibration(printer, script)
+    more = 0.05 if "0.05" in script else 0.0
+    assert printer.offset() == pytest.approx(result[-1] + more, abs=0.0006)
+    assert printer.status("z_calibration")["valid"]
+
+
+def test_offset_gcode_that_adds_on_its_own_is_refused(start):
+    line = "SET_GCODE_OFFSET Z={params.Z|float + 0.002}"
+    printer = start(changes=section(offset_gcode=line)).homed()
+    printer.run("SET_GCODE_OFFSET Z=0.3")
+    text = printer.fail("CALIBRATE_Z")
+    assert "has left a G-code Z offset of 0.162000 instead of 0.160000" in text
+    assert_unharmed(printer, 0.3)
+
+
+def test_only_offset_gcode_keeps_an_offset(start):
+    changes = {
+        "gcode_macro LATER": {"gcode": "\n  Z_CALIBRATION_KEEP_OFFSET"},
+        **section(offset_gcode="LATER", end_gcode="M400"),
+    }
+    printer = start(changes=changes).homed()
+    printer.run("SET_GCODE_OFFSET Z=0.3")
+    told_off = (
+        "z_calibration: Z_CALIBRATION_KEEP_OFFSET belongs into offset_gcode"
+    )
+    assert told_off in printer.fail("Z_CALIBRATION_KEEP_OFFSET")
+    calibration(printer)
+    assert printer.offset() == pytest.approx(0.3)
+    # It is for that run, and it is over
+    assert told_off in printer.fail("LATER")
+    assert not printer.status("z_calibration")["valid"]
+
+
+def test_macros_of_the_document_keep_an_offset_for_later(start, tmp_path):
+    document = ROOT / "docs" / "z_calibration.md"
+    text = part(
+        document.read_text(encoding="utf-8"), "Z_CALIBRATION_KEEP_OFFSET"
+    )
+    (lines,) = re.findall(r"```cfg\n(.*?)```", text, re.S)
+    file = tmp_path / "keep.cfg"
+    file.write_text(lines)
+    printer = start(changes={f"include {file}": {}}).homed()
+    printer.run("SET_GCODE_OFFSET Z=0.3")
+    result, _ = calibration(printer)
+    assert printer.offset() == pytest.approx(0.3)
+    assert not printer.status("z_calibration")["valid"]
+    printer.run("USE_MEASURED_OFFSET")
+    assert printer.offset() == pytest.approx(result[-1], abs=1e-6)
+    assert printer.status("z_calibration")["valid"]
+
+
+# No number brings the nozzle closer to a bed that only seems to be low
+
+
+def test_no_plate_is_no_reason_for_another_position_endstop(start):
+    printer = start().homed()
+    kill_probe(printer, 1.0 + LOWEST + MICROSTEP)
+    text = printer.fail("CALIBRATE_Z")
+    assert "try" not in text
+    assert "check that the plate is on, the probe (QUERY_PROBE) and bed_xy" in (
+        text
+    )
+
+
+@pytest.mark.parametrize("low", [-0.24, -0.6, 0.6])
+def test_hint_names_a_number_only_where_that_lifts_the_nozzle(start, low):
+    """low: how much lower the bed is than what Z is homed at says, mm"""
+    endstop = PIN - BED - 0.06 - low
+    changes = {"stepper_z": {"position_endstop": f"{endstop:.4f}"}}
+    printer = start(changes=changes).homed()
+    lines = printer.run("CALIBRATE_Z")
+    hints = [line for line in lines if "HINT: " in line]
+    assert len(hints) == 1
+    assert (" possible z position_endstop=" in hints[0]) == (low < 0.0)
+    assert ("check that the plate is on" in hints[0]) == (low > 0.0)
+
+
+@pytest.mark.parametrize(
+    ("low", "margins", "names"),
+    [(-0.9, "-1, 0.8", True), (0.3, "-1, -0.5", False)],
+)
+def test_refused_offset_names_a_number_only_upwards(start, low, margins, names):
+    endstop = PIN - BED - 0.06 - low
+    changes = {
+        "stepper_z": {"position_endstop": f"{endstop:.4f}"},
+        **section(offset_margins=margins),
+    }
+    printer = start(changes=changes).homed()
+    text = printer.fail("CALIBRATE_Z")
+    assert "offset_margins" in text
+    assert ("try" in text) == names
+
+
+# The room that a touch has
+
+
+@pytest.mark.parametrize(
+    ("axis", "own", "endstop", "told_of"),
+    [
+        # Klipper's own default, 0
+        (None, None, "0", ("stepper_z", 0.0, -1.0)),
+        ("-0.74", None, "-0.74", ("stepper_z", -0.74, -1.74)),
+        ("1.56", None, "1.6", ("stepper_z", 1.56, 0.6)),
+        ("-5", "1.56", "1.6", ("z_calibration", 1.56, 0.6)),
+        ("-5", "1.7", "1.6", ("z_calibration", 1.7, 0.6)),
+    ],
+)
+def test_position_min_that_leaves_no_room_is_refused(
+    host, axis, own, endstop, told_of
+):
+    changes = {
+        "stepper_z": {"position_min": axis, "position_endstop": endstop},
+        **section(position_min=own),
+    }
+    name, value, wanted = told_of
+    state, text = load(host, changes)
+    assert state == "error"
+    assert (
+        f"Option 'position_min' in section '{name}': {value:.3f} leaves no"
+        in text
+    )
+    assert f"position_endstop ({float(endstop):.3f})" in text
+    assert f"set it to {wanted:.3f} or lower" in text
+
+
+@pytest.mark.parametrize(
+    ("position_min", "options", "is_told"),
+    [
+        ("1.55", {}, True),
+        ("0.61", {}, True),
+        ("0.6", {}, False),
+        ("0.6", {"travel_margin": "1.1"}, True),
+        ("-5", {"position_min": "1.2"}, True),
+        ("-5", {}, False),
+    ],
+)
+def test_position_min_with_little_room_is_told_and_named_at_the_touch(
+    start, position_min, options, is_told
+):
+    changes = {
+        "stepper_z": {"position_min": position_min},
+        **section(**options),
+    }
+    printer = start(changes=changes)
+    printer.session.require_ready()
+    floor = max(float(position_min), float(options.get("position_min", -5)))
+    name = "z_calibration" if "position_min" in options else "stepper_z"
+    wanted = PIN - float(options.get("travel_margin", 1.0))
+    notes = told(printer, "the nozzle's touch ends at position_min")
+    assert len(notes) == is_told
+    if is_told:
+        assert f"({floor:.3f}), only {PIN - floor:.3f} mm below" in notes[0]
+        assert f"of section '{name}' to {wanted:.3f} or lower" in notes[0]
+    printer.homed()
+    printer.machine.break_down(Fault("stuck_open", signal="z_endstop", n=1))
+    printer.machine.tolerate("nozzle_pin", 1.1 + MICROSTEP)
+    text = printer.fail("CALIBRATE_Z")
+    named = (
+        f"position_min ({floor:.3f}) of section '{name}' has ended this touch; set"
+        f" it to {wanted:.3f} or lower"
+    )
+    assert (named in text) == is_told
+    assert ("check nozzle_xy_position" in text) != is_told
+
+
+def test_position_min_is_named_where_no_height_is_known(start):
+    printer = start("separate_pin").homed()
+    printer.machine.break_down(
+        Fault("stuck_open", signal="nozzle_endstop", n=1)
+    )
+    printer.machine.tolerate("nozzle_pin", 8.0)
+    text = printer.fail("CALIBRATE_Z")
+    assert "position_min (-5.000) of section 'stepper_z' has ended this" in text
+
+
+# The nozzle that does not meet its pin itself
+
+
+@pytest.mark.parametrize("options", [{}, {"probing_first_fast": "True"}])
+def test_something_below_the_nozzle_is_refused_at_the_touch(start, options):
+    """A probe that sits where the nozzle is, attached before the nozzle's touch."""
+    scene = SCENES["cartesian"]
+    probe = replace(
+        scene.world.mag_probe, x_offset=0.0, y_offset=0.0, body_drop=6.4
+    )
+    changes = {
+        "probe": {"x_offset": "0", "y_offset": "0", "z_offset": "7"},
+        **section(
+            switch_xy_position="232, 20",
+            start_gcode="ATTACH_PROBE",
+            before_switch_gcode=None,
+            **options,
+        ),
+    }
+    scene = scene.with_world(mag_probe=probe)
+    printer = start(scene, changes=changes).homed()
+    before = len(printer.machine.truth.touches)
+    text = printer.fail("CALIBRATE_Z")
+    body = probe.body_drop
+    assert (
+        f"nozzle: triggered at z={0.5 + body:.3f}, {body:.1f} mm above" in text
+    )
+    assert "position_endstop (0.500)" in text
+    assert "something hangs below the nozzle" in text
+    assert touched_sites(printer, before) == ["body_pin"]
+    assert_unharmed(printer)
+
+
+@pytest.mark.parametrize(("higher", "is_refused"), [(2.9, False), (3.1, True)])
+def test_a_longer_tool_is_no_probe(start, higher, is_refused):
+    """Tools of a changer differ in length, by less than a probe hangs down."""
+    changes = {"force_move": {"enable_force_move": "True"}, **section(**WIDE)}
+    printer = start(changes=changes).homed()
+    printer.run(f"G90\nG1 Z20\nSET_KINEMATIC_POSITION Z={20 + higher}")
+    if is_refused:
+        # Z was set since: that comes first
+        text = printer.fail("CALIBRATE_Z")
+        assert "3.1 mm above position_endstop (1.600), and Z was homed" in text
+    else:
+        result, _ = calibration(printer)
+        assert result[2] == pytest.approx(PIN + higher, abs=MICROSTEP)
+
+
+# klipper-toolchanger shifts Z below the G-code offset
+
+
+@pytest.mark.parametrize(
+    ("active", "offset", "is_refused"),
+    [("1", "-0.3", True), ("1", "0", False), ("0", "-0.3", False)],
+)
+def test_offset_of_the_active_tool_would_count_twice(
+    start, active, offset, is_refused
+):
+    changes = {
+        "tool T0": {"gcode_z_offset": "0", "active": "False"},
+        "tool T1": {"gcode_z_offset": offset, "active": active},
+    }
+    modules = {**module_files(), "tool": EXTRAS / "tool.py"}
+    printer = start(changes=changes, modules=modules).homed()
+    before = printer.session.position()
+    if not is_refused:
+        calibration(printer)
+        return
+    text = printer.fail("CALIBRATE_Z")
+    assert (
+        "gcode_z_offset of section 'tool T1' is -0.300 and that tool is" in text
+    )
+    assert "set it to 0 there" in text
+    assert printer.session.position() == before
+    # Others measure as ever: they apply nothing
+    printer.run("PROBE_Z_ACCURACY SAMPLES=2")
+
+
+def test_tool_that_start_gcode_fetches(start):
+    changes = {
+        "tool T1": {"gcode_z_offset": "0.2", "active": "False"},
+        **section(start_gcode="FETCH_TOOL"),
+    }
+    modules = {**module_files(), "tool": EXTRAS / "tool.py"}
+    printer = start(changes=changes, modules=modules).homed()
+    before = len(printer.machine.truth.touches)
+    assert "gcode_z_offset of section 'tool T1'" in printer.fail("CALIBRATE_Z")
+    assert touched_sites(printer, before) == []
