@@ -123,11 +123,20 @@ def test_margins_that_are_narrower_than_plates_differ_count(start):
     assert "below the low end of offset_margins (-0.500)" in text
 
 
-@pytest.mark.parametrize(("known", "deep"), [(True, 2.0), (False, 5.0 - 0.16)])
-def test_dead_pin_below_the_body(start, known, deep):
-    """z_offset was never measured: the bed tells how long the probe is, give or
-    take what the bed may be off by."""
-    changes = {"probe": {"z_offset": "0"}, **section(**WIDE)}
+@pytest.mark.parametrize(
+    ("z_offset", "known", "deep"),
+    [
+        # Never measured: the bed tells how long the probe is, give or take what
+        # the bed may be off by
+        ("0", True, 2.0),
+        ("0", False, 5.0 - 0.16),
+        # Too small, so the first way down ends too low without a run before
+        ("4", True, 2.0),
+        ("4", False, 5.0 - 0.16),
+    ],
+)
+def test_dead_pin_below_the_body(start, z_offset, known, deep):
+    changes = {"probe": {"z_offset": z_offset}, **section(**WIDE)}
     printer = start(changes=changes).homed()
     if known:
         calibration(printer)
