@@ -65,6 +65,9 @@ def _load(library: Path) -> ctypes.CDLL:
         "awake": (whole,),
         "joined_field": (wholes,),
         "wakes": (number,),
+        "started_field": (wholes,),
+        "children": (None, numbers),
+        "look_again": (None,),
         "next_deadline": (number,),
         "now_field": (numbers,),
         "written_field": (numbers, whole),
@@ -76,6 +79,7 @@ def _load(library: Path) -> ctypes.CDLL:
         function = getattr(lib, f"vclock_{name}")
         function.restype, function.argtypes = result, [page, *arguments]
     lib.vclock_page_size.restype = ctypes.c_size_t
+    lib.vclock_max_children.restype = whole
     return lib
 
 
@@ -114,6 +118,8 @@ class VirtualClock:
         # The clock is read more often than anything else
         self._now = self._lib.vclock_now_field(self._page).contents
         self._joined = self._lib.vclock_joined_field(self._page).contents
+        self._started = self._lib.vclock_started_field(self._page).contents
+        self._children = (ctypes.c_int64 * self._lib.vclock_max_children())()
         self._written: list[ctypes.c_int64] = []
 
     def environment(self) -> dict[str, str]:
@@ -175,6 +181,22 @@ class VirtualClock:
         """How often threads have woken: changes whenever one does."""
         return self._lib.vclock_wakes(self._page)
 
+    def started(self) -> int:
+        """How many child processes the process has started, ever."""
+        return self._started.value
+
+    def children(self) -> list[tuple[int, int]]:
+        """(number of its start, process number) of those it has started.
+
+        Some may have ended.
+        """
+        self._lib.vclock_children(self._page, self._children)
+        return [(it >> 32, it & 0xFFFF_FFFF) for it in self._children if it]
+
+    def look_again(self) -> None:
+        """Have all threads that wait for descriptors look at them again."""
+        self._lib.vclock_look_again(self._page)
+
     def advance(self, now: int, wakes: int) -> bool:
         """Jump to now (ns, never backwards) and wake whoever is due.
 
@@ -198,6 +220,7 @@ class VirtualClock:
         # The time it showed last stays readable
         self._now = ctypes.c_int64(self._now.value)
         self._joined = ctypes.c_int32(self._joined.value)
+        self._started = ctypes.c_int32(self._started.value)
         self._written = []
         self._view = None
         self._map.close()

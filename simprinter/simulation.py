@@ -8,6 +8,7 @@ import time
 from collections.abc import Callable, Iterable
 from typing import Protocol, Union
 
+from .children import Children
 from .clock import NEVER, RealClock, VirtualClock
 from .firmware import FirmwareBoard
 from .mcu.board import Board
@@ -75,6 +76,12 @@ class Simulation:
         self._links: list[tuple[Link, int]] = []
         self.peers: list[Peer] = []
         self.pace: Pace | None = None  # a virtual clock jumps freely without
+        is_virtual = isinstance(clock, VirtualClock)
+        self._children = Children(clock) if is_virtual else None
+        self._children_pace: Pace | None = None
+        # While a child of klippy's lives, printer time goes by so many times
+        # as fast as its own; to wait less for one that hangs
+        self.children_speed = 1.0
         self.process_fd = -1  # readable when the process has ended
         # Klippy has run since its end and what it may have said were looked at
         self._has_run = True
@@ -183,11 +190,11 @@ class Simulation:
             if self._programs and not self._programs_rest(wakes):
                 return False
             now = clock.now()
+            self._keep_pace_with_children()
             target = now if finished else self._target(end_ns)
             if target >= NEVER:
-                if self._wait_for_doorbell(_DEAD_END):
-                    return False
-                raise SimulationError(f"{what}: nobody waits for anything")
+                self._wait_for_anybody(what)
+                return False
             if self._is_held_back(target):
                 return False
             if target > now:
@@ -202,6 +209,25 @@ class Simulation:
                 f"{what}: klippy is busy for {_STALL_LIMIT:.0f} s of real time"
             )
         return False
+
+    def _keep_pace_with_children(self) -> None:
+        """Have a pace while a child lives: real time, from its start on."""
+        assert self._children is not None
+        if not self._children.look():
+            self._children_pace = None
+        elif self._children_pace is None:
+            self._children_pace = Pace(self.clock, self.children_speed)
+
+    def _wait_for_anybody(self, what: str) -> None:
+        """Wait for who is on his way, or for a child, as no time will come."""
+        if self._children_pace is None:
+            limit, reason = _DEAD_END, "nobody waits for anything"
+        else:
+            limit = _STALL_LIMIT
+            reason = f"klippy waits for a child for {limit:.0f} s of real time"
+        assert self._children is not None
+        if not self._wait_for_doorbell(limit, self._children.filenos()):
+            raise SimulationError(f"{what}: {reason}")
 
     def _programs_rest(self, wakes: int) -> bool:
         """Let programs hear what klippy has said; whether none had to.
@@ -242,14 +268,24 @@ class Simulation:
         Less than needed where others speak to klippy meanwhile: it may want
         to be woken earlier then.
         """
-        wait = self.pace.seconds_until(target_ns) if self.pace else 0.0
+        paces = self.pace, self._children_pace
+        waits = [pace.seconds_until(target_ns) for pace in paces if pace]
+        wait = max(waits, default=0.0)
         if wait <= 0.0:
             return False
-        self._wait_for_doorbell(min(wait, _LOOK_EVERY))
+        assert self._children is not None
+        self._wait_for_doorbell(
+            min(wait, _LOOK_EVERY), self._children.filenos()
+        )
         return True
 
-    def _wait_for_doorbell(self, seconds: float) -> bool:
-        """Wait until klippy speaks or falls asleep; whether it did."""
+    def _wait_for_doorbell(
+        self, seconds: float, others: Iterable[int] = ()
+    ) -> bool:
+        """Wait until klippy speaks or falls asleep; whether it did.
+
+        others: descriptors that end the wait, too.
+        """
         clock = self.clock
         assert isinstance(clock, VirtualClock)
         rang = False
@@ -258,7 +294,7 @@ class Simulation:
             few = [clock.doorbell, *self._process()]
             rang = self._wait_for_klippy(few, min(seconds, _SPEECH))
         if not rang:
-            descriptors = [*self._descriptors(), clock.doorbell]
+            descriptors = [*self._descriptors(), clock.doorbell, *others]
             rang = self._wait_for_klippy(descriptors, seconds)
         clock.answer_doorbell()
         return rang
@@ -267,10 +303,25 @@ class Simulation:
         """When the next thing happens; NEVER if nothing will."""
         clock = self.clock
         assert isinstance(clock, VirtualClock)
-        target = min(clock.next_deadline(), self._next_event(NEVER))
+        deadline = clock.next_deadline()
+        target = min(deadline, self._next_event(NEVER))
+        if self._children_pace:
+            # How long git takes to tell klippy its version at the start is
+            # nothing that a machine may depend on
+            if deadline >= NEVER and not self._is_in_contact():
+                return NEVER
+            # Whoever is woken by a child finds that time has passed
+            step_ns = _LOOK_EVERY * 1e9 * self._children_pace.speed
+            target = min(target, clock.now() + round(step_ns))
         if self._programs:
             return min(target, end_ns)
         return target if target >= NEVER else min(target, end_ns)
+
+    def _is_in_contact(self) -> bool:
+        """Whether klippy and a board can hear each other."""
+        clock = self.clock
+        assert isinstance(clock, VirtualClock)
+        return any(clock.tty_is_open(index) for _, index in self._links)
 
     def _require_joined(self, what: str) -> None:
         """A klippy that speaks but never came to our clock never will."""
@@ -312,7 +363,12 @@ class Simulation:
         return bool(poller.poll(seconds * 1000.0))
 
     def close(self) -> None:
-        """Hang up all lines and give the clock back."""
+        """Hang up all lines and give the clock back.
+
+        Klippy has ended; what it has started and left behind is ended, too.
+        """
+        if self._children is not None:
+            self._children.end()
         for link, _ in self._links:
             link.close()
         for program in self._programs:

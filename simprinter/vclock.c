@@ -16,10 +16,14 @@
 //   the owners of ready ones as awake.
 // - Data that comes from outside is the simulator's own and known to it: bytes
 //   on a serial line are counted here as they are read and written.
-// - A child process counts as awake until it is waited for: its output is
-//   something the process may wait for in poll().
 // - Everything else that can block (mutexes, timed condition waits, reading a
 //   file) counts as awake; time stands still meanwhile.
+//
+// Child processes live in real time. They are no threads of the process, so
+// they do not count as awake: they are listed in the page, and the simulator
+// lets the clock go no faster than they live. It sees by itself when one has
+// ended; the output that this one left behind is then looked at by those who
+// wait for it, before the clock moves on.
 //
 // pthread_cond_timedwait is left in real time on purpose: Python uses it for
 // nothing but its interpreter lock, whose holder is awake by the rules above.
@@ -46,6 +50,7 @@
 #include <sys/prctl.h>
 #include <sys/select.h>
 #include <sys/stat.h>
+#include <sys/syscall.h>
 #include <sys/time.h>
 #include <sys/wait.h>
 #include <time.h>
@@ -54,6 +59,7 @@
 #define PAGE_MAGIC 0x76636c6b
 #define MAX_THREADS 64
 #define MAX_TTYS 8
+#define MAX_CHILDREN 64
 #define NEVER INT64_MAX
 // A thread that has read the same instant this often is spinning until the
 // clock moves: it then moves by SPIN_NS.
@@ -83,6 +89,8 @@ struct page {
     int64_t wall_offset;        // virtual CLOCK_REALTIME - now, ns
     int32_t doorbell;           // rung when the last thread falls asleep
     int32_t num_ttys;
+    _Atomic int32_t started;    // children, ever
+    int64_t children[MAX_CHILDREN]; // number of start << 32 | pid; 0: none
     int32_t wake_fds[MAX_THREADS];
     struct tty ttys[MAX_TTYS];
     struct slot slots[MAX_THREADS];
@@ -231,6 +239,41 @@ vclock_wakes(struct page *p)
     return p->wakes;
 }
 
+// How many children the process has started, to be read without a call
+_Atomic int32_t *
+vclock_started_field(struct page *p)
+{
+    return &p->started;
+}
+
+int
+vclock_max_children(void)
+{
+    return MAX_CHILDREN;
+}
+
+// Children that have been started, ended ones perhaps among them
+void
+vclock_children(struct page *p, int64_t *children)
+{
+    lock_slots(p);
+    memcpy(children, p->children, sizeof(p->children));
+    unlock_slots(p);
+}
+
+// Have all who wait for descriptors look at them again
+void
+vclock_look_again(struct page *p)
+{
+    lock_slots(p);
+    for (int i = 0; i < MAX_THREADS; i++) {
+        struct slot *s = &p->slots[i];
+        if (s->used && s->asleep && s->nfds)
+            rouse(p, i);
+    }
+    unlock_slots(p);
+}
+
 // Move the clock and wake every thread whose deadline has come; 0 if a thread
 // is awake or has been since `wakes` was read: what the caller has seen of the
 // process may then be out of date.
@@ -291,6 +334,7 @@ static int (*real_spawnp)(pid_t *, const char *
                           , const posix_spawn_file_actions_t *
                           , const posix_spawnattr_t *, char *const *
                           , char *const *);
+static pid_t (*real_fork)(void);
 static pid_t (*real_waitpid)(pid_t, int *, int);
 static int (*real_close)(int);
 
@@ -328,6 +372,7 @@ find_symbols(void)
     real_write = dlsym(RTLD_NEXT, "write");
     real_spawn = dlsym(RTLD_NEXT, "posix_spawn");
     real_spawnp = dlsym(RTLD_NEXT, "posix_spawnp");
+    real_fork = dlsym(RTLD_NEXT, "fork");
     real_waitpid = dlsym(RTLD_NEXT, "waitpid");
     real_close = dlsym(RTLD_NEXT, "close");
 }
@@ -532,6 +577,10 @@ pthread_create(pthread_t *tid, const pthread_attr_t *attr
     return ret;
 }
 
+/****************************************************************
+ * Children
+ ****************************************************************/
+
 // A forked child shares the page but is no part of the simulation
 static void
 leave_simulation(void)
@@ -540,27 +589,49 @@ leave_simulation(void)
     my_slot = -1;
 }
 
-static _Atomic int children; // started and not waited for
+static int
+is_child_gone(pid_t pid)
+{
+    siginfo_t info = { .si_pid = 0 };
+    // Leaves it to be waited for; fails where somebody has done so
+    return waitid(P_PID, pid, &info, WEXITED | WNOHANG | WNOWAIT)
+        || info.si_pid;
+}
 
+// Called by a thread that is awake: the clock has not moved since the start
 static void
-count_child(void)
+add_child(pid_t pid)
 {
     if (!page)
         return;
-    atomic_fetch_add(&children, 1);
-    atomic_fetch_add(&page->awake, 1);
+    lock_slots(page);
+    int64_t number = ++page->started, *place = NULL;
+    for (int i = 0; i < MAX_CHILDREN; i++) {
+        int64_t *child = &page->children[i];
+        if (*child && is_child_gone((pid_t)*child))
+            *child = 0;
+        if (!*child && !place)
+            place = child;
+    }
+    if (!place) {
+        fprintf(stderr, "vclock: more than %d children\n", MAX_CHILDREN);
+        kill(pid, SIGKILL); // nobody else knows it
+        abort();
+    }
+    *place = number << 32 | pid;
+    unlock_slots(page);
 }
 
-static void
-child_ended(void)
+pid_t
+fork(void)
 {
-    // system() starts children that are not counted
-    if (!page || !children)
-        return;
-    atomic_fetch_sub(&children, 1);
-    lock_slots(page);
-    drop_awake();
-    unlock_slots(page);
+    find_symbols();
+    pid_t pid = real_fork();
+    int err = errno;
+    if (pid > 0)
+        add_child(pid);
+    errno = err;
+    return pid;
 }
 
 // A child that shares our memory until it executes a program would leave the
@@ -578,10 +649,14 @@ posix_spawn(pid_t *restrict pid, const char *restrict path
             , char *const argv[restrict], char *const envp[restrict])
 {
     find_symbols();
-    int ret = real_spawn(pid, path, actions, attr, argv, envp);
-    if (!ret)
-        count_child();
-    return ret;
+    pid_t child;
+    int ret = real_spawn(&child, path, actions, attr, argv, envp);
+    if (ret)
+        return ret;
+    add_child(child);
+    if (pid)
+        *pid = child;
+    return 0;
 }
 
 int
@@ -591,20 +666,14 @@ posix_spawnp(pid_t *restrict pid, const char *restrict file
              , char *const argv[restrict], char *const envp[restrict])
 {
     find_symbols();
-    int ret = real_spawnp(pid, file, actions, attr, argv, envp);
-    if (!ret)
-        count_child();
-    return ret;
-}
-
-pid_t
-waitpid(pid_t pid, int *status, int options)
-{
-    find_symbols();
-    pid_t ret = real_waitpid(pid, status, options);
-    if (ret > 0)
-        child_ended();
-    return ret;
+    pid_t child;
+    int ret = real_spawnp(&child, file, actions, attr, argv, envp);
+    if (ret)
+        return ret;
+    add_child(child);
+    if (pid)
+        *pid = child;
+    return 0;
 }
 
 // Live on the clock at this path from now on. Called when the library is
@@ -632,7 +701,7 @@ vclock_join(const char *path)
     page = map;
     page->joined = 1;
     pthread_key_create(&exit_key, thread_exit);
-    pthread_atfork(NULL, count_child, leave_simulation);
+    pthread_atfork(NULL, NULL, leave_simulation);
     my_slot = claim_slot();
 }
 
@@ -805,6 +874,25 @@ nanosleep(const struct timespec *req, struct timespec *rem)
     return -1;
 }
 
+// Waiting for a child is waiting for a descriptor
+pid_t
+waitpid(pid_t pid, int *status, int options)
+{
+    if (!takes_part() || pid <= 0 || options & WNOHANG)
+        return real_waitpid(pid, status, options);
+    struct pollfd fds[2] = { { .events = POLLIN } };
+    fds[0].fd = syscall(SYS_pidfd_open, pid, 0);
+    if (fds[0].fd >= 0) {
+        int ret = sleep_fds(NEVER, fds, 1);
+        int err = errno;
+        real_close(fds[0].fd);
+        errno = err;
+        if (ret < 0)
+            return -1;
+    }
+    return real_waitpid(pid, status, options);
+}
+
 int
 usleep(useconds_t usec)
 {
@@ -947,17 +1035,16 @@ pthread_cond_broadcast(pthread_cond_t *cond)
 }
 
 /****************************************************************
- * Bytes on the serial lines
+ * Reading and writing
  ****************************************************************/
 
 static struct tty *
-tty_of(int fd)
+tty_with(const struct stat *st)
 {
-    struct stat st;
-    if (!page || !page->num_ttys || fstat(fd, &st) || !S_ISCHR(st.st_mode))
+    if (!S_ISCHR(st->st_mode))
         return NULL;
-    int32_t major_num = (st.st_rdev >> 8) & 0xfff;
-    int32_t minor_num = (st.st_rdev & 0xff) | ((st.st_rdev >> 12) & 0xfff00);
+    int32_t major_num = (st->st_rdev >> 8) & 0xfff;
+    int32_t minor_num = (st->st_rdev & 0xff) | ((st->st_rdev >> 12) & 0xfff00);
     for (int i = 0; i < page->num_ttys; i++) {
         struct tty *t = &page->ttys[i];
         if (t->major == major_num && t->minor == minor_num)
@@ -966,13 +1053,35 @@ tty_of(int fd)
     return NULL;
 }
 
+static struct tty *
+tty_of(int fd)
+{
+    struct stat st;
+    return page && page->num_ttys && !fstat(fd, &st) ? tty_with(&st) : NULL;
+}
+
+// Whether to read here may take until somebody has written
+static int
+may_block(int fd, const struct stat *st)
+{
+    return (S_ISFIFO(st->st_mode) || S_ISSOCK(st->st_mode))
+        && !(fcntl(fd, F_GETFL) & O_NONBLOCK);
+}
+
 ssize_t
 read(int fd, void *buf, size_t count)
 {
-    find_symbols();
+    struct stat st;
+    if (!takes_part() || fstat(fd, &st))
+        return real_read(fd, buf, count);
+    if (may_block(fd, &st)) {
+        struct pollfd fds[2] = { { .fd = fd, .events = POLLIN } };
+        if (sleep_fds(NEVER, fds, 1) < 0)
+            return -1;
+    }
     ssize_t ret = real_read(fd, buf, count);
     int err = errno;
-    struct tty *t = ret > 0 ? tty_of(fd) : NULL;
+    struct tty *t = ret > 0 ? tty_with(&st) : NULL;
     if (t) {
         t->is_open = 1;
         t->bytes_read += ret;

@@ -158,6 +158,8 @@ def become(
         os.dup2(output, standard)
     os.close(output)
     put(fds, request["fds"], free)
+    # What it starts can be ended with it
+    os.setsid()
     environment = request["env"]
     if _COERCED in os.environ:
         environment.setdefault(_COERCED, os.environ[_COERCED])

@@ -44,11 +44,16 @@ class Klippy:
         self._popen = popen
 
     def end(self) -> Optional[int]:
-        """End it if it still runs; its exit status where it is known."""
+        """End it if it still runs; its exit status where it is known.
+
+        As systemd does, with all that it has started.
+        """
         if not self._has_ended():
             with suppress(ProcessLookupError):
                 signal.pidfd_send_signal(self.pidfd, signal.SIGKILL)
             select.select([self.pidfd], [], [])
+        with suppress(ProcessLookupError):
+            os.killpg(self.pid, signal.SIGKILL)
         return None if self._popen is None else self._popen.wait()
 
     def close(self) -> None:
@@ -77,6 +82,7 @@ def start(
             stdout=file,
             stderr=file,
             pass_fds=clock.inherited_fds(),
+            start_new_session=True,
         )
     return Klippy(popen.pid, os.pidfd_open(popen.pid), popen)
 
