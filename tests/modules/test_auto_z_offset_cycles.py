@@ -18,7 +18,6 @@ from tools.kit.auto_z_offset import (
     section,
     state,
     told,
-    touches,
     with_extras,
 )
 from tools.kit.printer import module_files
@@ -145,20 +144,15 @@ def test_way_down_of_the_probe(start, before, params, options, above):
 
 
 def test_sensor_that_falls_back_late_is_given_a_moment(start):
-    touch = touches_of_a_probe(start)
     printer = start("qidi").homed()
-    fault = Fault("stuck_closed", signal="bed_sensor", t=touch.t + 0.1)
-    free = Fault("stuck_open", signal="bed_sensor", t=touch.t + 0.9)
-    printer.machine.faults.add(fault)
-    printer.machine.faults.add(free)
-    printer.run("AUTO_Z_PROBE")
-
-
-def touches_of_a_probe(start):
-    """The touch of an AUTO_Z_PROBE right after homing."""
-    printer = start("qidi").homed()
-    printer.run("AUTO_Z_PROBE")
-    return touches(printer)[-1]
+    session, machine = printer.session, printer.machine
+    command = session.begin("AUTO_Z_PROBE")
+    count = machine.truth.touch_count
+    session.run_until(command, lambda: count("nozzle_bed") == 1)
+    machine.hold("bed_sensor", True)
+    session.wait(0.9)
+    machine.hold("bed_sensor", None)
+    session.finish(command)
 
 
 # Motor currents

@@ -171,7 +171,7 @@ def test_writes_to_a_driver_that_are_lost(host, tries):
                 for n in range(1, tries + 1)
             ]
         for fault in faults:
-            printer.machine.faults.add(fault)
+            printer.machine.break_down(fault)
         driver = printer.machine.drivers["z"]
         before = driver.current()[1:]
         if tries == ATTEMPTS - 1:
