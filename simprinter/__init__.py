@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from .clock import RealClock, VirtualClock
-from .faults import Fault, Faults
+from .faults import Fault, FaultError, Faults
 from .machine import Machine
 from .places import build_directory
 from .scene import Scene, heated
@@ -12,6 +12,7 @@ __version__ = "0.1.0"
 
 __all__ = [
     "Fault",
+    "FaultError",
     "Faults",
     "Machine",
     "RealClock",

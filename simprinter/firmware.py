@@ -350,6 +350,8 @@ class FirmwareBoard:
         elif name == "endstop_home" and values[3]:
             start = self._ns_of(values[1])
             self._port.armed(self._endstops[values[0]], start)
+        elif name == "endstop_home":
+            self._port.disarmed(self._endstops[values[0]])
 
     def _ns_of(self, clock: int) -> int:
         """When the program's clock shows this value, near to now."""

@@ -32,7 +32,8 @@ class Machine:
 
     boards and links (their serial lines) go by name; board and link are the
     main one's. Everything random comes from one seed. Use as a context
-    manager: on leaving without another error, the crash detector has its say.
+    manager: on leaving without another error, the crash detector has its say, and a
+    fault that has not struck is an error.
     """
 
     def __init__(
@@ -149,6 +150,7 @@ class Machine:
         try:
             if kind is None:
                 self.truth.require_no_crash(self._tolerated)
+                self.faults.require_struck()
         finally:
             self.close()
 
@@ -166,7 +168,7 @@ class Machine:
         self._tolerated[site] = depth
 
     def break_down(self, fault: Fault) -> None:
-        """Add a fault now; its operations are counted from now on."""
+        """Add a fault now; what it is about is counted from now on."""
         self.faults.add(fault)
         self.world.expect_faults()
 

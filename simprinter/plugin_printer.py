@@ -25,7 +25,7 @@ class PluginPrinter(Printer):
     """Real klippy with plugins on a machine of a world file; see `start`.
 
     Frame of all places: the world's, mm. On leaving without another error,
-    CrashError tells what was hurt.
+    CrashError tells what was hurt, FaultError which fault has not struck.
     """
 
     @property

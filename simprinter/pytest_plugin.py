@@ -87,7 +87,8 @@ def start(
 
     printer_cfg and world are files or, with more than a line, texts; see
     simprinter.plugin_printer.start for what else there is. Relative names are
-    of the test's folder. At the end of the test CrashError tells what was hurt.
+    of the test's folder. At the end of the test CrashError tells what was hurt,
+    FaultError which fault has not struck.
     """
     folder = request.path.parent
 

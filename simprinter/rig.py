@@ -237,6 +237,13 @@ class Port:
             self._rig.operation("touch", signal, ns)
             self._rig.world.touch_armed(signal, self._rig.seconds(ns))
 
+    def disarmed(self, pin: int) -> None:
+        """An endstop on this pin looks no longer."""
+        signal, _ = self._inputs.get(pin, ("", False))
+        if signal:
+            self._settle_to_now()
+            self._rig.world.touch_ended(signal)
+
     def queried(self, pin: int, ns: int) -> None:
         """The host asks for the level of this pin."""
         signal, _ = self._inputs.get(pin, ("", False))

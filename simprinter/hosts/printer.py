@@ -76,7 +76,7 @@ def knows_kinematics(host: Host, name: str) -> bool:
 
 
 class RunningPrinter:
-    """A machine with klippy on it; leaving it checks for crashes."""
+    """A machine with klippy on it; leaving it checks for crashes and faults."""
 
     def __init__(
         self, machine: Machine, begin: Callable[[Machine], LiveSession]

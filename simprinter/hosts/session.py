@@ -325,7 +325,11 @@ class LiveSession:
         return self.finish(self.begin(script), limit)
 
     def begin(self, script: str) -> Command:
-        """Send G-code; it has not begun to run."""
+        """Send G-code; it has not begun to run.
+
+        Faults that are about its command are counted from now on.
+        """
+        self.machine.faults.script_begins(script)
         number = self._api.request("gcode/script", {"script": script})
         return Command(script, number, len(self.console))
 
@@ -344,6 +348,12 @@ class LiveSession:
 
     def finish(self, command: Command, limit: float = 600.0) -> list[str]:
         """Let a command run to its end, as run() does."""
+        try:
+            return self._finish(command, limit)
+        finally:
+            self.machine.faults.script_ends(command.script)
+
+    def _finish(self, command: Command, limit: float) -> list[str]:
         script, number, before = command
         simulation = self._simulation
         end = simulation.clock.now() + round(limit * 1e9)

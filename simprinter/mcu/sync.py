@@ -158,6 +158,9 @@ class Sense(Protocol):
     def armed(self, pin: int, ns: int) -> None:
         """An endstop on this pin starts to look."""
 
+    def disarmed(self, pin: int) -> None:
+        """It looks no longer."""
+
     def queried(self, pin: int, ns: int) -> None:
         """The host asks for the level of this pin."""
 
@@ -234,7 +237,9 @@ class Endstops(Peripheral):
         if endstop.search and endstop.search.event:
             endstop.search.event.cancel()
         endstop.search = None
-        endstop.homing = False
+        if endstop.homing:
+            endstop.homing = False
+            self._sense.disarmed(endstop.pin)
 
     def _look_at(self, endstop: Endstop, clock: int) -> None:
         """Look for the edge from clock on, when the clock gets there."""

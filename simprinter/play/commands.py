@@ -64,7 +64,7 @@ def _pin_of(scene: Scene, name: str) -> str:
 
 def _stick(watcher: Watcher, name: str, is_asserted: bool) -> str:
     kind = "stuck_closed" if is_asserted else "stuck_open"
-    fault = Fault(kind, signal=name, t=watcher.seconds())
+    fault = Fault(kind, signal=name, t=watcher.seconds(), strikes="may")
     watcher.machine.break_down(fault)
     return "always triggered" if is_asserted else "never triggered"
 
@@ -85,7 +85,9 @@ def _short(watcher: Watcher, scene: Scene, words: list[str]) -> str:
 def _late(watcher: Watcher, scene: Scene, words: list[str]) -> str:
     name, mm = words[0], float(words[1])
     _pin_of(scene, name)
-    fault = Fault("trigger_late", 1, True, signal=name, mm=mm)
+    fault = Fault(
+        "trigger_late", signal=name, mm=mm, persistent=True, strikes="may"
+    )
     watcher.machine.break_down(fault)
     return f"{name} triggers {mm:g} mm too deep from now on"
 

@@ -152,7 +152,7 @@ def test_true_position_console_status(printer):
 
 def test_faults(printer):
     printer.run("G28\\nG1 Z20")
-    printer.break_down("stuck_closed", signal="probe")
+    printer.break_down("stuck_closed", site="inductive_bed", command="PROBE")
     with pytest.raises(GcodeError, match="triggered prior to movement"):
         printer.run("PROBE")
     assert any("prior to movement" in line for line in printer.errors)

@@ -74,6 +74,7 @@ class Parts:
         self.bench: Bench
         self.endstops: Endstops
         self.armed_at: list[tuple[int, int]] = []
+        self.disarmed_pins: list[int] = []
         self.settled: list[int] = []
 
     # The drive
@@ -125,6 +126,9 @@ class Parts:
 
     def armed(self, pin: int, ns: int) -> None:
         self.armed_at.append((pin, ns))
+
+    def disarmed(self, pin: int) -> None:
+        self.disarmed_pins.append(pin)
 
     def queried(self, pin: int, ns: int) -> None:
         assert pin == PIN
@@ -291,7 +295,9 @@ def test_shutdown_disarms(bench):
     bench.arm(bench.now() + 1000, 1000)
     bench.home(bench.now(), Settings(10, 2, 100))
     bench.parts.toggles = [bench.ns + 5000 * TICK_NS]
+    assert bench.parts.disarmed_pins == []
     bench.tell("emergency_stop")
+    assert bench.parts.disarmed_pins == [PIN]
     bench.run_to(bench.now() + 100_000)
     assert bench.said("trsync_state") == []
 
@@ -444,7 +450,9 @@ def test_homing_anew_replaces_the_old_search(bench):
     start = bench.now()
     bench.parts.toggles = [bench.ns + 10_000 * TICK_NS]
     bench.home(start, Settings(10, 4, 100))
+    assert bench.parts.disarmed_pins == []
     bench.home(start + 20_000, Settings(10, 1, 100))
+    assert bench.parts.disarmed_pins == [PIN]
     bench.run_to(start + 50_000)
     wanted = Outcome(start + 20_000, start + 20_100)
     assert bench.outcome(start) == wanted

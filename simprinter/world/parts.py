@@ -15,6 +15,7 @@ from .sites import (
     AxisSwitch,
     ContactSensor,
     Site,
+    Tracked,
     body_on_pin,
     hanging_on_bed,
     nozzle_on_bed,
@@ -104,15 +105,19 @@ class Builder:
         level: PoseLevel,
         state: Optional[TouchState] = None,
         noise: Optional[NoiseSpec] = None,
+        sites: Sequence[Tracked] = (),
     ) -> None:
         latency = 0.0 if noise is None else noise.latency
-        self._lines[signal] = Line(signal, level, state, latency)
+        self._lines[signal] = Line(
+            signal, level, state, latency, sites, self._held
+        )
+
+    def _held(self, t: float) -> bool:
+        return self._keeper is not None and self._keeper.held(t)
 
     def _contact(self, sensor: ContactSensor) -> PoseLevel:
         """A switch pressed from above."""
-        keeper = self._keeper
-        held = (lambda t: False) if keeper is None else keeper.held
-        return lambda t, pose: sensor.level(t, pose, held)
+        return lambda t, pose: sensor.level(t, pose, self._held)
 
     def _axis_switches(self) -> None:
         for spec in self._spec.switches:
@@ -125,6 +130,7 @@ class Builder:
                 lambda t, pose, switch=switch: switch.level(pose),
                 switch.state,
                 spec.noise,
+                [switch.site],
             )
 
     def _plate(self) -> None:
@@ -148,7 +154,7 @@ class Builder:
         if sensor_spec.enable_output:
             enable = self._outputs["bed_sensor_enable"] = Output()
             level = _while_on(enable, level)
-        self._line("bed_sensor", level, sensor.state, noise)
+        self._line("bed_sensor", level, sensor.state, noise, sensor.sites)
 
     def _pin(self, pin: PinSpec) -> None:
         """Pressed by the tip or by the probe's body."""
@@ -166,7 +172,8 @@ class Builder:
                 self._spec.overtravel, self._spec.allowed_drag, pin.pin_travel
             )
         sensor = self._sensor(pin.signal, pin.noise, *sites)
-        self._line(pin.signal, self._contact(sensor), sensor.state, pin.noise)
+        level = self._contact(sensor)
+        self._line(pin.signal, level, sensor.state, pin.noise, sensor.sites)
 
     def _mag_probe(self, probe: MagProbeSpec, keeper: Keeper) -> None:
         """Plunger and body on the plate, senses, attaching output."""
@@ -200,7 +207,7 @@ class Builder:
             # Normally closed: asserted as well when it is not there
             return not keeper.connected(t, pose) or pressed(t, pose)
 
-        self._line("probe", level, sensor.state, probe.noise)
+        self._line("probe", level, sensor.state, probe.noise, sensor.sites)
         if probe.mode == "output":
             self._outputs["probe_attach"] = Output()
         if keeper.swing is not None:
@@ -221,7 +228,8 @@ class Builder:
         top = bed.highest + spec.sense_distance + abs(spec.twist) * reach
         site = Site("inductive_bed", sensed, top)
         sensor = self._sensor("probe", spec.noise, site)
-        self._line("probe", self._contact(sensor), sensor.state, spec.noise)
+        level = self._contact(sensor)
+        self._line("probe", level, sensor.state, spec.noise, sensor.sites)
 
     def _membrane(self) -> None:
         spec, bed = self._spec.membrane, self._bed
@@ -235,7 +243,8 @@ class Builder:
         site = Site("nozzle_membrane", contact, top, spec.press)
         site.limit(self._spec.overtravel, self._spec.allowed_drag)
         sensor = self._sensor("membrane", spec.noise, site)
-        self._line("membrane", self._contact(sensor), sensor.state, spec.noise)
+        level = self._contact(sensor)
+        self._line("membrane", level, sensor.state, spec.noise, sensor.sites)
 
 
 def _while_on(enable: Output, level: PoseLevel) -> PoseLevel:

@@ -15,6 +15,7 @@ import math
 from collections.abc import Iterator
 from typing import Callable, NamedTuple, Optional, Sequence
 
+from ..faults import Fault, Faults
 from .bed import Bed
 from .ooze import Ooze
 from .sensors import TouchState
@@ -30,6 +31,8 @@ from .thermal import Drift
 ContactZ = Callable[[float, float, float], Optional[float]]
 # How far (mm) the probe hangs lower than it should, as it was attached last
 Seat = Callable[[], float]
+# What is wrong with a touch, and the sign of its mm
+_TRIGGERS = {"trigger_early": 1.0, "trigger_late": -1.0, "trigger_never": 0.0}
 
 
 class Tracked:
@@ -38,15 +41,21 @@ class Tracked:
     allowed: mm it may go beyond the trigger; allowed_drag: XY mm per contact
     hard_stop: mm beyond the trigger where nothing gives way, or infinity
     pressed, drag: committed state; drag is None while out of contact
+    faults: of the touch of now, or of that which is sought next
+    sought: a move looks for a touch that it has not met yet
+    touched: pressed, or said to be so by a fault
     """
 
     __slots__ = (
         "allowed",
         "allowed_drag",
         "drag",
+        "faults",
         "hard_stop",
         "name",
         "pressed",
+        "sought",
+        "touched",
     )
 
     def __init__(self, name: str) -> None:
@@ -56,6 +65,44 @@ class Tracked:
         self.hard_stop = math.inf
         self.pressed = False
         self.drag: Optional[float] = None
+        self.faults: tuple[Fault, ...] = ()
+        self.sought = False
+        self.touched = False
+
+    def expect(self, faults: Faults) -> None:
+        """A move looks for a touch: learn what is wrong with it."""
+        found = (faults.at_next_touch(name, self.name) for name in _TRIGGERS)
+        self.faults = tuple(fault for fault in found if fault is not None)
+
+    def mend(self) -> None:
+        """It triggers where it should again."""
+        self.faults = ()
+
+    @property
+    def early(self) -> float:
+        """How many mm too early it triggers; negative: late."""
+        return sum(_TRIGGERS[fault.name] * fault.mm for fault in self.faults)
+
+    def is_below(
+        self, t: float, pose: Sequence[float], held: Callable[[float], bool]
+    ) -> bool:
+        """Whether a head that goes on from `pose` may meet it."""
+        return True
+
+    def reports(self, state: TouchState, beyond: float) -> bool:
+        """Whether its switch would be asserted, `beyond` mm past its trigger."""
+        if not self.faults:
+            return state.asserted(beyond)
+        if any(fault.name == "trigger_never" for fault in self.faults):
+            return False
+        return state.asserted(beyond + self.early)
+
+    def meets(self, touched: bool) -> bool:
+        """Commit whether it is touched; whether that is what was sought."""
+        is_new = touched and not self.touched and self.sought
+        self.touched = touched
+        self.sought = self.sought and not is_new
+        return is_new
 
     def limit(
         self, allowed: float, drag: float, hard_stop: float = math.inf
@@ -98,6 +145,14 @@ class Site(Tracked):
         self.press = press
         self.carried = carried
 
+    def is_below(
+        self, t: float, pose: Sequence[float], held: Callable[[float], bool]
+    ) -> bool:
+        """Whether the head has this presser, above its counterpart."""
+        x, y, _ = pose
+        is_there = not self.carried or held(t)
+        return is_there and self.contact_z(x, y, t) is not None
+
 
 class Finding(NamedTuple):
     """What one commit found at a site.
@@ -105,6 +160,7 @@ class Finding(NamedTuple):
     depth: mm beyond the trigger of this touch, negative before it
     trigger: Pose.z (axis switches: axis position) of that trigger
     drag: XY mm dragged so far in this contact
+    met: it is the touch that a move was looking for
     """
 
     site: Tracked
@@ -113,6 +169,7 @@ class Finding(NamedTuple):
     depth: float
     trigger: float
     drag: float
+    met: bool
 
 
 class Near(NamedTuple):
@@ -128,9 +185,12 @@ class Near(NamedTuple):
 
 
 class ContactSensor:
-    """Sites that press one switch (or none): a pin has two pressers."""
+    """Sites that press one switch (or none): a pin has two pressers.
 
-    __slots__ = ("_busy", "_drift", "_top", "sites", "state")
+    early: mm above its ceiling at which a fault may have it touched
+    """
+
+    __slots__ = ("_busy", "_drift", "_top", "early", "sites", "state")
 
     def __init__(
         self, sites: Sequence[Site], state: TouchState, drift: Drift
@@ -138,6 +198,7 @@ class ContactSensor:
         self.sites = tuple(sites)
         self.state = state
         self._drift = drift
+        self.early = 0.0
         # First contact (site.top) is never below the trigger
         self._top = max(site.top for site in sites)
         # The last commit was low enough for a contact
@@ -147,20 +208,27 @@ class ContactSensor:
         """Cold Pose.z above which nothing is touched and all is let go."""
         return self._top + self.state.rearm
 
+    def expect(self) -> None:
+        """Its state, or one of its sites, has another fault now."""
+        early = self.state.early + max(site.early for site in self.sites)
+        self.early = max(0.0, early)
+
     def level(
         self, t: float, pose: Sequence[float], held: Callable[[float], bool]
     ) -> bool:
         """Whether the switch would be asserted; changes nothing."""
         x, y, z = pose
         state = self.state
-        ceiling = self._top + state.rearm + state.early
+        ceiling = self._top + state.rearm + self.early
         if z > ceiling + self._drift.bound(t):
             return False
         for site in self.sites:
             if site.carried and not held(t):
                 continue
             contact = site.contact_z(x, y, t)
-            if contact is not None and state.asserted(contact - site.press - z):
+            if contact is not None and site.reports(
+                state, contact - site.press - z
+            ):
                 return True
         return False
 
@@ -181,12 +249,12 @@ class ContactSensor:
         """Take over the new pose; returns what happened at each site.
 
         held: the probe is at the head; moved: XY mm since the last commit.
-        Faults are not seen here: contact is physical.
+        Contact is physical; what a fault reports only counts as met.
         """
         x, y, z = pose
         state = self.state
         findings: list[Finding] = []
-        above = z > self.ceiling() + self._drift.bound(t)
+        above = z > self.ceiling() + self.early + self._drift.bound(t)
         if above and not state.spent and not self._busy:
             return findings
         deepest = -math.inf
@@ -202,10 +270,11 @@ class ContactSensor:
             pressed = beyond + state.shift + slack >= 0.0
             drag = site.follow(contact is not None and z <= contact, moved)
             was, site.pressed = site.pressed, pressed
-            if pressed or was or drag:
+            met = site.meets(pressed or site.reports(state, beyond))
+            if pressed or was or drag or met:
                 depth = beyond + state.shift
                 findings.append(
-                    Finding(site, was, pressed, depth, z + depth, drag)
+                    Finding(site, was, pressed, depth, z + depth, drag, met)
                 )
         self._busy = not above
         pressed = any(site.pressed for site in self.sites)
@@ -230,23 +299,25 @@ class AxisSwitch:
     def level(self, pose: Sequence[float]) -> bool:
         """Whether the switch would be asserted; changes nothing."""
         beyond = self._direction * (pose[self._index] - self._position)
-        return self.state.asserted(beyond)
+        return self.site.reports(self.state, beyond)
 
     def commit(self, pose: Sequence[float]) -> Optional[Finding]:
         """Take over the new pose; returns what happened, if anything."""
         place = pose[self._index]
         beyond = self._direction * (place - self._position)
         state, site = self.state, self.site
-        if beyond < -state.rearm and not state.spent and not state.pressed:
+        is_far = beyond < -state.rearm - site.early and not site.touched
+        if is_far and not state.spent and not state.pressed:
             return None
         slack = state.hysteresis if site.pressed else 0.0
         depth = beyond + state.shift
         was, site.pressed = site.pressed, depth + slack >= 0.0
+        met = site.meets(site.pressed or site.reports(state, beyond))
         state.settle(site.pressed, beyond)
-        if not (was or site.pressed):
+        if not (was or site.pressed or met):
             return None
         trigger = place - self._direction * depth
-        return Finding(site, was, site.pressed, depth, trigger, 0.0)
+        return Finding(site, was, site.pressed, depth, trigger, 0.0, met)
 
 
 def nozzle_on_bed(bed: Bed, drift: Drift) -> ContactZ:

@@ -20,6 +20,7 @@ from ..faults import Faults
 from .bed import Bed
 from .dock import Keeper, ProbeState
 from .kinematics import Pose
+from .lines import Line
 from .ooze import Ooze
 from .parts import Builder, Parts
 from .sites import Finding, Near
@@ -40,11 +41,13 @@ class World:
         "_builder",
         "_ceiling",
         "_drift",
+        "_early",
         "_faults",
         "_held",
         "_keeper",
         "_last_t",
         "_last_xy",
+        "_looking",
         "_low",
         "_next_fault",
         "_ooze",
@@ -77,6 +80,10 @@ class World:
         self._parts: Parts = self._builder.build()
         sensors = self._parts.sensors
         self._ceiling = max(sensor.ceiling() for sensor in sensors)
+        # Mm above that at which a fault may have something touched
+        self._early = 0.0
+        # Signals with which a move looks for a touch
+        self._looking: dict[str, Line] = {}
         self._last_xy: Optional[tuple[float, float]] = None
         self._last_t = -math.inf
         # Something near the plate has yet to be let go
@@ -113,7 +120,15 @@ class World:
 
     def touch_armed(self, signal: str, t: float) -> None:
         """A homing or probing operation on this signal starts at time t."""
-        self._parts.lines[signal].arm(t, self._faults)
+        line = self._looking[signal] = self._parts.lines[signal]
+        line.arm(t, self._faults)
+        self._expect_touches()
+
+    def touch_ended(self, signal: str) -> None:
+        """That operation has ended, with a touch or without."""
+        line = self._looking.pop(signal, None)
+        if line is not None:
+            line.disarm()
 
     def set_output(self, signal: str, t: float, value: float) -> None:
         """The board sets an output to value (0..1) at time t."""
@@ -193,12 +208,15 @@ class World:
     def expect_faults(self) -> None:
         """Look at the faults again, as there are others now."""
         self._next_fault = self._expect_faults()
+        for line in self._looking.values():
+            line.expect_touches(self._faults)
+        self._expect_touches()
 
     def mend(self) -> None:
         """There are no faults any more."""
-        self.expect_faults()
         for line in self._parts.lines.values():
             line.mend()
+        self.expect_faults()
 
     def observe(self, t: float, pose: Sequence[float]) -> None:
         """Commit that the head is at `pose` at time t, in order of time."""
@@ -207,6 +225,8 @@ class World:
         x, y, z = pose
         if t >= self._next_fault:
             self._next_fault = self._mark_due(t)
+        for line in self._looking.values():
+            line.observe(t, pose, self._faults)
         if self._keeper is not None:
             self._keeper.observe(t, pose)
             depth = self._keeper.dock_depth(t, pose)
@@ -221,7 +241,7 @@ class World:
         self.truth.lowest = min(self.truth.lowest, z)
         drift = self._drift
         bound = drift.bound(t) if drift.active else 0.0
-        low = z <= self._ceiling + bound
+        low = z <= self._ceiling + self._early + bound
         if low or self._low:
             self._commit_contacts(t, pose)
             self._low = low
@@ -247,6 +267,10 @@ class World:
     ) -> None:
         """Write down what was found, and let the probe fall if it must."""
         site, truth = finding.site, self.truth
+        if finding.met:
+            for fault in site.faults:
+                self._faults.strikes(fault)
+            self._faults.touched(site.name)
         x, y, z = pose
         keeper = self._keeper
         if finding.pressed and not finding.was_pressed:
@@ -282,14 +306,23 @@ class World:
 
     def _expect_faults(self) -> float:
         lines = self._parts.lines
+        sites = {site.name for line in lines.values() for site in line.sites}
         for fault in self._faults:
-            about_signal = fault.name.startswith(("stuck_", "trigger_"))
-            if about_signal and fault.subject not in lines:
+            if not fault.name.startswith(("stuck_", "trigger_")):
+                continue
+            known = sorted(sites if fault.at_site else lines)
+            if fault.subject not in known:
                 raise ValueError(
-                    f"{fault!r}: no such signal, have {sorted(lines)}"
+                    f"{fault!r}: no such {fault.what}, have {known}"
                 )
         times = [line.expect(self._faults) for line in lines.values()]
         return min(times, default=math.inf)
+
+    def _expect_touches(self) -> None:
+        sensors = self._parts.sensors
+        for sensor in sensors:
+            sensor.expect()
+        self._early = max(sensor.early for sensor in sensors)
 
     def _mark_due(self, t: float) -> float:
         """Let faults by time count as fired; time of the next, or infinity."""

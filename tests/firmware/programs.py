@@ -166,7 +166,7 @@ class Record(NamedTuple):
 
 
 def record(printer: RunningPrinter, script: str) -> Record:
-    """Run it. Raises AssertionError if a fault has not struck."""
+    """Run it."""
     machine, session = printer.machine, printer.session
     for site in (*_SITES, "nozzle_membrane") if machine.faults else ():
         machine.tolerate(site, _FAR)
@@ -180,7 +180,6 @@ def record(printer: RunningPrinter, script: str) -> Record:
         # A refused command may still lift the head
         printer.run("M400")
     session.wait(0.5)
-    assert not machine.faults.unfired()
     return Record(
         # Messages name pins, which have other names on a program
         [gpio_names(line) for line in (*session.console[before:], *end)],

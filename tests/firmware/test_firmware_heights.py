@@ -15,30 +15,32 @@ from tests.firmware.programs import (
 )
 from tools.kit.printer import has_kinematics
 
-# Where a fault strikes: the third touch of a sensor, or the only one
-_AT = {"membrane": 2, "bed_sensor": 2}
 _KINDS = ("stuck_open", "stuck_closed", "trigger_never")
 _OFF = ("trigger_early", "trigger_late")
-_SENSORS = {
-    "CALIBRATE_Z": ("z_endstop", "probe"),
-    "piezo_cartesian: AUTO_Z_CALIBRATE": ("probe", "bed_sensor"),
-    "EXTRA_PROBE": ("membrane",),
-    "PROBE, dockable, with sensors": ("probe",),
+# Where a fault strikes: the site, and which of its touches, homing included
+_TOUCHES = {
+    "CALIBRATE_Z": (("nozzle_pin", 3), ("probe_bed", 2)),
+    "piezo_cartesian: AUTO_Z_CALIBRATE": (
+        ("inductive_bed", 3),
+        ("nozzle_bed", 2),
+    ),
+    "EXTRA_PROBE": (("nozzle_membrane", 2),),
+    "PROBE, dockable, with sensors": (("probe_bed", 3),),
 }
 
 
 def _sensor_faults():
-    for name, signals in _SENSORS.items():
-        for signal in signals:
-            n = _AT.get(signal, 3)
+    for name, touches in _TOUCHES.items():
+        for site, touch in touches:
             for kind in _KINDS:
-                yield name, Fault(kind, n, signal=signal)
+                yield name, Fault(kind, site=site, touch=touch)
             for kind in _OFF:
-                yield name, Fault(kind, n, signal=signal, mm=0.3)
-    yield "CALIBRATE_Z", Fault("probe_falls", 2)
-    yield "CALIBRATE_Z", Fault("probe_falls", 2, when="touch")
+                yield name, Fault(kind, site=site, touch=touch, mm=0.3)
+    for when in ("lift", "touch"):
+        about = {"site": "body_pin", "touch": 2}
+        yield "CALIBRATE_Z", Fault("probe_falls", when=when, **about)
     yield "PROBE, dockable", Fault("attach_fails", persistent=True)
-    yield "PROBE, dockable", Fault("dock_fails", 2, persistent=True)
+    yield "PROBE, dockable", Fault("dock_fails", n=2, persistent=True)
 
 
 FAULTS = list(_sensor_faults())

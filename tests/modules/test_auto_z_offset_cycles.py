@@ -29,7 +29,8 @@ pytestmark = pytest.mark.slow
 
 
 def test_cycles_that_differ_like_noise_are_told_not_refused(start):
-    fault = Fault("trigger_late", signal="bed_sensor", mm=0.1, n=2)
+    about = {"site": "nozzle_bed", "touch": 2, "command": "AUTO_Z_CALIBRATE"}
+    fault = Fault("trigger_late", mm=0.1, **about)
     printer = start("qidi", faults=[fault])
     printer.machine.tolerate("nozzle_bed", 0.2)
     lines = printer.homed().run("AUTO_Z_CALIBRATE")

@@ -14,6 +14,7 @@ from tools.kit.auto_z_offset import (
     POINT,
     PROBE_PLACE,
     SENSOR,
+    SITES,
     formulas,
     seconds,
     section,
@@ -136,10 +137,11 @@ def test_point_of_the_measurement(start, changes, place):
 )
 def test_floor(start, axis, own, z, why):
     changes = {"stepper_z": {"position_min": axis}, **section(probe_z_min=own)}
-    fault = Fault("stuck_open", signal="bed_sensor", n=1)
+    command = "AUTO_Z_MEASURE_OFFSET"
+    fault = Fault("stuck_open", site="nozzle_bed", command=command)
     printer = start("qidi", changes=changes, faults=[fault])
     printer.machine.tolerate("nozzle_bed", max(0.0, SENSOR - z) + 0.02)
-    text = printer.homed().fail("AUTO_Z_MEASURE_OFFSET")
+    text = printer.homed().fail(command)
     assert "bed sensor: the switch did not answer" in text
     assert (
         f"(stopped at z={z:.3f}), the lowest point of this touch: {why}; "
@@ -196,7 +198,8 @@ def test_every_touch_has_the_same_speed(start, saved):
 def test_floor_leaves_room_to_brake(start, speed, accel, below):
     changes = section(speed=speed, probe_accel=accel.get("probe_accel"))
     changes["printer"] = {"max_z_accel": accel.get("max_z_accel", "500")}
-    fault = Fault("trigger_never", signal="bed_sensor", n=2)
+    about = {"site": "nozzle_bed", "touch": 2, "command": "AUTO_Z_CALIBRATE"}
+    fault = Fault("trigger_never", **about)
     printer = start("qidi", changes=changes, faults=[fault]).homed()
     printer.machine.tolerate("nozzle_bed", 1.2)
     text = printer.fail("AUTO_Z_CALIBRATE")
@@ -280,8 +283,8 @@ def test_sample_retract_dist(start, retract):
 @pytest.mark.parametrize("signal", ["bed_sensor", "probe"])
 def test_samples_result(start, result, share, signal):
     # The second of three is 0.06 mm early
-    n = 2 if signal == "bed_sensor" else 4
-    fault = Fault("trigger_early", signal=signal, mm=0.06, n=n)
+    about = {"touch": 2, "command": "AUTO_Z_MEASURE_OFFSET"}
+    fault = Fault("trigger_early", site=SITES[signal], mm=0.06, **about)
     printer = moving(
         start,
         [fault],
@@ -297,8 +300,9 @@ def test_samples_result(start, result, share, signal):
 @pytest.mark.parametrize(("retries", "good"), [("0", False), ("1", True)])
 @pytest.mark.parametrize("signal", ["bed_sensor", "probe"])
 def test_tolerance_and_retries(start, signal, retries, good):
-    n = 2 if signal == "bed_sensor" else 4
-    fault = Fault("trigger_early", signal=signal, mm=0.06, n=n)
+    command = "AUTO_Z_MEASURE_OFFSET" if good else "AUTO_Z_CALIBRATE"
+    about = {"site": SITES[signal], "touch": 2, "command": command}
+    fault = Fault("trigger_early", mm=0.06, **about)
     printer = moving(
         start,
         [fault],
@@ -308,11 +312,11 @@ def test_tolerance_and_retries(start, signal, retries, good):
     )
     name = "bed sensor" if signal == "bed_sensor" else "probe"
     if not good:
-        text = printer.fail("AUTO_Z_CALIBRATE")
+        text = printer.fail(command)
         assert f"auto_z_offset: {name}: samples differ by 0.0" in text
         assert "samples_tolerance is 0.0500 mm; clean the nozzle" in text
         return
-    lines = printer.run("AUTO_Z_MEASURE_OFFSET")
+    lines = printer.run(command)
     again = told(lines, "trying again")
     assert len(again) == 1
     assert f"{name}: samples differ by" in again[0]
@@ -325,7 +329,8 @@ def test_tolerance_and_retries(start, signal, retries, good):
 @pytest.mark.parametrize(("retries", "good"), [("0", False), ("1", True)])
 def test_cycles_that_differ(start, retries, good):
     # One touch each: only the cycles can disagree
-    fault = Fault("trigger_late", signal="bed_sensor", mm=0.03, n=2)
+    about = {"site": "nozzle_bed", "touch": 2, "command": "AUTO_Z_CALIBRATE"}
+    fault = Fault("trigger_late", mm=0.03, **about)
     printer = moving(
         start,
         [fault],
@@ -357,7 +362,8 @@ def test_offset_samples(start, count):
 
 
 def test_median_of_the_cycles(start):
-    fault = Fault("trigger_early", signal="bed_sensor", mm=0.06, n=2)
+    about = {"site": "nozzle_bed", "touch": 2, "command": "AUTO_Z_CALIBRATE"}
+    fault = Fault("trigger_early", mm=0.06, **about)
     printer = moving(
         start, [fault], samples_result="median", samples_tolerance="0.1"
     )
@@ -373,7 +379,8 @@ def test_median_of_the_cycles(start):
 
 def test_saved_correction_is_the_floor(start):
     # 1 mm below the trigger that it stands for
-    fault = Fault("stuck_open", signal="bed_sensor", n=1)
+    about = {"site": "nozzle_bed", "command": "AUTO_Z_CALIBRATE"}
+    fault = Fault("stuck_open", **about)
     changes = section(probe_z_correction="-1.12")
     printer = start("qidi", changes=changes, faults=[fault])
     printer.machine.tolerate("nozzle_bed", 1.02)

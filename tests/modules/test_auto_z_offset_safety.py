@@ -13,10 +13,10 @@ from simprinter.mcu.tmc import IFCNT
 from tools.campaign.walks.machines import on_plate
 from tools.kit.auto_z_offset import (
     DEPTH,
-    HOMING_ARMS,
     MICROSTEP,
     POINT,
     SENSOR,
+    SITES,
     lowest,
     pending,
     section,
@@ -94,6 +94,13 @@ def test_axes_must_be_homed(host, command, script):
 KINDS = ("trigger_never", "stuck_open", "stuck_closed")
 
 
+def broken(kind, site, touch, **more):
+    """A fault at that touch of AUTO_Z_CALIBRATE."""
+    return Fault(
+        kind, site=site, touch=touch, command="AUTO_Z_CALIBRATE", **more
+    )
+
+
 # One of each message, and of each depth of a nozzle whose sensor is dead
 @pytest.mark.parametrize(
     ("kind", "signal", "n", "saved"),
@@ -110,8 +117,7 @@ KINDS = ("trigger_never", "stuck_open", "stuck_closed")
     ),
 )
 def test_single_fault_of_a_sensor(host, kind, signal, n, saved):
-    arms = n if signal == "bed_sensor" else n + HOMING_ARMS
-    fault = Fault(kind, signal=signal, n=arms)
+    fault = broken(kind, SITES[signal], n)
     changes = section(
         probe_z_correction=saved,
         prepare_gcode=f"{PREPARE}\n  SET_GCODE_OFFSET Z=1",
@@ -152,7 +158,7 @@ def test_single_fault_of_a_sensor(host, kind, signal, n, saved):
 
 def test_trigger_a_little_above_the_bed_is_not_the_bed(start):
     # 1.6 mm early: lower than the probe's z_offset, but the probe sees nothing
-    fault = Fault("trigger_early", signal="bed_sensor", mm=1.6, n=1)
+    fault = broken("trigger_early", "nozzle_bed", 1, mm=1.6)
     printer = start("qidi", faults=[fault]).homed()
     text, before, after = before_and_after(printer)
     assert "probe: No trigger" in text
@@ -164,7 +170,7 @@ def test_trigger_a_little_above_the_bed_is_not_the_bed(start):
 @pytest.mark.parametrize("retries", [0, 1])
 def test_trigger_in_mid_air(host, n, retries):
     # Shaken: 1.5 mm above the bed
-    fault = Fault("trigger_early", signal="bed_sensor", mm=1.5, n=n)
+    fault = broken("trigger_early", "nozzle_bed", n, mm=1.5)
     changes = section(
         probe_z_correction="-1.12", samples_tolerance_retries=str(retries)
     )
@@ -183,7 +189,7 @@ def test_trigger_in_mid_air(host, n, retries):
 
 def test_first_touch_in_mid_air_on_a_machine_nobody_knows(start):
     # Higher than the probe can see the bed
-    fault = Fault("trigger_early", signal="bed_sensor", mm=2.0, n=1)
+    fault = broken("trigger_early", "nozzle_bed", 1, mm=2.0)
     changes = section(samples_tolerance_retries="0")
     printer = start("qidi", changes=changes, faults=[fault]).homed()
     text, before, after = before_and_after(printer)
@@ -200,7 +206,7 @@ def test_first_touch_in_mid_air_on_a_machine_nobody_knows(start):
     ("late", "retries"), [slow(0.1, 0), slow(0.1, 1), (0.5, 1)]
 )
 def test_trigger_that_is_late(host, n, late, retries):
-    fault = Fault("trigger_late", signal="bed_sensor", mm=late, n=n)
+    fault = broken("trigger_late", "nozzle_bed", n, mm=late)
     changes = section(
         samples_tolerance_retries=str(retries), cycles_tolerance="0.05"
     )
@@ -283,11 +289,11 @@ def test_emergency_stop_before_a_touch_hangs_no_host(start, site, after):
 
 
 def test_touch_in_this_frame_is_the_floor_of_the_next_one(start):
-    # The second arming is the next command's
-    fault = Fault("trigger_never", signal="bed_sensor", n=2)
-    printer = start("qidi", faults=[fault])
+    printer = start("qidi")
     printer.machine.tolerate("nozzle_bed", KNOWN + 0.02)
     printer.homed().run("AUTO_Z_PROBE")
+    about = {"site": "nozzle_bed", "command": "AUTO_Z_PROBE"}
+    printer.machine.break_down(Fault("trigger_never", **about))
     text = printer.fail("AUTO_Z_PROBE")
     assert "1.000 mm below the expected trigger at z=-1.3" in text
     assert lowest(printer) <= ONE_TOUCH + KNOWN + STEPS
@@ -295,18 +301,20 @@ def test_touch_in_this_frame_is_the_floor_of_the_next_one(start):
 
 @pytest.mark.parametrize("script", ["G28 Z", "SET_KINEMATIC_POSITION Z=10"])
 def test_touch_in_another_frame_says_nothing(start, script):
-    fault = Fault("trigger_never", signal="bed_sensor", n=2)
     changes = {"force_move": {"enable_force_move": "true"}}
-    printer = start("qidi", faults=[fault], changes=changes)
+    printer = start("qidi", changes=changes)
     printer.machine.tolerate("nozzle_bed", 10.0)
     printer.homed().run(f"AUTO_Z_PROBE\n{script}")
+    about = {"site": "nozzle_bed", "command": "AUTO_Z_PROBE"}
+    printer.machine.break_down(Fault("trigger_never", **about))
     text = printer.fail("AUTO_Z_PROBE")
     assert "of this touch: position_min of section 'stepper_z'; " in text
 
 
 def test_failed_command_teaches_nothing(start):
     # Early by 1 mm, so the second touch of it finds no bed
-    fault = Fault("trigger_early", signal="bed_sensor", mm=1.0, n=1)
+    about = {"site": "nozzle_bed", "command": "AUTO_Z_PROBE"}
+    fault = Fault("trigger_early", mm=1.0, **about)
     changes = section(samples="2")
     printer = start("qidi", faults=[fault], changes=changes).homed()
     printer.fail("AUTO_Z_PROBE")
@@ -753,7 +761,6 @@ def test_driver_that_does_not_answer(host, driver, n):
         except GcodeError as error:
             text = str(error)
         after = state(printer)
-        assert printer.machine.faults.unfired() == []
         assert after["currents"] == before["currents"]
         assert after["max_accel"] == before["max_accel"]
         # Failing to reduce it ends the command, failing to restore it once
@@ -876,7 +883,6 @@ def test_lost_connection_is_the_only_end_of_the_printer(start, board):
     printer = start("qidi_two_boards", faults=[fault]).homed()
     assert touch.t - 0.5 > first
     printer.fail("AUTO_Z_MEASURE_OFFSET")
-    assert printer.machine.faults.unfired() == []
     assert lowest(printer) <= ONE_TOUCH + STEPS
 
 
@@ -884,8 +890,8 @@ def test_lost_connection_is_the_only_end_of_the_printer(start, board):
 
 
 def dead_probe(n):
-    """A fault at the n-th arming of the probe, if any."""
-    return [Fault("trigger_never", signal="probe", n=n)] if n else []
+    """A fault at the n-th touch of the probe in the calibration, if any."""
+    return [broken("trigger_never", "inductive_bed", n)] if n else []
 
 
 def check_calibration(printer, n):
@@ -1020,7 +1026,7 @@ def hidden_floor(tmp_path, whole):
 
 @pytest.mark.parametrize("n", [None, 1, 3])
 def test_probe_that_takes_no_floor_is_touched_by_us(start, tmp_path, n):
-    faults = dead_probe(n and n + HOMING_ARMS)
+    faults = dead_probe(n)
     printer = start("qidi", faults=faults, **hidden_floor(tmp_path, "false"))
     check_calibration(printer.homed(), n)
 
@@ -1035,7 +1041,7 @@ def test_probe_that_cannot_be_told_where_to_end_is_refused(start, tmp_path):
 
 def test_host_probes_to_its_own_floor_again_afterwards(start):
     # The plate ends before the axis does
-    fault = Fault("stuck_open", signal="probe", n=HOMING_ARMS + 2)
+    fault = Fault("stuck_open", site="inductive_bed", command="PROBE")
     printer = start("qidi", faults=[fault])
     printer.machine.tolerate("nozzle_bed", 10.0)
     printer.homed().run("AUTO_Z_MEASURE_OFFSET")

@@ -509,12 +509,12 @@ def test_samples(start):
     printer.run(place + "PROBE SAMPLES=4 SAMPLE_RETRACT_DIST=1")
     assert count("probe_bed") == 4
     printer.machine.break_down(
-        Fault("trigger_early", signal="probe", mm=0.3, n=2)
+        Fault("trigger_early", site="probe_bed", touch=2, mm=0.3)
     )
     text = printer.fail(place + "PROBE SAMPLES=2")
     assert "samples" in text
     printer.machine.break_down(
-        Fault("trigger_early", signal="probe", mm=0.3, n=2)
+        Fault("trigger_early", site="probe_bed", touch=2, mm=0.3)
     )
     before = count("probe_bed")
     printer.run(place + "PROBE SAMPLES=3 SAMPLES_TOLERANCE_RETRIES=1")
@@ -522,7 +522,7 @@ def test_samples(start):
     assert count("probe_bed") == before + 4
     for method, z in (("median", 7.0), ("average", 7.0 + 0.06 / 3)):
         printer.machine.break_down(
-            Fault("trigger_early", signal="probe", mm=0.06, n=2)
+            Fault("trigger_early", site="probe_bed", touch=2, mm=0.06)
         )
         wanted = f"SAMPLES=3 SAMPLES_RESULT={method} SAMPLES_TOLERANCE=0.1"
         printer.run(f"{place}PROBE {wanted}")
@@ -545,7 +545,7 @@ def test_samples_by_options(start):
         printer = start(SWITCH, section(**series, **options)).homed()
         printer.run("G1 X150 Y150 Z20 F6000\nM400")
         printer.machine.break_down(
-            Fault("trigger_early", signal="probe", mm=0.06, n=2)
+            Fault("trigger_early", site="probe_bed", touch=2, mm=0.06)
         )
         if z is None:
             assert "samples_tolerance" in printer.fail("PROBE")

@@ -93,7 +93,9 @@ def test_attached_at_the_start_is_docked_and_fetched_again(start):
 def test_reading_that_was_not_seen_to_change_again(start):
     printer = start(GANTRY, section(**QUICK)).homed()
     printer.run("ATTACH_PROBE")
-    printer.machine.break_down(Fault("stuck_open", signal="probe", n=1))
+    printer.machine.break_down(
+        Fault("stuck_open", site="probe_bed", command="PROBE")
+    )
     tolerant(printer)
     # The dead one is found at the touch ...
     assert "No trigger" in printer.fail("PROBE")
@@ -109,11 +111,14 @@ def test_reading_that_was_not_seen_to_change_again(start):
 # Each n-th attempt fails
 
 
-@pytest.mark.parametrize("n", [slow(1), 2, slow(3)])
+@pytest.mark.parametrize(
+    ("command", "n"), [slow("G28", 1), ("PROBE", 1), slow("PROBE", 2)]
+)
 @pytest.mark.parametrize("fault", ["attach_fails", "dock_fails"])
-def test_attempt_that_fails_is_tried_again(start, fault, n):
+def test_attempt_that_fails_is_tried_again(start, fault, command, n):
     changes = section(dock_retries="1", **QUICK)
-    printer = start(GANTRY, changes, faults=[Fault(fault, n=n)]).homed()
+    faults = [Fault(fault, n=n, command=command)]
+    printer = start(GANTRY, changes, faults=faults).homed()
     printer.run("PROBE\nPROBE")
     failed = fault.replace("fails", "failed")
     assert trips(printer).count(failed) == 1
@@ -122,13 +127,14 @@ def test_attempt_that_fails_is_tried_again(start, fault, n):
     assert where(printer) == "docked"
 
 
-@pytest.mark.parametrize("n", [1, 2])
-def test_fetching_that_fails(start, n):
-    fault = Fault("attach_fails", n=n, persistent=True)
+@pytest.mark.parametrize("has_probed", [False, True])
+def test_fetching_that_fails(start, has_probed):
+    command = "BED_MESH_CALIBRATE"
+    fault = Fault("attach_fails", command=command, persistent=True)
     printer = start(SWITCH, section(dock_retries="2", **QUICK), faults=[fault])
     printer.homed()
     printer.run("G1 X150 Y150 Z5 F6000")
-    if n == 2:
+    if has_probed:
         printer.run("PROBE")
     before = len(printer.machine.truth.touches)
     text = printer.fail(MESH)
@@ -150,7 +156,7 @@ def test_fetching_that_fails(start, n):
 
 
 def test_docking_that_fails(start):
-    fault = Fault("dock_fails", n=2, persistent=True)
+    fault = Fault("dock_fails", command="PROBE", persistent=True)
     printer = start(GANTRY, section(**QUICK), faults=[fault]).homed()
     text = printer.fail("PROBE")
     assert "the probe was not docked, it is ATTACHED" in text
@@ -225,15 +231,31 @@ def test_sense_that_is_stuck_from_the_start(start, signal, level):
 # Lost, or dead, at each touch
 
 
-# In homing, in PROBE, in the mesh
+def fails_somewhere(printer):
+    """In homing, in PROBE, or in the mesh; the error's text."""
+    with pytest.raises(GcodeError) as error:
+        for script in ("G28", "PROBE", MESH):
+            printer.run(script)
+    return str(error.value)
+
+
 @pytest.mark.parametrize("when", ["touch", slow("lift")])
-@pytest.mark.parametrize("n", [1, slow(2), 3, slow(4), 7])
+@pytest.mark.parametrize(
+    ("command", "touch"),
+    [
+        ("G28", 1),
+        slow("G28", 2),
+        ("PROBE", 1),
+        slow("PROBE", 2),
+        ("BED_MESH_CALIBRATE", 3),
+    ],
+)
 @pytest.mark.parametrize("scene", [GANTRY, slow(SENSED)], ids=lambda s: s.name)
-def test_probe_lost_at_a_touch(start, scene, n, when):
-    fault = Fault("probe_falls", n=n, when=when)
+def test_probe_lost_at_a_touch(start, scene, command, touch, when):
+    about = {"site": "probe_bed", "touch": touch, "command": command}
+    fault = Fault("probe_falls", when=when, **about)
     printer = ready(start(scene, section(samples="2"), faults=[fault]))
-    script = f"G28\nPROBE\n{MESH}"
-    text = printer.fail(script)
+    text = fails_somewhere(printer)
     assert "the probe" in text
     assert where(printer) == "lost"
     assert "ready" in printer.session.state()[0]
@@ -247,7 +269,9 @@ def test_probe_lost_at_the_last_touch(start):
     # Nothing touches after it: only a look tells that the result is wrong
     printer = start(SWITCH, section(**QUICK)).homed()
     printer.run("G1 X150 Y150 Z20 F6000\nATTACH_PROBE")
-    printer.machine.break_down(Fault("probe_falls", n=1))
+    printer.machine.break_down(
+        Fault("probe_falls", site="probe_bed", command="PROBE")
+    )
     text = printer.fail("PROBE")
     assert "was lost, what was measured is wrong" in text
     assert printer.session.position()[2] >= CLEAR - 0.01
@@ -265,15 +289,23 @@ def test_not_back_down_to_nothing(start):
     assert printer.session.position()[2] == pytest.approx(CLEAR)
 
 
-@pytest.mark.parametrize("n", [2, slow(3), 4, slow(6)])
+@pytest.mark.parametrize(
+    ("command", "touch"),
+    [
+        ("G28", 2),
+        slow("PROBE", 1),
+        ("BED_MESH_CALIBRATE", 1),
+        slow("BED_MESH_CALIBRATE", 3),
+    ],
+)
 @pytest.mark.parametrize("level", ["stuck_open", "stuck_closed"])
-def test_switch_that_dies_at_a_touch(start, n, level):
-    fault = Fault(level, signal="probe", n=n)
+def test_switch_that_dies_at_a_touch(start, command, touch, level):
+    fault = Fault(level, site="probe_bed", touch=touch, command=command)
     printer = ready(tolerant(start(GANTRY, section(**QUICK), faults=[fault])))
-    printer.fail(f"G28\nPROBE\n{MESH}")
+    fails_somewhere(printer)
     assert printer.session.state()[0] == "ready"
     # The second way down of homing hardly goes deeper than the first one
-    lowest = HANG - 1.0 if n == 2 else FLOOR
+    lowest = HANG - 1.0 if command == "G28" else FLOOR
     assert printer.machine.truth.min_gap > lowest - 0.1
 
 
@@ -284,7 +316,9 @@ def test_switch_that_dies_before_z_is_homed_again(start, script):
     changes = {"force_move": {"enable_force_move": "True"}, **section(**QUICK)}
     printer = tolerant(start(GANTRY, changes)).homed()
     printer.run(f"ATTACH_PROBE\nG1 X150 Y150 Z30 F6000\n{script}\nM400")
-    printer.machine.break_down(Fault("stuck_open", signal="probe", n=1))
+    printer.machine.break_down(
+        Fault("stuck_open", site="probe_bed", command="G28")
+    )
     assert "No trigger" in printer.fail("G28 Z")
     assert "nothing where the bed was" in "\n".join(printer.session.console)
     printer.session.wait(1.0)
@@ -322,7 +356,7 @@ def test_touch_elsewhere_is_no_height_of_the_bed_where_z_is_homed(start):
 
 
 def test_stuck_closed_at_the_first_homing(start):
-    fault = Fault("stuck_closed", signal="probe", n=1)
+    fault = Fault("stuck_closed", site="probe_bed", command="G28")
     printer = ready(start(GANTRY, faults=[fault]))
     assert "triggered before the head moved" in printer.fail("G28")
     assert printer.status("toolhead")["homed_axes"] == ""

@@ -325,7 +325,7 @@ def test_print_that_begins_ends_the_question(start, tmp_path):
 @pytest.mark.parametrize("own", [{}, {"position_min": "0.15"}])
 def test_floor_of_a_touch(start, scene, low, lowest_z, own):
     # A dead membrane is pressed, and the bed below it
-    fault = Fault("stuck_open", signal="membrane")
+    fault = Fault("stuck_open", site="nozzle_membrane")
     printer = laid(start, scene, faults=[fault], changes=section(**own))
     printer.machine.tolerate("nozzle_membrane", 2.0)
     printer.machine.tolerate("nozzle_bed", 2.0)
@@ -343,7 +343,7 @@ def test_floor_of_a_touch(start, scene, low, lowest_z, own):
 
 
 def test_floor_is_not_below_the_axis(start):
-    fault = Fault("stuck_open", signal="membrane")
+    fault = Fault("stuck_open", site="nozzle_membrane")
     changes = {
         "stepper_z": {"position_min": "-0.5"},
         **section(position_min="-2"),

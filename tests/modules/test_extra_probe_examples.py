@@ -105,7 +105,8 @@ def test_example_used_again(start, name):
 
 @pytest.mark.parametrize("name", [n for n in OWNERS if n not in MACROS])
 def test_command_of_an_example_survives_a_dead_membrane(start, name):
-    fault = Fault("stuck_open", signal="membrane")
+    about = {"site": "nozzle_membrane", "command": "EXTRA_PROBE_CONTINUE"}
+    fault = Fault("stuck_open", **about)
     printer = owned(start, name, faults=[fault])
     for site in ("nozzle_membrane", "nozzle_bed"):
         printer.machine.tolerate(site, 2.0)

@@ -131,7 +131,7 @@ def test_cycles_as_they_are_asked_for(start):
 
 
 def test_failure_leaves_everything_as_it_was(start):
-    fault = Fault("attach_fails", n=2)
+    fault = Fault("attach_fails", n=2, command="CALIBRATE_Z_ACCURACY")
     changes = {"respond": {}, **section(error_gcode="\n  RESPOND MSG=ERROR")}
     printer = start(cartesian(), changes=changes, faults=[fault]).homed()
     printer.run("SET_GCODE_OFFSET Z=0.2 MOVE=0")

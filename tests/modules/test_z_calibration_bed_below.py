@@ -67,14 +67,15 @@ def test_plate_that_is_missing(start):
 
 # Margins that are above 0; a touch that has met the bed before
 @pytest.mark.parametrize(
-    ("changes", "n"),
+    ("changes", "touch"),
     [
-        (section(offset_margins="0.1, 0.3"), 2),
-        ({}, 3),
+        (section(offset_margins="0.1, 0.3"), 1),
+        ({}, 2),
     ],
 )
-def test_bed_that_is_not_below(start, changes, n):
-    faults = [Fault("trigger_never", signal="probe", n=n)]
+def test_bed_that_is_not_below(start, changes, touch):
+    about = {"site": "probe_bed", "touch": touch, "command": "CALIBRATE_Z"}
+    faults = [Fault("trigger_never", **about)]
     printer = start(changes=changes, faults=faults)
     printer.machine.tolerate("body_bed", 1.0)
     text = printer.homed().fail("CALIBRATE_Z")

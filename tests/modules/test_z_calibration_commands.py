@@ -275,7 +275,7 @@ def test_accuracy_needs_homed_axes_and_an_absent_probe(start):
 
 
 def test_accuracy_has_a_floor_and_lifts(start):
-    printer = with_dead_pin(start, 5)
+    printer = with_dead_pin(start, 3, "PROBE_Z_ACCURACY")
     text = printer.fail("PROBE_Z_ACCURACY")
     assert "nozzle: the switch did not answer" in text
     assert "(stopped at z=0.600)" in text

@@ -329,7 +329,7 @@ def test_euclid_macros_look_at_the_probe(host, fault, message):
     owner = OWNERS["euclid"]
     changes = included(EXAMPLES / "euclid.cfg")
     for number in (1, 2):
-        faults = [Fault(fault, n=number)]
+        faults = [Fault(fault, n=number, command="PRINT_START")]
         with Printer(host, owner.scene, changes, faults) as printer:
             assert message in told(printer)
 
@@ -549,7 +549,8 @@ def test_macro_of_the_document_is_the_example():
 
 
 def test_nothing_stays_hot_after_a_failure(start, tmp_path):
-    faults = [Fault("trigger_never", signal="z_endstop", n=4)]
+    about = {"site": "nozzle_pin", "touch": 2, "command": "CALIBRATE_Z"}
+    faults = [Fault("trigger_never", **about)]
     scene = heated(SCENES["voron"])
     path = EXAMPLES / f"{OFF}.cfg"
     changes = {f"include {path}": {}, **second_tool(tmp_path)}

@@ -131,7 +131,7 @@ def report_is_drawn(printer):
 
 
 def test_refused_run_leaves_its_reason(start):
-    faults = [Fault("trigger_never", signal="probe", n=2)]
+    faults = [Fault("trigger_never", site="probe_bed", command="CALIBRATE_Z")]
     changes = {"probe": {"samples": "1"}}
     printer = start(heated(SCENES["voron"]), changes=changes, faults=faults)
     printer.homed().machine.tolerate("body_bed", 1.0)
@@ -160,12 +160,14 @@ def test_history_may_be_elsewhere(start, tmp_path):
     other = tmp_path / "mine"
     options = {"history": str(other), "history_runs": "2"}
     options["target_uncertainty"] = "0.005"
-    late = Fault("trigger_late", signal="z_endstop", mm=0.03, n=12)
-    printer = start(changes=section(**options), faults=[late]).homed()
+    printer = start(changes=section(**options)).homed()
     text = "option 'target_uncertainty' is ignored without 'samples: auto'"
     assert any(text in line for line in printer.session.console)
-    for _ in range(3):
-        printer.run("CALIBRATE_Z")
+    printer.run("CALIBRATE_Z")
+    about = {"site": "body_pin", "command": "CALIBRATE_Z"}
+    printer.machine.break_down(Fault("trigger_late", mm=0.03, **about))
+    printer.run("CALIBRATE_Z")
+    printer.run("CALIBRATE_Z")
     printer.session.wait(1.0)
     lines = (other / "history.jsonl").read_text().splitlines()
     # A series of touches that did not agree, and the next one
@@ -465,7 +467,8 @@ def test_nozzle_that_cannot_be_cleaned_is_refused_as_before(start):
 
 def test_pin_that_fails_is_no_reason_to_clean(start):
     """The first touch is higher than the second; there is no third."""
-    faults = [Fault("trigger_never", signal="z_endstop", n=5)]
+    about = {"site": "nozzle_pin", "touch": 3, "command": "CALIBRATE_Z"}
+    faults = [Fault("trigger_never", **about)]
     scene = voron(ooze=OozeSpec(0.4, 0.5))
     printer = start(scene, changes=cleaning(**AUTO), faults=faults).homed()
     printer.machine.tolerate("nozzle_pin", 2.0)

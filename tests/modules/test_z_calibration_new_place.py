@@ -255,8 +255,9 @@ def test_longer_tool(start, tmp_path, scene):
 def test_pin_that_is_dead_once_it_was_met(start):
     scene = SCENES["separate_pin"]
     deep = replace(scene.world.pin, pin_travel=8.0)
-    armed = Fault("trigger_never", signal="nozzle_endstop", n=35)
-    printer = start(scene.with_world(pin=deep), faults=[armed]).homed()
+    about = {"site": "nozzle_pin", "touch": 2, "command": "CALIBRATE_Z"}
+    fault = Fault("trigger_never", **about)
+    printer = start(scene.with_world(pin=deep), faults=[fault]).homed()
     printer.machine.tolerate("nozzle_pin", 1.01)
     text = printer.fail("CALIBRATE_Z")
     assert "did not answer (stopped at z=0.4" in text

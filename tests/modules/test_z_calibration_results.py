@@ -9,7 +9,7 @@ from dataclasses import replace
 import pytest
 
 from simprinter import Fault, Machine
-from simprinter.hosts.session import run_batch
+from simprinter.hosts.session import GcodeError, run_batch
 from simprinter.world import Pose
 from tools.kit.cases import slow
 from tools.kit.printer import (
@@ -171,8 +171,14 @@ def test_samples_come_from_the_probe(start):
     assert sites == expected
 
 
+def early(site, touch):
+    """By 0.05 mm."""
+    about = {"site": site, "touch": touch, "command": "CALIBRATE_Z"}
+    return Fault("trigger_early", mm=0.05, **about)
+
+
 def test_a_sample_that_disagrees_starts_the_site_again(start):
-    faults = [Fault("trigger_early", signal="z_endstop", mm=0.05, n=5)]
+    faults = [early("nozzle_pin", 3)]
     printer = start(faults=faults).homed()
     lines = printer.run("CALIBRATE_Z")
     assert result_of(lines)[2] == pytest.approx(PIN, abs=MICROSTEP)
@@ -184,27 +190,21 @@ def test_a_sample_that_disagrees_starts_the_site_again(start):
 
 def test_retries_end(start):
     changes = {"probe": {"samples_tolerance_retries": "1"}}
-    faults = [
-        Fault("trigger_early", signal="z_endstop", mm=0.05, n=n) for n in (5, 7)
-    ]
+    faults = [early("nozzle_pin", 3), early("nozzle_pin", 5)]
     printer = start(changes=changes, faults=faults).homed()
     text = printer.fail("CALIBRATE_Z")
     assert "nozzle: samples differ by 0.05" in text
-    assert printer.machine.faults.unfired() == []
     assert_unharmed(printer)
 
 
 @pytest.mark.every_host
 def test_bed_is_sampled_with_the_probes_own_settings(start):
     changes = {"probe": {"samples_tolerance_retries": "0"}}
-    # Homing and the two other sites arm the endstop, not the probe: its first
-    # arming is for the way down, the third is the second sample
-    faults = [Fault("trigger_early", signal="probe", mm=0.05, n=3)]
+    faults = [early("probe_bed", 2)]
     printer = start(changes=changes, faults=faults).homed()
     text = printer.fail("CALIBRATE_Z")
     assert "bed: samples differ by 0.0" in text
     assert "samples_tolerance is 0.0100 mm" in text
-    assert printer.machine.faults.unfired() == []
     assert_unharmed(printer)
 
 
@@ -453,7 +453,10 @@ def test_failing_end_gcode_does_not_hide_the_first_error(start):
     assert_unharmed(printer)
 
 
-@pytest.mark.parametrize("faults", [[], [Fault("probe_falls", n=1)]])
+@pytest.mark.parametrize(
+    "faults",
+    [[], [Fault("probe_falls", site="body_pin", command="CALIBRATE_Z")]],
+)
 def test_head_is_safe_when_user_gcode_runs(start, faults):
     where = "{printer.toolhead.position.z|round(2)}"
     changes = {
@@ -545,15 +548,20 @@ def test_probe_may_stand_on_the_bed_before(start):
 
 
 def test_probe_that_fails_to_attach_never_goes_down(start):
-    # Two armings for homing, two for the nozzle's samples: the fifth would be the
-    # way down to the switch
-    down = Fault("trigger_early", signal="z_endstop", mm=0.1, n=5)
-    faults = [Fault("attach_fails"), down]
+    faults = [Fault("attach_fails", command="CALIBRATE_Z")]
     printer = start("cartesian", faults=faults).homed()
     before = len(printer.machine.truth.touches)
-    assert "not attached" in printer.fail("CALIBRATE_Z")
+    command = printer.session.begin("CALIBRATE_Z")
+    printer.session.run_until(
+        command, lambda: len(touched_sites(printer, before)) == 2
+    )
+    # The next move that looks would be the way down to the switch
+    printer.machine.break_down(
+        Fault("stuck_open", signal="z_endstop", strikes="never")
+    )
+    with pytest.raises(GcodeError, match="not attached"):
+        printer.session.finish(command)
     assert touched_sites(printer, before) == ["nozzle_pin"] * 2
-    assert printer.machine.faults.unfired() == [down]
 
 
 @pytest.mark.every_host
@@ -581,11 +589,18 @@ def test_endstop_that_is_pressed_already_is_not_touched(start):
 
 
 @pytest.mark.parametrize(
-    ("n", "site"),
-    [slow(3, "nozzle"), (4, "nozzle"), (6, "switch"), slow(7, "switch")],
+    ("where", "touch", "site"),
+    [
+        slow("nozzle_pin", 1, "nozzle"),
+        ("nozzle_pin", 2, "nozzle"),
+        ("body_pin", 1, "switch"),
+        slow("body_pin", 2, "switch"),
+    ],
 )
-def test_endstop_that_closes_while_a_touch_begins(start, n, site):
-    fault = Fault("stuck_closed", signal="z_endstop", n=n)
+def test_endstop_that_closes_while_a_touch_begins(start, where, touch, site):
+    fault = Fault(
+        "stuck_closed", site=where, touch=touch, command="CALIBRATE_Z"
+    )
     printer = start(faults=[fault]).homed()
     text = printer.fail("CALIBRATE_Z")
     assert f"{site}: the Z endstop reads triggered" in text
@@ -620,12 +635,13 @@ def test_endstop_that_stays_pressed_after_the_last_touch(host, site, noticed):
 
 
 def test_failure_keeps_the_last_result_and_offset(start):
-    # 2 for homing, 6 for a good run, then the second run's second sample
-    printer = with_dead_pin(start, 10)
+    printer = start().homed()
+    printer.machine.tolerate("nozzle_pin", 1.01)
     good, _ = calibration(printer)
     status = printer.status("z_calibration")
+    about = {"site": "nozzle_pin", "touch": 2, "command": "CALIBRATE_Z"}
+    printer.machine.break_down(Fault("trigger_never", **about))
     printer.fail("CALIBRATE_Z")
-    assert printer.machine.faults.unfired() == []
     # Not of the last run, but of the last good one
     now = printer.status("z_calibration")
     expected = {**status, "last_query": False, "history": now["history"]}
@@ -635,11 +651,10 @@ def test_failure_keeps_the_last_result_and_offset(start):
 
 def test_probe_is_usable_after_a_failure(start):
     # The session must have been closed
-    fault = Fault("trigger_never", signal="probe", n=3)
-    printer = start(faults=[fault])
+    about = {"site": "probe_bed", "touch": 2, "command": "CALIBRATE_Z"}
+    printer = start(faults=[Fault("trigger_never", **about)])
     printer.machine.tolerate("body_bed", 1.0)
     printer.homed().fail("CALIBRATE_Z")
-    assert printer.machine.faults.unfired() == []
     printer.run("G1 X150 Y120 Z15 F6000\nPROBE")
 
 

@@ -81,10 +81,12 @@ def test_z_offset_that_is_too_large_is_told(start):
     assert "z_offset in section 'probe'" in error
 
 
-@pytest.mark.parametrize(("n", "looks"), [(6, True), (8, False)])
-def test_dead_switch_with_a_z_offset_that_is_right(start, n, looks):
+@pytest.mark.parametrize(("touch", "looks"), [(1, True), (3, False)])
+def test_dead_switch_with_a_z_offset_that_is_right(start, touch, looks):
     # It is not the z_offset: the bed agrees with it, or the body was there
-    fault = Fault("stuck_open", signal="z_endstop", n=n)
+    fault = Fault(
+        "stuck_open", site="body_pin", touch=touch, command="CALIBRATE_Z"
+    )
     printer = start(faults=[fault])
     printer.machine.tolerate("body_pin", 1.0)
     text = printer.homed().fail("CALIBRATE_Z")
@@ -99,7 +101,7 @@ def test_dead_switch_with_a_z_offset_that_is_right(start, n, looks):
 
 def test_dead_switch_with_a_z_offset_nobody_knows(start):
     # The bed is looked at first
-    fault = Fault("stuck_open", signal="z_endstop", n=6)
+    fault = Fault("stuck_open", site="body_pin", command="CALIBRATE_Z")
     changes = {"probe": {"z_offset": "0"}}
     printer = start(changes=changes, faults=[fault])
     printer.machine.tolerate("body_pin", 1.0)
@@ -181,37 +183,42 @@ def warnings(printer):
 
 
 @pytest.mark.parametrize(
-    ("script", "start_gcode", "n"),
-    [
-        # A good run arms 6 times and homing twice; the second run 3 for the
-        # nozzle, and 3 for the switch
-        ("CALIBRATE_Z", "", 12),
-        slow("G28 Z\nCALIBRATE_Z", "", 14),
-        ("CALIBRATE_Z", "G28 Z", 16),
-    ],
+    ("between", "start_gcode"),
+    [("", ""), slow("G28 Z", ""), ("", "G28 Z")],
 )
-def test_jump_of_the_geometry_is_told(start, script, start_gcode, n):
-    # The pin is reached 0.7 mm early by the second body
-    faults = [
-        Fault("trigger_early", signal="z_endstop", mm=0.7, n=n + i)
-        for i in range(3)
-    ]
-    changes = section(start_gcode=start_gcode)
-    printer = start(changes=changes, faults=faults).homed()
+def test_jump_of_the_geometry_is_told(start, between, start_gcode):
+    printer = start(changes=section(start_gcode=start_gcode)).homed()
     calibration(printer)
     assert warnings(printer) == []
-    (_, switch, *_, offset), _ = calibration(printer, script)
+    # The pin is reached 0.7 mm early by the second body
+    body_triggers_early(printer, 0.7)
+    printer.run(between)
+    (_, switch, *_, offset), _ = calibration(printer)
     assert switch == pytest.approx(PIN + BODY + 0.7, abs=0.01)
     assert printer.offset() == pytest.approx(offset, abs=1e-6)
     (told,) = warnings(printer)
     assert "switch - nozzle is 7.115 mm and was 6.415 mm in the last" in told
     assert "check how the probe is seated" in told
-    if not start_gcode and script == "CALIBRATE_Z":
+    if not start_gcode and not between:
         # Back again, and as it was
         calibration(printer)
         assert len(warnings(printer)) == 1
         calibration(printer)
         assert warnings(printer) == []
+
+
+def body_triggers_early(printer, mm):
+    """At each touch of the switch in the next calibration."""
+    for touch in (1, 2, 3):
+        printer.machine.break_down(
+            Fault(
+                "trigger_early",
+                site="body_pin",
+                touch=touch,
+                command="CALIBRATE_Z",
+                mm=mm,
+            )
+        )
 
 
 @pytest.mark.parametrize("longer", [0.7, 1.5])
@@ -232,28 +239,25 @@ def test_longer_nozzle_without_homing(start, longer):
 
 
 def test_small_change_is_none(start):
-    faults = [
-        Fault("trigger_early", signal="z_endstop", mm=0.4, n=n)
-        for n in (12, 13, 14)
-    ]
-    printer = start(faults=faults).homed()
+    printer = start().homed()
     calibration(printer)
+    body_triggers_early(printer, 0.4)
     calibration(printer)
-    assert printer.machine.faults.unfired() == []
     assert warnings(printer) == []
 
 
 def test_floor_of_the_switch_after_a_good_run(start):
     # z_offset is 20: of no use, but the first run has measured
-    fault = Fault("stuck_open", signal="z_endstop", n=12)
     changes = {"probe": {"z_offset": "0"}}
-    printer = start(changes=changes, faults=[fault])
+    printer = start(changes=changes)
     printer.machine.tolerate("body_pin", 1.01)
     printer.homed()
     calibration(printer)
+    printer.machine.break_down(
+        Fault("stuck_open", site="body_pin", command="CALIBRATE_Z")
+    )
     text = printer.fail("CALIBRATE_Z")
     assert f"(stopped at z={PIN + BODY - 1.0:.3f})" in text
-    assert printer.machine.faults.unfired() == []
 
 
 # Z that has moved since it was homed
@@ -514,14 +518,17 @@ printer.objects["probe"] = Hidden(probe)
 """
 
 
-@pytest.mark.parametrize("n", [None, 2, 4])
-def test_probe_that_takes_no_floor_is_touched_by_us(start, tmp_path, n):
+@pytest.mark.parametrize("touch", [None, 1, 3])
+def test_probe_that_takes_no_floor_is_touched_by_us(start, tmp_path, touch):
     modules = with_extra(tmp_path, OTHERS)
-    faults = [] if n is None else [Fault("trigger_never", signal="probe", n=n)]
+    faults = []
+    if touch is not None:
+        about = {"site": "probe_bed", "command": "CALIBRATE_Z"}
+        faults = [Fault("trigger_never", touch=touch, **about)]
     printer = start(changes={"extra": {}}, modules=modules, faults=faults)
     printer.machine.tolerate("body_bed", 1.0)
     printer.homed()
-    if n is None:
+    if touch is None:
         _, sites = calibration(printer)
         assert sites.count("probe_bed") == 3
         assert printer.gap() == pytest.approx(0.06, abs=2 * MICROSTEP)
@@ -574,7 +581,7 @@ def test_measurement_inside_a_measurement(host, template, command):
 
 
 def test_host_probes_to_its_own_floor_again_afterwards(start):
-    fault = Fault("trigger_never", signal="probe", n=5)
+    fault = Fault("trigger_never", site="probe_bed", command="PROBE")
     printer = start(faults=[fault])
     printer.machine.tolerate("body_bed", 12.0)
     printer.machine.tolerate("nozzle_bed", 6.0)
@@ -586,45 +593,46 @@ def test_host_probes_to_its_own_floor_again_afterwards(start):
     assert printer.session.position()[2] == pytest.approx(-5.0, abs=0.01)
 
 
-# Every kind of fault, at every operation: make faults does each at each
+# Every kind of fault, at every touch: make faults does each at each operation
 
 
-def operations(signal):
-    """Armings of a signal in homing and one calibration of the voron."""
-    return {"z_endstop": range(3, 9), "probe": range(1, 5)}[signal]
-
-
+TOUCHES = [
+    (site, touch)
+    for site in ("nozzle_pin", "body_pin", "probe_bed")
+    for touch in (1, 2, 3)
+]
 CASES = [
-    (kind, signal, n)
+    (kind, *touch)
     for kind in ("trigger_never", "trigger_early", "stuck_open", "stuck_closed")
-    for signal in ("z_endstop", "probe")
-    for n in operations(signal)
+    for touch in TOUCHES
 ]
 
 
 # Once at each site in each way, its first touch and another in turn
 @pytest.mark.parametrize(
-    ("kind", "signal", "n"),
+    ("kind", "site", "touch"),
     all_slow_but(
         [
-            ("trigger_never", "z_endstop", 4),
-            ("trigger_early", "z_endstop", 7),
-            ("stuck_open", "z_endstop", 6),
-            ("stuck_closed", "z_endstop", 8),
-            ("trigger_early", "probe", 3),
-            ("stuck_closed", "probe", 2),
+            ("trigger_never", "nozzle_pin", 2),
+            ("trigger_early", "body_pin", 2),
+            ("stuck_open", "body_pin", 1),
+            ("stuck_closed", "body_pin", 3),
+            ("trigger_early", "probe_bed", 2),
+            ("stuck_closed", "probe_bed", 1),
         ],
         CASES,
     ),
 )
-def test_single_fault_of_a_sensor(host, kind, signal, n):
+def test_single_fault_of_a_sensor(host, kind, site, touch):
     options = {"mm": 0.3} if kind == "trigger_early" else {}
-    fault = Fault(kind, signal=signal, n=n, **options)
+    fault = Fault(
+        kind, site=site, touch=touch, command="CALIBRATE_Z", **options
+    )
     with Printer(host, faults=[fault]) as printer:
         # A dead switch is pressed: 1 mm into the pin, and never the nozzle
         # into the bed
-        for site in ("nozzle_pin", "body_pin", "body_bed"):
-            printer.machine.tolerate(site, 1.0 + MICROSTEP)
+        for pressed in ("nozzle_pin", "body_pin", "body_bed"):
+            printer.machine.tolerate(pressed, 1.0 + MICROSTEP)
         printer.homed()
         printer.run("SET_GCODE_OFFSET Z=0.3")
         homing = len(printer.machine.truth.touches)
@@ -638,27 +646,33 @@ def test_single_fault_of_a_sensor(host, kind, signal, n):
             # Whatever is accepted is right
             assert result[-1] == pytest.approx(0.16, abs=0.01)
             assert printer.gap() == pytest.approx(0.06, abs=0.01)
-        assert printer.machine.faults.unfired() == []
         assert len(printer.machine.truth.touches) >= homing
         assert printer.machine.truth.deepest_in_bed() == 0.0
 
 
-@pytest.mark.parametrize("k", all_slow_but([2, 3, 6], range(1, 7)))
+@pytest.mark.parametrize(
+    ("site", "touch"),
+    all_slow_but(
+        [("body_pin", 2), ("body_pin", 3), ("probe_bed", 3)], TOUCHES[3:]
+    ),
+)
 @pytest.mark.parametrize("when", ["touch", slow("lift")])
-def test_probe_that_falls_off(host, k, when):
-    # 3 body touches, then 3 samples on the bed
-    fault = Fault("probe_falls", n=k, when=when)
+def test_probe_that_falls_off(host, site, touch, when):
+    fault = Fault(
+        "probe_falls", site=site, touch=touch, command="CALIBRATE_Z", when=when
+    )
     with Printer(host, faults=[fault]) as printer:
-        for site in ("body_pin", "body_bed"):
-            printer.machine.tolerate(site, 1.0 + MICROSTEP)
+        for pressed in ("body_pin", "body_bed"):
+            printer.machine.tolerate(pressed, 1.0 + MICROSTEP)
         text = printer.homed().fail("CALIBRATE_Z")
         # The next look is before the next touch: of the third body touch at the
         # bed.  It falls right behind a touch, where some hosts look at once.
-        looks = ["switch: "] if k <= 2 else ["bed: "]
-        looks += ["switch: "] if (k, when) == (3, "touch") else []
-        assert any(site in text for site in looks)
+        is_body, is_last = site == "body_pin", touch == 3
+        looks = ["switch: "] if is_body and not is_last else ["bed: "]
+        if is_body and is_last and when == "touch":
+            looks.append("switch: ")
+        assert any(where in text for where in looks)
         assert "and was attached before: it has come off" in text
-        assert printer.machine.faults.unfired() == []
         assert printer.machine.truth.min_gap > 1.0
         assert printer.status("z_calibration")["last_query"] is False
         assert_unharmed(printer)

@@ -95,7 +95,7 @@ def test_offset_is_zero_while_a_command_runs(start):
 @pytest.mark.parametrize("command", ["CALIBRATE_Z", "CALIBRATE_Z_ACCURACY"])
 def test_offset_and_states_are_as_before_after_a_failure(start, command):
     changes = section(start_gcode="SET_GCODE_OFFSET Z=0.3")
-    printer = with_dead_pin(start, changes=changes)
+    printer = with_dead_pin(start, command=command, changes=changes)
     printer.run("SET_GCODE_OFFSET Z=0.1\nSAVE_GCODE_STATE NAME=old")
     printer.run("SET_GCODE_OFFSET Z=0.02")
     assert "the switch did not answer" in printer.fail(command)

@@ -115,7 +115,7 @@ def test_bed_below_where_the_pin_puts_it(start, low):
 
 
 def test_dead_sensor_where_z_is_homed_on_a_switch(start):
-    fault = Fault("stuck_open", signal="bed_sensor")
+    fault = Fault("stuck_open", site="nozzle_bed")
     printer = ready(start, faults=[fault])
     text = printer.fail("G90\nG1 Z20 F900\nG1 X150 Y150 F6000\nAUTO_Z_PROBE")
     assert "(stopped at z=-2.000)" in text

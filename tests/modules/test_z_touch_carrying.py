@@ -192,9 +192,10 @@ def test_dead_probe_where_the_nozzle_has_met_the_bed(start):
     printer.machine.tolerate("probe_bed", 6.0)
     printer.machine.tolerate("body_bed", 6.0)
     printer.run(f"{OVER}AUTO_Z_PROBE\nATTACH_PROBE\nDETACH_PROBE")
-    fault = Fault("trigger_never", signal="probe", n=1)
+    command = "AUTO_Z_MEASURE_OFFSET"
+    fault = Fault("trigger_never", site="probe_bed", command=command)
     printer.machine.break_down(fault)
-    text = printer.fail("AUTO_Z_MEASURE_OFFSET")
+    text = printer.fail(command)
     where = r"\(stopped at z=1\.\d+\) 5 mm below where the probe should trigger"
     assert re.search(where, text)
     assert 4.0 < pressed(printer) < 5.1

@@ -3,6 +3,10 @@
 A good run tells which operations a command has; then, for each of them and
 each fault, a new printer is homed, the fault strikes once, at that operation,
 and what the command has done is judged.
+
+Here operations are counted, not touches as tests do: each is to be broken,
+also those that meet nothing, and what counts them is a good run of the same
+modules on the same host: those that move otherwise are broken where they move.
 """
 
 from __future__ import annotations
@@ -238,8 +242,10 @@ class Saboteur:
             now = self._machine.simulation.clock.now()
             self._strike(Operation("begin", "", now))
         elif self._case.fault in _TRIP_FAULTS.values():
-            fault = Fault(self._case.fault, n=self._case.at, persistent=True)
-            self._machine.break_down(fault)
+            fault = self._case.fault
+            self._machine.break_down(
+                Fault(fault, n=self._case.at, persistent=True, strikes="may")
+            )
 
     def tell(self, operation: Operation) -> None:
         """Told of each operation, before it happens."""
@@ -283,15 +289,17 @@ class Saboteur:
 
     def _fault(self, t: float) -> Fault:
         _, _, fault, subject = self._case
+        about: dict[str, Any] = {"signal": subject}
         if fault in _SENSOR_FAULTS:
-            return Fault(fault, signal=subject, t=t)
-        if fault == "mcu_silent":
-            return Fault(fault, board=subject, t=t)
-        if fault in _WRITE_FAULTS:
-            return Fault(fault, driver=subject)
-        if fault == "trigger_never":
-            return Fault(fault, signal=subject)
-        return Fault(fault, signal=subject, mm=_OFF)
+            about["t"] = t
+        elif fault == "mcu_silent":
+            about = {"board": subject, "t": t}
+        elif fault in _WRITE_FAULTS:
+            about = {"driver": subject}
+        elif fault != "trigger_never":
+            about["mm"] = _OFF
+        # Outcome.struck tells; a touch that is broken may be the last one
+        return Fault(fault, strikes="may", **about)
 
 
 def cases(job: Job, good: GoodRun) -> Iterator[Case]:

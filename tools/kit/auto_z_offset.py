@@ -26,8 +26,8 @@ FORMULA = re.compile(
     r" \+ z_offset=(\S+) --> correction=(\S+)"
 )
 
-# Arms of the probe by G28, and of either sensor by a cycle of one sample
-HOMING_ARMS = 2
+# Where each sensor meets the bed
+SITES = {"bed_sensor": "nozzle_bed", "probe": "inductive_bed"}
 
 
 class Formula(NamedTuple):

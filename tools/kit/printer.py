@@ -69,7 +69,7 @@ class _OverBed:
 
 
 class RunningPrinter(_OverBed, printer.RunningPrinter):
-    """A machine with klippy on it; leaving it checks for crashes."""
+    """A machine with klippy on it; leaving it checks for crashes and faults."""
 
 
 class Printer(_OverBed, printer.Printer):

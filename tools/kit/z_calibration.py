@@ -86,9 +86,16 @@ def marked(*names: str, **bodies: str) -> dict[str, Any]:
     return changes
 
 
-def with_dead_pin(start: Callable, n: int = 4, **options: Any) -> Printer:
-    """A homed printer whose nozzle pin is dead at its n-th arming."""
-    fault = Fault("trigger_never", signal="z_endstop", n=n)
+def with_dead_pin(
+    start: Callable,
+    touch: int = 2,
+    command: str = "CALIBRATE_Z",
+    **options: Any,
+) -> Printer:
+    """A homed printer whose pin is dead at that touch of a command."""
+    fault = Fault(
+        "trigger_never", site="nozzle_pin", touch=touch, command=command
+    )
     printer = start(faults=[fault], **options)
     printer.machine.tolerate("nozzle_pin", 1.01)
     return printer.homed()

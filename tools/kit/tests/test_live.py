@@ -119,7 +119,6 @@ def test_driver_that_does_not_answer_is_an_error(start):
     printer.session.require_ready()
     text = printer.fail("DUMP_TMC STEPPER=stepper_z")
     assert "Unable to read tmc uart 'stepper_z'" in text
-    assert printer.machine.faults.unfired() == []
 
 
 @pytest.mark.parametrize(
@@ -135,7 +134,6 @@ def test_silent_board_shuts_the_printer_down(start, scene, board, name):
     state, message = printer.session.state()
     assert state == "shutdown"
     assert "Lost communication with MCU" + name in message
-    assert printer.machine.faults.unfired() == []
 
 
 # Several boards
