@@ -46,6 +46,12 @@ def kill_probe(printer, depth):
     printer.machine.tolerate("body_bed", depth)
 
 
+def now(printer):
+    """The time of the machine, s."""
+    machine = printer.machine
+    return machine.rig.seconds(machine.simulation.clock.now())
+
+
 def stopped_at(text):
     return float(text.split("(stopped at z=")[1].split(")")[0])
 
@@ -121,6 +127,17 @@ def test_margins_that_are_narrower_than_plates_differ_count(start):
         BED + TRIGGER - 0.5 - LOWEST, abs=2 * MICROSTEP
     )
     assert "below the low end of offset_margins (-0.500)" in text
+
+
+def test_accept_change_is_for_its_run(start):
+    printer = start(changes=section(**WIDE)).homed()
+    calibration(printer)
+    calibration(printer, "CALIBRATE_Z ACCEPT_CHANGE=1")
+    kill_probe(printer, 2.0 + MICROSTEP)
+    text = printer.fail("CALIBRATE_Z_ACCURACY CYCLES=2")
+    assert stopped_at(text) == pytest.approx(
+        BED + TRIGGER - 2.0, abs=2 * MICROSTEP
+    )
 
 
 @pytest.mark.parametrize(
@@ -228,6 +245,16 @@ def test_only_offset_gcode_keeps_an_offset(start):
     # It is for that run, and it is over
     assert told_off in printer.fail("LATER")
     assert not printer.status("z_calibration")["valid"]
+
+
+def test_an_offset_is_kept_by_the_run_that_says_so(start):
+    code = (
+        "\n  {% if printer.gcode_move.homing_origin.x %}"
+        "\n  Z_CALIBRATION_KEEP_OFFSET\n  {% endif %}"
+    )
+    printer = start(changes=section(offset_gcode=code)).homed()
+    printer.run("SET_GCODE_OFFSET X=1\nCALIBRATE_Z\nSET_GCODE_OFFSET X=0")
+    assert "has left a G-code Z offset of 0.0" in printer.fail("CALIBRATE_Z")
 
 
 def test_macros_of_the_document_keep_an_offset_for_later(start, tmp_path):
@@ -401,6 +428,15 @@ def test_something_below_the_nozzle_is_refused_at_the_touch(start, options):
     assert "something hangs below the nozzle" in text
     assert touched_sites(printer, before) == ["body_pin"]
     assert_unharmed(printer)
+
+
+def test_endstop_that_sticks_on_the_way_down_is_named(start):
+    printer = start().homed()
+    printer.run("G90\nG1 Z30 F900")
+    fault = Fault("stuck_closed", signal="z_endstop", t=now(printer) + 2.5)
+    printer.machine.break_down(fault)
+    text = printer.fail("CALIBRATE_Z")
+    assert "the Z endstop reads triggered where nothing should press" in text
 
 
 @pytest.mark.parametrize(("higher", "is_refused"), [(2.9, False), (3.1, True)])

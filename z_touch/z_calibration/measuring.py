@@ -440,6 +440,9 @@ class NozzleMeasurement(Measurement):
         homed_z, z = self.settings.position_endstop, self.head.pressed_z
         if None in (homed_z, z) or z <= homed_z + HANGS_BELOW:
             return
+        # A switch that is stuck has met nothing
+        self.lift_clear()
+        self.check_pin_open(self.host.after_moves())
         text = "triggered at z=%.3f, %.1f mm above position_endstop (%.3f)"
         text %= (z, z - homed_z, homed_z)
         moved = self.run.homed.moved()
