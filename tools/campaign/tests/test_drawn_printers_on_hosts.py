@@ -8,6 +8,7 @@ from __future__ import annotations
 import pytest
 
 from tools.campaign.drawn_printers import MODULES, run
+from tools.campaign.jobs import JOBS
 from tools.campaign.tests.planting import planted
 from tools.kit.cases import all_slow_but
 
@@ -58,8 +59,8 @@ def test_random_printers_are_right_or_refused(host, module):
 @pytest.mark.parametrize("name", PLANTED)
 def test_planted_fault_is_found(host, tmp_path, name):
     command, around, words = PLANTED[name]
-    modules = planted(tmp_path, command, **around)
-    module, _folder = modules
+    module = JOBS[command].module
+    modules = planted(tmp_path, module, command, **around)
     report = run(
         module,
         host,

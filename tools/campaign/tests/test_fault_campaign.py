@@ -171,7 +171,7 @@ PLANTED = {
     ),
     "error of its own": (
         (AUTO, "trigger_never", "bed_sensor", 1, "touch"),
-        {"failed": "module.is_there()"},
+        {"failed": "None.is_there()"},
         "the printer is shut down",
     ),
     "offset is lost": (
@@ -192,8 +192,9 @@ PLANTED = {
 def test_module_that_does_it_wrong_is_found(host, tmp_path, name):
     which, around, problem = PLANTED[name]
     case, good = case_of(host, *which)
+    job = ALL_JOBS[case.job]
     modules = module_files() | planted(
-        tmp_path, ALL_JOBS[case.job].script, **around
+        tmp_path, job.module, job.script, **around
     )
     outcome = fault_cases.attempt(host, case, good, Setting(modules=modules))
     assert problem in "\n".join(outcome.problems), outcome

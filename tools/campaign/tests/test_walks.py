@@ -1,17 +1,16 @@
 """Walks do no harm; one that would is found, and shown again."""
 
-import shutil
-
 import pytest
 
 from tools.campaign import tables
+from tools.campaign.tests.planting import planted
 from tools.campaign.walks import values, walker, walking
 from tools.campaign.walks.printers import Owned
 from tools.campaign.walks.steps import OVER_MEMBRANE, PROBE
 from tools.campaign.walks.walker import Outcome
 from tools.campaign.walks.walking import Done
 from tools.kit.cases import all_slow_but
-from tools.kit.printer import FOLDER, MODULES, ROOT
+from tools.kit.printer import ROOT, module_files
 
 TOGETHER = 10
 USUAL = range(1, 21, TOGETHER)
@@ -37,38 +36,23 @@ def test_no_order_of_commands_does_harm(host, first):
 
 @pytest.fixture
 def product(tmp_path):
-    """product(file, old, new): a checkout in which this is otherwise."""
-    for name in MODULES:
-        shutil.copy(ROOT / f"{name}.py", tmp_path)
-    shutil.copytree(ROOT / FOLDER, tmp_path / FOLDER)
-
-    def changed(file, old, new):
-        path = tmp_path / FOLDER / file
-        text = path.read_text()
-        assert text.count(old) == 1
-        path.write_text(text.replace(old, new))
-        return walking.modules_of(tmp_path)
-
-    return changed
+    """product(module, command, ...): our modules with planted()'s among them."""
+    return lambda *what, **lines: (
+        module_files() | planted(tmp_path, *what, **lines)
+    )
 
 
-# Whatever hangs on the head, it is said to be in the dock
-PLANTED = ("core/carrying.py", "if state == DOCKED:", "if state is not None:")
+# Whatever hangs on the head: past all that looks at G-code's own moves
+DOWN = 'printer.lookup_object("toolhead").manual_move([None, None, 1.0], 10.0)'
 
 
 @pytest.mark.one_host
 def test_harm_is_found(host, product):
-    outcome = walker.go(DOCK, HELD, host, product(*PLANTED))
+    lowers = product("extra_probe", "EXTRA_PROBE", first=DOWN)
+    outcome = walker.go(DOCK, HELD, host, lowers)
     assert outcome.kind == "harm"
     assert "step 4, gcode" in outcome.harm
     assert not walker.go(DOCK, HELD, host).harm
-
-
-IS_ASKED = (
-    "core/carrying.py",
-    "if own or section != host.section:",
-    "if False:",
-)
 
 
 @pytest.mark.one_host
@@ -76,7 +60,8 @@ IS_ASKED = (
 def test_a_touch_beside_a_hand_is_found(host, product):
     asks = ("gcode", "EXTRA_PROBE_CALIBRATE PROBE=membrane")
     walk = ("gcode", "G28"), asks, ("gcode", "CALIBRATE_Z")
-    outcome = walker.go(DOCK, walk, host, product(*IS_ASKED))
+    asks_nobody = product("z_calibration", AGAIN, first='return run("G28 Z")')
+    outcome = walker.go(DOCK, walk, host, asks_nobody)
     assert outcome.kind == "moved"
     assert "nozzle_pin while somebody is asked" in outcome.harm
     assert not walker.go(DOCK, walk, host).harm
@@ -89,9 +74,6 @@ REFUSED = (
     ("gcode", "SET_GCODE_OFFSET Z=0.1"),
     ("gcode", "CALIBRATE_Z"),
 )
-REFUSES = 'raise gcmd.error("%s: %s" % (self.host.section, e))'
-SLOW = 'self.host.gcode.run_script_from_command("SET_VELOCITY_LIMIT ACCEL=77")'
-FORGOTTEN = ("core/running.py", REFUSES, f"{SLOW}\n            {REFUSES}")
 
 
 @pytest.mark.one_host
@@ -100,7 +82,9 @@ def test_what_a_refusal_leaves_is_found(host, product):
     outcome = walker.go(NOT_READY, REFUSED, host)
     assert not outcome.harm
     assert outcome.refusals
-    outcome = walker.go(NOT_READY, REFUSED, host, product(*FORGOTTEN))
+    slow = 'run("SET_VELOCITY_LIMIT ACCEL=77")'
+    forgets = product("z_calibration", AGAIN, failed=slow)
+    outcome = walker.go(NOT_READY, REFUSED, host, forgets)
     assert outcome.kind == "left behind"
     assert "max_accel" in outcome.harm
 
@@ -212,30 +196,36 @@ LATER = (
     ("gcode", "G28"),
     ("macro", (PROBE[1], "SET_DOCKABLE_PROBE AUTO_ATTACH_DETACH=0")),
 )
-STAYS = "            self.delay.cancel()\n"
-OUTLIVES = ("dockable_probe/holder.py", f"        if not auto:\n{STAYS}", "")
+OUTLIVES = """
+reactor.register_callback(
+    lambda eventtime: gcode.run_script("DETACH_PROBE"), reactor.monotonic() + 1
+)
+"""
 
 
 @pytest.mark.one_host
 @pytest.mark.slow
 def test_what_a_macro_leaves_pending_is_found(host, product):
-    outcome = walker.go(WAITS, LATER, host, product(*OUTLIVES))
+    outlives = product("dockable_probe", "SET_DOCKABLE_PROBE", done=OUTLIVES)
+    outcome = walker.go(WAITS, LATER, host, outlives)
     assert outcome.kind == "moved"
     assert "while nobody asks for it" in outcome.harm
     assert not walker.go(WAITS, LATER, host).harm
 
 
-NEVER = ("core/running.py", "    if missing:", "    if missing or True:")
+NEVER = "z_calibration: Tuesday; wait"
 
 
 @pytest.mark.one_host
 @pytest.mark.slow
 def test_walk_is_gone_on_both_products(host, product):
     walk = Owned("voron"), (("gcode", "G28"), ("gcode", "CALIBRATE_Z"))
-    strict, ours = product(*NEVER), walking.modules_of(ROOT)
+    raises = f"raise gcmd.error({NEVER!r})"
+    strict = product("z_calibration", AGAIN, first=raises)
+    ours = walking.modules_of(ROOT)
     done = Done(1, host.name, walk, walker.go(*walk, host, strict))
     told = walking.compared(done, host, ours).alone
-    assert told.startswith("gcode 'CALIBRATE_Z': z_calibration: not homed")
+    assert told == f"gcode 'CALIBRATE_Z': {NEVER}"
     assert not walking.compared(done, host, strict).alone
     done = Done(1, host.name, walk, walker.go(*walk, host, ours))
     assert not walking.compared(done, host, strict).alone
