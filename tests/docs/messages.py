@@ -1,10 +1,11 @@
-"""The rows of docs/all_messages.csv: what they say, and where, is of the sources.
+"""The rows of docs/all_messages.csv: what they say, and who says it, is of the sources.
 
     build/venv/bin/python -m tests.docs.messages
 
-writes them anew: a message that is gone goes, a new one comes below the others of its
-file.  Words between < and >, the order, and the last column are kept as they are: they
-are written by hand.
+writes them anew: a message that is gone goes, a new one comes below those beside which
+it stands in the sources.  Words between < and >, the order, and the last column are
+kept as they are: they are written by hand.  So are the modules, as long as the message
+is one of each: which file of theirs it stands in is nothing to a reader.
 """
 
 from __future__ import annotations
@@ -26,7 +27,6 @@ NAMES = ("z_calibration", "auto_z_offset", "extra_probe", "dockable_probe")
 NO_MESSAGES = {
     "get_mcu add_stepper get_steppers home_start query_endstop",
     "// action:prompt_",
-    "named z_touch.core",
     "No trigger",
     "Keep a hand on the emergency stop.",
     "The buttons move the head; you may move it as you like, too.",
@@ -41,11 +41,12 @@ class Row(NamedTuple):
 
     section: str
     message: str
-    raised_in: str
+    module: str
     besides: str
 
 
-HEAD = Row("section", "message", "raised in", "besides")
+HEAD = Row("section", "message", "module", "besides")
+EACH = "each"
 
 
 def key(span: str) -> str:
@@ -54,22 +55,30 @@ def key(span: str) -> str:
     return re.sub("|".join(NAMES), VALUE, text)
 
 
-def place(path: Path) -> str:
-    """A file, as a reader finds it in z_touch; the four modules are doors."""
-    if path.parent == ROOT:
-        return "door"
-    return str(path.relative_to(ROOT / "z_touch").with_suffix(""))
+class Raised(NamedTuple):
+    """A message as it reads in the sources; its modules, and their files."""
+
+    text: str
+    modules: set[str]
+    files: set[Path]
 
 
 @lru_cache
-def raised() -> dict[str, dict[str, str]]:
-    """Where each message is raised, and how it reads there: by its key."""
-    found: dict[str, dict[str, str]] = {}
+def raised() -> dict[str, Raised]:
+    """Each message by its key."""
+    found: dict[str, Raised] = {}
     for name in NAMES:
         for path, tree in files(name).items():
             for text in messages_of(tree) - NO_MESSAGES:
-                found.setdefault(key(text), {})[place(path)] = text
+                one = found.setdefault(key(text), Raised(text, set(), set()))
+                one.modules.add(name)
+                one.files.add(path)
     return {k: v for k, v in found.items() if k not in NO_MESSAGES}
+
+
+def modules_of(cell: str) -> set[str]:
+    """Of the third column."""
+    return set(NAMES if cell == EACH else spans(cell))
 
 
 def rows_of(text: str) -> list[Row]:
@@ -79,11 +88,15 @@ def rows_of(text: str) -> list[Row]:
     return [Row(*row) for row in rows]
 
 
-def row(section: str, told: list[str], besides: str) -> Row:
-    """Of messages that belong together."""
-    places = sorted({p for span in told for p in raised()[key(span)]})
-    message, where = (" ".join(f"`{t}`" for t in c) for c in (told, places))
-    return Row(section, message, where, besides)
+def row(section: str, told: list[str], named: str, besides: str) -> Row:
+    """Of messages that belong together; named: their modules so far."""
+    own = set().union(*(raised()[key(span)].modules for span in told))
+    modules = modules_of(named)
+    if not modules or not modules <= own:
+        modules = own
+    cell = " ".join(f"`{name}`" for name in NAMES if name in modules)
+    cell = EACH if modules == {*NAMES} else cell
+    return Row(section, " ".join(f"`{t}`" for t in told), cell, besides)
 
 
 def generated(text: str) -> str:
@@ -95,7 +108,7 @@ def generated(text: str) -> str:
         own = [s for s in own if key(s) not in told]
         told |= {key(span) for span in own}
         if own:
-            rows.append(row(old.section, own, old.besides))
+            rows.append(row(old.section, own, old.module, old.besides))
     for new in sorted(raised().keys() - told):
         insert(rows, new)
     out = io.StringIO()
@@ -105,10 +118,16 @@ def generated(text: str) -> str:
 
 def insert(rows: list[Row], new: str) -> None:
     """A message that nobody has placed yet: below the others of its file."""
-    (where, text), *_ = sorted(raised()[new].items())
-    ends = [i for i, old in enumerate(rows) if f"`{where}`" in old.raised_in]
+    text, _modules, its_files = raised()[new]
+
+    def is_beside(old: Row) -> bool:
+        return any(
+            its_files & raised()[key(span)].files for span in spans(old.message)
+        )
+
+    ends = [i for i, old in enumerate(rows) if is_beside(old)]
     last = (ends or [len(rows) - 1])[-1]
-    rows.insert(last + 1, row(rows[last].section, [text], ""))
+    rows.insert(last + 1, row(rows[last].section, [text], "", ""))
 
 
 if __name__ == "__main__":

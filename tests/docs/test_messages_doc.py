@@ -39,10 +39,12 @@ MISTAKES = {
     "too many": ("`trying again`", "`trying again` `no more`"),
     "twice": ("`trying again`", "`is not ready` `trying again`"),
     "renamed": ("is not ready", "is not there"),
-    "of another file": (
+    "of another module": (
         r"(`the report is <file>`),`[^`]*`",
-        r"\1,`core/host`",
+        r"\1,`extra_probe`",
     ),
+    "of each module": (r"(`the report is <file>`),`[^`]*`", r"\1,each"),
+    "of no module": (r"(`the report is <file>`),`[^`]*`", r"\1,"),
     "link": (r"\.md#", ".md#no-"),
     "section": (
         r"(?m)^The touches do not agree(,`trying again`)",

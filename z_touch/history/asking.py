@@ -1,6 +1,7 @@
 # The text that an owner attaches where he asks somebody: versions, his options, what
 # was measured and told.  Nothing in it names a person, a computer, a folder, a serial
 # number or an address; of G-code it has the names of the commands only.
+# Its texts are no messages: they are written into a file.
 # Copyright (C) 2026  the Z calibration developers, under the GNU GPLv3
 from __future__ import absolute_import
 

@@ -1,4 +1,5 @@
 # A picture of a history: one SVG without scripts, for light and dark pages.
+# Its texts are no messages: they are drawn.
 # Copyright (C) 2026  the Z calibration developers, under the GNU GPLv3
 #
 #   python3 -m z_touch.history.report history.jsonl [report.svg]

@@ -1,4 +1,5 @@
 # What a picture is made of: text, plots and their curves, as SVG.
+# Its texts are no messages: they are drawn.
 # Copyright (C) 2026  the Z calibration developers, under the GNU GPLv3
 #
 # Colours stand in the elements themselves, as many viewers know no style sheets,
