@@ -11,7 +11,6 @@ the values without `#`.
 from __future__ import annotations
 
 import csv
-import importlib
 import io
 import re
 import textwrap
@@ -20,14 +19,12 @@ from pathlib import Path
 from typing import Any, NamedTuple
 
 from tests.docs.documents import DOCS
-from z_touch.core import options
+from tools.kit import product
+from tools.kit.product import options
 
 DATA = DOCS / "options.csv"
 NAMES = ("z_calibration", "auto_z_offset", "dockable_probe", "extra_probe")
-TABLES: dict[str, tuple[Any, ...]] = {
-    name: importlib.import_module(f"z_touch.{name}.settings").OPTIONS
-    for name in NAMES
-}
+TABLES = {name: product.OPTIONS[name] for name in NAMES}
 COLUMNS = 84
 # Up to the first option, the options, and what follows
 WHOLE = re.compile(

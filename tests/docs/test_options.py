@@ -11,7 +11,7 @@ from tests.docs import options as written
 from tests.docs.documents import data_of, spans
 from tools.kit.dockable_probe import SENSED
 from tools.kit.printer import Printer
-from z_touch.core import options
+from tools.kit.product import options
 
 RUN = "run build/venv/bin/python -m tests.docs.options"
 FILES = written.generated()

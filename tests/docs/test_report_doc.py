@@ -14,7 +14,7 @@ import pytest
 from tests.docs.documents import link_problems, normal, rows, spans
 from tests.docs.pictures import DOCS
 from tests.docs.sources import VALUE, texts
-from z_touch.history import file, report, verdict
+from tools.kit.product import history, report, verdict
 
 DOCUMENT = DOCS / "report.md"
 # What has happened on the printers of the pictures
@@ -113,7 +113,7 @@ def greenwich(monkeypatch):
 @pytest.mark.parametrize("name", STORIES)
 def test_pictures_are_drawn_from_what_was_measured(name, greenwich):
     path = DOCS / f"report_{name}.jsonl"
-    records = list(map(file.parse, path.read_bytes().splitlines()))
+    records = list(map(history.parse, path.read_bytes().splitlines()))
     picture = path.with_suffix(".svg").read_text(encoding="ascii")
     assert report.svg(records, printer=records[0]["printer"]) == picture
 
@@ -129,6 +129,6 @@ def test_pictures_are_drawn_from_what_was_measured(name, greenwich):
 )
 def test_stories_end_as_they_are_told(name, level, words):
     lines = (DOCS / f"report_{name}.jsonl").read_bytes().splitlines()
-    found = verdict.judge(list(map(file.parse, lines)))
+    found = verdict.judge(list(map(history.parse, lines)))
     assert found.level == level
     assert words in " ".join(found.texts)

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import importlib
 import re
 from dataclasses import replace
 from pathlib import Path
@@ -11,6 +10,7 @@ import pytest
 
 from simprinter import Fault
 from simprinter.hosts.hosts import Host
+from tools.kit import product
 from tools.kit.dockable_probe import (
     BED,
     CLEAR,
@@ -27,12 +27,10 @@ from tools.kit.dockable_probe import (
 )
 from tools.kit.load_errors import load
 from tools.kit.z_calibration import with_moves
-from z_touch.core.options import REQUIRED, nonsense
 
-SETTINGS = importlib.import_module("z_touch.dockable_probe.settings")
 ROWS = pytest.mark.parametrize(
     "row",
-    [*SETTINGS.OPTIONS, *SETTINGS.OLD_POSITIONS],
+    [*product.OPTIONS["dockable_probe"], *product.OLD_POSITIONS],
     ids=lambda row: row.name,
 )
 
@@ -69,7 +67,11 @@ def test_each_option_has_a_test_of_its_own():
     text = "".join(path.read_text(encoding="utf-8") for path in tests)
     given = set(re.findall(r'\b([a-z_]+)(?:=|": )', text))
     given |= set(re.findall(r'"([a-z_]+)"[,)]', text))
-    names = {name for row in SETTINGS.OPTIONS for name in (row.name, *row.old)}
+    names = {
+        name
+        for row in product.OPTIONS["dockable_probe"]
+        for name in (row.name, *row.old)
+    }
     left = ", ".join(sorted(names - given))
     assert not left, (
         f"{left} is in none of tests/modules/test_dockable_probe_*.py"
@@ -91,8 +93,8 @@ WITH_ALL = {
 
 @ROWS
 def test_nonsense_is_refused_by_the_name_of_the_option(host: Host, row):
-    others = WITH_ALL if row in SETTINGS.OLD_POSITIONS else {}
-    for value in nonsense(row):
+    others = WITH_ALL if row in product.OLD_POSITIONS else {}
+    for value in product.options.nonsense(row):
         message = refusal(host, section(**{**others, row.name: value}))
         assert row.name in message, (value, message)
         # The host says 'dockable_probe:option' of a template.
@@ -102,7 +104,7 @@ def test_nonsense_is_refused_by_the_name_of_the_option(host: Host, row):
 @ROWS
 def test_missing_option_is_told_or_has_a_default(host: Host, row):
     state, message = load(host, section(**{row.name: None}), SENSED)
-    if row.default is REQUIRED:
+    if row.default is product.options.REQUIRED:
         words = f"Option '{row.name}' in section 'dockable_probe' must be"
         assert words in message
     else:

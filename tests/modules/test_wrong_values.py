@@ -7,7 +7,6 @@ holds against the module.
 
 from __future__ import annotations
 
-import importlib
 import math
 from pathlib import Path
 from typing import NamedTuple
@@ -24,10 +23,9 @@ from tests.docs.documents import (
 from tools.kit.cases import slow
 from tools.kit.extra_probe import NAME
 from tools.kit.load_errors import load
+from tools.kit.product import GCODE, HISTORY, options
+from tools.kit.product import OPTIONS as TABLES
 from tools.kit.z_calibration import refusal
-from z_touch.core import options
-from z_touch.core.templates import GCODE
-from z_touch.z_calibration.settings import HISTORY
 
 ROOT = Path(__file__).resolve().parents[2]
 SCENES = {
@@ -85,7 +83,7 @@ def refused_by(row: options.Option) -> list[str]:
 
 
 def declared(module: str) -> list[Case]:
-    """All that its settings.py has."""
+    """All that its table of options has."""
     return [
         Case(
             module,
@@ -93,7 +91,7 @@ def declared(module: str) -> list[Case]:
             list(dict.fromkeys(refused_by(row))),
             row.default is options.REQUIRED,
         )
-        for row in importlib.import_module(f"z_touch.{module}.settings").OPTIONS
+        for row in TABLES[module]
     ]
 
 

@@ -9,17 +9,17 @@ import pytest
 from simprinter.hosts.session import GcodeError
 from tools.kit.cases import all_slow_but
 from tools.kit.dockable_probe import where
+from tools.kit.product import CHAINED, ORDER
+from tools.kit.product import OPTIONS as TABLES
 from tools.kit.scenes import SCENES
 from tools.kit.setup_user import EMPTY, SETUP, User
 from tools.kit.z_calibration import section
-from z_touch.guide.steps import CHAINED, ORDER
-from z_touch.z_calibration import settings
 
 STEPS = [name.upper() for name in ORDER]
 # Of the section; the axis has an endstop_pin, too
 OPTIONS = [
     row.name
-    for row in settings.OPTIONS
+    for row in TABLES["z_calibration"]
     if "_" in row.name and row.name != "endstop_pin"
 ]
 # From which step on it is noticed, and the last one that needs what is broken.

@@ -12,10 +12,10 @@ from simprinter.hosts.moonraker import MoonrakerError
 from tests.moonraker.updates import restarted
 from tools.kit.dockable_probe import where
 from tools.kit.lab import Lab
+from tools.kit.product import CHAINED, ORDER
 from tools.kit.scenes import SCENES
 from tools.kit.setup_user import EMPTY, SETUP, User, open_dialog
 from tools.kit.z_calibration import MICROSTEP
-from z_touch.guide.steps import CHAINED, ORDER
 
 BEGIN = "action:prompt_begin"
 PRESS = ": press it now"

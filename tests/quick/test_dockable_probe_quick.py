@@ -7,18 +7,30 @@ import pytest
 from simprinter import Fault
 from tests.quick.runs import Run, go_well, go_wrong, ours, started
 from tools.kit.dockable_probe import GANTRY, HANG, QUICK, section, where
-from z_touch.dockable_probe import carrier
 
 # Of the host, with our look at the probe in front: test_z_touch_carrying.py
 GUARDED = {
+    "AXIS_TWIST_COMPENSATION_CALIBRATE",
+    "BED_MESH_CALIBRATE",
+    "BED_SCREWS_ADJUST",
+    "BED_TILT_CALIBRATE",
+    "DELTA_CALIBRATE",
     "G28",
-    *carrier.BY_HAND,
-    *carrier.BY_METHOD,
-    *carrier.PROBE_THEN_PAPER,
-    *carrier.PROBING,
-    *carrier.ENDS,
-    *carrier.GOES_ON,
-    carrier.SCREWS,
+    "M18",
+    "M24",
+    "M84",
+    "MANUAL_PROBE",
+    "PROBE",
+    "PROBE_ACCURACY",
+    "PROBE_CALIBRATE",
+    "QUAD_GANTRY_LEVEL",
+    "RESUME",
+    "SAVE_CONFIG",
+    "SCREWS_TILT_CALCULATE",
+    "Z_ENDSTOP_CALIBRATE",
+    "Z_TILT_ADJUST",
+    "Z_TILT_AUTODETECT",
+    "Z_TILT_CALIBRATE",
 }
 
 

@@ -41,10 +41,9 @@ from tools.bench.commands import STANDARD, calibrate_plan
 from tools.bench.errors import UM, Condition, make_scene
 from tools.bench.lower_bounds import lower_bound
 from tools.kit.printer import Printer
+from tools.kit.product import adaptive, pace
 from tools.kit.runs import make_run
 from tools.kit.scenes import SCENES
-from z_touch.uncertainty.adaptive import LEAST_AT_FIRST
-from z_touch.z_calibration import pace
 
 HISTORY = 10
 # As long as nothing is known of a site it is touched more often
@@ -142,7 +141,9 @@ def write_history(folder: Path, scene: Scene, case: Case, seed: int) -> None:
     draw = random.Random(seed)
     is_spread = case.spread not in (None, "0")
     worn = {"bed": math.hypot(noise, TextureSpec.sigma)} if is_spread else {}
-    counts = [LEAST_AT_FIRST] * FIRST + [case.touches] * (HISTORY - FIRST)
+    counts = [adaptive.LEAST_AT_FIRST] * FIRST + [case.touches] * (
+        HISTORY - FIRST
+    )
     runs = [
         make_run(
             draw,

@@ -24,10 +24,14 @@ from functools import partial
 from pathlib import Path
 from typing import NamedTuple, Optional, Union
 
-from z_touch.core.errors import SamplesDiffer
-from z_touch.core.sampling import AUTO, Sampling, summarize
-from z_touch.history.file import SITES, site_record, spreads_in
-from z_touch.uncertainty import adaptive
+from tools.kit.product import (
+    AUTO,
+    SamplesDiffer,
+    Sampling,
+    adaptive,
+    history,
+    summarize,
+)
 
 STEP = 0.0025
 HISTORY = 10
@@ -97,8 +101,12 @@ class DrawnPrinter:
 
     def run(self, setting: Setting) -> Run:
         """One CALIBRATE_Z, which knows those before it."""
-        self.heights = {site: self.draw.uniform(0.0, 10.0) for site in SITES}
-        earlier_runs = {site: spreads_in(self.runs, site) for site in SITES}
+        self.heights = {
+            site: self.draw.uniform(0.0, 10.0) for site in history.SITES
+        }
+        earlier_runs = {
+            site: history.spreads_in(self.runs, site) for site in history.SITES
+        }
         counting = adaptive.choose(setting.samples, setting.target)
         self.plan = adaptive.Plan(STEP, earlier_runs, counting)
         found = self.measured(self.plan, setting)
@@ -113,7 +121,7 @@ class DrawnPrinter:
             setting.method,
             *(2.0, 4.0, 6.0),
         )
-        for site in SITES:
+        for site in history.SITES:
 
             def touch(site: str = site) -> float:
                 return self.touch(site)
@@ -122,7 +130,9 @@ class DrawnPrinter:
                 plan.collect(site, touch, sampling, lambda _text: None, "")
             except SamplesDiffer:
                 return Run({"ok": False, "sites": records(plan)})
-        errors = {s: plan.estimates[s].z - self.heights[s] for s in SITES}
+        errors = {
+            s: plan.estimates[s].z - self.heights[s] for s in history.SITES
+        }
         error = errors["bed"] - (errors["switch"] - errors["nozzle"])
         record = {"ok": True, "sites": records(plan)}
         return Run(record, error, plan.uncertainty())
@@ -136,7 +146,9 @@ def records(plan: adaptive.Plan) -> dict[str, dict]:
         if site in plan.estimates:
             samples, z = plan.samples[site], plan.estimates[site].z
         earlier = plan.earlier_at(site)
-        found[site] = site_record(samples, z, plan.step, touches, earlier)
+        found[site] = history.site_record(
+            samples, z, plan.step, touches, earlier
+        )
     return found
 
 

@@ -17,8 +17,8 @@ from concurrent.futures import ProcessPoolExecutor
 from functools import partial
 from typing import NamedTuple
 
+from tools.kit.product import trend
 from tools.kit.runs import make_run
-from z_touch.history import trend
 
 RUNS = 500
 EVENT = 200

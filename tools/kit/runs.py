@@ -7,7 +7,7 @@ import statistics
 from collections.abc import Mapping
 from types import MappingProxyType
 
-from z_touch.history import file as history
+from tools.kit.product import history
 
 HEIGHTS = {"nozzle": 1.6, "switch": 8.015, "bed": 7.015}
 STEP = 0.0025

@@ -3,13 +3,12 @@
 import pytest
 
 from tools.campaign.walks import claims, values, walker
-from tools.campaign.walks.claims import Facts
+from tools.campaign.walks.claims import HOMED_OR_SET, MOTORS_OFF, Facts
 from tools.campaign.walks.judging import Gone, HarmError
 from tools.campaign.walks.printers import Owned
 from tools.campaign.walks.steps import OVER_MEMBRANE
 from tools.campaign.walks.walker import Walker
 from tools.kit.printer import Printer
-from z_touch.core.frame import HOMED_OR_SET, MOTORS_OFF
 
 # It judges walks, which make test has some of
 pytestmark = [pytest.mark.slow, pytest.mark.one_host]

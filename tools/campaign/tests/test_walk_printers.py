@@ -17,8 +17,7 @@ from tools.campaign.walks import (
 )
 from tools.campaign.walks.machines import BASES, GENERIC
 from tools.campaign.walks.printers import Owned, printers
-from z_touch.core import options
-from z_touch.core.templates import GCODE
+from tools.kit.product import GCODE, options
 
 
 @pytest.fixture(scope="module")

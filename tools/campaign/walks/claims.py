@@ -12,7 +12,10 @@ from dataclasses import dataclass
 from typing import Any, Optional
 
 from tools.campaign.walks import values
-from z_touch.core.frame import HOMED_OR_SET, MOTORS_OFF
+
+# Reasons that status and console give
+HOMED_OR_SET = "Z was homed again or set"
+MOTORS_OFF = "the motors were turned off"
 
 
 @dataclass(frozen=True)

@@ -15,8 +15,9 @@ from tools.campaign.walks.gaps import Gaps
 from tools.campaign.walks.printers import Owned
 from tools.kit.dialogs import dialogs_of
 from tools.kit.printer import Printer
-from z_touch.dockable_probe.delay import DETACH_DELAY
 
+# After which a docking that is pending is made: docs/dockable_probe.md (s)
+DETACH_DELAY = 1.0
 # From where a trigger is expected to where a touch ends: docs/reliability.md (mm)
 MARGIN = 1.0
 # How much deeper than Z=0 the bed of a new printer may be expected (mm)

@@ -7,22 +7,17 @@ from functools import lru_cache
 from typing import Any, Optional
 
 from tools.kit import corpus
+from tools.kit.product import GCODE, OPTIONS, options
 from tools.kit.scenes import Scene
-from z_touch.auto_z_offset import settings as auto_z_offset
-from z_touch.core import options
-from z_touch.core.templates import GCODE
-from z_touch.dockable_probe import settings as dockable_probe
-from z_touch.extra_probe import settings as extra_probe
-from z_touch.z_calibration import settings as z_calibration
 
 # Section, option, and what may be written there
 Choice = tuple[str, str, Sequence[Optional[str]]]
 
 TABLES = {
-    "z_calibration": z_calibration.OPTIONS,
-    "auto_z_offset": auto_z_offset.OPTIONS,
-    "dockable_probe": dockable_probe.OPTIONS,
-    "extra_probe membrane": extra_probe.OPTIONS,
+    "z_calibration": OPTIONS["z_calibration"],
+    "auto_z_offset": OPTIONS["auto_z_offset"],
+    "dockable_probe": OPTIONS["dockable_probe"],
+    "extra_probe membrane": OPTIONS["extra_probe"],
 }
 # What an owner says of a probe that comes and goes; None: nothing
 HOOKS = (

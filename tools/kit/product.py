@@ -1,0 +1,55 @@
+"""What tools, and tests outside of tests/unit, take from inside the product.
+
+All else they see as an owner does. No other file of theirs names what is in z_touch:
+what moves there moves here, too.
+"""
+
+from __future__ import annotations
+
+from typing import Any
+
+from z_touch.auto_z_offset import settings as _auto_z_offset
+from z_touch.core import options
+from z_touch.core.errors import SamplesDiffer
+from z_touch.core.sampling import AUTO, Sampling, summarize
+from z_touch.core.templates import GCODE
+from z_touch.dockable_probe import settings as _dockable_probe
+from z_touch.extra_probe import settings as _extra_probe
+from z_touch.guide.steps import CHAINED, ORDER
+from z_touch.history import file as history
+from z_touch.history import report, trend, verdict
+from z_touch.uncertainty import adaptive
+from z_touch.z_calibration import pace
+from z_touch.z_calibration import settings as _z_calibration
+
+__all__ = [
+    "AUTO",
+    "CHAINED",
+    "GCODE",
+    "HISTORY",
+    "OLD_POSITIONS",
+    "OPTIONS",
+    "ORDER",
+    "Sampling",
+    "SamplesDiffer",
+    "adaptive",
+    "history",
+    "options",
+    "pace",
+    "report",
+    "summarize",
+    "trend",
+    "verdict",
+]
+
+# Rows of options, by module
+OPTIONS: dict[str, tuple[Any, ...]] = {
+    "z_calibration": _z_calibration.OPTIONS,
+    "auto_z_offset": _auto_z_offset.OPTIONS,
+    "dockable_probe": _dockable_probe.OPTIONS,
+    "extra_probe": _extra_probe.OPTIONS,
+}
+# Of a [dockable_probe] of other releases
+OLD_POSITIONS: tuple[Any, ...] = _dockable_probe.OLD_POSITIONS
+# What a row of z_calibration's history is
+HISTORY = _z_calibration.HISTORY
