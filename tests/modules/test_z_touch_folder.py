@@ -4,6 +4,7 @@ another one, or changed since Klipper has loaded it.
 
 from __future__ import annotations
 
+import ast
 import os
 import shutil
 import subprocess
@@ -18,7 +19,14 @@ from simprinter.hosts.environment import REPO_ROOT
 from simprinter.hosts.hosts import Host
 from simprinter.hosts.session import LiveSession
 from simprinter.hosts.trees import FOLDER_PARENT, link_tree
-from tools.kit.printer import FOLDER, MODULES, dialect_of, module_files
+from tests.docs.sources import files, imported
+from tools.kit.printer import (
+    FOLDER,
+    MODULES,
+    ROOT,
+    dialect_of,
+    module_files,
+)
 from tools.kit.scenes import SCENES, Sections
 
 # Homes Z with its probe, which is a switch: two of the modules can be used
@@ -90,6 +98,31 @@ def copy(source: Path, target: Path) -> None:
         shutil.copyfile(source, target)
 
 
+def entered(name: str) -> set[Path]:
+    """The files behind a module that its door imports itself."""
+    door = ROOT / f"{name}.py"
+    return {
+        path
+        for node in ast.walk(files(name)[door])
+        if isinstance(node, ast.ImportFrom) and node.level
+        for path in imported(door, node)
+        if path.exists()
+    }
+
+
+def of_both() -> Path:
+    """A file below the folder that auto_z_offset and z_calibration need."""
+    shared = files("auto_z_offset").keys() & files("z_calibration").keys()
+    return min(shared - entered("z_calibration")).relative_to(ROOT / FOLDER)
+
+
+def of_one(name: str) -> Path:
+    """One that only this module needs, as soon as it is loaded."""
+    others = [files(other).keys() for other in MODULES if other != name]
+    own = entered(name).difference(*others)
+    return min(own).relative_to(ROOT / FOLDER)
+
+
 def append(file: Path, text: str = "\n# Of an update\n") -> None:
     file.write_text(file.read_text() + text)
 
@@ -106,12 +139,14 @@ def without_its_face(folder):
     (folder / "__init__.py").unlink()
 
 
-def without_core(folder):
-    shutil.rmtree(folder / "core")
+def without_rooms(folder):
+    for room in folder.iterdir():
+        if room.is_dir():
+            shutil.rmtree(room)
 
 
 def without_a_file(folder):
-    (folder / "core" / "errors.py").unlink()
+    (folder / of_both()).unlink()
 
 
 def without_a_room(folder):
@@ -123,7 +158,7 @@ def empty(folder):
 
 
 def cut_off(folder):
-    (folder / "core" / "errors.py").write_text("def fail(\n")
+    (folder / of_both()).write_text("def fail(\n")
 
 
 MISSING = (
@@ -137,7 +172,7 @@ DAMAGES = {
     # Kalico stumbles over a package without one by itself
     "no __init__.py": (without_its_face, BROKEN),
     "empty __init__.py": (empty, NO_VERSION),
-    "no core": (without_core, NO_MODULE),
+    "no rooms": (without_rooms, NO_MODULE),
     "no file": (without_a_file, BROKEN),
     "no room": (without_a_room, NO_MODULE),
     "half a file": (cut_off, BROKEN),
@@ -196,14 +231,16 @@ CHANGED = (
 
 def comment(clone):
     """What nobody would notice, here; the next one may be another."""
-    append(clone / FOLDER / "core" / "errors.py")
+    append(clone / FOLDER / of_both())
 
 
 def new_name(clone):
     """A room of the new commit needs what core of the old one has not."""
-    append(clone / FOLDER / "core" / "errors.py", "\nNEW = 1\n")
-    module = clone / FOLDER / "z_calibration" / "module.py"
-    append(module, "\nfrom ..core import errors\n\nerrors.NEW\n")
+    shared, own = of_both(), of_one("z_calibration")
+    append(clone / FOLDER / shared, "\nNEW = 1\n")
+    package = "." * len(own.parts) + ".".join(shared.parts[:-1])
+    needs = f"\nfrom {package} import {shared.stem}\n\n{shared.stem}.NEW\n"
+    append(clone / FOLDER / own, needs)
 
 
 UPDATES = {f.__name__: f for f in (comment, new_name)}
@@ -269,12 +306,12 @@ def touched(clone):
 
 def not_loaded(clone):
     """Of a room that nobody has entered."""
-    append(clone / FOLDER / "dockable_probe" / "module.py")
+    append(clone / FOLDER / of_one("dockable_probe"))
 
 
 def new_room(clone):
     """Of the room whose section is new."""
-    append(clone / FOLDER / "z_calibration" / "module.py")
+    append(clone / FOLDER / of_one("z_calibration"))
 
 
 HARMLESS = {f.__name__: f for f in (touched, not_loaded, new_room)}

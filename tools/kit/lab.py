@@ -48,10 +48,24 @@ _REST_OF_KLIPPER = {
 _IGNORED = "*.so\n*.pyc\n__pycache__/\nklippy/.version\n"
 _IGNORED_PLUGINS = "klippy/plugins/*\n!klippy/plugins/__init__.py\n"
 
-# What a release has in place of a help text
-_HELP = """\
-    from . import release
-    cmd_CALIBRATE_Z_help = release.HELP
+# What a release has behind the module, as Klipper loads it
+_HELP = """
+
+if "plugins" in __name__.split("."):
+    from ..extras.z_touch import release
+else:
+    from .z_touch import release
+
+
+def _released(config, load=load_config):
+    module = load(config)
+    gcode = config.get_printer().lookup_object("gcode")
+    command = gcode.register_command("CALIBRATE_Z", None)
+    gcode.register_command("CALIBRATE_Z", command, desc=release.HELP)
+    return module
+
+
+load_config = _released
 """
 _GITCONFIG = """
 [user]
@@ -212,15 +226,11 @@ class Lab(LivingPrinter):
         """
         self._releases += 1
         help_text = f"As of release {self._releases}"
-        room = self._sources / FOLDER / "z_calibration"
-        file = room / "release.py"
+        file = self._sources / FOLDER / "release.py"
         file.write_text(f'HELP = "{help_text}"\n', encoding="utf-8")
-        module = room / "module.py"
-        text = module.read_text(encoding="utf-8")
-        old = re.search(r'^    cmd_CALIBRATE_Z_help = ".*"\n', text, re.M)
         if self._releases == 1:
-            assert old
-            module.write_text(text.replace(old[0], _HELP), encoding="utf-8")
+            module = self._sources / "z_calibration.py"
+            module.write_text(module.read_text("utf-8") + _HELP, "utf-8")
         self._push(self._sources, "main", f"v0.9.{self._releases}")
         return help_text
 
