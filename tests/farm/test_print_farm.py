@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import ast
 import json
 import random
 import re
@@ -24,7 +23,6 @@ from simprinter.hosts.moonraker_package import find_moonraker
 from simprinter.world import NoiseSpec
 from tests.docs.documents import rows, spans
 from tests.farm.broker import LIMIT, Broker, find_program
-from tests.unit.loading import load
 from tools.farm import __main__ as farm_tool
 from tools.farm import servers
 from tools.farm.printers import Printer
@@ -198,61 +196,28 @@ def published(status, name="a", part="klipper"):
     return conf.series
 
 
-def keys_of_status(module):
-    """The names that a module's status has, by the sources of its room."""
-    methods = [
-        node
-        for path in (ROOT / "z_touch" / module).glob("*.py")
-        for node in ast.walk(ast.parse(path.read_text("utf-8")))
-        if isinstance(node, ast.FunctionDef)
-        and node.name in ("get_status", "status")
-    ]
-    nodes = [node for method in methods for node in ast.walk(method)]
-    names = [
-        k for node in nodes if isinstance(node, ast.Dict) for k in node.keys
-    ]
-    # What is put in afterwards
-    names += [
-        node.slice
-        for node in nodes
-        if isinstance(node, ast.Subscript) and isinstance(node.ctx, ast.Store)
-    ]
-    return [ast.literal_eval(name) for name in names]
-
-
-def real_status():
-    """What the modules publish after some runs, by their own code."""
-    module = load("z_touch.history.file")
-    history = module.History(None, module.File("", 50), "printer.cfg", None)
-    refused = {"ok": False, "time": 1.8e9, "reason": "odd", "sites": {}}
-    runs = [*make_runs(8), {**make_runs(1)[0], **refused}]
-    summaries = load("z_touch.history.trend").summarize_tools(runs)
-    history._take(runs, summaries, [])  # noqa: SLF001
-    known = {
-        "z_calibration": {
-            "last_z_offset": 0.16,
-            "last_result": result_of("z_calibration"),
-            "warnings": ["a", "b"],
-            "uncertainty": 0.006,
-            "history": history.status,
-        },
-        "auto_z_offset": {"probe_z_correction": 0.1, "spread": 0.02},
-    }
+@pytest.fixture
+def real_status(start, tmp_path):
+    """What the modules publish after some runs, the last of them refused."""
+    lines = [json.dumps(run) + "\n" for run in make_runs(8)]
+    (tmp_path / "history.jsonl").write_text("".join(lines))
+    own = {"z_calibration": {"history": str(tmp_path)}}
+    printer = start("voron", own).homed()
+    printer.run("CALIBRATE_Z")
+    machine = printer.machine
+    now = machine.rig.seconds(machine.simulation.clock.now())
+    machine.break_down(Fault("stuck_closed", signal="probe", t=now))
+    printer.fail("CALIBRATE_Z")
+    other = start("qidi").homed()
+    other.run("AUTO_Z_CALIBRATE")
     return {
-        module: {name: known[module].get(name) for name in names}
-        for module, names in (
-            (module, keys_of_status(module)) for module in known
-        )
+        "z_calibration": printer.status("z_calibration"),
+        "auto_z_offset": other.status("auto_z_offset"),
     }
 
 
-def result_of(module):
-    fields = load(f"z_touch.{module}.heights").Result._fields
-    return {name: number / 10 for number, name in enumerate(fields)}
-
-
-def test_every_field_and_series_is_one_of_the_code():
-    status = real_status()
+def test_every_field_and_series_is_one_of_the_code(real_status):
+    status = real_status
     for name in asked_for():
         module, field = name.split(".")
         assert field in status[module], f"{name} is not published"
@@ -267,10 +232,14 @@ def test_every_field_and_series_is_one_of_the_code():
     # Every one of them is a number
     assert {name for name, _ in shown} == set(found)
     values = {name: value for (name, _), value in shown.items()}
+    own = status["z_calibration"]
     assert values["z_calibration_run_ok"] == 0.0
-    assert values["z_calibration_run_time"] == 1.8e9
-    assert values["z_calibration_runs"] == 9
-    assert values["z_calibration_warnings"] == 2
+    assert (
+        values["z_calibration_run_time"]
+        == (own["history"]["results"][-1]["time"])
+    )
+    assert values["z_calibration_runs"] == 10
+    assert values["z_calibration_warnings"] == len(own["warnings"])
 
 
 @pytest.mark.parametrize(
