@@ -8,6 +8,7 @@
 #   make printer  a simulated printer to play with, in any web interface
 #   make faults   break something at every operation, draw printers at random
 #   make walks    any order of commands on any printer, the world as the judge
+#   make noop     which tests pass although no command of ours does anything
 #   make test-firmware  the same commands on micro-controller programs of yours
 #   make hosts    prepare and list the klippy hosts, and Moonraker
 #   make speed    how much faster than a printer the simulation runs
@@ -30,6 +31,7 @@
 # BENCH_ARGS           arguments for make bench, such as --seeds 10 or --builtin
 # DEMO_ARGS            arguments for make demo, such as --scene cartesian
 # PRINTER_ARGS         arguments for make printer, such as --scene extra_probe
+# NOOP_ARGS            arguments for make noop, tests (default tests/modules)
 # WALKS_ARGS           arguments for make walks, such as --count 1000 --seed 5
 # FAULTS_ARGS          arguments for make faults, such as --seed 7 or --pairs 2000
 
@@ -42,6 +44,7 @@ DEMO_ARGS ?=
 PRINTER_ARGS ?=
 FAULTS_ARGS ?=
 WALKS_ARGS ?=
+NOOP_ARGS ?= tests/modules
 export BUILD_DIR
 
 TOOLS = $(BUILD_DIR)/venv/bin
@@ -52,7 +55,7 @@ SOURCES = $(wildcard *.py z_touch/*.py z_touch/*/*.py)
 COMPILE = import sys; [compile(open(f).read(), f, 'exec') for f in sys.argv[1:]]
 
 # Test files import each other as tests.*, from the root of the repository.
-.PHONY: test test-rest test-all test-firmware quick demo printer speed bench faults walks hosts
+.PHONY: test test-rest test-all test-firmware quick noop demo printer speed bench faults walks hosts
 .PHONY: prepared checked
 .PHONY: docs lint format tools update-pins clean
 
@@ -66,6 +69,10 @@ test-firmware: prepared
 
 quick: checked
 	ONE_HOST=1 $(TOOLS)/python -m pytest -n 2 tests/unit tests/quick
+
+noop: prepared
+	ONE_HOST=1 $(TOOLS)/python -m pytest -p tools.noop -q --tb=no -r "" \
+		--cases all -n 2 --dist loadfile $(NOOP_ARGS)
 
 # Without the linters and what else the tests need
 demo:
