@@ -16,6 +16,7 @@ from tools.kit.auto_z_offset import (
     formulas,
     seconds,
     section,
+    sites,
     state,
     told,
     with_extras,
@@ -50,7 +51,7 @@ def test_printer_with_usual_noise_is_not_refused(start):
     scene = SCENES["qidi"].with_world(bed_sensor=sensor)
     for seed in range(3):
         printer = start(scene, seed=seed).homed()
-        printer.run("AUTO_Z_CALIBRATE")
+        assert formulas(printer.run("AUTO_Z_CALIBRATE"))
 
 
 # The way down
@@ -60,6 +61,7 @@ def test_the_head_comes_down_quickly_from_far_above(start):
     printer = start("qidi").homed()
     printer.run("G1 Z100 F1200\nM400")
     assert seconds(printer, "AUTO_Z_PROBE") <= 12.0
+    assert "nozzle_bed" in sites(printer)
 
 
 def test_bed_that_is_where_nobody_expects_it_stops_the_way_down(start):

@@ -501,6 +501,7 @@ def test_button_of_the_host_after_homing_with_the_sensor(start, step, is_told):
     changes = section(z_offset="-0.05")
     printer = start("qidi", changes=changes).homed()
     printer.run(f"AUTO_Z_HOME_Z\nSET_GCODE_OFFSET Z_ADJUST={step}")
+    assert "nozzle_bed" in sites(printer)
     gap = true_gap(printer)
     lines = printer.run("Z_OFFSET_APPLY_PROBE")
     hint = "write z_offset: -0.130 into section 'auto_z_offset' for it"
@@ -562,7 +563,10 @@ def test_baby_steps_and_the_button_of_the_host(start, step):
 def test_button_of_the_host_without_a_correction_in_force(start, script):
     changes = section(probe_z_correction="-1.12")
     printer = start("qidi", changes=changes).homed()
-    lines = printer.run(f"{script}\nZ_OFFSET_APPLY_PROBE")
+    lines = printer.run(script)
+    is_loaded = any("the G-code Z offset is -1.12" in line for line in lines)
+    assert is_loaded == ("LOAD" in script)
+    lines = printer.run("Z_OFFSET_APPLY_PROBE")
     assert not any("baby steps" in line for line in lines)
 
 
@@ -571,6 +575,7 @@ def test_button_of_the_host_in_the_frame_of_the_sensor(start):
     printer = start("qidi", changes=changes).homed()
     script = "AUTO_Z_LOAD_OFFSET\nSET_GCODE_OFFSET Z=0\nAUTO_Z_HOME_Z"
     printer.run(f"{script}\nSET_GCODE_OFFSET Z=0.05")
+    assert "nozzle_bed" in sites(printer)
     lines = printer.run("Z_OFFSET_APPLY_PROBE")
     assert not any("baby steps" in line for line in lines)
 

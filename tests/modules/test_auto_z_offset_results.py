@@ -433,13 +433,17 @@ def test_current_stays_with_a_factor_of_one(start):
     drivers = printer.machine.drivers
     before = {name: list(d.currents) for name, d in drivers.items()}
     printer.run("AUTO_Z_MEASURE_OFFSET")
+    assert "nozzle_bed" in sites(printer)
     assert {n: d.currents for n, d in drivers.items()} == before
     assert not told(printer.session.console, "z_current_factor")
 
 
 def test_machine_without_drivers_says_so_once(start):
     printer = start("piezo_cartesian").homed()
-    printer.run("AUTO_Z_MEASURE_OFFSET\nAUTO_Z_MEASURE_OFFSET")
+    printer.run("AUTO_Z_MEASURE_OFFSET")
+    once = sites(printer).count("nozzle_bed")
+    printer.run("AUTO_Z_MEASURE_OFFSET")
+    assert sites(printer).count("nozzle_bed") == 2 * once > 0
     lines = told(printer.session.console, "z_current_factor has no effect")
     assert len(lines) == 1
     assert "no effect on stepper_z: no TMC driver of its own" in lines[0]
@@ -483,7 +487,11 @@ def test_current_that_the_user_has_set_comes_back(start):
     printer = start("qidi").homed()
     printer.run("SET_TMC_CURRENT STEPPER=stepper_z CURRENT=0.62")
     before = state(printer)["currents"]
+    driver = printer.machine.drivers["z"]
+    changes = len(driver.currents)
     printer.run("AUTO_Z_MEASURE_OFFSET")
+    # Lowered, and back
+    assert len(driver.currents) > changes + 1
     assert state(printer)["currents"] == before
 
 

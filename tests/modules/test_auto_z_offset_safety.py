@@ -523,8 +523,9 @@ def test_correction_of_a_z_that_levelling_has_moved(start, script, is_told):
     correction = section(probe_z_correction="0.16")
     printer = start(scene, {"z_calibration": None, **correction}).homed()
     printer.run(script)
-    told_then = told(printer.run("AUTO_Z_LOAD_OFFSET"), "as levelling does")
-    assert bool(told_then) is is_told
+    lines = printer.run("AUTO_Z_LOAD_OFFSET")
+    assert told(lines, "the G-code Z offset is 0.16")
+    assert bool(told(lines, "as levelling does")) is is_told
     if is_told:
         # What it advises makes Z=0 another one, and is enough
         levelled = printer.gap(printer.bed_point())
@@ -605,6 +606,7 @@ def test_home_z_with_an_offset_that_does_no_harm(start):
     # Z=0 stays above where the sensor triggers
     printer = start("qidi", changes=section(z_offset="-0.3")).homed()
     printer.run("SET_GCODE_OFFSET Z=-0.1\nAUTO_Z_HOME_Z")
+    assert "nozzle_bed" in sites(printer)
     assert printer.offset() == pytest.approx(-0.1)
 
 
@@ -657,6 +659,7 @@ def test_forgotten_g90_is_put_right(start):
     changes = section(prepare_gcode=f"{PREPARE}\n  G91")
     printer = start("qidi", changes=changes).homed()
     printer.run("G90\nAUTO_Z_PROBE")
+    assert "nozzle_bed" in sites(printer)
     assert state(printer)["absolute"] is True
 
 
@@ -676,6 +679,7 @@ def test_prepare_gcode_that_moves_the_head_away(start, command):
     first = len(printer.machine.truth.touches)
     printer.run(f"AUTO_Z_{command}")
     nozzle = [t for t in touches(printer, first) if t.site == "nozzle_bed"]
+    assert nozzle
     for touch in nozzle:
         assert (touch.x, touch.y) == pytest.approx(POINT, abs=0.02)
 
@@ -859,6 +863,7 @@ def test_driver_that_is_better_left_alone(start, tmp_path, own, command, calls):
     print_time = printer.status("toolhead")["estimated_print_time"]
     ahead = print_time - printer.machine.simulation.clock.now() / 1e9
     printer.run("AUTO_Z_PROBE")
+    assert "nozzle_bed" in sites(printer)
     found = printer.status("tmc5160 stepper_z")["calls"]
     assert [amps for amps, _ in found] == calls
     # It settles in 130 ms, says its data sheet
@@ -1045,6 +1050,7 @@ def test_host_probes_to_its_own_floor_again_afterwards(start):
     printer = start("qidi", faults=[fault])
     printer.machine.tolerate("nozzle_bed", 10.0)
     printer.homed().run("AUTO_Z_MEASURE_OFFSET")
+    assert "nozzle_bed" in sites(printer)
     assert "No trigger on probe" in printer.fail("PROBE")
     assert lowest(printer) == pytest.approx(4.0 - 1.2695, abs=0.02)
 

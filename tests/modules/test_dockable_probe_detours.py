@@ -88,6 +88,7 @@ def test_on_the_pin_after_docking(start, point, restore):
 def test_probed_where_the_head_was(start, held, restore):
     printer = started(start, SWITCH, restore_toolhead=restore).homed()
     printer.run("G1 X150 Y150 Z20 F6000\n" + "ATTACH_PROBE" * held)
+    assert (trips(printer) == ["attach"]) is held
     printer.run("G1 X%g Y%g\nPROBE" % PROBED)
     assert last_touch(printer, "probe_bed") == pytest.approx(PROBED, abs=0.02)
     stays = held or restore == "True"
@@ -199,7 +200,13 @@ def test_no_homing_into_the_dock(start, scene, script, is_moved):
 def test_homing_from_each_position_of_the_dock(start, scene, command):
     printer = start(scene, section(restore_toolhead="False", **QUICK)).homed()
     for position in ("APPROACH", "EXTRACT", "INSERT", "DETACH"):
-        printer.run(f"MOVE_TO_{position}_PROBE\n{command}")
+        printer.run(f"MOVE_TO_{position}_PROBE")
+        if position in ("APPROACH", "DETACH"):
+            option = f"{position.lower()}_position"
+            x, y, *_ = scene.sections["dockable_probe"][option].split(",")
+            there = pytest.approx([float(x), float(y)])
+            assert printer.session.position()[:2] == there
+        printer.run(command)
     printer.machine.truth.require_no_crash()
 
 
@@ -286,6 +293,9 @@ def test_docked_probe_stays_docked_without_a_move(start):
     script = "DETACH_PROBE\nM84\nDETACH_PROBE\nG28 X Y\nDETACH_PROBE"
     z = printer.machine.tip().z
     assert heights(printer, script) == pytest.approx([z] * 5)
+    # And the next time it is fetched
+    printer.run("ATTACH_PROBE\nDETACH_PROBE")
+    assert trips(printer) == ["attach", "dock"]
 
 
 def test_hop_of_the_owner_after_a_docking(start):

@@ -85,7 +85,11 @@ def test_told_that_it_is_used(start, script, wanted):
         for name in ("activate", "deactivate")
     }
     printer = started(start, SWITCH, {"respond": {}}, **options).homed()
+    shown = len(printer.session.console)
     assert told(printer, CENTRE + script) == wanted
+    if script.startswith("GET"):
+        lines = printer.session.console[shown:]
+        assert any("Probe Status: DOCKED" in line for line in lines)
 
 
 # A dock that a servo swings
@@ -107,7 +111,7 @@ def test_dock_is_put_away_after_a_failure(start, fault, state, retries):
     assert_safe(printer)
     # It comes out again when it is needed
     printer.machine.repair()
-    printer.run(CENTRE + "PROBE\nDETACH_PROBE\nG4 P500\nM400")
+    printer.run(CENTRE + "PROBE\nG4 P500\nM400")
     assert where(printer) == "docked"
     assert not printer.machine.world.dock_is_out(now_of(printer))
 
@@ -192,7 +196,12 @@ def test_dock_is_put_away_where_the_head_does_not_get_there(start):
 def test_homing_from_in_the_dock(start, scene, command):
     printer = started(start, scene).homed()
     before = len(trips(printer))
-    printer.run(CENTRE + f"{steps('DOCK')}\n{command}\nM400")
+    printer.run(f"{CENTRE}{steps('DOCK')}\nM400")
+    place = scene.sections["dockable_probe"]["dock_position"].split(",")
+    assert printer.session.position()[:2] == pytest.approx(
+        [float(part) for part in place[:2]]
+    )
+    printer.run(f"{command}\nM400")
     assert where(printer) == "docked"
     assert not trips(printer, before)[2:]
     if scene is SERVO:
@@ -335,6 +344,7 @@ def test_only_stop_of_the_nozzle_has_to_be_seen(start, script):
     printer = started(start, SENSED, faults=[fault])
     text = printer.fail(script)
     assert "'pin' reads open without the probe, as a broken wire does" in text
+    assert ("attach" in trips(printer)) is ("ATTACH" in script)
     assert printer.machine.truth.min_gap > 10.0
     # Whoever has such a switch says so
     scene = with_probe(SENSED, normally_open=True)
@@ -403,6 +413,7 @@ def test_broken_wire_where_z_is_not_homed(start):
 def test_pins_that_agree_are_believed(start, scene, is_trip):
     printer = started(start, scene).homed()
     printer.run(f"{CENTRE}ATTACH_PROBE")
+    assert where(printer) == "attached"
     machine, begun = printer.machine, len(trips(printer))
     machine.world.lose_probe(now_of(printer))
     printer.session.wait(0.5)
@@ -562,9 +573,10 @@ def test_dock_that_all_positions_are_above(start, xy, goes):
     changes = {"moves": {}, **section(**{**QUICK, **options})}
     printer = start(ABOVE, changes, modules=with_moves()).homed()
     printer.run("MOVE_TO_APPROACH_PROBE")
+    x, y = (float(part) for part in xy.split(","))
+    assert printer.session.position()[:2] == pytest.approx([x, y])
     before = len(printer.status("moves")["ends"])
     printer.run("G28 X Y")
-    x, y = (float(part) for part in xy.split(","))
     ends = printer.status("moves")["ends"][before:]
     gone = [math.hypot(end[0] - x, end[1] - y) for end in ends]
     assert max(gone, default=0.0) == pytest.approx(goes, abs=0.1)
@@ -592,7 +604,9 @@ def test_from_a_little_above_a_dock_that_is_left_upwards(
     start, above, nudge, command
 ):
     printer = started(start, ABOVE, **above).homed()
-    printer.run(f"MOVE_TO_DOCK_PROBE\nG91\nG1 {nudge} F600\nG90\nM400")
+    printer.run("MOVE_TO_DOCK_PROBE")
+    assert printer.session.position()[:2] == pytest.approx([50.0, 308.0])
+    printer.run(f"G91\nG1 {nudge} F600\nG90\nM400")
     try:
         printer.run(command)
     except GcodeError as error:

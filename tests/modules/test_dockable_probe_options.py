@@ -368,6 +368,7 @@ def test_point_to_pass_by(start):
         printer = recording(start, **dock, safe_position=safe)
         printer.run("G1 X50\nG1 Y160\nM400")
         ends = moves(printer, "MOVE_AVOIDING_DOCK X=250 Y=160")
+        assert ends[-1][:2] == (250.0, 160.0) and ends[1:]
         assert all((y > 150.0) is above for _, y, _ in ends[:-1])
 
 
@@ -439,6 +440,7 @@ def test_detach_gcode_may_strip_it_off(start):
         detach_gcode="\n  G90\n  G1 X90 Y308 F6000\n  M400",
     )
     printer.run("ATTACH_PROBE\nDETACH_PROBE")
+    assert trips(printer) == ["attach", "dock"]
     assert where(printer) == "docked"
 
 
@@ -560,6 +562,7 @@ def test_samples_by_options(start):
 def test_probing_speeds_of_a_command(start):
     printer = recording(start)
     printer.run("ATTACH_PROBE")
+    assert where(printer) == "attached"
     place = "G1 X150 Y150 Z20 F6000\n"
     usual = seconds(printer, place + "PROBE SAMPLES=2")
     slow = seconds(printer, place + "PROBE SAMPLES=2 PROBE_SPEED=3")

@@ -110,6 +110,14 @@ ORDERS = {
 USUAL = ("G28 Z from the dock", "into the way of a servo")
 
 
+def seen(printer):
+    """What any command of these changes something of."""
+    truth = printer.machine.truth
+    console = len(printer.session.console)
+    counts = (len(truth.touches), len(truth.events), console)
+    return printer.session.position(), counts
+
+
 @pytest.mark.every_host
 @pytest.mark.parametrize(
     "order", [order if order in USUAL else slow(order) for order in ORDERS]
@@ -118,7 +126,12 @@ def test_nothing_is_hit(start, order):
     base, options, scripts = ORDERS[order]
     changes = {"dockable_probe": {**QUICK, **options}, **SCREWS}
     printer = start(BASES[base], changes).homed()
-    printer.run("\n".join([OVER, *scripts, "M400"]))
+    printer.run(OVER)
+    for script in scripts:
+        before = seen(printer)
+        printer.run(script)
+        assert script.startswith("SET_") or seen(printer) != before, script
+    printer.run("M400")
     printer.session.wait(2.0)
     printer.machine.truth.require_no_crash()
     assert pressed(printer) < 0.1
@@ -326,6 +339,7 @@ def test_hot_nozzle_is_that_of_a_print(start, celsius):
     scene = heated(DOCK_SCENES["dock_gantry"])
     printer = start(scene, {"dockable_probe": QUICK}).homed()
     printer.run(f"{OVER}\nATTACH_PROBE\nM104 S{celsius}")
+    assert where(printer) == "attached"
     if celsius == 90:
         printer.fail(FIRST_LAYER)
     else:
@@ -353,6 +367,7 @@ def test_probe_that_somebody_has_taken_off(start):
     changes = {"dockable_probe": QUICK}
     printer = start(DOCK_SCENES["dock_sensed"], changes).homed()
     printer.run(f"{OVER}\nATTACH_PROBE")
+    assert where(printer) == "attached"
     printer.machine.world.take_probe_off(seconds(printer))
     before = trips(printer)
     begun = seconds(printer)
@@ -473,7 +488,10 @@ def test_nobody_knows_of_a_dock(start):
     printer = start(DOCK_SCENES["dock_gantry_switch"], changes).homed()
     printer.run(f"{OVER}\nG1 X20 Y305")
     printer.machine.hold("probe", False)
-    printer.run("SET_PROBE_STATUS STATE=ATTACHED\nG1 Z5\nM400")
+    printer.run("SET_PROBE_STATUS STATE=ATTACHED")
+    status = printer.status("dockable_probe")
+    assert status["last_status_name"] == "ATTACHED"
+    printer.run("G1 Z5\nM400")
     assert printer.session.position()[2] == pytest.approx(5.0)
 
 
@@ -504,6 +522,7 @@ def test_print_that_goes_on_with_the_motors_off(start, tmp_path):
     printer.run(f"{OVER}\n{PRINT}")
     printer.session.wait(30)
     printer.run("ATTACH_PROBE\nM84")
+    assert where(printer) == "attached"
     (line,) = printer.run("RESUME")
     assert "Must home axis first: 120.000" in line
 
@@ -543,7 +562,9 @@ def test_print_does_not_go_on_without_trips(start, tmp_path):
 def test_print_below_the_dock(start, tmp_path):
     lines = "G90\nG1 X50 Y272 F6000\nG1 Z0.3 F600\nG1 X80\n"
     printer = with_card(start, tmp_path, lines).homed()
-    printer.run(f"{OVER}\nATTACH_PROBE\n{PRINT}")
+    printer.run(f"{OVER}\nATTACH_PROBE")
+    assert where(printer) == "attached"
+    printer.run(PRINT)
     require_printed(printer)
 
 
@@ -583,14 +604,18 @@ def test_what_ends_a_docking_that_is_to_come(start, base, restore, end):
 @pytest.mark.parametrize(
     ("base", "script"),
     [
-        ("dock_bed", "ATTACH_PROBE\nG28\nG28"),
-        slow("dock_above", "MOVE_TO_APPROACH_PROBE\nG28\nG28"),
+        ("dock_bed", "ATTACH_PROBE"),
+        slow("dock_above", "MOVE_TO_APPROACH_PROBE"),
     ],
 )
 def test_homing_override_and_a_dock_with_a_height(start, base, script):
     scene = overridden(BASES[base])
     printer = start(scene, {"dockable_probe": dict(QUICK)}).homed()
-    printer.run(f"{OVER}\n{script}\nM400")
+    printer.run(OVER)
+    before = seen(printer)
+    printer.run(script)
+    assert seen(printer) != before
+    printer.run("G28\nG28\nM400")
     assert where(printer) == "docked"
     printer.machine.truth.require_no_crash()
 
@@ -653,6 +678,7 @@ def test_z_offset_that_is_too_small(start, z_offset, then):
     printer.run("G28")
     height = printer.session.position()[2]
     printer.run("ATTACH_PROBE")
+    assert where(printer) == "attached"
     assert printer.session.position()[2] >= height
 
 

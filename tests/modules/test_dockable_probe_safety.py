@@ -269,6 +269,7 @@ def test_probe_lost_at_the_last_touch(start):
     # Nothing touches after it: only a look tells that the result is wrong
     printer = start(SWITCH, section(**QUICK)).homed()
     printer.run("G1 X150 Y150 Z20 F6000\nATTACH_PROBE")
+    assert where(printer) == "attached"
     printer.machine.break_down(
         Fault("probe_falls", site="probe_bed", command="PROBE")
     )
@@ -316,6 +317,7 @@ def test_switch_that_dies_before_z_is_homed_again(start, script):
     changes = {"force_move": {"enable_force_move": "True"}, **section(**QUICK)}
     printer = tolerant(start(GANTRY, changes)).homed()
     printer.run(f"ATTACH_PROBE\nG1 X150 Y150 Z30 F6000\n{script}\nM400")
+    assert where(printer) == "attached"
     printer.machine.break_down(
         Fault("stuck_open", site="probe_bed", command="G28")
     )
@@ -398,6 +400,7 @@ def test_sense_pin_tells_that_it_was_lost_in_a_touch(start):
 def test_sense_pin_tells_before_a_touch(start):
     printer = start(SENSED, section(samples="1")).homed()
     printer.run("ATTACH_PROBE\nG1 X150 Y150 Z20 F6000\nM400")
+    assert where(printer) == "attached"
     command = printer.session.begin("PROBE_ACCURACY SAMPLES=3")
     touches = printer.machine.truth.touches
     before = len(touches)

@@ -195,9 +195,9 @@ def test_speeds(start, own, call):
 def test_lift_speed_is_the_speed_by_default(start):
     changes = section(lift_speed=None, speed="1", samples="2")
     printer = laid(start, changes=changes)
-    printer.run(ABOVE)
+    printer.run(f"{ABOVE}\nM400")
     slow = duration(printer, "EXTRA_PROBE PROBE=membrane PROBE_SPEED=5")
-    printer.run("G1 Z5")
+    printer.run("G1 Z5\nM400")
     fast = duration(
         printer, "EXTRA_PROBE PROBE=membrane PROBE_SPEED=5 LIFT_SPEED=10"
     )

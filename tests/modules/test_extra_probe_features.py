@@ -113,6 +113,7 @@ def test_later_mesh_is_told(start, scene, zero, is_told, script, is_in_force):
     if is_in_force:
         printer.run(LOAD)
     lines = "\n".join(calibrate(printer, CALIBRATE + script))
+    assert " --> " in lines
     # What was taken off is right as long as it is in force.
     is_told = is_told and not is_in_force
     assert ("bed_mesh has no zero at 30.0, 20.0, where" in lines) is is_told
@@ -121,7 +122,9 @@ def test_later_mesh_is_told(start, scene, zero, is_told, script, is_in_force):
 @pytest.mark.parametrize("script", ["", " SAVE=1"])
 def test_no_mesh_is_no_other_one(start, script):
     printer = start("membrane").homed()
-    assert "bed_mesh" not in "\n".join(calibrate(printer, CALIBRATE + script))
+    lines = "\n".join(calibrate(printer, CALIBRATE + script))
+    assert " --> " in lines
+    assert "bed_mesh" not in lines
 
 
 def test_later_mesh_makes_it_wrong_by_its_height(start):

@@ -511,6 +511,7 @@ def test_position_min_holds_where_z_was_set(start):
     printer.run(f"AUTO_Z_HOME_Z\n{OVER}")
     printer.machine.lay_membrane()
     printer.run("EXTRA_PROBE PROBE=membrane")
+    assert printer.machine.truth.touches[-1].site == "nozzle_membrane"
 
 
 # Homing X is none of Z
@@ -582,7 +583,10 @@ def test_saving_where_the_motors_do_not_tell(start):
     scene = with_all(SCENES["corexz"])
     changes = {"auto_z_offset": None, "z_calibration": None}
     printer = start(scene, changes=changes).homed()
-    printer.run(f"{CALIBRATE} SAVE=1\n{ABORT}")
+    printer.run(f"{CALIBRATE} SAVE=1")
+    assert printer.status("extra_probe membrane")["waits_for"]
+    printer.run(ABORT)
+    assert not printer.status("extra_probe membrane")["waits_for"]
 
 
 def printing(tmp_path, lines):
@@ -731,6 +735,7 @@ def test_emergency_stop(start, after):
 
 def test_emergency_stop_while_somebody_is_asked(start):
     printer = asked(start)
+    assert printer.status("extra_probe membrane")["waits_for"]
     printer.session.stop()
     printer.session.wait(1.0)
     assert printer.session.state()[0] == "shutdown"

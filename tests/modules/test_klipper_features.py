@@ -204,7 +204,9 @@ def look(
             if "z_tilt" in sections:
                 before = before.replace("QUAD_GANTRY_LEVEL", "Z_TILT_ADJUST")
             printer.run(before)
+        touched = len(printer.machine.truth.touches)
         lines = printer.run(COMMANDS[module])
+        assert len(printer.machine.truth.touches) > touched
         if case.after:
             printer.run(case.after)
         status = printer.status(module)

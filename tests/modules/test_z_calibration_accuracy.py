@@ -169,7 +169,8 @@ def test_homing_that_puts_the_probe_away(start):
     changes = {"z_calibration": {"end_gcode": None}, "gcode_macro G28": homing}
     printer = start("cartesian", changes=changes).homed()
     for _ in range(2):
-        printer.run("CALIBRATE_Z_ACCURACY CYCLES=2 HOME=1")
+        lines = printer.run("CALIBRATE_Z_ACCURACY CYCLES=2 HOME=1")
+        assert any("CALIBRATE_Z_ACCURACY: " in line for line in lines)
     printer.machine.truth.require_no_crash()
 
 
@@ -196,5 +197,6 @@ def test_homing_that_needs_the_probe_on_the_head(start):
     printer.session.require_ready()
     printer.run("ATTACH_PROBE\nG28")
     for _ in range(2):
-        printer.run("CALIBRATE_Z_ACCURACY CYCLES=2 HOME=1")
+        lines = printer.run("CALIBRATE_Z_ACCURACY CYCLES=2 HOME=1")
+        assert any("CALIBRATE_Z_ACCURACY: " in line for line in lines)
     printer.machine.truth.require_no_crash()

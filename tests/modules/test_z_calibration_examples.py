@@ -413,6 +413,7 @@ def test_the_nozzle_of_the_active_tool_is_soft(start, tmp_path):
     changes = with_macros(**second_tool(tmp_path))
     printer = start(scene, changes).homed()
     printer.run("ACTIVATE_EXTRUDER EXTRUDER=extruder1\nCALIBRATE_Z_CLEAN")
+    assert printer.status("z_calibration")["valid"]
     assert printer.status("extruder1")["target"] == SOFT
     assert printer.status("extruder")["target"] == 0
 

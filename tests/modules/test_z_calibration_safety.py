@@ -295,6 +295,7 @@ def test_nozzle_near_to_where_z_was_homed_is_not(start):
     printer = stale(start, 0.4)
     lines = printer.run("SHIFT\nCALIBRATE_Z")
     assert "is far from" not in "\n".join(lines)
+    assert printer.status("z_calibration")["valid"]
 
 
 @pytest.mark.parametrize("height", [2.5, 9.0])
@@ -341,6 +342,7 @@ def test_probe_that_is_left_on_over_a_pin_of_its_own(start, y_max):
     printer = start(scene, changes=hooks).homed()
     if y_max == 300.0:
         printer.run("CALIBRATE_Z")
+        assert printer.status("z_calibration")["valid"]
     else:
         text = printer.fail("CALIBRATE_Z")
         assert "the probe is on the head, and has met the bed at z=" in text

@@ -111,6 +111,7 @@ def test_bed_below_where_the_pin_puts_it(start, low):
     scene = SWITCH.with_world(bed=bed)
     printer = start(scene, section(**QUICK)).homed()
     printer.run("G90\nG1 Z20 F900\nG1 X150 Y150 F6000\nAUTO_Z_PROBE")
+    assert printer.machine.truth.touches[-1].site == "nozzle_bed"
     assert printer.machine.truth.crashes() == []
 
 

@@ -84,8 +84,10 @@ def test_probe_that_queued_moves_fetch_is_seen(start):
 @pytest.mark.parametrize("touch", ["AUTO_Z_MEASURE_OFFSET", "AUTO_Z_CALIBRATE"])
 def test_docking_is_not_delayed_where_the_nozzle_goes_down_next(start, touch):
     printer = ready(start, {"allow_delayed_detach": "True"})
-    lines = f"{TOUCHES[touch]}\nG90\nG1 X150 Y150 F9000\nG1 Z0.5 F900\nM400"
-    printer.run(lines)
+    printer.run(TOUCHES[touch])
+    touches = printer.machine.truth.touches
+    assert "nozzle_bed" in [touch.site for touch in touches]
+    printer.run("G90\nG1 X150 Y150 F9000\nG1 Z0.5 F900\nM400")
     assert untouched(printer)
     assert where(printer) == "docked"
 
@@ -434,6 +436,7 @@ def test_nothing_is_pending_after(start, end):
         printer.session.wait(8.0)
     else:
         printer.run(end)
+        assert not printer.status("dockable_probe")["auto_attach_detach"]
         printer.session.wait(3.0)
     assert trips(printer) == ["attach"]
     assert [line for line in printer.session.console if "!!" in line] == []
