@@ -154,7 +154,10 @@ class Simulation:
         """Whether klippy is gone."""
         if self.process_fd < 0:
             return False
-        return bool(select.select([self.process_fd], [], [], 0)[0])
+        # select() takes no number above 1023
+        waiting = select.poll()
+        waiting.register(self.process_fd, select.POLLIN)
+        return bool(waiting.poll(0))
 
     def _pump(self) -> bool:
         moved = False

@@ -51,7 +51,7 @@ class Klippy:
         if not self._has_ended():
             with suppress(ProcessLookupError):
                 signal.pidfd_send_signal(self.pidfd, signal.SIGKILL)
-            select.select([self.pidfd], [], [])
+            self._ends().poll()
         with suppress(ProcessLookupError):
             os.killpg(self.pid, signal.SIGKILL)
         return None if self._popen is None else self._popen.wait()
@@ -61,7 +61,13 @@ class Klippy:
         os.close(self.pidfd)
 
     def _has_ended(self) -> bool:
-        return bool(select.select([self.pidfd], [], [], 0)[0])
+        return bool(self._ends().poll(0))
+
+    def _ends(self) -> select.poll:
+        # select() takes no number above 1023: many tests that fail leave some open
+        waiting = select.poll()
+        waiting.register(self.pidfd, select.POLLIN)
+        return waiting
 
 
 def start(
