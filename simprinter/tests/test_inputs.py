@@ -160,7 +160,7 @@ def test_dialect_is_that_of_the_host(source, dialect):
     assert (PULSES in told) is (PULSES in source)
 
 
-@pytest.mark.every_host
+@pytest.mark.every_host("a board speaks as the sources of its own host ask")
 def test_board_of_a_host_understands_what_its_sources_name(host):
     """Hosts look commands up in the words of their own version."""
     dialect = dialect_of(host)

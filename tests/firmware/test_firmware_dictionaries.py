@@ -37,7 +37,7 @@ def program(request):
     return dictionary(request.param)
 
 
-@pytest.mark.every_host
+@pytest.mark.every_host("each host needs a program of its own version")
 def test_host_speaks_with_a_program(host):
     if program_for(host) is None:
         reasons = "; ".join(f"{p}: {why_not(host, p)}" for p in given())

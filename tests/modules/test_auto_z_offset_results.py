@@ -62,7 +62,7 @@ def test_calibration_leaves_the_air_gap(host, scene):
             assert after[name] == before[name]
 
 
-@pytest.mark.every_host
+@pytest.mark.every_host("Kalico's SAVE_CONFIG is another one than Klipper's")
 def test_correction_holds_after_a_restart(start):
     printer = start("qidi").homed()
     printer.run("AUTO_Z_CALIBRATE")
@@ -96,7 +96,6 @@ def test_correction_belongs_to_the_probe(start):
     assert true_gap(printer) == pytest.approx(gap, abs=STEPS)
 
 
-@pytest.mark.every_host
 def test_result_lines_and_status_of_a_calibration(start):
     printer = start("qidi").homed()
     found = formulas(printer.run("AUTO_Z_CALIBRATE"))
@@ -393,7 +392,9 @@ def test_first_offset_of_all_is_saved_without_a_correction(start):
 # Motor current and acceleration
 
 
-@pytest.mark.every_host
+@pytest.mark.every_host(
+    "Kalico's drivers have a current of their own for homing"
+)
 @pytest.mark.parametrize(
     ("scene", "motors"),
     [
@@ -517,7 +518,6 @@ def test_acceleration_is_low_while_the_nozzle_goes_down(
 # Status while it runs
 
 
-@pytest.mark.every_host
 def test_phase_and_progress(start):
     where = "{printer.auto_z_offset.phase}:{printer.auto_z_offset.progress}"
     code = SCENES["qidi"].sections["auto_z_offset"]["prepare_gcode"]

@@ -271,7 +271,9 @@ def test_sensor_that_stays_triggered_is_seen_before_the_probe_comes(start):
     assert state(printer) == before
 
 
-@pytest.mark.every_host
+@pytest.mark.every_host(
+    "since 2026 a host waits for the trigger even after a shutdown"
+)
 @pytest.mark.parametrize(
     ("site", "after"), [("nozzle_bed", 1.4), ("inductive_bed", 1.6)]
 )
@@ -376,7 +378,6 @@ def test_levelling_does_not_end_what_home_z_has_set(start):
     printer.run("AUTO_Z_PROBE\nG28 Z\nAUTO_Z_LOAD_OFFSET")
 
 
-@pytest.mark.every_host
 def test_motor_that_was_off_does_not_end_it(start):
     options = section(probe_z_correction="-1.12")
     printer = start("qidi", changes=options).homed()
@@ -412,7 +413,6 @@ def wrong_probe(start, slope_x, slope_y, sigma=0.0):
 
 # In the second two pairs of motors turn as far, in the others by less than a step
 # more, and by what the probe's noise makes of that
-@pytest.mark.every_host
 @pytest.mark.parametrize(
     ("slope_y", "sigma"),
     [(0.0005, 0.0), slow(0.0, 0.0), slow(4e-6, 0.0), slow(6e-6, 0.003)],
@@ -431,7 +431,6 @@ def test_levelling_of_the_host_does_not_end_it_either(start, slope_y, sigma):
 
 # The motors turn when the last sheet is there, long after the command
 @pytest.mark.slow
-@pytest.mark.every_host
 def test_levelling_by_hand_does_not_end_it_either(start):
     printer = wrong_probe(start, 0.0008, 0.0005)
     printer.run("AUTO_Z_HOME_Z\nQUAD_GANTRY_LEVEL METHOD=manual")
@@ -450,7 +449,6 @@ def test_levelling_by_hand_does_not_end_it_either(start):
 
 # "Too many retries", and Z is the probe's all the same
 @pytest.mark.slow
-@pytest.mark.every_host
 def test_z_tilt_that_fails_in_the_end(start):
     scene = with_all(DOCK_SCENES["dock_frame"])
     probe = scene.world.mag_probe
@@ -481,7 +479,9 @@ def test_z_that_is_set_after_levelling_is_another_one(start):
 
 
 # Z=0 is where the probe sees the bed then, as after G28
-@pytest.mark.every_host
+@pytest.mark.every_host(
+    "who gets a probe's results, and as what, changed in 2024 and 2026"
+)
 def test_z_tilt_sets_z_with_the_probe(start):
     scene = with_all(DOCK_SCENES["dock_frame"])
     bed = replace(scene.world.bed, slope_x=0.0008, slope_y=0.0005)
@@ -497,7 +497,6 @@ MESH = "BED_MESH_CALIBRATE PROBE_COUNT=3,3"
 
 
 # The points of levelling lie lower than the middle, where Z was homed
-@pytest.mark.every_host
 @pytest.mark.parametrize(
     ("script", "is_told"),
     [
@@ -557,7 +556,6 @@ def test_steps_that_make_good_for_levelling_are_told(start, is_levelled):
 
 
 # Whatever Z=0 has moved by, it is 0 at its point
-@pytest.mark.every_host
 def test_mesh_with_a_zero_does_not_go_with_a_z_that_has_moved(start):
     scene = on_plate(with_all(DOCK_SCENES["dock_frame"]), (0.0, 0.0), 0.2, 0.0)
     changes = {"z_calibration": None, **section(probe_z_correction="0.16")}
@@ -570,7 +568,6 @@ def test_mesh_with_a_zero_does_not_go_with_a_z_that_has_moved(start):
 
 
 # The nozzle was 0.1 mm inside the bed in a print of walk 8573
-@pytest.mark.every_host
 @pytest.mark.parametrize("zero", ["150, 150", None])
 def test_mesh_with_a_zero_where_a_switch_homes_z(start, zero):
     changes = {"z_calibration": None, **section(probe_z_correction="-0.34")}
@@ -930,7 +927,9 @@ def test_smart_effector(start, n):
     check_calibration(printer, n)
 
 
-@pytest.mark.every_host
+@pytest.mark.every_host(
+    "until 2024-07 and on Kalico it homes Z to position_endstop"
+)
 def test_smart_effector_that_homes_to_something_else(host, start):
     # Some hosts ask for position_endstop, and home Z to that; others refuse
     probe = dict(SCENES["qidi"].sections["probe"])
@@ -964,7 +963,9 @@ def test_smart_effector_that_homes_to_something_else(host, start):
     assert true_gap(printer) == pytest.approx(gap, abs=STEPS)
 
 
-@pytest.mark.every_host
+@pytest.mark.every_host(
+    "hosts take position_endstop of a probe, pass over it or refuse it"
+)
 def test_height_that_a_switch_has_left_is_none(start):
     """As Z_ENDSTOP_CALIBRATE had saved it: hosts pass over it and say nothing."""
     printer = start("qidi")

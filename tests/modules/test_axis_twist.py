@@ -22,9 +22,6 @@ from tools.kit.z_calibration import (
     with_extra,
 )
 
-# Hosts correct other heights with it
-pytestmark = pytest.mark.every_host
-
 # Both measurements of auto_z_offset have their heights there, and 0.15 mm
 MEASURED = PROBE_PLACE
 TWIST = 0.15 / MEASURED[0]
@@ -53,7 +50,6 @@ def compensation(host, scene, start_x, end_x, *heights):
 
 
 # The heights of a mesh have the twist in them
-@pytest.mark.every_host
 @pytest.mark.parametrize("corner", [slow(("250", "250")), ("90", "90")])
 @pytest.mark.parametrize(
     "scene",
@@ -86,6 +82,9 @@ def test_probe_of_others_on_a_twisted_axis(host, tmp_path):
     assert gap == pytest.approx(wanted, abs=2 * MICROSTEP)
 
 
+@pytest.mark.every_host(
+    "homing knows of the twist on some hosts, on others it does not"
+)
 @pytest.mark.parametrize("home", [slow(MEASURED), FAR])
 def test_corrected_probe_on_a_twisted_axis(host, home):
     inductive = SCENES["qidi"].world.inductive
@@ -107,6 +106,9 @@ def test_corrected_probe_on_a_twisted_axis(host, home):
 
 
 # Where homing knows it, Z=0 is another one afterwards, and nobody would say so
+@pytest.mark.every_host(
+    "homing knows of the twist on some hosts, on others it does not"
+)
 def test_new_twist_is_told(host):
     correction = {"probe_z_correction": "-1.12"}
     # The head has to reach both ends with the probe
@@ -150,6 +152,7 @@ def test_correction_goes_with_a_mesh_where_a_switch_homes_z(host):
         assert true_gap(printer) == pytest.approx(gap, abs=2 * MICROSTEP)
 
 
+@pytest.mark.every_host("hosts correct other heights with the twist")
 def test_twist_is_in_no_height_of_z_calibration(host):
     # 0.15 mm at the bed, none at the pin
     changes = compensation(host, "voron", 150, 260, 0.15, 0.0)

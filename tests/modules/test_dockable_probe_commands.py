@@ -42,7 +42,9 @@ def moves(printer, script):
     return [tuple(end) for end in printer.status("moves")["ends"][before:]]
 
 
-@pytest.mark.every_host
+@pytest.mark.every_host(
+    "a host asks its probe itself, in sessions since 2024-06, or as Kalico"
+)
 def test_everything_that_probes(start):
     printer = start(GANTRY, section(**QUICK)).homed()
     for command in (
@@ -66,7 +68,9 @@ def test_everything_that_probes(start):
     assert printer.machine.truth.min_gap == pytest.approx(HANG, abs=0.02)
 
 
-@pytest.mark.every_host
+@pytest.mark.every_host(
+    "the calibrations of probe and twist ask for offsets in three ways"
+)
 def test_offsets_are_calibrated_as_with_any_probe(start):
     printer = start(GANTRY, section(**QUICK)).homed()
     printer.run("PROBE_CALIBRATE\nTESTZ Z=-1\nACCEPT")
@@ -293,7 +297,9 @@ def test_probe_put_on_by_hand(start):
     assert trips(printer, before) == ["dock", "attach"] * 2 + ["dock"]
 
 
-@pytest.mark.every_host
+@pytest.mark.every_host(
+    "the status of [probe] is the host's until 2024-06, and ours since"
+)
 def test_status_as_other_plugins_have_it(start):
     printer = start(GANTRY, section(**QUICK)).homed()
     for name in ("last_query", "last_z_result", "name"):

@@ -65,7 +65,6 @@ def told(printer, script):
     return [line.split()[-1] for line in lines if "activate" in line]
 
 
-@pytest.mark.every_host
 @pytest.mark.parametrize(
     ("script", "wanted"),
     [
@@ -228,7 +227,9 @@ def closed_switch(start):
 
 
 # The nozzle went down with the probe in the dock
-@pytest.mark.every_host
+@pytest.mark.every_host(
+    "homing with the probe is told by other events since 2026-05"
+)
 @pytest.mark.parametrize("ready", [open_switch, closed_switch])
 @pytest.mark.parametrize(
     "script",
@@ -258,7 +259,6 @@ def test_touch_with_what_was_left_in_the_dock(start, ready):
 
 
 # It was seen docked, and is until those moves are gone
-@pytest.mark.every_host
 def test_docking_of_what_queued_moves_have_fetched(start):
     printer = started(start, SWITCH).homed()
     printer.run(f"{CENTRE}ATTACH_PROBE\nDETACH_PROBE")
@@ -387,7 +387,6 @@ def test_dock_on_the_bed_with_the_probe_on_and_z_not_homed(start):
 
 
 # It reads as if it were docked then, and the way to this dock needs Z
-@pytest.mark.every_host
 def test_broken_wire_where_z_is_not_homed(start):
     options = {"detach_dockable_before_z_home": "True"}
     printer = started(start, BED, **options).homed()
@@ -456,7 +455,7 @@ def test_pin_that_chatters_is_no_reason_for_more_trips(start):
     assert trips(printer)[begun:] == ["attach"]
 
 
-@pytest.mark.every_host
+@pytest.mark.every_host("Kalico's safe_z_home asks a dockable_probe itself")
 @pytest.mark.parametrize(
     ("initial", "changes", "hop"),
     [
@@ -560,7 +559,6 @@ def test_from_above_a_dock_that_is_entered_from_the_side(start, command):
     assert first[2] == pytest.approx(60.0)
 
 
-@pytest.mark.every_host
 @pytest.mark.parametrize(("xy", "goes"), [("50, 308", 40.0), ("150, 155", 0.0)])
 def test_dock_that_all_positions_are_above(start, xy, goes):
     options = {
@@ -618,7 +616,6 @@ def test_from_a_little_above_a_dock_that_is_left_upwards(
 # Only on the way that it is a part of
 
 
-@pytest.mark.every_host
 def test_detach_gcode_that_lifts_the_head_in_the_dock(start):
     lifts = "\n  G91\n  G1 Z1.5 F600\n  G90"
     printer = started(start, BED, detach_gcode=lifts).homed()
@@ -630,7 +627,6 @@ def test_detach_gcode_that_lifts_the_head_in_the_dock(start):
 # A motor that is off lets Z sink as all of them do
 
 
-@pytest.mark.every_host
 @pytest.mark.parametrize(
     "off", ["M84", "SET_STEPPER_ENABLE STEPPER=stepper_z1 ENABLE=0"]
 )
@@ -666,7 +662,9 @@ def test_bed_that_is_bent_and_lifts_that_are_short(start, retract):
 # The pin that Z is homed on is at one place
 
 
-@pytest.mark.every_host
+@pytest.mark.every_host(
+    "some hosts ask for the lowest height at each place, others once"
+)
 def test_touch_ends_above_the_pin_only_over_it(start, host):
     pin = SWITCH.world.pin
     scene = on_plate(SWITCH, (0.0, 0.0), -0.3, 0.0)

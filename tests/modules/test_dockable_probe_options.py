@@ -472,7 +472,6 @@ def test_dock_where_the_mesh_is(start):
 CROSSES = {"restore_toolhead": "False", "detach_position": "10, 308"}
 
 
-@pytest.mark.every_host
 @pytest.mark.parametrize("right", ["", *CROSSES])
 def test_left_where_homing_goes_across_the_dock(start, right):
     # X is homed to the right, and nobody knows after a restart where the head is
@@ -485,7 +484,7 @@ def test_left_where_homing_goes_across_the_dock(start, right):
     assert (note in lines) is not bool(right)
 
 
-@pytest.mark.every_host
+@pytest.mark.every_host("only some hosts can drop a first result")
 def test_first_result_is_dropped_where_the_host_can(start):
     printer = start(
         SWITCH, section(drop_first_result="True", samples="2")
@@ -496,7 +495,6 @@ def test_first_result_is_dropped_where_the_host_can(start):
     assert touches == (2 if told else 3)
 
 
-@pytest.mark.every_host
 def test_docked_before_z_is_homed(start):
     for wanted in ("False", "True"):
         printer = recording(start, detach_dockable_before_z_home=wanted)

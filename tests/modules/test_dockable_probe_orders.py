@@ -118,7 +118,6 @@ def seen(printer):
     return printer.session.position(), counts
 
 
-@pytest.mark.every_host
 @pytest.mark.parametrize(
     "order", [order if order in USUAL else slow(order) for order in ORDERS]
 )
@@ -167,7 +166,6 @@ def require_printed(printer):
 
 
 # Whatever a macro does at once after its last touch
-@pytest.mark.every_host
 @pytest.mark.parametrize("delayed", ["True", "False"])
 def test_first_layer_at_once(start, tmp_path, delayed):
     lines = f"G28\n{FIRST_LAYER}"
@@ -190,7 +188,6 @@ LEFT_ON = {
 }
 
 
-@pytest.mark.every_host
 @pytest.mark.parametrize(
     "left_on", all_slow_but(["forgotten", "forgotten, motors off"], LEFT_ON)
 )
@@ -219,7 +216,6 @@ RESUMES = {
 }
 
 
-@pytest.mark.every_host
 @pytest.mark.parametrize("z", [0.3, slow(40)])
 @pytest.mark.parametrize("resume", RESUMES)
 def test_print_goes_on_without_the_probe(start, tmp_path, resume, z):
@@ -237,7 +233,6 @@ def test_print_goes_on_without_the_probe(start, tmp_path, resume, z):
 
 
 # What has failed once is tried again
-@pytest.mark.every_host
 def test_print_that_cannot_go_on_with_the_probe(start, tmp_path):
     lines = f"{FIRST_LAYER}G4 P2000\nPAUSE\nG1 X120\n"
     is_broken = "printer['gcode_macro DOCK'].broken"
@@ -258,7 +253,6 @@ def test_print_that_cannot_go_on_with_the_probe(start, tmp_path):
 
 
 # Sent line by line, or by a macro, there is no print that the host knows of
-@pytest.mark.every_host
 def test_macro_goes_down_before_the_probe_is_docked(start):
     # G-code of the dock's begins from where the head is
     own = {
@@ -282,7 +276,6 @@ def test_macro_goes_down_before_the_probe_is_docked(start):
 
 
 # What goes down with it may be in the middle of anything, and goes on so
-@pytest.mark.every_host
 def test_own_gcode_of_a_trip_meets_no_mode_and_leaves_none(start):
     own = {
         **QUICK,
@@ -312,7 +305,6 @@ DOWN = {
 }
 
 
-@pytest.mark.every_host
 @pytest.mark.parametrize("down", all_slow_but(["G1", "state"], DOWN))
 def test_probe_that_is_kept_is_not_taken_down(start, down):
     changes = {"dockable_probe": QUICK, "gcode_arcs": {}}
@@ -449,7 +441,6 @@ HOMES = {
 }
 
 
-@pytest.mark.every_host
 @pytest.mark.parametrize("homes", all_slow_but(["homing_override"], HOMES))
 @pytest.mark.parametrize("auto", [1, slow(0)])
 def test_owners_home_in_their_own_way(start, homes, auto):
@@ -528,7 +519,6 @@ def test_print_that_goes_on_with_the_motors_off(start, tmp_path):
 
 
 # Nobody docks it without trips
-@pytest.mark.every_host
 def test_print_goes_no_lower_without_trips(start, tmp_path):
     lines = f"G90\nG1 X140\n{FIRST_LAYER}"
     printer = with_card(start, tmp_path, lines).homed()
@@ -558,7 +548,6 @@ def test_print_does_not_go_on_without_trips(start, tmp_path):
 
 
 # The circle around the dock reaches over the bed
-@pytest.mark.every_host
 def test_print_below_the_dock(start, tmp_path):
     lines = "G90\nG1 X50 Y272 F6000\nG1 Z0.3 F600\nG1 X80\n"
     printer = with_card(start, tmp_path, lines).homed()
@@ -579,7 +568,6 @@ def test_print_leaves_the_probe_without_trips(start, tmp_path):
 
 # Afterwards nobody would find the dock, and homing goes on from where the head is
 @pytest.mark.slow
-@pytest.mark.every_host
 @pytest.mark.parametrize("end", ["M84", "SAVE_CONFIG"])
 @pytest.mark.parametrize(
     ("base", "restore"), [("dock_bed", "True"), ("dock_near_pin", "False")]
@@ -600,7 +588,6 @@ def test_what_ends_a_docking_that_is_to_come(start, base, restore, end):
 
 # Z is anything for a moment there, and the way to such a dock goes by it
 @pytest.mark.slow
-@pytest.mark.every_host
 @pytest.mark.parametrize(
     ("base", "script"),
     [
@@ -620,7 +607,7 @@ def test_homing_override_and_a_dock_with_a_height(start, base, script):
     printer.machine.truth.require_no_crash()
 
 
-@pytest.mark.every_host
+@pytest.mark.every_host("only Kalico has z_tilt_ng")
 @pytest.mark.slow
 def test_tilt_by_hand_of_kalico(start, host):
     if firmware_of(host) != "Kalico":
@@ -647,7 +634,7 @@ def test_tilt_by_hand_of_kalico(start, host):
 
 
 # Older hosts and Kalico take it for paper, whatever it is
-@pytest.mark.every_host
+@pytest.mark.every_host("older hosts and Kalico take any METHOD for paper")
 def test_levelling_by_another_method_never_lowers_the_probe(start):
     scene = with_all(DOCK_SCENES["dock_frame"])
     changes = {"z_calibration": None, "dockable_probe": dict(QUICK)}
@@ -663,7 +650,6 @@ def test_levelling_by_another_method_never_lowers_the_probe(start):
 
 
 # "About how far" the probe hangs below the nozzle is what the set-up asks for
-@pytest.mark.every_host
 @pytest.mark.parametrize("z_offset", ["4", slow("4.8")])
 @pytest.mark.parametrize(
     "then", ["PROBE", slow("ATTACH_PROBE"), slow("BED_MESH_CALIBRATE")]

@@ -264,7 +264,9 @@ def test_probe_lost_at_a_touch(start, scene, command, touch, when):
     assert "Mesh Bed Leveling Complete" not in printer.session.console
 
 
-@pytest.mark.every_host
+@pytest.mark.every_host(
+    "where the last look at the probe is depends on how a session ends"
+)
 def test_probe_lost_at_the_last_touch(start):
     # Nothing touches after it: only a look tells that the result is wrong
     printer = start(SWITCH, section(**QUICK)).homed()
@@ -459,7 +461,6 @@ def test_template_that_raises(start, option, state, head):
 
 
 # What comes next would drive anywhere
-@pytest.mark.every_host
 def test_modes_are_as_before_when_a_template_fails(start):
     gcode = "\n  G91\n  M83\n  G1 X900\n  G90"
     printer = start(SWITCH, section(attach_gcode=gcode, **QUICK)).homed()
@@ -512,7 +513,9 @@ def test_not_homed(start, name):
 
 
 # Until 2024 (v0.12.0) no command forgets a homed axis, and Z is known there
-@pytest.mark.every_host
+@pytest.mark.every_host(
+    "until 2024 (v0.12.0) no command forgets that an axis was homed"
+)
 def test_lift_of_before_z_was_homed_and_forgotten(start):
     changes = {"force_move": {"enable_force_move": "True"}}
     printer = ready(start(SWITCH, {**changes, **section(**QUICK)}))
@@ -524,7 +527,6 @@ def test_lift_of_before_z_was_homed_and_forgotten(start):
     assert printer.machine.truth.depth("body_bed") == 0.0
 
 
-@pytest.mark.every_host
 def test_lift_of_before_the_motors_were_forced(start):
     one_motor = on_gantry(SWITCH, "one_motor", "corexy", z=(150.0, 150.0))
     changes = {

@@ -79,7 +79,6 @@ def find(user: Owner, until: str = "FETCH") -> None:
         user.press("Same")
 
 
-@pytest.mark.every_host
 def test_from_no_position_to_the_first_probe(start):
     user = owner(start)
     printer = user.printer
@@ -101,7 +100,6 @@ def test_from_no_position_to_the_first_probe(start):
     assert trips(printer)[-2:] == ["attach", "dock"]
 
 
-@pytest.mark.every_host
 def test_the_same_typed(start):
     user = owner(start)
     run = user.printer.run

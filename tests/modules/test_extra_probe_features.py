@@ -61,7 +61,6 @@ def test_mesh_is_taken_off(start, scene, height):
 
 # As an adaptive one does: the host goes on with its rim
 @pytest.mark.slow
-@pytest.mark.every_host
 @pytest.mark.parametrize("zero", [None, "30, 20", "100, 100"])
 def test_mesh_that_ends_before_the_switch(start, zero):
     own = bed_mesh("60, 60", "180, 180", zero_reference_position=zero)

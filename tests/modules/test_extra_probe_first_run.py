@@ -41,7 +41,6 @@ def deepest(printer):
     return printer.machine.truth.deepest_in_bed()
 
 
-@pytest.mark.every_host
 @pytest.mark.parametrize("scene", ["membrane", "membrane_two_boards"])
 def test_forgotten_membrane(start, scene):
     printer, shown = asked(start, scene)
@@ -130,7 +129,6 @@ def test_finger_is_not_asked_for_in_vain(start, script, words):
 
 
 # Commands that cannot ask go no lower than homing does, give or take 0.1 mm
-@pytest.mark.every_host
 @pytest.mark.parametrize("command", ["EXTRA_PROBE", "EXTRA_PROBE_ACCURACY"])
 def test_touch_without_a_question(start, command):
     printer = start("membrane").homed()

@@ -458,7 +458,6 @@ def moved(start, script, saved=None):
     return printer, words
 
 
-@pytest.mark.every_host
 @pytest.mark.parametrize("script", SINCE_G28)
 def test_nothing_is_saved_where_g28_has_not_put_z(start, script):
     printer, words = moved(start, script)
@@ -484,7 +483,6 @@ def test_nothing_is_saved_where_g28_has_not_put_z(start, script):
 
 
 # Z=0.125, where touches end otherwise, is inside the bed
-@pytest.mark.every_host
 def test_saved_calibration_does_not_hold_where_z_was_set(start):
     printer, words = moved(start, "AUTO_Z_HOME_Z", saved=f"{HANG}")
     text = "\n".join(printer.run(CALIBRATE))
@@ -543,7 +541,6 @@ def test_levelling_of_what_is_level(start):
 
 
 # What comes after it in there is no homing
-@pytest.mark.every_host
 @pytest.mark.parametrize("wrapped", ["homing_override", slow("macro")])
 @pytest.mark.parametrize("homes", [False, True])
 def test_levelling_in_g28(start, homes, wrapped):
@@ -578,7 +575,6 @@ def test_z_that_nobody_has_homed(start):
 
 
 # Its Z motor moves X, too, and tells nothing
-@pytest.mark.every_host
 def test_saving_where_the_motors_do_not_tell(start):
     scene = with_all(SCENES["corexz"])
     changes = {"auto_z_offset": None, "z_calibration": None}

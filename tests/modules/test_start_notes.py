@@ -53,7 +53,9 @@ def listening():
         yield begin
 
 
-@pytest.mark.every_host
+@pytest.mark.every_host(
+    "until 2024-03 there are no warnings, and Kalico drops earlier ones"
+)
 @every_module
 def test_note_reaches_a_client_that_comes_later(host, start, listening, module):
     scene, changes, words = NOTED[module]

@@ -7,8 +7,6 @@ import re
 import socket
 from pathlib import Path
 
-import pytest
-
 from z_touch import __version__
 
 MARK = "attach "
@@ -25,7 +23,6 @@ def asked(printer) -> tuple[Path, str]:
     return path, path.read_text(encoding="utf-8")
 
 
-@pytest.mark.every_host
 def test_text_has_what_helps_and_nothing_private(start, tmp_path):
     folder = tmp_path / "anna"
     changes = {

@@ -38,7 +38,6 @@ ON_PIN = "check that the pin is at"
 # Over the bed
 
 
-@pytest.mark.every_host
 @pytest.mark.parametrize("command", ["CALIBRATE_Z", slow("PROBE_Z_ACCURACY")])
 def test_probe_that_is_on_the_head(start, command):
     printer = start().homed()
@@ -48,7 +47,6 @@ def test_probe_that_is_on_the_head(start, command):
     assert_unharmed(printer)
 
 
-@pytest.mark.every_host
 @pytest.mark.parametrize("is_put_on", [True, slow(False)])
 def test_probe_of_a_dock(start, is_put_on):
     printer = start(DOCK, BY_HOOKS if is_put_on else {}).homed()
@@ -60,7 +58,6 @@ def test_probe_of_a_dock(start, is_put_on):
 
 
 # Nobody knows how high it is, and position_min is 5 mm below the bed
-@pytest.mark.every_host
 @pytest.mark.parametrize("is_on_head", [True, False])
 def test_pin_of_its_own(start, is_on_head):
     changes = {"bed_mesh": bed_mesh("30, 30", "270, 240")}
@@ -168,7 +165,7 @@ def test_body_over_the_bed(start):
 # Over the pin: nothing is refused
 
 
-@pytest.mark.every_host
+@pytest.mark.every_host("only Kalico has a dockable_probe")
 @pytest.mark.parametrize("auto", ["True", slow("False")])
 def test_dock_that_the_host_has(start, host, auto):
     if host.name != "kalico":
@@ -196,7 +193,9 @@ def test_switch_in_a_dock_that_is_normally_open(start):
 
 
 # One on a servo, which reads attached all the time
-@pytest.mark.every_host
+@pytest.mark.every_host(
+    "hosts differ in when a session ends, and with it deactivate_gcode"
+)
 def test_probe_that_is_put_away_after_each_session(start):
     scene = SCENES["voron"]
     probe = replace(

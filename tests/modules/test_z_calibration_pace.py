@@ -86,7 +86,7 @@ def test_probe_is_looked_at_when_its_owner_has_attached_it(start):
 LONGEST = 22.5
 
 
-@pytest.mark.every_host
+@pytest.mark.every_host("hosts wait for what boards tell at times of their own")
 def test_count_takes_as_long_as_configured(start):
     """Whenever it begins: hosts wait for what boards tell at their own times."""
     command = commands.CALIBRATE_Z
@@ -133,7 +133,6 @@ def test_place_of_the_pin_is_known_from_the_history(start):
     assert armings(printer)["nozzle_endstop"] < 10
 
 
-@pytest.mark.every_host
 def test_way_down_to_the_pin_is_one_move_with_the_first_touch(start):
     # The bed is touched by the host's own probing
     assert armings(start().homed()) == {"z_endstop": 6, "probe": 4}
@@ -149,7 +148,6 @@ def test_way_down_is_a_move_of_its_own_where_homing_moves_are_not_known(
 
 
 # The body meets the pin where the way down ends, or so much (mm) above or below
-@pytest.mark.every_host
 @pytest.mark.parametrize(
     "below", [slow(-1.5), -0.3, slow(-0.02), 0.0, slow(0.02), 0.3]
 )
@@ -285,7 +283,6 @@ def test_nozzle_that_is_wiggled_is_lifted_as_its_owner_has_it(start):
     assert ends(printer)[0][2] == pytest.approx(pin + 3.0, abs=0.01)
 
 
-@pytest.mark.every_host
 @pytest.mark.parametrize(
     "scene",
     [
@@ -354,7 +351,6 @@ def test_fixed_count_stays_high(watched):
     assert [z for _, _, z in ends(printer)[:2]] == [60.0, 60.0]
 
 
-@pytest.mark.every_host
 @pytest.mark.parametrize("margin", [0.2, 0.4])
 def test_what_stands_in_the_way_is_pressed_by_half_the_margin(start, margin):
     """A plate that is higher than in the last run, met on the quick way down.

@@ -42,7 +42,9 @@ from tools.kit.z_calibration import (
 # The measurement
 
 
-@pytest.mark.every_host
+@pytest.mark.every_host(
+    "the gap above all, whatever a host has changed in its moves"
+)
 @pytest.mark.parametrize("scene", ["voron", "cartesian"])
 def test_gap_is_what_the_formula_predicts(start, scene):
     printer = start(scene).homed()
@@ -51,7 +53,6 @@ def test_gap_is_what_the_formula_predicts(start, scene):
     assert printer.gap() == pytest.approx(predicted, abs=2 * MICROSTEP)
 
 
-@pytest.mark.every_host
 def test_result_line_and_status_hold_the_heights(start):
     printer = start()
     printer.session.require_ready()
@@ -163,7 +164,7 @@ def test_offset_replaces_an_earlier_one_and_a_second_run_agrees(start):
     assert printer.offset() == pytest.approx(second[-1], abs=1e-6)
 
 
-@pytest.mark.every_host
+@pytest.mark.every_host("the host's own probe takes the samples of the bed")
 def test_samples_come_from_the_probe(start):
     printer = start(changes={"probe": {"samples": "4"}}).homed()
     _, sites = calibration(printer)
@@ -197,7 +198,6 @@ def test_retries_end(start):
     assert_unharmed(printer)
 
 
-@pytest.mark.every_host
 def test_bed_is_sampled_with_the_probes_own_settings(start):
     changes = {"probe": {"samples_tolerance_retries": "0"}}
     faults = [early("probe_bed", 2)]
@@ -310,7 +310,7 @@ AXIS_OPTIONS = (
 )
 
 
-@pytest.mark.every_host
+@pytest.mark.every_host("only hosts since 2025-05 have generic_cartesian")
 @pytest.mark.parametrize("name", ["z", "lift"])
 def test_axis_of_generic_cartesian(host, name):
     if not has_kinematics(host, SCENES["generic"]):
@@ -522,7 +522,6 @@ def test_unhomed_printer_does_not_move(start, homed):
     assert printer.session.state()[0] == "ready"
 
 
-@pytest.mark.every_host
 def test_probe_that_is_not_attached_never_goes_down(start):
     changes = section(before_switch_gcode=None)
     printer = start("cartesian", changes=changes).homed()
@@ -564,7 +563,6 @@ def test_probe_that_fails_to_attach_never_goes_down(start):
     assert touched_sites(printer, before) == ["nozzle_pin"] * 2
 
 
-@pytest.mark.every_host
 def test_probe_that_is_known_to_come_late_is_refused_before(start):
     printer = start("cartesian").homed()
     printer.run("CALIBRATE_Z\nATTACH_PROBE")
@@ -808,7 +806,7 @@ STRANGE = {
 }
 
 
-@pytest.mark.every_host
+@pytest.mark.every_host("each host has other objects behind its probe")
 @pytest.mark.parametrize(("code", "words"), STRANGE.values(), ids=STRANGE)
 def test_host_that_is_not_as_expected(host, tmp_path, code, words):
     modules = with_extra(tmp_path, code)
@@ -819,7 +817,9 @@ def test_host_that_is_not_as_expected(host, tmp_path, code, words):
         assert "Internal error" not in message
 
 
-@pytest.mark.every_host
+@pytest.mark.every_host(
+    "what a probing move gives goes through other hands on each host"
+)
 def test_heights_are_those_of_the_trigger_not_of_the_halt(start, tmp_path):
     # As with endstop and motors on boards of their own, only more so
     code = """

@@ -318,7 +318,6 @@ def test_pin_that_is_much_lower_is_not_looked_for(start):
 
 # Macros bring this probe, for the switch, and here somebody has brought it before; what
 # its switch reads then is no proof, as one that is normally open reads so, too
-@pytest.mark.every_host
 @pytest.mark.parametrize(
     "script", ["ATTACH_PROBE\nCALIBRATE_Z", "ATTACH_PROBE\nPROBE_Z_ACCURACY"]
 )
@@ -333,7 +332,6 @@ def test_probe_that_is_left_on_meets_the_bed_without_harm(start, script):
 
 # With a pin of its own nobody knows how high that is, in the first run
 @pytest.mark.slow
-@pytest.mark.every_host
 @pytest.mark.parametrize("y_max", [300.0, 400.0], ids=["beside", "over"])
 def test_probe_that_is_left_on_over_a_pin_of_its_own(start, y_max):
     bed = replace(SCENES["separate_pin"].world.bed, y_max=y_max)
@@ -350,7 +348,6 @@ def test_probe_that_is_left_on_over_a_pin_of_its_own(start, y_max):
 
 
 # start_gcode brings it, and it is nowhere in the way
-@pytest.mark.every_host
 def test_probe_that_is_on_from_the_start_meets_nothing(start):
     printer = start(changes=section(before_switch_gcode="M400")).homed()
     result, _ = calibration(printer)
@@ -705,7 +702,6 @@ def test_emergency_stop_is_told_without_hints(start):
 
 
 # The speed of before is not set again, from where the host takes the head to be
-@pytest.mark.every_host
 def test_emergency_stop_is_told_whatever_a_template_has_left(start):
     gcode = "\n  G91\n  G1 X1 F1234"
     printer = start(changes=section(start_gcode=gcode)).homed()
@@ -713,7 +709,9 @@ def test_emergency_stop_is_told_whatever_a_template_has_left(start):
     assert text == "Probing failed due to printer shutdown"
 
 
-@pytest.mark.every_host
+@pytest.mark.every_host(
+    "since 2026 a host waits for the trigger even after a shutdown"
+)
 @pytest.mark.parametrize("site", ["nozzle_pin", "probe_bed"])
 def test_emergency_stop_before_a_touch_hangs_no_host(start, site):
     # Klipper of 2026 waits there for a trigger that never comes, and
@@ -746,8 +744,9 @@ def test_pin_of_its_own_has_no_place_to_fall_back_to(start):
         "voron_two_boards",
         slow("hybrid"),
         "corexz",
-        # Few hosts have it
-        pytest.param("generic", marks=pytest.mark.every_host),
+        pytest.param(
+            "generic", marks=pytest.mark.every_host("few hosts have it")
+        ),
         "separate_pin",
     ],
 )

@@ -33,7 +33,7 @@ def pending(printer):
     return printer.status("configfile")["save_config_pending_items"]
 
 
-@pytest.mark.every_host
+@pytest.mark.every_host("Kalico's SAVE_CONFIG is another one than Klipper's")
 def test_from_an_empty_section_to_the_true_gap(start):
     # Z is homed beside the middle of the pin, and the nozzle stays on it
     home = {"home_xy_position": "227.3, 20.4", "z_hop": None}
@@ -725,7 +725,6 @@ def test_one_look_at_all_places(start):
     assert "Now the plunger" not in user.dialog().text
 
 
-@pytest.mark.every_host
 def test_save_that_fails_loses_nothing(start):
     changes = empty()
     changes["gcode_macro SAVE_CONFIG"] = {
@@ -762,7 +761,9 @@ def test_save_that_fails_loses_nothing(start):
     assert own["switch_xy_position"] == pytest.approx((254.0, 18.0), abs=0.06)
 
 
-@pytest.mark.every_host
+@pytest.mark.every_host(
+    "SAVE_CONFIG and Z_OFFSET_APPLY_PROBE are each host's own"
+)
 def test_another_value_that_cannot_be_saved(start, tmp_path):
     # Of the probe, in a file of its own: SAVE_CONFIG would write nothing at all
     path = tmp_path / "probe.cfg"
@@ -811,7 +812,7 @@ def test_another_value_that_cannot_be_saved(start, tmp_path):
     assert settings["z_calibration"]["switch_xy_position"] == [254.0, 18.0]
 
 
-@pytest.mark.every_host
+@pytest.mark.every_host("only Kalico's SAVE_CONFIG writes into included files")
 def test_option_in_an_include_that_the_host_writes(start, host, tmp_path):
     """Kalico's SAVE_CONFIG reaches it where it is told to, no other one does."""
     (tmp_path / "own.cfg").write_text("[z_calibration]\nswitch_offset: 0.1\n")
@@ -829,7 +830,9 @@ def test_option_in_an_include_that_the_host_writes(start, host, tmp_path):
     assert (text in user.dialog().text) is not is_written
 
 
-@pytest.mark.every_host
+@pytest.mark.every_host(
+    "only Kalico reads and writes included files of any depth"
+)
 def test_option_below_a_pattern_of_any_depth(start, host, tmp_path):
     deep = tmp_path / "tools" / "one" / "two"
     deep.mkdir(parents=True)

@@ -86,7 +86,6 @@ def lower(user):
 
 # With the probe on the head only that would end the way down
 @pytest.mark.slow
-@pytest.mark.every_host
 def test_levelled_before_home(start):
     changes = {**section(**EMPTY), **LEVEL}
     script = "G28\nQUAD_GANTRY_LEVEL"
@@ -97,7 +96,6 @@ def test_levelled_before_home(start):
     user.printer.machine.truth.require_no_crash()
 
 
-@pytest.mark.every_host
 @pytest.mark.parametrize("command", ["CALIBRATE_Z", slow("PROBE_Z_ACCURACY")])
 def test_pin_that_was_levelled_with_the_probe_on_the_head(start, command):
     hook = {"before_switch_gcode": "M400"}
@@ -133,7 +131,6 @@ def test_levelled_before_the_head_is_lowered(start, is_late):
 
 # It would be asked for again and again
 @pytest.mark.slow
-@pytest.mark.every_host
 def test_homing_that_ends_with_levelling(start):
     homing = {
         "rename_existing": "G28.1",
@@ -168,7 +165,6 @@ def test_heights_that_hold_no_more_are_no_floor(start):
 
 
 @pytest.mark.slow
-@pytest.mark.every_host
 def test_start_gcode_that_homes_with_the_probe(start):
     options = {"endstop_pin": "^PC2", "safe_z_height": "30"}
     options["start_gcode"] = "\n  G28"
@@ -182,7 +178,6 @@ def test_start_gcode_that_homes_with_the_probe(start):
 
 # Whoever has fetched it is not asked to take it off again
 @pytest.mark.slow
-@pytest.mark.every_host
 @pytest.mark.parametrize("is_good", [True, False])
 def test_probe_that_its_owner_has_fetched(start, is_good):
     probe = replace(DOCK.world.mag_probe, plunger_on_pin=not is_good)

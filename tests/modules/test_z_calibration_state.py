@@ -77,7 +77,6 @@ def test_offset_of_before_does_not_count(start, end_gcode, offset):
 SEEN = "\n  RESPOND MSG='seen {printer.gcode_move.homing_origin.z}'"
 
 
-@pytest.mark.every_host
 def test_offset_is_zero_while_a_command_runs(start):
     changes = {"respond": {}, "gcode_macro LOOK": {"gcode": SEEN}}
     changes.update(section(start_gcode="LOOK", end_gcode="LOOK"))

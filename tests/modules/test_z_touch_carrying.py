@@ -40,7 +40,6 @@ REASONS = {
 }
 # Down to where the nozzle is free, as those that shake the bed do
 GOES_DOWN = {"auto_z_offset": {"prepare_gcode": "\n  G90\n  G0 Z3\n  M400"}}
-every_host = pytest.mark.every_host
 
 
 def ready(start, options=None, changes=None, **more):
@@ -67,7 +66,6 @@ def test_probe_is_docked_before_the_nozzle_goes_down(start, reason, touch):
 
 
 # It was seen in its dock, and is there until those moves are gone
-@every_host
 def test_probe_that_queued_moves_fetch_is_seen(start):
     printer = ready(start)
     printer.run(f"{OVER}PROBE\nG1 Z20 F900\nM400")
@@ -224,7 +222,6 @@ BY_HAND = {
 }
 
 
-@every_host
 @pytest.mark.parametrize("command", BY_HAND)
 @pytest.mark.parametrize("reason", [slow("held"), "delayed"])
 def test_probe_is_docked_before_testz(start, reason, command):
@@ -253,7 +250,6 @@ def test_paper_where_no_trips_are_wanted(start):
 
 
 # It lowers the nozzle at once, and its section comes after ours
-@every_host
 def test_bed_screws(start):
     screws = {"screw1": "60, 60", "screw2": "240, 60", "screw3": "150, 240"}
     changes = {"bed_screws": {**screws, "probe_height": "2", "speed": "100"}}
@@ -266,7 +262,6 @@ def test_bed_screws(start):
 
 
 # The head goes on to the next screw as low as it is, and down to Z=0
-@every_host
 def test_probe_is_not_fetched_between_screws(start):
     screws = {"screw1": "60, 60", "screw2": "240, 60", "screw3": "150, 240"}
     options = {**screws, "probe_height": "2", "speed": "100"}
@@ -283,7 +278,6 @@ def test_probe_is_not_fetched_between_screws(start):
 
 
 # What macros have put on the head hangs lower than the nozzle
-@every_host
 @pytest.mark.parametrize("is_on", [True, False])
 def test_probe_of_macros_is_told_before_the_nozzle_goes_down(start, is_on):
     printer = start(with_membrane(SCENES["cartesian"])).homed()
@@ -294,7 +288,9 @@ def test_probe_of_macros_is_told_before_the_nozzle_goes_down(start, is_on):
 
 
 # Older hosts stay active when the way to the next screw has failed
-@every_host
+@pytest.mark.every_host(
+    "older hosts stay active when the way to the next screw has failed"
+)
 def test_screws_that_cannot_go_on_are_no_dialog(start):
     screws = {"screw1": "60, 60", "screw2": "240, 60", "screw3": "150, 240"}
     options = {**screws, "probe_height": "2", "speed": "100"}
@@ -320,7 +316,6 @@ def test_probe_that_docks_itself_needs_no_word(start):
     assert where(printer) == "docked"
 
 
-@every_host
 def test_twist_without_trips_does_not_begin(start):
     printer = ready(start)
     printer.run(f"{OVER}SET_DOCKABLE_PROBE AUTO_ATTACH_DETACH=0\nATTACH_PROBE")
@@ -329,7 +324,9 @@ def test_twist_without_trips_does_not_begin(start):
     assert not printer.status("manual_probe")["is_active"]
 
 
-@every_host
+@pytest.mark.every_host(
+    "Kalico and Klipper calibrate a twist with commands of their own"
+)
 def test_probe_is_docked_before_each_paper_of_a_twist(start):
     printer = ready(start, {"allow_delayed_detach": "True"})
     printer.run("ATTACH_PROBE\nAXIS_TWIST_COMPENSATION_CALIBRATE")
@@ -355,7 +352,6 @@ def test_probe_is_not_fetched_while_the_paper_is_asked_for(start, command):
 
 
 # It took the docking before each paper with it: the probe was 2.5 mm in the bed
-@every_host
 def test_refused_command_in_the_middle_of_a_twist(start):
     printer = ready(start, {"allow_delayed_detach": "True"})
     printer.run(TWIST)
@@ -368,7 +364,6 @@ def test_refused_command_in_the_middle_of_a_twist(start):
 
 
 # G-code of the owner's between two points is none of another command
-@every_host
 def test_homing_on_the_way_to_the_dock_of_a_twist(start):
     homing = {"pre_attach_gcode": "\n  G28 X"}
     printer = ready(start, {"allow_delayed_detach": "True", **homing})
@@ -386,7 +381,6 @@ ENDED = {
 }
 
 
-@every_host
 @pytest.mark.parametrize("end", ENDED)
 def test_probe_that_is_held_stays_on_after_a_twist(start, end):
     script, is_done = ENDED[end]
@@ -596,7 +590,6 @@ def test_probe_that_was_fetched_while_the_dialog_was_open(start):
 # G28 Z on a switch
 
 
-@every_host
 def test_probe_is_docked_before_z_is_homed_on_its_switch(start):
     printer = ready(start)
     printer.run("ATTACH_PROBE\nG28")
@@ -616,7 +609,7 @@ def test_z_alone_is_not_homed_with_the_probe_on(start):
 # Kalico's own dockable_probe, which only Kalico has
 
 
-@every_host
+@pytest.mark.every_host("only Kalico has a dockable_probe of its own")
 @pytest.mark.parametrize("touch", TOUCHES)
 def test_probe_of_the_hosts_own_section(start, host, touch):
     if not host.layout.module_dir.endswith("plugins"):
@@ -632,7 +625,9 @@ def test_probe_of_the_hosts_own_section(start, host, touch):
 
 
 # Commands of the host that are guarded, and ours, keep the words that they had
-@every_host
+@pytest.mark.every_host(
+    "Kalico takes the words about a partial for the help of a command"
+)
 def test_help_of_guarded_commands(start):
     text = "\n".join(ready(start).run("HELP"))
     assert "partial(" not in text

@@ -30,7 +30,6 @@ def sharing(user, pin, order, **first):
     return replace(SCENES["voron"], name="sharing", sections=sections)
 
 
-@pytest.mark.every_host
 @pytest.mark.parametrize("order", [list, reversed])
 @pytest.mark.parametrize(("user", "pin"), USERS)
 def test_pin_that_something_else_uses(host, user, pin, order):

@@ -179,7 +179,7 @@ DAMAGES = {
 }
 
 
-@pytest.mark.every_host
+@pytest.mark.every_host("each host has packages of other names")
 def test_module_without_its_folder_is_refused(home):
     """Each host has packages of other names."""
     refused(home, shutil.rmtree, MISSING)
@@ -246,7 +246,9 @@ def new_name(clone):
 UPDATES = {f.__name__: f for f in (comment, new_name)}
 
 
-@pytest.mark.every_host
+@pytest.mark.every_host(
+    "Kalico of 2023-11 to 2026-01 runs a plugin again at each RESTART"
+)
 @pytest.mark.parametrize("update", UPDATES.values(), ids=UPDATES)
 def test_section_added_after_an_update_needs_the_service(home, update):
     clone = home.clone("clone")
@@ -355,7 +357,6 @@ def test_copies_by_hand_are_held_to_the_same(home):
         session.require_ready()
 
 
-@pytest.mark.every_host
 def test_module_and_folder_of_two_clones_are_refused(home):
     clones = [home.clone(name) for name in ("first", "second")]
     home.link(clones[0])

@@ -58,14 +58,18 @@ BAD = [
 GUARDED = {"G28"}
 
 
-@pytest.mark.every_host
+@pytest.mark.every_host(
+    "the least that each host has to do: every command once"
+)
 def test_good_run_of_every_command(start):
     printer = started(start, "membrane", {})
     assert go_well(printer, GOOD) == ours(printer) - GUARDED
     assert true_gap(printer) == pytest.approx(0.0, abs=2 * MICROSTEP)
 
 
-@pytest.mark.every_host
+@pytest.mark.every_host(
+    "the least that each host has to refuse: every command once"
+)
 def test_bad_run_of_every_command(start):
     printer = started(start, "membrane", {})
     assert go_wrong(printer, BAD) == ours(printer) - GUARDED

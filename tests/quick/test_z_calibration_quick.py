@@ -60,7 +60,9 @@ BAD = [
 ]
 
 
-@pytest.mark.every_host
+@pytest.mark.every_host(
+    "the least that each host has to do: every command once"
+)
 def test_good_run_of_every_command(start):
     printer = started(start, "voron", {})
     # That one is for a macro in offset_gcode
@@ -72,7 +74,9 @@ def test_good_run_of_every_command(start):
     assert printer.gap() == pytest.approx(gap, abs=2 * MICROSTEP)
 
 
-@pytest.mark.every_host
+@pytest.mark.every_host(
+    "the least that each host has to refuse: every command once"
+)
 def test_bad_run_of_every_command(start):
     changes = section(history="none", save_button="switch_offset")
     printer = started(start, "voron", changes)

@@ -1,15 +1,26 @@
-"""Tables of cases of which make test runs those that find something new."""
+"""Which cases make test runs, and the host that each runs on."""
 
 from __future__ import annotations
 
-from collections.abc import Iterable
-from typing import Any
+import random
+from collections.abc import Iterable, Sequence
+from typing import Any, TypeVar
 
 import pytest
 
+T = TypeVar("T")
+
+
+def drawn(case: str, seed: str, hosts: Sequence[T]) -> T:
+    """The host of a case: the same wherever and whenever it is drawn.
+
+    With another seed it is another one, so that in time all hosts see all cases.
+    """
+    return random.Random(f"{seed} {case}").choice(hosts)
+
 
 def slow(*values: Any) -> Any:
-    """A case that make test leaves to make test-all."""
+    """A case that make test leaves to make test-rest."""
     return pytest.param(*values, marks=pytest.mark.slow)
 
 

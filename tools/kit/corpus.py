@@ -1,7 +1,7 @@
 """Sections of real printers, see tests/corpus; machines are made of them.
 
 The configuration is the entry's, the machine behind it a healthy printer.
-make test runs a few of them, make test-all all.
+make test runs a few of them, make test-rest the others.
 """
 
 from __future__ import annotations

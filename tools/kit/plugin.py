@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import gc
 import re
+import subprocess
 from collections import Counter
 from collections.abc import Callable, Iterator
 from contextlib import ExitStack
@@ -24,7 +25,8 @@ from simprinter.hosts.hosts import (
     missing_hosts,
 )
 from tools.kit import load_errors
-from tools.kit.printer import MODULES, Printer
+from tools.kit.cases import drawn
+from tools.kit.printer import MODULES, ROOT, Printer
 from tools.kit.tables import plain
 
 # A machine that is busy is no failure
@@ -49,14 +51,42 @@ def pytest_collection_finish() -> None:
 
 
 def pytest_addoption(parser: pytest.Parser) -> None:
-    """Which part of all cases: make test, make test-rest or make test-all."""
+    """Which part of all cases runs, and on which hosts."""
     parser.addoption(
         "--cases",
-        choices=("test", "rest", "all"),
+        choices=("test", "rest", "each", "all"),
         default="test",
-        help="of make test; what it leaves out; both, as of tests that are"
-        " named with ::",
+        help="of make test; what it leaves out; both, each case on one host;"
+        " every case on every host. Of tests that are named with :: all but"
+        " the last mean: on the main host",
     )
+    parser.addoption(
+        "--host-seed",
+        metavar="TEXT",
+        help="what draws, with a case's name, the host that it runs on"
+        " (default: the commit), to run the same again",
+    )
+
+
+def pytest_configure(config: pytest.Config) -> None:
+    """The draw is the same in all workers: xdist hands them these options."""
+    if config.option.host_seed is None:
+        config.option.host_seed = _commit()
+
+
+def _commit() -> str:
+    command = ["git", "rev-parse", "--short=12", "HEAD"]
+    try:
+        done = subprocess.run(command, cwd=ROOT, capture_output=True, text=True)
+    except OSError:
+        return "none"
+    # What was downloaded as an archive has no commit
+    return done.stdout.strip() or "none"
+
+
+def pytest_report_header(config: pytest.Config) -> str:
+    """How to run the same cases on the same hosts again."""
+    return f"hosts: drawn with --host-seed {config.option.host_seed}"
 
 
 def pytest_generate_tests(metafunc: pytest.Metafunc) -> None:
@@ -70,24 +100,27 @@ def pytest_generate_tests(metafunc: pytest.Metafunc) -> None:
 _LEFT = pytest.StashKey[int]()
 
 
-# What -k and the like leave out is nothing that make test-all would run
+# What -k and the like leave out is nothing that make test-rest would run
 @pytest.hookimpl(trylast=True)
 def pytest_collection_modifyitems(
     config: pytest.Config, items: list[pytest.Item]
 ) -> None:
-    """Leave out what --cases does, and count it."""
+    """Leave out what --cases does, and count what make test-rest would run."""
+    for item in items:
+        _require_reason(item)
+    kept = [item for item in items if _is_on_its_host(item)]
     cases = config.option.cases
-    # Whoever names a test wants to see it run
-    if any("::" in name for name in config.args):
-        cases = "all"
-    if cases != "all":
-        wanted = {item: _is_in_make_test(item) for item in items}
-        others = [n for n in items if wanted[n] is (cases == "rest")]
-        config.hook.pytest_deselected(items=others)
-        items[:] = [n for n in items if wanted[n] is (cases == "test")]
+    if cases in ("test", "rest") and not _is_named(config):
+        slow = [item for item in kept if item.get_closest_marker("slow")]
         if cases == "test":
-            config.stash[_LEFT] = len(others)
-    items.sort(key=_turn)
+            config.stash[_LEFT] = len(slow)
+            slow_ones = {*slow}
+            kept = [item for item in kept if item not in slow_ones]
+        else:
+            kept = slow
+    wanted = {*kept}
+    config.hook.pytest_deselected(items=[i for i in items if i not in wanted])
+    items[:] = sorted(kept, key=_turn)
     for item in items:
         host = _host_of(item)
         if host is not None:
@@ -95,16 +128,36 @@ def pytest_collection_modifyitems(
             item.user_properties.append(("host", host.name))
 
 
-def _is_in_make_test(item: pytest.Item) -> bool:
-    """All but what is slow, on the main host or on every host."""
-    if item.get_closest_marker("slow") is not None:
-        return False
-    host = _host_of(item)
-    return (
-        host is None
-        or item.get_closest_marker("every_host") is not None
-        or host == main_host()
-    )
+def _is_named(config: pytest.Config) -> bool:
+    """Whether tests are named: whoever does so wants to see them run."""
+    return any("::" in name for name in config.args)
+
+
+def _require_reason(item: pytest.Item) -> None:
+    for mark in item.iter_markers("every_host"):
+        if not (mark.args and str(mark.args[0]).strip()):
+            raise pytest.UsageError(
+                f"{item.nodeid}: every_host needs the reason, in words, why"
+                " one host is not enough"
+            )
+
+
+def _is_on_its_host(item: pytest.Item) -> bool:
+    """Whether a case runs on the host that it was given."""
+    host, config = _host_of(item), item.config
+    if host is None or config.option.cases == "all":
+        return True
+    if _is_named(config):
+        # Brackets name a host, too
+        return any("[" in n for n in config.args) or host == main_host()
+    if item.get_closest_marker("one_host"):
+        return True
+    if item.get_closest_marker("every_host"):
+        return True
+    # The case without its host
+    test, _, values = item.nodeid.partition("[")
+    case = f"{test}[{values.replace(host.name, '', 1)}"
+    return drawn(case, config.option.host_seed, all_hosts()) == host
 
 
 def _host_of(item: pytest.Item) -> Optional[Host]:
@@ -208,4 +261,4 @@ def pytest_unconfigure(config: pytest.Config) -> None:
     left = config.stash.get(_LEFT, 0)
     reporter = config.pluginmanager.get_plugin("terminalreporter")
     if left and reporter is not None:
-        reporter.write_line(f"{left} cases left to make test-all")
+        reporter.write_line(f"{left} cases left to make test-rest")

@@ -137,7 +137,7 @@ def test_separate_pin_has_an_input_of_its_own(start):
     assert seen == [False, True, False]
 
 
-@pytest.mark.every_host
+@pytest.mark.every_host("hosts have other kinematics")
 def test_kinematics_that_a_host_does_not_have(start, host):
     assert has_kinematics(host, SCENES["voron"])
     assert has_kinematics(host, SCENES["corexz"])

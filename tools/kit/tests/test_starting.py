@@ -82,7 +82,7 @@ def test_forked_klippy_finds_itself_as_if_started(look, started):
     assert forked == plain
 
 
-@pytest.mark.every_host
+@pytest.mark.every_host("each host imports its modules in a way of its own")
 def test_forked_klippy_does_the_same(host, started):
     def heights(printer):
         printer.homed().run("CALIBRATE_Z")
