@@ -1,8 +1,11 @@
 # Needs python3 (3.9 or newer), gcc and make; the rest goes below BUILD_DIR.
 #
 #   make test     prepare the hosts, lint, run the tests: some minutes
-#   make test-all  every case on every host; make test-rest: but for those of
-#                 make test
+#   make test-rest  the cases that make test leaves out; make test-each: both,
+#                 each case on one host
+#   make test-all  every case on every host: an hour or two
+#   make one T=tests/modules/test_x.py::test_y  one test, with what to read
+#                 when it fails
 #   make quick    lint, what needs no host, each command on one: a minute
 #   make demo     watch a calibration on a simulated printer
 #   make printer  a simulated printer to play with, in any web interface
@@ -26,6 +29,7 @@
 # ALLOW_MISSING_HOSTS  1: do without hosts, or Moonraker, that cannot be
 #                      downloaded
 # ONE_HOST             1: all tests on one host, the first checkout or package
+# T                    the test of make one, a file or with ::, also with [ ]
 # PYTEST_WORKERS       tests run at the same time (default 3)
 # PYTEST_ARGS          further arguments for pytest, such as -k or a file
 # BENCH_ARGS           arguments for make bench, such as --seeds 10 or --builtin
@@ -55,13 +59,18 @@ SOURCES = $(wildcard *.py z_touch/*.py z_touch/*/*.py)
 COMPILE = import sys; [compile(open(f).read(), f, 'exec') for f in sys.argv[1:]]
 
 # Test files import each other as tests.*, from the root of the repository.
-.PHONY: test test-rest test-all test-firmware quick noop demo printer speed bench faults walks hosts
-.PHONY: prepared checked
+.PHONY: test test-rest test-each test-all one test-firmware quick noop demo
+.PHONY: printer speed bench faults walks hosts prepared checked
 .PHONY: docs lint format tools update-pins clean
 
-test test-rest test-all: checked
+test test-rest test-each test-all: checked
 	$(TOOLS)/python -m pytest --cases $(@:test-%=%) -n $(PYTEST_WORKERS) \
 		--dist loadfile --no-loadscope-reorder $(PYTEST_ARGS)
+
+one: prepared
+	@test -n "$(T)" || { echo "make one T=tests/modules/test_x.py::test_y" >&2; \
+		exit 2; }
+	$(TOOLS)/python -m pytest --cases one "$(T)" $(PYTEST_ARGS)
 
 test-firmware: prepared
 	FIRMWARE="$(FIRMWARE)" $(TOOLS)/python -m pytest --cases all \

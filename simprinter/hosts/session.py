@@ -145,6 +145,8 @@ class LiveSession:
         self._process = _Process(installed, machine.simulation, config, data)
         self._api = ApiClient(self._process.socket)
         self._is_living = False
+        # G-code that was sent so far
+        self.scripts: list[str] = []
         self._process.start(["-a", str(self._process.socket)])
         machine.simulation.peers.append(self._api)
 
@@ -330,6 +332,7 @@ class LiveSession:
         Faults that are about its command are counted from now on.
         """
         self.machine.faults.script_begins(script)
+        self.scripts.append(script)
         number = self._api.request("gcode/script", {"script": script})
         return Command(script, number, len(self.console))
 

@@ -6,7 +6,7 @@ import gc
 import re
 import subprocess
 from collections import Counter
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Generator, Iterator
 from contextlib import ExitStack
 from operator import attrgetter
 from typing import Optional
@@ -24,7 +24,7 @@ from simprinter.hosts.hosts import (
     main_host,
     missing_hosts,
 )
-from tools.kit import load_errors
+from tools.kit import failing, load_errors
 from tools.kit.cases import drawn
 from tools.kit.printer import MODULES, ROOT, Printer
 from tools.kit.tables import plain
@@ -54,11 +54,11 @@ def pytest_addoption(parser: pytest.Parser) -> None:
     """Which part of all cases runs, and on which hosts."""
     parser.addoption(
         "--cases",
-        choices=("test", "rest", "each", "all"),
+        choices=("test", "rest", "each", "one", "all"),
         default="test",
-        help="of make test; what it leaves out; both, each case on one host;"
-        " every case on every host. Of tests that are named with :: all but"
-        " the last mean: on the main host",
+        help="of make test; what it leaves out; both, each case on its host;"
+        " on the main host; every case on every host. Of tests that are named"
+        " with :: the first three mean: on the main host",
     )
     parser.addoption(
         "--host-seed",
@@ -108,16 +108,13 @@ def pytest_collection_modifyitems(
     """Leave out what --cases does, and count what make test-rest would run."""
     for item in items:
         _require_reason(item)
-    kept = [item for item in items if _is_on_its_host(item)]
-    cases = config.option.cases
-    if cases in ("test", "rest") and not _is_named(config):
-        slow = [item for item in kept if item.get_closest_marker("slow")]
+    cases = _cases(config)
+    kept = [item for item in items if _is_on_its_host(item, cases)]
+    if cases in ("test", "rest"):
+        slow = {item for item in kept if item.get_closest_marker("slow")}
         if cases == "test":
             config.stash[_LEFT] = len(slow)
-            slow_ones = {*slow}
-            kept = [item for item in kept if item not in slow_ones]
-        else:
-            kept = slow
+        kept = [item for item in kept if (item in slow) is (cases == "rest")]
     wanted = {*kept}
     config.hook.pytest_deselected(items=[i for i in items if i not in wanted])
     items[:] = sorted(kept, key=_turn)
@@ -128,9 +125,11 @@ def pytest_collection_modifyitems(
             item.user_properties.append(("host", host.name))
 
 
-def _is_named(config: pytest.Config) -> bool:
-    """Whether tests are named: whoever does so wants to see them run."""
-    return any("::" in name for name in config.args)
+def _cases(config: pytest.Config) -> str:
+    """Those of --cases; whoever names tests wants to see them run."""
+    cases = config.option.cases
+    is_named = any("::" in name for name in config.args)
+    return "one" if is_named and cases != "all" else cases
 
 
 def _require_reason(item: pytest.Item) -> None:
@@ -142,12 +141,12 @@ def _require_reason(item: pytest.Item) -> None:
             )
 
 
-def _is_on_its_host(item: pytest.Item) -> bool:
+def _is_on_its_host(item: pytest.Item, cases: str) -> bool:
     """Whether a case runs on the host that it was given."""
     host, config = _host_of(item), item.config
-    if host is None or config.option.cases == "all":
+    if host is None or cases == "all":
         return True
-    if _is_named(config):
+    if cases == "one":
         # Brackets name a host, too
         return any("[" in n for n in config.args) or host == main_host()
     if item.get_closest_marker("one_host"):
@@ -216,6 +215,24 @@ def start(host: Host) -> Iterator[Callable[..., Printer]]:
         yield lambda *args, **options: stack.enter_context(
             Printer(host, *args, **options)
         )
+
+
+@pytest.hookimpl(tryfirst=True)
+def pytest_runtest_setup() -> None:
+    """No printer of the test before is of interest any more."""
+    failing.forget()
+
+
+@pytest.hookimpl(wrapper=True)
+def pytest_runtest_makereport(
+    item: pytest.Item,
+) -> Generator[None, pytest.TestReport, pytest.TestReport]:
+    """A test that has failed shows what its printers have told."""
+    report = yield
+    if report.failed:
+        whole = _cases(item.config) == "one"
+        report.sections += failing.sections(item.nodeid, whole)
+    return report
 
 
 # A test of one module is in test_<module>_<topic>.py

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Iterable, Mapping
 from pathlib import Path
-from typing import Optional, Union
+from typing import Any, Optional, Union
 
 from simprinter import Fault, Scene
 from simprinter.hosts import printer
@@ -17,6 +17,7 @@ from simprinter.hosts.printer import (
     has_kinematics,
     knows_kinematics,
 )
+from tools.kit import failing
 from tools.kit.scenes import SCENES, Sections
 
 __all__ = [
@@ -88,6 +89,12 @@ class Printer(_OverBed, printer.Printer):
         modules = module_files() if modules is None else modules
         scene = SCENES[scene] if isinstance(scene, str) else scene
         super().__init__(host, scene, changes, faults, seed, modules, real_time)
+        self.host, self.extras = host, tuple(modules.values())
+        failing.watch(self)
+
+    def __exit__(self, *error: Any) -> Optional[bool]:
+        failing.leave(self)
+        return super().__exit__(*error)
 
 
 def saved_before(printer: RunningPrinter, section: str, line: str) -> None:
