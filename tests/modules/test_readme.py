@@ -193,7 +193,7 @@ ADDED = {
     "make printer": " --dry-run",
     # The same with more hosts is below
     "make test": " --dry-run",
-    "make test-all": " --dry-run",
+    "make test-rest": " --dry-run",
     "KLIPPER_PATH=~/klipper:~/kalico make test": " PYTEST_ARGS=--version",
     "make demo DEMO_ARGS=--help": "",
 }
@@ -202,7 +202,7 @@ SHORT = [name for name in ADDED if not name.startswith("KLIPPER_PATH")]
 EXPECTED = {
     "make printer": r"-m tools\.playground",
     "make test": r"-m pytest --cases test -n \d",
-    "make test-all": r"-m pytest --cases all -n \d",
+    "make test-rest": r"-m pytest --cases rest -n \d",
     "KLIPPER_PATH=~/klipper:~/kalico make test": r"klipper@klipper.*\nkalico@",
     "make demo DEMO_ARGS=--help": r"--scene",
 }

@@ -24,8 +24,8 @@ from simprinter.hosts.environment import build_dir
 
 ROOT = Path(__file__).resolve().parents[2]
 CONFIG = Path(__file__).with_name("mkdocs.yml")
-COPIED = ("README.md", "CHANGELOG.md", "LICENSE", "docs", "examples")
-COPIED += ("simprinter/LIMITS.md",)
+COPIED = ("README.md", "CONTRIBUTING.md", "CHANGELOG.md", "LICENSE")
+COPIED += ("docs", "examples", "simprinter/LIMITS.md")
 ITEM = re.compile(r"( *)((?:[-*]|\d+\.) +)")
 INDENT = 4
 # Data files that are pages here
