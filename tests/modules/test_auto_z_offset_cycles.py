@@ -21,10 +21,9 @@ from tools.kit.auto_z_offset import (
     told,
     with_extras,
 )
+from tools.kit.cases import slow
 from tools.kit.printer import module_files
 from tools.kit.scenes import SCENES
-
-pytestmark = pytest.mark.slow
 
 # Cycles that differ
 
@@ -43,6 +42,7 @@ def test_cycles_that_differ_like_noise_are_told_not_refused(start):
     assert told(printer.run("AUTO_Z_CALIBRATE"), "they differ") == []
 
 
+@pytest.mark.slow
 def test_printer_with_usual_noise_is_not_refused(start):
     # 0.05 mm between five touches, as real ones are reported to spread, with
     # the tolerance of the specification's own example
@@ -57,6 +57,7 @@ def test_printer_with_usual_noise_is_not_refused(start):
 # The way down
 
 
+@pytest.mark.slow
 def test_the_head_comes_down_quickly_from_far_above(start):
     printer = start("qidi").homed()
     printer.run("G1 Z100 F1200\nM400")
@@ -77,6 +78,7 @@ def test_bed_that_is_where_nobody_expects_it_stops_the_way_down(start):
     assert printer.session.state()[0] == "ready"
 
 
+@pytest.mark.slow
 def test_travel_speed(start):
     slow = start("qidi", changes=section(travel_speed="10")).homed()
     usual = start("qidi").homed()
@@ -108,6 +110,7 @@ OWNERS = section(
 )
 
 
+@pytest.mark.slow
 def test_four_cycles_of_an_owner(start):
     printer = start("qidi", changes=OWNERS).homed()
     taken = seconds(printer, "AUTO_Z_CALIBRATE")
@@ -121,10 +124,10 @@ def test_four_cycles_of_an_owner(start):
     [
         ("", "", {}, 2.0),
         # 2.5 mm until the probe has its speed, and as much again
-        ("", "", {"speed": "50"}, 5.0),
+        slow("", "", {"speed": "50"}, 5.0),
         # Nobody knows where the probe triggers
         ("AUTO_Z_HOME_Z", "", {}, None),
-        ("", "ACCEPT_CHANGE=1", {}, None),
+        slow("", "ACCEPT_CHANGE=1", {}, None),
     ],
 )
 def test_way_down_of_the_probe(start, before, params, options, above):
@@ -146,6 +149,7 @@ def test_way_down_of_the_probe(start, before, params, options, above):
 # The sensor after a touch
 
 
+@pytest.mark.slow
 def test_sensor_that_falls_back_late_is_given_a_moment(start):
     printer = start("qidi").homed()
     session, machine = printer.session, printer.machine
@@ -161,6 +165,7 @@ def test_sensor_that_falls_back_late_is_given_a_moment(start):
 # Motor currents
 
 
+@pytest.mark.slow
 def test_current_above_the_limit_of_the_host_is_put_back(start):
     # With this resistor 2.0 A is reported as 2.0097 A, which is refused
     driver = {"sense_resistor": "0.075", "run_current": "2.0"}
@@ -189,6 +194,7 @@ def load_config(config):
 """
 
 
+@pytest.mark.slow
 def test_old_host_without_a_status_of_the_manual_probe(start, tmp_path):
     source = tmp_path / "old.py"
     source.write_text(OLD)

@@ -16,10 +16,9 @@ import pytest
 
 from tests.modules.example_owners import lines_of, print_start_of
 from tools.kit.auto_z_offset import MICROSTEP, POINT, told
+from tools.kit.cases import all_slow_but
 from tools.kit.corpus import indented
 from tools.kit.scenes import SCENES
-
-pytestmark = pytest.mark.slow
 
 EXAMPLES = Path(__file__).resolve().parents[2] / "examples" / "auto_z_offset"
 # Scene, and the file's pins with those of the scene
@@ -94,7 +93,7 @@ def machine_of(name):
     return replace(scene, sections=kept), changes
 
 
-@pytest.mark.parametrize("name", sorted(MACHINES))
+@pytest.mark.parametrize("name", all_slow_but(["q1_pro"], sorted(MACHINES)))
 def test_example_prints_at_the_right_height(start, name):
     scene, changes = machine_of(name)
     own = changes["auto_z_offset"]
@@ -135,6 +134,7 @@ def test_every_example_is_run():
     assert {path.stem for path in EXAMPLES.glob("*.cfg")} == set(MACHINES)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("name", ["q1_pro", "plus4"])
 def test_freedi_has_the_same_sensors(name):
     """Only the names of boards differ."""
@@ -151,6 +151,7 @@ def test_freedi_has_the_same_sensors(name):
     assert own == freedi
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("name", ["q1_pro", "q1_pro_freedi"])
 def test_q1_pro_as_its_owners_have_it(name):
     read = configparser.ConfigParser(interpolation=None, delimiters=(":",))

@@ -927,6 +927,7 @@ def test_smart_effector(start, n):
     check_calibration(printer, n)
 
 
+@pytest.mark.slow
 @pytest.mark.every_host(
     "until 2024-07 and on Kalico it homes Z to position_endstop"
 )
@@ -963,6 +964,7 @@ def test_smart_effector_that_homes_to_something_else(host, start):
     assert true_gap(printer) == pytest.approx(gap, abs=STEPS)
 
 
+@pytest.mark.slow
 @pytest.mark.every_host(
     "hosts take position_endstop of a probe, pass over it or refuse it"
 )

@@ -7,10 +7,9 @@ from dataclasses import replace
 import pytest
 
 from tools.kit.auto_z_offset import MICROSTEP, POINT, told, true_gap, world
+from tools.kit.cases import slow
 from tools.kit.klipper_sections import bed_mesh, profile
 from tools.kit.scenes import SCENES
-
-pytestmark = pytest.mark.slow
 
 STEPS = 2 * MICROSTEP
 MESH = bed_mesh("50, 50", "200, 200")
@@ -30,7 +29,7 @@ HIGHER = 0.1
             HIGHER,
             "bed_mesh: Z is shifted by 0.",
         ),
-        (
+        slow(
             {"bed_tilt": {"z_adjust": "0.08"}},
             "",
             0.08,
@@ -72,7 +71,7 @@ NO_ZERO = "bed_mesh has no zero at 119.8, 126.8"
     ("sections", "before", "words", "wrong"),
     [
         ({"bed_tilt": {"z_adjust": "-0.15"}}, "", "shifted by -0.150", -0.15),
-        ({"bed_tilt": {"z_adjust": "0.01"}}, "", None, 0.01),
+        slow({"bed_tilt": {"z_adjust": "0.01"}}, "", None, 0.01),
         (
             {"bed_mesh": MESH, "bed_mesh default": profile((-0.2,) * 3, MESH)},
             LOADS,
@@ -80,7 +79,7 @@ NO_ZERO = "bed_mesh has no zero at 119.8, 126.8"
             -0.2,
         ),
         ({"bed_mesh": MESH}, "", NO_ZERO, 0.0),
-        ({"bed_mesh": OWN_MESH}, "", None, 0.0),
+        slow({"bed_mesh": OWN_MESH}, "", None, 0.0),
     ],
 )
 def test_zero_of_the_bed_sensor_below_a_shift(
@@ -97,6 +96,7 @@ def test_zero_of_the_bed_sensor_below_a_shift(
 
 
 # Some hosts keep it when Z is homed with the probe; QIDI's goes to Z=3
+@pytest.mark.slow
 @pytest.mark.parametrize("command", ["AUTO_Z_PROBE", "AUTO_Z_CALIBRATE"])
 def test_g92_does_not_lower_what_prepare_gcode_does(start, command):
     printer = start("qidi").homed()
@@ -114,6 +114,7 @@ def test_g92_of_prepare_gcode_is_undone(start):
     assert true_gap(printer) == pytest.approx(gap, abs=STEPS)
 
 
+@pytest.mark.slow
 def test_g92_is_undone(start):
     printer = start("qidi").homed()
     lines = printer.run("G1 Z30 F900\nG92 Z29.7\nAUTO_Z_CALIBRATE")
@@ -122,6 +123,7 @@ def test_g92_is_undone(start):
     assert true_gap(printer) == pytest.approx(gap, abs=STEPS)
 
 
+@pytest.mark.slow
 def test_g92_is_undone_where_the_correction_is_loaded(start):
     printer = start("qidi").homed()
     printer.run("AUTO_Z_CALIBRATE\nG28\nG90\nG1 Z20 F900\nG92 Z10")

@@ -15,8 +15,6 @@ from tools.kit.auto_z_offset import CORRECTION, POINT, section, touches
 from tools.kit.scenes import SCENES
 from tools.kit.z_calibration import refusal
 
-pytestmark = pytest.mark.slow
-
 AT = re.compile(r"bed sensor: triggered at z=\S+ at (\S+), (\S+)$")
 
 
@@ -54,6 +52,7 @@ def test_each_touch_is_at_a_point_of_its_own(start, samples, cycles, retract):
     assert printer.machine.truth.drag("nozzle_bed") == 0.0
 
 
+@pytest.mark.slow
 def test_texture_is_averaged(start):
     """On plates where that one point is 10 to 20 um off."""
     errors = {"0": [], "3": []}
@@ -85,6 +84,7 @@ def test_texture_is_no_reason_to_begin_again(start):
     assert "samples_tolerance is 0.1100 mm" in text
 
 
+@pytest.mark.slow
 def test_point_of_a_command_stays_one(start):
     changes = section(bed_spread="3", samples="3")
     printer = start(rough(1), changes=changes).homed()
@@ -93,6 +93,7 @@ def test_point_of_a_command_stays_one(start):
     assert points == [pytest.approx((100.0, 100.0), abs=0.02)] * 3
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     ("options", "words"),
     [

@@ -420,6 +420,7 @@ def test_out_of_the_corner_as_homing_came(start, dock):
     assert at(printer) == pytest.approx((150.0, 150.0))
 
 
+@pytest.mark.every_host("only hosts since 2025-05 have generic_cartesian")
 def test_out_of_the_corner_of_a_generic_cartesian(start, host):
     scene = on_generic(GANTRY)
     if not has_kinematics(host, scene):

@@ -65,6 +65,7 @@ def told(printer, script):
     return [line.split()[-1] for line in lines if "activate" in line]
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     ("script", "wanted"),
     [
@@ -177,6 +178,7 @@ def test_part_by_part_with_each_of_the_options(start):
     assert said == ["pre_attach", "post_attach", "pre_detach", "post_detach"]
 
 
+@pytest.mark.slow
 def test_dock_is_put_away_where_the_head_does_not_get_there(start):
     printer = started(
         start,
@@ -190,6 +192,7 @@ def test_dock_is_put_away_where_the_head_does_not_get_there(start):
     assert not is_out(printer)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("command", ["G28", "G28 X", "G28 Z"])
 @pytest.mark.parametrize("scene", [SERVO, SWITCH, slow(GANTRY), slow(FRAME)])
 def test_homing_from_in_the_dock(start, scene, command):
@@ -227,6 +230,7 @@ def closed_switch(start):
 
 
 # The nozzle went down with the probe in the dock
+@pytest.mark.slow
 @pytest.mark.every_host(
     "homing with the probe is told by other events since 2026-05"
 )
@@ -248,6 +252,7 @@ def test_homing_with_what_was_left_in_the_dock(start, ready, script):
     assert printer.machine.truth.min_gap > HANG - 0.1
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("ready", [open_switch, closed_switch])
 def test_touch_with_what_was_left_in_the_dock(start, ready):
     printer = ready(start).homed()
@@ -271,6 +276,7 @@ def test_docking_of_what_queued_moves_have_fetched(start):
 # What has changed on the way in and out is believed, as that of a trip is, and what
 # has not is as it was known: the way to this dock is not known, and nobody is asked
 # whether it hangs on the head.
+@pytest.mark.slow
 @pytest.mark.parametrize(
     "way", [steps("DOCK", "EXTRACT", "DOCK", "DETACH"), steps("DOCK", "DETACH")]
 )
@@ -282,6 +288,7 @@ def test_parts_of_the_way_prove_what_a_trip_does(start, way):
 
 
 # With a broken wire it reads docked on the head, and where it has got back, too
+@pytest.mark.slow
 @pytest.mark.parametrize(
     "way",
     [steps("DOCK", "EXTRACT"), steps("DOCK", "EXTRACT", "DOCK", "DETACH")],
@@ -297,6 +304,7 @@ def test_way_out_with_the_probe_proves_nothing(start, way):
 # A command in the middle of fetching
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("command", ["PROBE", "ATTACH_PROBE", "DETACH_PROBE"])
 @pytest.mark.parametrize(
     "option",
@@ -455,6 +463,7 @@ def test_pin_that_chatters_is_no_reason_for_more_trips(start):
     assert trips(printer)[begun:] == ["attach"]
 
 
+@pytest.mark.slow
 @pytest.mark.every_host("Kalico's safe_z_home asks a dockable_probe itself")
 @pytest.mark.parametrize(
     ("initial", "changes", "hop"),
@@ -476,6 +485,7 @@ def test_hop_before_x_and_y_are_homed(start, initial, changes, hop):
         assert printer.machine.tip().z == pytest.approx(z + hop, abs=0.02)
 
 
+@pytest.mark.every_host("only hosts since 2025-05 have generic_cartesian")
 @pytest.mark.parametrize(
     ("initial", "hop"), [("attached", CLEAR), ("docked", 0)]
 )

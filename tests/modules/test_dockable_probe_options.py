@@ -101,6 +101,7 @@ def test_nonsense_is_refused_by_the_name_of_the_option(host: Host, row):
         assert "'dockable_probe" in message, (value, message)
 
 
+@pytest.mark.slow
 @ROWS
 def test_missing_option_is_told_or_has_a_default(host: Host, row):
     state, message = load(host, section(**{row.name: None}), SENSED)
@@ -263,6 +264,7 @@ def test_lift_speed_on_the_way(start, speed, least):
     assert least < seconds(printer, "ATTACH_PROBE") < least + 6.0
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     ("options", "first", "height"),
     [

@@ -8,11 +8,10 @@ import pytest
 
 from simprinter import Fault
 from tools.kit.carrying import without_our_dock
+from tools.kit.cases import all_slow_but, slow
 from tools.kit.dockable_probe import SWITCH, trips, where
 from tools.kit.docks import HANG, calibrating
 from tools.kit.z_calibration import calibration
-
-pytestmark = pytest.mark.slow
 
 SCENE = calibrating(SWITCH)
 # What the scene's [z_calibration] says of the switch, and what is so
@@ -28,9 +27,9 @@ WAYS = pytest.mark.parametrize(
     "changes",
     [
         {},
-        z_section(start_gcode="ATTACH_PROBE", end_gcode="DETACH_PROBE"),
-        z_section(before_switch_gcode="ATTACH_PROBE"),
-        {"dockable_probe": {"auto_attach_detach": "False"}},
+        slow(z_section(start_gcode="ATTACH_PROBE", end_gcode="DETACH_PROBE")),
+        slow(z_section(before_switch_gcode="ATTACH_PROBE")),
+        slow({"dockable_probe": {"auto_attach_detach": "False"}}),
         # The bed is looked at first, in a session of its own
         {"dockable_probe": {"z_offset": "0"}},
     ],
@@ -58,6 +57,8 @@ def test_calibrate_z(start, changes):
 
 
 # Of which only Kalico has one
+@pytest.mark.every_host("only Kalico has a dockable_probe of its own")
+@pytest.mark.slow
 @WAYS
 def test_calibrate_z_with_the_one_that_the_host_has(start, host, changes):
     if not host.layout.module_dir.endswith("plugins"):
@@ -110,7 +111,7 @@ def hooks_of(name):
     return z_section(**dict(zip(names, lines)))
 
 
-@pytest.mark.parametrize("before", BEFORE)
+@pytest.mark.parametrize("before", all_slow_but(["delayed"], BEFORE))
 @pytest.mark.parametrize("hooks", HOOKS)
 def test_each_hook_has_its_own_default(start, hooks, before):
     options, script = BEFORE[before]
@@ -127,6 +128,8 @@ def test_each_hook_has_its_own_default(start, hooks, before):
     assert printer.gap() == pytest.approx(GAP, abs=0.01)
 
 
+@pytest.mark.every_host("only Kalico has a dockable_probe of its own")
+@pytest.mark.slow
 @pytest.mark.parametrize("script", ["G4 P1", "ATTACH_PROBE"])
 @pytest.mark.parametrize("hooks", ["none", "before the switch", "end"])
 def test_hooks_with_the_one_that_the_host_has(start, host, hooks, script):
@@ -141,12 +144,14 @@ def test_hooks_with_the_one_that_the_host_has(start, host, hooks, script):
     assert printer.gap() == pytest.approx(GAP, abs=0.01)
 
 
+@pytest.mark.slow
 def test_one_trip_where_start_gcode_attaches_what_is_there(start):
     printer = start(SCENE, hooks_of("start")).homed()
     printer.run("ATTACH_PROBE\nCALIBRATE_Z")
     assert trips(printer) == ["attach", "dock"]
 
 
+@pytest.mark.slow
 def test_probe_is_where_it_was_if_no_trips_are_wanted(start):
     changes = {"dockable_probe": {"auto_attach_detach": "False"}}
     printer = start(front(), changes).homed()
@@ -156,6 +161,7 @@ def test_probe_is_where_it_was_if_no_trips_are_wanted(start):
     assert where(printer) == "docked"
 
 
+@pytest.mark.slow
 def test_probe_is_docked_after_an_error_in_end_gcode(start):
     changes = z_section(end_gcode="\n  NO_SUCH_MACRO\n  G1 X999")
     printer = start(front(), changes).homed()
@@ -163,6 +169,7 @@ def test_probe_is_docked_after_an_error_in_end_gcode(start):
     assert where(printer) == "docked"
 
 
+@pytest.mark.slow
 def test_cycles_with_the_probe_on_need_it_on(start):
     command = "CALIBRATE_Z_ACCURACY CYCLES=2 ATTACH=0"
     printer = start(front()).homed()
@@ -190,6 +197,7 @@ def test_no_way_leads_through_the_dock(start, command):
     assert printer.machine.truth.crashes() == []
 
 
+@pytest.mark.slow
 def test_automatic_again_after_an_error(start):
     changes = z_section(offset_margins="-0.01, 0.01", bed_xy_position="60, 60")
     printer = start(SCENE, changes).homed()
@@ -199,6 +207,7 @@ def test_automatic_again_after_an_error(start):
     assert status["auto_attach_detach"] is True
 
 
+@pytest.mark.slow
 def test_probe_that_is_not_there(start):
     fault = Fault("attach_fails", persistent=True)
     printer = start(SCENE, faults=[fault]).homed()

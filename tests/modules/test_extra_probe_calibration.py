@@ -228,6 +228,7 @@ def test_saved_twice_before_a_restart(start, scene):
     assert gap_is_right(printer)
 
 
+@pytest.mark.every_host("only hosts since 2025-05 have generic_cartesian")
 def test_saving_where_z_is_a_carriage(start, host):
     if not has_kinematics(host, SCENES["membrane_generic"]):
         pytest.skip("the host has no generic_cartesian")

@@ -583,6 +583,7 @@ def test_pin_of_another_board(start):
     assert result(lines) == pytest.approx(BED + THICKNESS, abs=MICROSTEP)
 
 
+@pytest.mark.every_host("only hosts since 2025-05 have generic_cartesian")
 def test_generic_cartesian(start, host):
     # Z is a carriage there
     if not has_kinematics(host, SCENES["membrane_generic"]):

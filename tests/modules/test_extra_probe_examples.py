@@ -11,6 +11,7 @@ from pathlib import Path
 import pytest
 
 from simprinter import Fault, heated
+from tools.kit.cases import all_slow_but
 from tools.kit.extra_probe import (
     BED,
     CONTINUE,
@@ -21,8 +22,6 @@ from tools.kit.extra_probe import (
     true_gap,
 )
 from tools.kit.scenes import SCENES
-
-pytestmark = pytest.mark.slow
 
 EXAMPLES = Path(__file__).resolve().parents[2] / "examples" / "extra_probe"
 # The scene that each is for, what it is to save, and from which value on
@@ -69,7 +68,7 @@ def use(printer, name):
     return lines + printer.run(CONTINUE)
 
 
-@pytest.mark.parametrize("name", OWNERS)
+@pytest.mark.parametrize("name", all_slow_but(["z_switch"], OWNERS))
 def test_example_ends_with_the_bed_at_zero(start, name):
     _, section, option, wanted = OWNERS[name]
     printer = owned(start, name)
@@ -88,6 +87,7 @@ def test_example_ends_with_the_bed_at_zero(start, name):
     assert true_gap(printer) == pytest.approx(0.0, abs=2 * MICROSTEP)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("name", OWNERS)
 def test_example_used_again(start, name):
     # There is nothing left to correct, and the sign would show
@@ -103,6 +103,7 @@ def test_example_used_again(start, name):
             assert float(value) == pytest.approx(OWNERS[name][3], abs=0.01)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("name", [n for n in OWNERS if n not in MACROS])
 def test_command_of_an_example_survives_a_dead_membrane(start, name):
     about = {"site": "nozzle_membrane", "command": "EXTRA_PROBE_CONTINUE"}

@@ -11,13 +11,12 @@ import pytest
 
 from simprinter import Fault
 from simprinter.world import DriftSpec, NoiseSpec, OozeSpec
+from tools.kit.cases import all_slow_but
 from tools.kit.scenes import SCENES
 from tools.kit.z_calibration import (
     section,
     touched_sites,
 )
-
-pytestmark = pytest.mark.slow
 
 MIDDLING = 0.002
 WORN = 0.015
@@ -55,7 +54,7 @@ CAUSES = {
 }
 
 
-@pytest.mark.parametrize("name", CAUSES)
+@pytest.mark.parametrize("name", all_slow_but(["play"], CAUSES))
 def test_each_cause_is_told(start, name):
     cause = CAUSES[name]
     printer = start(cartesian(**cause.scene)).homed()
@@ -104,6 +103,7 @@ def test_whole_cycles_are_measured_and_nothing_is_applied(start):
     assert "2 cycles" in report.read_text()
 
 
+@pytest.mark.slow
 def test_cycles_as_they_are_asked_for(start):
     """Probe on the head all the time or not, and homing between them."""
     adding = "\n  SET_GCODE_OFFSET Z_ADJUST=0.1"
@@ -130,6 +130,7 @@ def test_cycles_as_they_are_asked_for(start):
     assert "not homed" in printer.fail("CALIBRATE_Z_ACCURACY")
 
 
+@pytest.mark.slow
 def test_failure_leaves_everything_as_it_was(start):
     fault = Fault("attach_fails", n=2, command="CALIBRATE_Z_ACCURACY")
     changes = {"respond": {}, **section(error_gcode="\n  RESPOND MSG=ERROR")}
@@ -149,6 +150,7 @@ def test_failure_leaves_everything_as_it_was(start):
 
 
 # Macros bring this probe, and here nobody takes it off before Z is homed on the pin
+@pytest.mark.slow
 @pytest.mark.parametrize("end_gcode", ["\n  DOCK_PROBE", None])
 def test_z_is_not_homed_with_the_probe_on_the_head(start, end_gcode):
     changes = {"z_calibration": {"end_gcode": end_gcode}}
@@ -161,6 +163,7 @@ def test_z_is_not_homed_with_the_probe_on_the_head(start, end_gcode):
 
 
 # Only a G28 of the owner's own takes it off
+@pytest.mark.slow
 def test_homing_that_puts_the_probe_away(start):
     homing = {
         "rename_existing": "G28.1",
@@ -175,6 +178,7 @@ def test_homing_that_puts_the_probe_away(start):
 
 
 # Z is homed with the probe here, which stays on the head until start_gcode docks it
+@pytest.mark.slow
 def test_homing_that_needs_the_probe_on_the_head(start):
     scene = SCENES["cartesian"]
     inputs = dict(scene.wiring.inputs)

@@ -11,8 +11,6 @@ from simprinter import Fault
 from tools.kit.scenes import SCENES
 from tools.kit.z_calibration import assert_unharmed, calibration, section
 
-pytestmark = pytest.mark.slow
-
 BELOW = "the bed is below the low end of offset_margins (%s), or the probe"
 TRY = re.compile(r"(\w+) of section '(\w+)' \((\S+) - (\S+): try (\S+)\)")
 
@@ -66,6 +64,7 @@ def test_plate_that_is_missing(start):
 
 
 # Margins that are above 0; a touch that has met the bed before
+@pytest.mark.slow
 @pytest.mark.parametrize(
     ("changes", "touch"),
     [

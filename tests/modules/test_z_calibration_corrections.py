@@ -14,8 +14,6 @@ from tools.kit.z_calibration import (
     touched_sites,
 )
 
-pytestmark = pytest.mark.slow
-
 SAVE = "Z_CALIBRATION_SAVE_GCODE_OFFSET"
 ENDSTOP, PROBE = "Z_OFFSET_APPLY_ENDSTOP", "Z_OFFSET_APPLY_PROBE"
 # What an offset_gcode has to say that makes another offset of it
@@ -67,6 +65,7 @@ def test_baby_steps_are_there_again_in_the_next_run(start):
 
 # Macros pass last_z_offset on to it
 # The second time it sets just what was in force
+@pytest.mark.slow
 def test_offset_gcode_that_sets_the_same_again(start):
     adding = "SET_GCODE_OFFSET Z={(params.Z|float + 0.1)|round(4)}"
     printer = start(changes=section(offset_gcode=f"\n  {adding}\n  {OWN}"))
@@ -79,6 +78,7 @@ def test_offset_gcode_that_sets_the_same_again(start):
 
 
 # Z_ADJUST is an addition, as large as it may be
+@pytest.mark.slow
 def test_end_gcode_that_adds_much(start):
     options = {"end_gcode": "SET_GCODE_OFFSET Z_ADJUST=0.25"}
     changes = {**section(**options), "stepper_z": {"position_endstop": "1.85"}}
@@ -90,6 +90,7 @@ def test_end_gcode_that_adds_much(start):
 
 
 # As in the original, where end_gcode came after the offset
+@pytest.mark.slow
 @pytest.mark.parametrize(
     ("endstop", "more", "own"),
     [("1.0", 0.05, True), ("2.2", -0.05, True), ("1.5", 0.05, False)],
@@ -107,6 +108,7 @@ def test_end_gcode_that_applies_the_offset_with_more(start, endstop, more, own):
     assert status["last_z_offset"] == pytest.approx(total, abs=1e-5)
 
 
+@pytest.mark.slow
 def test_what_offset_gcode_adds_is_no_correction(start):
     adding = "SET_GCODE_OFFSET Z={params.Z|float + 0.1}"
     printer = start(changes=section(offset_gcode=f"\n  {adding}\n  {OWN}"))
@@ -153,6 +155,7 @@ def test_button_that_saves_baby_steps(start, button):
     assert text in "\n".join(lines)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("button", [ENDSTOP, PROBE])
 def test_button_that_saves_in_vain_is_told_of_once(start, button):
     printer = start().homed()
@@ -192,6 +195,7 @@ def test_refused(host, calibrated, offset, script, words):
     assert touched_sites(printer, before) == []
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     ("script", "reason"),
     [
@@ -208,6 +212,7 @@ def test_baby_steps_count_from_a_result(start, script, reason):
     assert pending(printer) == {}
 
 
+@pytest.mark.slow
 def test_force_takes_a_large_one(start):
     printer = start().homed()
     calibration(printer)
@@ -215,6 +220,7 @@ def test_force_takes_a_large_one(start):
     assert pending(printer)["z_calibration"] == {"switch_offset": "1.000"}
 
 
+@pytest.mark.slow
 def test_option_in_an_included_file_is_named(start, tmp_path):
     path = tmp_path / "mine.cfg"
     path.write_text(f"[z_calibration]\nswitch_offset: {SWITCH_OFFSET}\n")

@@ -34,12 +34,11 @@ from tests.modules.example_owners import (
     lines_of,
     print_start_of,
 )
+from tools.kit.cases import all_slow_but, slow
 from tools.kit.klipper_sections import TOOL, bed_mesh
 from tools.kit.printer import Printer
 from tools.kit.scenes import SCENES
 from tools.kit.z_calibration import MICROSTEP, touched_sites
-
-pytestmark = pytest.mark.slow
 
 ROOT = Path(__file__).resolve().parents[2]
 EXAMPLES = ROOT / "examples" / "z_calibration"
@@ -145,7 +144,9 @@ def assert_ready_to_print(printer: Printer, owner: Owner) -> None:
 # As they are
 
 
-@pytest.mark.parametrize("name", sorted(OWNERS))
+@pytest.mark.parametrize(
+    "name", all_slow_but(["voron24_klicky"], sorted(OWNERS))
+)
 def test_print_start_ends_at_the_right_height(start, name):
     owner = OWNERS[name]
     path = EXAMPLES / f"{name}.cfg"
@@ -156,6 +157,7 @@ def test_print_start_ends_at_the_right_height(start, name):
     assert_ready_to_print(printer, owner)
 
 
+@pytest.mark.slow
 def test_next_print_starts_as_well(host):
     # The offset of the first one, a large one, would miss the dock
     owner = OWNERS["euclid"]
@@ -167,6 +169,7 @@ def test_next_print_starts_as_well(host):
         assert_ready_to_print(printer, owner)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     "path",
     STARTS,
@@ -182,6 +185,7 @@ def test_print_start_without_temperatures_does_nothing(start, path):
     assert printer.status("toolhead")["homed_axes"] == ""
 
 
+@pytest.mark.slow
 def test_slicer_that_sends_other_names(host):
     owner = OWNERS["cartesian_switch"]
     changes = included(EXAMPLES / "cartesian_switch.cfg")
@@ -233,6 +237,7 @@ def test_parameters_are_documented(name):
         assert given <= known
 
 
+@pytest.mark.slow
 def test_fields_are_documented():
     known = {spans(row[0])[0] for row in rows(part(DOCUMENT, STATUS))}
     used = set(re.findall(r"\bz\.(\w+)", text_of(MACROS)))
@@ -240,6 +245,7 @@ def test_fields_are_documented():
     assert used <= known
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("name", sorted(OWNERS))
 def test_nothing_moves_z_after_calibrating(name):
     code = lines_of(EXAMPLES / f"{name}.cfg")
@@ -251,6 +257,7 @@ def test_nothing_moves_z_after_calibrating(name):
 LEVELLING = ("QUAD_GANTRY_LEVEL", "Z_TILT_ADJUST")
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("name", sorted(OWNERS))
 def test_z_is_homed_after_levelling(name):
     code = lines_of(EXAMPLES / f"{name}.cfg")
@@ -284,7 +291,7 @@ def told(printer: Printer) -> str:
     ("name", "old", "new", "message"),
     [
         # Levelling lowers this gantry by more than a millimetre
-        (
+        slow(
             *("voron24_klicky", "#     G28 Z  ", "#     M400 #"),
             "home Z again (G28 Z) after any levelling",
         ),
@@ -294,7 +301,7 @@ def told(printer: Printer) -> str:
             "check nozzle_xy_position",
         ),
         # Where the nozzle is
-        (
+        slow(
             *("cartesian_switch", "221.5, 118", "244, 118"),
             "check switch_xy_position",
         ),
@@ -318,6 +325,7 @@ def test_mistake_of_an_owner_is_told(host, tmp_path, name, old, new, message):
         assert message in told(printer)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     ("fault", "message"),
     [
@@ -376,6 +384,7 @@ def test_calibration_is_made_only_if_needed(macros):
 
 
 # What offset_gcode adds belongs to it, and Z_ADJUST is for one print
+@pytest.mark.slow
 def test_what_holds_is_what_was_applied(start):
     code = "\n  SET_GCODE_OFFSET Z={params.Z|float + 0.05}"
     own = {"offset_gcode": f"{code}\n  Z_CALIBRATION_KEEP_OFFSET"}
@@ -393,6 +402,7 @@ def test_what_holds_is_what_was_applied(start):
     assert printer.offset() == pytest.approx(applied, abs=2 * MICROSTEP)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("before", [0, 200])
 def test_nozzle_is_soft_and_clean_for_the_calibration(macros, before):
     macros.run(f"M109 S{before}")
@@ -408,6 +418,7 @@ def second_tool(tmp_path):
     return {"extruder1": {**TOOL, "sensor_path": str(path)}}
 
 
+@pytest.mark.slow
 def test_the_nozzle_of_the_active_tool_is_soft(start, tmp_path):
     scene = heated(SCENES["voron"])
     changes = with_macros(**second_tool(tmp_path))
@@ -418,6 +429,7 @@ def test_the_nozzle_of_the_active_tool_is_soft(start, tmp_path):
     assert printer.status("extruder")["target"] == 0
 
 
+@pytest.mark.slow
 def test_bed_is_measured_below_the_print(macros):
     before = len(macros.machine.truth.touches)
     macros.run("CALIBRATE_Z_AT_PRINT X_MIN=50 Y_MIN=60.5 X_MAX=110 Y_MAX=90")
@@ -427,6 +439,7 @@ def test_bed_is_measured_below_the_print(macros):
     assert (x, y) == pytest.approx((80 + 2, 75.2 - 24.75), abs=0.06)
 
 
+@pytest.mark.slow
 def test_bed_is_measured_below_the_print_with_a_mesh(start):
     mesh = {
         "mesh_min": "30,30",
@@ -462,6 +475,7 @@ def test_plates_keep_a_value(start, tmp_path):
         assert printer.offset() == pytest.approx(0.16 + z_adjust, abs=0.001)
 
 
+@pytest.mark.slow
 def test_plates_keep_their_baby_steps(start, tmp_path):
     printer = with_plates(start, tmp_path)
     assert "CALIBRATE_Z_ON_PLATE first" in printer.fail("KEEP_Z_OF_PLATE")
@@ -485,6 +499,7 @@ def test_plates_keep_their_baby_steps(start, tmp_path):
 
 
 # What a mesh shifts, and end_gcode adds, are no baby steps
+@pytest.mark.slow
 def test_plates_keep_nothing_else(start, tmp_path):
     own = {"end_gcode": "SET_GCODE_OFFSET Z_ADJUST=0.1"}
     mesh = bed_mesh("50, 50", "250, 250")
@@ -501,6 +516,7 @@ def test_plates_keep_nothing_else(start, tmp_path):
         assert printer.offset() == wanted
 
 
+@pytest.mark.slow
 def test_plates_keep_nothing_of_another_tool(start, tmp_path):
     path = EXAMPLES / f"{PLATES}.cfg"
     variables = {"filename": str(tmp_path / "variables.cfg")}
@@ -513,6 +529,7 @@ def test_plates_keep_nothing_of_another_tool(start, tmp_path):
     assert "extruder1 is active" in printer.fail("KEEP_Z_OF_PLATE")
 
 
+@pytest.mark.slow
 def test_tools_keep_their_offsets(start):
     path = EXAMPLES / f"{TOOLS}.cfg"
     scene = heated(SCENES["voron"])
@@ -526,6 +543,7 @@ def test_tools_keep_their_offsets(start):
     assert printer.offset() == pytest.approx(offset, abs=1e-6)
 
 
+@pytest.mark.slow
 def test_names_are_nobody_elses():
     """No file of examples/ brings what printers have already."""
     theirs = "PRINT_START", "PRINT_END", "G28", "M401", "M402", "CLEAN_NOZZLE"
@@ -536,12 +554,14 @@ def test_names_are_nobody_elses():
         assert not {*theirs, *shared} & {*found}, path
 
 
+@pytest.mark.slow
 def test_heaters_are_turned_off_by_one_file_only():
     for path in EXAMPLES.parent.glob("*/*.cfg"):
         turns_off = "error_gcode" in path.read_text(encoding="utf-8")
         assert turns_off == (path.stem == OFF), path
 
 
+@pytest.mark.slow
 def test_macro_of_the_document_is_the_example():
     (shown,) = re.findall(
         r"(?s)(\[gcode_macro CALIBRATE_Z_IF_NEEDED\].*?endif %}\n)", DOCUMENT
@@ -549,6 +569,7 @@ def test_macro_of_the_document_is_the_example():
     assert shown in text_of(MACROS)
 
 
+@pytest.mark.slow
 def test_nothing_stays_hot_after_a_failure(start, tmp_path):
     about = {"site": "nozzle_pin", "touch": 2, "command": "CALIBRATE_Z"}
     faults = [Fault("trigger_never", **about)]

@@ -6,6 +6,7 @@ import json
 
 import pytest
 
+from tools.kit.cases import slow
 from tools.kit.klipper_sections import bed_mesh, profile
 from tools.kit.z_calibration import (
     MICROSTEP,
@@ -13,8 +14,6 @@ from tools.kit.z_calibration import (
     result_of,
     with_extra,
 )
-
-pytestmark = pytest.mark.slow
 
 # What is between nozzle and bed at Z=0 after a perfect calibration
 GAP = 0.06
@@ -62,7 +61,7 @@ def validity(printer):
 # Taken off
 
 
-@pytest.mark.parametrize("error", [0.7, -0.7])
+@pytest.mark.parametrize("error", [0.7, slow(-0.7)])
 def test_mesh_of_a_probe_with_a_wrong_z_offset(start, error):
     changes = {"bed_mesh": MESH, "probe": {"z_offset": f"{6.9 + error}"}}
     printer = start(changes=changes).homed()
@@ -90,10 +89,10 @@ TILT = {"x_adjust": "0.001", "y_adjust": "-0.0002", "z_adjust": "0.03"}
     ("changes", "script", "point", "told"),
     [
         (mesh(), LOAD, POINT, "bed_mesh is 0.057 mm at 150.0, 150.0"),
-        (mesh(), LOAD, (100, 100), "bed_mesh is -0.014 mm at 100.0, 100.0"),
+        slow(mesh(), LOAD, (100, 100), "bed_mesh is -0.014 mm at 100.0, 100.0"),
         # Nothing up where the head travels
         (mesh(**FADING), LOAD, POINT, "bed_mesh is 0.057 mm at"),
-        (
+        slow(
             mesh(),
             f"{LOAD}\nBED_MESH_OFFSET Y=30",
             POINT,
@@ -140,6 +139,7 @@ class Frame:
         printer.session.wait(30.0)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("has_mesh", [False, True])
 def test_heat_is_taken_off_once_and_goes_on(start, tmp_path, has_mesh):
     frame = Frame(tmp_path)
@@ -162,6 +162,7 @@ def test_heat_is_taken_off_once_and_goes_on(start, tmp_path, has_mesh):
     assert validity(printer) == (True, True, "")
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("change", ["REF_TEMP=75", "ENABLE=0", "TEMP_COEFF=0"])
 def test_heat_that_is_set_anew_is_noticed(start, tmp_path, change):
     frame = Frame(tmp_path)
@@ -182,6 +183,7 @@ def test_heat_that_is_set_anew_is_noticed(start, tmp_path, change):
     assert_right(printer)
 
 
+@pytest.mark.slow
 def test_heat_that_counts_below_a_height_only_is_asked_for_there(
     start, tmp_path
 ):
@@ -222,6 +224,7 @@ printer.register_event_handler("klippy:connect", Lift)
 """
 
 
+@pytest.mark.slow
 def test_what_nobody_knows_is_told_and_not_taken_off(start, tmp_path):
     modules = with_extra(tmp_path, LIFT)
     printer = start(changes={"extra": {}, **mesh()}, modules=modules).homed()
@@ -240,6 +243,7 @@ def test_what_nobody_knows_is_told_and_not_taken_off(start, tmp_path):
     assert told == list(zip(("bed_mesh", "another"), warnings))
 
 
+@pytest.mark.slow
 def test_zero_of_the_mesh_at_the_point_is_no_warning(start):
     changes = {"bed_mesh": {**MESH, "zero_reference_position": "150, 150"}}
     printer = start(changes=changes).homed()
@@ -273,13 +277,13 @@ def test_switch_offset_is_calculated_over_the_mesh_only(start):
 @pytest.mark.parametrize(
     ("before", "after", "is_other"),
     [
-        ("", LOAD, True),
+        slow("", LOAD, True),
         (LOAD, "BED_MESH_CLEAR", True),
-        (LOAD, "BED_MESH_OFFSET Y=30", True),
+        slow(LOAD, "BED_MESH_OFFSET Y=30", True),
         (LOAD, LOAD, False),
-        (LOAD, f"BED_MESH_CLEAR\n{LOAD}", False),
+        slow(LOAD, f"BED_MESH_CLEAR\n{LOAD}", False),
         # As high there by chance
-        (LOAD, "BED_MESH_OFFSET X=30", False),
+        slow(LOAD, "BED_MESH_OFFSET X=30", False),
     ],
 )
 def test_result_ends_with_another_height_of_the_mesh(
@@ -302,6 +306,7 @@ def test_result_ends_with_another_height_of_the_mesh(
     assert_right(printer)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("changes", [mesh(), {"bed_tilt": TILT}])
 def test_switch_offset_by_paper_needs_no_place_without_a_shift(start, changes):
     printer = start(changes=changes).homed()

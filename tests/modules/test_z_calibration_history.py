@@ -21,8 +21,6 @@ from tools.kit.z_calibration import (
     section,
 )
 
-pytestmark = pytest.mark.slow
-
 WORTH = re.compile(r"Z-CALIBRATION: --> new offset=(\S+) \+-(\d\.\d{3})$")
 NOZZLE = (206.0, 306.0)
 BRUSH = (120.0, 300.0)
@@ -130,6 +128,7 @@ def report_is_drawn(printer):
     assert any(t.startswith("1 runs") for t in text)
 
 
+@pytest.mark.slow
 def test_refused_run_leaves_its_reason(start):
     faults = [Fault("trigger_never", site="probe_bed", command="CALIBRATE_Z")]
     changes = {"probe": {"samples": "1"}}
@@ -156,6 +155,7 @@ def test_refused_run_leaves_its_reason(start):
 # Where it is, and what may be wrong there
 
 
+@pytest.mark.slow
 def test_history_may_be_elsewhere(start, tmp_path):
     other = tmp_path / "mine"
     options = {"history": str(other), "history_runs": "2"}
@@ -175,6 +175,7 @@ def test_history_may_be_elsewhere(start, tmp_path):
     assert not folder(printer).exists()
 
 
+@pytest.mark.slow
 def test_history_may_be_nowhere(start):
     options = {"history": "none", "samples_tolerance": "0.02", **AUTO}
     printer = start(changes=section(**options)).homed()
@@ -220,6 +221,7 @@ def test_what_is_wrong_with_the_file_never_fails_a_run(start):
     assert any(text in line for line in printer.session.console)
 
 
+@pytest.mark.slow
 def test_plate_of_the_command_and_no_times(start):
     printer = start(changes=section(history_times="False")).homed()
     printer.run('CALIBRATE_Z PLATE=" Smooth  PEI"')
@@ -230,6 +232,7 @@ def test_plate_of_the_command_and_no_times(start):
     assert printer.status("z_calibration")["history"]["runs"] == 1
 
 
+@pytest.mark.slow
 def test_position_endstop_as_the_hint_says_is_a_change(start, tmp_path):
     """Runs of before it, and five of after it: the last one tells it."""
     lower = dict.fromkeys(("nozzle", "switch", "bed"), 0.25)
@@ -268,6 +271,7 @@ def test_exchanged_nozzle_is_told_once(start, with_past, tmp_path):
     assert printer.status("z_calibration")["warnings"] == []
 
 
+@pytest.mark.slow
 def test_nozzle_of_another_tool_is_neither_dirt_nor_a_change(start, tmp_path):
     """Its own runs of before are what a run is compared with."""
     longer = {"nozzle": 0.25, "switch": 0.0, "bed": 0.0}
@@ -301,6 +305,7 @@ def test_nozzle_of_another_tool_is_neither_dirt_nor_a_change(start, tmp_path):
     assert other["temperatures"]["extruder"] == 150.0
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("residue", [0.04, 0.01])
 def test_residue_that_no_touch_flattens_is_told(start, with_past, residue):
     """Runs of before had none of it; the uncertainty contains what is in doubt."""
@@ -316,6 +321,7 @@ def test_residue_that_no_touch_flattens_is_told(start, with_past, residue):
     assert (worth > residue) == is_told
 
 
+@pytest.mark.slow
 def test_touches_that_fall_are_told_without_clean_gcode(start):
     ooze = OozeSpec(0.05, 0.7, x=BRUSH[0], y=BRUSH[1], radius=2.0)
     printer = start(
@@ -334,6 +340,7 @@ def test_touches_that_fall_are_told_without_clean_gcode(start):
 AUTO = {"samples": "auto"}
 
 
+@pytest.mark.slow
 def test_touches_follow_history_and_target(start, with_past):
     def touches(**options):
         changes = section(**AUTO, **options, **with_past())
@@ -350,12 +357,14 @@ def test_touches_follow_history_and_target(start, with_past):
     assert exact[1] < 0.0055
 
 
+@pytest.mark.slow
 def test_noise_is_averaged(start):
     printer = start(voron(0.010), changes=section(**AUTO)).homed()
     _, sites = calibration(printer)
     assert 24 <= len(sites) <= 30
 
 
+@pytest.mark.slow
 def test_what_moves_is_refused(start):
     shaky = start(voron(z_play=0.4), changes=section(**AUTO)).homed()
     shaky.machine.tolerate("nozzle_pin", 0.5)
@@ -364,6 +373,7 @@ def test_what_moves_is_refused(start):
     assert_unharmed(shaky)
 
 
+@pytest.mark.slow
 def test_target_that_steps_make_impossible_is_told_at_start(start):
     """And in the run where SAMPLES asks for it."""
     text = "target_uncertainty 0.001 is less than what steps of 0.0025 mm"
@@ -417,6 +427,7 @@ def stiff_residue(with_past):
     )
 
 
+@pytest.mark.slow
 def test_nozzle_that_departs_is_cleaned_and_all_is_measured_again(
     start, with_past
 ):
@@ -441,6 +452,7 @@ def test_nozzle_that_departs_is_cleaned_and_all_is_measured_again(
     assert "switch - nozzle is " in line["cleaned"] and line["ok"]
 
 
+@pytest.mark.slow
 def test_what_cleaning_does_not_help_is_told_after_one_time(start, with_past):
     """As an exchanged nozzle; the uncertainty contains the doubt."""
     scene, past = stiff_residue(with_past)
@@ -456,6 +468,7 @@ def test_what_cleaning_does_not_help_is_told_after_one_time(start, with_past):
     assert printer.status("z_calibration")["uncertainty"] > 0.035
 
 
+@pytest.mark.slow
 def test_nozzle_that_cannot_be_cleaned_is_refused_as_before(start):
     scene = voron(z_play=0.2)
     printer = start(scene, changes=cleaning()).homed()
@@ -465,6 +478,7 @@ def test_nozzle_that_cannot_be_cleaned_is_refused_as_before(start):
     assert_unharmed(printer)
 
 
+@pytest.mark.slow
 def test_pin_that_fails_is_no_reason_to_clean(start):
     """The first touch is higher than the second; there is no third."""
     about = {"site": "nozzle_pin", "touch": 3, "command": "CALIBRATE_Z"}
@@ -477,6 +491,7 @@ def test_pin_that_fails_is_no_reason_to_clean(start):
     assert_unharmed(printer)
 
 
+@pytest.mark.slow
 def test_cleaning_must_not_home(start):
     changes = cleaning(**AUTO)
     changes["z_calibration"]["clean_gcode"] = "\n  G28 Z"

@@ -17,8 +17,6 @@ from tools.kit.z_calibration import (
     with_moves,
 )
 
-pytestmark = pytest.mark.slow
-
 # A z_calibration without an offset of its own would say 0.16 here
 OFFSET = 0.16
 
@@ -52,6 +50,7 @@ def test_end_gcode_reads_the_result_of_its_own_run(start):
     assert printer.status("z_calibration")["last_query"] is True
 
 
+@pytest.mark.slow
 def test_what_end_gcode_adds_to_the_offset_stays(start):
     adjust = section(end_gcode="SET_GCODE_OFFSET Z_ADJUST=0.02")
     printer = start(changes=adjust).homed()
@@ -63,6 +62,7 @@ def test_what_end_gcode_adds_to_the_offset_stays(start):
     assert told in "\n".join(lines)
 
 
+@pytest.mark.slow
 def test_an_offset_that_end_gcode_resets_is_not_taken_away(start):
     # Such as that of the print before
     changes = section(end_gcode="SET_GCODE_OFFSET Z=0")
@@ -86,6 +86,7 @@ def test_an_offset_that_end_gcode_restores_is_not_added(start):
 # Errors of templates
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("template", ["start_gcode", "end_gcode"])
 def test_error_in_a_template_names_it(start, template):
     changes = macro("BROKEN", "{ action_raise_error('Probe attach failed!') }")
@@ -116,6 +117,7 @@ def test_homing_is_checked_before_start_gcode(start):
     assert "attaching" not in "\n".join(printer.session.console)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("by_macro", [False, True])
 def test_start_gcode_may_home(start, by_macro):
     changes = macro("home_it", "G28 Z")
@@ -130,6 +132,7 @@ def test_start_gcode_may_home(start, by_macro):
 # before_switch_gcode of a probe that is on the head: its words say nothing
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     ("before_switch", "start_gcode"),
     [
@@ -156,6 +159,7 @@ def test_before_switch_gcode_that_attaches_nothing(
         calibration(printer)
 
 
+@pytest.mark.slow
 def test_before_switch_gcode_that_hides_what_attaches(start):
     code = '\n  {% set name = "ATTACH_PROBE" %}\n  {name}'
     printer = start("cartesian", section(before_switch_gcode=code)).homed()
@@ -166,6 +170,7 @@ def test_before_switch_gcode_that_hides_what_attaches(start):
 # Places
 
 
+@pytest.mark.slow
 def test_the_first_way_goes_along_x_then_along_y(host):
     with Printer(host, changes={"moves": {}}, modules=with_moves()) as printer:
         printer.homed()
@@ -204,12 +209,14 @@ def test_missing_place_is_told_when_klippy_starts(start, changes, words):
     assert words in "\n".join(printer.session.console)
 
 
+@pytest.mark.slow
 def test_nothing_is_told_of_places_that_are_there(start):
     printer = start()
     printer.session.require_ready()
     assert "no place for" not in "\n".join(printer.session.console)
 
 
+@pytest.mark.slow
 def test_pressed_plunger_is_told(start):
     probe = replace(SCENES["voron"].world.mag_probe, plunger_on_pin=True)
     printer = start(SCENES["voron"].with_world(mag_probe=probe)).homed()
@@ -226,6 +233,7 @@ def test_pressed_plunger_is_told(start):
 # Samples of the bed
 
 
+@pytest.mark.slow
 def test_the_bed_is_sampled_as_the_section_says(start):
     printer = start(changes=section(samples="2")).homed()
     _, sites = calibration(printer)

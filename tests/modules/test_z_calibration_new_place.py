@@ -58,6 +58,7 @@ def test_probe_of_a_dock(start, is_put_on):
 
 
 # Nobody knows how high it is, and position_min is 5 mm below the bed
+@pytest.mark.slow
 @pytest.mark.parametrize("is_on_head", [True, False])
 def test_pin_of_its_own(start, is_on_head):
     changes = {"bed_mesh": bed_mesh("30, 30", "270, 240")}
@@ -165,6 +166,7 @@ def test_body_over_the_bed(start):
 # Over the pin: nothing is refused
 
 
+@pytest.mark.slow
 @pytest.mark.every_host("only Kalico has a dockable_probe")
 @pytest.mark.parametrize("auto", ["True", slow("False")])
 def test_dock_that_the_host_has(start, host, auto):
@@ -193,6 +195,7 @@ def test_switch_in_a_dock_that_is_normally_open(start):
 
 
 # One on a servo, which reads attached all the time
+@pytest.mark.slow
 @pytest.mark.every_host(
     "hosts differ in when a session ends, and with it deactivate_gcode"
 )
@@ -228,6 +231,7 @@ def test_switch_that_opens_late(start):
 
 
 # A tool whose nozzle is 2 mm longer, and which stands elsewhere
+@pytest.mark.slow
 @pytest.mark.parametrize("scene", ["voron", slow("separate_pin")])
 def test_longer_tool(start, tmp_path, scene):
     heat = tmp_path / "temp"

@@ -154,6 +154,7 @@ def test_bed_position_falls_back_to_the_mesh(host, option, value, point):
         assert printer.gap(point) == pytest.approx(0.06, abs=0.005)
 
 
+@pytest.mark.slow
 def test_the_meshs_point_is_read_at_every_run(host, tmp_path):
     code = """
 def adapt(gcmd):
@@ -199,6 +200,7 @@ def test_the_meshs_point_on_an_old_host(start, tmp_path, index):
     assert "or relative_reference_index in section 'bed_mesh'" in message
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     ("bed", "zero", "is_told"),
     [
@@ -534,6 +536,7 @@ def test_floor_of_the_switch(start, options, floor):
     assert "looking at the bed how long the probe is" in console
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     ("options", "below"),
     [({}, 1.0), ({"offset_margins": "-0.4,1"}, 0.4)],
@@ -740,6 +743,7 @@ def test_samples_of_one_command(start, samples, params, count):
     assert (IDLE in lines) is (count == AT_FIRST)
 
 
+@pytest.mark.slow
 def test_tolerance_and_result_of_one_command(start):
     # One of three samples is 0.05 mm off
     about = {"site": "probe_bed", "touch": 2, "command": "CALIBRATE_Z"}
@@ -977,6 +981,7 @@ def test_pin_of_its_own_is_looked_for_down_to_position_min_once(
     assert_unharmed(printer)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("between", ["", "G28\n", "M84\nG28\n"])
 def test_pin_of_its_own_is_known_after_a_good_run(start, tmp_path, between):
     printer = start("separate_pin", proven(tmp_path))

@@ -54,6 +54,7 @@ def test_head_over_the_pin_is_not_lifted_first(watched):
     assert ends(printer)[0][2] < HOMED_Z
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     "place", ["Z3", "X205.5", "Y305.5"], ids=["low", "beside", "behind"]
 )
@@ -86,6 +87,7 @@ def test_probe_is_looked_at_when_its_owner_has_attached_it(start):
 LONGEST = 22.5
 
 
+@pytest.mark.slow
 @pytest.mark.every_host("hosts wait for what boards tell at times of their own")
 def test_count_takes_as_long_as_configured(start):
     """Whenever it begins: hosts wait for what boards tell at their own times."""
@@ -122,6 +124,7 @@ def test_bed_is_looked_for_only_where_nobody_has_met_the_pin(start):
     assert first > 20 and second == 6
 
 
+@pytest.mark.slow
 def test_place_of_the_pin_is_known_from_the_history(start):
     """Of one of its own nobody else knows; the probe is asked on the way down."""
     printer = start("separate_pin").homed()
@@ -138,6 +141,7 @@ def test_way_down_to_the_pin_is_one_move_with_the_first_touch(start):
     assert armings(start().homed()) == {"z_endstop": 6, "probe": 4}
 
 
+@pytest.mark.slow
 def test_way_down_is_a_move_of_its_own_where_homing_moves_are_not_known(
     start, tmp_path
 ):
@@ -162,6 +166,7 @@ def test_pin_is_met_where_the_way_down_ends(start, below):
     assert printer.machine.truth.depth("body_pin") <= 0.02
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("mm", [3.7, 2.998])
 def test_what_bounces_on_the_way_down_is_no_sample(start, mm):
     """Nor where it ends, and the head stands before the touch begins."""

@@ -806,6 +806,7 @@ STRANGE = {
 }
 
 
+@pytest.mark.slow
 @pytest.mark.every_host("each host has other objects behind its probe")
 @pytest.mark.parametrize(("code", "words"), STRANGE.values(), ids=STRANGE)
 def test_host_that_is_not_as_expected(host, tmp_path, code, words):
@@ -817,6 +818,7 @@ def test_host_that_is_not_as_expected(host, tmp_path, code, words):
         assert "Internal error" not in message
 
 
+@pytest.mark.slow
 @pytest.mark.every_host(
     "what a probing move gives goes through other hands on each host"
 )

@@ -221,6 +221,7 @@ def body_triggers_early(printer, mm):
         )
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("longer", [0.7, 1.5])
 def test_longer_nozzle_without_homing(start, longer):
     # The body is that much lower, below what the last run lets expect
@@ -394,7 +395,8 @@ def test_result_is_valid_until_z_moves(start, script, reason):
         assert validity(printer) == (True, "")
 
 
-# Hosts before 2024-12 know nothing of the parameter
+@pytest.mark.slow
+@pytest.mark.every_host("hosts before 2024-12 know nothing of the parameter")
 @pytest.mark.parametrize("word", ["CLEAR", "CLEAR_HOMED"])
 def test_result_is_not_valid_where_nobody_knows_z(start, word):
     printer = stale(start, 0.05)
@@ -677,6 +679,7 @@ def test_probe_that_falls_off(host, site, touch, when):
         assert_unharmed(printer)
 
 
+@pytest.mark.slow
 def test_lost_connection_is_the_only_end_of_the_printer(start):
     # Measured once to know when
     printer = start("voron_two_boards")

@@ -33,7 +33,6 @@ def pending(printer):
     return printer.status("configfile")["save_config_pending_items"]
 
 
-@pytest.mark.every_host("Kalico's SAVE_CONFIG is another one than Klipper's")
 def test_from_an_empty_section_to_the_true_gap(start):
     # Z is homed beside the middle of the pin, and the nozzle stays on it
     home = {"home_xy_position": "227.3, 20.4", "z_hop": None}
@@ -624,6 +623,7 @@ def test_probe_that_nobody_puts_away_is_not_on_for_the_nozzle(start):
 
 # start_gcode brings it, and nobody takes it off: it stays on at the nozzle, beside
 # which there is no bed
+@pytest.mark.slow
 def test_probe_that_is_there_for_all_sites(start):
     hooks = {
         "start_gcode": "\n  ATTACH_PROBE",
@@ -725,6 +725,7 @@ def test_one_look_at_all_places(start):
     assert "Now the plunger" not in user.dialog().text
 
 
+@pytest.mark.slow
 def test_save_that_fails_loses_nothing(start):
     changes = empty()
     changes["gcode_macro SAVE_CONFIG"] = {
@@ -761,6 +762,7 @@ def test_save_that_fails_loses_nothing(start):
     assert own["switch_xy_position"] == pytest.approx((254.0, 18.0), abs=0.06)
 
 
+@pytest.mark.slow
 @pytest.mark.every_host(
     "SAVE_CONFIG and Z_OFFSET_APPLY_PROBE are each host's own"
 )
@@ -812,6 +814,7 @@ def test_another_value_that_cannot_be_saved(start, tmp_path):
     assert settings["z_calibration"]["switch_xy_position"] == [254.0, 18.0]
 
 
+@pytest.mark.slow
 @pytest.mark.every_host("only Kalico's SAVE_CONFIG writes into included files")
 def test_option_in_an_include_that_the_host_writes(start, host, tmp_path):
     """Kalico's SAVE_CONFIG reaches it where it is told to, no other one does."""
@@ -830,6 +833,7 @@ def test_option_in_an_include_that_the_host_writes(start, host, tmp_path):
     assert (text in user.dialog().text) is not is_written
 
 
+@pytest.mark.slow
 @pytest.mark.every_host(
     "only Kalico reads and writes included files of any depth"
 )

@@ -153,6 +153,7 @@ def test_homing_that_ends_with_levelling(start):
     user.printer.machine.truth.require_no_crash()
 
 
+@pytest.mark.slow
 def test_heights_that_hold_no_more_are_no_floor(start):
     changes = {**section(**EMPTY, endstop_pin="^PC2"), **OWN_PIN, **LEVEL}
     user = begun(start, tilted(DOCK), changes)

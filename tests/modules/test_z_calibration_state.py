@@ -91,6 +91,7 @@ def test_offset_is_zero_while_a_command_runs(start):
     assert printer.offset() == pytest.approx(0.25)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("command", ["CALIBRATE_Z", "CALIBRATE_Z_ACCURACY"])
 def test_offset_and_states_are_as_before_after_a_failure(start, command):
     changes = section(start_gcode="SET_GCODE_OFFSET Z=0.3")

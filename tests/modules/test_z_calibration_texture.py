@@ -23,8 +23,6 @@ from tools.kit.z_calibration import (
     with_moves,
 )
 
-pytestmark = pytest.mark.slow
-
 MIDDLE = (152.0, 125.25)
 
 
@@ -74,6 +72,7 @@ def test_each_touch_is_at_a_point_of_its_own(start, first_fast):
     )
 
 
+@pytest.mark.slow
 def test_texture_is_no_reason_to_begin_again_and_is_averaged(start):
     options = {"samples": "9", "samples_tolerance": "0.01"}
     options["samples_tolerance_retries"] = "0"
@@ -93,6 +92,7 @@ def test_texture_is_no_reason_to_begin_again_and_is_averaged(start):
     assert spread < 0.009 < single
 
 
+@pytest.mark.slow
 def test_more_than_texture_is_refused(start):
     scene = SCENES["voron"].with_world(
         bed=replace(SCENES["voron"].world.bed, texture=TextureSpec(sigma=0.2))
@@ -103,6 +103,7 @@ def test_more_than_texture_is_refused(start):
     assert "samples_tolerance is 0.1100 mm" in message
 
 
+@pytest.mark.slow
 def test_with_auto_there_are_as_many_as_texture_needs(start):
     changes = section(bed_spread="3", samples="auto")
     printer = start(rough(1), changes=changes).homed()
@@ -111,6 +112,7 @@ def test_with_auto_there_are_as_many_as_texture_needs(start):
     assert printer.status("z_calibration")["uncertainty"] > 0.008
 
 
+@pytest.mark.slow
 def test_accuracy_asks_for_one_point(start):
     printer = start(rough(1), changes=section(bed_spread="3")).homed()
     printer.run("CALIBRATE_Z_ACCURACY CYCLES=2")
@@ -119,6 +121,7 @@ def test_accuracy_asks_for_one_point(start):
     assert points == [pytest.approx(MIDDLE, abs=0.06)] * len(points)
 
 
+@pytest.mark.slow
 def test_history_keeps_where_it_was(start):
     printer = start(changes=section(bed_spread="3", samples="4")).homed()
     printer.run("CALIBRATE_Z")
@@ -137,6 +140,7 @@ def test_history_keeps_where_it_was(start):
     assert "Where the bed was touched" in report.read_text()
 
 
+@pytest.mark.slow
 def test_history_of_one_point_says_nothing_of_many(start, tmp_path):
     """Texture would be more than its touches vary, and the +- that of them."""
     changes = section(bed_spread="3", samples="9", history=str(tmp_path))
@@ -156,6 +160,7 @@ def test_history_of_one_point_says_nothing_of_many(start, tmp_path):
     assert worth["many"] != pytest.approx(worth["no bed"], rel=0.1)
 
 
+@pytest.mark.slow
 def test_dock_beside_the_points_is_gone_around(start):
     """Where the straight way from one to the next crosses its circle."""
     dock, away, middle = (50.0, 296.0), 38.0, (50.0, 255.0)
@@ -212,12 +217,14 @@ REFUSED = {
 }
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("name", REFUSED)
 def test_what_no_touch_may_do_is_refused(host, name):
     options, words = REFUSED[name]
     assert words in refusal(host, section(**options))
 
 
+@pytest.mark.slow
 def test_a_point_that_comes_with_the_command_is_looked_at_as_well(start):
     printer = start(changes=section(bed_spread="3")).homed()
     message = printer.fail("CALIBRATE_Z BED_POSITION=150,26")

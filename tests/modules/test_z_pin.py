@@ -87,6 +87,7 @@ def test_how_near_the_pin(start, away, is_over):
 
 # A switch of the axis, which is everywhere, also where Z is homed over the mesh; and
 # one at its other end
+@pytest.mark.slow
 @pytest.mark.parametrize(
     ("mesh_min", "floor"), [("5, 5", -0.1), ("60, 60", 1.0)]
 )
@@ -105,6 +106,7 @@ def test_homed_over_the_mesh_is_no_pin(start, mesh_min, floor):
 
 
 # The bed may be lower than the owner believes, by as much as a pin is too high
+@pytest.mark.slow
 @pytest.mark.parametrize("low", [0.0, 1.9])
 def test_bed_below_where_the_pin_puts_it(start, low):
     bed = replace(SWITCH.world.bed, z0=SWITCH.world.bed.z0 - low)
@@ -115,6 +117,7 @@ def test_bed_below_where_the_pin_puts_it(start, low):
     assert printer.machine.truth.crashes() == []
 
 
+@pytest.mark.slow
 def test_dead_sensor_where_z_is_homed_on_a_switch(start):
     fault = Fault("stuck_open", site="nozzle_bed")
     printer = ready(start, faults=[fault])

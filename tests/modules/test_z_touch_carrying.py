@@ -33,6 +33,7 @@ TOUCHES = {
     "AUTO_Z_CALIBRATE": "AUTO_Z_CALIBRATE",
     "PROBE_Z_ACCURACY": "PROBE_Z_ACCURACY SAMPLES=2",
 }
+USUAL = ("EXTRA_PROBE", "AUTO_Z_CALIBRATE")
 # How the probe comes to be on the head, and options for it
 REASONS = {
     "held": ({}, "ATTACH_PROBE"),
@@ -53,7 +54,7 @@ def untouched(printer):
     return pressed(printer) < 0.2 and printer.machine.truth.crashes() == []
 
 
-@pytest.mark.parametrize("touch", TOUCHES)
+@pytest.mark.parametrize("touch", all_slow_but(USUAL, TOUCHES))
 @pytest.mark.parametrize("reason", ["held", slow("delayed")])
 def test_probe_is_docked_before_the_nozzle_goes_down(start, reason, touch):
     options, fetch = REASONS[reason]
@@ -103,6 +104,7 @@ def test_touch_is_refused_where_no_trips_are_wanted(start, touch):
 
 
 # Nozzle and probe take turns there
+@pytest.mark.slow
 @pytest.mark.parametrize("touch", ["AUTO_Z_MEASURE_OFFSET", "AUTO_Z_CALIBRATE"])
 @pytest.mark.parametrize("before", ["ATTACH_PROBE", "DETACH_PROBE"])
 def test_both_touch_only_with_trips(start, before, touch):
@@ -288,6 +290,7 @@ def test_probe_of_macros_is_told_before_the_nozzle_goes_down(start, is_on):
 
 
 # Older hosts stay active when the way to the next screw has failed
+@pytest.mark.slow
 @pytest.mark.every_host(
     "older hosts stay active when the way to the next screw has failed"
 )
@@ -381,6 +384,7 @@ ENDED = {
 }
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("end", ENDED)
 def test_probe_that_is_held_stays_on_after_a_twist(start, end):
     script, is_done = ENDED[end]
@@ -501,6 +505,7 @@ def test_question_of_one_section_stops_the_others(start, section):
 
 
 # Its set-up may have a sheet of paper on the bed, which the probe would measure
+@pytest.mark.slow
 @pytest.mark.parametrize(
     "command",
     ["CALIBRATE_Z", "CALIBRATE_Z_ACCURACY CYCLES=2", "PROBE_Z_ACCURACY"],
@@ -522,6 +527,7 @@ def test_set_up_stops_what_is_no_part_of_it(start, command):
 
 
 # Nobody's end_gcode and error_gcode move a head that has not moved
+@pytest.mark.slow
 @pytest.mark.parametrize(
     "ask", [f"EXTRA_PROBE_CALIBRATE {MEMBRANE}", "MANUAL_PROBE"]
 )

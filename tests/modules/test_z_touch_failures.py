@@ -83,6 +83,7 @@ def test_lost_message_is_no_missing_trigger(host):
         calibration(printer)
 
 
+@pytest.mark.slow
 def test_lost_message_near_the_start_is_no_pressed_switch(host):
     # Samples begin 0.4 mm above the last trigger, and the pin is pressed when
     # the motors stop
@@ -99,6 +100,7 @@ def test_lost_message_near_the_start_is_no_pressed_switch(host):
     assert "(stopped at" in text
 
 
+@pytest.mark.slow
 def test_lost_message_while_the_host_probes(host):
     with Printer(host, "qidi_two_boards") as printer:
         printer.homed().run("AUTO_Z_MEASURE_OFFSET")

@@ -246,6 +246,7 @@ def new_name(clone):
 UPDATES = {f.__name__: f for f in (comment, new_name)}
 
 
+@pytest.mark.slow
 @pytest.mark.every_host(
     "Kalico of 2023-11 to 2026-01 runs a plugin again at each RESTART"
 )
@@ -319,6 +320,7 @@ def new_room(clone):
 HARMLESS = {f.__name__: f for f in (touched, not_loaded, new_room)}
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("update", HARMLESS.values(), ids=HARMLESS)
 def test_section_added_where_all_that_is_loaded_is_there(home, update):
     clone = home.clone("clone")

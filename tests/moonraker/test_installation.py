@@ -35,6 +35,7 @@ def test_moonraker_has_nothing_to_complain_of(lab):
     assert "update_manager" in info["components"]
 
 
+@pytest.mark.slow
 def test_checkout_is_valid_and_pristine(lab):
     status = refreshed(lab)
     assert status["remote_url"] == f"file://{lab.directory}/origin.git"

@@ -58,9 +58,6 @@ def test_good_run_of_every_command(start):
     assert done | go_well(printer, LAST) == ours(printer) - GUARDED
 
 
-@pytest.mark.every_host(
-    "the least that each host has to refuse: every command once"
-)
 def test_bad_run_of_every_command(start):
     printer = started(start, "qidi", {})
     assert go_wrong(printer, BAD) == ours(printer) - GUARDED

@@ -128,9 +128,6 @@ def test_good_run_of_every_command(start):
     assert printer.machine.truth.min_gap == pytest.approx(HANG, abs=0.02)
 
 
-@pytest.mark.every_host(
-    "the least that each host has to refuse: every command once"
-)
 def test_bad_run_of_every_command(start):
     changes = {**section(dock_retries="0", **QUICK), **WITHOUT_TWIST}
     printer = started(start, GANTRY, changes)

@@ -67,9 +67,6 @@ def test_good_run_of_every_command(start):
     assert true_gap(printer) == pytest.approx(0.0, abs=2 * MICROSTEP)
 
 
-@pytest.mark.every_host(
-    "the least that each host has to refuse: every command once"
-)
 def test_bad_run_of_every_command(start):
     printer = started(start, "membrane", {})
     assert go_wrong(printer, BAD) == ours(printer) - GUARDED

@@ -74,9 +74,6 @@ def test_good_run_of_every_command(start):
     assert printer.gap() == pytest.approx(gap, abs=2 * MICROSTEP)
 
 
-@pytest.mark.every_host(
-    "the least that each host has to refuse: every command once"
-)
 def test_bad_run_of_every_command(start):
     changes = section(history="none", save_button="switch_offset")
     printer = started(start, "voron", changes)

@@ -13,7 +13,7 @@ from tools.kit.cases import all_slow_but
 from tools.kit.printer import ROOT, module_files
 
 TOGETHER = 10
-USUAL = range(1, 21, TOGETHER)
+USUAL = range(1, 11, TOGETHER)
 DOCK = Owned(names=frozenset({"pause"}), too_high=0.1, bow=-0.2)
 AGAIN, FIXED = "CALIBRATE_Z", "SET_GCODE_OFFSET Z=0.05"
 # The probe that its owner has fetched would meet the bed first
