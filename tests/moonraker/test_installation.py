@@ -9,9 +9,6 @@ from tests.moonraker.updates import calibrated, refreshed, restarted
 from tools.kit.printer import FOLDER, MODULES
 
 
-@pytest.mark.every_host(
-    "Kalico has another folder for modules, and a dockable_probe"
-)
 def test_klippy_has_the_modules_of_the_checkout(lab):
     # Where the host has a dockable_probe of its own, it stays
     kept = lab.klipper / "klippy" / "extras" / "dockable_probe.py"
