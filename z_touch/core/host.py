@@ -69,6 +69,11 @@ class Host(object):
         state = status.get("state", "")
         return state if state in ("printing", "paused") else ""
 
+    # Klippy writes what it would send into a file, as in its own tests: no switch
+    # answers then, and nothing moves.
+    def is_file_output(self):
+        return self.printer.lookup_object("mcu").is_fileoutput()
+
     # What Kalico does with includes: "**" stands for any depth of folders since
     # 2024-04-10 (c906c80a0), but for its SAVE_CONFIG, which writes options that sit
     # in included files since 2024-02-17 (09b9319ca), where it is told to

@@ -440,6 +440,8 @@ class NozzleMeasurement(Measurement):
         homed_z, z = self.settings.position_endstop, self.head.pressed_z
         if None in (homed_z, z) or z <= homed_z + HANGS_BELOW:
             return
+        if self.host.is_file_output():
+            return
         # A switch that is stuck has met nothing
         self.lift_clear()
         self.check_pin_open(self.host.after_moves())
