@@ -39,6 +39,8 @@ class Terminal:
             start_new_session=True,
         )
         self.pid = self._popen.pid
+        # Of all that it has started, as far as that was looked at
+        self._sessions = {self.pid}
         os.set_blocking(self._popen.stdout.fileno(), False)
         self.output = ""
         self.config: Optional[Path] = None
@@ -97,16 +99,33 @@ class Terminal:
 
     def processes(self) -> list[str]:
         """The command lines of all that it has started and that lives."""
-        found = []
+        living: dict[int, tuple[int, int, str]] = {}
         for folder in Path("/proc").glob("[0-9]*"):
+            pid = int(folder.name)
             try:
                 words = (folder / "cmdline").read_bytes()
-                session = os.getsid(int(folder.name))
+                status = (folder / "status").read_text()
+                session = os.getsid(pid)
             except OSError:
                 continue
-            if session == self.pid and words:
-                found.append(words.replace(b"\0", b" ").decode())
-        return found
+            parent = int(re.search(r"^PPid:\s*(\d+)", status, re.M)[1])
+            if words:
+                told = words.replace(b"\0", b" ").decode()
+                living[pid] = (parent, session, told)
+        # Klippy leads a session of its own, and outlives its parent if it is let
+        begun = len(self._sessions) - 1
+        while begun < len(self._sessions):
+            begun = len(self._sessions)
+            self._sessions |= {
+                session
+                for parent, session, _ in living.values()
+                if parent in living and living[parent][1] in self._sessions
+            }
+        return [
+            told
+            for _, session, told in living.values()
+            if session in self._sessions
+        ]
 
     def end(self, number: int) -> int:
         """Send a signal to every process of the terminal; the exit code.
@@ -118,6 +137,7 @@ class Terminal:
 
     def assert_ends(self, number: int) -> None:
         """With it goes all that it has started, and its folder."""
+        assert self.processes() != []
         assert self.end(number) == 0
         assert self.output.endswith("ended\n")
         assert self.processes() == []
