@@ -34,36 +34,41 @@
 #
 # The correction belongs to the probe, not to the homing: the next G28 with
 # this probe makes it right again.
-from __future__ import absolute_import
-
 import logging
+import sys
 import traceback
 
 __version__ = "1.0.0"
 
 # Why this module cannot be used, for the user and for klippy.log; empty: it can
-FAULT, TRACE, copies = "", "", None
-try:
-    if "plugins" in __name__.split("."):
-        # Kalico since 2026-01-02 (2c9b0b4de); the folder is in klippy/extras
-        from ..extras.z_touch.core import copies
-        from ..extras.z_touch.auto_z_offset import module
-    else:
-        from .z_touch.core import copies
-        from .z_touch.auto_z_offset import module
-except Exception as e:  # noqa: BLE001
-    # Whatever it is: klippy would call it internal, or not tell what it is
-    TRACE, what = traceback.format_exc(), "cannot be loaded (%s)" % (e,)
-    if str(e).endswith(("z_touch'", "named z_touch.core")):
-        what = "is not in klippy/extras"
+FAULT, TRACE = "", ""
+if sys.version_info < (3, 8):
     FAULT = (
-        "the folder z_touch that belongs to this module %s; run install.sh"
-        " again, or copy all of z_touch to klippy/extras, then restart the"
-        " Klipper service" % (what,)
+        "this module needs Python 3.8 or newer, and this Klipper runs on %d.%d;"
+        " install Klipper anew, as KIAUH does, on a system that has it"
+        % sys.version_info[:2]
     )
-if copies is not None:
-    # Also where a room was not loaded: its core may be of before an update
-    FAULT = copies.why_mixed(__file__, __version__) or FAULT
+else:
+    try:
+        if "plugins" in __name__.split("."):
+            # Kalico since 2026-01-02 (2c9b0b4de); the folder is in klippy/extras
+            from ..extras.z_touch import why_apart
+            from ..extras.z_touch.auto_z_offset import module
+        else:
+            from .z_touch import why_apart
+            from .z_touch.auto_z_offset import module
+
+        FAULT = why_apart(__file__, __version__)
+    except Exception as e:  # noqa: BLE001
+        # Whatever it is: klippy would call it internal, or not tell what it is
+        TRACE, what = traceback.format_exc(), "cannot be loaded (%s)" % (e,)
+        if str(e).endswith("z_touch'"):
+            what = "is not in klippy/extras"
+        FAULT = (
+            "the folder z_touch that belongs to this module %s; run install.sh"
+            " again, or copy all of z_touch to klippy/extras, then restart the"
+            " Klipper service" % (what,)
+        )
 
 
 def load_config(config):

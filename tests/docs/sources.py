@@ -103,7 +103,7 @@ def imported(path: Path, node: ast.ImportFrom) -> list[Path]:
     if node.module is not None:
         folder = folder.joinpath(*node.module.split("."))
     files = [folder / f"{alias.name}.py" for alias in node.names]
-    return [folder.with_suffix(".py"), *files]
+    return [folder.with_suffix(".py"), folder / "__init__.py", *files]
 
 
 def is_silent(node: ast.AST) -> bool:
@@ -129,6 +129,13 @@ def texts(node: ast.AST) -> Iterator[str]:
         return
     if isinstance(node, ast.Constant) and isinstance(node.value, str):
         yield node.value
+    if isinstance(node, ast.JoinedStr):
+        parts = (
+            p.value if isinstance(p, ast.Constant) else VALUE
+            for p in node.values
+        )
+        yield "".join(map(str, parts))
+        return
     for inner in ast.iter_child_nodes(node):
         yield from texts(inner)
 

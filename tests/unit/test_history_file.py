@@ -7,14 +7,12 @@ import math
 import os
 import random
 import resource
-import subprocess
 import threading
 import time
 
 import pytest
 
 from tests.unit.stretches import AT_A_STRETCH, Stretches
-from tests.unit.test_doors import ROOT, python2
 from tools.kit.runs import make_run, make_runs
 from z_touch.history import file as history
 
@@ -374,46 +372,6 @@ def test_line_is_written_when_the_reactor_has_gone(file):
     owner.history.add(make_run(random.Random(1)))
     owner.reactor.run()
     assert len(whole(file)) == 1
-
-
-NOT_ASCII = r"""# coding: utf-8
-from __future__ import print_function, unicode_literals
-import sys, time
-from z_touch.history import file as history
-folder, record = sys.argv[1], __import__("json").loads(sys.stdin.read())
-path = history.as_text(folder + b"/\xc3\xbcn\xc3\xafque/printer.cfg")
-class Reactor(object):
-    def register_async_callback(self, callback):
-        callback(0.0)
-def begin():
-    file = history.File(folder, 10, path)
-    found = history.History(Reactor(), file, path, print)
-    found.begin()
-    time.sleep(0.3)
-    return found
-assert history.as_text(ValueError(b"h\xc3\xb6he")) == b"h\xc3\xb6he".decode("utf-8")
-error = ValueError(b"bett h\xc3\xb6he".decode("utf-8"))
-record["reason"] = history.as_text(error)
-record["plate"] = history.as_text(b"gl\xc3\xa4tte")
-begin().add(record)
-time.sleep(0.5)
-found = begin()
-run = found.runs[-1]
-print(len(found.runs), repr(run["reason"]), run["plate"] == record["plate"])
-"""
-
-
-def test_names_that_are_not_ascii_on_python_2(tmp_path):
-    done = subprocess.run(
-        [python2(), "-c", NOT_ASCII, str(tmp_path)],
-        cwd=ROOT,
-        env={**os.environ, "PYTHONDONTWRITEBYTECODE": "1"},
-        input=json.dumps(make_run(random.Random(1))),
-        capture_output=True,
-        encoding="utf-8",
-        check=False,
-    )
-    assert done.stdout == "1 u'bett h\\xf6he' True\n", done.stderr
 
 
 def test_records_of_a_site():

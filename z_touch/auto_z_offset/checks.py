@@ -1,6 +1,5 @@
 # What [auto_z_offset] needs of the printer, looked at when klippy connects.
 # Copyright (C) 2026  the Z calibration developers, under the GNU GPLv3
-from __future__ import absolute_import
 
 from ..core.errors import CalibrationError
 from . import shifts

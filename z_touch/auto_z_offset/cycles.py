@@ -1,6 +1,5 @@
 # The cycles of one AUTO_Z_CALIBRATE, and what becomes of them.
 # Copyright (C) 2026  the Z calibration developers, under the GNU GPLv3
-from __future__ import absolute_import
 
 from ..core import errors
 from ..core.sampling import collect, summarize
@@ -20,7 +19,7 @@ def formula(name, result):
 
 # Bed sensor, then probe, over one point, again and again: corrections are
 # sampled as heights are, with a tolerance of their own.
-class Cycles(object):
+class Cycles:
     # 'run' measures, 'expectations' know the frame; 'bed' is the site.
     def __init__(self, run, settings, expectations, bed):
         self.run = run

@@ -1,7 +1,6 @@
 # What is known before a touch: the probe's correction, and where the bed sensor
 # should trigger.
 # Copyright (C) 2026  the Z calibration developers, under the GNU GPLv3
-from __future__ import absolute_import
 
 from ..core import options
 from ..core.errors import CalibrationError
@@ -23,7 +22,7 @@ SAVED_DIGIT = 0.000001
 
 
 # By how much the probe is wrong (mm): as it was saved, or measured since.
-class Correction(object):
+class Correction:
     def __init__(self, host, settings):
         self.host = host
         # z_offset of the probe that it was measured with; None: not known
@@ -78,7 +77,7 @@ class Correction(object):
 
 # Where the bed is expected: from touches, from the correction, and from how Z
 # was homed.
-class Expectations(object):
+class Expectations:
     def __init__(self, host, settings, correction):
         self.host = host
         self.settings = settings

@@ -12,7 +12,6 @@
 #            :
 #     low   ___   a sensor that is later than this is dead: the floor,
 #                 unless the head needs more room to brake
-from __future__ import absolute_import, division
 
 import collections
 import math

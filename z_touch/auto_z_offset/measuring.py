@@ -1,7 +1,6 @@
 # One measurement over a point of the bed: the nozzle on the bed until the sensor
 # below it triggers, then the probe above the same point.
 # Copyright (C) 2026  the Z calibration developers, under the GNU GPLv3
-from __future__ import absolute_import
 
 import functools
 
@@ -37,7 +36,7 @@ TOO_LOW = (
 
 
 # The sensor below the bed, which stops the Z motors.
-class BedSensor(object):
+class BedSensor:
     def __init__(self, config, host, pin):
         self.host = host
         self.pin = pin
@@ -68,7 +67,7 @@ class BedSensor(object):
 
 # Where the nozzle touches: at one site or, with a radius (mm), each time at another
 # point around it.
-class Points(object):
+class Points:
     def __init__(self, site, radius=0.0):
         self.site = site
         self.radius = radius
@@ -92,7 +91,7 @@ class Points(object):
 
 
 # The nozzle on the bed, over the first of the Points.
-class SensorMeasurement(object):
+class SensorMeasurement:
     # 'watch' is told of every touch; 'expected' is what is known of the bed.
     def __init__(self, sensor, settings, watch, points, expected):
         self.host = sensor.host
@@ -220,7 +219,7 @@ class SensorMeasurement(object):
 
 # The inductive probe over the same point of the bed, through the host's own
 # probing, told where to end.
-class ProbeMeasurement(object):
+class ProbeMeasurement:
     def __init__(self, host, settings, watch):
         self.host = host
         self.settings = settings
@@ -298,7 +297,7 @@ class ProbeMeasurement(object):
 
 # What is known of the bed: toolhead Z (mm), None where nobody knows; it follows what the
 # run learns.
-class BedHeights(object):
+class BedHeights:
     def __init__(self):
         # Where the sensor should trigger
         self.expected = heights.NOTHING_EXPECTED
@@ -323,7 +322,7 @@ class BedHeights(object):
 
 
 # The head above the bed, from place to place
-class Travel(object):
+class Travel:
     def __init__(self, host, settings):
         self.host = host
         self.settings = settings
@@ -357,7 +356,7 @@ class Travel(object):
 
 
 # One command: goes to the bed, prepares the sensor, measures, lifts.
-class Run(object):
+class Run:
     # 'expectations' tell where the bed is; None: whatever was changed since, nothing
     # is expected.
     def __init__(self, sensor, settings, watch, expectations):

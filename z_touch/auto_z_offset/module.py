@@ -1,7 +1,6 @@
 # The object behind [auto_z_offset]: commands, status, and how its parts are put
 # together.
 # Copyright (C) 2026  the Z calibration developers, under the GNU GPLv3
-from __future__ import absolute_import
 
 import functools
 import logging
@@ -20,7 +19,7 @@ from .sites import bed_site, probe_site
 
 
 # The object behind [auto_z_offset].
-class AutoZOffset(object):
+class AutoZOffset:
     def __init__(self, config):
         logging.info("auto_z_offset %s", __version__)
         self.printer = config.get_printer()

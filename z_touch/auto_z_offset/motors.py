@@ -1,7 +1,6 @@
 # How gently the Z motors move while something is touched: acceleration and
 # current.  It knows how hosts differ in their motor drivers, and asks the object.
 # Copyright (C) 2026  the Z calibration developers, under the GNU GPLv3
-from __future__ import absolute_import
 
 import contextlib
 import functools
@@ -50,7 +49,7 @@ def limited_accel(host, accel):
 
 # Z motors whose current may be changed, as (name for SET_TMC_CURRENT, driver):
 # those that move nothing else and whose TMC driver tells its current.
-class Motors(object):
+class Motors:
     def __init__(self, host):
         self.host = host
         self.gcode = host.gcode

@@ -4,7 +4,6 @@
 # The correction makes the gap right as long as Z is shifted there by where the probe
 # says that the bed is, and by nothing else: by 0 after homing with it, by the
 # height of its own mesh where that has no zero.
-from __future__ import absolute_import, division
 
 # From here on (mm) it is told: with the noise of both sensors on top, what is not told
 # is less than 0.02.

@@ -1,7 +1,6 @@
 # Where the head stands to measure, and whether it can: the nozzle over a point
 # of the bed, then the probe over the same point.
 # Copyright (C) 2026  the Z calibration developers, under the GNU GPLv3
-from __future__ import absolute_import, division
 
 from ..core import touching
 

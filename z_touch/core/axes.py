@@ -1,6 +1,5 @@
 # The axes of the printer: what drives them, how far they reach, where Z is homed.
 # Copyright (C) 2026  the Z calibration developers, under the GNU GPLv3
-from __future__ import absolute_import, division
 
 import collections
 import functools
@@ -79,7 +78,7 @@ def check_z_axis(config, z_axis):
 
 # The axes as the kinematics of the host drive them; but for z_axis they can be asked
 # from klippy:connect on.
-class Axes(object):
+class Axes:
     # 'host': host.Host, which is connected later
     def __init__(self, config, host):
         self.host = host

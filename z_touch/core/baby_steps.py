@@ -1,6 +1,5 @@
 # What is taken for a baby step of the G-code Z offset.
 # Copyright (C) 2026  the Z calibration developers, under the GNU GPLv3
-from __future__ import absolute_import
 
 # A change of more than this (mm) is another offset, or a typing error.
 LARGEST_STEP = 0.5

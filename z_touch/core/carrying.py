@@ -17,7 +17,6 @@
 #                           the probe on to stay; was_docked: where it was then
 #   fetch()                 on the head afterwards, to stay; or an error
 #   go_to(x, y, speed)      around the dock, and to the very place
-from __future__ import absolute_import
 
 from . import host_dock, touching
 from .errors import CalibrationError
@@ -40,7 +39,7 @@ def of(printer):
 
 
 # One for a printer: each section tells it, and asks it, what is on the head
-class Carrying(object):
+class Carrying:
     def __init__(self, printer):
         self.printer = printer
         # The carrier of our [dockable_probe]; None: there is none

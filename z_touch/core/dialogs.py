@@ -16,7 +16,6 @@
 #
 # The G-code of a button waits for the command that is running: a command asks,
 # and ends; another one goes on.
-from __future__ import absolute_import
 
 from . import carrying
 from .errors import CalibrationError
@@ -51,7 +50,7 @@ END = PREFIX + "end"
 
 # 'command' is the G-code of the beginning and of both answers: it has %s for
 # CALIBRATE, CONTINUE or ABORT.  'say' tells the console.
-class Dialog(object):
+class Dialog:
     def __init__(self, host, say, command):
         self.host = host
         self.say = say

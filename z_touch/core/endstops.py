@@ -1,6 +1,5 @@
 # Endstops: the pins that stop a move, made, found and checked.
 # Copyright (C) 2026  the Z calibration developers, under the GNU GPLv3
-from __future__ import absolute_import
 
 from . import options
 
@@ -46,7 +45,7 @@ def is_virtual(endstop):
 
 
 # The endstops of a printer, as far as a section needs them.
-class Endstops(object):
+class Endstops:
     # 'host': host.Host, which is connected later
     def __init__(self, config, host):
         self.host = host

@@ -1,6 +1,5 @@
 # What ends a measurement; the command that it belongs to tells the user.
 # Copyright (C) 2026  the Z calibration developers, under the GNU GPLv3
-from __future__ import absolute_import
 
 import contextlib
 

@@ -9,7 +9,6 @@
 # asks to be called first: z_thermal_adjust, skew_correction, modules of others.
 # A touch is a move of the toolhead and passes all of them by, so that what is
 # measured holds no shift, and what is applied meets one.
-from __future__ import absolute_import, division
 
 import collections
 import contextlib
@@ -35,7 +34,7 @@ POSITIONS = ("homing_position", "base_position")
 
 
 # The features of the host, as far as they shift Z
-class Features(object):
+class Features:
     # 'host': host.Host
     def __init__(self, host):
         self.host = host

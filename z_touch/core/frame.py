@@ -11,7 +11,7 @@ DATUM_NOISE = 0.02
 
 
 # What happened to the frame since a mark was set
-class Frame(object):
+class Frame:
     def __init__(self, host):
         self.host = host
         # What happened, in words
@@ -115,7 +115,7 @@ class Frame(object):
 
 
 # The frame that G28 has left: only there a height says what Z is to be homed at.
-class HomedFrame(object):
+class HomedFrame:
     def __init__(self, frame):
         self.host = frame.host
         self.frame = frame

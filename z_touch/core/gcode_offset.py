@@ -1,11 +1,10 @@
 # The G-code Z offset: what the sections set in the end.
 # Copyright (C) 2026  the Z calibration developers, under the GNU GPLv3
-from __future__ import absolute_import
 
 
 # The offset (mm) that SET_GCODE_OFFSET and baby steps change; where it is larger,
 # the nozzle is higher.
-class GcodeOffset(object):
+class GcodeOffset:
     # 'host': host.Host
     def __init__(self, host):
         self.host = host

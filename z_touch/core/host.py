@@ -1,6 +1,5 @@
 # The printer as the sections want it: its parts, objects, clocks and console.
 # Copyright (C) 2026  the Z calibration developers, under the GNU GPLv3
-from __future__ import absolute_import
 
 import collections
 
@@ -19,7 +18,7 @@ Includes = collections.namedtuple("Includes", "is_deep is_written")
 # The host, klippy, as one section sees it.  In this file and in those of its parts it is
 # known in which respects hosts differ; the difference is always asked of the object,
 # never of a version number.
-class Host(object):
+class Host:
     def __init__(self, config):
         self.printer = config.get_printer()
         # In front of every line the user is shown

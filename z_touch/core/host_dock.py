@@ -2,7 +2,6 @@
 # one since 2023-08-27 (b3e67e92b), made of a plugin for Klipper that has the same
 # methods.
 # Copyright (C) 2026  the Z calibration developers, under the GNU GPLv3
-from __future__ import absolute_import
 
 from . import touching
 
@@ -21,7 +20,7 @@ def find(host):
 
 
 # A dockable probe of the host's own, which fetches and docks by itself
-class HostDock(object):
+class HostDock:
     def __init__(self, host, dockable):
         self.host = host
         self.dockable = dockable

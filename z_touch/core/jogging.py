@@ -1,6 +1,5 @@
 # Moving the head by the buttons of a dialog.  Pure.
 # Copyright (C) 2026  the Z calibration developers, under the GNU GPLv3
-from __future__ import absolute_import
 
 from .errors import CalibrationError
 

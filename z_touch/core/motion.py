@@ -1,6 +1,5 @@
 # Moves that the host has no method for, or not the same one everywhere.
 # Copyright (C) 2026  the Z calibration developers, under the GNU GPLv3
-from __future__ import absolute_import
 
 import collections
 import sys
@@ -35,7 +34,7 @@ Way = collections.namedtuple("Way", "z speed")
 # The toolhead as a homing move sees it: it goes a Way first, and on from there as it is
 # told.  After an armed move that ends without a trigger hosts wait for the board's
 # next report and then begin anew, 0.35 to 0.55 s; within one they begin after 0.15 s.
-class _OnItsWay(object):
+class _OnItsWay:
     def __init__(self, toolhead, way):
         self._toolhead = toolhead
         self._way = way
@@ -51,7 +50,7 @@ class _OnItsWay(object):
 
 
 # The moves of the head in Z: toolhead coordinates (mm), mm/s
-class Motion(object):
+class Motion:
     # 'host': host.Host, which is connected later
     def __init__(self, host):
         self.host = host

@@ -1,6 +1,5 @@
 # What the user is told of his set-up when klippy is ready, and where he can see it.
 # Copyright (C) 2026  the Z calibration developers, under the GNU GPLv3
-from __future__ import absolute_import
 
 # How often (s) it is looked whether somebody has begun to listen to the console, and
 # for how long after klippy is ready: Moonraker does so 0.8 s later, where both
@@ -12,7 +11,7 @@ LISTEN_TIME = 600.0
 # The notes of one section: on the console when klippy is ready, and once more as soon
 # as somebody has begun to listen; as warnings of the configuration where the host
 # has these; in the status.
-class Notes(object):
+class Notes:
     # 'read' returns them, when klippy is ready; empty ones are none.
     def __init__(self, host, read):
         self.host = host

@@ -1,6 +1,5 @@
 # Options and parameters that the host's own getters cannot read.
 # Copyright (C) 2026  the Z calibration developers, under the GNU GPLv3
-from __future__ import absolute_import
 
 import collections
 import functools
@@ -58,7 +57,7 @@ def margins(config, name, default):
 
 # A section of another room, which has to read all of it by itself: what is read here
 # counts as unread.
-class Foreign(object):
+class Foreign:
     def __init__(self, section):
         self.section = section
         self.error = section.error
@@ -73,7 +72,7 @@ class Foreign(object):
 
 
 # Options under the names of older releases and of other plugins
-class OldNames(object):
+class OldNames:
     def __init__(self, config):
         self.config = config
         # What the user is told
@@ -160,7 +159,7 @@ class Kind(collections.namedtuple("Kind", "word read nonsense words")):
     __slots__ = ()
 
     def __new__(cls, word, read, nonsense, words=()):
-        return super(Kind, cls).__new__(cls, word, read, nonsense, words)
+        return super().__new__(cls, word, read, nonsense, words)
 
 
 def option(name, kind, default, unit, text, old=(), **limits):

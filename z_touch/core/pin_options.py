@@ -1,7 +1,6 @@
 # Rows of [z_calibration] that say whether Z is homed on the pin below the nozzle: its
 # room has them in its table, and other sections look at them by z_pin.
 # Copyright (C) 2026  the Z calibration developers, under the GNU GPLv3
-from __future__ import absolute_import
 
 from . import options, touching
 

@@ -1,6 +1,5 @@
 # Whether somebody prints: a dialog that moves the head has to know.
 # Copyright (C) 2026  the Z calibration developers, under the GNU GPLv3
-from __future__ import absolute_import
 
 from . import dialogs
 
@@ -26,7 +25,7 @@ def is_paused(host):
 
 # Also of a print that no print_stats knows of; what moves because of a set-up itself
 # is none.  What is kept hot may be: that a person is asked.
-class Prints(object):
+class Prints:
     def __init__(self, host):
         self.host = host
         # Until when own moves were queued (print time); None: there were none

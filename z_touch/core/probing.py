@@ -1,6 +1,5 @@
 # The probe: what touches with it, where its touches end, and what it adds.
 # Copyright (C) 2026  the Z calibration developers, under the GNU GPLv3
-from __future__ import absolute_import
 
 import collections
 import contextlib
@@ -29,7 +28,7 @@ SAMPLING_NAMES = (
 
 
 # The object 'probe' of the host, whichever section has made it.
-class Probing(object):
+class Probing:
     # 'host': host.Host
     def __init__(self, config, host):
         self.host = host

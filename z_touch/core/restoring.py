@@ -1,6 +1,5 @@
 # Saved states of G-code that bring another G-code Z offset back.
 # Copyright (C) 2026  the Z calibration developers, under the GNU GPLv3
-from __future__ import absolute_import
 
 from .baby_steps import LARGEST_STEP, NO_STEP
 

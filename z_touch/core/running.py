@@ -1,7 +1,6 @@
 # One command under way: what it is doing, what it changed for a while, and
 # what its failure leaves behind.
 # Copyright (C) 2026  the Z calibration developers, under the GNU GPLv3
-from __future__ import absolute_import, division
 
 import contextlib
 import logging
@@ -79,7 +78,7 @@ def check_no_manual_probe(host):
 
 
 # What a run is doing, for get_status() and the console.
-class Watch(object):
+class Watch:
     def __init__(self, name, respond_info):
         self.name = name
         self.begin(respond_info, "idle", 0)
@@ -110,7 +109,7 @@ class Watch(object):
 
 
 # Runs the commands of a module, one at a time.
-class Runner(object):
+class Runner:
     def __init__(self, host):
         self.host = host
         self.watch = Watch(host.section, host.gcode.respond_info)

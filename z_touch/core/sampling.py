@@ -1,6 +1,5 @@
 # How heights are sampled, and what becomes of the samples: pure functions.
 # Copyright (C) 2026  the Z calibration developers, under the GNU GPLv3
-from __future__ import absolute_import, division
 
 import collections
 import math

@@ -1,6 +1,5 @@
 # Values for SAVE_CONFIG, which writes no option that sits in an included file.
 # Copyright (C) 2026  the Z calibration developers, under the GNU GPLv3
-from __future__ import absolute_import
 
 import collections
 import glob
@@ -38,7 +37,7 @@ def places(path, section, option, deep=False, saved=False, seen=()):
     try:
         with io.open(path, encoding="utf-8", errors="replace") as f:
             lines = f.read().splitlines()
-    except (IOError, OSError):
+    except OSError:
         return all_places
     for number, line in enumerate(lines, 1):
         if saved and line.startswith(AUTOSAVED):
@@ -61,11 +60,7 @@ def places(path, section, option, deep=False, saved=False, seen=()):
 
 def included(path, pattern, deep):
     path = os.path.join(os.path.dirname(path), pattern.strip())
-    try:
-        names = glob.glob(path, **({"recursive": True} if deep else {}))
-    except TypeError:
-        # Python 2
-        names = glob.glob(path)
+    names = glob.glob(path, recursive=deep)
     return [os.path.normpath(name) for name in sorted(names)]
 
 
@@ -81,7 +76,7 @@ def is_same(text, other):
 
 
 # Ready values for SAVE_CONFIG.
-class Saver(object):
+class Saver:
     def __init__(self, host):
         self.host = host
         self.printer = host.printer

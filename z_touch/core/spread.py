@@ -9,7 +9,6 @@
 #        o  o           any number of them is spread evenly
 #      o   o  o
 #        o    o
-from __future__ import absolute_import, division
 
 import math
 

@@ -1,6 +1,5 @@
 # The user's G-code.
 # Copyright (C) 2026  the Z calibration developers, under the GNU GPLv3
-from __future__ import absolute_import
 
 from .errors import CalibrationError
 from .options import Kind, config_error

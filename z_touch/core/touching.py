@@ -4,7 +4,6 @@
 # Every height is a toolhead Z: the position, in mm and in the frame that the
 # last homing defined, at which a touch triggered.  G-code offset, bed mesh and
 # skew play no part in it.  Up is positive.  Speeds are in mm/s.
-from __future__ import absolute_import
 
 import collections
 import contextlib
@@ -39,7 +38,7 @@ class Site(collections.namedtuple("Site", "name x y origin option")):
     __slots__ = ()
 
     def __new__(cls, name, x, y, origin, option=""):
-        return super(Site, cls).__new__(cls, name, x, y, origin, option)
+        return super().__new__(cls, name, x, y, origin, option)
 
     # What to check where the head does not stand as it should
     def place(self):
@@ -161,7 +160,7 @@ def move_xyz(host, place, speed, lift_speed):
 
 
 # The head at one place, and whether it still presses what it has touched.
-class Head(object):
+class Head:
     # 'remedy': what to do where the head is too low for a touch
     def __init__(self, host, sampling, remedy):
         self.host = host

@@ -4,7 +4,6 @@
 # No section says that the Z endstop is a pin below the nozzle.  It is one where
 # [z_calibration] has the nozzle press it, or where Z is homed beside what the bed
 # mesh covers.
-from __future__ import absolute_import
 
 import collections
 

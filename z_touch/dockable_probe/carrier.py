@@ -1,7 +1,6 @@
 # The probe of [dockable_probe] as others have to mind it, see core/carrying.py,
 # and the host's commands that lower the nozzle while it may hang there.
 # Copyright (C) 2026  the Z calibration developers, under the GNU GPLv3
-from __future__ import absolute_import
 
 import functools
 
@@ -46,7 +45,7 @@ HOLDING = ("ATTACH_PROBE", "SET_DOCKABLE_PROBE", "SET_PROBE_STATUS")
 
 
 # Where our probe is, and its way onto the head and off it, as core.carrying asks
-class Carrier(object):
+class Carrier:
     # 'prober': prober.Prober; 'is_by_paper': virtual_probe.VirtualProbe.is_by_paper
     def __init__(self, prober, is_by_paper):
         self.host = prober.host

@@ -1,7 +1,6 @@
 # Whether the positions of [dockable_probe] lead into the dock and out of it.
 #
 # Copyright (C) 2026  the Z calibration developers, under the GNU GPLv3
-from __future__ import absolute_import, division
 
 from ..core import options
 from ..core.endstops import PROBE_PINS

@@ -1,6 +1,5 @@
 # Docking a while after the last use, see allow_delayed_detach.
 # Copyright (C) 2026  the Z calibration developers, under the GNU GPLv3
-from __future__ import absolute_import
 
 from ..core import carrying
 
@@ -18,7 +17,7 @@ ENDED_BY = (
 
 
 # The docking that is to come, or none
-class Delay(object):
+class Delay:
     # dock() docks the probe, and goes back
     def __init__(self, host, dock):
         self.host = host

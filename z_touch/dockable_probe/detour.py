@@ -17,7 +17,6 @@
 # A way that ends in the circle ends where a straight way out of it would: from
 # there the head may go straight in, and on that line it never comes nearer to
 # the dock than it is in the end.
-from __future__ import absolute_import, division
 
 import collections
 import math

@@ -12,7 +12,6 @@
 # brought about what it should is tried dock_retries times again.
 # activate_gcode runs before the probe is fetched, deactivate_gcode when it was
 # docked and the head is back.
-from __future__ import absolute_import
 
 import collections
 import contextlib
@@ -61,7 +60,7 @@ DOCK = Trip(
 
 
 # Fetches the probe and docks it, and sees that it did
-class Docking(object):
+class Docking:
     # 'sensors': sensors.Sensors; 'moves': moves.Moves
     def __init__(self, settings, sensors, moves):
         self.host = moves.host

@@ -16,7 +16,6 @@
 # RESTORE_GCODE_STATE and of RESUME, a baby step.  Moves of modules (probing, homing,
 # the way to the dock) do not.  What goes down is looked at: a head that is low already
 # was brought there by somebody who has looked, or has a Z that homing has made up.
-from __future__ import absolute_import
 
 from ..core import carrying
 from ..core.carrying import DOCKED
@@ -31,7 +30,7 @@ HOT = 100.0
 
 
 # A link in the host's chain of what moves pass, with the two functions that it asks
-class GcodeMoves(object):
+class GcodeMoves:
     # 'prober': prober.Prober; 'carrier': carrier.Carrier
     def __init__(self, prober, carrier):
         self.host = prober.host

@@ -1,12 +1,11 @@
 # Who keeps the probe on the head between two commands.
 # Copyright (C) 2026  the Z calibration developers, under the GNU GPLv3
-from __future__ import absolute_import
 
 from .delay import Delay
 
 
 # Whether the probe stays on the head when a command has used it, or is docked then
-class Holder(object):
+class Holder:
     # dock() docks the probe, and goes back; 'auto': whether commands fetch and dock
     # it by themselves
     def __init__(self, host, dock, auto):

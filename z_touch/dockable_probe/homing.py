@@ -1,6 +1,5 @@
 # Homing, with the probe and without it.
 # Copyright (C) 2026  the Z calibration developers, under the GNU GPLv3
-from __future__ import absolute_import
 
 from .sensors import DOCKED
 from .settings import travel_height
@@ -13,7 +12,7 @@ SECOND_REACH = 1.0
 
 
 # How Z is homed with the probe: where, and how far down
-class ZHoming(object):
+class ZHoming:
     # 'moves': moves.Moves
     def __init__(self, moves, settings):
         self.moves = moves
@@ -67,7 +66,7 @@ class ZHoming(object):
 
 
 # What is done about the probe before axes are homed that do not need it
-class BeforeHoming(object):
+class BeforeHoming:
     # 'prober': prober.Prober; 'homes_z': whether Z is homed with the probe;
     # 'is_lifted_elsewhere': the owner lifts the head before X and Y are homed.
     def __init__(self, prober, homes_z, is_lifted_elsewhere):

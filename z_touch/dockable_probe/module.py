@@ -2,7 +2,6 @@
 # parts are put together.
 #
 # Copyright (C) 2026  the Z calibration developers, under the GNU GPLv3
-from __future__ import absolute_import
 
 import contextlib
 import functools
@@ -28,7 +27,7 @@ STATES = (UNKNOWN, ATTACHED, DOCKED)
 
 
 # The object behind [dockable_probe]
-class DockableProbe(object):
+class DockableProbe:
     def __init__(self, config):
         logging.info("dockable_probe %s", __version__)
         checks.check_only_probe(config)

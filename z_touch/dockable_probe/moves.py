@@ -1,7 +1,6 @@
 # The moves of the head: to the dock, into it, out of it, and around it.
 #
 # Copyright (C) 2026  the Z calibration developers, under the GNU GPLv3
-from __future__ import absolute_import, division
 
 from ..core import touching
 from . import detour
@@ -23,7 +22,7 @@ NEAR_END = 0.5
 
 # The way that homing X and Y has come: clear of the dock, as the head went there.
 # It holds until X or Y is homed again, or the motors are off.
-class Trace(object):
+class Trace:
     def __init__(self, host):
         self.host = host
         register = host.printer.register_event_handler
@@ -67,7 +66,7 @@ class Trace(object):
 
 # How high the head was clear of what the probe has touched, since Z was homed: a
 # z_offset that is too small is no height to travel at.
-class Clearance(object):
+class Clearance:
     def __init__(self, host):
         # Toolhead Z (mm)
         self.z = 0.0
@@ -92,7 +91,7 @@ class Clearance(object):
 
 
 # The head, and what is known of how high it is
-class Moves(object):
+class Moves:
     # 'host': host.Host; 'settings': settings.Settings
     def __init__(self, host, settings):
         self.host = host

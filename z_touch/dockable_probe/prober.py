@@ -1,7 +1,6 @@
 # What happens around the commands that probe.
 #
 # Copyright (C) 2026  the Z calibration developers, under the GNU GPLv3
-from __future__ import absolute_import
 
 from ..core import carrying, touching, z_pin
 from .holder import Holder
@@ -16,7 +15,7 @@ NO_FLOOR = -1e6
 # The device behind virtual_probe.Facade: fetches the probe before the first
 # touch of a command, sees that it is there around each, and docks it at the
 # end.
-class Prober(object):
+class Prober:
     # 'docking': docking.Docking
     def __init__(self, docking, settings):
         self.host = docking.host

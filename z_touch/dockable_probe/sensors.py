@@ -1,7 +1,6 @@
 # Where the probe is: asked of the pins, never assumed.
 #
 # Copyright (C) 2026  the Z calibration developers, under the GNU GPLv3
-from __future__ import absolute_import
 
 import collections
 
@@ -17,7 +16,7 @@ def level(is_triggered):
 
 
 # What tells where the probe is
-class Sensors(object):
+class Sensors:
     # 'settings': settings.Settings
     def __init__(self, config, host, settings):
         def sense(name, when_attached):

@@ -5,7 +5,6 @@
 # Positions and heights are those of the toolhead, in mm, as GET_POSITION shows
 # them after "toolhead:"; G-code offset and bed mesh play no part.  Speeds are
 # in mm/s.
-from __future__ import absolute_import, division
 
 import functools
 import math

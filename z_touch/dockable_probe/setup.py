@@ -8,7 +8,6 @@
 #   on -> dock -> out -> approach -> insert     by the buttons, Here
 #   fetch -> store                              slowly, with what was found
 #   save                                        SAVE_CONFIG
-from __future__ import absolute_import, division
 
 from ..core import (
     carrying,
@@ -57,14 +56,14 @@ def written(position):
 
 
 # The set-up that is under way: its step, and the places by their options
-class State(object):
+class State:
     def __init__(self):
         self.step = ORDER[0]
         self.positions = {}
 
 
 # The command, and what it asks
-class Setup(object):
+class Setup:
     # 'section': module.DockableProbe
     def __init__(self, section):
         self.section = section

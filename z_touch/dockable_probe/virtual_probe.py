@@ -11,7 +11,6 @@
 #
 # The Facade is an endstop to both.  Behind it is a device, prober.Prober, which
 # is told of everything that begins and ends.
-from __future__ import absolute_import
 
 import importlib
 import logging
@@ -39,7 +38,7 @@ DIFFER = "clean the nozzle and check the probe for play"
 #   raised(z)                           a target as high as it has to be here
 #   homing_reach()                      how far (mm) below z_offset the homing
 #                                       move may go that comes next, or None
-class Facade(object):
+class Facade:
     def __init__(self, device, endstop, z_offset):
         self.device = device
         self.z_offset = z_offset
@@ -109,7 +108,7 @@ class Facade(object):
 
 # The printer's object 'probe' where the host has no class for it that takes
 # an endstop (since 2024-06-10, d4bae4dff)
-class SessionProbe(object):
+class SessionProbe:
     # 'settings': settings.Settings; 'module': the host's module 'probe'
     def __init__(self, config, facade, settings, module):
         self.device = facade.device
@@ -183,7 +182,7 @@ class SessionProbe(object):
 
 
 # One command that probes
-class Session(object):
+class Session:
     def __init__(self, probe):
         self.probe = probe
         self.host = probe.device.host
@@ -270,7 +269,7 @@ def host_module(name):
 # The printer's 'probe' on any host.  Here it is known in which respects hosts
 # differ about probes; the difference is always asked of the object, never of a
 # version.
-class VirtualProbe(object):
+class VirtualProbe:
     def __init__(self, host):
         self.host = host
         self.printer = host.printer

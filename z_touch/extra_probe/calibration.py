@@ -1,6 +1,5 @@
 # EXTRA_PROBE_CALIBRATE: travel and ask, touch and ask again, apply.
 # Copyright (C) 2026  the Z calibration developers, under the GNU GPLv3
-from __future__ import absolute_import
 
 import collections
 import functools
@@ -41,7 +40,7 @@ Question = collections.namedtuple(
 # The commands of a calibration, and the question that is open between them.
 # 'switch' is what lies on the bed, 'runner' runs one command at a time, 'pin' is
 # where Z is homed, see z_pin.
-class Calibration(object):
+class Calibration:
     def __init__(self, host, runner, name, switch, pin):
         self.host = host
         self.runner = runner

@@ -1,6 +1,5 @@
 # A finger that presses the switch once, before the nozzle comes down on it.
 # Copyright (C) 2026  the Z calibration developers, under the GNU GPLv3
-from __future__ import absolute_import
 
 import logging
 
@@ -21,7 +20,7 @@ TRIGGERED = (
 
 # Watches the switch while a question is open.  'switch' is what lies on the bed,
 # 'say' tells the console.
-class Finger(object):
+class Finger:
     def __init__(self, host, switch, say):
         self.host = host
         self.switch = switch

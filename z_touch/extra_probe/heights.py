@@ -1,7 +1,6 @@
 # The heights of [extra_probe]: the bed below a switch, and how low a touch may
 # go.  Pure functions of numbers; every height is a toolhead Z, in mm.
 # Copyright (C) 2026  the Z calibration developers, under the GNU GPLv3
-from __future__ import absolute_import, division
 
 from ..core.axes import ENDSTOP_OPTION
 from ..core.errors import CalibrationError

@@ -1,7 +1,6 @@
 # The object behind [extra_probe NAME]: commands, status, and how its parts are
 # put together.
 # Copyright (C) 2026  the Z calibration developers, under the GNU GPLv3
-from __future__ import absolute_import
 
 import functools
 import logging
@@ -28,7 +27,7 @@ ACCURACY_SAMPLES = 10
 
 
 # The object behind [extra_probe NAME].
-class ExtraProbe(object):
+class ExtraProbe:
     def __init__(self, config):
         logging.info("%s: version %s", config.get_name(), __version__)
         self.name = config.get_name().split()[-1]

@@ -1,6 +1,5 @@
 # The options of [extra_probe NAME], as tables, and the records made of them.
 # Copyright (C) 2026  the Z calibration developers, under the GNU GPLv3
-from __future__ import absolute_import
 
 from ..core import options
 from ..core.options import REQUIRED, option

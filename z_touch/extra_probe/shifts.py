@@ -1,7 +1,6 @@
 # What Klipper's own features shift where the switch lies, a bed mesh above all: the
 # offset is applied below them.
 # Copyright (C) 2026  the Z calibration developers, under the GNU GPLv3
-from __future__ import absolute_import
 
 from ..core.features import INNERMOST
 
@@ -13,7 +12,7 @@ LARGEST_REST = 0.02
 
 
 # With the head at x, y, z (toolhead, mm).
-class Shifts(object):
+class Shifts:
     # 'is_saved': for a value that counts from the next homing on, when the mesh is
     # as it is, but not the heat.
     def __init__(self, host, point, is_saved):

@@ -1,7 +1,6 @@
 # What [extra_probe] touches: a switch on a pin of its own, or [probe]; and a
 # series of touches with either.
 # Copyright (C) 2026  the Z calibration developers, under the GNU GPLv3
-from __future__ import absolute_import
 
 import contextlib
 import functools
@@ -27,7 +26,7 @@ LOWER_FLOOR = "begin again with a lower FLOOR, ready to stop"
 
 
 # A switch on a pin of its own, and the G-code around its touches.
-class PinSwitch(object):
+class PinSwitch:
     # A probe that hangs on the head would meet the bed before the nozzle does.
     is_below_nozzle = True
 
@@ -90,7 +89,7 @@ class PinSwitch(object):
 
 
 # [probe] is the switch: the host's own probing touches, and runs its G-code.
-class ProbeSwitch(object):
+class ProbeSwitch:
     query = "QUERY_PROBE"
     # The host fetches it where it has a dock.
     is_below_nozzle = False
@@ -128,7 +127,7 @@ class ProbeSwitch(object):
 
 # One series of touches where the head is.  'respond_info' tells the user; 'lower':
 # see PinSwitch.series()
-class Series(object):
+class Series:
     def __init__(self, host, switch, sampling, respond_info, lower):
         self.host = host
         self.switch = switch

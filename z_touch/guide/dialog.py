@@ -11,7 +11,6 @@
 #   gap (-> paper) -> save                      switch_offset, SAVE_CONFIG
 #
 # What comes after => is done at once, and asked for only where it has failed.
-from __future__ import absolute_import, division
 
 import functools
 
@@ -50,7 +49,7 @@ NEED_HEIGHTS = ("touch_switch", "touch_bed", "gap", "paper")
 
 
 # The command, and the set-up that is under way.
-class Setup(object):
+class Setup:
     # 'section': z_calibration's interface.Interface
     def __init__(self, section):
         self.section = section

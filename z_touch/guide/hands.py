@@ -1,6 +1,5 @@
 # What is pressed by hand in Z_CALIBRATION_SETUP: the pin, the probe.
 # Copyright (C) 2026  the Z calibration developers, under the GNU GPLv3
-from __future__ import absolute_import
 
 from ..core.errors import CalibrationError
 from . import steps
@@ -23,7 +22,7 @@ LIFT_OFF = "lift the nozzle by hand if it stands on the pin, and otherwise %s"
 
 
 # Watches the two switches while a hand presses one of them.
-class Hands(object):
+class Hands:
     # 'section': interface.Interface; 'saver': saving.Saver, which knows where an
     # option is written
     def __init__(self, section, saver):

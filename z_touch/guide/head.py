@@ -1,6 +1,5 @@
 # The head between the sites of Z_CALIBRATION_SETUP: at a safe height, and slow.
 # Copyright (C) 2026  the Z calibration developers, under the GNU GPLv3
-from __future__ import absolute_import, division
 
 import math
 
@@ -49,7 +48,7 @@ def slow(sampling, speed):
 
 
 # Moves the head over the sites, and by hand.
-class GuidedHead(object):
+class GuidedHead:
     # 'section': interface.Interface
     def __init__(self, section):
         self.section = section

@@ -1,6 +1,5 @@
 # How far somebody has come with Z_CALIBRATION_SETUP.
 # Copyright (C) 2026  the Z calibration developers, under the GNU GPLv3
-from __future__ import absolute_import
 
 import collections
 
@@ -13,7 +12,7 @@ SwitchOffset = collections.namedtuple("SwitchOffset", "value kind")
 
 
 # Where the probe is, and who has put it there
-class ProbeState(object):
+class ProbeState:
     def __init__(self):
         # It stays on the head
         self.is_fixed = False
@@ -24,7 +23,7 @@ class ProbeState(object):
 
 
 # What is known so far; nothing of it is saved before the last step.
-class State(object):
+class State:
     def __init__(self):
         self.step = "pin"
         # The head has got to where the step begins

@@ -1,6 +1,5 @@
 # The steps of Z_CALIBRATION_SETUP: what each asks, and what follows.  Pure.
 # Copyright (C) 2026  the Z calibration developers, under the GNU GPLv3
-from __future__ import absolute_import, division
 
 import math
 

@@ -1,6 +1,5 @@
 # What Z_CALIBRATION_SETUP tells of its touches, and what it saves.
 # Copyright (C) 2026  the Z calibration developers, under the GNU GPLv3
-from __future__ import absolute_import
 
 import math
 
@@ -28,7 +27,7 @@ def repeats(state):
 
 
 # Collects what of the State has to be saved.
-class Summary(object):
+class Summary:
     # 'section': interface.Interface; 'head': head.GuidedHead; 'saver':
     # saving.Saver
     def __init__(self, section, head, saver):

@@ -1,7 +1,6 @@
 # What the dialogs of Z_CALIBRATION_SETUP ask.
 # Its texts are no messages: they ask.
 # Copyright (C) 2026  the Z calibration developers, under the GNU GPLv3
-from __future__ import absolute_import
 
 import collections
 

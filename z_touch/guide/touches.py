@@ -1,13 +1,12 @@
 # Homing, the probe and the first touches of Z_CALIBRATION_SETUP.
 # Copyright (C) 2026  the Z calibration developers, under the GNU GPLv3
-from __future__ import absolute_import
 
 from ..core import running
 from ..core.errors import CalibrationError
 
 
 # Homes, fetches the probe, touches each site, and leaves the printer as before.
-class Touches(object):
+class Touches:
     # 'section': interface.Interface; 'head': head.GuidedHead; 'hands': hands.Hands
     def __init__(self, section, head, hands):
         self.section = section

@@ -3,7 +3,6 @@
 # number or an address; of G-code it has the names of the commands only.
 # Its texts are no messages: they are written into a file.
 # Copyright (C) 2026  the Z calibration developers, under the GNU GPLv3
-from __future__ import absolute_import
 
 import json
 import os

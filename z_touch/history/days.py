@@ -1,7 +1,6 @@
 # When runs were: dates in words, and an axis of days for their plots.
 # Its texts are no messages: they are drawn.
 # Copyright (C) 2026  the Z calibration developers, under the GNU GPLv3
-from __future__ import absolute_import, division
 
 import collections
 import time

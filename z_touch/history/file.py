@@ -4,7 +4,6 @@
 # All that may take time runs in a thread of its own, which gives way every few
 # lines: klippy's main thread gets the interpreter within a millisecond.  Nothing
 # in here raises at whoever measures; what is wrong becomes a warning.
-from __future__ import absolute_import, division
 
 import collections
 import errno
@@ -74,18 +73,11 @@ def pause():
 # too, and 'cause' and 'verdict', see uncertainty/cycles.py.
 
 
-# Of letters: Python 2.7 has another type for these than for bytes
-TEXT = type(b"".decode("ascii"))
-
-
-# Python 2.7 has names of files, parameters and most errors as bytes
+# Names of files may come as bytes
 def as_text(value):
     if isinstance(value, bytes):
         return value.decode("utf-8", "replace")
-    try:
-        return TEXT(value)
-    except UnicodeError:
-        return as_text("%s" % (value,))
+    return str(value)
 
 
 # A number that no printer and no clock has is none, either
@@ -154,7 +146,7 @@ def has_names(record):
     names = [
         name for name in ("printer", "plate", "extruder") if name in record
     ]
-    is_text = all(isinstance(record[name], TEXT) for name in names)
+    is_text = all(isinstance(record[name], str) for name in names)
     place = record.get("nozzle_at")
     is_place = place is None or is_point(place)
     return is_text and is_place and is_number(record.get("bed_spread", 0.0))
@@ -175,8 +167,8 @@ def has_warnings(record):
     warnings = record.get("warnings", [])
     return isinstance(warnings, list) and all(
         isinstance(warning, dict)
-        and isinstance(warning.get("about"), TEXT)
-        and isinstance(warning.get("text"), TEXT)
+        and isinstance(warning.get("about"), str)
+        and isinstance(warning.get("text"), str)
         for warning in warnings
     )
 
@@ -267,7 +259,7 @@ def pieces_of(f):
 
 
 # The file; every method may raise IOError or OSError.
-class File(object):
+class File:
     # 'limit': runs that are kept of each printer; 'printer': the path of its
     # printer.cfg, None: it has no runs of the first format
     def __init__(self, folder, limit, printer=None):
@@ -391,7 +383,7 @@ def replace_by(path, pieces):
             f.flush()
             os.fsync(f.fileno())
         os.rename(new, path)
-    except (IOError, OSError):
+    except OSError:
         if os.path.exists(new):
             os.remove(new)
         raise
@@ -399,7 +391,7 @@ def replace_by(path, pieces):
 
 # While it lasts no other printer writes into the folder.  Where the file system
 # knows no such thing, or another one keeps it, it goes without.
-class Turn(object):
+class Turn:
     def __init__(self, folder):
         self.folder = folder
         self.fd = None
@@ -410,7 +402,7 @@ class Turn(object):
             try:
                 fcntl.flock(self.fd, fcntl.LOCK_EX | fcntl.LOCK_NB)
                 return
-            except (IOError, OSError) as e:
+            except OSError as e:
                 if e.errno not in (errno.EAGAIN, errno.EACCES):
                     return
             time.sleep(0.05)
@@ -425,7 +417,7 @@ class Turn(object):
 
 
 # The runs of one printer, on klippy's main thread
-class History(object):
+class History:
     # 'file': None where nothing is kept.  say(text) is called on the main
     # thread, when there is something to warn of, begun() when the runs of before are
     # here.
@@ -465,7 +457,7 @@ class History(object):
         try:
             with self.lock:
                 work(*args)
-        except (IOError, OSError) as e:
+        except OSError as e:
             logging.warning("history: %s", e)
             text = (
                 "the history cannot be kept in %s: %s; mend that, or set"

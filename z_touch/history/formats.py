@@ -5,7 +5,6 @@
 #   2           the whole path of that; a warning is a text, and what an accuracy
 #               run has found stands in the words of its verdict only
 #   3           a warning says what it is about, an accuracy run what its cause is
-from __future__ import absolute_import
 
 from ..uncertainty.cycles import NO_CAUSE, SITES
 

@@ -1,6 +1,5 @@
 # What [z_calibration] writes into its history, and what users ask of it.
 # Copyright (C) 2026  the Z calibration developers, under the GNU GPLv3
-from __future__ import absolute_import
 
 import functools
 import logging
@@ -33,7 +32,7 @@ def find_file(config_file, folder, runs):
 
 # Of a run that is under way: when it began (eventtime), its adaptive.Plan, and why
 # the nozzle was cleaned.
-class Recorder(object):
+class Recorder:
     # 'settings' name the folder; 'version' of the modules; begun() is called when the
     # runs of before are known, after klippy is ready
     def __init__(self, host, settings, version, begun):

@@ -6,7 +6,6 @@
 #
 # from the folder in which z_touch stands.  From the top: what to do, the touches of
 # the last run, then the runs over days, with marks where something was told.
-from __future__ import absolute_import, division
 
 import logging
 import math
@@ -48,8 +47,8 @@ LEAST_HEIGHT, LEAST_SPREAD, LEAST_OFF, LEAST_HEAT = 0.04, 10.0, 10.0, 20.0
 # The largest circle around a touch of the bed, in units of the picture
 LARGEST_CIRCLE = 8.0
 
-# Micrometres, on Python 2.7, too
-UM = b"\xc2\xb5m".decode("utf-8")
+# Micrometres
+UM = "\xb5m"
 
 SITE_COLOURS = tuple(zip(SITES, "abc"))
 
@@ -221,7 +220,7 @@ def counted(touches, samples):
 
 # Plots of the runs, one below the other.  'axis': days.Axis, 'flags': pairs of the
 # number of a run and what stands in its flag.
-class Runs(object):
+class Runs:
     def __init__(self, page, runs, flags):
         self.page = page
         self.runs = runs

@@ -1,6 +1,5 @@
 # One step between two values, or a line: pure maths on the heights of many runs (mm).
 # Copyright (C) 2026  the Z calibration developers, under the GNU GPLv3
-from __future__ import absolute_import, division
 
 import math
 

@@ -4,7 +4,6 @@
 #
 # Colours stand in the elements themselves, as many viewers know no style sheets,
 # or no variables in them.  The style sheet only changes them on dark pages.
-from __future__ import absolute_import, division
 
 import collections
 import math
@@ -121,7 +120,7 @@ def from_zero(high, least):
 
 
 # A drawing that grows downwards
-class Page(object):
+class Page:
     def __init__(self, pause):
         self.parts = []
         self.y = 0.0
@@ -171,7 +170,7 @@ MIDDLE = 'text-anchor="middle"'
 
 
 # One plot.  'xs': where each run is, from 0 to 1; 'box': its left and right end.
-class Plot(object):
+class Plot:
     def __init__(self, page, xs, low, high, box=(LEFT, WIDTH - RIGHT)):
         self.page = page
         self.xs = xs
@@ -335,7 +334,7 @@ SMALL = 'font-size="11" font-weight="600"'
 
 # A plan of the bed from above, as high as it is wide.  'points': X and Y (mm);
 # 'box': its left and right end.
-class Plan(object):
+class Plan:
     def __init__(self, page, points, box):
         self.page = page
         self.left, self.right = box

@@ -18,7 +18,6 @@
 #   'changed'   dicts: 'what', a name; 'by' (mm); 'runs', how many there were since
 #               then, this one and refused ones included; 'told': False where it
 #               went back to where it had been before, which is told to nobody
-from __future__ import absolute_import, division
 
 import collections
 import math

@@ -1,7 +1,6 @@
 # What an owner has to do by his history, in words; and what happened in it, when.
 # Its texts are no messages: they are drawn.
 # Copyright (C) 2026  the Z calibration developers, under the GNU GPLv3
-from __future__ import absolute_import, division
 
 import collections
 

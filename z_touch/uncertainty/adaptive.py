@@ -9,7 +9,6 @@
 #
 # A site is touched until its part is no more than its share, see share(), the last
 # one until the whole is what was wanted: only then all is known.
-from __future__ import absolute_import, division
 
 import functools
 import math
@@ -230,7 +229,7 @@ def steady_fall(samples, earlier, step):
 
 
 # As many touches as the user, or [probe], has set.
-class FixedCount(object):
+class FixedCount:
     # Options that count for nothing then; they do with, or without, 'samples: auto'
     idle = ("target_uncertainty",)
     idle_how = "without"
@@ -274,7 +273,7 @@ class FixedCount(object):
 
 # As many touches as the result needs (samples: auto); how far those of [probe]
 # may be apart, and what becomes of them, plays no part.
-class Automatic(object):
+class Automatic:
     idle = ("samples_tolerance", "samples_tolerance_retries", "samples_result")
     idle_how = "with"
     count = None
@@ -344,7 +343,7 @@ def choose(samples, target):
 
 
 # The touches of one run, and what they say.
-class Plan(object):
+class Plan:
     # 'step': of the Z motors (mm); 'earlier_runs': of each site the Spreads of the last
     # runs, see recent.py; 'counting': FixedCount or Automatic; 'rough': the sites
     # that are touched at points of a textured plate

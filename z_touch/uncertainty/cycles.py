@@ -16,7 +16,6 @@
 #
 # Differences of two sites come first: they are free of homing, which may hide that
 # one of the sites shifts.
-from __future__ import absolute_import, division
 
 import collections
 import math

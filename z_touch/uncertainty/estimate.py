@@ -27,7 +27,6 @@
 # The sum, the pooling and the degrees of freedom of t are those of the Guide to
 # the Expression of Uncertainty in Measurement (JCGM 100:2008): 5.1.2, H.3.6
 # and G.4.1 (Welch and Satterthwaite), these with the half step in the sum.
-from __future__ import absolute_import, division
 
 import collections
 import math
@@ -48,7 +47,7 @@ class Spread(collections.namedtuple("Spread", "variance dof absolute")):
     __slots__ = ()
 
     def __new__(cls, variance, dof, absolute=None):
-        return super(Spread, cls).__new__(cls, variance, dof, absolute)
+        return super().__new__(cls, variance, dof, absolute)
 
 
 UNKNOWN = Spread(0.0, 0)

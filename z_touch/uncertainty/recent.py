@@ -8,7 +8,6 @@
 # 'earlier_runs': of each site the Spreads of the last runs, the oldest first, of the same
 # runs for all sites, UNKNOWN where one was not touched; 'now': the Spread by site of
 # the run that ends.
-from __future__ import absolute_import, division
 
 import collections
 import math

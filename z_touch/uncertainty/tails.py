@@ -10,7 +10,6 @@
 # is 1 of normal touches, 0.85 of Student's t with 5 degrees of freedom.  The middle of
 # these that series which keep a tolerance come from has a variance of 0.6 of the whole:
 # of Student's t with 4 to 20 degrees of freedom it is g^3 within a tenth.
-from __future__ import absolute_import, division
 
 import math
 

@@ -1,7 +1,6 @@
 # What CALIBRATE_Z_ACCURACY and PROBE_Z_ACCURACY are asked for: where the spread
 # is the question, no touch is taken again.
 # Copyright (C) 2026  the Z calibration developers, under the GNU GPLv3
-from __future__ import absolute_import
 
 import functools
 
@@ -14,7 +13,7 @@ MOST_CYCLES = 200
 
 # How many cycles, whether the probe is attached and Z homed in each, and how to
 # touch: parameters of CALIBRATE_Z_ACCURACY
-class CycleParams(object):
+class CycleParams:
     def __init__(self, gcmd, settings):
         count = options.param_int
         self.cycles = count(gcmd, "CYCLES", 10, minval=2, maxval=MOST_CYCLES)

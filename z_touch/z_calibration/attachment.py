@@ -10,7 +10,6 @@
 #
 # Of a [probe] that macros attach only its switch tells, where that is wired as
 # normally closed.
-from __future__ import absolute_import
 
 from ..core import carrying
 from ..core.carrying import DOCKED
@@ -21,7 +20,7 @@ OWN_HOMING = ("gcode_macro G28", "homing_override")
 
 
 # What one run has seen of it, and so what is left to do
-class Attachment(object):
+class Attachment:
     def __init__(self, host):
         self.host = host
         # What start_gcode has met: a mark of the carrier, or for a plain probe

@@ -16,7 +16,6 @@
 # Where switch - nozzle departs from earlier runs, and nothing was cleaned yet, it ends
 # after the switch: end_gcode, start_gcode and clean_gcode run, and all is measured
 # again.
-from __future__ import absolute_import
 
 from ..core import errors, touching
 from ..history.formats import BODY
@@ -30,7 +29,7 @@ STALE_Z = 0.5
 
 
 # One run: nozzle, switch, bed.
-class Calibration(object):
+class Calibration:
     # 'run': measuring.Run; 'sites': where the head stands
     def __init__(self, run, sites):
         self.run = run

@@ -1,6 +1,5 @@
 # What is wrong with a set-up, or worth telling, when klippy connects.
 # Copyright (C) 2026  the Z calibration developers, under the GNU GPLv3
-from __future__ import absolute_import
 
 from ..core.errors import CalibrationError
 from . import heights

@@ -7,7 +7,6 @@
 # offset moves it away:
 #
 #   new switch_offset = old - change of the G-code offset
-from __future__ import absolute_import
 
 import collections
 import functools
@@ -73,7 +72,7 @@ def check_steps(base, z_offset, force):
 
 
 # The commands that correct switch_offset, and the buttons that may do so.
-class Corrections(object):
+class Corrections:
     # 'section': interface.Interface
     def __init__(self, section):
         self.section = section

@@ -1,7 +1,6 @@
 # What earlier runs say to one that begins: where it should meet what it touches, how
 # deep it may go, and whether its result is likely.
 # Copyright (C) 2026  the Z calibration developers, under the GNU GPLv3
-from __future__ import absolute_import
 
 import collections
 
@@ -20,7 +19,7 @@ NOTHING_EARLIER = Earlier(None, False, None, None)
 
 
 # Heights of one run before they are measured: toolhead Z (mm)
-class Expectations(object):
+class Expectations:
     # 'settings': completed.  Of the touches on the pin: X and Y (mm) of the nozzle and
     # of the probe's body, None: nobody knows.
     def __init__(self, settings, earlier, nozzle=None, body=None):
@@ -68,7 +67,7 @@ class Expectations(object):
 
 # switch - nozzle of one run (mm) against those of earlier ones.  An exchanged nozzle is
 # what the module is for; dirt, or a probe that is seated badly, looks the same.
-class Geometry(object):
+class Geometry:
     def __init__(self, earlier):
         self.earlier = earlier
         # What was measured; None: nothing yet

@@ -15,7 +15,6 @@
 #
 # 'settings' is the record of settings.py, completed; 'last' the Result of the
 # last good run, None where there is none.
-from __future__ import absolute_import
 
 import collections
 

@@ -8,7 +8,6 @@
 #
 # end_gcode runs after every failure, too, then error_gcode.  None of them can
 # begin a measurement.
-from __future__ import absolute_import
 
 import contextlib
 import functools
@@ -78,7 +77,7 @@ def homes(gcode, macros):
 
 # What the user wants to be done around the touches; each part says in its errors
 # which option it is.
-class Hooks(object):
+class Hooks:
     # 'settings' have the templates; 'frame': of the heights; 'watch' is told what
     # happens.
     def __init__(self, host, settings, frame, watch):

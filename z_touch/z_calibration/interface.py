@@ -1,6 +1,5 @@
 # What other parts may ask of [z_calibration]: the guide, and the corrections.
 # Copyright (C) 2026  the Z calibration developers, under the GNU GPLv3
-from __future__ import absolute_import
 
 import collections
 
@@ -15,7 +14,7 @@ Touched = collections.namedtuple("Touched", "z samples warnings")
 
 
 # Touches single sites, and knows nothing of earlier runs.
-class FirstTouches(object):
+class FirstTouches:
     # 'calibration': calibration.Calibration, which is not used by others
     def __init__(self, calibration):
         self._calibration = calibration
@@ -45,7 +44,7 @@ class FirstTouches(object):
 # The section as the guide and the corrections see it.  They get records and
 # objects of their own from it; the object behind the section is not theirs, and
 # only correct() changes something in there.
-class Interface(object):
+class Interface:
     # 'section': the object behind [z_calibration]
     def __init__(self, section):
         self.host = section.host

@@ -11,7 +11,6 @@
 # The sensor that stops a touch is looked at by the host before each move.  The
 # other one is not armed, so it is looked at here: when the head has arrived,
 # and while it presses.
-from __future__ import absolute_import
 
 import functools
 
@@ -57,7 +56,7 @@ PLUNGER_PRESSED = (
 
 
 # What the touches of one run have in common, and what was seen in it so far
-class Run(object):
+class Run:
     # 'settings': completed; 'pin': what nozzle and body press; 'plan' has the
     # samples; 'watch' is told what happens; 'homed' is the frame.HomedFrame.
     def __init__(self, host, settings, pin, plan, watch, homed):
@@ -88,7 +87,7 @@ class Run(object):
 
 
 # One site: approach it, touch it, come back up.
-class Measurement(object):
+class Measurement:
     # What to look at after a touch that failed; %s is where the site comes from.
     # Each site has its own.
     remedy = None

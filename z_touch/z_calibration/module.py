@@ -15,7 +15,6 @@
 #   switches      what common ones have as switch_offset, at least
 #   accuracy      how often to touch where the spread is the question
 #   recorder      the history of all runs
-from __future__ import absolute_import, division
 
 import contextlib
 import functools
@@ -77,7 +76,7 @@ def is_own(added, z_offset, is_set_anew):
 
 
 # The object behind [z_calibration]
-class ZCalibration(object):
+class ZCalibration:
     def __init__(self, config):
         logging.info("z_calibration %s", __version__)
         self.host = Host(config)

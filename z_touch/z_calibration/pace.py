@@ -12,7 +12,6 @@
 #   down, armed          as fast as half of travel_margin is enough to stop
 #   between touches      lifted by SHORTEST_LIFT, or more where the switch is still
 #                        pressed then, see measuring.py
-from __future__ import absolute_import, division
 
 import math
 

@@ -1,6 +1,5 @@
 # The pin that nozzle and switch body press: the Z endstop, or one of its own.
 # Copyright (C) 2026  the Z calibration developers, under the GNU GPLv3
-from __future__ import absolute_import
 
 import collections
 

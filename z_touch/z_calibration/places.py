@@ -1,7 +1,6 @@
 # Where the nozzle has met the pin while the probe was on the head: there nothing else
 # meets the bed before.
 # Copyright (C) 2026  the Z calibration developers, under the GNU GPLv3
-from __future__ import absolute_import
 
 import math
 
@@ -10,7 +9,7 @@ SAME_PLACE = 1.0
 
 
 # X and Y of the head (mm), since klippy has started
-class Places(object):
+class Places:
     # 'is_homed_on': homing Z meets the pin, too
     def __init__(self, host, is_homed_on):
         self.host = host

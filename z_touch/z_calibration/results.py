@@ -1,6 +1,5 @@
 # The last calibration that was applied, and whether it still holds.
 # Copyright (C) 2026  the Z calibration developers, under the GNU GPLv3
-from __future__ import absolute_import
 
 import collections
 
@@ -59,7 +58,7 @@ def height_of(host, last):
 
 
 # What macros read of results, and what the next run knows of the last one.
-class Results(object):
+class Results:
     # 'frame': frame.Frame of the heights
     def __init__(self, host, frame):
         self.host = host

@@ -5,7 +5,6 @@
 # A new option is one row in OPTIONS, its use, and one test.  The settings have a
 # field for each row, but for those of SAMPLING, which become the fields 'pin'
 # and 'probe'.
-from __future__ import absolute_import
 
 from ..core import options, pin_options, touching, z_pin
 from ..core.endstops import chip_of

@@ -1,7 +1,6 @@
 # What Klipper's own features shift at the point of the bed that was measured: taken
 # off the offset, so that the gap is right there, and told.
 # Copyright (C) 2026  the Z calibration developers, under the GNU GPLv3
-from __future__ import absolute_import
 
 from .results import Warned, bed_seen
 
@@ -15,7 +14,7 @@ MESH = "bed_mesh"
 
 
 # As it is now; 'last': the results.Last that it is asked for.
-class Shifts(object):
+class Shifts:
     def __init__(self, host, last):
         features, self.last = host.features, last
         point = last.point + (last.result.offset,)

@@ -10,7 +10,6 @@
 #
 # A site is where the head stands, in mm.  Users name the bed where the probe is to
 # touch it; its site is that point less the probe's offset.
-from __future__ import absolute_import, division
 
 import collections
 import math
@@ -53,7 +52,7 @@ def no_site(name, mesh_option):
 
 
 # Finds the sites, and checks them.  Raises CalibrationError.
-class SiteFinder(object):
+class SiteFinder:
     def __init__(self, host, settings):
         self.host = host
         self.settings = settings

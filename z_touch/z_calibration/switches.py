@@ -1,6 +1,5 @@
 # What is known of common switches of probes.
 # Copyright (C) 2026  the Z calibration developers, under the GNU GPLv3
-from __future__ import absolute_import
 
 import collections
 
