@@ -645,43 +645,52 @@ def longer(pin, bed=0.0):
 @pytest.mark.parametrize(
     ("changes", "more"),
     [
-        # On the pin 3 mm up at 10 and down at 3 mm/s, on the bed 2 mm at 10
-        # and 5 mm/s, as it is without the option
+        # 0.5 mm up at 10, on the pin down at 3 mm/s, on the bed at 5 mm/s
         (
-            section(probing_second_speed="1"),
-            longer(3 / 1 - 3 / 3, 2 / 1 - 2 / 5),
+            section(probing_second_speed="0.5"),
+            longer(0.5 / 0.5 - 0.5 / 3, 0.5 / 0.5 - 0.5 / 5),
         ),
         (
             section(probing_retract_dist="5"),
-            longer(2 / 10 + 2 / 3, 3 / 10 + 3 / 5),
+            longer(4.5 / 10 + 4.5 / 3, 4.5 / 10 + 4.5 / 5),
         ),
-        (section(lift_speed="2"), longer(3 / 2 - 3 / 10, 2 / 2 - 2 / 10)),
+        (section(lift_speed="0.5"), longer(*[0.5 / 0.5 - 0.5 / 10] * 2)),
         # What the axis has is for the pin only
-        ({"stepper_z": {"second_homing_speed": "1"}}, longer(3 / 1 - 3 / 3)),
-        # Half the homing speed of 8 where there is no second one
-        ({"stepper_z": {"second_homing_speed": None}}, longer(3 / 4 - 3 / 3)),
-        ({"stepper_z": {"homing_retract_dist": "6"}}, longer(3 / 10 + 3 / 3)),
-        # Klipper's own default of 5
-        ({"stepper_z": {"homing_retract_dist": None}}, longer(2 / 10 + 2 / 3)),
         (
-            {"probe": {"lift_speed": "1"}},
-            longer(3 / 1 - 3 / 10, 2 / 1 - 2 / 10),
+            {"stepper_z": {"second_homing_speed": "0.5"}},
+            longer(0.5 / 0.5 - 0.5 / 3),
+        ),
+        # Half the homing speed of 8 where there is no second one
+        (
+            {"stepper_z": {"second_homing_speed": None, "homing_speed": "1"}},
+            longer(0.5 / 0.5 - 0.5 / 3),
+        ),
+        # Of homing, where the user says nothing of these touches
+        ({"stepper_z": {"homing_retract_dist": "6"}}, longer(0.0)),
+        # The larger of two
+        ({"probe": {"lift_speed": "0.5"}}, longer(0.0)),
+        (
+            {
+                "probe": {"lift_speed": "0.5"},
+                "stepper_z": {"homing_speed": "0.5"},
+            },
+            longer(*[0.5 / 0.5 - 0.5 / 10] * 2),
         ),
         # Down from 13.8 to the retract over what is expected
         (
             section(probing_speed="2"),
             {
-                "nozzle to switch": (13.8 - (PIN + 6.9 - SWITCH_OFFSET + 3.0))
-                * (1 / 2 - 1 / 8),
-                "switch to bed": (13.8 - (BODY + SWITCH_OFFSET + 2.0))
-                * (1 / 2 - 1 / 8),
+                "nozzle to switch": (13.8 - (PIN + 6.9 - SWITCH_OFFSET + 0.5))
+                * (1 / 2 - 1 / 10),
+                "switch to bed": (13.8 - (BODY + SWITCH_OFFSET + 0.5))
+                * (1 / 2 - 1 / 10),
             },
         ),
         (
             section(speed="20"),
             {
                 "switch to bed": math.hypot(211.5 - 152, 281.25 - 125.25)
-                * (1 / 20 - 1 / 50)
+                * (1 / 20 - 1 / 100)
             },
         ),
     ],
@@ -697,11 +706,14 @@ def test_speeds(host, changes, more):
 @pytest.mark.parametrize(
     ("params", "more"),
     [
-        ("PROBE_SPEED=1", longer(3 / 1 - 3 / 3, 2 / 1 - 2 / 5)),
-        ("LIFT_SPEED=2", longer(3 / 2 - 3 / 10, 2 / 2 - 2 / 10)),
+        (
+            "PROBE_SPEED=0.5",
+            longer(0.5 / 0.5 - 0.5 / 3, 0.5 / 0.5 - 0.5 / 5),
+        ),
+        ("LIFT_SPEED=0.5", longer(*[0.5 / 0.5 - 0.5 / 10] * 2)),
         (
             "SAMPLE_RETRACT_DIST=5",
-            longer(2 / 10 + 2 / 3, 3 / 10 + 3 / 5),
+            longer(4.5 / 10 + 4.5 / 3, 4.5 / 10 + 4.5 / 5),
         ),
     ],
 )
@@ -897,11 +909,13 @@ def test_offset_is_put_back_when_user_gcode_has_changed_it(start):
 # before_switch_gcode that attaches nothing
 
 
-def test_moves_before_the_switch_do_not_ask_for_an_absent_probe(watched):
-    printer = watched(before_switch_gcode="G90\n  G0 Z20 F900\n  M400")
-    calibration(printer)
-    # They ran: the switch is approached from that height
-    assert 20.0 in [round(z, 2) for z in travel_heights(printer)]
+def test_moves_before_the_switch_do_not_ask_for_an_absent_probe(start):
+    gcode = "\n  G90\n  G0 Z20 F900\n  M400\n  AT"
+    at = "RESPOND MSG='at {printer.toolhead.position.z}'"
+    changes = {**marked("AT", AT=at), **section(before_switch_gcode=gcode)}
+    lines = start(changes=changes).homed().run("CALIBRATE_Z")
+    assert any("at 20.0" in line for line in lines)
+    result_of(lines)
 
 
 def test_the_same_gcode_at_the_start_has_attached_it_already(start):

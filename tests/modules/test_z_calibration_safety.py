@@ -187,7 +187,9 @@ def warnings(printer):
     [("", ""), slow("G28 Z", ""), ("", "G28 Z")],
 )
 def test_jump_of_the_geometry_is_told(start, between, start_gcode):
-    printer = start(changes=section(start_gcode=start_gcode)).homed()
+    # Lifted by more than it triggers too early
+    options = {"start_gcode": start_gcode, "probing_retract_dist": "3"}
+    printer = start(changes=section(**options)).homed()
     calibration(printer)
     assert warnings(printer) == []
     # The pin is reached 0.7 mm early by the second body
@@ -698,8 +700,8 @@ def test_lost_connection_is_the_only_end_of_the_printer(start):
 
 def test_emergency_stop_is_told_without_hints(start):
     # Whoever has pressed the button does not need them
-    printer = start().homed()
-    # On its way to the first sample after the fast one
+    # On its way to the second sample
+    printer = start(changes=section(probing_retract_dist="3")).homed()
     text = printer.stopped("CALIBRATE_Z", "nozzle_pin", 1.6)
     assert text == "Probing failed due to printer shutdown"
 
@@ -707,7 +709,8 @@ def test_emergency_stop_is_told_without_hints(start):
 # The speed of before is not set again, from where the host takes the head to be
 def test_emergency_stop_is_told_whatever_a_template_has_left(start):
     gcode = "\n  G91\n  G1 X1 F1234"
-    printer = start(changes=section(start_gcode=gcode)).homed()
+    options = {"start_gcode": gcode, "probing_retract_dist": "3"}
+    printer = start(changes=section(**options)).homed()
     text = printer.stopped("CALIBRATE_Z", "nozzle_pin", 1.6)
     assert text == "Probing failed due to printer shutdown"
 

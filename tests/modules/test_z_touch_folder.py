@@ -109,14 +109,10 @@ def entered(name: str) -> set[Path]:
 def of_both() -> Path:
     """A file below the folder that auto_z_offset and z_calibration need."""
     shared = files("auto_z_offset").keys() & files("z_calibration").keys()
-    return min(shared - entered("z_calibration")).relative_to(ROOT / FOLDER)
-
-
-def of_one(name: str) -> Path:
-    """One that only this module needs, as soon as it is loaded."""
-    others = [files(other).keys() for other in MODULES if other != name]
-    own = entered(name).difference(*others)
-    return min(own).relative_to(ROOT / FOLDER)
+    found = shared - entered("z_calibration")
+    # A package is one without that, too
+    needed = (path for path in found if path.name != "__init__.py")
+    return min(needed).relative_to(ROOT / FOLDER)
 
 
 def append(file: Path, text: str = "\n# Of an update\n") -> None:

@@ -145,6 +145,7 @@ def make_settings(**changes):
         "unmeasured_pin": 0.0,
         "mesh_area": None,
         "said": frozenset(),
+        "z_speed": None,
     }
     return Settings(**{**DEFAULTS, **values, **changes})
 

@@ -1,4 +1,4 @@
-"""What the module chooses with samples: auto: pure."""
+"""How fast and how far CALIBRATE_Z moves where its section leaves it open: pure."""
 
 from __future__ import annotations
 
@@ -7,7 +7,6 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from tests.unit.calibrated import make_sampling, make_settings
-from z_touch.uncertainty.adaptive import Automatic
 from z_touch.z_calibration import pace
 
 positive = st.floats(0.01, 1000.0)
@@ -29,41 +28,39 @@ def test_touch_has_its_speed_after_half_of_its_way(speed, accel):
     assert speed**2 / (2.0 * accel) <= lift / 2.0 * (1.0 + 1e-9)
 
 
-def made(counting, retract=2.0, said=(), axis_speed=15.0):
+def made(retract=2.0, said=(), z_speed=15.0):
     pin = make_sampling(retract_dist=retract, lift_speed=7.0, speed=3.0)
-    settings = make_settings(
-        counting=counting, pin=pin, probe=pin, said=frozenset(said), speed=50.0
-    )
-    return settings, pace.of_run(settings, axis_speed, 350.0)
-
-
-def test_count_is_as_configured():
-    settings, run = made(make_settings().counting)
-    assert run == settings
+    settings = make_settings(pin=pin, probe=pin, said=frozenset(said))
+    return settings, pace.of_run(settings, z_speed, 350.0)
 
 
 @pytest.mark.parametrize(("retract", "lift"), [(2.0, 0.5), (0.3, 0.3)])
 def test_lift_is_never_longer_than_of_the_section(retract, lift):
-    _, run = made(Automatic(0.008), retract)
+    _, run = made(retract)
     assert run.pin.retract_dist == run.probe.retract_dist == lift
 
 
-def test_what_the_owner_has_said_is_kept():
-    names = ("probing_retract_dist", "lift_speed", "probing_speed", "speed")
-    settings, run = made(Automatic(0.008), said=names)
-    assert run == settings
-    _, free = made(Automatic(0.008))
-    assert (free.pin.lift_speed, free.speed) == (15.0, pace.FREE_TRAVEL_SPEED)
-    assert free.probing_speed == 15.0
-    # Of the touches it is always the owner's
-    assert free.pin.speed == 3.0
+def test_what_the_section_gives_is_kept():
+    settings, run = made(
+        said=("probing_retract_dist", "lift_speed", "probing_speed")
+    )
+    # On its way Z moves as in lifts
+    assert run == settings._replace(z_speed=7.0)
+    assert not pace.may_lengthen(run)
 
 
-def test_z_is_no_quicker_than_its_owner_has_it():
-    """Without max_z_velocity hosts would drive a screw as fast as X and Y."""
-    settings, run = made(Automatic(0.008), axis_speed=None)
-    assert run.pin.lift_speed == run.probe.lift_speed == 7.0
-    assert run.probing_speed == settings.probing_speed
-    # Nor where half of the margin would be too short for it
+def test_what_the_section_leaves_open_is_as_quick_as_z_elsewhere():
+    settings, run = made()
+    assert run.pin.lift_speed == run.probe.lift_speed == 15.0
+    assert run.probing_speed == run.z_speed == 15.0
+    # Of the touches it is always the user's
+    assert run.pin.speed == 3.0
+    assert pace.may_lengthen(run)
+    # Other commands take what the section and [probe] have
+    assert not pace.may_lengthen(settings)
+
+
+def test_armed_way_stops_within_half_of_the_margin():
+    settings, _ = made()
     short = settings._replace(travel_margin=0.1)
-    assert pace.of_run(short, None, 350.0).probing_speed == pytest.approx(2.0)
+    assert pace.of_run(short, 15.0, 350.0).probing_speed == pytest.approx(2.0)

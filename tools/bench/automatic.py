@@ -11,8 +11,8 @@ gap (um), how many of the gaps were inside the uncertainty that was told,
 seconds of the command, how many times the lower bound that is, touches that
 count, and refusals. The exit code is 1 where a bound is not kept.
 
-The bound is that of tools/bench/lower_bounds.py for so many touches, with what
-samples: auto may choose, and with what a host needs after each armed move.
+The bound is that of tools/bench/lower_bounds.py for so many touches, and with what
+a host needs after each armed move.
 """
 
 from __future__ import annotations
@@ -41,7 +41,7 @@ from tools.bench.commands import STANDARD, calibrate_plan
 from tools.bench.errors import UM, Condition, make_scene
 from tools.bench.lower_bounds import lower_bound
 from tools.kit.printer import Printer
-from tools.kit.product import adaptive, pace
+from tools.kit.product import adaptive
 from tools.kit.runs import make_run
 from tools.kit.scenes import SCENES
 
@@ -193,17 +193,8 @@ def bound_of(
 ) -> float:
     """Seconds that so many touches of each site take at least."""
     plan = calibrate_plan(scene, STANDARD)
-    fastest = plan.limits.z_velocity
-    stops = [
-        stop._replace(
-            approach_speed=fastest,
-            samples=counts[stop.name],
-            retract=pace.SHORTEST_LIFT,
-            lift_speed=fastest,
-        )
-        for stop in plan.stops
-    ]
-    plan = plan._replace(stops=stops, travel_speed=pace.FREE_TRAVEL_SPEED)
+    stops = [stop._replace(samples=counts[stop.name]) for stop in plan.stops]
+    plan = plan._replace(stops=tuple(stops))
     x, y, z = (round(value, 3) for value in start)
     moves = math.fsum(part.seconds for part in lower_bound(plan, (x, y, z)))
     # The way down of each site is armed, too, to the pin in one move with a touch

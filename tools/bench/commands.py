@@ -20,6 +20,7 @@ from tools.bench.lower_bounds import (
 )
 from tools.kit.auto_z_offset import POINT
 from tools.kit.docks import DOCK_SCENES, HANG
+from tools.kit.product import pace
 from tools.kit.scenes import SCENES, Sections
 
 # Enough for its standard deviation, and as many as PROBE_ACCURACY takes
@@ -83,8 +84,22 @@ def calibrate_plan(scene: Scene, changes: Sections) -> Plan:
     Of the options with a default, the standard machine's are understood.
     """
     config = _read(scene, changes)
-    stops = (*_pin_stops(config, scene), _bed_stop(config, scene))
-    return _pin_plan(config, stops)
+    own = config["z_calibration"]
+    # As fast as its user moves Z elsewhere
+    z_speed = max(
+        config["probe"].getfloat("lift_speed"),
+        config["stepper_z"].getfloat("homing_speed"),
+    )
+    stops = [
+        stop._replace(
+            approach_speed=own.getfloat("probing_speed", z_speed),
+            lift_speed=own.getfloat("lift_speed", z_speed),
+            retract=own.getfloat("probing_retract_dist", pace.SHORTEST_LIFT),
+        )
+        for stop in (*_pin_stops(config, scene), _bed_stop(config, scene))
+    ]
+    plan = _pin_plan(config, tuple(stops))
+    return plan._replace(travel_speed=own.getfloat("speed", 100.0))
 
 
 def accuracy_plan(scene: Scene, changes: Sections) -> Plan:

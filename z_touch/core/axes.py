@@ -203,6 +203,13 @@ class Axes:
             min(axis.max_accel, status["max_accel"]),
         )
 
+    # As fast as its user moves Z elsewhere (mm/s), with 'lift_speed' of the probe, and
+    # the acceleration of Z (mm/s^2)
+    def z_pace(self, lift_speed):
+        limit, accel = self.z_limits()
+        speed = max(lift_speed, self.z_axis.homing_speed)
+        return (speed if limit is None else min(speed, limit)), accel
+
     # Such a host believes what the probe says: after G28 the bed is where the
     # probe sees it.
     def homes_with_probe(self):

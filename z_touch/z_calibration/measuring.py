@@ -151,10 +151,8 @@ class Measurement:
         self.head.lift(travel_z)
         site, speed = self.site, self.settings.speed
         everything = carrying.of(self.host.printer)
-        # What Z can do its owner has to have said: the host takes what X and Y can do.
-        is_free = self.settings.counting.is_free
-        is_quick = is_free and self.host.axes.z_limits()[0] is not None
-        down_to = travel_z if is_quick else None
+        z_speed = self.settings.z_speed
+        down_to = None if z_speed is None else (travel_z, z_speed)
         everything.go_to(
             self.host, site.x, site.y, speed, self.x_first, down_to
         )

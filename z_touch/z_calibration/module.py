@@ -372,7 +372,8 @@ class ZCalibration:
         z_adjust = options.param_number(
             gcmd, "Z_ADJUST", 0.0, minval=-LARGEST_ADJUST, maxval=LARGEST_ADJUST
         )
-        settings = pace.of_run(settings, *self.host.axes.z_limits())
+        lift_speed = self.host.probing.sampling().lift_speed
+        settings = pace.of_run(settings, *self.host.axes.z_pace(lift_speed))
         finder = SiteFinder(self.host, settings)
         sites, before = finder.of_command(gcmd), self.host.gcode_offset.z()
         calibration = self.new_calibration(settings, sites, self.recorder.plan)

@@ -32,8 +32,8 @@ UNMEASURED_PIN = 10.0
 # switch.  2 mm is more than the hysteresis of any common micro switch.
 FALLBACK_RETRACT = 2.0
 
-# XY speed (mm/s) between the sites.
-TRAVEL_SPEED = 50.0
+# XY speed (mm/s) between the sites: half of what users of magnetic probes set
+TRAVEL_SPEED = 100.0
 
 # What the offset may be off by (mm, 95 %) with samples: auto
 TARGET_UNCERTAINTY = 0.008
@@ -214,7 +214,8 @@ SPEEDS = (
         "probing_speed",
         None,
         "The quick part of the way down, in mm/s. The default is homing_speed of"
-        " [stepper_z].",
+        " [stepper_z]; in CALIBRATE_Z it is that of lift_speed, slower where half of"
+        " travel_margin would not be enough to stop.",
         old=("homing_speed",),
     ),
     speed_option(
@@ -227,14 +228,16 @@ SPEEDS = (
     mm_option(
         "probing_retract_dist",
         None,
-        "Lift between two touches, in mm. The default is homing_retract_dist of"
-        " [stepper_z]; on the bed it is sample_retract_dist of [probe].",
+        "Lift between two touches, in mm. In CALIBRATE_Z the default is as short as"
+        " the switch opens, 0.5 or more. Otherwise it is homing_retract_dist of"
+        " [stepper_z], on the bed sample_retract_dist of [probe].",
         old=("homing_retract_dist",),
         above=0.0,
     ),
     probe_option(
         "lift_speed",
-        "All ways up, in mm/s. The default is that of [probe].",
+        "All ways up, in mm/s. The default is that of [probe]; in CALIBRATE_Z it is"
+        " homing_speed of [stepper_z] where that is larger.",
     ),
     option(
         "probing_first_fast",
@@ -359,13 +362,15 @@ OPTIONS = POSITIONS + RESULT + HEIGHTS + SPEEDS + KEPT + USER_GCODE
 #   z_offset             of the probe
 #   unmeasured_pin       how high the pin is taken for until it was touched
 #   mesh_area            what the bed mesh covers, see z_pin
+#   z_speed              of a CALIBRATE_Z: how fast Z moves where nothing is touched;
+#                        None: it is another command, and stays high on its way
 #   said                 the names of those options that its owner has given, or the
 #                        command
 Settings = options.record(
     "Settings",
     [row for row in OPTIONS if row.name not in SAMPLING],
     "pin probe counting may_attach_late start_homes position_endstop position_max"
-    " z_offset unmeasured_pin mesh_area said",
+    " z_offset unmeasured_pin mesh_area said z_speed",
 )
 
 
