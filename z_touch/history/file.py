@@ -229,13 +229,20 @@ def site_record(samples, z, step, touches=None, earlier=UNKNOWN, points=()):
     return record
 
 
+# Whether the nozzle was told to be dirty, or was cleaned
+def is_dirty(run):
+    return bool(run.get("cleaned") or run.get("dirty"))
+
+
 # The Spread of one touch at a site in each of the latest runs, refused ones, too:
 # without what made them refused the others look better than they are.  The bed's is
-# UNKNOWN in those with another bed_spread (mm).
+# UNKNOWN in those with another bed_spread (mm), the nozzle's where it was dirty.
 def spreads_in(runs, site, bed_spread=0.0):
     def spread(run):
         record = run["sites"].get(site)
         is_other = site == "bed" and trend.bed_spread(run) != bed_spread
+        # What stuck to the nozzle is no noise of a clean one
+        is_other |= site == "nozzle" and is_dirty(run)
         return UNKNOWN if is_other or not record else trend.spread_in(record)
 
     return [spread(run) for run in runs[-RECENT:]]

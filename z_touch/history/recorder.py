@@ -197,6 +197,7 @@ class Recorder:
             "sites": sites,
             "retries": retries,
             "cleaned": self.cleaned,
+            "dirty": bool(plan.flattened("nozzle")),
         }
 
     # Where the touches of a site did not agree, all that is known of it
