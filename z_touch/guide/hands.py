@@ -10,7 +10,7 @@ LOOK_INTERVAL = 0.1
 # What a hand has done, see steps.judge(), and what that says of the wiring
 VERDICTS = {
     "early": "reads pressed before anything presses it",
-    "nothing": "did not change",
+    "nothing": "was not pressed within %d seconds" % (steps.HAND_PATIENCE,),
     "other": "did not change, but the other switch did: the pins are mixed up",
     "both": "changed together with the other switch: both are on one pin",
     "held": "was pressed and has not come back",
@@ -19,6 +19,10 @@ VERDICTS = {
 
 # Of a pin that reads pressed: after G28 the nozzle may stand on it
 LIFT_OFF = "lift the nozzle by hand if it stands on the pin, and otherwise %s"
+
+
+# Of one that has not changed
+PRESS_AGAIN = "press it again, or, if you did press it, %s"
 
 
 # Watches the two switches while a hand presses one of them.
@@ -85,6 +89,9 @@ class Hands:
             remedy = "check %s" % (self.remedy(*option),)
             if verdict == "early" and endstop is self.section.pin().endstop:
                 remedy = LIFT_OFF % (remedy,)
+            if verdict == "nothing":
+                # Whoever was slow is not to turn a right polarity over
+                remedy = PRESS_AGAIN % (remedy,)
             raise CalibrationError(
                 "%s %s; %s" % (name, VERDICTS[verdict], remedy)
             )
