@@ -301,6 +301,23 @@ def test_hint_names_a_number_only_where_that_lifts_the_nozzle(start, low):
     assert ("check that the plate is on" in hints[0]) == (low > 0.0)
 
 
+def test_hint_comes_once_until_the_offset_changes(start):
+    changes = {"stepper_z": {"position_endstop": "1.9"}}
+    printer = start(changes=changes).homed()
+
+    def hints():
+        return sum("HINT: " in line for line in printer.run("CALIBRATE_Z"))
+
+    assert [hints(), hints()] == [1, 0]
+    printer.machine.world.exchange_plate(0.1)
+    assert [hints(), hints()] == [1, 0]
+    # Small for once, and large again
+    printer.machine.world.exchange_plate(-0.5)
+    assert hints() == 0
+    printer.machine.world.exchange_plate(0.1)
+    assert hints() == 1
+
+
 @pytest.mark.parametrize(
     ("low", "margins", "names"),
     [(-0.9, "-1, 0.8", True), (0.3, "-1, -0.5", False)],

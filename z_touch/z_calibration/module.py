@@ -66,6 +66,9 @@ LARGEST_ADJUST = 0.5
 # An offset of more than this (mm) is worth correcting in position_endstop.
 LARGE_OFFSET = 0.2
 
+# One that differs by no more (mm) from that of the last hint is not worth another
+SAME_HINT = 0.05
+
 
 # Whether end_gcode has set the offset itself, perhaps with something more, rather than
 # what is to be added to it: a Z that is large, and nearer to it than to 0
@@ -107,6 +110,8 @@ class ZCalibration:
         running.register_commands(self.host, self.recorder)
         # A SET_GCODE_OFFSET with Z has run since end_gcode began
         self.is_set_anew = False
+        # The offset (mm) that the user was last hinted at; None: not
+        self.hinted = None
         # The run that is under way believes no heights of earlier runs
         self.accepts_change = False
         # For the guide and the corrections
@@ -447,19 +452,29 @@ class ZCalibration:
         if abs(last.z_offset - result.offset - last.z_adjust) >= NO_CHANGE:
             text = "Z-CALIBRATION: --> G-code Z offset %.6f"
             gcmd.respond_info(text % (last.z_offset,))
+        self.hint(gcmd, result.offset)
+
+    # What makes a large offset (mm) smaller: once, until it is another one
+    def hint(self, gcmd, z_offset):
         homed_z = self.settings.position_endstop
-        if homed_z is not None and result.offset > LARGE_OFFSET:
+        if homed_z is None or abs(z_offset) <= LARGE_OFFSET:
+            self.hinted = None
+            return
+        before, self.hinted = self.hinted, z_offset
+        if before is not None and abs(z_offset - before) <= SAME_HINT:
+            self.hinted = before
+        elif z_offset > 0.0:
             gcmd.respond_info(
                 "HINT: z position_endstop=%.3f - offset=%.6f --> possible z"
                 " position_endstop=%.3f"
-                % (homed_z, result.offset, homed_z - result.offset)
+                % (homed_z, z_offset, homed_z - z_offset)
             )
-        elif homed_z is not None and result.offset < -LARGE_OFFSET:
+        else:
             # A number would bring the nozzle closer to a bed that only seems so low
             gcmd.respond_info(
                 "HINT: the bed is %.3f mm lower than position_endstop=%.3f says;"
                 " check that the plate is on and how the probe is seated"
-                % (-result.offset, homed_z)
+                % (-z_offset, homed_z)
             )
 
     # Of a switch_offset that the set-up has taken from a list
