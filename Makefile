@@ -12,6 +12,7 @@
 #   make faults   break something at every operation, draw printers at random
 #   make walks    any order of commands on any printer, the world as the judge
 #   make noop     which tests pass although no command of ours does anything
+#   make shape    how many functions and files each command runs through
 #   make test-firmware  the same commands on micro-controller programs of yours
 #   make hosts    prepare and list the klippy hosts, and Moonraker
 #   make speed    how much faster than a printer the simulation runs
@@ -36,6 +37,8 @@
 # DEMO_ARGS            arguments for make demo, such as --scene cartesian
 # PRINTER_ARGS         arguments for make printer, such as --scene extra_probe
 # NOOP_ARGS            arguments for make noop, tests (default tests/modules)
+# SHAPE_ARGS           arguments for make shape, modules to set beside ours, such
+#                      as z_calibration=~/other/z_calibration.py
 # WALKS_ARGS           arguments for make walks, such as --count 1000 --seed 5
 # FAULTS_ARGS          arguments for make faults, such as --seed 7 or --pairs 2000
 
@@ -48,6 +51,7 @@ DEMO_ARGS ?=
 PRINTER_ARGS ?=
 FAULTS_ARGS ?=
 WALKS_ARGS ?=
+SHAPE_ARGS ?=
 NOOP_ARGS ?= tests/modules
 export BUILD_DIR
 
@@ -61,7 +65,7 @@ COMPILE = import sys; [compile(open(f).read(), f, 'exec') for f in sys.argv[1:]]
 
 # Test files import each other as tests.*, from the root of the repository.
 .PHONY: test test-rest test-each test-all one test-firmware quick noop demo
-.PHONY: printer speed bench faults walks hosts prepared checked
+.PHONY: printer speed bench shape faults walks hosts prepared checked
 .PHONY: docs lint format tools update-pins clean
 
 test test-rest test-each test-all: checked
@@ -98,6 +102,9 @@ speed: prepared
 bench: prepared
 	$(TOOLS)/python -m tools.bench $(BENCH_ARGS)
 	$(TOOLS)/python -m tools.bench.automatic
+
+shape: prepared
+	$(TOOLS)/python -m tools.shape $(SHAPE_ARGS)
 
 faults: prepared
 	$(TOOLS)/python -m tools.campaign $(FAULTS_ARGS)
