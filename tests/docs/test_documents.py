@@ -443,7 +443,7 @@ MISTAKES = {
     "phase": ("`idle`, ", ""),
     "part of the result": (r"(last_result.*)`probe`, ", r"\1"),
     "constant": (r"`NO_TRAVEL` \| 0.0001", "`NO_TRAVEL` | 0.001"),
-    "answer": (r"(at z=-?)\d(\.\d+)\n", r"\g<1>9\2\n"),
+    "answer": (r"(at z=-?)\d(\.\d+)", r"\g<1>9\2"),
     "term": (r"(?m)^\| probe \| \d", "| probe | 9"),
     "formula": (r"(?m)^(-?\d.* = .*)\d(\)?)$", r"\g<1>9\2"),
     "floor": (r"(?m)^(\|.*\| -?\d)\.\d+( to .*)? \|$", r"\1.999\2 |"),

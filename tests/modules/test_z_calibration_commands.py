@@ -198,9 +198,49 @@ def noisy():
     return scene.with_world(pin=replace(scene.world.pin, noise=noise))
 
 
+@pytest.mark.parametrize(
+    ("script", "places"),
+    [
+        ("CALIBRATE_Z", ["nozzle", "switch", "bed"]),
+        ("PROBE_Z_ACCURACY SAMPLES=3", []),
+        ("CALIBRATE_Z_ACCURACY CYCLES=2", []),
+    ],
+)
+def test_single_touches_are_told_on_request(start, script, places):
+    """One line a place, or a cycle; klippy.log has each touch, always."""
+    printer = start().homed()
+    lines = printer.run(script)
+    assert heights(lines) == []
+    found = [
+        m[1]
+        for line in lines
+        if (
+            m := re.search(
+                r"(\w+) at z=[\d.]+ \(3 touches, 0.000 mm apart", line
+            )
+        )
+    ]
+    assert found == places
+    cycles = [line for line in lines if ": cycle " in line]
+    assert len(cycles) == (2 if "CYCLES" in script else 0)
+    for number, line in enumerate(cycles, 1):
+        assert line == (
+            f"// z_calibration: cycle {number}: nozzle at z=1.600, switch at"
+            " z=8.015, bed at z=7.015, offset=0.160"
+        )
+    touches = len(touched_sites(printer)) - 2
+    assert printer.session.log().count(": touched at z=") == touches - (
+        touches % 3
+    )
+    assert len(heights(printer.run(f"{script} VERBOSE=1"))) >= 3
+    # Of that command
+    assert heights(printer.run(script)) == []
+    assert "VERBOSE" in printer.fail(f"{script} VERBOSE=2")
+
+
 def test_accuracy_figures_are_those_of_the_touches(start):
     printer = start(noisy(), seed=3).homed()
-    lines = printer.run("PROBE_Z_ACCURACY SAMPLES=6")
+    lines = printer.run("PROBE_Z_ACCURACY SAMPLES=6 VERBOSE=1")
     z = heights(lines)
     assert len(z) == 6
     assert max(z) - min(z) > 0.01
@@ -222,7 +262,7 @@ def test_accuracy_figures_are_those_of_the_touches(start):
 def test_accuracy_uses_the_settings_of_the_module(start):
     changes = section(samples="5", probing_retract_dist="2.5", lift_speed="7")
     printer = start(changes=changes).homed()
-    lines = printer.run("PROBE_Z_ACCURACY")
+    lines = printer.run("PROBE_Z_ACCURACY VERBOSE=1")
     assert (
         "// PROBE_Z_ACCURACY at X:206.000 Y:306.000 (samples=5 retract=2.500"
         " speed=3.0 lift_speed=7.0)"

@@ -48,7 +48,7 @@ def test_each_touch_is_at_a_point_of_its_own(start, first_fast):
     scene = SCENES["voron"]
     probe = replace(scene.world.mag_probe, pretravel=0.9)
     printer = start(scene.with_world(mag_probe=probe), changes=changes).homed()
-    lines = printer.run("CALIBRATE_Z")
+    lines = printer.run("CALIBRATE_Z VERBOSE=1")
     told = re.findall(
         r"bed: touched at z=\S+ at (\S+), (\S+)$", "\n".join(lines), re.M
     )

@@ -24,7 +24,6 @@ import random
 import re
 import statistics
 import sys
-from collections import Counter
 from collections.abc import Iterator, Mapping, Sequence
 from concurrent.futures import ProcessPoolExecutor
 from dataclasses import replace
@@ -55,7 +54,7 @@ FIRST = 2
 AFTER_WAY = 0.25
 WITHIN_WAY = 0.15
 AFTER_TOUCH = 0.4
-TOUCHED = re.compile(r"z_calibration: (\w+): touched at z=")
+TOUCHED = re.compile(r"z_calibration: (\w+) at z=\S+ \((\d+) touch")
 WORTH = re.compile(r"new offset=\S+ \+-(\S+)")
 
 
@@ -182,7 +181,7 @@ def measure(printer: Printer) -> Trial:
     seconds = (clock.now() - began) * 1e-9
     error = printer.gap() - printer.scene.formula_gap()
     worth = [m for m in map(WORTH.search, lines) if m]
-    counts = Counter(m[1] for m in map(TOUCHED.search, lines) if m)
+    counts = {m[1]: int(m[2]) for m in map(TOUCHED.search, lines) if m}
     told = float(worth[0][1]) * UM
     bound = bound_of(printer.scene, counts, start)
     return Trial(error * UM, told, seconds, sum(counts.values()), bound)

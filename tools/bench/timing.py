@@ -26,14 +26,13 @@ from tools.kit.printer import FOLDER, Printer, module_files
 # Name of a run, and what is done before it
 RUNS = (("after G28", "G28"), ("again", ""), ("after G28 again", "G28"))
 
-# How modules say that they have recorded a sample: ours; others, whose words
-# for it are the host's own for any touch.
+# How modules say that they have recorded samples, how many or each: ours; others,
+# whose words for it are the host's own for any touch.
 RECORDED = (
-    re.compile(
-        r"z_calibration: \w+: touched at z="
-        r"|auto_z_offset: [a-z ]+: triggered at z="
-    ),
-    re.compile(r"probe at \S+ is z="),
+    re.compile(r"z_calibration: \w+ at z=\S+ \((\d+) touch"),
+    re.compile(r"^// PROBE_Z_ACCURACY at .* \(samples=(\d+) "),
+    re.compile(r"auto_z_offset: [a-z ]+: (triggered) at z="),
+    re.compile(r"(probe at) \S+ is z="),
 )
 
 
@@ -189,9 +188,9 @@ def idle_seconds(printer: Printer, seconds: float) -> float:
 def recorded(lines: Sequence[str]) -> Optional[int]:
     """Samples that a module has told of on the console."""
     for pattern in RECORDED:
-        count = sum(len(pattern.findall(line)) for line in lines)
-        if count:
-            return count
+        found = [said for line in lines for said in pattern.findall(line)]
+        if found:
+            return sum(int(said) if said.isdigit() else 1 for said in found)
     return None
 
 

@@ -81,6 +81,7 @@ def check_no_manual_probe(host):
 class Watch:
     def __init__(self, name, respond_info):
         self.name = name
+        self.is_verbose = False
         self.begin(respond_info, "idle", 0)
 
     def begin(self, respond_info, phase, wanted):
@@ -92,6 +93,10 @@ class Watch:
     def enter(self, phase):
         self.phase = phase
 
+    # Whether single touches are told, too
+    def be_verbose(self, is_verbose):
+        self.is_verbose = is_verbose
+
     # How many touches there will be, where that is known later
     def expect(self, wanted):
         self.wanted = wanted
@@ -102,6 +107,14 @@ class Watch:
 
     def say(self, msg):
         self.respond_info("%s: %s" % (self.name, msg))
+
+    # For klippy.log, and with VERBOSE=1 for the console
+    def detail(self, msg):
+        if self.is_verbose:
+            # The console is logged
+            self.say(msg)
+        else:
+            logging.info("%s: %s", self.name, msg)
 
     def status(self):
         progress = self.done / self.wanted if self.wanted else 0.0

@@ -58,14 +58,16 @@ PLUNGER_PRESSED = (
 # What the touches of one run have in common, and what was seen in it so far
 class Run:
     # 'settings': completed; 'pin': what nozzle and body press; 'plan' has the
-    # samples; 'watch' is told what happens; 'homed' is the frame.HomedFrame.
-    def __init__(self, host, settings, pin, plan, watch, homed):
+    # samples; 'watch' is told what happens; 'homed' is the frame.HomedFrame; 'tells':
+    # each place is told when it is done.
+    def __init__(self, host, settings, pin, plan, watch, homed, tells):
         self.host = host
         self.settings = settings
         self.pin = pin
         self.plan = plan
         self.watch = watch
         self.homed = homed
+        self.tells = tells
         self.warnings = []
         # What the host adds to what the probe says there (mm), for a twisted axis
         self.twist = 0.0
@@ -119,7 +121,24 @@ class Measurement:
     def take_samples(self, travel_z, expected_z, floor):
         self.expected_z, self.floor = expected_z, floor
         with errors.about(self.site.name):
-            return self.touch_site(travel_z, floor)
+            samples = self.touch_site(travel_z, floor)
+        if self.run.tells:
+            self.tell(samples)
+        return samples
+
+    # Where the place is, by so many touches
+    def tell(self, samples):
+        count = len(samples)
+        self.run.watch.say(
+            "%s at z=%.3f (%d touch%s, %.3f mm apart)"
+            % (
+                self.site.name,
+                self.run.plan.estimates[self.site.name].z,
+                count,
+                "" if count == 1 else "es",
+                max(samples) - min(samples),
+            )
+        )
 
     # All of it, in the order in which it is done
     def touch_site(self, travel_z, floor):
@@ -200,7 +219,9 @@ class Measurement:
         self.check_pressed()
         self.taken += 1
         self.run.watch.touched()
-        self.report("touched at z=%.6f%s" % (z, self.point_told()))
+        text = "%s: touched at z=%.6f%s"
+        told = text % (self.site.name, z, self.point_told())
+        self.run.watch.detail(told)
         return z
 
     # Whether the way down is done in this move, and has ended with a touch

@@ -49,6 +49,7 @@ from .settings import (
     param_plate,
     param_switch_offset,
     param_touches,
+    param_verbose,
     read_settings,
 )
 from .shifts import Shifts
@@ -174,12 +175,13 @@ class ZCalibration:
     # One run
     ##################################################################
 
-    # A Calibration; 'plan': adaptive.Plan of its touches
-    def new_calibration(self, settings, sites, plan):
+    # A Calibration; 'plan': adaptive.Plan of its touches; 'tells': each place is told
+    # when it is done
+    def new_calibration(self, settings, sites, plan, tells=True):
         watch, nozzle_at = self.runner.watch, self.recorder.nozzle_at()
         if nozzle_at is not None:
             self.pin.places.note(*nozzle_at)
-        run = Run(self.host, settings, self.pin, plan, watch, self.homed)
+        run = Run(self.host, settings, self.pin, plan, watch, self.homed, tells)
         return Calibration(run, sites)
 
     # A site, as X and Y (mm), if the probe was on the head there; None: it may meet the
@@ -194,8 +196,11 @@ class ZCalibration:
         # A template of a run that is under way must not end what that keeps
         self.runner.check_idle(gcmd)
         self.check_nobody_asked(gcmd)
-        with self.hooks.keeping_modes():
-            return self.runner.run(gcmd, work, phase, wanted, failed)
+        try:
+            with self.hooks.keeping_modes():
+                return self.runner.run(gcmd, work, phase, wanted, failed)
+        finally:
+            self.runner.watch.be_verbose(False)
 
     # Before anything moves, templates included: of a run that has not begun neither
     # end_gcode nor error_gcode has to undo anything.  'own': what begins is no part of
@@ -291,6 +296,7 @@ class ZCalibration:
             self.runner.watch.say(impossible)
         wanted = 2 * plan.expected(settings.pin) + plan.expected(settings.probe)
         work = functools.partial(self.calibrate_and_apply, gcmd, settings)
+        self.runner.watch.be_verbose(param_verbose(gcmd))
         self.accepts_change = param_accept_change(gcmd)
         try:
             last = self.run(gcmd, work, "start_gcode", wanted, self.failed)
@@ -495,6 +501,7 @@ class ZCalibration:
         work = functools.partial(self.measure_cycles, gcmd, params)
         self.runner.check_idle(gcmd)
         self.check_nobody_asked(gcmd, own=True)
+        self.runner.watch.be_verbose(param_verbose(gcmd))
         self.recorder.begin(params.settings.counting)
         cycles = self.run_without_offset(
             gcmd, work, "start_gcode", params.touches(), self.failed
@@ -511,14 +518,24 @@ class ZCalibration:
                 self.hooks.attachment.check_homing(self.host.axes)
                 self.host.gcode.run_script_from_command("G28 Z")
             plan = self.recorder.plan
-            calibration = self.new_calibration(settings, sites, plan)
+            calibration = self.new_calibration(settings, sites, plan, False)
             with self.prepared(calibration):
                 if not params.attach:
                     self.check_stays_attached(calibration)
                 for _ in range(1 if params.attach else params.cycles):
-                    self.measure(calibration)
+                    result = self.measure(calibration)
                     cycles.append(self.recorder.cycle(settings.switch_offset))
-                    self.runner.watch.say("cycle %d is done" % (len(cycles),))
+                    self.runner.watch.say(
+                        "cycle %d: nozzle at z=%.3f, switch at z=%.3f, bed at"
+                        " z=%.3f, offset=%.3f"
+                        % (
+                            len(cycles),
+                            result.nozzle,
+                            result.switch,
+                            result.probe,
+                            result.offset,
+                        )
+                    )
         return cycles
 
     def check_stays_attached(self, calibration):
@@ -539,7 +556,9 @@ class ZCalibration:
 
     def cmd_PROBE_Z_ACCURACY(self, gcmd):
         work = functools.partial(self.measure_accuracy, gcmd)
+        self.runner.check_idle(gcmd)
         self.check_nobody_asked(gcmd, own=True)
+        self.runner.watch.be_verbose(param_verbose(gcmd))
         samples = self.run_without_offset(gcmd, work, "nozzle", 0)
         gcmd.respond_info(
             "probe z accuracy results: maximum %.6f, minimum %.6f, range"
@@ -556,7 +575,7 @@ class ZCalibration:
         self.hooks.attachment.free_nozzle()
         plan = self.recorder.make_plan(settings.counting)
         sites = Sites(nozzle, None, None)
-        calibration = self.new_calibration(settings, sites, plan)
+        calibration = self.new_calibration(settings, sites, plan, False)
         calibration.know(self.earlier())
         gcmd.respond_info(
             "PROBE_Z_ACCURACY at X:%(x).3f Y:%(y).3f (samples=%(samples)d"

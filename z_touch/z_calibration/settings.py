@@ -520,6 +520,11 @@ def idle_params(gcmd, settings):
     return [name for name in names if gcmd.get(name, "").strip()]
 
 
+# VERBOSE of a command: whether it tells every single touch
+def param_verbose(gcmd):
+    return bool(options.param_int(gcmd, "VERBOSE", 0, minval=0, maxval=1))
+
+
 # ACCEPT_CHANGE of a command: pin, bed or plate was changed
 def param_accept_change(gcmd):
     value = options.param_int(gcmd, "ACCEPT_CHANGE", 0, minval=0, maxval=1)
