@@ -114,7 +114,7 @@ def assert_soft_and_clean(lines: list[str]) -> None:
     """The nozzle was soft, cleaned, and only then measured."""
     text = "\n".join(lines)
     cleaned = re.search(r"cleaned at (\d+) C, target (\d+)", text)
-    touched = text.find("nozzle: touched")
+    touched = text.find("nozzle at z=")
     assert cleaned
     assert cleaned.end() < touched
     assert int(cleaned[2]) == SOFT, "too hot, or too cold, when it is cleaned"

@@ -127,7 +127,7 @@ def test_disturbed_at_a_step(at_step, disturbance, step):
 
 def test_probe_that_dies_on_the_bed(at_step):
     user = at_step("TOUCH_NOZZLE")
-    user.fail_after("bed: touched", False)
+    user.fail_at("probe_bed")
     text = user.dialog().text
     assert "check the place of the bed and the probe (QUERY_PROBE" in text
     assert hidden(text) == []

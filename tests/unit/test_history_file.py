@@ -158,6 +158,7 @@ def test_oldest_stay_where_they_cannot_go(file):
     assert len(whole(file)) == 10
 
 
+@pytest.mark.slow
 def test_two_printers_write_into_one_folder(tmp_path):
     files = [history.File(str(tmp_path), 1000) for _ in range(4)]
 
@@ -628,6 +629,7 @@ def test_history_that_is_off_lasts_as_long_as_klippy(tmp_path):
     assert list(tmp_path.iterdir()) == []
 
 
+@pytest.mark.slow
 def test_main_thread_waits_for_a_few_lines_at_most(tmp_path, monkeypatch):
     file = history.File(str(tmp_path), 1000)
     with open(file.path, "w") as f:

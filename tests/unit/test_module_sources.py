@@ -166,18 +166,6 @@ def test_rooms_lead_only_where_the_plan_of_the_house_says(path):
     assert set(rooms_imported(path)) - allowed == set()
 
 
-TOOLS = sorted(ROOT.glob("tools/**/*.py"))
-
-
-@pytest.mark.parametrize(
-    "path", TOOLS, ids=lambda path: str(path.relative_to(ROOT))
-)
-def test_tools_lead_to_no_test_of_the_product(path):
-    """simprinter/tests/test_imports.py has the simulator's arrows."""
-    roots = {name.partition(".")[0] for name in absolute_imports(path)}
-    assert "tests" not in roots
-
-
 # Objects of a room that others in it fill in: the progress of a set-up, a page that
 # is drawn, a thread of the library.
 FILLED_IN = {

@@ -42,9 +42,8 @@ def test_lift_is_never_longer_than_of_the_section(retract, lift):
 
 def test_what_the_section_gives_is_kept():
     settings, run = made(
-        said=("probing_retract_dist", "lift_speed", "probing_speed")
+        said=("probing_retract_dist", "lift_speed", "probing_speed", "speed")
     )
-    # On its way Z moves as in lifts
     assert run == settings._replace(z_speed=7.0)
     assert not pace.may_lengthen(run)
 
@@ -53,11 +52,17 @@ def test_what_the_section_leaves_open_is_as_quick_as_z_elsewhere():
     settings, run = made()
     assert run.pin.lift_speed == run.probe.lift_speed == 15.0
     assert run.probing_speed == run.z_speed == 15.0
+    assert run.speed == pace.TRAVEL_SPEED
     # Of the touches it is always the user's
     assert run.pin.speed == 3.0
     assert pace.may_lengthen(run)
     # Other commands take what the section and [probe] have
     assert not pace.may_lengthen(settings)
+
+
+def test_lift_speed_of_the_section_is_that_of_the_way_down_too():
+    _, run = made(said=("lift_speed",))
+    assert run.probing_speed == run.pin.lift_speed == 7.0
 
 
 def test_armed_way_stops_within_half_of_the_margin():

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import re
-from collections.abc import Iterable
+from collections.abc import Callable, Iterable
 from typing import Optional
 
 import pytest
@@ -193,17 +193,29 @@ class User:
 
     def fail_after(self, words: str, reading: Optional[bool]) -> None:
         """Press the first button; from these words on the probe reads so."""
+        console = self.printer.session.console
+        seen = len(console)
+        self._fail(
+            lambda: not words or any(words in line for line in console[seen:]),
+            reading,
+        )
+
+    def fail_at(self, site: str) -> None:
+        """Press the first button; from its second touch there the probe is dead."""
+        touches = self.machine.truth.touches
+        seen = len(touches)
+        self._fail(
+            lambda: sum(touch.site == site for touch in touches[seen:]) > 1,
+            False,
+        )
+
+    def _fail(
+        self, is_time: Callable[[], bool], reading: Optional[bool]
+    ) -> None:
         session = self.printer.session
         self.machine.tolerate("body_bed", 1.02)
-        seen = len(session.console)
         command = session.begin(self.dialog().footer_buttons[0][1])
-        session.run_until(
-            command,
-            lambda: (
-                any(words in line for line in session.console[seen:])
-                or not words
-            ),
-        )
+        session.run_until(command, is_time)
         self.hold("probe", reading)
         with pytest.raises(GcodeError):
             session.finish(command)

@@ -135,10 +135,8 @@ class Carrying:
     ######################################################################
 
     # X and Y (mm), around the dock where there is one that is known; otherwise,
-    # with 'x_first', along X and then along Y.  'down_to': a height (mm) to come down
-    # to on the last straight line, where the head is higher, and how fast Z may move
-    # (mm/s); None: it stays as high as it is
-    def go_to(self, host, x, y, speed, x_first=False, down_to=None):
+    # with 'x_first', along X and then along Y; always as high as the head is
+    def go_to(self, host, x, y, speed, x_first=False):
         carrier = self.carrier(host)
         if carrier is not None:
             carrier.go_to(x, y, speed)
@@ -146,6 +144,4 @@ class Carrying:
         if x_first:
             start_y = host.toolhead.get_position()[1]
             touching.move_xy(host, x, start_y, speed)
-        if down_to is not None and host.motion.z() > down_to[0]:
-            touching.move_xyz(host, (x, y, down_to[0]), speed, down_to[1])
         touching.move_xy(host, x, y, speed)

@@ -88,6 +88,16 @@ class Host:
     def extruder(self):
         return self.toolhead_status().get("extruder") or ""
 
+    # Of klipper-toolchanger (94756df, 2026-04-07): the sections of active tools, and by how
+    # much (mm) they shift Z.  Other plugins have sections of that name, too.
+    def active_tools(self):
+        for name, tool in self.printer.lookup_objects("tool"):
+            get_status = getattr(tool, "get_status", None)
+            status = get_status(self.eventtime()) if get_status else {}
+            shift = status.get("gcode_z_offset")
+            if status.get("active") and isinstance(shift, (int, float)):
+                yield name, shift
+
     # Degrees C that the nozzle has or is to have, whichever is more
     def nozzle_temperature(self):
         name = self.extruder()

@@ -38,9 +38,9 @@ class Notes:
             self.host.printer.get_reactor(),
             self.host.eventtime(),
         )
-        self.heard, self.end = self.host.listeners(), eventtime + LISTEN_TIME
+        self.end = eventtime + LISTEN_TIME
         if not self.is_looking:
-            self.is_looking = True
+            self.is_looking, self.heard = True, self.host.listeners()
             reactor.register_timer(self.look, eventtime + LISTEN_INTERVAL)
 
     def say(self):

@@ -492,7 +492,13 @@ class History:
             self.say(text)
 
     def _read(self):
-        records, damaged = self.file.read()
+        try:
+            records, damaged = self.file.read()
+        except OSError:
+            # Then nothing is known of runs before
+            if self.begun is not None:
+                self.later(self.begun)
+            raise
         for text, count in (
             ("%d damaged lines of %s are left out", damaged),
             (

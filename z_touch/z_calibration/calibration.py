@@ -125,7 +125,9 @@ class Calibration:
         return NozzleMeasurement(self.run, self.sites.nozzle, self.settings.pin)
 
     def at_switch(self):
-        return SwitchMeasurement(self.run, self.sites.switch, self.settings.pin)
+        site, sampling = self.sites.switch, self.settings.pin
+        is_limited = self.expected.earlier.kept is not None
+        return SwitchMeasurement(self.run, site, sampling, is_limited)
 
     # 'lowest': the lowest offset (mm) that the bed may have; None: its floor is not of
     # what that may be
@@ -229,7 +231,7 @@ class Calibration:
             text = "searching for the switch down to z=%.3f"
             self.run.watch.say(text % (hard,))
             return hard
-        return max(heights.switch_floor(self.settings, nozzle_z, None), lowest)
+        return max(self.expected.switch_floor_anew(nozzle_z), lowest)
 
     # By one touch of the bed; raises NoTrigger where that cannot be found
     def lowest_switch(self, nozzle_z):

@@ -29,10 +29,8 @@ def check_probe(host):
 # below the G-code offset, which would then hold it a second time.  Raises
 # CalibrationError.
 def check_tool_offset(host):
-    for name, tool in host.printer.lookup_objects("tool"):
-        status = tool.get_status(host.eventtime())
-        shift = status.get("gcode_z_offset") or 0.0
-        if status.get("active") and shift:
+    for name, shift in host.active_tools():
+        if shift:
             raise CalibrationError(
                 "gcode_z_offset of section '%s' is %.3f and that tool is active:"
                 " CALIBRATE_Z measures what its nozzle needs, so it would count"

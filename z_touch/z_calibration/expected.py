@@ -55,6 +55,13 @@ class Expectations:
             return heights.floor_over(settings, floor, self.points[1], below)
         return heights.bed_floor(settings, nozzle_z, switch_z, kept)
 
+    # That of the switch where the bed has just told how long the probe is
+    def switch_floor_anew(self, nozzle_z):
+        settings = self.settings
+        floor = heights.switch_floor(settings, nozzle_z, None)
+        below = heights.least_body(settings)
+        return heights.floor_over(settings, floor, self.points[1], below)
+
     # Where the head moves over the pin; 'pin_z': how high that is, None: nobody knows
     def travel_height(self, pin_z):
         return heights.travel_height(self.settings, pin_z, self.body())

@@ -244,23 +244,20 @@ def below_margins(settings, lowest, zero, site):
     return text % (end % (low,), check, corrected_zero(zero, low))
 
 
-# What to do where position_min of 'section' has ended a touch early, without a trigger;
-# 'expected_z': where it was expected (toolhead Z, mm; None: nobody knew).  Empty: it
-# has not.
+# Why a touch without a trigger has ended where it did, if that was position_min of
+# 'section'; 'expected_z': where it was expected (toolhead Z, mm; None: nobody knew).
+# Empty: it could go as far down as it may.
 def ended_by_position_min(settings, section, floor, expected_z):
     position_min = settings.position_min
     if floor > position_min + ROUNDING:
         return ""
-    end = "position_min (%.3f) of section '%s' has ended this touch" % (
-        position_min,
-        section,
+    is_low = (
+        expected_z is None
+        or expected_z - settings.travel_margin <= position_min - ROUNDING
     )
-    if expected_z is None:
-        return end
-    wanted = expected_z - settings.travel_margin
-    if wanted > position_min - ROUNDING:
+    if not is_low:
         return ""
-    return "%s; set it to %.3f or lower" % (end, wanted)
+    return "position_min (%.3f) of section '%s'" % (position_min, section)
 
 
 # Where the bed may be looked for with a probe of unknown length: the nozzle

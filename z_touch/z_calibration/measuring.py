@@ -49,6 +49,11 @@ CLEAR_OF_PLATE = FREE_PLUNGER + 0.5
 
 LOOK_AT_PROBE = "check it with QUERY_PROBE"
 
+# Where an earlier run has limited a touch
+IF_CHANGED = (
+    ", or, if pin, bed or probe was changed, run CALIBRATE_Z ACCEPT_CHANGE=1"
+)
+
 PLUNGER_PRESSED = (
     "switch: the pin presses the plunger of the probe besides its body, which"
     " makes the height wrong; correct %s"
@@ -128,17 +133,14 @@ class Measurement:
 
     # Where the place is, by so many touches
     def tell(self, samples):
-        count = len(samples)
-        self.run.watch.say(
-            "%s at z=%.3f (%d touch%s, %.3f mm apart)"
-            % (
-                self.site.name,
-                self.run.plan.estimates[self.site.name].z,
-                count,
-                "" if count == 1 else "es",
-                max(samples) - min(samples),
-            )
-        )
+        name, count = self.site.name, len(samples)
+        text = "%s at z=%.3f" % (name, self.run.plan.estimates[name].z)
+        if count == 1:
+            text += " (1 touch)"
+        else:
+            apart = max(samples) - min(samples)
+            text += " (%d touches, %.3f mm apart)" % (count, apart)
+        self.run.watch.say(text)
 
     # All of it, in the order in which it is done
     def touch_site(self, travel_z, floor):
@@ -170,11 +172,7 @@ class Measurement:
         self.head.lift(travel_z)
         site, speed = self.site, self.settings.speed
         everything = carrying.of(self.host.printer)
-        z_speed = self.settings.z_speed
-        down_to = None if z_speed is None else (travel_z, z_speed)
-        everything.go_to(
-            self.host, site.x, site.y, speed, self.x_first, down_to
-        )
+        everything.go_to(self.host, site.x, site.y, speed, self.x_first)
 
     # Where the samples begin: toolhead Z (mm)
     def top(self, travel_z):
@@ -200,7 +198,10 @@ class Measurement:
 
     # The first touch gets the head down; it is no sample
     def first_touch(self, floor):
-        speed = self.settings.probing_speed
+        speed, settings = self.settings.probing_speed, self.settings
+        if "probing_speed" not in settings.said:
+            # It is a touch, and those are as fast as the user has them
+            speed = min(speed, self.host.axes.z_axis.homing_speed)
         self.attempt(self.head.touch, self.endstop(), floor, speed)
 
     # The heights of the samples, as many as the plan wants
@@ -272,7 +273,8 @@ class Measurement:
         lift = self.sampling.retract_dist
         if pace.may_lengthen(self.settings):
             lift = max(lift, pace.LONGEST_LIFT)
-        self.head.lift(self.host.motion.z() + lift)
+        highest = self.settings.position_max
+        self.head.lift(min(self.host.motion.z() + lift, highest))
 
     # Returns touch(*args).  Its error says what was expected and what to look at;
     # where nothing triggered, or at once, the sensors may know better.
@@ -284,8 +286,7 @@ class Measurement:
             at_start = touching.is_at(self.host, start_z)
             if isinstance(e, errors.NoTrigger) or at_start:
                 self.explain()
-            advice = self.ended_early() or self.advice()
-            raise e.advised(advice, self.expected_z)
+            raise e.advised(self.advice(), self.expected_z, self.floor_reason())
         self.check_height()
         return touched
 
@@ -297,8 +298,8 @@ class Measurement:
     def advice(self):
         return self.remedy % (self.site.place(),)
 
-    # What to do where position_min has ended it; empty: it has not
-    def ended_early(self):
+    # Why it has ended where it did, if that was position_min
+    def floor_reason(self):
         if self.floor is None or not touching.is_at(self.host, self.floor):
             return ""
         section = checks.position_min_section(self.host, self.settings)
@@ -499,6 +500,15 @@ class SwitchMeasurement(Measurement):
         "check %s, how the probe is seated, and that z_offset"
         " in section 'probe' is about the distance of nozzle and probe"
     )
+
+    # 'is_limited': a good run of before has limited how far down it may look
+    def __init__(self, run, site, sampling, is_limited=False):
+        Measurement.__init__(self, run, site, sampling)
+        self.is_limited = is_limited
+
+    def advice(self):
+        remedy = Measurement.advice(self)
+        return remedy + IF_CHANGED if self.is_limited else remedy
 
     # Looks at the probe as well, which may have been attached right before
     def arrive(self, travel_z):

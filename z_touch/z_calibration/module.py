@@ -36,7 +36,7 @@ from ..core.host import Host
 from ..history import recorder
 from . import accuracy, checks, corrections, heights, pace, switches
 from .calibration import Calibration
-from .expected import Earlier
+from .expected import NOTHING_EARLIER, Earlier
 from .hooks import MOVED_IN_END, Hooks
 from .interface import Interface
 from .measuring import Run
@@ -242,10 +242,11 @@ class ZCalibration:
 
     # What the next run knows before it begins
     def earlier(self, departure=None):
+        if self.accepts_change:
+            return NOTHING_EARLIER._replace(departure=departure)
         last, holds = self.results.earlier(self.host.extruder())
-        good, kept = self.recorder.last_good(), None
-        if good is not None and not self.accepts_change:
-            kept = heights.kept_of(**good)
+        good = self.recorder.last_good()
+        kept = None if good is None else heights.kept_of(**good)
         return Earlier(last, holds, departure, kept)
 
     # Returns the heights.Result, None where the nozzle is dirty.  'why': it was found
@@ -296,8 +297,9 @@ class ZCalibration:
             self.runner.watch.say(impossible)
         wanted = 2 * plan.expected(settings.pin) + plan.expected(settings.probe)
         work = functools.partial(self.calibrate_and_apply, gcmd, settings)
+        accepts_change = param_accept_change(gcmd)
         self.runner.watch.be_verbose(param_verbose(gcmd))
-        self.accepts_change = param_accept_change(gcmd)
+        self.accepts_change = accepts_change
         try:
             last = self.run(gcmd, work, "start_gcode", wanted, self.failed)
         finally:
@@ -345,6 +347,7 @@ class ZCalibration:
     def apply(self, z_offset):
         before = self.host.gcode_offset.z()
         self.host.gcode_offset.replace(0.0)
+        self.is_set_anew = False
         is_kept = self.hooks.apply(z_offset)
         after = self.host.gcode_offset.z()
         if not is_kept and abs(after - z_offset) > OWN_DIGITS:
@@ -354,7 +357,7 @@ class ZCalibration:
                 " Z_CALIBRATION_KEEP_OFFSET into one that makes another offset of"
                 " it, or keeps it for later" % (after, z_offset)
             )
-        if is_kept and not after:
+        if is_kept and not (after or self.is_set_anew):
             self.host.gcode_offset.replace(before)
             return z_offset
         return after

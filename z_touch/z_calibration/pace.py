@@ -4,17 +4,21 @@ Pure functions.  Speeds of touches are always the user's: what a switch says dep
 them.  The rest follows from the machine, and Z is never moved faster than its user moves
 it elsewhere:
 
-  up, and down on the way   the larger of lift_speed of [probe] and homing_speed of
-                            [stepper_z], never above max_z_velocity
-  down, armed               the same, or slower, so that half of travel_margin is enough
-                            to stop
-  between touches           lifted by SHORTEST_LIFT, or more where the switch is still
-                            pressed then, see measuring.py
+  from place to place   TRAVEL_SPEED, as high as the head is
+  up                    the larger of lift_speed of [probe] and homing_speed of
+                        [stepper_z], never above max_z_velocity
+  down, armed           the same, or slower, so that half of travel_margin is enough to
+                        stop
+  between touches       lifted by SHORTEST_LIFT, or more where the switch is still pressed
+                        then, see measuring.py
 
 Copyright (C) 2026  the Z calibration developers, under the GNU GPLv3
 """
 
 import math
+
+# XY speed (mm/s): half of what users of magnetic probes set
+TRAVEL_SPEED = 100.0
 
 # Lift (mm) between two touches: more than the play of a usual Z axis and the
 # hysteresis of a usual micro switch
@@ -58,8 +62,11 @@ def of_run(settings, z_speed, z_accel):
         if settings.wiggle_xy_offsets is None:
             pin = shortened(pin, z_accel)
     if "probing_speed" not in given:
-        speed = armed_speed(settings.travel_margin, z_speed, z_accel)
+        fastest = min(z_speed, settings.z_speed)
+        speed = armed_speed(settings.travel_margin, fastest, z_accel)
         settings = settings._replace(probing_speed=speed)
+    if "speed" not in given:
+        settings = settings._replace(speed=TRAVEL_SPEED)
     return settings._replace(pin=pin, probe=probe)
 
 

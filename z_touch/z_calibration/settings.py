@@ -32,8 +32,8 @@ UNMEASURED_PIN = 10.0
 # switch.  2 mm is more than the hysteresis of any common micro switch.
 FALLBACK_RETRACT = 2.0
 
-# XY speed (mm/s) between the sites: half of what users of magnetic probes set
-TRAVEL_SPEED = 100.0
+# XY speed (mm/s) between the sites, but for CALIBRATE_Z, see pace.py
+IDLE_TRAVEL_SPEED = 50.0
 
 # What the offset may be off by (mm, 95 %) with samples: auto
 TARGET_UNCERTAINTY = 0.008
@@ -207,8 +207,8 @@ SAMPLING = (
 SPEEDS = (
     speed_option(
         "speed",
-        TRAVEL_SPEED,
-        "Travel in X and Y, in mm/s.",
+        IDLE_TRAVEL_SPEED,
+        "Travel in X and Y, in mm/s. In CALIBRATE_Z the default is 100.",
     ),
     speed_option(
         "probing_speed",
@@ -363,7 +363,7 @@ OPTIONS = POSITIONS + RESULT + HEIGHTS + SPEEDS + KEPT + USER_GCODE
 #   unmeasured_pin       how high the pin is taken for until it was touched
 #   mesh_area            what the bed mesh covers, see z_pin
 #   z_speed              of a CALIBRATE_Z: how fast Z moves where nothing is touched;
-#                        None: it is another command, and stays high on its way
+#                        None: it is another command
 #   said                 the names of those options that its owner has given, or the
 #                        command
 Settings = options.record(

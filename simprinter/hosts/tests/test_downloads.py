@@ -67,6 +67,7 @@ def fetched(tmp_path, monkeypatch):
     return fetch
 
 
+@pytest.mark.slow
 def test_source_of_another_hash_is_refused_unread(fetched):
     with pytest.raises(UnavailableError, match="DO NOT MATCH THE HASHES"):
         fetched("0" * 64)
@@ -74,6 +75,7 @@ def test_source_of_another_hash_is_refused_unread(fetched):
 
 
 # `not-to-be-had` would have to come from the index, whatever its hash is
+@pytest.mark.slow
 def test_source_is_taken_without_further_downloads(fetched):
     assert (fetched() / "klippy" / "klippy.py").exists()
     assert fetched.has_run()

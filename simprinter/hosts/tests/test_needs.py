@@ -74,6 +74,7 @@ def test_no_network(folder, index):
     assert lines[:-1] in ([], ["Waiting for the package index ..."])
 
 
+@pytest.mark.slow
 def test_what_takes_long_is_said(folder, index):
     server, environment = index
 

@@ -6,6 +6,9 @@ class Tool:
     def __init__(self, config):
         self.gcode_z_offset = config.getfloat("gcode_z_offset")
         self.active = config.getboolean("active")
+        # Of another plugin, which has no such status
+        if config.getboolean("is_other", False):
+            self.get_status = lambda eventtime: {"active": True}
         gcode = config.get_printer().lookup_object("gcode")
         gcode.register_command("FETCH_TOOL", None)
         gcode.register_command("FETCH_TOOL", self.fetch)

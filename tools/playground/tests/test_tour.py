@@ -102,7 +102,7 @@ class Visitor:
             else:
                 self.run(word, None if WHILE in step.text else ENDS)
                 if WHILE in step.text:
-                    self.until_said("switch: touched")
+                    self.until_said("switch at z=")
             if word == "drop":
                 self.until_said("!! ")
 
