@@ -263,7 +263,9 @@ def test_way_to_the_bed_is_taken_at_the_configured_speeds(start):
 
 
 def test_lift_at_the_end_is_taken_at_the_configured_speed(start):
-    printer = start(changes=section(end_gcode="M400")).homed()
+    options = {"probing_speed": "8", "lift_speed": "10"}
+    options["probing_retract_dist"] = "3"
+    printer = start(changes=section(end_gcode="M400", **options)).homed()
     printer.run("M400")
     clock, touches = printer.machine.simulation.clock, printer.machine.truth
     homing, began = len(touches.touches), clock.now()
