@@ -251,7 +251,8 @@ def measured_spans(host, **options):
 def test_owner_has_the_last_word(host, options, more):
     usual, found = usual_spans(host), measured_spans(host, **options)
     left = {part: found[part] - usual[part] for part in more}
-    assert left == pytest.approx(more, abs=0.2)
+    # Hosts need other times to stop and begin again
+    assert left == pytest.approx(more, abs=0.3)
 
 
 @pytest.mark.parametrize(
