@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import json
 import re
 from dataclasses import replace
 from pathlib import Path
@@ -12,6 +13,7 @@ from simprinter import Fault
 from tests.docs.documents import part
 from tools.kit.load_errors import load
 from tools.kit.printer import module_files
+from tools.kit.runs import make_runs
 from tools.kit.scenes import SCENES
 from tools.kit.z_calibration import (
     BED,
@@ -140,6 +142,20 @@ def test_own_pin_that_is_lower_now_is_found_with_accept_change(start):
     assert "did not answer" in printer.fail("CALIBRATE_Z")
     printer.machine.repair()
     calibration(printer, "CALIBRATE_Z ACCEPT_CHANGE=1")
+
+
+def test_shorter_probe_is_found_by_the_bed(start, tmp_path):
+    """By 3 mm, with a z_offset that says nothing: no run of before knows better."""
+    runs = make_runs(3, moved={"switch": 3.0, "bed": 3.0})
+    lines = "".join(json.dumps(run) + "\n" for run in runs)
+    (tmp_path / "history.jsonl").write_text(lines)
+    options = {"history": str(tmp_path), **WIDE}
+    changes = {"probe": {"z_offset": "0"}, **section(**options)}
+    printer = start(changes=changes).homed()
+    printer.session.wait(1.0)
+    assert told(printer, "until a run was good") == []
+    (_, switch, *_), _ = calibration(printer)
+    assert switch == pytest.approx(PIN + BODY, abs=MICROSTEP)
 
 
 def test_accept_change_is_for_its_run(start):
