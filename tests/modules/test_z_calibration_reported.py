@@ -107,9 +107,9 @@ def test_dead_probe_after_a_good_run(start, restarts, parameter, below):
     kept = "the last good run has found the bed 2 mm higher; check that the"
     first = "the bed is below the low end of offset_margins (-5.000), or the"
     assert (kept in text, first in text) == (below == 2.0, below != 2.0)
-    assert ("if pin or bed is elsewhere now, CALIBRATE_Z ACCEPT" in text) == (
-        below == 2.0
-    )
+    assert (
+        "if pin or bed is elsewhere now, run CALIBRATE_Z ACCEPT" in text
+    ) == (below == 2.0)
     assert_unharmed(printer, printer.offset())
     # ACCEPT_CHANGE counts for one run
     text = printer.fail("CALIBRATE_Z")
@@ -221,6 +221,31 @@ def test_wide_margins_are_told_before_the_first_run(
     words = f"'offset_margins' down to {low} let a probe that does not answer"
     console = "\n".join(printer.session.console)
     assert len(told(printer, words)) == console.count(words) == is_told
+
+
+def test_wide_margins_are_told_where_the_history_cannot_be_read(
+    start, tmp_path
+):
+    (tmp_path / "history.jsonl").mkdir()
+    options = {"history": str(tmp_path), **WIDE}
+    printer = start(changes=section(**options))
+    printer.session.require_ready()
+    printer.session.wait(1.0)
+    assert len(told(printer, "until a run was good")) == 1
+
+
+def test_fast_first_touch_is_no_faster_than_homing(start):
+    """Though Z is lifted, and comes down to what it knows, at 10 mm/s."""
+    changes = {
+        "stepper_z": {"homing_speed": "2"},
+        **section(probing_first_fast="True"),
+    }
+    printer = start(changes=changes).homed()
+    printer.run("G90\nG1 Z20 F900\nM400")
+    began, touches = now(printer), printer.machine.truth.touches
+    count = len(touches)
+    calibration(printer)
+    assert touches[count].t - began > (20 - PIN) / 2
 
 
 # An offset_gcode that does not do what it says
@@ -511,6 +536,18 @@ def test_a_longer_tool_is_no_probe(start, higher, is_refused):
     else:
         result, _ = calibration(printer)
         assert result[2] == pytest.approx(PIN + higher, abs=MICROSTEP)
+
+
+def test_lift_near_the_top_hides_no_error(start):
+    """It would go 0.1 mm beyond position_max."""
+    changes = {
+        "force_move": {"enable_force_move": "True"},
+        "stepper_z": {"position_max": "15", "homing_positive_dir": "False"},
+    }
+    printer = start(changes=changes).homed()
+    printer.run("G90\nG1 Z4 F600\nM400\nSET_KINEMATIC_POSITION Z=14.5")
+    text = printer.fail("CALIBRATE_Z")
+    assert "10.5 mm above position_endstop (1.600), and Z was" in text
 
 
 # klipper-toolchanger shifts Z below the G-code offset

@@ -234,7 +234,8 @@ def below_margins(settings, lowest, zero, site):
     if lowest > low:
         return (
             "the last good run has found the bed %g mm higher; %s; if pin or bed is"
-            " elsewhere now, CALIBRATE_Z ACCEPT_CHANGE=1" % (BED_VARIES, check)
+            " elsewhere now, run CALIBRATE_Z ACCEPT_CHANGE=1"
+            % (BED_VARIES, check)
         )
     if low >= 0.0:
         return ""
