@@ -130,6 +130,7 @@ checked:
 lint: tools
 	$(TOOLS)/ruff check .
 	$(TOOLS)/ruff format --check .
+	$(TOOLS)/mypy
 	$(TOOLS)/vermin --no-tips --violations --target=3.8- --exclude file \
 		$(wildcard z_touch/*.py z_touch/*/*.py)
 	$(TOOLS)/vermin --no-tips --violations --target=2.7- --target=3.4- $(DOORS)

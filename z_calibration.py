@@ -49,11 +49,9 @@ else:
         if "plugins" in __name__.split("."):
             # Kalico since 2026-01-02 (2c9b0b4de); the folder is in klippy/extras
             from ..extras.z_touch import why_apart
-            from ..extras.z_touch.guide import dialog
             from ..extras.z_touch.z_calibration import module
         else:
             from .z_touch import why_apart
-            from .z_touch.guide import dialog
             from .z_touch.z_calibration import module
 
         FAULT = why_apart(__file__, __version__)
@@ -73,6 +71,4 @@ def load_config(config):
     if FAULT:
         logging.error("z_touch: %s\n%s", FAULT, TRACE)
         raise config.error("Section '%s': %s" % (config.get_name(), FAULT))
-    calibration = module.ZCalibration(config)
-    dialog.Setup(calibration.interface)
-    return calibration
+    return module.ZCalibration(config)

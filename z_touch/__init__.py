@@ -1,11 +1,20 @@
-"""The rooms behind the four modules, which are their doors.
+"""The house behind the four modules, which are its doors.
 
-This folder stands in klippy/extras on every host.  A room has the name of its config
-section: z_calibration (with uncertainty: what a result is worth; history: its runs and
-their report; guide: Z_CALIBRATION_SETUP), auto_z_offset, dockable_probe, extra_probe.
-core is what two or more sections use, and the only place that knows how hosts differ.
-No room imports a door, and core imports no room.  Nothing is imported later than with
-its door, so what runs is what was loaded, whatever an update does to the files.
+This folder stands in klippy/extras on every host.  A folder here has the name of its config
+section: z_calibration, auto_z_offset, dockable_probe, extra_probe.  What they share:
+
+host         what klippy offers; the only place where it is known how hosts differ
+touch        travel, come down to a floor, touch          sampling    samples, median
+datum        is Z=0 still where it was                    in_force    and what was set
+attached     which probe is on the toolhead               pin         the Z pin
+command      around every command                         templates   the user's G-code
+options      options as fields, parameters of commands    progress    phase, notes
+dialog       questions to a person                        wizard      set-ups by dialogs
+errors       what ends a measurement                      texture     points of a rough plate
+report       a program of its own: picture, trend, verdict, text to attach
+
+Nothing is imported later than with its door, so what runs is what was loaded, whatever an
+update does to the files.
 
 Copyright (C) 2026  the Z calibration developers, under the GNU GPLv3
 """

@@ -212,6 +212,12 @@ def ini_blocks(text: str) -> dict[str, dict[str, str]]:
 
 
 def shown_answers(text: str) -> dict[str, list[str]]:
-    """What the console answers to a command, in its blocks of code."""
-    found = [block.splitlines() for block in blocks(text, "")]
-    return {lines[0][2:]: lines[1:] for lines in found if lines[0][:2] == "> "}
+    """What the console answers to the commands of each block of code."""
+    found: dict[str, list[str]] = {}
+    for block in blocks(text, ""):
+        lines = block.splitlines()
+        commands = [line[2:] for line in lines if line.startswith("> ")]
+        if commands:
+            answers = [line for line in lines if not line.startswith("> ")]
+            found["\n".join(commands)] = answers
+    return found

@@ -30,7 +30,12 @@ NO_MESSAGES = {
     "No trigger",
     "Keep a hand on the emergency stop.",
     "The buttons move the head; you may move it as you like, too.",
-    "nothing to do",
+    "'Move' shows buttons that move the head; you may move it as you like, too.",
+    "'Done' shows the answers; nothing moves.",
+    "'Save' has SAVE_CONFIG write these into printer.cfg; Klipper restarts.",
+    "nozzle height",
+    "switch - nozzle",
+    "probe - switch",
     "Communication timeout during",
     "Unable to obtain",
 }

@@ -71,7 +71,8 @@ Z_CALIBRATION = Module(
         " --> new offset=0.460000",
         "SET_GCODE_OFFSET Z_ADJUST=0.02": None,
         "Z_CALIBRATION_SAVE_GCODE_OFFSET": SHOWN,
-        "Z_CALIBRATION_SETUP": SHOWN,
+        # The second one shows all that is asked
+        "Z_CALIBRATION_SETUP\nZ_CALIBRATION_SETUP": SHOWN,
         "Z_CALIBRATION_SETUP STEP=PIN Z=+1": None,
         "Z_CALIBRATION_SETUP STEP=PIN ANSWER=NO": None,
         "Z_CALIBRATION_SETUP STEP=ABORT": None,

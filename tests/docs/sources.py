@@ -19,6 +19,9 @@ VALUE = "<...>"
 # A file that says so: what it says is drawn, written into a file, or a question
 # that explains itself
 NO_MESSAGES = re.compile("(?m)^# Its texts are no messages: .")
+# What declares an option as a field
+FIELDS = ("number", "speed", "other", "declare", "as_in_probe")
+OPTIONS = {f"options.{name}" for name in FIELDS} | {"gcode"}
 
 
 def trees(name: str) -> list[ast.Module]:
@@ -31,6 +34,10 @@ def files(name: str) -> dict[Path, ast.Module]:
     """The same by their paths."""
     found: dict[Path, ast.Module] = {}
     pending = [ROOT / f"{name}.py"]
+    if name == "z_calibration":
+        # What it starts, and passes on the words of
+        report = ROOT / "z_touch" / "report"
+        pending += [report / "program.py", report / "trend.py"]
     while pending:
         path = pending.pop()
         if path in found or not path.exists():
@@ -64,6 +71,17 @@ class Joining(ast.NodeTransformer):
         if name in self.named:
             self.used.add(name)
         return self.named.get(name)
+
+    def visit_JoinedStr(self, node: ast.JoinedStr) -> ast.AST:
+        """Replace advice, which stands after '; ', by its text."""
+        for before, part in zip(node.values, node.values[1:]):
+            if not isinstance(part, ast.FormattedValue):
+                continue
+            is_advice = ast.unparse(before).rstrip("'\"").endswith("; ")
+            text = self.text_of(part.value) if is_advice else None
+            if text is not None:
+                node.values[node.values.index(part)] = ast.Constant(text)
+        return self.generic_visit(node)
 
     def visit_BinOp(self, node: ast.BinOp) -> ast.AST:
         text = self.text_of(node)
@@ -110,8 +128,12 @@ def is_silent(node: ast.AST) -> bool:
     """Whether nobody is shown the texts inside, at least not as a message."""
     if isinstance(node, ast.Call):
         called = ast.unparse(node.func)
-        # A row of a table of options is told in the documents
+        # What an option is for is told in the documents
+        if called in OPTIONS:
+            return True
         declared = ("namedtuple", "option", "Kind", "record")
+        # And the arguments of a program
+        declared += ("add_argument", "ArgumentParser")
         # What is looked for is said by somebody else
         looks = (".startswith", ".endswith")
         return called.endswith(declared + looks) or called.startswith(
@@ -157,10 +179,15 @@ def messages_of(tree: ast.Module) -> set[str]:
     }
 
 
-@lru_cache
 def constants(name: str) -> dict[str, tuple[float, ...]]:
+    """The numbers by their names; of two files with one name any of the two."""
+    return dict(all_constants(name))
+
+
+@lru_cache
+def all_constants(name: str) -> set[tuple[str, tuple[float, ...]]]:
     """The numbers with names, at the top of the sources."""
-    found: dict[str, tuple[float, ...]] = {}
+    found: set[tuple[str, tuple[float, ...]]] = set()
     for tree in trees(name):
         for node in tree.body:
             if not isinstance(node, ast.Assign):
@@ -168,7 +195,7 @@ def constants(name: str) -> dict[str, tuple[float, ...]]:
             target = ast.unparse(node.targets[0])
             value = _value(node.value)
             if re.fullmatch("[A-Z][A-Z_]+", target) and value:
-                found[target] = value
+                found.add((target, value))
     return found
 
 

@@ -37,7 +37,7 @@ from tests.docs.documents import (
 from tests.docs.pictures import numbers
 from tests.docs.records import AUTO_Z_OFFSET, MODULES, SHOWN, Z_CALIBRATION
 from tests.docs.running import Options, Running, Step, differ
-from tests.docs.sources import constants
+from tests.docs.sources import all_constants, constants
 from tools.kit.auto_z_offset import POINT
 
 FLOORS = "How low can a touch go?"
@@ -218,22 +218,31 @@ def wrong_status(running: Running, text: str) -> Found:
 # Sources
 
 
+def as_floats(
+    constant: tuple[str, tuple[float, ...]],
+) -> tuple[str, tuple[float, ...]]:
+    """A number with its name, as the table has it: 3 as 3.0."""
+    name, value = constant
+    return name, tuple(map(float, value))
+
+
 def wrong_constants(running: Running, text: str) -> Found:
     """The table of built-in numbers, and where they are named in a sentence."""
-    real = constants(running.module.name)
+    real = all_constants(running.module.name)
     table = {
-        spans(row[0])[0]: tuple(float(word) for word in row[1].split(","))
+        (spans(row[0])[0], tuple(float(word) for word in row[1].split(",")))
         for row in rows(part(text, NUMBERS))
     }
-    yield from unlike("constant", set(table), set(real))
-    for name in sorted(set(table) & set(real)):
-        if table[name] != real[name]:
-            yield f"{name} is {real[name]}"
+    yield from unlike(
+        "constant", set(map(str, table)), {str(as_floats(c)) for c in real}
+    )
     for name, number in re.findall(r"`([A-Z_]+)`\s+\((-?[\d.]+) mm\)", text):
-        if real.get(name) != (float(number),):
+        if (name, (float(number),)) not in real:
             yield f"{name} is not {number}"
-    for name in set(re.findall(r"`([A-Z]+_[A-Z_]+)` \(", text)) - set(real):
-        yield f"there is no {name}"
+    names_of_real = {name for name, _ in real}
+    for name in set(re.findall(r"`([A-Z]+_[A-Z_]+)` \(", text)):
+        if name not in names_of_real:
+            yield f"there is no {name}"
 
 
 # The run of the picture

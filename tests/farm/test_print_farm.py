@@ -200,7 +200,7 @@ def published(status, name="a", part="klipper"):
 def real_status(start, tmp_path):
     """What the modules publish after some runs, the last of them refused."""
     lines = [json.dumps(run) + "\n" for run in make_runs(8)]
-    (tmp_path / "history.jsonl").write_text("".join(lines))
+    (tmp_path / "printer.jsonl").write_text("".join(lines))
     own = {"z_calibration": {"history": str(tmp_path)}}
     printer = start("voron", own).homed()
     printer.run("CALIBRATE_Z")

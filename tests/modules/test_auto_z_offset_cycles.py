@@ -22,7 +22,6 @@ from tools.kit.auto_z_offset import (
     with_extras,
 )
 from tools.kit.cases import slow
-from tools.kit.printer import module_files
 from tools.kit.scenes import SCENES
 
 # Cycles that differ
@@ -178,29 +177,3 @@ def test_current_above_the_limit_of_the_host_is_put_back(start):
     assert formulas(lines)[-1].correction == pytest.approx(
         CORRECTION, abs=2 * MICROSTEP
     )
-
-
-# A manual_probe as Klipper had it before 2022-07-20: without a status
-OLD = """
-def load_config(config):
-    printer = config.get_printer()
-
-    def forget():
-        manual = printer.lookup_object("manual_probe")
-        del manual.__class__.get_status
-
-    printer.register_event_handler("klippy:ready", forget)
-    return forget
-"""
-
-
-@pytest.mark.slow
-def test_old_host_without_a_status_of_the_manual_probe(start, tmp_path):
-    source = tmp_path / "old.py"
-    source.write_text(OLD)
-    modules = {**module_files(), "old": source}
-    printer = start("qidi", changes={"old": {}}, modules=modules).homed()
-    printer.run("MANUAL_PROBE")
-    assert "a manual probe is under way" in printer.fail("AUTO_Z_PROBE")
-    printer.run("ABORT")
-    printer.run("AUTO_Z_PROBE")

@@ -7,6 +7,7 @@ import re
 import socket
 from pathlib import Path
 
+from tools.kit.z_calibration import reported
 from z_touch import __version__
 
 MARK = "attach "
@@ -15,10 +16,7 @@ SECRET = "hunter2"
 
 def asked(printer) -> tuple[Path, str]:
     """The file that the console names, and what is in it."""
-    before = len(printer.session.console)
-    printer.run("Z_CALIBRATION_REPORT")
-    printer.session.wait(2.0)
-    told = "\n".join(printer.session.console[before:])
+    told = reported(printer, MARK)
     path = Path(re.search(MARK + r"(\S+\.txt)", told)[1])
     return path, path.read_text(encoding="utf-8")
 
@@ -81,7 +79,7 @@ def test_ten_texts_are_kept(start):
     printer = start().homed()
     first, _ = asked(printer)
     for number in range(11):
-        other = first.with_name(f"report-20200101-0000{number:02d}.txt")
+        other = first.with_name(f"report-printer-20200101-0000{number:02d}.txt")
         other.write_text("old")
     asked(printer)
     assert len(list(first.parent.glob("report-*.txt"))) == 10

@@ -212,35 +212,45 @@ class Lift(object):
         self.next = printer.lookup_object("gcode_move").set_move_transform(
             self, force=True
         )
+    def height(self, position):
+        return 0.12 if %s else 0.0
     def get_position(self):
         position = self.next.get_position()
-        position[2] -= 0.12
+        position[2] -= self.height(position)
         return position
     def move(self, newpos, speed):
         lifted = list(newpos)
-        lifted[2] += 0.12
+        lifted[2] += self.height(newpos)
         self.next.move(lifted, speed)
 printer.register_event_handler("klippy:connect", Lift)
 """
 
 
 @pytest.mark.slow
-def test_what_nobody_knows_is_told_and_not_taken_off(start, tmp_path):
-    modules = with_extra(tmp_path, LIFT)
+def test_what_is_the_same_over_pin_and_bed_is_taken_off(start, tmp_path):
+    modules = with_extra(tmp_path, LIFT % ("True",))
     printer = start(changes={"extra": {}, **mesh()}, modules=modules).homed()
     lines = printer.run(f"{LOAD}\nCALIBRATE_Z")
-    text = "another feature shifts Z by 0.120 mm there"
+    text = "another feature shifts Z by 0.120 mm, over the pin and over the bed"
     assert text in "\n".join(lines)
-    # The mesh is taken off all the same
-    assert_right(printer, GAP + 0.12)
+    assert_right(printer)
     warnings = printer.status("z_calibration")["warnings"]
     assert sum(text in warning for warning in warnings) == 1
     # None of them is about the touches
     printer.session.wait(1.0)
     folder = printer.session.data / "config" / "z_calibration"
-    (line,) = (folder / "history.jsonl").read_text().splitlines()
+    (line,) = (folder / "printer.jsonl").read_text().splitlines()
     told = [(w["about"], w["text"]) for w in json.loads(line)["warnings"]]
     assert told == list(zip(("bed_mesh", "another"), warnings))
+
+
+def test_what_differs_over_pin_and_bed_is_refused(start, tmp_path):
+    modules = with_extra(tmp_path, LIFT % ("position[1] > 200.0",))
+    printer = start(changes={"extra": {}}, modules=modules).homed()
+    text = printer.fail("CALIBRATE_Z")
+    assert "0.120 mm over the pin and by 0.000 mm over the bed" in text
+    assert text.endswith("turn it off before CALIBRATE_Z")
+    assert printer.offset() == 0.0
 
 
 @pytest.mark.slow

@@ -51,18 +51,6 @@ def test_end_gcode_reads_the_result_of_its_own_run(start):
 
 
 @pytest.mark.slow
-def test_what_end_gcode_adds_to_the_offset_stays(start):
-    adjust = section(end_gcode="SET_GCODE_OFFSET Z_ADJUST=0.02")
-    printer = start(changes=adjust).homed()
-    printer.run("SET_GCODE_OFFSET Z=0.5")
-    lines = printer.run("CALIBRATE_Z")
-    offset = result_of(lines)[-1]
-    assert printer.offset() == pytest.approx(offset + 0.02, abs=1e-6)
-    told = "end_gcode changed the G-code Z offset by 0.020000"
-    assert told in "\n".join(lines)
-
-
-@pytest.mark.slow
 def test_an_offset_that_end_gcode_resets_is_not_taken_away(start):
     # Such as that of the print before
     changes = section(end_gcode="SET_GCODE_OFFSET Z=0")

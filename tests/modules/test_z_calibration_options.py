@@ -728,16 +728,16 @@ IDLE = "// z_calibration: SAMPLES_TOLERANCE is ignored with 'samples: auto'"
 
 
 # Touches with samples: auto, where there is no history
-AT_FIRST = 4
+AT_FIRST = 5
 
 
 @pytest.mark.parametrize(
     ("samples", "params", "count"),
     [
         slow(None, "SAMPLES=2", 2),
-        ("5", "SAMPLES=1", 1),
-        ("5", "SAMPLES=", 5),
-        ("5", "SAMPLES=auto", AT_FIRST),
+        ("6", "SAMPLES=1", 1),
+        ("6", "SAMPLES=", 6),
+        ("6", "SAMPLES=auto", AT_FIRST),
         slow("auto", "SAMPLES=2", 2),
         ("auto", "PROBE_SPEED=4", AT_FIRST),
     ],
@@ -974,7 +974,7 @@ def test_position_min_is_not_the_matter_where_the_probe_homes(host):
 def proven(folder):
     """The nozzle has met the pin there in a run of before."""
     (run,) = make_runs(1, nozzle_at=[206.0, 306.0])
-    (folder / "history.jsonl").write_text(json.dumps(run) + "\n")
+    (folder / "printer.jsonl").write_text(json.dumps(run) + "\n")
     return section(history=str(folder))
 
 

@@ -148,7 +148,7 @@ def test_shorter_probe_is_found_by_the_bed(start, tmp_path):
     """By 3 mm, with a z_offset that says nothing: no run of before knows better."""
     runs = make_runs(3, moved={"switch": 3.0, "bed": 3.0})
     lines = "".join(json.dumps(run) + "\n" for run in runs)
-    (tmp_path / "history.jsonl").write_text(lines)
+    (tmp_path / "printer.jsonl").write_text(lines)
     options = {"history": str(tmp_path), **WIDE}
     changes = {"probe": {"z_offset": "0"}, **section(**options)}
     printer = start(changes=changes).homed()
@@ -226,7 +226,7 @@ def test_wide_margins_are_told_before_the_first_run(
 def test_wide_margins_are_told_where_the_history_cannot_be_read(
     start, tmp_path
 ):
-    (tmp_path / "history.jsonl").mkdir()
+    (tmp_path / "printer.jsonl").mkdir()
     options = {"history": str(tmp_path), **WIDE}
     printer = start(changes=section(**options))
     printer.session.require_ready()

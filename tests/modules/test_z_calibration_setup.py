@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 from dataclasses import replace
 
 import pytest
@@ -18,6 +19,7 @@ from tools.kit.z_calibration import (
     calibration,
     section,
     touched_sites,
+    with_extra,
 )
 
 # Where the nozzle and the body of the switch are over the pin
@@ -27,6 +29,18 @@ CARTESIAN = {"nozzle": (226.0, 20.0), "switch": (254.0, 18.0)}
 def empty(**changes):
     """The section before anything is known."""
     return {**section(**{**EMPTY, **changes.pop("options", {})}), **changes}
+
+
+# What Klipper says of an option that an included file has, too, and Kalico with both
+# values
+CONFLICT = (
+    "SAVE_CONFIG section 'z_calibration' option 'switch_offset'( value '0.200')?"
+    r" conflicts with included value( '0.1' ?)?"
+)
+BY_HAND = (
+    "SAVE_CONFIG has written nothing; write the lines into section"
+    " [z_calibration], in the file that has it, then RESTART."
+)
 
 
 def pending(printer):
@@ -57,13 +71,13 @@ def test_from_an_empty_section_to_the_true_gap(start):
     text = user.refused("Here")
     assert "still too high, by 1.900 mm at least" in text
     # Just where a switch that does not move would hold it
-    for label in ("Z-1 mm", "Z-0.5 mm", *["Z-0.1 mm"] * 4):
+    for label in ("Z-1 mm", *["Z-0.1 mm"] * 9):
         user.press(label)
     assert "Still too high: lower it" in user.dialog().text
     assert "still too high, by 0.000 mm at least" in user.refused("Here")
     user.lower_to_the_sheet()
     # No room for larger steps
-    assert not user.has("Z-0.5 mm")
+    assert not user.set_width(1.0)
     assert "until it just holds the sheet" in user.dialog().text
     user.press("Here")
     # Without the way back, and with Save, twelve
@@ -130,24 +144,31 @@ def test_separate_pin_in_no_section_and_a_switch_from_the_list(start, tmp_path):
     lines = text.splitlines()
     assert "nozzle_xy_position: 206.000, 306.000" in lines
     assert "switch_xy_position: 212.000, 281.250" in lines
-    # To be copied as it stands
-    place = lines[lines.index("switch_offset: 0.200") - 1]
-    assert place.startswith("SAVE_CONFIG cannot write this into line 2 of ")
-    assert place.endswith("tools.cfg; write it there:")
+    assert "switch_offset: 0.200" in lines
     # As high as that CALIBRATE_Z has to pass
     assert "safe_z_height: 21.5" in text
     assert "All in all: good; 3 touches of each place are enough." in text
-    # Nothing is lost until it is there
-    text = user.refused("Save")
-    assert "tools.cfg does not say 'switch_offset: 0.200' yet" in text
+    # Klipper's own words, and what to do instead
+    assert re.fullmatch(CONFLICT, user.refused("Save"))
     assert user.step() == "SAVE"
+    texts = user.dialog().texts
+    assert re.fullmatch(rf"Not done: {CONFLICT}\.", texts[0])
+    assert BY_HAND in texts
+    # To be copied as it stands, from the console
+    console = "\n".join(printer.session.console)
+    pasted = console.partition(f"{BY_HAND}\n")[2].partition("\n// action")[0]
+    assert pasted.splitlines()[0] == "// [z_calibration]"
+    pasted = pasted.replace("// ", "")
+    assert {*lines} >= {*pasted.splitlines()[1:]}
+    path.write_text(pasted)
+    printer.session.restart("RESTART")
     assert pending(printer) == {}
-    path.write_text("[z_calibration]\nswitch_offset: 0.2 # mine\n")
-    printer.session.restart(user.dialog().gcode("Save"))
     printer.run("G28")
     own = printer.status("configfile")["settings"]["z_calibration"]
     assert own["nozzle_xy_position"] == pytest.approx((206.0, 306.0))
-    path.write_text("[z_calibration]\nswitch_offset: 0.5\n")
+    path.write_text(
+        pasted.replace("switch_offset: 0.200", "switch_offset: 0.5")
+    )
     printer.session.restart("RESTART")
     printer.run("G28")
     calibration(printer)
@@ -199,6 +220,137 @@ def said_on_purpose(lines):
     return sum("so Z=0 is too high on purpose" in line for line in lines)
 
 
+def told(lines):
+    """What of the console is none of the dialogs."""
+    return [line for line in lines if "// action:" not in line]
+
+
+def test_dialog_is_not_repeated_on_the_console(start):
+    printer = start("cartesian", changes=empty()).homed()
+    user = User(printer)
+    more = f"; all that it asks: {SETUP}"
+    line = f"// z_calibration: Step 1 of 12: press the pin; Watch: {SETUP} STEP=PIN"
+    assert told(printer.run(SETUP)) == [f"{line}{more}"]
+    user.by_hand(user.pin)
+    assert f"{SETUP} STEP=OFF{more}" in printer.session.console[-1]
+    # Whoever has no dialogs, or has closed it, types that
+    lines = told(printer.run(SETUP))
+    assert lines[0] == "// z_calibration: Step 2 of 12: take the probe off"
+    for sentence in user.dialog().texts:
+        assert f"// {sentence}" in lines
+    for label, gcode, _ in user.dialog().footer_buttons:
+        assert f"// {label}: {gcode}" in lines
+    user.go_to("NOZZLE")
+    lines = told(printer.run(SETUP))
+    assert f"// Here: {SETUP} STEP=NOZZLE" in lines
+    assert f"// move the head: {SETUP} STEP=NOZZLE X=+1" in lines
+    # The place where it is now, and nothing else
+    (line,) = told(user.press("X+1 mm"))
+    assert line.startswith("// X=")
+    for label in ("Done", "Move", "Steps of 0.1 mm"):
+        assert told(user.press(label)) == []
+
+
+PAD = ["X-{0} mm", "X+{0} mm", "Y-{0} mm", "Y+{0} mm", "Z-{0} mm", "Z+{0} mm"]
+
+
+def test_jog_buttons_of_one_width(start):
+    printer = start("cartesian", changes=empty())
+    printer.session.require_ready()
+    user = User(printer)
+    advance(user, "NOZZLE")
+    # On a page of their own, as all would be ten
+    for width, other in (("10", "1"), ("1", "0.1"), ("0.1", "10")):
+        pad = [label.format(width) for label in PAD]
+        assert user.labels() == [*pad, f"Steps of {other} mm", "Done"]
+        user.press(f"Steps of {other} mm")
+    assert user.dialog().last == "'Done' shows the answers; nothing moves."
+    at = user.position()
+    user.press("Done")
+    assert user.labels() == ["Here", "Move", "Back", "Abort"]
+    assert user.dialog().last.startswith("'Here' keeps the place")
+    user.press("Move")
+    assert user.has("X-10 mm")
+    assert user.position() == at
+    # Pressed twice it is the same
+    for button in ("WIDTH=1", "JOG=0"):
+        for _ in range(2):
+            printer.run(f"{SETUP} STEP=NOZZLE {button}")
+        assert user.has("X-1 mm" if button == "WIDTH=1" else "Here")
+    for typed, words in (
+        ("WIDTH=0.01", "WIDTH=0.01 is none of 10, 1, 0.1"),
+        ("JOG=2", "Error on"),
+    ):
+        assert words in printer.fail(f"{SETUP} STEP=NOZZLE {typed}")
+    # An error is answered by what can be answered, or by another jog
+    printer.run("M84")
+    assert "not homed" in user.refused("X+10 mm")
+    assert user.has("X+10 mm")
+    assert "not homed" in user.refused("Here")
+    assert user.has("Move")
+    printer.run("G28")
+    user.go_to("SWITCH")
+    # Along the body
+    assert user.has("X+1 mm")
+    # On a page that is behind
+    for button in ("WIDTH=10", "JOG=0"):
+        assert "STEP=nozzle is not what is asked now" in printer.fail(
+            f"{SETUP} STEP=NOZZLE {button}"
+        )
+    user.go_to("BED")
+    assert user.labels() == [
+        *(label.format(10) for label in PAD[:4]),
+        "Steps of 1 mm",
+        "Here",
+        "Back",
+        "Abort",
+    ]
+    assert "Z stays as it is here" in printer.fail(f"{SETUP} STEP=BED Z=1")
+    user.go_to("PAPER")
+    for width, other in (("1", "0.1"), ("0.1", "0.01"), ("0.01", "1")):
+        assert user.labels() == [
+            *(label.format(width) for label in PAD[4:]),
+            f"Steps of {other} mm",
+            "Here",
+            "Back",
+            "Abort",
+        ]
+        user.press(f"Steps of {other} mm")
+    user.lower_to_the_sheet()
+    # Where there is no room for more
+    user.set_width(0.1)
+    assert user.has("Steps of 0.01 mm")
+    user.set_width(0.01)
+    assert user.has("Steps of 0.1 mm")
+
+
+def test_each_step_but_the_first_leads_back(start):
+    printer = start("cartesian", changes=empty())
+    printer.session.require_ready()
+    user = User(printer)
+    advance(user, "PIN")
+    assert not user.has("Back")
+    for step, before in (
+        ("OFF", "PIN"),
+        ("PROBE", "OFF"),
+        ("HOME", "PROBE"),
+        ("NOZZLE", "HOME"),
+        ("SWITCH", "NOZZLE"),
+        ("BED", "SWITCH"),
+        ("LOOK", "BED"),
+        ("TOUCH_NOZZLE", "NOZZLE"),
+        ("GAP", "TOUCH_NOZZLE"),
+        ("PAPER", "GAP"),
+        ("SAVE", "GAP"),
+    ):
+        user.go_to(step)
+        user.press("Back")
+        assert user.step() == before
+    user.go_to("SAVE")
+    printer.machine.truth.require_no_crash()
+    printer.session.restart(user.dialog().gcode("Save"))
+
+
 def advance(user, step):
     """From the beginning to a step."""
     user.begin()
@@ -244,6 +396,34 @@ def test_with_the_sheet_only_small_steps_lead_down_to_it(start):
     # All that is left by then
     assert "would lead to" in printer.fail(f"{SETUP} STEP=PAPER Z=-1")
     assert printer.machine.truth.min_gap > 0.0
+
+
+LIFT = """
+class Lift(object):
+    def __init__(self):
+        self.next = printer.lookup_object("gcode_move").set_move_transform(
+            self, force=True
+        )
+    def get_position(self):
+        position = self.next.get_position()
+        position[2] -= 0.12
+        return position
+    def move(self, newpos, speed):
+        lifted = list(newpos)
+        lifted[2] += 0.12
+        self.next.move(lifted, speed)
+printer.register_event_handler("klippy:connect", Lift)
+"""
+
+
+def test_bed_is_touched_below_a_feature_that_shifts_all(start, tmp_path):
+    """Each touch is a step of its own: pin and bed are not compared."""
+    changes = {**empty(), "extra": {}}
+    printer = start(
+        "cartesian", changes=changes, modules=with_extra(tmp_path, LIFT)
+    )
+    printer.session.require_ready()
+    advance(User(printer), "PAPER")
 
 
 def test_abort_leaves_the_printer_as_it_was(start):
@@ -296,11 +476,11 @@ def test_hands_on_the_wrong_switch(start):
     # Attached, as the other one has to be seen changing
     hold("probe", False)
     hold(user.pin, True)
-    pin = "'endstop_pin: ^!PC2' in section 'stepper_z' (line "
+    pin = "'endstop_pin: ^!PC2' in section 'stepper_z' (the "
     text = user.refused("Watch")
     assert "the Z endstop reads pressed before anything presses it" in text
     assert f"and otherwise check {pin}" in text
-    assert "; the other polarity: 'endstop_pin: ^PC2')" in text
+    assert "(the other polarity: 'endstop_pin: ^PC2')" in text
     # The dialog says so, as it hides the console
     assert text in user.dialog().text
     hold(user.pin, False)
@@ -338,7 +518,7 @@ def test_hands_on_the_wrong_switch(start):
     hold("probe", True)
     text = user.refused("Watch")
     assert "the probe reads pressed before anything presses it" in text
-    assert "'pin: ^PC3' in section 'probe' (line " in text
+    assert "'pin: ^PC3' in section 'probe' (the other polarity: " in text
     assert "ANSWER=SKIP is none of STEP=probe" in printer.fail(
         f"{SETUP} STEP=PROBE ANSWER=SKIP"
     )
@@ -439,7 +619,7 @@ def test_places_that_cannot_be_and_a_probe_that_is_lost(start):
     printer.run("M84")
     text = user.refused("Back")
     assert (
-        "not homed, and the probe is on the head; put it away unless Z is homed"
+        "not homed, and the probe is attached; put it away unless Z is homed"
         in text
     )
     printer.run("DOCK_PROBE")
@@ -471,10 +651,16 @@ def test_owner_without_gcode_attaches_the_probe_by_hand(start):
     printer.session.require_ready()
     user = User(printer)
     advance(user, "NOZZLE")
+    user.turn_to("Here")
     assert ", asks for the probe unless it is there, and" in user.dialog().text
     user.jog_to(*CARTESIAN["nozzle"])
     assert "nothing has attached it; attach it by hand" in user.refused("Here")
     assert user.step() == "ATTACH"
+    # Whoever has no dialogs knows it, too
+    (line,) = [li for li in printer.session.console if "STEP=ATTACH;" in li]
+    assert line.startswith(
+        "// z_calibration: Step 5 of 12: fetch the probe; At"
+    )
     first = "Attach the probe by hand first, unless it is on the head."
     assert first in user.dialog().text
     printer.run("ATTACH_PROBE")
@@ -509,6 +695,7 @@ def test_owner_with_gcode_is_told_what_it_does(start, hooks):
     user = User(printer)
     advance(user, "NOZZLE")
     words = "fetches the probe by your own G-code unless it is there"
+    user.turn_to("Here")
     assert words in user.dialog().text
     advance(user, "TOUCH_NOZZLE")
     words = "; your own G-code puts the probe away before, fetches it and"
@@ -748,9 +935,7 @@ def test_save_that_fails_loses_nothing(start):
     first = user.dialog().texts[0]
     assert first.startswith("Not done: ")
     assert "disk full" in first
-    assert "If SAVE_CONFIG fails again, write these lines into" in (
-        user.dialog().text
-    )
+    assert BY_HAND in user.dialog().texts
     assert [t for t in values if "_position: " in t] == [
         t for t in user.dialog().texts if "_position: " in t
     ]
@@ -767,11 +952,9 @@ def test_save_that_fails_loses_nothing(start):
 
 
 @pytest.mark.slow
-@pytest.mark.every_host(
-    "SAVE_CONFIG and Z_OFFSET_APPLY_PROBE are each host's own"
-)
-def test_another_value_that_cannot_be_saved(start, tmp_path):
-    # Of the probe, in a file of its own: SAVE_CONFIG would write nothing at all
+@pytest.mark.every_host("SAVE_CONFIG is each host's own")
+def test_another_value_that_cannot_be_saved(start, host, tmp_path):
+    # Of the probe, in a file of its own: SAVE_CONFIG writes nothing at all
     path = tmp_path / "probe.cfg"
     path.write_text("[probe]\nz_offset: 2.0\n")
     changes = {f"include {path}": {}, **empty(probe={"z_offset": None})}
@@ -779,42 +962,22 @@ def test_another_value_that_cannot_be_saved(start, tmp_path):
     printer.session.require_ready()
     user = User(printer)
     advance(user, "SAVE")
-    assert "SAVE_CONFIG cannot" not in user.dialog().text
-    # Handed over while the dialog is open, with one that could be saved but for that
     printer.run("SET_GCODE_OFFSET Z=0.1\nZ_OFFSET_APPLY_PROBE")
     printer.run("Z_OFFSET_APPLY_ENDSTOP")
-    assert "section [z_calibration] of printer.cfg does not say" in (
-        user.refused("Save")
-    )
+    assert "'probe'" in user.refused("Save")
     texts = user.dialog().texts
-    lines = {
-        line: place
-        for place, line in zip(texts, texts[1:])
-        if place.startswith("SAVE_CONFIG cannot write this into ")
-    }
-    *own, of_probe, of_endstop = lines
-    assert of_probe == "z_offset: 1.900"
-    assert "into line 2 of" in lines[of_probe]
-    # A restart would forget it
-    assert of_endstop == "position_endstop: 0.400"
-    assert "into line" in lines[of_endstop]
-    assert own[0] == "switch_xy_position: 254.000, 18.000"
-    assert "into section [z_calibration] of printer.cfg;" in lines[own[0]]
-    # As it says
-    path.write_text("[probe]\nz_offset: 1.9\n")
+    assert BY_HAND in texts
+    # That of others, too
+    forgets = "RESTART forgets what waits for sections probe, stepper_z."
+    assert forgets in texts
+    own = [line for line in texts if "_position: " in line]
     config = printer.session.data / "config" / "printer.cfg"
     text = config.read_text().replace(
         "[z_calibration]\n", "\n".join(["[z_calibration]", *own, ""])
     )
     config.write_text(text)
-    assert "does not say 'position_endstop: 0.400' yet" in user.refused("Save")
-    config.write_text(
-        text.replace("position_endstop: 0.5\n", "position_endstop: 0.4\n")
-    )
-    printer.session.restart(user.dialog().gcode("Save"))
+    printer.session.restart("RESTART")
     settings = printer.status("configfile")["settings"]
-    assert settings["probe"]["z_offset"] == 1.9
-    assert settings["stepper_z"]["position_endstop"] == 0.4
     assert settings["z_calibration"]["switch_xy_position"] == [254.0, 18.0]
 
 
@@ -833,108 +996,26 @@ def test_option_in_an_include_that_the_host_writes(start, host, tmp_path):
     user = User(printer)
     advance(user, "GAP")
     user.press("D2F 0.2 mm")
-    text = "SAVE_CONFIG cannot write this into line 2 of "
-    assert (text in user.dialog().text) is not is_written
-
-
-@pytest.mark.slow
-@pytest.mark.every_host(
-    "only Kalico reads and writes included files of any depth"
-)
-def test_option_below_a_pattern_of_any_depth(start, host, tmp_path):
-    deep = tmp_path / "tools" / "one" / "two"
-    deep.mkdir(parents=True)
-    (deep / "own.cfg").write_text("[z_calibration]\nswitch_offset: 0.1\n")
-    changes = empty()
-    changes[f"include {tmp_path}/tools/**/own.cfg"] = {}
-    # Its SAVE_CONFIG writes into includes, but not as deep
-    changes["danger_options"] = {"autosave_includes": "True"}
-    if not host.layout.module_dir.endswith("plugins"):
-        del changes["danger_options"]
-    printer = start("cartesian", changes=changes)
-    printer.session.require_ready()
-    found = printer.status("configfile")["settings"]["z_calibration"]
-    user = User(printer)
-    advance(user, "GAP")
-    user.press("D2F 0.2 mm")
-    is_deep = "switch_offset" in found and found["switch_offset"] == 0.1
-    text = "SAVE_CONFIG cannot write this into line 2 of "
-    assert (text in user.dialog().text) is is_deep
-    assert is_deep is host.layout.module_dir.endswith("plugins")
-    if is_deep:
-        (deep / "own.cfg").write_text("[z_calibration]\nswitch_offset: 0.2\n")
+    if not is_written:
+        assert re.fullmatch(CONFLICT, user.refused("Save"))
+        return
     printer.session.restart(user.dialog().gcode("Save"))
     own = printer.status("configfile")["settings"]["z_calibration"]
     assert own["switch_offset"] == 0.2
 
 
-def test_print_that_no_print_stats_knows_of(start):
-    printer = start(heated(SCENES["cartesian"]), changes=empty())
-    printer.session.require_ready()
-    user = User(printer)
-    advance(user, "NOZZLE")
-    printer.run("M109 S200")
-    printer.session.wait(2.0)
-    at = printer.session.position()
-    user.press("X+1 mm")
-    # It may be paused, or heat before it begins
-    question = "Step 5 of 12: is a print paused?"
-    assert user.dialog().headline == question
-    assert "extruder is kept at 200 degrees." in user.dialog().text
-    assert printer.session.position() == at
-    user.press("No print")
-    assert printer.session.position()[0] == at[0] + 1.0
-    # Buttons in a row are none
-    user.jog("X", 2.0)
-    printer.session.wait(2.0)
-    # As OctoPrint sends them
-    printer.run("G91\nG1 X10 F120")
-    printer.session.wait(0.5)
-    for script in (
-        SETUP,
-        f"{SETUP} STEP=NOZZLE X=-1",
-        f"{SETUP} STEP=NOZZLE",
-        f"{SETUP} STEP=NOZZLE PRINT=NONE",
-    ):
-        text = printer.fail(script)
-        assert "the head moves with a nozzle hot enough to print" in text
-    assert user.step() == "NOZZLE"
-    printer.run("M400")
-    printer.session.wait(2.0)
-    user.jog("X", -1.0)
-    # Whoever moves a cold one may
-    printer.run("M104 S0\nG1 X1 F120")
-    printer.session.wait(0.3)
-    user.jog("X", -1.0)
-
-
-def test_whoever_has_preheated_is_asked_once(start):
+# OctoPrint says nothing of its prints, and a nozzle that is hot is no print
+def test_heated_printer_is_set_up_without_a_question(start):
     printer = start(heated(SCENES["cartesian"]), changes=empty())
     printer.session.require_ready()
     user = User(printer)
     printer.run("M140 S60\nM104 S150")
-    lines = "\n".join(printer.run(SETUP))
-    kept = "extruder is kept at 150 degrees, heater_bed is kept at 60 degrees."
-    assert kept in lines
-    assert f"No print: {SETUP} PRINT=NONE" in lines
-    # Nothing was begun
-    lines = "\n".join(user.press("Abort"))
-    assert "the set-up has ended, nothing was saved" in lines
-    assert user.dialog() is None
-    user.begin()
-    user.press("No print")
-    user.test_switches()
-    user.press("Home")
-    assert user.step() == "NOZZLE"
-    # Another heat is another question, and what ends it moves nothing
-    printer.run("M140 S70")
+    advance(user, "NOZZLE")
+    printer.run("G91\nG1 X10 F120")
     at = printer.session.position()
-    user.press("Here")
-    assert "heater_bed is kept at 70 degrees." in user.dialog().text
-    assert "extruder" not in user.dialog().text
-    lines = "\n".join(user.press("Abort"))
-    assert "the set-up has ended, nothing was saved" in lines
-    assert printer.session.position() == at
+    user.press("X+1 mm")
+    assert printer.session.position()[0] == at[0] + 1.0
+    assert not any("is a print paused" in li for li in printer.session.console)
 
 
 def test_print_that_is_paused(start):
@@ -954,3 +1035,46 @@ def test_print_that_is_paused(start):
     user.press("Abort")
     assert printer.session.position()[2] == at[2] + 1.0
     assert where(printer) == "attached"
+
+
+# The end of the printer
+
+
+def assert_nothing_is_left(user, step):
+    """After an emergency stop; the set-up begins anew."""
+    printer = user.printer
+    console = "\n".join(printer.session.console)
+    assert "Internal error" not in console
+    printer.session.restart("FIRMWARE_RESTART")
+    assert printer.offset() == 0.0
+    assert pending(printer) == {}
+    text = printer.fail(f"{SETUP} STEP={step}")
+    assert "no set-up is under way, as a restart ends it, too" in text
+    assert user.dialog() is None
+    user.begin()
+    assert user.step() == "PIN"
+
+
+@pytest.mark.parametrize("site", ["nozzle_pin", slow("body_pin")])
+def test_emergency_stop_at_a_touch(start, site):
+    printer = start("cartesian", changes=empty())
+    printer.session.require_ready()
+    user = User(printer)
+    advance(user, "TOUCH_NOZZLE")
+    text = printer.stopped(user.first()[1], site, 0.2)
+    assert "shutdown" in text.lower()
+    printer.machine.truth.require_no_crash()
+    assert_nothing_is_left(user, "TOUCH_NOZZLE")
+
+
+def test_emergency_stop_while_a_hand_is_waited_for(start):
+    printer = start("cartesian", changes=empty())
+    printer.session.require_ready()
+    user = User(printer)
+    advance(user, "PIN")
+    command = printer.session.begin(user.first()[1])
+    printer.session.wait(1.0)
+    printer.session.stop()
+    with pytest.raises(GcodeError):
+        printer.session.finish(command)
+    assert_nothing_is_left(user, "PIN")

@@ -162,7 +162,7 @@ def test_heights_that_hold_no_more_are_no_floor(start):
     user.printer.run("G28\nQUAD_GANTRY_LEVEL\nG28 Z")
     assert "first touches begin again" in user.refused("Paper")
     user.press("Back")
-    assert "Nobody knows yet how high the pin is" in user.dialog().text
+    assert "The height of the pin is not known yet" in user.dialog().text
 
 
 @pytest.mark.slow

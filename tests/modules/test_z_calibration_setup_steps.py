@@ -149,7 +149,7 @@ def test_button_pressed_twice(at_step):
         if step.lower() in CHAINED:
             continue
         asked = f"STEP={step} is not what is asked now"
-        again = user.dialog().footer_buttons[0][1]
+        again = user.first()[1]
         assert user.step() == step
         user.go_on()
         touches = len(user.machine.truth.touches)

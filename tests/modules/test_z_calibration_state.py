@@ -35,43 +35,47 @@ def pending(printer):
 RESTORE = "RESTORE_GCODE_STATE NAME=old"
 
 
-@pytest.mark.slow
-@pytest.mark.parametrize(
-    ("end_gcode", "offset"),
-    [
-        ("SET_GCODE_OFFSET Z=0.05", OFFSET + 0.05),
-        ("SET_GCODE_OFFSET Z_ADJUST=0.05", OFFSET + 0.05),
-        ("SET_GCODE_OFFSET Z=0", OFFSET),
-        (RESTORE, OFFSET),
-        (f"{RESTORE} MOVE=1", OFFSET),
-        # Its own way to apply it
-        (
-            "SET_GCODE_OFFSET Z={printer.z_calibration.last_z_offset}",
-            OFFSET,
-        ),
-        (
-            "SET_GCODE_OFFSET"
-            " Z_ADJUST={printer.z_calibration.last_z_offset|round(3)}",
-            OFFSET,
-        ),
-    ],
-)
-def test_offset_of_before_does_not_count(start, end_gcode, offset):
+@pytest.mark.parametrize("end_gcode", ["SET_GCODE_OFFSET Z=0", RESTORE])
+def test_offset_of_before_does_not_count(start, end_gcode):
+    """Nor one that end_gcode leaves at 0, or brings back with a state."""
     macro = {"gcode": f"\n  {end_gcode}"}
     changes = {"gcode_macro END": macro, **section(end_gcode="END")}
     printer = start(changes=changes).homed()
-    # At a height where MOVE=1 meets nothing
+    # At a height where a restored offset meets nothing
     printer.run("G1 X150 Y150 Z20 F6000\nSET_GCODE_OFFSET Z=0.25")
-    printer.run("SAVE_GCODE_STATE NAME=old\nSET_GCODE_OFFSET Z=0.4")
     for _ in range(3):
-        printer.run("CALIBRATE_Z")
-        assert printer.offset() == pytest.approx(offset, abs=0.001)
+        printer.run("SAVE_GCODE_STATE NAME=old\nCALIBRATE_Z")
+        assert printer.offset() == pytest.approx(OFFSET, abs=0.001)
     status = printer.status("z_calibration")
-    assert status["last_z_offset"] == pytest.approx(offset, abs=0.001)
+    assert status["last_z_offset"] == pytest.approx(OFFSET, abs=0.001)
     assert validity(printer) == (True, True, "")
     # The state of before is as it was
-    printer.run(RESTORE)
-    assert printer.offset() == pytest.approx(0.25)
+    printer.run(f"SET_GCODE_OFFSET Z=0\n{RESTORE}")
+    assert printer.offset() == pytest.approx(OFFSET, abs=0.001)
+
+
+@pytest.mark.parametrize(
+    "end_gcode",
+    [
+        "SET_GCODE_OFFSET Z=0.05",
+        "SET_GCODE_OFFSET Z_ADJUST=-0.05",
+        # As the original had it, where end_gcode came after the offset
+        "SET_GCODE_OFFSET Z={printer.z_calibration.last_z_offset + 0.05}",
+        # Of another state than that of the run
+        RESTORE,
+    ],
+)
+def test_end_gcode_that_leaves_an_offset_of_its_own_is_refused(
+    start, end_gcode
+):
+    printer = start(changes=section(end_gcode=end_gcode)).homed()
+    printer.run("SET_GCODE_OFFSET Z=0.25\nSAVE_GCODE_STATE NAME=old")
+    printer.run("SET_GCODE_OFFSET Z=0.3")
+    text = printer.fail("CALIBRATE_Z")
+    assert "end_gcode has left a G-code Z offset of" in text
+    assert text.endswith("by Z_ADJUST, or in offset_gcode")
+    assert_unharmed(printer, 0.3)
+    assert validity(printer)[:2] == (False, False)
 
 
 SEEN = "\n  RESPOND MSG='seen {printer.gcode_move.homing_origin.z}'"
@@ -107,32 +111,30 @@ def test_offset_and_states_are_as_before_after_a_failure(start, command):
     assert printer.session.position()[2] == pytest.approx(25.1)
 
 
-def test_g92_is_undone(start):
-    printer = start().homed()
-    # G-code Z is 0.3 less than it was
-    printer.run("G1 Z20 F900\nG92 Z19.7")
-    lines = printer.run("CALIBRATE_Z")
-    assert "G92 had moved Z=0 by 0.300 mm: undone" in "\n".join(lines)
-    assert printer.gap() == pytest.approx(0.06, abs=0.005)
-
-
-# Some hosts keep it when Z is homed with the probe, and G1 goes lower then
-def test_g92_does_not_lower_what_start_gcode_does(start):
-    lift = {"start_gcode": "\n  G90\n  G1 Z5 F900"}
-    printer = start(changes={"z_calibration": lift}).homed()
-    printer.run("G1 Z20 F900\nG92 Z30\nPROBE_Z_ACCURACY SAMPLES=2")
-    printer.run("G92 Z40")
-    lines = printer.run("CALIBRATE_Z")
-    assert "G92 had moved Z=0 by" in "\n".join(lines)
-    assert printer.gap() == pytest.approx(0.06, abs=0.005)
-
-
-def test_g92_of_start_gcode_is_undone(start):
+@pytest.mark.parametrize("is_own", [False, True])
+def test_g92_is_refused(start, is_own):
+    """It is no part of the offset, and stays until G28."""
+    moved = "G1 Z20 F900\nG92 Z19.7"
     own = {"start_gcode": "\n  G90\n  G1 Z20 F900\n  G92 Z19.7"}
-    printer = start(changes={"z_calibration": own}).homed()
-    lines = printer.run("CALIBRATE_Z")
-    assert "G92 had moved Z=0 by 0.300 mm: undone" in "\n".join(lines)
-    assert printer.gap() == pytest.approx(0.06, abs=0.005)
+    printer = start(changes={"z_calibration": own} if is_own else None).homed()
+    if not is_own:
+        printer.run(moved)
+    before = len(printer.machine.truth.touches)
+    text = printer.fail("CALIBRATE_Z")
+    assert "G92 has moved Z=0 by 0.300 mm" in text
+    assert "; run G28 before CALIBRATE_Z, or RESTART where that homes" in text
+    # Nothing was touched
+    assert len(printer.machine.truth.touches) == before
+    if not is_own:
+        printer.run("G28\nCALIBRATE_Z")
+        assert printer.gap() == pytest.approx(0.06, abs=0.005)
+
+
+def test_g92_of_end_gcode_is_refused(start):
+    changes = section(end_gcode="G92 Z19.7")
+    printer = start(changes=changes).homed()
+    assert "G92 has moved Z=0 by" in printer.fail("CALIBRATE_Z")
+    assert_unharmed(printer)
 
 
 # Whether the offset is still in force
@@ -148,7 +150,7 @@ def test_zero_that_g92_has_moved_is_noticed(start):
     printer.run("SET_GCODE_OFFSET Z_ADJUST=-0.3")
     assert "G92 has moved Z=0" in printer.fail(SAVE)
     assert pending(printer) == {}
-    printer.run("CALIBRATE_Z")
+    printer.run("G28\nCALIBRATE_Z")
     assert validity(printer) == (True, True, "")
 
 
@@ -164,31 +166,91 @@ def test_offset_that_is_gone_is_noticed(start, before, after):
     printer = start(changes={"pause_resume": {}}).homed()
     printer.run(f"SET_GCODE_OFFSET Z=0.1\n{before}\nCALIBRATE_Z")
     assert validity(printer) == (True, True, "")
-    lines = printer.run(after)
-    told = (
-        "brought back the G-code Z offset 0.100; it was 0.160, from CALIBRATE_Z"
-    )
-    assert (told in "\n".join(lines)) is bool(before)
+    printer.run(after)
     is_measured, is_valid, reason = validity(printer)
     assert (is_measured, is_valid) == (True, False)
     assert reason == (
         "the G-code Z offset is 0.100, that of CALIBRATE_Z is 0.160: changed by"
         " baby steps, SET_GCODE_OFFSET, RESUME or RESTORE_GCODE_STATE"
     )
+    # By itself, once; without a state the user has set it
+    told = [f"// z_calibration: {reason}"] if before else []
+    assert told_later(printer) == told
+    assert told_later(printer) == []
     if before:
         text = printer.fail(SAVE)
-        assert "the G-code offset 0.100 is that of G-code state" in text
+        assert "the G-code offset 0.100 is that of before CALIBRATE_Z" in text
         assert pending(printer) == {}
-        printer.run(f"{SAVE} FORCE=1")
-        assert pending(printer)["z_calibration"] == {"switch_offset": "0.500"}
-    if before:
-        # Counted once
-        assert "nothing was changed" in "".join(printer.run(SAVE))
-        printer.run("CALIBRATE_Z")
+    printer.run(f"{SAVE} FORCE={int(bool(before))}")
+    assert pending(printer)["z_calibration"] == {"switch_offset": "0.500"}
+    # Counted once
+    assert "nothing was changed" in "".join(printer.run(SAVE))
+    printer.run("CALIBRATE_Z")
     # Set again it is valid again
     z_offset = printer.status("z_calibration")["last_z_offset"]
     printer.run(f"SET_GCODE_OFFSET Z={z_offset}")
     assert validity(printer) == (True, True, "")
+
+
+def test_offset_of_before_several_runs_is_noticed(start):
+    printer = start().homed()
+    printer.run("SET_GCODE_OFFSET Z=0.1\nSAVE_GCODE_STATE NAME=old")
+    printer.run("CALIBRATE_Z\nSET_GCODE_OFFSET Z=0.05\nCALIBRATE_Z")
+    printer.run(RESTORE)
+    text = printer.fail(SAVE)
+    assert "the G-code offset 0.100 is that of before CALIBRATE_Z" in text
+    assert pending(printer) == {}
+
+
+def test_offset_that_is_kept_for_later_leaves_that_of_before(start):
+    changes = section(offset_gcode="Z_CALIBRATION_KEEP_OFFSET")
+    printer = start(changes=changes).homed()
+    printer.run(
+        "SET_GCODE_OFFSET Z=0.3\nSAVE_GCODE_STATE NAME=old\nCALIBRATE_Z"
+    )
+    assert printer.offset() == pytest.approx(0.3)
+    assert validity(printer)[:2] == (True, False)
+    # It is the user who sets it, when it is wanted
+    assert told_later(printer) == []
+    z_offset = printer.status("z_calibration")["last_z_offset"]
+    assert z_offset == pytest.approx(OFFSET, abs=0.001)
+    printer.run(f"SET_GCODE_OFFSET Z={z_offset}")
+    assert validity(printer) == (True, True, "")
+
+
+def told_later(printer):
+    """What the console shows within some seconds while nothing runs."""
+    before = len(printer.session.console)
+    printer.session.wait(6.0)
+    return printer.session.console[before:]
+
+
+@pytest.mark.parametrize(
+    ("script", "words"),
+    [
+        # What the user does, or what comes with each print
+        ("SET_GCODE_OFFSET Z_ADJUST=-0.05", None),
+        ("G28", None),
+        ("M84", None),
+        # What nobody sees
+        ("SET_GCODE_OFFSET Z=0", "the G-code Z offset is 0.000"),
+        ("SET_GCODE_OFFSET Z_ADJUST=0.6", "the G-code Z offset is 0.760"),
+        ("G1 Z20 F900\nG92 Z19.7", "G92 has moved Z=0 by 0.300 mm"),
+    ],
+)
+def test_what_ends_a_result_by_itself_is_told_once(start, script, words):
+    printer = start().homed()
+    printer.run("CALIBRATE_Z")
+    assert told_later(printer) == []
+    printer.run(script)
+    assert not validity(printer)[1]
+    told = told_later(printer)
+    assert [words in line for line in told] == ([True] if words else [])
+    assert told_later(printer) == []
+    # And once more after the next run
+    printer.run("G28\nCALIBRATE_Z")
+    printer.run(script)
+    assert len(told_later(printer)) == len(told)
 
 
 # A state that nobody has restored since says nothing of baby steps
@@ -224,11 +286,10 @@ def test_state_of_since_is_as_it_was(start):
 def test_resume_takes_no_baby_step_back(start):
     printer = start(changes={"pause_resume": {}}).homed()
     printer.run("CALIBRATE_Z\nPAUSE\nSET_GCODE_OFFSET Z_ADJUST=-0.02")
-    told = (
-        "brought back the G-code Z offset 0.160; it was 0.140, from CALIBRATE_Z"
-    )
-    assert told in "".join(printer.run(f"{SAVE}\nRESUME"))
-    assert "is that of G-code state PAUSE_STATE" in printer.fail(SAVE)
+    printer.run(f"{SAVE}\nRESUME")
+    (told,) = told_later(printer)
+    assert "the G-code Z offset is 0.160, that of CALIBRATE_Z is 0.140" in told
+    assert "0.160 is that of before CALIBRATE_Z" in printer.fail(SAVE)
     assert pending(printer)["z_calibration"] == {"switch_offset": "0.460"}
     # What is set again counts again
     printer.run("SET_GCODE_OFFSET Z_ADJUST=-0.03")
@@ -271,9 +332,8 @@ def test_offset_gcode_may_make_another_one_of_it(start, offset_gcode, offset):
 
 
 def test_switch_offset_counts_from_what_was_applied(start):
-    changes = section(end_gcode="SET_GCODE_OFFSET Z_ADJUST=0.05")
-    printer = start(changes=changes).homed()
-    calibration(printer, "CALIBRATE_Z Z_ADJUST=0.02")
+    printer = start().homed()
+    calibration(printer, "CALIBRATE_Z Z_ADJUST=0.07")
     # Beside the bed, where the nozzle may go down: it is right as it is
     printer.run("G1 X20 Y305 F6000\nG1 Z0 F900\nM400")
     (answer,) = printer.run("CALCULATE_SWITCH_OFFSET")
@@ -334,6 +394,15 @@ def test_templates_begin_with_the_modes_of_before(start):
     assert "start_gcode: " in text and "jammed" in text
     printer.session.wait(2.0)
     assert printer.session.position()[:2] == pytest.approx([110, 100])
+    status = printer.status("gcode_move")
+    assert status["absolute_coordinates"] and status["absolute_extrude"]
+
+
+def test_error_gcode_leaves_the_modes_of_before(start):
+    changes = section(start_gcode="G28 X", error_gcode="\n  G91\n  M83")
+    printer = with_dead_pin(start, changes=changes)
+    printer.run("G90\nM82")
+    assert "the switch did not answer" in printer.fail("CALIBRATE_Z")
     status = printer.status("gcode_move")
     assert status["absolute_coordinates"] and status["absolute_extrude"]
 

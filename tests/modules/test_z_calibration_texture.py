@@ -19,6 +19,7 @@ from tools.kit.scenes import SCENES
 from tools.kit.z_calibration import (
     calibration,
     refusal,
+    reported,
     section,
     with_moves,
 )
@@ -127,15 +128,14 @@ def test_history_keeps_where_it_was(start):
     printer.run("CALIBRATE_Z")
     printer.session.wait(1.0)
     folder = printer.session.data / "config" / "z_calibration"
-    (line,) = (folder / "history.jsonl").read_text().splitlines()
+    (line,) = (folder / "printer.jsonl").read_text().splitlines()
     run = json.loads(line)
     assert run["bed_spread"] == 3.0
     assert "points" not in run["sites"]["switch"]
     # Of the bed, where the plunger is: it hangs beside the nozzle
     points = [(x + 2.0, y - 24.75) for x, y in run["sites"]["bed"]["points"]]
     assert [pytest.approx(p, abs=0.06) for p in points] == points_of(printer)
-    printer.run("Z_CALIBRATION_REPORT")
-    printer.session.wait(2.0)
+    reported(printer, "the report is ")
     (report,) = folder.glob("report-*.svg")
     assert "Where the bed was touched" in report.read_text()
 
@@ -147,12 +147,14 @@ def test_history_of_one_point_says_nothing_of_many(start, tmp_path):
     worth = {}
     for kind in ("one point", "no bed", "many"):
         spread = 3.0 if kind == "many" else 0.0
-        runs = make_runs(20, noise=0.001, touches=9, bed_spread=spread)
+        runs = make_runs(
+            20, noise=0.001, touches=9, bed_spread=spread, worn={"bed": 0.03}
+        )
         for run in runs if kind == "no bed" else ():
             del run["sites"]["bed"]
             run["ok"] = False
         lines = [json.dumps(run) + "\n" for run in runs]
-        (tmp_path / "history.jsonl").write_text("".join(lines))
+        (tmp_path / "printer.jsonl").write_text("".join(lines))
         printer = start(rough(1), changes=changes).homed()
         printer.run("CALIBRATE_Z")
         worth[kind] = printer.status("z_calibration")["uncertainty"]

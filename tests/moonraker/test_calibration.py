@@ -51,7 +51,7 @@ def test_console_shows_the_calibration(lab):
     result, worth = said[-2:]
     assert result.startswith("// Z-CALIBRATION: probe=")
     assert result.endswith(f"new offset={offset:.6f}")
-    assert worth.startswith(f"// Z-CALIBRATION: --> new offset={offset:.6f} +-")
+    assert worth.startswith(f"// Z-CALIBRATION: offset {offset:.3f} +-")
 
 
 def test_status_changes_while_a_calibration_runs(lab):

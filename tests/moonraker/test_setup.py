@@ -53,7 +53,7 @@ class WebUser(User):
     def begin(self):
         self.lab.moonraker.run(SETUP)
 
-    def press(self, label):
+    def _send(self, label):
         return self.lab.moonraker.run(self.dialog().gcode(label))
 
     def position(self):

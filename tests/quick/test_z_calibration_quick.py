@@ -13,13 +13,16 @@ BESIDE = "G90\nG1 Z20 F900\nG1 X20 Y305 F6000\nG1 Z5 F900"
 
 
 def has_report(printer):
-    """Drawn in a thread of its own, and told when it is there."""
-    printer.session.wait(3.0)
-    return any("the report is" in line for line in printer.session.console)
+    """Drawn by a process of its own, and reported when it is there."""
+    for _ in range(60):
+        if any("the report is" in line for line in printer.session.console):
+            return True
+        printer.session.wait(0.5)
+    return False
 
 
 GOOD = [
-    Run("CALIBRATE_Z_ACCURACY CYCLES=2", "2 cycles are too few"),
+    Run("CALIBRATE_Z_ACCURACY CYCLES=2", "one CALIBRATE_Z: +-"),
     Run("PROBE_Z_ACCURACY SAMPLES=2", "maximum 1.60"),
     Run("CALIBRATE_Z", "--> new offset=0.16"),
     Run(

@@ -7,11 +7,10 @@ from typing import NamedTuple
 import pytest
 from hypothesis import strategies as st
 
-from z_touch.core.errors import CalibrationError
-from z_touch.core.options import read
-from z_touch.core.sampling import Sampling
-from z_touch.core.touching import Site
-from z_touch.uncertainty.adaptive import FixedCount
+from z_touch.errors import CalibrationError
+from z_touch.options import read
+from z_touch.sampling import Sampling
+from z_touch.touch import Site
 from z_touch.z_calibration import heights as formula
 from z_touch.z_calibration.settings import OPTIONS, Settings
 
@@ -117,11 +116,7 @@ class Nothing:
 
 
 # As the table has them
-DEFAULTS = {
-    name: value
-    for name, value in read(Nothing(), OPTIONS).items()
-    if name in Settings._fields
-}
+DEFAULTS = {name: value for name, value in read(Nothing(), OPTIONS).items()}
 
 
 def make_settings(**changes):
@@ -133,9 +128,8 @@ def make_settings(**changes):
         "switch_offset": 0.5,
         "safe_z_height": 13.0,
         "probing_speed": 5.0,
-        "pin": make_sampling(),
-        "probe": make_sampling(),
-        "counting": FixedCount(),
+        "on_pin": make_sampling(),
+        "on_bed": make_sampling(),
         "may_attach_late": False,
         "start_homes": False,
         "position_endstop": 0.0,
@@ -144,7 +138,7 @@ def make_settings(**changes):
         "z_offset": 6.5,
         "unmeasured_pin": 0.0,
         "mesh_area": None,
-        "said": frozenset(),
+        "given": frozenset(),
         "z_speed": None,
     }
     return Settings(**{**DEFAULTS, **values, **changes})
@@ -154,7 +148,7 @@ def settings_of(machine, **changes):
     """Settings of someone who has measured the machine."""
     return make_settings(
         position_endstop=machine.pin, switch_offset=machine.travel
-    )._replace(**changes)
+    ).replace(**changes)
 
 
 def complaint(function, *args):

@@ -7,7 +7,7 @@ from typing import Any
 
 from tests.unit.loading import load
 
-options = load("z_touch.core.options")
+options = load("z_touch.options")
 
 
 def values_of(rows: tuple) -> dict[str, Any]:

@@ -1,12 +1,12 @@
-"""z_touch/core/options.py: rows of a table, and what is read by them."""
+"""z_touch/options.py: rows of a table, and what is read by them."""
 
 from __future__ import annotations
 
 import pytest
 
-from z_touch.core import options
-from z_touch.core.options import option
-from z_touch.core.sampling import filled
+from z_touch import options
+from z_touch.options import option
+from z_touch.sampling import filled
 
 
 class Config:

@@ -108,24 +108,24 @@ def test_whole_house_is_used(house):
 
 
 def unreadable(rooms):
-    (rooms / "core" / "errors.py").write_bytes(b"a = 1\n\0\0\0\0")
+    (rooms / "errors.py").write_bytes(b"a = 1\n\0\0\0\0")
 
 
 def cut_off(rooms):
-    (rooms / "core" / "errors.py").write_text("def fail(\n")
+    (rooms / "errors.py").write_text("def fail(\n")
 
 
 def mistaken(rooms):
-    (rooms / "core" / "errors.py").write_text("fail = undefined\n")
+    (rooms / "errors.py").write_text("fail = undefined\n")
 
 
 MISSING = r"is not in klippy/extras"
 BROKEN = r"cannot be loaded \(.+\)"
 DAMAGES = {
     "missing": (shutil.rmtree, MISSING),
-    "no core": (lambda rooms: shutil.rmtree(rooms / "core"), BROKEN),
-    "no room": (lambda rooms: shutil.rmtree(rooms / "guide"), BROKEN),
-    "no file": (lambda rooms: (rooms / "core/errors.py").unlink(), BROKEN),
+    "no host": (lambda rooms: shutil.rmtree(rooms / "host"), BROKEN),
+    "no room": (lambda rooms: shutil.rmtree(rooms / "z_calibration"), BROKEN),
+    "no file": (lambda rooms: (rooms / "errors.py").unlink(), BROKEN),
     "empty face": (
         lambda rooms: (rooms / "__init__.py").write_text(""),
         BROKEN,

@@ -13,8 +13,8 @@ from tests.unit.room_settings import default_settings
 
 heights = load("z_touch.extra_probe.heights")
 rows = load("z_touch.extra_probe.settings")
-ZZero = load("z_touch.core.axes").ZZero
-CalibrationError = load("z_touch.core.errors").CalibrationError
+ZZero = load("z_touch.host.toolhead").ZZero
+CalibrationError = load("z_touch.errors").CalibrationError
 
 z_values = st.floats(-5.0, 5.0)
 thicknesses = st.floats(0.01, 2.0)

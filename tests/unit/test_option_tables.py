@@ -9,7 +9,7 @@ import pytest
 
 from tests.unit.loading import load
 from tests.unit.room_settings import default_settings
-from z_touch.core.options import PROBE_OPTIONS
+from z_touch.options import PROBE_OPTIONS
 
 TESTS = Path(__file__).resolve().parents[1] / "modules"
 ROOMS = {

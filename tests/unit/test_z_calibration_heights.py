@@ -24,7 +24,7 @@ from tests.unit.calibrated import (
     shifts,
     travels,
 )
-from z_touch.core.axes import ZZero
+from z_touch.host.toolhead import ZZero
 from z_touch.z_calibration import heights as zc
 
 
@@ -315,7 +315,7 @@ class TestFloors:
         self, nozzle, switch, endstop, shift
     ):
         plain = make_settings(position_endstop=endstop, position_min=-9999.0)
-        moved = plain._replace(position_endstop=endstop + shift)
+        moved = plain.replace(position_endstop=endstop + shift)
         assert zc.nozzle_floor(moved, None) == (
             zc.nozzle_floor(plain, None) + shift
         )
@@ -349,7 +349,7 @@ class TestFloors:
             assume(-1.0 < now.bed < 1.0)
         settings = settings_of(now)
         if own_pin:
-            settings = settings._replace(position_endstop=None)
+            settings = settings.replace(position_endstop=None)
         pin, switch = now.pin, now.switch_trigger
         nozzle = zc.expect_nozzle(settings, last, holds)
         assert zc.nozzle_floor(settings, nozzle) < pin
@@ -617,11 +617,11 @@ class TestTravelHeight:
         plain = make_settings(
             offset_margins=margins, switch_offset=switch_offset
         )
-        wider = plain._replace(offset_margins=(low, high + more))
+        wider = plain.replace(offset_margins=(low, high + more))
         above = zc.travel_height_to_bed(plain, nozzle, switch)
         assert zc.travel_height_to_bed(wider, nozzle, switch) >= above
         # How deep the bed may lie is nothing to a travel
-        deeper = plain._replace(offset_margins=(low - more, high))
+        deeper = plain.replace(offset_margins=(low - more, high))
         assert zc.travel_height_to_bed(deeper, nozzle, switch) == above
 
     @given(heights, exact(0, 50), distances)

@@ -9,15 +9,13 @@ from pathlib import Path
 import pytest
 
 from tests.unit.calibrated import make_sampling, make_settings
-from z_touch.core.sampling import AUTO, Sampling
-from z_touch.uncertainty import adaptive
+from z_touch.sampling import AUTO, Sampling
 from z_touch.z_calibration import accuracy
 from z_touch.z_calibration.heights import travel_height
 from z_touch.z_calibration.settings import (
     OPTIONS,
-    SAMPLING,
-    Settings,
     complete,
+    homes,
 )
 
 TESTS = Path(__file__).resolve().parents[1] / "modules"
@@ -31,12 +29,6 @@ def test_option_has_a_test_of_its_own(row):
     assert any(name.search(path.read_text("utf-8")) for path in tests), (
         f"{row.name} is in none of tests/modules/test_z_calibration_*.py"
     )
-
-
-@pytest.mark.parametrize("row", OPTIONS, ids=lambda row: row.name)
-def test_option_is_a_field_of_the_settings_or_of_a_sampling(row):
-    assert (row.name in Settings._fields) != (row.name in SAMPLING)
-    assert row.text.endswith(".")
 
 
 # No two values alike, none as the pin has it
@@ -54,15 +46,15 @@ PROBE = Sampling(
 class TestComplete:
     def complete(self, settings, z_offset=6.5):
         left_open = Sampling(*[None] * 7)
-        open_ends = settings._replace(
-            probe=left_open, z_offset=None, position_max=None
+        open_ends = settings.replace(
+            on_bed=left_open, z_offset=None, position_max=None
         )
         return complete(open_ends, PROBE, z_offset, 250.0)
 
     def test_what_is_set_stays(self):
         chosen = make_settings(safe_z_height=4.0)
-        assert self.complete(chosen) == chosen._replace(
-            probe=PROBE, z_offset=6.5, position_max=250.0
+        assert self.complete(chosen) == chosen.replace(
+            on_bed=PROBE, z_offset=6.5, position_max=250.0
         )
 
     @pytest.mark.parametrize(
@@ -84,24 +76,24 @@ class TestComplete:
 
     @pytest.mark.parametrize("name", Sampling._fields)
     def test_the_probe_fills_what_is_open_and_only_that(self, name):
-        settings = make_settings(pin=make_sampling(**{name: None}))
+        settings = make_settings(on_pin=make_sampling(**{name: None}))
         filled = make_sampling(**{name: getattr(PROBE, name)})
-        assert self.complete(settings).pin == filled
+        assert self.complete(settings).on_pin == filled
 
     def test_the_bed_keeps_what_the_section_says(self):
         given = Sampling(*[None] * 7)._replace(samples=4)
-        settings = make_settings()._replace(probe=given)
-        found = complete(settings, PROBE, 6.5, 250.0).probe
+        settings = make_settings().replace(on_bed=given)
+        found = complete(settings, PROBE, 6.5, 250.0).on_bed
         assert found == PROBE._replace(samples=4)
 
     def test_the_probe_may_fill_everything(self):
         nothing = Sampling(*[None] * len(Sampling._fields))
-        assert self.complete(make_settings(pin=nothing)).pin == PROBE
+        assert self.complete(make_settings(on_pin=nothing)).on_pin == PROBE
 
     @pytest.mark.parametrize("name", ["tolerance", "retries"])
     def test_zero_is_a_setting(self, name):
         pin = make_sampling(**{name: 0})
-        assert self.complete(make_settings(pin=pin)).pin == pin
+        assert self.complete(make_settings(on_pin=pin)).on_pin == pin
 
     @pytest.mark.parametrize(
         ("safe_z", "z_offset", "completed"),
@@ -118,20 +110,34 @@ class TestComplete:
         assert (found.safe_z_height, found.z_offset) == (completed, z_offset)
 
 
-@pytest.mark.parametrize(("samples", "taken"), [(AUTO, 3), (1, 3), (4, 4)])
-def test_touches_of_a_cycle_are_enough_to_vary(samples, taken):
-    settings = make_settings(counting=adaptive.choose(samples, 0.008))
-    # With samples: auto the count of [probe] is nobody's
-    count = settings.counting.count or 7
-    settings = settings._replace(
-        pin=make_sampling(samples=count), probe=make_sampling(samples=count)
-    )
-    found = accuracy.for_cycles(settings)
+@pytest.mark.parametrize(
+    ("samples", "count", "taken"), [(AUTO, 7, 3), (1, 1, 3), (None, 4, 4)]
+)
+def test_touches_of_a_cycle_are_enough_to_vary(samples, count, taken):
+    sampling = make_sampling(samples=count)
+    settings = make_settings(samples=samples, on_pin=sampling, on_bed=sampling)
+    found = accuracy.of_cycles(settings)
+    assert not found.is_auto
     assert (
-        found.pin
-        == found.probe
-        == settings.pin._replace(
+        found.on_pin
+        == found.on_bed
+        == sampling._replace(
             samples=taken, tolerance=math.inf, result="average"
         )
     )
-    assert found.counting.for_spread(found.pin) == taken
+
+
+@pytest.mark.parametrize(
+    ("gcode", "macros", "expected"),
+    [
+        ("G28", {}, True),
+        ("\n  g28 Z", {}, True),
+        ("START", {"START": "{% if x %} G28 {% endif %}"}, True),
+        ("START", {"START": "MORE", "MORE": "G28 X"}, True),
+        ("START", {"START": "MORE", "MORE": "START"}, False),
+        ("ATTACH", {"ATTACH": "G0 X1", "OTHER": "G28"}, False),
+        ("", {}, False),
+    ],
+)
+def test_g28_is_found_also_in_macros(gcode, macros, expected):
+    assert homes(gcode, macros) is expected

@@ -5,7 +5,7 @@ from __future__ import annotations
 from types import SimpleNamespace
 
 from tests.unit.calibrated import make_settings
-from z_touch.core.touching import Site
+from z_touch.touch import Site
 from z_touch.z_calibration.sites import SiteFinder
 
 NOZZLE = Site("nozzle", 206.0, 306.0, "The place of the nozzle")
@@ -14,7 +14,7 @@ NOZZLE = Site("nozzle", 206.0, 306.0, "The place of the nozzle")
 def finder(**changes):
     """On a printer whose mesh has a zero, with a probe 2 mm beside the nozzle."""
     host = SimpleNamespace(
-        features=SimpleNamespace(mesh_zero=lambda: (150.0, 140.0)),
+        transforms=SimpleNamespace(mesh_zero=lambda: (150.0, 140.0)),
         probing=SimpleNamespace(offsets=lambda: (0.0, 2.0, 5.0)),
     )
     return SiteFinder(host, make_settings(**changes))

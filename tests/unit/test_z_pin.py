@@ -1,4 +1,4 @@
-"""z_touch/core/z_pin.py: where the pin is, by the sections that tell of it."""
+"""z_touch/z_pin.py: where the pin is, by the sections that tell of it."""
 
 from __future__ import annotations
 
@@ -6,7 +6,7 @@ from types import SimpleNamespace
 
 import pytest
 
-from z_touch.core import z_pin
+from z_touch import pin as z_pin
 from z_touch.z_calibration import settings
 
 Z_AXIS = SimpleNamespace(endstop_pin="PG10", position_endstop=1.6)

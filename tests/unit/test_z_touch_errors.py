@@ -1,10 +1,10 @@
-"""z_touch/core/errors.py: what is known of an error, and its words."""
+"""z_touch/errors.py: what is known of an error, and its words."""
 
 from __future__ import annotations
 
 import pytest
 
-from z_touch.core import errors
+from z_touch import errors
 
 
 def test_what_is_known_is_put_into_words_once():

@@ -1,4 +1,4 @@
-"""z_touch/core/options.py: margins, numbers and text for the user's G-code."""
+"""z_touch/options.py: margins, numbers and text for the user's G-code."""
 
 from __future__ import annotations
 
@@ -9,17 +9,17 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from z_touch.core.errors import CalibrationError
-from z_touch.core.options import (
+from z_touch.errors import CalibrationError
+from z_touch.options import (
     REQUIRED,
     TEXT,
     Kind,
     Same,
-    margins,
     option,
     read,
+    read_margins,
 )
-from z_touch.core.templates import as_param
+from z_touch.templates import as_param
 
 numbers = st.integers(-640, 640).map(lambda steps: steps / 64)
 
@@ -40,7 +40,7 @@ class Config:
 
 
 def margins_of(*values):
-    return margins(Config(*values), "offset_margins", (-3.0, 4.0))
+    return read_margins(Config(*values), "offset_margins", (-3.0, 4.0))
 
 
 def test_margins_have_a_default():

@@ -1,4 +1,4 @@
-"""z_touch/core/sampling.py: tables of edges and general properties."""
+"""z_touch/sampling.py: tables of edges and general properties."""
 
 from __future__ import annotations
 
@@ -9,8 +9,8 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from z_touch.core.errors import CalibrationError, NoTrigger, SamplesDiffer
-from z_touch.core.sampling import Sampling, accuracy, collect, summarize
+from z_touch.errors import CalibrationError, NoTrigger, SamplesDiffer
+from z_touch.sampling import Sampling, accuracy, collect, summarize
 
 series = st.lists(st.floats(-50.0, 400.0), min_size=1, max_size=9)
 methods = st.sampled_from(["median", "average"])

@@ -40,7 +40,7 @@ from tools.bench.commands import STANDARD, calibrate_plan
 from tools.bench.errors import UM, Condition, make_scene
 from tools.bench.lower_bounds import lower_bound
 from tools.kit.printer import Printer
-from tools.kit.product import adaptive
+from tools.kit.product import statistics as module_statistics
 from tools.kit.runs import make_run
 from tools.kit.scenes import SCENES
 
@@ -55,7 +55,7 @@ AFTER_WAY = 0.25
 WITHIN_WAY = 0.15
 AFTER_TOUCH = 0.4
 TOUCHED = re.compile(r"z_calibration: (\w+) at z=\S+ \((\d+) touch")
-WORTH = re.compile(r"new offset=\S+ \+-(\S+)")
+WORTH = re.compile(r"Z-CALIBRATION: offset \S+ \+-(\S+) mm")
 
 
 class Case(NamedTuple):
@@ -94,7 +94,7 @@ CASES = (
     Case("3 um, target 0.005", 3.0, 5, target="0.005", sigma=2.6, seconds=44.0),
     Case("10 um", 10.0, 10, sigma=6.5),
     Case("3 um, texture", 3.0, spread="0"),
-    Case("3 um, bed_spread 3", 3.0, 6, spread="3", target="0.014", sigma=7.0),
+    Case("3 um, bed_spread 3", 3.0, 6, spread="3", target="0.013", sigma=7.0),
     Case("3 um, 1 % of 50 um", 3.0, outliers=(0.01, 0.05), worst=15.0),
 )
 
@@ -140,7 +140,7 @@ def write_history(folder: Path, scene: Scene, case: Case, seed: int) -> None:
     draw = random.Random(seed)
     is_spread = case.spread not in (None, "0")
     worn = {"bed": math.hypot(noise, TextureSpec.sigma)} if is_spread else {}
-    counts = [adaptive.LEAST_AT_FIRST] * FIRST + [case.touches] * (
+    counts = [module_statistics.LEAST_AT_FIRST] * FIRST + [case.touches] * (
         HISTORY - FIRST
     )
     runs = [
@@ -155,7 +155,7 @@ def write_history(folder: Path, scene: Scene, case: Case, seed: int) -> None:
         for count in counts
     ]
     lines = "".join(json.dumps(run) + "\n" for run in runs)
-    (folder / "history.jsonl").write_text(lines)
+    (folder / "printer.jsonl").write_text(lines)
 
 
 def moved(scene: Scene) -> dict[str, float]:

@@ -28,9 +28,9 @@ from tools.kit.product import (
     AUTO,
     SamplesDiffer,
     Sampling,
-    adaptive,
-    history,
-    summarize,
+    run_log,
+    runs,
+    statistics,
 )
 
 STEP = 0.0025
@@ -80,7 +80,7 @@ class Setting(NamedTuple):
 class Run(NamedTuple):
     """Its record, error and uncertainty (mm), None of a refused one."""
 
-    record: dict
+    record: runs.Run
     error: Optional[float] = None
     worth: Optional[float] = None
 
@@ -90,7 +90,7 @@ class DrawnPrinter:
 
     def __init__(self, draw: random.Random, noise: Noise) -> None:
         self.draw, self.noise = draw, noise
-        self.runs: list[dict] = []
+        self.runs: list[runs.Run] = []
         self.heights: dict[str, float] = {}
 
     def touch(self, site: str) -> float:
@@ -99,21 +99,25 @@ class DrawnPrinter:
             z += self.draw.choice((-0.03, 0.03))
         return math.floor(z / STEP) * STEP
 
+    def touched(self) -> int:
+        """How many touches its last run had."""
+        return sum(map(len, self.statistics.touches.values()))
+
     def run(self, setting: Setting) -> Run:
         """One CALIBRATE_Z, which knows those before it."""
         self.heights = {
-            site: self.draw.uniform(0.0, 10.0) for site in history.SITES
+            site: self.draw.uniform(0.0, 10.0) for site in runs.SITES
         }
         earlier_runs = {
-            site: history.spreads_in(self.runs, site) for site in history.SITES
+            site: runs.spreads(self.runs, site) for site in runs.SITES
         }
-        counting = adaptive.choose(setting.samples, setting.target)
-        self.plan = adaptive.Plan(STEP, earlier_runs, counting)
-        found = self.measured(self.plan, setting)
+        target = setting.target if setting.samples == AUTO else None
+        self.statistics = statistics.RunStatistics(STEP, earlier_runs, target)
+        found = self.measured(self.statistics, setting)
         self.runs = [*self.runs, found.record][-KEPT:]
         return found
 
-    def measured(self, plan: adaptive.Plan, setting: Setting) -> Run:
+    def measured(self, run: statistics.RunStatistics, setting: Setting) -> Run:
         sampling = Sampling(
             setting.samples,
             setting.tolerance,
@@ -121,35 +125,18 @@ class DrawnPrinter:
             setting.method,
             *(2.0, 4.0, 6.0),
         )
-        for site in history.SITES:
-
-            def touch(site: str = site) -> float:
-                return self.touch(site)
-
+        for site in runs.SITES:
+            series = run.begin(site, sampling)
             try:
-                plan.collect(site, touch, sampling, lambda _text: None, "")
+                while not series.is_complete():
+                    series.add(self.touch(site))
             except SamplesDiffer:
-                return Run({"ok": False, "sites": records(plan)})
-        errors = {
-            s: plan.estimates[s].z - self.heights[s] for s in history.SITES
-        }
+                record = runs.Run(False, 0.0, run_log.site_runs(run))
+                return Run(record)
+        errors = {s: run.estimates[s].z - self.heights[s] for s in runs.SITES}
         error = errors["bed"] - (errors["switch"] - errors["nozzle"])
-        record = {"ok": True, "sites": records(plan)}
-        return Run(record, error, plan.uncertainty())
-
-
-def records(plan: adaptive.Plan) -> dict[str, dict]:
-    """As the recorder has them."""
-    found = {}
-    for site, touches in plan.touches.items():
-        samples, z = touches, summarize(touches, "average")
-        if site in plan.estimates:
-            samples, z = plan.samples[site], plan.estimates[site].z
-        earlier = plan.earlier_at(site)
-        found[site] = history.site_record(
-            samples, z, plan.step, touches, earlier
-        )
-    return found
+        record = runs.Run(True, 0.0, run_log.site_runs(run))
+        return Run(record, error, run.uncertainty())
 
 
 def coverage(

@@ -1,10 +1,11 @@
-"""What is told of many runs: how many drifts and changes, true ones and false ones.
+"""What the report finds in many runs: drifts and changes, true ones and false ones.
 
     python -m tools.bench.trends [--printers N] [--noise UM]
 
-Printers at random, without klippy, 500 runs each, and after each run what the module
-would say. One line for each kind of printer: alarms of drift and of a spread that
-has grown, and changes that are told, of all printers together; with --all each of them.
+Printers at random, without klippy, 500 runs each, and after each tenth run what a report
+would say. One line for each kind of printer: on how many printers a report has ever
+told a drift, a spread that has grown, a change, and how many changes the last report
+has; with --all each of them.
 """
 
 from __future__ import annotations
@@ -18,10 +19,12 @@ from functools import partial
 from typing import NamedTuple
 
 from tools.kit.product import trend
-from tools.kit.runs import make_run
+from tools.kit.runs import make_run, read
 
 RUNS = 500
 EVENT = 200
+# Runs between two reports
+LOOK = 10
 NEW_NOZZLE = -0.21
 
 
@@ -45,9 +48,7 @@ def after(moved: dict) -> Callable[[random.Random, int], dict]:
     return options
 
 
-def plates(
-    block: int, apart: float, *, named: bool = False
-) -> Callable[[random.Random, int], dict]:
+def plates(block: int, apart: float) -> Callable[[random.Random, int], dict]:
     """Two plates in turn, so many runs each on average."""
     on = [0]
 
@@ -55,8 +56,7 @@ def plates(
         if number == 0:
             on[0] = 0
         on[0] ^= draw.random() < 1.0 / block
-        plate = {"plate": "AB"[on[0]]} if named else {}
-        return {"moved": {"bed": apart * on[0]}, **plate}
+        return {"moved": {"bed": apart * on[0]}}
 
     return options
 
@@ -91,14 +91,6 @@ def growth(_draw: random.Random, number: int) -> dict:
     return {"worn": {"bed": 0.002 + 0.006 * number / RUNS}}
 
 
-def drifting_plates(draw: random.Random, number: int) -> dict:
-    """The same with two plates that have names."""
-    plate = draw.randrange(2)
-    late = max(number - EVENT, 0)
-    moved = {"switch": 1e-4 * min(late, 200), "bed": 0.04 * plate}
-    return {"moved": moved, "plate": "AB"[plate]}
-
-
 ALL = dict.fromkeys(("nozzle", "switch", "bed"), -0.25)
 STORIES = (
     Story("nothing", nothing),
@@ -114,39 +106,38 @@ STORIES = (
     Story("two plates, 30 runs each", plates(30, 0.04)),
     Story("two plates, 5 runs, 0.01", plates(5, 0.01)),
     Story("nozzle and plate as often", both),
-    Story("two plates with PLATE", plates(10, 0.04, named=True)),
     Story("all of it, one by one", many),
     Story("drift of 0.01", drift),
-    Story("drift, two named plates", drifting_plates),
     Story("noise from 2 to 8 um", growth),
 )
 
 
 class Told(NamedTuple):
-    """Numbers of runs, and what was told with them."""
+    """Numbers of runs, and what a report has told then; the changes of the last one."""
 
     drifts: list
     spreads: list
     changes: list
+    last: list
 
 
 def live(story: str, noise: float, homing: float, seed: int) -> Told:
     """One printer."""
     (options,) = [s.options for s in STORIES if s.name == story]
     draw = random.Random(f"{story}/{noise}/{seed}")
-    told, runs = Told([], [], []), []
+    told, known = Told([], [], [], []), []
     for number in range(RUNS):
         given = {"noise": noise, "homing": homing, "touches": 3}
         given.update(options(draw, number))
-        runs.append(make_run(draw, **given))
-        found = trend.find(runs)
-        runs[-1].update(wear=found.wear, changed=found.changed)
-        for name in found.wear:
-            kind = told.spreads if "spread" in name else told.drifts
-            kind.append((number, name))
-        for change in found.changed:
-            if change["told"]:
-                told.changes.append((number, change["what"], change["by"]))
+        known += read([make_run(draw, **given)])
+        if number % LOOK != LOOK - 1:
+            continue
+        told.drifts.extend((number, d.height) for d in trend.drifts(known))
+        told.spreads.extend((number, g.site) for g in trend.growths(known))
+        told.last[:] = trend.changes(known)
+        told.changes.extend(
+            (number, change.height, round(change.by, 4)) for change in told.last
+        )
     return told
 
 
@@ -167,13 +158,15 @@ def main(words: Sequence[str]) -> int:
                 live, story.name, given.noise / 1000, given.homing / 1000
             )
             found = list(pool.map(one, range(given.printers)))
-            counts = [
-                sum(len(getattr(told, kind)) for told in found)
+            drifts, spreads, changes, _ = (
+                sum(bool(getattr(told, kind)) for told in found)
                 for kind in Told._fields
-            ]
+            )
+            firsts = sorted(t.drifts[0][0] - EVENT for t in found if t.drifts)
+            last = [len(told.last) for told in found]
             sys.stdout.write(
-                f"{story.name:28} drifts {counts[0]:4} spreads {counts[1]:4}"
-                f" changes {counts[2]:4}\n"
+                f"{story.name:28} drifts {drifts:3} {firsts} spreads {spreads:3}"
+                f" changes {changes:3}, {last} in the last report\n"
             )
             if given.all:
                 for told in found:

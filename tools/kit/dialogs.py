@@ -18,6 +18,8 @@ COLOURS = ("primary", "secondary", "info", "warning", "error")
 LONGEST_HEADLINE = 40
 # A row of a group: so many buttons, or fewer of more letters
 BUTTONS_OF_A_GROUP, LONGEST_OF_A_GROUP = 4, 6
+# All that a small screen has room for below the sentences
+BUTTONS_OF_A_DIALOG = 8
 
 
 @dataclass
@@ -93,6 +95,8 @@ def dialogs_of(lines: Iterable[str]) -> list[Shown]:
             assert building is not None and building.footer_buttons
             assert not in_group
             assert not text
+            buttons = [*building.footer_buttons, *sum(building.groups, [])]
+            assert len(buttons) <= BUTTONS_OF_A_DIALOG
             building.is_open = True
             shown.append(building)
             building = None

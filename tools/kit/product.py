@@ -8,19 +8,17 @@ from __future__ import annotations
 
 from typing import Any
 
+from z_touch import options
 from z_touch.auto_z_offset import settings as _auto_z_offset
-from z_touch.core import options
-from z_touch.core.errors import SamplesDiffer
-from z_touch.core.sampling import AUTO, Sampling, summarize
-from z_touch.core.templates import GCODE
 from z_touch.dockable_probe import settings as _dockable_probe
+from z_touch.errors import SamplesDiffer
 from z_touch.extra_probe import settings as _extra_probe
-from z_touch.guide.steps import CHAINED, ORDER
-from z_touch.history import file as history
-from z_touch.history import report, trend, verdict
-from z_touch.uncertainty import adaptive
-from z_touch.z_calibration import pace
+from z_touch.options import GCODE
+from z_touch.report import picture, trend, verdict
+from z_touch.sampling import AUTO, Sampling, summarize
+from z_touch.z_calibration import pace, run_log, runs, statistics
 from z_touch.z_calibration import settings as _z_calibration
+from z_touch.z_calibration.setup_steps import STEPS as _STEPS
 
 __all__ = [
     "AUTO",
@@ -30,13 +28,14 @@ __all__ = [
     "OLD_POSITIONS",
     "OPTIONS",
     "ORDER",
-    "Sampling",
     "SamplesDiffer",
-    "adaptive",
-    "history",
+    "Sampling",
     "options",
     "pace",
-    "report",
+    "picture",
+    "run_log",
+    "runs",
+    "statistics",
     "summarize",
     "trend",
     "verdict",
@@ -53,3 +52,10 @@ OPTIONS: dict[str, tuple[Any, ...]] = {
 OLD_POSITIONS: tuple[Any, ...] = _dockable_probe.OLD_POSITIONS
 # What a row of z_calibration's history is
 HISTORY = _z_calibration.HISTORY
+# The steps of Z_CALIBRATION_SETUP, and those of them that follow by themselves
+ORDER = [step.name for step in _STEPS]
+CHAINED = [
+    step.name
+    for before, step in zip(_STEPS, _STEPS[1:])
+    if step.number == before.number
+]

@@ -1,13 +1,15 @@
-"""Runs of a printer, as the history has them."""
+"""Runs of a printer, as lines of its history have them."""
 
 from __future__ import annotations
 
+import json
 import random
 import statistics
-from collections.abc import Mapping
+from collections.abc import Iterable, Mapping
+from dataclasses import asdict
 from types import MappingProxyType
 
-from tools.kit.product import history
+from tools.kit.product import runs
 
 HEIGHTS = {"nozzle": 1.6, "switch": 8.015, "bed": 7.015}
 STEP = 0.0025
@@ -34,13 +36,11 @@ def make_run(
         samples = [
             (z + draw.gauss(0.0, sigma)) // STEP * STEP for _ in range(touches)
         ]
-        sites[name] = history.site_record(
-            samples, statistics.mean(samples), STEP
-        )
+        sites[name] = as_kept(runs.site_run(samples, statistics.mean(samples)))
     run = {
+        "format": runs.FORMAT,
         "ok": True,
         "time": 1.7e9,
-        "printer": "printer.cfg",
         "sites": sites,
         "offset": 0.16,
         "uncertainty": 0.006,
@@ -57,3 +57,13 @@ def make_runs(count: int, seed: int = 1, **options) -> list[dict]:
         make_run(draw, **{"time": 1.7e9 + 9e4 * i, **options})
         for i in range(count)
     ]
+
+
+def as_kept(site: runs.SiteRun) -> dict:
+    """A site as a line has it."""
+    return {k: v for k, v in asdict(site).items() if v not in (None, ())}
+
+
+def read(records: Iterable[dict]) -> list[runs.Run]:
+    """Runs as the modules have them, of such lines."""
+    return [runs.parse(json.dumps(record).encode()) for record in records]

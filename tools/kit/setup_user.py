@@ -22,6 +22,8 @@ EMPTY = {
     "switch_offset": None,
 }
 JOGS = (10.0, 1.0, 0.1)
+# Changes by how much the jog buttons move
+WIDTHS = "Steps of "
 # Steps that follow by themselves, and fail: at which one the last button is pressed,
 # from which words of the console on, and what the probe reads from then on
 CHAINED = {
@@ -40,6 +42,11 @@ def open_dialog(console: Iterable[str]) -> Optional[Shown]:
     for dialog in shown:
         dialog.assert_stands_alone()
     return shown[0] if shown else None
+
+
+def is_jog(label: str) -> bool:
+    """Whether a button of that name moves the head."""
+    return label[1:2] in ("+", "-")
 
 
 def presses(distance: float, jogs: Iterable[float] = JOGS) -> list[float]:
@@ -67,11 +74,32 @@ class User:
         """The one that is open."""
         return open_dialog(self.printer.session.console)
 
+    def labels(self) -> list[str]:
+        """The buttons of the dialog that is open."""
+        shown = self.dialog()
+        buttons = [*sum(shown.groups, []), *shown.footer_buttons]
+        return [button[0] for button in buttons]
+
     def has(self, label: str) -> bool:
         """Whether there is a button of that name."""
-        shown = self.dialog()
-        buttons = [*shown.footer_buttons, *sum(shown.groups, [])]
-        return label in [button[0] for button in buttons]
+        return label in self.labels()
+
+    def turn_to(self, label: str) -> None:
+        """Have that button shown, as somebody does who looks for it."""
+        page = "Move" if is_jog(label) else "Done"
+        if not self.has(label) and self.has(page):
+            self._send(page)
+        if is_jog(label):
+            self.set_width(float(label[2:].split()[0]))
+
+    def set_width(self, width: float) -> bool:
+        """Have the jog buttons move by that; False: they cannot, and by less."""
+        for _ in JOGS:
+            widths = [b for b in self.labels() if b.startswith(WIDTHS)]
+            if any(b[2:] == f"{width:g} mm" for b in self.labels()):
+                return True
+            self._send(widths[0])
+        return False
 
     def begin(self) -> None:
         """The command that all begins with."""
@@ -92,12 +120,23 @@ class User:
 
     def press(self, label: str) -> list[str]:
         """Press a button; the console lines."""
-        self.clicks += label[1:2] not in ("+", "-")
+        self.clicks += not is_jog(label)
+        self.turn_to(label)
+        return self._send(label)
+
+    def _send(self, label: str) -> list[str]:
         return self.printer.run(self.dialog().gcode(label))
 
     def refused(self, label: str) -> str:
         """Press a button that must fail; the error's text."""
+        self.turn_to(label)
         return self.printer.fail(self.dialog().gcode(label))
+
+    def first(self) -> tuple[str, str]:
+        """The first of the answers, and what it sends."""
+        if self.has("Done"):
+            self._send("Done")
+        return self.dialog().footer_buttons[0][:2]
 
     def by_hand(
         self,
@@ -172,7 +211,7 @@ class User:
             self.hold("probe", None)
         else:
             self.look_and_jog(step)
-            self.press(self.dialog().footer_buttons[0][0])
+            self.press(self.first()[0])
 
     def look_and_jog(self, step: str) -> None:
         """The head to where it has to be before the step is answered."""
@@ -214,7 +253,7 @@ class User:
     ) -> None:
         session = self.printer.session
         self.machine.tolerate("body_bed", 1.02)
-        command = session.begin(self.dialog().footer_buttons[0][1])
+        command = session.begin(self.first()[1])
         session.run_until(command, is_time)
         self.hold("probe", reading)
         with pytest.raises(GcodeError):
@@ -233,7 +272,6 @@ class User:
 
     def lower_to_the_sheet(self, paper: float = 0.1) -> None:
         """Until the sheet is held."""
-        for step in (1.0, 0.5, 0.1, 0.05, 0.01):
-            label = f"Z-{step:g} mm"
-            while self.has(label) and self.gap() > paper + step:
-                self.press(label)
+        for step in (1.0, 0.1, 0.01):
+            while self.gap() > paper + step and self.set_width(step):
+                self._send(f"Z-{step:g} mm")

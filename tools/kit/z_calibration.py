@@ -57,6 +57,23 @@ def calibration(
     return result_of(lines), touched_sites(printer, before)
 
 
+def reported(
+    printer: Printer, words: str, command: str = "Z_CALIBRATION_REPORT"
+) -> str:
+    """The line with these words, once the report that a command starts has it.
+
+    A process of its own draws it, in its own time.
+    """
+    before = len(printer.session.console)
+    printer.run(command)
+    for _ in range(120):
+        for line in printer.session.console[before:]:
+            if words in line:
+                return line
+        printer.session.wait(0.5)
+    raise AssertionError(printer.session.console[before:])
+
+
 def lowest_tip(printer: Printer) -> float:
     """True height of the tip over the bed at its lowest, mm."""
     return printer.machine.truth.min_gap

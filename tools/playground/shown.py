@@ -33,9 +33,10 @@ _CORRECTION = "correction of the probe"
 _DEVIATION = "standard deviation"
 _CARDS = (
     (
-        r"--> new offset=(-?[\d.]+)(?: \+-([\d.]+))?",
+        r"^Z-CALIBRATION: offset (-?[\d.]+)(?: \+-([\d.]+))? mm",
         *("new Z offset", "", 3),
     ),
+    (r"^extra_probe .*--> new offset=(-?[\d.]+)", "new Z offset", "", 3),
     (r"--> new switch_offset=(-?[\d.]+)", "new switch_offset", "", 3),
     (r"--> correction=(-?[\d.]+)", _CORRECTION, "", 3),
     (
@@ -75,7 +76,7 @@ ON_THE_PAGE = {
         "extra_probe",
     ),
     "cards": _CARDS,
-    "verdict": r"^CALIBRATE_Z_ACCURACY: (verdict: .*)",
-    "report": r"the report is \S*?(report-\d{8}-\d{6}\.svg)",
+    "verdict": r"(verdict of CALIBRATE_Z_ACCURACY: .*)",
+    "report": r"the report is \S*?(report-\w+-\d{8}-\d{6}\.svg)",
     "report_folder": "z_calibration",
 }

@@ -1,7 +1,7 @@
 # What [auto_z_offset] needs of the printer, looked at when klippy connects.
 # Copyright (C) 2026  the Z calibration developers, under the GNU GPLv3
 
-from ..core.errors import CalibrationError
+from ..errors import CalibrationError
 from . import shifts
 from .heights import fastest_touch, travel_height
 from .motors import braking_accel

@@ -1,9 +1,9 @@
 # The cycles of one AUTO_Z_CALIBRATE, and what becomes of them.
 # Copyright (C) 2026  the Z calibration developers, under the GNU GPLv3
 
-from ..core import errors
-from ..core.sampling import collect, summarize
-from ..core.spread import spread_tolerance
+from .. import errors
+from ..sampling import collect, summarize
+from ..texture import spread_tolerance
 from .heights import check_correction, without_outliers
 from .measuring import DIFFER
 from .sites import probe_site

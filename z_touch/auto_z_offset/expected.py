@@ -2,10 +2,10 @@
 # should trigger.
 # Copyright (C) 2026  the Z calibration developers, under the GNU GPLv3
 
-from ..core import options
-from ..core.errors import CalibrationError
-from ..core.frame import DATUM_NOISE, Frame, HomedFrame
-from ..core.probing import TWIST
+from .. import options
+from ..datum import DATUM_NOISE, Datum, HomedDatum
+from ..errors import CalibrationError
+from ..host.probe import TWIST
 from .heights import (
     EXPECTED_MARGIN,
     NOTHING_EXPECTED,
@@ -82,8 +82,8 @@ class Expectations:
         self.host = host
         self.settings = settings
         self.correction = correction
-        self.frame = Frame(host)
-        self.homed = HomedFrame(self.frame)
+        self.frame = Datum(host)
+        self.homed = HomedDatum(self.frame)
         # Toolhead Z (mm) of the last trigger, and the frame it was seen in
         self.sensor_z = self.mark = None
         # The frame that AUTO_Z_HOME_Z has made
@@ -102,7 +102,7 @@ class Expectations:
 
     def _around_mesh(self, command, gcmd):
         command(gcmd)
-        self.mesh = self.host.features.mesh_heights()
+        self.mesh = self.host.transforms.mesh_heights()
         self.mesh_mark = self.frame.mark()
 
     # The host forgets the old one before it asks for the first paper.
@@ -178,7 +178,7 @@ class Expectations:
     # Whether the mesh in force holds what Z=0 has moved by: it was probed since then,
     # and has no zero of its own.
     def is_in_mesh(self):
-        features = self.host.features
+        features = self.host.transforms
         # Whoever has saved it as a profile may have loaded it again.
         is_last = self.mesh is not None and self.mesh == features.mesh_heights()
         if not is_last or features.mesh_zero() is not None:

@@ -16,10 +16,10 @@
 import collections
 import math
 
-from ..core import z_pin
-from ..core.baby_steps import LARGEST_STEP, NO_STEP
-from ..core.errors import CalibrationError
-from ..core.sampling import summarize
+from .. import pin as z_pin
+from ..errors import CalibrationError
+from ..in_force import LARGEST_STEP, NO_STEP
+from ..sampling import summarize
 
 # No touch goes lower (mm), whatever is configured.
 LOWEST_FLOOR = -10.0

@@ -4,9 +4,13 @@
 
 import functools
 
-from ..core import carrying, errors, running, templates, touching, z_pin
-from ..core.sampling import collect, summarize
-from ..core.spread import spread_site, spread_tolerance
+from .. import attached as carrying
+from .. import command as running
+from .. import errors, templates
+from .. import pin as z_pin
+from .. import touch as touching
+from ..sampling import collect, summarize
+from ..texture import spread_site, spread_tolerance
 from . import heights, motors
 
 # Above this distance (mm) a way down is quick, but ready to stop.
@@ -394,7 +398,7 @@ class Run:
 
     # G90 or G91 of the user's G-code
     def is_absolute(self):
-        return self.host.features.modes().absolute
+        return self.host.gcode_state.modes().absolute
 
     def set_absolute(self, absolute):
         if self.is_absolute() != absolute:

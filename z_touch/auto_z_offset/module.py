@@ -5,11 +5,15 @@
 import functools
 import logging
 
-from .. import __version__
-from ..core import carrying, notes, options, restoring, running, touching
-from ..core.axes import check_z_axis
-from ..core.errors import CalibrationError
-from ..core.host import Host
+from .. import __version__, options
+from .. import attached as carrying
+from .. import command as running
+from .. import in_force as restoring
+from .. import progress as notes
+from .. import touch as touching
+from ..errors import CalibrationError
+from ..host.printer import Host
+from ..host.toolhead import check_z_axis
 from . import checks, heights, shifts
 from .cycles import Cycles, formula
 from .expected import Correction, Expectations
@@ -75,7 +79,7 @@ class AutoZOffset:
 
     def after_button(self, says, command, gcmd):
         command(gcmd)
-        z = self.host.gcode_offset.z()
+        z = self.host.gcode_state.z_offset()
         if not z:
             # The host saves nothing
             return
@@ -162,7 +166,7 @@ class AutoZOffset:
         return value
 
     def undo_g92(self):
-        self.tell(self.host.features.undo_g92(shifts.NO_SHIFT))
+        self.tell(self.host.gcode_state.undo_g92())
 
     def check_may_measure(self):
         self.check_section()
@@ -229,7 +233,7 @@ class AutoZOffset:
         )
         self.tell(heights.inside_bed_after_homing(z_offset))
         self.tell(wrong)
-        gcode_offset = self.host.gcode_offset.z()
+        gcode_offset = self.host.gcode_state.z_offset()
         if gcode_offset:
             text = "the G-code Z offset of %.3f stays, on top of this"
             self.tell(text % (gcode_offset,))
@@ -249,7 +253,7 @@ class AutoZOffset:
 
     # One that was meant for the probe's Z, a correction above all
     def check_gcode_offset(self):
-        gcode_offset = self.host.gcode_offset.z()
+        gcode_offset = self.host.gcode_state.z_offset()
         z_offset = self.settings.z_offset
         if gcode_offset < 0.0 < z_offset - gcode_offset:
             raise CalibrationError(
@@ -324,7 +328,7 @@ class AutoZOffset:
         self.note_applied()
 
     def note_applied(self):
-        self.applied = self.host.gcode_offset.z()
+        self.applied = self.host.gcode_state.z_offset()
         self.applied_with = self.host.extruder()
 
     # Raises the error of a command, with what 'check' says
@@ -357,7 +361,7 @@ class AutoZOffset:
             )
         self.tell(self.expectations.levelled())
         self.tell(self.correction.unsure())
-        if self.host.features.mesh_heights() is not None:
+        if self.host.transforms.mesh_heights() is not None:
             self.tell(shifts.wrong_mesh(self.host))
         if self.correction.z is None:
             self.tell(
@@ -370,7 +374,7 @@ class AutoZOffset:
 
     def cmd_AUTO_Z_SAVE_GCODE_OFFSET(self, gcmd):
         self.check(self.expectations.check_offset)
-        moved = self.host.features.moved_by_g92()
+        moved = self.host.gcode_state.moved_by_g92()
         if abs(moved) >= shifts.NO_SHIFT:
             # Baby steps may only have made good for it
             raise self.host.error(
@@ -380,7 +384,7 @@ class AutoZOffset:
             )
         before = self.correction.z or 0.0
         bed_z = self.host.probing.homed_bed_z()
-        z = self.host.gcode_offset.z() - bed_z
+        z = self.host.gcode_state.z_offset() - bed_z
         if abs(z) > heights.LARGEST_OFFSET:
             raise self.host.error(
                 "a G-code Z offset of %.3f is no correction of a probe; up to"
@@ -417,7 +421,7 @@ class AutoZOffset:
             )
         if self.correction.z is None:
             # There is nothing that steps count from
-            heights.check_first(self.host.gcode_offset.z() - loaded)
+            heights.check_first(self.host.gcode_state.z_offset() - loaded)
             return
         base = loaded if self.applied is None else self.applied
-        heights.check_steps(self.host.gcode_offset.z(), base)
+        heights.check_steps(self.host.gcode_state.z_offset(), base)

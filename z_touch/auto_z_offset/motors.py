@@ -5,7 +5,7 @@
 import contextlib
 import functools
 
-from ..core.running import always
+from ..command import always
 
 # Standstill (s) that a TMC driver needs to settle on another current: 130 ms
 # in its data sheet.

@@ -1,11 +1,9 @@
 # The options of [auto_z_offset], as tables, and the record made of them.
 # Copyright (C) 2026  the Z calibration developers, under the GNU GPLv3
 
-from ..core import options
-from ..core.options import REQUIRED, option, unused
-from ..core.spread import LARGEST_SPREAD
-from ..core.templates import GCODE
-from ..core.touching import site_kind
+from .. import options
+from ..options import GCODE, REQUIRED, option, site_kind, unused
+from ..texture import LARGEST_SPREAD
 from .heights import LARGEST_OFFSET, inside_bed, section_floor
 
 # A smaller hop (mm) leaves an inductive probe triggered.

@@ -15,14 +15,14 @@ NO_SHIFT = 0.0005
 
 # What shifts Z at a site, by what is worth a word; see features.parts()
 def parts_at(host, site, z, **known):
-    parts = host.features.parts(site.x, site.y, z, **known)
+    parts = host.transforms.parts(site.x, site.y, z, **known)
     return [part for part in parts if abs(part.height) >= NO_SHIFT]
 
 
 # What the user is told where the bed sensor has set Z, the bed at 'z' (mm) now; empty:
 # the gap is right, and stays so.  Here it counts from the bed, not from the probe.
 def wrong_zero(host, site, z):
-    parts, features = parts_at(host, site, z), host.features
+    parts, features = parts_at(host, site, z), host.transforms
     shift = sum(part.height for part in parts)
     if abs(shift) >= WORTH_TELLING:
         return (
@@ -45,7 +45,7 @@ def wrong_zero(host, site, z):
 # the probe: there it takes off nothing of what the probe says of the bed; empty: it is
 # none.
 def wrong_mesh(host):
-    features = host.features
+    features = host.transforms
     if host.axes.homes_with_probe() or features.mesh_zero() is None:
         return ""
     return (
@@ -59,7 +59,7 @@ def wrong_mesh(host):
 # What the user is told of the gap at a point; empty: it is right.  'site': the
 # nozzle's touching.Site; 'results': heights.Result of all cycles.
 def wrong_gap(host, site, results):
-    if host.features.is_mesh_guessed(site.x, site.y):
+    if host.transforms.is_mesh_guessed(site.x, site.y):
         return (
             "bed_mesh ends before %.1f, %.1f, and its zero is elsewhere: nobody"
             " knows by how much the gap is wrong; a bed mesh has to be zero where"

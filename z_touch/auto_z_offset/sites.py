@@ -2,7 +2,7 @@
 # of the bed, then the probe over the same point.
 # Copyright (C) 2026  the Z calibration developers, under the GNU GPLv3
 
-from ..core import touching
+from .. import touch as touching
 
 OUT_OF_REACH = (
     "set bed_xy_position in section 'auto_z_offset' to a point that nozzle and"

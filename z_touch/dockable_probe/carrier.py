@@ -4,10 +4,11 @@
 
 import functools
 
-from ..core import carrying, touching
-from ..core.carrying import DOCKED, UNKNOWN
-from ..core.errors import CalibrationError
-from ..core.probing import TWIST
+from .. import attached as carrying
+from .. import touch as touching
+from ..attached import DOCKED, UNKNOWN
+from ..errors import CalibrationError
+from ..host.probe import TWIST
 from . import detour
 from .settings import travel_height
 

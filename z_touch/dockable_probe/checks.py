@@ -2,8 +2,8 @@
 #
 # Copyright (C) 2026  the Z calibration developers, under the GNU GPLv3
 
-from ..core import options
-from ..core.endstops import PROBE_PINS
+from .. import options
+from ..host.endstops import PROBE_PINS
 from . import detour
 from .settings import DOCK, MIDDLE, POSITIONS, dock_height
 

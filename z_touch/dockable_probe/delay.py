@@ -1,7 +1,7 @@
 # Docking a while after the last use, see allow_delayed_detach.
 # Copyright (C) 2026  the Z calibration developers, under the GNU GPLv3
 
-from ..core import carrying
+from .. import attached as carrying
 
 # The probe is docked so long (s) after its last use.
 DETACH_DELAY = 1.0

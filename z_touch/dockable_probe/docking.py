@@ -17,7 +17,7 @@ import collections
 import contextlib
 import functools
 
-from ..core import running
+from .. import command as running
 from . import detour
 from .sensors import ATTACHED, DOCKED, UNKNOWN
 from .settings import POSITIONS, travel_height
@@ -208,14 +208,14 @@ class Docking:
         if template is None:
             return
         outer, self.running = self.running, name
-        features = self.host.features
-        modes = features.modes()
-        features.set_modes(modes._replace(absolute=True))
+        gcode_state = self.host.gcode_state
+        modes = gcode_state.modes()
+        gcode_state.set_modes(modes._replace(absolute=True))
         try:
             template.run_gcode_from_command()
         finally:
             self.running = outer
-            features.set_modes(modes)
+            gcode_state.set_modes(modes)
 
     # It must not move the head.
     def run_still(self, name):

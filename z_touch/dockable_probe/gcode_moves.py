@@ -17,8 +17,8 @@
 # the way to the dock) do not.  What goes down is looked at: a head that is low already
 # was brought there by somebody who has looked, or has a Z that homing has made up.
 
-from ..core import carrying
-from ..core.carrying import DOCKED
+from .. import attached as carrying
+from ..attached import DOCKED
 from . import detour
 from .settings import POSITIONS
 

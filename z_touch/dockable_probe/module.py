@@ -7,9 +7,11 @@ import contextlib
 import functools
 import logging
 
-from .. import __version__
-from ..core import host, notes, options, running
-from ..core.errors import CalibrationError
+from .. import __version__, options
+from .. import command as running
+from .. import progress as notes
+from ..errors import CalibrationError
+from ..host import printer as host
 from . import checks, detour
 from .carrier import Carrier
 from .docking import DOCK, FETCH, IF_DOCKED, Docking

@@ -2,7 +2,7 @@
 #
 # Copyright (C) 2026  the Z calibration developers, under the GNU GPLv3
 
-from ..core import touching
+from .. import touch as touching
 from . import detour
 from .settings import (
     POSITIONS,

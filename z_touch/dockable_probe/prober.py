@@ -2,7 +2,9 @@
 #
 # Copyright (C) 2026  the Z calibration developers, under the GNU GPLv3
 
-from ..core import carrying, touching, z_pin
+from .. import attached as carrying
+from .. import pin as z_pin
+from .. import touch as touching
 from .holder import Holder
 from .homing import ZHoming
 from .sensors import ATTACHED

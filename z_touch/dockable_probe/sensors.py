@@ -4,7 +4,7 @@
 
 import collections
 
-from ..core.carrying import ATTACHED, DOCKED, UNKNOWN
+from ..attached import ATTACHED, DOCKED, UNKNOWN
 
 # A pin: its option, and whether it reads TRIGGERED with the probe on the head
 Sense = collections.namedtuple("Sense", "name endstop when_attached")

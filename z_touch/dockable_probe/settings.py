@@ -9,10 +9,12 @@
 import functools
 import math
 
-from ..core import options, z_pin
-from ..core.options import (
+from .. import options
+from .. import pin as z_pin
+from ..options import (
     COUNT,
     FLAG,
+    GCODE,
     NUMBER,
     PAIR,
     PIN,
@@ -22,7 +24,6 @@ from ..core.options import (
     Same,
     option,
 )
-from ..core.templates import GCODE
 from . import detour
 from .detour import Position
 

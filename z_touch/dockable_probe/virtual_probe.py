@@ -15,9 +15,9 @@
 import importlib
 import logging
 
-from ..core import options, sampling
-from ..core.errors import SamplesDiffer
-from ..core.probing import SAMPLING_NAMES
+from .. import options, sampling
+from ..errors import SamplesDiffer
+from ..host.probe import SAMPLING_NAMES
 
 # What to do about samples that differ
 DIFFER = "clean the nozzle and check the probe for play"

@@ -4,21 +4,17 @@
 import collections
 import functools
 
-from ..core import (
-    carrying,
-    dialogs,
-    options,
-    prints,
-    running,
-    touching,
-    z_pin,
-)
-from ..core.errors import CalibrationError
-from ..core.frame import Frame, HomedFrame
-from ..core.sampling import summarize
+from .. import attached as carrying
+from .. import command as running
+from .. import dialog, options
+from .. import pin as z_pin
+from .. import touch as touching
+from ..datum import Datum, HomedDatum
+from ..errors import CalibrationError
+from ..sampling import summarize
 from . import heights
 from .finger import TRIGGERED, Finger
-from .shifts import SMALLEST_PART, Shifts
+from .shifts import Shifts
 from .switches import LOWER_FLOOR, TOO_LOW, Series
 
 TRAVEL_SPEED = 50.0  # mm/s, in XY
@@ -48,11 +44,11 @@ class Calibration:
         self.settings = None
         self.switch = switch
         self.pin = pin
-        self.frame = Frame(host)
+        self.frame = Datum(host)
         # What is saved counts from there on
-        self.homed = HomedFrame(self.frame)
+        self.homed = HomedDatum(self.frame)
         command = "EXTRA_PROBE_%s PROBE=" + name
-        self.dialog = dialogs.Dialog(host, runner.watch.say, command)
+        self.dialog = dialog.Dialog(host, runner.watch.say, command)
         self.finger = Finger(host, switch, runner.watch.say)
         # Of the last one that was applied or saved; None: there is none
         self.last_offset = None
@@ -274,10 +270,10 @@ class Calibration:
             self.save(gcmd, question, offset)
         say = self.runner.watch.say
         # It would shift what the offset makes right
-        undone = self.host.features.undo_g92(SMALLEST_PART)
+        undone = self.host.gcode_state.undo_g92()
         if undone:
             say(undone)
-        self.host.gcode_offset.set(0.0 if question.save else offset)
+        self.host.gcode_state.set_z_offset(0.0 if question.save else offset)
         self.last_offset = offset
         say(
             "trigger=%.6f - z_offset=%.3f --> new offset=%.6f"
@@ -322,8 +318,8 @@ class Calibration:
             raise CalibrationError(
                 "a print is under way (%s); end it first" % (print_state,)
             )
-        if prints.is_paused(self.host):
-            raise CalibrationError(prints.PAUSED)
+        if dialog.is_paused(self.host):
+            raise CalibrationError(dialog.PAUSED)
         running.check_no_manual_probe(self.host)
         running.check_homed(self.host)
 

@@ -3,7 +3,7 @@
 
 import logging
 
-from ..core.errors import CalibrationError
+from ..errors import CalibrationError
 
 # How often (s) the switch is looked at
 LOOK_INTERVAL = 0.1

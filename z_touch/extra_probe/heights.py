@@ -2,8 +2,8 @@
 # go.  Pure functions of numbers; every height is a toolhead Z, in mm.
 # Copyright (C) 2026  the Z calibration developers, under the GNU GPLv3
 
-from ..core.axes import ENDSTOP_OPTION
-from ..core.errors import CalibrationError
+from ..errors import CalibrationError
+from ..host.toolhead import ENDSTOP_OPTION
 
 # Before a calibration was saved nobody knows where the bed is: a touch ends
 # this far (mm) below Z=0, where somebody has proved that the switch is there.

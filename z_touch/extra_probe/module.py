@@ -5,12 +5,15 @@
 import functools
 import logging
 
-from .. import __version__
-from ..core import carrying, options, running, touching, z_pin
-from ..core.axes import check_z_axis
-from ..core.errors import CalibrationError
-from ..core.host import Host
-from ..core.sampling import accuracy, summarize
+from .. import __version__, options
+from .. import attached as carrying
+from .. import command as running
+from .. import pin as z_pin
+from .. import touch as touching
+from ..errors import CalibrationError
+from ..host.printer import Host
+from ..host.toolhead import check_z_axis
+from ..sampling import accuracy, summarize
 from . import heights
 from .calibration import Calibration
 from .settings import PROBE, complete, read_settings

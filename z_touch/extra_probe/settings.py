@@ -1,11 +1,9 @@
 # The options of [extra_probe NAME], as tables, and the records made of them.
 # Copyright (C) 2026  the Z calibration developers, under the GNU GPLv3
 
-from ..core import options
-from ..core.options import REQUIRED, option
-from ..core.sampling import filled
-from ..core.templates import GCODE
-from ..core.touching import site_kind
+from .. import options
+from ..options import GCODE, REQUIRED, option, site_kind
+from ..sampling import filled
 
 # The name of a section whose switch is [probe]
 PROBE = "probe"

@@ -2,7 +2,7 @@
 # offset is applied below them.
 # Copyright (C) 2026  the Z calibration developers, under the GNU GPLv3
 
-from ..core.features import INNERMOST
+from ..host.transforms import INNERMOST
 
 # Less (mm) is rounding.
 SMALLEST_PART = 0.0005
@@ -17,18 +17,18 @@ class Shifts:
     # as it is, but not the heat.
     def __init__(self, host, point, is_saved):
         self.point = point
-        self.features = host.features
+        self.features = host.transforms
         self.parts = [
             part
-            for part in host.features.parts(*point)
+            for part in host.transforms.parts(*point)
             if abs(part.height) >= SMALLEST_PART
             and (part.name in INNERMOST or not is_saved)
         ]
-        self.rest = host.features.rest(*point)
+        self.rest = host.transforms.unknown_here()
         # Nobody knows what the mesh would be there
-        self.is_guessed = host.features.is_beyond_mesh(
+        self.is_guessed = host.transforms.is_beyond_mesh(
             *point[:2]
-        ) and not host.features.is_mesh_zero(*point[:2])
+        ) and not host.transforms.is_mesh_zero(*point[:2])
 
     # mm, to be taken off the offset
     def height(self):

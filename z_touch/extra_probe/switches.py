@@ -5,9 +5,11 @@
 import contextlib
 import functools
 
-from ..core import running, templates, touching
-from ..core.errors import CalibrationError
-from ..core.sampling import collect
+from .. import command as running
+from .. import templates
+from .. import touch as touching
+from ..errors import CalibrationError
+from ..sampling import collect
 from .settings import read_switch_settings
 
 # What to do about samples that differ

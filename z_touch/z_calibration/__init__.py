@@ -1,0 +1,1 @@
+"""The room of [z_calibration]; module.py has its commands."""

@@ -1,21 +1,31 @@
-# What is wrong with a set-up, or worth telling, when klippy connects.
-# Copyright (C) 2026  the Z calibration developers, under the GNU GPLv3
+"""What is wrong with a set-up, or worth telling, when klippy connects.
 
-from ..core.errors import CalibrationError
+Copyright (C) 2026  the Z calibration developers, under the GNU GPLv3
+"""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING, List
+
+from ..errors import CalibrationError
 from . import heights
 from .sites import SiteFinder
+from .statistics import impossible
+
+if TYPE_CHECKING:
+    from ..host.printer import Host
+    from .settings import Settings
 
 
-# Raises the error of a configuration whose probe cannot press the pin.
-def check_probe(host):
+def check_probe(host: Host) -> None:
+    """Raise the error of a configuration whose probe cannot press the pin."""
     for name in ("bltouch", "smart_effector"):
         # Neither has a switch body, and on a touch without the host's own
         # procedure the pin of a bltouch would be retracted.
         if host.printer.lookup_object(name, None) is not None:
             raise host.printer.config_error(
-                "Section '%s': this probe has no switch body to press the"
+                f"Section '{name}': this probe has no switch body to press the"
                 " Z endstop with; z_calibration needs a switch as [probe]"
-                % (name,)
             )
     if host.probing.probe is None or host.probing.endstop() is None:
         raise host.printer.config_error(
@@ -25,36 +35,38 @@ def check_probe(host):
         )
 
 
-# klipper-toolchanger shifts Z by what the section of the tool on the toolhead says,
-# below the G-code offset, which would then hold it a second time.  Raises
-# CalibrationError.
-def check_tool_offset(host):
-    for name, shift in host.active_tools():
+def check_tool_offset(host: Host) -> None:
+    """Raise CalibrationError where klipper-toolchanger shifts Z for the active tool.
+
+    It does so below the G-code offset, which would then hold it a second time.
+    """
+    for name, shift in host.transforms.active_tools():
         if shift:
             raise CalibrationError(
-                "gcode_z_offset of section '%s' is %.3f and that tool is active:"
-                " CALIBRATE_Z measures what its nozzle needs, so it would count"
-                " twice; set it to 0 there" % (name, shift)
+                f"gcode_z_offset of section '{name}' is {shift:.3f} and that tool is"
+                " active: CALIBRATE_Z measures what its nozzle needs, so it would count"
+                " twice; set it to 0 there"
             )
 
 
-# Raises CalibrationError.  'settings' are completed.
-def check_settings(host, settings):
-    result = settings.probe.result
+def check_settings(host: Host, settings: Settings) -> None:
+    """Raise CalibrationError for completed settings that cannot work."""
+    result = settings.on_bed.result
     if result not in ("median", "average"):
         raise CalibrationError(
-            "Option 'samples_result: %s' in section 'probe' is not known to"
-            " z_calibration; set it to median or average" % (result,)
+            f"Option 'samples_result: {result}' in section 'probe' is not known to"
+            " z_calibration; set it to median or average"
         )
-    check_travel_heights(host, settings)
+    _check_travel_heights(host, settings)
     SiteFinder(host, settings).check()
 
 
-# Both must fit, the one that the user wants and the one that the pin needs
-def check_travel_heights(host, settings):
+def _check_travel_heights(host: Host, settings: Settings) -> None:
+    """Check that both fit, the height that the user wants and the one that the pin needs."""
     high, homed_z = settings.position_max, settings.position_endstop or 0.0
-    unlimited = settings._replace(position_max=float("inf"))
+    unlimited = settings.replace(position_max=float("inf"))
     above_pin = heights.travel_height(unlimited, homed_z, None)
+    assert host.axes.z_axis is not None
     for height, remedy in (
         (settings.safe_z_height, "safe_z_height"),
         (homed_z + settings.clearance, "clearance"),
@@ -62,34 +74,32 @@ def check_travel_heights(host, settings):
     ):
         if height > high:
             raise CalibrationError(
-                "The travel height of z_calibration, z=%.3f, must lie"
-                " within position_max (%.3f) of section '%s'; correct %s in"
+                f"The travel height of z_calibration, z={height:.3f}, must lie"
+                f" within position_max ({high:.3f}) of section"
+                f" '{host.axes.z_axis.section}'; correct {remedy} in"
                 " section 'z_calibration', or z_offset in section 'probe',"
                 " the real distance between nozzle and probe"
-                % (height, high, host.axes.z_axis.section, remedy)
             )
 
 
-# What the user is told at start, empty texts among it; 'settings' are completed.
-def notes(host, settings):
-    for text in SiteFinder(host, settings).missing():
-        yield text
+def notes(host: Host, settings: Settings) -> List[str]:
+    """Return what the user is told at start of completed settings, empty texts among it."""
+    texts = SiteFinder(host, settings).missing()
     if settings.unmeasured_pin:
         travel_z = heights.travel_height(settings, None, None)
-        yield (
-            "until endstop_pin is touched the head travels at z=%.1f, enough"
-            " for a pin of %g mm; where it is higher run"
+        texts.append(
+            f"until endstop_pin is touched the head travels at z={travel_z:.1f}, enough"
+            f" for a pin of {settings.unmeasured_pin:g} mm; where it is higher run"
             " Z_CALIBRATION_SETUP, or set safe_z_height"
-            % (travel_z, settings.unmeasured_pin)
         )
-    yield settings.counting.impossible(host.axes.z_step())
-    yield position_min_note(host, settings)
-    yield mesh_note(host, settings)
+    texts.append(impossible(settings.target, host.axes.z_step()))
+    texts.append(_position_min_note(host, settings))
+    texts.append(_mesh_note(host, settings))
+    return texts
 
 
-# A position_min that lets the nozzle's touch go less far down than it may; empty: it
-# does not
-def position_min_note(host, settings):
+def _position_min_note(host: Host, settings: Settings) -> str:
+    """Return what to say of a position_min that lets the nozzle go less far than it may."""
     homed_z = settings.position_endstop
     if homed_z is None:
         return ""
@@ -97,57 +107,53 @@ def position_min_note(host, settings):
     if settings.position_min <= floor + heights.ROUNDING:
         return ""
     return (
-        "the nozzle's touch ends at position_min (%.3f), only %.3f mm below"
-        " position_endstop (%.3f); set position_min of section '%s' to %.3f or lower"
-        % (
-            settings.position_min,
-            homed_z - settings.position_min,
-            homed_z,
-            position_min_section(host, settings),
-            floor,
-        )
+        f"the nozzle's touch ends at position_min ({settings.position_min:.3f}), only"
+        f" {homed_z - settings.position_min:.3f} mm below position_endstop"
+        f" ({homed_z:.3f}); set position_min of section"
+        f" '{position_min_section(host, settings)}' to {floor:.3f} or lower"
     )
 
 
-# The section that position_min is of
-def position_min_section(host, settings):
+def position_min_section(host: Host, settings: Settings) -> str:
+    """Return the section that position_min is of."""
     axis = host.axes.z_axis
+    assert axis is not None
     is_own = settings.position_min > axis.position_min
     return host.section if is_own else axis.section
 
 
-# Until a run was good, no touch of the bed knows better how low that may be.  Empty:
-# with these margins it ends soon enough
-def margins_note(settings):
+def margins_note(settings: Settings) -> str:
+    """Return what to say of wide margins until a run was good; empty: nothing.
+
+    Only then the next touches of the bed know better how low that may be.
+    """
     low = settings.offset_margins[0]
     if low > -heights.BED_VARIES:
         return ""
     return (
-        "until a run was good, 'offset_margins' down to %g let a probe that does not"
-        " answer be pressed %g mm into the bed; watch the first run, or write -1, 1"
-        % (low, -low)
+        f"until a run was good, 'offset_margins' down to {low:g} let a probe that does"
+        f" not answer be pressed {-low:g} mm into the bed; watch the first run, or write"
+        " -1, 1"
     )
 
 
-# What a mesh that is loaded after CALIBRATE_Z does to the gap; empty: nothing
-def mesh_note(host, settings):
-    bed, zero = settings.bed_xy_position, host.features.mesh_zero()
-    option = host.features.mesh_zero_option()
+def _mesh_note(host: Host, settings: Settings) -> str:
+    """Return what a mesh that is loaded after CALIBRATE_Z does to the gap; empty: nothing."""
+    bed, zero = settings.bed_xy_position, host.transforms.mesh_zero()
+    option = host.transforms.mesh_zero_option()
     if bed is None or host.printer.lookup_object("bed_mesh", None) is None:
         return ""
     if zero is None:
         return (
-            "section 'bed_mesh' has no %s: a mesh that is loaded after"
+            f"section 'bed_mesh' has no {option}: a mesh that is loaded after"
             " CALIBRATE_Z makes the gap wrong by its height at bed_xy_position"
-            " (%.3f, %.3f); set it to that point, or load the mesh before"
-            % (option, bed.x, bed.y)
+            f" ({bed.x:.3f}, {bed.y:.3f}); set it to that point, or load the mesh before"
         )
-    if host.features.is_mesh_zero(bed.x, bed.y):
+    if host.transforms.is_mesh_zero(bed.x, bed.y):
         return ""
     return (
-        "bed_xy_position (%.3f, %.3f) is not where the bed mesh is zero"
-        " (%.3f, %.3f): a mesh that is loaded after CALIBRATE_Z makes the gap"
-        " wrong by its height there; load it before, leave bed_xy_position"
-        " out, or set %s of section 'bed_mesh' to it"
-        % (bed.x, bed.y, zero[0], zero[1], option)
+        f"bed_xy_position ({bed.x:.3f}, {bed.y:.3f}) is not where the bed mesh is zero"
+        f" ({zero[0]:.3f}, {zero[1]:.3f}): a mesh that is loaded after CALIBRATE_Z makes"
+        " the gap wrong by its height there; load it before, leave bed_xy_position"
+        f" out, or set {option} of section 'bed_mesh' to it"
     )

@@ -1,65 +1,85 @@
-# The object behind [z_calibration]: its commands, its status, and what they are
-# made of.
-#
-# Copyright (C) 2026  the Z calibration developers, under the GNU GPLv3
-#
-#   settings      what the user configured
-#   pin, sites    what is touched, and where the head stands for it
-#   calibration   one run: nozzle, switch, bed
-#   expected      what earlier runs say to it
-#   hooks         the user's G-code around it
-#   shifts        what Klipper's own features add to Z where the bed was measured
-#   results       the last run that was applied, and whether it holds
-#   interface     what the guide and the corrections may ask of all that
-#   corrections   baby steps back into switch_offset
-#   switches      what common ones have as switch_offset, at least
-#   accuracy      how often to touch where the spread is the question
-#   recorder      the history of all runs
+"""The object behind [z_calibration]: its commands and its status.
+
+  settings       the options, and parameters of commands
+  run, place     the touches of one run: nozzle, switch, bed
+  heights        the formula, what is expected, floors and travel heights
+  statistics     how often to touch, and what the offset may be off by
+  user_gcode     the user's G-code around it, and who attaches the probe
+  shifts         what Klipper's own features add to Z where the bed was measured
+  result         the last run that was applied, and whether it still holds
+  switch_offset  baby steps back into switch_offset
+  accuracy       parameters and figures of the accuracy commands
+  run_log        the runs of before, and the file that keeps them
+
+Copyright (C) 2026  the Z calibration developers, under the GNU GPLv3
+"""
+
+from __future__ import annotations
 
 import contextlib
-import functools
+import dataclasses
 import logging
-
-from .. import __version__
-from ..core import (
-    carrying,
-    errors,
-    frame,
-    notes,
-    options,
-    restoring,
-    running,
-    sampling,
+from statistics import fmean
+from typing import (
+    TYPE_CHECKING,
+    Any,
+    Dict,
+    Iterator,
+    List,
+    Optional,
+    Tuple,
 )
-from ..core.axes import check_z_axis
-from ..core.host import Host
-from ..history import recorder
-from . import accuracy, checks, corrections, heights, pace, switches
-from .calibration import Calibration
-from .expected import NOTHING_EARLIER, Earlier
-from .hooks import MOVED_IN_END, Hooks
-from .interface import Interface
-from .measuring import Run
-from .pin import find_pin, read_pin
-from .results import NOTHING, Results, height_of
+
+from .. import __version__, attached, command, options
+from ..datum import LEVELLED, Datum, HomedDatum
+from ..errors import CalibrationError
+from ..host.printer import Host
+from ..host.toolhead import check_z_axis
+from ..in_force import InForce
+from ..progress import Notes
+from ..sampling import accuracy as accuracy_of
+from . import accuracy, checks, heights, run_log, switches
+from .pin import PressedPin, find_pin, read_pin
+from .report_process import ReportProcess
+from .result import LastRun, Results, height_of
+from .run import CalibrationRun, Earlier
+from .runs import SITES, Cycle, offsets, uncertainty
 from .settings import (
+    Settings,
     complete,
     idle_params,
-    param_accept_change,
-    param_plate,
-    param_switch_offset,
-    param_touches,
-    param_verbose,
     read_settings,
+    with_pace,
+    with_switch_offset,
+    with_touches,
 )
+from .setup import Setup
 from .shifts import Shifts
 from .sites import SiteFinder, Sites
+from .statistics import RunStatistics, impossible
+from .switch_offset import SwitchOffset
+from .user_gcode import UserGcode
+
+if TYPE_CHECKING:
+    from ..host.klippy import Config, GCodeCommand
+    from ..touch import Site
+    from .heights import Result
 
 # Less (mm) is rounding.
 NO_CHANGE = 0.0000001
 
-# How far (mm) last_z_offset may be rounded by an end_gcode that applies it itself
+# How far (mm) an offset may be rounded by G-code that sets it
 OWN_DIGITS = 0.0006
+
+# The G-code offset (mm) that offset_gcode begins with: 0, but for its digits
+UNSET = 0.000000001
+
+# So many offsets of before are known, which a saved state may bring back
+EARLIER_OFFSETS = 20
+
+UNDO_G92 = (
+    "run G28 before CALIBRATE_Z, or RESTART where that homes Z with the probe"
+)
 
 # What a plate or a material may need (mm) on top of what was measured
 LARGEST_ADJUST = 0.5
@@ -71,64 +91,60 @@ LARGE_OFFSET = 0.2
 SAME_HINT = 0.05
 
 
-# Whether end_gcode has set the offset itself, perhaps with something more, rather than
-# what is to be added to it: a Z that is large, and nearer to it than to 0
-def is_own(added, z_offset, is_set_anew):
-    is_large = is_set_anew and abs(added) > LARGE_OFFSET
-    apart = abs(added - z_offset)
-    return apart <= OWN_DIGITS or (is_large and apart < abs(added))
-
-
-# The object behind [z_calibration]
 class ZCalibration:
-    def __init__(self, config):
+    """The object behind [z_calibration].  Commands may pause, get_status() never does."""
+
+    def __init__(self, config: Config):
         logging.info("z_calibration %s", __version__)
         self.host = Host(config)
-        check_z_axis(config, self.host.axes.z_axis)
-        self.frame = frame.Frame(self.host)
+        z_axis = check_z_axis(config, self.host.axes.z_axis)
+        self.datum = Datum(self.host)
         # There the pin is where Z was homed on it
-        self.homed = frame.HomedFrame(self.frame)
-        self.runner = running.Runner(self.host)
-        carrying.of(self.host.printer).watches.append(self.runner.watch)
+        self.homed = HomedDatum(self.datum)
+        self.runner = command.Runner(self.host)
+        self.progress = self.runner.watch
+        attached.of(self.host.printer).watches.append(self.progress)
         old_names = options.OldNames(config)
-        self.settings = read_settings(config, self.host.axes.z_axis, old_names)
+        self.settings = read_settings(config, z_axis, old_names)
+        self.config_notes = old_names.notes
         # None: the Z endstop, which exists when klippy connects
-        self.pin = read_pin(config, self.host, old_names)
-        self.recorder = recorder.Recorder(
-            self.host, self.settings, __version__, self.history_read
+        self.own_pin = read_pin(config, self.host, old_names)
+        self.pin: PressedPin
+        self.run_log = run_log.RunLog(self.host, self.settings, __version__)
+        self.report_process = ReportProcess(self.host, self.run_log)
+        self.user_gcode = UserGcode(
+            self.host, self.settings, self.datum, self.progress
         )
-        self.hooks = Hooks(
-            self.host, self.settings, self.frame, self.runner.watch
-        )
-        self.results = Results(self.host, self.frame)
-        read_notes = functools.partial(self.start_notes, old_names)
-        self.notes = notes.Notes(self.host, read_notes)
+        self.results = Results(self.host, self.datum)
+        self.in_force = InForce(self.host, self.results.sudden_reason)
+        self.notes = Notes(self.host, self.start_notes)
+        # The offset (mm) that the user was last hinted at; None: not
+        self.hinted: Optional[float] = None
+        # Of the run that is under way: its touches, when it began (eventtime), and why
+        # the nozzle was cleaned
+        self.statistics: RunStatistics
+        self.began = 0.0
+        self.bed_spread = 0.0
+        self.cleaned = ""
+        # Where (X and Y, mm) the pin was met with the probe attached, also by homing Z
+        self.proved: List[Tuple[float, float]] = []
         register = self.host.printer.register_event_handler
         register("klippy:connect", self.connect)
-        # All sections have registered their commands then
-        register("klippy:mcu_identify", self.watch_offset)
-        running.register_commands(self.host, self)
-        running.register_commands(self.host, self.recorder)
-        # A SET_GCODE_OFFSET with Z has run since end_gcode began
-        self.is_set_anew = False
-        # The offset (mm) that the user was last hinted at; None: not
-        self.hinted = None
-        # The run that is under way believes no heights of earlier runs
-        self.accepts_change = False
-        # For the guide and the corrections
-        self.interface = Interface(self)
-        corrections.Corrections(self.interface)
+        register("homing:home_rails_end", self._z_homed)
+        command.register_commands(self.host, self)
+        command.register_commands(self.host, self.report_process)
+        SwitchOffset(self)
+        Setup(self)
 
     ##################################################################
     # Set-up and status
     ##################################################################
 
-    # A wrong set-up ends the start of klippy
-    def connect(self):
+    def connect(self) -> None:
+        """Complete the settings; a wrong set-up ends the start of klippy."""
         host = self.host
         host.connect()
-        if self.pin is None:
-            self.pin = find_pin(host)
+        self.pin = self.own_pin or find_pin(host)
         host.endstops.check_stops_z(self.pin.endstop, self.pin.origin)
         checks.check_probe(host)
         self.settings = complete(
@@ -139,136 +155,202 @@ class ZCalibration:
         )
         try:
             checks.check_settings(host, self.settings)
-        except errors.CalibrationError as e:
+        except CalibrationError as e:
             raise host.printer.config_error(str(e))
 
-    # Who sets the offset to something else than it is, in a macro, too
-    def watch_offset(self):
-        self.host.wrap_command("SET_GCODE_OFFSET", self.around_offset)
+    def _z_homed(self, homing_state: Any, _rails: Any) -> None:
+        """Note where homing Z has met the pin with the probe attached.
 
-    def around_offset(self, command, gcmd):
-        self.is_set_anew |= gcmd.get("Z", None) is not None
-        command(gcmd)
+        Without the probe it is not known where that would be, and one that is pressed meets
+        the bed there; both read triggered.  May pause: it is called within G28, and after
+        that a macro may have docked the probe.
+        """
+        if 2 not in homing_state.get_axes() or self.own_pin is not None:
+            return
+        x, y = self.host.toolhead.get_position()[:2]
+        if (x, y) in self.proved:
+            return
+        try:
+            is_off = self.host.probing.reads_triggered(self.host.print_time())
+        except self.host.printer.command_error:
+            logging.exception("z_calibration: the probe does not answer")
+            return
+        if not is_off:
+            self.proved.append((x, y))
 
-    # What the user is told when klippy is ready
-    def start_notes(self, old_names):
-        return old_names.notes + list(checks.notes(self.host, self.settings))
+    def start_notes(self) -> List[str]:
+        """Return what the user is told when klippy is ready, empty texts among it."""
+        texts = [*self.config_notes, *checks.notes(self.host, self.settings)]
+        texts += self.run_log.notes
+        if self.run_log.last_good(self.host.extruder()) is None:
+            # How low the first run may go
+            texts.append(checks.margins_note(self.settings))
+        return texts
 
-    # The runs of before are known: how low the first one may go
-    def history_read(self):
-        if self.recorder.last_good() is None:
-            note = checks.margins_note(self.settings)
-            self.notes.add([note] if note else [])
-
-    def get_status(self, eventtime):
+    def get_status(self, eventtime: float) -> Dict[str, Any]:
+        """Return what macros and web interfaces read."""
         status = self.results.status()
-        status["history"] = self.recorder.status()
+        status["history"] = self.run_log.status
         status["notes"] = list(self.notes.texts)
-        status.update(self.runner.watch.status())
+        status.update(self.progress.status())
         return status
 
-    # From now on (mm)
-    def use_switch_offset(self, switch_offset):
-        self.settings = self.settings._replace(switch_offset=switch_offset)
+    def use_switch_offset(self, switch_offset: float) -> None:
+        """Calculate with another switch_offset (mm) from now on."""
+        self.settings = self.settings.replace(switch_offset=switch_offset)
 
     ##################################################################
-    # One run
+    # Around every command that touches
     ##################################################################
 
-    # A Calibration; 'plan': adaptive.Plan of its touches; 'tells': each place is told
-    # when it is done
-    def new_calibration(self, settings, sites, plan, tells=True):
-        watch, nozzle_at = self.runner.watch, self.recorder.nozzle_at()
-        if nozzle_at is not None:
-            self.pin.places.note(*nozzle_at)
-        run = Run(self.host, settings, self.pin, plan, watch, self.homed, tells)
-        return Calibration(run, sites)
-
-    # A site, as X and Y (mm), if the probe was on the head there; None: it may meet the
-    # bed
-    def nozzle_at(self, site):
-        is_met = self.pin.places.is_met_at(site.x, site.y)
-        return (site.x, site.y) if is_met else None
-
-    # Returns what work() does, see running.Runner.  G-code has the same modes in each
-    # template and afterwards.
-    def run(self, gcmd, work, phase, wanted, failed=None):
-        # A template of a run that is under way must not end what that keeps
+    def check_idle(self, gcmd: GCodeCommand) -> None:
+        """Raise the command's error while another one is under way."""
         self.runner.check_idle(gcmd)
-        self.check_nobody_asked(gcmd)
-        try:
-            with self.hooks.keeping_modes():
-                return self.runner.run(gcmd, work, phase, wanted, failed)
-        finally:
-            self.runner.watch.be_verbose(False)
 
-    # Before anything moves, templates included: of a run that has not begun neither
-    # end_gcode nor error_gcode has to undo anything.  'own': what begins is no part of
-    # the set-up, which may have its sheet of paper on the bed.
-    def check_nobody_asked(self, gcmd, own=False):
-        try:
-            running.check_no_pause(self.host)
-            running.check_no_manual_probe(self.host)
-            carrying.of(self.host.printer).check_questions(self.host, own)
-        except errors.CalibrationError as e:
-            raise gcmd.error("%s: %s" % (self.host.section, e))
+    def refuse_during_a_print(
+        self, gcmd: GCodeCommand, own: bool = False
+    ) -> None:
+        """Raise the command's error while a person is asked, or a print is paused.
 
-    # Runs a command that applies nothing: its templates meet no G-code offset, and
-    # what they make of it is undone.  See running.Runner for what it is given.
-    def run_without_offset(self, gcmd, work, phase, wanted, failed=None):
-        def work_without():
-            with self.host.features.without_offset():
-                return work()
+        Before anything moves, templates included: of a run that has not begun neither
+        end_gcode nor error_gcode has to undo anything.  'own': what begins is no part of
+        the set-up, which may have its sheet of paper on the bed.
+        """
+        with self.host.as_command_error(gcmd):
+            command.check_no_pause(self.host)
+            command.check_no_manual_probe(self.host)
+            attached.of(self.host.printer).check_questions(self.host, own)
 
-        return self.run(gcmd, work_without, phase, wanted, failed)
-
-    # What is around the touches of a run.  'departure': by how much (mm) a
-    # switch - nozzle departs from earlier runs; None: they are not asked
     @contextlib.contextmanager
-    def prepared(self, calibration, departure=None):
-        self.hooks.check_before_start()
-        dock = running.always(self.host, self.put_away, "end_gcode")
-        lift = running.always(self.host, calibration.lift, "lifting")
-        with dock, lift:
-            self.hooks.start()
-            with self.hooks.holding_probe():
-                calibration.know(self.earlier(departure))
+    def running(
+        self, gcmd: GCodeCommand, phase: str, wanted: int, has_error_gcode: bool
+    ) -> Iterator[None]:
+        """Run a command: one at a time, G-code read the same way in each template.
+
+        After any error the G-code offset is as before, and, with 'has_error_gcode', the run
+        is kept as refused and error_gcode runs.  'wanted' is the number of touches.
+        """
+        self.check_idle(gcmd)
+        failed = self._failed if has_error_gcode else None
+        is_verbose = options.param_flag(gcmd, "VERBOSE")
+        # error_gcode, which runs at the end of the second, leaves no G91 behind
+        modes = self.user_gcode.keeping_modes()
+        with modes, self.runner.running(gcmd, phase, wanted, failed):
+            self.progress.be_verbose(is_verbose)
+            try:
                 yield
+            finally:
+                self.progress.be_verbose(False)
 
-    # After the last touch, and after a failure
-    def put_away(self):
-        self.runner.watch.enter("end_gcode")
-        self.hooks.end()
-
-    # What the next run knows before it begins
-    def earlier(self, departure=None):
-        if self.accepts_change:
-            return NOTHING_EARLIER._replace(departure=departure)
-        last, holds = self.results.earlier(self.host.extruder())
-        good = self.recorder.last_good()
-        kept = None if good is None else heights.kept_of(**good)
-        return Earlier(last, holds, departure, kept)
-
-    # Returns the heights.Result, None where the nozzle is dirty.  'why': it was found
-    # to be so, and is cleaned first.
-    def measure(self, calibration, clean=None, why=""):
-        mark = self.frame.mark()
-        attach = functools.partial(self.hooks.before_switch, mark)
-        return calibration.measure(attach, clean, why)
-
-    def clean_nozzle(self, why):
-        self.recorder.note_cleaning(why)
-        self.hooks.clean()
-
-    # Of CALIBRATE_Z and CALIBRATE_Z_ACCURACY; 'error' is what they end with
-    def failed(self, error):
-        self.recorder.refused(error)
+    def _failed(self, error: Exception) -> None:
+        """Keep a run that was refused, and run error_gcode."""
+        self._keep_run(reason=" ".join(str(error).split()))
         measured = self.results.measured
         self.results.note(None)
         if measured is not None:
-            text = "the measured offset %.6f was not applied"
-            self.runner.watch.say(text % (measured.result.offset,))
-        self.hooks.failed(error)
+            self.progress.say(
+                f"the measured offset {measured.result.offset:.6f} was not applied"
+            )
+        self.user_gcode.failed(error)
+
+    @contextlib.contextmanager
+    def templates_around(self, run: CalibrationRun) -> Iterator[None]:
+        """Run start_gcode and end_gcode around the touches of a run.
+
+        end_gcode runs after a failure, too, with the toolhead lifted.
+        """
+        self.user_gcode.check_before_start()
+        ending = command.always(self.host, self.user_gcode.end, "end_gcode")
+        lifting = command.always(self.host, run.lift, "lifting")
+        with ending, lifting:
+            self.user_gcode.start()
+            with self.user_gcode.holding_probe():
+                yield
+
+    def begin_statistics(self, settings: Settings) -> None:
+        """Begin a run that will be kept: what earlier ones say of its touches."""
+        self.statistics = self.new_statistics(settings)
+        self.bed_spread = settings.bed_spread
+        self.began = self.host.eventtime()
+        self.cleaned = ""
+
+    def new_statistics(self, settings: Settings) -> RunStatistics:
+        """Return what earlier runs say of the touches of a run."""
+        rough = ("bed",) if settings.bed_spread else ()
+        return RunStatistics(
+            self.host.axes.z_step(),
+            self.run_log.spreads(settings.bed_spread),
+            settings.target,
+            rough,
+        )
+
+    def new_run(
+        self,
+        settings: Settings,
+        sites: Sites,
+        statistics: RunStatistics,
+        reports_places: bool = True,
+    ) -> CalibrationRun:
+        """Return a run that knows nothing of earlier ones."""
+        return CalibrationRun(
+            self.host,
+            settings,
+            sites,
+            self.pin,
+            statistics,
+            self.progress,
+            self.homed,
+            self.proved,
+            reports_places,
+        )
+
+    def earlier(self) -> Earlier:
+        """Return what the next run knows before it begins."""
+        extruder = self.host.extruder()
+        last, holds = self.results.earlier(extruder)
+        good = self.run_log.last_good(extruder)
+        kept, proved_at = None, self.run_log.nozzle_at()
+        if proved_at is not None and proved_at not in self.proved:
+            self.proved.append(proved_at)
+        if good is not None:
+            nozzle, switch, bed = [good.z(site) for site in SITES]
+            kept = heights.kept_of(nozzle, switch, bed, good.switch_offset)
+        return Earlier(last, holds, kept)
+
+    def touch_all(
+        self, run: CalibrationRun, cleaner: Optional[UserGcode] = None
+    ) -> Optional[Result]:
+        """Touch nozzle, switch and bed; return the result.
+
+        None where switch - nozzle departs from earlier runs, and 'cleaner' can clean the
+        nozzle, which may be why; without a cleaner they are not asked.
+        """
+        settings = run.settings
+        if not settings.may_attach_late:
+            # Nothing will attach it later: say so before anything is touched
+            run.check_probe_attached()
+        mark = self.datum.mark()
+        nozzle_z = run.touch_nozzle(cleaner)
+        run.lift()
+        self.progress.enter("before_switch_gcode")
+        self.user_gcode.before_switch(mark)
+        switch_z = run.touch_switch(nozzle_z)
+        body = switch_z - nozzle_z
+        if cleaner is not None and not run.is_another_probe(body):
+            run.departure = self._departure(body)
+            if run.departure and cleaner.can_clean and not run.cleaned:
+                return None
+        run.warn_of_body(body)
+        probe_z = run.touch_bed(nozzle_z, switch_z)
+        assert settings.switch_offset is not None
+        return heights.result_of(
+            probe_z, switch_z, nozzle_z, settings.switch_offset
+        )
+
+    def _departure(self, body: float) -> float:
+        """Return by how much (mm) switch - nozzle departs from runs that were as hot."""
+        now = run_log.temperatures(self.host, self.host.eventtime())
+        return self.run_log.departure(body, self.host.extruder(), now)
 
     ##################################################################
     # CALIBRATE_Z
@@ -276,222 +358,275 @@ class ZCalibration:
 
     cmd_CALIBRATE_Z_help = "Measure nozzle, switch and bed, set the Z offset"
 
-    def cmd_CALIBRATE_Z(self, gcmd):
-        self.runner.check_idle(gcmd)
-        self.results.begin()
-        self.check_nobody_asked(gcmd, own=True)
-        try:
+    def cmd_CALIBRATE_Z(self, gcmd: GCodeCommand) -> None:
+        """Measure nozzle, switch and bed, and set the G-code Z offset."""
+        self.check_idle(gcmd)
+        self.results.note(None)
+        self.refuse_during_a_print(gcmd, own=True)
+        with self.host.as_command_error(gcmd):
             checks.check_tool_offset(self.host)
-        except errors.CalibrationError as e:
-            raise gcmd.error("%s: %s" % (self.host.section, e))
-        settings = param_touches(gcmd, self.settings)
-        for name in idle_params(gcmd, settings):
-            text = "%s is ignored with 'samples: auto'"
-            self.runner.watch.say(text % (name,))
-        plan = self.recorder.begin(
-            settings.counting, settings.bed_spread, param_plate(gcmd)
-        )
-        impossible = settings.counting.impossible(plan.step)
-        if impossible and settings.counting is not self.settings.counting:
-            # By SAMPLES=auto: nothing was said of it at start
-            self.runner.watch.say(impossible)
-        wanted = 2 * plan.expected(settings.pin) + plan.expected(settings.probe)
-        work = functools.partial(self.calibrate_and_apply, gcmd, settings)
-        accepts_change = param_accept_change(gcmd)
-        self.runner.watch.be_verbose(param_verbose(gcmd))
-        self.accepts_change = accepts_change
-        try:
-            last = self.run(gcmd, work, "start_gcode", wanted, self.failed)
-        finally:
-            self.results.note(None)
-            self.accepts_change = False
-        before = self.results.last.result
+        settings = with_touches(self.settings, gcmd)
+        self._report_idle(gcmd, settings)
+        accepts_change = options.param_flag(gcmd, "ACCEPT_CHANGE")
+        self.begin_statistics(settings)
+        expected = self.statistics.expected_touches
+        wanted = 2 * expected(settings.on_pin) + expected(settings.on_bed)
+        with self.running(gcmd, "start_gcode", wanted, has_error_gcode=True):
+            settings = with_switch_offset(settings, gcmd)
+            z_adjust: float = options.param_number(
+                gcmd,
+                "Z_ADJUST",
+                0.0,
+                minval=-LARGEST_ADJUST,
+                maxval=LARGEST_ADJUST,
+            )
+            lift_speed = self.host.probing.sampling().lift_speed
+            settings = with_pace(settings, *self.host.axes.z_pace(lift_speed))
+            sites = SiteFinder(self.host, settings).of_command(gcmd)
+            before = self.host.gcode_state.z_offset()
+            self.host.gcode_state.set_z_offset(0.0)
+            last = self._measure(settings, sites, z_adjust, accepts_change)
+            self._check_offset_left(before)
+            last = self._apply(last, before)
+        earlier = self.results.last
         self.results.keep(last)
-        self.report(gcmd, last)
-        self.remind(last.result.switch_offset, before)
-        self.recorder.good(last)
+        self.in_force.begin()
+        self._report(gcmd, last, earlier)
+        self._keep(last)
 
-    # Returns the results.Last
-    def calibrate_and_apply(self, gcmd, settings):
-        features = self.host.features
-        with features.without_offset():
-            last, added = self.calibrate(gcmd, settings)
+    def _report_idle(self, gcmd: GCodeCommand, settings: Settings) -> None:
+        """Show which parameters count for nothing, and a target that no run can keep."""
+        for name in idle_params(settings, gcmd):
+            self.progress.say(f"{name} is ignored with 'samples: auto'")
+        text = impossible(settings.target, self.host.axes.z_step())
+        if text and not self.settings.is_auto:
+            # By SAMPLES=auto: nothing was said of it at start
+            self.progress.say(text)
+
+    def _measure(
+        self,
+        settings: Settings,
+        sites: Sites,
+        z_adjust: float,
+        accepts_change: bool,
+    ) -> LastRun:
+        """Measure all places, all of them once more after cleaning the nozzle.
+
+        Returns the run, which is not applied yet.  end_gcode has run before: the way to the
+        dock does not shift with the offset, and a probe that could not be docked leaves
+        everything as it was.
+        """
+        dirt, last = "", None
+        while last is None:
+            # end_gcode of the first time may have restored that of before
+            self.host.gcode_state.set_z_offset(0.0)
+            run = self.new_run(settings, sites, self.statistics)
+            with self.templates_around(run):
+                run.know(Earlier() if accepts_change else self.earlier())
+                # start_gcode may have fetched another tool
+                checks.check_tool_offset(self.host)
+                self.user_gcode.check_g92(UNDO_G92)
+                try:
+                    if dirt:
+                        run.clean(self.user_gcode, dirt)
+                    result = self.touch_all(run, self.user_gcode)
+                finally:
+                    self.cleaned = run.cleaned
+                if result is not None:
+                    last = self._last_run(run, result, z_adjust)
+                    self.results.note(last)
+            if last is None:
+                dirt = run.why_departed()
+                self.progress.say(
+                    f"{dirt}: cleaning the nozzle, then everything once more"
+                )
+                self.statistics = self.new_statistics(settings)
+        command.check_homed(self.host)
+        if self.datum.moved_since(last.mark) == LEVELLED:
+            raise CalibrationError(
+                f"{LEVELLED} in end_gcode: the offset does not hold then; do it before"
+                " CALIBRATE_Z"
+            )
+        return last
+
+    def _last_run(
+        self, run: CalibrationRun, result: Result, z_adjust: float
+    ) -> LastRun:
+        """Return what a run has measured; raises where the offset is outside its margins."""
+        margins = run.settings.offset_margins
+        heights.check_offset(result, margins, self.host.axes.z_zero())
+        bed = run.sites.bed
+        assert bed is not None
+        last = LastRun(
+            result=result,
+            mark=self.datum.mark(),
+            warnings=tuple(run.warnings),
+            uncertainty=run.uncertainty(),
+            z_adjust=z_adjust,
+            point=SiteFinder(self.host, run.settings).bed_point(bed),
+            twist=run.twist,
+            extruder=self.host.extruder(),
+            met_at=run.met_at,
+            unknown_shift=run.unknown_over_pin or 0.0,
+        )
+        return last.replace(z_offset=Shifts(self.host, last).offset())
+
+    def _check_offset_left(self, before: float) -> None:
+        """Raise CalibrationError where end_gcode has left an offset of its own (mm).
+
+        It may have restored a state, with the offset of before the run.
+        """
+        left = self.host.gcode_state.z_offset()
+        if min(abs(left), abs(left - before)) <= OWN_DIGITS:
+            return
+        raise CalibrationError(
+            f"end_gcode has left a G-code Z offset of {left:.6f}, and CALIBRATE_Z sets"
+            " the one that it has measured; add what you want more by Z_ADJUST, or in"
+            " offset_gcode"
+        )
+
+    def _apply(self, last: LastRun, before: float) -> LastRun:
+        """Set the offset, and return the run with it; 'before' is that of before the run."""
         shifts = Shifts(self.host, last)
         z_offset = shifts.offset()
-        if is_own(added, z_offset, self.is_set_anew):
-            # end_gcode has applied last_z_offset by itself
-            added -= z_offset
-            added = added if abs(added) > OWN_DIGITS else 0.0
-        for _, told in shifts.lines():
-            self.runner.watch.say(told.text)
-        self.hooks.undo_g92()
-        # What the offset was made for; an offset_gcode may load a mesh, or clear it
-        height = height_of(self.host, last)
-        is_guessed = features.is_mesh_guessed(*last.point)
-        applied = self.apply(z_offset + added)
-        if abs(added) >= NO_CHANGE:
-            text = "end_gcode changed the G-code Z offset by %.6f: it is %.6f"
-            self.runner.watch.say(text % (added, z_offset + added))
-        return last._replace(
-            z_offset=z_offset + added,
-            applied=applied,
-            height=height,
-            guessed=is_guessed,
-            heat=features.heat_settings(),
-            states=restoring.saved(self.host),
-            warnings=last.warnings + shifts.warnings(),
+        for _, warned in shifts.lines():
+            self.progress.say(warned.text)
+        self.user_gcode.check_g92(
+            "take it out of clean_gcode, before_switch_gcode or end_gcode"
         )
-
-    # Returns the G-code offset (mm) that came of it.  An offset_gcode begins with 0, so
-    # that it is seen whether it sets anything.
-    def apply(self, z_offset):
-        before = self.host.gcode_offset.z()
-        self.host.gcode_offset.replace(0.0)
-        self.is_set_anew = False
-        is_kept = self.hooks.apply(z_offset)
-        after = self.host.gcode_offset.z()
+        # What the offset was made for; an offset_gcode may load a mesh, or clear it
+        last = last.replace(
+            z_offset=z_offset,
+            height=height_of(self.host, last),
+            guessed=self.host.transforms.is_mesh_guessed(*last.point),
+            heat=self.host.transforms.heat_settings(),
+            warnings=(*last.warnings, *shifts.warnings()),
+            earlier_offsets=(*self._earlier_offsets(), before),
+        )
+        # By less than G-code has digits it is seen whether offset_gcode sets it
+        self.host.gcode_state.set_z_offset(UNSET, digits=10)
+        marked = self.host.gcode_state.z_offset()
+        is_kept = self.user_gcode.apply(z_offset)
+        after = self.host.gcode_state.z_offset()
+        if is_kept and after == marked:
+            # For later
+            self.host.gcode_state.set_z_offset(before)
+            return last.replace(applied=z_offset, is_for_later=True)
         if not is_kept and abs(after - z_offset) > OWN_DIGITS:
-            raise errors.CalibrationError(
-                "offset_gcode has left a G-code Z offset of %.6f instead of %.6f;"
-                " check its macros for a misspelt name, or write"
+            raise CalibrationError(
+                f"offset_gcode has left a G-code Z offset of {after:.6f} instead of"
+                f" {z_offset:.6f}; check its macros for a misspelt name, or write"
                 " Z_CALIBRATION_KEEP_OFFSET into one that makes another offset of"
-                " it, or keeps it for later" % (after, z_offset)
+                " it, or keeps it for later"
             )
-        if is_kept and not (after or self.is_set_anew):
-            self.host.gcode_offset.replace(before)
-            return z_offset
-        return after
+        return last.replace(applied=after)
+
+    def _earlier_offsets(self) -> Tuple[float, ...]:
+        """Return the G-code offsets (mm) of before the last runs."""
+        last = self.results.last
+        if last is None:
+            return ()
+        return (*last.earlier_offsets, last.applied)[-EARLIER_OFFSETS:]
 
     cmd_Z_CALIBRATION_KEEP_OFFSET_help = (
         "In offset_gcode: it keeps the offset, or makes another one of it"
     )
 
-    # Without it an offset_gcode that sets another offset than was measured, or none
-    # as its macro is misspelt, is an error.
-    def cmd_Z_CALIBRATION_KEEP_OFFSET(self, gcmd):
-        if not self.hooks.keep_offset():
+    def cmd_Z_CALIBRATION_KEEP_OFFSET(self, gcmd: GCodeCommand) -> None:
+        """Say in offset_gcode that another offset than was measured is meant.
+
+        Without it that is an error, as of a macro that is misspelt.
+        """
+        if not self.user_gcode.keep_offset():
             raise gcmd.error(
-                "%s: Z_CALIBRATION_KEEP_OFFSET belongs into offset_gcode, or a"
-                " macro that it runs" % (self.host.section,)
+                f"{self.host.section}: Z_CALIBRATION_KEEP_OFFSET belongs into"
+                " offset_gcode, or a macro that it runs"
             )
 
-    # Returns the results.Last, not applied yet, and what end_gcode has added to the
-    # G-code offset (mm).  That runs before the offset is applied: the way to the
-    # dock does not shift with the offset, and a probe that could not be put away
-    # leaves everything as it was.
-    def calibrate(self, gcmd, settings):
-        settings = settings._replace(
-            switch_offset=param_switch_offset(gcmd, settings.switch_offset)
-        )
-        z_adjust = options.param_number(
-            gcmd, "Z_ADJUST", 0.0, minval=-LARGEST_ADJUST, maxval=LARGEST_ADJUST
-        )
-        lift_speed = self.host.probing.sampling().lift_speed
-        settings = pace.of_run(settings, *self.host.axes.z_pace(lift_speed))
-        finder = SiteFinder(self.host, settings)
-        sites, before = finder.of_command(gcmd), self.host.gcode_offset.z()
-        calibration = self.new_calibration(settings, sites, self.recorder.plan)
-        calibrated = self.calibrate_once(calibration, finder, z_adjust)
-        if calibrated is None:
-            why = calibration.geometry.dirt()
-            text = "%s: cleaning the nozzle, then everything once more"
-            self.runner.watch.say(text % (why,))
-            self.host.gcode_offset.replace(before)
-            plan = self.recorder.begin_again()
-            calibration = self.new_calibration(settings, sites, plan)
-            calibrated = self.calibrate_once(calibration, finder, z_adjust, why)
-        return calibrated
-
-    # Measures all sites once.  None where the nozzle has to be cleaned first; the
-    # probe is put away then.
-    def calibrate_once(self, calibration, finder, z_adjust, why=""):
-        clean = self.clean_nozzle if self.hooks.can_clean else None
-        with self.prepared(calibration, self.recorder.departure):
-            # start_gcode may have fetched another tool
-            checks.check_tool_offset(self.host)
-            result = self.measure(calibration, clean, why)
-            if result is None:
-                return None
-            last = NOTHING._replace(
-                result=result,
-                mark=self.frame.mark(),
-                warnings=calibration.run.warnings,
-                uncertainty=calibration.uncertainty(),
-                z_adjust=z_adjust,
-                nozzle_at=self.nozzle_at(calibration.sites.nozzle),
-                point=finder.bed_point(calibration.sites.bed),
-                twist=calibration.run.twist,
-                extruder=self.host.extruder(),
-            )
-            margins = calibration.settings.offset_margins
-            heights.check_offset(result, margins, self.host.axes.z_zero())
-            z_offset = Shifts(self.host, last).offset()
-            self.results.note(last._replace(z_offset=z_offset))
-            at_end = self.host.gcode_offset.z()
-            self.is_set_anew = False
-        added = self.host.gcode_offset.z() - at_end
-        running.check_homed(self.host)
-        if self.frame.moved_since(last.mark) == frame.LEVELLED:
-            raise errors.CalibrationError(MOVED_IN_END % (frame.LEVELLED,))
-        return last, added
-
-    # What the user is told at the end
-    def report(self, gcmd, last):
+    def _report(
+        self, gcmd: GCodeCommand, last: LastRun, earlier: Optional[LastRun]
+    ) -> None:
+        """Show the result."""
         result = last.result
-        moved = self.results.why_outdated()
+        moved = self.datum.moved_since(last.mark)
         if moved:
-            self.runner.watch.say(
-                "%s after measuring, in end_gcode or offset_gcode: the offset"
-                " holds no more" % (moved,)
+            self.progress.say(
+                f"{moved} after measuring, in end_gcode or offset_gcode: the offset"
+                " holds no more"
             )
         gcmd.respond_info(
-            "Z-CALIBRATION: probe=%.3f - (switch=%.3f - nozzle=%.3f"
-            " + switch_offset=%.3f) --> new offset=%.6f" % result
+            f"Z-CALIBRATION: probe={result.probe:.3f} - (switch={result.switch:.3f} -"
+            f" nozzle={result.nozzle:.3f} + switch_offset={result.switch_offset:.3f})"
+            f" --> new offset={result.offset:.6f}"
         )
+        text = f"offset {last.z_offset:.3f}"
         if last.uncertainty is not None:
-            gcmd.respond_info(
-                "Z-CALIBRATION: --> new offset=%.6f +-%.3f"
-                % (result.offset, last.uncertainty)
-            )
+            text += f" +-{last.uncertainty:.3f}"
+        text += " mm"
         if last.z_adjust:
-            gcmd.respond_info(
-                "Z-CALIBRATION: with Z_ADJUST=%.3f the offset is %.6f"
-                % (last.z_adjust, result.offset + last.z_adjust)
-            )
-        if abs(last.z_offset - result.offset - last.z_adjust) >= NO_CHANGE:
-            text = "Z-CALIBRATION: --> G-code Z offset %.6f"
-            gcmd.respond_info(text % (last.z_offset,))
-        self.hint(gcmd, result.offset)
+            text += f", with Z_ADJUST={last.z_adjust:.3f}"
+        taken = result.offset + last.z_adjust - last.z_offset
+        if abs(taken) >= NO_CHANGE:
+            text += f", {taken:.3f} mm taken off"
+        gcmd.respond_info(f"Z-CALIBRATION: {text}")
+        self._hint(gcmd, result.offset)
+        reminder = switches.reminder(
+            result.switch_offset,
+            self.run_log.runs,
+            earlier.result if earlier else None,
+        )
+        if reminder:
+            self.progress.say(reminder)
 
-    # What makes a large offset (mm) smaller: once, until it is another one
-    def hint(self, gcmd, z_offset):
+    def _hint(self, gcmd: GCodeCommand, z_offset: float) -> None:
+        """Show what makes a large offset (mm) smaller: once, until it is another one."""
         homed_z = self.settings.position_endstop
         if homed_z is None or abs(z_offset) <= LARGE_OFFSET:
             self.hinted = None
             return
-        before, self.hinted = self.hinted, z_offset
-        if before is not None and abs(z_offset - before) <= SAME_HINT:
-            self.hinted = before
-        elif z_offset > 0.0:
+        if self.hinted is not None and abs(z_offset - self.hinted) <= SAME_HINT:
+            return
+        self.hinted = z_offset
+        if z_offset > 0.0:
             gcmd.respond_info(
-                "HINT: z position_endstop=%.3f - offset=%.6f --> possible z"
-                " position_endstop=%.3f"
-                % (homed_z, z_offset, homed_z - z_offset)
+                f"HINT: z position_endstop={homed_z:.3f} - offset={z_offset:.6f} -->"
+                f" possible z position_endstop={homed_z - z_offset:.3f}"
             )
         else:
             # A number would bring the nozzle closer to a bed that only seems so low
             gcmd.respond_info(
-                "HINT: the bed is %.3f mm lower than position_endstop=%.3f says;"
-                " check that the plate is on and how the probe is seated"
-                % (-z_offset, homed_z)
+                f"HINT: the bed is {-z_offset:.3f} mm lower than"
+                f" position_endstop={homed_z:.3f} says; check that the plate is on and"
+                " how the probe is seated"
             )
 
-    # Of a switch_offset that the set-up has taken from a list
-    def remind(self, switch_offset, before):
-        runs = self.recorder.runs()
-        text = switches.reminder(switch_offset, runs, before)
-        if text:
-            self.runner.watch.say(text)
+    def _keep_run(self, **fields: Any) -> None:
+        """Keep the run under way in the history, refused without 'ok'.
+
+        Whatever goes wrong with that ends no command, and hides no error.
+        """
+        try:
+            run = self.run_log.measured(
+                self.statistics, self.began, self.bed_spread
+            )
+            self.run_log.append(
+                dataclasses.replace(run, cleaned=self.cleaned, **fields)
+            )
+        except Exception:
+            logging.exception("z_calibration: this run is not kept")
+
+    def _keep(self, last: LastRun) -> None:
+        """Keep a good run in the history."""
+        may_be_off = last.uncertainty
+        self._keep_run(
+            ok=True,
+            offset=round(last.result.offset, 6),
+            uncertainty=may_be_off and round(may_be_off, 6),
+            switch_offset=last.result.switch_offset,
+            z_adjust=last.z_adjust,
+            nozzle_at=last.met_at,
+            warnings=last.warnings,
+        )
 
     ##################################################################
     # CALIBRATE_Z_ACCURACY
@@ -499,57 +634,88 @@ class ZCalibration:
 
     cmd_CALIBRATE_Z_ACCURACY_help = "Repeat whole calibrations, apply nothing"
 
-    def cmd_CALIBRATE_Z_ACCURACY(self, gcmd):
-        params = accuracy.CycleParams(gcmd, self.settings)
-        work = functools.partial(self.measure_cycles, gcmd, params)
-        self.runner.check_idle(gcmd)
-        self.check_nobody_asked(gcmd, own=True)
-        self.runner.watch.be_verbose(param_verbose(gcmd))
-        self.recorder.begin(params.settings.counting)
-        cycles = self.run_without_offset(
-            gcmd, work, "start_gcode", params.touches(), self.failed
-        )
-        self.recorder.tell_cycles(gcmd, cycles)
+    def cmd_CALIBRATE_Z_ACCURACY(self, gcmd: GCodeCommand) -> None:
+        """Repeat whole calibrations, and show how their heights vary; apply nothing."""
+        params = accuracy.cycle_params(gcmd)
+        settings = accuracy.of_cycles(self.settings)
+        self.check_idle(gcmd)
+        self.refuse_during_a_print(gcmd, own=True)
+        self.begin_statistics(settings)
+        touches = 2 * settings.on_pin.samples + settings.on_bed.samples
+        wanted = params.cycles * touches
+        cycles: List[Cycle] = []
+        with self.running(gcmd, "start_gcode", wanted, has_error_gcode=True):
+            settings = with_switch_offset(settings, gcmd)
+            sites = SiteFinder(self.host, settings).of_command(gcmd)
+            with self.host.gcode_state.without_offset():
+                while len(cycles) < params.cycles:
+                    self._measure_cycles(settings, sites, params, cycles)
+        self._report_cycles(gcmd, cycles, settings)
+        self.report_process.judge_cycles()
 
-    # Returns a cycles.Cycle for each
-    def measure_cycles(self, gcmd, params):
-        settings = params.with_switch_offset(gcmd)
-        sites = SiteFinder(self.host, settings).of_command(gcmd)
-        cycles = []
-        while len(cycles) < params.cycles:
-            if params.home:
-                self.hooks.attachment.check_homing(self.host.axes)
-                self.host.gcode.run_script_from_command("G28 Z")
-            plan = self.recorder.plan
-            calibration = self.new_calibration(settings, sites, plan, False)
-            with self.prepared(calibration):
-                if not params.attach:
-                    self.check_stays_attached(calibration)
-                for _ in range(1 if params.attach else params.cycles):
-                    result = self.measure(calibration)
-                    cycles.append(self.recorder.cycle(settings.switch_offset))
-                    self.runner.watch.say(
-                        "cycle %d: nozzle at z=%.3f, switch at z=%.3f, bed at"
-                        " z=%.3f, offset=%.3f"
-                        % (
-                            len(cycles),
-                            result.nozzle,
-                            result.switch,
-                            result.probe,
-                            result.offset,
-                        )
-                    )
-        return cycles
+    def _measure_cycles(
+        self,
+        settings: Settings,
+        sites: Sites,
+        params: accuracy.CycleParams,
+        cycles: List[Cycle],
+    ) -> None:
+        """Measure one cycle, or with ATTACH=0 all of them, and add it to the others."""
+        if params.home:
+            self.user_gcode.check_homing()
+            self.host.gcode.run_script_from_command("G28 Z")
+        run = self.new_run(settings, sites, self.statistics, False)
+        with self.templates_around(run):
+            run.know(self.earlier())
+            if not params.attach:
+                self._check_stays_attached(run)
+            for _ in range(1 if params.attach else params.cycles):
+                result = self.touch_all(run)
+                assert result is not None
+                cycles.append(self._cycle())
+                self.progress.say(
+                    f"cycle {len(cycles)}: nozzle at z={result.nozzle:.3f}, switch at"
+                    f" z={result.switch:.3f}, bed at z={result.probe:.3f},"
+                    f" offset={result.offset:.3f}"
+                )
 
-    def check_stays_attached(self, calibration):
+    def _check_stays_attached(self, run: CalibrationRun) -> None:
         try:
-            calibration.check_probe_attached()
-        except errors.CalibrationError:
-            raise errors.CalibrationError(
+            run.check_probe_attached()
+        except CalibrationError:
+            raise CalibrationError(
                 "ATTACH=0 needs the probe on the head all the time, and it is"
                 " not attached; attach it in start_gcode, not in"
                 " before_switch_gcode"
             )
+
+    def _cycle(self) -> Cycle:
+        """Return the touches of the cycle that has just ended."""
+        nozzle, switch, bed = [
+            tuple(round(z, 6) for z in self.statistics.samples[site])
+            for site in SITES
+        ]
+        seconds = round(self.host.eventtime() - self.began, 2)
+        return Cycle(seconds, nozzle, switch, bed)
+
+    def _report_cycles(
+        self, gcmd: GCodeCommand, cycles: List[Cycle], settings: Settings
+    ) -> None:
+        """Show the figures of all cycles, and keep them in the history."""
+        step, switch_offset = self.statistics.step, settings.switch_offset
+        assert switch_offset is not None
+        seconds = cycles[-1].time / len(cycles)
+        for line in accuracy.figures(cycles, switch_offset, step, seconds):
+            gcmd.respond_info(f"CALIBRATE_Z_ACCURACY: {line}")
+        of_cycles = offsets(cycles, switch_offset)
+        self._keep_run(
+            ok=True,
+            offset=round(fmean(of_cycles), 6),
+            uncertainty=round(uncertainty(of_cycles, step), 6),
+            switch_offset=switch_offset,
+            cycles=tuple(cycles),
+            step=step,
+        )
 
     ##################################################################
     # PROBE_Z_ACCURACY
@@ -557,35 +723,43 @@ class ZCalibration:
 
     cmd_PROBE_Z_ACCURACY_help = "Touch the Z endstop with the nozzle repeatedly"
 
-    def cmd_PROBE_Z_ACCURACY(self, gcmd):
-        work = functools.partial(self.measure_accuracy, gcmd)
-        self.runner.check_idle(gcmd)
-        self.check_nobody_asked(gcmd, own=True)
-        self.runner.watch.be_verbose(param_verbose(gcmd))
-        samples = self.run_without_offset(gcmd, work, "nozzle", 0)
+    def cmd_PROBE_Z_ACCURACY(self, gcmd: GCodeCommand) -> None:
+        """Touch the pin with the nozzle repeatedly, and show how its height varies."""
+        self.check_idle(gcmd)
+        self.refuse_during_a_print(gcmd, own=True)
+        with self.running(gcmd, "nozzle", 0, has_error_gcode=False):
+            settings = accuracy.of_nozzle(self.settings, gcmd)
+            finder = SiteFinder(self.host, settings)
+            nozzle = finder.nozzle_of_command(gcmd)
+            command.check_homed(self.host)
+            with self.host.gcode_state.without_offset():
+                statistics = self._touch_repeatedly(gcmd, settings, nozzle)
+        figures = accuracy_of(statistics.samples["nozzle"])
         gcmd.respond_info(
-            "probe z accuracy results: maximum %.6f, minimum %.6f, range"
-            " %.6f, average %.6f, median %.6f, standard deviation %.6f"
-            % sampling.accuracy(samples)
+            f"probe z accuracy results: maximum {figures.maximum:.6f}, minimum"
+            f" {figures.minimum:.6f}, range {figures.range:.6f}, average"
+            f" {figures.average:.6f}, median {figures.median:.6f}, standard deviation"
+            f" {figures.deviation:.6f}"
         )
 
-    # Returns the heights of the samples (mm)
-    def measure_accuracy(self, gcmd):
-        settings = accuracy.for_nozzle(gcmd, self.settings)
-        nozzle = SiteFinder(self.host, settings).nozzle_of_command(gcmd)
-        running.check_homed(self.host)
-        self.hooks.attachment.begin()
-        self.hooks.attachment.free_nozzle()
-        plan = self.recorder.make_plan(settings.counting)
-        sites = Sites(nozzle, None, None)
-        calibration = self.new_calibration(settings, sites, plan, False)
-        calibration.know(self.earlier())
-        gcmd.respond_info(
-            "PROBE_Z_ACCURACY at X:%(x).3f Y:%(y).3f (samples=%(samples)d"
-            " retract=%(retract_dist).3f speed=%(speed).1f"
-            " lift_speed=%(lift_speed).1f)"
-            % dict(settings.pin._asdict(), x=nozzle.x, y=nozzle.y)
+    def _touch_repeatedly(
+        self, gcmd: GCodeCommand, settings: Settings, nozzle: Site
+    ) -> RunStatistics:
+        """Touch the pin with the nozzle, and lift; return the touches."""
+        self.user_gcode.before_attaching()
+        self.user_gcode.free_nozzle()
+        statistics = self.new_statistics(settings)
+        run = self.new_run(
+            settings, Sites(nozzle, None, None), statistics, False
         )
-        self.runner.watch.expect(settings.pin.samples)
-        with running.always(self.host, calibration.lift, "lifting"):
-            return calibration.sample_nozzle()
+        run.know(self.earlier())
+        sampling = settings.on_pin
+        gcmd.respond_info(
+            f"PROBE_Z_ACCURACY at X:{nozzle.x:.3f} Y:{nozzle.y:.3f}"
+            f" (samples={sampling.samples} retract={sampling.retract_dist:.3f}"
+            f" speed={sampling.speed:.1f} lift_speed={sampling.lift_speed:.1f})"
+        )
+        self.progress.expect(sampling.samples)
+        with command.always(self.host, run.lift, "lifting"):
+            run.sample_nozzle()
+        return statistics

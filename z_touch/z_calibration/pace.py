@@ -10,12 +10,16 @@ it elsewhere:
   down, armed           the same, or slower, so that half of travel_margin is enough to
                         stop
   between touches       lifted by SHORTEST_LIFT, or more where the switch is still pressed
-                        then, see measuring.py
+                        then, see place.py
 
 Copyright (C) 2026  the Z calibration developers, under the GNU GPLv3
 """
 
+from __future__ import annotations
+
 import math
+
+from ..sampling import Sampling
 
 # XY speed (mm/s): half of what users of magnetic probes set
 TRAVEL_SPEED = 100.0
@@ -31,7 +35,7 @@ LONGEST_LIFT = 3.0
 BOARDS_APART = 0.025
 
 
-def armed_speed(margin, axis_speed, axis_accel):
+def armed_speed(margin: float, axis_speed: float, axis_accel: float) -> float:
     """Return the speed (mm/s) of a way down to where nothing should be yet.
 
     Whatever it meets there presses for no more than half the margin (mm).
@@ -42,41 +46,12 @@ def armed_speed(margin, axis_speed, axis_accel):
     )
 
 
-def least_lift(speed, accel):
+def least_lift(speed: float, accel: float) -> float:
     """Return the lift (mm) that gets a touch to its speed (mm/s) on half of its way."""
     return max(SHORTEST_LIFT, speed**2 / accel)
 
 
-def of_run(settings, z_speed, z_accel):
-    """Return the settings.Settings of one CALIBRATE_Z.
-
-    z_speed: as fast as the user moves Z elsewhere (mm/s); z_accel: of Z (mm/s^2).
-    """
-    pin, probe, given = settings.pin, settings.probe, settings.said
-    if "lift_speed" not in given:
-        pin = pin._replace(lift_speed=z_speed)
-        probe = probe._replace(lift_speed=z_speed)
-    settings = settings._replace(z_speed=pin.lift_speed)
-    if may_lengthen(settings):
-        probe = shortened(probe, z_accel)
-        if settings.wiggle_xy_offsets is None:
-            pin = shortened(pin, z_accel)
-    if "probing_speed" not in given:
-        fastest = min(z_speed, settings.z_speed)
-        speed = armed_speed(settings.travel_margin, fastest, z_accel)
-        settings = settings._replace(probing_speed=speed)
-    if "speed" not in given:
-        settings = settings._replace(speed=TRAVEL_SPEED)
-    return settings._replace(pin=pin, probe=probe)
-
-
-def shortened(sampling, accel):
+def shortened(sampling: Sampling, accel: float) -> Sampling:
     """Return a sampling with the shortest lift, unless the user has less."""
     lift = least_lift(sampling.speed, accel)
     return sampling._replace(retract_dist=min(sampling.retract_dist, lift))
-
-
-def may_lengthen(settings):
-    """Return whether the lifts between touches are the module's, as in CALIBRATE_Z."""
-    is_run = settings.z_speed is not None
-    return is_run and "probing_retract_dist" not in settings.said

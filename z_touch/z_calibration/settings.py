@@ -1,20 +1,39 @@
-# The options of [z_calibration] as a table, and the settings that come of them.
-#
-# Copyright (C) 2026  the Z calibration developers, under the GNU GPLv3
-#
-# A new option is one row in OPTIONS, its use, and one test.  The settings have a
-# field for each row, but for those of SAMPLING, which become the fields 'pin'
-# and 'probe'.
+"""The options of [z_calibration] as declared fields, and what follows from them.
 
-from ..core import options, pin_options, touching, z_pin
-from ..core.endstops import chip_of
-from ..core.errors import CalibrationError
-from ..core.options import option
-from ..core.sampling import filled
-from ..core.spread import LARGEST_SPREAD
-from ..core.templates import GCODE
-from ..uncertainty import adaptive
-from . import heights, hooks
+A new option is one field with its text, its use, and one test.  The documents take their
+tables from OPTIONS, the rows of these fields.
+
+Copyright (C) 2026  the Z calibration developers, under the GNU GPLv3
+"""
+
+from __future__ import annotations
+
+import dataclasses
+import re
+from dataclasses import dataclass
+from typing import (
+    TYPE_CHECKING,
+    Any,
+    Dict,
+    FrozenSet,
+    List,
+    Optional,
+    Set,
+    Tuple,
+)
+
+from .. import options, pin
+from ..errors import CalibrationError
+from ..host.endstops import chip_of
+from ..options import Given
+from ..sampling import AUTO, Sampling, filled
+from ..texture import LARGEST_SPREAD
+from ..touch import Site, option_site
+from . import heights, pace
+
+if TYPE_CHECKING:
+    from ..host.klippy import Config, GCodeCommand, Template
+    from ..host.toolhead import ZAxis
 
 # Results outside these limits (mm) are refused: the homing is outdated or
 # something was touched that should not have been.
@@ -23,7 +42,7 @@ OFFSET_MARGINS = (-1.0, 1.0)
 # How far (mm) below the expected height a touch may still look.
 TRAVEL_MARGIN = 1.0
 
-# So high (mm) a pin of its own may stand that nobody has measured; the probe
+# So high (mm) a pin of its own may stand that was never measured; the probe
 # passes it before the nozzle touches it.
 UNMEASURED_PIN = 10.0
 
@@ -32,15 +51,15 @@ UNMEASURED_PIN = 10.0
 # switch.  2 mm is more than the hysteresis of any common micro switch.
 FALLBACK_RETRACT = 2.0
 
-# XY speed (mm/s) between the sites, but for CALIBRATE_Z, see pace.py
+# XY speed (mm/s) between the places, but for CALIBRATE_Z, see pace.py
 IDLE_TRAVEL_SPEED = 50.0
 
 # What the offset may be off by (mm, 95 %) with samples: auto
 TARGET_UNCERTAINTY = 0.008
 
-# What it may be off by with samples: auto and bed_spread (mm, 95 %): what six touches
-# of a rough plate are worth
-ROUGH_TARGET = 0.014
+# What it may be off by with samples: auto and bed_spread (mm, 95 %): what seven touches
+# of a rough plate give
+ROUGH_TARGET = 0.013
 
 # Beside printer.cfg
 FOLDER = "z_calibration"
@@ -49,499 +68,508 @@ RUNS = 1000
 # Whether the buttons that save the Z offset save into switch_offset
 SAVE_BUTTON = {"off": False, "switch_offset": True}
 
-######################################################################
-# Kinds of options that only this section has
-######################################################################
-
-
-def _read_shift(config, name, row):
-    shift = options.pair(config, name)
-    return shift if shift and any(shift) else None
-
-
-# A folder; None: there is to be none
-def _read_folder(config, name, row):
-    folder = config.get(name, row.default).strip()
-    if not folder:
-        raise options.config_error(config, name, "is no folder, nor none")
-    return None if folder.lower() == "none" else folder
-
-
-# A distance in X and Y; none at all counts as not given
-SHIFT = options.PAIR._replace(read=_read_shift)
-HISTORY = options.Kind("folder", _read_folder, ("", " "))
-
-######################################################################
-# The table
-######################################################################
-
-
-def mm_option(name, default, text, old=(), **limits):
-    return option(name, options.NUMBER, default, "mm", text, old, **limits)
-
-
-def speed_option(name, default, text, old=()):
-    kind = options.NUMBER
-    return option(name, kind, default, "mm/s", text, old, above=0.0)
-
-
-# A row as [probe] has it, but for its default
-def probe_option(name, text, **changes):
-    (row,) = [row for row in options.PROBE_OPTIONS if row.name == name]
-    return row._replace(default=None, text=text, **changes)
-
-
-# Where the default is None it matters whether there is anything to run.
-def gcode_option(name, default, text):
-    return option(name, GCODE, default, "", text)
-
-
-POSITIONS = (
-    pin_options.NOZZLE_POSITION,
-    touching.site_option(
-        "switch_xy_position",
-        "X, Y of the head when the body of the probe's switch is above the same"
-        " pin, with its flat side beside the plunger.",
-    ),
-    option(
-        "switch_xy_offsets",
-        options.PAIR,
-        None,
-        "mm",
-        "Instead of switch_xy_position: the way from the nozzle position to it,"
-        " in mm. There is no default.",
-    ),
-    touching.site_option(
-        "bed_xy_position",
-        "The point of the bed that the probe touches. The default is"
-        " zero_reference_position of [bed_mesh].",
-    ),
-    mm_option(
-        "bed_spread",
-        0.0,
-        "For a textured plate, such as 3: each touch of the bed is at another"
-        " point, up to so far from there, in mm. 0: all are at that point.",
-        minval=0.0,
-        maxval=LARGEST_SPREAD,
-    ),
-    option(
-        "wiggle_xy_offsets",
-        SHIFT,
-        None,
-        "mm",
-        "Moves the head by so much and back after each touch of the nozzle, for"
-        " a pin that sticks to it. There is no default.",
-    ),
-)
-
-RESULT = (
-    mm_option(
-        "switch_offset",
-        None,
-        "How far the plunger still sticks out of the switch body when the switch"
-        " triggers, in mm. Larger: nozzle closer to the bed.",
-        minval=0.0,
-    ),
-    option(
-        "save_button",
-        options.choice(SAVE_BUTTON),
-        "off",
-        "",
-        "What the button that saves the Z offset does after a CALIBRATE_Z. off:"
-        " the same as without this module. switch_offset: it keeps baby steps"
-        " there.",
-    ),
-    option(
-        "offset_margins",
-        options.MARGINS,
-        OFFSET_MARGINS,
-        "mm",
-        "An offset (in mm) outside of these is refused.",
-        old=("max_deviation",),
-    ),
-)
-
-HEIGHTS = (
-    option(
-        "safe_z_height",
-        options.NUMBER,
-        None,
-        "mm",
-        "The head travels at least so high, in mm. The default is twice the"
-        " z_offset of [probe].",
-        above=0.0,
-    ),
-    mm_option(
-        "clearance",
-        0.0,
-        "The head is lifted by at least this after each touch, in mm.",
-        minval=0.0,
-    ),
-    mm_option(
-        "travel_margin",
-        TRAVEL_MARGIN,
-        "How much lower than expected a touch may go, and how much room is left"
-        " below the head on its way, in mm.",
-        above=0.0,
-    ),
-    mm_option(
-        "position_min",
-        None,
-        "No touch goes lower, in mm. The default is position_min of"
-        " [stepper_z].",
-    ),
-    pin_options.ENDSTOP_PIN,
-)
-
-# What is left out of these is as in [probe]; two have other names than there.
-SAMPLING = (
-    "probing_second_speed",
-    "probing_retract_dist",
-    "lift_speed",
-    "samples",
-    "samples_tolerance",
-    "samples_tolerance_retries",
-    "samples_result",
-)
-
-SPEEDS = (
-    speed_option(
-        "speed",
-        IDLE_TRAVEL_SPEED,
-        "Travel in X and Y, in mm/s. In CALIBRATE_Z the default is 100.",
-    ),
-    speed_option(
-        "probing_speed",
-        None,
-        "The quick part of the way down, in mm/s. The default is homing_speed of"
-        " [stepper_z]; in CALIBRATE_Z it is that of lift_speed, slower where half of"
-        " travel_margin would not be enough to stop.",
-        old=("homing_speed",),
-    ),
-    speed_option(
-        "probing_second_speed",
-        None,
-        "The touches that count, in mm/s. The default is second_homing_speed of"
-        " [stepper_z]; on the bed it is speed of [probe].",
-        old=("second_homing_speed",),
-    ),
-    mm_option(
-        "probing_retract_dist",
-        None,
-        "Lift between two touches, in mm. In CALIBRATE_Z the default is as short as"
-        " the switch opens, 0.5 or more. Otherwise it is homing_retract_dist of"
-        " [stepper_z], on the bed sample_retract_dist of [probe].",
-        old=("homing_retract_dist",),
-        above=0.0,
-    ),
-    probe_option(
-        "lift_speed",
-        "All ways up, in mm/s. The default is that of [probe]; in CALIBRATE_Z it is"
-        " homing_speed of [stepper_z] where that is larger.",
-    ),
-    option(
-        "probing_first_fast",
-        options.FLAG,
-        False,
-        "",
-        "True: the first touch at each place is made at probing_speed and does"
-        " not count.",
-    ),
-    probe_option(
-        "samples",
-        "Touches at each place, or auto: as many as are needed. The default"
-        " is that of [probe].",
-        kind=options.SAMPLES,
-    ),
-    mm_option(
-        "target_uncertainty",
-        options.Given("bed_spread", ROUGH_TARGET, TARGET_UNCERTAINTY),
-        "With samples: auto, what the offset may be off by, in mm. With"
-        " bed_spread the default is 0.014.",
-        above=0.0,
-    ),
-    probe_option(
-        "samples_tolerance",
-        "How far touches may be apart, in mm. The default is that of [probe].",
-    ),
-    probe_option(
-        "samples_tolerance_retries",
-        "How often they may start again. The default is that of [probe].",
-    ),
-    probe_option(
-        "samples_result",
-        "median or average. The default is that of [probe]; none, which the"
-        " original has by default, is the same as that.",
-        kind=options.choice(dict(options.RESULTS, none=None)),
-    ),
-)
-
-KEPT = (
-    option(
-        "history",
-        HISTORY,
-        FOLDER,
-        "",
-        "The folder, beside printer.cfg, that keeps a line for each run. none:"
-        " nothing is kept.",
-    ),
-    option(
-        "history_runs",
-        options.COUNT,
-        RUNS,
-        "",
-        "How many lines it keeps.",
-        minval=1,
-    ),
-    option(
-        "history_times",
-        options.FLAG,
-        True,
-        "",
-        "False: its lines do not say when that was.",
-    ),
-)
-
-USER_GCODE = (
-    gcode_option(
-        "start_gcode",
-        "",
-        "Your macro that attaches the probe.",
-    ),
-    gcode_option(
-        "clean_gcode",
-        None,
-        "Runs once in a run, if something seems to stick to the nozzle. There is"
-        " no default.",
-    ),
-    gcode_option(
-        "before_switch_gcode",
-        "",
-        "Runs between nozzle and switch: attach the probe here, and not in"
-        " start_gcode, where it is in the way of the nozzle. There is no"
-        " default.",
-    ),
-    gcode_option(
-        "end_gcode",
-        "",
-        "Your macro that puts the probe away; it runs after an error, too.",
-    ),
-    gcode_option(
-        "offset_gcode",
-        None,
-        "Runs instead of SET_GCODE_OFFSET, with the offset as params.Z. There is"
-        " no default.",
-    ),
-    gcode_option(
-        "error_gcode",
-        None,
-        "Runs last after an error, with the message as params.ERROR. There is no"
-        " default.",
-    ),
-)
-
-OPTIONS = POSITIONS + RESULT + HEIGHTS + SPEEDS + KEPT + USER_GCODE
-
-######################################################################
-# The settings
-######################################################################
-
-# mm and mm/s.  None stands for "as the probe has it" until complete() has filled
-# it in, and for a site or a switch_offset that is to come with the command.
-#
-#   pin, probe           sampling.Sampling of what is touched on the pin, and of
-#                        the bed
-#   counting             how many touches that are: adaptive.FixedCount, or
-#                        adaptive.Automatic with samples: auto
-#   may_attach_late      before_switch_gcode may attach the probe, or does so with
-#                        a dockable_probe by itself
-#   start_homes          start_gcode homes
-#   position_endstop     toolhead Z at which the pin stops Z in homing; None: the
-#                        pin is not what Z is homed on
-#   position_max         of the Z axis
-#   z_offset             of the probe
-#   unmeasured_pin       how high the pin is taken for until it was touched
-#   mesh_area            what the bed mesh covers, see z_pin
-#   z_speed              of a CALIBRATE_Z: how fast Z moves where nothing is touched;
-#                        None: it is another command
-#   said                 the names of those options that its owner has given, or the
-#                        command
-Settings = options.record(
-    "Settings",
-    [row for row in OPTIONS if row.name not in SAMPLING],
-    "pin probe counting may_attach_late start_homes position_endstop position_max"
-    " z_offset unmeasured_pin mesh_area said z_speed",
-)
-
-
-# As far as they are known before klippy connects; what the user is to be told is
-# in old_names.
-def read_settings(config, z_axis, old_names):
-    defaults = {"probing_speed": z_axis.homing_speed}
-    defaults["probing_second_speed"] = z_axis.second_homing_speed
-    defaults["probing_retract_dist"] = (
-        z_axis.homing_retract_dist or FALLBACK_RETRACT
-    )
-    values = options.read(config, OPTIONS, old_names, **defaults)
-    counting = adaptive.choose(values["samples"], values["target_uncertainty"])
-    note_idle_options(counting, old_names)
-    homed_z, site = None, values["nozzle_xy_position"]
-    if values["endstop_pin"] is None:
-        # None also where it is the probe that Z is homed with: refused later
-        homed_z = z_axis.position_endstop
-        values["nozzle_xy_position"] = site or read_home(config)
-    values["position_min"] = limit_position_min(
-        config,
-        values["position_min"],
-        z_axis,
-        homed_z,
-        values["travel_margin"],
-        old_names,
-    )
-    values["samples"] = counting.count
-    pin, probe = samplings_of(values, old_names)
-    values.update(hooks.read_texts(config))
-    values.update(pin=pin, probe=probe, counting=counting)
-    values["position_endstop"] = homed_z
-    values["mesh_area"] = z_pin.mesh_area(config)
-    values["said"] = frozenset(
-        row.name for row in OPTIONS if old_names.was_given(row.name)
-    )
-    return Settings(*[values.get(name) for name in Settings._fields])
-
-
-# Where Z is homed on the pin itself, [safe_z_home] has its site.
-def read_home(config):
-    if not config.has_section("safe_z_home"):
-        return None
-    name, home = "home_xy_position", config.getsection("safe_z_home")
-    point = home.getfloatlist(name, None, count=2, note_valid=False)
-    return point and touching.option_site(home, "nozzle", name, point)
-
-
-# Of the pin and of the bed; for the bed only what is given, the rest is as the
-# probe has it.
-def samplings_of(values, old_names):
-    speed, retract = "probing_second_speed", "probing_retract_dist"
-    pin = options.sampling_of(
-        dict(values, speed=values[speed], sample_retract_dist=values[retract])
-    )
-    has = old_names.was_given
-    probe = pin._replace(
-        speed=pin.speed if has(speed) else None,
-        retract_dist=pin.retract_dist if has(retract) else None,
-    )
-    return pin, probe
-
-
-def limit_position_min(config, lowest, z_axis, homed_z, margin, old_names):
-    position_min, section = z_axis.position_min, z_axis.section
-    if lowest is not None and lowest < position_min:
-        old_names.notes.append(
-            "option 'position_min: %g' is ignored, section '%s' ends at %g"
-            % (lowest, section, position_min)
-        )
-    elif lowest is not None and lowest > position_min:
-        position_min, section = lowest, config.get_name()
-    is_homed_on = homed_z is not None and chip_of(z_axis.endstop_pin) != "probe"
-    if is_homed_on and homed_z - position_min < heights.LEAST_ROOM:
-        raise config.error(
-            "Option 'position_min' in section '%s': %.3f leaves no touch the room to"
-            " press the pin at position_endstop (%.3f) of section '%s'; set it to"
-            " %.3f or lower"
-            % (section, position_min, homed_z, z_axis.section, homed_z - margin)
-        )
-    return position_min
-
-
-# Options that count for nothing, as samples is auto, or is not
-def note_idle_options(counting, old_names):
-    for name in counting.idle:
-        if old_names.was_given(name):
-            text = "option '%s' is ignored %s 'samples: auto'"
-            old_names.notes.append(text % (name, counting.idle_how))
-
-
-# Lets the probe and the axis decide what the user has left open.  'probe':
-# sampling.Sampling; mm.
-def complete(settings, probe, z_offset, position_max):
-    settings = settings._replace(
-        pin=filled(settings.pin, probe),
-        probe=filled(settings.probe, probe),
-        z_offset=z_offset,
-        position_max=position_max,
-    )
-    if settings.safe_z_height is not None:
-        return settings._replace(unmeasured_pin=0.0)
-    # Perhaps with the probe on
-    is_passed = settings.position_endstop is None
-    return settings._replace(
-        safe_z_height=heights.default_safe_z(z_offset),
-        unmeasured_pin=UNMEASURED_PIN if is_passed else 0.0,
-    )
-
-
-# The settings with a fixed number of touches: 'pin' and 'probe' are the samplings
-def with_counts(settings, pin, probe):
-    counting = adaptive.FixedCount()
-    return settings._replace(pin=pin, probe=probe, counting=counting)
-
-
 # Parameters of a command, and the options that they stand for
 PACE_PARAMS = (
     ("SAMPLE_RETRACT_DIST", "probing_retract_dist"),
     ("LIFT_SPEED", "lift_speed"),
 )
 
+# With samples: auto they count for nothing
+IDLE_WITH_AUTO = (
+    "samples_tolerance",
+    "samples_tolerance_retries",
+    "samples_result",
+)
 
-# The settings with what PROBE takes as parameters; they count at all places.
-def param_touches(gcmd, settings):
-    count, counting = options.param_samples(gcmd), settings.counting
-    pin, probe = [
-        options.param_touches(gcmd, sampling)
-        for sampling in (settings.pin, settings.probe)
+# Without it this does
+IDLE_WITH_COUNT = ("target_uncertainty",)
+
+
+def _read_shift(config: Config, name: str, row: options.Option) -> Any:
+    """Return a distance in X and Y; none at all counts as not given."""
+    shift = options.read_pair(config, name)
+    return shift if shift and any(shift) else None
+
+
+def _read_folder(config: Config, name: str, row: options.Option) -> Any:
+    """Return a folder, None where there is to be none."""
+    folder = config.get(name, row.default).strip()
+    if not folder:
+        raise options.config_error(config, name, "is no folder, nor none")
+    return None if folder.lower() == "none" else folder
+
+
+SHIFT = options.PAIR._replace(read=_read_shift)
+HISTORY = options.Kind("folder", _read_folder, ("", " "))
+
+
+def gcode(default: Optional[str], text: str) -> Any:
+    """Declare G-code; where the default is None it matters whether there is any."""
+    return options.other(options.GCODE, default, text)
+
+
+@dataclass(frozen=True)
+class Settings:
+    """What the user has configured: mm and mm/s.
+
+    None stands for "as the probe has it" until complete() has filled it in, and for a place
+    or a switch_offset that is to come with the command.
+    """
+
+    nozzle_xy_position: Optional[Site] = options.declare(pin.NOZZLE_POSITION)
+    switch_xy_position: Optional[Site] = options.declare(
+        options.site_option(
+            "switch_xy_position",
+            "X, Y of the head when the body of the probe's switch is above the same"
+            " pin, with its flat side beside the plunger.",
+        )
+    )
+    switch_xy_offsets: Optional[Tuple[float, float]] = options.other(
+        options.PAIR,
+        None,
+        "Instead of switch_xy_position: the way from the nozzle position to it,"
+        " in mm. There is no default.",
+        unit="mm",
+    )
+    bed_xy_position: Optional[Site] = options.declare(
+        options.site_option(
+            "bed_xy_position",
+            "The point of the bed that the probe touches. The default is"
+            " zero_reference_position of [bed_mesh].",
+        )
+    )
+    bed_spread: float = options.number(
+        0.0,
+        "For a textured plate, such as 3: each touch of the bed is at another"
+        " point, up to so far from there, in mm. 0: all are at that point.",
+        minval=0.0,
+        maxval=LARGEST_SPREAD,
+    )
+    wiggle_xy_offsets: Optional[Tuple[float, float]] = options.other(
+        SHIFT,
+        None,
+        "Moves the head by so much and back after each touch of the nozzle, for"
+        " a pin that sticks to it. There is no default.",
+        unit="mm",
+    )
+
+    switch_offset: Optional[float] = options.number(
+        None,
+        "How far the plunger still sticks out of the switch body when the switch"
+        " triggers, in mm. Larger: nozzle closer to the bed.",
+        minval=0.0,
+    )
+    save_button: bool = options.other(
+        options.choice(SAVE_BUTTON),
+        "off",
+        "What the button that saves the Z offset does after a CALIBRATE_Z. off:"
+        " the same as without this module. switch_offset: it keeps baby steps"
+        " there.",
+    )
+    offset_margins: Tuple[float, float] = options.other(
+        options.MARGINS,
+        OFFSET_MARGINS,
+        "An offset (in mm) outside of these is refused.",
+        unit="mm",
+        old=("max_deviation",),
+    )
+
+    safe_z_height: float = options.number(
+        None,
+        "The head travels at least so high, in mm. The default is twice the"
+        " z_offset of [probe].",
+        above=0.0,
+    )
+    clearance: float = options.number(
+        0.0,
+        "The head is lifted by at least this after each touch, in mm.",
+        minval=0.0,
+    )
+    travel_margin: float = options.number(
+        TRAVEL_MARGIN,
+        "How much lower than expected a touch may go, and how much room is left"
+        " below the head on its way, in mm.",
+        above=0.0,
+    )
+    position_min: float = options.number(
+        None,
+        "No touch goes lower, in mm. The default is position_min of"
+        " [stepper_z].",
+    )
+    endstop_pin: Optional[str] = options.declare(pin.ENDSTOP_PIN)
+
+    speed: float = options.speed(
+        IDLE_TRAVEL_SPEED,
+        "Travel in X and Y, in mm/s. In CALIBRATE_Z the default is 100.",
+    )
+    probing_speed: float = options.speed(
+        None,
+        "The quick part of the way down, in mm/s. The default is homing_speed of"
+        " [stepper_z]; in CALIBRATE_Z it is that of lift_speed, slower where half of"
+        " travel_margin would not be enough to stop.",
+        old=("homing_speed",),
+    )
+    probing_second_speed: float = options.speed(
+        None,
+        "The touches that count, in mm/s. The default is second_homing_speed of"
+        " [stepper_z]; on the bed it is speed of [probe].",
+        old=("second_homing_speed",),
+    )
+    probing_retract_dist: float = options.number(
+        None,
+        "Lift between two touches, in mm. In CALIBRATE_Z the default is as short as"
+        " the switch opens, 0.5 or more. Otherwise it is homing_retract_dist of"
+        " [stepper_z], on the bed sample_retract_dist of [probe].",
+        old=("homing_retract_dist",),
+        above=0.0,
+    )
+    lift_speed: Optional[float] = options.as_in_probe(
+        "lift_speed",
+        "All ways up, in mm/s. The default is that of [probe]; in CALIBRATE_Z it is"
+        " homing_speed of [stepper_z] where that is larger.",
+    )
+    probing_first_fast: bool = options.other(
+        options.FLAG,
+        False,
+        "True: the first touch at each place is made at probing_speed and does"
+        " not count.",
+    )
+    samples: Any = options.as_in_probe(
+        "samples",
+        "Touches at each place, or auto: as many as are needed. The default"
+        " is that of [probe].",
+        kind=options.SAMPLES,
+    )
+    target_uncertainty: float = options.number(
+        Given("bed_spread", ROUGH_TARGET, TARGET_UNCERTAINTY),
+        "With samples: auto, what the offset may be off by, in mm. With"
+        " bed_spread the default is 0.013.",
+        above=0.0,
+    )
+    samples_tolerance: Optional[float] = options.as_in_probe(
+        "samples_tolerance",
+        "How far touches may be apart, in mm. The default is that of [probe].",
+    )
+    samples_tolerance_retries: Optional[int] = options.as_in_probe(
+        "samples_tolerance_retries",
+        "How often they may start again. The default is that of [probe].",
+    )
+    samples_result: Optional[str] = options.as_in_probe(
+        "samples_result",
+        "median or average. The default is that of [probe]; none, which the"
+        " original has by default, is the same as that.",
+        kind=options.choice({**options.RESULTS, "none": None}),
+    )
+
+    history: Optional[str] = options.other(
+        HISTORY,
+        FOLDER,
+        "The folder, beside printer.cfg, that keeps a line for each run. none:"
+        " nothing is kept.",
+    )
+    history_runs: int = options.other(
+        options.COUNT, RUNS, "How many lines it keeps.", minval=1
+    )
+
+    start_gcode: Template = gcode("", "Your macro that attaches the probe.")
+    clean_gcode: Optional[Template] = gcode(
+        None,
+        "Runs once in a run, if something seems to stick to the nozzle. There is"
+        " no default.",
+    )
+    before_switch_gcode: Template = gcode(
+        "",
+        "Runs between nozzle and switch: attach the probe here, and not in"
+        " start_gcode, where it is in the way of the nozzle. There is no"
+        " default.",
+    )
+    end_gcode: Template = gcode(
+        "", "Your macro that puts the probe away; it runs after an error, too."
+    )
+    offset_gcode: Optional[Template] = gcode(
+        None,
+        "Runs instead of SET_GCODE_OFFSET, with the offset as params.Z. There is"
+        " no default.",
+    )
+    error_gcode: Optional[Template] = gcode(
+        None,
+        "Runs last after an error, with the message as params.ERROR. There is no"
+        " default.",
+    )
+
+    # What follows from these, or comes when klippy connects
+
+    # How what is on the pin is touched, and the bed; samples None: as many as needed
+    on_pin: Sampling = Sampling(*[None] * 7)
+    on_bed: Sampling = Sampling(*[None] * 7)
+    # before_switch_gcode may attach the probe, or a dockable_probe does so by itself
+    may_attach_late: bool = False
+    start_homes: bool = False
+    # Toolhead Z at which the pin stops Z in homing; None: Z is not homed on the pin
+    position_endstop: Optional[float] = None
+    # Of the Z axis
+    position_max: float = float("inf")
+    # Of the probe
+    z_offset: float = 0.0
+    # How high the pin is taken for until it was touched
+    unmeasured_pin: float = 0.0
+    # What the bed mesh covers, see pin.mesh_area()
+    mesh_area: Optional[Tuple[pin.Point, pin.Point]] = None
+    # The options that the user has given, or the command
+    given: FrozenSet[str] = frozenset()
+    # Of a CALIBRATE_Z: how fast Z moves where nothing is touched; None: another command
+    z_speed: Optional[float] = None
+
+    def replace(self, **changes: Any) -> Settings:
+        """Return the settings with other values."""
+        return dataclasses.replace(self, **changes)
+
+    @property
+    def is_auto(self) -> bool:
+        """Whether a place is touched as often as the result needs."""
+        return bool(self.samples == AUTO)
+
+    @property
+    def target(self) -> Optional[float]:
+        """What the offset may be off by (mm, 95 %) with samples: auto, else None."""
+        return self.target_uncertainty if self.is_auto else None
+
+
+OPTIONS = options.rows_of(Settings)
+
+
+######################################################################
+# Reading the section
+######################################################################
+
+
+def read_settings(
+    config: Config, z_axis: ZAxis, old_names: options.OldNames
+) -> Settings:
+    """Return the settings as far as they are known before klippy connects.
+
+    What the user is to be told is added to the notes of old_names.
+    """
+    values = options.read(
+        config,
+        OPTIONS,
+        old_names,
+        probing_speed=z_axis.homing_speed,
+        probing_second_speed=z_axis.second_homing_speed,
+        probing_retract_dist=z_axis.homing_retract_dist or FALLBACK_RETRACT,
+    )
+    _note_idle_options(values["samples"] == AUTO, old_names)
+    if values["endstop_pin"] is None:
+        # None also where it is the probe that Z is homed with: refused later
+        values["position_endstop"] = z_axis.position_endstop
+        if values["nozzle_xy_position"] is None:
+            values["nozzle_xy_position"] = _read_home(config)
+    _limit_position_min(config, values, z_axis, old_names)
+    values["given"] = frozenset(
+        row.name for row in OPTIONS if old_names.was_given(row.name)
+    )
+    values["on_pin"], values["on_bed"] = _samplings_of(values)
+    values["mesh_area"] = pin.mesh_area(config)
+    start, before_switch = [
+        config.get(name, "") for name in ("start_gcode", "before_switch_gcode")
     ]
+    values["start_homes"] = homes(start, _read_macros(config))
+    values["may_attach_late"] = bool(
+        before_switch.strip()
+    ) or config.has_section("dockable_probe")
+    return Settings(**values)
+
+
+def _read_home(config: Config) -> Optional[Site]:
+    """Return where Z is homed on the pin itself, by [safe_z_home]."""
+    if not config.has_section("safe_z_home"):
+        return None
+    name, home = "home_xy_position", config.getsection("safe_z_home")
+    point = home.getfloatlist(name, None, count=2, note_valid=False)
+    return option_site(home, "nozzle", name, point) if point else None
+
+
+def _samplings_of(values: Dict[str, Any]) -> Tuple[Sampling, Sampling]:
+    """Return how pin and bed are touched.
+
+    For the bed only what is given, the rest is as the probe has it.
+    """
+    given = values["given"]
+    second_speed, retract = "probing_second_speed", "probing_retract_dist"
+    on_pin = options.sampling_of(
+        dict(
+            values,
+            samples=None if values["samples"] == AUTO else values["samples"],
+            speed=values[second_speed],
+            sample_retract_dist=values[retract],
+        )
+    )
+    on_bed = on_pin._replace(
+        speed=on_pin.speed if second_speed in given else None,
+        retract_dist=on_pin.retract_dist if retract in given else None,
+    )
+    return on_pin, on_bed
+
+
+def _limit_position_min(
+    config: Config,
+    values: Dict[str, Any],
+    z_axis: ZAxis,
+    old_names: options.OldNames,
+) -> None:
+    """Have position_min no lower than the axis, and refuse one that leaves no room."""
+    lowest, homed_z = values["position_min"], values.get("position_endstop")
+    position_min, section = z_axis.position_min, z_axis.section
+    if lowest is not None and lowest < position_min:
+        old_names.notes.append(
+            f"option 'position_min: {lowest:g}' is ignored, section '{section}' ends at"
+            f" {position_min:g}"
+        )
+    elif lowest is not None and lowest > position_min:
+        position_min, section = lowest, config.get_name()
+    values["position_min"] = position_min
+    if homed_z is None or chip_of(z_axis.endstop_pin) == "probe":
+        return
+    if homed_z - position_min < heights.LEAST_ROOM:
+        raise config.error(
+            f"Option 'position_min' in section '{section}': {position_min:.3f} leaves no"
+            f" touch the room to press the pin at position_endstop ({homed_z:.3f}) of"
+            f" section '{z_axis.section}'; set it to"
+            f" {homed_z - values['travel_margin']:.3f} or lower"
+        )
+
+
+def _note_idle_options(is_auto: bool, old_names: options.OldNames) -> None:
+    """Note options that count for nothing, as samples is auto, or is not."""
+    how = "with" if is_auto else "without"
+    for name in IDLE_WITH_AUTO if is_auto else IDLE_WITH_COUNT:
+        if old_names.was_given(name):
+            old_names.notes.append(
+                f"option '{name}' is ignored {how} 'samples: auto'"
+            )
+
+
+def _read_macros(config: Config) -> Dict[str, str]:
+    """Return the texts of the user's macros by their names."""
+    return {
+        section.get_name().upper().split()[-1]: section.get(
+            "gcode", "", note_valid=False
+        ).upper()
+        for section in config.get_prefix_sections("gcode_macro ")
+    }
+
+
+def homes(text: str, macros: Dict[str, str]) -> bool:
+    """Return whether some G28 stands in G-code, or in macros that it calls."""
+    todo = [text.upper()]
+    seen: Set[str] = set()
+    while todo:
+        words = set(re.findall(r"[A-Z0-9_]+", todo.pop())) - seen
+        if "G28" in words:
+            return True
+        seen |= words
+        todo += [macros[word] for word in words if word in macros]
+    return False
+
+
+def complete(
+    settings: Settings, probe: Sampling, z_offset: float, position_max: float
+) -> Settings:
+    """Let the probe and the axis decide what the user has left open (mm)."""
+    settings = settings.replace(
+        on_pin=filled(settings.on_pin, probe),
+        on_bed=filled(settings.on_bed, probe),
+        z_offset=z_offset,
+        position_max=position_max,
+    )
+    if settings.safe_z_height is not None:
+        return settings.replace(unmeasured_pin=0.0)
+    # Perhaps with the probe on
+    is_passed = settings.position_endstop is None
+    return settings.replace(
+        safe_z_height=heights.default_safe_z(z_offset),
+        unmeasured_pin=UNMEASURED_PIN if is_passed else 0.0,
+    )
+
+
+######################################################################
+# Parameters of commands
+######################################################################
+
+
+def with_touches(settings: Settings, gcmd: GCodeCommand) -> Settings:
+    """Return the settings with what PROBE takes as parameters; they count everywhere."""
+    on_pin = options.param_touches(gcmd, settings.on_pin)
+    on_bed = options.param_touches(gcmd, settings.on_bed)
+    count = options.param_samples(gcmd)
     if count is not None:
-        counting = adaptive.choose(count, settings.target_uncertainty)
-    if counting.count is not None:
-        pin = pin._replace(samples=counting.count)
-        probe = probe._replace(samples=counting.count)
-    said = settings.said.union(
+        settings = settings.replace(samples=count)
+    if count not in (None, AUTO):
+        on_pin = on_pin._replace(samples=count)
+        on_bed = on_bed._replace(samples=count)
+    given = settings.given.union(
         option for name, option in PACE_PARAMS if gcmd.get(name, "").strip()
     )
-    return settings._replace(pin=pin, probe=probe, counting=counting, said=said)
+    return settings.replace(on_pin=on_pin, on_bed=on_bed, given=given)
 
 
-# Of these parameters, those that count for nothing
-def idle_params(gcmd, settings):
-    if not settings.counting.is_free:
+def idle_params(settings: Settings, gcmd: GCodeCommand) -> List[str]:
+    """Return those of these parameters that count for nothing."""
+    if not settings.is_auto:
         return []
-    names = [name.upper() for name in settings.counting.idle]
+    names = [name.upper() for name in IDLE_WITH_AUTO]
     return [name for name in names if gcmd.get(name, "").strip()]
 
 
-# VERBOSE of a command: whether it tells every single touch
-def param_verbose(gcmd):
-    return bool(options.param_int(gcmd, "VERBOSE", 0, minval=0, maxval=1))
+def with_switch_offset(settings: Settings, gcmd: GCodeCommand) -> Settings:
+    """Return the settings with SWITCH_OFFSET; see param_switch_offset()."""
+    switch_offset = param_switch_offset(gcmd, settings.switch_offset)
+    return settings.replace(switch_offset=switch_offset)
 
 
-# ACCEPT_CHANGE of a command: pin, bed or plate was changed
-def param_accept_change(gcmd):
-    value = options.param_int(gcmd, "ACCEPT_CHANGE", 0, minval=0, maxval=1)
-    return bool(value)
+def param_switch_offset(gcmd: GCodeCommand, default: Optional[float]) -> float:
+    """Return SWITCH_OFFSET (mm), or the default.
 
-
-# PLATE of a command: the owner's name of it, in any case of its letters
-def param_plate(gcmd):
-    return " ".join(gcmd.get("PLATE", "").lower().split())
-
-
-# SWITCH_OFFSET of a command (mm), or else 'default', or else the user is asked
-def param_switch_offset(gcmd, default):
-    value = options.param_number(gcmd, "SWITCH_OFFSET", default, minval=0.0)
+    Raises CalibrationError where there is neither.
+    """
+    value: Optional[float] = options.param_number(
+        gcmd, "SWITCH_OFFSET", default, minval=0.0
+    )
     if value is None:
         raise CalibrationError(
             "no switch_offset; run Z_CALIBRATION_SETUP, set it in section"
             " 'z_calibration', or add SWITCH_OFFSET=mm"
         )
     return value
+
+
+def with_pace(settings: Settings, z_speed: float, z_accel: float) -> Settings:
+    """Return the settings of one CALIBRATE_Z, with what the section leaves open.
+
+    z_speed: as fast as the user moves Z elsewhere (mm/s); z_accel: of Z (mm/s^2).  See pace.py.
+    """
+    on_pin, on_bed, given = settings.on_pin, settings.on_bed, settings.given
+    if "lift_speed" not in given:
+        on_pin = on_pin._replace(lift_speed=z_speed)
+        on_bed = on_bed._replace(lift_speed=z_speed)
+    settings = settings.replace(z_speed=on_pin.lift_speed)
+    if may_lengthen(settings):
+        on_bed = pace.shortened(on_bed, z_accel)
+        if settings.wiggle_xy_offsets is None:
+            on_pin = pace.shortened(on_pin, z_accel)
+    if "probing_speed" not in given:
+        fastest = min(z_speed, on_pin.lift_speed)
+        settings = settings.replace(
+            probing_speed=pace.armed_speed(
+                settings.travel_margin, fastest, z_accel
+            )
+        )
+    if "speed" not in given:
+        settings = settings.replace(speed=pace.TRAVEL_SPEED)
+    return settings.replace(on_pin=on_pin, on_bed=on_bed)
+
+
+def may_lengthen(settings: Settings) -> bool:
+    """Return whether the lifts between touches are the module's, as in CALIBRATE_Z."""
+    is_run = settings.z_speed is not None
+    return is_run and "probing_retract_dist" not in settings.given

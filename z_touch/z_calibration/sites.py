@@ -1,23 +1,32 @@
-# Where z_calibration touches: nozzle and switch on the pin, the probe on the bed.
-#
-# Copyright (C) 2026  the Z calibration developers, under the GNU GPLv3
-#
-#            parameter          option                 or else
-#
-#   nozzle   NOZZLE_POSITION    nozzle_xy_position     home_xy_position
-#   switch   SWITCH_POSITION    switch_xy_position     nozzle + switch_xy_offsets
-#   bed      BED_POSITION       bed_xy_position        the zero of the bed mesh
-#
-# A site is where the head stands, in mm.  Users name the bed where the probe is to
-# touch it; its site is that point less the probe's offset.
+"""Where z_calibration touches: nozzle and switch on the pin, the probe on the bed.
 
-import collections
+           parameter          option                 or else
+
+  nozzle   NOZZLE_POSITION    nozzle_xy_position     home_xy_position
+  switch   SWITCH_POSITION    switch_xy_position     nozzle + switch_xy_offsets
+  bed      BED_POSITION       bed_xy_position        the zero of the bed mesh
+
+A site is where the toolhead stands, in mm.  Users name the bed where the probe is to touch
+it; its site is that point less the probe's offset.
+
+Copyright (C) 2026  the Z calibration developers, under the GNU GPLv3
+"""
+
+from __future__ import annotations
+
 import math
+from typing import TYPE_CHECKING, List, NamedTuple, Optional, Tuple
 
-from ..core import options, touching
-from ..core.errors import CalibrationError
+from .. import options, touch
+from ..errors import CalibrationError
+from ..touch import Site
 
-# A distance (mm) between nozzle and switch that no print head has: the
+if TYPE_CHECKING:
+    from ..host.klippy import GCodeCommand
+    from ..host.printer import Host
+    from .settings import Settings
+
+# A distance (mm) between nozzle and switch that no toolhead has: the
 # option holds a position instead of an offset.
 LARGEST_SWITCH_DISTANCE = 100.0
 
@@ -25,35 +34,24 @@ LARGEST_SWITCH_DISTANCE = 100.0
 # bed: half the length of a usual micro switch.
 SWITCH_NEAR = 7.0
 
-# Where else than in <name>_xy_position a site can be set
-ELSEWHERE = {
-    "nozzle": "",
-    "switch": " or switch_xy_offsets",
-    "bed": ", or %s in section 'bed_mesh'",
-}
 
-# The sites of one run: touching.Site
-Sites = collections.namedtuple("Sites", "nozzle switch bed")
+class Sites(NamedTuple):
+    """The sites of one run; None: it is not touched."""
+
+    nozzle: Optional[Site]
+    switch: Optional[Site]
+    bed: Optional[Site]
 
 
-# Coordinates (mm) that add up to the end of an axis are not beyond it
-def rounded(x, y):
+def rounded(x: float, y: float) -> Tuple[float, float]:
+    """Return coordinates (mm) that add up to the end of an axis, not beyond it."""
     return round(x, 6), round(y, 6)
 
 
-# What the user is told where nothing says where a site is
-def no_site(name, mesh_option):
-    elsewhere = ELSEWHERE[name].replace("%s", mesh_option)
-    text = (
-        "no place for the %s; run Z_CALIBRATION_SETUP, set %s_xy_position%s, or"
-        " add %s_POSITION=X,Y"
-    )
-    return text % (name, name, elsewhere, name.upper())
-
-
-# Finds the sites, and checks them.  Raises CalibrationError.
 class SiteFinder:
-    def __init__(self, host, settings):
+    """Finds the sites, and checks them.  Raises CalibrationError."""
+
+    def __init__(self, host: Host, settings: Settings):
         self.host = host
         self.settings = settings
 
@@ -61,108 +59,130 @@ class SiteFinder:
     # Of the section
     ##################################################################
 
-    # What is configured must be right; what comes with a command is checked then.
-    def check(self):
-        settings, nozzle = self.settings, self.settings.nozzle_xy_position
+    def check(self) -> None:
+        """Check what is configured; what comes with a command is checked then."""
+        settings = self.settings
+        nozzle = settings.nozzle_xy_position
         if nozzle is not None:
             self.check_nozzle(nozzle)
         switch = self.switch_site(nozzle, settings.switch_xy_position)
         bed = self.bed_site(settings.bed_xy_position)
-        for site in (switch, bed):
-            if site is not None:
-                self.check_reach(site)
-        if None not in (switch, bed):
+        if switch is not None:
+            self.check_reach(switch)
+        if bed is not None:
+            self.check_reach(bed)
+        if switch is not None and bed is not None:
             self.check_apart(switch, bed)
 
-    # What has to come with each command, in words
-    def missing(self):
+    def missing(self) -> List[str]:
+        """Return what has to come with each command, in words."""
         settings = self.settings
-        sites = (
-            settings.nozzle_xy_position,
-            settings.switch_xy_position or settings.switch_xy_offsets,
-            self.bed_site(settings.bed_xy_position),
+        switch = settings.switch_xy_position or settings.switch_xy_offsets
+        places = (
+            ("nozzle", settings.nozzle_xy_position),
+            ("switch", switch),
+            ("bed", self.bed_site(settings.bed_xy_position)),
         )
-        names = Sites._fields
-        pairs = zip(names, sites)
-        return [self.no_site(name) for name, site in pairs if site is None]
+        return [self.no_site(name) for name, site in places if site is None]
 
-    def no_site(self, name):
-        return no_site(name, self.host.features.mesh_zero_option())
+    def no_site(self, name: str) -> str:
+        """Return what the user is told where nothing says where a site is."""
+        option = self.host.transforms.mesh_zero_option()
+        elsewhere = {
+            "nozzle": "",
+            "switch": " or switch_xy_offsets",
+            "bed": f", or {option} in section 'bed_mesh'",
+        }
+        return (
+            f"no place for the {name}; run Z_CALIBRATION_SETUP, set"
+            f" {name}_xy_position{elsewhere[name]}, or add {name.upper()}_POSITION=X,Y"
+        )
 
     ##################################################################
     # Of a command
     ##################################################################
 
-    # The Sites of a run
-    def of_command(self, gcmd):
+    def of_command(self, gcmd: GCodeCommand) -> Sites:
+        """Return the sites of a run."""
         nozzle = self.nozzle_of_command(gcmd)
         switch = self.switch_site(nozzle, self.given(gcmd, "switch"))
         bed = self.bed_site(self.given(gcmd, "bed"))
-        for site, name in ((switch, "switch"), (bed, "bed")):
-            if site is None:
-                raise CalibrationError(self.no_site(name))
+        if switch is None:
+            raise CalibrationError(self.no_site("switch"))
+        if bed is None:
+            raise CalibrationError(self.no_site("bed"))
         self.check_reach(switch)
         self.check_reach(bed)
         self.check_apart(switch, bed)
         return Sites(nozzle, switch, bed)
 
-    def nozzle_of_command(self, gcmd):
+    def nozzle_of_command(self, gcmd: GCodeCommand) -> Site:
+        """Return where the nozzle touches."""
         nozzle = self.given(gcmd, "nozzle")
         if nozzle is None:
             raise CalibrationError(self.no_site("nozzle"))
         self.check_nozzle(nozzle)
         return nozzle
 
-    # The point that the user has named: in the command, or else in the section
-    def given(self, gcmd, name):
+    def given(self, gcmd: GCodeCommand, name: str) -> Optional[Site]:
+        """Return the point that the user has named: in the command, or in the section."""
         param = name.upper() + "_POSITION"
         point = options.param_pair(gcmd, param)
         if point is None:
-            return getattr(self.settings, name + "_xy_position")
-        origin = "%s=%g,%g" % ((param,) + point)
-        return touching.Site(name, point[0], point[1], origin, param)
+            site: Optional[Site] = getattr(self.settings, name + "_xy_position")
+            return site
+        x, y = point
+        return Site(name, x, y, f"{param}={x:g},{y:g}", param)
 
     ##################################################################
     # What follows from other sections
     ##################################################################
 
-    # From what is given, or else from the nozzle's site; either may be None, and
-    # so may be the result.
-    def switch_site(self, nozzle, switch):
+    def switch_site(
+        self, nozzle: Optional[Site], switch: Optional[Site]
+    ) -> Optional[Site]:
+        """Return the switch's site from what is given, or else from the nozzle's.
+
+        None: neither is known.
+        """
         offsets = self.settings.switch_xy_offsets
         if switch is not None or offsets is None:
             return switch
         for axis, distance in zip("XY", offsets):
             if abs(distance) > LARGEST_SWITCH_DISTANCE:
                 raise CalibrationError(
-                    "Option 'switch_xy_offsets' in section 'z_calibration': %g"
-                    " mm in %s is no distance from the nozzle to the switch;"
-                    " if it is a position, write it as switch_xy_position"
-                    % (distance, axis)
+                    "Option 'switch_xy_offsets' in section 'z_calibration':"
+                    f" {distance:g} mm in {axis} is no distance from the nozzle to the"
+                    " switch; if it is a position, write it as switch_xy_position"
                 )
         if nozzle is None:
             return None
         x, y = rounded(nozzle.x + offsets[0], nozzle.y + offsets[1])
         option = "switch_xy_offsets"
-        origin = "Option '%s: %g,%g' in section 'z_calibration'"
-        origin %= (option,) + tuple(offsets)
-        return touching.Site("switch", x, y, origin, option)
+        origin = (
+            f"Option '{option}: {offsets[0]:g},{offsets[1]:g}' in section"
+            " 'z_calibration'"
+        )
+        return Site("switch", x, y, origin, option)
 
-    # From the point of the bed, or else from the mesh; None: there is neither.
-    def bed_site(self, bed):
+    def bed_site(self, bed: Optional[Site]) -> Optional[Site]:
+        """Return the bed's site from the point of the bed, or else from the mesh.
+
+        None: neither is known.
+        """
         if bed is None:
-            zero = self.host.features.mesh_zero()
+            zero = self.host.transforms.mesh_zero()
             if zero is None:
                 return None
             option = "zero_reference_position of section 'bed_mesh'"
             origin = "The zero reference position of section 'bed_mesh'"
-            bed = touching.Site("bed", zero[0], zero[1], origin, option)
+            bed = Site("bed", zero[0], zero[1], origin, option)
         x_offset, y_offset = self.host.probing.offsets()[:2]
         x, y = rounded(bed.x - x_offset, bed.y - y_offset)
         return bed._replace(x=x, y=y)
 
-    # X and Y (mm) of the bed that the probe touches at a site
-    def bed_point(self, site):
+    def bed_point(self, site: Site) -> Tuple[float, float]:
+        """Return X and Y (mm) of the bed that the probe touches at a site."""
         x_offset, y_offset = self.host.probing.offsets()[:2]
         return site.x + x_offset, site.y + y_offset
 
@@ -170,35 +190,35 @@ class SiteFinder:
     # Checks
     ##################################################################
 
-    # The head must be able to stand there
-    def check_reach(self, site):
-        remedy = touching.CHOOSE_ANOTHER
+    def check_reach(self, site: Site) -> None:
+        """Check that the toolhead can stand there."""
         shift = ", the probe's offset included" if site.name == "bed" else ""
-        touching.check_reach(self.host, site, remedy, shift)
+        touch.check_reach(self.host, site, touch.CHOOSE_ANOTHER, shift)
         if site.name == "bed":
             radius = self.settings.bed_spread
-            touching.check_spread(self.host, site, radius, "z_calibration")
+            touch.check_spread(self.host, site, radius, "z_calibration")
 
-    # The head is also moved aside there, with wiggle_xy_offsets
-    def check_nozzle(self, site):
+    def check_nozzle(self, site: Site) -> None:
+        """Check the nozzle's site; it is also moved aside there, with wiggle_xy_offsets."""
         self.check_reach(site)
         if self.settings.wiggle_xy_offsets is None:
             return
         x, y = self.settings.wiggle_xy_offsets
         origin = "Option 'wiggle_xy_offsets' in section 'z_calibration'"
-        aside = touching.Site("nozzle", site.x + x, site.y + y, origin)
-        remedy = "choose the other direction"
-        touching.check_reach(self.host, aside, remedy)
+        aside = Site("nozzle", site.x + x, site.y + y, origin)
+        touch.check_reach(self.host, aside, "choose the other direction")
 
-    # The floor of the bed lies below the pin: a body that is still on it
-    # would be pressed down to there.
-    def check_apart(self, switch, bed):
+    def check_apart(self, switch: Site, bed: Site) -> None:
+        """Check that the probe's body is not on the pin any more where it touches the bed.
+
+        The floor of the bed lies below the pin: a body that is still on it would be pressed
+        down to there.
+        """
         apart = math.hypot(bed.x - switch.x, bed.y - switch.y)
         apart -= self.settings.bed_spread
         if apart < SWITCH_NEAR:
             raise CalibrationError(
-                "%s puts the head %.1f mm from where it touches the switch, so"
-                " that the probe's body would press the Z endstop again; choose"
-                " a point of the bed at least %g mm away"
-                % (bed.origin, apart, SWITCH_NEAR)
+                f"{bed.origin} puts the head {apart:.1f} mm from where it touches the"
+                " switch, so that the probe's body would press the Z endstop again;"
+                f" choose a point of the bed at least {SWITCH_NEAR:g} mm away"
             )

@@ -80,7 +80,6 @@ OF_MACHINE = (
     # Other names, and what follows from the machine
     "history",
     "history_runs",
-    "history_times",
     "offset_margins",
     "max_deviation",
     "save_button",

@@ -23,7 +23,7 @@ RESULT = re.compile(
     r"Z-CALIBRATION: probe=(\S+) - \(switch=(\S+) - nozzle=(\S+)"
     r" \+ switch_offset=(\S+)\) --> new offset=(\S+)"
 )
-UNCERTAINTY = re.compile(r"--> new offset=\S+ \+-(\S+)")
+UNCERTAINTY = re.compile(r"Z-CALIBRATION: offset \S+ \+-(\S+) mm")
 
 
 def demo(*options: str) -> subprocess.CompletedProcess:

@@ -1,0 +1,169 @@
+"""Around every command: one at a time, what it changes put back, its errors told once.
+
+Copyright (C) 2026  the Z calibration developers, under the GNU GPLv3
+"""
+
+from __future__ import annotations
+
+import contextlib
+import logging
+from typing import TYPE_CHECKING, Any, Callable, Iterator, Optional, TypeVar
+
+from .errors import CalibrationError
+from .progress import Progress
+
+if TYPE_CHECKING:
+    from .host.klippy import GCodeCommand
+    from .host.printer import Host
+
+T = TypeVar("T")
+
+
+@contextlib.contextmanager
+def always(host: Host, action: Callable[[], Any], what: str) -> Iterator[None]:
+    """Run 'action' when the block is left, on every path but a shutdown.
+
+    Its own error counts only if there is no earlier one; otherwise it goes into klippy.log.
+    """
+    try:
+        yield
+    except Exception:
+        # Not of GreenletExit, which ends a command where klippy ends
+        _clean_up(host, action, what)
+        raise
+    if not host.printer.is_shutdown():
+        action()
+
+
+def _clean_up(host: Host, action: Callable[[], Any], what: str) -> None:
+    """Run 'action' after an error, which its own must not hide."""
+    if host.printer.is_shutdown():
+        return
+    try:
+        action()
+    except (host.printer.command_error, CalibrationError):
+        logging.exception("%s: %s failed, too", host.section, what)
+    except Exception as e:
+        # Of the host, such as moving after a board was lost: the printer has to end
+        logging.exception("%s: %s failed, too", host.section, what)
+        host.printer.invoke_shutdown(
+            f"{host.section}: {what} failed after another error: {e}"
+        )
+
+
+def register_commands(
+    host: Host, module: object, probe: Optional[str] = None
+) -> None:
+    """Register each cmd_NAME of an object as the command NAME.
+
+    cmd_NAME_help is its description.  'probe': of several modules the one that PROBE=...
+    means.
+    """
+    attributes = dir(module)
+    for attribute in attributes:
+        help_attribute = attribute + "_help"
+        if not attribute.startswith("cmd_") or help_attribute not in attributes:
+            continue
+        name, handler = attribute[4:], getattr(module, attribute)
+        text = getattr(module, help_attribute)
+        if probe is None:
+            host.gcode.register_command(name, handler, desc=text)
+            continue
+        register = host.gcode.register_mux_command
+        register(name, "PROBE", probe, handler, desc=text)
+
+
+def check_homed(host: Host) -> None:
+    """Raise CalibrationError unless all axes are homed."""
+    homed = host.toolhead_status()["homed_axes"]
+    missing = [axis.upper() for axis in "xyz" if axis not in homed]
+    if missing:
+        raise CalibrationError(
+            f"not homed: {', '.join(missing)}; home all axes (G28) first"
+        )
+
+
+def check_no_pause(host: Host) -> None:
+    """Raise CalibrationError while a print is paused: it stands where we would go."""
+    if host.print_state() == "paused":
+        raise CalibrationError(
+            "a print is paused, and the head would go across it; end it first"
+            " (CANCEL_PRINT)"
+        )
+
+
+def check_no_manual_probe(host: Host) -> None:
+    """Raise CalibrationError while the host waits for a person's ACCEPT."""
+    helper = host.probing.manual_helper()
+    if helper:
+        raise CalibrationError(
+            f"{helper} is under way; end it with ACCEPT or ABORT first"
+        )
+
+
+class Runner:
+    """The commands of a module, of which one runs at a time."""
+
+    def __init__(self, host: Host):
+        self.host = host
+        self.watch = Progress(host.section, host.gcode.respond_info)
+
+    def run(
+        self,
+        gcmd: GCodeCommand,
+        work: Callable[[], T],
+        phase: str,
+        wanted: int,
+        failed: Optional[Callable[[Exception], None]] = None,
+    ) -> T:
+        """Return what work() does; see running()."""
+        with self.running(gcmd, phase, wanted, failed):
+            return work()
+
+    @contextlib.contextmanager
+    def running(
+        self,
+        gcmd: GCodeCommand,
+        phase: str,
+        wanted: int,
+        failed: Optional[Callable[[Exception], None]] = None,
+    ) -> Iterator[None]:
+        """Show the progress of a command, and put back what a failure leaves.
+
+        After any error the G-code offset is as it was, and failed(error) is called; what a
+        CalibrationError says becomes the command's error.  'wanted' is the number of touches.
+        """
+        self.check_idle(gcmd)
+        before = self.host.gcode_state.z_offset()
+        self.watch.begin(gcmd.respond_info, phase, wanted)
+        try:
+            yield
+        except CalibrationError as e:
+            self._undo(before, e, failed)
+            raise gcmd.error(f"{self.host.section}: {e}")
+        except self.host.printer.command_error as e:
+            self._undo(before, e, failed)
+            raise
+        finally:
+            self.watch.begin(self.host.gcode.respond_info, "idle", 0)
+
+    def check_idle(self, gcmd: GCodeCommand) -> None:
+        """Raise the command's error while one is under way: its template would never end."""
+        if self.watch.phase != "idle":
+            raise gcmd.error(
+                f"{self.host.section}: a measurement is under way ({self.watch.phase});"
+                " start another one when it has ended"
+            )
+
+    def _undo(
+        self,
+        offset: float,
+        error: Exception,
+        failed: Optional[Callable[[Exception], None]],
+    ) -> None:
+        # Whatever the user's G-code has done to it, the offset is as before.
+        if self.host.printer.is_shutdown():
+            return
+        self.host.gcode_state.set_z_offset(offset)
+        if failed is not None:
+            failed(error)

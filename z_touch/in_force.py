@@ -1,0 +1,101 @@
+"""What a result was made for, against what is in force now.
+
+Copyright (C) 2026  the Z calibration developers, under the GNU GPLv3
+"""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING, Callable, Optional
+
+if TYPE_CHECKING:
+    from .host.klippy import GCodeCommand, Handler
+    from .host.printer import Host
+
+# RESUME sends it, too
+COMMAND = "RESTORE_GCODE_STATE"
+
+# A change of the G-code Z offset of more than this (mm) is no baby step, but another offset
+# or a typing error.
+LARGEST_STEP = 0.5
+
+# Offsets that differ by less (mm) are the same: the rest is rounding.
+NO_STEP = 0.0000005
+
+
+# How often (s) it is looked whether a result is still in force
+LOOK_INTERVAL = 2.0
+
+
+class InForce:
+    """Shows once, on the console, when a result has ceased to hold.
+
+    reason() says why, without pausing; empty: it holds; None: it cannot hold any more, which
+    is not worth a line.
+    """
+
+    def __init__(self, host: Host, reason: Callable[[], Optional[str]]):
+        self.host = host
+        self.reason = reason
+        # Older hosts call a timer again that waits
+        self.is_looking = False
+        self.timer = host.printer.get_reactor().register_timer(
+            self._look, host.printer.get_reactor().NEVER
+        )
+
+    def begin(self) -> None:
+        """Look from now on, as a result was applied."""
+        when = self.host.eventtime() + LOOK_INTERVAL
+        self.host.printer.get_reactor().update_timer(self.timer, when)
+
+    def _look(self, eventtime: float) -> float:
+        """Look between two commands.  May pause."""
+        never = self.host.printer.get_reactor().NEVER
+        if self.is_looking:
+            return never
+        self.is_looking = True
+        try:
+            return self._next_look()
+        finally:
+            self.is_looking = False
+
+    def _next_look(self) -> float:
+        """Look, and return when to do so again."""
+        # Between two commands, as delayed_gcode does: a mesh is cleared before it is probed,
+        # and tool changers set an offset of 0 for a moment
+        with self.host.gcode.get_mutex():
+            if self.host.printer.is_shutdown():
+                return self.host.printer.get_reactor().NEVER
+            reason = self.reason()
+        if reason:
+            self.host.say(reason)
+        if reason is None or reason:
+            return self.host.printer.get_reactor().NEVER
+        return self.host.eventtime() + LOOK_INTERVAL
+
+
+def watch(
+    host: Host, source: str, applied: Callable[[], Optional[float]]
+) -> None:
+    """Show when an offset that was applied has gone with a state.  While klippy starts.
+
+    'source' is the command that applies one; applied() the offset (mm) that it has left,
+    None: there is none.  A baby step that is taken back so is none that has gone: Klipper's
+    RESUME does that.
+    """
+
+    def around(command: Handler, gcmd: GCodeCommand) -> None:
+        before, ours = host.gcode_state.z_offset(), applied()
+        command(gcmd)
+        after = host.gcode_state.z_offset()
+        if ours is None or abs(after - before) < NO_STEP:
+            return
+        is_gone = abs(after - ours) >= NO_STEP
+        if is_gone and abs(before - ours) <= LARGEST_STEP:
+            name = gcmd.get("NAME", "default")
+            host.say(
+                f"G-code state {name} has brought back the G-code Z offset {after:.3f};"
+                f" it was {before:.3f}, from {source}; set that again, and save such a"
+                " state after it"
+            )
+
+    host.wrap_command(COMMAND, around)

@@ -1,0 +1,104 @@
+"""How heights are sampled, and what becomes of the samples: pure functions.
+
+Copyright (C) 2026  the Z calibration developers, under the GNU GPLv3
+"""
+
+from __future__ import annotations
+
+import math
+from typing import Any, Callable, List, NamedTuple, Sequence, TypeVar
+
+from .errors import SamplesDiffer
+
+# In place of a count: as many as are needed
+AUTO = "auto"
+
+
+class Sampling(NamedTuple):
+    """How one place is touched; a field that is None is as the probe has it.
+
+    samples and retries are counts, tolerance and retract_dist mm, result "median" or
+    "average", speed and lift_speed mm/s.
+    """
+
+    samples: Any
+    tolerance: Any
+    retries: Any
+    result: Any
+    speed: Any
+    retract_dist: Any
+    lift_speed: Any
+
+
+R = TypeVar("R", bound=Any)
+
+
+def filled(record: R, other: R) -> R:
+    """Return a record with the values of another one where it has None."""
+    pairs = zip(record, other)
+    made: R = record._make(b if a is None else a for a, b in pairs)
+    return made
+
+
+def summarize(samples: Sequence[float], method: str) -> float:
+    """Return the average or the median of samples."""
+    ordered = sorted(samples)
+    middle = len(ordered) // 2
+    if method == "average":
+        return math.fsum(ordered) / len(ordered)
+    if len(ordered) % 2:
+        return ordered[middle]
+    return (ordered[middle - 1] + ordered[middle]) / 2.0
+
+
+class Accuracy(NamedTuple):
+    """What PROBE_ACCURACY says of samples (mm); the deviation is that of all of them."""
+
+    maximum: float
+    minimum: float
+    range: float
+    average: float
+    median: float
+    deviation: float
+
+
+def accuracy(samples: Sequence[float]) -> Accuracy:
+    """Return the figures of PROBE_ACCURACY."""
+    low, high = min(samples), max(samples)
+    average = summarize(samples, "average")
+    squares = [(z - average) ** 2 for z in samples]
+    deviation = math.sqrt(math.fsum(squares) / len(samples))
+    median = summarize(samples, "median")
+    return Accuracy(high, low, high - low, average, median, deviation)
+
+
+def collect(
+    touch: Callable[[], float],
+    sampling: Sampling,
+    say: Callable[[str], None],
+    remedy: str,
+    option: str = "samples_tolerance",
+) -> List[float]:
+    """Call touch(), which returns a height, until the wanted number of samples agrees.
+
+    A sample that does not agree starts the series again; 'say' is told.  Raises
+    SamplesDiffer, with the remedy, when no retry is left.  'option' is the one that the
+    tolerance comes from.
+    """
+    retries_left = sampling.retries
+    samples: List[float] = []
+    while len(samples) < sampling.samples:
+        samples.append(touch())
+        spread = max(samples) - min(samples)
+        if spread <= sampling.tolerance:
+            continue
+        text = (
+            f"samples differ by {spread:.4f} mm, {option} is"
+            f" {sampling.tolerance:.4f} mm; "
+        )
+        if not retries_left:
+            raise SamplesDiffer(text + remedy)
+        say(text + "trying again")
+        retries_left -= 1
+        samples = []
+    return samples
