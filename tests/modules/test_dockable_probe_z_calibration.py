@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import json
 from dataclasses import replace
 
 import pytest
@@ -54,6 +55,18 @@ def assert_calibrated(printer):
 @WAYS
 def test_calibrate_z(start, changes):
     assert_calibrated(start(SCENE, changes).homed())
+
+
+@pytest.mark.parametrize("is_attached", [False, True])
+def test_place_is_proved_by_an_attached_probe_only(start, is_attached):
+    """A later run with the probe attached looks there whether it meets the bed."""
+    changes = z_section(start_gcode="ATTACH_PROBE" if is_attached else "M400")
+    printer = start(SCENE, changes).homed()
+    calibration(printer)
+    printer.session.wait(1.0)
+    folder = printer.session.data / "config" / "z_calibration"
+    (line,) = (folder / "printer.jsonl").read_text().splitlines()
+    assert bool(json.loads(line).get("nozzle_at")) is is_attached
 
 
 # Of which only Kalico has one

@@ -466,7 +466,7 @@ class ZCalibration:
             point=SiteFinder(self.host, run.settings).bed_point(bed),
             twist=run.twist,
             extruder=self.host.extruder(),
-            met_at=run.met_at,
+            proved_at=run.proved_at,
             unknown_shift=run.unknown_over_pin or 0.0,
         )
         return last.replace(z_offset=Shifts(self.host, last).offset())
@@ -624,7 +624,7 @@ class ZCalibration:
             uncertainty=may_be_off and round(may_be_off, 6),
             switch_offset=last.result.switch_offset,
             z_adjust=last.z_adjust,
-            nozzle_at=last.met_at,
+            nozzle_at=last.proved_at,
             warnings=last.warnings,
         )
 

@@ -350,10 +350,10 @@ class NozzlePlace(Place):
             self.look_for_bed()
         self.come_down(travel_z)
         self.collect()
-        if is_attached or not looks:
-            self.run.met_at = self.site.x, self.site.y
         if is_attached and not self.is_proved():
-            self.run.proved.append(self.run.met_at or (0.0, 0.0))
+            self.run.proved.append((self.site.x, self.site.y))
+        if self.is_proved():
+            self.run.proved_at = self.site.x, self.site.y
         if self.settings.wiggle_xy_offsets is not None:
             self.retract()
 
@@ -361,7 +361,7 @@ class NozzlePlace(Place):
         """Return whether the pin was met here with the probe attached."""
         here = self.site.x, self.site.y
         return any(
-            math.dist(here, met_at) <= SAME_PLACE for met_at in self.run.proved
+            math.dist(here, place) <= SAME_PLACE for place in self.run.proved
         )
 
     def is_pin_known(self) -> bool:

@@ -62,7 +62,7 @@ class LastRun:
     # Whose nozzle it was
     extruder: str
     # Where (X and Y, mm) the nozzle has met the pin with the probe attached, None: it was not
-    met_at: Optional[Tuple[float, float]] = None
+    proved_at: Optional[Tuple[float, float]] = None
     # What something that is not known adds to Z over pin and bed
     unknown_shift: float = 0.0
     # The G-code offset that came of it: what was measured, less what Klipper's own

@@ -94,7 +94,7 @@ class CalibrationRun:
         # What something that is not known adds to Z over the pin; None: it was not there
         self.unknown_over_pin: Optional[float] = None
         # Where (X and Y, mm) the nozzle has met the pin with the probe attached
-        self.met_at: Optional[Tuple[float, float]] = None
+        self.proved_at: Optional[Tuple[float, float]] = None
         # Whether the probe was seen attached
         self.was_attached = False
         # Why the nozzle was cleaned in this run; empty: it was not
