@@ -230,6 +230,26 @@ def test_switch_that_opens_late(start):
     calibration(printer)
 
 
+def test_pin_that_is_not_where_it_is_looked_for(start):
+    """The last touch begins at the top again, and says what was expected."""
+    printer = start("separate_pin").homed()
+    text = printer.fail("CALIBRATE_Z NOZZLE_POSITION=150,306")
+    assert "nozzle: the switch did not answer (stopped at z=" in text
+    assert_unharmed(printer)
+
+
+def test_longer_nozzle_below_a_probe_that_is_always_attached(start):
+    """It is on the pin already where the way down that the probe ends is over."""
+    changes = section(before_switch_gcode="M400")
+    printer = start("separate_pin", changes).homed()
+    calibration(printer)
+    printer.run("G1 Z50 F600\nM400")
+    printer.machine.world.exchange_nozzle(0.7)
+    printer.machine.tolerate("nozzle_pin", 0.21)
+    calibration(printer)
+    assert printer.gap() == pytest.approx(0.06, abs=2 * MICROSTEP)
+
+
 # A tool whose nozzle is 2 mm longer, and which stands elsewhere
 @pytest.mark.slow
 @pytest.mark.parametrize("scene", ["voron", slow("separate_pin")])

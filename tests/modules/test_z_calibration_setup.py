@@ -829,8 +829,14 @@ def test_probe_that_is_there_for_all_sites(start):
     # All touches once more, with the probe on
     printer.run("G28 Z")
     assert "first touches begin again" in user.refused("Paper")
+    armed = []
+    printer.machine.rig.on_operation.append(
+        lambda kind, signal, _ns: armed.append((kind, signal))
+    )
     user.press("Touch")
     assert user.step() == "GAP"
+    # It may be a longer one by now: its switch ends the way down to the pin
+    assert [signal for kind, signal in armed if kind == "touch"][0] == "probe"
 
 
 def test_dockable_probe_that_is_docked_by_itself_alone(start):

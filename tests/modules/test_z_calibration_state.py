@@ -78,6 +78,20 @@ def test_end_gcode_that_leaves_an_offset_of_its_own_is_refused(
     assert validity(printer)[:2] == (False, False)
 
 
+@pytest.mark.parametrize("template", ["start_gcode", "before_switch_gcode"])
+def test_offset_that_another_template_leaves_does_not_count(start, template):
+    """Such as that of a tool, which T0 sets when start_gcode takes it."""
+    attach = "\n  ATTACH_PROBE" if template == "before_switch_gcode" else ""
+    code = f"{attach}\n  SET_GCODE_OFFSET Z=0.3"
+    changes = {"gcode_macro ATTACH_PROBE": {"gcode": "M400"}}
+    changes.update(section(**{template: code}))
+    printer = start(changes=changes).homed()
+    for _ in range(2):
+        calibration(printer)
+        assert printer.offset() == pytest.approx(OFFSET, abs=0.001)
+        assert validity(printer) == (True, True, "")
+
+
 SEEN = "\n  RESPOND MSG='seen {printer.gcode_move.homing_origin.z}'"
 
 
@@ -190,6 +204,17 @@ def test_offset_that_is_gone_is_noticed(start, before, after):
     z_offset = printer.status("z_calibration")["last_z_offset"]
     printer.run(f"SET_GCODE_OFFSET Z={z_offset}")
     assert validity(printer) == (True, True, "")
+
+
+def test_offset_of_a_saved_state_is_noticed(start):
+    """As with PRINT_START, which saves a state, and sets 0 before it calibrates."""
+    printer = start().homed()
+    printer.run("SET_GCODE_OFFSET Z=0.15\nSAVE_GCODE_STATE NAME=old")
+    printer.run(f"SET_GCODE_OFFSET Z=0\nCALIBRATE_Z\n{RESTORE}")
+    assert "the G-code Z offset is 0.150" in "".join(told_later(printer))
+    text = printer.fail(SAVE)
+    assert "the G-code offset 0.150 is that of before CALIBRATE_Z" in text
+    assert pending(printer) == {}
 
 
 def test_offset_of_before_several_runs_is_noticed(start):

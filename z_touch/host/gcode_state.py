@@ -11,7 +11,7 @@ Copyright (C) 2026  the Z calibration developers, under the GNU GPLv3
 from __future__ import annotations
 
 import contextlib
-from typing import TYPE_CHECKING, Any, Dict, Iterator, NamedTuple
+from typing import TYPE_CHECKING, Any, Iterator, List, NamedTuple
 
 from ..command import always
 
@@ -135,9 +135,11 @@ class GcodeState:
         if current.speed != modes.speed:
             self._call("G1", F=f"{modes.speed:.6f}")
 
-    def saved_states(self) -> Dict[str, Any]:
-        """Return the states that SAVE_GCODE_STATE has saved, by name.
-
-        A state that is saved anew is another object.
-        """
-        return dict(self.gcode_move().saved_states)
+    def saved_offsets(self) -> List[float]:
+        """Return the G-code Z offsets (mm) that SAVE_GCODE_STATE and PAUSE have saved."""
+        states = self.gcode_move().saved_states.values()
+        return [
+            state["homing_position"][2]
+            for state in states
+            if "homing_position" in state
+        ]

@@ -423,7 +423,8 @@ class ZCalibration:
             run = self.new_run(settings, sites, self.statistics)
             with self.templates_around(run):
                 run.know(Earlier() if accepts_change else self.earlier())
-                # start_gcode may have fetched another tool
+                # start_gcode may have fetched another tool, with an offset of its own
+                self.host.gcode_state.set_z_offset(0.0)
                 checks.check_tool_offset(self.host)
                 self.user_gcode.check_g92(UNDO_G92)
                 try:
@@ -435,6 +436,8 @@ class ZCalibration:
                 if result is not None:
                     last = self._last_run(run, result, z_adjust)
                     self.results.note(last)
+                # Nor does one of the other templates count, which macros may set
+                self.host.gcode_state.set_z_offset(0.0)
             if last is None:
                 dirt = run.why_departed()
                 self.progress.say(
@@ -522,11 +525,13 @@ class ZCalibration:
         return last.replace(applied=after)
 
     def _earlier_offsets(self) -> Tuple[float, ...]:
-        """Return the G-code offsets (mm) of before the last runs."""
+        """Return the G-code offsets (mm) of before the last runs, and of saved states."""
+        saved = tuple(self.host.gcode_state.saved_offsets())
         last = self.results.last
         if last is None:
-            return ()
-        return (*last.earlier_offsets, last.applied)[-EARLIER_OFFSETS:]
+            return saved
+        earlier = (*last.earlier_offsets, last.applied)
+        return (*earlier[-EARLIER_OFFSETS:], *saved)
 
     cmd_Z_CALIBRATION_KEEP_OFFSET_help = (
         "In offset_gcode: it keeps the offset, or makes another one of it"

@@ -346,8 +346,11 @@ class NozzlePlace(Place):
         is_attached = looks and not self.host.probing.reads_triggered(looked)
         if is_attached and self.is_proved() and self.is_pin_known():
             self.come_down_with_probe(travel_z)
+            if self.endstop().query_endstop(self.host.after_moves()):
+                # A longer nozzle: the next way down is armed on the pin
+                self.go_there(travel_z)
         elif is_attached:
-            self.look_for_bed()
+            self.look_for_bed(travel_z)
         self.come_down(travel_z)
         self.collect()
         if is_attached and not self.is_proved():
@@ -379,7 +382,7 @@ class NozzlePlace(Place):
         if self.head.come_down(probe, low, speed) is not None:
             self.refuse_attached()
 
-    def look_for_bed(self) -> None:
+    def look_for_bed(self, travel_z: float) -> None:
         """Come down to the pin in small steps, and look at the probe after each.
 
         Only one switch can end a move, and that is the pin: it may be higher than expected,
@@ -401,6 +404,8 @@ class NozzlePlace(Place):
             if self.host.probing.reads_triggered(self.host.after_moves()):
                 self.refuse_attached()
             if z <= floor:
+                # A touch from above says that nothing has triggered
+                self.go_there(travel_z)
                 return
             z = max(min(z, self.host.motion.z()) - LOOK_STEP, floor)
         # A switch may open late

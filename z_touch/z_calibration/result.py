@@ -238,11 +238,7 @@ class Results:
         last = self.last
         if last is None or abs(offset - last.applied) < SAME_OFFSET:
             return False
-        saved = [
-            state["homing_position"][2]
-            for state in self.host.gcode_state.saved_states().values()
-            if "homing_position" in state
-        ]
+        saved = self.host.gcode_state.saved_offsets()
         return any(abs(offset - z) < SAME_OFFSET for z in saved) and any(
             abs(offset - z) < SAME_OFFSET for z in last.earlier_offsets
         )

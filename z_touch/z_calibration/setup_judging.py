@@ -94,6 +94,8 @@ def slow_settings(settings: Settings) -> Settings:
         probing_first_fast=False,
         # Texture would look like a switch that varies
         bed_spread=0.0,
+        # An attached probe may be another one than before: it is looked for each time
+        may_attach_late=True,
         samples=None,
         on_pin=on_pin,
         on_bed=on_bed,
