@@ -110,7 +110,7 @@ PAIRS = [
     # Looks at the bed how long the probe is, with a probe that is dead
     (
         Z,
-        ("trigger_never", "z_endstop", 3),
+        ("trigger_never", "z_endstop", 5),
         ("trigger_never", "probe"),
         REFUSED,
         True,
