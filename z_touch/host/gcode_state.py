@@ -135,11 +135,14 @@ class GcodeState:
         if current.speed != modes.speed:
             self._call("G1", F=f"{modes.speed:.6f}")
 
-    def saved_offsets(self) -> List[float]:
-        """Return the G-code Z offsets (mm) that SAVE_GCODE_STATE and PAUSE have saved."""
-        states = self.gcode_move().saved_states.values()
+    def saved_offsets(self, with_pause: bool) -> List[float]:
+        """Return the G-code Z offsets (mm) that SAVE_GCODE_STATE has saved.
+
+        'with_pause': also that of PAUSE.
+        """
         return [
             state["homing_position"][2]
-            for state in states
+            for name, state in self.gcode_move().saved_states.items()
             if "homing_position" in state
+            and (with_pause or name != "PAUSE_STATE")
         ]

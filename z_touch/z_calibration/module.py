@@ -526,7 +526,8 @@ class ZCalibration:
 
     def _earlier_offsets(self) -> Tuple[float, ...]:
         """Return the G-code offsets (mm) of before the last runs, and of saved states."""
-        saved = tuple(self.host.gcode_state.saved_offsets())
+        # RESUME restores nothing of before: no run begins while a print is paused
+        saved = tuple(self.host.gcode_state.saved_offsets(with_pause=False))
         last = self.results.last
         if last is None:
             return saved

@@ -238,7 +238,7 @@ class Results:
         last = self.last
         if last is None or abs(offset - last.applied) < SAME_OFFSET:
             return False
-        saved = self.host.gcode_state.saved_offsets()
+        saved = self.host.gcode_state.saved_offsets(with_pause=True)
         return any(abs(offset - z) < SAME_OFFSET for z in saved) and any(
             abs(offset - z) < SAME_OFFSET for z in last.earlier_offsets
         )
