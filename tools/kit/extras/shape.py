@@ -4,6 +4,8 @@
 
 import sys
 
+import greenlet
+
 
 class Shape:
     def __init__(self, config):
@@ -15,6 +17,7 @@ class Shape:
     def cmd_SHAPE(self, gcmd):
         script = gcmd.get("RUN")
         self.functions, self.calls, self.frames = set(), 0, 0
+        self.command = greenlet.getcurrent()
         sys.setprofile(self.profile)
         try:
             self.gcode.run_script_from_command(script)
@@ -31,7 +34,8 @@ class Shape:
         before.update(max(before, shape, key=lambda one: one["functions"]))
 
     def profile(self, frame, event, arg):
-        if event != "call":
+        # A timer that is due meanwhile, such as that of a report, is no part of it
+        if event != "call" or greenlet.getcurrent() is not self.command:
             return
         if self.is_theirs(frame):
             self.functions.add(frame.f_code)
