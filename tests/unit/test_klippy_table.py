@@ -22,8 +22,6 @@ OWN = {
     "__self__",
     "__defaults__",
     "get_status",
-    # Not used any more
-    "get_command_parameters",
 }
 
 

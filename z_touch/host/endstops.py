@@ -129,7 +129,7 @@ class Endstops:
         """Have the Z motors stop with an endstop."""
 
         def add_z_steppers() -> None:
-            # They exist since the toolhead was loaded, just before this event
+            """Add them: they exist since the toolhead was loaded, just before the event."""
             self.host.find_toolhead()
             for stepper in self.host.axes.z_steppers():
                 endstop.add_stepper(stepper)

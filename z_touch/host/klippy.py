@@ -34,15 +34,24 @@ class Reactor(Protocol):
 
     NEVER: float
 
-    def monotonic(self) -> float: ...
-    def pause(self, waketime: float) -> float: ...
+    def monotonic(self) -> float:
+        """Return the event time (s) of now."""
+
+    def pause(self, waketime: float) -> float:
+        """Let others run until an event time (s); return that of afterwards."""
+
     def register_timer(
         self, callback: Callable[[float], float], waketime: float = ...
-    ) -> Any: ...
-    def update_timer(self, timer: Any, waketime: float) -> None: ...
+    ) -> Any:
+        """Call 'callback' at an event time (s); it returns when to call it again."""
+
+    def update_timer(self, timer: Any, waketime: float) -> None:
+        """Have a timer run at another event time (s), NEVER: not at all."""
+
     def register_callback(
         self, callback: Callable[[float], None], waketime: float = ...
-    ) -> Any: ...
+    ) -> Any:
+        """Call 'callback' once, in a greenlet of its own, which may pause."""
 
 
 class Config(Protocol):
@@ -50,30 +59,51 @@ class Config(Protocol):
 
     error: Type[Exception]
 
-    def get_printer(self) -> Printer: ...
-    def get_name(self) -> str: ...
+    def get_printer(self) -> Printer:
+        """Return the printer that the section belongs to."""
+
+    def get_name(self) -> str:
+        """Return the name of the section, such as 'stepper_z'."""
+
     def get(
         self, option: str, default: Any = ..., note_valid: bool = ...
-    ) -> Any: ...
-    def getint(self, option: str, default: Any = ..., **limits: Any) -> Any: ...
-    def getfloat(
-        self, option: str, default: Any = ..., **limits: Any
-    ) -> Any: ...
+    ) -> Any:
+        """Return an option as it stands there; raises error without it and a default."""
+
+    def getint(self, option: str, default: Any = ..., **limits: Any) -> Any:
+        """Return an option as a whole number, within minval and maxval."""
+
+    def getfloat(self, option: str, default: Any = ..., **limits: Any) -> Any:
+        """Return an option as a number, within minval, maxval, above and below."""
+
     def getfloatlist(
         self,
         option: str,
         default: Any = ...,
         count: Optional[int] = ...,
         note_valid: bool = ...,
-    ) -> Any: ...
-    def getboolean(self, option: str, default: Any = ...) -> Any: ...
+    ) -> Any:
+        """Return an option as numbers; count: how many, None: any."""
+
+    def getboolean(self, option: str, default: Any = ...) -> Any:
+        """Return an option that is true or false."""
+
     def getchoice(
         self, option: str, choices: Mapping[Any, Any], default: Any = ...
-    ) -> Any: ...
-    def has_section(self, section: str) -> bool: ...
-    def getsection(self, section: str) -> Config: ...
-    def get_prefix_sections(self, prefix: str) -> List[Config]: ...
-    def get_prefix_options(self, prefix: str) -> List[str]: ...
+    ) -> Any:
+        """Return what 'choices' has for the option."""
+
+    def has_section(self, section: str) -> bool:
+        """Return whether the configuration has a section."""
+
+    def getsection(self, section: str) -> Config:
+        """Return a section, also one that is not there."""
+
+    def get_prefix_sections(self, prefix: str) -> List[Config]:
+        """Return the sections whose names begin so."""
+
+    def get_prefix_options(self, prefix: str) -> List[str]:
+        """Return the names of the options that begin so."""
 
 
 class GCodeCommand(Protocol):
@@ -81,15 +111,23 @@ class GCodeCommand(Protocol):
 
     error: Type[Exception]
 
-    def get_command(self) -> str: ...
-    def get_commandline(self) -> str: ...
-    def get_command_parameters(self) -> Dict[str, str]: ...
-    def get(self, name: str, default: Any = ...) -> Any: ...
-    def get_int(self, name: str, default: Any = ..., **limits: Any) -> Any: ...
-    def get_float(
-        self, name: str, default: Any = ..., **limits: Any
-    ) -> Any: ...
-    def respond_info(self, msg: str, log: bool = ...) -> None: ...
+    def get_command(self) -> str:
+        """Return the name of the command."""
+
+    def get_commandline(self) -> str:
+        """Return the whole line."""
+
+    def get(self, name: str, default: Any = ...) -> Any:
+        """Return a parameter; raises error without it and a default."""
+
+    def get_int(self, name: str, default: Any = ..., **limits: Any) -> Any:
+        """Return a parameter as a whole number, within minval and maxval."""
+
+    def get_float(self, name: str, default: Any = ..., **limits: Any) -> Any:
+        """Return a parameter as a number, within minval, maxval, above and below."""
+
+    def respond_info(self, msg: str, log: bool = ...) -> None:
+        """Show a text on the console; log: in klippy.log, too."""
 
 
 Handler = Callable[[GCodeCommand], None]
@@ -98,7 +136,9 @@ Handler = Callable[[GCodeCommand], None]
 class Mutex(Protocol):
     """The lock that a command holds while it runs."""
 
-    def test(self) -> bool: ...
+    def test(self) -> bool:
+        """Return whether the lock is held."""
+
     def __enter__(self) -> Any: ...
     def __exit__(self, *unused: Any) -> None: ...
 
@@ -115,7 +155,9 @@ class GCode(Protocol):
         func: Optional[Handler],
         when_not_ready: bool = ...,
         desc: Optional[str] = ...,
-    ) -> Optional[Handler]: ...
+    ) -> Optional[Handler]:
+        """Have 'func' run a command, None: nothing; return what ran it before."""
+
     def register_mux_command(
         self,
         cmd: str,
@@ -123,14 +165,25 @@ class GCode(Protocol):
         value: Optional[str],
         func: Handler,
         desc: Optional[str] = ...,
-    ) -> None: ...
+    ) -> None:
+        """Have 'func' run a command where the parameter 'key' has that value."""
+
     def create_gcode_command(
         self, command: str, commandline: str, params: Mapping[str, str]
-    ) -> GCodeCommand: ...
-    def run_script_from_command(self, script: str) -> None: ...
-    def respond_info(self, msg: str, log: bool = ...) -> None: ...
-    def respond_raw(self, msg: str) -> None: ...
-    def get_mutex(self) -> Mutex: ...
+    ) -> GCodeCommand:
+        """Return a command that was not sent."""
+
+    def run_script_from_command(self, script: str) -> None:
+        """Run G-code within a command that is running."""
+
+    def respond_info(self, msg: str, log: bool = ...) -> None:
+        """Show a text on the console; log: in klippy.log, too."""
+
+    def respond_raw(self, msg: str) -> None:
+        """Send a line as it is."""
+
+    def get_mutex(self) -> Mutex:
+        """Return the lock that commands hold while they run."""
 
 
 class Printer(Protocol):
@@ -139,75 +192,131 @@ class Printer(Protocol):
     config_error: Type[Exception]
     command_error: Type[Exception]
 
-    def get_reactor(self) -> Reactor: ...
-    def get_start_args(self) -> Dict[str, Any]: ...
-    def is_shutdown(self) -> bool: ...
-    def invoke_shutdown(self, msg: str) -> None: ...
-    def add_object(self, name: str, obj: Any) -> None: ...
-    def lookup_object(self, name: str, default: Any = ...) -> Any: ...
+    def get_reactor(self) -> Reactor:
+        """Return the event loop."""
+
+    def get_start_args(self) -> Dict[str, Any]:
+        """Return with what klippy was started, such as the path of printer.cfg."""
+
+    def is_shutdown(self) -> bool:
+        """Return whether the printer is shut down."""
+
+    def invoke_shutdown(self, msg: str) -> None:
+        """Shut the printer down, for a reason that the user reads."""
+
+    def add_object(self, name: str, obj: Any) -> None:
+        """Make an object known by a name."""
+
+    def lookup_object(self, name: str, default: Any = ...) -> Any:
+        """Return an object; raises config_error without it and a default."""
+
     def lookup_objects(
         self, module: Optional[str] = ...
-    ) -> List[Tuple[str, Any]]: ...
-    def load_object(self, config: Config, section: str) -> Any: ...
+    ) -> List[Tuple[str, Any]]:
+        """Return names and objects of a module, None: of all."""
+
+    def load_object(self, config: Config, section: str) -> Any:
+        """Return the object of a section, which is loaded if it is not yet."""
+
     def register_event_handler(
         self, event: str, callback: Callable[..., Any]
-    ) -> None: ...
-    def send_event(self, event: str, *params: Any) -> Any: ...
+    ) -> None:
+        """Call 'callback' whenever an event is sent."""
+
+    def send_event(self, event: str, *params: Any) -> Any:
+        """Send an event; return what its handlers do."""
 
 
 class Stepper(Protocol):
     """One motor."""
 
-    def get_name(self) -> str: ...
-    def get_step_dist(self) -> float: ...
-    def get_mcu_position(self) -> int: ...
-    def get_commanded_position(self) -> float: ...
-    def is_active_axis(self, axis: str) -> bool: ...
+    def get_name(self) -> str:
+        """Return the name of the section."""
+
+    def get_step_dist(self) -> float:
+        """Return the way of one microstep (mm)."""
+
+    def get_mcu_position(self) -> int:
+        """Return how many microsteps the board has counted."""
+
+    def get_commanded_position(self) -> float:
+        """Return where the motor is to be (mm, of the motor)."""
+
+    def is_active_axis(self, axis: str) -> bool:
+        """Return whether an axis ('x', 'y', 'z') moves the motor."""
 
 
 class Kinematics(Protocol):
     """How the motors move the toolhead."""
 
-    def get_steppers(self) -> List[Stepper]: ...
+    def get_steppers(self) -> List[Stepper]:
+        """Return all motors."""
+
     def calc_position(
         self, stepper_positions: Mapping[str, float]
-    ) -> Sequence[float]: ...
+    ) -> Sequence[float]:
+        """Return X, Y and Z (mm) where the motors, by name, are there (mm)."""
 
 
 class ToolHead(Protocol):
     """The object 'toolhead': where it is, and plain moves (mm, mm/s)."""
 
-    def get_position(self) -> List[float]: ...
-    def set_position(
-        self, newpos: Sequence[float], homing_axes: Any
-    ) -> None: ...
+    def get_position(self) -> List[float]:
+        """Return X, Y, Z and E (mm) that were commanded last."""
+
+    def set_position(self, newpos: Sequence[float], homing_axes: Any) -> None:
+        """Declare where the toolhead is (mm), and which axes are homed by that."""
+
     def manual_move(
         self, coord: Sequence[Optional[float]], speed: float
-    ) -> None: ...
-    def wait_moves(self) -> None: ...
-    def dwell(self, delay: float) -> None: ...
-    def get_last_move_time(self) -> float: ...
-    def flush_step_generation(self) -> None: ...
-    def check_busy(self, eventtime: float) -> Tuple[float, float, bool]: ...
-    def get_kinematics(self) -> Any: ...
-    def get_status(self, eventtime: float) -> Status: ...
+    ) -> None:
+        """Move to X, Y and Z (mm), None: as it is, at a speed (mm/s)."""
+
+    def wait_moves(self) -> None:
+        """Pause until all moves have ended."""
+
+    def dwell(self, delay: float) -> None:
+        """Let the toolhead stand for so long (s), after the moves before."""
+
+    def get_last_move_time(self) -> float:
+        """Return the print time (s) at which the last move ends."""
+
+    def flush_step_generation(self) -> None:
+        """Make the steps of all moves before."""
+
+    def check_busy(self, eventtime: float) -> Tuple[float, float, bool]:
+        """Return the print time (s), its estimate, and whether nothing waits."""
+
+    def get_kinematics(self) -> Any:
+        """Return how its motors move it."""
+
+    def get_status(self, eventtime: float) -> Status:
+        """Return what macros read of it."""
 
 
 class Endstop(Protocol):
     """A pin that can stop motors."""
 
-    def get_steppers(self) -> List[Stepper]: ...
-    def add_stepper(self, stepper: Stepper) -> None: ...
-    def query_endstop(self, print_time: float) -> Any: ...
+    def get_steppers(self) -> List[Stepper]:
+        """Return the motors that it stops."""
+
+    def add_stepper(self, stepper: Stepper) -> None:
+        """Have it stop one more motor."""
+
+    def query_endstop(self, print_time: float) -> Any:
+        """Return whether it is triggered at a print time (s).  Pauses."""
 
 
 class Template(Protocol):
     """G-code of the user, as [gcode_macro] has it."""
 
-    def create_template_context(self) -> Dict[str, Any]: ...
+    def create_template_context(self) -> Dict[str, Any]:
+        """Return what the template can read."""
+
     def run_gcode_from_command(
         self, context: Optional[Dict[str, Any]] = ...
-    ) -> None: ...
+    ) -> None:
+        """Run it within a command; None: with what it can read by itself."""
 
 
 Context = ContextManager[None]
