@@ -26,6 +26,8 @@ class CalibrationError(Exception):
         # Why the touch ended where it did
         self.floor_reason = ""
         self.remedy = ""
+        # What is not as it should be since, after cleaning up
+        self.afterwards = ""
 
     def __str__(self) -> str:
         text = f"{self.subject}: {self.what}" if self.subject else self.what
@@ -33,7 +35,8 @@ class CalibrationError(Exception):
             text += f", expected a trigger at z={self.expected_z:.3f}"
         if self.floor_reason:
             text += f", the lowest point of this touch: {self.floor_reason}"
-        return f"{text}; {self.remedy}" if self.remedy else text
+        more = [part for part in (self.remedy, self.afterwards) if part]
+        return "; ".join([text, *more])
 
     def advised(
         self,
@@ -50,6 +53,10 @@ class CalibrationError(Exception):
             self.expected_z = expected_z
             self.floor_reason = floor_reason
         return self
+
+    def left(self, afterwards: str) -> None:
+        """Say what is not as it should be after cleaning up; empty: nothing."""
+        self.afterwards = afterwards
 
     def happened_in(self, subject: str) -> None:
         """Say what the error is about, unless that is said already."""

@@ -5,9 +5,11 @@ Copyright (C) 2026  the Z calibration developers, under the GNU GPLv3
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING, Any, Optional
+import contextlib
+from typing import TYPE_CHECKING, Any, Iterator, Optional
 
 from .errors import CalibrationError
+from .host import unknown_commands
 
 if TYPE_CHECKING:
     from .host.klippy import Config, Template
@@ -31,6 +33,8 @@ def load_template(
         raise config.error(
             f"Option '{name}' in section '{config.get_name()}' cannot be read: {e}"
         )
+    script: str = config.get(name, default or "")
+    unknown_commands.of(printer).add(config.get_name(), name, script)
     return template
 
 
@@ -62,11 +66,33 @@ def run_template(
     Raises CalibrationError, or the host's error where the printer was shut down.
     """
     try:
-        if params:
-            run_with_params(template, **params)
-        else:
-            template.run_gcode_from_command()
+        with checking_commands(host, name):
+            if params:
+                run_with_params(template, **params)
+            else:
+                template.run_gcode_from_command()
     except host.printer.command_error as e:
         if host.printer.is_shutdown():
             raise
         raise CalibrationError(f"{name}: {e}")
+
+
+@contextlib.contextmanager
+def checking_commands(host: Host, name: str) -> Iterator[None]:
+    """Raise CalibrationError after G-code of an option that was not all run.
+
+    A command that the host does not know is answered with a line, so what the user wants was
+    not done.  One such as M300 is told only.
+    """
+    with unknown_commands.of(host.printer).listening() as heard:
+        yield
+    for command in heard:
+        if unknown_commands.is_letter_and_number(command):
+            host.say(
+                f"{name}: {command} is no command of this printer; ignored"
+            )
+            continue
+        raise CalibrationError(
+            f"{name}: {command} is no command or macro of this printer; check how it"
+            " is spelt, there and in the macros that it runs"
+        )

@@ -236,7 +236,8 @@ class Head:
                 NoTrigger if is_missing and is_at(host, z) else CalibrationError
             )
             # The host calls whatever is touched a probe
-            is_probe = endstop is host.probing.endstop()
+            probing = host.probing
+            is_probe = endstop in (probing.endstop(), probing.bare_endstop())
             text = NO_ANSWER if is_missing and not is_probe else str(e)
             raise self._stopped(e, kind, text)
         return self._pressed(start_z, trigger_z, trigger_z)

@@ -27,6 +27,7 @@ NAMES = ("z_calibration", "auto_z_offset", "extra_probe", "dockable_probe")
 NO_MESSAGES = {
     "get_mcu add_stepper get_steppers home_start query_endstop",
     "// action:prompt_",
+    '^// Unknown command:"(.*)"$',
     "No trigger",
     "Keep a hand on the emergency stop.",
     "The buttons move the head; you may move it as you like, too.",

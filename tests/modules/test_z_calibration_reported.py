@@ -251,9 +251,9 @@ def test_fast_first_touch_is_no_faster_than_homing(start):
 # An offset_gcode that does not do what it says
 
 
-def test_misspelt_offset_gcode_fails_the_run(start):
-    """Klipper answers an unknown command with a line, and goes on."""
-    changes = section(offset_gcode="_KEEP_OFFSETT Z={params.Z}")
+def test_offset_gcode_that_sets_nothing_fails_the_run(start):
+    """Such as one that keeps it in a variable; a misspelt one fails by its name."""
+    changes = section(offset_gcode="M400")
     printer = start(changes=changes).homed()
     printer.run("SET_GCODE_OFFSET Z=0.3")
     text = printer.fail("CALIBRATE_Z")

@@ -12,6 +12,7 @@ from .. import in_force as restoring
 from .. import progress as notes
 from .. import touch as touching
 from ..errors import CalibrationError
+from ..host import unknown_commands
 from ..host.printer import Host
 from ..host.toolhead import check_z_axis
 from . import checks, heights, shifts
@@ -32,7 +33,7 @@ class AutoZOffset:
         self.settings = read_settings(config, self.host.axes.z_axis)
         # Of the section; printer and probe follow when klippy connects
         self.start_notes = settings_notes(self.settings)
-        self.notes = notes.Notes(self.host, lambda: self.start_notes)
+        self.notes = notes.Notes(self.host, self.all_notes)
         self.sensor = BedSensor(config, self.host, self.settings.pin)
         self.correction = Correction(self.host, self.settings)
         self.expectations = Expectations(
@@ -66,6 +67,11 @@ class AutoZOffset:
         self.start_notes += checks.printer_notes(
             self.host, self.settings, self.sensor.motors
         )
+
+    # What is told when klippy is ready: by then all commands are known, too
+    def all_notes(self):
+        unknown = unknown_commands.of(self.printer)
+        return self.start_notes + unknown.notes(self.host.section)
 
     # The buttons of the host, which know nothing of a correction
     def watch_buttons(self):

@@ -18,6 +18,8 @@ import contextlib
 import functools
 
 from .. import command as running
+from .. import templates
+from ..errors import CalibrationError
 from . import detour
 from .sensors import ATTACHED, DOCKED, UNKNOWN
 from .settings import POSITIONS, travel_height
@@ -212,7 +214,10 @@ class Docking:
         modes = gcode_state.modes()
         gcode_state.set_modes(modes._replace(absolute=True))
         try:
-            template.run_gcode_from_command()
+            with templates.checking_commands(self.host, name):
+                template.run_gcode_from_command()
+        except CalibrationError as e:
+            raise self.host.error(e)
         finally:
             self.running = outer
             gcode_state.set_modes(modes)

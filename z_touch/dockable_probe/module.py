@@ -12,6 +12,7 @@ from .. import command as running
 from .. import progress as notes
 from ..errors import CalibrationError
 from ..host import printer as host
+from ..host import unknown_commands
 from . import checks, detour
 from .carrier import Carrier
 from .docking import DOCK, FETCH, IF_DOCKED, Docking
@@ -109,6 +110,7 @@ class DockableProbe:
                 " mesh is probed; make the mesh smaller, or move the dock"
                 % dock
             )
+        notes += unknown_commands.of(self.host.printer).notes(self.host.section)
         return notes + self.homing_notes()
 
     # After a restart, or with motors that were off, nobody knows where the head is

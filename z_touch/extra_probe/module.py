@@ -11,8 +11,10 @@ from .. import command as running
 from .. import pin as z_pin
 from .. import touch as touching
 from ..errors import CalibrationError
+from ..host import unknown_commands
 from ..host.printer import Host
 from ..host.toolhead import check_z_axis
+from ..progress import Notes
 from ..sampling import accuracy, summarize
 from . import heights
 from .calibration import Calibration
@@ -36,6 +38,7 @@ class ExtraProbe:
         self.name = config.get_name().split()[-1]
         self.host = Host(config)
         check_z_axis(config, self.host.axes.z_axis)
+        self.notes = Notes(self.host, self.start_notes)
         self.runner = running.Runner(self.host)
         carrying.of(self.host.printer).watches.append(self.runner.watch)
         self.settings = read_settings(config)
@@ -63,6 +66,11 @@ class ExtraProbe:
     ##################################################################
     # Set-up
     ##################################################################
+
+    # What is told when klippy is ready
+    def start_notes(self):
+        unknown = unknown_commands.of(self.host.printer)
+        return unknown.notes(self.host.section)
 
     def connect(self):
         host = self.host

@@ -182,6 +182,9 @@ class GCode(Protocol):
     def respond_raw(self, msg: str) -> None:
         """Send a line as it is."""
 
+    def register_output_handler(self, cb: Callable[[str], None]) -> None:
+        """Have 'cb' called with each line of the console, for good."""
+
     def get_mutex(self) -> Mutex:
         """Return the lock that commands hold while they run."""
 

@@ -96,6 +96,9 @@ class Probing:
         # None: a section that is not known here, or none
         self.section = endstops.find_probe_section(config)
         self.printer = host.printer
+        self._puts_away = config.has_section("probe") and bool(
+            config.getsection("probe").get("deactivate_gcode", "").strip()
+        )
         # Exists from klippy:connect on; None: the printer has none
         self.probe: Any = None
 
@@ -137,6 +140,33 @@ class Probing:
             if endstops.is_endstop(candidate):
                 return candidate
         return None
+
+    def bare_endstop(self) -> Any:
+        """Return the switch of the probe whose moves run no G-code of the user.
+
+        Until 2026-05-25 (43baf9b83) the host runs activate_gcode and deactivate_gcode of
+        [probe] around a move of any kind that endstop() stops, and the probe need not be
+        where it was then.
+        """
+        outer = self.endstop()
+        inner = getattr(outer, "mcu_endstop", None)
+        home_start = getattr(outer, "home_start", None)
+        # A dock or QIDI's hosts have one of their own
+        is_same = home_start and home_start == getattr(inner, "home_start", 0)
+        return inner if is_same else outer
+
+    def has_deactivate_gcode(self) -> bool:
+        """Return whether the host may put the probe away after its own probing.
+
+        By deactivate_gcode of [probe]; dockable ones are asked where they are.
+        """
+        return self._puts_away
+
+    def puts_away_each_time(self) -> bool:
+        """Return whether it may do so after each touch."""
+        wrapper = getattr(self.probe, "mcu_probe", None)
+        each: bool = getattr(wrapper, "stow_on_each_sample", False)
+        return self._puts_away and each
 
     def reads_triggered(self, print_time: float) -> bool:
         """Return whether the probe's switch reads triggered at a print time.  May pause."""

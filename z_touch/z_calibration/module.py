@@ -33,6 +33,7 @@ from typing import (
 from .. import __version__, attached, command, options
 from ..datum import LEVELLED, Datum, HomedDatum
 from ..errors import CalibrationError
+from ..host import unknown_commands
 from ..host.printer import Host
 from ..host.toolhead import check_z_axis
 from ..in_force import InForce
@@ -43,7 +44,7 @@ from .pin import PressedPin, find_pin, read_pin
 from .report_process import ReportProcess
 from .result import LastRun, Results, height_of
 from .run import CalibrationRun, Earlier
-from .runs import SITES, Cycle, offsets, uncertainty
+from .runs import PROBE, SITES, Cycle, offsets, uncertainty
 from .settings import (
     Settings,
     complete,
@@ -181,6 +182,7 @@ class ZCalibration:
     def start_notes(self) -> List[str]:
         """Return what the user is told when klippy is ready, empty texts among it."""
         texts = [*self.config_notes, *checks.notes(self.host, self.settings)]
+        texts += unknown_commands.of(self.host.printer).notes(self.host.section)
         texts += self.run_log.notes
         if self.run_log.last_good(self.host.extruder()) is None:
             # How low the first run may go
@@ -257,15 +259,40 @@ class ZCalibration:
     def templates_around(self, run: CalibrationRun) -> Iterator[None]:
         """Run start_gcode and end_gcode around the touches of a run.
 
-        end_gcode runs after a failure, too, with the toolhead lifted.
+        end_gcode runs after a failure, too, with the toolhead lifted.  A probe that the run
+        has seen attached, and that is attached still, is a warning: it would meet the bed
+        before the nozzle does.
         """
         self.user_gcode.check_before_start()
         ending = command.always(self.host, self.user_gcode.end, "end_gcode")
         lifting = command.always(self.host, run.lift, "lifting")
-        with ending, lifting:
-            self.user_gcode.start()
-            with self.user_gcode.holding_probe():
-                yield
+        try:
+            with ending, lifting:
+                self.user_gcode.start()
+                with self.user_gcode.holding_probe():
+                    yield
+        except CalibrationError as e:
+            e.left(self._why_left(run))
+            raise
+        except self.host.printer.command_error:
+            left = self._why_left(run)
+            if left:
+                self.progress.say(left)
+            raise
+        left = self.user_gcode.probe_left(run.was_attached)
+        if left:
+            run.warn(PROBE, left)
+
+    def _why_left(self, run: CalibrationRun) -> str:
+        """Return why the probe should not be where it is after a failure, or nothing.
+
+        Looking for it must not hide the error.
+        """
+        try:
+            return self.user_gcode.probe_left(run.was_attached)
+        except (self.host.printer.command_error, CalibrationError):
+            logging.exception("z_calibration: the probe is not looked at")
+            return ""
 
     def begin_statistics(self, settings: Settings) -> None:
         """Begin a run that will be kept: what earlier ones say of its touches."""
@@ -438,7 +465,9 @@ class ZCalibration:
                     self.results.note(last)
                 # Nor does one of the other templates count, which macros may set
                 self.host.gcode_state.set_z_offset(0.0)
-            if last is None:
+            if last is not None:
+                last = last.replace(warnings=tuple(run.warnings))
+            else:
                 dirt = run.why_departed()
                 self.progress.say(
                     f"{dirt}: cleaning the nozzle, then everything once more"
@@ -675,7 +704,9 @@ class ZCalibration:
             run.know(self.earlier())
             if not params.attach:
                 self._check_stays_attached(run)
-            for _ in range(1 if params.attach else params.cycles):
+            for cycle in range(1 if params.attach else params.cycles):
+                if cycle:
+                    self.user_gcode.attach_again()
                 result = self.touch_all(run)
                 assert result is not None
                 cycles.append(self._cycle())

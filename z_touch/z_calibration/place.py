@@ -20,9 +20,10 @@ from __future__ import annotations
 
 import contextlib
 import math
-from typing import TYPE_CHECKING, Any, Iterator, Optional
+from typing import TYPE_CHECKING, Iterator, Optional
 
 from .. import attached, errors, touch
+from ..command import always
 from ..errors import CalibrationError, NoTrigger
 from ..texture import spread_site, spread_tolerance
 from . import checks, heights, pace
@@ -378,7 +379,8 @@ class NozzlePlace(Place):
         """Come down in one move that is armed on the probe, to above the pin."""
         assert self.expected_z is not None
         low = max(self.expected_z, self.floor) + ABOVE_PIN
-        probe, speed = self.host.probing.endstop(), self.settings.probing_speed
+        probe = self.host.probing.bare_endstop()
+        speed = self.settings.probing_speed
         if self.head.come_down(probe, low, speed) is not None:
             self.refuse_attached()
 
@@ -540,9 +542,8 @@ class BedPlace(Place):
         super().__init__(run, spread_site(site, self.spread, 0), sampling)
 
     def endstop(self) -> Endstop:
-        """Return the probe's switch."""
-        endstop: Any = self.host.probing.endstop()
-        found: Endstop = endstop
+        """Return the probe's switch: only the host's own probing runs G-code of the user."""
+        found: Endstop = self.host.probing.bare_endstop()
         return found
 
     def touch_all(self, travel_z: float) -> None:
@@ -553,28 +554,45 @@ class BedPlace(Place):
             self.collect()
 
     def look(self, travel_z: float, floor: float) -> float:
-        """Return the height of one fast touch, which tells how long the probe is."""
+        """Return the height of one fast touch, which tells how long the probe is.
+
+        Outside of the host's own probing, whose end may put the probe away before its body
+        is to meet the pin.
+        """
         self.floor = floor
         with errors.about(self.site.name):
             self.go_there(travel_z)
             self.check_probe_attached(self.host.after_moves())
-            with self.in_session(travel_z, is_look=True):
-                z = self.head.pressed_z
+            if self.host.probing.lifts_outside_session():
+                with self.in_session(travel_z, is_look=True):
+                    z = self.head.pressed_z
+            else:
+                z = self.look_once(travel_z)
         assert z is not None
+        return z
+
+    def look_once(self, travel_z: float) -> Optional[float]:
+        """Return the height of one fast touch, the toolhead lifted again."""
+
+        def lift() -> None:
+            self.head.lift(travel_z)
+
+        with always(self.host, lift, "lifting"):
+            self.first_touch()
+            z = self.head.pressed_z
+        self.leave(travel_z)
         return z
 
     @contextlib.contextmanager
     def in_session(self, travel_z: float, is_look: bool) -> Iterator[None]:
         """Come down and begin the host's own probing; lift before it ends.
 
-        The way down comes before that: some hosts run deactivate_gcode after it, too, and an
-        error in it would end the session unseen.  But outside of a session some
-        dockable_probe may lift the toolhead after a move.  At its end the host may stow or
-        dock the probe.
+        Outside of a session some dockable_probe may lift the toolhead after a move.  At its
+        end the host may stow or dock the probe.
         """
         is_inside = self.host.probing.lifts_outside_session()
         if not is_inside:
-            self.come_down_to(travel_z, is_look)
+            self.come_down(travel_z)
         with touch.probing(
             self.head,
             self.floor,
@@ -594,11 +612,16 @@ class BedPlace(Place):
             self.come_down(travel_z)
 
     def leave(self, travel_z: float) -> None:
-        """Lift; both sensors must be free again above the bed."""
+        """Lift; both sensors must be free again above the bed.
+
+        A probe that the host puts away after each touch reads like one that has come off.
+        """
         self.head.lift(travel_z)
         print_time = self.host.after_moves()
         self.check_pin_open(print_time)
-        self.check_probe_attached(print_time)
+        is_put_away = self.taken and self.host.probing.puts_away_each_time()
+        if not is_put_away:
+            self.check_probe_attached(print_time)
 
     def touch_once(self) -> None:
         """Touch once, down to the floor.
@@ -610,7 +633,8 @@ class BedPlace(Place):
         if self.session is not None:
             self.run.twist = self.head.probe(self.session).twist
         else:
-            super().touch_once()
+            endstop = self.host.probing.endstop()
+            self.head.touch(endstop, self.floor, self.sampling.speed)
             self.run.twist = self.host.probing.twist()
 
     def retract(self) -> None:

@@ -43,6 +43,9 @@ SITES = ("nozzle", "switch", "bed")
 # What a warning may be about besides one site: the height of the probe's body
 BODY = "switch - nozzle"
 
+# What a warning is about: a probe that was left on the toolhead
+PROBE = "probe"
+
 # A longer line (bytes) is damaged: 200 cycles of 30 touches at each site are shorter
 LONGEST = 262144
 
@@ -77,7 +80,7 @@ Point = Tuple[float, float]
 
 
 class Warned(NamedTuple):
-    """Something odd: the site, BODY or the feature of Klipper's that it is about."""
+    """Something odd: the site, BODY, PROBE or the feature of Klipper's that it is about."""
 
     about: str
     text: str

@@ -106,6 +106,12 @@ class UserGcode:
         command.check_homed(self.host)
         self.free_nozzle()
 
+    def attach_again(self) -> None:
+        """Run start_gcode once more where Klipper may have put the probe away after the bed."""
+        if self.host.probing.has_deactivate_gcode():
+            self.run("start_gcode")
+            command.check_homed(self.host)
+
     def before_attaching(self) -> None:
         """Note where the probe is, for free_nozzle()."""
         carrier = self.carrier()
@@ -198,6 +204,21 @@ class UserGcode:
             return
         if carrier.state() != attached.DOCKED:
             self.host.gcode.run_script_from_command("DETACH_PROBE")
+
+    def probe_left(self, was_seen: bool) -> str:
+        """Return why the probe should not be where it is after end_gcode; empty: it may.
+
+        'was_seen': the run has seen it attached.  One that was attached before start_gcode
+        may stay on purpose, and a dockable_probe is where it was before.
+        """
+        if not was_seen or self.was_attached or self.carrier() is not None:
+            return ""
+        if self.host.printer.is_shutdown() or not self.reads_attached():
+            return ""
+        return (
+            "the probe is still attached after end_gcode, and would meet the bed before"
+            " the nozzle does; detach it in end_gcode, and check that with QUERY_PROBE"
+        )
 
     def apply(self, z_offset: float) -> bool:
         """Set the G-code Z offset (mm), or have offset_gcode do so.
