@@ -15,6 +15,7 @@ Copyright (C) 2026  the Z calibration developers, under the GNU GPLv3
 from __future__ import annotations
 
 import collections
+import contextlib
 import dataclasses
 import math
 from typing import (
@@ -23,6 +24,7 @@ from typing import (
     Callable,
     Dict,
     Iterable,
+    Iterator,
     List,
     Mapping,
     NamedTuple,
@@ -49,9 +51,34 @@ RESULTS: Dict[Optional[str], Optional[str]] = {
 OldName = Union[str, Tuple[str, str]]
 
 
+# No printer has a length (mm) or a speed (mm/s) as large, or a speed as low; nor another number,
+# such as an acceleration
+LARGEST_LENGTH = 10000.0
+SLOWEST = 0.01
+LARGEST_OTHER = 1000000.0
+
+# Nobody waits for more touches of one place
+MOST_TOUCHES = 1000
+
+# So many characters of a command are quoted in its error
+LONGEST_QUOTE = 60
+
+
 def is_finite(value: float) -> bool:
     """Return whether a number is neither nan nor infinite."""
     return not (math.isnan(value) or math.isinf(value))
+
+
+def why_impossible(value: float, unit: str = "mm") -> str:
+    """Return why no printer has such a number, in words; empty: one may have it."""
+    if not is_finite(value):
+        return "is not a finite number"
+    if unit == "mm/s" and value < SLOWEST:
+        return f"has to be {SLOWEST:g} mm/s at least, and is {value:g}"
+    largest = LARGEST_LENGTH if unit in ("mm", "mm/s") else LARGEST_OTHER
+    if abs(value) > largest:
+        return f"has to be {largest:g} at most, and is {value:g}"
+    return ""
 
 
 def config_error(config: Config, name: object, what: str) -> Exception:
@@ -66,12 +93,17 @@ def config_error(config: Config, name: object, what: str) -> Exception:
 
 
 def read_number(
-    config: Config, name: str, default: Any = None, **limits: float
+    config: Config,
+    name: str,
+    default: Any = None,
+    unit: str = "mm",
+    **limits: float,
 ) -> Any:
     """Return a number; the host takes 'nan' and 'inf' for some, which no limit catches."""
     value = config.getfloat(name, default, **limits)
-    if value is not None and not is_finite(value):
-        raise config_error(config, name, "is not a finite number")
+    why = "" if value is None else why_impossible(value, unit)
+    if why:
+        raise config_error(config, name, why)
     return value
 
 
@@ -81,8 +113,9 @@ def read_pair(config: Config, name: str) -> Optional[Tuple[float, float]]:
     if values is None:
         return None
     x, y = values
-    if not (is_finite(x) and is_finite(y)):
-        raise config_error(config, name, "is not a pair of finite numbers")
+    why = why_impossible(x) or why_impossible(y)
+    if why:
+        raise config_error(config, name, why)
     return x, y
 
 
@@ -103,6 +136,9 @@ def read_margins(
             " both directions",
         )
     low, high = values
+    why = why_impossible(low) or why_impossible(high)
+    if why:
+        raise config_error(config, name, why)
     if low >= high:
         raise config_error(
             config,
@@ -279,7 +315,7 @@ def option(
 
 
 def _read_number(config: Config, name: str, row: Option) -> Any:
-    return read_number(config, name, row.default, **row.limits)
+    return read_number(config, name, row.default, row.unit, **row.limits)
 
 
 def _read_count(config: Config, name: str, row: Option) -> Any:
@@ -329,13 +365,15 @@ def _read_gcode(config: Config, name: str, row: Option) -> Any:
 
 
 REFUSED = Kind("nothing", _refuse, ())
-NUMBER = Kind("number", _read_number, ("many", "nan", "inf", "1,5"))
+NUMBER = Kind("number", _read_number, ("many", "nan", "inf", "1,5", "1e7"))
 COUNT = Kind("whole number", _read_count, ("many", "1.5"))
 FLAG = Kind("True or False", _read_flag, ("maybe",), ("True", "False"))
 TEXT = Kind("text", _read_text, ())
 PIN = Kind("MCU pin", _read_pin, ("no:PA1", "PZ9:1"))
-PAIR = Kind("X, Y", _read_pair, ("100", "1, 2, 3", "a, b", "nan, 1"))
-MARGINS = Kind("low, high", _read_margins, ("1, -1", "1, 2, 3", "nan", "0"))
+PAIR = Kind("X, Y", _read_pair, ("100", "1, 2, 3", "a, b", "nan, 1", "1e5, 1"))
+MARGINS = Kind(
+    "low, high", _read_margins, ("1, -1", "1, 2, 3", "nan", "0", "1e5")
+)
 SAMPLES = Kind(
     "whole number or auto", _read_samples, ("0", "1.5", "some"), (AUTO,)
 )
@@ -403,7 +441,8 @@ def nonsense(row: Option) -> List[str]:
         for name, step in steps
         if name in row.limits
     ]
-    return [*row.kind.nonsense, *outside]
+    slow = ["1e-10"] if row.unit == "mm/s" else []
+    return [*row.kind.nonsense, *outside, *slow]
 
 
 ######################################################################
@@ -508,7 +547,15 @@ def record(name: str, rows: Iterable[Option], also: str = "") -> Any:
 
 # On every host; lift_speed is as speed where it is left out
 PROBE_OPTIONS = (
-    option("samples", COUNT, 1, "", "How often a point is touched.", minval=1),
+    option(
+        "samples",
+        COUNT,
+        1,
+        "",
+        "How often a point is touched.",
+        minval=1,
+        maxval=MOST_TOUCHES,
+    ),
     option(
         "samples_tolerance",
         NUMBER,
@@ -524,6 +571,7 @@ PROBE_OPTIONS = (
         "",
         "How often the touches of a point begin again if they differ by more.",
         minval=0,
+        maxval=MOST_TOUCHES,
     ),
     option(
         "samples_result",
@@ -567,7 +615,9 @@ def sampling_of(values: Mapping[str, Any]) -> Sampling:
 
 def param_sampling(gcmd: GCodeCommand, sampling: Sampling) -> Sampling:
     """Return a sampling with what PROBE takes: SAMPLES and the rest."""
-    count = param_int(gcmd, "SAMPLES", sampling.samples, minval=1)
+    count = param_int(
+        gcmd, "SAMPLES", sampling.samples, minval=1, maxval=MOST_TOUCHES
+    )
     return param_touches(gcmd, sampling)._replace(samples=count)
 
 
@@ -581,7 +631,11 @@ def param_touches(gcmd: GCodeCommand, sampling: Sampling) -> Sampling:
             gcmd, "SAMPLES_TOLERANCE", sampling.tolerance, minval=0.0
         ),
         retries=param_int(
-            gcmd, "SAMPLES_TOLERANCE_RETRIES", sampling.retries, minval=0
+            gcmd,
+            "SAMPLES_TOLERANCE_RETRIES",
+            sampling.retries,
+            minval=0,
+            maxval=MOST_TOUCHES,
         ),
         result=result,
         speed=param_number(gcmd, "PROBE_SPEED", sampling.speed, above=0.0),
@@ -598,7 +652,9 @@ def param_samples(gcmd: GCodeCommand) -> Union[int, str, None]:
     """Return SAMPLES where it may be AUTO, too; None: it is not given."""
     if gcmd.get("SAMPLES", "").strip().lower() == AUTO:
         return AUTO
-    count: Optional[int] = param_int(gcmd, "SAMPLES", None, minval=1)
+    count: Optional[int] = param_int(
+        gcmd, "SAMPLES", None, minval=1, maxval=MOST_TOUCHES
+    )
     return count
 
 
@@ -610,12 +666,16 @@ def param_samples(gcmd: GCodeCommand) -> Union[int, str, None]:
 def param_number(
     gcmd: GCodeCommand, name: str, default: Any = None, **limits: float
 ) -> Any:
-    """Return a parameter as a finite number."""
+    """Return a parameter as a number that a printer may have."""
     if not gcmd.get(name, "").strip():
         return default
-    value = gcmd.get_float(name, **limits)
-    if not is_finite(value):
-        raise param_error(gcmd, name, "a finite number")
+    with quoting(gcmd, name):
+        value = gcmd.get_float(name, **limits)
+    why = why_impossible(value, "mm/s" if name.endswith("SPEED") else "mm")
+    if why:
+        raise gcmd.error(
+            f"Error on '{quoted(gcmd.get_commandline())}': {name} {why}"
+        )
     return value
 
 
@@ -625,7 +685,9 @@ def param_int(
     """Return a parameter as a whole number."""
     if not gcmd.get(name, "").strip():
         return default
-    return gcmd.get_int(name, **limits)
+    with quoting(gcmd, name):
+        value: int = gcmd.get_int(name, **limits)
+    return value
 
 
 def param_flag(gcmd: GCodeCommand, name: str, default: bool = False) -> bool:
@@ -642,15 +704,34 @@ def param_pair(gcmd: GCodeCommand, name: str) -> Optional[Tuple[float, float]]:
         x, y = [float(part) for part in text.split(",")]
     except ValueError:
         x = y = float("nan")
-    if not (is_finite(x) and is_finite(y)):
+    if why_impossible(x) or why_impossible(y):
         raise param_error(gcmd, name, "X and Y in mm, such as 100,100")
     return x, y
 
 
 def param_error(gcmd: GCodeCommand, name: str, wanted: str) -> Exception:
     """Return the error of a parameter, in the words of the host."""
-    line = gcmd.get_commandline()
+    line = quoted(gcmd.get_commandline())
     return gcmd.error(f"Error on '{line}': {name} has to be {wanted}")
+
+
+def quoted(text: str) -> str:
+    """Return a text as far as it is quoted."""
+    if len(text) <= LONGEST_QUOTE:
+        return text
+    return text[: LONGEST_QUOTE - 3] + "..."
+
+
+@contextlib.contextmanager
+def quoting(gcmd: GCodeCommand, name: str) -> Iterator[None]:
+    """Have the host's error about a parameter quote a bit of a long line only."""
+    try:
+        yield
+    except gcmd.error as e:
+        text = str(e)
+        for whole in (gcmd.get_commandline(), gcmd.get(name)):
+            text = text.replace(whole, quoted(whole))
+        raise gcmd.error(text)
 
 
 ######################################################################

@@ -148,6 +148,9 @@ def samples_of(words: str) -> tuple[list[str], list[str]]:
         if match[1] == "≥":
             return [f"{limit:g}", f"{limit + 0.5:g}"], below
         return [f"{limit + 0.5:g}"], [f"{limit:g}", f"{limit - 1:g}", *below]
+    if match := re.match(rf"count, {number} to {number}", words):
+        low, high = int(match[1]), int(match[2])
+        return [f"{low}", f"{high}"], [f"{low - 1}", f"{high + 1}", "2.5"]
     if match := re.fullmatch(rf"(?:mm, )?{number} to {number}", words):
         low, high = float(match[1]), float(match[2])
         beyond = [f"{low - 0.001:g}", f"{high + 0.001:g}"]

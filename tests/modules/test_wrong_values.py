@@ -189,3 +189,35 @@ def test_pin_that_no_board_has(host, module, option):
             host, {module: {option: pin}}, SCENES[module.split()[0]]
         )
         assert f"Pin '{pin}' is not a valid pin name" in message
+
+
+def test_negative_switch_offset_says_what_it_means(host):
+    message = refusal(host, {"z_calibration": {"switch_offset": "-0.1"}})
+    assert (
+        "Option 'switch_offset' in section 'z_calibration' is -0.1, and cannot be"
+        " negative: the plunger triggers below the switch body" in message
+    )
+    assert "check switch_xy_position, the endstop and its pin" in message
+
+
+@pytest.mark.parametrize(
+    ("name", "value", "words"),
+    [
+        ("samples", "99999999999999999999999", "maximum of 1000"),
+        ("offset_margins", "1e5", "has to be 10000 at most, and is -100000"),
+        ("speed", "1e-10", "has to be 0.01 mm/s at least, and is 1e-10"),
+        ("lift_speed", "1e308", "has to be 10000 at most, and is 1e+308"),
+        ("nozzle_xy_position", "1e5, 1", "has to be 10000 at most"),
+    ],
+)
+def test_what_no_printer_has_is_refused_with_its_range(
+    host, name, value, words
+):
+    message = refusal(host, {"z_calibration": {name: value}})
+    assert f"'{name}' in section 'z_calibration'" in message
+    assert words in message
+
+
+def test_fast_printers_have_a_large_acceleration(host):
+    state, _ = load(host, {"auto_z_offset": {"probe_accel": "50000"}}, "qidi")
+    assert state == "ready"

@@ -83,7 +83,11 @@ WRONG = [
     *((f"CALIBRATE_Z NOZZLE_POSITION={xy}", NO_PAIR) for xy in ("1", "1,2,3")),
     ("CALIBRATE_Z SWITCH_POSITION=a,b", f"SWITCH_POSITION {NO_PAIR}"),
     ("CALIBRATE_Z BED_POSITION=nan,1", f"BED_POSITION {NO_PAIR}"),
-    ("CALIBRATE_Z SWITCH_OFFSET=-0.1", "SWITCH_OFFSET"),
+    (
+        "CALIBRATE_Z SWITCH_OFFSET=-0.1",
+        "SWITCH_OFFSET is -0.1, and cannot be negative: the plunger triggers below",
+    ),
+    ("CALIBRATE_Z SWITCH_OFFSET=1e5", "SWITCH_OFFSET has to be 10000 at most"),
     ("CALIBRATE_Z SWITCH_OFFSET=x", "SWITCH_OFFSET=x"),
     ("CALIBRATE_Z SWITCH_OFFSET=nan", "SWITCH_OFFSET"),
     (
@@ -100,6 +104,17 @@ WRONG = [
     ),
     ("CALIBRATE_Z SAMPLES=0", "SAMPLES"),
     ("CALIBRATE_Z SAMPLES=some", "SAMPLES=some"),
+    ("CALIBRATE_Z SAMPLES=1001", "SAMPLES must have maximum of 1000"),
+    ("PROBE_Z_ACCURACY SAMPLES=1001", "SAMPLES must have maximum of 1000"),
+    ("CALIBRATE_Z SAMPLES_TOLERANCE_RETRIES=1001", "maximum of 1000"),
+    (
+        "CALIBRATE_Z PROBE_SPEED=1e-5",
+        "PROBE_SPEED has to be 0.01 mm/s at least, and is 1e-05",
+    ),
+    (
+        "CALIBRATE_Z LIFT_SPEED=1e308",
+        "LIFT_SPEED has to be 10000 at most, and is 1e+308",
+    ),
     ("CALIBRATE_Z SAMPLES_TOLERANCE=-1", "SAMPLES_TOLERANCE"),
     ("CALIBRATE_Z SAMPLES_TOLERANCE_RETRIES=x", "SAMPLES_TOLERANCE_RETRIES=x"),
     ("CALIBRATE_Z SAMPLES_RESULT=none", "SAMPLES_RESULT"),
@@ -119,6 +134,13 @@ WRONG = [
     ),
     ("CALCULATE_SWITCH_OFFSET SWITCH_OFFSET=-1", "SWITCH_OFFSET"),
 ]
+
+
+@pytest.mark.parametrize("name", ["SAMPLES", "LIFT_SPEED", "BED_POSITION"])
+def test_long_parameter_is_quoted_in_part(host, calibrated, name):
+    text = calibrated(host).fail(f"CALIBRATE_Z {name}={'x' * 5000}")
+    assert f"'CALIBRATE_Z {name}=xxx" in text
+    assert "..." in text and len(text.strip()) < 250
 
 
 @pytest.mark.parametrize(("script", "words"), WRONG)

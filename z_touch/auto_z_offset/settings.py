@@ -148,6 +148,7 @@ CYCLE_OPTIONS = (
         "",
         "Cycles of AUTO_Z_CALIBRATE.",
         minval=1,
+        maxval=options.MOST_TOUCHES,
     ),
     option(
         "cycles_tolerance",
@@ -180,6 +181,7 @@ SAMPLING_OPTIONS = (
         "",
         "Touches of sensor and probe in each cycle.",
         minval=1,
+        maxval=options.MOST_TOUCHES,
     ),
     option(
         "samples_tolerance",
@@ -196,6 +198,7 @@ SAMPLING_OPTIONS = (
         "",
         "How often touches may start again.",
         minval=0,
+        maxval=options.MOST_TOUCHES,
     ),
     option(
         "samples_result",

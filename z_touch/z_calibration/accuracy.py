@@ -83,7 +83,9 @@ def of_nozzle(settings: Settings, gcmd: GCodeCommand) -> Settings:
     count = MOST if settings.is_auto else on_pin.samples
     param = options.param_number
     on_pin = on_pin._replace(
-        samples=options.param_int(gcmd, "SAMPLES", count, minval=1),
+        samples=options.param_int(
+            gcmd, "SAMPLES", count, minval=1, maxval=options.MOST_TOUCHES
+        ),
         speed=param(gcmd, "PROBE_SPEED", on_pin.speed, above=0.0),
         lift_speed=param(gcmd, "LIFT_SPEED", on_pin.lift_speed, above=0.0),
         retract_dist=param(

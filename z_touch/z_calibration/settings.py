@@ -64,6 +64,8 @@ ROUGH_TARGET = 0.013
 # Beside printer.cfg
 FOLDER = "z_calibration"
 RUNS = 1000
+# Each is looked at when klippy connects
+MOST_RUNS = 100000
 
 # Whether the buttons that save the Z offset save into switch_offset
 SAVE_BUTTON = {"off": False, "switch_offset": True}
@@ -91,6 +93,22 @@ def _read_shift(config: Config, name: str, row: options.Option) -> Any:
     return shift if shift and any(shift) else None
 
 
+def why_negative(switch_offset: float) -> str:
+    """Return what a negative switch_offset (mm) means: the specification has a chapter on it."""
+    return (
+        f"is {switch_offset:g}, and cannot be negative: the plunger triggers below the"
+        " switch body, and where the nozzle is too close to the bed with 0, the pin"
+        " does not press that body; check switch_xy_position, the endstop and its pin"
+    )
+
+
+def _read_switch_offset(config: Config, name: str, row: options.Option) -> Any:
+    value = options.read_number(config, name, row.default)
+    if value is not None and value < 0.0:
+        raise options.config_error(config, name, why_negative(value))
+    return value
+
+
 def _read_folder(config: Config, name: str, row: options.Option) -> Any:
     """Return a folder, None where there is to be none."""
     folder = config.get(name, row.default).strip()
@@ -100,6 +118,7 @@ def _read_folder(config: Config, name: str, row: options.Option) -> Any:
 
 
 SHIFT = options.PAIR._replace(read=_read_shift)
+SWITCH_OFFSET = options.NUMBER._replace(read=_read_switch_offset)
 HISTORY = options.Kind("folder", _read_folder, ("", " "))
 
 
@@ -153,10 +172,12 @@ class Settings:
         unit="mm",
     )
 
-    switch_offset: Optional[float] = options.number(
+    switch_offset: Optional[float] = options.other(
+        SWITCH_OFFSET,
         None,
         "How far the plunger still sticks out of the switch body when the switch"
         " triggers, in mm. Larger: nozzle closer to the bed.",
+        unit="mm",
         minval=0.0,
     )
     save_button: bool = options.other(
@@ -268,7 +289,11 @@ class Settings:
         " nothing is kept.",
     )
     history_runs: int = options.other(
-        options.COUNT, RUNS, "How many lines it keeps.", minval=1
+        options.COUNT,
+        RUNS,
+        "How many lines it keeps.",
+        minval=1,
+        maxval=MOST_RUNS,
     )
 
     start_gcode: Template = gcode("", "Your macro that attaches the probe.")
@@ -533,8 +558,10 @@ def param_switch_offset(gcmd: GCodeCommand, default: Optional[float]) -> float:
     Raises CalibrationError where there is neither.
     """
     value: Optional[float] = options.param_number(
-        gcmd, "SWITCH_OFFSET", default, minval=0.0
+        gcmd, "SWITCH_OFFSET", default
     )
+    if value is not None and value < 0.0:
+        raise CalibrationError(f"SWITCH_OFFSET {why_negative(value)}")
     if value is None:
         raise CalibrationError(
             "no switch_offset; run Z_CALIBRATION_SETUP, set it in section"
