@@ -10,11 +10,12 @@ from pathlib import Path
 import pytest
 
 from simprinter import Fault
+from simprinter.world import OozeSpec
 from tests.docs.documents import part
 from tools.kit.load_errors import load
 from tools.kit.printer import module_files
 from tools.kit.runs import make_runs
-from tools.kit.scenes import SCENES
+from tools.kit.scenes import SCENES, heated
 from tools.kit.z_calibration import (
     BED,
     BODY,
@@ -548,6 +549,60 @@ def test_lift_near_the_top_hides_no_error(start):
     printer.run("G90\nG1 Z4 F600\nM400\nSET_KINEMATIC_POSITION Z=14.5")
     text = printer.fail("CALIBRATE_Z")
     assert "10.5 mm above position_endstop (1.600), and Z was" in text
+
+
+# Plastic that oozes
+
+OOZES = "at 240 C plastic oozes out of the nozzle: heat it to about 150 C"
+
+
+def oozing(start, target, rate=0.05, **options):
+    """A homed printer with a nozzle as hot as that, out of which plastic comes."""
+    scene = SCENES["voron"].with_world(ooze=OozeSpec(0.3, 0.3, rate))
+    printer = start(heated(scene), changes=section(**options)).homed()
+    printer.run(f"M104 S{target}")
+    return printer
+
+
+def test_hot_nozzle_is_told_before_its_first_touch_and_in_the_warning(start):
+    printer = oozing(start, 240, samples_tolerance="0.05")
+    lines = [n for n in printer.run("CALIBRATE_Z") if "z_calibration" in n]
+    assert OOZES in lines[0]
+    (warning,) = [n for n in lines if "pressed flat" in n]
+    assert OOZES in warning and "clean it" not in warning
+
+
+def test_hot_nozzle_is_told_where_its_touches_do_not_agree(start):
+    printer = oozing(start, 240, samples_tolerance_retries="0")
+    text = printer.fail("CALIBRATE_Z")
+    assert "nozzle: samples differ by" in text and OOZES in text
+    assert "clean the nozzle" not in text
+    printer.run("M104 S150")
+    text = printer.fail("CALIBRATE_Z")
+    assert "clean the nozzle and check the switch for play" in text
+    assert "oozes" not in text
+
+
+@pytest.mark.parametrize(("target", "is_told"), [(180, 0), (181, 1)])
+def test_warm_nozzle_is_none(start, target, is_told):
+    printer = start(heated(SCENES["voron"])).homed()
+    printer.run(f"M104 S{target}")
+    for script in ("CALIBRATE_Z", "PROBE_Z_ACCURACY"):
+        lines = printer.run(script)
+        assert sum("plastic oozes" in line for line in lines) == is_told
+    lines = printer.run("CALIBRATE_Z_ACCURACY CYCLES=2")
+    assert sum("plastic oozes" in line for line in lines) == is_told
+
+
+@pytest.mark.parametrize("site", ["body_pin", "probe_bed"])
+def test_probe_whose_touches_differ_does_not_blame_the_nozzle(start, site):
+    faults = [Fault("trigger_early", site=site, touch=2, mm=0.1)]
+    changes = section(samples_tolerance_retries="0")
+    printer = start(changes=changes, faults=faults).homed()
+    text = printer.fail("CALIBRATE_Z")
+    assert "check how the probe is seated, and probe and Z axis for play" in (
+        text
+    )
 
 
 # klipper-toolchanger shifts Z below the G-code offset

@@ -30,7 +30,7 @@ class Config:
             raise ValueError(f"Option '{name}' in section 'mine' must be given")
         return default[0]
 
-    def getint(self, name, *default, minval=None):
+    def getint(self, name, *default, minval=None, maxval=None):
         value = self.get(name, *default)
         if name in self.given and minval is not None and int(value) < minval:
             raise ValueError(f"Option '{name}' must have minimum of {minval}")

@@ -99,13 +99,19 @@ class Host:
 
     def nozzle_temperature(self) -> float:
         """Return what the nozzle has or is to have, whichever is more (degrees C)."""
+        status = self._extruder_status()
+        degrees: float = status.get("temperature", 0.0)
+        return max(degrees, self.nozzle_target())
+
+    def nozzle_target(self) -> float:
+        """Return what the nozzle is to have (degrees C), 0: its heater is off."""
+        degrees: float = self._extruder_status().get("target", 0.0)
+        return degrees
+
+    def _extruder_status(self) -> Status:
         name = self.extruder()
         extruder = self.printer.lookup_object(name, None) if name else None
-        status = extruder.get_status(self.eventtime()) if extruder else {}
-        degrees: float = max(
-            status.get("temperature", 0.0), status.get("target", 0.0)
-        )
-        return degrees
+        return extruder.get_status(self.eventtime()) if extruder else {}
 
     ##################################################################
     # Words for the user, on the console and as the error of a command

@@ -283,6 +283,12 @@ class ZCalibration:
         if left:
             run.warn(PROBE, left)
 
+    def _note_oozing(self, run: CalibrationRun) -> None:
+        """Say before the first touch that the nozzle is too hot to be measured."""
+        oozing = run.oozing()
+        if oozing:
+            self.progress.say(oozing)
+
     def _why_left(self, run: CalibrationRun) -> str:
         """Return why the probe should not be where it is after a failure, or nothing.
 
@@ -449,6 +455,7 @@ class ZCalibration:
             self.host.gcode_state.set_z_offset(0.0)
             run = self.new_run(settings, sites, self.statistics)
             with self.templates_around(run):
+                self._note_oozing(run)
                 run.know(Earlier() if accepts_change else self.earlier())
                 # start_gcode may have fetched another tool, with an offset of its own
                 self.host.gcode_state.set_z_offset(0.0)
@@ -701,6 +708,8 @@ class ZCalibration:
             self.host.gcode.run_script_from_command("G28 Z")
         run = self.new_run(settings, sites, self.statistics, False)
         with self.templates_around(run):
+            if not cycles:
+                self._note_oozing(run)
             run.know(self.earlier())
             if not params.attach:
                 self._check_stays_attached(run)
@@ -797,6 +806,7 @@ class ZCalibration:
             f" speed={sampling.speed:.1f} lift_speed={sampling.lift_speed:.1f})"
         )
         self.progress.expect(sampling.samples)
+        self._note_oozing(run)
         with command.always(self.host, run.lift, "lifting"):
             run.sample_nozzle()
         return statistics

@@ -24,7 +24,7 @@ from typing import TYPE_CHECKING, Iterator, Optional
 
 from .. import attached, errors, touch
 from ..command import always
-from ..errors import CalibrationError, NoTrigger
+from ..errors import CalibrationError, NoTrigger, SamplesDiffer
 from ..texture import spread_site, spread_tolerance
 from . import checks, heights, pace
 from .heights import HIGHER_THAN_HOMED, HOME_AGAIN
@@ -175,7 +175,11 @@ class Place:
         """Touch until the series is complete; the heights go into the statistics."""
         series = self.run.statistics.begin(self.site.name, self.sampling)
         while not series.is_complete():
-            why_again = series.add(self.take_sample())
+            z = self.take_sample()
+            try:
+                why_again = series.add(z)
+            except SamplesDiffer as e:
+                raise e.advised(self.steady())
             if why_again:
                 self.run.progress.say(f"{self.site.name}: {why_again}")
 
@@ -249,6 +253,10 @@ class Place:
     ##################################################################
     # What a place says of its touches
     ##################################################################
+
+    def steady(self) -> str:
+        """Return what to do about touches that do not agree."""
+        return "check how the probe is seated, and probe and Z axis for play"
 
     def check_pressed(self) -> None:
         """Look at the sensor that is not armed while the toolhead presses the other one."""
@@ -432,6 +440,13 @@ class NozzlePlace(Place):
             "the probe is on the head, and has met the bed at"
             f" z={self.host.motion.z():.3f}, where nothing should be met before the pin;"
             f" {remedy}"
+        )
+
+    def steady(self) -> str:
+        """Return what to do about touches that do not agree."""
+        return (
+            self.run.oozing()
+            or "clean the nozzle and check the switch for play"
         )
 
     def check_height(self) -> None:

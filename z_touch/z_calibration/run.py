@@ -43,6 +43,10 @@ if TYPE_CHECKING:
 # From here on (mm) the nozzle is too far from the height that Z was homed at.
 STALE_Z = 0.5
 
+# From here on (target, degrees C) plastic oozes out of the nozzle while it is measured.  PETG
+# and ABS are soft from some 150 on.
+OOZES_FROM = 180.0
+
 # Of switch - nozzle: from here on (mm) a difference to the last run is not noise or heat,
 # but another nozzle or probe.
 ANOTHER = 0.5
@@ -204,14 +208,27 @@ class CalibrationRun:
         expected_z, floor = self.expected_nozzle(), self.nozzle_floor()
         return place.measure(self.travel_z, expected_z, floor)
 
+    def oozing(self) -> str:
+        """Return what to do about a nozzle that is too hot to be measured, empty: it is not."""
+        target = self.host.nozzle_target()
+        if target <= OOZES_FROM:
+            return ""
+        return (
+            f"at {target:.0f} C plastic oozes out of the nozzle: heat it to about 150 C"
+            " for CALIBRATE_Z, and to printing temperature afterwards"
+        )
+
     def _warn_of_nozzle(self, nozzle_z: float) -> None:
         """Warn of a nozzle that is dirty, or far from where Z was homed on the pin."""
         flattened = self.statistics.flattened("nozzle")
         if flattened:
+            remedy = self.oozing() or (
+                "clean it before CALIBRATE_Z, or set clean_gcode"
+            )
             self.warn(
                 "nozzle",
-                f"nozzle: {flattened}: something that sticks to it is pressed flat; clean"
-                " it before CALIBRATE_Z, or set clean_gcode",
+                f"nozzle: {flattened}: something that sticks to it is pressed flat;"
+                f" {remedy}",
             )
         homed_z = self.settings.position_endstop
         if homed_z is not None and abs(nozzle_z - homed_z) > STALE_Z:
@@ -348,12 +365,13 @@ class CalibrationRun:
                 " the nozzle is tight",
             )
         elif self.departure:
+            remedy = self.oozing() or "clean it and run CALIBRATE_Z again"
             self.warn(
                 BODY,
                 f"switch - nozzle is {body:.3f} mm and was"
                 f" {body - self.departure:.3f} mm in earlier runs that were as hot: the"
-                " nozzle is dirty, or was exchanged, or the probe is not seated; clean it"
-                " and run CALIBRATE_Z again",
+                " nozzle is dirty, or was exchanged, or the probe is not seated;"
+                f" {remedy}",
             )
 
     ##################################################################

@@ -80,7 +80,6 @@ FALLING_AT_FIRST = 4
 CHOSEN = 0.4
 
 DOUBT = "the touches do not agree"
-REMEDY = "clean the nozzle and check the switch for play"
 
 # Of a normal distribution: 95 % are within so many standard deviations on both sides, or
 # on one; and the median of the absolute deviations is one standard deviation by this
@@ -519,16 +518,15 @@ class Series:
         apart = max(self.samples) - min(self.samples)
         limit = self.sampling.tolerance
         if apart > limit:
-            what = "trying again" if self.retries_left else REMEDY
             text = (
                 f"samples differ by {apart:.4f} mm, samples_tolerance is"
-                f" {limit:.4f} mm; {what}"
+                f" {limit:.4f} mm"
             )
             if not self.retries_left:
                 raise self.run.error(text)
             self.retries_left -= 1
             self.samples = []
-            return text
+            return f"{text}; trying again"
         if len(self.samples) == self.sampling.samples:
             method = self.sampling.result
             estimate = self.run.estimate(self.place, self.samples, method)
@@ -565,5 +563,5 @@ class Series:
             apart = max(self.touches) - min(self.touches)
             raise self.run.error(
                 f"something moves: {len(self.touches)} touches lie up to"
-                f" {apart:.4f} mm apart, which is no noise; {REMEDY}"
+                f" {apart:.4f} mm apart, which is no noise"
             )
