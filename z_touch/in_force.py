@@ -30,12 +30,18 @@ class InForce:
     """Shows once, on the console, when a result has ceased to hold.
 
     reason() says why, without pausing; empty: it holds; None: it cannot hold any more, which
-    is not worth a line.
+    is not worth a line.  settle() is called when the G-code has ended that applied it.
     """
 
-    def __init__(self, host: Host, reason: Callable[[], Optional[str]]):
+    def __init__(
+        self,
+        host: Host,
+        reason: Callable[[], Optional[str]],
+        settle: Callable[[], None],
+    ):
         self.host = host
         self.reason = reason
+        self.settle = settle
         # Older hosts call a timer again that waits
         self.is_looking = False
         self.timer = host.printer.get_reactor().register_timer(
@@ -43,9 +49,9 @@ class InForce:
         )
 
     def begin(self) -> None:
-        """Look from now on, as a result was applied."""
-        when = self.host.eventtime() + LOOK_INTERVAL
-        self.host.printer.get_reactor().update_timer(self.timer, when)
+        """Look from now on, as a result was applied: first when its G-code has ended."""
+        reactor = self.host.printer.get_reactor()
+        reactor.update_timer(self.timer, reactor.NOW)
 
     def _look(self, eventtime: float) -> float:
         """Look between two commands.  May pause."""
@@ -65,6 +71,7 @@ class InForce:
         with self.host.gcode.get_mutex():
             if self.host.printer.is_shutdown():
                 return self.host.printer.get_reactor().NEVER
+            self.settle()
             reason = self.reason()
         if reason:
             self.host.say(reason)

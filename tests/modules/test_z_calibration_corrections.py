@@ -115,8 +115,10 @@ def test_button_that_saves_baby_steps(start, button):
     saved = {**own, "z_calibration": {"switch_offset": "0.420"}}
     assert pending(printer) == saved
     # What is unlikely is not for a button
-    printer.run("SET_GCODE_OFFSET Z=1")
+    printer.run("SET_GCODE_OFFSET Z_ADJUST=1")
     assert "or the G-code offset is none of CALIBRATE_Z" in printer.fail(button)
+    printer.run("SET_GCODE_OFFSET Z=0.3")
+    assert "which is no baby step" in printer.fail(button)
     # Homed again: the host's
     lines = printer.run(f"G28\nM84\nSET_GCODE_OFFSET Z=0.3\n{button}")
     assert pending(printer) != saved
@@ -156,7 +158,8 @@ def test_button_that_saves_in_vain_is_told_of_once(start, button):
 )
 def test_refused(host, calibrated, offset, script, words):
     printer = calibrated(host)
-    printer.run(f"SET_GCODE_OFFSET Z={offset}")
+    step = float(offset) - printer.offset()
+    printer.run(f"SET_GCODE_OFFSET Z_ADJUST={step:.6f}")
     before = len(printer.machine.truth.touches)
     assert words in printer.fail(script)
     assert pending(printer) == {}

@@ -163,7 +163,7 @@ def test_heat_is_taken_off_once_and_goes_on(start, tmp_path, has_mesh):
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("change", ["REF_TEMP=75", "ENABLE=0", "TEMP_COEFF=0"])
+@pytest.mark.parametrize("change", ["REF_TEMP=75", "TEMP_COEFF=0"])
 def test_heat_that_is_set_anew_is_noticed(start, tmp_path, change):
     frame = Frame(tmp_path)
     printer = start(changes=frame.section())
@@ -174,13 +174,41 @@ def test_heat_that_is_set_anew_is_noticed(start, tmp_path, change):
     printer.run("CALIBRATE_Z\nSET_Z_THERMAL_ADJUST")
     assert validity(printer) == (True, True, "")
     printer.run(f"SET_Z_THERMAL_ADJUST {change}")
-    told = "SET_Z_THERMAL_ADJUST has moved Z=0 since CALIBRATE_Z"
+    told = "SET_Z_THERMAL_ADJUST has moved Z=0 by 0.100 mm since CALIBRATE_Z"
     assert validity(printer)[:2] == (False, False)
     assert told in validity(printer)[2]
     assert told in printer.fail(SAVE)
     printer.run("CALIBRATE_Z")
     assert validity(printer) == (True, True, "")
     assert_right(printer)
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("celsius", [25.0, 75.0])
+def test_heat_that_is_turned_off_and_on_has_moved_nothing(
+    start, tmp_path, celsius
+):
+    """Macros turn it on after CALIBRATE_Z and off in PRINT_END: the shift stays."""
+    frame = Frame(tmp_path)
+    printer = start(changes=frame.section())
+    printer.session.require_ready()
+    printer.session.wait(30.0)
+    printer.homed()
+    printer.run("SET_Z_THERMAL_ADJUST ENABLE=0")
+    frame.heat(printer, celsius)
+    printer.run("CALIBRATE_Z")
+    assert_right(printer)
+    for is_on in (1, 0, 1):
+        printer.run(f"SET_Z_THERMAL_ADJUST ENABLE={is_on}")
+        assert validity(printer) == (True, True, "")
+        printer.run("G1 X20 F6000\nG1 X30 F6000")
+        assert_right(printer)
+    printer.run(f"SET_GCODE_OFFSET Z_ADJUST=0.02\n{SAVE} SAVE=0")
+    # While it is off the reference moves nothing; when it is on it does
+    printer.run("SET_Z_THERMAL_ADJUST ENABLE=0 REF_TEMP=0")
+    assert validity(printer) == (True, True, "")
+    printer.run("SET_Z_THERMAL_ADJUST ENABLE=1")
+    assert "has moved Z=0 by -0.050 mm" in validity(printer)[2]
 
 
 @pytest.mark.slow

@@ -13,7 +13,6 @@ from simprinter import Fault
 from simprinter.world import OozeSpec
 from tests.docs.documents import part
 from tools.kit.load_errors import load
-from tools.kit.printer import module_files
 from tools.kit.runs import make_runs
 from tools.kit.scenes import SCENES, heated
 from tools.kit.z_calibration import (
@@ -33,7 +32,6 @@ from tools.kit.z_calibration import (
 # The offset of a good run, mm: what its bed is above margins around 0
 LOWEST = BED + TRIGGER - (BODY + SWITCH_OFFSET)
 ROOT = Path(__file__).resolve().parents[2]
-EXTRAS = ROOT / "tools" / "kit" / "extras"
 WIDE = {"offset_margins": "-5, 5"}
 
 
@@ -603,53 +601,3 @@ def test_probe_whose_touches_differ_does_not_blame_the_nozzle(start, site):
     assert "check how the probe is seated, and probe and Z axis for play" in (
         text
     )
-
-
-# klipper-toolchanger shifts Z below the G-code offset
-
-
-@pytest.mark.parametrize(
-    ("active", "offset", "is_refused"),
-    [("1", "-0.3", True), ("1", "0", False), ("0", "-0.3", False)],
-)
-def test_offset_of_the_active_tool_would_count_twice(
-    start, active, offset, is_refused
-):
-    changes = {
-        "tool T0": {"gcode_z_offset": "0", "active": "False"},
-        "tool T1": {"gcode_z_offset": offset, "active": active},
-    }
-    modules = {**module_files(), "tool": EXTRAS / "tool.py"}
-    printer = start(changes=changes, modules=modules).homed()
-    before = printer.session.position()
-    if not is_refused:
-        calibration(printer)
-        return
-    text = printer.fail("CALIBRATE_Z")
-    assert (
-        "gcode_z_offset of section 'tool T1' is -0.300 and that tool is" in text
-    )
-    assert "set it to 0 there" in text
-    assert printer.session.position() == before
-    # Others measure as ever: they apply nothing
-    printer.run("PROBE_Z_ACCURACY SAMPLES=2")
-
-
-def test_tool_of_another_plugin_is_none_of_a_changer(start):
-    changes = {
-        "tool T1": {"gcode_z_offset": "0.2", "active": "True", "is_other": "1"}
-    }
-    modules = {**module_files(), "tool": EXTRAS / "tool.py"}
-    calibration(start(changes=changes, modules=modules).homed())
-
-
-def test_tool_that_start_gcode_fetches(start):
-    changes = {
-        "tool T1": {"gcode_z_offset": "0.2", "active": "False"},
-        **section(start_gcode="FETCH_TOOL"),
-    }
-    modules = {**module_files(), "tool": EXTRAS / "tool.py"}
-    printer = start(changes=changes, modules=modules).homed()
-    before = len(printer.machine.truth.touches)
-    assert "gcode_z_offset of section 'tool T1'" in printer.fail("CALIBRATE_Z")
-    assert touched_sites(printer, before) == []

@@ -12,6 +12,7 @@ from simprinter import Fault, Machine
 from simprinter.hosts.session import GcodeError, run_batch
 from simprinter.world import Pose
 from tools.kit.cases import slow
+from tools.kit.dockable_probe import where
 from tools.kit.printer import (
     Printer,
     dialect_of,
@@ -394,7 +395,7 @@ def test_templates_run_in_order_and_once(start):
     order = [word for line in lines for word in words if word in line]
     assert list(dict.fromkeys(order)) == words
     assert [order.count(w) for w in ("FIRST", "SECOND", "LAST")] == [1, 1, 1]
-    assert printer.machine.world.probe_state(0.0) == "docked"
+    assert where(printer) == "docked"
 
 
 @pytest.mark.parametrize("broken", ["FIRST", "SECOND", "LAST"])

@@ -187,15 +187,15 @@ def test_offset_that_is_gone_is_noticed(start, before, after):
         "the G-code Z offset is 0.100, that of CALIBRATE_Z is 0.160: changed by"
         " baby steps, SET_GCODE_OFFSET, RESUME or RESTORE_GCODE_STATE"
     )
-    # By itself, once; without a state the user has set it
-    told = [f"// z_calibration: {reason}"] if before else []
-    assert told_later(printer) == told
+    # By itself, once
+    assert told_later(printer) == [f"// z_calibration: {reason}"]
     assert told_later(printer) == []
-    if before:
-        text = printer.fail(SAVE)
-        assert "the G-code offset 0.100 is that of before CALIBRATE_Z" in text
-        assert pending(printer) == {}
-    printer.run(f"{SAVE} FORCE={int(bool(before))}")
+    why = "is that of before CALIBRATE_Z"
+    if not before:
+        why = "was set by SET_GCODE_OFFSET Z=... in place of that"
+    assert f"the G-code offset 0.100 {why}" in printer.fail(SAVE)
+    assert pending(printer) == {}
+    printer.run(f"{SAVE} FORCE=1")
     assert pending(printer)["z_calibration"] == {"switch_offset": "0.500"}
     # Counted once
     assert "nothing was changed" in "".join(printer.run(SAVE))
@@ -211,7 +211,9 @@ def test_offset_of_a_saved_state_is_noticed(start):
     printer = start().homed()
     printer.run("SET_GCODE_OFFSET Z=0.15\nSAVE_GCODE_STATE NAME=old")
     printer.run(f"SET_GCODE_OFFSET Z=0\nCALIBRATE_Z\n{RESTORE}")
-    assert "the G-code Z offset is 0.150" in "".join(told_later(printer))
+    printer.session.wait(3.0)
+    (told,) = shown(printer, "the G-code Z offset is 0.150")
+    assert "that of CALIBRATE_Z is 0.160" in told
     text = printer.fail(SAVE)
     assert "the G-code offset 0.150 is that of before CALIBRATE_Z" in text
     assert pending(printer) == {}
@@ -241,6 +243,11 @@ def test_offset_that_is_kept_for_later_leaves_that_of_before(start):
     assert z_offset == pytest.approx(OFFSET, abs=0.001)
     printer.run(f"SET_GCODE_OFFSET Z={z_offset}")
     assert validity(printer) == (True, True, "")
+
+
+def shown(printer, words):
+    """The lines of the console with these words."""
+    return [line for line in printer.session.console if words in line]
 
 
 def told_later(printer):
@@ -310,10 +317,12 @@ def test_state_of_since_is_as_it_was(start):
 # RESUME takes back what was kept while the print was paused, and nobody wants that
 def test_resume_takes_no_baby_step_back(start):
     printer = start(changes={"pause_resume": {}}).homed()
-    printer.run("CALIBRATE_Z\nPAUSE\nSET_GCODE_OFFSET Z_ADJUST=-0.02")
+    printer.run("CALIBRATE_Z\nPAUSE")
+    printer.run("SET_GCODE_OFFSET Z_ADJUST=-0.02")
     printer.run(f"{SAVE}\nRESUME")
-    (told,) = told_later(printer)
-    assert "the G-code Z offset is 0.160, that of CALIBRATE_Z is 0.140" in told
+    printer.session.wait(3.0)
+    (told,) = shown(printer, "the G-code Z offset is 0.160")
+    assert "that of CALIBRATE_Z is 0.140" in told
     assert "0.160 is that of before CALIBRATE_Z" in printer.fail(SAVE)
     assert pending(printer)["z_calibration"] == {"switch_offset": "0.460"}
     # What is set again counts again

@@ -32,6 +32,7 @@ Choice = Mapping[Any, T]
 class Reactor(Protocol):
     """klippy's event loop."""
 
+    NOW: float
     NEVER: float
 
     def monotonic(self) -> float:

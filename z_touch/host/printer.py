@@ -13,6 +13,7 @@ from .endstops import Endstops
 from .gcode_state import GcodeState
 from .probe import Probing
 from .toolhead import Axes, Motion
+from .tools import Tools
 from .transforms import Transforms
 
 if TYPE_CHECKING:
@@ -35,6 +36,7 @@ class Host:
         self.endstops = Endstops(config, self)
         self.probing = Probing(config, self)
         self.transforms = Transforms(self)
+        self.tools = Tools(self)
 
     def connect(self) -> None:
         """Look up what exists at klippy:connect."""

@@ -19,6 +19,7 @@ from typing import (
     Dict,
     Iterator,
     List,
+    Mapping,
     NamedTuple,
     Optional,
     Tuple,
@@ -74,6 +75,7 @@ class Transforms:
             if self.printer.lookup_object(name, None) is not None
         ]
         parts += self._heat(x, y, z)
+        parts += self._tools()
         # What follows a temperature has taken it from the sensor anew
         self._refresh()
         return parts
@@ -101,6 +103,7 @@ class Transforms:
         self._refresh()
         here = self.host.toolhead.get_position()
         known = sum(part.height for part in self._heat_now())
+        known += sum(part.height for part in self._tools())
         for name in INNERMOST:
             transform = self.printer.lookup_object(name, None)
             if transform is not None:
@@ -127,6 +130,10 @@ class Transforms:
             moved = getattr(adjuster, function)([x, y, z, 0.0])
             yield Part(name, moved[2] - z)
 
+    def _tools(self) -> Iterator[Part]:
+        for name, shift in self.host.tools.of_changer():
+            yield Part(name, shift)
+
     def _heat_now(self) -> Iterator[Part]:
         for name, adjuster, key, _function in self._heaters():
             yield Part(name, adjuster.get_status(self.host.eventtime())[key])
@@ -148,18 +155,22 @@ class Transforms:
             )
         return found
 
-    def active_tools(self) -> Iterator[Tuple[str, float]]:
-        """Yield the section of each active tool, and by how much (mm) it shifts Z.
+    def heat_moved(self, before: Mapping[str, Tuple[Any, ...]]) -> float:
+        """Return by how much (mm) other settings than these have moved Z=0.
 
-        Of klipper-toolchanger (94756df, 2026-04-07).  Other plugins have sections of that
-        name, too.
+        'before' as heat_settings() has returned it.  With both the shift is coefficient *
+        (reference - temperature); one that is off stays as it was when it was turned off.
         """
-        for name, tool in self.printer.lookup_objects("tool"):
-            get_status = getattr(tool, "get_status", None)
-            status = get_status(self.host.eventtime()) if get_status else {}
-            shift = status.get("gcode_z_offset")
-            if status.get("active") and isinstance(shift, (int, float)):
-                yield name, shift
+        moved, eventtime = 0.0, self.host.eventtime()
+        settings = self.heat_settings()
+        for name, adjuster, _key, _function in self._heaters():
+            is_on, reference, coefficient = settings[name]
+            _, old_reference, old_coefficient = before.get(name, settings[name])
+            heat = adjuster.get_status(eventtime).get("temperature")
+            if is_on and None not in (heat, reference, coefficient):
+                moved += coefficient * (reference - heat)
+                moved -= old_coefficient * (old_reference - heat)
+        return moved
 
     ##################################################################
     # The mesh in force

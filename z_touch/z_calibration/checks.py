@@ -8,6 +8,7 @@ from __future__ import annotations
 from typing import TYPE_CHECKING, List
 
 from ..errors import CalibrationError
+from ..host.tools import INACTIVE, PRIMARY, Carriage
 from . import heights
 from .sites import SiteFinder
 from .statistics import impossible
@@ -15,6 +16,9 @@ from .statistics import impossible
 if TYPE_CHECKING:
     from ..host.printer import Host
     from .settings import Settings
+
+# A carriage so near (mm) to where it is homed is parked
+PARKED = 10.0
 
 
 def check_probe(host: Host) -> None:
@@ -35,18 +39,33 @@ def check_probe(host: Host) -> None:
         )
 
 
-def check_tool_offset(host: Host) -> None:
-    """Raise CalibrationError where klipper-toolchanger shifts Z for the active tool.
-
-    It does so below the G-code offset, which would then hold it a second time.
-    """
-    for name, shift in host.transforms.active_tools():
-        if shift:
+def check_carriages(host: Host, settings: Settings) -> None:
+    """Raise CalibrationError where another carriage of an IDEX would touch the bed, too."""
+    carriages = host.tools.carriages()
+    active = [c for c in carriages if c.mode != INACTIVE]
+    for carriage in active:
+        if carriage.mode != PRIMARY:
             raise CalibrationError(
-                f"gcode_z_offset of section '{name}' is {shift:.3f} and that tool is"
-                " active: CALIBRATE_Z measures what its nozzle needs, so it would count"
-                " twice; set it to 0 there"
+                f"{carriage.name} moves along ({carriage.mode}): two nozzles would go"
+                f" down; run SET_DUAL_CARRIAGE for one of them first"
             )
+    for carriage in carriages[: (len(carriages) + 1) // 2]:
+        axis = "xyz"[carriage.axis]
+        is_idle = carriage.mode == INACTIVE and host.is_homed(axis)
+        if is_idle and _is_over_bed(carriage, settings):
+            raise CalibrationError(
+                f"{carriage.name}, with which Z was homed, is not active and stands at"
+                f" {axis.upper()}={carriage.position:.1f} over the bed, where its nozzle"
+                f" may be the lower one; park it at its end ({carriage.end:.1f})"
+            )
+
+
+def _is_over_bed(carriage: Carriage, settings: Settings) -> bool:
+    """Return whether a carriage is over what the mesh covers, or, without one, not parked."""
+    if settings.mesh_area is None:
+        return abs(carriage.position - carriage.end) > PARKED
+    low, high = (corner[carriage.axis] for corner in settings.mesh_area)
+    return low <= carriage.position <= high
 
 
 def check_settings(host: Host, settings: Settings) -> None:

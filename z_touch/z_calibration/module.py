@@ -117,7 +117,9 @@ class ZCalibration:
             self.host, self.settings, self.datum, self.progress
         )
         self.results = Results(self.host, self.datum)
-        self.in_force = InForce(self.host, self.results.sudden_reason)
+        self.in_force = InForce(
+            self.host, self.results.sudden_reason, self.results.settle
+        )
         self.notes = Notes(self.host, self.start_notes)
         # The offset (mm) that the user was last hinted at; None: not
         self.hinted: Optional[float] = None
@@ -184,7 +186,7 @@ class ZCalibration:
         texts = [*self.config_notes, *checks.notes(self.host, self.settings)]
         texts += unknown_commands.of(self.host.printer).notes(self.host.section)
         texts += self.run_log.notes
-        if self.run_log.last_good(self.host.extruder()) is None:
+        if self.run_log.last_good(self.host.tools.active()) is None:
             # How low the first run may go
             texts.append(checks.margins_note(self.settings))
         return texts
@@ -339,7 +341,7 @@ class ZCalibration:
 
     def earlier(self) -> Earlier:
         """Return what the next run knows before it begins."""
-        extruder = self.host.extruder()
+        extruder = self.host.tools.active()
         last, holds = self.results.earlier(extruder)
         good = self.run_log.last_good(extruder)
         kept, proved_at = None, self.run_log.nozzle_at()
@@ -383,7 +385,7 @@ class ZCalibration:
     def _departure(self, body: float) -> float:
         """Return by how much (mm) switch - nozzle departs from runs that were as hot."""
         now = run_log.temperatures(self.host, self.host.eventtime())
-        return self.run_log.departure(body, self.host.extruder(), now)
+        return self.run_log.departure(body, self.host.tools.active(), now)
 
     ##################################################################
     # CALIBRATE_Z
@@ -397,7 +399,7 @@ class ZCalibration:
         self.results.note(None)
         self.refuse_during_a_print(gcmd, own=True)
         with self.host.as_command_error(gcmd):
-            checks.check_tool_offset(self.host)
+            checks.check_carriages(self.host, self.settings)
         settings = with_touches(self.settings, gcmd)
         self._report_idle(gcmd, settings)
         accepts_change = options.param_flag(gcmd, "ACCEPT_CHANGE")
@@ -459,7 +461,7 @@ class ZCalibration:
                 run.know(Earlier() if accepts_change else self.earlier())
                 # start_gcode may have fetched another tool, with an offset of its own
                 self.host.gcode_state.set_z_offset(0.0)
-                checks.check_tool_offset(self.host)
+                checks.check_carriages(self.host, settings)
                 self.user_gcode.check_g92(UNDO_G92)
                 try:
                     if dirt:
@@ -504,7 +506,7 @@ class ZCalibration:
             z_adjust=z_adjust,
             point=SiteFinder(self.host, run.settings).bed_point(bed),
             twist=run.twist,
-            extruder=self.host.extruder(),
+            extruder=self.host.tools.active(),
             proved_at=run.proved_at,
             unknown_shift=run.unknown_over_pin or 0.0,
         )
@@ -708,6 +710,7 @@ class ZCalibration:
             self.host.gcode.run_script_from_command("G28 Z")
         run = self.new_run(settings, sites, self.statistics, False)
         with self.templates_around(run):
+            checks.check_carriages(self.host, settings)
             if not cycles:
                 self._note_oozing(run)
             run.know(self.earlier())
@@ -778,6 +781,7 @@ class ZCalibration:
             finder = SiteFinder(self.host, settings)
             nozzle = finder.nozzle_of_command(gcmd)
             command.check_homed(self.host)
+            checks.check_carriages(self.host, settings)
             with self.host.gcode_state.without_offset():
                 statistics = self._touch_repeatedly(gcmd, settings, nozzle)
         figures = accuracy_of(statistics.samples["nozzle"])

@@ -17,6 +17,7 @@ from typing import (
     Tuple,
 )
 
+from ..datum import MOTORS_OFF
 from ..in_force import LARGEST_STEP
 from .runs import Warned
 
@@ -72,6 +73,9 @@ class LastRun:
     applied: float = 0.0
     # offset_gcode keeps it for later
     is_for_later: bool = False
+    # The offset in force when the G-code that had called CALIBRATE_Z has ended: what that
+    # adds, such as for a plate, is no baby step.  None: it is under way
+    settled: Optional[float] = None
     # Those that were in force before, which a saved state may bring back
     earlier_offsets: Tuple[float, ...] = ()
     # Height of bed mesh or bed tilt there, when it was applied; whether that is not known;
@@ -83,6 +87,11 @@ class LastRun:
     def replace(self, **changes: Any) -> LastRun:
         """Return the run with other values."""
         return dataclasses.replace(self, **changes)
+
+    @property
+    def steps_from(self) -> float:
+        """What baby steps count from (mm)."""
+        return self.applied if self.settled is None else self.settled
 
 
 def bed_seen(host: Host, last: LastRun) -> float:
@@ -109,6 +118,9 @@ class Results:
         self.measured: Optional[LastRun] = None
         # The last run has ended well, or the one under way has measured well
         self.is_good = False
+        # What SET_GCODE_OFFSET Z=... has set (mm) since the last run, in place of its
+        # offset, with the baby steps since; None: nothing
+        self.replaced: Optional[float] = None
 
     def note(self, measured: Optional[LastRun]) -> None:
         """Show the run that is under way; None: it has not measured yet, or there is none."""
@@ -117,8 +129,57 @@ class Results:
 
     def keep(self, last: LastRun) -> None:
         """Keep a run that has ended well."""
-        self.last = self.of_tools[last.extruder] = last
+        self._keep(last)
         self.measured, self.is_good = None, True
+
+    def _keep(self, last: LastRun) -> None:
+        self._put(last)
+        self.replaced = None
+
+    def _put(self, last: LastRun) -> None:
+        self.last = self.of_tools[last.extruder] = last
+
+    def settle(self) -> None:
+        """Note what is in force when the G-code that had called CALIBRATE_Z has ended.
+
+        Baby steps count from that, unless our offset was lost on the way.
+        """
+        last = self.last
+        if last is None or last.settled is not None:
+            return
+        offset = self.host.gcode_state.z_offset()
+        is_lost = self.is_replaced() or self.is_brought_back(offset)
+        self._put(last.replace(settled=last.applied if is_lost else offset))
+
+    def note_offset(self, before: float, is_absolute: bool) -> None:
+        """Note what SET_GCODE_OFFSET has made of an offset (mm): a step, or another one."""
+        offset = self.host.gcode_state.z_offset()
+        was_replaced = self.replaced is not None and self.replaced == before
+        if not (is_absolute or was_replaced):
+            return
+        last = self.last
+        is_ours = last and abs(offset - last.applied) < SAME_OFFSET
+        self.replaced = None if is_ours else offset
+
+    def is_replaced(self) -> bool:
+        """Return whether SET_GCODE_OFFSET Z=... has set what is in force: no baby step."""
+        return self.replaced == self.host.gcode_state.z_offset()
+
+    def current(self) -> Optional[LastRun]:
+        """Return the result that should be in force: of the active nozzle, or the last one.
+
+        The tools of a changer have offsets of their own, so one result may be for all.
+        """
+        own = self.of_tools.get(self.host.tools.active())
+        last = self.last
+        if own is None or last is None or not self._is_of_changer():
+            return own or last
+        offset = self.host.gcode_state.z_offset()
+        is_of_last = abs(offset - last.applied) < SAME_OFFSET
+        return last if is_of_last else own
+
+    def _is_of_changer(self) -> bool:
+        return any(True for _ in self.host.tools.of_changer())
 
     def earlier(self, extruder: str) -> Tuple[Optional[Result], bool]:
         """Return the last good result with an extruder, and whether its heights hold."""
@@ -127,21 +188,29 @@ class Results:
             return None, False
         return last.result, not self.datum.moved_since(last.mark)
 
-    def correct(self, switch_offset: float, z_offset: float) -> None:
-        """Have the offset in force (mm) be that of the last run with another switch_offset."""
+    def correct(self, switch_offset: float) -> None:
+        """Have the offset in force be that of the last run with another switch_offset (mm)."""
         last = self.last
         assert last is not None
         change = last.result.switch_offset - switch_offset
-        corrected = last.result._replace(
+        result = last.result._replace(
             switch_offset=switch_offset, offset=last.result.offset + change
         )
-        # What offset_gcode adds is no part of it
-        added = last.applied - last.z_offset
-        self.last = self.of_tools[last.extruder] = last.replace(
-            result=corrected,
-            z_offset=z_offset - added,
-            applied=z_offset,
-            earlier_offsets=(*last.earlier_offsets, last.applied),
+        # What the G-code has added that had called CALIBRATE_Z is no part of it
+        offset = self.host.gcode_state.z_offset()
+        step = offset - last.steps_from
+        self._keep(
+            last.replace(
+                result=result,
+                z_offset=last.z_offset + step,
+                applied=last.applied + step,
+                settled=offset,
+                earlier_offsets=(
+                    *last.earlier_offsets,
+                    last.applied,
+                    last.steps_from,
+                ),
+            )
         )
 
     ##################################################################
@@ -156,9 +225,10 @@ class Results:
         'besides' are kinds, see the top, that are not looked at; 'datum_besides' of the words
         of datum.py.  Never pauses.
         """
-        if self.last is None:
+        last = self.current()
+        if last is None:
             return "not calibrated yet"
-        for kind, reason in self._reasons(self.last, datum_besides):
+        for kind, reason in self._reasons(last, datum_besides):
             if reason and kind not in besides:
                 return reason
         return ""
@@ -191,17 +261,21 @@ class Results:
         )
 
     def _other_heat(self, last: LastRun) -> str:
-        if self.host.transforms.heat_settings() == last.heat:
+        moved = self.host.transforms.heat_moved(last.heat)
+        if abs(moved) <= SAME_HEIGHT:
             return ""
         return (
-            "SET_Z_THERMAL_ADJUST has moved Z=0 since CALIBRATE_Z; run it before"
-            " that"
+            f"SET_Z_THERMAL_ADJUST has moved Z=0 by {moved:.3f} mm since CALIBRATE_Z; run"
+            " it before that"
         )
 
     def other_tool(self, last: LastRun) -> str:
-        """Return why another nozzle is active, in words; empty: it is not."""
-        active = self.host.extruder()
-        if active == last.extruder:
+        """Return why another nozzle is active, in words; empty: it is not.
+
+        Tools of a changer are none: that adds their own offsets.
+        """
+        active = self.host.tools.active()
+        if active == last.extruder or self._is_of_changer():
             return ""
         return (
             f"{active} is active, and CALIBRATE_Z was run with {last.extruder}"
@@ -244,22 +318,28 @@ class Results:
         )
 
     def sudden_reason(self) -> Optional[str]:
-        """Return why the result has ceased to hold without the user's doing; empty: it has not.
+        """Return why the result has ceased to hold, with its number; empty: it has not.
 
-        Homing, levelling and motors that are off end it as expected, for good: None.  Another
-        tool, baby steps and an offset that is kept for later are the user's.
+        Motors that are off end it as expected, after each print: None.  Baby steps, and an
+        offset that is kept for later, are the user's.
         """
-        last = self.last
-        if last is None or self.invalid_reason((MESH, HEAT, TOOL, G92, OFFSET)):
+        last = self.current()
+        if last is None or self.datum.moved_since(last.mark) == MOTORS_OFF:
             return None
-        reason = self.invalid_reason((DATUM, TOOL, OFFSET))
-        if reason or last.is_for_later or self.other_tool(last):
-            return reason
-        offset = self.host.gcode_state.z_offset()
-        is_step = offset and abs(offset - last.applied) <= LARGEST_STEP
-        if is_step and not self.is_brought_back(offset):
+        reason = self.invalid_reason((OFFSET,))
+        if reason:
+            return f"{reason}; the offset of CALIBRATE_Z was {last.applied:.3f}"
+        if last.is_for_later or self._is_stepped(last):
             return ""
         return self._other_offset(last)
+
+    def _is_stepped(self, last: LastRun) -> bool:
+        """Return whether the offset in force differs by baby steps at most."""
+        offset = self.host.gcode_state.z_offset()
+        if self.is_replaced() or self.is_brought_back(offset):
+            return False
+        is_near = abs(offset - last.steps_from) <= LARGEST_STEP
+        return is_near and (bool(offset) or not last.steps_from)
 
     ##################################################################
     # Status

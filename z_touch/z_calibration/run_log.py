@@ -127,7 +127,7 @@ class RunLog:
             ok=False,
             time=round(time.time(), 1),
             sites=sites,
-            extruder=self.host.extruder(),
+            extruder=self.host.tools.active(),
             bed_spread=bed_spread,
             revision=self.version,
             duration=round(eventtime - began, 2),

@@ -679,7 +679,7 @@ class Setup:
             found.is_fetched = True
         self._put_away()
         self._fetch()
-        found.extruder = self.host.extruder()
+        found.extruder = self.host.tools.active()
         with self.user_gcode.holding_probe():
             self._touch("nozzle")
         self.come_to("touch_switch")
@@ -789,7 +789,7 @@ class Setup:
 
     def _other_nozzle(self) -> str:
         """Say that another extruder is active, whose nozzle may be longer."""
-        active, touched = self.host.extruder(), self.found.extruder
+        active, touched = self.host.tools.active(), self.found.extruder
         if not self.found.touched or active == touched:
             return ""
         return f"{active} is active, and the pin was touched with {touched}"

@@ -88,7 +88,7 @@ class SwitchOffset:
     """The commands that correct switch_offset, and the buttons that may do so.
 
     The buttons' commands are the host's own and are wrapped, as nothing else tells that the
-    user wants to keep his baby steps.
+    user wants to keep the baby steps.
     """
 
     def __init__(self, calibration: ZCalibration):
@@ -105,6 +105,15 @@ class SwitchOffset:
     def _take_buttons(self) -> None:
         for name in BUTTONS:
             self.host.wrap_command(name, self._press)
+        # Nothing else tells an offset that is set from a baby step
+        self.host.wrap_command("SET_GCODE_OFFSET", self._set_offset)
+
+    def _set_offset(self, handler: Handler, gcmd: GCodeCommand) -> None:
+        """Note where a command sets an offset in place of ours."""
+        before = self.host.gcode_state.z_offset()
+        handler(gcmd)
+        is_absolute = gcmd.get("Z", None) is not None
+        self.results.note_offset(before, is_absolute)
 
     def _press(self, handler: Handler, gcmd: GCodeCommand) -> None:
         """Save baby steps into switch_offset where the user wants that, or hint at it."""
@@ -117,7 +126,7 @@ class SwitchOffset:
             return
         last = self.results.last
         change = self.host.gcode_state.z_offset()
-        change -= last.applied if last else 0.0
+        change -= last.steps_from if last else 0.0
         handler(gcmd)
         name, section = gcmd.get_command(), self.host.section
         if keeps:
@@ -187,7 +196,7 @@ class SwitchOffset:
             )
         self._check_tool(last)
         z_offset = self.host.gcode_state.z_offset()
-        if abs(z_offset - last.applied) < NO_STEP:
+        if abs(z_offset - last.steps_from) < NO_STEP:
             gcmd.respond_info(
                 f"{self.host.section}: nothing was changed with baby steps since"
                 " CALIBRATE_Z"
@@ -200,15 +209,27 @@ class SwitchOffset:
                 " before a correction: a saved state has brought it back, such as with"
                 " RESUME; run CALIBRATE_Z again, or add FORCE=1 if it is of baby steps"
             )
+        self._check_replaced(force)
         new, text = check_steps(
-            last.applied, last.result.switch_offset, z_offset, force
+            last.steps_from, last.result.switch_offset, z_offset, force
         )
         new = round(new, 3)
         self.calibration.use_switch_offset(new)
-        self.results.correct(new, z_offset)
+        self.results.correct(new)
         gcmd.respond_info(f"{self.host.section}: {text}")
         self.unsaved = new
         self._keep(is_saved)
+
+    def _check_replaced(self, force: bool) -> None:
+        """Raise where an offset was set in place of that of CALIBRATE_Z: it is no baby step."""
+        z_offset = self.host.gcode_state.z_offset()
+        if force or not z_offset or not self.results.is_replaced():
+            return
+        raise CalibrationError(
+            f"the G-code offset {z_offset:.3f} was set by SET_GCODE_OFFSET Z=... in place"
+            " of that of CALIBRATE_Z, which is no baby step; run CALIBRATE_Z again and"
+            " use Z_ADJUST, or add FORCE=1 if what is set is right"
+        )
 
     def _keep(self, is_saved: bool) -> None:
         """Hand it to SAVE_CONFIG, if that is wanted."""

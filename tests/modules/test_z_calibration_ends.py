@@ -1,0 +1,417 @@
+"""What ends a result, or is no end of it: told once, in the status at once.
+
+Whoever moves on: a macro, a tool changer, the other carriage, G28, a mesh.
+"""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import pytest
+
+from tools.kit.cases import slow
+from tools.kit.klipper_sections import TOOL, bed_mesh, profile
+from tools.kit.printer import module_files
+from tools.kit.scenes import SCENES, heated
+from tools.kit.z_calibration import (
+    MICROSTEP,
+    SWITCH_OFFSET,
+    calibration,
+    section,
+    touched_sites,
+)
+
+EXTRAS = Path(__file__).resolve().parents[2] / "tools" / "kit" / "extras"
+OFFSET = 0.16
+GAP = 0.06
+SAVE = "Z_CALIBRATION_SAVE_GCODE_OFFSET"
+WAS = "; the offset of CALIBRATE_Z was 0.160"
+
+
+def validity(printer):
+    status = printer.status("z_calibration")
+    return status["valid"], status["reason"]
+
+
+def told(printer, script, seconds=5.0):
+    """Run it; the lines of z_calibration until it has looked twice."""
+    before = len(printer.session.console)
+    printer.run(script)
+    printer.session.wait(seconds)
+    lines = printer.session.console[before:]
+    return [n for n in lines if n.startswith("// z_calibration: ")]
+
+
+def saved_switch_offset(printer):
+    pending = printer.status("configfile")["save_config_pending_items"]
+    return float(pending["z_calibration"]["switch_offset"])
+
+
+######################################################################
+# Told once, with the number
+######################################################################
+
+MESH = bed_mesh("50, 50", "250, 250")
+CHANGES = {
+    "bed_mesh": MESH,
+    "bed_mesh default": profile([0.2] * 3, MESH),
+}
+
+
+@pytest.mark.parametrize(
+    ("script", "words"),
+    [
+        ("G28 Z", f"Z was homed again{WAS}"),
+        (
+            "BED_MESH_PROFILE LOAD=default",
+            "bed_mesh is 0.200 mm at 150.0, 150.0 and was 0.000 mm there after"
+            " CALIBRATE_Z",
+        ),
+        ("SET_GCODE_OFFSET Z=0", "the G-code Z offset is 0.000, that of"),
+        slow("SET_GCODE_OFFSET Z=0.1", "the G-code Z offset is 0.100, that of"),
+        ("SET_GCODE_OFFSET Z_ADJUST=0.6", "the G-code Z offset is 0.760, that"),
+        ("G92 Z5", "G92 has moved Z=0 by"),
+        ("SET_KINEMATIC_POSITION Z=20", f"Z was homed again or set{WAS}"),
+    ],
+)
+def test_what_ends_a_result_is_told_once(start, script, words):
+    changes = {"force_move": {"enable_force_move": "True"}, **CHANGES}
+    printer = start(changes=changes).homed()
+    assert told(printer, "CALIBRATE_Z")[-1].startswith(
+        "// z_calibration: bed at"
+    )
+    lines = told(printer, script)
+    assert validity(printer)[0] is False
+    assert len(lines) == 1 and words in lines[0]
+    assert told(printer, "G4 P100") == []
+    # The next result has its own
+    printer.run("G92 Z20\nG28")
+    lines = told(printer, "CALIBRATE_Z\nG28 Z")
+    assert sum("Z was homed again" in line for line in lines) == 1
+
+
+@pytest.mark.parametrize(
+    "script", ["M84", "SET_GCODE_OFFSET Z_ADJUST=0.05", "G1 X100 F6000"]
+)
+def test_what_everybody_does_is_not_told(start, script):
+    """The motors are off after each print; baby steps are the user's."""
+    printer = start().homed()
+    printer.run("CALIBRATE_Z")
+    assert told(printer, script) == []
+
+
+def test_levelling_is_told(start):
+    """Before the levelling one motor was some steps off."""
+    changes = {
+        "quad_gantry_level": {
+            "gantry_corners": "-60, -10\n  360, 370",
+            "points": "50, 25\n  50, 225\n  250, 225\n  250, 25",
+            "speed": "200",
+            "horizontal_move_z": "10",
+            "max_adjust": "10",
+        },
+        "force_move": {"enable_force_move": "True"},
+    }
+    printer = start(changes=changes).homed()
+    printer.run("FORCE_MOVE STEPPER=stepper_z DISTANCE=0.5 VELOCITY=5")
+    printer.run("CALIBRATE_Z")
+    lines = told(printer, "QUAD_GANTRY_LEVEL")
+    assert f"// z_calibration: the Z motors were levelled{WAS}"[:45] in "".join(
+        lines
+    )
+    assert len(lines) == 1
+
+
+def test_macro_that_is_still_at_work_is_not_interrupted(start):
+    """Tool changers set 0 for a moment, a mesh is cleared before it is probed."""
+    back = "\n  SET_GCODE_OFFSET Z={printer.z_calibration.applied}"
+    busy = "\n  CALIBRATE_Z\n  SET_GCODE_OFFSET Z=0\n  G4 P9000\n  BACK"
+    changes = {
+        "gcode_macro BEGIN": {"gcode": busy},
+        "gcode_macro BACK": {"gcode": back},
+    }
+    printer = start(changes=changes).homed()
+    lines = told(printer, "BEGIN")
+    assert not any("G-code Z offset" in line for line in lines)
+    assert validity(printer) == (True, "")
+
+
+######################################################################
+# What the G-code adds that has called CALIBRATE_Z
+######################################################################
+
+
+def begin(*lines):
+    code = "".join(f"\n  {line}" for line in ("CALIBRATE_Z", *lines))
+    return {"gcode_macro BEGIN": {"gcode": code}}
+
+
+def test_what_a_macro_adds_for_a_plate_is_no_baby_step(start):
+    """Each save took it for one: gaps of 0.140, 0.080, 0.018, -0.043, -0.103."""
+    changes = {
+        **begin("SET_GCODE_OFFSET Z_ADJUST=-0.06"),
+        **section(save_button="switch_offset"),
+    }
+    printer = start(changes=changes).homed()
+    switch_offset = SWITCH_OFFSET
+    for step in (0.0, 0.03, 0.0, -0.02, 0.0):
+        before = printer.status("z_calibration")["applied"]
+        assert told(printer, "G28\nBEGIN")[-1].startswith(
+            "// z_calibration: bed"
+        )
+        if step:
+            printer.run(f"SET_GCODE_OFFSET Z_ADJUST={step}")
+        printer.run("Z_OFFSET_APPLY_ENDSTOP")
+        if step:
+            switch_offset -= step
+            assert saved_switch_offset(printer) == pytest.approx(switch_offset)
+        wanted = OFFSET + SWITCH_OFFSET - switch_offset - 0.06
+        assert printer.offset() == pytest.approx(wanted, abs=2 * MICROSTEP)
+        assert before is not None
+
+
+def test_steps_of_the_macro_itself_count_from_what_was_measured(start):
+    """It has not ended then."""
+    changes = begin("SET_GCODE_OFFSET Z_ADJUST=-0.06", f"{SAVE} SAVE=1")
+    printer = start(changes=changes).homed()
+    printer.run("BEGIN")
+    assert saved_switch_offset(printer) == pytest.approx(SWITCH_OFFSET + 0.06)
+
+
+def test_steps_twice_and_a_second_run(start):
+    printer = start(changes=begin("SET_GCODE_OFFSET Z_ADJUST=0.1")).homed()
+    printer.run("BEGIN")
+    printer.session.wait(3.0)
+    printer.run(f"SET_GCODE_OFFSET Z_ADJUST=0.02\n{SAVE}")
+    assert saved_switch_offset(printer) == pytest.approx(SWITCH_OFFSET - 0.02)
+    printer.run(f"SET_GCODE_OFFSET Z_ADJUST=0.03\n{SAVE}")
+    assert saved_switch_offset(printer) == pytest.approx(SWITCH_OFFSET - 0.05)
+    printer.run("BEGIN")
+    assert printer.offset() == pytest.approx(OFFSET + 0.15, abs=0.006)
+
+
+@pytest.mark.parametrize("z", ["0.1", slow("0.3")])
+def test_offset_that_is_set_is_no_baby_step(start, z):
+    """The web interfaces send Z_ADJUST; a macro that sets one has lost ours."""
+    printer = start().homed()
+    printer.run("CALIBRATE_Z")
+    printer.run(f"SET_GCODE_OFFSET Z={z}")
+    text = printer.fail(SAVE)
+    assert (
+        f"G-code offset {float(z):.3f} was set by SET_GCODE_OFFSET Z=" in text
+    )
+    assert "in place of that of CALIBRATE_Z, which is no baby step" in text
+    # Nor with a step on top of it
+    printer.run("SET_GCODE_OFFSET Z_ADJUST=0.01")
+    assert "no baby step" in printer.fail(SAVE)
+    printer.run(f"{SAVE} FORCE=1")
+    new = SWITCH_OFFSET - (float(z) + 0.01 - OFFSET)
+    assert saved_switch_offset(printer) == pytest.approx(new, abs=0.002)
+    # From here on they count again
+    printer.run(f"SET_GCODE_OFFSET Z_ADJUST=0.01\n{SAVE}")
+    assert saved_switch_offset(printer) == pytest.approx(new - 0.01, abs=0.002)
+
+
+def test_macro_that_sets_another_offset_is_told(start):
+    """One for a plate that replaces what was just measured."""
+    printer = start(changes=begin("SET_GCODE_OFFSET Z=0.1")).homed()
+    lines = told(printer, "BEGIN")
+    assert "the G-code Z offset is 0.100, that of CALIBRATE_Z is" in lines[-1]
+    printer.run("SET_GCODE_OFFSET Z_ADJUST=0.01")
+    assert "0.110 was set by SET_GCODE_OFFSET Z=" in printer.fail(SAVE)
+
+
+def test_the_same_offset_set_again_is_ours(start):
+    macro = "\n  SET_GCODE_OFFSET Z={printer.z_calibration.applied}"
+    printer = start(changes={"gcode_macro AGAIN": {"gcode": macro}}).homed()
+    printer.run("CALIBRATE_Z\nSET_GCODE_OFFSET Z=0\nAGAIN")
+    assert validity(printer) == (True, "")
+    printer.run(f"SET_GCODE_OFFSET Z_ADJUST=0.02\n{SAVE}")
+    assert saved_switch_offset(printer) == pytest.approx(SWITCH_OFFSET - 0.02)
+
+
+######################################################################
+# Another nozzle
+######################################################################
+
+
+def with_two_extruders(start, tmp_path):
+    path = tmp_path / "temp"
+    path.write_text("25000")
+    changes = {"extruder1": {**TOOL, "sensor_path": str(path)}}
+    return start(heated(SCENES["voron"]), changes=changes).homed()
+
+
+ONE, TWO = [
+    f"ACTIVATE_EXTRUDER EXTRUDER={n}" for n in ("extruder", "extruder1")
+]
+
+
+def test_another_extruder_is_told_once(start, tmp_path):
+    printer = with_two_extruders(start, tmp_path)
+    printer.run("CALIBRATE_Z")
+    reason = "extruder1 is active, and CALIBRATE_Z was run with extruder"
+    printer.run(TWO)
+    assert validity(printer) == (False, reason)
+    assert told(printer, "G4 P1") == [f"// z_calibration: {reason}{WAS}"]
+    assert told(printer, f"{ONE}\nG4 P3000\n{TWO}") == []
+
+
+def test_each_extruder_has_a_result_of_its_own(start, tmp_path):
+    """As tools.cfg keeps them: the offset of the active one is in force."""
+    printer = with_two_extruders(start, tmp_path)
+    printer.run(f"CALIBRATE_Z\n{TWO}\nCALIBRATE_Z Z_ADJUST=0.1")
+    assert validity(printer) == (True, "")
+    offset = printer.offset() - 0.1
+    assert told(printer, f"{ONE}\nSET_GCODE_OFFSET Z={offset:.6f}") == []
+    assert validity(printer) == (True, "")
+    printer.run(f"SET_GCODE_OFFSET Z={offset + 0.1:.6f}")
+    assert "that of CALIBRATE_Z is 0.160" in validity(printer)[1]
+
+
+######################################################################
+# klipper-toolchanger shifts Z below the G-code offset
+######################################################################
+
+
+def changer(start, second, first="0", **options):
+    changes = {
+        "tool T0": {"gcode_z_offset": first, "active": "True"},
+        "tool T1": {"gcode_z_offset": second},
+        **section(**options),
+    }
+    modules = {**module_files(), "tool": EXTRAS / "tool.py"}
+    return start(changes=changes, modules=modules).homed()
+
+
+@pytest.mark.parametrize("shift", [-0.3, 0.3, 0.0])
+def test_offset_of_the_active_tool_is_taken_off(start, shift):
+    """It counted twice: 0.24 mm into the bed, or as much too high."""
+    printer = changer(start, str(shift))
+    printer.run("FETCH_TOOL TOOL=T1")
+    lines = printer.run("CALIBRATE_Z")
+    words = f"tool T1 shifts Z by {shift:.3f} mm there now: taken off"
+    assert any(words in line for line in lines) == bool(shift)
+    assert not any("another feature" in line for line in lines)
+    assert printer.offset() == pytest.approx(OFFSET - shift, abs=0.003)
+    assert printer.gap() == pytest.approx(GAP, abs=2 * MICROSTEP)
+    assert validity(printer) == (True, "")
+
+
+def test_one_result_is_for_all_tools_of_a_changer(start):
+    """Their own offsets are the user's; both may be calibrated, too."""
+    printer = changer(start, "-0.3")
+    printer.run("CALIBRATE_Z")
+    assert told(printer, "FETCH_TOOL TOOL=T1") == []
+    assert validity(printer) == (True, "")
+    printer.run("FETCH_TOOL TOOL=T1\nCALIBRATE_Z")
+    assert printer.gap() == pytest.approx(GAP, abs=2 * MICROSTEP)
+    second = printer.offset()
+    assert told(printer, "FETCH_TOOL TOOL=T0") == []
+    assert validity(printer) == (True, "")
+    # Each may keep its own, as tools.cfg does
+    assert told(printer, f"SET_GCODE_OFFSET Z={OFFSET:.6f}") == []
+    assert validity(printer) == (True, "")
+    printer.run(f"FETCH_TOOL TOOL=T1\nSET_GCODE_OFFSET Z={second:.6f}")
+    assert validity(printer) == (True, "")
+    assert printer.gap() == pytest.approx(GAP, abs=2 * MICROSTEP)
+
+
+def test_tool_that_start_gcode_fetches(start):
+    printer = changer(start, "0.2", start_gcode="FETCH_TOOL TOOL=T1")
+    printer.run("CALIBRATE_Z")
+    assert printer.gap() == pytest.approx(GAP, abs=2 * MICROSTEP)
+
+
+def test_tool_of_another_plugin_is_none_of_a_changer(start):
+    changes = {"tool T1": {"gcode_z_offset": "0.2", "is_other": "1"}}
+    modules = {**module_files(), "tool": EXTRAS / "tool.py"}
+    calibration(start(changes=changes, modules=modules).homed())
+
+
+######################################################################
+# The other carriage of an IDEX
+######################################################################
+
+
+def idex(start, park="5", **more):
+    """A cartesian whose second carriage has a motor, and whose first is at X=park."""
+    scene = SCENES["cartesian"]
+    changes = {
+        "dual_carriage": {
+            "axis": "x",
+            "step_pin": "PF0",
+            "dir_pin": "PF1",
+            "enable_pin": "!PF2",
+            "endstop_pin": "^PF3",
+            "microsteps": "16",
+            "rotation_distance": "40",
+            "position_min": "0",
+            "position_max": "230",
+            "position_endstop": "230",
+            "homing_speed": "50",
+            "safe_distance": "0",
+        },
+        "force_move": {"enable_force_move": "True"},
+        **more,
+    }
+    printer = start(scene, changes=changes)
+    printer.session.require_ready()
+    pose = scene.start
+    printer.run(
+        f"SET_KINEMATIC_POSITION X={pose.x} Y={pose.y} Z={pose.z + 3:.3f}"
+    )
+    printer.run(f"G90\nG1 X{park} F6000")
+    return printer
+
+
+OTHER = "SET_DUAL_CARRIAGE CARRIAGE=1"
+
+
+@pytest.mark.parametrize(
+    ("mesh", "park", "is_refused"),
+    [
+        (None, "100", True),
+        (None, "2", False),
+        (("50, 50", "180, 180"), "100", True),
+        (("50, 50", "180, 180"), "40", False),
+    ],
+)
+def test_first_carriage_over_the_bed_is_refused(start, mesh, park, is_refused):
+    more = {"bed_mesh": bed_mesh(*mesh)} if mesh else {}
+    printer = idex(start, park, **more)
+    printer.run(OTHER)
+    for command in ("CALIBRATE_Z", "PROBE_Z_ACCURACY", "CALIBRATE_Z_ACCURACY"):
+        before = len(printer.machine.truth.touches)
+        # Out of reach is refused, too, and moves nothing
+        nowhere = "" if is_refused else " NOZZLE_POSITION=9999,1"
+        text = printer.fail(command + nowhere)
+        words = (
+            "carriage_0, with which Z was homed, is not active and stands at"
+        )
+        assert (words in text) == is_refused
+        if is_refused:
+            assert f"X={float(park):.1f} over the bed" in text
+        assert touched_sites(printer, before) == []
+
+
+def test_carriage_that_moves_along_is_refused(start):
+    printer = idex(start, "2")
+    printer.run(f"{OTHER} MODE=COPY")
+    text = printer.fail("CALIBRATE_Z")
+    assert "carriage_1 moves along (COPY): two nozzles would go down" in text
+
+
+def test_second_carriage_is_another_nozzle(start):
+    """Also without ACTIVATE_EXTRUDER."""
+    printer = idex(start)
+    printer.run("G28 Z\nCALIBRATE_Z")
+    assert validity(printer) == (True, "")
+    printer.run(OTHER)
+    is_valid, reason = validity(printer)
+    assert not is_valid
+    assert "carriage_1 is active, and CALIBRATE_Z was run with" in reason
+    lines = told(printer, "G4 P1")
+    assert len(lines) == 1 and reason in lines[0]
+    printer.run("SET_DUAL_CARRIAGE CARRIAGE=0")
+    assert validity(printer) == (True, "")
