@@ -104,6 +104,58 @@ def test_process_that_cannot_be_started_is_one_sentence(start, planted):
     assert "z_calibration: the report cannot be started: [Errno 2]" in console
 
 
+def no_file(path: Path, what: str) -> None:
+    """Put something in the place of the history that is no file."""
+    path.parent.mkdir(parents=True, exist_ok=True)
+    if what == "folder":
+        path.mkdir()
+    elif what == "pipe":
+        os.mkfifo(path)
+    else:
+        path.symlink_to(what)
+
+
+NO_FILES = ["folder", "pipe", "/dev/zero", "/dev/full"]
+
+
+@pytest.mark.parametrize("what", NO_FILES)
+def test_history_that_is_no_file_still_gives_a_text(start, what):
+    """Just then one wants to ask somebody; a pipe held klippy for ever."""
+    printer = start().homed()
+    path = printer.session.data / "config" / "z_calibration/printer.jsonl"
+    no_file(path, what)
+    calibration(printer)
+    printer.session.restart("RESTART")
+    printer.homed()
+    calibration(printer)
+    notes = printer.status("z_calibration")["notes"]
+    assert any("it is no file" in note for note in notes)
+    line = reported(printer, "no runs are in the report: it is no file")
+    assert str(path) in line
+    printer.session.wait(1.0)
+    assert any("attach " in line for line in printer.session.console)
+    (text,) = path.parent.glob("report-*.txt")
+    assert "nozzle_xy_position" in text.read_text()
+    if what != "folder":
+        path.unlink()
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("what", ["printer.jsonl", "nowhere/at/all"])
+def test_link_that_leads_nowhere_ends_with_a_sentence(start, what):
+    """To itself, or to what is not there."""
+    printer = start().homed()
+    path = printer.session.data / "config" / "z_calibration/printer.jsonl"
+    no_file(path, what)
+    calibration(printer)
+    printer.run(REPORT)
+    for _ in range(60):
+        if any("the report" in n for n in printer.session.console):
+            return
+        printer.session.wait(0.5)
+    raise AssertionError(printer.session.console)
+
+
 def test_one_that_hangs_is_ended_and_klippy_goes_on(start, planted, tmp_path):
     number = tmp_path / "number"
     printer = start(modules=planted(hanging(number))).homed()

@@ -13,7 +13,7 @@ import sys
 import time
 from typing import Any, Dict, List, Optional, Sequence
 
-from ..z_calibration.runs import Parsed, parse_all
+from ..z_calibration.runs import Parsed, check_file, parse_all
 from . import attachment, cycles
 from .picture import svg
 
@@ -64,10 +64,18 @@ def report(
     facts are none.
     """
     known = None if facts is None else read_facts(facts)
-    parsed = read(history)
+    said = []
+    try:
+        parsed = read(history)
+    except OSError as e:
+        # The text to attach is wanted all the more
+        parsed = Parsed([], 0, 0)
+        said.append(
+            f"{history} cannot be read, so no runs are in the report: {e.strerror}"
+        )
     path = picture or new_path(history)
     write(path, svg(parsed.runs, name=history))
-    said = [f"the report is {path}"]
+    said.append(f"the report is {path}")
     if parsed.damaged:
         said.append(f"{parsed.damaged} damaged lines of {history} are left out")
     if parsed.other:
@@ -92,6 +100,7 @@ def report(
 
 def read(history: str) -> Parsed:
     """Return the runs of a file; none yet is none."""
+    check_file(history)
     try:
         with open(history, "rb") as f:
             return parse_all(f.read().split(b"\n"))

@@ -299,6 +299,7 @@ def last_lines(path: str) -> Tuple[List[bytes], bool]:
 
     There are none where there is no file yet.
     """
+    runs.check_file(path)
     try:
         with open(path, "rb") as f:
             begin = f.seek(0, os.SEEK_END) - MOST_BYTES
@@ -328,6 +329,7 @@ def write_anew(path: str, lines: List[bytes]) -> None:
 def add_line(path: str, line: bytes) -> None:
     """Append a line; what is there stays whole, also where the disk gets full."""
     os.makedirs(os.path.dirname(path), exist_ok=True)
+    runs.check_file(path)
     with open(path, "ab+", buffering=0) as f:
         end = f.seek(0, os.SEEK_END)
         if end:

@@ -8,8 +8,10 @@ Copyright (C) 2026  the Z calibration developers, under the GNU GPLv3
 
 from __future__ import annotations
 
+import errno
 import json
 import math
+import os
 from dataclasses import asdict, dataclass, field
 from statistics import fmean, median, stdev
 from typing import (
@@ -216,6 +218,15 @@ def site_run(
 
 class OtherFormat(ValueError):
     """A line of another version of the modules."""
+
+
+def check_file(path: str) -> None:
+    """Raise OSError where something else than a file is there.
+
+    Opening a pipe, or reading a device, may never end.
+    """
+    if os.path.exists(path) and not os.path.isfile(path):
+        raise OSError(errno.EINVAL, "it is no file")
 
 
 def line_of(run: Run) -> bytes:
