@@ -768,3 +768,31 @@ def test_numbers_are_numbers_to_macros(start):
     settings = printer.status("configfile")["settings"]["auto_z_offset"]
     assert settings["z_offset"] == 0.2
     assert settings["probe_z_correction"] == -1.25
+
+
+# How far the first touch of all may go
+
+
+@pytest.mark.parametrize(
+    ("changes", "depth"),
+    [
+        ({}, "4"),
+        ({"stepper_z": {"position_min": "-2.5"}}, "2.5"),
+        # The user has said how far
+        (section(probe_z_min="-2.5"), None),
+        (section(probe_z_correction="0.1"), None),
+        ({"stepper_z": {"position_min": "-1.5"}}, None),
+    ],
+)
+def test_deep_first_touch_is_told_until_there_is_a_correction(
+    start, changes, depth
+):
+    """As a dead bed sensor lets the nozzle into the bed as far as that."""
+    printer = start("qidi", changes=changes)
+    printer.session.require_ready()
+    notes = printer.status("auto_z_offset")["notes"]
+    told = [n for n in notes if "until AUTO_Z_CALIBRATE has run once" in n]
+    assert len(told) == bool(depth)
+    for note in told:
+        assert f"be pressed {depth} mm into the bed" in note
+        assert "set probe_z_min" in note

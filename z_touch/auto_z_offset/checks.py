@@ -3,7 +3,7 @@
 
 from ..errors import CalibrationError
 from . import shifts
-from .heights import fastest_touch, travel_height
+from .heights import BELOW_SWITCH, fastest_touch, travel_height
 from .motors import braking_accel
 from .sites import check_sites
 
@@ -78,3 +78,18 @@ def printer_notes(host, settings, motors):
         )
         notes.append(shifts.wrong_mesh(host))
     return notes
+
+
+# What is told of a first touch that may go far into the bed; empty: it may not, or the user
+# has said so.  Only a correction, or a touch since Z was homed, says better how low the bed is.
+def first_touch_note(host, settings):
+    floor = settings.floor.z
+    is_own = settings.probe_z_min is not None
+    if is_own or not host.axes.homes_with_probe() or floor > -BELOW_SWITCH:
+        return ""
+    return (
+        "until AUTO_Z_CALIBRATE has run once, a bed sensor that does not answer lets"
+        " the nozzle be pressed %g mm into the bed (%s); watch the first run, or set"
+        " probe_z_min about 1 mm below the lowest that the bed can be"
+        % (-floor, settings.floor.why)
+    )

@@ -71,7 +71,10 @@ class AutoZOffset:
     # What is told when klippy is ready: by then all commands are known, too
     def all_notes(self):
         unknown = unknown_commands.of(self.printer)
-        return self.start_notes + unknown.notes(self.host.section)
+        notes = self.start_notes + unknown.notes(self.host.section)
+        if self.correction.z is None:
+            notes.append(checks.first_touch_note(self.host, self.settings))
+        return notes
 
     # The buttons of the host, which know nothing of a correction
     def watch_buttons(self):
