@@ -11,6 +11,7 @@ import pytest
 
 from tools.kit.cases import slow
 from tools.kit.scenes import SCENES
+from tools.kit.setup_user import EMPTY, User
 from tools.kit.z_calibration import (
     BED,
     BODY,
@@ -189,3 +190,26 @@ def test_way_down_on_the_probe_does_not_put_it_away(start):
     assert printer.status("z_calibration")["last_result"][
         "nozzle"
     ] == pytest.approx(PIN, abs=2 * MICROSTEP)
+
+
+@pytest.mark.parametrize("each", [True, slow(False)])
+def test_setup_measures_it_right(start, each):
+    probe = {
+        "activate_gcode": ATTACH,
+        "deactivate_gcode": DETACH,
+        "deactivate_on_each_sample": str(each),
+        "z_offset": "0",
+    }
+    changes = attaching(probe=probe)
+    changes["z_calibration"].update(EMPTY)
+    printer = start(servo(), changes=changes).homed()
+    user = User(printer)
+    user.begin()
+    user.test_switches()
+    user.set_places(nozzle=(206.0, 306.0), switch=(211.5, 281.25))
+    user.touch()
+    assert user.step() == "GAP"
+    told = "\n".join(printer.session.console)
+    for name, z in (("nozzle", PIN), ("switch", PIN + BODY)):
+        assert f"{name} at z={z:.3f}"[:-1] in told
+    assert f"bed at z={BED + TRIGGER:.3f}"[:-1] in told

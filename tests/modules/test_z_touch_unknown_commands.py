@@ -12,6 +12,7 @@ from tools.kit.auto_z_offset import section as auto_z_section
 from tools.kit.cases import slow
 from tools.kit.dockable_probe import SWITCH
 from tools.kit.dockable_probe import section as dockable_section
+from tools.kit.docks import calibrating
 from tools.kit.extra_probe import NAME
 from tools.kit.extra_probe import section as extra_section
 from tools.kit.scenes import SCENES
@@ -153,3 +154,14 @@ def test_what_can_be_seen_is_told_when_klippy_is_ready(start):
     assert words == ["ATACH_PROBE", "M117"]
     told = printer.status("z_calibration")["notes"]
     assert any(f"end_gcode: ATACH_PROBE {UNKNOWN}" in note for note in told)
+
+
+def test_what_comes_after_a_template_within_another_is_heard(start):
+    """The dock has G-code of its own, which is done by then."""
+    changes = {
+        "dockable_probe": {"pre_attach_gcode": "G4 P1"},
+        **section(start_gcode="\n  ATTACH_PROBE\n  ATACH_PROBE"),
+    }
+    printer = start(calibrating(SWITCH), changes=changes).homed()
+    text = printer.fail("CALIBRATE_Z")
+    assert f"start_gcode: ATACH_PROBE {UNKNOWN}" in text

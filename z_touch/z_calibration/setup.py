@@ -43,7 +43,7 @@ from ..wizard import (
     head_at,
     jogged,
 )
-from . import heights
+from . import checks, heights
 from . import setup_judging as judging
 from . import setup_steps as texts
 from .setup_steps import STEPS
@@ -672,6 +672,7 @@ class Setup:
     def do_touch_nozzle(self, gcmd: GCodeCommand) -> None:
         """Touch the pin with the nozzle, then with the switch, then the bed."""
         found = self.found
+        checks.check_carriages(self.host, self.calibration.settings)
         self._lift()
         found.touched = {}
         # By the user, or by macros
