@@ -190,6 +190,38 @@ def test_steps_twice_and_a_second_run(start):
     assert printer.offset() == pytest.approx(OFFSET + 0.15, abs=0.006)
 
 
+def test_steps_count_at_once_when_the_macro_has_ended(start):
+    """A user may press the button right then."""
+    printer = start(changes=begin("SET_GCODE_OFFSET Z_ADJUST=0.1")).homed()
+    printer.run("BEGIN")
+    printer.run("SET_GCODE_OFFSET Z_ADJUST=0.02")
+    printer.run(SAVE)
+    assert saved_switch_offset(printer) == pytest.approx(SWITCH_OFFSET - 0.02)
+    # Of that nozzle and plate, without what the macro adds
+    applied = printer.status("z_calibration")["applied"]
+    assert applied == pytest.approx(OFFSET + 0.02, abs=2 * MICROSTEP)
+
+
+def test_large_plate_offset_and_steps_are_silent(start):
+    printer = start(changes=begin("SET_GCODE_OFFSET Z_ADJUST=0.4")).homed()
+    told(printer, "BEGIN")
+    assert told(printer, "SET_GCODE_OFFSET Z_ADJUST=0.2") == []
+
+
+def test_macro_that_brings_an_old_state_back_is_no_base_for_steps(start):
+    changes = begin("RESTORE_GCODE_STATE NAME=old")
+    printer = start(changes=changes).homed()
+    printer.run("SET_GCODE_OFFSET Z=0.15\nSAVE_GCODE_STATE NAME=old")
+    lines = told(printer, "BEGIN")
+    assert "the G-code Z offset is 0.150, that of CALIBRATE_Z is" in lines[-1]
+    printer.run("SET_GCODE_OFFSET Z_ADJUST=0.03")
+    printer.run(SAVE)
+    # Counted from what was measured, 0.160
+    assert saved_switch_offset(printer) == pytest.approx(
+        SWITCH_OFFSET - 0.02, abs=0.002
+    )
+
+
 @pytest.mark.parametrize("z", ["0.1", slow("0.3")])
 def test_offset_that_is_set_is_no_baby_step(start, z):
     """The web interfaces send Z_ADJUST; a macro that sets one has lost ours."""
