@@ -42,6 +42,10 @@ def check_start(printer, machine):
         expected.append(INSIDE_BED)
     if machine.is_limited:
         expected.append("is limited to")
+    # How deep a first touch may go, where the owner has not said so
+    lowest = float(printer.scene.sections["stepper_z"]["position_min"] or 0.0)
+    if entry.number("probe_z_min", None) is None and lowest <= -2.0:
+        expected.append("until AUTO_Z_CALIBRATE has run once")
     for words in expected:
         assert len([line for line in lines if words in line]) == 1, lines
     assert len(lines) == len(expected), lines
