@@ -35,6 +35,7 @@ NO_MESSAGES = {
     "'Done' shows the answers; nothing moves.",
     "'Save' has SAVE_CONFIG write these into printer.cfg; Klipper restarts.",
     "nozzle height",
+    "the nozzle",
     "switch - nozzle",
     "probe - switch",
     "Communication timeout during",

@@ -262,6 +262,118 @@ def test_the_same_offset_set_again_is_ours(start):
     assert saved_switch_offset(printer) == pytest.approx(SWITCH_OFFSET - 0.02)
 
 
+KEPT = {
+    "gcode_macro KEEP": {
+        "variable_z": "0.0",
+        "gcode": "\n  SET_GCODE_VARIABLE MACRO=KEEP VARIABLE=z VALUE={params.Z}"
+        "\n  Z_CALIBRATION_KEEP_OFFSET",
+    },
+    "gcode_macro USE_IT": {
+        "gcode": '\n  SET_GCODE_OFFSET Z={printer["gcode_macro KEEP"].z}'
+    },
+    **section(offset_gcode="KEEP Z={params.Z}"),
+}
+
+
+@pytest.mark.parametrize("before", ["0", slow("0.5")])
+def test_offset_that_is_kept_for_later_is_the_base_when_it_is_used(
+    start, before
+):
+    printer = start(changes=KEPT).homed()
+    printer.run(f"SET_GCODE_OFFSET Z={before}\nCALIBRATE_Z")
+    printer.session.wait(3.0)
+    printer.run("USE_IT")
+    assert validity(printer) == (True, "")
+    assert "nothing was changed" in "".join(printer.run(SAVE))
+    printer.run("SET_GCODE_OFFSET Z_ADJUST=0.02")
+    printer.run(SAVE)
+    assert saved_switch_offset(printer) == pytest.approx(SWITCH_OFFSET - 0.02)
+
+
+@pytest.mark.parametrize(
+    ("first", "second"), [(0.0, -0.06), (-0.06, 0.0), (-0.06, -0.06)]
+)
+def test_plate_of_a_print_that_keeps_the_result(start, first, second):
+    """As CALIBRATE_Z_IF_NEEDED of the documents: it sets the offset again."""
+    again = "\n  SET_GCODE_OFFSET Z={printer.z_calibration.applied}"
+    adjust = "\n  SET_GCODE_OFFSET Z_ADJUST={params.PLATE}"
+    changes = {
+        "gcode_macro FIRST": {"gcode": "\n  CALIBRATE_Z" + adjust},
+        "gcode_macro SECOND": {"gcode": again + adjust},
+    }
+    printer = start(changes=changes).homed()
+    printer.run(f"FIRST PLATE={first}")
+    printer.session.wait(3.0)
+    printer.run(f"SECOND PLATE={second}")
+    assert told(printer, "G4 P1") == []
+    assert "nothing was changed" in "".join(printer.run(SAVE))
+    printer.run("SET_GCODE_OFFSET Z_ADJUST=0.02")
+    printer.run(SAVE)
+    assert saved_switch_offset(printer) == pytest.approx(SWITCH_OFFSET - 0.02)
+
+
+def test_plate_and_a_saved_state_in_two_prints(start):
+    """Both measure the same, so the offset is one of before."""
+    body = "\n  SAVE_GCODE_STATE NAME=start\n  G28\n  CALIBRATE_Z"
+    body += "\n  SET_GCODE_OFFSET Z_ADJUST=-0.06"
+    changes = {"gcode_macro BEGIN": {"gcode": body}, "pause_resume": {}}
+    printer = start(changes=changes).homed()
+    for _ in range(2):
+        lines = told(printer, "BEGIN")
+        assert not any("G-code Z offset is" in line for line in lines)
+        assert told(printer, "PAUSE\nRESUME") == []
+        assert "nothing was changed" in "".join(printer.run(SAVE))
+    printer.run("SET_GCODE_OFFSET Z_ADJUST=0.02")
+    assert told(printer, "PAUSE\nRESUME") == []
+    printer.run(SAVE)
+    assert saved_switch_offset(printer) == pytest.approx(SWITCH_OFFSET - 0.02)
+
+
+def test_steps_there_and_back_with_a_pause(start):
+    changes = {**begin("SET_GCODE_OFFSET Z_ADJUST=-0.06"), "pause_resume": {}}
+    printer = start(changes=changes).homed()
+    told(printer, "BEGIN")
+    for step in (0.02, -0.02):
+        printer.run(f"SET_GCODE_OFFSET Z_ADJUST={step}")
+        printer.run(SAVE)
+        assert told(printer, "PAUSE\nRESUME") == []
+    assert saved_switch_offset(printer) == pytest.approx(SWITCH_OFFSET)
+
+
+def printing(printer, tmp_path, *lines):
+    """Print a file with these lines, which extrudes nothing."""
+    (tmp_path / "print.gcode").write_text("\n".join([*lines, "G4 P9000", ""]))
+    printer.run("SDCARD_PRINT_FILE FILENAME=print.gcode")
+
+
+def test_lines_at_the_start_of_a_file_are_no_steps_of_a_user(start, tmp_path):
+    """Slicers have the plate's or the filament's G-code on lines of their own."""
+    sections = {"virtual_sdcard": {"path": str(tmp_path)}}
+    printer = start(changes=sections).homed()
+    lines = ("CALIBRATE_Z", "G4 P4000", "SET_GCODE_OFFSET Z_ADJUST=-0.06")
+    printing(printer, tmp_path, *lines)
+    printer.session.wait(60.0)
+    printer.run("SDCARD_RESET_FILE")
+    printer.session.wait(3.0)
+    assert printer.offset() == pytest.approx(OFFSET - 0.06, abs=0.003)
+    assert "nothing was changed" in "".join(printer.run(SAVE))
+
+
+def test_homing_at_the_start_of_a_file_is_not_told(start, tmp_path):
+    """CALIBRATE_Z comes some lines later."""
+    sections = {"virtual_sdcard": {"path": str(tmp_path)}}
+    printer = start(changes=sections).homed()
+    told(printer, "CALIBRATE_Z")
+    printing(printer, tmp_path, "G28", "G4 P9000", "CALIBRATE_Z")
+    printer.session.wait(90.0)
+    assert not any(WAS in line for line in printer.session.console)
+    printing(printer, tmp_path, "G28 Z")
+    printer.session.wait(60.0)
+    printer.run("SDCARD_RESET_FILE")
+    printer.session.wait(5.0)
+    assert sum(WAS in line for line in printer.session.console) == 1
+
+
 ######################################################################
 # Another nozzle
 ######################################################################
@@ -287,6 +399,18 @@ def test_another_extruder_is_told_once(start, tmp_path):
     assert validity(printer) == (False, reason)
     assert told(printer, "G4 P1") == [f"// z_calibration: {reason}{WAS}"]
     assert told(printer, f"{ONE}\nG4 P3000\n{TWO}") == []
+
+
+def test_tool_that_is_changed_in_the_same_macro_is_no_base(start, tmp_path):
+    path = tmp_path / "temp"
+    path.write_text("25000")
+    macro = begin(TWO, "SET_GCODE_OFFSET Z_ADJUST=0.3")
+    changes = {"extruder1": {**TOOL, "sensor_path": str(path)}, **macro}
+    printer = start(heated(SCENES["voron"]), changes=changes).homed()
+    told(printer, "BEGIN")
+    printer.run(f"{ONE}\nSET_GCODE_OFFSET Z_ADJUST=-0.3")
+    assert validity(printer) == (True, "")
+    assert "nothing was changed" in "".join(printer.run(SAVE))
 
 
 def test_each_extruder_has_a_result_of_its_own(start, tmp_path):
@@ -346,6 +470,64 @@ def test_one_result_is_for_all_tools_of_a_changer(start):
     assert validity(printer) == (True, "")
     printer.run(f"FETCH_TOOL TOOL=T1\nSET_GCODE_OFFSET Z={second:.6f}")
     assert validity(printer) == (True, "")
+    assert printer.gap() == pytest.approx(GAP, abs=2 * MICROSTEP)
+
+
+def test_steps_count_from_the_result_of_the_tool_that_is_active(start):
+    printer = changer(start, "-0.3")
+    printer.run("CALIBRATE_Z\nSAVE_GCODE_STATE NAME=t0")
+    printer.run("FETCH_TOOL TOOL=T1\nCALIBRATE_Z Z_ADJUST=0.1")
+    printer.run("FETCH_TOOL TOOL=T0\nRESTORE_GCODE_STATE NAME=t0")
+    assert validity(printer) == (True, "")
+    printer.run("SET_GCODE_OFFSET Z_ADJUST=0.02")
+    printer.run(SAVE)
+    assert saved_switch_offset(printer) == pytest.approx(SWITCH_OFFSET - 0.02)
+
+
+def test_step_does_not_bring_an_old_result_back(start):
+    """Of T0 from before Z was homed; the last one is for both."""
+    printer = changer(start, "-0.3")
+    printer.run("CALIBRATE_Z\nG28\nFETCH_TOOL TOOL=T1\nCALIBRATE_Z")
+    printer.run("FETCH_TOOL TOOL=T0")
+    assert validity(printer) == (True, "")
+    lines = told(printer, "SET_GCODE_OFFSET Z_ADJUST=0.02")
+    assert lines == []
+    printer.run(SAVE)
+    assert saved_switch_offset(printer) == pytest.approx(SWITCH_OFFSET - 0.02)
+
+
+def test_tools_without_offsets_of_their_own_are_calibrated_each(start):
+    """With 0 everywhere the changer does not know what they differ by."""
+    printer = changer(start, "0")
+    printer.run("CALIBRATE_Z")
+    lines = told(printer, "FETCH_TOOL TOOL=T1")
+    assert (
+        len(lines) == 1
+        and "tool T1 is active, and CALIBRATE_Z was" in (lines[0])
+    )
+    status = printer.status("z_calibration")
+    assert (status["measured"], status["valid"]) == (False, False)
+
+
+def test_offset_of_the_tool_that_is_changed_afterwards_is_told(start):
+    printer = changer(start, "0", first="0.1")
+    printer.run("CALIBRATE_Z")
+    lines = told(printer, "SHIFT_TOOL TOOL=T0 Z=0.25")
+    assert (
+        "gcode_z_offset of section 'tool T0' is 0.250 and was 0.100"
+        in (lines[0])
+    )
+
+
+@pytest.mark.parametrize("shift", ["-0.3", slow("-0.015")])
+def test_older_changer_has_it_in_the_gcode_offset(start, shift):
+    """There it is no transform, and nothing is taken off for it."""
+    changes = {"tool T0": {"gcode_z_offset": shift, "active": "True"}}
+    changes["tool T0"]["is_older"] = "True"
+    modules = {**module_files(), "tool": EXTRAS / "tool.py"}
+    printer = start(changes=changes, modules=modules).homed()
+    lines = told(printer, "CALIBRATE_Z")
+    assert not any("shifts Z" in line for line in lines)
     assert printer.gap() == pytest.approx(GAP, abs=2 * MICROSTEP)
 
 
@@ -432,6 +614,20 @@ def test_carriage_that_moves_along_is_refused(start):
     printer.run(f"{OTHER} MODE=COPY")
     text = printer.fail("CALIBRATE_Z")
     assert "carriage_1 moves along (COPY): two nozzles would go down" in text
+
+
+def test_copying_after_it_is_the_same_nozzle(start):
+    printer = idex(start)
+    printer.run("G28 Z\nCALIBRATE_Z")
+    assert told(printer, f"{OTHER} MODE=COPY") == []
+    assert validity(printer) == (True, "")
+
+
+def test_start_gcode_may_take_the_first_carriage(start):
+    code = "SET_DUAL_CARRIAGE CARRIAGE=0"
+    printer = idex(start, "100", **section(start_gcode=code))
+    printer.run(f"G28 Z\nG1 X100 F6000\n{OTHER}")
+    calibration(printer)
 
 
 def test_second_carriage_is_another_nozzle(start):

@@ -190,7 +190,7 @@ def test_offset_that_is_gone_is_noticed(start, before, after):
     # By itself, once
     assert told_later(printer) == [f"// z_calibration: {reason}"]
     assert told_later(printer) == []
-    why = "is that of before CALIBRATE_Z"
+    why = "is none of baby steps since CALIBRATE_Z"
     if not before:
         why = "was set by SET_GCODE_OFFSET Z=... in place of that"
     assert f"the G-code offset 0.100 {why}" in printer.fail(SAVE)
@@ -215,7 +215,10 @@ def test_offset_of_a_saved_state_is_noticed(start):
     (told,) = shown(printer, "the G-code Z offset is 0.150")
     assert "that of CALIBRATE_Z is 0.160" in told
     text = printer.fail(SAVE)
-    assert "the G-code offset 0.150 is that of before CALIBRATE_Z" in text
+    assert (
+        "the G-code offset 0.150 is none of baby steps since CALIBRATE_Z"
+        in text
+    )
     assert pending(printer) == {}
 
 
@@ -225,7 +228,10 @@ def test_offset_of_before_several_runs_is_noticed(start):
     printer.run("CALIBRATE_Z\nSET_GCODE_OFFSET Z=0.05\nCALIBRATE_Z")
     printer.run(RESTORE)
     text = printer.fail(SAVE)
-    assert "the G-code offset 0.100 is that of before CALIBRATE_Z" in text
+    assert (
+        "the G-code offset 0.100 is none of baby steps since CALIBRATE_Z"
+        in text
+    )
     assert pending(printer) == {}
 
 
@@ -323,7 +329,7 @@ def test_resume_takes_no_baby_step_back(start):
     printer.session.wait(3.0)
     (told,) = shown(printer, "the G-code Z offset is 0.160")
     assert "that of CALIBRATE_Z is 0.140" in told
-    assert "0.160 is that of before CALIBRATE_Z" in printer.fail(SAVE)
+    assert "0.160 is none of baby steps since CALIBRATE_Z" in printer.fail(SAVE)
     assert pending(printer)["z_calibration"] == {"switch_offset": "0.460"}
     # What is set again counts again
     printer.run("SET_GCODE_OFFSET Z_ADJUST=-0.03")

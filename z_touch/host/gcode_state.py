@@ -11,7 +11,7 @@ Copyright (C) 2026  the Z calibration developers, under the GNU GPLv3
 from __future__ import annotations
 
 import contextlib
-from typing import TYPE_CHECKING, Any, Iterator, List, NamedTuple
+from typing import TYPE_CHECKING, Any, Iterator, NamedTuple
 
 from ..command import always
 
@@ -113,7 +113,7 @@ class GcodeState:
         return f"G92 had moved Z=0 by {moved:.3f} mm: undone, as G28 does"
 
     ##################################################################
-    # Modes and saved states
+    # Modes
     ##################################################################
 
     def modes(self) -> Modes:
@@ -134,15 +134,3 @@ class GcodeState:
             self._call("M82" if modes.absolute_extrude else "M83")
         if current.speed != modes.speed:
             self._call("G1", F=f"{modes.speed:.6f}")
-
-    def saved_offsets(self, with_pause: bool) -> List[float]:
-        """Return the G-code Z offsets (mm) that SAVE_GCODE_STATE has saved.
-
-        'with_pause': also that of PAUSE.
-        """
-        return [
-            state["homing_position"][2]
-            for name, state in self.gcode_move().saved_states.items()
-            if "homing_position" in state
-            and (with_pause or name != "PAUSE_STATE")
-        ]

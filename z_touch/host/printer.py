@@ -78,6 +78,13 @@ class Host:
         state: str = status.get("state", "")
         return state if state in ("printing", "paused") else ""
 
+    def begins_print(self) -> bool:
+        """Return whether a print is under way that has not extruded anything yet."""
+        stats = self.printer.lookup_object("print_stats", None)
+        status = stats.get_status(self.eventtime()) if stats else {}
+        is_printing = status.get("state") == "printing"
+        return is_printing and not status.get("print_duration")
+
     def is_file_output(self) -> bool:
         """Return whether klippy writes what it would send into a file, as in its tests.
 

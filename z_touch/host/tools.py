@@ -39,15 +39,19 @@ class Tools:
         """
         for name, _ in self.of_changer():
             return name
-        parts = [self.host.extruder(), *self._other_carriages()]
-        return " with ".join(part for part in parts if part)
+        parts = [self.host.extruder() or "the nozzle", *self._other_carriages()]
+        return " with ".join(parts)
 
     def of_changer(self) -> Iterator[Tuple[str, float]]:
         """Yield the section of each active tool, and by how much (mm) it shifts Z.
 
-        Of klipper-toolchanger (94756df, 2026-04-07), below the G-code offset: a larger one
-        holds the nozzle higher.  Other plugins have sections of that name, too.
+        Of klipper-toolchanger since 2025-12-26, below the G-code offset: a larger one holds
+        the nozzle higher.  Before, it was a part of that, and other plugins have sections of
+        that name, too.
         """
+        changer = self.printer.lookup_object("toolchanger", None)
+        if not hasattr(changer, "gcode_transform"):
+            return
         for name, tool in self.printer.lookup_objects("tool"):
             get_status = getattr(tool, "get_status", None)
             status = get_status(self.host.eventtime()) if get_status else {}
@@ -75,7 +79,7 @@ class Tools:
         modes = self._modes()
         names = list(modes)
         others = names[(len(names) + 1) // 2 :]
-        return [name for name in others if modes[name] != INACTIVE]
+        return [name for name in others if modes[name] == PRIMARY]
 
     def carriages(self) -> List[Carriage]:
         """Return the carriages of an IDEX, none: the printer is not one."""

@@ -58,6 +58,7 @@ from .setup import Setup
 from .shifts import Shifts
 from .sites import SiteFinder, Sites
 from .statistics import RunStatistics, impossible
+from .steps import Steps
 from .switch_offset import SwitchOffset
 from .user_gcode import UserGcode
 
@@ -74,9 +75,6 @@ OWN_DIGITS = 0.0006
 
 # The G-code offset (mm) that offset_gcode begins with: 0, but for its digits
 UNSET = 0.000000001
-
-# So many offsets of before are known, which a saved state may bring back
-EARLIER_OFFSETS = 20
 
 UNDO_G92 = (
     "run G28 before CALIBRATE_Z, or RESTART where that homes Z with the probe"
@@ -398,8 +396,6 @@ class ZCalibration:
         self.check_idle(gcmd)
         self.results.note(None)
         self.refuse_during_a_print(gcmd, own=True)
-        with self.host.as_command_error(gcmd):
-            checks.check_carriages(self.host, self.settings)
         settings = with_touches(self.settings, gcmd)
         self._report_idle(gcmd, settings)
         accepts_change = options.param_flag(gcmd, "ACCEPT_CHANGE")
@@ -509,6 +505,7 @@ class ZCalibration:
             extruder=self.host.tools.active(),
             proved_at=run.proved_at,
             unknown_shift=run.unknown_over_pin or 0.0,
+            tool_shift=sum(shift for _, shift in self.host.tools.of_changer()),
         )
         return last.replace(z_offset=Shifts(self.host, last).offset())
 
@@ -542,7 +539,6 @@ class ZCalibration:
             guessed=self.host.transforms.is_mesh_guessed(*last.point),
             heat=self.host.transforms.heat_settings(),
             warnings=(*last.warnings, *shifts.warnings()),
-            earlier_offsets=(*self._earlier_offsets(), before),
         )
         # By less than G-code has digits it is seen whether offset_gcode sets it
         self.host.gcode_state.set_z_offset(UNSET, digits=10)
@@ -552,7 +548,9 @@ class ZCalibration:
         if is_kept and after == marked:
             # For later
             self.host.gcode_state.set_z_offset(before)
-            return last.replace(applied=z_offset, is_for_later=True)
+            return last.replace(
+                applied=z_offset, is_for_later=True, steps=Steps(z_offset)
+            )
         if not is_kept and abs(after - z_offset) > OWN_DIGITS:
             raise CalibrationError(
                 f"offset_gcode has left a G-code Z offset of {after:.6f} instead of"
@@ -560,17 +558,7 @@ class ZCalibration:
                 " Z_CALIBRATION_KEEP_OFFSET into one that makes another offset of"
                 " it, or keeps it for later"
             )
-        return last.replace(applied=after)
-
-    def _earlier_offsets(self) -> Tuple[float, ...]:
-        """Return the G-code offsets (mm) of before the last runs, and of saved states."""
-        # RESUME restores nothing of before: no run begins while a print is paused
-        saved = tuple(self.host.gcode_state.saved_offsets(with_pause=False))
-        last = self.results.last
-        if last is None:
-            return saved
-        earlier = (*last.earlier_offsets, last.applied)
-        return (*earlier[-EARLIER_OFFSETS:], *saved)
+        return last.replace(applied=after, steps=Steps(after))
 
     cmd_Z_CALIBRATION_KEEP_OFFSET_help = (
         "In offset_gcode: it keeps the offset, or makes another one of it"

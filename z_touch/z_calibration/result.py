@@ -20,6 +20,7 @@ from typing import (
 from ..datum import MOTORS_OFF
 from ..in_force import LARGEST_STEP
 from .runs import Warned
+from .steps import SAME_OFFSET, Steps, is_same
 
 if TYPE_CHECKING:
     from ..datum import Datum, Mark
@@ -28,9 +29,6 @@ if TYPE_CHECKING:
 
 # By less (mm) the bed mesh is as high as it was.
 SAME_HEIGHT = 0.01
-
-# Offsets that differ by less (mm) are the same, but for their digits in G-code.
-SAME_OFFSET = 0.000002
 
 # What a result may not hold for any more
 DATUM, MESH, HEAT, TOOL, G92, OFFSET = [
@@ -73,11 +71,10 @@ class LastRun:
     applied: float = 0.0
     # offset_gcode keeps it for later
     is_for_later: bool = False
-    # The offset in force when the G-code that had called CALIBRATE_Z has ended: what that
-    # adds, such as for a plate, is no baby step.  None: it is under way
-    settled: Optional[float] = None
-    # Those that were in force before, which a saved state may bring back
-    earlier_offsets: Tuple[float, ...] = ()
+    # The baby steps since
+    steps: Steps = field(default_factory=lambda: Steps(0.0))
+    # What a tool changer added to Z for that tool (mm), which was taken off
+    tool_shift: float = 0.0
     # Height of bed mesh or bed tilt there, when it was applied; whether that is not known;
     # and what was set of what follows a temperature, see transforms.py
     height: float = 0.0
@@ -87,11 +84,6 @@ class LastRun:
     def replace(self, **changes: Any) -> LastRun:
         """Return the run with other values."""
         return dataclasses.replace(self, **changes)
-
-    @property
-    def steps_from(self) -> float:
-        """What baby steps count from (mm)."""
-        return self.applied if self.settled is None else self.settled
 
 
 def bed_seen(host: Host, last: LastRun) -> float:
@@ -118,8 +110,8 @@ class Results:
         self.measured: Optional[LastRun] = None
         # The last run has ended well, or the one under way has measured well
         self.is_good = False
-        # What SET_GCODE_OFFSET Z=... has set (mm) since the last run, in place of its
-        # offset, with the baby steps since; None: nothing
+        # What SET_GCODE_OFFSET Z=... has set (mm) in place of ours, with the steps since;
+        # None: nothing
         self.replaced: Optional[float] = None
 
     def note(self, measured: Optional[LastRun]) -> None:
@@ -129,57 +121,101 @@ class Results:
 
     def keep(self, last: LastRun) -> None:
         """Keep a run that has ended well."""
-        self._keep(last)
+        self.last = self.of_tools[last.extruder] = last
         self.measured, self.is_good = None, True
-
-    def _keep(self, last: LastRun) -> None:
-        self._put(last)
         self.replaced = None
 
-    def _put(self, last: LastRun) -> None:
-        self.last = self.of_tools[last.extruder] = last
+    ##################################################################
+    # The G-code offset
+    ##################################################################
 
     def settle(self) -> None:
-        """Note what is in force when the G-code that had called CALIBRATE_Z has ended.
+        """Have baby steps count from what is in force, as the G-code has ended that set it.
 
-        Baby steps count from that, unless our offset was lost on the way.
+        Not at the start of a print: the next lines of its file may add something.  Of
+        another nozzle that is active by now, or an offset that is kept for later, it is what
+        was applied.
         """
-        last = self.last
-        if last is None or last.settled is not None:
+        last = self.current()
+        if last is None or last.steps.is_settled or self.host.begins_print():
             return
         offset = self.host.gcode_state.z_offset()
-        is_lost = self.is_replaced() or self.is_brought_back(offset)
-        self._put(last.replace(settled=last.applied if is_lost else offset))
+        is_other = self.other_tool(last) or self.is_replaced()
+        last.steps.settle(last.applied if is_other else offset)
 
-    def note_offset(self, before: float, is_absolute: bool) -> None:
-        """Note what SET_GCODE_OFFSET has made of an offset (mm): a step, or another one."""
+    def note_offset(self, before: float, is_absolute: bool) -> bool:
+        """Note what SET_GCODE_OFFSET has made of an offset (mm): a step, or another one.
+
+        Returns whether it has set ours again.
+        """
         offset = self.host.gcode_state.z_offset()
-        was_replaced = self.replaced is not None and self.replaced == before
-        if not (is_absolute or was_replaced):
-            return
-        last = self.last
-        is_ours = last and abs(offset - last.applied) < SAME_OFFSET
-        self.replaced = None if is_ours else offset
+        last = self.current(offset if is_absolute else before)
+        if is_absolute:
+            is_ours = last is not None and is_same(offset, last.applied)
+            self.replaced = None if is_ours else offset
+            if is_ours and last is not None:
+                last.steps.begin()
+            return is_ours
+        if self.replaced == before:
+            self.replaced = offset
+        elif last is not None:
+            last.steps.add(offset)
+        return False
 
     def is_replaced(self) -> bool:
         """Return whether SET_GCODE_OFFSET Z=... has set what is in force: no baby step."""
         return self.replaced == self.host.gcode_state.z_offset()
 
-    def current(self) -> Optional[LastRun]:
+    def correct(self, switch_offset: float) -> None:
+        """Have the offset in force be that of the result with another switch_offset (mm)."""
+        last = self.current()
+        assert last is not None
+        change = last.result.switch_offset - switch_offset
+        result = last.result._replace(
+            switch_offset=switch_offset, offset=last.result.offset + change
+        )
+        # What the G-code has added that has applied it is no part of it
+        offset = self.host.gcode_state.z_offset()
+        step = offset - last.steps.base
+        steps = Steps(last.applied + step)
+        steps.add(offset)
+        steps.settle(offset)
+        corrected = last.replace(
+            result=result,
+            z_offset=last.z_offset + step,
+            applied=last.applied + step,
+            steps=steps,
+        )
+        if self.last is last:
+            self.last = corrected
+        self.of_tools[last.extruder] = corrected
+        self.replaced = None
+
+    ##################################################################
+    # Which result
+    ##################################################################
+
+    def current(self, offset: Optional[float] = None) -> Optional[LastRun]:
         """Return the result that should be in force: of the active nozzle, or the last one.
 
-        The tools of a changer have offsets of their own, so one result may be for all.
+        Where a tool changer adds what its tools differ by, the last one is for all of them,
+        unless the G-code offset (mm, None: that of now) is that of the tool's own.
         """
-        own = self.of_tools.get(self.host.tools.active())
-        last = self.last
-        if own is None or last is None or not self._is_of_changer():
+        own, last = self.of_tools.get(self.host.tools.active()), self.last
+        if own is None or last is None or own is last:
             return own or last
-        offset = self.host.gcode_state.z_offset()
-        is_of_last = abs(offset - last.applied) < SAME_OFFSET
-        return last if is_of_last else own
+        if not self._is_for_all(last):
+            return own
+        if offset is None:
+            offset = self.host.gcode_state.z_offset()
+        is_own = own.steps.has(offset) and not last.steps.has(offset)
+        holds = not self.datum.moved_since(own.mark)
+        return own if is_own and holds else last
 
-    def _is_of_changer(self) -> bool:
-        return any(True for _ in self.host.tools.of_changer())
+    def _is_for_all(self, last: LastRun) -> bool:
+        """Return whether a tool changer adds what its tools differ by."""
+        shifts = [shift for _, shift in self.host.tools.of_changer()]
+        return bool(shifts) and any([last.tool_shift, *shifts])
 
     def earlier(self, extruder: str) -> Tuple[Optional[Result], bool]:
         """Return the last good result with an extruder, and whether its heights hold."""
@@ -187,31 +223,6 @@ class Results:
         if last is None:
             return None, False
         return last.result, not self.datum.moved_since(last.mark)
-
-    def correct(self, switch_offset: float) -> None:
-        """Have the offset in force be that of the last run with another switch_offset (mm)."""
-        last = self.last
-        assert last is not None
-        change = last.result.switch_offset - switch_offset
-        result = last.result._replace(
-            switch_offset=switch_offset, offset=last.result.offset + change
-        )
-        # What the G-code has added that had called CALIBRATE_Z is no part of it
-        offset = self.host.gcode_state.z_offset()
-        step = offset - last.steps_from
-        self._keep(
-            last.replace(
-                result=result,
-                z_offset=last.z_offset + step,
-                applied=last.applied + step,
-                settled=offset,
-                earlier_offsets=(
-                    *last.earlier_offsets,
-                    last.applied,
-                    last.steps_from,
-                ),
-            )
-        )
 
     ##################################################################
     # Whether it holds
@@ -239,7 +250,7 @@ class Results:
         yield DATUM, self.datum.moved_since(last.mark, datum_besides)
         yield MESH, self._other_height(last)
         yield HEAT, self._other_heat(last)
-        yield TOOL, self.other_tool(last)
+        yield TOOL, self.other_tool(last) or self._other_shift(last)
         yield G92, self._moved_by_g92()
         yield OFFSET, self._other_offset(last)
 
@@ -272,14 +283,26 @@ class Results:
     def other_tool(self, last: LastRun) -> str:
         """Return why another nozzle is active, in words; empty: it is not.
 
-        Tools of a changer are none: that adds their own offsets.
+        Not where a tool changer adds what its tools differ by.
         """
         active = self.host.tools.active()
-        if active == last.extruder or self._is_of_changer():
+        if active == last.extruder or self._is_for_all(last):
             return ""
         return (
             f"{active} is active, and CALIBRATE_Z was run with {last.extruder}"
         )
+
+    def _other_shift(self, last: LastRun) -> str:
+        """Return why the tool changer shifts the same tool by something else, in words."""
+        for name, shift in self.host.tools.of_changer():
+            if name == last.extruder and abs(shift - last.tool_shift) > (
+                SAME_HEIGHT
+            ):
+                return (
+                    f"gcode_z_offset of section '{name}' is {shift:.3f} and was"
+                    f" {last.tool_shift:.3f} at CALIBRATE_Z; run that again"
+                )
+        return ""
 
     def _moved_by_g92(self) -> str:
         moved = self.host.gcode_state.moved_by_g92()
@@ -303,29 +326,19 @@ class Results:
             " RESTORE_GCODE_STATE"
         )
 
-    def is_brought_back(self, offset: float) -> bool:
-        """Return whether a saved state has brought back a G-code offset (mm) of before.
-
-        That is one of before the last run, or before a correction, such as with RESUME.  It is
-        not seen which state was restored: it is one that holds just that offset.
-        """
-        last = self.last
-        if last is None or abs(offset - last.applied) < SAME_OFFSET:
-            return False
-        saved = self.host.gcode_state.saved_offsets(with_pause=True)
-        return any(abs(offset - z) < SAME_OFFSET for z in saved) and any(
-            abs(offset - z) < SAME_OFFSET for z in last.earlier_offsets
-        )
-
     def sudden_reason(self) -> Optional[str]:
         """Return why the result has ceased to hold, with its number; empty: it has not.
 
-        Motors that are off end it as expected, after each print: None.  Baby steps, and an
-        offset that is kept for later, are the user's.
+        Motors that are off end it as expected, after each print: None.  Homing at the start
+        of a print is told only if no CALIBRATE_Z has come before the first layer.  Baby
+        steps, and an offset that is kept for later, are the user's.
         """
         last = self.current()
-        if last is None or self.datum.moved_since(last.mark) == MOTORS_OFF:
+        moved = self.datum.moved_since(last.mark) if last else MOTORS_OFF
+        if last is None or moved == MOTORS_OFF:
             return None
+        if moved and self.host.begins_print():
+            return ""
         reason = self.invalid_reason((OFFSET,))
         if reason:
             return f"{reason}; the offset of CALIBRATE_Z was {last.applied:.3f}"
@@ -335,11 +348,11 @@ class Results:
 
     def _is_stepped(self, last: LastRun) -> bool:
         """Return whether the offset in force differs by baby steps at most."""
-        offset = self.host.gcode_state.z_offset()
-        if self.is_replaced() or self.is_brought_back(offset):
-            return False
-        is_near = abs(offset - last.steps_from) <= LARGEST_STEP
-        return is_near and (bool(offset) or not last.steps_from)
+        offset, base = self.host.gcode_state.z_offset(), last.steps.base
+        is_near = abs(offset - base) <= LARGEST_STEP and bool(
+            offset or not base
+        )
+        return last.steps.has(offset) and is_near
 
     ##################################################################
     # Status

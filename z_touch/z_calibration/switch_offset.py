@@ -113,7 +113,8 @@ class SwitchOffset:
         before = self.host.gcode_state.z_offset()
         handler(gcmd)
         is_absolute = gcmd.get("Z", None) is not None
-        self.results.note_offset(before, is_absolute)
+        if self.results.note_offset(before, is_absolute):
+            self.calibration.in_force.begin()
 
     def _press(self, handler: Handler, gcmd: GCodeCommand) -> None:
         """Save baby steps into switch_offset where the user wants that, or hint at it."""
@@ -124,9 +125,9 @@ class SwitchOffset:
             with self.host.as_command_error(gcmd):
                 self._save_steps(gcmd, is_saved=True, force=False)
             return
-        last = self.results.last
+        last = self.results.current()
         change = self.host.gcode_state.z_offset()
-        change -= last.steps_from if last else 0.0
+        change -= last.steps.base if last else 0.0
         handler(gcmd)
         name, section = gcmd.get_command(), self.host.section
         if keeps:
@@ -188,7 +189,7 @@ class SwitchOffset:
     def _save_steps(
         self, gcmd: GCodeCommand, is_saved: bool, force: bool
     ) -> None:
-        reason, last = self._why_no_steps(), self.results.last
+        reason, last = self._why_no_steps(), self.results.current()
         if reason or last is None:
             raise CalibrationError(
                 f"{reason}; baby steps count from the last CALIBRATE_Z; run it, then"
@@ -196,22 +197,17 @@ class SwitchOffset:
             )
         self._check_tool(last)
         z_offset = self.host.gcode_state.z_offset()
-        if abs(z_offset - last.steps_from) < NO_STEP:
+        if abs(z_offset - last.steps.base) < NO_STEP:
             gcmd.respond_info(
                 f"{self.host.section}: nothing was changed with baby steps since"
                 " CALIBRATE_Z"
             )
             self._keep(is_saved)
             return
-        if z_offset and not force and self.results.is_brought_back(z_offset):
-            raise CalibrationError(
-                f"the G-code offset {z_offset:.3f} is that of before CALIBRATE_Z, or of"
-                " before a correction: a saved state has brought it back, such as with"
-                " RESUME; run CALIBRATE_Z again, or add FORCE=1 if it is of baby steps"
-            )
-        self._check_replaced(force)
+        if z_offset and not force:
+            self._check_stepped(last)
         new, text = check_steps(
-            last.steps_from, last.result.switch_offset, z_offset, force
+            last.steps.base, last.result.switch_offset, z_offset, force
         )
         new = round(new, 3)
         self.calibration.use_switch_offset(new)
@@ -220,16 +216,21 @@ class SwitchOffset:
         self.unsaved = new
         self._keep(is_saved)
 
-    def _check_replaced(self, force: bool) -> None:
-        """Raise where an offset was set in place of that of CALIBRATE_Z: it is no baby step."""
+    def _check_stepped(self, last: LastRun) -> None:
+        """Raise CalibrationError where baby steps have not led to the offset in force."""
         z_offset = self.host.gcode_state.z_offset()
-        if force or not z_offset or not self.results.is_replaced():
-            return
-        raise CalibrationError(
-            f"the G-code offset {z_offset:.3f} was set by SET_GCODE_OFFSET Z=... in place"
-            " of that of CALIBRATE_Z, which is no baby step; run CALIBRATE_Z again and"
-            " use Z_ADJUST, or add FORCE=1 if what is set is right"
-        )
+        if self.results.is_replaced():
+            raise CalibrationError(
+                f"the G-code offset {z_offset:.3f} was set by SET_GCODE_OFFSET Z=... in"
+                " place of that of CALIBRATE_Z, which is no baby step; run CALIBRATE_Z"
+                " again and use Z_ADJUST, or add FORCE=1 if what is set is right"
+            )
+        if not last.steps.has(z_offset):
+            raise CalibrationError(
+                f"the G-code offset {z_offset:.3f} is none of baby steps since"
+                " CALIBRATE_Z: a saved state has brought it back, such as with RESUME;"
+                " run CALIBRATE_Z again, or add FORCE=1 if it is right"
+            )
 
     def _keep(self, is_saved: bool) -> None:
         """Hand it to SAVE_CONFIG, if that is wanted."""
@@ -255,7 +256,7 @@ class SwitchOffset:
             self._calculate(gcmd)
 
     def _calculate(self, gcmd: GCodeCommand) -> None:
-        last = self.results.last
+        last = self.results.current()
         reason = self.results.invalid_reason((TOOL, G92, OFFSET))
         if reason or last is None:
             raise CalibrationError(

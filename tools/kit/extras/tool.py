@@ -11,13 +11,17 @@ class Changer:
         printer.register_event_handler("klippy:connect", self.connect)
         gcode = printer.lookup_object("gcode")
         gcode.register_command("FETCH_TOOL", self.fetch)
+        gcode.register_command("SHIFT_TOOL", self.shift_tool)
 
     def connect(self):
         gcode_move = self.printer.lookup_object("gcode_move")
         self.next = gcode_move.set_move_transform(self, force=True)
+        if not any(tool.is_older for tool in self.tools):
+            self.gcode_transform = self
 
     def shift(self):
-        return sum(t.gcode_z_offset for t in self.tools if t.active)
+        active = [t for t in self.tools if t.active and not t.is_older]
+        return sum(tool.gcode_z_offset for tool in active)
 
     def move(self, position, speed):
         x, y, z = position[:3]
@@ -33,12 +37,20 @@ class Changer:
             tool.active = tool.name == wanted
         self.printer.lookup_object("gcode_move").reset_last_position()
 
+    def shift_tool(self, gcmd):
+        for tool in self.tools:
+            if tool.name == gcmd.get("TOOL"):
+                tool.gcode_z_offset = gcmd.get_float("Z")
+        self.printer.lookup_object("gcode_move").reset_last_position()
+
 
 class Tool:
     def __init__(self, config, changer):
         self.name = config.get_name().split()[-1]
         self.gcode_z_offset = config.getfloat("gcode_z_offset")
         self.active = config.getboolean("active", False)
+        # It is a part of the G-code offset there
+        self.is_older = config.getboolean("is_older", False)
         # Of another plugin, which has no such status
         if config.getboolean("is_other", False):
             self.get_status = lambda eventtime: {"active": True}
@@ -51,8 +63,8 @@ class Tool:
 
 def load_config_prefix(config):
     printer = config.get_printer()
-    changer = printer.lookup_object("changer_of_tests", None)
+    changer = printer.lookup_object("toolchanger", None)
     if changer is None:
         changer = Changer(printer)
-        printer.add_object("changer_of_tests", changer)
+        printer.add_object("toolchanger", changer)
     return Tool(config, changer)
