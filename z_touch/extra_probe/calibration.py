@@ -80,7 +80,7 @@ class Calibration:
         self.switch = switch
         self.z_axis = z_axis
         self.z_pin = z_pin
-        # Complete from connect() on
+        # From connect() on
         self.settings: Settings
         self.datum = Datum(host)
         # What is saved counts from there on
@@ -204,7 +204,7 @@ class Calibration:
         return heights.above_pin(floor, pin.floor(self.host, self.z_pin))
 
     def _is_bed_known(self, floor_param: Optional[float]) -> bool:
-        """Return whether the user has said how low a touch may go, or has saved where the bed is."""
+        """Return whether the user has said how low a touch may go, or where the bed is."""
         settings = self.settings
         if floor_param is not None or settings.position_min is not None:
             return True
@@ -331,7 +331,7 @@ class Calibration:
         offset = bed_z - shifts.height()
         if question.save:
             self._save(offset, bed_z)
-        # It would shift what the offset makes right
+        # G92 would shift what the offset makes right
         undone = self.host.gcode_state.undo_g92()
         if undone:
             self.host.say(undone)
@@ -407,9 +407,11 @@ class Calibration:
     def _check_unchanged(self, question: Question) -> None:
         """Raise CalibrationError where heights of before the question say nothing now."""
         self._check_printer()
-        _refuse(self.datum.moved_since(question.mark))
+        moved = self.datum.moved_since(question.mark)
+        if moved:
+            raise _changed(moved)
         if self.host.extruder() != question.extruder:
-            _refuse("another extruder is active")
+            raise _changed("another extruder is active")
 
     def _can_go_on(self) -> bool:
         """Return whether an answer to what is asked can lead on."""
@@ -426,7 +428,7 @@ class Calibration:
         """Raise CalibrationError where the toolhead may have been moved off the switch."""
         here = zip(self.host.toolhead.get_position(), question.xy)
         if max(abs(a - b) for a, b in here) > SAME_POSITION:
-            _refuse("the head was moved")
+            raise _changed("the head was moved")
 
     def _stand_still(self) -> None:
         """Wait for the end of all moves, before a hand comes near."""
@@ -435,9 +437,6 @@ class Calibration:
             raise CalibrationError("ended by a shutdown of the printer")
 
 
-def _refuse(what: str) -> None:
-    """Raise CalibrationError for what has happened while the user was asked, if anything."""
-    if what:
-        raise CalibrationError(
-            f"{what} since the calibration began; begin again"
-        )
+def _changed(what: str) -> CalibrationError:
+    """Return the error for what has happened while the user was asked."""
+    return CalibrationError(f"{what} since the calibration began; begin again")

@@ -36,7 +36,7 @@ class Finger:
     def __init__(self, host: Host, switch: Switch):
         self.host = host
         self.switch = switch
-        # What it has read, each change once; None: it has not to be pressed
+        # What it has read, each change once; None: nothing is asked for
         self.readings: Optional[List[bool]] = None
         reactor = host.printer.get_reactor()
         self.timer = reactor.register_timer(self._look, reactor.NEVER)
@@ -54,7 +54,7 @@ class Finger:
         reactor.update_timer(self.timer, reactor.NEVER)
 
     def why_missing(self) -> str:
-        """Return what to do as the switch was not pressed yet; empty: it was, or need not be."""
+        """Return what to do until the switch was pressed; empty: it was, or need not be."""
         if self.readings is None or self._was_pressed():
             return ""
         if self.readings[:1] == [True]:
