@@ -20,7 +20,15 @@ Copyright (C) 2026  the Z calibration developers, under the GNU GPLv3
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import Callable, Iterator, List, Optional, Protocol, Sequence
+from typing import (
+    Generic,
+    Iterator,
+    List,
+    Optional,
+    Protocol,
+    Sequence,
+    TypeVar,
+)
 
 from . import attached
 from .host.klippy import GCodeCommand
@@ -42,6 +50,9 @@ class Asked(Protocol):
     @property
     def asks(self) -> str:
         """Return the word that QUESTION= has."""
+
+
+Question = TypeVar("Question", bound=Asked)
 
 
 @dataclass(frozen=True)
@@ -94,33 +105,32 @@ def is_paused(host: Host) -> bool:
 
 
 # One question with two answers, of a command that another one goes on with
-class Dialog:
+class Dialog(Generic[Question]):
     """Asks a person to go on or to end, by a dialog and on the console."""
 
-    def __init__(
-        self, host: Host, say: Callable[[str], None], command: str
-    ) -> None:
+    def __init__(self, host: Host, command: str) -> None:
         """Remember who asks.
 
         command: the G-code of the beginning and of both answers; it has %s for
-        CALIBRATE, CONTINUE or ABORT. say: writes on the console.
+        CALIBRATE, CONTINUE or ABORT.
         """
         self.host = host
-        self.say = say
         self.begin = command % ("CALIBRATE",)
         self.go_on = command % ("CONTINUE",)
         self.abort = command % ("ABORT",)
         # What the asking command wants to know again; None: nothing is asked
-        self.question: Optional[Asked] = None
+        self.question: Optional[Question] = None
 
     def waits_for(self) -> str:
         """Return what is asked for, in its word; empty: nothing."""
         return "" if self.question is None else self.question.asks
 
-    def ask(self, question: Asked, headline: str, sentences: List[str]) -> None:
+    def ask(
+        self, question: Question, headline: str, sentences: List[str]
+    ) -> None:
         """Show a question; the one before was closed."""
-        self.say(" ".join([f"{headline}.", *sentences]))
-        self.say(f"then {self.go_on}, or {self.abort}")
+        self.host.say(" ".join([f"{headline}.", *sentences]))
+        self.host.say(f"then {self.go_on}, or {self.abort}")
         go_on = f"{self.go_on} QUESTION={question.asks}"
         footer = (
             Button("Continue", go_on, "primary"),
@@ -138,7 +148,7 @@ class Dialog:
         attached.of(self.host.printer).answered(self.host.section)
         self.host.gcode.respond_raw(END)
 
-    def answered(self, gcmd: GCodeCommand) -> Asked:
+    def answered(self, gcmd: GCodeCommand) -> Question:
         """Return what was asked, which is over; the command's error: nothing was."""
         question = self.question
         self.close()
@@ -148,7 +158,7 @@ class Dialog:
             )
         return question
 
-    def continued(self, gcmd: GCodeCommand) -> Asked:
+    def continued(self, gcmd: GCodeCommand) -> Question:
         """Return what was asked, as answered() does, if CONTINUE answers that."""
         self.check_asked(gcmd)
         return self.answered(gcmd)

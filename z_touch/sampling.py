@@ -72,6 +72,23 @@ def accuracy(samples: Sequence[float]) -> Accuracy:
     return Accuracy(high, low, high - low, average, median, deviation)
 
 
+def why_differ(
+    samples: Sequence[float],
+    tolerance: float,
+    option: str = "samples_tolerance",
+) -> str:
+    """Return why samples (mm) do not agree, up to what to do; empty: they do.
+
+    'option' is the one that the tolerance (mm) comes from.
+    """
+    spread = max(samples) - min(samples)
+    if spread <= tolerance:
+        return ""
+    return (
+        f"samples differ by {spread:.4f} mm, {option} is {tolerance:.4f} mm; "
+    )
+
+
 def collect(
     touch: Callable[[], float],
     sampling: Sampling,
@@ -89,13 +106,9 @@ def collect(
     samples: List[float] = []
     while len(samples) < sampling.samples:
         samples.append(touch())
-        spread = max(samples) - min(samples)
-        if spread <= sampling.tolerance:
+        text = why_differ(samples, sampling.tolerance, option)
+        if not text:
             continue
-        text = (
-            f"samples differ by {spread:.4f} mm, {option} is"
-            f" {sampling.tolerance:.4f} mm; "
-        )
         if not retries_left:
             raise SamplesDiffer(text + remedy)
         say(text + "trying again")

@@ -37,8 +37,10 @@ def dialog(lines, said):
     gcode = SimpleNamespace(respond_raw=lines.append)
     carrying = Attached()
     printer = SimpleNamespace(lookup_object=lambda name, default: carrying)
-    host = SimpleNamespace(gcode=gcode, section="it", printer=printer)
-    return Dialog(host, said.append, "DO_%s PROBE=a")
+    host = SimpleNamespace(
+        gcode=gcode, section="it", printer=printer, say=said.append
+    )
+    return Dialog(host, "DO_%s PROBE=a")
 
 
 def test_question_is_asked_and_answered():

@@ -8,7 +8,7 @@ from pathlib import Path
 import pytest
 
 from tests.unit.loading import load
-from tests.unit.room_settings import default_settings
+from tests.unit.room_settings import default_settings, fields_of
 from z_touch.options import PROBE_OPTIONS
 
 TESTS = Path(__file__).resolve().parents[1] / "modules"
@@ -45,9 +45,9 @@ def test_every_option_has_one_row_and_one_sentence(name):
 def test_every_option_is_in_a_record(name):
     """Those of sampling are Sampling."""
     room = ROOMS[name]
-    fields = set(room.Settings._fields)
+    fields = set(fields_of(room.Settings))
     if name == "extra_probe":
-        fields |= set(room.SwitchSettings._fields)
+        fields |= set(fields_of(room.SwitchSettings))
     names = {row.name for row in room.OPTIONS}
     assert names - fields == SAMPLING
     assert fields.isdisjoint(SAMPLING)

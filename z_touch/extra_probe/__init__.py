@@ -1,0 +1,1 @@
+"""The room of [extra_probe NAME]; module.py has its commands."""

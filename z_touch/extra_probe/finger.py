@@ -1,86 +1,93 @@
-# A finger that presses the switch once, before the nozzle comes down on it.
-# Copyright (C) 2026  the Z calibration developers, under the GNU GPLv3
+"""A finger that presses the switch once, before the nozzle comes down on it.
+
+It is watched by a timer, not by a command: the buttons of a dialog wait until a command has
+ended, and with them the one that ends the calibration.
+
+Copyright (C) 2026  the Z calibration developers, under the GNU GPLv3
+"""
+
+from __future__ import annotations
 
 import logging
+from typing import TYPE_CHECKING, List, Optional
 
-from ..errors import CalibrationError
+if TYPE_CHECKING:
+    from ..host.printer import Host
+    from .switches import Switch
 
 # How often (s) the switch is looked at
 LOOK_INTERVAL = 0.1
 
-# What a switch reads in turn that somebody presses once
-PRESSED_ONCE = (False, True, False)
-
-# What to do about one that reads triggered too early
-TRIGGERED = (
-    "the switch reads triggered before it is touched; check it with %s, and"
-    " whether pin needs a '!'"
-)
+# What a switch reads in turn that a finger presses once
+PRESSED_ONCE = [False, True, False]
 
 
-# Watches the switch while a question is open.  'switch' is what lies on the bed,
-# 'say' tells the console.
+def triggered_early(switch: Switch) -> str:
+    """Return what to do about a switch that reads triggered too early."""
+    return (
+        "the switch reads triggered before it is touched; check it with"
+        f" {switch.query}, and whether pin needs a '!'"
+    )
+
+
 class Finger:
-    def __init__(self, host, switch, say):
+    """Watches the switch while a question is open."""
+
+    def __init__(self, host: Host, switch: Switch):
         self.host = host
         self.switch = switch
-        self.say = say
-        # What it has read, each change once; None: nobody has to press it
-        self.readings = None
-        self.timer = None
+        # What it has read, each change once; None: nothing is asked for
+        self.readings: Optional[List[bool]] = None
+        reactor = host.printer.get_reactor()
+        self.timer = reactor.register_timer(self._look, reactor.NEVER)
 
-    # From now on it has to be pressed
-    def watch(self):
-        self.end()
+    def watch(self) -> None:
+        """Ask for a finger from now on; what was pressed before does not count."""
         self.readings = []
         reactor = self.host.printer.get_reactor()
-        self.timer = reactor.register_timer(self.look, reactor.NOW)
+        reactor.update_timer(self.timer, reactor.NOW)
 
-    # Whatever it was, nobody has to press it (any more)
-    def end(self):
+    def end(self) -> None:
+        """Ask for none (any more)."""
         self.readings = None
-        if self.timer is not None:
-            self.host.printer.get_reactor().unregister_timer(self.timer)
-            self.timer = None
+        reactor = self.host.printer.get_reactor()
+        reactor.update_timer(self.timer, reactor.NEVER)
 
-    # Raises CalibrationError until it was pressed
-    def check(self):
-        if self.readings is None or self.was_pressed():
-            return
+    def why_missing(self) -> str:
+        """Return what to do until the switch was pressed; empty: it was, or need not be."""
+        if self.readings is None or self._was_pressed():
+            return ""
         if self.readings[:1] == [True]:
-            raise CalibrationError(TRIGGERED % (self.switch.query,))
-        raise CalibrationError(
+            return triggered_early(self.switch)
+        return (
             "the switch was not pressed yet; press it once with a finger, then"
-            " Continue, or look with %s if that changes nothing"
-            % (self.switch.query,)
+            f" Continue, or look with {self.switch.query} if that changes nothing"
         )
 
-    def was_pressed(self):
-        count = len(PRESSED_ONCE)
-        return tuple(self.readings[-count:]) == PRESSED_ONCE
+    def _was_pressed(self) -> bool:
+        return (self.readings or [])[-len(PRESSED_ONCE) :] == PRESSED_ONCE
 
-    # Of the reactor
-    def look(self, eventtime):
-        if not self.read():
-            return self.host.printer.get_reactor().NEVER
-        return self.host.eventtime() + LOOK_INTERVAL
-
-    # Whether it has to be looked at again
-    def read(self):
+    def _look(self, eventtime: float) -> float:
+        """Look between two commands until it was pressed; a timer.  May pause."""
         try:
             endstop = self.switch.endstop()
             reading = self.host.endstops.read_between_commands(endstop)
         except Exception:
             # From here it would end klippy; the calibration can begin again
             logging.exception("%s: looking at the switch", self.host.section)
-            return False
-        if self.readings is None:
-            return False
-        if reading is None:
-            return True
+            return self.host.printer.get_reactor().NEVER
+        if reading is not None and self.readings is not None:
+            self._note(reading)
+        if self.readings is None or self._was_pressed():
+            return self.host.printer.get_reactor().NEVER
+        return self.host.eventtime() + LOOK_INTERVAL
+
+    def _note(self, reading: bool) -> None:
+        """Keep a reading that is another one than before, and say that it was pressed."""
+        assert self.readings is not None
         if self.readings[-1:] != [reading]:
             self.readings.append(reading)
-        if not self.was_pressed():
-            return True
-        self.say("the switch was pressed, and works; take the hand away")
-        return False
+        if self._was_pressed():
+            self.host.say(
+                "the switch was pressed, and works; take the hand away"
+            )

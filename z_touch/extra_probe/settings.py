@@ -1,9 +1,23 @@
-# The options of [extra_probe NAME], as tables, and the records made of them.
-# Copyright (C) 2026  the Z calibration developers, under the GNU GPLv3
+"""The options of [extra_probe NAME] as declared fields.
+
+A new option is one field with its text, its use, and one test.  The documents take their
+tables from OPTIONS, the rows of these fields.
+
+Copyright (C) 2026  the Z calibration developers, under the GNU GPLv3
+"""
+
+from __future__ import annotations
+
+import dataclasses
+from dataclasses import dataclass
+from typing import TYPE_CHECKING, Any, Dict, Optional
 
 from .. import options
-from ..options import GCODE, REQUIRED, option, site_kind
-from ..sampling import filled
+from ..sampling import Sampling, filled
+from ..touch import Site
+
+if TYPE_CHECKING:
+    from ..host.klippy import Config, Template
 
 # The name of a section whose switch is [probe]
 PROBE = "probe"
@@ -12,89 +26,83 @@ SAFE_Z = 10.0  # mm: room for a hand, and above a bed that is homed wrongly
 MAX_TEMPERATURE = 120.0  # C; a nozzle that is hotter is refused
 
 
-######################################################################
-# Tables
-######################################################################
+@dataclass(frozen=True)
+class SwitchSettings:
+    """What a switch on a pin of its own has; [extra_probe probe] has none of these."""
 
-# Of a switch on a pin of its own; [extra_probe probe] has none of these.
-SWITCH_OPTIONS = (
-    option("pin", options.PIN, REQUIRED, "", "The MCU pin of the switch."),
-    option(
-        "activate_gcode",
-        GCODE,
-        "",
+    pin: str = options.other(
+        options.PIN, options.REQUIRED, "The MCU pin of the switch."
+    )
+    activate_gcode: Template = options.other(
+        options.GCODE,
         "",
         "Runs before each touch, and must not move the head. There is no"
         " default.",
-    ),
-    option(
-        "deactivate_gcode",
-        GCODE,
-        "",
+    )
+    deactivate_gcode: Template = options.other(
+        options.GCODE,
         "",
         "Runs after each touch, and must not move the head. There is no"
         " default.",
-    ),
-    option(
-        "deactivate_on_each_sample",
+    )
+    deactivate_on_each_sample: bool = options.other(
         options.FLAG,
         True,
-        "",
         "False: both run once, before the first and after the last touch.",
-    ),
-)
+    )
 
-# In [extra_probe probe] the defaults of z_offset and of the options of sampling are
-# what the probe has, see complete().
-CALIBRATION_OPTIONS = (
-    option(
-        "z_offset",
-        options.NUMBER,
+
+@dataclass(frozen=True)
+class Settings:
+    """What every such section has: mm and degrees C; None: not given.
+
+    In [extra_probe probe] z_offset and the fields of sampling are None where the user has
+    left them out, until complete() has filled them in.
+    """
+
+    z_offset: float = options.number(
         0.0,
-        "mm",
         "How thick the switch is when it triggers, in mm. EXTRA_PROBE_CALIBRATE"
         " needs it: 0.25 or 0.3, by the data sheet.",
         minval=0.0,
-    ),
-    option(
-        "xy_position",
-        site_kind("switch"),
+    )
+    xy_position: Optional[Site] = options.other(
+        options.site_kind("switch"),
         None,
-        "mm",
         "Where the nozzle touches. By default it is where the head is.",
-    ),
-    option(
-        "safe_z_height",
-        options.NUMBER,
+        unit="mm",
+    )
+    safe_z_height: float = options.number(
         SAFE_Z,
-        "mm",
         "The head is lifted so high, at least, before it travels there, in mm.",
         above=0.0,
-    ),
-    option(
-        "position_min",
-        options.NUMBER,
+    )
+    position_min: Optional[float] = options.number(
         None,
-        "mm",
         "No touch goes lower, in mm. There is no default: see How low can a"
         " touch go?",
-    ),
-    option(
-        "max_temperature",
-        options.NUMBER,
+    )
+    max_temperature: float = options.number(
         MAX_TEMPERATURE,
-        "C",
         "A hotter nozzle is refused, in degrees Celsius.",
+        unit="C",
         above=0.0,
-    ),
-    option(
-        "saved_homing_z",
-        options.NUMBER,
-        None,
-        "mm",
-        "Written by SAVE_CONFIG; leave it alone.",
-    ),
-)
+    )
+    saved_homing_z: Optional[float] = options.number(
+        None, "Written by SAVE_CONFIG; leave it alone."
+    )
+
+    # What the options of sampling become
+    sampling: Sampling = Sampling(*[None] * 7)
+
+    def replace(self, **changes: Any) -> Settings:
+        """Return the settings with other values."""
+        return dataclasses.replace(self, **changes)
+
+
+SWITCH_OPTIONS = options.rows_of(SwitchSettings)
+CALIBRATION_OPTIONS = options.rows_of(Settings)
+OPTIONS = SWITCH_OPTIONS + options.PROBE_OPTIONS + CALIBRATION_OPTIONS
 
 # Of the other sections: what lies on the tips of a textured plate covers what is
 # between them, so that one point is as good as many.
@@ -104,41 +112,32 @@ REFUSED_OPTIONS = (
     ),
 )
 
-SAMPLING_OPTIONS = options.PROBE_OPTIONS
-OPTIONS = SWITCH_OPTIONS + SAMPLING_OPTIONS + CALIBRATION_OPTIONS
 
-
-######################################################################
-# Records
-######################################################################
-
-# What every such section has, with what its options of sampling become.  None is
-# not given.
-Settings = options.record("Settings", CALIBRATION_OPTIONS, also="sampling")
-
-# What a switch on a pin of its own has besides; the G-code as templates
-SwitchSettings = options.record("SwitchSettings", SWITCH_OPTIONS)
-
-
-def read_switch_settings(config):
+def read_switch_settings(config: Config) -> SwitchSettings:
+    """Return what a switch on a pin of its own has."""
     return SwitchSettings(**options.read(config, SWITCH_OPTIONS))
 
 
-def read_settings(config):
+def read_settings(config: Config) -> Settings:
+    """Return the settings as far as they are known before klippy connects."""
     options.read(config, REFUSED_OPTIONS)
-    rows, defaults = SAMPLING_OPTIONS + CALIBRATION_OPTIONS, {}
+    defaults: Dict[str, None] = {}
     if config.get_name().split()[-1] == PROBE:
-        names = [row.name for row in SAMPLING_OPTIONS]
-        defaults = dict.fromkeys(names + ["z_offset"])
-    values = options.read(config, rows, **defaults)
-    values["sampling"] = options.sampling_of(values)
-    return Settings(**{name: values[name] for name in Settings._fields})
+        names = [row.name for row in options.PROBE_OPTIONS]
+        defaults = dict.fromkeys([*names, "z_offset"])
+    sampling = options.read(config, options.PROBE_OPTIONS, **defaults)
+    values = options.read(config, CALIBRATION_OPTIONS, **defaults)
+    return Settings(**values, sampling=options.sampling_of(sampling))
 
 
-# Lets the probe decide what the owner of [extra_probe probe] has left open.
-# 'sampling', 'z_offset' (mm): of the probe
-def complete(settings, sampling, z_offset):
-    settings = settings._replace(sampling=filled(settings.sampling, sampling))
+def complete(
+    settings: Settings, sampling: Sampling, z_offset: float
+) -> Settings:
+    """Let the probe decide what the user of [extra_probe probe] has left open.
+
+    'sampling' and z_offset (mm) are those of the probe.
+    """
+    settings = settings.replace(sampling=filled(settings.sampling, sampling))
     if settings.z_offset is None:
-        settings = settings._replace(z_offset=z_offset)
+        settings = settings.replace(z_offset=z_offset)
     return settings

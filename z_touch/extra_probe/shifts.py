@@ -1,74 +1,90 @@
-# What Klipper's own features shift where the switch lies, a bed mesh above all: the
-# offset is applied below them.
-# Copyright (C) 2026  the Z calibration developers, under the GNU GPLv3
+"""What Klipper's own features add to Z where the switch lies, a bed mesh above all.
+
+The offset is applied below them, so what they add is taken off it, and the user is told.
+
+Copyright (C) 2026  the Z calibration developers, under the GNU GPLv3
+"""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING, Iterator, Tuple
 
 from ..host.transforms import INNERMOST
+
+if TYPE_CHECKING:
+    from ..host.printer import Host
 
 # Less (mm) is rounding.
 SMALLEST_PART = 0.0005
 
-# From here on (mm) it is worth telling what nobody knows.
+# From here on (mm) it is worth telling what is not known.
 LARGEST_REST = 0.02
 
 
-# With the head at x, y, z (toolhead, mm).
 class Shifts:
-    # 'is_saved': for a value that counts from the next homing on, when the mesh is
-    # as it is, but not the heat.
-    def __init__(self, host, point, is_saved):
-        self.point = point
-        self.features = host.transforms
+    """What is added with the nozzle at X, Y, Z (toolhead, mm), as it is now.
+
+    'is_saved': for a value that counts from the next homing on, when the mesh is as it is,
+    but not the heat.
+    """
+
+    def __init__(
+        self, host: Host, point: Tuple[float, float, float], is_saved: bool
+    ):
+        self.transforms = host.transforms
+        self.x, self.y, z = point
         self.parts = [
             part
-            for part in host.transforms.parts(*point)
+            for part in self.transforms.parts(self.x, self.y, z)
             if abs(part.height) >= SMALLEST_PART
             and (part.name in INNERMOST or not is_saved)
         ]
-        self.rest = host.transforms.unknown_here()
-        # Nobody knows what the mesh would be there
-        self.is_guessed = host.transforms.is_beyond_mesh(
-            *point[:2]
-        ) and not host.transforms.is_mesh_zero(*point[:2])
+        self.rest = self.transforms.unknown_here()
+        is_beyond = self.transforms.is_beyond_mesh(self.x, self.y)
+        # It is not known what the mesh would be there
+        self.is_guessed = is_beyond and not self._is_mesh_zero()
 
-    # mm, to be taken off the offset
-    def height(self):
+    def height(self) -> float:
+        """Return what is to be taken off the offset (mm)."""
         return sum(part.height for part in self.parts)
 
-    # Whether Z=0 will be where a later bed mesh sees it, not where the switch lay.  One
-    # in force was taken off, and stays right.
-    def is_mesh_elsewhere(self):
-        features = self.features
-        return (
-            features.has_mesh_section()
-            and features.mesh_heights() is None
-            and not features.is_mesh_zero(*self.point[:2])
-        )
+    def _is_mesh_zero(self) -> bool:
+        return self.transforms.is_mesh_zero(self.x, self.y)
 
-    # What the user is told; 'z_offset': what has become of the offset (mm)
-    def lines(self, z_offset):
+    def _is_mesh_elsewhere(self) -> bool:
+        """Return whether Z=0 will be where a later mesh sees it, not where the switch lay.
+
+        A mesh in force was taken off, and stays right.
+        """
+        has_none = self.transforms.mesh_heights() is None
+        may_come = self.transforms.has_mesh_section()
+        return may_come and has_none and not self._is_mesh_zero()
+
+    def lines(self, z_offset: float) -> Iterator[str]:
+        """Yield what the user is told; z_offset: what has become of the offset (mm)."""
+        x, y = self.x, self.y
         if self.parts:
-            parts = ["%s %.3f mm" % tuple(part) for part in self.parts]
-            values = (", ".join(parts),) + self.point[:2] + (z_offset,)
+            parts = ", ".join(
+                f"{part.name} {part.height:.3f} mm" for part in self.parts
+            )
             yield (
-                "%s at %.1f, %.1f, where the switch lay, taken off: the offset is"
-                " %.6f, and right there while that is in force" % values
+                f"{parts} at {x:.1f}, {y:.1f}, where the switch lay, taken off: the"
+                f" offset is {z_offset:.6f}, and right there while that is in force"
             )
         if self.is_guessed:
             yield (
-                "bed_mesh ends before %.1f, %.1f, where the switch lay: what was"
+                f"bed_mesh ends before {x:.1f}, {y:.1f}, where the switch lay: what was"
                 " taken off is the height of its rim; check the first layer"
-                % self.point[:2]
             )
-        if self.is_mesh_elsewhere():
-            option = self.features.mesh_zero_option()
+        if self._is_mesh_elsewhere():
+            option = self.transforms.mesh_zero_option()
             yield (
-                "bed_mesh has no zero at %.1f, %.1f, where the switch lay: one that"
-                " is probed or loaded now makes Z=0 wrong by its height there; set"
-                " its %s to that point, probe it, and calibrate again"
-                % (self.point[:2] + (option,))
+                f"bed_mesh has no zero at {x:.1f}, {y:.1f}, where the switch lay: one"
+                " that is probed or loaded now makes Z=0 wrong by its height there; set"
+                f" its {option} to that point, probe it, and calibrate again"
             )
         if abs(self.rest) >= LARGEST_REST:
             yield (
-                "another feature shifts Z by %.3f mm there: not taken off; check"
-                " the first layer" % (self.rest,)
+                f"another feature shifts Z by {self.rest:.3f} mm there: not taken off;"
+                " check the first layer"
             )
