@@ -269,7 +269,9 @@ def test_the_way_to_the_demo(home):
 
 
 # Words of Klipper, of web interfaces and of others' macros
-FOREIGN = """QUERY_ENDSTOPS QUERY_PROBE RESTORE_GCODE_STATE Internal klippy base
+FOREIGN = """
+expected_bed_probe_z bed_probe_max_deviation
+QUERY_ENDSTOPS QUERY_PROBE RESTORE_GCODE_STATE Internal klippy base
 smart_effector qdprobe extra_probe rename_existing client macros CHAMBER
 KAMP_Settings variable_probe_dock_enable"""
 KNOWN_TEXTS = [
