@@ -51,8 +51,8 @@ RESULTS: Dict[Optional[str], Optional[str]] = {
 OldName = Union[str, Tuple[str, str]]
 
 
-# No printer has a length (mm) or a speed (mm/s) as large, or a speed as low; nor another number,
-# such as an acceleration
+# No printer has a length (mm) as large, or a speed (mm/s) as low; nor another number, such as
+# an acceleration, or a speed, which owners write as 32000 for "as fast as it goes"
 LARGEST_LENGTH = 10000.0
 SLOWEST = 0.01
 LARGEST_OTHER = 1000000.0
@@ -75,9 +75,9 @@ def why_impossible(value: float, unit: str = "mm") -> str:
         return "is not a finite number"
     if unit == "mm/s" and value < SLOWEST:
         return f"has to be {SLOWEST:g} mm/s at least, and is {value:g}"
-    largest = LARGEST_LENGTH if unit in ("mm", "mm/s") else LARGEST_OTHER
+    largest = LARGEST_LENGTH if unit == "mm" else LARGEST_OTHER
     if abs(value) > largest:
-        return f"has to be {largest:g} at most, and is {value:g}"
+        return f"has to be {largest:.0f} at most, and is {value:g}"
     return ""
 
 

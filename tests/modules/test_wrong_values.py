@@ -206,7 +206,7 @@ def test_negative_switch_offset_says_what_it_means(host):
         ("samples", "99999999999999999999999", "maximum of 1000"),
         ("offset_margins", "1e5", "has to be 10000 at most, and is -100000"),
         ("speed", "1e-10", "has to be 0.01 mm/s at least, and is 1e-10"),
-        ("lift_speed", "1e308", "has to be 10000 at most, and is 1e+308"),
+        ("lift_speed", "1e308", "has to be 1000000 at most, and is 1e+308"),
         ("nozzle_xy_position", "1e5, 1", "has to be 10000 at most"),
     ],
 )

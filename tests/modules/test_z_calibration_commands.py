@@ -113,7 +113,7 @@ WRONG = [
     ),
     (
         "CALIBRATE_Z LIFT_SPEED=1e308",
-        "LIFT_SPEED has to be 10000 at most, and is 1e+308",
+        "LIFT_SPEED has to be 1000000 at most, and is 1e+308",
     ),
     ("CALIBRATE_Z SAMPLES_TOLERANCE=-1", "SAMPLES_TOLERANCE"),
     ("CALIBRATE_Z SAMPLES_TOLERANCE_RETRIES=x", "SAMPLES_TOLERANCE_RETRIES=x"),
