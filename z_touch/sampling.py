@@ -89,6 +89,50 @@ def why_differ(
     )
 
 
+class Series:
+    """The touches of a place, begun again where they do not agree.
+
+    'option' is the one that the tolerance comes from, 'remedy' what to do about touches that
+    never agree.
+    """
+
+    def __init__(
+        self,
+        sampling: Sampling,
+        remedy: str,
+        option: str = "samples_tolerance",
+    ):
+        self.sampling = sampling
+        self.remedy = remedy
+        self.option = option
+        self.retries_left: int = sampling.retries
+        # Those since it has begun, or begun again (mm)
+        self.samples: List[float] = []
+
+    def is_complete(self) -> bool:
+        """Return whether there are as many samples as wanted."""
+        return bool(len(self.samples) >= self.sampling.samples)
+
+    def add(self, z: float) -> str:
+        """Add a height (mm); return why the series begins again, empty: it goes on.
+
+        Raises SamplesDiffer, with the remedy, when no retry is left.
+        """
+        self.samples.append(z)
+        text = why_differ(self.samples, self.sampling.tolerance, self.option)
+        if not text:
+            return ""
+        if not self.retries_left:
+            raise SamplesDiffer(text + self.remedy)
+        self.retries_left -= 1
+        self.samples = []
+        return text + "trying again"
+
+    def result(self) -> float:
+        """Return the height that is taken (mm)."""
+        return summarize(self.samples, self.sampling.result)
+
+
 def collect(
     touch: Callable[[], float],
     sampling: Sampling,
@@ -102,16 +146,9 @@ def collect(
     SamplesDiffer, with the remedy, when no retry is left.  'option' is the one that the
     tolerance comes from.
     """
-    retries_left = sampling.retries
-    samples: List[float] = []
-    while len(samples) < sampling.samples:
-        samples.append(touch())
-        text = why_differ(samples, sampling.tolerance, option)
-        if not text:
-            continue
-        if not retries_left:
-            raise SamplesDiffer(text + remedy)
-        say(text + "trying again")
-        retries_left -= 1
-        samples = []
-    return samples
+    series = Series(sampling, remedy, option)
+    while not series.is_complete():
+        why_again = series.add(touch())
+        if why_again:
+            say(why_again)
+    return series.samples

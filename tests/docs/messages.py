@@ -36,6 +36,8 @@ NO_MESSAGES = {
     "'Save' has SAVE_CONFIG write these into printer.cfg; Klipper restarts.",
     "nozzle height",
     "the nozzle",
+    "Unknown pin chip",
+    "not supported",
     "switch - nozzle",
     "probe - switch",
     "Communication timeout during",

@@ -255,7 +255,9 @@ def wrong_answers(running: Running, text: str) -> Found:
     for (script, wanted), step in steps:
         if wanted == SHOWN:
             lines = [x for x in shown.pop(script, []) if "probe at " not in x]
-            if step.answer != lines:
+            # What Klipper says of each motor around each touch is left out
+            answer = [x for x in step.answer if "Run Current: " not in x]
+            if answer != lines:
                 yield f"{script}: {step.answer}"
         elif wanted and wanted not in step.answer:
             yield f"{script}: {step.answer}"

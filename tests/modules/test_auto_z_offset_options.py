@@ -386,7 +386,9 @@ def test_saved_correction_is_the_floor(start):
     printer.machine.tolerate("nozzle_bed", 1.02)
     text = printer.homed().fail("AUTO_Z_CALIBRATE")
     assert "(stopped at z=-2.320)" in text
-    assert "1.000 mm below the expected trigger at z=-1.320; check" in text
+    assert (
+        "1.000 mm below the expected trigger at z=-1.320; raise speed (" in text
+    )
     assert (
         ", or add ACCEPT_CHANGE=1 if nozzle, probe or bed was changed" in text
     )
@@ -649,9 +651,21 @@ NO_Z_AXIS = {
             section(pin="probe:z_virtual_endstop"),
             ["Option 'pin: probe:z_virtual_endstop'", "is no pin"],
         ),
-        (section(pin="much:PC1"), ["Option 'pin: much:PC1'", "cannot be used"]),
+        (
+            section(pin="much:PC1"),
+            [
+                "Option 'pin: much:PC1' in section 'auto_z_offset' names a board",
+                "no section [mcu ...] of; the boards are mcu, and a pin",
+            ],
+        ),
         (section(pin="^!PF0"), ["is the pin of section 'probe'"]),
-        (section(pin="PC2"), ["pin PC2 used multiple times in config"]),
+        (
+            section(pin="PC2"),
+            [
+                "is the pin of option 'endstop_pin' in section 'stepper_x', too,",
+                "remove it where it is not needed",
+            ],
+        ),
         (section(prepare_gcode=None), ["Option 'prepare_gcode'", "must be"]),
         (section(prepare_gcode="{% if %}"), ["prepare_gcode"]),
         (section(samples_result="submaxmin"), ["must be average or median"]),
@@ -796,3 +810,50 @@ def test_deep_first_touch_is_told_until_there_is_a_correction(
     for note in told:
         assert f"be pressed {depth} mm into the bed" in note
         assert "set probe_z_min" in note
+
+
+# Slow touches, and a probe that is longer than the hop
+
+
+@pytest.mark.parametrize(("speed", "is_told"), [("3.9", 1), ("4", 0)])
+def test_slow_speed_is_told(start, speed, is_told):
+    printer = start("qidi", changes=section(speed=speed))
+    printer.session.require_ready()
+    notes = printer.status("auto_z_offset")["notes"]
+    words = (
+        f"'speed: {speed}' is slow for a piezo sensor, which may not trigger"
+    )
+    assert sum(words in note for note in notes) == is_told
+
+
+@pytest.mark.parametrize(
+    ("options", "names"),
+    [
+        ({"speed": "5"}, True),
+        # Faster by itself, and by what the floor allows
+        slow({"speed": "12", "probe_accel": "500"}, False),
+        slow({"speed": "12", "probe_accel": "50"}, True),
+    ],
+)
+def test_touch_without_a_trigger_names_speed_first(start, options, names):
+    printer = start("qidi", changes=section(**options)).homed()
+    printer.machine.break_down(Fault("stuck_open", site="nozzle_bed"))
+    printer.machine.tolerate("nozzle_bed", 5.0)
+    text = printer.fail("AUTO_Z_PROBE")
+    assert ("; raise speed (piezo sensors may miss a touch at" in text) == names
+    assert "check that prepare_gcode turns the sensor on" in text
+
+
+@pytest.mark.parametrize("z_offset", ["4.5", slow("6")])
+def test_probe_that_is_longer_than_the_hop(start, z_offset):
+    """It was triggered where the head travels, and Klipper asked to check it."""
+    probe = replace(
+        SCENES["qidi"].world.inductive, sense_distance=float(z_offset)
+    )
+    changes = {
+        "probe": {"z_offset": z_offset},
+        **section(probe_hop="4"),
+    }
+    scene = SCENES["qidi"].with_world(inductive=probe)
+    printer = start(scene, changes=changes).homed()
+    assert formulas(printer.run("AUTO_Z_CALIBRATE"))

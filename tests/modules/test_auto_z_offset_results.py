@@ -236,18 +236,6 @@ def test_loading_what_was_never_measured_says_so(start):
     assert printer.offset() == 0.0
 
 
-def test_users_macro_takes_part_in_applying(start):
-    macro = {
-        "rename_existing": "SET_GCODE_OFFSET_BASE",
-        "gcode": "\n  RESPOND MSG=mine\n  SET_GCODE_OFFSET_BASE {rawparams}",
-    }
-    changes = {"respond": {}, "gcode_macro SET_GCODE_OFFSET": macro}
-    printer = start("qidi", changes=changes).homed()
-    for command in ("AUTO_Z_CALIBRATE", "AUTO_Z_LOAD_OFFSET"):
-        assert told(printer.run(command), "echo: mine")
-    assert printer.offset() == pytest.approx(CORRECTION, abs=STEPS)
-
-
 def test_babysteps_are_saved(start):
     printer = start("qidi").homed()
     printer.run("AUTO_Z_CALIBRATE\nSET_GCODE_OFFSET Z_ADJUST=-0.05")
@@ -412,8 +400,7 @@ def test_current_is_low_while_the_nozzle_goes_down(host, scene, motors):
         drivers = printer.machine.drivers
         before = {n: d.current() for n, d in drivers.items()}
         homing = len(printer.status("touches")["seen"])
-        lines = printer.run("AUTO_Z_MEASURE_OFFSET")
-        assert not told(lines, "Run Current")
+        printer.run("AUTO_Z_MEASURE_OFFSET")
         seen = printer.status("touches")["seen"][homing:]
         # One move down on the bed, one of the probe
         assert [s["moment"] for s in seen] == ["begin", "end"] * 2

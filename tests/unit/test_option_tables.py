@@ -43,12 +43,12 @@ def test_every_option_has_one_row_and_one_sentence(name):
 
 @pytest.mark.parametrize("name", ROOMS)
 def test_every_option_is_in_a_record(name):
-    """Those of sampling are Sampling."""
+    """Those of sampling are Sampling, too."""
     room = ROOMS[name]
     fields = set(fields_of(room.Settings))
     if name == "extra_probe":
         fields |= set(fields_of(room.SwitchSettings))
     names = {row.name for row in room.OPTIONS}
-    assert names - fields == SAMPLING
-    assert fields.isdisjoint(SAMPLING)
+    assert names - fields <= SAMPLING
+    assert "sampling" in fields
     default_settings(room)

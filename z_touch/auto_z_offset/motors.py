@@ -1,11 +1,17 @@
-# How gently the Z motors move while something is touched: acceleration and
-# current.  It knows how hosts differ in their motor drivers, and asks the object.
-# Copyright (C) 2026  the Z calibration developers, under the GNU GPLv3
+"""How gently the Z motors move while the nozzle touches: acceleration and current.
+
+Copyright (C) 2026  the Z calibration developers, under the GNU GPLv3
+"""
+
+from __future__ import annotations
 
 import contextlib
-import functools
+from typing import TYPE_CHECKING, Any, Dict, Iterator, List
 
 from ..command import always
+
+if TYPE_CHECKING:
+    from ..host.printer import Host
 
 # Standstill (s) that a TMC driver needs to settle on another current: 130 ms
 # in its data sheet.
@@ -14,31 +20,40 @@ SETTLE_TIME = 0.15
 # A driver that does not answer may do so the next time.
 RESTORE_ATTEMPTS = 2
 
+# The steps of a driver's scale are no larger, as a share of what was configured
+SCALE_STEP = 0.04
+
 
 ######################################################################
 # Acceleration
 ######################################################################
 
 
-# With what (mm/s^2) the head brakes in Z if 'accel' limits it, too; 0: it does
-# not
-def braking_accel(host, accel):
+def braking_accel(host: Host, accel: float) -> float:
+    """Return with what (mm/s^2) the toolhead brakes in Z if 'accel' limits it, too.
+
+    0: it does not.
+    """
+    assert host.axes.z_axis is not None
     limits = [host.toolhead_status()["max_accel"], host.axes.z_axis.max_accel]
-    return min(limits + [accel] if accel else limits)
+    slowest: float = min([*limits, accel] if accel else limits)
+    return slowest
 
 
-# The head is accelerated by 'accel' (mm/s^2) at most for a while; 0: as it is
 @contextlib.contextmanager
-def limited_accel(host, accel):
-    max_accel = host.toolhead_status()["max_accel"]
+def limited_accel(host: Host, accel: float) -> Iterator[None]:
+    """Have the toolhead accelerate by 'accel' (mm/s^2) at most for a while; 0: as it is."""
+    max_accel: float = host.toolhead_status()["max_accel"]
     if not 0.0 < accel < max_accel:
         yield
         return
-    command = "SET_VELOCITY_LIMIT ACCEL=%.6f"
     run_script = host.gcode.run_script_from_command
-    restore = functools.partial(run_script, command % (max_accel,))
+
+    def restore() -> None:
+        run_script(f"SET_VELOCITY_LIMIT ACCEL={max_accel:.6f}")
+
     with always(host, restore, "restoring the acceleration"):
-        run_script(command % (accel,))
+        run_script(f"SET_VELOCITY_LIMIT ACCEL={accel:.6f}")
         yield
 
 
@@ -47,126 +62,150 @@ def limited_accel(host, accel):
 ######################################################################
 
 
-# Z motors whose current may be changed, as (name for SET_TMC_CURRENT, driver):
-# those that move nothing else and whose TMC driver tells its current.
 class Motors:
-    def __init__(self, host):
+    """The Z motors whose current may be changed.
+
+    They move nothing else, and their TMC driver tells its current.  It is set as a user
+    would, by SET_TMC_CURRENT: the object behind that is another one on each host.  All
+    methods may pause.
+    """
+
+    def __init__(self, host: Host):
         self.host = host
-        self.gcode = host.gcode
-        drivers = host.printer.lookup_objects()
         steppers = host.axes.z_steppers()
         pure = [
-            s.get_name()
-            for s in steppers
-            if not any(s.is_active_axis(axis) for axis in "xy")
+            stepper.get_name()
+            for stepper in steppers
+            if not any(stepper.is_active_axis(axis) for axis in "xy")
         ]
-        self.drivers = [
-            (name.split()[-1], driver)
-            for name, driver in drivers
+        # By the name for SET_TMC_CURRENT
+        self.drivers: Dict[str, Any] = {
+            name.split()[-1]: driver
+            for name, driver in host.printer.lookup_objects()
             if name.startswith("tmc")
             and name.partition(" ")[2] in pure
-            and self._may_be_reduced(name.split()[-1], driver)
-        ]
-        reduced = [name for name, unused in self.drivers]
+            and self._may_be_reduced(driver)
+        }
+        configfile = host.printer.lookup_object("configfile")
+        settings = configfile.get_status(host.eventtime())["settings"]
+        # What the user has configured (A)
+        self.configured: Dict[str, float] = {
+            section.split()[-1]: options["run_current"]
+            for section, options in settings.items()
+            if section.startswith("tmc") and "run_current" in options
+        }
         # Z motors whose current stays
-        self.left_alone = [
-            s.get_name()
-            for s in steppers
-            if s.get_name().split()[-1] not in reduced
+        self.left_alone: List[str] = [
+            stepper.get_name()
+            for stepper in steppers
+            if stepper.get_name().split()[-1] not in self.drivers
         ]
 
-    def _may_be_reduced(self, name, driver):
-        unused, handlers = self._handlers()
-        if name not in handlers:
+    def _may_be_reduced(self, driver: Any) -> bool:
+        """Return whether a driver tells its current, and takes another one.
+
+        Kalico's drivers have a current of their own for homing.  Where they scale it
+        globally as well (TMC5160, TMC2240) a small one shuts the printer down there, and
+        writing it back makes it smaller.
+        """
+        has_command = "SET_TMC_CURRENT" in self.host.gcode.ready_gcode_handlers
+        if not (has_command and hasattr(driver, "get_status")):
             return False
-        # Kalico's drivers have a current of their own for homing.  Where they
-        # scale it globally as well (TMC5160, TMC2240) a small one shuts the
-        # printer down there, and writing it back makes it smaller.
         owner = getattr(driver.get_status, "__self__", None)
         helper = getattr(owner, "current_helper", None)
         fields = getattr(driver, "fields", None)
-        if (
-            hasattr(helper, "req_home_current")
-            and fields is not None
-            and fields.lookup_register("globalscaler") is not None
-        ):
+        has_own_homing = hasattr(helper, "req_home_current")
+        scale = fields and fields.lookup_register("globalscaler")
+        if has_own_homing and scale is not None:
             return False
-        # Since 2021-10-11 (64e464987)
         return "run_current" in driver.get_status(self.host.eventtime())
 
-    def _handlers(self):
-        return self.gcode.mux_commands.get("SET_TMC_CURRENT", ("", {}))
-
-    # Less current while a touch lasts; afterwards what it was before.  The
-    # motors have settled when a touch begins whose caller has waited for the
-    # end of the moves: hosts let the next one begin 0.25 s later.
     @contextlib.contextmanager
-    def reduced(self, factor):
-        drivers = self.drivers if factor < 1.0 else []
-        eventtime = self.host.eventtime()
-        amps = {
-            name: driver.get_status(eventtime)["run_current"]
-            for name, driver in drivers
-        }
-        reduced = {name: current * factor for name, current in amps.items()}
-        restore = functools.partial(self._restore, amps, reduced)
+    def reduced(self, factor: float) -> Iterator[None]:
+        """Have less current while a touch lasts; afterwards it is what it was before.
+
+        The motors have settled when a touch begins whose caller has waited for the end of
+        the moves: hosts let the next one begin 0.25 s later.
+        """
+        if factor >= 1.0 or not self.drivers:
+            yield
+            return
+        amps = self._currents()
+        less = {name: current * factor for name, current in amps.items()}
+
+        def restore() -> None:
+            self._restore(amps, less)
+
         with always(self.host, restore, "restoring the motor current"):
-            for error in self._set_all(reduced).values():
+            for error in self._set_all(less).values():
                 raise error
             yield
 
-    # Back to 'amps', from 'reduced', both by the names of the motors
-    def _restore(self, amps, reduced):
-        written = self.host.toolhead.get_last_move_time()
+    def _currents(self) -> Dict[str, float]:
+        """Return the current of each motor (A).
+
+        What a driver reports is a step of its scale, and may be above what the host takes:
+        then it is what was configured.
+        """
+        eventtime, found = self.host.eventtime(), {}
+        for name, driver in self.drivers.items():
+            amps: float = driver.get_status(eventtime)["run_current"]
+            wanted = self.configured.get(name, amps)
+            is_step = abs(amps - wanted) <= SCALE_STEP * wanted
+            found[name] = wanted if is_step else amps
+        return found
+
+    def _restore(self, amps: Dict[str, float], less: Dict[str, float]) -> None:
+        """Set all motors back (A), and wait until they have settled.
+
+        Raises the host's error where one cannot be set back.
+        """
+        toolhead = self.host.toolhead
+        written = toolhead.get_last_move_time()
         failed = self._set_all(amps)
         for _ in range(RESTORE_ATTEMPTS):
-            # Hosts write only what differs from what they wrote last, and
-            # count a write that failed as done
-            self._set_all({name: reduced[name] for name in failed})
+            # Hosts write only what differs from what they wrote last, and count a
+            # write that failed as done
+            self._set_all({name: less[name] for name in failed})
             failed = self._set_all({name: amps[name] for name in failed})
         texts = [
-            "%s: the current of %s could not be set back: %s; run"
-            " SET_TMC_CURRENT STEPPER=%s CURRENT=%.3f or FIRMWARE_RESTART"
-            % (self.host.section, name, error, name, amps[name])
+            f"{self.host.section}: the current of {name} could not be set back: {error};"
+            f" run SET_TMC_CURRENT STEPPER={name} CURRENT={amps[name]:.3f} or"
+            " FIRMWARE_RESTART"
             for name, error in sorted(failed.items())
         ]
         for text in texts:
             # Said here, as an earlier error comes before this one
-            self.gcode.respond_info(text)
+            self.host.gcode.respond_info(text)
         if texts:
             raise self.host.printer.command_error(texts[0])
-        begun = self.host.toolhead.get_last_move_time()
-        if amps and begun < written + SETTLE_TIME:
-            self.host.toolhead.dwell(written + SETTLE_TIME - begun)
+        begun = toolhead.get_last_move_time()
+        if begun < written + SETTLE_TIME:
+            toolhead.dwell(written + SETTLE_TIME - begun)
 
-    # At the same time, as each waits for the end of the moves and a quarter of
-    # a second more.  Returns the errors by the names of the motors.
-    def _set_all(self, amps):
-        register = self.host.printer.get_reactor().register_callback
-        done = {
-            name: register(functools.partial(self._set, name, amps[name]))
-            for name in amps
-        }
-        failed = {name: completion.wait() for name, completion in done.items()}
-        return {name: error for name, error in failed.items() if error}
+    def _set_all(self, amps: Dict[str, float]) -> Dict[str, Exception]:
+        """Set the current of each motor (A); return the errors by their names.
 
-    # The handler of SET_TMC_CURRENT, called without its line on the console:
-    # four of them for every touch would hide the results.  Without its limits,
-    # too: what a driver reports may be a step of its scale above them.
-    def _set(self, name, amps, eventtime):
-        command = "SET_TMC_CURRENT"
-        key, handlers = self._handlers()
-        params = {key: name, "CURRENT": "%.6f" % (amps,)}
-        line = "%s %s=%s CURRENT=%s" % (command, key, name, params["CURRENT"])
-        gcmd = self.gcode.create_gcode_command(command, line, params)
-        gcmd.respond_info = lambda *unused, **unused_too: None
-        read = gcmd.get_float
-        gcmd.get_float = lambda option, *default, **limits: (
-            amps if option == "CURRENT" else read(option, *default, **limits)
-        )
-        try:
-            handlers[name](gcmd)
-        except Exception as e:  # noqa: BLE001
-            # Raised by whoever waits: here it would end klippy
-            return e
-        return None
+        At the same time, as each waits for the end of the moves and a quarter of a second
+        more.
+        """
+        reactor = self.host.printer.get_reactor()
+        failed: Dict[str, Exception] = {}
+        waiting = []
+        for name, current in amps.items():
+
+            def set_one(
+                _eventtime: float, name: str = name, current: float = current
+            ) -> None:
+                """Set one of them, in a greenlet of its own."""
+                script = f"SET_TMC_CURRENT STEPPER={name} CURRENT={current:.6f}"
+                try:
+                    self.host.gcode.run_script_from_command(script)
+                except Exception as e:  # noqa: BLE001
+                    # Raised by what waits: here it would end klippy
+                    failed[name] = e
+
+            waiting.append(reactor.register_callback(set_one))
+        for completion in waiting:
+            completion.wait()
+        return failed

@@ -1,8 +1,18 @@
-# Where the head stands to measure, and whether it can: the nozzle over a point
-# of the bed, then the probe over the same point.
-# Copyright (C) 2026  the Z calibration developers, under the GNU GPLv3
+"""Where the toolhead stands to measure: the nozzle, then the probe, over one point of the bed.
 
-from .. import touch as touching
+Copyright (C) 2026  the Z calibration developers, under the GNU GPLv3
+"""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING
+
+from .. import touch
+from ..touch import Site
+
+if TYPE_CHECKING:
+    from ..host.printer import Host
+    from .settings import Settings
 
 OUT_OF_REACH = (
     "set bed_xy_position in section 'auto_z_offset' to a point that nozzle and"
@@ -10,27 +20,26 @@ OUT_OF_REACH = (
 )
 
 
-# The nozzle over the point of the section, or over the middle of the axes
-def bed_site(host, settings):
+def bed_site(host: Host, settings: Settings) -> Site:
+    """Return the nozzle over the point of the section, or over the middle of the axes."""
     if settings.bed_xy_position is not None:
         return settings.bed_xy_position
     (x_min, x_max), (y_min, y_max) = host.axes.limits()[:2]
     middle = (x_min + x_max) / 2.0, (y_min + y_max) / 2.0
-    origin = "The middle of the axes"
-    return touching.Site("bed", middle[0], middle[1], origin)
+    return Site("bed", middle[0], middle[1], "The middle of the axes")
 
 
-# The probe over the point that the nozzle of 'bed' stands over
-def probe_site(host, bed):
+def probe_site(host: Host, bed: Site) -> Site:
+    """Return the probe over the point that the nozzle of 'bed' stands over."""
     x_offset, y_offset = host.probing.offsets()[:2]
-    origin = "%s, with the probe above it," % (bed.origin,)
-    return touching.Site("probe", bed.x - x_offset, bed.y - y_offset, origin)
+    origin = f"{bed.origin}, with the probe above it,"
+    return Site("probe", bed.x - x_offset, bed.y - y_offset, origin)
 
 
-# Raises CalibrationError.
-def check_sites(host, settings):
+def check_sites(host: Host, settings: Settings) -> None:
+    """Raise CalibrationError where nozzle or probe cannot get to the point."""
     bed = bed_site(host, settings)
     for site in (bed, probe_site(host, bed)):
-        touching.check_reach(host, site, OUT_OF_REACH)
+        touch.check_reach(host, site, OUT_OF_REACH)
     # The probe sees so large a spot that it stays over the middle
-    touching.check_spread(host, bed, settings.bed_spread, "auto_z_offset")
+    touch.check_spread(host, bed, settings.bed_spread, "auto_z_offset")

@@ -5,7 +5,7 @@ Copyright (C) 2026  the Z calibration developers, under the GNU GPLv3
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING, Any, Optional
+from typing import TYPE_CHECKING, Any, Iterator, Mapping, Optional
 
 if TYPE_CHECKING:
     from .klippy import Config, Endstop
@@ -56,6 +56,24 @@ def is_virtual(endstop: Any) -> bool:
     return hasattr(endstop, "get_position_endstop")
 
 
+def _other_user(config: Config, option: str, pin: str) -> str:
+    """Return which other option names a pin, in words; empty: none, or they may share it."""
+    may_share = "duplicate_pin_override"
+    if config.has_section(may_share):
+        shared = config.getsection(may_share).get("pins", "", note_valid=False)
+        if bare_pin(pin) in map(bare_pin, shared.split(",")):
+            return ""
+    for section in config.get_prefix_sections(""):
+        for other in section.get_prefix_options(""):
+            is_own = section.get_name() == config.get_name() and other == option
+            if is_own or not other.endswith("pin"):
+                continue
+            text = section.get(other, "", note_valid=False)
+            if bare_pin(text) == bare_pin(pin):
+                return f"option '{other}' in section '{section.get_name()}'"
+    return ""
+
+
 class Endstops:
     """The endstops of a printer, as far as a section needs them."""
 
@@ -64,42 +82,81 @@ class Endstops:
         self.printer = host.printer
         self.query_endstops = self.printer.load_object(config, "query_endstops")
 
-    def make(self, config: Config, option: str, remedy: str) -> Endstop:
+    def make(
+        self,
+        config: Config,
+        option: str,
+        remedy: str,
+        of_sections: Optional[Mapping[str, str]] = None,
+    ) -> Endstop:
         """Make an endstop that stops the Z motors, of the pin that an option names.
 
-        Raises the error of a configuration for a pin that is none, that the probe uses, or
-        that the host refuses; 'remedy' ends its message.
+        Raises the error of a configuration for a pin that is none, that another section has,
+        or that the host refuses.  'remedy' says which pin is wanted; 'of_sections' what to do
+        where that of a section was given.
         """
         pin: str = config.get(option)
-        what = self._why_unusable(config, pin)
+        why = self._why_unusable(config, option, remedy, of_sections or {})
         endstop: Any = None
         pins = self.printer.lookup_object("pins")
         try:
-            if not what:
+            if not why:
                 endstop = pins.setup_pin("endstop", pin)
         except pins.error as e:
-            what = f"cannot be used: {e}"
-        if what:
+            why = self._why_refused(str(e), remedy)
+        if why:
             raise config.error(
-                f"Option '{option}: {pin}' in section '{self.host.section}' {what};"
-                f" {remedy}"
+                f"Option '{option}: {pin}' in section '{self.host.section}' {why}"
             )
         self.query_endstops.register_endstop(endstop, self.host.section)
         self.stops_z(endstop)
         result: Endstop = endstop
         return result
 
-    def _why_unusable(self, config: Config, pin: str) -> str:
-        """Return why a pin cannot be an endstop of our own; empty: it may be one."""
-        own = self.host.section
+    def _why_unusable(
+        self,
+        config: Config,
+        option: str,
+        remedy: str,
+        of_sections: Mapping[str, str],
+    ) -> str:
+        """Return why a pin cannot be an endstop of our own, and what to do; empty: it may."""
+        own, pin = self.host.section, config.get(option)
         for name, other in PROBE_PINS:
             if config.has_section(name) and name != own:
                 used = config.getsection(name).get(other, "", note_valid=False)
                 if used and bare_pin(used) == bare_pin(pin):
-                    return f"is the pin of section '{name}'"
+                    what = of_sections.get(name, remedy)
+                    return f"is the pin of section '{name}'; {what}"
         if not pin.strip("^~! ") or chip_of(pin) in ("probe", own):
-            return "is no pin"
+            return f"is no pin; {remedy}"
+        user = _other_user(config, option, pin)
+        if user:
+            return (
+                f"is the pin of {user}, too, and two options cannot have one pin;"
+                " remove it where it is not needed"
+            )
         return ""
+
+    def _why_refused(self, error: str, remedy: str) -> str:
+        """Return why the host refuses a pin, and what to do."""
+        if "Unknown pin chip" in error:
+            chips = ", ".join(sorted(self._chips()))
+            return (
+                f"names a board that there is no section [mcu ...] of; the boards are"
+                f" {chips}, and a pin without one is of mcu"
+            )
+        if "not supported" in error:
+            return (
+                f"cannot be an endstop ({error}); wire the signal to a pin of a board"
+                " with an MCU"
+            )
+        return f"cannot be used: {error}; {remedy}"
+
+    def _chips(self) -> Iterator[str]:
+        """Yield the names of the boards."""
+        for name, _ in self.printer.lookup_objects("mcu"):
+            yield name.split()[-1]
 
     def make_plain(self, config: Config, option: str) -> Endstop:
         """Make an endstop that is only looked at, or ends a probing move of a probe."""

@@ -134,3 +134,12 @@ class GcodeState:
             self._call("M82" if modes.absolute_extrude else "M83")
         if current.speed != modes.speed:
             self._call("G1", F=f"{modes.speed:.6f}")
+
+    @contextlib.contextmanager
+    def keeping_modes(self) -> Iterator[None]:
+        """Have G-code read coordinates as now when this ends, whatever is set meanwhile."""
+        modes = self.modes()
+        with always(
+            self.host, lambda: self.set_modes(modes), "setting the modes back"
+        ):
+            yield

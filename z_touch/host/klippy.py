@@ -268,7 +268,9 @@ class ToolHead(Protocol):
     def get_position(self) -> List[float]:
         """Return X, Y, Z and E (mm) that were commanded last."""
 
-    def set_position(self, newpos: Sequence[float], homing_axes: Any) -> None:
+    def set_position(
+        self, newpos: Sequence[float], homing_axes: Any = ...
+    ) -> None:
         """Declare where the toolhead is (mm), and which axes are homed by that."""
 
     def manual_move(
