@@ -100,8 +100,14 @@ class Owned:
             found.setdefault(section, {})["z_offset"] = f"{here:.4f}"
         if self.has("dockable_probe"):
             found["gcode_macro FETCH"] = {"gcode": "\n  ATTACH_PROBE"}
-            refuses = "{action_raise_error('%s')}" % values.NOT_READY
-            found["gcode_macro READY"] = {"gcode": f"\n  {refuses}"}
+        else:
+            # Whatever is drawn is there: a name that is not ends the run
+            for name in ("ATTACH_PROBE", "DETACH_PROBE", "FETCH"):
+                macro = f"gcode_macro {name}"
+                if macro not in self.scene.sections:
+                    found.setdefault(macro, {"gcode": "\n  G4 P1"})
+        refuses = "{action_raise_error('%s')}" % values.NOT_READY
+        found["gcode_macro READY"] = {"gcode": f"\n  {refuses}"}
         # Klipper says nothing to dialogs without it
         found.setdefault("respond", {})
         return found
