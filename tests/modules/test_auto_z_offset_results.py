@@ -520,3 +520,72 @@ def test_phase_and_progress(start):
     assert "echo: at probe:0.5" in lines
     status = printer.status("auto_z_offset")
     assert (status["phase"], status["progress"]) == ("idle", 0.0)
+
+
+# Heat: an inductive probe senses another height
+
+HOT = "when the correction was measured: the probe may sense another height"
+
+
+def with_chamber(start, tmp_path, kind="temperature_sensor"):
+    """A heated bed, and a sensor of that name; the file that it reads."""
+    path = tmp_path / "chamber"
+    path.write_text("25000")
+    chamber = {
+        f"{kind} chamber": {
+            "sensor_type": "temperature_host",
+            "sensor_path": str(path),
+            "min_temp": "0",
+            "max_temp": "120",
+        }
+    }
+    return start(heated(SCENES["qidi"]), changes=chamber).homed(), path
+
+
+def test_temperatures_are_kept_with_the_correction(start, tmp_path):
+    printer, path = with_chamber(start, tmp_path)
+    path.write_text("55000")
+    printer.run("M140 S100")
+    printer.session.wait(30.0)
+    printer.run("AUTO_Z_CALIBRATE")
+    saved = pending(printer)["auto_z_offset"]
+    assert saved["corrected_bed_temp"] == "100.0"
+    assert saved["corrected_chamber_temp"] == "55.0"
+    assert not told(printer.run("AUTO_Z_LOAD_OFFSET"), HOT)
+    printer.session.restart("SAVE_CONFIG")
+    # Cold, as after a night
+    path.write_text("25000")
+    printer.homed().session.wait(30.0)
+    (line,) = told(printer.run("AUTO_Z_LOAD_OFFSET"), HOT)
+    assert "was 100 C, the chamber is 25 C and was 55 C when" in line
+    assert "run AUTO_Z_CALIBRATE as hot as you print" in line
+
+
+@pytest.mark.parametrize(
+    ("target", "is_told"), [(75, 0), (74, 1), (105, 0), (106, 1)]
+)
+def test_other_heat_is_told_beyond_15_k(start, target, is_told):
+    options = {"probe_z_correction": "0.1", "corrected_bed_temp": "90"}
+    changes = section(corrected_probe_z_offset="0", **options)
+    printer = start(heated(SCENES["qidi"]), changes=changes).homed()
+    printer.run(f"M140 S{target}")
+    lines = told(printer.run("AUTO_Z_LOAD_OFFSET"), HOT)
+    assert len(lines) == is_told
+    printer.run("M140 S0")
+
+
+def test_without_heaters_nothing_is_kept(start):
+    printer = start("qidi").homed()
+    printer.run("AUTO_Z_CALIBRATE")
+    assert not [n for n in pending(printer)["auto_z_offset"] if "temp" in n]
+    assert not told(printer.run("AUTO_Z_LOAD_OFFSET"), HOT)
+
+
+def test_measuring_says_how_far_it_is_from_the_correction(start):
+    words = "mm from the probe_z_correction in force"
+    printer = start("qidi").homed()
+    assert not told(printer.run("AUTO_Z_MEASURE_OFFSET"), words)
+    printer.run("AUTO_Z_CALIBRATE\nSET_GCODE_OFFSET Z_ADJUST=0.05")
+    printer.run("AUTO_Z_SAVE_GCODE_OFFSET")
+    (line,) = told(printer.run("AUTO_Z_MEASURE_OFFSET"), words)
+    assert "that is -0.050 mm from" in line

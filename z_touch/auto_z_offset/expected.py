@@ -29,6 +29,9 @@ if TYPE_CHECKING:
 # the nozzle would be wrong by as much until the next homing.
 STALE_Z = 0.1
 
+# Bed and chamber that differ by no more (degrees C) are as hot as they were
+AS_HOT = 15.0
+
 # What is saved is rounded to that (mm).
 SAVED_DIGIT = 0.000001
 
@@ -44,6 +47,15 @@ class Correction:
         self.z = settings.probe_z_correction
         if self.probe_z_offset is None:
             self.z = self.z or None
+        # How hot (degrees C) bed and chamber were then, as far as that is known
+        self.temperatures = {
+            part: degrees
+            for part, degrees in (
+                ("bed", settings.corrected_bed_temp),
+                ("chamber", settings.corrected_chamber_temp),
+            )
+            if degrees is not None
+        }
         # What the probe's z_offset has changed by since it was measured or saved (mm)
         self.followed = 0.0
 
@@ -78,15 +90,38 @@ class Correction:
             " SAVE_CONFIG"
         )
 
+    def other_heat(self) -> str:
+        """Return what the user is told of bed and chamber that are hotter or colder now.
+
+        An inductive probe senses another height then.  Empty: they are about as hot.
+        """
+        now = self.host.wanted_temperatures()
+        texts = [
+            f"the {part} is {now[part]:.0f} C and was {degrees:.0f} C"
+            for part, degrees in self.temperatures.items()
+            if part in now and abs(now[part] - degrees) > AS_HOT
+        ]
+        if not texts:
+            return ""
+        return (
+            f"{', '.join(texts)} when the correction was measured: the probe may sense"
+            " another height, and the first layer be wrong by it; run AUTO_Z_CALIBRATE"
+            " as hot as you print, and SAVE_CONFIG"
+        )
+
     def save(self, z: float) -> None:
         """Have another one (mm) in force from here on, and ready for SAVE_CONFIG."""
         self.z, self.followed = z, 0.0
+        self.temperatures = self.host.wanted_temperatures()
+        printer, section = self.host.printer, self.host.section
         for option, value in (
             ("probe_z_correction", z),
             ("corrected_probe_z_offset", self.host.probing.z_offset()),
         ):
-            printer, section = self.host.printer, self.host.section
             options.save(printer, section, option, f"{value:.6f}")
+        for part, degrees in self.temperatures.items():
+            option = f"corrected_{part}_temp"
+            options.save(printer, section, option, f"{degrees:.1f}")
 
 
 class Expectations:

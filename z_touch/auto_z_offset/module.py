@@ -328,6 +328,11 @@ class AutoZOffset:
             self._tell(self.expectations.why_stale(result))
         self.results = (result,)
         gcmd.respond_info(formula("AUTO_Z_MEASURE_OFFSET", result))
+        if self.correction.z is not None:
+            self._tell(
+                f"that is {result.correction - self.correction.z:+.3f} mm from the"
+                f" probe_z_correction in force, {self.correction.z:.3f}"
+            )
         self._tell(heights.inside_bed(result.z_offset))
 
     ##################################################################
@@ -448,6 +453,7 @@ class AutoZOffset:
             )
         self._tell(self.expectations.levelled())
         self._tell(self.correction.unsure())
+        self._tell(self.correction.other_heat())
         if self.host.transforms.mesh_heights() is not None:
             self._tell(shifts.wrong_mesh(self.host))
         if self.correction.z is None:

@@ -100,6 +100,21 @@ class Settings:
         "The z_offset of [probe] that it was measured with. SAVE_CONFIG writes"
         " it.",
     )
+    corrected_bed_temp: Optional[float] = options.number(
+        None,
+        "How hot the bed was then, in degrees C. SAVE_CONFIG writes it.",
+        unit="",
+        minval=-100.0,
+        maxval=500.0,
+    )
+    corrected_chamber_temp: Optional[float] = options.number(
+        None,
+        "How hot the chamber was then, in degrees C, where a heater or a sensor has"
+        " that name. SAVE_CONFIG writes it.",
+        unit="",
+        minval=-100.0,
+        maxval=500.0,
+    )
     # None: the middle of the axes
     bed_xy_position: Optional[Site] = options.other(
         options.site_kind("bed"),

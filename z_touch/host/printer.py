@@ -6,7 +6,7 @@ Copyright (C) 2026  the Z calibration developers, under the GNU GPLv3
 from __future__ import annotations
 
 import contextlib
-from typing import TYPE_CHECKING, Any, Callable, Iterator, List
+from typing import TYPE_CHECKING, Any, Callable, Dict, Iterator, List
 
 from ..errors import CalibrationError
 from .endstops import Endstops
@@ -116,6 +116,26 @@ class Host:
         """Return what the nozzle is to have (degrees C), 0: its heater is off."""
         degrees: float = self._extruder_status().get("target", 0.0)
         return degrees
+
+    def wanted_temperatures(self) -> Dict[str, float]:
+        """Return how hot (degrees C) bed and chamber are, or are to be.
+
+        Those that the printer has: [heater_bed], and a heater or a sensor whose name is
+        chamber.
+        """
+        found: Dict[str, float] = {}
+        for name, heater in self.printer.lookup_objects():
+            part = {"heater_bed": "bed", "chamber": "chamber"}.get(
+                name.split()[-1]
+            )
+            get_status = getattr(heater, "get_status", None)
+            if part is None or get_status is None:
+                continue
+            status = get_status(self.eventtime())
+            if "temperature" in status:
+                degrees = status.get("target") or status["temperature"]
+                found[part] = round(degrees, 1)
+        return found
 
     def _extruder_status(self) -> Status:
         name = self.extruder()
