@@ -671,3 +671,13 @@ def test_calibration_needs_nothing_of_this(start):
     # Only that it is there
     printer = start("membrane").homed()
     assert "// action:prompt_show" in printer.run(CALIBRATE)
+
+
+@pytest.mark.parametrize("command", ["EXTRA_PROBE", "EXTRA_PROBE_ACCURACY"])
+def test_head_below_the_lowest_point_has_no_floor_to_give(start, command):
+    """FLOOR is a parameter of EXTRA_PROBE_CALIBRATE only."""
+    printer = start("membrane", changes=section(position_min="5")).homed()
+    printer.run("G90\nG1 Z4 F600")
+    text = printer.fail(f"{command} PROBE=membrane")
+    assert "the head is at z=4.000, this touch ends at z=5.000" in text
+    assert "begin higher up" in text and "FLOOR" not in text

@@ -285,7 +285,7 @@ class Calibration:
         self.switch.free_nozzle()
         self._come_down()
         sampling = self.settings.sampling
-        series = Series(self.host, self.switch, sampling, LOWER_FLOOR)
+        series = Series(self.host, self.switch, sampling, LOWER_FLOOR, TOO_LOW)
         triggers = series.measure(question.floor)
         self._check_unchanged(question)
         trigger_z = summarize(triggers, sampling.result)

@@ -25,7 +25,7 @@ from ..sampling import accuracy, summarize
 from . import heights
 from .calibration import Calibration
 from .settings import PROBE, complete, read_settings
-from .switches import FIND_BED, PinSwitch, ProbeSwitch, Series
+from .switches import FIND_BED, HIGHER_UP, PinSwitch, ProbeSwitch, Series
 
 if TYPE_CHECKING:
     from ..host.klippy import Config, GCodeCommand
@@ -146,7 +146,9 @@ class ExtraProbe:
         with self.runner.running(gcmd, "touch", 0):
             self._check_ready()
             self.switch.free_nozzle()
-            series = Series(self.host, self.switch, sampling, FIND_BED)
+            series = Series(
+                self.host, self.switch, sampling, FIND_BED, HIGHER_UP
+            )
             triggers = series.measure(self._floor(), stay=True)
         self.last_z_result = summarize(triggers, sampling.result)
         gcmd.respond_info(f"Result is z={self.last_z_result:.6f}")
@@ -168,7 +170,9 @@ class ExtraProbe:
         with self.runner.running(gcmd, "touch", 0):
             self._check_ready()
             self.switch.free_nozzle()
-            series = Series(self.host, self.switch, sampling, FIND_BED)
+            series = Series(
+                self.host, self.switch, sampling, FIND_BED, HIGHER_UP
+            )
             triggers = series.measure(self._floor())
         found = accuracy(triggers)
         gcmd.respond_info(

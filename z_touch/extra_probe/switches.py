@@ -25,7 +25,8 @@ if TYPE_CHECKING:
 # What to do about samples that differ
 DIFFER = "clean the nozzle, and check what it touches for play"
 # What to do about a toolhead that is below the floor of a touch
-TOO_LOW = "begin higher up, or with a lower FLOOR"
+HIGHER_UP = "begin higher up"
+TOO_LOW = f"{HIGHER_UP}, or with a lower FLOOR"
 # What to do where the bed may be lower than a touch of EXTRA_PROBE goes, and one of
 # EXTRA_PROBE_CALIBRATE
 FIND_BED = "find it with EXTRA_PROBE_CALIBRATE, or set position_min"
@@ -174,17 +175,23 @@ Switch = Union[PinSwitch, ProbeSwitch]
 class Series:
     """One series of touches where the toolhead is.
 
-    'find_bed' is what to do where the bed may be lower than the touches go.
+    'find_bed' is what to do where the bed may be lower than the touches go, 'too_low' where
+    the toolhead is that already.
     """
 
     def __init__(
-        self, host: Host, switch: Switch, sampling: Sampling, find_bed: str
+        self,
+        host: Host,
+        switch: Switch,
+        sampling: Sampling,
+        find_bed: str,
+        too_low: str,
     ):
         self.host = host
         self.switch = switch
         self.sampling = sampling
         self.find_bed = find_bed
-        self.head = touch.Head(host, sampling, TOO_LOW)
+        self.head = touch.Head(host, sampling, too_low)
         # Where the toolhead is lifted to at the end
         self.end_z = host.motion.z()
 
