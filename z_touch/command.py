@@ -7,7 +7,7 @@ from __future__ import annotations
 
 import contextlib
 import logging
-from typing import TYPE_CHECKING, Any, Callable, Iterator, Optional, TypeVar
+from typing import TYPE_CHECKING, Any, Callable, Iterator, Optional
 
 from .errors import CalibrationError
 from .progress import Progress
@@ -15,8 +15,6 @@ from .progress import Progress
 if TYPE_CHECKING:
     from .host.klippy import GCodeCommand
     from .host.printer import Host
-
-T = TypeVar("T")
 
 
 @contextlib.contextmanager
@@ -107,18 +105,6 @@ class Runner:
     def __init__(self, host: Host):
         self.host = host
         self.watch = Progress(host.section, host.gcode.respond_info)
-
-    def run(
-        self,
-        gcmd: GCodeCommand,
-        work: Callable[[], T],
-        phase: str,
-        wanted: int,
-        failed: Optional[Callable[[Exception], None]] = None,
-    ) -> T:
-        """Return what work() does; see running()."""
-        with self.running(gcmd, phase, wanted, failed):
-            return work()
 
     @contextlib.contextmanager
     def running(
