@@ -359,6 +359,120 @@ def test_lines_at_the_start_of_a_file_are_no_steps_of_a_user(start, tmp_path):
     assert "nothing was changed" in "".join(printer.run(SAVE))
 
 
+def test_purge_line_before_the_filament_of_a_file(start, tmp_path):
+    """What is extruded there is no first layer that a user has judged."""
+    sections = {
+        "virtual_sdcard": {"path": str(tmp_path)},
+        "gcode_macro BEGIN": {
+            "gcode": "\n  CALIBRATE_Z\n  G1 E5 F300\n  G4 P4000"
+        },
+    }
+    printer = start(changes=sections).homed()
+    printing(printer, tmp_path, "BEGIN", "SET_GCODE_OFFSET Z_ADJUST=-0.06")
+    printer.session.wait(60.0)
+    assert "nothing was changed" in "".join(printer.run(SAVE))
+    printer.run("SET_GCODE_OFFSET Z_ADJUST=0.02")
+    printer.run(SAVE)
+    assert saved_switch_offset(printer) == pytest.approx(SWITCH_OFFSET - 0.02)
+
+
+def test_plate_of_a_file_that_keeps_the_result(start, tmp_path):
+    sections = {"virtual_sdcard": {"path": str(tmp_path)}}
+    printer = start(changes=sections).homed()
+    told(printer, "CALIBRATE_Z")
+    printing(printer, tmp_path, "SET_GCODE_OFFSET Z_ADJUST=-0.06")
+    printer.session.wait(20.0)
+    assert "nothing was changed" in "".join(printer.run(SAVE))
+
+
+def test_mesh_after_it_in_the_same_file_is_told_at_once(start, tmp_path):
+    sections = {"virtual_sdcard": {"path": str(tmp_path)}, **CHANGES}
+    printer = start(changes=sections).homed()
+    load = "BED_MESH_PROFILE LOAD=default"
+    printing(printer, tmp_path, "CALIBRATE_Z", load)
+    printer.session.wait(60.0)
+    lines = [n for n in printer.session.console if "bed_mesh is 0.200 mm" in n]
+    assert len(lines) == 1
+
+
+def test_lines_before_it_in_a_file_are_not_told(start, tmp_path):
+    """They end the result of the print before."""
+    sections = {"virtual_sdcard": {"path": str(tmp_path)}, **CHANGES}
+    printer = start(changes=sections).homed()
+    told(printer, "CALIBRATE_Z")
+    lines = ("SET_GCODE_OFFSET Z=0", "G4 P5000", "G28", "G4 P5000")
+    printing(printer, tmp_path, *lines, "CALIBRATE_Z")
+    printer.session.wait(120.0)
+    assert not any(WAS in line for line in printer.session.console)
+    assert not any("Z offset is 0.000" in n for n in printer.session.console)
+
+
+@pytest.mark.parametrize(
+    "script", ["SET_GCODE_OFFSET X=0 Y=0", "SET_GCODE_OFFSET Z_ADJUST=0"]
+)
+def test_command_that_changes_nothing_is_no_step(start, script):
+    printer = start().homed()
+    printer.run("SET_GCODE_OFFSET Z=0.1\nSAVE_GCODE_STATE NAME=old")
+    printer.run("SET_GCODE_OFFSET Z=0\nCALIBRATE_Z")
+    printer.run(f"RESTORE_GCODE_STATE NAME=old\n{script}")
+    assert "0.100 is none of baby steps" in printer.fail(SAVE)
+
+
+@pytest.mark.parametrize(
+    "between",
+    [
+        "PROBE_Z_ACCURACY",
+        slow("CALIBRATE_Z_ACCURACY CYCLES=2"),
+        "PAUSE\nRESUME",
+    ],
+)
+def test_offset_that_is_set_stays_no_baby_step(start, between):
+    printer = start(changes={"pause_resume": {}}).homed()
+    printer.run("CALIBRATE_Z")
+    printer.run("SET_GCODE_OFFSET Z=0.1\nSET_GCODE_OFFSET Z_ADJUST=0.02")
+    printer.run(between)
+    printer.run("SET_GCODE_OFFSET Z_ADJUST=0.02")
+    assert "no baby step" in printer.fail(SAVE)
+
+
+def test_macro_that_sets_the_offset_in_force_again(start):
+    """With the steps in it, as some tool changes do."""
+    again = (
+        "\n  {% set z = printer.gcode_move.homing_origin.z %}"
+        "\n  SET_GCODE_OFFSET Z=0\n  SET_GCODE_OFFSET Z={z}"
+    )
+    macros = {"gcode_macro AGAIN": {"gcode": again}}
+    changes = {**begin("SET_GCODE_OFFSET Z_ADJUST=-0.06"), **macros}
+    printer = start(changes=changes).homed()
+    told(printer, "BEGIN")
+    printer.run("SET_GCODE_OFFSET Z_ADJUST=0.02")
+    assert told(printer, "AGAIN") == []
+    printer.run(SAVE)
+    assert saved_switch_offset(printer) == pytest.approx(SWITCH_OFFSET - 0.02)
+
+
+def test_offset_that_is_never_used_is_no_base(start):
+    printer = start(changes=KEPT).homed()
+    printer.run("CALIBRATE_Z")
+    printer.run("SET_GCODE_OFFSET Z_ADJUST=0.02")
+    assert "is none of baby steps" in printer.fail(SAVE)
+
+
+def test_plate_before_another_nozzle_is_active(start, tmp_path):
+    """Such as to prime both."""
+    path = tmp_path / "temp"
+    path.write_text("25000")
+    macro = begin("SET_GCODE_OFFSET Z_ADJUST=-0.06", TWO)
+    changes = {"extruder1": {**TOOL, "sensor_path": str(path)}, **macro}
+    printer = start(heated(SCENES["voron"]), changes=changes).homed()
+    told(printer, "BEGIN")
+    printer.run(ONE)
+    assert "nothing was changed" in "".join(printer.run(SAVE))
+    printer.run("SET_GCODE_OFFSET Z_ADJUST=0.02")
+    printer.run(SAVE)
+    assert saved_switch_offset(printer) == pytest.approx(SWITCH_OFFSET - 0.02)
+
+
 def test_homing_at_the_start_of_a_file_is_not_told(start, tmp_path):
     """CALIBRATE_Z comes some lines later."""
     sections = {"virtual_sdcard": {"path": str(tmp_path)}}

@@ -73,17 +73,31 @@ class Host:
 
     def print_state(self) -> str:
         """Return "printing" or "paused" where a print has begun and not ended, else ""."""
-        stats = self.printer.lookup_object("print_stats", None)
-        status = stats.get_status(self.eventtime()) if stats else {}
-        state: str = status.get("state", "")
+        state: str = self._print_stats().get("state", "")
         return state if state in ("printing", "paused") else ""
+
+    def runs_file(self) -> bool:
+        """Return whether the command under way is of the file of a print."""
+        card = self.printer.lookup_object("virtual_sdcard", None)
+        return bool(card and card.is_cmd_from_sd())
 
     def begins_print(self) -> bool:
         """Return whether a print is under way that has not extruded anything yet."""
-        stats = self.printer.lookup_object("print_stats", None)
-        status = stats.get_status(self.eventtime()) if stats else {}
+        status = self._print_stats()
         is_printing = status.get("state") == "printing"
         return is_printing and not status.get("print_duration")
+
+    def print_began(self) -> float:
+        """Return when the print has begun that is under way (eventtime), 0: none is."""
+        status, now = self._print_stats(), self.eventtime()
+        if not self.print_state():
+            return 0.0
+        seconds: float = status.get("total_duration", 0.0)
+        return now - seconds
+
+    def _print_stats(self) -> Status:
+        stats = self.printer.lookup_object("print_stats", None)
+        return stats.get_status(self.eventtime()) if stats else {}
 
     def is_file_output(self) -> bool:
         """Return whether klippy writes what it would send into a file, as in its tests.

@@ -505,6 +505,7 @@ class ZCalibration:
             extruder=self.host.tools.active(),
             proved_at=run.proved_at,
             unknown_shift=run.unknown_over_pin or 0.0,
+            print_began=self.host.print_began(),
             tool_shift=sum(shift for _, shift in self.host.tools.of_changer()),
         )
         return last.replace(z_offset=Shifts(self.host, last).offset())

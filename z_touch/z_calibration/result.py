@@ -30,6 +30,9 @@ if TYPE_CHECKING:
 # By less (mm) the bed mesh is as high as it was.
 SAME_HEIGHT = 0.01
 
+# Two prints do not begin within so many seconds
+SAME_PRINT = 1.0
+
 # What a result may not hold for any more
 DATUM, MESH, HEAT, TOOL, G92, OFFSET = [
     "datum",
@@ -73,6 +76,8 @@ class LastRun:
     is_for_later: bool = False
     # The baby steps since
     steps: Steps = field(default_factory=lambda: Steps(0.0))
+    # When the print began that it was made in (eventtime), 0: in none
+    print_began: float = 0.0
     # What a tool changer added to Z for that tool (mm), which was taken off
     tool_shift: float = 0.0
     # Height of bed mesh or bed tilt there, when it was applied; whether that is not known;
@@ -112,7 +117,7 @@ class Results:
         self.is_good = False
         # What SET_GCODE_OFFSET Z=... has set (mm) in place of ours, with the steps since;
         # None: nothing
-        self.replaced: Optional[float] = None
+        self.replaced: Optional[Steps] = None
 
     def note(self, measured: Optional[LastRun]) -> None:
         """Show the run that is under way; None: it has not measured yet, or there is none."""
@@ -132,39 +137,49 @@ class Results:
     def settle(self) -> None:
         """Have baby steps count from what is in force, as the G-code has ended that set it.
 
-        Not at the start of a print: the next lines of its file may add something.  Of
-        another nozzle that is active by now, or an offset that is kept for later, it is what
-        was applied.
+        With another nozzle active by now it is what that G-code has made of ours before.
         """
         last = self.current()
-        if last is None or last.steps.is_settled or self.host.begins_print():
+        if last is None or last.steps.is_settled:
             return
         offset = self.host.gcode_state.z_offset()
-        is_other = self.other_tool(last) or self.is_replaced()
-        last.steps.settle(last.applied if is_other else offset)
+        if self.other_tool(last):
+            offset = last.steps.latest
+        elif self.is_replaced():
+            offset = last.applied
+        last.steps.settle(offset)
 
     def note_offset(self, before: float, is_absolute: bool) -> bool:
         """Note what SET_GCODE_OFFSET has made of an offset (mm): a step, or another one.
 
-        Returns whether it has set ours again.
+        What the file of a print adds is no step.  Returns whether it has set ours again.
         """
         offset = self.host.gcode_state.z_offset()
         last = self.current(offset if is_absolute else before)
         if is_absolute:
             is_ours = last is not None and is_same(offset, last.applied)
-            self.replaced = None if is_ours else offset
+            is_known = last is not None and last.steps.has(offset)
+            self.replaced = None if is_ours or is_known else Steps(offset)
             if is_ours and last is not None:
                 last.steps.begin()
             return is_ours
-        if self.replaced == before:
-            self.replaced = offset
-        elif last is not None:
-            last.steps.add(offset)
+        if is_same(offset, before):
+            return False
+        if self.replaced is not None and self.replaced.has(before):
+            self.replaced.add(offset)
+        elif last is not None and not self.other_tool(last):
+            if last.is_for_later and not last.steps.has(before):
+                return False
+            if self.host.runs_file():
+                last.steps.move(before, offset)
+            else:
+                last.steps.add(offset)
         return False
 
     def is_replaced(self) -> bool:
         """Return whether SET_GCODE_OFFSET Z=... has set what is in force: no baby step."""
-        return self.replaced == self.host.gcode_state.z_offset()
+        offset = self.host.gcode_state.z_offset()
+        return self.replaced is not None and self.replaced.has(offset)
 
     def correct(self, switch_offset: float) -> None:
         """Have the offset in force be that of the result with another switch_offset (mm)."""
@@ -329,15 +344,16 @@ class Results:
     def sudden_reason(self) -> Optional[str]:
         """Return why the result has ceased to hold, with its number; empty: it has not.
 
-        Motors that are off end it as expected, after each print: None.  Homing at the start
-        of a print is told only if no CALIBRATE_Z has come before the first layer.  Baby
-        steps, and an offset that is kept for later, are the user's.
+        Motors that are off end it as expected, after each print: None.  The start of a
+        print may end the result of one before: that is told if no CALIBRATE_Z has come by
+        the time it extrudes.  Baby steps, and an offset that is kept for later, are the
+        user's.
         """
         last = self.current()
         moved = self.datum.moved_since(last.mark) if last else MOTORS_OFF
         if last is None or moved == MOTORS_OFF:
             return None
-        if moved and self.host.begins_print():
+        if self.host.begins_print() and not self._is_of_this_print(last):
             return ""
         reason = self.invalid_reason((OFFSET,))
         if reason:
@@ -345,6 +361,10 @@ class Results:
         if last.is_for_later or self._is_stepped(last):
             return ""
         return self._other_offset(last)
+
+    def _is_of_this_print(self, last: LastRun) -> bool:
+        """Return whether a run was made in the print that is under way."""
+        return abs(self.host.print_began() - last.print_began) < SAME_PRINT
 
     def _is_stepped(self, last: LastRun) -> bool:
         """Return whether the offset in force differs by baby steps at most."""

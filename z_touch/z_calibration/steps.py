@@ -58,6 +58,17 @@ class Steps:
         """Note that Z_ADJUST has led to an offset."""
         self._known.append(offset)
 
+    @property
+    def latest(self) -> float:
+        """The last one that Z_ADJUST has led to."""
+        return self._known[-1]
+
+    def move(self, before: float, offset: float) -> None:
+        """Count from elsewhere, as the file of a print has added something."""
+        if self._base is not None:
+            self._base += offset - before
+        self._known.append(offset)
+
     def has(self, offset: float) -> bool:
         """Return whether an offset comes of the applied one, by nothing but Z_ADJUST."""
         return any(is_same(offset, known) for known in self._known)
