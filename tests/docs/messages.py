@@ -37,6 +37,7 @@ NO_MESSAGES = {
     "nozzle height",
     "the nozzle",
     "Unknown pin chip",
+    "multiple times",
     "not supported",
     "switch - nozzle",
     "probe - switch",

@@ -177,3 +177,39 @@ def test_current_above_the_limit_of_the_host_is_put_back(start):
     assert formulas(lines)[-1].correction == pytest.approx(
         CORRECTION, abs=2 * MICROSTEP
     )
+
+
+@pytest.mark.parametrize(
+    ("configured", "set_later"), [("1.5", "2.0"), slow("2.0", "2.0")]
+)
+def test_current_above_the_limit_that_was_set_later(
+    start, configured, set_later
+):
+    """2.0 A is reported as 2.0097 A, and the host takes 2.0 at most."""
+    driver = {"sense_resistor": "0.075", "run_current": configured}
+    printer = start("qidi", changes={"tmc2209 stepper_z": driver}).homed()
+    printer.run(f"SET_TMC_CURRENT STEPPER=stepper_z CURRENT={set_later}")
+    before = state(printer)["currents"]
+    printer.run("AUTO_Z_PROBE")
+    assert state(printer)["currents"] == before
+
+
+def test_current_near_the_configured_one_is_put_back(start):
+    printer = start("qidi").homed()
+    printer.run("SET_TMC_CURRENT STEPPER=stepper_z CURRENT=0.83")
+    before = state(printer)["currents"]
+    printer.run("AUTO_Z_PROBE")
+    assert state(printer)["currents"] == before
+
+
+def test_macro_of_that_name_is_run_for_one_motor_after_another(start):
+    """Klipper refuses a macro that runs already."""
+    macro = {
+        "rename_existing": "SET_TMC_CURRENT_BASE",
+        "gcode": "\n  SET_TMC_CURRENT_BASE {rawparams}",
+    }
+    changes = {"gcode_macro SET_TMC_CURRENT": macro}
+    printer = start("qidi", changes=changes).homed()
+    before = state(printer)["currents"]
+    printer.run("AUTO_Z_PROBE")
+    assert state(printer)["currents"] == before

@@ -29,6 +29,7 @@ from tools.kit.auto_z_offset import (
 from tools.kit.carrying import with_all
 from tools.kit.cases import slow
 from tools.kit.docks import DOCK_SCENES
+from tools.kit.printer import module_files
 from tools.kit.scenes import SCENES
 from tools.kit.z_calibration import refusal
 
@@ -857,3 +858,40 @@ def test_probe_that_is_longer_than_the_hop(start, z_offset):
     scene = SCENES["qidi"].with_world(inductive=probe)
     printer = start(scene, changes=changes).homed()
     assert formulas(printer.run("AUTO_Z_CALIBRATE"))
+
+
+# Pins that other sections name, and may
+
+
+CLAIMS = """
+def load_config(config):
+    pins = config.get_printer().lookup_object("pins")
+    pins.allow_multi_use_pin(config.get("sensor_pin"))
+    return config
+"""
+
+
+@pytest.mark.parametrize("pins", ["PA15, PC1", "\n  PA15,\n  PC1"])
+def test_pin_that_may_be_shared(start, pins):
+    button = {"pin": "PC1", "press_gcode": "\n  G4 P1"}
+    changes = {
+        "duplicate_pin_override": {"pins": pins},
+        "gcode_button bed": button,
+    }
+    start("qidi", changes=changes).session.require_ready()
+
+
+def test_pin_of_a_diagnosis_that_nothing_uses(start):
+    """Boards share it with an endstop by a jumper."""
+    changes = {"tmc2209 stepper_z": {"diag_pin": "^PC1"}}
+    start("qidi", changes=changes).session.require_ready()
+
+
+def test_pin_that_a_module_allows_several_times(start, tmp_path):
+    """As tools_calibrate of klipper-toolchanger does."""
+    source = tmp_path / "tools_calibrate.py"
+    source.write_text(CLAIMS)
+    modules = {**module_files(), "tools_calibrate": source}
+    changes = {"tools_calibrate": {"sensor_pin": "PC1"}}
+    printer = start("qidi", changes=changes, modules=modules)
+    printer.session.require_ready()

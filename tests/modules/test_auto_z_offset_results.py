@@ -527,15 +527,15 @@ def test_phase_and_progress(start):
 HOT = "when the correction was measured: the probe may sense another height"
 
 
-def with_chamber(start, tmp_path, kind="temperature_sensor"):
+def with_chamber(start, tmp_path, min_temp="0"):
     """A heated bed, and a sensor of that name; the file that it reads."""
     path = tmp_path / "chamber"
     path.write_text("25000")
     chamber = {
-        f"{kind} chamber": {
+        "temperature_sensor chamber": {
             "sensor_type": "temperature_host",
             "sensor_path": str(path),
-            "min_temp": "0",
+            "min_temp": min_temp,
             "max_temp": "120",
         }
     }
@@ -589,3 +589,21 @@ def test_measuring_says_how_far_it_is_from_the_correction(start):
     printer.run("AUTO_Z_SAVE_GCODE_OFFSET")
     (line,) = told(printer.run("AUTO_Z_MEASURE_OFFSET"), words)
     assert "that is -0.050 mm from" in line
+
+
+def test_broken_sensor_of_the_chamber_is_not_kept(start, tmp_path):
+    """Nor would Klipper start with it: an open one reads -109 C."""
+    printer, path = with_chamber(start, tmp_path, min_temp=None)
+    path.write_text("-109300")
+    printer.session.wait(30.0)
+    printer.run("AUTO_Z_CALIBRATE")
+    assert "corrected_chamber_temp" not in pending(printer)["auto_z_offset"]
+    printer.session.restart("SAVE_CONFIG")
+    assert printer.session.state()[0] == "ready"
+
+
+def test_macro_named_chamber_is_none(start):
+    macro = {"variable_temperature": "'ABS'", "gcode": "\n  G4 P1"}
+    printer = start("qidi", changes={"gcode_macro chamber": macro}).homed()
+    printer.run("AUTO_Z_CALIBRATE\nAUTO_Z_LOAD_OFFSET")
+    assert "corrected_chamber_temp" not in pending(printer)["auto_z_offset"]

@@ -771,7 +771,7 @@ def test_driver_that_never_answers_again(start):
         " Unable to write tmc uart"
     )
     assert line in text
-    assert "SET_TMC_CURRENT STEPPER=stepper_z CURRENT=0.80" in text
+    assert "SET_TMC_CURRENT STEPPER=stepper_z CURRENT=0.79" in text
     assert told(printer.session.console, line)
     assert printer.machine.drivers["z"].current().run < 0.3
     # The other one is as it was

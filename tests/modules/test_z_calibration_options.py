@@ -1133,3 +1133,8 @@ def test_sites_do_not_depend_on_where_the_head_was(start):
     second, _ = calibration(printer)
     assert second == pytest.approx(first, abs=MICROSTEP)
     assert touched_sites(printer, before) == touched_sites(printer)[-9:]
+
+
+def test_old_and_new_name_of_the_pin_are_one(start):
+    options = {"endstop_pin": "^PC7", "calibration_endstop_pin": "^PC7"}
+    start(changes=section(**options)).session.require_ready()

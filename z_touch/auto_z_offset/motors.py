@@ -20,8 +20,9 @@ SETTLE_TIME = 0.15
 # A driver that does not answer may do so the next time.
 RESTORE_ATTEMPTS = 2
 
-# The steps of a driver's scale are no larger, as a share of what was configured
-SCALE_STEP = 0.04
+# What a driver reports is a step of its scale, and may be above what the host takes; so much
+# less, as a share, is the same step
+LESS_THAN_A_STEP = 0.01
 
 
 ######################################################################
@@ -86,14 +87,6 @@ class Motors:
             and name.partition(" ")[2] in pure
             and self._may_be_reduced(driver)
         }
-        configfile = host.printer.lookup_object("configfile")
-        settings = configfile.get_status(host.eventtime())["settings"]
-        # What the user has configured (A)
-        self.configured: Dict[str, float] = {
-            section.split()[-1]: options["run_current"]
-            for section, options in settings.items()
-            if section.startswith("tmc") and "run_current" in options
-        }
         # Z motors whose current stays
         self.left_alone: List[str] = [
             stepper.get_name()
@@ -130,7 +123,11 @@ class Motors:
         if factor >= 1.0 or not self.drivers:
             yield
             return
-        amps = self._currents()
+        eventtime = self.host.eventtime()
+        amps: Dict[str, float] = {
+            name: driver.get_status(eventtime)["run_current"]
+            for name, driver in self.drivers.items()
+        }
         less = {name: current * factor for name, current in amps.items()}
 
         def restore() -> None:
@@ -141,20 +138,6 @@ class Motors:
                 raise error
             yield
 
-    def _currents(self) -> Dict[str, float]:
-        """Return the current of each motor (A).
-
-        What a driver reports is a step of its scale, and may be above what the host takes:
-        then it is what was configured.
-        """
-        eventtime, found = self.host.eventtime(), {}
-        for name, driver in self.drivers.items():
-            amps: float = driver.get_status(eventtime)["run_current"]
-            wanted = self.configured.get(name, amps)
-            is_step = abs(amps - wanted) <= SCALE_STEP * wanted
-            found[name] = wanted if is_step else amps
-        return found
-
     def _restore(self, amps: Dict[str, float], less: Dict[str, float]) -> None:
         """Set all motors back (A), and wait until they have settled.
 
@@ -163,6 +146,8 @@ class Motors:
         toolhead = self.host.toolhead
         written = toolhead.get_last_move_time()
         failed = self._set_all(amps)
+        share = 1.0 - LESS_THAN_A_STEP
+        failed = self._set_all({name: amps[name] * share for name in failed})
         for _ in range(RESTORE_ATTEMPTS):
             # Hosts write only what differs from what they wrote last, and count a
             # write that failed as done
@@ -191,21 +176,29 @@ class Motors:
         """
         reactor = self.host.printer.get_reactor()
         failed: Dict[str, Exception] = {}
+
+        def set_one(name: str, current: float) -> None:
+            script = f"SET_TMC_CURRENT STEPPER={name} CURRENT={current:.6f}"
+            try:
+                self.host.gcode.run_script_from_command(script)
+            except Exception as e:  # noqa: BLE001
+                # Raised by what waits: in a greenlet it would end klippy
+                failed[name] = e
+
         waiting = []
         for name, current in amps.items():
 
-            def set_one(
+            def begin(
                 _eventtime: float, name: str = name, current: float = current
             ) -> None:
                 """Set one of them, in a greenlet of its own."""
-                script = f"SET_TMC_CURRENT STEPPER={name} CURRENT={current:.6f}"
-                try:
-                    self.host.gcode.run_script_from_command(script)
-                except Exception as e:  # noqa: BLE001
-                    # Raised by what waits: here it would end klippy
-                    failed[name] = e
+                set_one(name, current)
 
-            waiting.append(reactor.register_callback(set_one))
+            waiting.append(reactor.register_callback(begin))
         for completion in waiting:
             completion.wait()
+        # One after another: a macro of that name cannot run twice at a time
+        for name in list(failed):
+            del failed[name]
+            set_one(name, amps[name])
         return failed

@@ -5,7 +5,7 @@ Copyright (C) 2026  the Z calibration developers, under the GNU GPLv3
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING, Any, Iterator, Mapping, Optional
+from typing import TYPE_CHECKING, Any, Iterator, Mapping, Optional, Tuple
 
 if TYPE_CHECKING:
     from .klippy import Config, Endstop
@@ -56,22 +56,33 @@ def is_virtual(endstop: Any) -> bool:
     return hasattr(endstop, "get_position_endstop")
 
 
-def _other_user(config: Config, option: str, pin: str) -> str:
-    """Return which other option names a pin, in words; empty: none, or they may share it."""
+def _options_of_pin(config: Config, pin: str) -> Iterator[Tuple[str, str]]:
+    """Yield section and option of each other section that names a pin.
+
+    Not where [duplicate_pin_override] has it: they may share it then.
+    """
     may_share = "duplicate_pin_override"
     if config.has_section(may_share):
         shared = config.getsection(may_share).get("pins", "", note_valid=False)
-        if bare_pin(pin) in map(bare_pin, shared.split(",")):
-            return ""
+        if bare_pin(pin) in map(bare_pin, "".join(shared.split()).split(",")):
+            return
     for section in config.get_prefix_sections(""):
-        for other in section.get_prefix_options(""):
-            is_own = section.get_name() == config.get_name() and other == option
-            if is_own or not other.endswith("pin"):
-                continue
-            text = section.get(other, "", note_valid=False)
-            if bare_pin(text) == bare_pin(pin):
-                return f"option '{other}' in section '{section.get_name()}'"
-    return ""
+        if section.get_name() == config.get_name():
+            continue
+        for option in section.get_prefix_options(""):
+            # The pin of a driver's diagnosis is claimed by an endstop of it only
+            if option.endswith("pin") and not option.startswith("diag"):
+                text = section.get(option, "", note_valid=False)
+                if bare_pin(text) == bare_pin(pin):
+                    yield section.get_name(), option
+
+
+def _two_have_it(section: str, option: str) -> str:
+    """Return why a pin cannot be used that another section has, and what to do."""
+    return (
+        f"is the pin of option '{option}' in section '{section}', too, and two options"
+        " cannot have one pin; remove it where it is not needed"
+    )
 
 
 class Endstops:
@@ -103,7 +114,7 @@ class Endstops:
             if not why:
                 endstop = pins.setup_pin("endstop", pin)
         except pins.error as e:
-            why = self._why_refused(str(e), remedy)
+            why = self._why_refused(config, pin, str(e), remedy)
         if why:
             raise config.error(
                 f"Option '{option}: {pin}' in section '{self.host.section}' {why}"
@@ -130,16 +141,20 @@ class Endstops:
                     return f"is the pin of section '{name}'; {what}"
         if not pin.strip("^~! ") or chip_of(pin) in ("probe", own):
             return f"is no pin; {remedy}"
-        user = _other_user(config, option, pin)
-        if user:
-            return (
-                f"is the pin of {user}, too, and two options cannot have one pin;"
-                " remove it where it is not needed"
-            )
+        for name, other in _options_of_pin(config, pin):
+            # The host makes these after us, and would not say which is the other one
+            is_axis = name.startswith(("stepper", "carriage"))
+            if is_axis and other == "endstop_pin":
+                return _two_have_it(name, other)
         return ""
 
-    def _why_refused(self, error: str, remedy: str) -> str:
+    def _why_refused(
+        self, config: Config, pin: str, error: str, remedy: str
+    ) -> str:
         """Return why the host refuses a pin, and what to do."""
+        if "multiple times" in error:
+            for name, other in _options_of_pin(config, pin):
+                return _two_have_it(name, other)
         if "Unknown pin chip" in error:
             chips = ", ".join(sorted(self._chips()))
             return (

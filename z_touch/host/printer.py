@@ -20,6 +20,10 @@ if TYPE_CHECKING:
     from .klippy import Config, GCode, GCodeCommand, Handler, Status, ToolHead
 
 
+# A sensor of bed or chamber that says less or more (degrees C) is broken
+COLDEST, HOTTEST = -50.0, 400.0
+
+
 class Host:
     """The host, klippy, as one section sees it."""
 
@@ -135,19 +139,22 @@ class Host:
         """Return how hot (degrees C) bed and chamber are, or are to be.
 
         Those that the printer has: [heater_bed], and a heater or a sensor whose name is
-        chamber.
+        chamber.  What a broken sensor says is left out.
         """
         found: Dict[str, float] = {}
         for name, heater in self.printer.lookup_objects():
             part = {"heater_bed": "bed", "chamber": "chamber"}.get(
                 name.split()[-1]
             )
-            get_status = getattr(heater, "get_status", None)
-            if part is None or get_status is None:
+            if part is None or not name.startswith(("heater_", "temperature_")):
                 continue
-            status = get_status(self.eventtime())
-            if "temperature" in status:
-                degrees = status.get("target") or status["temperature"]
+            status = heater.get_status(self.eventtime())
+            degrees = status.get("temperature")
+            if name.startswith("heater_"):
+                # That of a fan is what it cools down to
+                degrees = status.get("target") or degrees
+            is_number = isinstance(degrees, (int, float))
+            if is_number and COLDEST <= degrees <= HOTTEST:
                 found[part] = round(degrees, 1)
         return found
 
