@@ -636,10 +636,10 @@ def test_option_that_cannot_be_used(host, scene, own, words):
 def test_two_sections_of_one_pin(host):
     changes = {"extra_probe other": {"pin": "^!PF5"}}
     message = refusal(host, changes, "membrane")
-    assert "Option 'pin: ^!PF5' in section 'extra_probe membrane' is the" in (
+    assert "Option 'pin: ^!PF5' in section 'extra_probe other' is the pin" in (
         message
     )
-    assert "pin of option 'pin' in section 'extra_probe other', too" in message
+    assert "of option 'pin' in section 'extra_probe membrane', too" in message
 
 
 def test_machine_without_a_z_axis(host):

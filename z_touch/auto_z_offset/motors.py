@@ -147,7 +147,13 @@ class Motors:
         written = toolhead.get_last_move_time()
         failed = self._set_all(amps)
         share = 1.0 - LESS_THAN_A_STEP
-        failed = self._set_all({name: amps[name] * share for name in failed})
+        refused = [name for name in failed if "maximum" in str(failed[name])]
+        for name in refused:
+            del failed[name]
+        # Nothing was written then: the step below is the one that it was
+        failed.update(
+            self._set_all({name: amps[name] * share for name in refused})
+        )
         for _ in range(RESTORE_ATTEMPTS):
             # Hosts write only what differs from what they wrote last, and count a
             # write that failed as done
@@ -197,8 +203,9 @@ class Motors:
             waiting.append(reactor.register_callback(begin))
         for completion in waiting:
             completion.wait()
-        # One after another: a macro of that name cannot run twice at a time
-        for name in list(failed):
+        # One after another: a macro of that name cannot run twice at a time.  What the host
+        # has tried to write is not tried again: it counts as done there.
+        for name in [n for n in failed if "recursively" in str(failed[n])]:
             del failed[name]
             set_one(name, amps[name])
         return failed
