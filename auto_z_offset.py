@@ -72,6 +72,7 @@ else:
 
 
 def load_config(config):
+    """Return the module for the section; an error where z_touch cannot be used."""
     if FAULT:
         logging.error("z_touch: %s\n%s", FAULT, TRACE)
         raise config.error("Section '%s': %s" % (config.get_name(), FAULT))

@@ -91,6 +91,7 @@ def watch(
     """
 
     def around(command: Handler, gcmd: GCodeCommand) -> None:
+        """Run the command; say when our offset (mm) has gone with it."""
         before, ours = host.gcode_state.z_offset(), applied()
         command(gcmd)
         after = host.gcode_state.z_offset()

@@ -384,6 +384,7 @@ def choice(values: Mapping[Any, Any]) -> Kind:
     """Return the kind of an option that is one of some words, each for a value."""
 
     def read(config: Config, name: str, row: Option) -> Any:
+        """Return the value of the word; another word is an error."""
         return config.getchoice(name, values, row.default)
 
     words = tuple(sorted(word for word in values if word is not None))
@@ -400,6 +401,7 @@ def site_kind(name: str) -> Kind:
     """
 
     def read(config: Config, option: OldName, row: Option) -> Optional[Site]:
+        """Return the point (mm), or None where it is not given."""
         if isinstance(option, tuple):
             axes = [read_number(config, axis) for axis in option]
             return option_site(config, name, " and ".join(option), axes)

@@ -51,6 +51,7 @@ def limited_accel(host: Host, accel: float) -> Iterator[None]:
     run_script = host.gcode.run_script_from_command
 
     def restore() -> None:
+        """Set the acceleration (mm/s^2) that was in force."""
         run_script(f"SET_VELOCITY_LIMIT ACCEL={max_accel:.6f}")
 
     with always(host, restore, "restoring the acceleration"):
@@ -131,6 +132,7 @@ class Motors:
         less = {name: current * factor for name, current in amps.items()}
 
         def restore() -> None:
+            """Set the currents (A) that were in force."""
             self._restore(amps, less)
 
         with always(self.host, restore, "restoring the motor current"):
@@ -184,6 +186,7 @@ class Motors:
         failed: Dict[str, Exception] = {}
 
         def set_one(name: str, current: float) -> None:
+            """Set the current (A) of one motor; keep its error for the caller."""
             script = f"SET_TMC_CURRENT STEPPER={name} CURRENT={current:.6f}"
             try:
                 self.host.gcode.run_script_from_command(script)

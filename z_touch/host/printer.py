@@ -207,6 +207,7 @@ class Host:
 
         # Kalico would take the words about a partial for its help
         def wrapped(gcmd: GCodeCommand) -> None:
+            """Run what stands around the command of the host."""
             around(command, gcmd)
 
         text = self.gcode.gcode_help.get(name)

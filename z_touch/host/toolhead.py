@@ -99,6 +99,7 @@ def read_z_axis(config: Config) -> Optional[ZAxis]:
         return None
 
     def number(of: Config, name: str, default: Optional[float]) -> Any:
+        """Return an option as a number (mm, mm/s), or the default."""
         return of.getfloat(name, default, note_valid=False)
 
     homing_speed = number(section, "homing_speed", 5.0)

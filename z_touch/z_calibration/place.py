@@ -590,6 +590,7 @@ class BedPlace(Place):
         """Return the height of one fast touch, the toolhead lifted again."""
 
         def lift() -> None:
+            """Lift the toolhead to travel_z (mm)."""
             self.head.lift(travel_z)
 
         with always(self.host, lift, "lifting"):
