@@ -10,6 +10,7 @@ from pathlib import Path
 import pytest
 
 from tools.kit.cases import slow
+from tools.kit.docks import LEVELS
 from tools.kit.klipper_sections import TOOL, bed_mesh, profile
 from tools.kit.printer import module_files
 from tools.kit.scenes import SCENES, heated
@@ -103,13 +104,7 @@ def test_what_everybody_does_is_not_told(start, script):
 def test_levelling_is_told(start):
     """Before the levelling one motor was some steps off."""
     changes = {
-        "quad_gantry_level": {
-            "gantry_corners": "-60, -10\n  360, 370",
-            "points": "50, 25\n  50, 225\n  250, 225\n  250, 25",
-            "speed": "200",
-            "horizontal_move_z": "10",
-            "max_adjust": "10",
-        },
+        "quad_gantry_level": LEVELS["quad_gantry_level"],
         "force_move": {"enable_force_move": "True"},
     }
     printer = start(changes=changes).homed()

@@ -13,7 +13,7 @@ from tools.kit.cases import slow
 from tools.kit.dockable_probe import SENSED, SWITCH, trips, where
 from tools.kit.docks import calibrating
 from tools.kit.klipper_sections import TOOL, bed_mesh
-from tools.kit.scenes import SCENES
+from tools.kit.scenes import SCENES, servo
 from tools.kit.z_calibration import (
     MICROSTEP,
     assert_unharmed,
@@ -200,16 +200,7 @@ def test_switch_in_a_dock_that_is_normally_open(start):
     "hosts differ in when a session ends, and with it deactivate_gcode"
 )
 def test_probe_that_is_put_away_after_each_session(start):
-    scene = SCENES["voron"]
-    probe = replace(
-        scene.world.mag_probe,
-        mode="output",
-        initial="docked",
-        attach_time=0.1,
-        normally_open=True,
-    )
-    wiring = replace(scene.wiring, outputs={"probe_attach": "PD0"})
-    scene = replace(scene, wiring=wiring).with_world(mag_probe=probe)
+    scene = servo(normally_open=True)
     turn = "\n  SET_PIN PIN=probe_magnet VALUE=%d\n  G4 P300"
     pin = {"pin": "PD0", "value": "0", "shutdown_value": "0"}
     changes = {

@@ -5,12 +5,10 @@ Of such a probe its switch tells where it is, and [probe] may put it away by its
 
 from __future__ import annotations
 
-from dataclasses import replace
-
 import pytest
 
 from tools.kit.cases import slow
-from tools.kit.scenes import SCENES
+from tools.kit.scenes import servo
 from tools.kit.setup_user import EMPTY, User
 from tools.kit.z_calibration import (
     BED,
@@ -29,20 +27,6 @@ DETACH = "\n  SET_PIN PIN=magnet VALUE=0\n  G4 P300"
 OFFSET = BED + TRIGGER - (BODY + SWITCH_OFFSET)
 
 LEFT = "the probe is still attached after end_gcode, and would meet the bed"
-
-
-def servo(normally_open=False):
-    """The voron with a probe that an output swings out."""
-    voron = SCENES["voron"]
-    probe = replace(
-        voron.world.mag_probe,
-        mode="output",
-        initial="docked",
-        attach_time=0.05,
-        normally_open=normally_open,
-    )
-    wiring = replace(voron.wiring, outputs={"probe_attach": "PD0"})
-    return replace(voron, wiring=wiring).with_world(mag_probe=probe)
 
 
 def attaching(probe=None, **options):

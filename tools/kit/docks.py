@@ -40,7 +40,7 @@ def _others(scene: Scene, without: tuple[str, ...]) -> dict[str, Mapping]:
 
 
 # What levels and meshes on these machines
-_LEVELS: Sections = {
+LEVELS: Sections = {
     "bed_mesh": {
         "speed": "200",
         "horizontal_move_z": "10",
@@ -87,7 +87,7 @@ def _gantry_switch() -> Scene:
         name="dock_gantry_switch",
         sections={
             **_others(voron, ()),
-            **_LEVELS,
+            **LEVELS,
             "dockable_probe": options,
         },
     ).with_world(

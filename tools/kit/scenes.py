@@ -697,3 +697,17 @@ def _scenes() -> tuple[Scene, ...]:
 
 
 SCENES = {scene.name: scene for scene in _scenes()}
+
+
+def servo(normally_open: bool = False) -> Scene:
+    """The voron with a probe that an output swings out."""
+    voron = SCENES["voron"]
+    probe = replace(
+        voron.world.mag_probe,
+        mode="output",
+        initial="docked",
+        attach_time=0.05,
+        normally_open=normally_open,
+    )
+    wiring = replace(voron.wiring, outputs={"probe_attach": "PD0"})
+    return replace(voron, wiring=wiring).with_world(mag_probe=probe)
