@@ -15,9 +15,13 @@ PRIMARY, INACTIVE = "PRIMARY", "INACTIVE"
 
 
 class Carriage(NamedTuple):
-    """A carriage of an IDEX: its name, its axis (0: X), where it stands and is homed (mm)."""
+    """A carriage of an IDEX: its name, its axis (0: X), where it stands and is homed (mm).
+
+    'is_first' is the carriage of its axis that is active after homing.
+    """
 
     name: str
+    is_first: bool
     axis: int
     mode: str
     position: float
@@ -76,10 +80,17 @@ class Tools:
         return numbered or dict(status.get("carriages", {}))
 
     def _other_carriages(self) -> List[str]:
-        modes = self._modes()
-        names = list(modes)
-        others = names[(len(names) + 1) // 2 :]
-        return [name for name in others if modes[name] == PRIMARY]
+        modes, firsts = self._modes(), self._firsts()
+        return [
+            name
+            for name, mode in modes.items()
+            if mode == PRIMARY and name not in firsts
+        ]
+
+    def _firsts(self) -> List[str]:
+        """Return the first carriage of each axis by name, which homing leaves active."""
+        names = list(self._modes())
+        return names[: (len(names) + 1) // 2]
 
     def carriages(self) -> List[Carriage]:
         """Return the carriages of an IDEX, none: the printer is not one."""
@@ -89,10 +100,14 @@ class Tools:
         # By name since 2025-05-06 (cc6736c3e)
         by_name: Any = getattr(dual, "dc_rails", None)
         rails = list(by_name.values() if by_name else dual.dc)
+        firsts = self._firsts()
         here, found = self.host.toolhead.get_position(), []
         for (name, mode), carriage in zip(self._modes().items(), rails):
             rail = getattr(carriage, "rail", None) or carriage.get_rail()
             position = carriage.get_axis_position(here)
             end = rail.get_homing_info().position_endstop
-            found.append(Carriage(name, carriage.axis, mode, position, end))
+            is_first = name in firsts
+            found.append(
+                Carriage(name, is_first, carriage.axis, mode, position, end)
+            )
         return found

@@ -49,10 +49,10 @@ def check_carriages(host: Host, settings: Settings) -> None:
                 f"{carriage.name} moves along ({carriage.mode}): two nozzles would go"
                 f" down; run SET_DUAL_CARRIAGE for one of them first"
             )
-    for carriage in carriages[: (len(carriages) + 1) // 2]:
+    for carriage in carriages:
         axis = "xyz"[carriage.axis]
         is_idle = carriage.mode == INACTIVE and host.is_homed(axis)
-        if is_idle and _is_over_bed(carriage, settings):
+        if carriage.is_first and is_idle and _is_over_bed(carriage, settings):
             raise CalibrationError(
                 f"{carriage.name}, with which Z was homed, is not active and stands at"
                 f" {axis.upper()}={carriage.position:.1f} over the bed, where its nozzle"
