@@ -123,7 +123,7 @@ def test_dead_sensor_where_z_is_homed_on_a_switch(start):
     printer = ready(start, faults=[fault])
     text = printer.fail("G90\nG1 Z20 F900\nG1 X150 Y150 F6000\nAUTO_Z_PROBE")
     assert "(stopped at z=-2.000)" in text
-    assert "2 mm below where Z is homed, and below Z=0; check" in text
+    assert "2 mm below where Z is homed, and below Z=0; raise speed" in text
     assert ", or set probe_z_min if the bed may be lower" in text
     # It was lower than the -5 of the axis
     printer = ready(

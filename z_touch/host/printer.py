@@ -205,13 +205,12 @@ class Host:
         if command is None:
             return
 
-        # Kalico would take the words about a partial for its help
-        def wrapped(gcmd: GCodeCommand) -> None:
-            """Run what stands around the command of the host."""
+        # Kalico would show a docstring, or that of a partial, as the command's help
+        def _wrapped(gcmd: GCodeCommand) -> None:
             around(command, gcmd)
 
         text = self.gcode.gcode_help.get(name)
-        self.gcode.register_command(name, wrapped, desc=text)
+        self.gcode.register_command(name, _wrapped, desc=text)
 
     def listeners(self) -> List[Any]:
         """Return the clients of the API that listen to the console.
