@@ -96,11 +96,23 @@ class Wizard:
     up does what the answers say.
     """
 
-    def __init__(self, host: Host, command: str) -> None:
-        """Begin with no set-up under way; command: the one of the set-up."""
+    def __init__(
+        self,
+        host: Host,
+        command: str,
+        *,
+        parameter: str = "STEP",
+        abort: str = "",
+    ) -> None:
+        """Begin with no set-up under way.
+
+        command: the one that answers, abort: the one that ends, where it is another.
+        parameter: what names the step in the command of a button.
+        """
         self.host = host
         self.command = command
-        self.abort = f"{command} STEP=ABORT"
+        self.parameter = parameter
+        self.abort = abort or f"{command} {parameter}=ABORT"
         self.steps: Dict[str, Step] = {}
         self.step: Optional[Step] = None
         # What a jog button moves by (mm)
@@ -255,7 +267,8 @@ class Wizard:
 
     def gcode(self, parameter: str = "", value: str = "") -> str:
         """Return the command that answers the step, with a parameter."""
-        gcode = f"{self.command} STEP={self.asked().name.upper()}"
+        step = self.asked().name.upper()
+        gcode = f"{self.command} {self.parameter}={step}"
         return f"{gcode} {parameter}={value}" if value else gcode
 
     def headline(self, title: str = "") -> str:

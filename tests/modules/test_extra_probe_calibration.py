@@ -492,13 +492,13 @@ def test_questions(start):
     (first,) = dialogs_of(printer.run(CALIBRATE))
 
     def buttons(question):
-        go_on = f"{CONTINUE} QUESTION={question}"
+        go_on = f"{CONTINUE} QUESTION={question.upper()}"
         return [("Continue", go_on, "primary"), ("Abort", ABORT, "error")]
 
-    assert first.headline == "Lay the switch below the nozzle"
+    assert first.headline == "Step 1 of 2: Lay the switch on the bed"
     assert first.is_open
     assert first.texts == [
-        "Flat on the bed, the nozzle clean.",
+        "Flat and right below the nozzle, which is clean.",
         "Press it once with a finger: Continue waits for it.",
         "Continue lowers the nozzle; without a trigger it stops at z=-1.000; no"
         " saved calibration holds, so that may be in the bed; watch, ready to"
@@ -513,7 +513,7 @@ def test_questions(start):
     assert lines[0] == "// action:prompt_end"
     (second,) = dialogs_of(lines)
     z = BED + THICKNESS
-    assert second.headline == "Take the switch away"
+    assert second.headline == "Step 2 of 2: Take the switch away"
     assert second.is_open
     text, last = second.texts
     assert last == "Continue makes that Z=0."
@@ -551,7 +551,7 @@ def test_questions_on_the_console(start):
     # The first line closes a dialog that may be open
     _, *lines = printer.run(CALIBRATE)
     answers = f"// {NAME}: then {CONTINUE}, or {ABORT}"
-    assert lines[0].startswith(f"// {NAME}: Lay the switch below the nozzle.")
+    assert lines[0].startswith(f"// {NAME}: Lay the switch on the bed.")
     assert lines[1] == answers
     lay(printer)
     lines = printer.run(CONTINUE)

@@ -293,7 +293,7 @@ def test_beginning_again_while_something_is_asked(start):
     # The second one does not save
     lines = printer.run(CALIBRATE)
     (dialog,) = dialogs_of(lines)
-    assert dialog.headline == "Lay the switch below the nozzle"
+    assert dialog.headline == "Step 1 of 2: Lay the switch on the bed"
     press(printer)
     printer.run(CONTINUE)
     printer.machine.lay_membrane(False)

@@ -71,10 +71,10 @@ def lay_membrane(lab, is_laid):
 
 def test_calibration_by_buttons_only(lab):
     lab.moonraker.run(CALIBRATE)
-    assert open_dialog(lab).headline == "Lay the switch below the nozzle"
+    assert open_dialog(lab).headline == "Step 1 of 2: Lay the switch on the bed"
     lay_membrane(lab, True)
     assert press(lab, "Continue") == "ok"
-    assert open_dialog(lab).headline == "Take the switch away"
+    assert open_dialog(lab).headline == "Step 2 of 2: Take the switch away"
     lay_membrane(lab, False)
     assert press(lab, "Continue") == "ok"
     assert open_dialog(lab) is None
@@ -113,7 +113,7 @@ def test_dialog_comes_over_the_socket(lab):
             lambda params: params[0] == "// action:prompt_show",
         )
         (shown,) = dialogs_of(line for (line,) in lines)
-        assert shown.headline == "Lay the switch below the nozzle"
+        assert shown.headline == "Step 1 of 2: Lay the switch on the bed"
     press(lab, "Abort")
 
 

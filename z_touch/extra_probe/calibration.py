@@ -20,6 +20,7 @@ from .. import attached, command, dialog, options, pin, touch
 from ..datum import Datum, HomedDatum
 from ..errors import CalibrationError
 from ..sampling import summarize
+from ..wizard import Step, Wizard
 from . import heights
 from .finger import Finger, triggered_early
 from .shifts import Shifts
@@ -33,6 +34,10 @@ if TYPE_CHECKING:
     from .settings import Settings
     from .switches import Switch
 
+# What is asked in turn; the sentences are those of the moment
+LAY = Step("switch", 1, "Lay the switch on the bed", (), "Continue")
+TAKE_AWAY = Step("removal", 2, "Take the switch away", (), "Continue")
+
 TRAVEL_SPEED = 50.0  # mm/s, in XY
 SAME_POSITION = 0.1  # mm; a toolhead further from where it was has been moved
 SOFT_TEMPERATURE = 60.0  # C; here the plastic of a membrane begins to melt
@@ -42,9 +47,9 @@ SOFT_TEMPERATURE = 60.0  # C; here the plastic of a membrane begins to melt
 class Question:
     """What waits for an answer.
 
-    'asks' is "switch" or, with the toolhead Z of the bed that was measured, "removal".
     'floor' (toolhead Z) and 'save' are those of the command, 'mark', 'xy' (mm) and 'extruder'
-    say where Z=0 and the toolhead were when it began, and whose nozzle was active.
+    say where Z=0 and the toolhead were when it began, and whose nozzle was active.  bed_z is
+    the toolhead Z of the bed; None: it was not measured yet.
     """
 
     floor: float
@@ -52,7 +57,6 @@ class Question:
     mark: Mark
     xy: Tuple[float, float]
     extruder: str
-    asks: str = "switch"
     bed_z: Optional[float] = None
 
     def replace(self, **changes: Any) -> Question:
@@ -86,8 +90,15 @@ class Calibration:
         # What is saved counts from there on
         self.homed = HomedDatum(self.datum)
         name = host.section.split()[-1]
-        commands = "EXTRA_PROBE_%s PROBE=" + name
-        self.dialog: dialog.Dialog[Question] = dialog.Dialog(host, commands)
+        self.begin = f"EXTRA_PROBE_CALIBRATE PROBE={name}"
+        self.wizard = Wizard(
+            host,
+            f"EXTRA_PROBE_CONTINUE PROBE={name}",
+            parameter="QUESTION",
+            abort=f"EXTRA_PROBE_ABORT PROBE={name}",
+        )
+        # What the step that is asked wants to know again; None: nothing is asked
+        self.question: Optional[Question] = None
         self.finger = Finger(host, switch)
         # Of the last one that was applied or saved (mm); None: there is none
         self.last_offset: Optional[float] = None
@@ -99,7 +110,7 @@ class Calibration:
 
     def waits_for(self) -> str:
         """Return what is asked for, in one word; empty: nothing."""
-        return self.dialog.waits_for()
+        return self.wizard.step.name if self.wizard.step else ""
 
     def check_answered(self) -> None:
         """Raise CalibrationError while a question is open.
@@ -109,7 +120,8 @@ class Calibration:
         if self.waits_for() and not self.host.print_state():
             raise CalibrationError(
                 "EXTRA_PROBE_CALIBRATE waits for an answer, and somebody's hand"
-                f" may be near; answer with {self.dialog.go_on}, or {self.dialog.abort}"
+                f" may be near; answer with {self.wizard.command}, or"
+                f" {self.wizard.abort}"
             )
 
     ##################################################################
@@ -121,7 +133,7 @@ class Calibration:
     def cmd_EXTRA_PROBE_CALIBRATE(self, gcmd: GCodeCommand) -> None:
         """Travel to where the switch is to lie, and ask for it."""
         self.finger.end()
-        self.dialog.close()
+        self._close()
         with self.runner.running(gcmd, "touch", 0):
             save = options.param_flag(gcmd, "SAVE")
             floor_param: Optional[float] = options.param_number(gcmd, "FLOOR")
@@ -137,12 +149,14 @@ class Calibration:
             is_bed_known = self._is_bed_known(floor_param)
             x, y = self.host.toolhead.get_position()[:2]
             mark, extruder = self.datum.mark(), self.host.extruder()
-            question = Question(floor, save, mark, (x, y), extruder)
-            sentences = ["Flat on the bed, the nozzle clean.", *warnings]
-            sentences += self._sentences_of_floor(floor, is_bed_known)
-            self.dialog.ask(
-                question, "Lay the switch below the nozzle", sentences
-            )
+            self.question = Question(floor, save, mark, (x, y), extruder)
+            sentences = [
+                "Flat and right below the nozzle, which is clean.",
+                *warnings,
+                *self._sentences_of_floor(floor, is_bed_known),
+            ]
+            self.wizard.begin([LAY, TAKE_AWAY])
+            self._ask(sentences)
             if not is_bed_known:
                 self.finger.watch()
 
@@ -241,15 +255,54 @@ class Calibration:
         return [*sentences, f"{lowers}."]
 
     ##################################################################
-    # The answers
+    # The questions and their answers
     ##################################################################
+
+    def _ask(self, sentences: List[str]) -> None:
+        """Show the step that is asked, as a dialog and on the console."""
+        title = self.wizard.asked().title
+        self.host.say(" ".join([f"{title}.", *sentences]))
+        self.host.say(f"then {self.wizard.command}, or {self.wizard.abort}")
+        self.wizard.show(sentences)
+
+    def _check_asked(self, gcmd: GCodeCommand) -> None:
+        """Raise the command's error where QUESTION= is not what is asked.
+
+        A button that is pressed twice must not answer the question that comes next.
+        """
+        asked = gcmd.get("QUESTION", "").strip().lower()
+        waits_for = self.waits_for()
+        if waits_for and asked not in ("", waits_for):
+            raise gcmd.error(
+                f"{self.host.section}: QUESTION={asked} is not what is asked"
+                f" now, which is {waits_for}"
+            )
+
+    def _close(self) -> None:
+        """Ask nothing any more."""
+        self.question = None
+        self.wizard.close()
+
+    def _answered(self, gcmd: GCodeCommand) -> Question:
+        """Close the dialog, and return what its step wants to know again.
+
+        Raises the command's error where nothing is asked.
+        """
+        question = self.question
+        # The dialog may be one of before a restart
+        self._close()
+        if question is None:
+            raise gcmd.error(
+                f"{self.host.section}: nothing was asked; begin with {self.begin}"
+            )
+        return question
 
     cmd_EXTRA_PROBE_ABORT_help = "End a calibration, everything as before"
 
     def cmd_EXTRA_PROBE_ABORT(self, gcmd: GCodeCommand) -> None:
         """End the calibration; nothing was changed."""
         self.finger.end()
-        self.dialog.answered(gcmd)
+        self._answered(gcmd)
         self.host.say("the calibration ends, nothing was changed")
 
     cmd_EXTRA_PROBE_CONTINUE_help = "Go on with a calibration"
@@ -259,12 +312,12 @@ class Calibration:
 
         The question stays until the switch was pressed, unless that is in vain.
         """
-        self.dialog.check_asked(gcmd)
+        self._check_asked(gcmd)
         missing = self.finger.why_missing()
         if missing and self._can_go_on():
             raise gcmd.error(f"{self.host.section}: {missing}")
         self.finger.end()
-        question = self.dialog.continued(gcmd)
+        question = self._answered(gcmd)
         with self.runner.running(gcmd, "touch", 0):
             if question.bed_z is None:
                 self._touch_and_ask(question)
@@ -305,8 +358,9 @@ class Calibration:
                 f"That is low; check that the switch is z_offset={z_offset:.3f} mm"
                 " thick."
             )
-        question = question.replace(asks="removal", bed_z=bed_z)
-        self.dialog.ask(question, "Take the switch away", sentences)
+        self.question = question.replace(bed_z=bed_z)
+        self.wizard.enter(TAKE_AWAY.name)
+        self._ask(sentences)
 
     def _come_down(self) -> None:
         """Come down to where the touches begin, with the switch watched on the way."""
@@ -415,7 +469,7 @@ class Calibration:
 
     def _can_go_on(self) -> bool:
         """Return whether an answer to what is asked can lead on."""
-        question = self.dialog.question
+        question = self.question
         if question is None:
             return False
         try:
