@@ -21,7 +21,7 @@ from typing import Dict, List, Mapping, Optional, Sequence, Tuple
 from . import attached, dialog, options
 from .dialog import Button
 from .errors import CalibrationError
-from .host.klippy import GCodeCommand
+from .host.klippy import Endstop, GCodeCommand
 from .host.printer import Host
 
 # Buttons of a dialog, at most: on the small screen of a printer more of them hide the
@@ -31,6 +31,10 @@ MOST_BUTTONS = 8
 # By how much (mm) the buttons move the toolhead; more than the largest is refused.
 WIDTHS = (10.0, 1.0, 0.1)
 LARGEST_JOG = 10.0
+
+# Seconds to press something by hand, and how often a switch is looked at meanwhile
+HAND_PATIENCE = 20.0
+READ_INTERVAL = 0.1
 
 # Sentences of dialogs
 STOP = "Keep a hand on the emergency stop."
@@ -335,6 +339,25 @@ class Wizard:
         abort = Button("Abort", self.abort, "error")
         self._draw(self.headline(title), texts, [abort], [])
 
+    def watch(self, endstop: Endstop, other: Optional[Endstop] = None) -> str:
+        """Wait until a hand has pressed a switch and let go; return judge()'s word.
+
+        It waits HAND_PATIENCE at most. other: a switch that has to stay as it is.
+        Pauses.
+        """
+        host, reactor = self.host, self.host.printer.get_reactor()
+        deadline = host.eventtime() + HAND_PATIENCE
+        readings = []
+        while True:
+            print_time = host.after_moves()
+            this = bool(endstop.query_endstop(print_time))
+            that = other is not None and bool(other.query_endstop(print_time))
+            readings.append((this, that))
+            verdict = judge(readings)
+            if verdict in ("good", "early") or host.eventtime() >= deadline:
+                return verdict
+            reactor.pause(host.eventtime() + READ_INTERVAL)
+
     def tell(self) -> None:
         """Write on the console how to go on without dialogs."""
         step = self.asked()
@@ -470,6 +493,31 @@ def _configfile(host: Host) -> Dict[str, Dict[str, Dict[str, str]]]:
         "configfile"
     ).get_status(host.eventtime())
     return status
+
+
+######################################################################
+# What a hand has done: pure
+######################################################################
+
+
+def judge(readings: Sequence[Tuple[bool, bool]]) -> str:
+    """Return what a hand has done to a switch, in one word.
+
+    "good" is pressed and let go, "held" is pressed still, "early" was pressed from the
+    beginning; the other switch changed with it: "both", or instead of it: "other".
+    readings: whether it and the other switch read triggered; the first pair is of
+    before anything was pressed.
+    """
+    (this_before, other_before), *readings = readings
+    if this_before:
+        return "early"
+    pressed = [this for this, other in readings]
+    has_other = any(other != other_before for this, other in readings)
+    if True not in pressed:
+        return "other" if has_other else "nothing"
+    if has_other:
+        return "both"
+    return "good" if not pressed[-1] else "held"
 
 
 ######################################################################

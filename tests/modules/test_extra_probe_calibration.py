@@ -357,13 +357,14 @@ UNSAVED = "no saved calibration holds, so that may be in the bed"
 def test_floor(start, own, params, floor, is_told):
     printer = start("membrane", changes=section(**own)).homed()
     text = "\n".join(printer.run(CALIBRATE + params))
-    assert FLOOR_LINE.format(floor) in text
-    assert (UNSAVED in text) is is_told
     # Nobody has laid the membrane; where that is unsafe it was pressed at least
     printer.machine.tolerate("nozzle_bed", 4.0)
     if is_told:
-        assert "the switch was not pressed yet" in printer.fail(CONTINUE)
-        press(printer)
+        assert FLOOR_LINE.format(floor) not in text
+        assert "the switch was not pressed after" in printer.fail(CONTINUE)
+        text = "\n".join(press(printer))
+    assert FLOOR_LINE.format(floor) in text
+    assert (UNSAVED in text) is is_told
     text = printer.fail(CONTINUE)
     assert f"(stopped at z={floor:.3f})" in text
     lowest = printer.machine.truth.min_gap
@@ -377,6 +378,9 @@ def test_floor_after_a_saved_calibration(start, saved):
     printer.machine.lay_membrane(False)
     printer.session.restart("SAVE_CONFIG" if saved else "RESTART")
     text = "\n".join(printer.run("G28\n" + CALIBRATE))
+    assert ("finger" in text) is not saved
+    if not saved:
+        text = "\n".join(press(printer))
     assert FLOOR_LINE.format(0.125 if saved else -1.0) in text
 
 
@@ -495,25 +499,33 @@ def test_questions(start):
         go_on = f"{CONTINUE} QUESTION={question.upper()}"
         return [("Continue", go_on, "primary"), ("Abort", ABORT, "error")]
 
-    assert first.headline == "Step 1 of 2: Lay the switch on the bed"
+    assert first.headline == "Step 1 of 3: Lay the switch on the bed"
     assert first.is_open
     assert first.texts == [
         "Flat and right below the nozzle, which is clean.",
-        "Press it once with a finger: Continue waits for it.",
-        "Continue lowers the nozzle; without a trigger it stops at z=-1.000; no"
-        " saved calibration holds, so that may be in the bed; watch, ready to"
-        " stop.",
+        "Continue waits until you press the switch once with a finger.",
     ]
     first.assert_stands_alone()
     assert first.footer_buttons == buttons("switch")
     assert printer.status(NAME)["waits_for"] == "switch"
     lay(printer)
+    hand = dialogs_of(printer.session.console)[-1]
+    assert hand.headline == "Step 2 of 3: Take your hand away"
+    assert hand.texts == [
+        "The switch was pressed, and works.",
+        "Continue lowers the nozzle; without a trigger it stops at z=-1.000; no"
+        " saved calibration holds, so that may be in the bed; watch, ready to"
+        " stop.",
+    ]
+    hand.assert_stands_alone()
+    assert hand.footer_buttons == buttons("hand")
+    assert printer.status(NAME)["waits_for"] == "hand"
     lines = printer.run(CONTINUE)
     # Closed before anything is touched
     assert lines[0] == "// action:prompt_end"
     (second,) = dialogs_of(lines)
     z = BED + THICKNESS
-    assert second.headline == "Step 2 of 2: Take the switch away"
+    assert second.headline == "Step 3 of 3: Take the switch away"
     assert second.is_open
     text, last = second.texts
     assert last == "Continue makes that Z=0."
@@ -533,9 +545,13 @@ def test_button_that_is_pressed_twice(start):
     printer = start("membrane").homed()
     (first,) = dialogs_of(printer.run(f"{CALIBRATE} SAVE=1"))
     lay(printer)
-    press = first.footer_buttons[0][1]
-    text = printer.fail(f"{press}\n{press}")
-    told = "QUESTION=switch is not what is asked now, which is removal"
+    go_on = first.gcode("Continue")
+    told = "QUESTION=switch is not what is asked now, which is hand"
+    assert printer.fail(go_on) == f"{NAME}: {told}"
+    assert printer.status(NAME)["waits_for"] == "hand"
+    go_on = dialogs_of(printer.session.console)[-1].gcode("Continue")
+    text = printer.fail(f"{go_on}\n{go_on}")
+    told = "QUESTION=hand is not what is asked now, which is removal"
     assert text == f"{NAME}: {told}"
     assert printer.status(NAME)["waits_for"] == "removal"
     assert state(printer)["pending"] == {}
@@ -567,7 +583,11 @@ def test_name_of_the_section_is_in_the_buttons(start):
         printer.run("EXTRA_PROBE_CALIBRATE PROBE=Load-cell_2")
     )
     lay(printer)
-    printer.run(dialog.footer_buttons[0][1])
+    # Any name of a question in the button of before is another one
+    assert dialog.footer_buttons[0][1].startswith(
+        "EXTRA_PROBE_CONTINUE PROBE=Load-cell_2 "
+    )
+    printer.run("EXTRA_PROBE_CONTINUE PROBE=Load-cell_2")
     printer.machine.lay_membrane(False)
     printer.run("EXTRA_PROBE_CONTINUE PROBE=Load-cell_2")
     assert gap_is_right(printer)
@@ -776,7 +796,9 @@ def test_other_section_is_not_asked(start):
         "extra_probe other: nothing was asked; begin with EXTRA_PROBE_CALIBRATE"
         " PROBE=other"
     )
-    lay(printer)
+    # It has closed the dialog, not the question
+    printer.machine.lay_membrane()
+    press(printer)
     printer.run(CONTINUE)
     printer.machine.lay_membrane(False)
     printer.run(CONTINUE)

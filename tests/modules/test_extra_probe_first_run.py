@@ -7,6 +7,7 @@ from __future__ import annotations
 
 import pytest
 
+from simprinter.hosts.session import GcodeError
 from tools.kit.dialogs import dialogs_of
 from tools.kit.extra_probe import (
     ABORT,
@@ -23,11 +24,12 @@ from tools.kit.extra_probe import (
 )
 
 MISSING = (
-    "extra_probe membrane: the switch was not pressed yet; press it once with a"
-    " finger, then Continue, or look with QUERY_EXTRA_PROBE PROBE=membrane if that"
-    " changes nothing"
+    "extra_probe membrane: the switch was not pressed after 20 seconds; Continue,"
+    " then press it once with a finger and let go, or look with QUERY_EXTRA_PROBE"
+    " PROBE=membrane if that changes nothing"
 )
-PROVED = "the switch was pressed, and works; take the hand away"
+HELD = MISSING.replace("was not pressed after", "is pressed still after")
+WAITS = "Continue waits until you press the switch once with a finger."
 
 
 def asked(start, scene="membrane", **options):
@@ -44,19 +46,28 @@ def deepest(printer):
 @pytest.mark.parametrize("scene", ["membrane", "membrane_two_boards"])
 def test_forgotten_membrane(start, scene):
     printer, shown = asked(start, scene)
-    assert "Press it once with a finger: Continue waits for it." in shown.text
+    assert shown.last == WAITS
+    clock = printer.machine.simulation.clock
     # Twice: the question stays, and so does its dialog
     for _ in range(2):
+        began = clock.now()
         assert printer.fail(shown.gcode("Continue")) == MISSING
+        assert 19.5e9 < clock.now() - began < 21.5e9
         assert printer.status(NAME)["waits_for"] == "switch"
-    assert dialogs_of(printer.session.console)[-1].is_open
+    while_waiting, again = dialogs_of(printer.session.console)[-2:]
+    assert while_waiting.headline == "Step 1 of 3: press it now"
+    assert [label for label, *_ in while_waiting.footer_buttons] == ["Abort"]
+    assert again.is_open and again.last == WAITS
     assert (deepest(printer), printer.machine.truth.min_gap > 9.0) == (
         0.0,
         True,
     )
     lay(printer)
-    assert sum(PROVED in line for line in printer.session.console) == 1
-    printer.run(shown.gcode("Continue"))
+    # The hand is still there: nothing has come down
+    assert printer.machine.truth.min_gap > 9.0
+    hand = dialogs_of(printer.session.console)[-1]
+    assert hand.texts[0] == "The switch was pressed, and works."
+    printer.run(hand.gcode("Continue"))
     printer.machine.lay_membrane(False)
     printer.run(CONTINUE)
     assert true_gap(printer) == pytest.approx(0.0, abs=2 * MICROSTEP)
@@ -66,16 +77,15 @@ def test_forgotten_membrane(start, scene):
 def test_finger_that_stays_is_none_yet(start):
     printer, _ = asked(start)
     printer.machine.lay_membrane()
-    printer.session.wait(0.5)
-    printer.machine.hold("membrane", True)
-    printer.session.wait(0.5)
-    assert printer.fail(CONTINUE) == MISSING
+    with pytest.raises(GcodeError) as caught:
+        press(printer, after=True)
+    assert str(caught.value) == HELD
     printer.machine.hold("membrane", None)
-    printer.session.wait(0.5)
+    press(printer)
     printer.run(f"{CONTINUE}\n{ABORT}")
 
 
-# Before the question, or with the one before, is nothing
+# Before Continue, or with the question before, is nothing
 @pytest.mark.parametrize("end", [ABORT, CALIBRATE, "RESTART"])
 def test_finger_counts_for_one_question(start, end):
     printer, _ = asked(start)
@@ -84,8 +94,11 @@ def test_finger_counts_for_one_question(start, end):
         printer.session.restart(end)
         end = "G28"
     printer.run(end)
-    press(printer)
-    printer.run(f"{ABORT}\n{CALIBRATE}" if end == CALIBRATE else CALIBRATE)
+    for pressed in (True, None):
+        printer.machine.hold("membrane", pressed)
+        printer.session.wait(0.3)
+    if end != CALIBRATE:
+        printer.run(CALIBRATE)
     assert printer.fail(CONTINUE) == MISSING
 
 
@@ -146,10 +159,15 @@ def test_touch_without_a_question(start, command):
 
 
 def test_printer_that_ends_while_the_switch_is_watched(start):
-    printer, _ = asked(start)
+    printer, shown = asked(start)
+    command = printer.session.begin(shown.gcode("Continue"))
+    printer.session.wait(1.0)
     printer.session.call("emergency_stop", {})
-    printer.session.wait(2.0)
+    with pytest.raises(GcodeError) as caught:
+        printer.session.finish(command)
+    assert "Internal error" not in str(caught.value)
     assert printer.session.state()[0] == "shutdown"
+    assert printer.status(NAME)["waits_for"] == ""
     printer.session.restart("FIRMWARE_RESTART")
     printer.run(f"G28\n{CALIBRATE}")
     lay(printer)

@@ -7,6 +7,7 @@ loaded again, from Moonraker's store.
 from __future__ import annotations
 
 import time
+from concurrent.futures import ThreadPoolExecutor
 
 import pytest
 
@@ -61,20 +62,25 @@ def press(lab, label):
 def lay_membrane(lab, is_laid):
     with lab.standing() as printer:
         printer.machine.lay_membrane(is_laid)
-    # A finger, too
-    for level in (True, None) if is_laid else ():
-        time.sleep(HAND)
-        with lab.standing() as printer:
-            printer.machine.hold("membrane", level)
-    time.sleep(HAND)
+    if not is_laid:
+        return
+    # A finger, too, while the command waits for it
+    with ThreadPoolExecutor(1) as pool:
+        answer = pool.submit(press, lab, "Continue")
+        for level in (True, None):
+            time.sleep(HAND)
+            with lab.standing() as printer:
+                printer.machine.hold("membrane", level)
+        assert answer.result() == "ok"
 
 
 def test_calibration_by_buttons_only(lab):
     lab.moonraker.run(CALIBRATE)
-    assert open_dialog(lab).headline == "Step 1 of 2: Lay the switch on the bed"
+    assert open_dialog(lab).headline == "Step 1 of 3: Lay the switch on the bed"
     lay_membrane(lab, True)
+    assert open_dialog(lab).headline == "Step 2 of 3: Take your hand away"
     assert press(lab, "Continue") == "ok"
-    assert open_dialog(lab).headline == "Step 2 of 2: Take the switch away"
+    assert open_dialog(lab).headline == "Step 3 of 3: Take the switch away"
     lay_membrane(lab, False)
     assert press(lab, "Continue") == "ok"
     assert open_dialog(lab) is None
@@ -113,7 +119,7 @@ def test_dialog_comes_over_the_socket(lab):
             lambda params: params[0] == "// action:prompt_show",
         )
         (shown,) = dialogs_of(line for (line,) in lines)
-        assert shown.headline == "Step 1 of 2: Lay the switch on the bed"
+        assert shown.headline == "Step 1 of 3: Lay the switch on the bed"
     press(lab, "Abort")
 
 

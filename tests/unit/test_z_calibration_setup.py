@@ -7,6 +7,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from tests.unit.calibrated import make_settings
+from z_touch import wizard
 from z_touch.errors import CalibrationError
 from z_touch.touch import Site
 from z_touch.wizard import jogged
@@ -88,7 +89,7 @@ NO, YES = False, True
     ],
 )
 def test_what_a_hand_has_done(readings, verdict):
-    assert judging.judge(readings) == verdict
+    assert wizard.judge(readings) == verdict
 
 
 @pytest.mark.parametrize(

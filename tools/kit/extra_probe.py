@@ -5,6 +5,7 @@ from __future__ import annotations
 from dataclasses import replace
 from typing import Any, Optional
 
+from tools.kit.dialogs import dialogs_of
 from tools.kit.printer import Printer, RunningPrinter
 from simprinter import Scene
 from tools.kit.scenes import SCENES
@@ -36,17 +37,23 @@ def membrane(scene: str = "membrane", **changes: Any) -> Scene:
 
 
 def lay(printer: RunningPrinter) -> None:
-    """A hand that lays the membrane, and presses it once with a finger."""
+    """A hand that lays the membrane, and a finger on it where that is asked for."""
     printer.machine.lay_membrane()
-    press(printer)
+    shown = dialogs_of(printer.session.console)[-1:]
+    if any(dialog.is_open and "finger" in dialog.text for dialog in shown):
+        press(printer)
 
 
-def press(printer: RunningPrinter) -> None:
-    """A finger on the membrane, wherever that is."""
-    for pressed in (True, None):
-        printer.session.wait(0.3)
+def press(printer: RunningPrinter, after: Optional[bool] = None) -> list[str]:
+    """Continue, and a finger on the membrane meanwhile; after: as it is then."""
+    session = printer.session
+    (shown,) = dialogs_of(session.console)[-1:]
+    command = session.begin(shown.gcode("Continue"))
+    session.wait(0.3)
+    for pressed in (True, after):
         printer.machine.hold("membrane", pressed)
-    printer.session.wait(0.3)
+        session.wait(0.3)
+    return session.finish(command)
 
 
 def touch(printer: Printer, script: str = CALIBRATE) -> list[str]:

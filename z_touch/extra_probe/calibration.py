@@ -1,6 +1,8 @@
 """EXTRA_PROBE_CALIBRATE: travel and ask, touch and ask again, apply.
 
   EXTRA_PROBE_CALIBRATE   travels, and asks for the switch below the nozzle
+  EXTRA_PROBE_CONTINUE    where the bed is not known yet: waits until a finger has
+                          pressed the switch, and asks for the hand to be taken away
   EXTRA_PROBE_CONTINUE    touches it, and asks for its removal
   EXTRA_PROBE_CONTINUE    sets the G-code Z offset, or hands a value to SAVE_CONFIG
   EXTRA_PROBE_ABORT       ends it instead of either
@@ -14,15 +16,14 @@ from __future__ import annotations
 
 import dataclasses
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, Any, List, Optional, Tuple
+from typing import TYPE_CHECKING, Any, List, Optional, Sequence, Tuple
 
 from .. import attached, command, dialog, options, pin, touch
 from ..datum import Datum, HomedDatum
 from ..errors import CalibrationError
 from ..sampling import summarize
-from ..wizard import Step, Wizard
+from ..wizard import HAND_PATIENCE, Step, Wizard
 from . import heights
-from .finger import Finger, triggered_early
 from .shifts import Shifts
 from .switches import LOWER_FLOOR, TOO_LOW, Series
 
@@ -36,7 +37,11 @@ if TYPE_CHECKING:
 
 # What is asked in turn; the sentences are those of the moment
 LAY = Step("switch", 1, "Lay the switch on the bed", (), "Continue")
-TAKE_AWAY = Step("removal", 2, "Take the switch away", (), "Continue")
+HAND = Step("hand", 2, "Take your hand away", (), "Continue")
+TAKE_AWAY = Step("removal", 3, "Take the switch away", (), "Continue")
+# Where the bed is known, no finger has to press the switch
+STEPS = (LAY, HAND, TAKE_AWAY)
+STEPS_ON_KNOWN_BED = (LAY, dataclasses.replace(TAKE_AWAY, number=2))
 
 TRAVEL_SPEED = 50.0  # mm/s, in XY
 SAME_POSITION = 0.1  # mm; a toolhead further from where it was has been moved
@@ -48,8 +53,9 @@ class Question:
     """What waits for an answer.
 
     'floor' (toolhead Z) and 'save' are those of the command, 'mark', 'xy' (mm) and 'extruder'
-    say where Z=0 and the toolhead were when it began, and whose nozzle was active.  bed_z is
-    the toolhead Z of the bed; None: it was not measured yet.
+    say where Z=0 and the toolhead were when it began, and whose nozzle was active.
+    is_bed_known: the touch ends above the bed, or where the user has said so.  bed_z is the
+    toolhead Z of the bed; None: it was not measured yet.
     """
 
     floor: float
@@ -57,6 +63,7 @@ class Question:
     mark: Mark
     xy: Tuple[float, float]
     extruder: str
+    is_bed_known: bool
     bed_z: Optional[float] = None
 
     def replace(self, **changes: Any) -> Question:
@@ -99,7 +106,6 @@ class Calibration:
         )
         # What the step that is asked wants to know again; None: nothing is asked
         self.question: Optional[Question] = None
-        self.finger = Finger(host, switch)
         # Of the last one that was applied or saved (mm); None: there is none
         self.last_offset: Optional[float] = None
         command.register_commands(host, self, name)
@@ -132,7 +138,6 @@ class Calibration:
 
     def cmd_EXTRA_PROBE_CALIBRATE(self, gcmd: GCodeCommand) -> None:
         """Travel to where the switch is to lie, and ask for it."""
-        self.finger.end()
         self._close()
         with self.runner.running(gcmd, "touch", 0):
             save = options.param_flag(gcmd, "SAVE")
@@ -149,16 +154,11 @@ class Calibration:
             is_bed_known = self._is_bed_known(floor_param)
             x, y = self.host.toolhead.get_position()[:2]
             mark, extruder = self.datum.mark(), self.host.extruder()
-            self.question = Question(floor, save, mark, (x, y), extruder)
-            sentences = [
-                "Flat and right below the nozzle, which is clean.",
-                *warnings,
-                *self._sentences_of_floor(floor, is_bed_known),
-            ]
-            self.wizard.begin([LAY, TAKE_AWAY])
-            self._ask(sentences)
-            if not is_bed_known:
-                self.finger.watch()
+            self.question = Question(
+                floor, save, mark, (x, y), extruder, is_bed_known
+            )
+            self.wizard.begin(STEPS_ON_KNOWN_BED if is_bed_known else STEPS)
+            self._ask_for_switch(self.question, warnings)
 
     def _check_settings(self, save: bool) -> None:
         """Raise CalibrationError where the switch is not known, or what to save."""
@@ -226,33 +226,31 @@ class Calibration:
             settings, self.host.axes.z_zero(), self.homed.moved_by()
         )
 
-    def _sentences_of_floor(
-        self, floor: float, is_bed_known: bool
-    ) -> List[str]:
-        """Return what the user is told of the zero and of the lowest point."""
-        sentences, moved = [], self.homed.moved()
+    def _ask_for_switch(
+        self, question: Question, warnings: Sequence[str] = ()
+    ) -> None:
+        """Ask for the switch below the nozzle."""
+        sentences = [
+            "Flat and right below the nozzle, which is clean.",
+            *warnings,
+        ]
+        moved = self.homed.moved()
         if moved:
             reason = moved[0].upper() + moved[1:]
             sentences.append(
                 f"{reason}: the offset will be right until the next G28 only."
             )
-        lowers = (
-            "Continue lowers the nozzle; without a trigger it stops at"
-            f" z={floor:.3f}"
-        )
-        if not is_bed_known:
-            sentences.append(
-                "Press it once with a finger: Continue waits for it."
-            )
-            lowers += (
-                "; no saved calibration holds, so that may be in the bed; watch,"
-                " ready to stop"
-            )
         if pin.is_over_pin(self.host, self.z_pin):
             sentences.append(
                 "The head is over the pin of the Z endstop; move it."
             )
-        return [*sentences, f"{lowers}."]
+        if question.is_bed_known:
+            sentences.append(_lowers(question))
+        else:
+            sentences.append(
+                "Continue waits until you press the switch once with a finger."
+            )
+        self._ask(sentences)
 
     ##################################################################
     # The questions and their answers
@@ -301,28 +299,66 @@ class Calibration:
 
     def cmd_EXTRA_PROBE_ABORT(self, gcmd: GCodeCommand) -> None:
         """End the calibration; nothing was changed."""
-        self.finger.end()
         self._answered(gcmd)
         self.host.say("the calibration ends, nothing was changed")
 
     cmd_EXTRA_PROBE_CONTINUE_help = "Go on with a calibration"
 
     def cmd_EXTRA_PROBE_CONTINUE(self, gcmd: GCodeCommand) -> None:
-        """Touch the switch that was laid, or apply what was measured.
-
-        The question stays until the switch was pressed, unless that is in vain.
-        """
+        """Wait for a finger, or touch the switch that was laid, or apply what was measured."""
         self._check_asked(gcmd)
-        missing = self.finger.why_missing()
-        if missing and self._can_go_on():
-            raise gcmd.error(f"{self.host.section}: {missing}")
-        self.finger.end()
+        asked = self.wizard.step
         question = self._answered(gcmd)
         with self.runner.running(gcmd, "touch", 0):
-            if question.bed_z is None:
+            if asked is LAY and not question.is_bed_known:
+                self._watch_and_ask(question)
+            elif question.bed_z is None:
                 self._touch_and_ask(question)
             else:
                 self._apply(question, question.bed_z)
+
+    ##################################################################
+    # The switch is there: a finger shows that it works
+    ##################################################################
+
+    def _watch_and_ask(self, question: Question) -> None:
+        """Wait until a finger has pressed the switch, and ask for the hand to be taken away.
+
+        The question stays until it was pressed.
+        """
+        self._check_unchanged(question)
+        self.question = question
+        self.wizard.enter(LAY.name)
+        self.wizard.show_while_waiting(
+            "press it now",
+            [
+                "Press the switch once with a finger now and let go, within"
+                f" {HAND_PATIENCE:.0f} seconds. Abort is done after that."
+            ],
+        )
+        self.host.say(
+            f"press the switch once with a finger now, within {HAND_PATIENCE:.0f}"
+            " seconds"
+        )
+        try:
+            verdict = self.wizard.watch(self.switch.endstop())
+            self._stand_still()
+        except Exception:
+            self._close()
+            raise
+        if verdict == "good":
+            self.wizard.enter(HAND.name)
+            self._ask(["The switch was pressed, and works.", _lowers(question)])
+            return
+        self._ask_for_switch(question)
+        if verdict == "early":
+            raise CalibrationError(triggered_early(self.switch))
+        held = "is pressed still" if verdict == "held" else "was not pressed"
+        raise CalibrationError(
+            f"the switch {held} after {HAND_PATIENCE:.0f} seconds; Continue, then press"
+            " it once with a finger and let go, or look with"
+            f" {self.switch.query} if that changes nothing"
+        )
 
     ##################################################################
     # The switch is there: touch it, and ask for its removal
@@ -467,17 +503,6 @@ class Calibration:
         if self.host.extruder() != question.extruder:
             raise _changed("another extruder is active")
 
-    def _can_go_on(self) -> bool:
-        """Return whether an answer to what is asked can lead on."""
-        question = self.question
-        if question is None:
-            return False
-        try:
-            self._check_unchanged(question)
-        except CalibrationError:
-            return False
-        return True
-
     def _check_place(self, question: Question) -> None:
         """Raise CalibrationError where the toolhead may have been moved off the switch."""
         here = zip(self.host.toolhead.get_position(), question.xy)
@@ -489,6 +514,28 @@ class Calibration:
         self.host.toolhead.wait_moves()
         if self.host.printer.is_shutdown():
             raise CalibrationError("ended by a shutdown of the printer")
+
+
+def triggered_early(switch: Switch) -> str:
+    """Return what to do about a switch that reads triggered too early."""
+    return (
+        "the switch reads triggered before it is touched; check it with"
+        f" {switch.query}, and whether pin needs a '!'"
+    )
+
+
+def _lowers(question: Question) -> str:
+    """Return what the user is told of the lowest point of the touch that comes next."""
+    lowers = (
+        "Continue lowers the nozzle; without a trigger it stops at"
+        f" z={question.floor:.3f}"
+    )
+    if not question.is_bed_known:
+        lowers += (
+            "; no saved calibration holds, so that may be in the bed; watch, ready"
+            " to stop"
+        )
+    return f"{lowers}."
 
 
 def _changed(what: str) -> CalibrationError:

@@ -4,7 +4,6 @@
   switches     what is touched, and a series of touches
   heights      the bed below the switch, and how low a touch may go
   calibration  EXTRA_PROBE_CALIBRATE, and the answers to what it asks
-  finger       the finger that presses the switch before the nozzle does
   shifts       what Klipper's own features add to Z where the switch lay
 
 Copyright (C) 2026  the Z calibration developers, under the GNU GPLv3

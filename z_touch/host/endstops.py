@@ -185,18 +185,6 @@ class Endstops:
             )
         return endstop
 
-    def read_between_commands(self, endstop: Endstop) -> Optional[bool]:
-        """Return whether an endstop is triggered, for what is no command.
-
-        None: a command is running, which may ask the same pin, and hosts lose one of two
-        answers then.  May pause.
-        """
-        mutex = self.host.gcode.get_mutex()
-        if mutex.test():
-            return None
-        with mutex:
-            return bool(endstop.query_endstop(self.host.print_time()))
-
     def stops_z(self, endstop: Endstop) -> None:
         """Have the Z motors stop with an endstop."""
 

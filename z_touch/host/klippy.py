@@ -137,9 +137,6 @@ Handler = Callable[[GCodeCommand], None]
 class Mutex(Protocol):
     """The lock that a command holds while it runs."""
 
-    def test(self) -> bool:
-        """Return whether the lock is held."""
-
     def __enter__(self) -> Any: ...
     def __exit__(self, *unused: Any) -> None: ...
 

@@ -36,6 +36,7 @@ from ..errors import CalibrationError
 from ..host.klippy import GCodeCommand
 from ..touch import Site
 from ..wizard import (
+    HAND_PATIENCE,
     LARGEST_JOG,
     SAVED,
     Wizard,
@@ -72,12 +73,8 @@ LEADS_TO = {
     "look": "look",
 }
 
-# Seconds to press something by hand, and how often a switch is looked at meanwhile
-HAND_PATIENCE = 20.0
-READ_INTERVAL = 0.1
-
-# What a hand has done to a switch, in the words of setup_judging.judge(), and what that
-# says of the wiring
+# What a hand has done to a switch, in the words of wizard.judge(), and what that says of
+# the wiring
 VERDICTS = {
     "early": "reads pressed before anything presses it",
     "nothing": f"was not pressed within {HAND_PATIENCE:.0f} seconds",
@@ -387,9 +384,7 @@ class Setup:
         ]
         self.wizard.show_while_waiting("press it now", asked)
         gcmd.respond_info(f"{host.section}: watching {name} ...")
-        verdict = self._watch_until(
-            host.eventtime() + HAND_PATIENCE, endstop, other
-        )
+        verdict = self.wizard.watch(endstop, other)
         if verdict != "good":
             remedy = self._check_wiring(*option)
             if verdict == "early" and endstop is self.calibration.pin.endstop:
@@ -402,21 +397,6 @@ class Setup:
                 remedy = f"press it again, or, if you did press it, {remedy}"
             raise CalibrationError(f"{name} {VERDICTS[verdict]}; {remedy}")
         gcmd.respond_info(f"{host.section}: {name} works")
-
-    def _watch_until(self, deadline: float, endstop: Any, other: Any) -> str:
-        """Return the verdict of judge(), at the latest at an eventtime.  Pauses."""
-        host, reactor = self.host, self.host.printer.get_reactor()
-        readings = []
-        while True:
-            print_time = host.after_moves()
-            this, that = (
-                bool(e.query_endstop(print_time)) for e in (endstop, other)
-            )
-            readings.append((this, that))
-            verdict = judging.judge(readings)
-            if verdict in ("good", "early") or host.eventtime() >= deadline:
-                return verdict
-            reactor.pause(host.eventtime() + READ_INTERVAL)
 
     ##################################################################
     # The places

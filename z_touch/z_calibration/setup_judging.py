@@ -48,24 +48,6 @@ FEWEST_SAMPLES = 3
 MOST_SAMPLES = 10
 
 
-def judge(readings: Sequence[Tuple[bool, bool]]) -> str:
-    """Return what a hand has done to a switch, in a word of setup.VERDICTS, or good.
-
-    readings: whether it and the other switch read triggered; the first pair is of
-    before anything was pressed.
-    """
-    (this_before, other_before), *readings = readings
-    if this_before:
-        return "early"
-    pressed = [this for this, other in readings]
-    has_other = any(other != other_before for this, other in readings)
-    if True not in pressed:
-        return "other" if has_other else "nothing"
-    if has_other:
-        return "both"
-    return "good" if not pressed[-1] else "held"
-
-
 def inverted(pin: str) -> str:
     """Return the text of an option with the other polarity of its MCU pin."""
     pin = pin.strip()

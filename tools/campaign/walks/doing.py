@@ -80,6 +80,14 @@ def _wait_for_end(session: LiveSession) -> None:
             raise SessionError(f"a print takes over {LIMIT:.0f} s")
 
 
+def finger_asked_for(session: LiveSession) -> str:
+    """What begins to wait for a finger; empty: no dialog asks for one."""
+    for dialog in _open(session):
+        if "with a finger" in dialog.last:
+            return dialog.gcode("Continue")
+    return ""
+
+
 def finger(session: LiveSession, machine: Machine, signal: str) -> None:
     """Somebody presses a switch, and lets it go."""
     for level in True, None:

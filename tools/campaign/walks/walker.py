@@ -210,6 +210,21 @@ class Walker:
         heat(self.temperature, celsius)
         self.printer.session.wait(5.0)
 
+    def _press(self, signal: str) -> None:
+        """A finger; where a dialog is open that wants one, after its first button."""
+        session, machine = self.printer.session, self.printer.machine
+        self.script = doing.finger_asked_for(session)
+        if not self.script:
+            doing.finger(session, machine, signal)
+            return
+        command = session.begin(self._around(self.script))
+        session.wait(0.5)
+        doing.finger(session, machine, signal)
+        try:
+            session.finish(command, LIMIT)
+        except GcodeError as error:
+            self.refusal = str(error)
+
     def _hand(self, name: str) -> None:
         machine = self.printer.machine
         world = machine.world
@@ -225,7 +240,7 @@ class Walker:
             machine.lay_membrane(False)
         elif name.startswith("press_"):
             signal = name.replace("press_", "", 1)
-            doing.finger(self.printer.session, machine, signal)
+            self._press(signal)
         else:
             getattr(world, name)(now)
 

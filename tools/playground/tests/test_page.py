@@ -221,9 +221,14 @@ def test_membrane_by_dialogs(port):
         page.press("#shortcuts", "Calibrate")
         page.until(lambda: page.buttons("#dialog"), "a dialog")
         page.do("lay")
+        page.press("#dialog", "Continue")
+        page.until(
+            lambda: "within 20 seconds" in page.text("#dialog"), "it waits"
+        )
         page.do("press membrane")
-        # It is let go after two of the printer's seconds
-        time.sleep(1.0)
+        page.until(
+            lambda: "hand away" in page.text("#dialog"), "the switch works"
+        )
         page.press("#dialog", "Continue")
         page.until(
             lambda: (
