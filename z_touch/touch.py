@@ -92,6 +92,29 @@ def option_site(
     return Site(name, x, y, origin, option)
 
 
+def rounded(x: float, y: float) -> Tuple[float, float]:
+    """Return coordinates (mm) that add up to the end of an axis, not beyond it."""
+    return round(x, 6), round(y, 6)
+
+
+def probe_site(host: Host, bed: Optional[Site]) -> Optional[Site]:
+    """Return where the toolhead stands for the probe to touch a point of the bed.
+
+    'bed' has that point (mm); None: the zero of the bed mesh is taken.  None is returned
+    where the mesh has none.
+    """
+    if bed is None:
+        zero = host.transforms.mesh_zero()
+        if zero is None:
+            return None
+        option = "zero_reference_position of section 'bed_mesh'"
+        origin = "The zero reference position of section 'bed_mesh'"
+        bed = Site("bed", zero[0], zero[1], origin, option)
+    x_offset, y_offset = host.probing.offsets()[:2]
+    x, y = rounded(bed.x - x_offset, bed.y - y_offset)
+    return bed._replace(x=x, y=y)
+
+
 def check_reach(host: Host, site: Site, remedy: str, shift: str = "") -> None:
     """Raise CalibrationError where the toolhead does not reach a site.
 

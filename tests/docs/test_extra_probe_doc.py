@@ -32,7 +32,14 @@ from tests.docs.test_documents import (
     wrong_options,
     wrong_ranges,
 )
-from tools.kit.extra_probe import ABORT, CALIBRATE, CONTINUE, NAME, press
+from tools.kit.extra_probe import (
+    ABORT,
+    CALIBRATE,
+    CONTINUE,
+    NAME,
+    fixed_switch,
+    press,
+)
 
 TEXT = text_of("extra_probe")
 ABOVE = "G90\nG1 Z5 F900\nG1 X30 Y20 F6000"
@@ -67,12 +74,24 @@ RECORD = Module(
     late={"lift_speed": "`speed`"},
 )
 SOURCES = SimpleNamespace(module=SimpleNamespace(name="extra_probe"))
+
+
+def wrong_ranges_here(running, text):
+    """Of options that a printer with a membrane may have.
+
+    Those of a switch beside the bed are given by tests/modules/test_extra_probe_fixed.
+    """
+    own = ("{'fixed'", "fixed:", "{'switch_height'", "switch_height:")
+    found = wrong_ranges(running, text)
+    yield from (line for line in found if not line.startswith(own))
+
+
 LIVE = (
     wrong_options,
     wrong_defaults,
     wrong_commands,
     wrong_answers,
-    wrong_ranges,
+    wrong_ranges_here,
 )
 OF_SOURCES = (wrong_constants, wrong_links)
 
@@ -95,8 +114,10 @@ class Hand(Running):
     """A klippy with somebody who lays and presses the membrane."""
 
     def example(self, text):
-        # The other one is for printers with another [probe]
-        own = {"extra_probe probe": None, **self.module.surroundings}
+        # Those are for printers with another [probe], and with a switch beside the bed,
+        # which is tried below
+        others = ("extra_probe probe", "extra_probe nozzle_switch")
+        own = {**dict.fromkeys(others), **self.module.surroundings}
         changes = {**ini_blocks(text), **own}
         return self.run(*self.module.steps, changes=changes)
 
@@ -147,3 +168,13 @@ def test_document_is_right_and_mistakes_are_found(host):
             changed, count = re.subn(old, new, TEXT)
             assert count, what
             assert any(problems(running, changed)), what
+
+
+def test_switch_beside_the_bed(start):
+    over = (191.0, 165.0)
+    own = ini_blocks(TEXT)["extra_probe nozzle_switch"]
+    changes = {NAME: None, "extra_probe nozzle_switch": own}
+    scene = fixed_switch(at=(289.0, 361.0), over=over, size=370.0)
+    printer = start(scene, changes=changes).homed()
+    printer.run("EXTRA_PROBE_CALIBRATE PROBE=nozzle_switch")
+    assert printer.gap(over) == pytest.approx(0.0, abs=0.006)

@@ -18,6 +18,7 @@ from tools.kit.extra_probe import (
     MICROSTEP,
     NAME,
     PROBE_BED,
+    fixed_switch,
     lay,
     true_gap,
 )
@@ -41,6 +42,7 @@ OWNERS = {
         2.0 - PROBE_BED,
     ),
 }
+FIXED = "beside_the_bed"
 MACROS = [name for name in OWNERS if name.endswith("_macros")]
 
 
@@ -117,5 +119,20 @@ def test_command_of_an_example_survives_a_dead_membrane(start, name):
     assert printer.session.state()[0] == "ready"
 
 
+@pytest.mark.parametrize("saves", [False, True])
+def test_switch_beside_the_bed(start, saves):
+    over = (191.0, 165.0)
+    scene = heated(fixed_switch(at=(289.0, 361.0), over=over, size=370.0))
+    path = EXAMPLES / f"{FIXED}.cfg"
+    changes = {NAME: None, f"include {path}": {}}
+    printer = start(scene, changes=changes).homed()
+    if saves:
+        printer.run("EXTRA_PROBE_CALIBRATE PROBE=nozzle_switch SAVE=1")
+        printer.session.restart("SAVE_CONFIG")
+        printer.run("G28")
+    printer.run("M109 S150\nZ_OFFSET_FROM_SWITCH")
+    assert printer.gap(over) == pytest.approx(0.0, abs=2.5 * MICROSTEP)
+
+
 def test_every_example_is_run():
-    assert {path.stem for path in EXAMPLES.iterdir()} == set(OWNERS)
+    assert {path.stem for path in EXAMPLES.iterdir()} == {*OWNERS, FIXED}

@@ -8,6 +8,7 @@ from typing import Any, Optional
 from tools.kit.dialogs import dialogs_of
 from tools.kit.printer import Printer, RunningPrinter
 from simprinter import Scene
+from simprinter.world.spec import PinSpec
 from tools.kit.scenes import SCENES
 
 MICROSTEP = 0.0025
@@ -91,3 +92,50 @@ def state(printer: Printer) -> dict[str, Any]:
         "homed": printer.status("toolhead")["homed_axes"],
         "absolute": printer.status("gcode_move")["absolute_coordinates"],
     }
+
+
+# A switch beside the bed: where it is, and how far above the bed it triggers at the
+# point that the probe touches (mm)
+BESIDE = (-8.0, 60.0)
+BED_POINT = (110.0, 110.0)
+HEIGHT = 1.5
+
+
+def fixed_switch(
+    height: float = HEIGHT,
+    at: tuple[float, float] = BESIDE,
+    over: tuple[float, float] = BED_POINT,
+    size: float = 220.0,
+) -> Scene:
+    """A printer whose probe homes Z, with a switch beside the bed for the nozzle.
+
+    at: where the switch is, over: the point of the bed whose height counts, size: how
+    far X and Y go, mm. The section of the switch takes the membrane's place; its owner
+    has measured its height. The probe senses the bed 2.2713 mm below the nozzle, and he
+    says 2.
+    """
+    scene = SCENES["membrane_and_probe"]
+    bed = replace(scene.world.bed, x_max=size, y_max=size)
+    bed_z = bed.z0 + over[0] * bed.slope_x + over[1] * bed.slope_y
+    inputs = {**scene.wiring.inputs, "nozzle_endstop": "^PF6"}
+    del inputs["membrane"]
+    pin = PinSpec(*at, bed_z + height, signal="nozzle_endstop")
+    own = {
+        "pin": "^PF6",
+        "fixed": "True",
+        "z_offset": None,
+        "switch_height": f"{height}",
+        "xy_position": "{}, {}".format(*at),
+        "bed_xy_position": "{}, {}".format(*over),
+    }
+    section = {**scene.sections[NAME], **own}
+    section = {name: text for name, text in section.items() if text is not None}
+    sections = {**scene.sections, NAME: section}
+    for axis in ("stepper_x", "stepper_y"):
+        sections[axis] = {**sections[axis], "position_max": f"{size}"}
+    return replace(
+        scene,
+        name="fixed_switch",
+        wiring=replace(scene.wiring, inputs=inputs),
+        sections=sections,
+    ).with_world(pin=pin, membrane=None, bed=bed)

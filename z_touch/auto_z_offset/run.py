@@ -24,7 +24,7 @@ from . import heights, motors
 from .heights import Expected, Floor, Result
 
 if TYPE_CHECKING:
-    from ..host.probe import Probed, ProbeSession
+    from ..host.probe import ProbeSession
     from ..progress import Progress
     from ..touch import Head, Site
     from .expected import Expectations
@@ -359,7 +359,7 @@ class Run:
         head.check_above(floor.z)
         try:
             if session is not None:
-                return self._homed_z(head.probe(session))
+                return self.host.probing.homed_z(head.probe(session))
             # A host that is not known: its probing would go on to position_min
             speed = self.settings.sampling.speed
             return head.touch(self.host.probing.endstop(), floor.z, speed)
@@ -370,13 +370,6 @@ class Run:
                 f"{e} {floor.why}: that was not the bed, or the probe does not see it"
             )
             raise error.advised(touch.CHECK_PROBE)
-
-    def _homed_z(self, probed: Probed) -> float:
-        """Return the height as G28, from which the correction is counted, or the mesh sees it."""
-        probing = self.host.probing
-        if self.host.axes.homes_with_probe() and not probing.homes_with_twist():
-            return probed.z
-        return probed.z + probed.twist
 
     def _report_probe(self, text: str) -> None:
         self.progress.say(f"probe: {text}")

@@ -7,6 +7,8 @@
   EXTRA_PROBE_CONTINUE    sets the G-code Z offset, or hands a value to SAVE_CONFIG
   EXTRA_PROBE_ABORT       ends it instead of either
 
+A switch that stays where it is needs no hand: EXTRA_PROBE_CALIBRATE does it all.
+
 Every height is a toolhead Z in mm.  The commands may pause.
 
 Copyright (C) 2026  the Z calibration developers, under the GNU GPLv3
@@ -23,9 +25,10 @@ from ..datum import Datum, HomedDatum
 from ..errors import CalibrationError
 from ..sampling import summarize
 from ..wizard import HAND_PATIENCE, Step, Wizard
-from . import heights
+from . import fixed, heights
+from .settings import MAX_TEMPERATURE, TRAVEL_SPEED
 from .shifts import Shifts
-from .switches import LOWER_FLOOR, TOO_LOW, Series
+from .switches import FIND_SWITCH, LOWER_FLOOR, TOO_LOW, Series
 
 if TYPE_CHECKING:
     from ..datum import Mark
@@ -43,7 +46,6 @@ TAKE_AWAY = Step("removal", 3, "Take the switch away", (), "Continue")
 STEPS = (LAY, HAND, TAKE_AWAY)
 STEPS_ON_KNOWN_BED = (LAY, dataclasses.replace(TAKE_AWAY, number=2))
 
-TRAVEL_SPEED = 50.0  # mm/s, in XY
 SAME_POSITION = 0.1  # mm; a toolhead further from where it was has been moved
 SOFT_TEMPERATURE = 60.0  # C; here the plastic of a membrane begins to melt
 
@@ -137,7 +139,12 @@ class Calibration:
     cmd_EXTRA_PROBE_CALIBRATE_help = "Set the Z offset with a switch on the bed"
 
     def cmd_EXTRA_PROBE_CALIBRATE(self, gcmd: GCodeCommand) -> None:
-        """Travel to where the switch is to lie, and ask for it."""
+        """Travel to where the switch is to lie, and ask for it; or touch one that is fixed."""
+        if self.settings.fixed:
+            with self.runner.running(gcmd, "touch", 0):
+                save = options.param_flag(gcmd, "SAVE")
+                self._calibrate_fixed(save, options.param_number(gcmd, "FLOOR"))
+            return
         self._close()
         with self.runner.running(gcmd, "touch", 0):
             save = options.param_flag(gcmd, "SAVE")
@@ -162,17 +169,28 @@ class Calibration:
 
     def _check_settings(self, save: bool) -> None:
         """Raise CalibrationError where the switch is not known, or what to save."""
-        if not self.settings.z_offset:
+        settings = self.settings
+        if settings.fixed and settings.switch_height is None:
+            raise CalibrationError(
+                "there is no switch_height; set it to how far above the bed the switch"
+                " triggers, in mm: what EXTRA_PROBE over the switch says with Z=0 right"
+                " on the bed"
+            )
+        if not settings.fixed and not settings.z_offset:
             raise CalibrationError(
                 "z_offset is 0; set it to the thickness of the switch, in mm"
             )
         if not save:
             return
-        if self.host.axes.z_zero() is None:
+        z_zero = self.host.axes.z_zero()
+        if z_zero is None:
             raise CalibrationError(
                 "SAVE=1: nobody knows where Z gets its zero with"
                 f" '{self.z_axis.endstop_pin}'; leave SAVE out"
             )
+        if settings.fixed and z_zero.option == "z_offset":
+            # The probe's height above the bed is the same wherever Z=0 is
+            return
         moved = self.homed.moved()
         if moved:
             raise CalibrationError(
@@ -198,12 +216,16 @@ class Calibration:
 
     def _travel(self) -> None:
         """Lift to safe_z_height, and go to xy_position, if there is one."""
-        settings, site = self.settings, self.settings.xy_position
-        speed = settings.sampling.lift_speed
-        touch.raise_to(self.host, settings.safe_z_height, speed)
+        self._lift()
+        site = self.settings.xy_position
         if site is not None:
             everything = attached.of(self.host.printer)
             everything.go_to(self.host, site.x, site.y, TRAVEL_SPEED)
+
+    def _lift(self) -> None:
+        """Lift to safe_z_height, never down."""
+        speed = self.settings.sampling.lift_speed
+        touch.raise_to(self.host, self.settings.safe_z_height, speed)
 
     def _floor(self, floor_param: Optional[float]) -> float:
         """Return the lowest toolhead Z of the touches, where a hand has laid the switch."""
@@ -251,6 +273,52 @@ class Calibration:
                 "Continue waits until you press the switch once with a finger."
             )
         self._ask(sentences)
+
+    ##################################################################
+    # A switch that stays where it is: touch it, touch the bed, apply
+    ##################################################################
+
+    def _calibrate_fixed(self, save: bool, floor: Optional[float]) -> None:
+        """Touch the switch with the nozzle and the bed with the probe, and apply the result.
+
+        It may be done in a print, before the first layer.  'floor' is FLOOR of the command,
+        None: not given.
+        """
+        self._check_ready()
+        self._check_settings(save)
+        if save and self.host.print_state():
+            raise CalibrationError(
+                "SAVE=1 would print with a G-code Z offset of 0; leave it out in a print"
+            )
+        self._check_temperature()
+        self.switch.free_nozzle(goes_on=True)
+        self._travel()
+        self._come_down()
+        trigger_z = self._touch_switch(self._floor(floor), FIND_SWITCH)
+        switch_height = self.settings.switch_height
+        # The command was refused without one
+        assert switch_height is not None
+        bed_z = heights.bed_below_fixed(trigger_z, switch_height)
+        probe_z = fixed.touch_bed(self.host, self.settings, bed_z)
+        warning = fixed.check_height(self.host, probe_z, bed_z)
+        self._apply_fixed(save, bed_z, probe_z)
+        if warning:
+            self.host.say(warning)
+
+    def _apply_fixed(self, save: bool, bed_z: float, probe_z: float) -> None:
+        """Set the G-code Z offset, or hand a value to SAVE_CONFIG with an offset of 0."""
+        x, y = fixed.bed_point(self.host, self.settings)
+        place = "which the probe has touched"
+        shifts = Shifts(self.host, (x, y, bed_z), save, place)
+        offset = bed_z - shifts.height()
+        z_zero = self.host.axes.z_zero()
+        if save and z_zero is not None:
+            if z_zero.option == "z_offset":
+                # The probe's height above the bed, however well G28 has homed
+                offset = z_zero.z - (probe_z - bed_z)
+            self._save(offset)
+        self._set_offset(offset, save)
+        self._tell(bed_z, shifts, offset)
 
     ##################################################################
     # The questions and their answers
@@ -373,11 +441,8 @@ class Calibration:
         # Meanwhile the user may have fetched it again
         self.switch.free_nozzle()
         self._come_down()
-        sampling = self.settings.sampling
-        series = Series(self.host, self.switch, sampling, LOWER_FLOOR, TOO_LOW)
-        triggers = series.measure(question.floor)
+        trigger_z = self._touch_switch(question.floor, LOWER_FLOOR)
         self._check_unchanged(question)
-        trigger_z = summarize(triggers, sampling.result)
         z_offset = self.settings.z_offset
         bed_z = heights.bed_height(trigger_z, z_offset)
         if question.save:
@@ -397,6 +462,12 @@ class Calibration:
         self.question = question.replace(bed_z=bed_z)
         self.wizard.enter(TAKE_AWAY.name)
         self._ask(sentences)
+
+    def _touch_switch(self, floor: float, find_bed: str) -> float:
+        """Touch the switch below the nozzle; return the height of its trigger."""
+        sampling = self.settings.sampling
+        series = Series(self.host, self.switch, sampling, find_bed, TOO_LOW)
+        return summarize(series.measure(floor), sampling.result)
 
     def _come_down(self) -> None:
         """Come down to where the touches begin, with the switch watched on the way."""
@@ -420,16 +491,31 @@ class Calibration:
         shifts = self._shifts(question, bed_z)
         offset = bed_z - shifts.height()
         if question.save:
-            self._save(offset, bed_z)
+            saved_z = self._save(offset)
+            # With the whole of bed_z the bed would be at Z=0, and that is what later floors
+            # count from
+            text = f"{saved_z + offset - bed_z:.3f}"
+            section = self.host.section
+            options.save(self.host.printer, section, "saved_homing_z", text)
+        self._set_offset(offset, question.save)
+        self._tell(bed_z, shifts, offset)
+
+    def _set_offset(self, offset: float, save: bool) -> None:
+        """Set the G-code Z offset (mm): to 0 where it is saved instead."""
         # G92 would shift what the offset makes right
         undone = self.host.gcode_state.undo_g92()
         if undone:
             self.host.say(undone)
-        self.host.gcode_state.set_z_offset(0.0 if question.save else offset)
+        self.host.gcode_state.set_z_offset(0.0 if save else offset)
         self.last_offset = offset
-        z_offset = self.settings.z_offset
+
+    def _tell(self, bed_z: float, shifts: Shifts, offset: float) -> None:
+        """Say where the bed is, and what has become of the offset (mm)."""
+        name, height = "z_offset", self.settings.z_offset
+        if self.settings.switch_height is not None:
+            name, height = "switch_height", self.settings.switch_height
         self.host.say(
-            f"trigger={bed_z + z_offset:.6f} - z_offset={z_offset:.3f} -->"
+            f"trigger={bed_z + height:.6f} - {name}={height:.3f} -->"
             f" new offset={bed_z:.6f}"
         )
         for text in shifts.lines(offset):
@@ -437,7 +523,8 @@ class Calibration:
 
     def _shifts(self, question: Question, bed_z: float) -> Shifts:
         """Return what Klipper's own features add where the switch lies."""
-        return Shifts(self.host, (*question.xy, bed_z), question.save)
+        point = (*question.xy, bed_z)
+        return Shifts(self.host, point, question.save, "where the switch lay")
 
     def _corrected_zero(self, offset: float) -> ZZero:
         """Return what SAVE_CONFIG is to write for Z to be lower by 'offset' (mm)."""
@@ -447,21 +534,16 @@ class Calibration:
         axis_limits = self.host.axes.limits()[2]
         return heights.corrected_zero(z_zero, offset, axis_limits)
 
-    def _save(self, offset: float, bed_z: float) -> None:
-        """Hand over what Z is homed at, for Z to be lower by 'offset' (mm).
-
-        With the whole of bed_z the bed would be at Z=0, and that is what later floors count
-        from.
-        """
+    def _save(self, offset: float) -> float:
+        """Hand over what Z is homed at, for Z to be lower by 'offset' (mm); return it."""
         section, option, z = self._corrected_zero(offset)
-        printer, text = self.host.printer, f"{z:.3f}"
-        options.save(printer, section, option, text)
-        saved_z = f"{z + offset - bed_z:.3f}"
-        options.save(printer, self.host.section, "saved_homing_z", saved_z)
+        text = f"{z:.3f}"
+        options.save(self.host.printer, section, option, text)
         self.host.gcode.respond_info(
             f"{section}: {option}: {text}\n{options.SAVE_HINT}\n"
             "Until then the G-code offset is 0."
         )
+        return z
 
     ##################################################################
     # What has to be so, before and after
@@ -474,6 +556,10 @@ class Calibration:
             raise CalibrationError(
                 f"a print is under way ({print_state}); end it first"
             )
+        self._check_ready()
+
+    def _check_ready(self) -> None:
+        """Raise CalibrationError where the printer waits or is not homed."""
         if dialog.is_paused(self.host):
             raise CalibrationError(dialog.PAUSED)
         command.check_no_manual_probe(self.host)
@@ -483,7 +569,9 @@ class Calibration:
         """Return the warning that the nozzle is hot; raise CalibrationError if too hot."""
         temperature = self.host.nozzle_temperature()
         limit = self.settings.max_temperature
-        if temperature > limit:
+        if limit is None and not self.settings.fixed:
+            limit = MAX_TEMPERATURE
+        if limit is not None and temperature > limit:
             raise CalibrationError(
                 f"the nozzle has, or is to have, {temperature:.0f} C, max_temperature"
                 f" is {limit:.0f} C; let it cool down"

@@ -25,6 +25,10 @@ UNSAVED_FLOOR = -1.0
 # below Z=0: no more than that beyond what homing itself does.
 PAST_ENDSTOP = 0.1
 
+# A switch that stays where it is says that the bed is so near to where Z is homed (mm), and
+# is pressed no further than that below where it should trigger.
+NEAR_ZERO = 1.0
+
 # A bed this far (mm) from Z=0 was not touched: a hand has pressed the switch.
 LARGEST_OFFSET = 5.0
 
@@ -41,6 +45,23 @@ def bed_height(trigger_z: float, z_offset: float) -> float:
             f"triggered at z={trigger_z:.3f}, so the bed would be over"
             f" {LARGEST_OFFSET:g} mm from Z=0; begin again if a hand has pressed it, or"
             " home Z nearer to the bed first"
+        )
+    return bed_z
+
+
+def bed_below_fixed(trigger_z: float, switch_height: float) -> float:
+    """Return the toolhead Z at which the nozzle meets the bed.
+
+    A switch that stays where it is triggers switch_height (mm) above the bed.  Raises
+    CalibrationError for a bed that is not near Z=0.
+    """
+    bed_z = trigger_z - switch_height
+    if abs(bed_z) > NEAR_ZERO:
+        raise CalibrationError(
+            f"the switch triggered at z={trigger_z:.3f}, switch_height is"
+            f" {switch_height:.3f}, so"
+            f" the bed would be at z={bed_z:.3f}, over {NEAR_ZERO:g} mm from Z=0; check"
+            " switch_height, that nothing lies on the switch, and that G28 homes Z on the bed"
         )
     return bed_z
 
@@ -82,13 +103,16 @@ def floor(
     It is that of the command (floor_param), or of the section, or what is known of the bed.
     Half the thickness above a bed at Z=0 a switch that lies there has triggered, and the
     nozzle does not reach a bed that is bare.  A bed that is not known is looked for no lower
-    than homing goes, unless the switch 'is_proved' to be there.  z_zero and moved_by as in
+    than homing goes, unless the switch 'is_proved' to be there.  A fixed switch is pressed no
+    further than NEAR_ZERO below where it triggers with the bed at Z=0.  z_zero and moved_by as in
     is_calibrated().
     """
     if floor_param is not None:
         return max(floor_param, axis_min)
     if settings.position_min is not None:
         return max(settings.position_min, axis_min)
+    if settings.switch_height is not None:
+        return max(settings.switch_height - NEAR_ZERO, axis_min)
     if is_calibrated(settings, z_zero, moved_by):
         return max(settings.z_offset / 2.0, axis_min)
     if is_proved or z_zero is None or z_zero.option != ENDSTOP_OPTION:

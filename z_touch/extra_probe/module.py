@@ -3,6 +3,7 @@
   settings     the options
   switches     what is touched, and a series of touches
   heights      the bed below the switch, and how low a touch may go
+  fixed        a switch that stays where it is: what the probe touches besides
   calibration  EXTRA_PROBE_CALIBRATE, and the answers to what it asks
   shifts       what Klipper's own features add to Z where the switch lay
 
@@ -21,10 +22,17 @@ from ..host.printer import Host
 from ..host.toolhead import check_z_axis
 from ..progress import Notes
 from ..sampling import accuracy, summarize
-from . import heights
+from . import fixed, heights
 from .calibration import Calibration
 from .settings import PROBE, complete, read_settings
-from .switches import FIND_BED, HIGHER_UP, PinSwitch, ProbeSwitch, Series
+from .switches import (
+    FIND_BED,
+    FIND_SWITCH,
+    HIGHER_UP,
+    PinSwitch,
+    ProbeSwitch,
+    Series,
+)
 
 if TYPE_CHECKING:
     from ..host.klippy import Config, GCodeCommand
@@ -47,6 +55,7 @@ class ExtraProbe:
         attached.of(self.host.printer).watches.append(self.runner.watch)
         self.settings = read_settings(config)
         self.z_pin = pin.read_pin(config, self.z_axis)
+        self.mesh_area = pin.mesh_area(config)
         # For get_status(): what the pin read, and mm
         self.last_query = False
         self.last_z_result = 0.0
@@ -89,6 +98,7 @@ class ExtraProbe:
             site = self.settings.xy_position
             if site is not None:
                 touch.check_reach(host, site, touch.CHOOSE_ANOTHER)
+            self._check_fixed()
         except CalibrationError as e:
             raise host.printer.config_error(str(e))
         self.calibration.connect(self.settings)
@@ -103,6 +113,24 @@ class ExtraProbe:
             raise CalibrationError(
                 f"Option 'safe_z_height: {safe_z:g}' in section '{self.host.section}'"
                 f" is above the {high:.3f} of Z; lower it"
+            )
+
+    def _check_fixed(self) -> None:
+        """Raise CalibrationError where 'fixed' does not fit the rest."""
+        settings, section = self.settings, self.host.section
+        if settings.fixed and self.name == PROBE:
+            raise CalibrationError(
+                f"Option 'fixed: True' in section '{section}': [probe] is the switch"
+                " there, and nothing is left to touch the bed; remove it"
+            )
+        if settings.fixed:
+            axis_min = self.z_axis.position_min
+            fixed.check(self.host, settings, axis_min, self.mesh_area)
+        elif settings.switch_height is not None:
+            raise CalibrationError(
+                f"Option 'switch_height: {settings.switch_height:g}' in section"
+                f" '{section}' is for a switch that stays where it is; add 'fixed: True',"
+                " or remove it"
             )
 
     def _check_probe(self) -> None:
@@ -146,7 +174,7 @@ class ExtraProbe:
             self._check_ready()
             self.switch.free_nozzle()
             series = Series(
-                self.host, self.switch, sampling, FIND_BED, HIGHER_UP
+                self.host, self.switch, sampling, self._find_bed(), HIGHER_UP
             )
             triggers = series.measure(self._floor(), stay=True)
         self.last_z_result = summarize(triggers, sampling.result)
@@ -170,7 +198,7 @@ class ExtraProbe:
             self._check_ready()
             self.switch.free_nozzle()
             series = Series(
-                self.host, self.switch, sampling, FIND_BED, HIGHER_UP
+                self.host, self.switch, sampling, self._find_bed(), HIGHER_UP
             )
             triggers = series.measure(self._floor())
         found = accuracy(triggers)
@@ -204,6 +232,9 @@ class ExtraProbe:
         self.calibration.check_answered()
         settings, homed = self.settings, self.calibration.homed
         z_zero = self.host.axes.z_zero()
+        if settings.fixed and settings.xy_position is not None:
+            fixed.check_place(self.host, settings.xy_position)
+            return
         if settings.position_min is not None:
             return
         if not heights.is_calibrated(settings, z_zero):
@@ -213,6 +244,10 @@ class ExtraProbe:
                 f"{homed.moved()}, and the saved calibration does not tell any more"
                 " where the bed is; run G28 first, or set position_min"
             )
+
+    def _find_bed(self) -> str:
+        """Return what to do where what is touched may be lower than the floor."""
+        return FIND_SWITCH if self.settings.fixed else FIND_BED
 
     def _floor(self) -> float:
         """Return the lowest toolhead Z of a touch here; say where the switch cannot lie."""

@@ -23,6 +23,7 @@ if TYPE_CHECKING:
 PROBE = "probe"
 
 SAFE_Z = 10.0  # mm: room for a hand, and above a bed that is homed wrongly
+TRAVEL_SPEED = 50.0  # mm/s, in X and Y
 MAX_TEMPERATURE = 120.0  # C; a nozzle that is hotter is refused
 
 
@@ -66,6 +67,25 @@ class Settings:
         " needs it: 0.25 or 0.3, by the data sheet.",
         minval=0.0,
     )
+    fixed: bool = options.other(
+        options.FLAG,
+        False,
+        "True: the switch stays where it is, such as one beside the bed that the"
+        " nozzle presses. Nothing is asked then, and the probe touches the bed.",
+    )
+    switch_height: Optional[float] = options.number(
+        None,
+        "With fixed: how far above the bed the switch triggers, in mm, below it:"
+        " negative. There is no default, and EXTRA_PROBE_CALIBRATE needs it: see A"
+        " switch beside the bed.",
+    )
+    bed_xy_position: Optional[Site] = options.other(
+        options.site_kind("bed"),
+        None,
+        "With fixed: the point of the bed that the probe touches. By default it is"
+        " the zero of the bed mesh.",
+        unit="mm",
+    )
     xy_position: Optional[Site] = options.other(
         options.site_kind("switch"),
         None,
@@ -82,9 +102,10 @@ class Settings:
         "No touch goes lower, in mm. There is no default: see How low can a"
         " touch go?",
     )
-    max_temperature: float = options.number(
-        MAX_TEMPERATURE,
-        "A hotter nozzle is refused, in degrees Celsius.",
+    max_temperature: Optional[float] = options.number(
+        None,
+        "A hotter nozzle is refused, in degrees Celsius. The default is 120, with"
+        " fixed there is none.",
         unit="C",
         above=0.0,
     )

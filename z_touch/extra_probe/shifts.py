@@ -25,13 +25,18 @@ class Shifts:
     """What is added with the nozzle at X, Y, Z (toolhead, mm), as it is now.
 
     'is_saved': for a value that counts from the next homing on, when the mesh is as it is,
-    but not the heat.
+    but not the heat.  'place' says what is there.
     """
 
     def __init__(
-        self, host: Host, point: Tuple[float, float, float], is_saved: bool
+        self,
+        host: Host,
+        point: Tuple[float, float, float],
+        is_saved: bool,
+        place: str,
     ):
         self.transforms = host.transforms
+        self.place = place
         self.x, self.y, z = point
         self.parts = [
             part
@@ -68,18 +73,18 @@ class Shifts:
                 f"{part.name} {part.height:.3f} mm" for part in self.parts
             )
             yield (
-                f"{parts} at {x:.1f}, {y:.1f}, where the switch lay, taken off: the"
+                f"{parts} at {x:.1f}, {y:.1f}, {self.place}, taken off: the"
                 f" offset is {z_offset:.6f}, and right there while that is in force"
             )
         if self.is_guessed:
             yield (
-                f"bed_mesh ends before {x:.1f}, {y:.1f}, where the switch lay: what was"
+                f"bed_mesh ends before {x:.1f}, {y:.1f}, {self.place}: what was"
                 " taken off is the height of its rim; check the first layer"
             )
         if self._is_mesh_elsewhere():
             option = self.transforms.mesh_zero_option()
             yield (
-                f"bed_mesh has no zero at {x:.1f}, {y:.1f}, where the switch lay: one"
+                f"bed_mesh has no zero at {x:.1f}, {y:.1f}, {self.place}: one"
                 " that is probed or loaded now makes Z=0 wrong by its height there; set"
                 f" its {option} to that point, probe it, and calibrate again"
             )

@@ -27,10 +27,19 @@ DIFFER = "clean the nozzle, and check what it touches for play"
 # What to do about a toolhead that is below the floor of a touch
 HIGHER_UP = "begin higher up"
 TOO_LOW = f"{HIGHER_UP}, or with a lower FLOOR"
-# What to do where the bed may be lower than a touch of EXTRA_PROBE goes, and one of
-# EXTRA_PROBE_CALIBRATE
-FIND_BED = "find it with EXTRA_PROBE_CALIBRATE, or set position_min"
-LOWER_FLOOR = "begin again with a lower FLOOR, ready to stop"
+# What to do where what is touched may be lower than a touch of EXTRA_PROBE goes, and one of
+# EXTRA_PROBE_CALIBRATE; and the same of a switch that stays where it is
+FIND_BED = (
+    "where the bed may be lower find it with EXTRA_PROBE_CALIBRATE, or set"
+    " position_min"
+)
+LOWER_FLOOR = (
+    "where the bed may be lower begin again with a lower FLOOR, ready to stop"
+)
+FIND_SWITCH = (
+    "check xy_position and switch_height, or where the switch may be lower set"
+    " position_min"
+)
 
 
 class PinSwitch:
@@ -78,7 +87,7 @@ class PinSwitch:
     ) -> float:
         """Return the height of one touch of a series, which ends at 'floor' at the latest.
 
-        'find_bed' is what to do where the bed may be lower.  Raises CalibrationError.
+        'find_bed' is what to do where that may be lower.  Raises CalibrationError.
         """
         if not self.settings.deactivate_on_each_sample:
             return self._touch_active(head, floor, find_bed)
@@ -92,8 +101,7 @@ class PinSwitch:
             return head.touch(self._endstop, floor, head.sampling.speed)
         except CalibrationError as e:
             raise e.advised(
-                f"press it by hand and look with {self.query}, or where the bed may be"
-                f" lower {find_bed}"
+                f"press it by hand and look with {self.query}, or {find_bed}"
             )
 
     @contextlib.contextmanager

@@ -213,6 +213,12 @@ class Probing:
         homing = self.printer.lookup_object("homing")
         return hasattr(homing, "check_probe_first_home")
 
+    def homed_z(self, probed: Probed) -> float:
+        """Return the height (toolhead Z, mm) of a touch as G28, or a mesh, sees it."""
+        if self.host.axes.homes_with_probe() and not self.homes_with_twist():
+            return probed.z
+        return probed.z + probed.twist
+
     @contextlib.contextmanager
     def floor(self, floor: float) -> Iterator[bool]:
         """Have the host's own probing end at a floor (toolhead Z, mm) while this lasts.

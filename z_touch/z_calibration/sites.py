@@ -43,11 +43,6 @@ class Sites(NamedTuple):
     bed: Optional[Site]
 
 
-def rounded(x: float, y: float) -> Tuple[float, float]:
-    """Return coordinates (mm) that add up to the end of an axis, not beyond it."""
-    return round(x, 6), round(y, 6)
-
-
 class SiteFinder:
     """Finds the sites, and checks them.  Raises CalibrationError."""
 
@@ -157,7 +152,7 @@ class SiteFinder:
                 )
         if nozzle is None:
             return None
-        x, y = rounded(nozzle.x + offsets[0], nozzle.y + offsets[1])
+        x, y = touch.rounded(nozzle.x + offsets[0], nozzle.y + offsets[1])
         option = "switch_xy_offsets"
         origin = (
             f"Option '{option}: {offsets[0]:g},{offsets[1]:g}' in section"
@@ -170,16 +165,7 @@ class SiteFinder:
 
         None: neither is known.
         """
-        if bed is None:
-            zero = self.host.transforms.mesh_zero()
-            if zero is None:
-                return None
-            option = "zero_reference_position of section 'bed_mesh'"
-            origin = "The zero reference position of section 'bed_mesh'"
-            bed = Site("bed", zero[0], zero[1], origin, option)
-        x_offset, y_offset = self.host.probing.offsets()[:2]
-        x, y = rounded(bed.x - x_offset, bed.y - y_offset)
-        return bed._replace(x=x, y=y)
+        return touch.probe_site(self.host, bed)
 
     def bed_point(self, site: Site) -> Tuple[float, float]:
         """Return X and Y (mm) of the bed that the probe touches at a site."""
