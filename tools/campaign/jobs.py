@@ -320,7 +320,25 @@ def _extra_probe_jobs() -> list[Job]:
         script="EXTRA_PROBE PROBE=membrane SAMPLES=2",
         ideal=None,
     )
-    return [probe, calibrate, first]
+    beside = replace(
+        first,
+        name="EXTRA_PROBE_CALIBRATE, a switch beside the bed",
+        script=extra_probe.CALIBRATE,
+        scene=extra_probe.fixed_switch(),
+        signals=("nozzle_endstop", "probe"),
+        point=extra_probe.BED_POINT,
+        # 1 mm below where the switch should trigger; the probe's touch ends where the
+        # nozzle meets the bed
+        margins={"nozzle_pin": 1.0, "nozzle_bed": 0.0},
+        changes={
+            **_with_templates(
+                extra_probe.NAME, activate_gcode="", deactivate_gcode=""
+            ),
+            "probe": {"samples": "2"},
+        },
+        only=(),
+    )
+    return [probe, calibrate, first, beside]
 
 
 # What only ours have, and no dock needs
