@@ -52,6 +52,20 @@ def test_each_touch_is_at_a_point_of_its_own(start, samples, cycles, retract):
     assert printer.machine.truth.drag("nozzle_bed") == 0.0
 
 
+def test_each_run_has_other_points(start):
+    # So that no dent is met each time
+    changes = section(bed_spread="3", samples="3", offset_samples="1")
+    printer = start(rough(1), changes=changes).homed()
+    first, _ = points_of(printer)
+    before = len(printer.machine.truth.touches)
+    printer.run("G28\nAUTO_Z_CALIBRATE")
+    touches = printer.machine.truth.touches[before:]
+    second = [(t.x, t.y) for t in touches if t.site == "nozzle_bed"]
+    assert len(first) == len(second) == 3
+    apart = [math.dist(a, b) for a in first for b in second]
+    assert min(apart) > 0.3
+
+
 @pytest.mark.slow
 def test_texture_is_averaged(start):
     """On plates where that one point is 10 to 20 um off."""

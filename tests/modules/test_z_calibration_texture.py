@@ -39,6 +39,24 @@ def points_of(printer, before=0):
     return [(t.x, t.y) for t in touches if t.site == "probe_bed"]
 
 
+@pytest.mark.parametrize("is_restarted", [False, True])
+def test_each_run_has_other_points(start, is_restarted):
+    # So that no dent is met each time; the history has the count
+    changes = section(bed_spread="3", samples="4")
+    printer = start("voron", changes=changes).homed()
+    printer.run("CALIBRATE_Z")
+    first = points_of(printer)
+    before = len(printer.machine.truth.touches)
+    if is_restarted:
+        printer.session.restart("RESTART")
+    printer.run("G28\nCALIBRATE_Z")
+    second = points_of(printer, before)
+    assert len(first) == len(second) == 4
+    apart = [math.dist(a, b) for a in first for b in second]
+    assert min(apart) > 0.3
+    assert all(math.dist(point, MIDDLE) <= 3.0 for point in second)
+
+
 @pytest.mark.parametrize("first_fast", ["false", "true"])
 def test_each_touch_is_at_a_point_of_its_own(start, first_fast):
     options = section(

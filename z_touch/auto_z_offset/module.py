@@ -68,6 +68,8 @@ class AutoZOffset:
         # since klippy has started
         self.applied: Optional[float] = None
         self.applied_with = ""
+        # Runs since klippy has started: the points of bed_spread are turned by it
+        self.turn = 0
         # Result of each cycle of the last command that measured both heights
         self.results: Tuple[Result, ...] = ()
         register = self.host.printer.register_event_handler
@@ -195,7 +197,14 @@ class AutoZOffset:
             # What prepare_gcode takes for a height is one of the nozzle
             self._undo_g92()
             expectations = None if accepts_change else self.expectations
-            run = Run(self.sensor, self.settings, self.progress, expectations)
+            run = Run(
+                self.sensor,
+                self.settings,
+                self.progress,
+                expectations,
+                self.turn,
+            )
+            self.turn += 1
             with command.always(self.host, run.lift, "lifting"):
                 yield run
             self.expectations.touched(run.sensor_z)

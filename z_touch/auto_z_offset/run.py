@@ -56,7 +56,7 @@ class Run:
     """The touches of one command, and what is known of the bed so far.
 
     'expectations' tell where the bed is; None: whatever was changed since, nothing is
-    expected.
+    expected.  'turn' counts the runs: the points of bed_spread are turned by it.
     """
 
     def __init__(
@@ -65,7 +65,9 @@ class Run:
         settings: Settings,
         progress: Progress,
         expectations: Optional[Expectations],
+        turn: int = 0,
     ):
+        self.turn = turn
         self.host = sensor.host
         self.sensor = sensor
         self.settings = settings
@@ -117,7 +119,7 @@ class Run:
 
     def next_point(self) -> Site:
         """Return the point of the nozzle's next touch."""
-        return spread_site(self.site, self.radius, self.touches)
+        return spread_site(self.site, self.radius, self.touches, self.turn)
 
     def free_nozzle(self) -> None:
         """Have no probe of a dock below the nozzle."""

@@ -315,6 +315,7 @@ class ZCalibration:
             self.run_log.spreads(settings.bed_spread),
             settings.target,
             rough,
+            self.run_log.next_turn() if settings.bed_spread else 0,
         )
 
     def new_run(

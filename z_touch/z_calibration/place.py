@@ -554,7 +554,8 @@ class BedPlace(Place):
         self.session: Optional[ProbeSession] = None
         tolerance = spread_tolerance(sampling.tolerance, self.spread)
         sampling = sampling._replace(tolerance=tolerance)
-        super().__init__(run, spread_site(site, self.spread, 0), sampling)
+        first = spread_site(site, self.spread, 0, run.statistics.turn)
+        super().__init__(run, first, sampling)
 
     def endstop(self) -> Endstop:
         """Return the probe's switch: only the host's own probing runs G-code of the user."""
@@ -661,7 +662,8 @@ class BedPlace(Place):
             return
         lift = max(self.sampling.retract_dist, CLEAR_OF_PLATE)
         self.head.lift(pressed_z + lift)
-        site = spread_site(self.middle, self.spread, self.taken)
+        turn = self.run.statistics.turn
+        site = spread_site(self.middle, self.spread, self.taken, turn)
         # A dock may be so near
         everything = attached.of(self.host.printer)
         everything.go_to(self.host, site.x, site.y, self.settings.speed)

@@ -105,6 +105,11 @@ class RunLog:
                 return run.nozzle_at
         return None
 
+    def next_turn(self) -> int:
+        """Return by how many turns the points of the next run with bed_spread are turned."""
+        turns = [run.turn for run in self.runs if run.bed_spread]
+        return turns[-1] + 1 if turns else 0
+
     ##################################################################
     # A run has ended
     ##################################################################
@@ -129,6 +134,7 @@ class RunLog:
             sites=sites,
             extruder=self.host.tools.active(),
             bed_spread=bed_spread,
+            turn=plan.turn,
             revision=self.version,
             duration=round(eventtime - began, 2),
             retries=retries,

@@ -138,7 +138,7 @@ class Run:
 
     ok: it has ended well; otherwise 'reason' says why, and offset, uncertainty and
     switch_offset mean nothing. time: seconds since 1970. extruder: whose nozzle it was.
-    bed_spread: of the section, mm. revision: of the modules. duration: s. cleaned: why
+    bed_spread: of the section, mm; turn: counts the runs with one. revision: of the modules. duration: s. cleaned: why
     the nozzle was cleaned in it; empty: it was not. dirty: its first touches pressed
     something flat. temperatures: C, by "extruder" (the active one) and "heater_bed".
     offset, switch_offset, z_adjust: mm. uncertainty: mm at 95 %; None: unknown.
@@ -152,6 +152,7 @@ class Run:
     reason: str = ""
     extruder: str = ""
     bed_spread: float = 0.0
+    turn: int = 0
     revision: str = ""
     duration: float = 0.0
     retries: int = 0
@@ -272,6 +273,7 @@ def parse(line: bytes) -> Run:
         reason=_text(record.get("reason", "")),
         extruder=_text(record.get("extruder", "")),
         bed_spread=_number(record.get("bed_spread", 0.0)),
+        turn=int(_number(record.get("turn", 0))),
         revision=_text(record.get("revision", "")),
         duration=_number(record.get("duration", 0.0)),
         retries=int(_number(record.get("retries", 0))),

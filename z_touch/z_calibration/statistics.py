@@ -318,7 +318,8 @@ class RunStatistics:
     step: of the motors of Z (mm).  earlier_runs: by place, in the order in which they are
     touched, the Spreads of a touch in its last runs.  target: target_uncertainty (mm,
     95 %) with `samples: auto`; None: a fixed number of touches.  rough: places that are
-    touched at several points of a textured plate.
+    touched at several points of a textured plate.  turn: counts the runs that were, see
+    spread_site().
 
     touches has all touches of a place, samples those of the series that counts, estimates
     its Estimate, points X and Y (mm) of each touch of the bed, with bed_spread.
@@ -330,8 +331,10 @@ class RunStatistics:
         earlier_runs: Mapping[str, Sequence[Spread]],
         target: Optional[float] = None,
         rough: Sequence[str] = (),
+        turn: int = 0,
     ) -> None:
         self.step = step
+        self.turn = turn
         self.target = target
         self.rough = rough
         self.earlier: Dict[str, Spread] = {
