@@ -22,7 +22,6 @@ from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Optional, TypeVar
 
-from simprinter.hosts import python2
 from simprinter.hosts.environment import (
     HostError,
     UnavailableError,
@@ -130,17 +129,13 @@ class Installed:
 
 @dataclass(frozen=True)
 class Host:
-    """A prepared klippy; made by `find_hosts`.
-
-    packages: what it needs, where its Python is no environment of ours
-    """
+    """A prepared klippy; made by `find_hosts`."""
 
     name: str
     python: Path
     version: str
     directory: Path
     layout: Layout
-    packages: Optional[Path] = None
 
     def install(self, modules: Mapping[str, Path]) -> Installed:
         """Put modules, given as {name: file}, where a user puts them.
@@ -183,8 +178,6 @@ class Host:
         else:
             start = ("-m", str(layout.module))
             env["PYTHONPATH"] = str(tree)
-        if self.packages is not None:
-            env["PYTHONPATH"] = str(self.packages)
         return Installed(
             host=self,
             argv=(str(self.python), *start),
@@ -287,8 +280,8 @@ def named_host(name: str) -> Host:
     for package in PACKAGES:
         if package.name == name:
             return _packaged(package)
-    checkout = python2.named(name)
-    if not checkout.folder.is_dir():
+    checkout = Path(name).expanduser()
+    if not checkout.is_dir():
         known = ", ".join(package.name for package in PACKAGES)
         raise HostError(
             f"host {name}: give the folder of a Klipper or Kalico checkout, or"
@@ -297,21 +290,22 @@ def named_host(name: str) -> Host:
     return _checkout_host(checkout)
 
 
-def named_checkouts() -> list[python2.Named]:
-    """The checkouts that KLIPPER_PATH names, each once for each Python."""
+def named_checkouts() -> list[Path]:
+    """The checkouts that KLIPPER_PATH names, each once."""
     named = os.environ.get("KLIPPER_PATH")
     if named is None:
         default = Path.home() / "klipper"
-        entries = [python2.Named(default, None)] if default.exists() else []
+        entries = [default] if default.exists() else []
     else:
-        entries = [python2.named(entry) for entry in named.split(":") if entry]
+        entries = [
+            Path(entry).expanduser() for entry in named.split(":") if entry
+        ]
     # One checkout named twice, perhaps by a link, is one host.
-    once = {(entry.folder.resolve(), entry.python): entry for entry in entries}
+    once = {entry.resolve(): entry for entry in entries}
     return list(once.values())
 
 
-def _checkout_host(named: python2.Named) -> Host:
-    checkout = named.folder
+def _checkout_host(checkout: Path) -> Host:
     layout = checkout_layout(checkout)
     is_kalico = layout is KALICO
     described = describe(checkout)
@@ -324,9 +318,13 @@ def _checkout_host(named: python2.Named) -> Host:
             version = staging / "klippy" / ".version"
             version.write_text(described + "\n", encoding="utf-8")
 
-    if python2.is_wanted(named):
-        name += "-python2"
-        return _on_python2(named, name, described, layout, fill)
+    reactor = checkout / "klippy" / "reactor.py"
+    # It has another name in Python 3
+    if reactor.exists() and "Queue as queue" in reactor.read_text("utf-8"):
+        raise HostError(
+            f"{checkout} is a Klipper from before October 2021, which runs on"
+            " Python 2.7 only; check out a newer one"
+        )
     return _prepared(
         name,
         described or own_version(checkout),
@@ -427,7 +425,6 @@ def _filled(
     python: Path,
     layout: Layout,
     fill: Callable[[Path, Path], None],
-    packages: Optional[Path] = None,
 ) -> Path:
     """The same, with its tree compiled."""
     base = directory / "base"
@@ -435,30 +432,9 @@ def _filled(
         if not base.exists():
             with staged(base) as staging:
                 fill(python, staging)
-                compile_tree(staging, python, layout, packages)
+                compile_tree(staging, python, layout)
         os.utime(directory)
     return directory
-
-
-def _on_python2(
-    named: python2.Named,
-    name: str,
-    described: Optional[str],
-    layout: Layout,
-    fill: Callable[[Path, Path], None],
-) -> Host:
-    python = python2.interpreter(named)
-    packages = python2.packages(python)
-    identity = (name, str(python), packages.name, checkout_digest(named.folder))
-    directory = _directory(name, (RECIPE, *identity))
-    return Host(
-        name,
-        python,
-        described or own_version(named.folder),
-        _filled(directory, python, layout, fill, packages),
-        layout,
-        packages,
-    )
 
 
 def _hosts_dir() -> Path:

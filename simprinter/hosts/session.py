@@ -84,11 +84,9 @@ class _Process:
         command = [str(self.config), "-l", str(self.log), "-I", str(terminal)]
         command += options
         output = self.log.with_name("output.txt")
-        # Where files stay, an update may have changed the modules; and what
-        # forks is no program for Python 2.7
-        is_old = self._installed.host.packages is not None
+        # Where files stay, an update may have changed the modules
         is_real = isinstance(clock, RealClock)
-        if as_service or self._is_kept or is_old or is_real:
+        if as_service or self._is_kept or is_real:
             self._klippy = start(self._installed, command, clock, output)
         else:
             config = self.config.read_text()

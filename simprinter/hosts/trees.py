@@ -220,12 +220,9 @@ def _write(tree: Path, name: str, content: bytes) -> None:
     target.write_bytes(content)
 
 
-def compile_tree(
-    tree: Path, python: Path, layout: Layout, packages: Optional[Path] = None
-) -> None:
+def compile_tree(tree: Path, python: Path, layout: Layout) -> None:
     """Build the C helper and the bytecode, so that no start has to.
 
-    packages: a folder of what the sources import, if Python has it not.
     Raises HostError if there is no C compiler or the helper does not compile.
     """
     problem = missing_compiler()
@@ -235,7 +232,7 @@ def compile_tree(
         [python, *layout.build_helper],
         "build of klippy's C helper",
         cwd=tree,
-        additions={"PYTHONPATH": str(packages or tree)},
+        additions={"PYTHONPATH": str(tree)},
     )
     helper = tree / C_HELPER
     if not helper.exists():

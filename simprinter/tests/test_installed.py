@@ -309,7 +309,7 @@ def test_tutorial(installed, hosts_of_ours, tmp_path):
     steps = re.findall(r"- run: (.+)", workflow)
     assert len(steps) == 2
     assert steps[0] in reader.done
-    host = checkouts[0].folder if checkouts else None
+    host = checkouts[0] if checkouts else None
     if host is None:
         pytest.skip("no checkout is named for the last step of CI")
     (tmp_path / "klipper").symlink_to(host)

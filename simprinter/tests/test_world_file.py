@@ -340,7 +340,7 @@ def test_world_is_made_of_what_printer_cfg_says(
 def test_examples_of_klipper_become_machines_or_are_refused(tmp_path):
     """Four of five; what is no whole printer, or no such machine, is told."""
     checkouts = named_checkouts()
-    files = [f for c in checkouts[:1] for f in c.folder.glob("config/*.cfg")]
+    files = [f for c in checkouts[:1] for f in c.glob("config/*.cfg")]
     if not files:
         pytest.skip("no checkout of Klipper is named")
     refused = []

@@ -166,3 +166,10 @@ def test_edited_module_is_installed_anew(named, tmp_path):
     assert (second.module_dir / "probe.py").read_text() == "A = 2\n"
     untouched = host.install({}).module_dir / "probe.py"
     assert untouched.read_text() == "ORIGIN = 'host'\n"
+
+
+def test_klipper_of_python_2_is_refused(named, tmp_path):
+    checkout = make_checkout(tmp_path / "klipper")
+    write_files(checkout, {"klippy/reactor.py": "import Queue as queue\n"})
+    with pytest.raises(hostkit.HostError, match="runs on Python 2.7 only"):
+        named(checkout)

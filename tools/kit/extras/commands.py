@@ -23,7 +23,6 @@ def is_ours(handler):
         cell.cell_contents
         for cell in getattr(handler, "__closure__", None) or ()
     ]
-    # Also on a host that runs on Python 2
     inner.append(getattr(handler, "func", None))
     return any(map(is_ours, inner))
 
