@@ -254,7 +254,8 @@ def _auto_z_offset_jobs() -> list[Job]:
         replace(
             probe,
             name="AUTO_Z_SAVE_GCODE_OFFSET",
-            script="AUTO_Z_SAVE_GCODE_OFFSET",
+            # The offset is that of no baby steps
+            script="AUTO_Z_SAVE_GCODE_OFFSET FORCE=1",
             before="AUTO_Z_CALIBRATE\nSET_GCODE_OFFSET Z_ADJUST=0.01",
         ),
     ]
