@@ -80,10 +80,12 @@ class Dock:
         "_approach",
         "_cosine",
         "_innermost",
+        "_is_stripped",
         "_middle",
         "_reach",
         "_release",
         "_spec",
+        "_stroke",
         "swing",
     )
 
@@ -93,6 +95,11 @@ class Dock:
         self._approach = _unit(spec.approach)
         self._release = _unit(spec.release)
         self._cosine = math.cos(math.radians(spec.cone))
+        # Up (1) or down (-1) in it strips off where it goes with the head, else 0
+        is_upright = spec.lifted and not any(self._release[:2])
+        self._stroke = self._release[2] if is_upright else 0.0
+        # Whether that was done in this visit: the head is not joined any more
+        self._is_stripped = False
         self._spec = spec
         # The output that swings it out, None where it stands still
         self.swing = Output(spec.out_from) if spec.swing else None
@@ -110,7 +117,7 @@ class Dock:
 
     def reaches(self, t: float, pose: Sequence[float]) -> bool:
         """Whether a head at `pose` is joined with a probe in the dock."""
-        return self._is_out(t) and self._is_near(pose)
+        return self._is_out(t) and self._is_near(pose) and not self._is_stripped
 
     def _is_near(self, pose: Sequence[float]) -> bool:
         dx = pose[0] - self._middle[0]
@@ -150,6 +157,18 @@ class Dock:
             depth = min(depth, max(aside, -along - spec.lane))
         return depth
 
+    def _strips(self, pose: Sequence[float]) -> bool:
+        """Whether a head went so far up or down in it that the probe came off."""
+        if not self._stroke:
+            return False
+        if self._innermost is None or self._distance(pose) > self._reach / 2:
+            return False
+        moved = (pose[2] - self._innermost[2]) * self._stroke
+        if moved < 0.0:
+            # From here on
+            self._innermost = (*self._innermost[:2], pose[2])
+        return moved >= self._reach
+
     def left_towards(
         self, t: float, pose: Sequence[float]
     ) -> Optional[ProbeState]:
@@ -161,10 +180,20 @@ class Dock:
         The direction is that from the visit's innermost pose.
         """
         deepest = self._innermost
+        if self._is_stripped:
+            self._is_stripped = self._is_near(pose)
+            return None
         if self.reaches(t, pose):
-            if deepest is None or self._distance(pose) <= self._distance(
-                deepest
-            ):
+            if self._strips(pose):
+                self._innermost, self._is_stripped = None, True
+                return ProbeState.DOCKED
+            is_nearer = deepest is None or (
+                self._distance(pose) <= self._distance(deepest)
+            )
+            if deepest is not None and self._stroke:
+                # The stroke is counted from where it began
+                is_nearer = self._distance(pose) < self._distance(deepest)
+            if is_nearer:
                 self._innermost = (pose[0], pose[1], pose[2])
             return None
         self._innermost = None

@@ -12,10 +12,12 @@ from tests.modules.example_owners import print_start_of
 from tests.modules.test_auto_z_offset_examples import sections_of
 from tools.kit.cases import all_slow_but
 from tools.kit.dockable_probe import BED, GANTRY, SWITCH, trips, where
+from tools.kit.docks import SLINGER
 
 EXAMPLES = Path(__file__).resolve().parents[2] / "examples" / "dockable_probe"
 MACHINES = {
     "gantry": GANTRY,
+    "bed_slinger": SLINGER,
     "beside_the_bed": BED,
     "servo": GANTRY,
     "with_z_calibration": SWITCH,
@@ -49,7 +51,7 @@ def machine_of(name):
         ),
     )
     own = {k: v for k, v in scene.sections.items() if k not in sections}
-    if name in ("gantry", "servo"):
+    if name in ("bed_slinger", "gantry", "servo"):
         own.pop("safe_z_home", None)
     sections |= print_start_of(EXAMPLES / f"{name}.cfg")
     if name != "servo":

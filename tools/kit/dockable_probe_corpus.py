@@ -21,14 +21,18 @@ ENTRIES = json.loads(
 # What is wrong with the others, as klippy says it
 BROKEN = {
     16: "dock_position",
+    17: "set dock_fixed_z: True if the dock is at the head's height",
     18: "'approach_position' in section 'dockable_probe' (47, 231) is at",
     22: "z_offset",
     24: "z_offset",
     25: "pin",
     26: "z_offset",
     27: "probe",
+    30: "set dock_fixed_z: True if the dock is at the head's height",
     32: "approach_position",
 }
+# What the messages of some advise, which has to lead to a printer that works
+ADVISED = {17: {"dock_fixed_z": "True"}, 30: {"dock_fixed_z": "True"}}
 # Partial ones, as the rest of them stands in another file
 COMPLETED = {23: {"z_offset": "6.9"}, 0: {"z_offset": "6.9"}}
 
@@ -62,6 +66,12 @@ def needs_z(options: dict[str, str]) -> bool:
     return any(len(place) > 2 for place in places(options).values())
 
 
+def homes_with_probe(entry: dict[str, Any]) -> bool:
+    """Whether Z is homed with the probe; so it is where nothing is known of it."""
+    stepper_z = (entry.get("context") or {}).get("stepper_z") or {}
+    return stepper_z.get("endstop_pin", "probe:").startswith("probe:")
+
+
 def section_of(entry: dict[str, Any], index: int) -> dict[str, str]:
     """The section with the pin of the simulated machine."""
     options = {k: indented(v) for k, v in entry["options"].items()}
@@ -79,11 +89,12 @@ def _axes(found: dict[str, tuple[float, ...]]) -> list[tuple[float, float]]:
     return axes
 
 
-def scene_of(index: int) -> Scene:
-    """A cartesian machine that such a section may be of."""
-    options = section_of(ENTRIES[index], index)
+def scene_of(index: int, **advised: str) -> Scene:
+    """A cartesian machine that such a section may be of; `advised`: what is changed."""
+    entry = ENTRIES[index]
+    options = {**section_of(entry, index), **advised}
     found = places(options)
-    name = "dock_gantry_switch" if needs_z(options) else "dock_gantry"
+    name = "dock_gantry" if homes_with_probe(entry) else "dock_gantry_switch"
     scene = DOCK_SCENES[name]
     dock = found["dock"]
     (x_min, x_max), (y_min, y_max) = _axes(found)
@@ -107,7 +118,7 @@ def scene_of(index: int) -> Scene:
     ):
         sections.pop(unused, None)
     home = {"home_xy_position": f"{x_max - 10}, {y_max - 10}", "z_hop": "10"}
-    if needs_z(options):
+    if not homes_with_probe(entry):
         sections["safe_z_home"] = home
     sections["dockable_probe"] = options
     sections["gcode_macro _PROBE_SAFE_Y"] = {"gcode": "\n  G4 P1"}

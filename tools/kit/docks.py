@@ -260,6 +260,45 @@ def _above() -> Scene:
     ).with_world(dock=dock)
 
 
+def _slinger() -> Scene:
+    """A bed slinger: the dock at the right end of its gantry holds the probe back
+    when the head goes down in it; it comes in and goes out along X. Z is homed with
+    the probe.
+    """
+    gantry = _gantry()
+    assert gantry.world.dock is not None
+    options = {
+        **(gantry.sections["dockable_probe"] or {}),
+        "dock_position": "296, 5",
+        "approach_position": "256, 5",
+        "detach_position": "256, 5, 2",
+        "dock_fixed_z": "True",
+    }
+    printer = {**(gantry.sections["printer"] or {}), "kinematics": "cartesian"}
+    return replace(
+        gantry,
+        name="dock_slinger",
+        kinematics="cartesian",
+        sections={
+            **{
+                name: section
+                for name, section in gantry.sections.items()
+                if name != "quad_gantry_level"
+            },
+            "dockable_probe": options,
+            "printer": printer,
+        },
+    ).with_world(
+        dock=replace(
+            gantry.world.dock,
+            x=296.0,
+            y=5.0,
+            approach=(-1.0, 0.0, 0.0),
+            release=(0.0, 0.0, -1.0),
+        )
+    )
+
+
 def on_generic(scene: Scene) -> Scene:
     """The same as a generic cartesian, which the world calls cartesian."""
     motors = ("x", "y", *(name for name, _, _ in scene.z_motors))
@@ -291,3 +330,6 @@ DOCK_SCENES = {
         _above(),
     )
 }
+
+# Not like the others: its probe is stripped off only where Z is homed
+SLINGER = _slinger()

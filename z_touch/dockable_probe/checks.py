@@ -5,13 +5,14 @@
 from .. import options
 from ..host.endstops import PROBE_PINS
 from . import detour
-from .settings import DOCK, MIDDLE, POSITIONS, dock_height
-
-# The way out that strips the probe off turns at least so many degrees from the
-# one that takes it along; less than the second is doubtful.
-SAME_WAY = 20.0
-DOUBTFUL_WAY = 45.0
-
+from .settings import (
+    DOCK,
+    DOUBTFUL_WAY,
+    MIDDLE,
+    POSITIONS,
+    SAME_WAY,
+    dock_height,
+)
 
 ######################################################################
 # While the configuration is read
@@ -29,6 +30,27 @@ def check_only_probe(config):
                 " it at the end of printer.cfg, where SAVE_CONFIG has written"
                 " them" % (config.get_name(), name, name)
             )
+
+
+# Nothing goes to the dock where X and Y have the motors of Z: the way there begins with
+# a lift, before X and Y are known, and homing ends where they cannot move.
+def check_kinematics(config, z_axis):
+    if z_axis is not None:
+        return
+    kinematics = config.getsection("printer").get(
+        "kinematics", "", note_valid=False
+    )
+    why = (
+        "nothing moves there"
+        if kinematics == "none"
+        else "that has no Z axis of its own, and the head has to be lifted on the"
+        " way to the dock before all of it is homed"
+    )
+    raise config.error(
+        "Option 'kinematics: %s' in section 'printer': %s, so dockable_probe"
+        " cannot be used on this machine; remove section '%s'"
+        % (kinematics, why, config.get_name())
+    )
 
 
 # Whether another section lifts the head before X and Y are homed: the owner knows
@@ -61,7 +83,7 @@ def check_positions(config, settings, notes):
     dock = settings.dock_position
     z = settings.approach_position.z if dock.z is None else dock.z
     if settings.dock_fixed_z:
-        # No move to a position changes Z, whatever the third numbers are
+        # No move to a position changes Z but the one that strips the probe off
         z = None
     else:
         lowest = min(low_positions(settings))
@@ -76,21 +98,43 @@ def check_positions(config, settings, notes):
         if detour.first_leg(dock, z, position) == (0.0, 0.0, 0.0):
             what = "(%g, %g) is at dock_position; give a point some 40 mm away"
             raise options.config_error(config, row.name, what % position[:2])
-    if settings.detach_gcode is not None:
-        return
+    check_strips(config, settings, z, notes)
+
+
+# Whether the probe comes off on the way to detach_position; 'z' (mm) is the height of
+# the dock, None where it goes up and down with the head
+def check_strips(config, settings, z, notes):
     angle = detour.strip_angle(
-        dock, z, settings.extract_position, settings.detach_position
+        settings.dock_position,
+        z,
+        settings.extract_position,
+        settings.detach_position,
     )
-    what = (
+    if angle >= DOUBTFUL_WAY:
+        return
+    same = (
         "and extract_position (approach_position unless given) are the same way"
-        " out of the dock, %.0f degrees apart: the probe %s stay on the head;"
-        " choose one that strips it off, mostly at 90 degrees"
+        " out of the dock, %.0f degrees apart: the probe %s stay on the head"
         % (angle, "would" if angle < SAME_WAY else "may")
     )
-    if angle < SAME_WAY:
-        raise options.config_error(config, "detach_position", what)
-    if angle < DOUBTFUL_WAY:
-        notes.append("detach_position " + what)
+    if settings.strippers:
+        strippers = " or ".join(settings.strippers)
+        notes.append(
+            "detach_position %s, unless %s strips it off" % (same, strippers)
+        )
+    elif angle < SAME_WAY:
+        raise options.config_error(
+            config,
+            "detach_position",
+            same
+            + "; choose one that strips it off, mostly at 90 degrees, or give"
+            " detach_gcode with the moves that do, such as 'detach_gcode: G1 Z1"
+            " F600'",
+        )
+    else:
+        notes.append(
+            "detach_position %s; choose one that is mostly at 90 degrees" % same
+        )
 
 
 ######################################################################

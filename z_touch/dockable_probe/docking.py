@@ -27,6 +27,9 @@ from .settings import POSITIONS, travel_height
 # A contradiction of pins is believed when it still is there so long (s) after.
 ASK_AGAIN = 0.5
 
+# The bed may be so much (mm) higher than where the probe meets it.
+HIGHER = 1.0
+
 # How a person says where it is
 IF_DOCKED = "run SET_PROBE_STATUS STATE=DOCKED where you see it in the dock"
 
@@ -73,6 +76,8 @@ class Docking:
         self.running = None
         # Whether the parts of a trip are run by the trip
         self.is_on_trip = False
+        # Whether a macro has brought the head to where the dock is entered from
+        self.is_brought = False
         # What the pins read before a way into the dock by itself, and whether that
         # was doubtful
         self.seen_before, self.was_doubtful = UNKNOWN, True
@@ -185,10 +190,9 @@ class Docking:
 
     # To home Z on its switch with the probe on would press it into the bed.
     def _require_homed(self, state):
-        moves = self.moves
-        is_z_missing = not self.settings.dock_fixed_z and not moves.is_homed(
-            "z"
-        )
+        moves, settings = self.moves, self.settings
+        needs_z = not settings.dock_fixed_z or settings.strip_z is not None
+        is_z_missing = needs_z and not moves.is_homed("z")
         if state != DOCKED and is_z_missing and moves.is_homed("xy"):
             raise self.host.error(
                 "the probe is %s (%s), and to find the dock Z has to be homed;"
@@ -210,16 +214,24 @@ class Docking:
         if template is None:
             return
         outer, self.running = self.running, name
-        gcode_state = self.host.gcode_state
-        modes = gcode_state.modes()
-        gcode_state.set_modes(modes._replace(absolute=True))
         try:
-            with templates.checking_commands(self.host, name):
+            with self._in_absolute(), templates.checking_commands(
+                self.host, name
+            ):
                 template.run_gcode_from_command()
         except CalibrationError as e:
             raise self.host.error(e)
         finally:
             self.running = outer
+
+    @contextlib.contextmanager
+    def _in_absolute(self):
+        gcode_state = self.host.gcode_state
+        modes = gcode_state.modes()
+        gcode_state.set_modes(modes._replace(absolute=True))
+        try:
+            yield
+        finally:
             gcode_state.set_modes(modes)
 
     # It must not move the head.
@@ -335,7 +347,7 @@ class Docking:
     def go_in(self, beside):
         moves = self.moves
         if self.is_on_trip or moves.stands_in_dock():
-            moves.go_in(beside)
+            moves.go_in(moves.position() if self.is_brought else beside)
             return
         moves.require_homed()
         state = self.sensors.look()
@@ -353,6 +365,8 @@ class Docking:
         if is_by_itself:
             before, self.seen_before = self.seen_before, UNKNOWN
             self.sensors.begin_trip()
+        if trip is DOCK:
+            self._strip_off()
         self.moves.go_out(position, speed, self.is_on_trip)
         if not is_by_itself:
             return
@@ -364,6 +378,24 @@ class Docking:
         elif before == state == trip.after == DOCKED:
             self.sensors.stayed_docked(self.was_doubtful)
         self.run("post_" + trip.gcode)
+
+    # Up or down in a dock that holds the probe back on that way.  A probe that stays
+    # on the head goes no lower than it is clear of a bed, and is not dragged out there.
+    def _strip_off(self):
+        moves, strip_z = self.moves, self.settings.strip_z
+        z = moves.position().z
+        if None in (strip_z, z) or not moves.stands_in_dock():
+            return
+        # Pressed onto a bed it would read as docked.
+        clear = self.settings.hang + HIGHER
+        if strip_z < clear < z:
+            moves.go_to_height(clear)
+        else:
+            moves.go_to_height(strip_z)
+        if self.sensors.look() == ATTACHED:
+            moves.go_to_height(z)
+        else:
+            moves.go_to_height(strip_z)
 
     # Around another way out of the dock: what was brought out for the way in is put
     # away.
@@ -426,9 +458,18 @@ class Docking:
 
     # The parts of the way are commands, so that a macro may stand in for one.
     def _visit_dock(self, trip):
-        go = self.host.gcode.run_script_from_command
+        go = self._go
         go(trip.way_in)
-        go("MOVE_TO_DOCK_PROBE")
+        # A macro's way in ends where the dock is entered from.
+        self.is_brought = trip.way_in in self.settings.macros
+        try:
+            go("MOVE_TO_DOCK_PROBE")
+        finally:
+            self.is_brought = False
         leave = functools.partial(go, trip.way_out)
         with running.always(self.host, leave, "leaving the dock"):
             self.run(trip.gcode)
+
+    def _go(self, part):
+        with self._in_absolute():
+            self.host.gcode.run_script_from_command(part)

@@ -20,10 +20,8 @@
 from .. import attached as carrying
 from ..attached import DOCKED
 from . import detour
+from .docking import HIGHER
 from .settings import POSITIONS
-
-# The bed may be so much (mm) higher elsewhere than where the probe meets it.
-HIGHER = 1.0
 
 # A nozzle with so many degrees C is that of a print, which may be OctoPrint's.
 HOT = 100.0

@@ -35,6 +35,7 @@ class DockableProbe:
         logging.info("dockable_probe %s", __version__)
         checks.check_only_probe(config)
         self.host = host.Host(config)
+        checks.check_kinematics(config, self.host.axes.z_axis)
         old_names = options.OldNames(config)
         settings = read_settings(config, self.host, old_names)
         checks.check_positions(config, settings, old_names.notes)

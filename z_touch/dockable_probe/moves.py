@@ -156,7 +156,8 @@ class Moves:
     def require_homed(self, axes=None):
         if not self.settings.is_placed:
             raise self.host.error(
-                "nothing says where the dock is; run DOCKABLE_PROBE_SETUP"
+                "nothing says where the dock is; run DOCKABLE_PROBE_SETUP, which"
+                " needs X and Y homed: G28 X Y is possible, also with the probe on"
             )
         axes = axes or ("xy" if self.settings.dock_fixed_z else "xyz")
         missing = [axis.upper() for axis in axes if not self.is_homed(axis)]

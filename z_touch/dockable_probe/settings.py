@@ -47,6 +47,11 @@ BENT = 2.0
 SMALLEST_Z_OFFSET = 2.0
 UNMEASURED_PROBE = 10.0
 
+# The way out that strips the probe off turns at least so many degrees from the
+# one that takes it along; less than the second is doubtful.
+SAME_WAY = 20.0
+DOUBTFUL_WAY = 45.0
+
 # Where the head stands while Z is homed with the probe, if the middle of the
 # axes is meant, which is known when klippy has connected
 MIDDLE = "middle"
@@ -350,10 +355,24 @@ OLD_POSITIONS = (
 #              probed, or None
 #   is_placed  whether the section says where the dock is; where it does not, the
 #              positions stand for none
+#   strip_z    toolhead Z (mm) that the head goes to in a dock that goes up and down
+#              with it, before it leaves without the probe; None: it stays as high
+#   macros     those of PARTS that a macro of the owner's stands in for
+#   strippers  what else than the way in X and Y may strip the probe off, by name
 Settings = options.record(
     "Settings",
     OPTIONS,
-    "sampling hang lowest z_pin over_pin home_xy mesh is_placed",
+    "sampling hang lowest z_pin over_pin home_xy mesh is_placed strip_z"
+    " macros strippers",
+)
+
+# Commands that are parts of a trip.  A macro of that name stands in for one.
+PARTS = (
+    "MOVE_TO_APPROACH_PROBE",
+    "MOVE_TO_DOCK_PROBE",
+    "MOVE_TO_EXTRACT_PROBE",
+    "MOVE_TO_INSERT_PROBE",
+    "MOVE_TO_DETACH_PROBE",
 )
 
 # Stands for a position that is not known yet
@@ -392,7 +411,10 @@ def read_settings(config, host, old_names):
         over_pin=over_pin,
         home_xy=home_xy(config, values["safe_z_position"]),
         mesh=read_mesh(config, (values["x_offset"], values["y_offset"])),
+        strip_z=strip_z(values),
+        macros=read_macros(config),
     )
+    values["strippers"] = strippers(values)
     return Settings(**values)
 
 
@@ -447,6 +469,42 @@ def is_fixed_z(config, values):
         what = "is False: dock_position needs the Z of the dock as third number"
         raise options.config_error(config, "dock_fixed_z", what)
     return given
+
+
+# A Z of detach_position is how high the head is on the way out, and where the dock
+# goes up and down with it only that Z can mean to strip the probe off: where the ways
+# in X and Y do not, and no G-code of the owner's does.
+def strip_z(values):
+    z = values["detach_position"].z
+    angle = detour.strip_angle(
+        values["dock_position"],
+        None,
+        values["extract_position"],
+        values["detach_position"],
+    )
+    is_wanted = values["dock_fixed_z"] and values["detach_gcode"] is None
+    return z if is_wanted and angle < DOUBTFUL_WAY else None
+
+
+# What may strip the probe off besides the way in X and Y
+def strippers(values):
+    found = [
+        name
+        for name in ("detach_gcode", "pre_detach_gcode")
+        if values[name] is not None
+    ]
+    if values["strip_z"] is not None:
+        found.append("the Z of detach_position")
+    return found + ["the macro " + name for name in values["macros"]]
+
+
+# Those of PARTS that a macro of the owner's stands in for
+def read_macros(config):
+    names = {
+        section.get_name().split()[-1].upper()
+        for section in config.get_prefix_sections("gcode_macro ")
+    }
+    return [name for name in PARTS if name in names]
 
 
 # Something has to tell where the probe is

@@ -22,10 +22,10 @@ from .. import command as running
 from ..errors import CalibrationError
 from ..host.klippy import GCodeCommand
 from ..wizard import SAVED, Wizard, given, head_at, jogged
-from . import checks, detour
+from . import detour
 from .detour import Position
 from .sensors import ATTACHED, DOCKED, level
-from .settings import DISTANCE, Settings, nearest_distance
+from .settings import DISTANCE, SAME_WAY, Settings, nearest_distance
 from .setup_steps import STEPS
 
 if TYPE_CHECKING:
@@ -187,8 +187,7 @@ class Setup:
         found, here = self.found, self._here()
         dock, detach = found["dock_position"], found["detach_position"]
         angle = detour.strip_angle(dock, dock.z, here, detach)
-        strips = self.section.settings.detach_gcode is not None
-        if angle < checks.SAME_WAY and not strips:
+        if angle < SAME_WAY and not self.section.settings.strippers:
             raise CalibrationError(
                 f"this is the way out without the probe ({angle:.0f} degrees apart),"
                 " on which it would not come along; choose another one, mostly at"

@@ -1,0 +1,200 @@
+"""What owners of a dock have reported: each is a member of a kind."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import pytest
+
+from simprinter import Fault
+from simprinter.hosts.hosts import Host
+from tools.kit.cases import slow
+from tools.kit.dockable_probe import (
+    GANTRY,
+    QUICK,
+    SWITCH,
+    assert_safe,
+    refusal,
+    section,
+    trips,
+    where,
+)
+from tools.kit.docks import SLINGER
+
+CENTRE = "G1 X150 Y150 Z20 F6000\n"
+SAME = {"detach_position": "50, 250"}
+TOLD = "0 degrees apart: the probe would stay on the head"
+
+
+# Both ways the same in X and Y
+
+
+def test_same_way_where_nothing_strips_it_off_names_the_option_that_can(
+    host: Host,
+):
+    text = refusal(host, section(**SAME))
+    assert TOLD in text
+    assert "or give detach_gcode with the moves that do" in text
+
+
+@pytest.mark.parametrize(
+    ("options", "macro", "by"),
+    [
+        ({"detach_gcode": "\n  G4 P1"}, None, "detach_gcode"),
+        ({"pre_detach_gcode": "\n  G4 P1"}, None, "pre_detach_gcode"),
+        ({"detach_position": "50, 250, 3"}, None, "the Z of detach_position"),
+        *(
+            ({}, f"MOVE_TO_{part}_PROBE", f"the macro MOVE_TO_{part}_PROBE")
+            for part in ("APPROACH", "DOCK", "EXTRACT", "INSERT", "DETACH")
+        ),
+    ],
+)
+def test_same_way_is_told_where_something_else_may_strip_it_off(
+    start, options, macro, by
+):
+    changes = section(**{"dock_fixed_z": "True", **SAME, **options})
+    if macro:
+        changes[f"gcode_macro {macro}"] = {
+            "rename_existing": "_THEIRS",
+            "gcode": "\n  _THEIRS",
+        }
+    printer = start(GANTRY, changes)
+    printer.session.require_ready()
+    told = f"{TOLD}, unless {by} strips it off"
+    assert any(
+        told in note for note in printer.status("dockable_probe")["notes"]
+    )
+
+
+def test_nothing_is_told_where_the_ways_differ(start):
+    changes = section(detach_gcode="\n  G4 P1", pre_detach_gcode="\n  G4 P1")
+    printer = start(GANTRY, changes)
+    printer.session.require_ready()
+    assert printer.status("dockable_probe")["notes"] == []
+
+
+# A bed slinger
+
+
+@pytest.mark.every_host(
+    "whatever homes with the probe puts it back by a Z stroke"
+)
+def test_probe_that_a_stroke_in_z_strips_off(start):
+    printer = start(SLINGER, section(**QUICK)).homed()
+    printer.run(CENTRE + "BED_MESH_CALIBRATE PROBE_COUNT=3,3")
+    printer.run(CENTRE + "ATTACH_PROBE\nDETACH_PROBE")
+    assert trips(printer) == ["attach", "dock"] * 3
+    assert where(printer) == "docked"
+    # Back where it was, not so low
+    assert printer.session.position() == pytest.approx((150, 150, 20), abs=0.01)
+    assert_safe(printer)
+
+
+@pytest.mark.parametrize("retries", [0, 1])
+def test_probe_that_stays_on_is_not_dragged_out_low(start, retries):
+    changes = section(dock_retries=str(retries), **QUICK)
+    printer = start(SLINGER, changes).homed()
+    printer.run(CENTRE + "ATTACH_PROBE")
+    printer.machine.break_down(Fault("dock_fails", persistent=not retries))
+    touches = len(printer.machine.truth.touches)
+    if retries:
+        printer.run("DETACH_PROBE")
+    else:
+        assert "the probe was not docked" in printer.fail("DETACH_PROBE")
+    assert where(printer) == ("docked" if retries else "attached")
+    assert printer.machine.truth.touches[touches:] == []
+    assert_safe(printer)
+
+
+def test_stroke_needs_z(start):
+    printer = start(SLINGER, section(**QUICK)).homed()
+    printer.run(CENTRE + "ATTACH_PROBE\nM84\nG28 X Y")
+    text = printer.fail("DETACH_PROBE")
+    assert "to find the dock Z has to be homed" in text
+    assert where(printer) == "attached"
+
+
+# Macros over the parts of a trip, as Kalico's documents had them for an Euclid
+
+
+def euclid(scene):
+    """The probe is taken along, and brought back, along Y; stripped off along X."""
+    return scene.with_world(
+        dock=replace(
+            scene.world.dock, approach=(0.0, -1.0, 0.0), release=(1.0, 0.0, 0.0)
+        )
+    )
+
+
+@pytest.mark.parametrize("mode", ["G90", slow("G91")])
+@pytest.mark.parametrize("scene", [GANTRY, slow(SWITCH)])
+def test_macros_instead_of_positions(start, scene, mode):
+    changes = section(
+        approach_position="90, 308", detach_position="90, 308", **QUICK
+    )
+    for part in ("EXTRACT", "INSERT"):
+        changes[f"gcode_macro MOVE_TO_{part}_PROBE"] = {
+            "rename_existing": f"_{part}",
+            "gcode": "\n  G1 X50 Y270",
+        }
+    printer = start(euclid(scene), changes).homed()
+    before = len(trips(printer))
+    printer.run(f"{CENTRE}{mode}\nATTACH_PROBE\nPROBE\nDETACH_PROBE")
+    assert trips(printer, before) == ["attach", "dock"]
+    assert where(printer) == "docked"
+    assert_safe(printer)
+
+
+# Machines without a Z of their own
+
+
+@pytest.mark.parametrize(
+    ("kinematics", "why"),
+    [
+        ("delta", "has no Z axis of its own"),
+        ("rotary_delta", "has no Z axis of its own"),
+        ("deltesian", "has no Z axis of its own"),
+        ("winch", "has no Z axis of its own"),
+        ("none", "nothing moves there"),
+    ],
+)
+def test_machine_that_it_cannot_be_used_on(host: Host, kinematics, why):
+    none = dict.fromkeys(
+        ("stepper_x", "stepper_y", "stepper_z", "safe_z_home", "bed_mesh")
+    )
+    changes = {
+        **none,
+        **{f"stepper_z{i}": None for i in (1, 2, 3)},
+        "quad_gantry_level": None,
+        "printer": {"kinematics": kinematics},
+    }
+    text = refusal(host, changes)
+    assert f"Option 'kinematics: {kinematics}' in section 'printer'" in text
+    assert why in text
+    assert "remove section 'dockable_probe'" in text
+
+
+# Nothing says yet where the dock is
+
+
+NOWHERE = dict.fromkeys(
+    ("dock_position", "approach_position", "detach_position")
+)
+
+
+@pytest.mark.parametrize("scene", [GANTRY, SWITCH])
+def test_home_x_and_y_with_the_probe_on_and_no_positions(start, scene):
+    scene = scene.with_world(
+        mag_probe=replace(scene.world.mag_probe, initial="attached")
+    )
+    printer = start(scene, section(**NOWHERE))
+    printer.session.require_ready()
+    text = printer.fail("G28")
+    assert "nothing says where the dock is" in text
+    assert "G28 X Y is possible" in text
+    printer.run("G28 X Y")
+    assert "x" in printer.status("toolhead")["homed_axes"]
+    assert "y" in printer.status("toolhead")["homed_axes"]
+    printer.run("DOCKABLE_PROBE_SETUP\nDOCKABLE_PROBE_SETUP STEP=ON")
+    assert where(printer) == "attached"
+    assert_safe(printer)
