@@ -25,7 +25,6 @@ NAMES = ("z_calibration", "auto_z_offset", "extra_probe", "dockable_probe")
 # Names, beginnings of lines, what is looked for in messages, and sentences of dialogs,
 # which explain themselves
 NO_MESSAGES = {
-    "get_mcu add_stepper get_steppers home_start query_endstop",
     "// action:prompt_",
     '^// Unknown command:"(.*)"$',
     "No trigger",

@@ -21,7 +21,11 @@ VALUE = "<...>"
 NO_MESSAGES = re.compile("(?m)^# Its texts are no messages: .")
 # What declares an option as a field
 FIELDS = ("number", "speed", "other", "declare", "as_in_probe")
-OPTIONS = {f"options.{name}" for name in FIELDS} | {"gcode"}
+OPTIONS = {f"options.{name}" for name in FIELDS} | {
+    "flag",
+    "gcode",
+    "position",
+}
 
 
 def trees(name: str) -> list[ast.Module]:

@@ -10,7 +10,7 @@ from hypothesis import assume, given, settings
 from hypothesis import strategies as st
 
 settings_of = importlib.import_module("z_touch.dockable_probe.settings")
-detour = importlib.import_module("z_touch.dockable_probe.detour")
+detour = importlib.import_module("z_touch.dockable_probe.path")
 
 LIMITS = ((0.0, 300.0), (-5.0, 310.0))
 # The body that the head must not meet, as a part of the circle
@@ -71,7 +71,7 @@ def test_never_a_hit_from_anywhere_to_anywhere(zone, start, end):
     assume(depth_in_body(start, zone) == 0.0)
     try:
         points = path(start, end, zone)
-    except detour.NoDetour:
+    except detour.NoWay:
         # Only where the circle reaches from one end of the axes to another
         room = min(min(zone.x, 300 - zone.x), min(zone.y + 5, 310 - zone.y))
         assert room < zone.radius * 1.05
@@ -86,7 +86,7 @@ def test_never_a_hit_from_anywhere_to_anywhere(zone, start, end):
 def test_never_nearer_to_the_dock_than_at_the_start(zone, start, end):
     try:
         points = path(start, end, zone)
-    except detour.NoDetour:
+    except detour.NoWay:
         return
     nearest = min(apart(start, zone), zone.radius)
     lane_slack = LANE if apart(start, zone) < 2 * LANE else 0.0
@@ -103,7 +103,7 @@ def test_never_nearer_to_the_dock_than_at_the_start(zone, start, end):
 def test_ends_where_it_should_or_beside_the_dock(zone, start, end):
     try:
         points = path(start, end, zone)
-    except detour.NoDetour:
+    except detour.NoWay:
         return
     if apart(end, zone) >= zone.radius:
         assert points[-1] == end
@@ -147,7 +147,7 @@ def test_the_longer_way_where_the_shorter_one_is_out_of_reach():
 
 def test_no_way_at_all():
     narrow = ((0.0, 300.0), (120.0, 180.0))
-    with pytest.raises(detour.NoDetour):
+    with pytest.raises(detour.NoWay):
         path((50.0, 150.0), (250.0, 150.0), DOCK, narrow)
 
 

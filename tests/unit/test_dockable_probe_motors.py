@@ -7,7 +7,7 @@ from types import SimpleNamespace
 
 import pytest
 
-head = importlib.import_module("z_touch.dockable_probe.moves")
+heights = importlib.import_module("z_touch.dockable_probe.height")
 
 
 def moved(z, datum):
@@ -17,7 +17,7 @@ def moved(z, datum):
     ]
     axes = SimpleNamespace(z_steppers=lambda: steppers, z_datum=lambda: datum)
     host = SimpleNamespace(axes=axes)
-    return head.Moves.motors_z(SimpleNamespace(host=host))
+    return heights.Height.motors_z(SimpleNamespace(host=host))
 
 
 def test_mean_of_what_the_motors_have_moved():
@@ -33,8 +33,7 @@ def test_motors_that_move_x_too_tell_nothing():
 
 
 def test_motors_that_were_off_may_have_been_moved():
-    trace = SimpleNamespace(forget=lambda: None)
-    moves = SimpleNamespace(lifted=9.0, homed_z=3.0, trace=trace)
+    height = SimpleNamespace(lifted=9.0, homed_z=3.0)
     # Some hosts tell a print time
-    head.Moves.forget(moves, 1.0)
-    assert (moves.lifted, moves.homed_z) == (0.0, None)
+    heights.Height.forget(height, 1.0)
+    assert (height.lifted, height.homed_z) == (0.0, None)

@@ -1,83 +1,47 @@
-# The probe of [dockable_probe] as others have to mind it, see core/carrying.py,
-# and the host's commands that lower the nozzle while it may hang there.
-# Copyright (C) 2026  the Z calibration developers, under the GNU GPLv3
+"""The probe as others have to mind it: what lowers the nozzle, and moves of G-code.
 
-import functools
+Copyright (C) 2026  the Z calibration developers, under the GNU GPLv3
+"""
 
-from .. import attached as carrying
-from .. import touch as touching
+from __future__ import annotations
+
+from typing import TYPE_CHECKING, Sequence
+
+from .. import attached, touch
 from ..attached import DOCKED, UNKNOWN
-from ..errors import CalibrationError
-from ..host.probe import TWIST
-from . import detour
-from .settings import travel_height
+from . import path
+from .path import Position
+from .settings import HIGHER
 
-# Commands of the host after which a person lowers the nozzle with TESTZ, or onto
-# a sheet of paper
-BY_HAND = ("MANUAL_PROBE", "Z_ENDSTOP_CALIBRATE")
-# After this one, too, straight at the first screw
-SCREWS = "BED_SCREWS_ADJUST"
-# Commands after which a person does so if they have METHOD=MANUAL
-BY_METHOD = (
-    "BED_MESH_CALIBRATE",
-    "BED_TILT_CALIBRATE",
-    "DELTA_CALIBRATE",
-    "QUAD_GANTRY_LEVEL",
-    "SCREWS_TILT_CALCULATE",
-    "Z_TILT_ADJUST",
-    # Of Kalico's [z_tilt_ng]
-    "Z_TILT_AUTODETECT",
-    "Z_TILT_CALIBRATE",
-)
-# These probe, and then ask for the paper; the second does so again at each ACCEPT,
-# at points of its own.
-PROBE_THEN_PAPER = {
-    "PROBE_CALIBRATE": False,
-    TWIST: True,
-}
-# After these nobody docks what was to be docked in a while.  RESTART has to be there
-# when klippy is not ready, too, and nothing in its place would.
-ENDS = ("M18", "M84", "SAVE_CONFIG")
-# With these a print goes on where it has stopped, however high that is
-GOES_ON = ("M24", "RESUME")
-# What else probes, and what of ours says who holds the probe
-PROBING = ("PROBE", "PROBE_ACCURACY")
-HOLDING = ("ATTACH_PROBE", "SET_DOCKABLE_PROBE", "SET_PROBE_STATUS")
+if TYPE_CHECKING:
+    from .probe import DockedProbe
 
 
-# Where our probe is, and its way onto the head and off it, as core.carrying asks
 class Carrier:
-    # 'prober': prober.Prober; 'is_by_paper': virtual_probe.VirtualProbe.is_by_paper
-    def __init__(self, prober, is_by_paper):
-        self.host = prober.host
-        self.is_by_paper = is_by_paper
-        self.prober = prober
-        self.moves = prober.moves
-        self.sensors = prober.sensors
-        self.settings = prober.settings
-        self.carrying = carrying.of(self.host.printer)
-        self.carrying.join(self)
-        # All sections have registered their commands then, and no macro has
-        # taken the place of one.
-        register = self.host.printer.register_event_handler
-        register("klippy:mcu_identify", self._guard_commands)
-        register("klippy:ready", self._guard_macros)
+    """Where the probe is, and its way onto the toolhead and off it: an attached.Carrier."""
 
-    ######################################################################
-    # For whoever lowers the nozzle
-    ######################################################################
+    def __init__(self, probe: DockedProbe):
+        self.host = probe.host
+        self.probe = probe
+        self.moves = probe.moves
+        self.sensors = probe.sensors
+        attached.of(self.host.printer).join(self)
 
     @property
-    def auto(self):
-        return self.prober.holder.auto
+    def auto(self) -> bool:
+        """Whether it goes to the dock by itself."""
+        return self.probe.keeping.auto
 
-    # Docked by 'pin' alone may be on the head, and pressed: then the head is
-    # lifted for a second look, and comes back where it is docked.
-    def state(self):
+    def state(self) -> str:
+        """Return ATTACHED, DOCKED or UNKNOWN, the toolhead standing.  May pause.
+
+        Docked by 'pin' alone may be attached, and pressed: then the toolhead is lifted for a
+        second look, and comes back where it is docked.
+        """
         sensors, moves = self.sensors, self.moves
         state, z = sensors.look(), moves.position().z
-        is_certain = sensors.proven == DOCKED or sensors.senses
-        clear_z = travel_height(self.settings)
+        is_certain = self.probe.known.proven == DOCKED or sensors.senses
+        clear_z = self.probe.settings.travel_z
         if state != DOCKED or is_certain or z is None or z >= clear_z:
             return self._believed(state)
         moves.lift(clear_z)
@@ -86,164 +50,158 @@ class Carrier:
             moves.go_to_height(z)
         return state
 
-    # A probe that nobody has docked may hang there with a wire that is broken.
-    def _believed(self, state):
+    def _believed(self, state: str) -> str:
+        """Return UNKNOWN for a probe that nothing has docked: its wire may be broken."""
         is_doubtful = state == DOCKED and self.sensors.is_doubtful()
         return UNKNOWN if is_doubtful else state
 
-    def reads(self):
+    def reads(self) -> str:
+        """Return what that follows from, in words."""
         return self.sensors.describe()
 
-    def dock_and_come_back(self):
-        self.prober.dock_and_come_back()
+    def dock_and_come_back(self) -> None:
+        """Dock the probe, the toolhead then just where it was; or raise.  May pause."""
+        self.probe.dock_and_come_back()
 
-    def dock_pending(self):
-        self.prober.holder.delay.hurry()
+    def dock_pending(self) -> None:
+        """Dock now, where that was to happen in a while.  May pause."""
+        self.probe.keeping.hurry()
 
-    # ATTACH_PROBE says so, also where the probe was on already; a delayed docking,
-    # that it does not.
-    def mark(self):
-        return self.prober.holder.times_held
+    def mark(self) -> object:
+        """Return what is_put_on() compares with.
 
-    def is_put_on(self, mark, was_docked):
-        holder = self.prober.holder
-        if holder.is_held:
-            return was_docked or holder.times_held != mark
-        is_free = holder.delay.mark is None
+        ATTACH_PROBE says that the probe is put on, also where it was already; a delayed
+        docking, that it is not.
+        """
+        return self.probe.keeping.times_held
+
+    def is_put_on(self, mark: object, was_docked: bool) -> bool:
+        """Return whether the user has attached the probe to stay since a mark was made."""
+        keeping = self.probe.keeping
+        if keeping.is_held:
+            return was_docked or keeping.times_held != mark
+        is_free = not keeping.is_pending()
         return was_docked and is_free and self.state() != DOCKED
 
-    def fetch(self):
+    def fetch(self) -> None:
+        """Attach the probe, to stay; or raise.  May pause."""
         self.host.gcode.run_script_from_command("ATTACH_PROBE")
 
-    # A place in the circle that the owner has chosen is reached straight where the
-    # way comes no nearer to the dock than its ends do.
-    def go_to(self, x, y, speed):
-        start, goal = self.moves.position(), detour.Position(x, y, None)
+    def go_to(self, x: float, y: float, speed: float) -> None:
+        """Move around the dock, and to the very place.
+
+        One in the circle that the user has chosen is reached straight where the way comes no
+        nearer to the dock than its ends do.
+        """
+        start, goal = self.moves.position(), Position(x, y, None)
         zone = self.moves.zone
-        nearest = min(detour.distance(start, zone), detour.distance(goal, zone))
-        least = detour.least_distance(start, goal, zone)
-        if detour.is_inside(goal, zone) and least > nearest - detour.ROUNDING:
-            touching.move_xy(self.host, x, y, speed)
+        nearest = min(path.distance(start, zone), path.distance(goal, zone))
+        least = path.least_distance(start, goal, zone)
+        if path.is_inside(goal, zone) and least > nearest - path.ROUNDING:
+            touch.move_xy(self.host, x, y, speed)
         else:
             self.moves.travel(goal, speed, into=True)
 
-    ######################################################################
-    # Commands of the host
-    ######################################################################
 
-    def _guard_commands(self):
-        wrap = self._guard
-        wrap("G28", self._before_homing)
-        for name in BY_HAND:
-            wrap(name, self._before_paper)
-        wrap(SCREWS, self._before_paper_elsewhere)
-        for name in ENDS:
-            wrap(name, self._before_end)
-        for name in GOES_ON:
-            wrap(name, self._before_going_on)
-        for name in BY_METHOD:
-            wrap(name, self._before_manual_method)
-        for name, asks_again in PROBE_THEN_PAPER.items():
-            wrap(name, functools.partial(self._around_paper, asks_again))
-        for name in PROBING + HOLDING:
-            wrap(name, self._as_it_is)
+class LowMoves:
+    r"""What moves of G-code may do while the probe may be attached.
 
-    # A macro of that name may go back to the print before it runs the command.
-    def _guard_macros(self):
-        for name in GOES_ON:
-            self._guard(name, self._before_going_on)
+    The probe is longer than the nozzle.  A toolhead that G-code takes down to a first layer
+    would press it into the bed, all of its length but its travel:
 
-    def _guard(self, name, around):
-        def guarded(command, gcmd):
-            self._end_asking_again()
-            around(command, gcmd)
+        |_____|  toolhead
+         | |  \/                 - - - Z of the toolhead
+         |_|       nozzle
+          | probe                from z_offset (mm) on it meets the bed
+        =========  bed           - - - Z=0
 
-        self.host.wrap_command(name, guarded)
+    Only a move that goes down is looked at: a toolhead that is low already was brought there
+    by somebody who has looked, or has a Z that homing has made up.  A docking that is to come
+    is made then; otherwise the move is refused.
+    """
 
-    # No host tells when a command that asks again has ended.  Between its points a
-    # person is asked; the owner's G-code on the way to the dock is part of one.
-    def _end_asking_again(self):
-        if not (
-            self.host.probing.is_manual_probing()
-            or self.prober.docking.is_busy()
-        ):
-            self.prober.holder.delay.forbid(False)
+    def __init__(self, probe: DockedProbe, carrier: Carrier):
+        self.host = probe.host
+        self.probe = probe
+        self.carrier = carrier
+        self.attached = attached.of(self.host.printer)
+        # Whether G28 is under way, with whatever homing_override does
+        self.is_homing = False
+        # Whether the user leads a probe that was put on by hand to where its dock is
+        self.is_led = False
 
-    def _as_it_is(self, command, gcmd):
-        command(gcmd)
+    def is_on(self) -> bool:
+        """Return whether there is anything to look at: the probe may be attached."""
+        return self.probe.known.may_be_on
 
-    def _before_homing(self, command, gcmd):
-        axes = [
-            number
-            for number, axis in enumerate("XYZ")
-            if gcmd.get(axis, None) is not None
-        ]
-        axes = axes or (0, 1, 2)
-        self.prober.docking.leave(axes)
-        if 2 in axes:
-            self._dock_where_height_counts()
-        command(gcmd)
+    def _meets_bed(self) -> float:
+        """Return from which toolhead Z (mm) on the probe may meet the bed."""
+        return self.probe.settings.z_offset + HIGHER
 
-    # The way to such a dock goes by Z, which a [homing_override] may set to anything
-    # before it homes.
-    def _dock_where_height_counts(self):
-        settings = self.settings
-        is_known = settings.is_placed and self.moves.is_homed("xyz")
-        wanted = settings.detach_dockable_before_z_home is not False
-        if settings.dock_fixed_z or not (is_known and wanted and self.auto):
-            return
-        if self.sensors.look() != DOCKED:
-            self.prober.dock_and_come_back()
+    def may_go(self, goal: Sequence[float], z: float) -> bool:
+        """Return whether a move down to 'z' (toolhead Z, mm) may be made as it is.
 
-    def _before_paper(self, command, gcmd):
-        try:
-            self.carrying.free_nozzle(self.host)
-        except CalibrationError as e:
-            raise self.host.error(str(e))
-        command(gcmd)
+        False: the probe is to be docked before.  Raises the host's error otherwise.  May
+        pause.  Beside what a paused print has printed the probe may be in the way at any
+        height.
+        """
+        is_paused = self.host.print_state() == "paused"
+        is_high = z >= self._meets_bed() and not is_paused
+        if is_high or self._is_known_to(goal):
+            return True
+        if self.carrier.state() == DOCKED:
+            # Two pins of their own say so: nobody need look again
+            self.probe.known.be_told(DOCKED)
+            return True
+        if self.probe.keeping.is_pending() and not self._is_asking():
+            return False
+        what = (
+            f"what is printed on the way down to z={goal[2]:.3f}"
+            if is_paused
+            else f"the bed from z={self._meets_bed():.3f} on; that is higher than"
+            f" z={goal[2]:.3f}"
+        )
+        raise self.host.error(
+            f"the probe may be on the head ({self.carrier.reads()}), and may meet"
+            f" {what}; run DETACH_PROBE first"
+        )
 
-    def _before_manual_method(self, command, gcmd):
-        method = gcmd.get("METHOD", "automatic").strip().lower()
-        if self.is_by_paper(method):
-            self._before_paper_elsewhere(command, gcmd)
-        else:
-            command(gcmd)
+    def make_way(self) -> None:
+        """Dock the probe, the toolhead then just where it was.  May pause."""
+        self.probe.dock_and_come_back()
 
-    # It goes straight to its first point.
-    def _before_paper_elsewhere(self, command, gcmd):
-        self.prober.docking.leave()
-        self._before_paper(command, gcmd)
+    def _is_known_to(self, goal: Sequence[float]) -> bool:
+        """Return whether what moves the toolhead knows what is attached.
 
-    def _before_end(self, command, gcmd):
-        self.prober.holder.delay.end(self.prober.dock_and_come_back)
-        command(gcmd)
+        Homing, a trip, a measurement with the user's G-code, somebody who leads the probe to
+        its dock, or who goes there.
+        """
+        return (
+            self.is_homing
+            or self.probe.dock.underway.is_any()
+            or not self.probe.settings.is_placed
+            or self.attached.is_measuring()
+            or (self.is_led and self._is_asking())
+            or self._is_at_dock(Position(goal[0], goal[1], goal[2]))
+        )
 
-    # The way back ends beside what is printed, where the probe hangs lower.
-    def _before_going_on(self, command, gcmd):
-        is_known = self.settings.is_placed and self.moves.is_homed("xyz")
-        if self.sensors.may_hang and is_known:
-            self._before_paper(command, gcmd)
-        else:
-            command(gcmd)
+    def _is_asking(self) -> bool:
+        # Whoever prints has cleared the bed
+        is_asking = self.attached.is_asking(self.host)
+        return is_asking and not self.host.print_state()
 
-    # The probe is docked at the end of each session, whoever held it.
-    def _around_paper(self, asks_again, command, gcmd):
-        if asks_again:
-            if not self.auto:
-                # Docked for the paper it could not be fetched for the next point.
-                raise self.host.error(
-                    "auto_attach_detach is off, and the probe has to be fetched and"
-                    " docked at each point; run SET_DOCKABLE_PROBE"
-                    " AUTO_ATTACH_DETACH=1 first"
-                )
-            # It goes straight to its first point, before the probe is fetched.
-            self.prober.docking.leave()
-        delay = self.prober.holder.delay
-        # What is refused changes nothing: another one may be asking.
-        is_forbidden = delay.is_forbidden
-        delay.forbid(True)
-        try:
-            command(gcmd)
-            is_forbidden = asks_again and self.auto
-        finally:
-            delay.forbid(is_forbidden)
+    def _is_at_dock(self, goal: Position) -> bool:
+        """Return whether a move stays in the dock, or goes to one of its positions.
+
+        A print has nothing to do at those, but for macros that do without our trips: the
+        circle may reach over the bed.
+        """
+        moves, positions = self.probe.moves, self.probe.settings.positions
+        if moves.stands_in_dock() and moves.is_in_dock(goal):
+            return True
+        if self.host.print_state() and self.probe.keeping.auto:
+            return False
+        return path.is_inside(goal, moves.zone) or any(
+            path.distance(goal, position) < path.ROUNDING
+            for position in positions.values()
+        )

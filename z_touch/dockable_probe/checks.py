@@ -1,45 +1,54 @@
-# Whether the positions of [dockable_probe] lead into the dock and out of it.
-#
-# Copyright (C) 2026  the Z calibration developers, under the GNU GPLv3
+"""Whether the positions of [dockable_probe] lead into the dock and out of it.
+
+Copyright (C) 2026  the Z calibration developers, under the GNU GPLv3
+"""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING, List, Optional
 
 from .. import options
 from ..host.endstops import PROBE_PINS
-from . import detour
-from .settings import (
-    DOCK,
-    DOUBTFUL_WAY,
-    MIDDLE,
-    POSITIONS,
-    SAME_WAY,
-    dock_height,
-)
+from . import path
+from .settings import DOCK, DOUBTFUL_WAY, MIDDLE, SAME_WAY
+
+if TYPE_CHECKING:
+    from ..host.klippy import Config
+    from ..host.toolhead import ZAxis
+    from .settings import Settings
+
 
 ######################################################################
 # While the configuration is read
 ######################################################################
 
 
-# Before anything else: what hosts say of pins and objects that are there twice
-# does not lead to the section that is too many.
-def check_only_probe(config):
+def check_only_probe(config: Config) -> None:
+    """Raise the error of a configuration where another section is a probe.
+
+    Before anything else: what hosts say of pins and objects that are there twice does not
+    lead to the section that is too many.
+    """
     for name, _pin in PROBE_PINS:
         if name != config.get_name() and config.has_section(name):
             raise config.error(
-                "Section '%s': there is a [%s], too, and a printer has one"
-                " probe; remove the other, also '#*# [%s]' and the lines below"
-                " it at the end of printer.cfg, where SAVE_CONFIG has written"
-                " them" % (config.get_name(), name, name)
+                f"Section '{config.get_name()}': there is a [{name}], too, and a"
+                f" printer has one probe; remove the other, also '#*# [{name}]' and"
+                " the lines below it at the end of printer.cfg, where SAVE_CONFIG"
+                " has written them"
             )
 
 
-# Nothing goes to the dock where X and Y have the motors of Z: the way there begins with
-# a lift, before X and Y are known, and homing ends where they cannot move.
-def check_kinematics(config, z_axis):
+def check_kinematics(config: Config, z_axis: Optional[ZAxis]) -> None:
+    """Raise the error of a configuration for a machine without a Z axis of its own.
+
+    Nothing goes to the dock where X and Y have the motors of Z: the way there begins with a
+    lift, before X and Y are known, and homing ends where they cannot move.
+    """
     if z_axis is not None:
         return
-    kinematics = config.getsection("printer").get(
-        "kinematics", "", note_valid=False
-    )
+    section = config.getsection("printer")
+    kinematics = section.get("kinematics", "", note_valid=False)
     why = (
         "nothing moves there"
         if kinematics == "none"
@@ -47,64 +56,70 @@ def check_kinematics(config, z_axis):
         " way to the dock before all of it is homed"
     )
     raise config.error(
-        "Option 'kinematics: %s' in section 'printer': %s, so dockable_probe"
-        " cannot be used on this machine; remove section '%s'"
-        % (kinematics, why, config.get_name())
+        f"Option 'kinematics: {kinematics}' in section 'printer': {why}, so"
+        " dockable_probe cannot be used on this machine; remove section"
+        f" '{config.get_name()}'"
     )
 
 
-# Whether another section lifts the head before X and Y are homed: the owner knows
-# better then how much room there is above.
-def is_lifted_elsewhere(config):
+def is_lifted_elsewhere(config: Config) -> bool:
+    """Return whether another section lifts the toolhead before X and Y are homed.
+
+    The user knows better then how much room there is above.
+    """
     if config.has_section("homing_override"):
         return True
     if not config.has_section("safe_z_home"):
         return False
     section = config.getsection("safe_z_home")
-    return section.getfloat("z_hop", 0.0, note_valid=False) > 0.0
+    z_hop: float = section.getfloat("z_hop", 0.0, note_valid=False)
+    return z_hop > 0.0
 
 
-# Z (mm) of the dock and its positions, as far as they have one
-def low_positions(settings):
-    positions = [settings.dock_position]
-    positions += [getattr(settings, row.name) for row in POSITIONS]
-    return [p.z for p in positions if p.z is not None] or [settings.hang]
+def check_positions(
+    config: Config, settings: Settings, notes: List[str]
+) -> None:
+    """Raise the error of a configuration unless the positions lead out of the dock.
 
-
-# Whether the positions lead out of the dock, and whether detach_position strips
-# the probe off; 'notes' is told where that is doubtful
-def check_positions(config, settings, notes):
+    'notes' is told of what is doubtful.
+    """
     if not settings.is_placed:
         notes.append(
             "nothing says where the dock is, so the probe is neither fetched nor"
             " docked; set it up with DOCKABLE_PROBE_SETUP"
         )
         return
-    dock = settings.dock_position
-    z = settings.approach_position.z if dock.z is None else dock.z
-    if settings.dock_fixed_z:
-        # No move to a position changes Z but the one that strips the probe off
-        z = None
-    else:
-        lowest = min(low_positions(settings))
-        if lowest < settings.hang:
+    dock, positions = settings.dock_position, settings.positions
+    # No move to a position changes Z but the one that strips the probe off
+    z = None
+    if not settings.dock_fixed_z:
+        z = settings.approach_position.z if dock.z is None else dock.z
+        places = [dock, *positions.values()]
+        lowest = min([p.z for p in places if p.z is not None])
+        if lowest < settings.length:
             notes.append(
-                "Z of the dock (%g) is less than the probe hangs below the nozzle"
-                " (%g): where there is a bed it would be dragged over it; check"
-                " the Z of the positions" % (lowest, settings.hang)
+                f"Z of the dock ({lowest:g}) is less than the probe hangs below the"
+                f" nozzle ({settings.length:g}): where there is a bed it would be"
+                " dragged over it; check the Z of the positions"
             )
-    for row in POSITIONS:
-        position = getattr(settings, row.name)
-        if detour.first_leg(dock, z, position) == (0.0, 0.0, 0.0):
-            what = "(%g, %g) is at dock_position; give a point some 40 mm away"
-            raise options.config_error(config, row.name, what % position[:2])
-    check_strips(config, settings, z, notes)
+    for name, position in positions.items():
+        if path.first_leg(dock, z, position) == (0.0, 0.0, 0.0):
+            what = (
+                f"({position.x:g}, {position.y:g}) is at dock_position; give a point"
+                " some 40 mm away"
+            )
+            raise options.config_error(config, name, what)
+    _check_strips(config, settings, z, notes)
 
 
-# Whether the probe comes off on the way to detach_position; 'z' (mm) is the height of
-# the dock, None where it goes up and down with the head
-def check_strips(config, settings, z, notes):
-    angle = detour.strip_angle(
+def _check_strips(
+    config: Config, settings: Settings, z: Optional[float], notes: List[str]
+) -> None:
+    """Look whether the probe comes off on the way to detach_position.
+
+    'z' (mm) is the height of the dock, None where it goes up and down with the toolhead.
+    """
+    angle = path.strip_angle(
         settings.dock_position,
         z,
         settings.extract_position,
@@ -112,16 +127,15 @@ def check_strips(config, settings, z, notes):
     )
     if angle >= DOUBTFUL_WAY:
         return
+    would = "would" if angle < SAME_WAY else "may"
     same = (
         "and extract_position (approach_position unless given) are the same way"
-        " out of the dock, %.0f degrees apart: the probe %s stay on the head"
-        % (angle, "would" if angle < SAME_WAY else "may")
+        f" out of the dock, {angle:.0f} degrees apart: the probe {would} stay on"
+        " the head"
     )
     if settings.strippers:
-        strippers = " or ".join(settings.strippers)
-        notes.append(
-            "detach_position %s, unless %s strips it off" % (same, strippers)
-        )
+        named = " or ".join(settings.strippers)
+        notes.append(f"detach_position {same}, unless {named} strips it off")
     elif angle < SAME_WAY:
         raise options.config_error(
             config,
@@ -133,7 +147,7 @@ def check_strips(config, settings, z, notes):
         )
     else:
         notes.append(
-            "detach_position %s; choose one that is mostly at 90 degrees" % same
+            f"detach_position {same}; choose one that is mostly at 90 degrees"
         )
 
 
@@ -142,71 +156,81 @@ def check_strips(config, settings, z, notes):
 ######################################################################
 
 
-# An option that does not fit the printer, as klippy finds when it connects
 class Misfit(Exception):
-    def __init__(self, name, problem):
+    """An option that does not fit the printer, as klippy finds when it connects."""
+
+    def __init__(self, name: str, problem: str):
         Exception.__init__(self, name, problem)
         self.name = name
         self.problem = problem
 
 
-# Whether the head gets to each position, and so high; 'limits' (mm) are (low,
-# high) of X, Y and Z.  Raises Misfit.
-def check_reach(settings, limits):
-    for row in (DOCK,) + POSITIONS if settings.is_placed else ():
-        position = getattr(settings, row.name)
+def check_reach(settings: Settings, limits: path.Limits) -> None:
+    """Raise Misfit unless the toolhead gets to each position, and so high.
+
+    'limits' (mm) are (low, high) of X, Y and Z.
+    """
+    positions = {DOCK: settings.dock_position, **settings.positions}
+    for name, position in positions.items() if settings.is_placed else ():
         for axis, at, (low, high) in zip("XYZ", position, limits):
             if at is not None and not low <= at <= high:
                 raise Misfit(
-                    row.name,
-                    "%s=%.3f is outside of %.3f to %.3f, the reach of the"
-                    " axis; correct it, or the limits of the axis"
-                    % (axis, at, low, high),
+                    name,
+                    f"{axis}={at:.3f} is outside of {low:.3f} to {high:.3f}, the"
+                    " reach of the axis; correct it, or the limits of the axis",
                 )
-    height, highest = dock_height(settings), limits[2][1]
-    if height > highest:
+    way_z, highest = settings.way_z, limits[2][1]
+    if way_z > highest:
         raise Misfit(
-            DOCK.name,
-            "the way there is at z=%.3f, above position_max (%.3f); correct its"
-            " Z, z_hop or z_offset" % (height, highest),
+            DOCK,
+            f"the way there is at z={way_z:.3f}, above position_max ({highest:.3f});"
+            " correct its Z, z_hop or z_offset",
         )
 
 
-# Z is homed with the probe: whether it can be fetched before Z is homed, and
-# where the head stands then; returns (x, y), or None for "where it is then".
-# Raises Misfit.
-def check_homing(settings, limits):
+def check_homing(
+    settings: Settings, limits: path.Limits
+) -> Optional[path.Point]:
+    """Return where the toolhead stands while Z is homed with the probe.
+
+    None: where it is then.  Raises Misfit where the probe cannot be fetched before Z is
+    homed, or there.
+    """
     if not settings.dock_fixed_z and settings.is_placed:
         raise Misfit(
-            DOCK.name,
+            DOCK,
             "to get there Z has to be homed, and Z is homed with the probe;"
             " leave Z out of all positions, or set dock_fixed_z: True if the"
             " dock is at the head's height",
         )
-    dock, radius, xy = (
-        settings.dock_position,
-        settings.safe_dock_distance,
-        settings.home_xy,
-    )
-    if xy == MIDDLE:
-        # The probe over the middle of the axes
+    wanted = settings.home_xy
+    if wanted is None:
+        return None
+    if isinstance(wanted, tuple):
+        xy = wanted
+    else:
+        # MIDDLE: the probe over the middle of the axes
+        assert wanted == MIDDLE
         offsets = settings.x_offset, settings.y_offset
-        xy = tuple(
+        x, y = (
             (low + high) / 2.0 - shift
             for (low, high), shift in zip(limits, offsets)
         )
-    if xy is not None and not detour.is_within(xy, limits):
+        xy = x, y
+    if not path.is_within(xy, limits):
+        (low_x, high_x), (low_y, high_y) = limits[:2]
         raise Misfit(
             "safe_z_position",
-            "%g, %g is outside of %.3f to %.3f and %.3f to %.3f, the reach of X"
-            " and Y; choose a point of the head where the probe is over the bed"
-            % (tuple(xy) + tuple(limits[0]) + tuple(limits[1])),
+            f"{xy[0]:g}, {xy[1]:g} is outside of {low_x:.3f} to {high_x:.3f} and"
+            f" {low_y:.3f} to {high_y:.3f}, the reach of X and Y; choose a point of"
+            " the head where the probe is over the bed",
         )
-    if xy is not None and detour.distance(xy, dock) < radius - detour.ROUNDING:
+    apart = path.distance(xy, settings.dock_position)
+    radius = settings.safe_dock_distance
+    if apart < radius - path.ROUNDING:
         raise Misfit(
             "safe_z_position",
-            "%g, %g is %.1f mm from the dock; choose a point that is at least"
-            " %.1f mm away (safe_dock_distance)"
-            % (tuple(xy) + (detour.distance(xy, dock), radius)),
+            f"{xy[0]:g}, {xy[1]:g} is {apart:.1f} mm from the dock; choose a point"
+            f" that is at least {radius:.1f} mm away (safe_dock_distance)",
         )
     return xy

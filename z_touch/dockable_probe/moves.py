@@ -1,405 +1,316 @@
-# The moves of the head: to the dock, into it, out of it, and around it.
-#
-# Copyright (C) 2026  the Z calibration developers, under the GNU GPLv3
+"""Moves of the toolhead: around the dock, into it, and out of it.
 
-from .. import touch as touching
-from . import detour
-from .settings import (
-    POSITIONS,
-    clear_height,
-    dock_height,
-    nearest_distance,
-    travel_height,
-)
+What moves may pause.  "To the dock" is to one of its positions, which may lie in the circle
+around it.
 
-# From above a dock that all positions are above the head goes so far (mm) aside.
+Copyright (C) 2026  the Z calibration developers, under the GNU GPLv3
+"""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING, List, Optional, Sequence
+
+from .. import touch
+from . import path
+from .path import Position
+from .settings import nearest_distance
+
+if TYPE_CHECKING:
+    from ..host.printer import Host
+    from .height import Height
+    from .settings import Settings
+
+# From above a dock that all positions are above the toolhead goes so far (mm) aside.
 ASIDE = 40.0
 
-# A place so near (mm) is where homing has left the head: hosts correct it by part
-# of a step after the event that tells the end.
+# A place so near (mm) is where homing has left the toolhead: hosts correct it by part of a
+# step after the event that tells the end.
 NEAR_END = 0.5
 
 
-# The way that homing X and Y has come: clear of the dock, as the head went there.
-# It holds until X or Y is homed again, or the motors are off.
-class Trace:
-    def __init__(self, host):
-        self.host = host
-        register = host.printer.register_event_handler
-        register("homing:home_rails_begin", self._begins)
-        register("homing:home_rails_end", self._ends)
-        self.forget()
-
-    def forget(self):
-        # Each an axis (0: X) and how far (mm) the head has gone along it
-        self.moves = []
-        # Where it has ended; where the next one began, as host.axes.motors_xy()
-        self.end = self.begun_at = None
-
-    # The moves that have led to that place; empty: homing has ended elsewhere
-    def to(self, position):
-        if self.end is None or detour.distance(position, self.end) > NEAR_END:
-            return []
-        return self.moves
-
-    def _begins(self, homing_state, rails):
-        if (
-            self.host.axes.homed_axis(rails) is None
-            or self.host.axes.has_two_heads()
-        ):
-            return
-        self.moves = list(self.to(self.host.toolhead.get_position()))
-        # Nothing is known of a homing that fails
-        self.end = None
-        self.begun_at = self.host.axes.motors_xy()
-
-    def _ends(self, homing_state, rails):
-        axis = self.host.axes.homed_axis(rails)
-        if axis is None or self.begun_at is None:
-            return
-        # X and Y of the host are set in homing
-        moved = self.host.axes.motors_xy()[axis] - self.begun_at[axis]
-        self.moves.append((axis, moved))
-        self.end = tuple(self.host.toolhead.get_position()[:2])
-        self.begun_at = None
-
-
-# How high the head was clear of what the probe has touched, since Z was homed: a
-# z_offset that is too small is no height to travel at.
-class Clearance:
-    def __init__(self, host):
-        # Toolhead Z (mm)
-        self.z = 0.0
-        register = host.printer.register_event_handler
-        register("homing:home_rails_begin", self._homes)
-
-    def note(self, z):
-        self.z = max(self.z, z)
-
-    # Z is another one from now on
-    def forget(self):
-        self.z = 0.0
-
-    # Not sent everywhere where Z is homed with the probe
-    def _homes(self, homing_state, rails):
-        if 2 in homing_state.get_axes():
-            self.forget()
-
-    # With the probe on it the head goes no lower (toolhead Z, mm), but to touch
-    def lowest(self, settings):
-        return max(travel_height(settings), self.z)
-
-
-# The head, and what is known of how high it is
 class Moves:
-    # 'host': host.Host; 'settings': settings.Settings
-    def __init__(self, host, settings):
+    """The toolhead and one dock."""
+
+    def __init__(self, host: Host, settings: Settings, height: Height):
         self.host = host
-        self.use(settings)
-        # Where nobody knows Z: how far (mm) the head was lifted for the dock, and
-        # where the Z motors were then, see motors_z()
-        self.lifted, self.lifted_to = 0.0, None
-        # See note_bed()
-        self.homed_z = None
-        self.clear = Clearance(host)
-        # See stay()
-        self.stayed_at = None
-        # How homing X and Y has come to where the head stands
-        self.trace = Trace(host)
-        register = host.printer.register_event_handler
-        register("stepper_enable:motor_off", self.forget)
-
-    def use(self, settings):
         self.settings = settings
-        dock = settings.dock_position
-        self.zone = detour.Zone(
-            dock.x,
-            dock.y,
-            settings.safe_dock_distance,
-            [
-                detour.direction(dock, getattr(settings, row.name))
-                for row in POSITIONS
-            ],
-        )
-
-    # The motors are off: the head may be moved by hand, or sink.  Some hosts
-    # tell the print time.
-    def forget(self, *unused):
-        self.lifted, self.homed_z = 0.0, None
-        self.trace.forget()
+        self.zone = settings.zone
+        self.height = height
 
     ######################################################################
-    # Where the head is
+    # Where the toolhead is
     ######################################################################
 
-    # How far (mm) the Z motors have moved, up is positive, whatever Z was set
-    # to; the mean of all of them.  None where they move X or Y, too.
-    def motors_z(self):
-        steppers, datum = self.host.axes.z_steppers(), self.host.axes.z_datum()
-        moved = [
-            stepper.get_commanded_position() + shift
-            for stepper, shift in zip(steppers, datum)
-        ]
-        return sum(moved) / len(moved) if moved else None
+    def is_way_known(self) -> bool:
+        """Return whether the axes are homed that lead to the dock."""
+        axes = "xy" if self.settings.dock_fixed_z else "xyz"
+        return self.settings.is_placed and self.host.is_homed(axes)
 
-    # Where the Z motors are now, see motors_z(), the probe has met the bed in
-    # homing
-    def note_bed(self):
-        self.homed_z = self.motors_z()
-
-    def is_homed(self, axes):
-        homed = self.host.toolhead_status()["homed_axes"]
-        return all(axis in homed for axis in axes)
-
-    # Raises the host's error unless the axes are homed that lead to the dock,
-    # or those that are named
-    def require_homed(self, axes=None):
+    def require_homed(self, axes: Optional[str] = None) -> None:
+        """Raise the host's error unless the axes are homed that lead to the dock, or these."""
         if not self.settings.is_placed:
             raise self.host.error(
                 "nothing says where the dock is; run DOCKABLE_PROBE_SETUP, which"
                 " needs X and Y homed: G28 X Y is possible, also with the probe on"
             )
         axes = axes or ("xy" if self.settings.dock_fixed_z else "xyz")
-        missing = [axis.upper() for axis in axes if not self.is_homed(axis)]
+        missing = [a.upper() for a in axes if not self.host.is_homed(a)]
         if missing:
             raise self.host.error(
-                "not homed: %s; the way to the dock is not known before; home"
-                " first (G28 %s)" % (", ".join(missing), " ".join(missing))
+                f"not homed: {', '.join(missing)}; the way to the dock is not known"
+                f" before; home first (G28 {' '.join(missing)})"
             )
 
-    # Where the toolhead is; Z is None where nobody knows it
-    def position(self):
+    def position(self) -> Position:
+        """Return where the toolhead is; Z is None where it is not homed."""
         x, y, z = self.host.toolhead.get_position()[:3]
-        return detour.Position(x, y, z if self.is_homed("z") else None)
+        return Position(x, y, z if self.host.is_homed("z") else None)
 
-    # Whether X and Y are there
-    def is_at(self, position):
-        return detour.distance(self.position(), position) < detour.ROUNDING
+    def is_at(self, position: Position) -> bool:
+        """Return whether X and Y are there."""
+        return path.distance(self.position(), position) < path.ROUNDING
 
-    # Whether the head is where a docking without a way back ends
-    def is_at_detach(self):
+    def is_at_detach(self) -> bool:
+        """Return whether the toolhead is where a docking without a way back ends."""
         settings = self.settings
         return settings.is_placed and self.is_at(settings.detach_position)
 
-    # 'is_wanted': the probe was fetched for a command that goes on from here
-    def stay(self, is_wanted):
-        stays = is_wanted and not self.is_at_detach()
-        self.stayed_at = self.position() if stays else None
+    def is_in_dock(self, position: path.Place) -> bool:
+        """Return whether X and Y are those of the dock itself."""
+        return path.is_in_dock(position, self.zone)
 
-    # Whether nobody has moved the head since
-    def stays(self):
-        return self.stayed_at is not None and self.is_at(self.stayed_at)
+    def stands_in_dock(self) -> bool:
+        """Return whether the toolhead is in there now, not over a dock entered from above."""
+        position, dock_z = self.position(), self.settings.dock_position.z
+        if not self.is_in_dock(position):
+            return False
+        if self.settings.dock_fixed_z or position.z is None or dock_z is None:
+            return True
+        return position.z < dock_z + path.SMALLEST_DISTANCE
+
+    def is_near_dock(self) -> bool:
+        """Return whether the toolhead is in the circle, or at a position of the dock."""
+        is_near = path.is_inside(self.position(), self.zone)
+        return is_near or any(
+            self.is_at(position)
+            for position in self.settings.positions.values()
+            if not self.is_in_dock(position)
+        )
 
     ######################################################################
     # Up and down
     ######################################################################
 
-    # Z up to a height where the head is lower, never down.  Where nobody knows
-    # Z, so much up in all, less what the head went down since, until the motors
-    # are off.
-    def lift(self, height):
-        if self.is_homed("z"):
-            self.lifted = 0.0
-            touching.raise_to(self.host, height, self.settings.lift_speed)
-            return
-        more = height - self._lifted_now()
-        if more > 0.0:
-            self.host.motion.lift_unhomed(more, self.settings.lift_speed)
-            self.lifted, self.lifted_to = height, self._motors_z_now()
+    def lift(self, z: float) -> None:
+        """Lift to z (mm), never down; see Height.lift()."""
+        self.height.lift(z, self.settings.lift_speed)
 
-    # Counted by the motors, as Z may have been homed and forgotten again, and
-    # FORCE_MOVE tells nobody.
-    def _lifted_now(self):
-        here = self._motors_z_now()
-        if not self.lifted or None in (here, self.lifted_to):
-            return self.lifted
-        return self.lifted + (here - self.lifted_to)
+    def lift_for_dock(self, on_the_way: bool = False) -> float:
+        """Lift for the way to the dock; return its toolhead Z (mm).
 
-    # The motors count their steps only when those were made.
-    def _motors_z_now(self):
-        self.host.toolhead.flush_step_generation()
-        return self.motors_z()
-
-    # Up for the way to the dock, to the toolhead Z that it returns.  'on_the_way': what
-    # is more than to be clear of the bed comes with the first straight line, on which
-    # the head is nowhere nearer to a bed askew than at one of its ends.
-    def lift_for_dock(self, on_the_way=False):
-        settings = self.settings
-        height = max(dock_height(settings), self.clear.z)
+        'on_the_way': what is more than to be clear of the bed comes with the first straight
+        line, on which the toolhead is nowhere nearer to a bed askew than at one of its ends.
+        """
+        settings, clear_z = self.settings, self.height.clear_z
+        z = max(settings.way_z, clear_z)
         is_high = settings.dock_position.z or not settings.dock_fixed_z
-        if on_the_way and not is_high and self.is_homed("z"):
-            self.lift(max(clear_height(settings), self.clear.z))
+        if on_the_way and not is_high and self.host.is_homed("z"):
+            self.lift(max(settings.clear_z, clear_z))
         else:
-            self.lift(height)
-        return height
+            self.lift(z)
+        return z
 
-    # Up or down; z None: stay
-    def go_to_height(self, z):
+    def go_to_height(self, z: Optional[float]) -> None:
+        """Move up or down to z (mm); None: stay."""
         if z is not None and z != self.host.motion.z():
             speed = self.settings.lift_speed
             self.host.toolhead.manual_move([None, None, z], speed)
 
-    # To the Z of a position, where a dock has a height of its own
-    def go_to_z_of(self, position):
+    def _go_to_z_of(self, position: Position) -> None:
+        """Move to the Z of a position, where a dock has a height of its own."""
         if not self.settings.dock_fixed_z:
             self.go_to_height(position.z)
 
     ######################################################################
-    # To the dock and back
+    # Around the dock
     ######################################################################
 
-    # To X and Y of a position, around the dock; with 'into' also where that is in
-    # the circle, otherwise to its edge.  'rise' (toolhead Z): up to it on the first
-    # straight line, where the head is lower
-    def travel(self, position, speed, into=False, rise=None):
+    def travel(
+        self,
+        position: Position,
+        speed: float,
+        into: bool = False,
+        rise: Optional[float] = None,
+    ) -> None:
+        """Move to X and Y of a position around the dock.
+
+        With 'into' also where that is in the circle, otherwise to its edge.  'rise' (toolhead
+        Z, mm): up to it on the first straight line, where the toolhead is lower.
+        """
         start, limits = self.position(), self.host.axes.limits()[:2]
         goal = self._within_reach(position, limits)
         self._leave_upwards()
-        is_there = into and detour.distance(start, goal) < NEAR_END
+        is_there = into and path.distance(start, goal) < NEAR_END
+        points: List[path.Point] = []
         try:
-            points = (
-                [] if is_there else self._points_around(start[:2], goal, limits)
-            )
-        except detour.NoDetour:
+            if not is_there:
+                via = self.settings.safe_position
+                points = path.around(start[:2], goal, self.zone, limits, via)
+        except path.NoWay:
             raise self.host.error(
-                "no way from %.3f, %.3f to %.3f, %.3f around the dock in the"
-                " reach of X and Y; move the head away from it, or lower"
-                " safe_dock_distance (%.3f)"
-                % (start[:2] + goal + (self.zone.radius,))
+                f"no way from {start.x:.3f}, {start.y:.3f} to {goal[0]:.3f},"
+                f" {goal[1]:.3f} around the dock in the reach of X and Y; move the"
+                " head away from it, or lower safe_dock_distance"
+                f" ({self.zone.radius:.3f})"
             )
         for x, y in points + [goal] * into:
             z = self.position().z
-            up = None if None in (rise, z) else max(rise, z)
-            touching.move_xyz(
+            up = None if rise is None or z is None else max(rise, z)
+            touch.move_xyz(
                 self.host, (x, y, up), speed, self.settings.lift_speed
             )
 
-    # To a place around the dock that anybody may have asked for
-    def travel_beside(self, position, speed):
+    def travel_beside(self, position: Position, speed: float) -> None:
+        """Move around the dock to a place that anybody may have asked for."""
         if self.is_in_dock(position):
             raise self.host.error(
-                "%.3f, %.3f is in the dock; MOVE_TO_DOCK_PROBE goes there"
-                % (position.x, position.y)
+                f"{position.x:.3f}, {position.y:.3f} is in the dock;"
+                " MOVE_TO_DOCK_PROBE goes there"
             )
         self.travel(position, speed, into=True)
 
-    # Around the dock; out of the corner where homing has put the head, or back
-    # into it, along the way that homing came, where nothing else leads there
-    def _points_around(self, start, goal, limits):
-        zone, via = self.zone, self.settings.safe_position
-        try:
-            return detour.around(start, goal, zone, limits, via)
-        except detour.NoDetour:
-            if self.trace.to(start):
-                trace = self.trace.to(start)
-                return detour.out_of_corner(
-                    start, goal, zone, limits, trace, via
-                )
-            out = detour.out_of_corner(
-                goal, start, zone, limits, self.trace.to(goal), via
-            )
-            return out[::-1]
-
-    # After homing the head stands a part of a step beyond the limit.
-    def _within_reach(self, position, limits):
+    def _within_reach(
+        self, position: Position, limits: path.Limits
+    ) -> path.Point:
+        """Return X and Y of a position; after homing it is part of a step out of reach."""
         steppers = self.host.toolhead.get_kinematics().get_steppers()
         step = max(stepper.get_step_dist() for stepper in steppers)
-        step += detour.ROUNDING
-        for axis, xy, (low, high) in zip("XY", position, limits):
-            if not low - step <= xy <= high + step:
+        step += path.ROUNDING
+        xy = position.x, position.y
+        for axis, at, (low, high) in zip("XY", xy, limits):
+            if not low - step <= at <= high + step:
                 raise self.host.error(
-                    "%s=%.3f is outside of %.3f to %.3f, the reach of the axis;"
-                    " choose a place inside" % (axis, xy, low, high)
+                    f"{axis}={at:.3f} is outside of {low:.3f} to {high:.3f}, the"
+                    " reach of the axis; choose a place inside"
                 )
-        return tuple(
-            min(max(xy, low), high) for xy, (low, high) in zip(position, limits)
-        )
+        x, y = (min(max(at, low), high) for at, (low, high) in zip(xy, limits))
+        return x, y
 
-    # Out of a dock that is entered from above the way is up, at first.
-    def _leave_upwards(self):
+    def _leave_upwards(self) -> None:
+        """Lift out of a dock that is entered from above, at first."""
         start = self.position()
         if self.settings.dock_fixed_z or start.z is None:
             return
         if not self.is_in_dock(start):
             return
-        for row in POSITIONS:
-            position = getattr(self.settings, row.name)
+        for position in self.settings.positions.values():
             if self.is_in_dock(position) and position.z is not None:
                 self.lift(position.z)
 
-    # From straight above the dock to the edge of the circle, and as far as its
-    # nearest position, on the side of the bed: a host that goes on from there goes
-    # down at first.
-    def leave_top(self):
+    def leave_top(self) -> None:
+        """Move away from straight above the dock.
+
+        To the edge of the circle, and as far as its nearest position, on the side of the bed:
+        a host that goes on from there goes down at first.
+        """
         start, limits = self.position(), self.host.axes.limits()[:2]
         if not self.is_in_dock(start):
             return
-        # It may be hardly above it.
+        # It may be hardly above it
         self._leave_upwards()
-        middle = [0.5 * (low + high) for low, high in limits]
-        nearest = nearest_distance(self.settings._asdict())
+        x, y = (0.5 * (low + high) for low, high in limits)
+        places = {"dock_position": self.settings.dock_position}
+        nearest = nearest_distance({**places, **self.settings.positions})
         radius = max(self.zone.radius, nearest)
-        radius = radius or min(ASIDE, detour.distance(start, middle))
+        radius = radius or min(ASIDE, path.distance(start, (x, y)))
         if not radius:
             return
         zone = self.zone._replace(radius=radius)
-        x, y = detour.find_exit(start, zone, limits, other=middle)
-        touching.move_xy(self.host, x, y, self.settings.travel_speed)
+        exit_x, exit_y = path.find_exit(start[:2], zone, limits, other=(x, y))
+        touch.move_xy(self.host, exit_x, exit_y, self.settings.travel_speed)
 
-    # Whether X and Y are those of the dock itself
-    def is_in_dock(self, position):
-        return detour.is_in_dock(position, self.zone)
+    def make_way_for_homing(self, axes: Sequence[int]) -> bool:
+        """Move to where homing these axes (0: X) does not pass the dock.
 
-    # Whether the head is in there now, not over a dock that is entered from above
-    def stands_in_dock(self):
-        position, dock_z = self.position(), self.settings.dock_position.z
-        if not self.is_in_dock(position):
+        Rather for both axes: the other one may be homed next, from where this ends.  Returns
+        whether there is such a place.
+        """
+        ends = self.host.axes.xy_ends()
+        wanted = {axis: end for axis, end in ends.items() if axis in axes}
+        if not wanted:
             return False
-        if self.settings.dock_fixed_z or None in (position.z, dock_z):
-            return True
-        return position.z < dock_z + detour.SMALLEST_DISTANCE
+        start, limits = self.position(), self.host.axes.limits()[:2]
+        via = self.settings.safe_position
+        for lines in (ends, wanted):
+            if path.is_clear_for_homing(start, lines, self.zone):
+                return True
+            for x, y in path.places_for_homing(start, lines, self.zone, limits):
+                try:
+                    path.around(start[:2], (x, y), self.zone, limits, via)
+                except path.NoWay:
+                    continue
+                self.go_beside(Position(x, y, None))
+                return True
+        return False
 
-    # To a position of the dock's, high enough for what hangs on the head.  Of a
-    # dock that has a height of its own it may be above the head, where the way
-    # up is clear of the dock, and below, where only the place itself is.
-    def go_beside(self, position):
+    ######################################################################
+    # To the dock and back
+    ######################################################################
+
+    def go_beside(self, position: Position) -> None:
+        """Move to a position of the dock, high enough for an attached probe.
+
+        Of a dock that has a height of its own it may be above the toolhead, where the way up
+        is clear of the dock, and below, where only the place itself is.
+        """
         self.require_homed()
         rise = self.lift_for_dock(on_the_way=True)
         if not self.settings.dock_fixed_z and position.z is not None:
             self.lift(position.z)
         self.travel(position, self.settings.travel_speed, into=True, rise=rise)
-        self.go_to_z_of(position)
+        self._go_to_z_of(position)
 
-    # Into the dock, straight from a position outside of it.  In there already, by hand
-    # or by the owner's G-code a little beside its middle, to that.
-    def go_in(self, beside):
+    def go_in(self, beside: Position) -> None:
+        """Move straight into the dock from a position outside of it.
+
+        In there already, by hand or by the user's G-code a little beside its middle, to that.
+        """
         self.require_homed()
         dock, speed = self.settings.dock_position, self.settings.attach_speed
         if not self.is_at(beside) and not self.stands_in_dock():
             self.go_beside(beside)
-        self.go_to_z_of(dock)
-        touching.move_xy(self.host, dock.x, dock.y, speed)
+        self._go_to_z_of(dock)
+        touch.move_xy(self.host, dock.x, dock.y, speed)
 
-    # Straight out of the dock to a position, by way of its middle; from elsewhere, also
-    # from above it, around the dock.  'is_on_trip': what has lifted the head there is
-    # G-code of the owner's that is a part of the way.
-    def go_out(self, position, speed, is_on_trip=False):
+    def go_out(
+        self, position: Position, speed: float, is_on_trip: bool
+    ) -> None:
+        """Move straight out of the dock to a position, by way of its middle.
+
+        From elsewhere, also from above it, around the dock.  'is_on_trip': what has lifted the
+        toolhead there is G-code of the user that is a part of the way.
+        """
         self.require_homed()
         is_above = not is_on_trip and not self.stands_in_dock()
         if is_above or not self.is_in_dock(self.position()):
             self.go_beside(position)
             return
         dock = self.settings.dock_position
-        touching.move_xy(self.host, dock.x, dock.y, speed)
-        self.go_to_z_of(position)
-        touching.move_xy(self.host, position.x, position.y, speed)
+        touch.move_xy(self.host, dock.x, dock.y, speed)
+        self._go_to_z_of(position)
+        touch.move_xy(self.host, position.x, position.y, speed)
 
-    # Back over where the head was, and down there, but not lower than 'lowest';
-    # 'lowest' None: only over it.  Not back into the dock itself, but to the
-    # very place beside it: somebody means to touch there.
-    def go_back(self, position, lowest=None):
+    def go_back(
+        self, position: Position, lowest: Optional[float] = None
+    ) -> None:
+        """Move back over where the toolhead was, and down there, no lower than 'lowest' (mm).
+
+        'lowest' None: only over it.  Not back into the dock itself, but to the very place
+        beside it: something is to be touched there.
+        """
         self.lift_for_dock()
         into = not self.is_in_dock(position)
         self.travel(position, self.settings.travel_speed, into)
-        if None not in (lowest, position.z, self.position().z):
+        is_known = position.z is not None and self.host.is_homed("z")
+        if lowest is not None and position.z is not None and is_known:
             self.go_to_height(max(position.z, lowest))

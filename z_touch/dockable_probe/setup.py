@@ -17,18 +17,19 @@ from __future__ import annotations
 from dataclasses import replace
 from typing import TYPE_CHECKING, Dict, List, Optional, Sequence, Tuple
 
-from .. import attached as carrying
-from .. import command as running
+from .. import attached, command
+from ..attached import ATTACHED, DOCKED
 from ..errors import CalibrationError
 from ..host.klippy import GCodeCommand
 from ..wizard import SAVED, Wizard, given, head_at, jogged
-from . import detour
-from .detour import Position
-from .sensors import ATTACHED, DOCKED, level
-from .settings import DISTANCE, SAME_WAY, Settings, nearest_distance
+from . import path
+from .path import Position
+from .sensors import level
+from .settings import DISTANCE, SAME_WAY, nearest_distance
 from .setup_steps import STEPS
 
 if TYPE_CHECKING:
+    from .dock import Dock
     from .module import DockableProbe
 
 COMMAND = "DOCKABLE_PROBE_SETUP"
@@ -52,7 +53,7 @@ class Setup:
         self.wizard = Wizard(section.host, COMMAND)
         # The places that were found, by their options
         self.found: Dict[str, Position] = {}
-        running.register_commands(section.host, self)
+        command.register_commands(section.host, self)
 
     cmd_DOCKABLE_PROBE_SETUP_help = "Find where the dock is, step by step"
 
@@ -86,7 +87,7 @@ class Setup:
             )
             self.found = {}
         # Later a hand is near
-        carrying.of(self.host.printer).settle(self.host)
+        attached.of(self.host.printer).settle(self.host)
         self._ask()
         if is_new:
             self.wizard.tell()
@@ -186,8 +187,11 @@ class Setup:
         """Keep where the way into the dock begins, which is the way out, too."""
         found, here = self.found, self._here()
         dock, detach = found["dock_position"], found["detach_position"]
-        angle = detour.strip_angle(dock, dock.z, here, detach)
-        if angle < SAME_WAY and not self.section.settings.strippers:
+        angle = path.strip_angle(dock, dock.z, here, detach)
+        settings = self.section.settings
+        # A Z of detach_position is not kept here
+        strips = settings.strippers and settings.strip_z is None
+        if angle < SAME_WAY and not strips:
             raise CalibrationError(
                 f"this is the way out without the probe ({angle:.0f} degrees apart),"
                 " on which it would not come along; choose another one, mostly at"
@@ -198,14 +202,18 @@ class Setup:
         self.wizard.enter("insert")
 
     def do_insert(self) -> None:
-        """The dock is entered the same way with the probe."""
+        """Keep the way in for both: the dock is entered the same way with the probe."""
         self.wizard.enter("fetch")
 
     def _take(self, option: str) -> None:
         """Keep where the head is; raises CalibrationError too near to the dock."""
         here, dock = self._here(), self.found["dock_position"]
-        apart = detour.distance(here, dock)
-        is_above = None not in (here.z, dock.z) and here.z - dock.z >= LEAST_WAY
+        apart = path.distance(here, dock)
+        is_above = (
+            here.z is not None
+            and dock.z is not None
+            and here.z - dock.z >= LEAST_WAY
+        )
         if apart < LEAST_WAY and not is_above:
             raise CalibrationError(
                 f"this is {apart:.1f} mm from the dock; go at least"
@@ -226,15 +234,17 @@ class Setup:
                 f" {' '.join(missing)})"
             )
         place = self.section.moves.position()
-        x, y, z = (None if at is None else round(at, 3) for at in place)
-        return Position(x, y, None if self.section.settings.dock_fixed_z else z)
+        x, y = round(place.x, 3), round(place.y, 3)
+        if self.section.settings.dock_fixed_z or place.z is None:
+            return Position(x, y, None)
+        return Position(x, y, round(place.z, 3))
 
     def _axes(self) -> str:
         """Return the axes that have to be homed, and that lead to the dock."""
         return "XY" if self.section.settings.dock_fixed_z else "XYZ"
 
     def _not_homed(self) -> List[str]:
-        is_homed = self.section.moves.is_homed
+        is_homed = self.host.is_homed
         return [axis for axis in self._axes() if not is_homed(axis.lower())]
 
     def _require(self, state: str, remedy: str) -> None:
@@ -254,15 +264,13 @@ class Setup:
     def do_fetch(self) -> None:
         """Fetch the probe with what was found, slowly.  Pauses."""
         self._require(DOCKED, "put it into the dock")
-        with self.section.trying(self._trial()):
-            self.section.docking.fetch()
+        self._trial().fetch()
         self.wizard.enter("store")
 
     def do_store(self) -> None:
         """Dock the probe with what was found, slowly.  Pauses."""
         self._require(ATTACHED, "fetch it again (Back)")
-        with self.section.trying(self._trial()):
-            self.section.docking.dock()
+        self._trial().dock()
         self.wizard.enter("save")
 
     def _positions(self) -> Dict[str, Position]:
@@ -270,16 +278,23 @@ class Setup:
         extract = self.found["approach_position"]
         return {**self.found, "extract_position": extract}
 
-    def _trial(self) -> Settings:
-        """Return the section's settings with what was found, and slow."""
+    def _trial(self) -> Dock:
+        """Return the dock where it was found, and slow.
+
+        Macros over the parts of a trip may be for a place of before.
+        """
         positions = self._positions()
-        return self.section.settings._replace(
-            safe_dock_distance=nearest_distance(positions),
-            travel_speed=JOG_SPEED,
-            attach_speed=SLOW_SPEED,
-            detach_speed=SLOW_SPEED,
-            is_placed=True,
-            **positions,
+        return self.section.dock.at_other_place(
+            self.section.settings.replace(
+                safe_dock_distance=nearest_distance(positions),
+                travel_speed=JOG_SPEED,
+                attach_speed=SLOW_SPEED,
+                detach_speed=SLOW_SPEED,
+                is_placed=True,
+                strip_z=None,
+                macros=(),
+                **positions,
+            )
         )
 
     ##################################################################
@@ -294,11 +309,11 @@ class Setup:
         for number, axis in enumerate("XYZ"):
             if axis not in distances:
                 continue
-            if not self.section.moves.is_homed(axis.lower()):
+            if not self.host.is_homed(axis.lower()):
                 raise CalibrationError(f"not homed: {axis}; home first")
             low, high = self.host.axes.limits()[number]
             if axis == "Z":
-                low = max(low, self.section.settings.hang)
+                low = max(low, self.section.settings.length)
             at, distance = start[number], distances[axis]
             ends[number] = jogged(axis, at, distance, (low, high))
         self.wizard.move(gcmd, ends, JOG_SPEED, JOG_SPEED)
@@ -309,6 +324,7 @@ class Setup:
 
     def _ask(self, problem: str = "") -> None:
         """Show the dialog of the step; problem: why the last answer was not done."""
+        self.section.low_moves.is_led = True
         self.wizard.show(self._sentences(problem))
 
     def _sentences(self, problem: str = "") -> List[str]:
@@ -365,14 +381,14 @@ class Setup:
             is_default = place == positions["approach_position"]
             if not is_default or given(self.host, section, name):
                 values.append((name, written(place)))
-        distance = given(self.host, section, DISTANCE.name)
+        distance = given(self.host, section, DISTANCE)
         nearest = nearest_distance(positions)
         if distance is not None and float(distance) > nearest:
             # klippy would refuse it, and what is rounded up.
             text = f"{nearest:.3f}"
             is_up = float(text) > nearest
             values.append(
-                (DISTANCE.name, f"{nearest - 0.001:.3f}" if is_up else text)
+                (DISTANCE, f"{nearest - 0.001:.3f}" if is_up else text)
             )
         return values
 

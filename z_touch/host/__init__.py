@@ -6,6 +6,8 @@ endstops     Endstops: make, find and check the switch that stops a move
 probe        Probing: the printer's probe, its session, where its touches end
 transforms   Transforms: what mesh, tilt, heat and tools add to Z at a point
 gcode_state  GcodeState: the G-code offset, G92, G90 and G91
+own_probe    Installed: a probe of ours as the printer's
+gcode_moves  GcodeMoves: what moves of G-code pass
 dock         HostDock: a [dockable_probe] of the host's own
 klippy       the types of klippy's objects
 

@@ -253,11 +253,6 @@ class Kinematics(Protocol):
     def get_steppers(self) -> List[Stepper]:
         """Return all motors."""
 
-    def calc_position(
-        self, stepper_positions: Mapping[str, float]
-    ) -> Sequence[float]:
-        """Return X, Y and Z (mm) where the motors, by name, are there (mm)."""
-
 
 class ToolHead(Protocol):
     """The object 'toolhead': where it is, and plain moves (mm, mm/s)."""

@@ -196,19 +196,6 @@ class Axes:
                 found[axis] = rail.get_homing_info().position_endstop
         return found
 
-    def motors_xy(self) -> Tuple[float, float]:
-        """Return where the motors of X and Y stand (mm); only differences mean something."""
-        self.host.toolhead.flush_step_generation()
-        kinematics = self._kinematics()
-        x, y = kinematics.calc_position(
-            {
-                stepper.get_name(): stepper.get_mcu_position()
-                * stepper.get_step_dist()
-                for stepper in kinematics.get_steppers()
-            }
-        )[:2]
-        return x, y
-
     def has_two_heads(self) -> bool:
         """Return whether there are two toolheads: which one homing leaves is not told."""
         lookup = self.host.printer.lookup_object
