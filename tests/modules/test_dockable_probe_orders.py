@@ -382,6 +382,42 @@ def test_probe_that_is_low_may_go_up(start, skew):
     assert where(printer) == "attached"
 
 
+# Others come in front of what looks at moves, and remember what was there before them
+OTHERS = {
+    "exclude_object": (
+        {"exclude_object": {}},
+        "EXCLUDE_OBJECT_DEFINE NAME=a CENTER=10,10"
+        " POLYGON=[[5,5],[5,15],[15,15],[15,5]]\nEXCLUDE_OBJECT_START NAME=a"
+        "\nEXCLUDE_OBJECT_END NAME=a",
+        "EXCLUDE_OBJECT_DEFINE RESET=1",
+    ),
+    "tuning_tower": (
+        {},
+        "TUNING_TOWER COMMAND=M220 PARAMETER=S START=100 FACTOR=0",
+        "TUNING_TOWER COMMAND=M220 PARAMETER=S START=90 FACTOR=0",
+    ),
+    "skew": ({"skew_correction": {}}, "SET_SKEW XY=141.42,141.42,100", ""),
+    "tilt": ({"bed_mesh": None, "bed_tilt": {"z_adjust": "0.5"}}, "", ""),
+}
+
+
+@pytest.mark.parametrize("other", all_slow_but(["exclude_object"], OTHERS))
+def test_way_down_is_looked_at_behind_others(start, other):
+    sections, begin, end = OTHERS[other]
+    changes = {"dockable_probe": QUICK, **sections}
+    printer = start(DOCK_SCENES["dock_gantry"], changes).homed()
+    printer.run(f"{OVER}\n{begin}\nATTACH_PROBE")
+    for script in ("G1 X160", end, "G1 X170"):
+        printer.run(script)
+        assert TOLD in printer.fail("G1 Z5")
+        assert printer.session.position()[2] == pytest.approx(20, abs=1)
+    printer.run("DETACH_PROBE\nG1 Z5\nG1 X150\nM400")
+    tilt = 0.5 if other == "tilt" else 0.0
+    assert printer.session.position() == pytest.approx((150, 150, 5 + tilt))
+    assert where(printer) == "docked"
+    printer.machine.truth.require_no_crash()
+
+
 # What has probed leaves the head as high as that; and a mesh lifts it
 @pytest.mark.parametrize("retract", ["0.5", "1", "2"])
 def test_head_goes_on_from_where_it_has_probed(start, retract):

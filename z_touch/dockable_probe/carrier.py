@@ -1,17 +1,16 @@
-"""The probe as others have to mind it: what lowers the nozzle, and moves of G-code.
+"""The probe as what lowers the nozzle has to mind it.
 
 Copyright (C) 2026  the Z calibration developers, under the GNU GPLv3
 """
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING, Sequence
+from typing import TYPE_CHECKING
 
 from .. import attached, touch
 from ..attached import DOCKED, UNKNOWN
 from . import path
 from .path import Position
-from .settings import HIGHER
 
 if TYPE_CHECKING:
     from .probe import DockedProbe
@@ -101,107 +100,3 @@ class Carrier:
             touch.move_xy(self.host, x, y, speed)
         else:
             self.moves.travel(goal, speed, into=True)
-
-
-class LowMoves:
-    r"""What moves of G-code may do while the probe may be attached.
-
-    The probe is longer than the nozzle.  A toolhead that G-code takes down to a first layer
-    would press it into the bed, all of its length but its travel:
-
-        |_____|  toolhead
-         | |  \/                 - - - Z of the toolhead
-         |_|       nozzle
-          | probe                from z_offset (mm) on it meets the bed
-        =========  bed           - - - Z=0
-
-    Only a move that goes down is looked at: a toolhead that is low already was brought there
-    by somebody who has looked, or has a Z that homing has made up.  A docking that is to come
-    is made then; otherwise the move is refused.
-    """
-
-    def __init__(self, probe: DockedProbe, carrier: Carrier):
-        self.host = probe.host
-        self.probe = probe
-        self.carrier = carrier
-        self.attached = attached.of(self.host.printer)
-        # Whether G28 is under way, with whatever homing_override does
-        self.is_homing = False
-        # Whether the user leads a probe that was put on by hand to where its dock is
-        self.is_led = False
-
-    def is_on(self) -> bool:
-        """Return whether there is anything to look at: the probe may be attached."""
-        return self.probe.known.may_be_on
-
-    def _meets_bed(self) -> float:
-        """Return from which toolhead Z (mm) on the probe may meet the bed."""
-        return self.probe.settings.z_offset + HIGHER
-
-    def may_go(self, goal: Sequence[float], z: float) -> bool:
-        """Return whether a move down to 'z' (toolhead Z, mm) may be made as it is.
-
-        False: the probe is to be docked before.  Raises the host's error otherwise.  May
-        pause.  Beside what a paused print has printed the probe may be in the way at any
-        height.
-        """
-        is_paused = self.host.print_state() == "paused"
-        is_high = z >= self._meets_bed() and not is_paused
-        if is_high or self._is_known_to(goal):
-            return True
-        if self.carrier.state() == DOCKED:
-            # Two pins of their own say so: nobody need look again
-            self.probe.known.be_told(DOCKED)
-            return True
-        if self.probe.keeping.is_pending() and not self._is_asking():
-            return False
-        what = (
-            f"what is printed on the way down to z={goal[2]:.3f}"
-            if is_paused
-            else f"the bed from z={self._meets_bed():.3f} on; that is higher than"
-            f" z={goal[2]:.3f}"
-        )
-        raise self.host.error(
-            f"the probe may be on the head ({self.carrier.reads()}), and may meet"
-            f" {what}; run DETACH_PROBE first"
-        )
-
-    def make_way(self) -> None:
-        """Dock the probe, the toolhead then just where it was.  May pause."""
-        self.probe.dock_and_come_back()
-
-    def _is_known_to(self, goal: Sequence[float]) -> bool:
-        """Return whether what moves the toolhead knows what is attached.
-
-        Homing, a trip, a measurement with the user's G-code, somebody who leads the probe to
-        its dock, or who goes there.
-        """
-        return (
-            self.is_homing
-            or self.probe.dock.underway.is_any()
-            or not self.probe.settings.is_placed
-            or self.attached.is_measuring()
-            or (self.is_led and self._is_asking())
-            or self._is_at_dock(Position(goal[0], goal[1], goal[2]))
-        )
-
-    def _is_asking(self) -> bool:
-        # Whoever prints has cleared the bed
-        is_asking = self.attached.is_asking(self.host)
-        return is_asking and not self.host.print_state()
-
-    def _is_at_dock(self, goal: Position) -> bool:
-        """Return whether a move stays in the dock, or goes to one of its positions.
-
-        A print has nothing to do at those, but for macros that do without our trips: the
-        circle may reach over the bed.
-        """
-        moves, positions = self.probe.moves, self.probe.settings.positions
-        if moves.stands_in_dock() and moves.is_in_dock(goal):
-            return True
-        if self.host.print_state() and self.probe.keeping.auto:
-            return False
-        return path.is_inside(goal, moves.zone) or any(
-            path.distance(goal, position) < path.ROUNDING
-            for position in positions.values()
-        )

@@ -14,7 +14,7 @@ from ..host.probe import TWIST
 if TYPE_CHECKING:
     from ..host.klippy import GCodeCommand, Handler
     from ..host.own_probe import Installed
-    from .carrier import LowMoves
+    from .low_moves import LowMoves
     from .probe import DockedProbe
 
 # After these a person lowers the nozzle with TESTZ, or onto a sheet of paper

@@ -15,12 +15,13 @@ from ..host.gcode_moves import GcodeMoves
 from ..host.own_probe import Installed
 from ..host.printer import Host
 from . import checks, path
-from .carrier import Carrier, LowMoves
+from .carrier import Carrier
 from .dock import IF_DOCKED, Dock, Underway
 from .height import Height
 from .homing import BeforeHoming
 from .host_commands import HostCommands
 from .known import Known
+from .low_moves import LowMoves
 from .path import Position
 from .probe import DockedProbe
 from .sensors import Sensors
