@@ -8,6 +8,7 @@ import pytest
 
 from simprinter import Fault
 from simprinter.hosts.hosts import Host
+from tests.modules.test_dockable_probe_setup import UNKNOWN, Owner, find
 from tools.kit.cases import slow
 from tools.kit.dockable_probe import (
     GANTRY,
@@ -20,6 +21,7 @@ from tools.kit.dockable_probe import (
     where,
 )
 from tools.kit.docks import SLINGER
+from tools.kit.z_calibration import with_moves
 
 CENTRE = "G1 X150 Y150 Z20 F6000\n"
 SAME = {"detach_position": "50, 250"}
@@ -137,11 +139,84 @@ def test_macros_instead_of_positions(start, scene, mode):
             "rename_existing": f"_{part}",
             "gcode": "\n  G1 X50 Y270",
         }
-    printer = start(euclid(scene), changes).homed()
+    changes["moves"] = {}
+    printer = start(euclid(scene), changes, modules=with_moves()).homed()
     before = len(trips(printer))
-    printer.run(f"{CENTRE}{mode}\nATTACH_PROBE\nPROBE\nDETACH_PROBE")
+    printer.run(f"{CENTRE}{mode}\nATTACH_PROBE\nPROBE")
+    begun = len(printer.status("moves")["ends"])
+    printer.run("DETACH_PROBE")
     assert trips(printer, before) == ["attach", "dock"]
+    # Straight in from where the macro ends, whose own moves are not told
+    ends = [tuple(end)[:2] for end in printer.status("moves")["ends"][begun:]]
+    assert [end for end in ends if end != (150, 150)][0] == (50, 308)
     assert where(printer) == "docked"
+    assert_safe(printer)
+
+
+def test_macros_are_no_part_of_a_trial(start):
+    changes = {"respond": {}, **section(**UNKNOWN, **QUICK)}
+    for part in ("APPROACH", "EXTRACT", "DETACH"):
+        changes[f"gcode_macro MOVE_TO_{part}_PROBE"] = {
+            "rename_existing": f"_{part}",
+            "gcode": "\n  {action_raise_error('a place of before')}",
+        }
+    user = Owner(start(SWITCH, changes).homed())
+    user.go("X150 Y150 Z20")
+    user.put_on()
+    find(user)
+    begun = len(trips(user.printer))
+    user.press("Fetch")
+    user.press("Dock")
+    assert user.step() == "SAVE"
+    assert trips(user.printer, begun) == ["attach", "dock"]
+
+
+# No Z of a position is found there: another way out is, which is tried as it is
+def test_set_up_where_a_stroke_was_before(start):
+    places = {
+        "dock_position": "50, 308",
+        "approach_position": "90, 308",
+        "detach_position": "90, 308, 2",
+        "dock_fixed_z": "True",
+    }
+    changes = {"respond": {}, "moves": {}, **section(**places, **QUICK)}
+    user = Owner(start(SWITCH, changes, modules=with_moves()).homed())
+    user.go("X150 Y150 Z20")
+    user.put_on()
+    find(user, until="APPROACH")
+    user.go("X90 Y308")
+    assert "this is the way out without the probe" in user.refused("Here")
+    user.go("Y270", "X50")
+    user.press("Here")
+    user.press("Same")
+    user.press("Fetch")
+    begun = len(user.printer.status("moves")["ends"])
+    user.press("Dock")
+    assert user.step() == "SAVE"
+    ends = user.printer.status("moves")["ends"][begun:]
+    assert min(z for _, _, z in ends) > 5
+
+
+# Homing of the user's may go down with the probe on
+
+
+def test_homing_override_goes_where_it_likes(start):
+    # Z is made up: 0 where the head is, so the bed is lower than that
+    gcode = (
+        "\n  G90\n  G1 Z15 F900\n  G28 X Y\n  ATTACH_PROBE\n  G1 X150 Y130 F6000"
+        "\n  G1 Z6 F600\n  G28 Z\n  DETACH_PROBE"
+    )
+    changes = {
+        "safe_z_home": None,
+        "homing_override": {"axes": "z", "set_position_z": "0", "gcode": gcode},
+        **section(**QUICK),
+    }
+    printer = start(GANTRY, changes).homed()
+    printer.run("G1 Z20 F900\nG28")
+    assert where(printer) == "docked"
+    # It is over with that
+    printer.run(f"{CENTRE}ATTACH_PROBE")
+    assert "run DETACH_PROBE first" in printer.fail("G1 Z6")
     assert_safe(printer)
 
 
