@@ -560,6 +560,21 @@ def test_print_below_the_dock(start, tmp_path):
     assert where(printer) == "attached"
 
 
+# So it is without a print that the host knows of; the owner's macros may go there
+@pytest.mark.parametrize("auto", [1, slow(0)])
+def test_circle_around_the_dock_is_no_place_to_go_down(start, auto):
+    printer = start(
+        DOCK_SCENES["dock_gantry"], {"dockable_probe": QUICK}
+    ).homed()
+    printer.run(f"{OVER}\nATTACH_PROBE\nG1 X50 Y275")
+    printer.run(f"SET_DOCKABLE_PROBE AUTO_ATTACH_DETACH={auto}")
+    if auto:
+        assert f"{TOLD} the bed" in printer.fail("G1 Z7")
+    else:
+        printer.run("G1 Z7\nM400")
+    printer.machine.truth.require_no_crash()
+
+
 # Without trips its owner's macros know when it is on
 def test_print_leaves_the_probe_without_trips(start, tmp_path):
     printer = with_card(start, tmp_path, "G90\nG1 Z20 F900\n").homed()

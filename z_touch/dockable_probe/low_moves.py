@@ -68,7 +68,8 @@ class LowMoves:
             # Two pins of their own say so: nobody need look again
             self.probe.known.be_told(DOCKED)
             return True
-        if self.probe.keeping.is_pending() and not self._is_asking():
+        is_asking = self.attached.is_asking(self.host)
+        if self.probe.keeping.is_pending() and not is_asking:
             return False
         what = (
             f"what is printed on the way down to z={goal[2]:.3f}"
@@ -88,35 +89,39 @@ class LowMoves:
     def _is_known_to(self, goal: Sequence[float]) -> bool:
         """Return whether what moves the toolhead knows what is attached.
 
-        Homing, a trip, a measurement with the user's G-code, somebody who leads the probe to
-        its dock, or who goes there.
+        Homing, a trip, a measurement with the user's G-code, a person with paper or who leads
+        the probe to its dock, or who goes there.
         """
         return (
             self.is_homing
             or self.probe.dock.underway.is_any()
             or not self.probe.settings.is_placed
             or self.attached.is_measuring()
-            or (self.is_led and self._is_asking())
+            or self._is_by_hand()
             or self._is_at_dock(Position(goal[0], goal[1], goal[2]))
         )
 
-    def _is_asking(self) -> bool:
-        # Whoever prints has cleared the bed
-        is_asking = self.attached.is_asking(self.host)
-        return is_asking and not self.host.print_state()
+    def _is_by_hand(self) -> bool:
+        """Return whether a person moves the toolhead, with paper or by our set-up."""
+        if self.host.print_state():
+            # Whoever prints has cleared the bed
+            return False
+        is_led = self.is_led and self.host.section in self.attached.questions
+        return is_led or self.host.probing.is_manual_probing()
 
     def _is_at_dock(self, goal: Position) -> bool:
         """Return whether a move stays in the dock, or goes to one of its positions.
 
-        A print has nothing to do at those, but for macros that do without our trips: the
-        circle may reach over the bed.
+        A print has nothing to do at those.  Macros that do without our trips may go anywhere
+        in the circle, which may reach over the bed.
         """
         moves, positions = self.probe.moves, self.probe.settings.positions
         if moves.stands_in_dock() and moves.is_in_dock(goal):
             return True
-        if self.host.print_state() and self.probe.keeping.auto:
-            return False
-        return path.is_inside(goal, moves.zone) or any(
+        is_at_position = any(
             path.distance(goal, position) < path.ROUNDING
             for position in positions.values()
         )
+        if self.probe.keeping.auto:
+            return is_at_position and not self.host.print_state()
+        return is_at_position or path.is_inside(goal, moves.zone)
