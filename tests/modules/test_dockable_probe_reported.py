@@ -153,6 +153,17 @@ def test_macros_instead_of_positions(start, scene, mode):
     assert_safe(printer)
 
 
+@pytest.mark.parametrize("command", ["PROBE", slow("DETACH_PROBE")])
+def test_macro_that_needs_what_it_is_a_part_of(start, command):
+    macro = {"rename_existing": "_THEIRS", "gcode": f"\n  {command}\n  _THEIRS"}
+    changes = {"gcode_macro MOVE_TO_APPROACH_PROBE": macro, **section(**QUICK)}
+    printer = start(SWITCH, changes).homed()
+    text = printer.fail(f"{CENTRE}ATTACH_PROBE")
+    assert "a command in a macro over a part of the way needs the probe" in text
+    assert where(printer) == "docked"
+    assert_safe(printer)
+
+
 def test_macros_are_no_part_of_a_trial(start):
     changes = {"respond": {}, **section(**UNKNOWN, **QUICK)}
     for part in ("APPROACH", "EXTRACT", "DETACH"):

@@ -322,6 +322,8 @@ class Dock:
         Fetching it for what runs in the middle of fetching it would never end.
         """
         option = self.underway.option
+        if option is None and self.underway.trip is not None:
+            option = "a macro over a part of the way"
         if option is not None:
             raise self.host.error(
                 f"a command in {option} needs the probe fetched or docked, which that"
