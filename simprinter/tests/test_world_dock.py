@@ -69,6 +69,28 @@ def test_the_way_out_decides(initial, way, after):
     assert events(driver) == (kinds[after] if changed else [])
 
 
+# In a dock that goes up and down with the head, and is left along Y both times
+@pytest.mark.parametrize(
+    ("stroke", "after"),
+    [
+        (-4.0, "docked"),
+        (-2.0, "attached"),
+        (0.0, "attached"),
+        (4.0, "attached"),
+    ],
+)
+def test_stroke_that_strips_the_probe_off(stroke, after):
+    dock = replace(DOCK.dock, lifted=True, release=(0.0, 0.0, -1.0))
+    probe = replace(DOCK.mag_probe, initial="attached")
+    driver = Driver(make(replace(DOCK, mag_probe=probe, dock=dock)))
+    driver.go(20.0, 280.0)
+    driver.go(z=20.0)
+    driver.go(*IN_DOCK)
+    driver.go(z=20.0 + stroke)
+    driver.go(20.0, 280.0)
+    assert driver.world.probe_state(driver.t) == after
+
+
 @pytest.mark.parametrize(
     ("height", "after"), [(17.1, "attached"), (16.9, "docked")]
 )

@@ -264,7 +264,8 @@ class DockSpec(Spec):
     approach: direction in which a head leaves to take the probe along
     release: direction in which a head leaves to strip the probe off
     cone: degrees by which leaving may differ from those directions
-    lifted: it goes up and down with the head, so z does not matter
+    lifted: it goes up and down with the head, so z does not matter; with a release of
+        straight up or down a head that moves so by `reach` in it strips the probe off
     body: radius around it, mm, in which the head hits something, except in
         lanes this wide to either side along approach, release and `lanes`
     top: mm over z to which that something reaches
