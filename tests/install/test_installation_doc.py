@@ -132,6 +132,61 @@ def test_lines_for_owners_of_the_original_never_run_its_installer(home):
         assert not (home.home / "klipper_z_calibration.old").exists()
 
 
+ADDRESS = re.search(r"ADDRESS=(\S+)", README.read_text())[1]
+
+
+def published(home):
+    """What makes git find our clone at the address that README has."""
+    return {
+        "GIT_CONFIG_COUNT": "2",
+        "GIT_CONFIG_KEY_1": f"url.{home.directory / 'source'}.insteadOf",
+        "GIT_CONFIG_VALUE_1": ADDRESS,
+    }
+
+
+def original(home):
+    """The folder of the original plugin, whose install.sh leaves a mark."""
+    folder = home.home / "klipper_z_calibration"
+    folder.mkdir()
+    (folder / "z_calibration.py").write_text("theirs = 1\n")
+    script = folder / "install.sh"
+    script.write_text('#!/bin/sh\necho "$@" >"$HOME/the-original-ran"\n')
+    script.chmod(0o755)
+    return folder
+
+
+def test_lines_for_owners_of_the_original_word_for_word(home, klipper):
+    old = original(home)
+    klipper.place().symlink_to(old / "z_calibration.py")
+    there = commands(README.read_text(), CHANGING, "").partition("\n\n")[0]
+    outcome = home.command(["bash", "-c", cloned(there)], published(home))
+    assert (outcome.code, outcome.err) == (0, ""), outcome
+    assert not (home.home / "the-original-ran").exists()
+    assert klipper.links() == klipper.expected(*MODULES)
+    assert "Linking z_calibration.py into klippy/extras... [OK" in outcome.out
+    kept = home.home / "klipper_z_calibration.old"
+    assert (kept / "z_calibration.py").read_text() == "theirs = 1\n"
+
+
+def test_who_reads_from_the_top_is_asked_before_the_first_clone():
+    """The lines for a new printer end with git's error beside the original."""
+    text = part(README.read_text(), "Install")
+    asked, _, lines = text.partition("git clone")
+    assert "Do you have a folder `~/klipper_z_calibration` already?" in asked
+    assert "(#you-have-klipper_z_calibration-already)" in asked
+    assert lines
+    top = README.read_text().partition("\n## ")[0]
+    assert "~/klipper_z_calibration" not in top
+
+
+def test_after_the_lines_comes_the_first_run():
+    before, _, after = part(README.read_text(), CHANGING).partition(
+        "```\n\nThen"
+    )
+    assert "copy `printer.cfg`" in before
+    assert "(docs/setup.md#the-first-run)" in after.partition("\n\n")[0]
+
+
 def test_from_the_original_plugin_and_back(home, klipper):
     old = home.clone(home.home / "klipper_z_calibration")
     (old / "theirs").write_text("")

@@ -175,11 +175,12 @@ def commands() -> list[str]:
 
 INSTALLING = {
     # Typed by tests/install/test_installation_doc.py
-    "ADDRESS=https://example.com/OWNER/NAME.git; git clone $ADDRESS"
-    " ~/klipper_z_calibration && ~/klipper_z_calibration/install.sh",
+    "ADDRESS=https://example.com/OWNER/NAME.git",
+    'git clone "$ADDRESS" ~/klipper_z_calibration &&'
+    " ~/klipper_z_calibration/install.sh",
     # The same way as in developing.md, whose clone test_the_way_to_the_demo types
-    "git clone https://example.com/OWNER/NAME.git ~/klipper_z_calibration;"
-    " cd ~/klipper_z_calibration",
+    "git clone https://example.com/OWNER/NAME.git z_calibration"
+    " && cd z_calibration",
 }
 # By test_the_way_to_the_demo
 DEMO = {
