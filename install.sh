@@ -47,13 +47,26 @@ scratch=""
 
 # What was done
 rehearsal="" first_problem=0 links_changed="" confs_changed="" unwritable=""
+warnings=()         # shown at the end
+not_restarted=""    # whether Klipper runs on without the new modules
 
 # Talking
 
+# say TEXT: as it is, also what another function reads
 say() { printf '%s\n' "$*" 2>/dev/null || true; }
-note() { say "Note: $*"; }
-complain() { printf 'Error: %s\n' "$*" >&2 || true; }
-explain() { printf '  %s\n' "$*" >&2 || true; }
+
+# tell TEXT: to a person, with ~ for the home directory, but not in quotes, where
+# a shell takes it for a name
+tell() {
+    local text=" $*" long=" $HOME/" short=" ~/"
+    text=${text//"$long"/"$short"}
+    say "${text# }"
+}
+
+note() { tell "Note: $*"; }
+warn() { warnings+=("$*"); }
+complain() { tell "Error: $*" >&2; }
+explain() { tell "  $*" >&2; }
 
 # problem CODE TEXT: a reason not to begin; all are shown before the end
 problem() {
@@ -67,7 +80,7 @@ fail() {
 }
 
 # report ACTION DETAIL: one line for what was done now
-report() { say "$1... [${dry_run:-OK}${2:+, $2}]"; }
+report() { tell "$1... [${dry_run:-OK}${2:+, $2}]"; }
 change() { [ -n "$dry_run$rehearsal" ] || "$@"; }
 
 # Each is told once
@@ -263,15 +276,24 @@ each_once() {
 
 # Everything in order
 
-# One run at a time: two would both add what is missing. Nobody leaves a lock
-# behind, as it ends with the process.
-lock_out_others() {
-    command -v flock >/dev/null || return 0
-    exec {lock}<"$HOME"
-    flock -n "$lock" && return 0
-    note "another run of this script is under way; waiting for it"
-    flock -w 60 "$lock" || fail "$ENVIRONMENT" "another run of this script has" \
-        "not ended for a minute; end it, then run this again"
+# The last lines: what did not go as wanted, and what to do next
+finish() {
+    local text
+    for text in "${warnings[@]}"; do
+        tell "Warning: $text"
+    done
+    if [ -n "$dry_run" ]; then
+        tell "Dry run: nothing was changed"
+    elif [ -n "$uninstall" ]; then
+        tell "Uninstalled: ${modules// /, }"
+    elif [ -n "$not_restarted" ]; then
+        tell "Installed: ${modules// /, }. Next: restart Klipper as the lines" \
+            "above say, then the quick start of your printer, see" \
+            "$here/README.md"
+    else
+        tell "Installed: ${modules// /, }. Next: the quick start of your" \
+            "printer, see $here/README.md"
+    fi
 }
 
 main() {
@@ -282,7 +304,6 @@ main() {
     parse "$@"
     look_at_environment
     choose_modules
-    lock_out_others
     scratch=$(mktemp -d)
     trap 'rm -rf -- "$scratch"' EXIT
     locate_klipper
@@ -293,17 +314,15 @@ main() {
         set_up_links
         set_up_updates
     } >/dev/null
-    rehearsal=""
+    rehearsal="" warnings=()
     if [ "$first_problem" -ne 0 ]; then
         complain "nothing was changed"
         exit "$first_problem"
     fi
     set_up_links
     set_up_updates
-    [ -z "$links_changed" ] || [ -n "$uninstall" ] ||
-        say "Next: a section in printer.cfg for each module that you use, see" \
-            "$here/README.md"
     restart_services
+    finish
     exit "$first_problem"
 }
 

@@ -187,7 +187,7 @@ link() {
             "would block Klipper updates; leave it out with --modules"
         return 0
     elif is_ours "$1" && [ "$file" -ef "$here/$name" ]; then
-        say "$action... [OK, already linked]"
+        tell "$action... [OK, already linked]"
         return 0
     elif is_foreign "$1" && [ -z "$force" ]; then
         refuse_to_replace "$1"

@@ -37,6 +37,17 @@ managed_services: klipper
 END
 }
 
+# What begins a section of ours
+readonly HEADER="^[[]update_manager[ \t]+(client[ \t]+)?${SECTION#* }[ \t]*[]]"
+
+# Whether this script has written the section that is in a file
+is_written_by_us() {
+    awk -v header="$HEADER" -v mark="$MARK" '
+        $0 ~ header && index(before, mark) == 1 { found = 1 }
+        { before = $0 }
+        END { exit !found }' "$1"
+}
+
 # A configuration and the files it includes, as far as they can be read
 with_includes() {
     local conf=$1 depth=${2:-0} pattern file
@@ -50,7 +61,12 @@ with_includes() {
         for file in $pattern; do
             with_includes "$file" $((depth + 1))
         done
-    done < <(sed -nE 's/^\[include +([^]]+)\].*/\1/p' "$conf")
+        # Not sed, which leaves the end of the last line as it is
+    done < <(awk '/^\[include[ \t]+[^]]+\]/ {
+        sub(/^\[include[ \t]+/, "")
+        sub(/\].*/, "")
+        print
+    }' "$conf")
 }
 
 # settings CONF: each option as file, section, option and value, with tabs
@@ -63,7 +79,7 @@ settings() {
             /^\[/ {
                 section = substr($0, 2)
                 sub(/\].*/, "", section)
-                gsub(/ +/, " ", section)
+                gsub(/[ \t]+/, " ", section)
                 sub(/ $/, "", section)
                 sub(/^update_manager client /, "update_manager ", section)
                 print FILENAME, section, "", ""
@@ -112,22 +128,22 @@ set_up_updates() {
 
 set_up_conf() {
     local file="" files path theirs followed ours=${origin%.git} is_path_ours=""
+    local is_moved=""
     if [ ! -r "$1" ]; then
         problem "$NOT_WRITABLE" "cannot read $1"
         return 0
     fi
     mapfile -t files < <(settings "$1" | awk -F '\t' -v section="$SECTION" '
         $2 == section && $3 == "" { print $1 }')
-    if [ -n "$(printf '%s\n' "${files[@]}" | awk 'seen[$0]++')" ]; then
-        mend_sections "${files[@]}"
-        return 0
-    fi
     # Of several files the last one counts
     [ "${#files[@]}" -eq 0 ] || file=${files[-1]}
     path=$(setting "$1" "$SECTION" path)
     theirs=$(setting "$1" "$SECTION" origin)
     followed=$(setting "$1" "$SECTION" primary_branch)
     [ ! "${path/#\~/$HOME}" -ef "$here" ] || is_path_ours=1
+    # Of a clone that was moved, or is gone
+    [ -z "$file" ] || [ -e "${path/#\~/$HOME}" ] ||
+        ! is_written_by_us "$file" || is_moved=1
     if [ -z "$file" ]; then
         [ -z "$uninstall" ] || return 0
         needs_replaceable "$1"
@@ -135,50 +151,31 @@ set_up_conf() {
             fail "$UNEXPECTED" "could not write $1, which is as it was; is the" \
                 "disk full?"
         report "Adding [$SECTION] to $1"
-    elif [ -n "$uninstall" ] && [ -n "$is_path_ours" ]; then
+    elif [ -n "$uninstall" ] && [ -n "$is_path_ours$is_moved" ]; then
         rewrite "$file"
         report "Removing [$SECTION] from $file"
     elif [ -n "$is_path_ours" ] && [ "${theirs%.git}" = "$ours" ] &&
         [ "${followed:-$branch}" = "$branch" ]; then
-        say "Adding [$SECTION] to $1... [SKIPPED, already there]"
+        tell "Adding [$SECTION] to $1... [SKIPPED, already there]"
         return 0
-    elif [ -n "$force" ] && [ -z "$uninstall" ]; then
+    elif [ -n "$force$is_moved" ] && [ -z "$uninstall" ]; then
         rewrite "$file" "$(updater_text)"
         report "Replacing [$SECTION] in $file"
     else
         if [ "${followed:-$branch}" != "$branch" ]; then
             theirs+=" (branch $followed)"
         fi
-        say "[$SECTION] in $file updates $path from $theirs, not" \
-            "$here${origin:+ from $origin}... [SKIPPED]"
-        [ -n "$uninstall" ] || note "--force replaces that section"
+        if [ -n "$uninstall" ]; then
+            tell "[$SECTION] in $file updates $path, not $here... [SKIPPED]"
+        else
+            tell "Adding [$SECTION] to $1... [SKIPPED, see below]"
+            warn "you will not see our updates: [$SECTION] in $file updates" \
+                "$path from $theirs, not $here from $origin; to replace that" \
+                "section run this again with --force"
+        fi
         return 0
     fi
     [ -z "$dry_run" ] || [ -n "$uninstall" ] || updater_text
-    confs_changed=1
-}
-
-# mend_sections FILE FILE ...: one for each time that our section is there. With
-# two of them in one file Moonraker does not start.
-mend_sections() {
-    local file text=""
-    if [ -z "$force$uninstall" ]; then
-        problem "$CONFLICT" "[$SECTION] is there $# times, in" \
-            "$(printf '%s\n' "$@" | sort -u | paste -sd ' '), and Moonraker does" \
-            "not start with more than one"
-        explain "--force leaves one"
-        return 0
-    fi
-    [ -n "$uninstall" ] || text=$(updater_text)
-    while IFS= read -r file; do
-        if [ -n "$text" ]; then
-            rewrite "$file" "$text"
-        else
-            rewrite "$file"
-        fi
-        text=""
-        report "Removing [$SECTION] that is there twice, from $file"
-    done < <(printf '%s\n' "$@" | awk '!seen[$0]++')
     confs_changed=1
 }
 
@@ -188,8 +185,7 @@ mend_sections() {
 rewrite() {
     local kept
     needs_replaceable "$1"
-    awk -v header="^[[]update_manager +(client +)?${SECTION#* } *[]]" \
-        -v mark="$MARK" '
+    awk -v header="$HEADER" -v mark="$MARK" '
         function empty(text) { return text ~ /^[ \t\r]*$/ }
         { line[NR] = $0 }
         /^\[/ {

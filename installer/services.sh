@@ -89,11 +89,11 @@ url_of() {
 restart_services() {
     local what kind
     if [ -z "$links_changed$confs_changed" ]; then
-        say "Nothing changed; nothing to restart"
+        tell "Nothing changed; nothing to restart"
         return 0
     fi
     if [ -n "$links_changed" ] && [ -n "$uninstall" ]; then
-        say "Klipper is not restarted: it does not start while printer.cfg" \
+        tell "Klipper is not restarted: it does not start while printer.cfg" \
             "has a section of a removed module. Remove that, then restart it"
         links_changed=""
     fi
@@ -124,37 +124,44 @@ tell_to_restart() {
     done
     command=${command//$'\n'/ }
     if has_systemd; then
-        say "Services not restarted. When nothing prints: $command"
+        tell "Services not restarted. When nothing prints: $command"
     else
-        say "Services not restarted: no systemd answers. Restart" \
+        tell "Services not restarted: no systemd answers. Restart" \
             "${1/ / and } as you start them; with systemd: $command"
     fi
-    [[ $1 != *Klipper* ]] ||
-        say "RESTART in the console does not load a changed module"
+    [[ $1 != *Klipper* ]] || {
+        not_restarted=1
+        tell "RESTART in the console does not load a changed module"
+    }
 }
+
+waits_for_restart() { [ "$1" != klipper ] || not_restarted=1; }
 
 # The units of one kind, each of which belongs to another printer. What nobody
 # knows of is taken to be printing.
 restart_kind() {
     local unit units state
     units=$(services_of "$1")
-    [ -n "$units" ] || say "No $1 service found. Restart it yourself"
+    [ -n "$units" ] || tell "No $1 service found. Restart it yourself"
     for unit in $units; do
         state=$(state_of "$1" "$unit")
         # With no Klipper running nobody prints, but one whose unit has a name of
         # its own
         [ -n "$klippers" ] || [ "$state" = busy ] || state=idle
         if ! systemctl is-active --quiet "$unit"; then
-            say "$unit not restarted: it does not run"
+            tell "$unit not restarted: it does not run"
         elif [ "$state" = busy ]; then
-            say "$unit not restarted: a print is running. When it has ended:" \
+            waits_for_restart "$1"
+            tell "$unit not restarted: a print is running. When it has ended:" \
                 "sudo systemctl restart $unit"
         elif [ "$state" = unknown ]; then
-            say "$unit not restarted: no Moonraker tells whether a print is" \
+            waits_for_restart "$1"
+            tell "$unit not restarted: no Moonraker tells whether a print is" \
                 "running. When it is not: sudo systemctl restart $unit"
         elif change as_root systemctl restart "$unit"; then
             report "Restarting $unit"
         else
+            waits_for_restart "$1"
             problem "$RESTART" "$unit was not restarted; run: sudo systemctl" \
                 "restart $unit"
         fi

@@ -17,8 +17,8 @@ from tools.kit.printer import MODULES as NAMES
 REPO = Path(__file__).resolve().parents[2]
 NOBODY = 65534
 # All that the script may use; a real sudo or systemctl is out of reach
-TOOLS = """awk bash cat cp date dirname env find flock git grep id ln mktemp mv
-paste readlink rm sed sort tr wc"""
+TOOLS = """awk bash cat cp date dirname env find git grep id ln mktemp mv
+readlink rm sed sort tr wc"""
 ORIGIN = "https://example.com/somebody/z-calibration.git"
 MODULES = sorted(NAMES)
 KALICO_SHIPS = ("z_calibration", "dockable_probe")
@@ -221,6 +221,10 @@ class Box:
         names = [call[len(start) :] for call in self.calls(start)]
         (self.directory / "calls").write_text("")
         return names
+
+    def short(self, path: object) -> str:
+        """A path as the script shows it to a person."""
+        return str(path).replace(f"{self.home}/", "~/")
 
     # Running it
 

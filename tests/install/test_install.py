@@ -44,7 +44,13 @@ def test_modules_and_their_folder_are_linked(machine, either):
     assert either.place().read_text() == (REPO / "z_calibration.py").read_text()
     assert (either.place("z_touch") / "__init__.py").is_file()
     assert either.status() == ""
-    assert f"you use, see {machine.checkout}/README.md\n" in out
+    names = ["z_calibration", NAME, "dockable_probe", "extra_probe"]
+    ours = [name for name in names if f"Linking {name}.py" in out]
+    assert len(ours) >= 3
+    assert out.splitlines()[-1] == (
+        f"Installed: {', '.join(ours)}. Next: the quick start of your printer,"
+        " see ~/klipper_z_calibration/README.md"
+    )
 
 
 def test_second_run_changes_nothing(machine, either):
@@ -56,7 +62,7 @@ def test_second_run_changes_nothing(machine, either):
     assert machine.restarted() == []
     assert out.count("... [OK, already linked]\n") == len(either.links())
     assert "Nothing changed; nothing to restart" in out
-    assert "Next:" not in out
+    assert out.splitlines()[-1].startswith("Installed: ")
 
 
 @pytest.mark.parametrize("options", [[], ["--modules", NAME]])
@@ -159,10 +165,16 @@ def test_link_of_somebody_else_stays(machine, klipper):
     conf = machine.conf(text=f"{section}channel: stable\n")
     file = link_to(machine, FREEDI, klipper)
     err = machine.refused(4)
-    assert f"{file} belongs to somebody else: it is a link to" in err
-    assert f"{machine.home}/{FREEDI}" in err
+    assert (
+        f"{machine.short(file)} belongs to somebody else: it is a link to"
+        in err
+    )
+    assert f"~/{FREEDI}" in err
     assert "z_offset of [auto_z_offset] has the opposite sign" in err
-    assert f"Its updates come by [update_manager FreeDi] in {conf}" in err
+    assert (
+        f"Its updates come by [update_manager FreeDi] in {machine.short(conf)}"
+        in err
+    )
     assert f"or rm -r '{file}' and run this again\n" in err
     assert "name the others with --modules" in err
     assert err.endswith("Error: nothing was changed\n")
@@ -199,7 +211,10 @@ def test_force_replaces_the_link_of_somebody_else(machine, klipper):
     file = link_to(machine, FREEDI, klipper)
     target = os.readlink(file)
     out = machine.installed("--force")
-    assert f"{NAME}.py into klippy/extras... [OK, pointed to {target}" in out
+    assert (
+        f"{NAME}.py into klippy/extras... [OK, pointed to {machine.short(target)}"
+        in out
+    )
     assert "Note: With ours, z_offset of [auto_z_offset] has the" in out
     assert klipper.links() == klipper.expected(*MODULES)
     assert (machine.home / FREEDI).read_text() == "theirs = 1\n"
@@ -261,7 +276,10 @@ def test_copies_by_hand_are_kept(machine, klipper):
     (folder / "mine.py").write_text("mine = 2\n")
     err = machine.refused(4)
     for place in (file, folder):
-        assert f"{place} is no link, so this script has not made it" in err
+        assert (
+            f"{machine.short(place)} is no link, so this script has not made it"
+            in err
+        )
     out = machine.installed("--force")
     assert klipper.links() == klipper.expected(*MODULES)
     names = re.findall(r"\[OK, old one kept as (.*)\]", out)
@@ -300,7 +318,12 @@ def test_all_obstacles_are_named_at_once(machine, klipper):
     for name in MODULES:
         assert f"{name}.py is no link" in err
     folder = f"{klipper.path}/klippy/extras"
-    assert err.count(f"cannot write to {folder}; give it to your user") == 1
+    assert (
+        err.count(
+            f"cannot write to {machine.short(folder)}; give it to your user"
+        )
+        == 1
+    )
 
 
 # What git knows
@@ -319,7 +342,10 @@ def test_klipper_without_git(box):
 def test_git_that_refuses_to_look(machine, klipper, broken):
     (klipper.path / ".git" / broken).write_text("nonsense")
     err = machine.refused(3)
-    assert f"git does not tell what is part of {klipper.path}: " in err
+    assert (
+        f"git does not tell what is part of {machine.short(klipper.path)}: "
+        in err
+    )
     assert "fatal: " in err or "error: " in err
 
 
@@ -359,7 +385,10 @@ def test_exclude_file_that_cannot_be_written(machine, klipper):
     klipper.exclude.chmod(0o444)
     out = machine.installed()
     assert klipper.links() == klipper.expected(*MODULES)
-    assert f"Note: cannot write to {klipper.exclude}; git will list" in out
+    assert (
+        f"Note: cannot write to {machine.short(klipper.exclude)}; git will list"
+        in out
+    )
     assert "Excluding" not in out
     klipper.exclude.parent.chmod(0o555)
     machine.installed("-u")
@@ -411,7 +440,7 @@ def test_override_is_read_from_what_the_printer_reads(
         box.installed()
         assert kalico.links() == kalico.expected(*MODULES)
     else:
-        assert f"first add to {cfg}:" in box.refused(4)
+        assert f"first add to {box.short(cfg)}:" in box.refused(4)
 
 
 def test_each_printer_has_to_allow_it(box):
@@ -421,7 +450,7 @@ def test_each_printer_has_to_allow_it(box):
     )
     second = box.conf("printer_2_data/config").with_name("printer.cfg")
     second.write_text("[printer]\n")
-    assert f"first add to {second}:" in box.refused(4)
+    assert f"first add to {box.short(second)}:" in box.refused(4)
     second.write_text(OVERRIDE)
     box.installed()
     assert kalico.links() == kalico.expected(*MODULES)
@@ -472,7 +501,7 @@ def test_module_of_somebody_else_in_extras_of_kalico(machine):
     other = kalico.path / PLACE
     other.symlink_to(machine.write(FREEDI, "theirs = 1\n"))
     err = machine.refused(4)
-    assert f"{other} belongs to somebody else" in err
+    assert f"{machine.short(other)} belongs to somebody else" in err
     # As it advises; beside ours Kalico would not start
     out = machine.installed("--force")
     assert not other.is_symlink() and "which led to" in out
@@ -548,17 +577,18 @@ def test_not_from_an_incomplete_clone(machine, klipper, missing):
         # What git leaves behind when they go
         (folder / "core" / "__pycache__").mkdir(parents=True)
     err = machine.refused(3)
-    assert f"{machine.checkout} has no module or no z_touch; run" in err
+    assert "~/klipper_z_calibration has no module or no z_touch; run" in err
 
 
 def test_extras_that_cannot_be_written(machine, klipper):
     folder = klipper.path / "klippy/extras"
     folder.chmod(0o555)
-    assert f"cannot write to {folder}" in machine.refused(5)
+    shown = machine.short(folder)
+    assert f"cannot write to {shown}" in machine.refused(5)
     folder.chmod(0o755)
     machine.installed()
     folder.chmod(0o555)
-    assert f"cannot write to {folder}" in machine.refused(5, "-u")
+    assert f"cannot write to {shown}" in machine.refused(5, "-u")
     # Nothing to write
     machine.installed()
     folder.chmod(0o755)
@@ -789,8 +819,8 @@ def test_another_checkout_is_none_of_somebody_else(machine, klipper, second):
     err = machine.run(script=second).err
     for name in [*[f"{name}.py" for name in MODULES], "z_touch"]:
         line = (
-            f"Error: {klipper.place(name)} is a link to another checkout of"
-            f" this project, {machine.checkout}; "
+            f"Error: {machine.short(klipper.place(name))} is a link to another checkout of"
+            " this project, ~/klipper_z_calibration; "
         )
         assert err.count(line) == 1
     for words in ("somebody else", "opposite sign", "migration.md", "rm -r"):
@@ -798,7 +828,7 @@ def test_another_checkout_is_none_of_somebody_else(machine, klipper, second):
     assert klipper.links() == before
     outcome = machine.run("--force", script=second)
     assert (outcome.code, outcome.err) == (0, "")
-    assert f"[OK, pointed to {machine.checkout}/{NAME}.py" in outcome.out
+    assert f"[OK, pointed to ~/klipper_z_calibration/{NAME}.py" in outcome.out
     assert "opposite sign" not in outcome.out
     assert "migration.md" not in outcome.out
     assert leads_to(klipper) == {str(second.parent)}
@@ -863,14 +893,17 @@ def test_what_was_put_aside_is_named_at_the_end(machine, klipper):
     klipper.place().write_text("theirs = 1\n")
     machine.installed("--force")
     (kept,) = klipper.place().parent.glob("z_calibration.py.bak-*")
-    assert f"{kept} was kept when ours came" in machine.installed("-u")
+    assert (
+        f"{machine.short(kept)} was kept when ours came"
+        in machine.installed("-u")
+    )
 
 
 def test_which_klipper_was_taken(box):
     box.klipper(), box.kalico("kalico")
     out = box.installed()
     klipper, kalico = box.home / "klipper", box.home / "kalico"
-    told = f"using {klipper}; for the other one: -k '{kalico}'\n"
+    told = f"using ~/klipper; for the other one: -k '{kalico}'\n"
     assert f"Note: {told}" in out
     assert "the other one" not in box.installed("-k", str(klipper))
 

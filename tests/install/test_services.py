@@ -105,11 +105,14 @@ def test_command_that_restarts_is_told(machine, units, stopped, names):
     command = "Services not restarted. When nothing prints: sudo systemctl"
     out = machine.installed("--no-restart")
     console = "RESTART in the console does not load a changed module\n"
-    assert f"{command} restart {names}\n{console}" in out
+    assert f"{command} restart {names}\n{console}Installed: " in out
+    assert "Next: restart Klipper as the lines above say, then" in out
     assert machine.restarted() == []
     out = machine.installed("-u", "--no-restart")
     moonrakers = " ".join(n for n in names.split() if n.startswith("moon"))
-    assert out.endswith(f"{command} restart {moonrakers}\n")
+    *_, told, last = out.splitlines()
+    assert told == f"{command} restart {moonrakers}"
+    assert last.startswith("Uninstalled: ")
     assert "console" not in out
 
 
