@@ -95,9 +95,13 @@ def test_example_is_the_section_of_the_script(machine, klipper):
 
 def test_nobody_is_sent_to_releases_that_there_are_not():
     """Without a tag, `channel: stable` says "up to date" for ever."""
-    for file in (README, EXAMPLE, *DOCUMENT.parent.glob("*.md")):
+    for file in (README, *DOCUMENT.parent.glob("*.md")):
         assert "channel:" not in file.read_text(encoding="utf-8"), file
     assert "channel:" not in SCRIPT
+    # In a comment that says when
+    (line,) = re.findall(r".*channel:.*", EXAMPLE.read_text())
+    assert line.startswith("#")
+    assert "As long as there is no tag" in EXAMPLE.read_text()
 
 
 def test_kalico(home):
