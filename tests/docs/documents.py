@@ -9,6 +9,7 @@ from collections.abc import Iterator
 from functools import lru_cache
 from pathlib import Path
 from typing import NamedTuple
+from urllib.parse import unquote
 
 from markdown_it import MarkdownIt
 from markdown_it.tree import SyntaxTreeNode
@@ -185,7 +186,7 @@ def link_problems(text: str, document: Path) -> list[str]:
     targets = [str(link.attrs["href"]) for link in nodes(text, "link")]
     targets += [str(image.attrs["src"]) for image in nodes(text, "image")]
     for target in targets:
-        path, _, anchor = target.partition("#")
+        path, _, anchor = unquote(target).partition("#")
         if target.startswith("http"):
             continue
         if path and not (document.parent / path).exists():

@@ -12,7 +12,7 @@ import pytest
 
 from simprinter.hosts.environment import build_dir
 from simprinter.hosts.hosts import all_hosts, missing_hosts
-from tests.docs.documents import link_problems, part
+from tests.docs.documents import link_problems, nodes, part
 from tests.docs.pictures import numbers
 from tests.modules.example_owners import OWNERS
 from tests.modules.test_z_calibration_examples import (
@@ -25,8 +25,14 @@ from tools.kit.lab import copy_own_files
 
 ROOT = Path(__file__).resolve().parents[2]
 README = ROOT / "README.md"
-DOCUMENTS = sorted([*ROOT.glob("*.md"), *ROOT.glob("docs/*.md")])
-SETUP = [README, ROOT / "docs" / "setup.md"]
+CHINESE = ROOT / "docs" / "zh"
+DOCUMENTS = sorted(
+    [*ROOT.glob("*.md"), *ROOT.glob("docs/*.md"), *CHINESE.glob("*.md")]
+)
+SETUP = [
+    ROOT / "docs" / "quickstart_voron_klicky.md",
+    ROOT / "docs" / "setup.md",
+]
 
 
 def blocks(text: str, language: str = "") -> list[str]:
@@ -42,14 +48,14 @@ def blocks(text: str, language: str = "") -> list[str]:
 def settings(document: Path) -> str:
     """What a document gives for printer.cfg: its first section, its macro."""
     text = document.read_text(encoding="utf-8")
-    if document == README:
-        # What the set-up has found
-        found = (SETUP[1]).read_text(encoding="utf-8")
-        section = blocks(part(found, "printer.cfg"), "ini")[0]
-        lines = blocks(part(text, "PRINT_START"))[0].splitlines()
-        code = "".join(f"    {line}\n" for line in lines)
-        return f"{section}\n[gcode_macro PRINT_START]\ngcode:\n{code}"
-    titles = ("printer.cfg", "PRINT_START")
+    if document == SETUP[0]:
+        # What the set-up has found, and the macro
+        titles = (
+            "3. Let the dialogs find the rest (seven minutes)",
+            "4. Use it in PRINT_START (one minute)",
+        )
+    else:
+        titles = ("printer.cfg", "PRINT_START")
     return "\n".join(blocks(part(text, t), "ini")[0] for t in titles)
 
 
@@ -59,7 +65,7 @@ def test_shortest_way_ends_at_the_right_height(start, tmp_path, document):
     file = tmp_path / "mine.cfg"
     file.write_text(settings(document))
     changes = {f"include {file}": {}}
-    if document != README:
+    if document != SETUP[0]:
         # The mesh of an earlier day
         owner = owner.__class__(owner.scene, owner.bed)
     printer = start(owner.scene, changes=changes)
@@ -68,10 +74,12 @@ def test_shortest_way_ends_at_the_right_height(start, tmp_path, document):
     assert_ready_to_print(printer, owner)
 
 
-def test_section_of_the_readme_is_enough_to_begin(start, tmp_path):
-    text = README.read_text(encoding="utf-8")
+def test_section_of_the_quick_start_is_enough_to_begin(start, tmp_path):
+    text = SETUP[0].read_text(encoding="utf-8")
     file = tmp_path / "mine.cfg"
-    file.write_text(blocks(part(text, "Set up in five steps"), "ini")[0])
+    file.write_text(
+        blocks(part(text, "2. Write a section (one minute)"), "ini")[0]
+    )
     owner = OWNERS["voron24_klicky"]
     printer = start(owner.scene, changes={f"include {file}": {}})
     printer.session.require_ready()
@@ -136,17 +144,20 @@ def test_readme_is_short_and_begins_with_what_one_can_try():
     }
 
 
-def test_the_address_stands_in_one_file():
-    """At the top of README and where it is installed; whoever publishes it looks
-    nowhere else."""
+def test_the_address_stands_in_readme_alone():
+    """At its top and where it is installed, in both languages; whoever publishes it
+    looks nowhere else."""
     paths = [*DOCUMENTS, *ROOT.glob("examples/**/*"), ROOT / "install.sh"]
     texts = {p: p.read_text(encoding="utf-8") for p in paths if p.is_file()}
     found = re.findall(r"ADDRESS=([^\s;]+)", "".join(texts.values()))
     (address,) = set(found)
-    top, _, rest = texts[README].partition("\n## ")
-    assert f"\ngit clone {address} " in top
-    assert rest.count(address) == len(found) == 2
-    assert [path for path in texts if address in texts[path]] == [README]
+    readmes = [README, CHINESE / "README.md"]
+    for path in readmes:
+        top, _, rest = texts[path].partition("\n## ")
+        assert f"\ngit clone {address} " in top
+        assert rest.count(address) == 2
+    assert len(found) == 4
+    assert {path for path in texts if address in texts[path]} == {*readmes}
 
 
 # Commands
@@ -274,7 +285,7 @@ FOREIGN = """
 expected_bed_probe_z bed_probe_max_deviation
 QUERY_ENDSTOPS QUERY_PROBE RESTORE_GCODE_STATE Internal klippy base
 smart_effector qdprobe extra_probe rename_existing client macros CHAMBER
-KAMP_Settings variable_probe_dock_enable"""
+KAMP_Settings variable_probe_dock_enable SHAPER_CALIBRATE"""
 KNOWN_TEXTS = [
     ROOT / "docs" / "setup.md",
     ROOT / "docs" / "accuracy.md",
@@ -293,7 +304,7 @@ KNOWN_TEXTS = [
 ]
 
 
-@pytest.mark.parametrize("name", ["troubleshooting", "migration"])
+@pytest.mark.parametrize("name", ["troubleshooting", "migration", "faq"])
 def test_words_exist(name):
     """What these documents call by its name is described elsewhere."""
     known = "\n".join(path.read_text() for path in KNOWN_TEXTS)
@@ -309,10 +320,49 @@ def test_words_exist(name):
 # Links
 
 
-@pytest.mark.parametrize("document", DOCUMENTS, ids=lambda path: path.name)
+@pytest.mark.parametrize(
+    "document", DOCUMENTS, ids=lambda path: str(path.relative_to(ROOT))
+)
 def test_links(document):
     text = document.read_text(encoding="utf-8")
     assert link_problems(text, document) == []
+
+
+def plain(code: str) -> list[str]:
+    """The lines of a block without their comments."""
+    lines = [line.partition("#")[0].rstrip() for line in code.splitlines()]
+    return [line for line in lines if line]
+
+
+@pytest.mark.parametrize(
+    "document", sorted(CHINESE.glob("*.md")), ids=lambda path: path.name
+)
+def test_chinese_shows_the_same_code(document):
+    """What is typed and pasted was run in the English page."""
+    english = README if document.name == "README.md" else None
+    english = english or ROOT / "docs" / document.name
+    shown = {
+        path: [
+            (fence.info, plain(fence.content))
+            for fence in nodes(path.read_text(encoding="utf-8"), "fence")
+        ]
+        for path in (document, english)
+    }
+    assert shown[document] == shown[english]
+    commands = [
+        {*re.findall(r"`([A-Z][A-Z_]{3,}[^`]*)`", path.read_text("utf-8"))}
+        for path in (document, english)
+    ]
+    words = {word.split()[0] for word in commands[0] - commands[1]}
+    known = "".join(
+        path.read_text("utf-8") for path in (*ROOT.glob("docs/*.md"), README)
+    )
+    assert [word for word in words if word not in known] == []
+
+
+def test_everything_of_the_quick_starts_is_there_in_chinese():
+    wanted = {path.name for path in ROOT.glob("docs/quickstart_*.md")}
+    assert {p.name for p in CHINESE.glob("*.md")} == {"README.md", *wanted}
 
 
 def test_everything_is_linked_from_the_readme():
