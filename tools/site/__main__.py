@@ -28,15 +28,19 @@ COPIED = ("README.md", "CONTRIBUTING.md", "CHANGELOG.md", "LICENSE")
 COPIED += ("docs", "examples", "simprinter/LIMITS.md")
 ITEM = re.compile(r"( *)((?:[-*]|\d+\.) +)")
 INDENT = 4
-# Data files that are pages here
-TABLES = (
-    "options",
-    "old_names",
-    "numbers",
-    "installer",
-    "all_messages",
-    "report_texts",
-)
+STYLE = Path(__file__).with_name("site.css")
+# Data files that are pages here, and what these are called
+TABLES = {
+    "options": "All options",
+    "old_names": "Old names of options",
+    "numbers": "Built-in numbers",
+    "installer": "Options and messages of install.sh",
+    "all_messages": "All messages",
+    "report_texts": "Texts of the report",
+}
+# They have every word, and come behind the pages that explain it
+BEHIND = (*(f"docs/{name}.md" for name in TABLES), "CHANGELOG.md")
+BOOST = "---\nsearch:\n  boost: 0.2\n---\n\n"
 # As mkdocs.yml calls the folder of what was staged
 PAGES = "pages"
 
@@ -84,7 +88,7 @@ def page_of_table(path: Path) -> str:
     """A data file as a page: a table for each section."""
     with path.open(encoding="utf-8", newline="") as lines:
         heads, *rows = csv.reader(lines)
-    text = [f"# {path.stem}", "", f"[Download]({path.name})"]
+    text = [f"# {TABLES[path.stem]}", "", f"[Download]({path.name})"]
     section = None
     for row in rows:
         if row[0] != section:
@@ -124,6 +128,10 @@ def stage(source: Path) -> None:
             text = text.replace(f"]({name}.csv)", f"]({name}.md)")
         text = with_targets(text, page, source.resolve(), folders)
         page.write_text(text, encoding="utf-8")
+    for name in BEHIND:
+        page = source / name
+        page.write_text(BOOST + page.read_text(encoding="utf-8"), "utf-8")
+    shutil.copy(STYLE, source / STYLE.name)
     for folder in folders:
         (folder / "README.md").write_text(page_of(folder), encoding="utf-8")
 

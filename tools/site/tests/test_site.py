@@ -11,7 +11,7 @@ from pathlib import Path
 import pytest
 
 from simprinter.hosts.environment import REPO_ROOT, build_dir
-from tools.site.__main__ import PAGES, build, indented, stage
+from tools.site.__main__ import BEHIND, CONFIG, PAGES, build, indented, stage
 
 PAGES_OF_DOCS = sorted(path.stem for path in REPO_ROOT.glob("docs/*.md"))
 # What a reader's browser loads by itself
@@ -69,7 +69,32 @@ def test_site_has_every_page_and_loads_nothing_from_elsewhere(
             place = "".join(places).strip("\"'")
             assert not re.match(r"(?:https?:)?//", place), (path, place)
     home = (site / "index.html").read_text(encoding="utf-8")
-    assert "Start: these three pages" in home
+    assert "Quick starts" in home
+    # Both themes, and both languages
+    for scheme in ("default", "slate"):
+        assert f'data-md-color-scheme="{scheme}"' in home
+    assert (site / "docs" / "zh" / "index.html").exists()
+    for page in ("index.html", "docs/setup/index.html"):
+        text = (site / page).read_text(encoding="utf-8")
+        assert text.count('hreflang="zh"') == 2
+
+
+def test_titles_fit_and_say_what_a_page_is():
+    text = CONFIG.read_text(encoding="utf-8").partition("\nnav:")[2]
+    titles = re.findall(r"- ([^:\n]+): \S+\.md", text)
+    assert len(titles) == len(re.findall(r"\.md\b", text))
+    assert max(map(len, titles)) <= 24
+
+
+@pytest.mark.slow
+@pytest.mark.timeout(300)
+def test_tables_come_behind_the_pages_in_search(python, source, tmp_path):
+    assert build(source, tmp_path / "site", python) == 0
+    index = tmp_path / "site" / "search" / "search_index.json"
+    for entry in json.loads(index.read_text())["docs"]:
+        page = entry["location"].partition("#")[0].strip("/")
+        is_behind = f"{page}.md" in BEHIND
+        assert (entry.get("boost", 1.0) < 1.0) is is_behind, page
 
 
 @pytest.mark.slow
