@@ -15,8 +15,16 @@ from markdown_it import MarkdownIt
 from markdown_it.tree import SyntaxTreeNode
 
 DOCS = Path(__file__).resolve().parents[2] / "docs"
-# Section -> the pages that an owner reads of it, where it has more than one
-PAGES = {"z_calibration": ("z_calibration", "setup", "accuracy")}
+# Section -> the pages of it, where it has more than one
+PAGES = {
+    "z_calibration": (
+        "z_calibration",
+        "setup",
+        "accuracy",
+        "z_calibration_inside",
+    ),
+    "auto_z_offset": ("auto_z_offset", "auto_z_offset_inside"),
+}
 NUMBERS = "Built-in numbers"
 OPTIONS = "Which options are there?"
 OLD_NAMES = "Old names"

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import csv
 import re
 from pathlib import Path
 
@@ -14,13 +15,25 @@ PAGES = (
     "docs/auto_z_offset",
     "docs/dockable_probe",
     "docs/extra_probe",
+    "docs/faq",
+    "docs/first_real_printer",
     "docs/installation",
     "docs/messages",
     "docs/migration",
+    "docs/quickstart_dock",
+    "docs/quickstart_nozzle_switch",
+    "docs/quickstart_qidi",
+    "docs/quickstart_voron0",
+    "docs/quickstart_voron_klicky",
+    "docs/report",
     "docs/setup",
+    "docs/slicers",
     "docs/troubleshooting",
+    "docs/wiring",
     "docs/z_calibration",
 )
+# What is typed, and happens to be the name of a number, too
+TYPED = {"BACK", "PAPER"}
 # Word of developers -> what users read instead, unless it is in italics there
 # and says what it is
 WORDS = {
@@ -44,6 +57,19 @@ def test_users_read_words_that_they_know(name):
     for word, better in WORDS.items():
         found = re.findall(rf"(?i)\b{word}\b.*", text)
         assert found == [], f"write {better}"
+
+
+def constants() -> set[str]:
+    """Names of numbers in the sources, which no owner has to know."""
+    with (ROOT / "docs" / "numbers.csv").open(encoding="utf-8") as lines:
+        return {row["name"] for row in csv.DictReader(lines)}
+
+
+@pytest.mark.parametrize("name", PAGES)
+def test_users_read_no_names_of_the_sources(name):
+    text = (ROOT / f"{name}.md").read_text(encoding="utf-8")
+    names = {*re.findall(r"`([A-Z][A-Z_]+)`", text)}
+    assert names & constants() - TYPED == set()
 
 
 def test_pins_are_told_apart():
