@@ -1,40 +1,45 @@
 # shellcheck shell=bash
 # Part of install.sh: links into Klipper or Kalico.
 
-# A place is where a link may be, from the directory of Klipper on.
+# A place is where a link of this project may be, from the directory of Klipper on.
 
-# Those of our modules, and the folder unless another module needs it
-places() {
-    local name dir is_needed=""
-    for name in $MODULES; do
-        for dir in klippy/extras klippy/plugins; do
-            case " $modules " in
-                *" $name "*) say "$dir/$name.py" ;;
-                *) ! is_ours "$dir/$name.py" || is_needed=$uninstall ;;
-            esac
-        done
-    done
-    [ -n "$is_needed" ] || say "$SHARED"
-}
-
-# Wherever a link of this project may be
 every_place() {
     local name
-    say "$SHARED"
     for name in $MODULES; do
         printf '%s\n' "klippy/extras/$name.py" "klippy/plugins/$name.py"
     done
+    say "$SHARED"
 }
 
-# Whether it is that of a module to link, or the folder
+# Whether it is that of a module to link or unlink, or the folder
 is_chosen() {
     local name=${1##*/}
     [[ $1 = "$SHARED" || " $modules " = *" ${name%.py} "* ]]
 }
 
-# Where a link has to be; in the other one of Kalico's folders it must not
+# Whether a link has to be there; in the other one of Kalico's folders it must not
 is_wanted() {
-    [ -z "$uninstall" ] && [[ $1 = "$SHARED" || ${1%/*} = "$folder" ]]
+    [ -z "$uninstall" ] && is_chosen "$1" &&
+        [[ $1 = "$SHARED" || ${1%/*} = "$folder" ]]
+}
+
+# Whether a link that is there has to go: one of ours, one of the checkout that is
+# changed to this one, and one that leads nowhere, with which Kalico does not start
+is_left() {
+    if [ -L "$klipper/$1" ] && [ ! -e "$klipper/$1" ]; then
+        return 0
+    fi
+    is_chosen "$1" && { [ "$1" != "$SHARED" ] || ! is_folder_needed; } &&
+        { is_ours "$1" || { [ -z "$uninstall" ] && is_of_project "$1"; }; }
+}
+
+# Whether a module that stays needs the folder
+is_folder_needed() {
+    local place
+    for place in $(every_place); do
+        is_chosen "$place" || ! is_ours "$place" || return 0
+    done
+    return 1
 }
 
 # Whether it, or a package of that name, is part of Klipper
@@ -61,57 +66,29 @@ is_of_project() { is_ours "$1" || [ -n "$(other_checkout "$1")" ]; }
 # A link to a file that is gone is of use to nobody
 is_foreign() { [ -e "$klipper/$1" ] && ! is_of_project "$1"; }
 
-# Links that lead nowhere: into this checkout, from which an update has removed a
-# file, or under a name of ours into one that was moved or renamed. Kalico does
-# not even start with one in its plugins.
-dangling() {
-    local dir file
-    for dir in klippy/extras klippy/plugins; do
-        for file in "$klipper/$dir"/*; do
-            [ -L "$file" ] && [ ! -e "$file" ] || continue
-            if [[ $(readlink -m -- "$file") = "$here"/* ]] ||
-                is_our_name "${file##*/}"; then
-                say "$dir/${file##*/}"
-            fi
-        done
-    done
-}
-
-is_our_name() {
-    [[ $1 = "${SHARED##*/}" || " $MODULES " = *" ${1%.py} "* && $1 = *.py ]]
-}
-
 set_up_links() {
     local place emptied=""
     [ -n "$uninstall" ] || check_one_checkout
-    for place in $(dangling); do
-        # What belongs there is linked below, in one step
-        ! is_wanted_here "$place" || continue
-        unlink_place "$place" "$(strange_target "$place")"
-        emptied+=" $place"
-    done
-    for place in $(places); do
+    for place in $(every_place); do
         if is_wanted "$place"; then
             link "$place"
-        elif is_left "$place" && [[ $emptied != *" $place"* ]]; then
+        elif is_left "$place"; then
             unlink_place "$place" "$(strange_target "$place")"
             emptied+=" $place"
         fi
     done
-    [ -n "$uninstall" ] || check_kalico
-    [ -z "$uninstall" ] || name_backups
+    if [ -n "$uninstall" ]; then
+        name_backups
+    else
+        check_kalico
+    fi
     [ "$git_prefix" = - ] || set_up_exclude "$emptied"
-}
-
-# A link of ours, or of the checkout that is changed to this one
-is_left() {
-    is_ours "$1" || { [ -z "$uninstall" ] && is_of_project "$1"; }
 }
 
 # Each Klipper in which links into this checkout stay when some are taken away
 still_linked() {
     local other
-    [[ $(places) = *"$SHARED"* ]] || say "$klipper"
+    ! is_folder_needed || say "$klipper"
     for other in "$HOME/klipper" "$HOME/kalico"; do
         [ "$other" -ef "$klipper" ] ||
             [[ $(readlink -m -- "$other/$SHARED") != "$here"/* ]] || say "$other"
@@ -123,11 +100,6 @@ strange_target() {
     local target
     target=$(readlink -m -- "$klipper/$1")
     [[ $target = "$here"/* ]] || say "which led to $target"
-}
-
-# Whether link() takes care of it
-is_wanted_here() {
-    is_wanted "$1" && [[ " $(places | tr '\n' ' ')" = *" $1 "* ]]
 }
 
 # unlink_place PLACE DETAIL
@@ -329,7 +301,7 @@ set_up_exclude() {
     local file place wanted=() ignored="" new=""
     file=$(git -C "$klipper" rev-parse --git-path info/exclude)
     [[ $file = /* ]] || file="$klipper/$file"
-    for place in $(places); do
+    for place in $(every_place); do
         ! is_wanted "$place" || wanted+=("$place")
     done
     # It fails where none is

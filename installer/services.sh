@@ -126,8 +126,8 @@ tell_to_restart() {
     if has_systemd; then
         tell "Services not restarted. When nothing prints: $command"
     else
-        tell "Services not restarted: no systemd answers. Restart" \
-            "${1/ / and } as you start them; with systemd: $command"
+        tell "Services not restarted: this machine has no systemd that answers." \
+            "Restart ${1/ / and } yourself. Where there is systemd: $command"
     fi
     [[ $1 != *Klipper* ]] || {
         not_restarted=1
