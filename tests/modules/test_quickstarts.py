@@ -23,7 +23,14 @@ from tests.modules.test_z_calibration_examples import (
 from tools.kit.auto_z_offset import POINT as QIDI_POINT
 from tools.kit.auto_z_offset import told
 from tools.kit.dockable_probe import GANTRY
-from tools.kit.extra_probe import CALIBRATE, CONTINUE, MICROSTEP, lay
+from tools.kit.extra_probe import (
+    CALIBRATE,
+    CONTINUE,
+    MICROSTEP,
+    NAME,
+    fixed_switch,
+    lay,
+)
 from tools.kit.scenes import SCENES
 
 DOCS = Path(__file__).resolve().parents[2] / "docs"
@@ -124,6 +131,49 @@ def test_membrane_of_a_voron_0_ends_with_the_bed_at_zero(start):
     printer.run(typed)
     assert printer.status("toolhead")["position"][:3] == [60.0, 60.0, 0.1]
     assert printer.machine.truth.min_gap > 0.0
+
+
+# A switch beside the bed
+
+
+def test_nozzle_switch_is_right_after_another_nozzle(start):
+    page = "quickstart_nozzle_switch"
+    shown = ini_blocks(text_of(page))
+    own = {
+        name: value.partition("#")[0].strip()
+        for name, value in shown["extra_probe nozzle_switch"].items()
+    }
+    assert own["pin"] == "^!PE12"
+    own["pin"] = "^PF6"
+    macro = shown["gcode_macro PRINT_START"]
+    code = re.sub(r" *QUAD_GANTRY_LEVEL.*\n", "", macro["gcode"])
+    macro = {"gcode": code}
+    over = (191.0, 165.0)
+    scene = heated(fixed_switch(at=(289.0, 361.0), over=over, size=370.0))
+    sections = {n: s for n, s in scene.sections.items() if n != NAME}
+    # Paper has found it
+    sections["probe"] = {**sections["probe"], "z_offset": "2.2713"}
+    scene = replace(scene, sections=sections)
+    name = "extra_probe nozzle_switch"
+    changes = {name: own, "gcode_macro PRINT_START": macro}
+    measure, try_it = blocks(text_of(page), "")
+    printer = start(scene, changes=changes).homed()
+    (line,) = told(printer.run(measure), "Result is z=")
+    height = float(re.search(r"z=(-?[\d.]+)", line)[1])
+    own["switch_height"] = f"{height:.3f}"
+    again = start(scene, changes=changes)
+    again.session.require_ready()
+    lines = again.run(try_it)
+    (line,) = told(lines, "new offset=")
+    assert abs(float(line.split("new offset=")[1])) < 0.01
+    # Another nozzle, whose tip is 0.1 mm lower
+    probe = scene.world.inductive
+    lower = replace(probe, sense_distance=probe.sense_distance - 0.1)
+    printed = start(scene.with_world(inductive=lower), changes=changes)
+    printed.session.require_ready()
+    printed.session.run("PRINT_START BED=45 EXTRUDER=185", 1800.0)
+    assert printed.offset() == pytest.approx(0.1, abs=0.02)
+    assert printed.gap(over) == pytest.approx(0.0, abs=2.5 * MICROSTEP)
 
 
 # QIDI
@@ -239,6 +289,7 @@ def test_every_quick_start_is_followed_here():
     with_sections = {name for name in PAGES if "```ini" in text_of(name)}
     assert with_sections == {
         "quickstart_dock",
+        "quickstart_nozzle_switch",
         "quickstart_voron0",
         "quickstart_voron_klicky",
     }
