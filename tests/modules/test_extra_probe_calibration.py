@@ -328,10 +328,8 @@ def test_saving_where_nobody_knows_the_zero(start, tmp_path):
 
 # The floor, and what is told of it
 
-FLOOR_LINE = (
-    "Continue lowers the nozzle; without a trigger it stops at z={:.3f}"
-)
-UNSAVED = "no saved calibration holds, so that may be in the bed"
+FLOOR_LINE = "Continue lowers the nozzle. If the switch does not answer, it stops at Z={:.3f}"
+UNSAVED = "which can be inside the bed"
 
 
 @pytest.mark.parametrize(
@@ -513,9 +511,9 @@ def test_questions(start):
     assert hand.headline == "Step 2 of 3: Take your hand away"
     assert hand.texts == [
         "The switch was pressed, and works.",
-        "Continue lowers the nozzle; without a trigger it stops at z=-1.000; no"
-        " saved calibration holds, so that may be in the bed; watch, ready to"
-        " stop.",
+        "Keep a hand on the emergency stop.",
+        "Continue lowers the nozzle. If the switch does not answer, it stops at"
+        " Z=-1.000, which can be inside the bed.",
     ]
     hand.assert_stands_alone()
     assert hand.footer_buttons == buttons("hand")

@@ -98,7 +98,7 @@ def test_example_used_again(start, name):
     printer.session.restart("SAVE_CONFIG")
     lines = use(printer, name)
     if name not in MACROS:
-        assert "stops at z=0.125" in "\n".join(lines)
+        assert "stops at Z=0.125" in "\n".join(lines)
     pending = printer.status("configfile")["save_config_pending_items"]
     for options in pending.values():
         for value in options.values():

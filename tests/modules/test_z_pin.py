@@ -9,6 +9,7 @@ import pytest
 from simprinter import Fault
 from tools.kit.carrying import SWITCH
 from tools.kit.dockable_probe import QUICK, section
+from tools.kit.extra_probe import lay
 from tools.kit.scenes import SCENES
 
 # Where the pin is (mm), and the toolhead Z of its trigger
@@ -70,8 +71,9 @@ def test_membrane_over_the_pin_in_a_dialog(start):
         start, {"extra_probe membrane": {"xy_position": f"{PIN.x}, {PIN.y}"}}
     )
     printer.run("EXTRA_PROBE_CALIBRATE PROBE=membrane")
+    lay(printer)
     shown = "\n".join(printer.session.console)
-    assert "without a trigger it stops at z=0.600" in shown
+    assert "it stops at Z=0.600" in shown
     assert "The head is over the pin of the Z endstop; move it." in shown
 
 

@@ -24,7 +24,7 @@ from .. import attached, command, dialog, options, pin, touch
 from ..datum import Datum, HomedDatum
 from ..errors import CalibrationError
 from ..sampling import summarize
-from ..wizard import HAND_PATIENCE, Step, Wizard
+from ..wizard import HAND_PATIENCE, STOP, Step, Wizard
 from . import fixed, heights
 from .settings import MAX_TEMPERATURE, TRAVEL_SPEED
 from .shifts import Shifts
@@ -416,7 +416,8 @@ class Calibration:
             raise
         if verdict == "good":
             self.wizard.enter(HAND.name)
-            self._ask(["The switch was pressed, and works.", _lowers(question)])
+            works = "The switch was pressed, and works."
+            self._ask([works, STOP, _lowers(question)])
             return
         self._ask_for_switch(question)
         if verdict == "early":
@@ -614,16 +615,15 @@ def triggered_early(switch: Switch) -> str:
 
 def _lowers(question: Question) -> str:
     """Return what the user is told of the lowest point of the touch that comes next."""
-    lowers = (
-        "Continue lowers the nozzle; without a trigger it stops at"
-        f" z={question.floor:.3f}"
-    )
-    if not question.is_bed_known:
-        lowers += (
-            "; no saved calibration holds, so that may be in the bed; watch, ready"
-            " to stop"
+    if question.is_bed_known:
+        return (
+            "Continue lowers the nozzle. If the switch does not answer, it stops at"
+            f" Z={question.floor:.3f}."
         )
-    return f"{lowers}."
+    return (
+        "Continue lowers the nozzle. If the switch does not answer, it stops at"
+        f" Z={question.floor:.3f}, which can be inside the bed."
+    )
 
 
 def _changed(what: str) -> CalibrationError:
