@@ -347,6 +347,8 @@ def test_measure_its_height(start):
     # As the document has it: Z=0 is the bed, by paper
     own = {"probe": {"z_offset": "2.2713"}, **section(switch_height=None)}
     printer = start(fixed_switch(), changes=own).homed()
+    told = f"// {NAME}: there is no switch_height; set it to how far above"
+    assert any(line.startswith(told) for line in printer.session.console)
     text = printer.fail(CALIBRATE)
     assert "there is no switch_height; set it to how far above the bed" in text
     lines = printer.run(f"{OVER}\nEXTRA_PROBE PROBE=membrane")

@@ -171,11 +171,7 @@ class Calibration:
         """Raise CalibrationError where the switch is not known, or what to save."""
         settings = self.settings
         if settings.fixed and settings.switch_height is None:
-            raise CalibrationError(
-                "there is no switch_height; set it to how far above the bed the switch"
-                " triggers, in mm: what EXTRA_PROBE over the switch says with Z=0 right"
-                " on the bed"
-            )
+            raise CalibrationError(fixed.NO_HEIGHT)
         if not settings.fixed and not settings.z_offset:
             raise CalibrationError(
                 "z_offset is 0; set it to the thickness of the switch, in mm"

@@ -38,6 +38,12 @@ CLEAR = 2.0
 # A probe whose height differs by more (mm) from its z_offset is told.
 SAME_HEIGHT = 0.1
 
+# What a section still needs for EXTRA_PROBE_CALIBRATE
+NO_HEIGHT = (
+    "there is no switch_height; set it to how far above the bed the switch triggers,"
+    " in mm: what EXTRA_PROBE over the switch says with Z=0 right on the bed"
+)
+
 # What to do about samples of the probe that differ
 DIFFER = "check the probe with PROBE_ACCURACY"
 TOO_LOW = "set a higher safe_z_height"

@@ -80,8 +80,10 @@ class ExtraProbe:
 
     def start_notes(self) -> List[str]:
         """Return what the user is told when klippy is ready."""
-        unknown = unknown_commands.of(self.host.printer)
-        return unknown.notes(self.host.section)
+        notes = unknown_commands.of(self.host.printer).notes(self.host.section)
+        if self.settings.fixed and self.settings.switch_height is None:
+            notes = [*notes, fixed.NO_HEIGHT]
+        return notes
 
     def connect(self) -> None:
         """Complete the settings; a wrong set-up ends the start of klippy."""
