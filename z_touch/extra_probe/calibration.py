@@ -611,14 +611,10 @@ def triggered_early(switch: Switch) -> str:
 
 def _lowers(question: Question) -> str:
     """Return what the user is told of the lowest point of the touch that comes next."""
-    if question.is_bed_known:
-        return (
-            "Continue lowers the nozzle. If the switch does not answer, it stops at"
-            f" Z={question.floor:.3f}."
-        )
+    inside = "" if question.is_bed_known else ", which can be inside the bed"
     return (
         "Continue lowers the nozzle. If the switch does not answer, it stops at"
-        f" Z={question.floor:.3f}, which can be inside the bed."
+        f" Z={question.floor:.3f}{inside}."
     )
 
 
