@@ -39,6 +39,8 @@ _ASK_EVERY = 2.0
 # Smaller changes of the true gap are not told, mm: a printer that warms up would
 # tell nothing else
 WORTH_TELLING = 0.005
+# From so much on (mm) it is said aloud that Z=0 is in the bed: the page has it red
+_TOO_LOW = 0.1
 # X and Y of a point by the settings of klippy, mm
 Place = Callable[[dict[str, Any]], tuple[float, float]]
 # That are kept for a page; none looks, and nobody takes them
@@ -295,6 +297,7 @@ class GapTeller:
             return False
         self._asked = now
         objects = {
+            "webhooks": ["state"],
             "gcode_move": ["gcode_position"],
             "toolhead": ["homed_axes", "print_time", "estimated_print_time"],
         }
@@ -330,9 +333,12 @@ class GapTeller:
     def _tell_gap(self, status: dict) -> None:
         # Where printer.cfg has a mistake there is none
         toolhead, wanted = status["toolhead"], self.is_wanted
-        if "z" not in (toolhead.get("homed_axes") or ""):
+        has_stopped = status["webhooks"]["state"] != "ready"
+        if has_stopped or "z" not in (toolhead.get("homed_axes") or ""):
             self._told, self.is_wanted, self.height = None, False, None
-            if wanted:
+            if wanted and has_stopped:
+                self._tell("true gap: not known, klippy has stopped")
+            elif wanted:
                 self._tell("true gap: not known before Z is homed")
             return
         # Moves that are still to come have changed the G-code Z already
@@ -343,7 +349,8 @@ class GapTeller:
         gap = self.height = self._machine.gap_at_zero(z, self.point)
         if wanted or is_news(self._told, gap):
             self._told = gap
-            where = "above the bed" if gap >= 0 else "IN THE BED"
+            where = "above the bed" if gap >= 0 else "in the bed"
+            where = "IN THE BED" if gap < -_TOO_LOW else where
             x, y = self.point
             self._tell(
                 f"true gap: Z=0 is {abs(gap):.3f} mm {where} at X{x:g} Y{y:g}"

@@ -45,6 +45,7 @@ class Klippy:
     def __init__(self):
         self.connections = 0
         self.settings = {}
+        self.state = "ready"
         self.asked = []
 
     def connected(self):
@@ -59,6 +60,7 @@ class Klippy:
 
     def answer(self, number):
         status = {
+            "webhooks": {"state": self.state},
             "gcode_move": {"gcode_position": [0.0, 0.0, 5.0, 0.0]},
             "toolhead": {
                 "homed_axes": "xyz",
@@ -144,3 +146,28 @@ def test_gap_is_told_where_the_running_klippy_has_it(standing):
     assert standing.told[-1].endswith(
         "Z=0 is 0.080 mm above the bed at X150 Y155"
     )
+
+
+@pytest.mark.parametrize(
+    ("gap", "words"),
+    [
+        (0.001, "0.001 mm above the bed"),
+        (-0.099, "0.099 mm in the bed"),
+        (-0.101, "0.101 mm IN THE BED"),
+    ],
+)
+def test_what_is_not_far_off_is_no_alarm(standing, gap, words):
+    standing.look(gap)
+    assert f"Z=0 is {words} at" in standing.told[-1]
+
+
+def test_gap_of_a_klippy_that_has_stopped_is_not_known(standing):
+    standing.look()
+    assert standing.teller.height == 0.06
+    standing.klippy.state = "shutdown"
+    standing.look()
+    assert standing.teller.height is None
+    assert len(standing.told) == 1
+    standing.teller.is_wanted = True
+    standing.look()
+    assert standing.told[-1] == "true gap: not known, klippy has stopped"

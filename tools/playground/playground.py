@@ -17,7 +17,7 @@ from tools.kit.docks import DOCK_SCENES, calibrating
 from tools.kit.lab import Lab
 from tools.kit.printer import firmware_of
 from tools.kit.scenes import SCENES
-from tools.playground import shown
+from tools.playground import shown, tour
 from tools.playground.parameters import all_parameters
 
 # By the module that they show; all other scenes go by their names
@@ -55,19 +55,36 @@ def dressed(scene: Scene) -> Scene:
 def point_of(
     scene: Scene, settings: Optional[Mapping[str, Any]] = None
 ) -> tuple[float, float]:
-    """Where on the bed the gap is told, X and Y in mm: where z_calibration measures.
+    """Where on the bed the gap is told, X and Y in mm: where the module measures.
 
     settings: what klippy says of its configuration (default: as the scene has it).
     """
-    sections = settings or scene.sections
-    place = (sections.get("z_calibration") or {}).get("bed_xy_position")
-    if place is None and "z_calibration" in sections:
-        mesh = sections.get("bed_mesh") or {}
-        place = mesh.get("zero_reference_position")
+    place = _measured_at(settings or scene.sections)
     if place is None:
         return middle_of_bed(scene)
     x, y = map(float, place.split(",") if isinstance(place, str) else place)
     return x, y
+
+
+def _measured_at(sections: Mapping[str, Any]) -> Any:
+    """The option with the point where a module of ours measures; None: none says."""
+    mesh = (sections.get("bed_mesh") or {}).get("zero_reference_position")
+    for name, options in sections.items():
+        module = name.split(" ")[0]
+        if module == "z_calibration":
+            place = options.get("bed_xy_position") or mesh
+        elif module == "auto_z_offset":
+            place = options.get("bed_xy_position")
+        elif module == "extra_probe":
+            # The switch that is laid on the bed, or what is probed besides a fixed one
+            is_fixed = str(options.get("fixed")) == "True"
+            at_bed = options.get("bed_xy_position") or mesh
+            place = at_bed if is_fixed else options.get("xy_position")
+        else:
+            continue
+        if place:
+            return place
+    return None
 
 
 class Choice(NamedTuple):
@@ -145,6 +162,7 @@ class Playground(Played, Lab):
             "scene": self.choice.name,
             "scenes": list(SHOWN),
             "parameters": all_parameters(),
+            "tour": tour.steps(),
             **shown.ON_THE_PAGE,
         }
 

@@ -83,7 +83,7 @@ def test_start_home_and_end(port):
         before = len(shown.output)
         assert shown.run("G28").ok
         shown.until("nozzle on the pin", before)
-        shown.until(r"true gap: Z=0 is 0\.\d+ mm IN THE BED", before)
+        shown.until(r"true gap: Z=0 is 0\.\d+ mm (?i:in the bed)", before)
         assert re.search(
             r"^Printer .* as at home, seed \d+,", shown.output, re.M
         )
@@ -98,6 +98,7 @@ def test_start_home_and_end(port):
 
 
 OWN = {"bed_xy_position": [150.0, 155.0]}
+LAID = {"xy_position": [30.0, 20.0], "fixed": False}
 MESH = {"zero_reference_position": [120.0, 130.0]}
 
 
@@ -111,6 +112,18 @@ MESH = {"zero_reference_position": [120.0, 130.0]}
         # Nothing says where; and who has not the section does not measure there
         ({"z_calibration": {}}, (150.0, 150.0)),
         ({"bed_mesh": MESH}, (150.0, 150.0)),
+        ({"auto_z_offset": OWN, "bed_mesh": MESH}, (150.0, 155.0)),
+        ({"auto_z_offset": {}, "bed_mesh": MESH}, (150.0, 150.0)),
+        # Where the membrane is laid, or what is probed besides a fixed switch
+        ({"extra_probe membrane": LAID}, (30.0, 20.0)),
+        (
+            {"extra_probe finger": {**LAID, **OWN, "fixed": True}},
+            (150.0, 155.0),
+        ),
+        (
+            {"extra_probe finger": {**LAID, "fixed": True}, "bed_mesh": MESH},
+            (120.0, 130.0),
+        ),
     ],
 )
 def test_point_of_the_gap(settings, point):
