@@ -10,6 +10,8 @@ from simprinter.play.options import speed_of
 from simprinter.play.watcher import Watcher
 from simprinter.simulation import Pace
 
+# What ends the printer, where it was started
+ENDS = ("quit", "exit")
 # The printer's seconds for which a hand presses a switch
 _PRESSED = 2.0
 
@@ -29,6 +31,10 @@ class Command(NamedTuple):
 def run(line: str, watcher: Watcher, scene: Scene) -> str:
     """Do what was typed; what to show. Raises CommandError."""
     name, *words = line.split()
+    if name in ENDS:
+        raise CommandError(
+            f"{name}: only in the terminal, whose printer ends then"
+        )
     if name not in COMMANDS:
         raise CommandError(f"{name}: unknown, 'help' lists the commands")
     command = COMMANDS[name]

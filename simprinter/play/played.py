@@ -149,6 +149,7 @@ class Played(LivingPrinter):
             "point": watcher.point if watcher else self.place({}),
             "wires": list(commands.wires(scene)),
             "commands": list(commands.possible(scene)),
+            "words": [*commands.COMMANDS, *commands.ENDS],
             "config": str(self.config_file),
             **self.more_of_hello(),
         }
@@ -158,7 +159,7 @@ class Played(LivingPrinter):
 
         scene, scenes: the printer's name, and those to choose from.
         shortcuts: (label, G-code, whether it stands out) of buttons; shown
-            where klippy knows the command.
+            where klippy knows the command, and the axes are homed.
         first: beginnings of commands that come first when one completes.
         parameters: by command, what each of its parameters means.
         watched: sections whose status has `phase` and `progress`.
@@ -168,6 +169,9 @@ class Played(LivingPrinter):
         verdict: the same for a sentence that goes below the figures.
         report: the same for the name of a picture; report_folder: where that
             is, seen from the folder of printer.cfg.
+        tour: (title, text) of its steps, in which *this* is pressed, and `this`
+            is typed.
+        The `warnings` that a watched section has in its status colour the card.
         """
         return {}
 

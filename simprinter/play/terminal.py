@@ -13,7 +13,7 @@ from contextlib import suppress
 from pathlib import Path
 
 from simprinter.hosts.printer import firmware_of
-from simprinter.play.commands import COMMANDS
+from simprinter.play.commands import COMMANDS, ENDS
 from simprinter.play.played import Played
 from simprinter.running import show
 
@@ -46,7 +46,7 @@ def play(played: Played) -> int:
     typed = Typed()
     while True:
         for line in filter(None, typed.lines()):
-            if line in ("quit", "exit"):
+            if line in ENDS:
                 return 0
             played.do(line)
         failure = played.has_ended()

@@ -102,6 +102,8 @@ def test_page_plugin_truth_and_end(files):
         assert hello["parts"]["inductive"]["x_offset"] == -25.0
         assert hello["wires"] == ["x_endstop", "y_endstop", "probe"]
         assert "break" in hello["commands"] and "lay" not in hello["commands"]
+        # Typed into the page's console they are no G-code
+        assert {"break", "lay", "help", "quit"} <= set(hello["words"])
         assert hello["point"] == [110.0, 110.0]
         assert hello["watched"] == ["halfway"]
         # Nothing is known of plugins but what they tell themselves
@@ -115,6 +117,7 @@ def test_page_plugin_truth_and_end(files):
         shown.type("break probe", "^the wire of probe is broken: always")
         refused = shown.run("PROBE").json()["error"]["message"]
         assert "prior to movement" in refused
+        shown.type("nonsense", "^!! nonsense: unknown")
         # It is a copy that the page changes
         assert (files / "printer.cfg").read_text() == before
         assert "[halfway]" in (shown.config / "printer.cfg").read_text()

@@ -10,7 +10,7 @@ _SHORTCUTS = (
     ("Set up", "Z_CALIBRATION_SETUP", False),
     ("Set up dock", "DOCKABLE_PROBE_SETUP", False),
     ("Report", "Z_CALIBRATION_REPORT", False),
-    ("Save", "SAVE_CONFIG", False),
+    ("Save config", "SAVE_CONFIG", False),
 )
 
 _FIRST = (

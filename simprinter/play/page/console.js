@@ -6,6 +6,8 @@ export class Console {
   constructor(lines, form, input, proposals, send) {
     Object.assign(this, { lines, input, proposals, send });
     this.commands = [];
+    // The line of the last result since something was sent
+    this.result = null;
     // By command: names and meanings
     this.parameters = {};
     this.history = JSON.parse(sessionStorage.getItem("history") || "[]");
@@ -32,18 +34,31 @@ export class Console {
 
   clear() {
     this.lines.replaceChildren();
+    this.result = null;
   }
 
-  // A line as klippy sends it.
-  add(line) {
+  // A line as klippy sends it; `isResult`: whether it tells what a command has found.
+  add(line, isResult) {
     if (line.startsWith("// action:")) return;
     const text = line.replace(/^\/\/ ?/, "");
-    const kind = line.startsWith("!!") ? "error" : /-->|\+-\d/.test(text) ? "result" : "";
-    this.put(text, kind);
+    const kind = line.startsWith("!!") ? "error" : isResult || /-->|\+-\d/.test(text) ? "result" : "";
+    const shown = this.put(text, kind);
+    if (kind !== "result") return;
+    // The last one of a command is its result
+    if (this.result) this.result.className = "";
+    this.result = shown;
   }
 
   sent(script) {
+    this.result = null;
     this.put(`> ${script.replaceAll("\n", "\n> ")}`, "sent");
+  }
+
+  // Colour the lines that have a text in them.
+  warn(texts) {
+    for (const line of this.lines.children) {
+      if (!line.className && texts.some((text) => line.textContent.includes(text))) line.className = "warning";
+    }
   }
 
   put(text, kind) {
@@ -55,6 +70,7 @@ export class Console {
     lines.append(line);
     while (lines.childElementCount > MOST_LINES) lines.firstChild.remove();
     if (isAtEnd) lines.scrollTop = lines.scrollHeight;
+    return line;
   }
 
   submit() {

@@ -5,6 +5,9 @@ const NAMES = {
   bed_sensor: "bed sensor", membrane: "membrane",
 };
 
+// What is told with a time happened to the machine; all else answers somebody.
+export const isTimed = (line) => /^ *\d+\.\d s/.test(line);
+
 export class Hands {
   constructor(place, told, order) {
     Object.assign(this, { place, told, order });
@@ -15,13 +18,14 @@ export class Hands {
     this.lamps.clear();
     const rows = [...wires].reverse().map((wire) => this.wire(wire, parts));
     const has = (name) => commands.includes(name);
-    if (has("attach")) rows.push(this.row("Probe", [["Put on", "attach"], ["Take off", "off"], ["Drop", "drop"]]));
-    if (has("lay")) rows.push(this.row("Membrane", [["Lay", "lay"], ["Take", "take"]]));
+    if (has("attach")) rows.push(this.row("Probe", [["Put on", "attach"], ["Take off", "off"], ["Let it drop", "drop"]]));
+    if (has("lay")) rows.push(this.row("Membrane", [["Lay on the bed", "lay"], ["Take away", "take"]]));
     rows.push(
-      this.amount("Dirt, mm", "dirt", 0.05, 0, 0.3, "Smear", [["Wipe", "dirt 0"]]),
-      this.amount("Nozzle, mm", "nozzle", 0.15, -0.5, 0.5, "Another", [["First", "nozzle 0"]]),
-      this.amount("Plate, mm", "plate", 0.2, -0.5, 0.5, "Another", [["First", "plate 0"]]),
-      this.row("Everything", [["Repair", "repair"], ["Tell the gap", "gap"]]),
+      this.amount("Plastic below the nozzle, mm", "dirt", 0.05, 0, 0.3, "Add", [["Wipe off", "dirt 0"]]),
+      this.amount("Longer nozzle, by mm", "nozzle", 0.15, -0.5, 0.5, "Put in", [["First nozzle", "nozzle 0"]]),
+      this.amount("Thicker plate, by mm", "plate", 0.2, -0.5, 0.5, "Lay on", [["First plate", "plate 0"]]),
+      this.row("All faults", [["Repair everything", "repair"]]),
+      this.row("True gap", [["Measure it again", "gap"]]),
     );
     this.place.replaceChildren(...rows);
   }
@@ -67,9 +71,8 @@ export class Hands {
     for (const [wire, lamp] of this.lamps) lamp.classList.toggle("on", frame.on.includes(wire));
   }
 
+  // The answer to something that was done.
   tell(line) {
-    // What is told with a time happened to the machine
-    if (/^ *\d+\.\d s/.test(line)) return;
     this.told.textContent = line;
     this.told.classList.toggle("bad-text", line.startsWith("!!"));
   }

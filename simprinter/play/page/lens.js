@@ -22,7 +22,8 @@ export class Lens {
     this.parts = parts;
   }
 
-  show(frame) {
+  // `tip`: where the nozzle's is; `axis`: the one that is shown.
+  show(frame, tip, axis) {
     clear(this.svg);
     const near = frame.near.filter(([, distance]) => distance < FAR);
     // What is below something else's surface by more is no contact of today
@@ -39,12 +40,22 @@ export class Lens {
     const isNearer = site === this.site && wanted > this.scale;
     this.scale = isNearer ? this.scale * Math.pow(wanted / this.scale, 0.4) : wanted;
     this.site = site;
+    this.beside = this.besides(site, tip, axis);
     this.lower(site, touched);
     this.upper(site, distance, touched, frame);
     this.measure(distance);
     const [upper, lower] = SITES[site] || [site, "it"];
     const how = distance < 0 ? "pressed" : "apart";
     this.words.textContent = `${upper} and ${lower}: ${Math.abs(distance).toFixed(3)} mm ${how}`;
+  }
+
+  // How far the lower one's middle is from that of the upper one, mm.
+  besides(site, tip, axis) {
+    const { pin, membrane, mag_probe: probe } = this.parts;
+    const lower = site.endsWith("_pin") ? pin : site.endsWith("_membrane") ? membrane : null;
+    if (!lower) return 0;
+    const offset = site.startsWith("nozzle_") ? 0 : probe[`${axis}_offset`];
+    return lower[axis] - tip[axis] - offset;
   }
 
   x(mm) { return SIZE / 2 + mm * this.scale; }
@@ -57,12 +68,12 @@ export class Lens {
   lower(site, touched) {
     const { pin, membrane } = this.parts;
     const kind = touched ? " touching" : "";
-    if (site.endsWith("_pin")) this.rect(`pin${kind}`, -pin.radius, pin.radius, GROUND, SIZE + 5);
+    if (site.endsWith("_pin")) this.rect(`pin${kind}`, this.beside - pin.radius, this.beside + pin.radius, GROUND, SIZE + 5);
     else if (site === "nozzle_membrane") {
       const half = membrane.radius || membrane.half_x;
       const bottom = Math.min(SIZE + 5, GROUND + membrane.thickness * this.scale);
       this.rect("bed", -400, 400, bottom, SIZE + 5);
-      this.rect(`membrane${kind}`, -half, half, GROUND, bottom);
+      this.rect(`membrane${kind}`, this.beside - half, this.beside + half, GROUND, bottom);
     } else this.rect(`bed${kind}`, -400, 400, GROUND, SIZE + 5);
   }
 
@@ -71,7 +82,8 @@ export class Lens {
     const kind = touched ? " touching" : "";
     if (site.startsWith("nozzle_")) this.nozzle(bottom, kind, frame.dirt);
     else if (site.startsWith("body_")) {
-      const { half_width: half } = this.parts.mag_probe;
+      const { half_width: half, switch_offset, pretravel } = this.parts.mag_probe;
+      this.rect("plunger", -0.9, 0.9, -10, bottom + (switch_offset + pretravel) * this.scale);
       this.rect(`probe${kind}`, -half, half, -10, bottom);
     } else if (site === "inductive_bed") {
       this.rect(`probe${kind}`, -4, 4, -10, bottom);

@@ -3,13 +3,15 @@
 import { Config } from "./config.js";
 import { Console } from "./console.js";
 import { Dialog } from "./dialog.js";
-import { Hands } from "./hands.js";
+import { verdict } from "./gap.js";
+import { Hands, isTimed } from "./hands.js";
 import { Lens } from "./lens.js";
 import { Live } from "./live.js";
 import { Moonraker } from "./moonraker.js";
 import { Result } from "./result.js";
 import { Side } from "./side.js";
 import { DOTS, Top, WAY } from "./top.js";
+import { showTour } from "./tour.js";
 
 const $ = (id) => document.getElementById(id);
 const MOST_LINES = 300;
@@ -19,14 +21,14 @@ const HOME = ["Home", "G28", false];
 // What a project may say in its hello; see played.py
 const NOTHING = {
   scene: "", scenes: [], shortcuts: [], first: [], parameters: {}, watched: [],
-  cards: [], verdict: "", report: "", report_folder: "",
+  cards: [], verdict: "", report: "", report_folder: "", tour: [], words: [],
 };
 
 const live = new Live();
 const moonraker = new Moonraker();
 const run = (script) => moonraker.run(script);
-const terminal = new Console($("console"), $("typed"), $("input"), $("proposals"), run);
-const dialog = new Dialog($("dialog"), run);
+const terminal = new Console($("console"), $("typed"), $("input"), $("proposals"), typed);
+const dialog = new Dialog($("dialog"), run, (axis) => side.turn(axis));
 const result = new Result($("result"), $("report"), $("report-picture"), $("report-link"));
 const side = new Side($("side"));
 const lens = new Lens($("lens"), $("lens-words"));
@@ -37,6 +39,10 @@ const config = new Config($("config"), $("config-text"), $("config-save"), $("co
 
 let frame = null;
 let machine = null;
+// When this printer was chosen, s: what was said before is of another one
+let since = 0;
+// Lines to come that answer what was typed into the console, and are no G-code
+let answers = 0;
 // For tests, and for who is curious: pictures that were drawn
 globalThis.drawn = 0;
 const flashes = new Map();
@@ -63,7 +69,12 @@ live.addEventListener("hello", ({ detail }) => {
   if (detail.lines) {
     $("lines").replaceChildren();
     detail.lines.forEach(tellLine);
-  } else result.forget();
+  } else {
+    since = Date.now() / 1000;
+    result.forget();
+    config.forget();
+  }
+  showTour($("tour"), $("tour-steps"), machine.tour);
   result.know(machine);
   moonraker.watched = machine.watched;
   moonraker.connect(detail.moonraker);
@@ -93,7 +104,7 @@ function drawFrame() {
   const seen = { ...shown, near: shown.near.map(([site, distance, pressed]) => [site, distance, pressed || flashes.has(site)]) };
   above.show(shown, { x, y, z });
   side.show(seen, { x, y, z });
-  lens.show(seen);
+  lens.show(seen, { x, y, z }, side.axes[0]);
   hands.show(shown);
   showSignals(shown);
   showGap(shown.gap);
@@ -111,12 +122,16 @@ function showSignals({ on, touches }) {
   }
 }
 
-function showGap(gap) {
-  const isKnown = gap !== null;
-  const words = !isKnown ? "Home, and it is known" : gap < 0 ? "in the bed: a print would scratch the plate" : "above the bed";
+function showGap(told) {
+  // Of a klippy that has stopped nobody knows what its Z=0 is
+  const isKnown = told !== null && moonraker.klippy === "ready";
+  // As it is shown: 0.020 is right
+  const gap = isKnown ? Math.round(told * 1000) / 1000 + 0 : null;
+  const [kind, words] = verdict(gap);
+  const shown = moonraker.klippy === "shutdown" ? "not known: klippy has stopped" : words;
   $("gap").textContent = isKnown ? `${gap.toFixed(3)} mm` : "–";
-  $("gap").className = `big ${!isKnown ? "" : gap < 0 ? "bad" : gap < 0.1 ? "good" : ""}`;
-  if ($("gap-words").textContent !== words) $("gap-words").textContent = words;
+  $("gap").className = `big ${kind}`;
+  if ($("gap-words").textContent !== shown) $("gap-words").textContent = shown;
 }
 
 // Another one where printer.cfg has another place
@@ -150,38 +165,83 @@ function tellLine(line) {
 
 live.addEventListener("line", ({ detail }) => {
   tellLine(detail.line);
-  hands.tell(detail.line);
+  if (!isTimed(detail.line)) hands.tell(detail.line);
 });
 
 // Klippy
 
 function takeLines(lines) {
   for (const line of lines) {
-    terminal.add(line);
+    const isResult = result.take(line);
+    terminal.add(line, isResult);
     dialog.take(line);
-    result.take(line);
   }
 }
 
-moonraker.addEventListener("lines", ({ detail }) => takeLines(detail));
-moonraker.addEventListener("sent", ({ detail }) => terminal.sent(detail));
+function takeSent(script) {
+  terminal.sent(script);
+  result.sent(script);
+}
+
+// What was typed into the console: G-code, or a command of the terminal in small letters,
+// unless klippy has one of that name (but for its own HELP).
+function typed(script) {
+  const [word] = script.split(/\s+/);
+  const isGcode = word !== "help" && word.toUpperCase() in (moonraker.help || {});
+  if (!machine?.words.includes(word) || isGcode) {
+    run(script);
+    return;
+  }
+  terminal.sent(script);
+  answers += 1;
+  live.order(script);
+}
+
+live.addEventListener("line", ({ detail: { line } }) => {
+  if (!answers || isTimed(line)) return;
+  answers -= 1;
+  terminal.put(line, line.startsWith("!!") ? "error" : "");
+});
+
+moonraker.addEventListener("lines", ({ detail }) => { takeLines(detail); showNext(); });
+moonraker.addEventListener("sent", ({ detail }) => takeSent(detail));
 moonraker.addEventListener("ready", ({ detail: store }) => {
   terminal.know(moonraker.help, machine);
   terminal.clear();
   dialog.forget();
-  for (const { type, message } of store) {
-    if (type === "command") terminal.sent(message);
+  result.forget();
+  for (const { type, message, time } of store) {
+    if (time < since) continue;
+    if (type === "command") takeSent(message);
     else takeLines(message.split("\n"));
   }
+  terminal.put("Klipper is ready", "ready");
   config.refresh();
   showShortcuts();
 });
 
 moonraker.addEventListener("status", ({ detail }) => {
-  const told = Object.values(detail).find((fields) => fields.phase && fields.phase !== "idle");
+  const warnings = Object.values(detail).flatMap((fields) => fields.warnings || []);
+  result.warn(warnings);
+  terminal.warn(warnings);
+  showProgress();
+  showNext();
+});
+
+function isHomed() {
+  return ["x", "y", "z"].every((axis) => (moonraker.status.toolhead?.homed_axes || "").includes(axis));
+}
+
+// What klippy is at; null: nothing, or it has stopped.
+function work() {
+  if (moonraker.klippy !== "ready") return null;
+  const told = Object.values(moonraker.status).find((fields) => fields.phase && fields.phase !== "idle");
   // Homing, levelling, a mesh: klippy tells only that it is at work
-  const atWork = detail.idle_timeout?.state === "Printing" && { phase: "at work" };
-  const busy = told || atWork;
+  return told || (moonraker.status.idle_timeout?.state === "Printing" ? { phase: "at work" } : null);
+}
+
+function showProgress() {
+  const busy = work();
   $("progress").hidden = !busy;
   if (!busy) return;
   const phase = busy.phase.replaceAll("_", " ");
@@ -189,16 +249,42 @@ moonraker.addEventListener("status", ({ detail }) => {
   if (busy.progress) $("bar").value = busy.progress;
   else $("bar").removeAttribute("value");
   $("phase").textContent = busy.progress ? `${phase} ${Math.round(busy.progress * 100)} %` : phase;
-});
+}
+
+// Where to look, and what to press, next.
+function showNext() {
+  const main = known().find(([, , standsOut]) => standsOut);
+  const words = moonraker.klippy === "shutdown" ? "press Restart: klippy has stopped."
+    : moonraker.klippy === "error" ? "correct printer.cfg below, then press Save and restart: klippy refuses it."
+    : moonraker.klippy !== "ready" ? "wait a moment: klippy starts."
+    : !$("dialog").hidden ? "answer the question below."
+    : work() ? "watch the pictures: the printer is at work."
+    : !isHomed() ? "press Home: the head looks for the ends of its axes."
+    : result.isShown ? "look at the true gap: it says how good the result is."
+    : main ? `press ${main[0]}, and watch the true gap.`
+    : "type G-code, and watch what really happens.";
+  if ($("next-words").textContent !== words) $("next-words").textContent = words;
+  $("to-tour").hidden = !machine?.tour.length;
+  for (const button of $("shortcuts").querySelectorAll("[data-runs]")) {
+    const isHome = button.dataset.runs === HOME[1];
+    button.classList.toggle("primary", isHome ? !isHomed() : isHomed() && Boolean(main) && button.dataset.runs === main[1]);
+  }
+}
+
+$("to-tour").addEventListener("click", () => { $("tour").querySelector("details").open = true; });
+
+// Shortcuts that this klippy has.
+function known() {
+  if (!machine || !moonraker.help) return [];
+  return machine.shortcuts.filter(([, script]) => script.split(" ")[0] in moonraker.help);
+}
 
 function showShortcuts() {
-  const known = machine.shortcuts.filter(([, script]) => script.split(" ")[0] in moonraker.help);
-  const buttons = [HOME, ...known].map(([label, script, standsOut]) => {
+  const buttons = [HOME, ...known()].map(([label, script]) => {
     const button = document.createElement("button");
     button.textContent = label;
     button.title = script;
     button.dataset.runs = script;
-    if (standsOut) button.className = "primary";
     button.addEventListener("click", () => run(script));
     return button;
   });
@@ -208,6 +294,7 @@ function showShortcuts() {
   restart.title = "RESTART; FIRMWARE_RESTART after a shutdown";
   restart.addEventListener("click", () => moonraker.restart());
   $("shortcuts").replaceChildren(...buttons, restart, stop);
+  showNext();
 }
 
 // Who is away
@@ -225,6 +312,9 @@ function showStates() {
     : moonraker.klippy === "ready" ? ""
     : moonraker.klippy === "away" ? "klippy is away: it is switched off, or it restarts."
     : `klippy is not ready (${moonraker.klippy}): ${moonraker.message}`;
+  if (moonraker.klippy !== "ready") result.takeBack();
+  showProgress();
+  showNext();
   $("away").hidden = !why;
   if ($("away").textContent !== why) $("away").textContent = why;
   const isReady = moonraker.klippy === "ready";
@@ -232,4 +322,7 @@ function showStates() {
 }
 
 live.addEventListener("pulse", showStates);
-moonraker.addEventListener("state", showStates);
+moonraker.addEventListener("state", ({ detail }) => {
+  showStates();
+  config.klippy(detail, moonraker.message);
+});

@@ -1,4 +1,5 @@
-// The machine from the side: along the axis on which probe and nozzle lie apart.
+// The machine from the side: with the axis on which probe and nozzle lie apart, or the
+// one on which the head is to be moved.
 
 import { clamp, clear, draw } from "./svg.js";
 
@@ -22,7 +23,16 @@ export class Side {
     const probe = parts.mag_probe || parts.inductive;
     const isY = probe ? Math.abs(probe.y_offset) > Math.abs(probe.x_offset) : false;
     this.parts = parts;
-    this.axes = isY ? ["y", "x"] : ["x", "y"];
+    this.usual = isY ? "y" : "x";
+    this.turn("");
+    this.middle = null;
+  }
+
+  // Show an axis, "x" or "y"; "": the one on which probe and nozzle lie apart.
+  turn(axis) {
+    const shown = axis || this.usual;
+    if (this.axes?.[0] === shown || !this.parts) return;
+    this.axes = shown === "y" ? ["y", "x"] : ["x", "y"];
     this.middle = null;
   }
 
@@ -52,7 +62,7 @@ export class Side {
     this.drawHead();
     this.drawProbe();
     const words = `${this.axes[0].toUpperCase()} ${u.toFixed(1)}  ${this.axes[1].toUpperCase()} ${v.toFixed(1)}`;
-    draw(this.svg, "text", { x: 10, y: 20, class: "strong" }, `${words}  Z ${z.toFixed(2)}`);
+    draw(this.svg, "text", { x: 10, y: 20, class: "strong" }, `nozzle truly at ${words}  Z ${z.toFixed(2)}`);
     draw(this.svg, "text", { x: WIDTH - 10, y: 20, "text-anchor": "end" }, `seen along ${this.axes[1].toUpperCase()}`);
   }
 

@@ -13,6 +13,7 @@ from selenium.webdriver.common.keys import Keys
 
 from simprinter.tests.browser import LIMIT, browser, programs
 from tools.kit.setup_user import EMPTY
+from tools.playground import tour
 from tools.playground.tests.test_playground import port, terminal
 
 pytestmark = pytest.mark.slow
@@ -62,6 +63,45 @@ def calibrate(page):
     )
 
 
+def blue(page):
+    """The buttons above the console that stand out."""
+    return page.value(
+        "[...document.querySelectorAll('#shortcuts .primary')]"
+        ".map(b => b.textContent)"
+    )
+
+
+# By the size of the gap (mm): the colour, and what a first layer would do
+VERDICTS = {
+    "0.001": ["good", "right on the bed"],
+    "-0.001": ["good", "right on the bed"],
+    "0.02": ["good", "right on the bed"],
+    "-0.02": ["good", "right on the bed"],
+    "0.021": ["warn", "a little too high"],
+    "-0.021": ["warn", "a little too low"],
+    "0.1": ["warn", "a little too high"],
+    "-0.1": ["warn", "a little too low"],
+    "0.101": ["bad", "too high"],
+    "-0.101": ["bad", "in the bed"],
+    "1.277": ["bad", "too high"],
+}
+
+
+def verdicts(page):
+    """What the page says of each of them."""
+    return page.value(
+        "import('/gap.js').then(({ verdict }) => Object.fromEntries("
+        "arguments[0].map((gap) => [gap, verdict(Number(gap))])"
+        ".map(([gap, [kind, words]]) => [gap, [kind, words.split(':')[0]]])))",
+        list(VERDICTS),
+    )
+
+
+def has_card(page):
+    """Whether a result is shown."""
+    return page.find("#result").is_displayed()
+
+
 # What is to be seen only while it calibrates: a contact, and how far it is
 PASSING = tuple(
     f"document.querySelector('{selector}')"
@@ -90,11 +130,26 @@ def test_page_calibrates(port, host):
     options = ("--perfect", "--host", host.name)
     with looking(port, *options) as (_, page):
         assert gap(page) is None
+        assert blue(page) == ["Home"]
+        assert page.text("#next-words").startswith("press Home")
         was_at_work = page.watch(AT_WORK)
         home(page)
         page.until(was_at_work, "a bar at work")
+        page.until(
+            lambda: page.text("#next-words").startswith("press Calibrate"),
+            "what comes next",
+        )
+        assert blue(page) == ["Calibrate"]
         assert gap(page) == pytest.approx(-0.1, abs=0.03)
-        assert "scratch the plate" in page.text("#gap-words")
+        assert verdicts(page) == VERDICTS
+        page.find("#to-tour").click()
+        page.until(lambda: page.find("#tour-steps li").is_displayed(), "a tour")
+        shown = page.value(
+            "[...document.querySelectorAll('#tour-steps li > strong')]"
+            ".map(e => e.textContent)"
+        )
+        assert shown == [f"{step.title}. " for step in tour.steps()]
+        assert page.text("#tour-steps em") == "Home"
         set_speed(page, 8)
         page.until(
             lambda: "8 times as fast" in page.text("#lines"), "the speed"
@@ -105,6 +160,9 @@ def test_page_calibrates(port, host):
         page.until(
             lambda: gap(page) == pytest.approx(0.06, abs=0.006), "the gap"
         )
+        assert page.find("#gap").get_attribute("class") == "big warn"
+        assert "a little too high" in page.text("#gap-words")
+        assert page.text("#next-words").startswith("look at the true gap")
         assert "probe on the bed" in page.text("#lines")
         assert "plunger on bed at X152" in page.text("#touched")
         dots = page.driver.find_elements(By.CSS_SELECTOR, "#top .dot")
@@ -166,11 +224,15 @@ def test_every_result_is_in_large_figures(port):
 def test_broken_wire_is_refused_and_repaired(port):
     with looking(port, "--perfect") as (_, page):
         home(page)
-        page.do("break probe")
+        calibrate(page)
+        assert has_card(page)
+        # A command of the terminal, typed as G-code is
+        page.run("break probe", "the wire of probe is broken")
         page.until(
             lambda: "wire of probe is broken" in page.text("#told"), "told"
         )
         page.run("CALIBRATE_Z", "the probe reads triggered")
+        page.until(lambda: not has_card(page), "the result holds no longer")
         refused = page.driver.find_elements(By.CSS_SELECTOR, "#console .error")[
             -1
         ]
@@ -181,6 +243,41 @@ def test_broken_wire_is_refused_and_repaired(port):
         page.do("repair")
         page.until(lambda: "as good as new" in page.text("#told"), "told")
         assert calibrate(page) == pytest.approx(0.16, abs=0.03)
+        # Klippy's own, and what is none of theirs
+        page.run("HELP", "Available extended commands")
+        page.run("help", "a wire breaks")
+        page.run("press nothing", "no wire nothing")
+        page.run("quit", "only in the terminal")
+        page.run("nonsense", 'Unknown command:"NONSENSE"')
+
+
+@LONG
+def test_result_is_taken_back_and_warnings_colour_it(port):
+    with looking(port, "--perfect") as (_, page):
+        home(page)
+        calibrate(page)
+        assert "doubtful" not in page.find("#result").get_attribute("class")
+        home(page)
+        page.until(lambda: not has_card(page), "it is of another Z")
+        page.run("dirt 0.1", "plastic")
+        calibrate(page)
+        page.until(
+            lambda: (
+                "doubtful" in page.find("#result").get_attribute("class")
+                and "Warning: " in page.text("#result")
+            ),
+            "a warning",
+        )
+        assert page.find("#console .warning").is_displayed()
+        page.press("#shortcuts", "Report")
+        page.until(
+            lambda: page.find("#report-picture").is_displayed(), "a report"
+        )
+        with page.restarts():
+            page.press("#shortcuts", "Restart")
+        assert page.console().endswith("Klipper is ready")
+        assert not has_card(page)
+        assert not page.find("#report-picture").is_displayed()
 
 
 @LONG
@@ -232,7 +329,7 @@ def test_membrane_by_dialogs(port):
         page.press("#dialog", "Continue")
         page.until(
             lambda: (
-                "take" in page.text("#dialog").lower()
+                "Take the switch away" in page.text("#dialog")
                 and "Continue" in page.buttons("#dialog")
             ),
             "the second question",
@@ -242,15 +339,24 @@ def test_membrane_by_dialogs(port):
         page.until(lambda: "SAVE_CONFIG" in page.console(), "it is to save")
         assert re.match(r"new Z offset-?\d\.\d{3} mm", page.text("#result"))
         with page.restarts():
-            page.press("#shortcuts", "Save")
+            page.press("#shortcuts", "Save config")
         page.until(lambda: gap(page) is None, "nothing is homed")
         home(page)
-        page.until(lambda: abs(gap(page)) < 0.02, "the gap is right")
+        # Told where the membrane was laid
+        assert page.text("#point") == "at X30 Y20"
+        page.until(lambda: abs(gap(page)) <= 0.02, "the gap is right")
+        assert page.find("#gap").get_attribute("class") == "big good"
 
 
 @LONG
 def test_another_printer_and_its_own_file(port):
     with looking(port, "--perfect") as (shown, page):
+        home(page)
+        calibrate(page)
+        page.press("#shortcuts", "Report")
+        page.until(
+            lambda: page.find("#report-picture").is_displayed(), "a report"
+        )
         page.value(
             "(s => { s.value = 'auto_z_offset';"
             " s.dispatchEvent(new Event('change')); })"
@@ -270,6 +376,10 @@ def test_another_printer_and_its_own_file(port):
             "its own button",
         )
         page.until_ready()
+        assert not has_card(page)
+        assert not page.find("#report-picture").is_displayed()
+        assert "CALIBRATE_Z" not in page.console()
+        assert blue(page) == ["Home"]
         assert "[auto_z_offset]" in (shown.config / "printer.cfg").read_text()
         home(page)
         page.find("#config summary").click()
@@ -294,6 +404,21 @@ def test_wrong_configuration_is_told_and_mended(port):
         page.until(
             lambda: "'nonsense' is not a valid" in page.text("#away"), "why not"
         )
+        # Beside the button, in view
+        told = page.find("#config-told")
+        page.until(
+            lambda: re.match(
+                "klippy refuses it: .*'nonsense' is not a valid", told.text
+            ),
+            "why not",
+        )
+        assert told.get_attribute("class") == "bad-text"
+        assert page.value(
+            "(({ top, bottom }) => top >= 0 && bottom <= innerHeight)"
+            "(document.getElementById('config-told').getBoundingClientRect())"
+        )
+        assert not page.find("#progress").is_displayed()
+        assert "correct printer.cfg" in page.text("#next-words")
         file = shown.config / "printer.cfg"
         right = file.read_text().replace("[nonsense]", "")
         page.press("#config", "Read again")
@@ -325,8 +450,15 @@ def test_who_is_away_is_said(port):
             if "moonraker" in (p.info["cmdline"] or ())
             and str(shown.config.parent) in p.info["cmdline"]
         ]
-        page.send("M112")
+        home(page)
+        page.send("CALIBRATE_Z")
+        page.until(lambda: page.find("#progress").is_displayed(), "at work")
+        page.press("#shortcuts", "Emergency stop")
         page.until(lambda: "shutdown" in page.text("#away"), "a shutdown")
+        page.until(lambda: gap(page) is None, "no gap is claimed")
+        assert page.text("#gap-words") == "not known: klippy has stopped"
+        assert not page.find("#progress").is_displayed()
+        assert "press Restart" in page.text("#next-words")
         page.press("#shortcuts", "Restart")
         page.until_ready()
         moonraker.kill()
@@ -369,6 +501,12 @@ def test_correction_of_an_inductive_probe_is_shown(port):
         page.until(lambda: "correction=" in page.console(), "a result")
         shown = r"correction of the probe-?\d\.\d{3} mm"
         page.until(lambda: re.match(shown, page.text("#result")), "the card")
+        page.until(
+            lambda: "SAVE_CONFIG" in page.console(), "the end of the run"
+        )
+        # Of all cycles and the mean the last one stands out
+        (line,) = page.driver.find_elements(By.CSS_SELECTOR, "#console .result")
+        assert line.text.startswith("AUTO_Z_CALIBRATE: ")
 
 
 @LONG
@@ -431,6 +569,14 @@ def test_it_fits_and_can_be_read(port, width, is_dark):
         home(page)
         calibrate(page)
         assert page.value("document.documentElement.scrollWidth") <= width
+        if width > 1000:
+            # Console and view share the height
+            bottoms = page.value(
+                "['view', 'talk'].map(id => document.getElementById(id)"
+                ".getBoundingClientRect().bottom)"
+            )
+            assert bottoms[0] == pytest.approx(bottoms[1], abs=1.0)
+            assert page.find("#console").size["height"] > 250
         assert contrasts(page) == []
 
 
@@ -525,9 +671,12 @@ def guide(page):
             page.do(hand)
             page.until(lambda w=words: w in page.text("#told"), hand)
         if step == "SWITCH" and has_button(page, "X+1 mm"):
+            check_pad(page)
             # The plunger is over the pin: along the body
+            before = pin_in_lens(page)
             for _ in range(4):
                 jog(page, "X+1 mm")
+            page.until(lambda b=before: pin_in_lens(page) < b - 5, "it moves")
         elif step == "PAPER":
             lower(page)
         label = page.until(lambda: first_button(page, "textContent"), "asked")
@@ -562,10 +711,38 @@ def first_button(page, what="dataset.runs"):
 def lower(page):
     """By the buttons, until a sheet of paper would be held."""
     for step in (1.0, 0.1, 0.01):
-        if has_button(page, f"Steps of {step:g} mm"):
-            jog(page, f"Steps of {step:g} mm")
+        if has_button(page, f"{step:g} mm") and not is_step(page, step):
+            jog(page, f"{step:g} mm")
         while height(page) > 0.1 + step and has_button(page, f"Z-{step:g} mm"):
             jog(page, f"Z-{step:g} mm")
+
+
+def is_step(page, mm):
+    """Whether a button moves by so much already."""
+    pressed = "#dialog .steps [aria-pressed=true]"
+    return page.text(pressed) == f"{mm:g} mm"
+
+
+def check_pad(page):
+    """A cross with a chooser of the step; the view is turned to X."""
+    boxes = page.value(
+        "Object.fromEntries([...document.querySelectorAll('#dialog .jog')]"
+        ".map(b => [b.textContent, b.getBoundingClientRect()])"
+        ".map(([name, { x, y }]) => [name.slice(0, 2), [x, y]]))"
+    )
+    left, right = boxes["X-"], boxes["X+"]
+    far, near = boxes["Y+"], boxes["Y-"]
+    assert left[0] < far[0] == near[0] < right[0]
+    assert far[1] < left[1] == right[1] < near[1]
+    assert boxes["Z+"][0] == boxes["Z-"][0] > right[0]
+    assert boxes["Z+"][1] < boxes["Z-"][1]
+    assert is_step(page, 1)
+    page.until(lambda: "seen along Y" in page.text("#side"), "the view turns")
+
+
+def pin_in_lens(page):
+    """Where its left edge is in the close-up, of 240."""
+    return float(page.find("#lens .pin").get_attribute("x"))
 
 
 def jog(page, label):

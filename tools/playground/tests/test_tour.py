@@ -1,21 +1,20 @@
 """The tour of docs/playground.md, typed and pressed word for word.
 
 What is slanted there is pressed, or chosen, or opened; what is code is typed:
-G-code into the console, `option: value` and bare options into printer.cfg, all
-else by hand. What has to come of each step is below.
+`option: value` and bare options into printer.cfg, all else into the console. What has to come of each step is below.
 """
 
 from __future__ import annotations
 
 import re
 import time
-from pathlib import Path
 from typing import NamedTuple
 
 import pytest
 
 from simprinter.play.commands import COMMANDS
 from simprinter.tests.browser import LIMIT
+from tools.playground import tour
 from tools.playground.playground import SHOWN
 from tools.playground.tests.test_page import (
     AFTER,
@@ -28,7 +27,6 @@ from tools.playground.tests.test_page import (
 
 __all__ = ["port"]
 
-DOCUMENT = Path(__file__).resolve().parents[3] / "docs" / "playground.md"
 # What is only spoken of
 SPOKEN_OF = {
     "Home": ["position_endstop"],
@@ -40,7 +38,7 @@ SPOKEN_OF = {
 GUIDED = "From here on"
 WHILE = "while it touches with the body"
 # Buttons that are always there; all others are those of dialogs
-SHORTCUTS = ("Home", "Calibrate", "Set up", "Report", "Save")
+SHORTCUTS = ("Home", "Calibrate", "Set up", "Report", "Save config")
 # What a command says last
 ENDS = r"!! |\+-\d"
 
@@ -61,12 +59,8 @@ def words_of(text):
 
 def steps():
     """Of the document, in their order."""
-    text = DOCUMENT.read_text(encoding="utf-8")
-    tour = text.partition("\n## A tour\n")[2].partition("\n## ")[0]
     found = []
-    for text in re.split(r"^\d\. ", tour, flags=re.M)[1:]:
-        text = " ".join(text.split())
-        title = re.match(r"\*\*(.*?)\.\*\*", text)[1]
+    for title, text in tour.steps():
         words = words_of(text)
         for word in SPOKEN_OF.get(title, ()):
             words.remove(("`", word))
@@ -176,9 +170,12 @@ class Visitor:
         if line == "take":
             # Not while the head goes down on it
             self.page.until(
-                lambda: "away" in self.page.text("#dialog"), "it asks for it"
+                lambda: "switch away" in self.page.text("#dialog"),
+                "it asks for it",
             )
-        self.shown.type(line, r"\S")
+        before = len(self.shown.output)
+        self.page.send(line)
+        self.shown.until(r"\S", before)
         if line.startswith("press"):
             # Until the finger lets go; speed 1 is the slowest
             time.sleep(2.5)
@@ -210,7 +207,7 @@ class Visitor:
             page.until(lambda: gap(page) is not None, "homed")
         elif script == "CALIBRATE_Z":
             page.until(lambda: page.console().count("+-") > before, "a result")
-        elif label == "Save":
+        elif label == "Save config":
             self.restarted()
         else:
             page.until(
@@ -262,7 +259,7 @@ RESULTS = {
     "Edit the configuration": lambda page: is_about(page, 0.0, 0.02),
     "Set up from nothing": lambda page: is_about(page, 0.0, 0.03),
     "Look at the report": after_report,
-    "Answer dialogs": lambda page: is_about(page, 0.0, 0.12),
+    "Answer dialogs": lambda page: is_about(page, 0.0, 0.03),
 }
 
 
