@@ -256,7 +256,7 @@ def test_changes_are_for_the_report_and_not_for_the_console(start, tmp_path):
     printer.session.wait(2.0)
     assert "changed" not in "".join(printer.session.console)
     text = report_is_drawn(printer, tmp_path)
-    assert any("Nozzle height changed by -0.25" in t for t in text)
+    assert any("the nozzle meets the pin 0.25" in t for t in text)
 
 
 # The fingerprint

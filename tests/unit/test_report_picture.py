@@ -62,14 +62,14 @@ def test_all_there_is_to_see():
         "Good",
         "Nothing to do.",
         "Last run, 2023-12-10 ",
-        "Nozzle",
-        "Switch",
-        "Bed",
+        "Nozzle on the pin",
+        "Probe's body on the pin",
+        "Probe on the bed",
         "Offset (mm)",
         "2023-11-1",
-        "Nozzle on the pin (mm)",
-        "Switch - nozzle (mm)",
-        "Probe - switch (mm)",
+        "Where the nozzle meets the pin (mm)",
+        "How far the probe hangs below the nozzle (mm)",
+        "How high the probe finds the bed (mm)",
         "Spread of touches (\u00b5m)",
         "Temperatures (C)",
         "Refused: 1",
@@ -142,7 +142,9 @@ def test_touches_of_the_last_run_and_which_count():
     # A series that was rejected, of which one was like one that counts
     bed["touches"] = [samples[0] + 0.02, samples[1], samples[2], *samples]
     texts, root = drawn(runs)
-    assert f"z {bed['z']:.3f} mm, sd {1000 * bed['sd']:.1f} \u00b5m" in texts
+    assert (
+        f"at {bed['z']:.3f} mm, spread {1000 * bed['sd']:.1f} \u00b5m" in texts
+    )
     circles = list(root.iter(f"{SVG}circle"))
     assert sum(c.get("r") == "4.0" for c in circles) == 9
     assert sum(c.get("r") == "4" for c in circles) == 3
@@ -217,7 +219,7 @@ def test_marks_where_something_was_told():
     texts, root = drawn(runs)
     wanted = [
         ", nozzle: it sticks",
-        ", probe - switch changed by 0.100 mm",
+        ", the probe finds the bed 0.100 mm higher from then on",
         ", switch_offset was 0.440 and is 0.500",
     ]
     for number, text in enumerate(wanted):
@@ -237,12 +239,61 @@ def test_changes_are_marked_where_they_were():
     for run in runs[24:]:
         run["sites"]["bed"]["z"] += 0.12
     texts, root = drawn(runs)
-    text = f"1: {days.day(read(runs)[24])}, probe - switch changed by 0.120 mm"
-    assert text in texts
+    text = f"1: {days.day(read(runs)[24])}, the probe finds the bed 0.120 mm higher"
+    assert f"{text} from then on" in texts
     (flag,) = [e for e in root.iter(f"{SVG}text") if e.text == "1"]
     assert float(flag.get("x")) == pytest.approx(
         points(next(root.iter(f"{SVG}polyline")))[24][0]
     )
+
+
+OTHER_PLATE = make_runs(20) + make_runs(9, 2, moved={"bed": 0.12})
+IN_ORDER = [
+    "Last run",
+    "Offset",
+    "Where the nozzle meets",
+    "How far the probe hangs",
+    "How high the probe finds",
+    "Spread of touches",
+    "Temperatures",
+]
+
+
+@pytest.mark.parametrize(
+    ("records", "first"),
+    [
+        (make_runs(30), []),
+        (OTHER_PLATE, ["How high the probe finds"]),
+        ([*make_runs(9), refused("bed: no trigger")], ["Offset"]),
+        (make_runs(9, warnings=[STICKS]), ["Last run"]),
+        (
+            make_runs(20, touches=4)
+            + make_runs(20, 3, touches=4, worn={"bed": 0.009}),
+            ["Spread of touches"],
+        ),
+    ],
+)
+def test_what_has_caused_the_verdict_is_first_and_tinted(records, first):
+    texts, root = drawn(records)
+    places = {}
+    for element in root.iter(f"{SVG}text"):
+        for title in IN_ORDER:
+            if (element.text or "").startswith(title):
+                places.setdefault(title, float(element.get("y")))
+    rest = [title for title in IN_ORDER if title not in first]
+    assert sorted(places, key=places.get) == [*first, *rest]
+    tints = [
+        (float(e.get("y")), float(e.get("y")) + float(e.get("height")))
+        for e in root.iter(f"{SVG}rect")
+        if e.get("fill-opacity") == "0.1"
+    ]
+    # The first one is that of the verdict itself
+    within = [
+        title
+        for title in IN_ORDER
+        if any(top < places[title] < end for top, end in tints[1:])
+    ]
+    assert within == first
 
 
 def test_runs_with_another_tool_are_not_drawn():

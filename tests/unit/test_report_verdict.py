@@ -71,15 +71,19 @@ CASES = {
         "3 of the last 10 runs were refused, the last one on 2023-11-14: bed",
     ),
     "refused long ago": (refused(5) + make_runs(10), "good", ""),
-    "dirty": (told(warnings=[DIRTY]), "act", DIRTY["text"][1:]),
+    "dirty": (
+        told(warnings=[DIRTY]),
+        "act",
+        "The probe hangs 6.415 mm below the nozzle and hung 6.377 mm in earlier",
+    ),
     "dirty before": (told(-2, warnings=[DIRTY]), "good", ""),
     "mesh": (told(warnings=[MESH]), "watch", MESH["text"][1:]),
     "vague": (
         noisy(0.012),
         "watch",
-        "+-0.012 mm only; most of it are the bed's touches, which vary by",
+        "+-0.012 mm only, mostly as touches of the probe on the bed vary by",
     ),
-    "poor": (noisy(0.03), "act", "its switch for wear, or set samples: auto"),
+    "poor": (noisy(0.03), "act", "Check how the probe is seated, then its"),
     "doubted": (
         told(uncertainty=0.03, warnings=[MESH]),
         "watch",
@@ -88,26 +92,29 @@ CASES = {
     "worn": (
         drifting(30),
         "watch",
-        "Nozzle height has drifted by 0.030 mm in the last 30 runs; check the"
-        " switch that",
+        "Check the switch that the nozzle presses, and what homes Z: the nozzle"
+        " meets the pin 0.030 mm higher than in November 2023.",
     ),
     "worn, but hardly known": (drifting(19), "good", ""),
     "grown": (
         make_runs(20, touches=4)
         + make_runs(20, 3, touches=4, worn={"bed": 0.009}),
         "watch",
-        "Spread of the bed's touches has grown from 0.00",
+        "Replace the probe's switch soon: its touches spread 2.8 times as far as"
+        " in November 2023 (0.00",
     ),
     "changed": (
         exchanged(9),
         "watch",
-        "Probe - switch changed by 0.120 mm on 2023-12-05, between two runs: ",
+        "Look for what is loose, unless you laid another plate or exchanged the"
+        " probe before the run of 2023-12-05: since then the probe finds the bed"
+        " 0.120 mm higher.",
     ),
     "changed some time ago": (exchanged(11), "good", ""),
     "cleaned": (
         make_runs(20) + make_runs(3, cleaned="it had to be"),
         "watch",
-        "had to be cleaned in 3 of the last 10 runs",
+        "does not drip: it had to be cleaned in 3 of the last 10 runs.",
     ),
     "cleaned twice": (
         make_runs(20) + make_runs(2, cleaned="it had to be"),
@@ -129,9 +136,18 @@ def test_verdict(name):
 def test_the_worst_comes_first():
     runs = drifting(30)
     runs[-1]["warnings"] = [MESH, DIRTY]
-    level, texts = verdict.judge(read(runs))
+    level, texts, plots = verdict.judge(read(runs))
     assert level == "act"
-    assert [text[:8] for text in texts] == ["Switch -", "Bed_mesh", "Nozzle h"]
+    assert [text[:9] for text in texts] == [
+        "The probe",
+        "Bed_mesh ",
+        "Check the",
+    ]
+    # Where each is seen; the mesh is nowhere
+    assert list(plots.items()) == [
+        ("switch - nozzle", "act"),
+        ("nozzle height", "watch"),
+    ]
 
 
 def accuracy(sd=0.0, count=10):
@@ -167,9 +183,9 @@ def test_an_accuracy_run_that_was_last_decides(run, level, words):
 
 def test_an_accuracy_run_hides_nothing():
     """Dirt that is hard repeats as well as a clean nozzle."""
-    level, texts = verdict.judge(read(told(warnings=[DIRTY])), accuracy())
+    level, texts, _ = verdict.judge(read(told(warnings=[DIRTY])), accuracy())
     assert (level, len(texts)) == ("act", 2)
-    assert DIRTY["text"][1:] in texts[0]
+    assert "the nozzle and hung 6.377 mm" in texts[0]
     assert texts[1].startswith("Accuracy run: nothing stands out")
     assert verdict.judge([], accuracy()).texts == texts[1:]
 
@@ -178,7 +194,10 @@ def test_an_accuracy_run_hides_nothing():
 def test_a_warning_counts_by_what_it_is_about(about):
     runs = told(warnings=[{"about": about, "text": "switch: it is odd"}])
     level = "act" if about in ("nozzle", "switch", "bed") else "watch"
-    assert verdict.judge(read(runs)) == (level, ["Switch: it is odd."])
+    found = verdict.judge(read(runs))
+    assert found[:2] == (level, ["Switch: it is odd."])
+    seen = about in ("nozzle", "switch", "bed")
+    assert found.plots == ({"last run": "act"} if seen else {})
 
 
 @pytest.mark.parametrize(
@@ -204,7 +223,76 @@ def test_what_happened_is_marked_where_it_was():
     marks = verdict.marks_of(read(refused() + runs))
     assert [(mark.number, mark.text) for mark in marks] == [
         (4, MESH["text"]),
-        (11, "nozzle height changed by -0.200 mm"),
-        (11, "switch - nozzle changed by 0.200 mm"),
+        (11, "the nozzle meets the pin 0.200 mm lower from then on"),
+        (11, "the probe hangs 0.200 mm further below the nozzle from then on"),
         (16, "switch_offset was 0.440 and is 0.500"),
     ]
+
+
+@pytest.mark.parametrize(
+    ("worn", "words"),
+    [
+        (
+            {"nozzle": 0.009, "switch": 0.009},
+            "Replace the switch of the pin soon: touches of the nozzle and of the"
+            " probe's body on it spread ",
+        ),
+        (
+            {"nozzle": 0.009},
+            "Clean the nozzle, then check the switch of the pin: touches of the"
+            " nozzle spread ",
+        ),
+        (
+            {"switch": 0.009},
+            "Seat the probe firmly, then check the switch of the pin: touches of"
+            " the probe's body spread ",
+        ),
+    ],
+)
+def test_what_touches_have_in_common_is_worn(worn, words):
+    runs = make_runs(20, touches=4) + make_runs(20, 3, touches=4, worn=worn)
+    found = verdict.judge(read(runs))
+    (text,) = found.texts
+    assert text.startswith(words)
+    assert found.plots == {"spread": "watch"}
+
+
+@pytest.mark.parametrize(
+    ("ratio", "words"),
+    [
+        (1.74, "1.7 times"),
+        (1.75, "twice"),
+        (2.24, "twice"),
+        (2.25, "2.2 times"),
+        (6.04, "6 times"),
+    ],
+)
+def test_ratios_are_said_as_one_does(ratio, words):
+    assert verdict.times(ratio) == words
+
+
+def test_without_a_clock_runs_are_counted():
+    runs = drifting(30)
+    for run in runs:
+        run["time"] = 0.0
+    (text,) = verdict.judge(read(runs)).texts
+    assert text.endswith("0.030 mm higher than 30 runs ago.")
+
+
+def test_a_height_is_told_in_both_directions():
+    runs = exchanged(9)
+    for run in runs[20:]:
+        run["sites"]["bed"]["z"] -= 0.24
+    (text,) = verdict.judge(read(runs)).texts
+    assert text.endswith("the probe finds the bed 0.120 mm lower.")
+
+
+@pytest.mark.parametrize(("worth", "count"), [(0.012, 1), (0.021, 2)])
+def test_what_wear_explains_is_not_told_twice(worth, count):
+    """But for an offset that a first layer shows."""
+    worn = {"bed": 0.009}
+    runs = make_runs(20, touches=4) + make_runs(20, 3, touches=4, worn=worn)
+    runs[-1]["uncertainty"] = worth
+    found = verdict.judge(read(runs))
+    assert len(found.texts) == count
+    assert "Replace the probe's switch soon: " in found.texts[-1]

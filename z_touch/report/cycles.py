@@ -44,6 +44,9 @@ class Verdict(NamedTuple):
 GOOD_TOUCH = 0.007
 GOOD_SHIFT = 0.008
 
+# What an owner knows switch - nozzle as
+DISTANCE = "distance of nozzle and probe"
+
 # The cause of a printer that is as it should be
 NO_CAUSE = "none"
 
@@ -229,7 +232,7 @@ def grows(cycles: Cycles) -> Optional[Verdict]:
     z = {site: heights(cycles, site) for site in SITES}
     bodies = [s - n for s, n in zip(z["switch"], z["nozzle"])]
     named = [(site, z[site]) for site in SITES]
-    named += [("switch - nozzle", bodies), ("offset", offsets(cycles))]
+    named += [(DISTANCE, bodies), ("offset", offsets(cycles))]
     for name, values in named:
         slope, error, rest = line(times, values)
         shift = abs(slope) * (times[-1] - times[0])

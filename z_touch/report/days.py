@@ -51,6 +51,11 @@ def day(run: Run) -> str:
     return in_words(run, "%Y-%m-%d")
 
 
+def month(run: Run) -> str:
+    """Return the month of a run, with its year; empty: the clock was not set."""
+    return in_words(run, "%B %Y") if time_of(run) is not None else ""
+
+
 def minute(run: Run) -> str:
     """Return the minute of a run."""
     return in_words(run, "%Y-%m-%d %H:%M")

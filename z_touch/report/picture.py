@@ -1,7 +1,7 @@
 """A picture of a history: one SVG without scripts, for light and dark pages.
 
-From the top: what to do, the touches of the last run, then the runs over days, with
-marks where something happened.
+From the top: what to do, the plots in which that is seen, tinted; the touches of the
+last run, then the runs over days, with marks where something happened.
 
 Copyright (C) 2026  the Z calibration developers, under the GNU GPLv3
 """
@@ -23,6 +23,7 @@ from typing import (
 )
 
 from ..z_calibration.runs import (
+    BODY,
     SITES,
     Run,
     SiteRun,
@@ -32,8 +33,8 @@ from ..z_calibration.runs import (
     usual,
 )
 from ..z_calibration.statistics import pool
-from . import cycles, verdict
-from .days import axis_of, day, minute
+from . import cycles, trend, verdict
+from .days import Axis, axis_of, day, minute
 from .svg import (
     BELOW,
     EDGE,
@@ -84,35 +85,45 @@ SITE_COLOURS = tuple(zip(SITES, "abc"))
 
 
 class Height(NamedTuple):
-    """A plot of a height: what it depends on, its value of a run (mm), its colour."""
+    """A plot of a height of trend.HEIGHTS: what it depends on, and its colour."""
 
     title: str
     words: str
-    value: Callable[[Run], float]
     colour: str
 
 
-BODY = Height(
-    "Switch - nozzle",
-    "the same until one of them is exchanged, dirty or loose",
-    lambda run: run.body(),
-    "b",
-)
-HEIGHTS = (
-    Height(
-        "Nozzle on the pin",
-        "depends on homing, on the pin, on the nozzle",
-        lambda run: run.z("nozzle"),
+HEIGHTS = {
+    "nozzle height": Height(
+        "Where the nozzle meets the pin",
+        "depends on homing, pin and nozzle",
         "a",
     ),
-    BODY,
-    Height(
-        "Probe - switch",
-        "depends on the bed and its plate, and on the probe's switch",
-        lambda run: run.z("bed") - run.z("switch"),
+    BODY: Height(
+        "How far the probe hangs below the nozzle",
+        "changes with nozzle and probe",
+        "b",
+    ),
+    "probe - switch": Height(
+        "How high the probe finds the bed",
+        "depends on plate, bed and the probe's switch",
         "c",
     ),
-)
+}
+HEAT = "heat"
+# All plots of runs, in their usual order
+PLOTS = (verdict.LAST_RUN, verdict.OFFSET, *HEIGHTS, verdict.SPREAD, HEAT)
+
+# What touches at each site
+TOUCHING = {
+    "nozzle": "Nozzle on the pin",
+    "switch": "Probe's body on the pin",
+    "bed": "Probe on the bed",
+}
+LEGEND = {
+    "nozzle": "nozzle on pin",
+    "switch": "body on pin",
+    "bed": "probe on bed",
+}
 HEATS = (("nozzle", "extruder", "b"), ("bed", "heater_bed", "c"))
 
 
@@ -129,16 +140,56 @@ def svg(records: Sequence[Run], *, name: str = "") -> str:
     accuracy = [record for record in records if record.cycles]
     latest = accuracy[-1] if accuracy and records[-1].cycles else None
     draw_head(page, records, runs, name)
-    draw_verdict(page, verdict.judge(runs, latest))
-    if latest is not None:
-        draw_cycles(page, latest)
-    if runs:
-        draw_last(page, runs)
-        draw_runs(page, runs)
-        draw_reasons(page, runs)
+    judged = verdict.judge(runs, latest)
+    draw_verdict(page, judged)
+    usual = [verdict.ACCURACY] if latest is not None else []
+    usual += PLOTS if runs else []
+    # What has caused the verdict is first
+    caused = [name for name in judged.plots if name in usual]
+    drawn = Runs(page, runs)
+    for name in [*caused, *(name for name in usual if name not in caused)]:
+        begin, top = len(page.parts), page.y
+        page.y += 6 if name in caused else 0
+        if name == verdict.ACCURACY:
+            draw_cycles(page, accuracy[-1])
+        else:
+            draw_plot(drawn, name)
+        if name in caused:
+            box = EDGE - 10, top, WIDTH - EDGE + 10, page.y - GAP + 8
+            tint(page, begin, box, judged.plots[name])
+    draw_reasons(page, runs)
     if accuracy and latest is None:
         draw_cycles(page, accuracy[-1])
     return page.done()
+
+
+def draw_plot(drawn: Runs, name: str) -> None:
+    """Draw one of PLOTS."""
+    if name == verdict.LAST_RUN:
+        draw_last(drawn.page, drawn.runs)
+    elif name == verdict.OFFSET:
+        draw_offsets(drawn)
+    elif name == verdict.SPREAD:
+        draw_spreads(drawn)
+    elif name == HEAT:
+        draw_heats(drawn)
+    else:
+        draw_height(drawn, name)
+
+
+def tint(
+    page: Page, begin: int, box: Tuple[float, float, float, float], colour: str
+) -> None:
+    """Tint what was drawn since a part, with a bar at its left.
+
+    box: left, top, right and bottom.
+    """
+    left, top, right, bottom = box
+    page.parts[begin:begin] = [
+        f'<rect x="{left:.0f}" y="{top:.1f}" width="{width:.0f}"'
+        f' height="{bottom - top:.1f}" {fill(colour)} fill-opacity="{opacity}"/>'
+        for width, opacity in ((right - left, "0.1"), (6, "1"))
+    ]
 
 
 ######################################################################
@@ -183,11 +234,8 @@ def draw_verdict(page: Page, judged: Verdict) -> None:
     if more > 0:
         page.line(f"And {more} more.", "soft", x=EDGE + 18)
     page.y += 12
-    page.parts[begin:begin] = [
-        f'<rect x="{EDGE}" y="{top:.1f}" width="{width}"'
-        f' height="{page.y - top:.1f}" {fill(colour)} fill-opacity="{opacity}"/>'
-        for width, opacity in ((WIDTH - 2 * EDGE, "0.1"), (6, "1"))
-    ]
+    tint(page, begin, (EDGE, top, WIDTH - EDGE, page.y), colour)
+    page.y += GAP
 
 
 ######################################################################
@@ -220,13 +268,13 @@ def draw_last(page: Page, runs: Sequence[Run]) -> None:
         count = len(offs[number])
         xs = [(i + 0.5) / count for i in range(count)]
         plot = Plot(page, xs, (-end, end), box)
-        plot.frame(site.capitalize())
+        plot.frame(TOUCHING[site])
         kept = last.sites.get(site)
         if kept is not None and count:
             draw_touches(plot, offs[number], kept, usuals[number], colour)
         else:
             plot.below("not measured")
-    page.y += TITLE + PLOT + BELOW
+    page.y += TITLE + PLOT + BELOW + GAP
     bed = last.sites.get("bed")
     if bed is not None and bed.points and len(bed.points) == len(offs[-1]):
         draw_points(page, bed.points, offs[-1], box)
@@ -239,7 +287,6 @@ def draw_points(
 
     offs: um about the height that counts; box: left and right end.
     """
-    page.y += GAP
     plan, most = Plan(page, points, box), max(map(abs, offs)) or 1.0
     plan.frame()
     radii = [LARGEST_CIRCLE * math.sqrt(abs(v) / most) for v in offs]
@@ -253,7 +300,7 @@ def draw_points(
         "full: higher than the height that counts; hollow: lower;", "soft"
     )
     page.line(f"the largest circle: by {most:.1f} {UM}", "soft")
-    page.y = plan.top + plan.side + BELOW
+    page.y = plan.top + plan.side + BELOW + GAP
 
 
 def usual_spread(earlier: Sequence[Run], site: str, bed_spread: float) -> float:
@@ -281,7 +328,7 @@ def draw_touches(
     flags = counted(kept.touches or kept.samples, kept.samples)
     plot.dots([p for p, f in zip(points, flags) if f], colour, 4.0)
     plot.rings([p for p, f in zip(points, flags) if not f], colour)
-    plot.below(f"z {kept.z:.3f} mm, sd {1000.0 * kept.sd:.1f} {UM}")
+    plot.below(f"at {kept.z:.3f} mm, spread {1000.0 * kept.sd:.1f} {UM}")
 
 
 def counted(touches: Sequence[float], samples: Sequence[float]) -> List[bool]:
@@ -304,12 +351,16 @@ Flags = Sequence[Tuple[int, str]]
 class Runs:
     """Plots of the runs, one below the other, all with the same marks."""
 
-    def __init__(self, page: Page, runs: Sequence[Run], flags: Flags) -> None:
-        """Begin with none; flags: numbers of runs and what stands in their flags."""
+    def __init__(self, page: Page, runs: Sequence[Run]) -> None:
+        """Begin with none.
+
+        flags: numbers of runs at which something happened, and what stands there.
+        """
         self.page = page
         self.runs = runs
-        self.flags = flags
-        self.axis = axis_of(runs)
+        self.marks = verdict.marks_of(runs)
+        self.flags = flags_of(self.marks)
+        self.axis = axis_of(runs) if runs else Axis([], [])
 
     def draw(
         self,
@@ -376,7 +427,7 @@ def usual_body(runs: Sequence[Run]) -> Optional[List[Optional[XY]]]:
     return [ends if number >= begin else None for number in range(len(runs))]
 
 
-def draw_offsets(drawn: Runs, marks: Sequence[Mark]) -> None:
+def draw_offsets(drawn: Runs) -> None:
     """Draw the offset with its marks, and what these say."""
     page, runs = drawn.page, drawn.runs
     band = [
@@ -401,7 +452,7 @@ def draw_offsets(drawn: Runs, marks: Sequence[Mark]) -> None:
         plot.flag(number, text, "soft")
     page.y -= GAP - 4
     for number, text in drawn.flags:
-        told = "; ".join(m.text for m in marks if m.number == number)
+        told = "; ".join(m.text for m in drawn.marks if m.number == number)
         page.line(f"{text}: {day(runs[number])}, {told}", most=2, x=LEFT)
     page.y += GAP - 4
 
@@ -412,27 +463,31 @@ def flags_of(marks: Sequence[Mark]) -> Flags:
     return [(number, f"{i + 1}") for i, number in enumerate(numbers)]
 
 
-def draw_runs(page: Page, runs: Sequence[Run]) -> None:
-    """Draw the runs over days."""
-    marks = verdict.marks_of(runs)
-    drawn = Runs(page, runs, flags_of(marks))
-    page.y += GAP
-    draw_offsets(drawn, marks)
-    for height in HEIGHTS:
-        band = usual_body(runs) if height is BODY else None
-        values = drawn.values(height.value)
-        curve = Curve(height.title, height.colour, values, band)
-        titles = (f"{height.title} (mm)", height.words)
-        drawn.draw(titles, [curve], LEAST_HEIGHT)
+def draw_height(drawn: Runs, name: str) -> None:
+    """Draw one of HEIGHTS over days."""
+    height, values = HEIGHTS[name], drawn.values(trend.HEIGHTS[name])
+    band = usual_body(drawn.runs) if name == BODY else None
+    curve = Curve(height.title, height.colour, values, band)
+    titles = (f"{height.title} (mm)", height.words)
+    drawn.draw(titles, [curve], LEAST_HEIGHT)
+
+
+def draw_spreads(drawn: Runs) -> None:
+    """Draw how much touches of one place differ, over days."""
+    runs = drawn.runs
     curves = [
-        Curve(site, colour, smooth(spread_curve(runs, site)))
+        Curve(LEGEND[site], colour, smooth(spread_curve(runs, site)))
         for site, colour in SITE_COLOURS
     ]
     count = max(SMOOTH_RUNS, len(runs) // SMOOTH_POINTS)
     titles = (f"Spread of touches ({UM})", f"mean of {count} runs")
     drawn.draw(titles, curves, LEAST_SPREAD, zero=True)
+
+
+def draw_heats(drawn: Runs) -> None:
+    """Draw the temperatures over days."""
     heats = [
-        Curve(name, colour, [run.temperatures.get(key) for run in runs])
+        Curve(name, colour, [run.temperatures.get(key) for run in drawn.runs])
         for name, key, colour in HEATS
     ]
     drawn.draw(("Temperatures (C)",), heats, LEAST_HEAT)
@@ -448,10 +503,10 @@ def draw_reasons(page: Page, runs: Sequence[Run]) -> None:
     refused = [run for run in runs if not run.ok]
     if not refused:
         return
-    page.y -= GAP
     page.title(f"Refused: {len(refused)}, the last ones")
     for run in reversed(refused[-REASONS:]):
         page.line(f"{minute(run)}: {run.reason}", "soft", most=4)
+    page.y += GAP
 
 
 ######################################################################
@@ -479,7 +534,7 @@ def draw_samples(
     offs = [1000.0 * (z - middle) for z in flat]
     xs = [(i + 0.5) / count for i in range(count)]
     plot = Plot(page, xs, spanned(min(offs), max(offs), 20.0))
-    plot.frame(f"{site.capitalize()} ({UM})", "samples about their median")
+    plot.frame(f"{TOUCHING[site]} ({UM})", "samples about their median")
     plot.scale([(xs[0], "cycle 1"), (xs[-1], f"cycle {count}")][:count])
     apart = (WIDTH - RIGHT - LEFT - 14) / count
     for number, samples in enumerate(touches):

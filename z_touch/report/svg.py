@@ -176,7 +176,6 @@ class Page:
 
     def title(self, text: str) -> None:
         """Add a title."""
-        self.y += GAP
         self.line(text, more=BOLD)
 
     def circles(

@@ -7,11 +7,12 @@ Copyright (C) 2026  the Z calibration developers, under the GNU GPLv3
 
 from __future__ import annotations
 
-from typing import Iterator, List, NamedTuple, Optional, Sequence, Tuple
+import re
+from typing import Dict, Iterator, List, NamedTuple, Optional, Sequence, Tuple
 
 from ..z_calibration.runs import BODY, LEAST_RUNS, SITES, Run
 from . import cycles, trend
-from .days import day
+from .days import day, month
 
 GOOD, WATCH, ACT = "good", "watch", "act"
 LEVELS = (GOOD, WATCH, ACT)
@@ -37,11 +38,22 @@ OF_TOUCHES = (*SITES, BODY)
 UNKNOWN = "no reason is kept"
 
 
+# How the console names a height, and how an owner knows it
+_BODY = re.compile(rf"\b{BODY} is (\S+) mm and was (\S+) mm")
+
+# Plots of the picture besides those of trend.HEIGHTS: what a sentence is seen in
+LAST_RUN, OFFSET, SPREAD, ACCURACY = "last run", "offset", "spread", "accuracy"
+
+
 class Verdict(NamedTuple):
-    """GOOD, WATCH or ACT; and on what, with what to do."""
+    """GOOD, WATCH or ACT; on what, with what to do; and in which plots that is seen.
+
+    plots: names with their levels, those of the first text first.
+    """
 
     level: str
     texts: List[str]
+    plots: Dict[str, str]
 
 
 class Mark(NamedTuple):
@@ -51,26 +63,89 @@ class Mark(NamedTuple):
     text: str
 
 
-Advice = Tuple[str, str]
+class Advice(NamedTuple):
+    """One sentence of a verdict; plot: where that is seen, empty: nowhere."""
 
-# What to do where a height drifts, and what changes it at once, by trend.HEIGHTS
-REMEDIES = {
-    "nozzle height": "check the switch that the nozzle presses, and what homes Z",
-    "switch - nozzle": "check nozzle, probe and their seat for wear",
-    "probe - switch": "check the bed and the probe's switch for wear",
-}
-CAUSES = {
-    "nozzle height": "a new position_endstop does that, another nozzle, or what homes Z",
-    "switch - nozzle": "another nozzle does that, another probe, or how it is seated",
-    "probe - switch": "another plate does that, or another probe",
+    level: str
+    text: str
+    plot: str = ""
+
+
+class Words(NamedTuple):
+    """How an owner is told of one of trend.HEIGHTS.
+
+    remedy: what to do where it drifts. cause: what may have changed it at once. moved:
+    what it does, and how that is called where it rises and where it falls.
+    """
+
+    remedy: str
+    cause: str
+    moved: str
+    up: str
+    down: str
+
+    def by(self, distance: float) -> str:
+        """Return what it has done, by so much (mm)."""
+        return f"{self.moved} {abs(distance):.3f} mm {self.up if distance > 0 else self.down}"
+
+
+WORDS = {
+    "nozzle height": Words(
+        "Check the switch that the nozzle presses, and what homes Z",
+        "changed position_endstop, the nozzle or what homes Z",
+        "the nozzle meets the pin",
+        "higher",
+        "lower",
+    ),
+    "switch - nozzle": Words(
+        "Tighten the nozzle, and what holds the probe",
+        "exchanged the nozzle or the probe",
+        "the probe hangs",
+        "further below the nozzle",
+        "less far below the nozzle",
+    ),
+    "probe - switch": Words(
+        "Replace the probe's switch soon, unless the bed is what moves",
+        "laid another plate or exchanged the probe",
+        "the probe finds the bed",
+        "higher",
+        "lower",
+    ),
 }
 
-# What to do where the touches of a site vary much, or ever more
+CLEAN = "Clean the nozzle, then check the switch of the pin"
+
+# By what touches vary ever more: what to do, and whose they are
+PIN = "pin"
+WORN = {
+    PIN: (
+        "Replace the switch of the pin soon",
+        "touches of the nozzle and of the probe's body on it",
+    ),
+    "nozzle": (CLEAN, "touches of the nozzle"),
+    "switch": (
+        "Seat the probe firmly, then check the switch of the pin",
+        "touches of the probe's body",
+    ),
+    "bed": ("Replace the probe's switch soon", "its touches"),
+}
+
+# What to do where the touches of a site vary much
 STEADIER = {
-    "nozzle": "clean the nozzle, then check the switch under it",
-    "switch": "check how the probe is seated, and the switch under it",
-    "bed": "check how the probe is seated, and its switch for wear",
+    "nozzle": CLEAN,
+    "switch": "Check how the probe is seated, then the switch of the pin",
+    "bed": "Check how the probe is seated, then its switch for wear",
 }
+# What touches there
+TOUCHING = {
+    "nozzle": "the nozzle on the pin",
+    "switch": "the probe's body on the pin",
+    "bed": "the probe on the bed",
+}
+
+# A ratio between these is said as "twice"; from MANY on nobody counts tenths
+TWICE = (1.75, 2.25)
+MANY = 3.0
 
 
 ######################################################################
@@ -87,21 +162,26 @@ def judge(runs: Sequence[Run], accuracy: Optional[Run] = None) -> Verdict:
     if accuracy is not None:
         advices.append(of_cycles(accuracy))
     if not (runs or advices):
-        return Verdict(WATCH, ["There are no runs yet; run CALIBRATE_Z."])
+        return Verdict(WATCH, ["There are no runs yet; run CALIBRATE_Z."], {})
     if runs:
-        for rule in (refusals, warnings, worth, wear, changes, cleanings):
+        for rule in (refusals, warnings, wear, worth, changes, cleanings):
             advices += rule(runs)
     # sorted() keeps the order of those of one level
-    advices = sorted(advices, key=lambda entry: -LEVELS.index(entry[0]))
+    advices = sorted(advices, key=lambda entry: -LEVELS.index(entry.level))
     if advices:
-        return Verdict(advices[0][0], [text for _, text in advices])
+        plots: Dict[str, str] = {}
+        for advice in advices:
+            if advice.plot and advice.level != GOOD:
+                plots.setdefault(advice.plot, advice.level)
+        texts = [advice.text for advice in advices]
+        return Verdict(advices[0].level, texts, plots)
     texts = [nothing_to_do(runs[-1])]
     lack = LEAST_RUNS - sum(run.ok for run in runs)
     if lack > 0:
         texts.append(
             f"New runs are compared with these after {lack} more good ones."
         )
-    return Verdict(GOOD, texts)
+    return Verdict(GOOD, texts, {})
 
 
 def of_cycles(accuracy: Run) -> Advice:
@@ -112,7 +192,7 @@ def of_cycles(accuracy: Run) -> Advice:
     """
     found = cycles.judge_run(accuracy)
     level = GOOD if found.cause == cycles.NO_CAUSE else WATCH
-    return level, sentence(f"Accuracy run: {found.text}")
+    return Advice(level, sentence(f"Accuracy run: {found.text}"), ACCURACY)
 
 
 def nothing_to_do(last: Run) -> str:
@@ -127,23 +207,33 @@ def refusals(runs: Sequence[Run]) -> Iterator[Advice]:
     last, refused = runs[-1], [run for run in runs[-LATEST:] if not run.ok]
     if not last.ok:
         why = last.reason or UNKNOWN
-        yield ACT, sentence(f"The last run was refused: {why}")
+        yield Advice(ACT, sentence(f"The last run was refused: {why}"), OFFSET)
     elif len(refused) >= OFTEN:
         count, why = min(LATEST, len(runs)), refused[-1].reason or UNKNOWN
-        yield (
+        yield Advice(
             WATCH,
             sentence(
                 f"{len(refused)} of the last {count} runs were refused, the last one on"
                 f" {day(refused[-1])}: {why}"
             ),
+            OFFSET,
         )
 
 
 def warnings(runs: Sequence[Run]) -> Iterator[Advice]:
     """Yield what the last run has warned of."""
     for warned in runs[-1].warnings:
-        is_of_touches = warned.about in OF_TOUCHES
-        yield ACT if is_of_touches else WATCH, sentence(warned.text)
+        level = ACT if warned.about in OF_TOUCHES else WATCH
+        plot = LAST_RUN if warned.about in SITES else ""
+        plot = BODY if warned.about == BODY else plot
+        yield Advice(level, sentence(plain(warned.text)), plot)
+
+
+def plain(text: str) -> str:
+    """Return a warning of the console with the name that the picture has for a height."""
+    return _BODY.sub(
+        r"the probe hangs \1 mm below the nozzle and hung \2 mm", text
+    )
 
 
 def sentence(text: str) -> str:
@@ -161,12 +251,16 @@ def worth(runs: Sequence[Run]) -> Iterator[Advice]:
     if last.warnings:
         return
     site = max(SITES, key=lambda name: variance(last, name))
-    yield (
-        ACT if last.uncertainty > POOR_WORTH else WATCH,
-        f"The offset is known to +-{last.uncertainty:.3f} mm only; most of it are the"
-        f" {site}'s touches, which vary by {last.sites[site].sd:.4f} mm;"
-        f" {STEADIER[site]}, or set samples: auto, which takes as many touches as"
-        " it needs.",
+    level = ACT if last.uncertainty > POOR_WORTH else WATCH
+    if level == WATCH and site in {grown.site for grown in trend.growths(runs)}:
+        # wear() says what is behind it
+        return
+    yield Advice(
+        level,
+        f"{STEADIER[site]}, or set samples: auto: the offset is known to"
+        f" +-{last.uncertainty:.3f} mm only, mostly as touches of {TOUCHING[site]} vary"
+        f" by {last.sites[site].sd:.4f} mm.",
+        LAST_RUN,
     )
 
 
@@ -177,24 +271,60 @@ def variance(run: Run, site: str) -> float:
 
 
 def wear(runs: Sequence[Run]) -> Iterator[Advice]:
-    """Yield what drifts, and what varies ever more."""
+    """Yield what varies ever more, and what drifts."""
+    alike = [run for _, run in trend.like_last(runs)]
+    for worn, grown in grown_of(trend.growths(runs)):
+        remedy, whose = WORN[worn]
+        yield Advice(
+            WATCH,
+            f"{remedy}: {whose} spread {times(grown.after / grown.before)} as far as"
+            f" {then(alike, grown.runs)} ({grown.after:.4f} mm instead of"
+            f" {grown.before:.4f}).",
+            SPREAD,
+        )
     for drift in trend.drifts(runs):
-        yield (
+        words = WORDS[drift.height]
+        yield Advice(
             WATCH,
-            sentence(
-                f"{drift.height} has drifted by {drift.by:.3f} mm in the last"
-                f" {drift.runs} runs; {REMEDIES[drift.height]}"
+            f"{words.remedy}: {words.by(drift.by)} than {then(alike, drift.runs)}.",
+            drift.height,
+        )
+
+
+def grown_of(
+    growths: Sequence[trend.Growth],
+) -> Iterator[Tuple[str, trend.Growth]]:
+    """Yield what is worn, a key of WORN, with how much the touches have grown.
+
+    What nozzle and probe's body have in common is the switch of the pin.
+    """
+    by_site = {grown.site: grown for grown in growths}
+    if {"nozzle", "switch"} <= by_site.keys():
+        yield (
+            PIN,
+            max(
+                by_site.pop("nozzle"),
+                by_site.pop("switch"),
+                key=lambda g: g.after,
             ),
         )
-    for grown in trend.growths(runs):
-        yield (
-            WATCH,
-            sentence(
-                f"spread of the {grown.site}'s touches has grown from"
-                f" {grown.before:.4f} to {grown.after:.4f} mm in the last {grown.runs}"
-                f" runs; {STEADIER[grown.site]}"
-            ),
-        )
+    yield from by_site.items()
+
+
+def times(ratio: float) -> str:
+    """Return a ratio as one says it."""
+    low, high = TWICE
+    if low <= ratio < high:
+        return "twice"
+    return f"{ratio:.0f} times" if ratio >= MANY else f"{ratio:.1f} times"
+
+
+def then(alike: Sequence[Run], count: int) -> str:
+    """Return when the first of the latest of these runs was, so many, as one says it."""
+    first, last = alike[-count], alike[-1]
+    if month(first) and month(first) != month(last):
+        return f"in {month(first)}"
+    return f"{count} runs ago"
 
 
 def changes(runs: Sequence[Run]) -> Iterator[Advice]:
@@ -203,13 +333,12 @@ def changes(runs: Sequence[Run]) -> Iterator[Advice]:
     news = good[-CHANGE_STAYS:]
     for change in trend.changes(runs):
         if news and change.number >= news[0]:
-            yield (
+            words, when = WORDS[change.height], day(runs[change.number])
+            yield Advice(
                 WATCH,
-                sentence(
-                    f"{change.height} changed by {change.by:.3f} mm on"
-                    f" {day(runs[change.number])}, between two runs:"
-                    f" {CAUSES[change.height]}; otherwise look for what is loose"
-                ),
+                f"Look for what is loose, unless you {words.cause} before the run of"
+                f" {when}: since then {words.by(change.by)}.",
+                change.height,
             )
 
 
@@ -218,10 +347,11 @@ def cleanings(runs: Sequence[Run]) -> Iterator[Advice]:
     latest = runs[-LATEST:]
     count = sum(bool(run.cleaned) for run in latest)
     if count >= OFTEN:
-        yield (
+        yield Advice(
             WATCH,
-            f"The nozzle had to be cleaned in {count} of the last {len(latest)} runs;"
-            " clean it before CALIBRATE_Z, at a temperature at which it does not drip.",
+            "Clean the nozzle before CALIBRATE_Z, at a temperature at which it does not"
+            f" drip: it had to be cleaned in {count} of the last {len(latest)} runs.",
+            OFFSET,
         )
 
 
@@ -234,14 +364,13 @@ def marks_of(runs: Sequence[Run]) -> List[Mark]:
     """Return what happened, in the order of the runs."""
     marks = [
         Mark(
-            change.number,
-            f"{change.height} changed by {change.by:.3f} mm",
+            change.number, f"{WORDS[change.height].by(change.by)} from then on"
         )
         for change in trend.changes(runs)
     ]
     last: Optional[Run] = None
     for number, run in enumerate(runs):
-        marks += [Mark(number, warned.text) for warned in run.warnings]
+        marks += [Mark(number, plain(warned.text)) for warned in run.warnings]
         if not run.ok:
             continue
         if last and abs(run.switch_offset - last.switch_offset) > SAME:

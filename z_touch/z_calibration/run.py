@@ -365,7 +365,9 @@ class CalibrationRun:
                 " the nozzle is tight",
             )
         elif self.departure:
-            remedy = self.oozing() or "clean it and run CALIBRATE_Z again"
+            remedy = (
+                self.oozing() or "clean the nozzle and run CALIBRATE_Z again"
+            )
             self.warn(
                 BODY,
                 f"switch - nozzle is {body:.3f} mm and was"
