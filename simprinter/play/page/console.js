@@ -1,10 +1,13 @@
 // The console: lines, and an input with history and completion.
 
+import { follow } from "./follow.js";
+
 const MOST_LINES = 400, MOST_COMMANDS = 100;
 
 export class Console {
   constructor(lines, form, input, proposals, send) {
     Object.assign(this, { lines, input, proposals, send });
+    this.follow = follow(lines);
     this.commands = [];
     // The line of the last result since something was sent
     this.result = null;
@@ -63,13 +66,12 @@ export class Console {
 
   put(text, kind) {
     const { lines } = this;
-    const isAtEnd = lines.scrollTop + lines.clientHeight >= lines.scrollHeight - 30;
     const line = document.createElement("div");
     line.textContent = text;
     line.className = kind;
     lines.append(line);
     while (lines.childElementCount > MOST_LINES) lines.firstChild.remove();
-    if (isAtEnd) lines.scrollTop = lines.scrollHeight;
+    this.follow();
     return line;
   }
 

@@ -3,6 +3,7 @@
 import { Config } from "./config.js";
 import { Console } from "./console.js";
 import { Dialog } from "./dialog.js";
+import { follow } from "./follow.js";
 import { verdict } from "./gap.js";
 import { Hands, isTimed } from "./hands.js";
 import { Lens } from "./lens.js";
@@ -153,14 +154,15 @@ $("scene").addEventListener("change", () => live.choose($("scene").value));
 
 // The terminal
 
+const followLines = follow($("lines"));
+
 function tellLine(line) {
   const lines = $("lines");
-  const isAtEnd = lines.scrollTop + lines.clientHeight >= lines.scrollHeight - 30;
   const shown = Object.assign(document.createElement("div"), { textContent: line });
   if (/CRASH|IN THE BED|^!!/.test(line)) shown.className = "bad";
   lines.append(shown);
   while (lines.childElementCount > MOST_LINES) lines.firstChild.remove();
-  if (isAtEnd) lines.scrollTop = lines.scrollHeight;
+  followLines();
 }
 
 live.addEventListener("line", ({ detail }) => {

@@ -260,7 +260,20 @@ def test_result_is_taken_back_and_warnings_colour_it(port):
         home(page)
         page.until(lambda: not has_card(page), "it is of another Z")
         page.run("dirt 0.1", "plastic")
+        # In a window that is too small for all of its lines
+        page.resize(1050, 700)
         calibrate(page)
+        page.until(
+            lambda: (
+                page.value(
+                    "(e => e.scrollHeight - e.clientHeight - e.scrollTop)"
+                    "(document.getElementById('console'))"
+                )
+                < 5
+            ),
+            "the end of the console, of which the card has taken some",
+            5.0,
+        )
         page.until(
             lambda: (
                 "doubtful" in page.find("#result").get_attribute("class")
