@@ -77,6 +77,8 @@ export class Result {
 
   // What the run has warned of that has found it.
   warn(texts) {
+    const isShown = this.doubts?.childElementCount === texts.length;
+    if (isShown && texts.join() === this.warnings.join()) return;
     this.warnings = texts;
     this.card.classList.toggle("doubtful", texts.length > 0);
     const lines = texts.map((text) => Object.assign(document.createElement("p"), { textContent: `Warning: ${text}` }));
