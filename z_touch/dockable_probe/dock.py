@@ -230,6 +230,7 @@ class Dock:
         is_done = False
 
         def lift() -> None:
+            """Lift the toolhead unless deactivate_gcode has ended well."""
             if not is_done:
                 self.moves.lift_for_dock()
 
@@ -347,6 +348,7 @@ class Dock:
         """Bring the dock out, and put it away afterwards where the toolhead is not in it."""
 
         def put_away() -> None:
+            """Put the dock away, unless the toolhead stands in it."""
             # A toolhead that was not brought out of the dock still is in it
             if not self.moves.stands_in_dock():
                 self.run(f"post_{trip.gcode}")

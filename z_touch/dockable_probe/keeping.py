@@ -95,6 +95,7 @@ class Keeping:
 
     def _wait(self, mark: object) -> None:
         def due(_eventtime: float) -> None:
+            """Dock the probe now; a callback of the reactor.  May pause."""
             self._due(mark)
 
         reactor = self.host.printer.get_reactor()

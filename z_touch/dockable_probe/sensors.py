@@ -39,6 +39,7 @@ class Sensors:
         self.known = known
 
         def sense(name: str, when_attached: bool) -> Sense:
+            """Return the pin of an option, and what it reads with the probe attached."""
             endstop = host.endstops.make_plain(config, name)
             return Sense(name, endstop, when_attached)
 

@@ -303,6 +303,7 @@ class OwnProbe:
         touches: List[Any] = []
 
         def touch() -> float:
+            """Touch once more; return the toolhead Z (mm) of the trigger."""
             if touches:
                 self._retract(wanted)
             touches.append(self._touch(gcmd, wanted.speed))
