@@ -278,6 +278,17 @@ class Head:
         self._pressed(start_z, host.motion.z(), probed.z)
         return probed
 
+    def probe_bed(self, session: Optional[ProbeSession], floor: float) -> float:
+        """Move down until the probe has triggered; return the toolhead Z as G28 sees it.
+
+        By the host's own probing, which ends at 'floor'.  session None: on a host that cannot
+        be told the floor by the switch alone, as its probing would go on to position_min.
+        """
+        probing = self.host.probing
+        if session is not None:
+            return probing.homed_z(self.probe(session))
+        return self.touch(probing.endstop(), floor, self.sampling.speed)
+
     def _stopped(
         self, error: Exception, kind: Type[CalibrationError], text: str
     ) -> CalibrationError:

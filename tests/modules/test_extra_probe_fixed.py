@@ -10,7 +10,7 @@ from dataclasses import replace
 import pytest
 
 from simprinter import Fault, heated
-from simprinter.world.spec import PinSpec
+from simprinter.world.spec import AxisSwitchSpec, PinSpec
 from tests.modules.test_axis_twist import compensation
 from tools.kit.cases import slow
 from tools.kit.docks import DOCK_SCENES
@@ -189,6 +189,27 @@ def test_samples_of_the_probe(start):
     assert gap(printer) == pytest.approx(0.0, abs=NEAR)
 
 
+def test_save_where_z_is_homed_on_a_switch(start):
+    scene = fixed_switch()
+    z0 = scene.world.bed.z0 - 0.45
+    end = AxisSwitchSpec("z_endstop", "z", z0, -1)
+    inputs = {**scene.wiring.inputs, "z_endstop": "^PC2"}
+    scene = replace(
+        scene, wiring=replace(scene.wiring, inputs=inputs)
+    ).with_world(switches=(*scene.world.switches, end))
+    z_axis = {"endstop_pin": "^PC2", "position_endstop": "0"}
+    # The bed is 0.45 mm higher than the user says
+    # Beside the bed
+    changes = {"stepper_z": z_axis, "safe_z_home": None}
+    printer = start(scene, changes=changes).homed()
+    printer.run(f"{CALIBRATE} SAVE=1")
+    pending = state(printer)["pending"]
+    assert list(pending) == ["stepper_z"]
+    printer.session.restart("SAVE_CONFIG")
+    printer.run("G28")
+    assert gap(printer) == pytest.approx(0.0, abs=0.02)
+
+
 # The nozzle touches first, the probe afterwards, and the nozzle goes down next
 def test_probe_that_docks(start):
     dock = DOCK_SCENES["dock_gantry"]
@@ -317,6 +338,16 @@ def test_probe_that_does_not_answer(start):
     assert "where the nozzle meets the bed, by what the switch says" in text
     assert text.endswith("; check the probe with QUERY_PROBE and PROBE")
     assert printer.machine.truth.depth("nozzle_bed") < 0.02
+
+
+def test_probe_that_reads_triggered(start):
+    # It has not gone down to the bed, and nothing is said of that
+    printer = start(fixed_switch()).homed()
+    printer.machine.break_down(
+        Fault("stuck_closed", site="inductive_bed", touch=1)
+    )
+    text = fails(printer, "probe: ")
+    assert "the lowest point of this touch" not in text
 
 
 def test_something_that_lies_on_the_bed(start):

@@ -360,11 +360,7 @@ class Run:
         head.retract()
         head.check_above(floor.z)
         try:
-            if session is not None:
-                return self.host.probing.homed_z(head.probe(session))
-            # A host that is not known: its probing would go on to position_min
-            speed = self.settings.sampling.speed
-            return head.touch(self.host.probing.endstop(), floor.z, speed)
+            return head.probe_bed(session, floor.z)
         except CalibrationError as e:
             if not touch.is_at(self.host, floor.z):
                 raise e.advised(touch.CHECK_PROBE)

@@ -149,7 +149,7 @@ def touch_bed(host: Host, settings: Settings, bed_z: float) -> float:
     with errors.about("probe"), session as session_or_none:
         series = Series(sampling, DIFFER)
         while not series.is_complete():
-            z = _probe_once(host, head, session_or_none, bed_z)
+            z = _probe_once(head, session_or_none, bed_z)
             host.say(f"probe: triggered at z={z:.6f}")
             why_again = series.add(z)
             if why_again:
@@ -160,22 +160,17 @@ def touch_bed(host: Host, settings: Settings, bed_z: float) -> float:
 
 
 def _probe_once(
-    host: Host,
-    head: touch.Head,
-    session: Optional[ProbeSession],
-    bed_z: float,
+    head: touch.Head, session: Optional[ProbeSession], bed_z: float
 ) -> float:
     """Touch once with the probe; return the height of the trigger."""
     head.retract()
     head.check_above(bed_z)
     try:
-        if session is not None:
-            return host.probing.homed_z(head.probe(session))
-        # A host that is not known: its probing would go on to position_min
-        speed = head.sampling.speed
-        return head.touch(host.probing.endstop(), bed_z, speed)
+        return head.probe_bed(session, bed_z)
     except CalibrationError as e:
-        where = "where the nozzle meets the bed, by what the switch says"
+        where = ""
+        if touch.is_at(head.host, bed_z):
+            where = "where the nozzle meets the bed, by what the switch says"
         raise e.advised(touch.CHECK_PROBE, floor_reason=where)
 
 
