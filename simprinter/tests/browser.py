@@ -146,7 +146,9 @@ class Page:
 
     def do(self, line: str) -> None:
         """What hands do, by the button for it."""
-        self.find(f'[data-does="{line}"]').click()
+        # Where the page is drawn anew meanwhile, the place of the button is another one
+        button = self.find(f'[data-does="{line}"]')
+        self.value("arguments[0].click()", button)
 
     def send(self, script: str) -> None:
         """Type G-code."""
