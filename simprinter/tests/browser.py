@@ -53,7 +53,10 @@ class Page:
 
     def text(self, selector: str) -> str:
         """What stands in it, shown or not."""
-        return self.find(selector).get_property("textContent")
+        # One script, as the page may draw it anew between finding and reading it
+        return self.value(
+            "document.querySelector(arguments[0]).textContent", selector
+        )
 
     def value(self, script: str, *arguments: Any) -> Any:
         """What a script in the page says."""
@@ -146,9 +149,14 @@ class Page:
 
     def do(self, line: str) -> None:
         """What hands do, by the button for it."""
-        # Where the page is drawn anew meanwhile, the place of the button is another one
-        button = self.find(f'[data-does="{line}"]')
-        self.value("arguments[0].click()", button)
+        # One script, as the page may draw it anew between finding and pressing it
+        script = (
+            "[...document.querySelectorAll('[data-does]')].some(b =>"
+            " b.dataset.does === arguments[0] && (b.click(), true))"
+        )
+        self.until(
+            lambda: self.value(script, line), f"a button that does {line}"
+        )
 
     def send(self, script: str) -> None:
         """Type G-code."""

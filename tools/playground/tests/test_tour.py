@@ -85,8 +85,8 @@ class Visitor:
     def do(self, step):
         for kind, word in step.words:
             if kind == "guide":
-                guide(self.page)
-                self.restarted()
+                with self.page.restarts():
+                    guide(self.page)
             elif kind == "*":
                 self.press(word)
             elif word.split()[0] in COMMANDS:
@@ -107,8 +107,8 @@ class Visitor:
         elif label in SHOWN:
             self.choose(label)
         elif label == "Save and restart":
-            page.press("#config", label)
-            self.restarted()
+            with page.restarts():
+                page.press("#config", label)
         elif label in SHORTCUTS:
             self.shortcut(label)
         else:
@@ -149,22 +149,16 @@ class Visitor:
         )
 
     def choose(self, name):
-        self.page.value(
-            "(s => { s.value = arguments[0];"
-            " s.dispatchEvent(new Event('change')); })"
-            "(document.getElementById('scene'))".replace(
-                "arguments[0]", repr(name)
+        output = len(self.shown.output)
+        with self.page.restarts():
+            self.page.value(
+                "(s => { s.value = arguments[0];"
+                " s.dispatchEvent(new Event('change')); })"
+                "(document.getElementById('scene'))".replace(
+                    "arguments[0]", repr(name)
+                )
             )
-        )
-        self.shown.until(
-            rf"^Printer +{name}, as at home", len(self.shown.output)
-        )
-        self.restarted()
-
-    def restarted(self):
-        page = self.page
-        page.until(lambda: page.text("#gap") == "–", "klippy has restarted")
-        page.until_ready()
+            self.shown.until(rf"^Printer +{name}, as at home", output)
 
     def hand(self, line):
         if line == "take":
@@ -201,14 +195,16 @@ class Visitor:
             ".find(b => b.textContent === arguments[0]).dataset.runs",
             label,
         )
+        if label == "Save config":
+            with page.restarts():
+                page.press("#shortcuts", label)
+            return
         before = page.console().count("+-")
         page.press("#shortcuts", label)
         if label == "Home":
             page.until(lambda: gap(page) is not None, "homed")
         elif script == "CALIBRATE_Z":
             page.until(lambda: page.console().count("+-") > before, "a result")
-        elif label == "Save config":
-            self.restarted()
         else:
             page.until(
                 lambda: page.buttons("#dialog") or label == "Report", "a dialog"
