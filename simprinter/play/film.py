@@ -92,7 +92,7 @@ class Film:
             "laid": world.membrane_is_laid,
             "dirt": round(world.dirt(seconds), _UM),
             "gap": None if watcher.gap is None else round(watcher.gap, _UM),
-            "point": watcher.point,
+            "spot": watcher.spot,
             "speed": simulation.pace.speed if simulation.pace else 0.0,
         }
 

@@ -14,7 +14,7 @@ from simprinter.hosts.printer import firmware_of
 from simprinter.hosts.session import LiveSession, SessionError
 from simprinter.play import commands, film, network
 from simprinter.play.server import PageServer
-from simprinter.play.watcher import Watcher
+from simprinter.play.watcher import Spot, Watcher
 from simprinter.world import CrashError
 
 
@@ -146,7 +146,7 @@ class Played(LivingPrinter):
             "machine": f"{self.about()}, {firmware_of(host)} {host.version}",
             "moonraker": self.moonraker_url,
             "parts": film.parts_of(scene),
-            "point": watcher.point if watcher else self.place({}),
+            "spot": watcher.spot if watcher else self.place({}),
             "wires": list(commands.wires(scene)),
             "commands": list(commands.possible(scene)),
             "words": [*commands.COMMANDS, *commands.ENDS],
@@ -175,13 +175,13 @@ class Played(LivingPrinter):
         """
         return {}
 
-    def place(self, settings: dict[str, Any]) -> tuple[float, float]:
-        """Where on the bed the true gap is told, X and Y in mm.
+    def place(self, settings: dict[str, Any]) -> Spot:
+        """Where on the bed the true gap is told, and how large it is meant to be.
 
         settings: what klippy says of its configuration, by sections; {} before it
         has said anything.
         """
-        return middle_of_bed(self._scene)
+        return Spot(*middle_of_bed(self._scene))
 
     def choose(self, name: str) -> None:
         """Have another of the printers: there is none."""

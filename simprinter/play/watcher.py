@@ -41,10 +41,24 @@ _ASK_EVERY = 2.0
 WORTH_TELLING = 0.005
 # From so much on (mm) it is said aloud that Z=0 is in the bed: the page has it red
 _TOO_LOW = 0.1
-# X and Y of a point by the settings of klippy, mm
-Place = Callable[[dict[str, Any]], tuple[float, float]]
 # That are kept for a page; none looks, and nobody takes them
 MOST_TOUCHES = 100
+
+
+class Spot(NamedTuple):
+    """Where on the bed the true gap at Z=0 is told, X and Y in mm.
+
+    wanted: how far above the bed Z=0 is meant to be there, mm: some leave a first layer's
+    last tenths to their owner on purpose.
+    """
+
+    x: float
+    y: float
+    wanted: float = 0.0
+
+
+# By the settings of klippy; {} before it has said anything
+Place = Callable[[dict[str, Any]], Spot]
 
 
 class Watcher:
@@ -130,9 +144,9 @@ class Watcher:
         return self._gap.height
 
     @property
-    def point(self) -> tuple[float, float]:
-        """Where on the bed that is, X and Y in mm."""
-        return self._gap.point
+    def spot(self) -> Spot:
+        """Where on the bed that is."""
+        return self._gap.spot
 
     def touches(self) -> list[TouchDone]:
         """Those that have ended since the last call."""
@@ -270,8 +284,8 @@ class GapTeller:
         self._api = api
         self._place = place
         self._tell = tell
-        self.point = place({})
-        # Of the klippy whose configuration the point is of; None: of none yet
+        self.spot = place({})
+        # Of the klippy whose configuration the spot is of; None: of none yet
         self._known: Optional[int] = None
         self._tip: Optional[Pose] = None
         self._stands_since = machine.simulation.clock.now()
@@ -326,7 +340,7 @@ class GapTeller:
         settings = status.get("configfile", {}).get("settings")
         if settings is not None:
             self._known = connections
-            self.point = self._place(settings)
+            self.spot = self._place(settings)
             # At another place it is another one
             self._told = None
 
@@ -346,12 +360,12 @@ class GapTeller:
             return
         self.is_wanted = False
         z = status["gcode_move"]["gcode_position"][2]
-        gap = self.height = self._machine.gap_at_zero(z, self.point)
+        gap = self.height = self._machine.gap_at_zero(z, self.spot[:2])
         if wanted or is_news(self._told, gap):
             self._told = gap
             where = "above the bed" if gap >= 0 else "in the bed"
             where = "IN THE BED" if gap < -_TOO_LOW else where
-            x, y = self.point
+            x, y = self.spot[:2]
             self._tell(
                 f"true gap: Z=0 is {abs(gap):.3f} mm {where} at X{x:g} Y{y:g}"
             )

@@ -104,7 +104,7 @@ def test_page_plugin_truth_and_end(files):
         assert "break" in hello["commands"] and "lay" not in hello["commands"]
         # Typed into the page's console they are no G-code
         assert {"break", "lay", "help", "quit"} <= set(hello["words"])
-        assert hello["point"] == [110.0, 110.0]
+        assert hello["spot"] == [110.0, 110.0, 0.0]
         assert hello["watched"] == ["halfway"]
         # Nothing is known of plugins but what they tell themselves
         assert not {"shortcuts", "cards", "scenes", "report"} & set(hello)

@@ -9,7 +9,7 @@ from types import SimpleNamespace
 import pytest
 
 from simprinter.play import watcher
-from simprinter.play.watcher import SITES, WORTH_TELLING, crash_line
+from simprinter.play.watcher import SITES, WORTH_TELLING, Spot, crash_line
 from simprinter.world import Crash, Pose
 
 
@@ -90,7 +90,7 @@ class Standing:
         self.teller = watcher.GapTeller(
             machine,
             self.klippy,
-            lambda settings: settings.get("place", (150.0, 150.0)),
+            lambda settings: Spot(*settings.get("place", (150.0, 150.0))),
             self.told.append,
         )
         # It has to stand before
@@ -139,10 +139,10 @@ def test_gap_is_told_where_the_running_klippy_has_it(standing):
         True,
         False,
     ] + [False] * (len(standing.klippy.asked) - 2)
-    assert standing.teller.point == standing.at == (150.0, 150.0)
+    assert standing.teller.spot[:2] == standing.at == (150.0, 150.0)
     standing.klippy.connections += 1
     standing.look(0.08)
-    assert standing.teller.point == standing.at == (150.0, 155.0)
+    assert standing.teller.spot[:2] == standing.at == (150.0, 155.0)
     assert standing.told[-1].endswith(
         "Z=0 is 0.080 mm above the bed at X150 Y155"
     )

@@ -12,6 +12,7 @@ from simprinter import Scene, heated
 from simprinter.hosts.hosts import Host
 from simprinter.play.network import Door
 from simprinter.play.played import Played, middle_of_bed
+from simprinter.play.watcher import Spot
 from simprinter.real import as_real
 from tools.kit.docks import DOCK_SCENES, calibrating
 from tools.kit.lab import Lab
@@ -152,9 +153,10 @@ class Playground(Played, Lab):
         self._obey_page()
         return super().look_after() + self.restart_asked()
 
-    def place(self, settings: dict[str, Any]) -> tuple[float, float]:
-        """Where the module measures."""
-        return point_of(self._scene, settings)
+    def place(self, settings: dict[str, Any]) -> Spot:
+        """Where the module measures, and how far above the bed it means Z=0 to be."""
+        air_gap = settings.get("auto_z_offset", {}).get("z_offset", 0.0)
+        return Spot(*point_of(self._scene, settings), air_gap)
 
     def more_of_hello(self) -> dict[str, Any]:
         """What is of our modules."""

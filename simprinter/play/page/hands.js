@@ -33,7 +33,7 @@ export class Hands {
   wire(wire, parts) {
     const isPin = parts.pin && parts.pin.signal === wire;
     const name = isPin ? "pin" : NAMES[wire] || wire;
-    const row = this.row(name, [["Press", `press ${wire}`], ["Break", `break ${wire}`], ["Short", `short ${wire}`]]);
+    const row = this.row(name, [["Press", `press ${wire}`], ["Break", `break ${wire}`], ["Short", `short ${wire}`], ["Slack 0.1 mm", `late ${wire} 0.1`]]);
     row.firstChild.className = "lamp";
     row.dataset.wire = wire;
     this.lamps.set(wire, row.firstChild);

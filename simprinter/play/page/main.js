@@ -54,7 +54,7 @@ live.addEventListener("hello", ({ detail }) => {
   machine = { ...NOTHING, ...detail };
   $("machine").textContent = detail.machine;
   $("address").textContent = detail.moonraker.replace("http://", "");
-  showPoint(detail.point);
+  showSpot(detail.spot);
   const { scene, scenes } = machine;
   const names = scenes.includes(scene) || !scene ? scenes : [...scenes, scene];
   $("scene").replaceChildren(...names.map((name) => new Option(name, name, false, name === scene)));
@@ -108,8 +108,8 @@ function drawFrame() {
   lens.show(seen, { x, y, z }, side.axes[0]);
   hands.show(shown);
   showSignals(shown);
-  showGap(shown.gap);
-  showPoint(shown.point);
+  showGap(shown.gap, shown.spot);
+  showSpot(shown.spot);
   if (document.activeElement !== $("speed")) showSpeed(shown.speed);
 }
 
@@ -123,12 +123,12 @@ function showSignals({ on, touches }) {
   }
 }
 
-function showGap(told) {
+function showGap(told, [, , wanted]) {
   // Of a klippy that has stopped nobody knows what its Z=0 is
   const isKnown = told !== null && moonraker.klippy === "ready";
   // As it is shown: 0.020 is right
   const gap = isKnown ? Math.round(told * 1000) / 1000 + 0 : null;
-  const [kind, words] = verdict(gap);
+  const [kind, words] = verdict(gap, wanted);
   const shown = moonraker.klippy === "shutdown" ? "not known: klippy has stopped" : words;
   $("gap").textContent = isKnown ? `${gap.toFixed(3)} mm` : "–";
   $("gap").className = `big ${kind}`;
@@ -136,7 +136,7 @@ function showGap(told) {
 }
 
 // Another one where printer.cfg has another place
-function showPoint([x, y]) {
+function showSpot([x, y]) {
   const words = `at X${x} Y${y}`;
   if ($("point").textContent !== words) $("point").textContent = words;
 }

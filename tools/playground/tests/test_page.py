@@ -510,6 +510,7 @@ def test_correction_of_an_inductive_probe_is_shown(port):
     options = ("--scene", "auto_z_offset", "--perfect", "--speed", "10")
     with looking(port, *options) as (_, page):
         home(page)
+        assert page.find("#gap").get_attribute("class") != "big good"
         page.press("#shortcuts", "Calibrate")
         page.until(lambda: "correction=" in page.console(), "a result")
         shown = r"correction of the probe-?\d\.\d{3} mm"
@@ -520,6 +521,10 @@ def test_correction_of_an_inductive_probe_is_shown(port):
         # Of all cycles and the mean the last one stands out
         (line,) = page.driver.find_elements(By.CSS_SELECTOR, "#console .result")
         assert line.text.startswith("AUTO_Z_CALIBRATE: ")
+        # z_offset wants 0.2 mm, of which the bed has given way by some
+        page.until(lambda: gap(page) == pytest.approx(0.15, abs=0.03), "high")
+        assert page.find("#gap").get_attribute("class") == "big good"
+        assert "above the bed on purpose" in page.text("#gap-words")
 
 
 @LONG
