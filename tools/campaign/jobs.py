@@ -471,14 +471,13 @@ def _dock_jobs() -> list[Job]:
     return found
 
 
-# The switch that is pressed may be dead: its body goes 5 mm deeper
-_BODY = {
-    site: dockable_probe.HANG - dockable_probe.FLOOR
-    for site in ("probe_bed", "body_bed")
-}
 # Where the bed of these printers is: on a pin that is 0.3012 mm higher than its owner
 # says
 _BED = 0.0988
+# The switch that is pressed may be dead: Z is homed on the pin, so a touch ends at Z=1
+_BODY = {
+    site: dockable_probe.HANG + _BED - 1.0 for site in ("probe_bed", "body_bed")
+}
 # After a failure the head may stand over a dock that is entered from above, and after a
 # good run on what it has touched
 _AROUND = "G91\nG1 Z10 F900\nG90\nMOVE_AVOIDING_DOCK X=150 Y=150"
