@@ -2,9 +2,7 @@
 
 from __future__ import annotations
 
-import re
 from dataclasses import replace
-from pathlib import Path
 
 import pytest
 
@@ -60,22 +58,6 @@ def seconds(printer, script):
     before = simulation.virtual_ns
     printer.run(script + "\nM400")
     return (simulation.virtual_ns - before) * 1e-9
-
-
-def test_each_option_has_a_test_of_its_own():
-    tests = Path(__file__).parent.glob("test_dockable_probe_*.py")
-    text = "".join(path.read_text(encoding="utf-8") for path in tests)
-    given = set(re.findall(r'\b([a-z_]+)(?:=|": )', text))
-    given |= set(re.findall(r'"([a-z_]+)"[,)]', text))
-    names = {
-        name
-        for row in product.OPTIONS["dockable_probe"]
-        for name in (row.name, *row.old)
-    }
-    left = ", ".join(sorted(names - given))
-    assert not left, (
-        f"{left} is in none of tests/modules/test_dockable_probe_*.py"
-    )
 
 
 # Wrong ones

@@ -2,36 +2,17 @@
 
 from __future__ import annotations
 
-import re
-from pathlib import Path
-
 import pytest
 
 from tests.unit.loading import load
 from tests.unit.room_settings import default_settings, fields_of
 from z_touch.options import PROBE_OPTIONS
 
-TESTS = Path(__file__).resolve().parents[1] / "modules"
 ROOMS = {
     name: load(f"z_touch.{name}.settings")
     for name in ("auto_z_offset", "extra_probe")
 }
 SAMPLING = {row.name for row in PROBE_OPTIONS}
-ROWS = [
-    pytest.param(name, row, id=f"{name}-{row.name}")
-    for name, room in ROOMS.items()
-    for row in (*room.OPTIONS, *getattr(room, "UNUSED_OPTIONS", ()))
-]
-
-
-@pytest.mark.parametrize(("name", "row"), ROWS)
-def test_option_has_a_test_of_its_own(name, row):
-    """On a real host, where it can be ignored."""
-    word = re.compile(rf"\b{row.name}\b")
-    tests = TESTS.glob(f"test_{name}_*.py")
-    assert any(word.search(path.read_text("utf-8")) for path in tests), (
-        f"{row.name} is in none of tests/modules/test_{name}_*.py"
-    )
 
 
 @pytest.mark.parametrize("name", ROOMS)

@@ -3,8 +3,6 @@
 from __future__ import annotations
 
 import math
-import re
-from pathlib import Path
 
 import pytest
 
@@ -13,23 +11,9 @@ from z_touch.sampling import AUTO, Sampling
 from z_touch.z_calibration import accuracy
 from z_touch.z_calibration.heights import travel_height
 from z_touch.z_calibration.settings import (
-    OPTIONS,
     complete,
     homes,
 )
-
-TESTS = Path(__file__).resolve().parents[1] / "modules"
-
-
-@pytest.mark.parametrize("row", OPTIONS, ids=lambda row: row.name)
-def test_option_has_a_test_of_its_own(row):
-    """On a real host, where it can be ignored."""
-    tests = TESTS.glob("test_z_calibration_*.py")
-    name = re.compile(rf"\b{row.name}\b")
-    assert any(name.search(path.read_text("utf-8")) for path in tests), (
-        f"{row.name} is in none of tests/modules/test_z_calibration_*.py"
-    )
-
 
 # No two values alike, none as the pin has it
 PROBE = Sampling(
