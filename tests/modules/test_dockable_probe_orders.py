@@ -8,6 +8,7 @@ from dataclasses import replace
 import pytest
 
 from simprinter.hosts.session import GcodeError
+from tests.modules.test_z_calibration_features import Frame
 from tools.campaign.walks.machines import BASES, overridden
 from tools.kit.carrying import QUICK, pressed, with_all
 from tools.kit.carrying import SWITCH as WITH_ALL
@@ -414,6 +415,33 @@ def test_way_down_is_looked_at_behind_others(start, other):
     printer.run("DETACH_PROBE\nG1 Z5\nG1 X150\nM400")
     tilt = 0.5 if other == "tilt" else 0.0
     assert printer.session.position() == pytest.approx((150, 150, 5 + tilt))
+    assert where(printer) == "docked"
+    printer.machine.truth.require_no_crash()
+
+
+# It moves Z by what the frame has grown, with each move and between them
+@pytest.mark.slow
+def test_way_down_with_a_frame_that_grows(start, tmp_path):
+    frame = Frame(tmp_path)
+    changes = {"dockable_probe": QUICK, **frame.section()}
+    printer = start(DOCK_SCENES["dock_gantry"], changes)
+    printer.session.require_ready()
+    printer.session.wait(30.0)
+    printer.homed()
+    printer.run(f"{OVER}\nATTACH_PROBE\nG1 X160\nM400")
+    cold = printer.session.position()[2]
+    frame.heat(printer, 75.0)
+    # By as much no lower: no way down
+    printer.run("G1 X170\nG1 X180\nM400")
+    assert printer.session.position()[2] == pytest.approx(cold - 0.1, abs=0.01)
+    assert TOLD in printer.fail("G1 Z5")
+    assert printer.session.position()[2] == pytest.approx(cold - 0.1, abs=0.01)
+    frame.heat(printer, 25.0)
+    printer.run("G1 X160\nM400")
+    assert printer.session.position()[2] == pytest.approx(cold, abs=0.01)
+    assert TOLD in printer.fail("G1 Z5")
+    printer.run("DETACH_PROBE\nG1 Z5\nM400")
+    assert printer.session.position()[2] == pytest.approx(cold - 15.0, abs=0.01)
     assert where(printer) == "docked"
     printer.machine.truth.require_no_crash()
 
