@@ -45,8 +45,10 @@ BEHIND = (
     "docs/z_calibration_inside.md",
     "docs/auto_z_offset_inside.md",
     "CHANGELOG.md",
+    "simprinter/LIMITS.md",
+    "simprinter/TUTORIAL.md",
 )
-BOOST = "---\nsearch:\n  boost: 0.2\n---\n\n"
+BOOST = "---\nsearch:\n  boost: {}\n---\n\n"
 # As mkdocs.yml calls the folder of what was staged
 PAGES = "pages"
 
@@ -134,9 +136,13 @@ def stage(source: Path) -> None:
             text = text.replace(f"]({name}.csv)", f"]({name}.md)")
         text = with_targets(text, page, source.resolve(), folders)
         page.write_text(text, encoding="utf-8")
-    for name in BEHIND:
-        page = source / name
-        page.write_text(BOOST + page.read_text(encoding="utf-8"), "utf-8")
+    # A word in a title counts a thousandfold
+    boosts = {source / name: 0.0005 for name in BEHIND}
+    # A word that both languages have is looked for in English more often
+    boosts.update((page, 0.5) for page in source.glob("docs/zh/*.md"))
+    for page, boost in boosts.items():
+        text = BOOST.format(boost) + page.read_text(encoding="utf-8")
+        page.write_text(text, encoding="utf-8")
     shutil.copy(STYLE, source / STYLE.name)
     for folder in folders:
         (folder / "README.md").write_text(page_of(folder), encoding="utf-8")
