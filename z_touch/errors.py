@@ -63,11 +63,18 @@ class CalibrationError(Exception):
         self.subject = self.subject or subject
 
 
-class NoTrigger(CalibrationError):
+class TouchedWrong(CalibrationError):
+    """What was touched cannot be right, and set-up and sensors seem to be.
+
+    Measuring once more may help: the probe is seated anew, the nozzle is cleaned.
+    """
+
+
+class NoTrigger(TouchedWrong):
     """A touch that went down to its floor without a trigger."""
 
 
-class SamplesDiffer(CalibrationError):
+class SamplesDiffer(TouchedWrong):
     """No series of samples agreed."""
 
 

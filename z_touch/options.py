@@ -60,6 +60,9 @@ LARGEST_OTHER = 1000000.0
 # Nobody waits for more touches of one place
 MOST_TOUCHES = 1000
 
+# Who needs more tries has something to repair
+MOST_TRIES = 10
+
 # So many characters of a command are quoted in its error
 LONGEST_QUOTE = 60
 

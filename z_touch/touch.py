@@ -23,7 +23,7 @@ from typing import (
 )
 
 from .command import always
-from .errors import CalibrationError, NoTrigger
+from .errors import CalibrationError, NoTrigger, TouchedWrong
 from .host.toolhead import has_no_trigger, was_not_heard
 
 if TYPE_CHECKING:
@@ -273,7 +273,9 @@ class Head:
         except host.printer.command_error as e:
             if host.printer.is_shutdown():
                 raise
-            raise self._stopped(e, CalibrationError, str(e))
+            is_missing = has_no_trigger(e)
+            kind = TouchedWrong if is_missing else CalibrationError
+            raise self._stopped(e, kind, str(e))
         # QIDI's hosts answer a probe that is pressed already with a result
         self._pressed(start_z, host.motion.z(), probed.z)
         return probed

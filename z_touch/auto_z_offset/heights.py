@@ -20,7 +20,7 @@ import math
 from typing import TYPE_CHECKING, NamedTuple, Optional, Sequence
 
 from .. import pin as z_pin
-from ..errors import CalibrationError
+from ..errors import CalibrationError, TouchedWrong
 from ..in_force import LARGEST_STEP, NO_STEP
 from ..sampling import Sampling, summarize
 
@@ -171,13 +171,13 @@ def expect_again(
 
 
 def check_expected(z: float, expected: Expected) -> None:
-    """Raise CalibrationError for a trigger (mm) that is too high to be the bed."""
+    """Raise TouchedWrong for a trigger (mm) that is too high to be the bed."""
     if z <= expected.high:
         return
     where = f"which is above z={expected.high:.3f}, the highest that the probe leaves for it"
     if expected.z is not None:
         where = f"{z - expected.z:.3f} mm above the expected z={expected.z:.3f}"
-    raise CalibrationError(
+    raise TouchedWrong(
         f"triggered at z={z:.3f}, {where}; clean the nozzle and the bed, look"
         f" at prepare_gcode and probe_accel, or add {IF_CHANGED}"
     )

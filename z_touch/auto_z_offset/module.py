@@ -356,10 +356,7 @@ class AutoZOffset:
         touches = 2 * settings.sampling.samples * settings.offset_samples
         with self.measuring(gcmd, touches, with_probe=True) as run:
             bed = bed_site(self.host, settings)
-            run.prepare(bed, settings.bed_spread)
-            # Here, as prepare_gcode may have homed
-            self.expectations.check_frame()
-            results = self._cycles(run, bed)
+            results = self._cycles_in_tries(run, bed)
             z = self._correction_of(results)
             # So that "move Z to 0, try a sheet of paper" is at this point
             run.go_to(bed)
@@ -375,6 +372,25 @@ class AutoZOffset:
             f" {spread:.6f}: probe_z_correction: {z:.6f}\n{options.SAVE_HINT}"
         )
         self._tell(heights.inside_bed(settings.z_offset))
+
+    def _cycles_in_tries(self, run: Run, bed: Site) -> Tuple[Result, ...]:
+        """Prepare, and return the results of all cycles; see _cycles().
+
+        Where touches went wrong, all of that up to 'retries' times more; what the run has
+        learned of the bed stays.
+        """
+        tries, number = self.settings.retries + 1, 1
+        while True:
+            run.prepare(bed, self.settings.bed_spread)
+            # Here, as prepare_gcode may have homed
+            self.expectations.check_frame()
+            try:
+                return self._cycles(run, bed)
+            except errors.TouchedWrong as e:
+                if number == tries:
+                    raise
+                number += 1
+                self.progress.say(f"{e}; try {number} of {tries} begins")
 
     def _cycles(self, run: Run, bed: Site) -> Tuple[Result, ...]:
         """Touch bed and probe over one point again and again; return the results that agree.

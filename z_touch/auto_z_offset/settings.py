@@ -163,6 +163,14 @@ class Settings:
         minval=1,
         maxval=options.MOST_TOUCHES,
     )
+    retries: int = options.other(
+        options.COUNT,
+        0,
+        "How often AUTO_Z_CALIBRATE begins once more, with prepare_gcode, if touches"
+        " have failed or differ too much.",
+        minval=0,
+        maxval=options.MOST_TRIES,
+    )
     cycles_tolerance: float = options.number(
         CYCLES_TOLERANCE,
         "How far the results of the cycles may be apart, in mm.",

@@ -20,7 +20,7 @@ from __future__ import annotations
 from typing import TYPE_CHECKING, NamedTuple, Optional, Tuple
 
 from .. import pin
-from ..errors import CalibrationError
+from ..errors import TouchedWrong
 
 if TYPE_CHECKING:
     from ..host.toolhead import ZZero
@@ -133,14 +133,14 @@ def reach_below(z_offset: float, more: float) -> float:
 def check_offset(
     result: Result, margins: Tuple[float, float], zero: Optional[ZZero]
 ) -> None:
-    """Raise CalibrationError for an offset outside of margins (low, high).
+    """Raise TouchedWrong for an offset outside of margins (low, high).
 
     'zero' is where Z gets its zero, None: that is not known.
     """
     low, high = margins
     if low <= result.offset <= high:
         return
-    raise CalibrationError(
+    raise TouchedWrong(
         f"offset {result.offset:.3f} is outside offset_margins {low:.3f} to {high:.3f}"
         f" (probe={result.probe:.3f} switch={result.switch:.3f}"
         f" nozzle={result.nozzle:.3f}); {HOME_AGAIN}, then check the three positions"

@@ -32,7 +32,7 @@ from typing import (
 
 from .. import __version__, attached, command, options
 from ..datum import LEVELLED, Datum, HomedDatum
-from ..errors import CalibrationError
+from ..errors import CalibrationError, TouchedWrong
 from ..host import unknown_commands
 from ..host.printer import Host
 from ..host.toolhead import check_z_axis
@@ -127,6 +127,8 @@ class ZCalibration:
         self.began = 0.0
         self.bed_spread = 0.0
         self.cleaned = ""
+        # switch - nozzle (mm) of the try before; None: none, or it was not measured
+        self.body: Optional[float] = None
         # Where (X and Y, mm) the pin was met with the probe attached, also by homing Z
         self.proved: List[Tuple[float, float]] = []
         register = self.host.printer.register_event_handler
@@ -246,14 +248,18 @@ class ZCalibration:
 
     def _failed(self, error: Exception) -> None:
         """Keep a run that was refused, and run error_gcode."""
-        self._keep_run(reason=" ".join(str(error).split()))
         measured = self.results.measured
-        self.results.note(None)
+        self._keep_refused(error)
         if measured is not None:
             self.progress.say(
                 f"the measured offset {measured.result.offset:.6f} was not applied"
             )
         self.user_gcode.failed(error)
+
+    def _keep_refused(self, error: Exception) -> None:
+        """Keep the run, or the try, as refused; what it has measured is not applied."""
+        self._keep_run(reason=" ".join(str(error).split()))
+        self.results.note(None)
 
     @contextlib.contextmanager
     def templates_around(self, run: CalibrationRun) -> Iterator[None]:
@@ -305,7 +311,7 @@ class ZCalibration:
         self.statistics = self.new_statistics(settings)
         self.bed_spread = settings.bed_spread
         self.began = self.host.eventtime()
-        self.cleaned = ""
+        self.cleaned, self.body = "", None
 
     def new_statistics(self, settings: Settings) -> RunStatistics:
         """Return what earlier runs say of the touches of a run."""
@@ -369,7 +375,7 @@ class ZCalibration:
         self.progress.enter("before_switch_gcode")
         self.user_gcode.before_switch(mark)
         switch_z = run.touch_switch(nozzle_z)
-        body = switch_z - nozzle_z
+        run.body = body = switch_z - nozzle_z
         if cleaner is not None and not run.is_another_probe(body):
             run.departure = self._departure(body)
             if run.departure and cleaner.can_clean and not run.cleaned:
@@ -417,7 +423,9 @@ class ZCalibration:
             sites = SiteFinder(self.host, settings).of_command(gcmd)
             before = self.host.gcode_state.z_offset()
             self.host.gcode_state.set_z_offset(0.0)
-            last = self._measure(settings, sites, z_adjust, accepts_change)
+            last = self._measure_in_tries(
+                settings, sites, z_adjust, accepts_change
+            )
             self._check_offset_left(before)
             last = self._apply(last, before)
         earlier = self.results.last
@@ -435,27 +443,61 @@ class ZCalibration:
             # By SAMPLES=auto: nothing was said of it at start
             self.progress.say(text)
 
-    def _measure(
+    def _measure_in_tries(
         self,
         settings: Settings,
         sites: Sites,
         z_adjust: float,
         accepts_change: bool,
     ) -> LastRun:
+        """Measure, and where touches went wrong up to 'retries' times more; see _measure().
+
+        Each try that failed is kept as refused.  end_gcode has put the probe away by then; one
+        that is still attached ends the tries.
+        """
+        tries, number, dirt = settings.retries + 1, 1, ""
+        while True:
+            try:
+                return self._measure(
+                    settings, sites, z_adjust, accepts_change, dirt
+                )
+            except TouchedWrong as e:
+                if number == tries or e.afterwards:
+                    raise
+                self._keep_refused(e)
+                number += 1
+                self.progress.say(f"{e}; try {number} of {tries} begins")
+            body = self.body
+            self.begin_statistics(settings)
+            self.body = body
+            if self.user_gcode.can_clean:
+                dirt = "the try before has failed"
+
+    def _measure(
+        self,
+        settings: Settings,
+        sites: Sites,
+        z_adjust: float,
+        accepts_change: bool,
+        dirt: str,
+    ) -> LastRun:
         """Measure all places, all of them once more after cleaning the nozzle.
+
+        'dirt' is why it is cleaned before the first touch, empty: it is not.
 
         Returns the run, which is not applied yet.  end_gcode has run before: the way to the
         dock does not shift with the offset, and a probe that could not be docked leaves
         everything as it was.
         """
-        dirt, last = "", None
+        last = None
         while last is None:
             # end_gcode of the first time may have restored that of before
             self.host.gcode_state.set_z_offset(0.0)
             run = self.new_run(settings, sites, self.statistics)
             with self.templates_around(run):
                 self._note_oozing(run)
-                run.know(Earlier() if accepts_change else self.earlier())
+                earlier = Earlier() if accepts_change else self.earlier()
+                run.know(dataclasses.replace(earlier, body=self.body))
                 # start_gcode may have fetched another tool, with an offset of its own
                 self.host.gcode_state.set_z_offset(0.0)
                 checks.check_carriages(self.host, settings)
@@ -465,7 +507,7 @@ class ZCalibration:
                         run.clean(self.user_gcode, dirt)
                     result = self.touch_all(run, self.user_gcode)
                 finally:
-                    self.cleaned = run.cleaned
+                    self.cleaned, self.body = run.cleaned, run.body
                 if result is not None:
                     last = self._last_run(run, result, z_adjust)
                     self.results.note(last)

@@ -58,12 +58,14 @@ class Earlier:
 
     The last good result with this extruder in this session, None without one; whether Z=0 is
     still where it was in that run; what of the last good run holds for all later ones, None:
-    there was none.
+    there was none.  'body' is switch - nozzle (mm) of the try before, None: this is the first,
+    or that was not measured.
     """
 
     last: Optional[Result] = None
     holds: bool = False
     kept: Optional[Kept] = None
+    body: Optional[float] = None
 
 
 class CalibrationRun:
@@ -103,7 +105,9 @@ class CalibrationRun:
         self.was_attached = False
         # Why the nozzle was cleaned in this run; empty: it was not
         self.cleaned = ""
-        # By how much switch - nozzle departs from earlier runs that were as hot
+        # switch - nozzle (mm), None: not measured; by how much it departs from earlier runs
+        # that were as hot
+        self.body: Optional[float] = None
         self.departure = 0.0
         self.know(Earlier())
 
@@ -271,6 +275,8 @@ class CalibrationRun:
         place = self._switch()
         last = self.earlier.last
         expected_z = heights.expect_switch(self.settings, nozzle_z, last)
+        if self.earlier.body is not None:
+            expected_z = nozzle_z + self.earlier.body
         floor = self.switch_floor(nozzle_z, expected_z, self.earlier.kept)
         if expected_z is None:
             floor = self._floor_from_bed(nozzle_z, floor)

@@ -282,6 +282,14 @@ class Settings:
         kind=options.choice({**options.RESULTS, "none": None}),
     )
 
+    retries: int = options.other(
+        options.COUNT,
+        0,
+        "How often CALIBRATE_Z begins once more if touches have failed or differ too"
+        " much. The probe is put away first, and clean_gcode runs.",
+        minval=0,
+        maxval=options.MOST_TRIES,
+    )
     history: Optional[str] = options.other(
         HISTORY,
         FOLDER,
