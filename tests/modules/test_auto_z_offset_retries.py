@@ -126,3 +126,19 @@ def test_what_was_not_touched_wrong_is_refused_at_once(
     before = len(printer.homed().session.console)
     printer.fail(script)
     assert told(printer.session.console[before:], " begins") == []
+
+
+@pytest.mark.parametrize("retries", ["1", "2"])
+def test_bed_that_was_met_is_expected_in_the_next_try(start, retries):
+    """A cycle was good, then the sensor is dead: 1 mm, and not down to position_min."""
+    dead = [
+        broken("trigger_never", "nozzle_bed", number)
+        for number in range(2, 3 + int(retries))
+    ]
+    printer = trying(start, *dead, retries=retries)
+    before = state(printer)
+    text = printer.fail("AUTO_Z_CALIBRATE")
+    assert "1.000 mm below the expected trigger at z=-1.3" in text
+    assert lowest(printer) <= 1.1
+    # The command has failed, and has taught nothing
+    assert state(printer) == before

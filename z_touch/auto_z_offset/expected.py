@@ -5,7 +5,8 @@ Copyright (C) 2026  the Z calibration developers, under the GNU GPLv3
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING, Any, Optional
+import contextlib
+from typing import TYPE_CHECKING, Any, Iterator, Optional
 
 from .. import options
 from ..datum import DATUM_NOISE, Datum, HomedDatum, Mark
@@ -174,6 +175,16 @@ class Expectations:
         """Note that the bed sensor has triggered there (mm), None: it was not touched."""
         self.sensor_z = sensor_z
         self.mark = self.datum.mark()
+
+    @contextlib.contextmanager
+    def learning(self) -> Iterator[None]:
+        """Forget what is learned meanwhile if that fails: a failed command teaches nothing."""
+        known = self.sensor_z, self.mark
+        try:
+            yield
+        except Exception:
+            self.sensor_z, self.mark = known
+            raise
 
     def homed_by_sensor(self) -> None:
         """Note that Z was set by the touch that was the last one."""

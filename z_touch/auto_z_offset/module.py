@@ -205,7 +205,8 @@ class AutoZOffset:
                 self.turn,
             )
             self.turn += 1
-            with command.always(self.host, run.lift, "lifting"):
+            lifting = command.always(self.host, run.lift, "lifting")
+            with self.expectations.learning(), lifting:
                 yield run
             self.expectations.touched(run.sensor_z)
 
@@ -376,8 +377,8 @@ class AutoZOffset:
     def _cycles_in_tries(self, run: Run, bed: Site) -> Tuple[Result, ...]:
         """Prepare, and return the results of all cycles; see _cycles().
 
-        Where touches went wrong, all of that up to 'retries' times more; what the run has
-        learned of the bed stays.
+        Where touches went wrong, all of that up to 'retries' times more.  Where nozzle and
+        probe have agreed before, the bed is expected in the next try.
         """
         tries, number = self.settings.retries + 1, 1
         while True:
@@ -391,6 +392,8 @@ class AutoZOffset:
                     raise
                 number += 1
                 self.progress.say(f"{e}; try {number} of {tries} begins")
+            if run.agreed_z is not None:
+                self.expectations.touched(run.agreed_z)
 
     def _cycles(self, run: Run, bed: Site) -> Tuple[Result, ...]:
         """Touch bed and probe over one point again and again; return the results that agree.

@@ -83,6 +83,8 @@ class Run:
         # Where the sensor should trigger, and where it has; None: it was not touched
         self.expected: Expected = heights.NOTHING_EXPECTED
         self.sensor_z: Optional[float] = None
+        # The same where the probe has seen the bed there, too
+        self.agreed_z: Optional[float] = None
         # Where the probe should trigger, None: that is not known
         self.probe_z: Optional[float] = None
         # Toolhead Z that it is lifted to; it follows what the run learns
@@ -387,6 +389,7 @@ class Run:
         self.lift()
         # It is the nozzle that goes down next, whoever sends it
         attached.of(self.host.printer).settle(self.host)
+        self.agreed_z = sensor_z
         probe_z_offset = self.host.probing.offsets()[2]
         return heights.result_of(
             sensor_z, probe_z, probe_z_offset, self.settings.z_offset
