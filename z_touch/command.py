@@ -25,20 +25,23 @@ def always(host: Host, action: Callable[[], Any], what: str) -> Iterator[None]:
     """
     try:
         yield
-    except Exception:
+    except Exception as e:
         # Not of GreenletExit, which ends a command where klippy ends
-        _clean_up(host, action, what)
+        is_clean = _clean_up(host, action, what)
+        if isinstance(e, CalibrationError) and not is_clean:
+            e.not_cleaned_up()
         raise
     if not host.printer.is_shutdown():
         action()
 
 
-def _clean_up(host: Host, action: Callable[[], Any], what: str) -> None:
-    """Run 'action' after an error, which its own must not hide."""
+def _clean_up(host: Host, action: Callable[[], Any], what: str) -> bool:
+    """Run 'action' after an error, which its own must not hide; return whether that went well."""
     if host.printer.is_shutdown():
-        return
+        return False
     try:
         action()
+        return not host.printer.is_shutdown()
     except (host.printer.command_error, CalibrationError):
         logging.exception("%s: %s failed, too", host.section, what)
     except Exception as e:
@@ -47,6 +50,7 @@ def _clean_up(host: Host, action: Callable[[], Any], what: str) -> None:
         host.printer.invoke_shutdown(
             f"{host.section}: {what} failed after another error: {e}"
         )
+    return False
 
 
 def register_commands(

@@ -28,6 +28,8 @@ class CalibrationError(Exception):
         self.remedy = ""
         # What is not as it should be since, after cleaning up
         self.afterwards = ""
+        # Whether what had to be done after it went well
+        self.is_cleaned_up = True
 
     def __str__(self) -> str:
         text = f"{self.subject}: {self.what}" if self.subject else self.what
@@ -57,6 +59,10 @@ class CalibrationError(Exception):
     def left(self, afterwards: str) -> None:
         """Say what is not as it should be after cleaning up; empty: nothing."""
         self.afterwards = afterwards
+
+    def not_cleaned_up(self) -> None:
+        """Note that what had to be done after it went wrong, too."""
+        self.is_cleaned_up = False
 
     def happened_in(self, subject: str) -> None:
         """Say what the error is about, unless that is said already."""

@@ -39,6 +39,10 @@ class Progress:
         """Go on with another part of it."""
         self.phase = phase
 
+    def begin_again(self) -> None:
+        """Count the touches anew: what was touched so far counts for nothing."""
+        self.done = 0
+
     def be_verbose(self, is_verbose: bool) -> None:
         """Say whether single touches are shown, too."""
         self.is_verbose = is_verbose

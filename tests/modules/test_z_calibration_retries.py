@@ -2,11 +2,16 @@
 
 from __future__ import annotations
 
+import json
+
 import pytest
 
 from simprinter import Fault
 from tests.modules.test_z_calibration_history import history
 from tools.kit.cases import slow
+from tools.kit.dockable_probe import SWITCH, trips, where
+from tools.kit.docks import calibrating
+from tools.kit.runs import make_runs
 from tools.kit.scenes import SCENES
 from tools.kit.z_calibration import (
     MICROSTEP,
@@ -221,3 +226,124 @@ def test_accuracy_is_not_tried_again(start):
     before = len(printer.session.console)
     printer.fail("CALIBRATE_Z_ACCURACY CYCLES=2")
     assert [w for w in told(printer, before) if "begins" in w] == []
+
+
+def test_progress_begins_again(start):
+    own = changes()
+    own["gcode_macro START"] = {
+        "gcode": "\n  RESPOND MSG=at:{printer.z_calibration.progress}"
+    }
+    fault = Fault(
+        "trigger_never", site="body_pin", touch=2, command="CALIBRATE_Z"
+    )
+    printer = start(changes=own, faults=[fault]).homed()
+    printer.machine.tolerate("body_pin", 1.01)
+    assert printer.run("CALIBRATE_Z").count("echo: at:0.0") == 2
+
+
+# What ends a print ends the tries: a second client, or a macro
+
+
+@pytest.mark.parametrize("end", ["M112", "CANCEL_PRINT"])
+def test_print_that_ends_meanwhile(start, tmp_path, end):
+    own = changes(retries="1")
+    own["gcode_macro LAST"] = {"gcode": f"\n  RESPOND MSG=LAST\n  {end}"}
+    own["virtual_sdcard"] = {"path": str(tmp_path)}
+    own["pause_resume"] = {}
+    (tmp_path / "print.gcode").write_text("CALIBRATE_Z\nG4 P9000\n")
+    fault = Fault("trigger_never", site="body_pin", touch=2)
+    printer = start(changes=own, faults=[fault]).homed()
+    printer.machine.tolerate("body_pin", 1.01)
+    before = len(printer.session.console)
+    printer.run("SDCARD_PRINT_FILE FILENAME=print.gcode")
+    printer.session.wait(90.0)
+    said = told(printer, before)
+    assert [word for word in said if "begins" in word] == []
+    assert said.count("LAST") == 1
+    assert (printer.session.state()[0] == "shutdown") == (end == "M112")
+
+
+# With a dock
+
+
+@pytest.mark.slow
+def test_probe_is_docked_before_each_try(start):
+    scene = calibrating(SWITCH)
+    fault = Fault(
+        "trigger_never", site="body_pin", touch=2, command="CALIBRATE_Z"
+    )
+    printer = start(scene, section(retries="1"), faults=[fault]).homed()
+    printer.machine.tolerate("body_pin", 1.01)
+    before = len(printer.machine.truth.events)
+    assert result_of(printer.run("CALIBRATE_Z"))
+    assert trips(printer, before) == ["attach", "dock"] * 2
+    assert where(printer) == "docked"
+
+
+@pytest.mark.slow
+def test_probe_that_cannot_be_docked_meets_nothing(start):
+    scene = calibrating(SWITCH)
+    faults = [
+        Fault("trigger_never", site="body_pin", touch=2, command="CALIBRATE_Z"),
+        Fault("dock_fails", n=1, command="CALIBRATE_Z"),
+    ]
+    printer = start(scene, section(retries="1"), faults=faults).homed()
+    printer.machine.tolerate("body_pin", 1.01)
+    before = len(printer.session.console)
+    touches = len(printer.machine.truth.touches)
+    assert "switch: the switch did not answer" in printer.fail("CALIBRATE_Z")
+    lines = printer.session.console[before:]
+    assert [line for line in lines if "begins" in line] == []
+    assert touched_sites(printer, touches)[-1] == "body_pin"
+
+
+# Touches of a try that has failed make no run noisier
+
+
+@pytest.mark.slow
+def test_touches_of_a_failed_try_are_no_noise(start, tmp_path):
+    def uncertainty(*faults):
+        folder = tmp_path / f"{len(faults)}"
+        folder.mkdir()
+        (run,) = make_runs(1)
+        (folder / "printer.jsonl").write_text(json.dumps(run) + "\n")
+        own = {"samples_tolerance": "0.05", "samples": "5"}
+        own["samples_tolerance_retries"] = "0"
+        printer = start(
+            changes=changes(history=str(folder), **own), faults=list(faults)
+        ).homed()
+        lines = printer.run("CALIBRATE_Z")
+        assert any("begins" in line for line in lines) == bool(faults)
+        return printer.status("z_calibration")["uncertainty"]
+
+    fault = Fault(
+        "trigger_early",
+        site="body_pin",
+        touch=4,
+        mm=0.06,
+        command="CALIBRATE_Z",
+    )
+    assert uncertainty(fault) == pytest.approx(uncertainty(), abs=1e-6)
+
+
+@pytest.mark.parametrize("retries", ["0", "1"])
+def test_pin_of_its_own_is_where_the_try_before_has_met_it(start, retries):
+    """Otherwise nobody knows in the first run how high it stands."""
+    faults = [
+        Fault(
+            "trigger_never", site="probe_bed", touch=2, command="CALIBRATE_Z"
+        ),
+        Fault(
+            "trigger_never",
+            site="nozzle_pin",
+            touch=5,
+            command="CALIBRATE_Z",
+            strikes="may",
+        ),
+    ]
+    own = changes(retries)
+    printer = start(SCENES["separate_pin"], changes=own, faults=faults).homed()
+    for site in ("nozzle_pin", "body_bed"):
+        printer.machine.tolerate(site, 6.0)
+    printer.fail("CALIBRATE_Z")
+    assert printer.machine.truth.depth("nozzle_pin") <= 1.01

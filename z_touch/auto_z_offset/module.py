@@ -392,6 +392,7 @@ class AutoZOffset:
                     raise
                 number += 1
                 self.progress.say(f"{e}; try {number} of {tries} begins")
+                self.progress.begin_again()
             if run.agreed_z is not None:
                 self.expectations.touched(run.agreed_z)
 

@@ -127,8 +127,9 @@ class ZCalibration:
         self.began = 0.0
         self.bed_spread = 0.0
         self.cleaned = ""
-        # switch - nozzle (mm) of the try before; None: none, or it was not measured
-        self.body: Optional[float] = None
+        # The height of the nozzle and switch - nozzle (mm) of the try before; None: there was
+        # none, or it was not measured
+        self.tried: Tuple[Optional[float], Optional[float]] = (None, None)
         # Where (X and Y, mm) the pin was met with the probe attached, also by homing Z
         self.proved: List[Tuple[float, float]] = []
         register = self.host.printer.register_event_handler
@@ -311,7 +312,7 @@ class ZCalibration:
         self.statistics = self.new_statistics(settings)
         self.bed_spread = settings.bed_spread
         self.began = self.host.eventtime()
-        self.cleaned, self.body = "", None
+        self.cleaned, self.tried = "", (None, None)
 
     def new_statistics(self, settings: Settings) -> RunStatistics:
         """Return what earlier runs say of the touches of a run."""
@@ -370,7 +371,7 @@ class ZCalibration:
             # Nothing will attach it later: say so before anything is touched
             run.check_probe_attached()
         mark = self.datum.mark()
-        nozzle_z = run.touch_nozzle(cleaner)
+        run.nozzle = nozzle_z = run.touch_nozzle(cleaner)
         run.lift()
         self.progress.enter("before_switch_gcode")
         self.user_gcode.before_switch(mark)
@@ -453,23 +454,28 @@ class ZCalibration:
         """Measure, and where touches went wrong up to 'retries' times more; see _measure().
 
         Each try that failed is kept as refused.  end_gcode has put the probe away by then; one
-        that is still attached ends the tries.
+        that is still attached ends the tries, and so does a print that was cancelled.
         """
         tries, number, dirt = settings.retries + 1, 1, ""
+        print_state = self.host.print_state()
         while True:
             try:
                 return self._measure(
                     settings, sites, z_adjust, accepts_change, dirt
                 )
             except TouchedWrong as e:
-                if number == tries or e.afterwards:
+                if number == tries or e.afterwards or not e.is_cleaned_up:
                     raise
+                if self.host.print_state() != print_state:
+                    raise
+                # Before it is kept: its touches make the next try no noisier
+                statistics, tried = self.new_statistics(settings), self.tried
                 self._keep_refused(e)
                 number += 1
                 self.progress.say(f"{e}; try {number} of {tries} begins")
-            body = self.body
+                self.progress.begin_again()
             self.begin_statistics(settings)
-            self.body = body
+            self.statistics, self.tried = statistics, tried
             if self.user_gcode.can_clean:
                 dirt = "the try before has failed"
 
@@ -497,7 +503,8 @@ class ZCalibration:
             with self.templates_around(run):
                 self._note_oozing(run)
                 earlier = Earlier() if accepts_change else self.earlier()
-                run.know(dataclasses.replace(earlier, body=self.body))
+                nozzle, body = self.tried
+                run.know(dataclasses.replace(earlier, nozzle=nozzle, body=body))
                 # start_gcode may have fetched another tool, with an offset of its own
                 self.host.gcode_state.set_z_offset(0.0)
                 checks.check_carriages(self.host, settings)
@@ -507,7 +514,8 @@ class ZCalibration:
                         run.clean(self.user_gcode, dirt)
                     result = self.touch_all(run, self.user_gcode)
                 finally:
-                    self.cleaned, self.body = run.cleaned, run.body
+                    self.cleaned = run.cleaned
+                    self.tried = run.nozzle, run.body
                 if result is not None:
                     last = self._last_run(run, result, z_adjust)
                     self.results.note(last)

@@ -58,13 +58,14 @@ class Earlier:
 
     The last good result with this extruder in this session, None without one; whether Z=0 is
     still where it was in that run; what of the last good run holds for all later ones, None:
-    there was none.  'body' is switch - nozzle (mm) of the try before, None: this is the first,
-    or that was not measured.
+    there was none.  Of the try before: the height of the nozzle and switch - nozzle (mm), None:
+    this is the first, or that was not measured.
     """
 
     last: Optional[Result] = None
     holds: bool = False
     kept: Optional[Kept] = None
+    nozzle: Optional[float] = None
     body: Optional[float] = None
 
 
@@ -105,8 +106,9 @@ class CalibrationRun:
         self.was_attached = False
         # Why the nozzle was cleaned in this run; empty: it was not
         self.cleaned = ""
-        # switch - nozzle (mm), None: not measured; by how much it departs from earlier runs
-        # that were as hot
+        # The height of the nozzle and switch - nozzle (mm), None: not measured; by how much the
+        # latter departs from earlier runs that were as hot
+        self.nozzle: Optional[float] = None
         self.body: Optional[float] = None
         self.departure = 0.0
         self.know(Earlier())
@@ -166,6 +168,11 @@ class CalibrationRun:
     def expected_nozzle(self) -> Optional[float]:
         """Return where the nozzle should meet the pin, None: not known."""
         earlier = self.earlier
+        if (
+            self.settings.position_endstop is None
+            and earlier.nozzle is not None
+        ):
+            return earlier.nozzle
         return heights.expect_nozzle(self.settings, earlier.last, earlier.holds)
 
     def nozzle_floor(self) -> float:
