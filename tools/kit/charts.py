@@ -54,7 +54,7 @@ def draw_bars(
         width=860,
         height=170 + 16 * len(labels) * len(series),
         legend_at_bottom=True,
-        value_formatter="{:.3f}".format,
+        value_formatter=_shown,
         print_values=len(series) == 1,
     )
     chart.uuid = _NAME
@@ -64,6 +64,11 @@ def draw_bars(
     for name, values in series.items():
         chart.add(name, values[::-1])
     file.write_bytes(chart.render() + b"\n")
+
+
+def _shown(value: float) -> str:
+    """A value to three digits; those of the axis are whole."""
+    return f"{value:.0f}" if value == round(value) else f"{value:.3f}"
 
 
 def _drawing_only(root: ET.Element) -> ET.Element:
