@@ -11,6 +11,8 @@ export class Console {
     this.commands = [];
     // The line of the last result since something was sent
     this.result = null;
+    // Whether there was an error since
+    this.failed = false;
     // By command: names and meanings
     this.parameters = {};
     this.history = JSON.parse(sessionStorage.getItem("history") || "[]");
@@ -38,6 +40,7 @@ export class Console {
   clear() {
     this.lines.replaceChildren();
     this.result = null;
+    this.failed = false;
   }
 
   // A line as klippy sends it; `isResult`: whether it tells what a command has found.
@@ -46,6 +49,7 @@ export class Console {
     const text = line.replace(/^\/\/ ?/, "");
     const kind = line.startsWith("!!") ? "error" : isResult || /-->|\+-\d/.test(text) ? "result" : "";
     const shown = this.put(text, kind);
+    if (kind === "error") this.failed = true;
     if (kind !== "result") return;
     // The last one of a command is its result
     if (this.result) this.result.className = "";
@@ -54,6 +58,7 @@ export class Console {
 
   sent(script) {
     this.result = null;
+    this.failed = false;
     this.put(`> ${script.replaceAll("\n", "\n> ")}`, "sent");
   }
 

@@ -34,7 +34,12 @@ const result = new Result($("result"), $("report"), $("report-picture"), $("repo
 const side = new Side($("side"));
 const lens = new Lens($("lens"), $("lens-words"));
 const above = new Top($("top"), $("touched"));
-const hands = new Hands($("tools"), $("told"), (line) => live.order(line));
+const hands = new Hands($("tools"), $("told"), (line) => {
+  // Whoever puts something right has read what was wrong
+  terminal.failed = false;
+  live.order(line);
+  showNext();
+});
 const config = new Config($("config"), $("config-text"), $("config-save"), $("config-load"), $("config-told"),
   () => moonraker.restart());
 
@@ -260,6 +265,7 @@ function showNext() {
     : moonraker.klippy === "error" ? "correct printer.cfg below, then press Save and restart: klippy refuses it."
     : moonraker.klippy !== "ready" ? "wait a moment: klippy starts."
     : !$("dialog").hidden ? "answer the question below."
+    : terminal.failed ? "read the red line in the console. What you have broken, Repair everything mends."
     : work() ? "watch the pictures: the printer is at work."
     : !isHomed() ? "press Home: the head looks for the ends of its axes."
     : result.isShown ? "look at the true gap: it says how good the result is."
@@ -269,7 +275,9 @@ function showNext() {
   $("to-tour").hidden = !machine?.tour.length;
   for (const button of $("shortcuts").querySelectorAll("[data-runs]")) {
     const isHome = button.dataset.runs === HOME[1];
-    button.classList.toggle("primary", isHome ? !isHomed() : isHomed() && Boolean(main) && button.dataset.runs === main[1]);
+    const isNext = isHome ? !isHomed() : isHomed() && Boolean(main) && button.dataset.runs === main[1];
+    // A question has a blue button of its own
+    button.classList.toggle("primary", isNext && $("dialog").hidden);
   }
 }
 

@@ -237,11 +237,13 @@ def test_broken_wire_is_refused_and_repaired(port):
             -1
         ]
         assert refused.text.startswith("!! z_calibration: ")
+        assert page.text("#next-words").startswith("read the red line")
         page.until(
             lambda: page.find("#signals [data-signal=probe].on"), "lamp is on"
         )
         page.do("repair")
         page.until(lambda: "as good as new" in page.text("#told"), "told")
+        assert page.text("#next-words").startswith("press Calibrate")
         assert calibrate(page) == pytest.approx(0.16, abs=0.03)
         # Klippy's own, and what is none of theirs
         page.run("HELP", "Available extended commands")
@@ -330,6 +332,8 @@ def test_membrane_by_dialogs(port):
         home(page)
         page.press("#shortcuts", "Calibrate")
         page.until(lambda: page.buttons("#dialog"), "a dialog")
+        # It has one of its own
+        assert blue(page) == []
         page.do("lay")
         page.press("#dialog", "Continue")
         page.until(
