@@ -49,6 +49,9 @@ BEHIND = (
     "simprinter/TUTORIAL.md",
 )
 BOOST = "---\nsearch:\n  boost: {}\n---\n\n"
+# The theme knows one language for all pages. By that of the page a browser chooses the
+# shapes of Chinese characters, and a screen reader its voice
+LANGUAGE = '<html lang="en"', '<html lang="zh-Hans"'
 # As mkdocs.yml calls the folder of what was staged
 PAGES = "pages"
 
@@ -155,7 +158,11 @@ def build(source: Path, site: Path, python: str = sys.executable) -> int:
     command += ["--config-file", str(config), "--site-dir", str(site)]
     # What it has to say of versions to come
     env = {**os.environ, "NO_MKDOCS_2_WARNING": "1"}
-    return subprocess.call(command, env=env)
+    code = subprocess.call(command, env=env)
+    for page in (site / "docs" / "zh").rglob("*.html"):
+        text = page.read_text(encoding="utf-8")
+        page.write_text(text.replace(*LANGUAGE), encoding="utf-8")
+    return code
 
 
 def main() -> int:

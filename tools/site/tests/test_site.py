@@ -73,7 +73,10 @@ def test_site_has_every_page_and_loads_nothing_from_elsewhere(
     # Both themes, and both languages
     for scheme in ("default", "slate"):
         assert f'data-md-color-scheme="{scheme}"' in home
-    assert (site / "docs" / "zh" / "index.html").exists()
+    assert '<html lang="en"' in home
+    for page in ("zh", "zh/quickstart_qidi"):
+        text = (site / "docs" / page / "index.html").read_text(encoding="utf-8")
+        assert '<html lang="zh-Hans"' in text
     for page in ("index.html", "docs/setup/index.html"):
         text = (site / page).read_text(encoding="utf-8")
         assert text.count('hreflang="zh"') == 2
