@@ -15,6 +15,8 @@ from .world import Kinematics, Pose, World
 
 # The world is told of a moving head this often; see LIMITS.md
 COMMIT_NS = 10_000_000
+# The heater that the world's nozzle grows with, see HotendSpec
+HOTEND = "extruder"
 # Positions older than this are asked for by nobody (the slowest sensor's
 # latency is far below)
 _MEMORY_NS = 2_000_000_000
@@ -264,7 +266,15 @@ class Port:
     def voltage(self, pin: int, ns: int) -> float:
         """Analog level as a share of the reference; open inputs float."""
         name = self._sensor_pins.get(pin)
-        return 0.5 if name is None else self._rig.heaters[name].voltage(ns)
+        if name is None:
+            return 0.5
+        heater = self._rig.heaters[name]
+        voltage = heater.voltage(ns)
+        world = self._rig.world
+        if name == HOTEND and world.spec.hotend is not None:
+            self._rig.settle(ns)
+            world.heat_hotend(self._rig.seconds(ns), heater.celsius)
+        return voltage
 
     def _settle_to_now(self) -> None:
         assert self.board is not None

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from types import SimpleNamespace
 
 import pytest
@@ -21,7 +22,7 @@ from simprinter.wiring import (
     Wiring,
     pin_number,
 )
-from simprinter.world import Pose, World, make_kinematics
+from simprinter.world import HotendSpec, Pose, World, make_kinematics
 
 STEP = 0.0125
 MOTORS = {
@@ -275,3 +276,31 @@ def test_endstop_sees_steps_that_another_board_makes():
     assert 0 <= first_match - reached < 30_000
     # It stops nothing: the motor's own board must be told
     assert bench.rig.axes["x"].track.position == 1000
+
+
+def test_nozzle_grows_with_the_heater_of_its_name():
+    world = World(replace(OUTPUT, hotend=HotendSpec(0.05)), 0)
+    heaters = {
+        "extruder": Heater("PH0", "PI0"),
+        "bed": Heater("PH1", "PI1"),
+    }
+    rig = Rig(
+        world,
+        make_kinematics("cartesian"),
+        Wiring(MOTORS, INPUTS, heaters=heaters),
+        dict.fromkeys("xyz", 10.0),
+        lambda: 0,
+    )
+    port = Port(rig, "mcu")
+    point = (150.0, 150.0, 5.0)
+
+    def grown(heater: str, sensor: str, ns: int) -> float:
+        port.voltage(pin_number(sensor), ns)
+        before = world.truth.true_gap(*point, ns * 1e-9)
+        port.set_output(pin_number(heater), ns, 1.0)
+        port.voltage(pin_number(sensor), ns + 10**9)
+        return before - world.truth.true_gap(*point, ns * 1e-9 + 1.0)
+
+    assert grown("PH1", "PI1", 0) == 0.0
+    longer = grown("PH0", "PI0", 2 * 10**9)
+    assert longer == pytest.approx(0.05 * 4.0 / 100.0, rel=0.01)

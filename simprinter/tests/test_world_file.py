@@ -111,6 +111,9 @@ senses_probe = true
 z_world_mm = 0.4
 slope_x_mm_per_mm = 0.001
 texture.sigma_mm = 0.02
+[hotend]
+longer_mm_per_100_c = 0.05
+lag_s = 20
 [bed.mesh]
 x_min_world_mm = 0
 x_max_world_mm = 10
@@ -161,6 +164,7 @@ def test_file_becomes_a_machine():
     spec = made.world
     assert spec.bed.mesh.heights == ((0.0, 0.1), (0.2, 0.3))
     assert spec.bed.texture == world.TextureSpec(sigma=0.02)
+    assert spec.hotend == world.HotendSpec(0.05, 20)
     assert spec.pin == world.PinSpec(5, 6, 1.5, signal="pin")
     assert spec.switches[0].noise.latency == 0.001
     assert spec.mag_probe.switch_offset == 0.5

@@ -18,7 +18,13 @@ from simprinter.tests.world_machines import (
     Driver,
     make,
 )
-from simprinter.world import DriftSpec, NoiseSpec, OozeSpec, WorldSpec
+from simprinter.world import (
+    DriftSpec,
+    HotendSpec,
+    NoiseSpec,
+    OozeSpec,
+    WorldSpec,
+)
 
 PIN_Z = MAG.pin.z
 
@@ -96,6 +102,24 @@ def test_growth_levels_off():
     assert gaps[1] == pytest.approx([0.02 * (1 - math.exp(-1)), 0.02])
     with pytest.raises(ValueError, match="tau"):
         DriftSpec(tau=0.0)
+
+
+def test_nozzle_follows_its_heater():
+    spec = HotendSpec(growth=0.05, lag=20.0)
+    world = make(replace(MAG, hotend=spec))
+    cold = world.truth.true_gap(*MIDDLE, 5.0, 0.0)
+    for t, celsius in ((0.0, 25.0), (20.0, 225.0), (40.0, 225.0)):
+        world.heat_hotend(t, celsius)
+    gap = world.truth.true_gap(*MIDDLE, 5.0, 40.0)
+    assert cold - gap == pytest.approx(0.1 * (1 - math.exp(-2)))
+    world.heat_hotend(1e4, 225.0)
+    gap = world.truth.true_gap(*MIDDLE, 5.0, 1e4)
+    assert cold - gap == pytest.approx(0.1)
+    # Without one no heater matters
+    plain = make(MAG)
+    plain.heat_hotend(0.0, 25.0)
+    plain.heat_hotend(9.0, 225.0)
+    assert plain.truth.true_gap(*MIDDLE, 5.0, 9.0) == pytest.approx(cold)
 
 
 # The seat of the probe

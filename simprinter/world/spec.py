@@ -400,6 +400,20 @@ class DriftSpec(Spec):
 
 
 @dataclass(frozen=True)
+class HotendSpec(Spec):
+    """A nozzle that is longer when it is hot.
+
+    growth: mm per 100 C above the first temperature of the heater `extruder`;
+    lag: seconds by which the metal follows its thermistor, to 63 %
+    """
+
+    growth: float
+    lag: float = 0.0
+
+    _NOT_NEGATIVE = ("growth", "lag")
+
+
+@dataclass(frozen=True)
 class OozeSpec(Spec):
     """Plastic below the nozzle, between its tip and the pin.
 
@@ -442,6 +456,7 @@ class WorldSpec(Spec):
     bed_sensor: Optional[BedSensorSpec] = None
     membrane: Optional[MembraneSpec] = None
     drift: DriftSpec = field(default_factory=DriftSpec)
+    hotend: Optional[HotendSpec] = None
     ooze: Optional[OozeSpec] = None
     z_play: float = 0.0
     probe_sense: bool = False

@@ -1,22 +1,43 @@
 """Thermal growth, mm, as a function of printer time in seconds.
 
+That of the nozzle follows its heater besides.
+
 Parts that a hand has exchanged for others are in it, too: as growth at once.
 """
 
 from __future__ import annotations
 
 import math
+from typing import Optional
 
-from .spec import DriftSpec
+from .spec import DriftSpec, HotendSpec
 
 
 class Drift:
     """How far each part has grown; signs as in DriftSpec."""
 
-    __slots__ = ("_bed", "_nozzle", "_slack", "_spec", "_total_rate", "active")
+    __slots__ = (
+        "_bed",
+        "_cold",
+        "_heated",
+        "_hotend",
+        "_longer",
+        "_nozzle",
+        "_slack",
+        "_spec",
+        "_total_rate",
+        "active",
+    )
 
-    def __init__(self, spec: DriftSpec) -> None:
+    def __init__(
+        self, spec: DriftSpec, hotend: Optional[HotendSpec] = None
+    ) -> None:
         self._spec = spec
+        self._hotend = hotend
+        # Of the hotend: its first temperature, C; when it was told last, and by
+        # how much the nozzle was longer then, mm
+        self._cold: Optional[float] = None
+        self._heated = self._longer = 0.0
         rates = (spec.nozzle, spec.pin, spec.bed, spec.body)
         self._total_rate = sum(abs(rate) for rate in rates)
         self.active = self._total_rate > 0.0
@@ -39,6 +60,21 @@ class Drift:
         self._slack += mm
         self.active = self.active or self._slack > 0.0
 
+    def heat(self, t: float, celsius: float) -> None:
+        """The hotend has that temperature at time t, and had it since it was told last."""
+        if self._hotend is None:
+            return
+        if self._cold is None:
+            self._cold = celsius
+        wanted = self._hotend.growth * (celsius - self._cold) / 100.0
+        share = 1.0
+        if self._hotend.lag:
+            share = -math.expm1((self._heated - t) / self._hotend.lag)
+        change = (wanted - self._longer) * share
+        self._heated = t
+        self._longer += change
+        self.allow(abs(change))
+
     def elapsed(self, t: float) -> float:
         """Seconds of growth up to time t, at its first speed."""
         spec = self._spec
@@ -57,7 +93,8 @@ class Drift:
         """mm the tip hangs below the cold tip."""
         if not self.active:
             return 0.0
-        return self._nozzle + self._spec.nozzle * self.elapsed(t)
+        hot = self._nozzle + self._longer
+        return hot + self._spec.nozzle * self.elapsed(t)
 
     def pin(self, t: float) -> float:
         """mm the pin has risen."""

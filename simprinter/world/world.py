@@ -62,7 +62,7 @@ class World:
         self.spec = spec
         self.truth = Truth(self._gap)
         self._bed = Bed(spec.bed)
-        self._drift = Drift(spec.drift)
+        self._drift = Drift(spec.drift, spec.hotend)
         self._faults = Faults() if faults is None else faults
         self._keeper: Optional[Keeper] = None
         if spec.mag_probe is not None:
@@ -169,6 +169,10 @@ class World:
         """Somebody takes the probe off the head at time t."""
         if self._keeper is not None:
             self._keeper.take_off(t)
+
+    def heat_hotend(self, t: float, celsius: float) -> None:
+        """The hotend has that temperature at time t."""
+        self._drift.heat(t, celsius)
 
     def smear_nozzle(self, t: float, height: float) -> None:
         """So much plastic (mm) is left below the nozzle; 0: it is wiped off."""
