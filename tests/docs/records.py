@@ -60,6 +60,7 @@ Z_CALIBRATION = Module(
         "CALIBRATE_Z SWITCH_OFFSET=much": None,
         "CALIBRATE_Z_ACCURACY CYCLES=2": None,
         "PROBE_Z_ACCURACY SAMPLES=3": SHOWN,
+        "Z_CALIBRATION_WAIT MAX=2": SHOWN,
         "CALIBRATE_Z_IF_NEEDED": "echo: offset 0.46 holds, measured with"
         " switch_offset 0.44",
         # Beside the bed, as this printer keeps its probe attached
@@ -101,7 +102,7 @@ Z_CALIBRATION = Module(
         "bed_xy_position": "`zero_reference_position` of `[bed_mesh]`",
         "history": "`z_calibration`",
     },
-    phases=frozenset({"clean_gcode", "setup"}),
+    phases=frozenset({"clean_gcode", "setup", "waiting"}),
 )
 
 AUTO_Z_OFFSET = Module(

@@ -132,6 +132,10 @@ WRONG = [
         "PROBE_Z_ACCURACY NOZZLE_POSITION=1,311",
         "NOZZLE_POSITION=1,311 needs the head",
     ),
+    ("Z_CALIBRATION_WAIT LIMIT=0", "LIMIT"),
+    ("Z_CALIBRATION_WAIT LIMIT=some", "LIMIT=some"),
+    ("Z_CALIBRATION_WAIT MAX=1.9", "MAX must have minimum of 2.0"),
+    ("Z_CALIBRATION_WAIT MAX=121", "MAX must have maximum of 120.0"),
     ("CALCULATE_SWITCH_OFFSET SWITCH_OFFSET=-1", "SWITCH_OFFSET"),
 ]
 

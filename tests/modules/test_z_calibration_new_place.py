@@ -38,7 +38,10 @@ ON_PIN = "check that the pin is at"
 # Over the bed
 
 
-@pytest.mark.parametrize("command", ["CALIBRATE_Z", slow("PROBE_Z_ACCURACY")])
+@pytest.mark.parametrize(
+    "command",
+    ["CALIBRATE_Z", slow("PROBE_Z_ACCURACY"), slow("Z_CALIBRATION_WAIT")],
+)
 def test_probe_that_is_on_the_head(start, command):
     printer = start().homed()
     text = printer.fail(f"{command} NOZZLE_POSITION=150,150")

@@ -322,7 +322,12 @@ def test_pin_that_is_much_lower_is_not_looked_for(start):
 # Macros bring this probe, for the switch, and here somebody has brought it before; what
 # its switch reads then is no proof, as one that is normally open reads so, too
 @pytest.mark.parametrize(
-    "script", ["ATTACH_PROBE\nCALIBRATE_Z", "ATTACH_PROBE\nPROBE_Z_ACCURACY"]
+    "script",
+    [
+        "ATTACH_PROBE\nCALIBRATE_Z",
+        "ATTACH_PROBE\nPROBE_Z_ACCURACY",
+        "ATTACH_PROBE\nZ_CALIBRATION_WAIT",
+    ],
 )
 def test_probe_that_is_left_on_meets_the_bed_without_harm(start, script):
     printer = start("cartesian").homed()

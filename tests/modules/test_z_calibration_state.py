@@ -338,7 +338,9 @@ def test_resume_takes_no_baby_step_back(start):
 
 
 # What is printed already stands where the head would go
-@pytest.mark.parametrize("command", ["CALIBRATE_Z", "PROBE_Z_ACCURACY"])
+@pytest.mark.parametrize(
+    "command", ["CALIBRATE_Z", "PROBE_Z_ACCURACY", "Z_CALIBRATION_WAIT"]
+)
 def test_nothing_goes_across_a_paused_print(start, tmp_path, command):
     printer = paused(start, tmp_path)
     at = printer.session.position()

@@ -32,6 +32,7 @@ TOUCHES = {
     "AUTO_Z_MEASURE_OFFSET": "AUTO_Z_MEASURE_OFFSET",
     "AUTO_Z_CALIBRATE": "AUTO_Z_CALIBRATE",
     "PROBE_Z_ACCURACY": "PROBE_Z_ACCURACY SAMPLES=2",
+    "Z_CALIBRATION_WAIT": "Z_CALIBRATION_WAIT MAX=2",
 }
 USUAL = ("EXTRA_PROBE", "AUTO_Z_CALIBRATE")
 # How the probe comes to be on the head, and options for it
@@ -508,7 +509,12 @@ def test_question_of_one_section_stops_the_others(start, section):
 @pytest.mark.slow
 @pytest.mark.parametrize(
     "command",
-    ["CALIBRATE_Z", "CALIBRATE_Z_ACCURACY CYCLES=2", "PROBE_Z_ACCURACY"],
+    [
+        "CALIBRATE_Z",
+        "CALIBRATE_Z_ACCURACY CYCLES=2",
+        "PROBE_Z_ACCURACY",
+        "Z_CALIBRATION_WAIT",
+    ],
 )
 def test_set_up_stops_what_is_no_part_of_it(start, command):
     printer = ready(start)
@@ -537,6 +543,7 @@ def test_set_up_stops_what_is_no_part_of_it(start, command):
         "CALIBRATE_Z",
         slow("CALIBRATE_Z_ACCURACY CYCLES=2 HOME=1"),
         "PROBE_Z_ACCURACY",
+        "Z_CALIBRATION_WAIT",
         "Z_CALIBRATION_SETUP",
     ],
 )

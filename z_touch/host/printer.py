@@ -23,6 +23,9 @@ if TYPE_CHECKING:
 # A sensor of bed or chamber that says less or more (degrees C) is broken
 COLDEST, HOTTEST = -50.0, 400.0
 
+# How often (s) a command that waits looks whether the printer was shut down
+WAIT_STEP = 1.0
+
 
 class Host:
     """The host, klippy, as one section sees it."""
@@ -50,6 +53,26 @@ class Host:
     def find_toolhead(self) -> None:
         """Look the toolhead up."""
         self.toolhead = self.printer.lookup_object("toolhead")
+
+    ##################################################################
+    # Waiting
+    ##################################################################
+
+    def wait_until(self, time: float) -> None:
+        """Wait until an eventtime (s) while all others go on.  May pause.
+
+        Raises the host's error where the printer is shut down, and on Kalico where
+        HEATER_INTERRUPT ends it.
+        """
+        wait_while = getattr(self.printer, "wait_while", None)
+        if wait_while is not None:
+            # Kalico
+            wait_while(lambda eventtime: eventtime < time)
+        reactor = self.printer.get_reactor()
+        while self.eventtime() < time and not self.printer.is_shutdown():
+            reactor.pause(min(time, self.eventtime() + WAIT_STEP))
+        if self.printer.is_shutdown():
+            raise self.error("the printer is shut down")
 
     ##################################################################
     # State

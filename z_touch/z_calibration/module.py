@@ -9,6 +9,7 @@
   result         the last run that was applied, and whether it still holds
   switch_offset  baby steps back into switch_offset
   accuracy       parameters and figures of the accuracy commands
+  warming        waiting until pin and nozzle stand still
   run_log        the runs of before, and the file that keeps them
 
 Copyright (C) 2026  the Z calibration developers, under the GNU GPLv3
@@ -61,10 +62,10 @@ from .statistics import RunStatistics, impossible
 from .steps import Steps
 from .switch_offset import SwitchOffset
 from .user_gcode import UserGcode
+from .warming import WaitForWarming
 
 if TYPE_CHECKING:
     from ..host.klippy import Config, GCodeCommand
-    from ..touch import Site
     from .heights import Result
 
 # Less (mm) is rounding.
@@ -138,6 +139,7 @@ class ZCalibration:
         command.register_commands(self.host, self)
         command.register_commands(self.host, self.report_process)
         SwitchOffset(self)
+        self.warming = WaitForWarming(self)
         Setup(self)
 
     ##################################################################
@@ -197,6 +199,7 @@ class ZCalibration:
         status = self.results.status()
         status["history"] = self.run_log.status
         status["notes"] = list(self.notes.texts)
+        status["movement"] = self.warming.movement
         status.update(self.progress.status())
         return status
 
@@ -290,7 +293,7 @@ class ZCalibration:
         if left:
             run.warn(PROBE, left)
 
-    def _note_oozing(self, run: CalibrationRun) -> None:
+    def note_oozing(self, run: CalibrationRun) -> None:
         """Say before the first touch that the nozzle is too hot to be measured."""
         oozing = run.oozing()
         if oozing:
@@ -357,6 +360,31 @@ class ZCalibration:
             nozzle, switch, bed = [good.z(site) for site in SITES]
             kept = heights.kept_of(nozzle, switch, bed, good.switch_offset)
         return Earlier(last, holds, kept)
+
+    @contextlib.contextmanager
+    def nozzle_run(
+        self, gcmd: GCodeCommand, settings: Settings
+    ) -> Iterator[CalibrationRun]:
+        """Begin a run of the nozzle alone, without the templates around a calibration.
+
+        A dockable_probe is docked first.  At the end, and after a failure, the toolhead is
+        lifted.
+        """
+        nozzle = SiteFinder(self.host, settings).nozzle_of_command(gcmd)
+        command.check_homed(self.host)
+        checks.check_carriages(self.host, settings)
+        with self.host.gcode_state.without_offset():
+            self.user_gcode.before_attaching()
+            self.user_gcode.free_nozzle()
+            run = self.new_run(
+                settings,
+                Sites(nozzle, None, None),
+                self.new_statistics(settings),
+                False,
+            )
+            run.know(self.earlier())
+            with command.always(self.host, run.lift, "lifting"):
+                yield run
 
     def touch_all(
         self, run: CalibrationRun, cleaner: Optional[UserGcode] = None
@@ -501,7 +529,7 @@ class ZCalibration:
             self.host.gcode_state.set_z_offset(0.0)
             run = self.new_run(settings, sites, self.statistics)
             with self.templates_around(run):
-                self._note_oozing(run)
+                self.note_oozing(run)
                 earlier = Earlier() if accepts_change else self.earlier()
                 nozzle, body = self.tried
                 run.know(dataclasses.replace(earlier, nozzle=nozzle, body=body))
@@ -752,7 +780,7 @@ class ZCalibration:
         with self.templates_around(run):
             checks.check_carriages(self.host, settings)
             if not cycles:
-                self._note_oozing(run)
+                self.note_oozing(run)
             run.know(self.earlier())
             if not params.attach:
                 self._check_stays_attached(run)
@@ -818,13 +846,9 @@ class ZCalibration:
         self.refuse_during_a_print(gcmd, own=True)
         with self.running(gcmd, "nozzle", 0, has_error_gcode=False):
             settings = accuracy.of_nozzle(self.settings, gcmd)
-            finder = SiteFinder(self.host, settings)
-            nozzle = finder.nozzle_of_command(gcmd)
-            command.check_homed(self.host)
-            checks.check_carriages(self.host, settings)
-            with self.host.gcode_state.without_offset():
-                statistics = self._touch_repeatedly(gcmd, settings, nozzle)
-        figures = accuracy_of(statistics.samples["nozzle"])
+            with self.nozzle_run(gcmd, settings) as run:
+                self._touch_repeatedly(gcmd, run)
+        figures = accuracy_of(run.statistics.samples["nozzle"])
         gcmd.respond_info(
             f"probe z accuracy results: maximum {figures.maximum:.6f}, minimum"
             f" {figures.minimum:.6f}, range {figures.range:.6f}, average"
@@ -833,24 +857,16 @@ class ZCalibration:
         )
 
     def _touch_repeatedly(
-        self, gcmd: GCodeCommand, settings: Settings, nozzle: Site
-    ) -> RunStatistics:
-        """Touch the pin with the nozzle, and lift; return the touches."""
-        self.user_gcode.before_attaching()
-        self.user_gcode.free_nozzle()
-        statistics = self.new_statistics(settings)
-        run = self.new_run(
-            settings, Sites(nozzle, None, None), statistics, False
-        )
-        run.know(self.earlier())
-        sampling = settings.on_pin
+        self, gcmd: GCodeCommand, run: CalibrationRun
+    ) -> None:
+        """Touch the pin with the nozzle so often."""
+        nozzle, sampling = run.sites.nozzle, run.settings.on_pin
+        assert nozzle is not None
         gcmd.respond_info(
             f"PROBE_Z_ACCURACY at X:{nozzle.x:.3f} Y:{nozzle.y:.3f}"
             f" (samples={sampling.samples} retract={sampling.retract_dist:.3f}"
             f" speed={sampling.speed:.1f} lift_speed={sampling.lift_speed:.1f})"
         )
         self.progress.expect(sampling.samples)
-        self._note_oozing(run)
-        with command.always(self.host, run.lift, "lifting"):
-            run.sample_nozzle()
-        return statistics
+        self.note_oozing(run)
+        run.sample_nozzle()

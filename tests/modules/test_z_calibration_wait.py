@@ -1,0 +1,254 @@
+"""Z_CALIBRATION_WAIT on real klippy: the pin is touched until it stands still."""
+
+from __future__ import annotations
+
+import re
+from dataclasses import replace
+
+import pytest
+
+from simprinter import Fault, heated
+from simprinter.world import DriftSpec, NoiseSpec, OozeSpec
+from tools.kit.cases import slow
+from tools.kit.scenes import SCENES
+from tools.kit.z_calibration import (
+    PIN,
+    assert_unharmed,
+    calibration,
+    section,
+    touched_sites,
+)
+
+SEEN = re.compile(r"(\d+) min: z=(\S+?)(?:, moved by (\S+) mm a minute)?$")
+WAIT = "Z_CALIBRATION_WAIT"
+# mm by which a pin may be pressed that was met higher before
+GROWN = 0.3
+# Homed cold, and the first touch comes some seconds later
+MINUTE = 60.0
+
+
+def growing(**drift):
+    """The scene whose nozzle grows, per minute instead of second."""
+    rate = drift.pop("nozzle") / MINUTE
+    return SCENES["voron"].with_world(drift=DriftSpec(nozzle=rate, **drift))
+
+
+def homed(start, *scene, **more):
+    """A homed printer; its pin gives way to a nozzle that has grown."""
+    printer = start(*scene, **more)
+    printer.machine.tolerate("nozzle_pin", GROWN)
+    return printer.homed()
+
+
+def seen(lines):
+    """Minute, height and movement of each time that it was touched."""
+    found = [m for m in map(SEEN.search, lines) if m]
+    return [
+        (int(minute), float(z), speed and float(speed))
+        for minute, z, speed in (m.groups() for m in found)
+    ]
+
+
+def test_printer_that_is_warm_is_seen_in_two_minutes(start):
+    printer = homed(start)
+    printer.run("SET_GCODE_OFFSET Z=0.2 MOVE=0")
+    before = len(printer.machine.truth.touches)
+    assert printer.status("z_calibration")["movement"] is None
+    lines = printer.run(WAIT)
+    assert [(m, speed) for m, _, speed in seen(lines)] == [
+        (0, None),
+        (1, 0.0),
+        (2, 0.0),
+    ]
+    assert [z for _, z, _ in seen(lines)] == pytest.approx([PIN] * 3, abs=0.004)
+    assert lines[-1] == (
+        f"// {WAIT}: it stands still after 2 minutes: it moves by 0.0000 mm a"
+        " minute, less than 0.003 twice in a row"
+    )
+    # [probe] has 2 here
+    assert touched_sites(printer, before) == ["nozzle_pin"] * 9
+    status = printer.status("z_calibration")
+    assert status["movement"] == pytest.approx(0.0, abs=1e-9)
+    assert status["phase"] == "idle"
+    assert (status["last_result"], status["valid"]) == ({}, False)
+    assert status["history"]["runs"] == 0
+    assert_unharmed(printer, 0.2)
+
+
+def test_others_live_while_it_waits(start):
+    printer = homed(start)
+    command = printer.session.begin(WAIT)
+    printer.session.wait(30.0)
+    status = printer.status("z_calibration")
+    assert status["phase"] == "waiting"
+    # Of 21 times that it may take
+    assert status["progress"] == pytest.approx(1 / 21)
+    # Lifted to the travel height
+    assert printer.machine.tip().z > PIN + 10.0
+    printer.session.wait(60.0)
+    status = printer.status("z_calibration")
+    assert status["progress"] == pytest.approx(2 / 21)
+    assert status["movement"] == pytest.approx(0.0, abs=1e-9)
+    printer.session.finish(command)
+
+
+@pytest.mark.parametrize(
+    ("parameters", "minutes", "ends"),
+    [
+        ("LIMIT=0.006", 2, "it stands still after 2 minutes"),
+        ("MAX=3", 3, "after 3 minutes (MAX) it still moves, by 0.00"),
+        slow("LIMIT=0.001 MAX=5.5", 5, "LIMIT is 0.001: what is measured now"),
+        slow("", 20, "after 20 minutes (MAX)"),
+    ],
+)
+def test_limits(start, parameters, minutes, ends):
+    printer = homed(start, growing(nozzle=0.0045))
+    lines = printer.session.run(f"{WAIT} {parameters}", 1500.0)
+    assert [minute for minute, _, _ in seen(lines)] == [*range(minutes + 1)]
+    assert ends in lines[-1]
+    last = seen(lines)[-1][2]
+    assert printer.status("z_calibration")["movement"] == pytest.approx(
+        last, abs=1e-4
+    )
+    # Nothing ends: what stands behind it in a macro goes on
+    calibration(printer)
+
+
+def test_growth_that_ends_is_seen_by_two_small_movements(start):
+    # It grows for some two minutes after the first touch
+    printer = homed(start)
+    begins = printer.machine.truth.touches[-1].t
+    scene = growing(nozzle=0.02, start=begins, stop=begins + 150.0)
+    printer = homed(start, scene)
+    lines = printer.run(WAIT)
+    speeds = [speed for _, _, speed in seen(lines)[1:]]
+    assert [abs(speed) < 0.003 for speed in speeds] == [
+        False,
+        False,
+        False,
+        True,
+        True,
+    ]
+    # The pin is met higher by a nozzle that is longer
+    assert speeds[0] == pytest.approx(0.02, abs=0.003)
+
+
+@pytest.mark.parametrize(
+    ("samples", "count"), [("1", 3), ("5", 5), slow("auto", 3)]
+)
+def test_touches_each_time(start, samples, count):
+    changes = {"probe": {"samples": "2"}, **section(samples=samples)}
+    printer = homed(start, changes=changes)
+    before = len(printer.machine.truth.touches)
+    printer.run(f"{WAIT} MAX=2")
+    assert len(touched_sites(printer, before)) == 3 * count
+
+
+def test_bad_touches_end_nothing(start):
+    world = SCENES["voron"].world
+    noise = NoiseSpec(0.001, outlier_chance=0.1, outlier_size=0.03)
+    scene = SCENES["voron"].with_world(pin=replace(world.pin, noise=noise))
+    changes = section(samples_tolerance="0.001", samples_tolerance_retries="0")
+    printer = homed(start, scene, changes=changes)
+    lines = printer.run(f"{WAIT} LIMIT=0.008")
+    assert "it stands still" in lines[-1]
+
+
+def test_each_minute_however_long_the_touches_take(start):
+    changes = section(samples="5", probing_retract_dist="9", lift_speed="2")
+    printer = homed(start, changes=changes)
+    printer.run(f"{WAIT} MAX=2.5")
+    at = [t.t for t in printer.machine.truth.touches if t.site == "nozzle_pin"]
+    first = at[-15::5]
+    assert [b - a for a, b in zip(first, first[1:])] == pytest.approx(
+        [MINUTE] * 2, abs=3.0
+    )
+
+
+def test_motors_stay_on_while_it_waits(start):
+    changes = {"idle_timeout": {"timeout": "30"}}
+    printer = homed(start, changes=changes)
+    printer.run(f"{WAIT} MAX=3\nCALIBRATE_Z")
+
+
+# What is asked before the nozzle goes down
+
+
+def test_printer_has_to_be_homed(start):
+    printer = start()
+    printer.session.require_ready()
+    assert "not homed: X, Y, Z" in printer.fail(WAIT)
+
+
+def test_place_of_the_command(start):
+    printer = homed(start)
+    lines = printer.fail(f"{WAIT} NOZZLE_POSITION=1,311")
+    assert "NOZZLE_POSITION=1,311 needs the head" in lines
+    printer.run(f"{WAIT} MAX=2 NOZZLE_POSITION=205,307")
+    touch = printer.machine.truth.touches[-1]
+    assert (touch.x, touch.y) == pytest.approx((205.0, 307.0), abs=0.02)
+
+
+def test_nozzle_that_is_too_hot_is_told(start):
+    printer = homed(start, heated(SCENES["voron"]))
+    printer.run("SET_HEATER_TEMPERATURE HEATER=extruder TARGET=240")
+    lines = printer.run(f"{WAIT} MAX=2")
+    assert sum("at 240 C plastic oozes" in line for line in lines) == 1
+
+
+def test_dirty_nozzle_is_cleaned_once(start):
+    changes = {
+        "respond": {},
+        **section(samples="6", clean_gcode="\n  RESPOND MSG=CLEANED"),
+    }
+    ooze = OozeSpec(0.1, kept=0.7)
+    scene = SCENES["voron"].with_world(ooze=ooze)
+    printer = homed(start, scene, changes=changes)
+    lines = printer.run(f"{WAIT} MAX=4")
+    assert sum("CLEANED" in line for line in lines) == 1
+
+
+# What goes wrong meanwhile
+
+
+def test_dead_pin_ends_it_with_the_head_lifted(start):
+    fault = Fault("trigger_never", site="nozzle_pin", touch=5, command=WAIT)
+    printer = start(faults=[fault])
+    printer.machine.tolerate("nozzle_pin", 1.01)
+    printer.homed().run("SET_GCODE_OFFSET Z=0.2 MOVE=0")
+    text = printer.fail(WAIT)
+    assert "nozzle: the switch did not answer" in text
+    assert printer.status("z_calibration")["phase"] == "idle"
+    assert_unharmed(printer, 0.2)
+    printer.run(f"{WAIT} MAX=2")
+
+
+def test_nothing_moves_after_an_emergency_stop(start):
+    changes = {"respond": {}, **section(error_gcode="\n  RESPOND MSG=ERROR")}
+    printer = homed(start, changes=changes)
+    command = printer.session.begin(WAIT)
+    printer.session.wait(30.0)
+    touches = len(printer.machine.truth.touches)
+    tip = printer.machine.tip()
+    printer.session.stop()
+    with pytest.raises(Exception, match="shut down|shutdown|stop"):
+        printer.session.finish(command)
+    printer.session.wait(120.0)
+    assert len(printer.machine.truth.touches) == touches
+    assert printer.machine.tip() == tip
+    assert "z_calibration: the printer is shut down" in printer.session.log()
+    printer.session.restart("FIRMWARE_RESTART")
+    printer.run(f"G28\n{WAIT} MAX=2")
+
+
+@pytest.mark.every_host("only Kalico has a command that ends a wait")
+def test_interrupt_of_kalico(start, host):
+    if host.name != "kalico":
+        pytest.skip("no HEATER_INTERRUPT")
+    printer = homed(start)
+    command = printer.session.begin(WAIT)
+    printer.session.wait(30.0)
+    printer.run("HEATER_INTERRUPT")
+    with pytest.raises(Exception, match="interrupted"):
+        printer.session.finish(command)
+    assert_unharmed(printer)
