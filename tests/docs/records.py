@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Mapping
 from typing import NamedTuple, Optional
 
-from tools.kit.scenes import Sections
+from tools.kit.scenes import SCENES, Sections, heated
 
 # An answer that is the document's own block of code
 SHOWN = "as the document shows it"
@@ -34,11 +34,19 @@ class Module(NamedTuple):
 
 
 _DWELL = {"gcode": "G4 P1"}
+# Of a printer that can heat its nozzle
+_PLAIN = SCENES["voron"]
+_HEATERS = {
+    name: options
+    for name, options in heated(_PLAIN).sections.items()
+    if name not in _PLAIN.sections
+}
 
 Z_CALIBRATION = Module(
     name="z_calibration",
     scene="voron",
     surroundings={
+        **_HEATERS,
         "respond": {},
         "display_status": {},
         "stepper_z": {"position_endstop": "1.9"},
@@ -61,6 +69,7 @@ Z_CALIBRATION = Module(
         "CALIBRATE_Z_ACCURACY CYCLES=2": None,
         "PROBE_Z_ACCURACY SAMPLES=3": SHOWN,
         "Z_CALIBRATION_WAIT MAX=2": SHOWN,
+        "Z_CALIBRATION_NOZZLE_GROWTH": None,
         "CALIBRATE_Z_IF_NEEDED": "echo: offset 0.46 holds, measured with"
         " switch_offset 0.44",
         # Beside the bed, as this printer keeps its probe attached
@@ -102,7 +111,7 @@ Z_CALIBRATION = Module(
         "bed_xy_position": "`zero_reference_position` of `[bed_mesh]`",
         "history": "`z_calibration`",
     },
-    phases=frozenset({"clean_gcode", "setup", "waiting"}),
+    phases=frozenset({"clean_gcode", "heating", "setup", "waiting"}),
 )
 
 AUTO_Z_OFFSET = Module(

@@ -85,10 +85,16 @@ def test_others_live_while_it_waits(start):
     assert status["progress"] == pytest.approx(1 / 21)
     # Lifted to the travel height
     assert printer.machine.tip().z > PIN + 10.0
+    assert status["movement"] is None
     printer.session.wait(60.0)
     status = printer.status("z_calibration")
     assert status["progress"] == pytest.approx(2 / 21)
     assert status["movement"] == pytest.approx(0.0, abs=1e-9)
+    printer.session.finish(command)
+    # Not that of the last time
+    command = printer.session.begin(WAIT)
+    printer.session.wait(30.0)
+    assert printer.status("z_calibration")["movement"] is None
     printer.session.finish(command)
 
 
@@ -133,6 +139,13 @@ def test_growth_that_ends_is_seen_by_two_small_movements(start):
     assert speeds[0] == pytest.approx(0.02, abs=0.003)
 
 
+def test_pin_that_is_met_lower_each_time_does_not_stand_still(start):
+    printer = homed(start, growing(nozzle=-0.02))
+    lines = printer.run(f"{WAIT} MAX=2")
+    assert "it still moves, by 0.02" in lines[-1]
+    assert printer.status("z_calibration")["movement"] < -0.015
+
+
 @pytest.mark.parametrize(
     ("samples", "count"), [("1", 3), ("5", 5), slow("auto", 3)]
 )
@@ -152,6 +165,15 @@ def test_bad_touches_end_nothing(start):
     printer = homed(start, scene, changes=changes)
     lines = printer.run(f"{WAIT} LIMIT=0.008")
     assert "it stands still" in lines[-1]
+
+
+def test_one_bad_touch_is_no_movement(start):
+    fault = Fault(
+        "trigger_early", site="nozzle_pin", touch=5, mm=0.05, command=WAIT
+    )
+    printer = homed(start, faults=[fault])
+    lines = printer.run(WAIT)
+    assert "it stands still after 2 minutes" in lines[-1]
 
 
 def test_each_minute_however_long_the_touches_take(start):
@@ -178,6 +200,12 @@ def test_printer_has_to_be_homed(start):
     printer = start()
     printer.session.require_ready()
     assert "not homed: X, Y, Z" in printer.fail(WAIT)
+
+
+def test_template_of_a_run_cannot_begin_it(start):
+    printer = homed(start, changes=section(start_gcode=f"\n  {WAIT}"))
+    text = printer.fail("CALIBRATE_Z")
+    assert "a measurement is under way (start_gcode)" in text
 
 
 def test_place_of_the_command(start):
@@ -233,10 +261,11 @@ def test_nothing_moves_after_an_emergency_stop(start):
     printer.session.stop()
     with pytest.raises(Exception, match="shut down|shutdown|stop"):
         printer.session.finish(command)
+    printer.session.wait(3.0)
+    assert "z_calibration: the printer is shut down" in printer.session.log()
     printer.session.wait(120.0)
     assert len(printer.machine.truth.touches) == touches
     assert printer.machine.tip() == tip
-    assert "z_calibration: the printer is shut down" in printer.session.log()
     printer.session.restart("FIRMWARE_RESTART")
     printer.run(f"G28\n{WAIT} MAX=2")
 

@@ -158,6 +158,17 @@ class Host:
         degrees: float = self._extruder_status().get("target", 0.0)
         return degrees
 
+    def nozzle_celsius(self) -> float:
+        """Return how hot the nozzle is (degrees C)."""
+        degrees: float = self._extruder_status().get("temperature", 0.0)
+        return degrees
+
+    def heat(self, extruder: str, target: float) -> None:
+        """Have the heater of an extruder's section have a target (degrees C), 0: off."""
+        self.gcode.run_script_from_command(
+            f"SET_HEATER_TEMPERATURE HEATER={extruder} TARGET={target:g}"
+        )
+
     def wanted_temperatures(self) -> Dict[str, float]:
         """Return how hot (degrees C) bed and chamber are, or are to be.
 

@@ -104,15 +104,22 @@ def of_nozzle(settings: Settings, gcmd: GCodeCommand) -> Settings:
 def drift(times: Sequence[float], values: Sequence[float]) -> float:
     """Return the slope of the straight line through values, per minute.
 
-    times: s.  By least squares; 0 where all times are the same.
+    times: s.
     """
-    middle, mean = fmean(times), fmean(values)
-    square = math.fsum((t - middle) ** 2 for t in times)
+    return 60.0 * slope(times, values)
+
+
+def slope(xs: Sequence[float], ys: Sequence[float]) -> float:
+    """Return by how much y grows with x, on the straight line of least squares.
+
+    0 where all x are the same.
+    """
+    middle, mean = fmean(xs), fmean(ys)
+    square = math.fsum((x - middle) ** 2 for x in xs)
     if not square:
         return 0.0
-    pairs = zip(times, values)
-    product = math.fsum((t - middle) * (v - mean) for t, v in pairs)
-    return 60.0 * product / square
+    product = math.fsum((x - middle) * (y - mean) for x, y in zip(xs, ys))
+    return product / square
 
 
 def figures(

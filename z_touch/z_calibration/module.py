@@ -10,6 +10,7 @@
   switch_offset  baby steps back into switch_offset
   accuracy       parameters and figures of the accuracy commands
   warming        waiting until pin and nozzle stand still
+  growth         how much longer a hot nozzle is
   run_log        the runs of before, and the file that keeps them
 
 Copyright (C) 2026  the Z calibration developers, under the GNU GPLv3
@@ -41,6 +42,7 @@ from ..in_force import InForce
 from ..progress import Notes
 from ..sampling import accuracy as accuracy_of
 from . import accuracy, checks, heights, run_log, switches
+from .growth import NozzleGrowth, growth_of, with_extruder_temp
 from .pin import PressedPin, find_pin, read_pin
 from .report_process import ReportProcess
 from .result import LastRun, Results, height_of
@@ -140,6 +142,7 @@ class ZCalibration:
         command.register_commands(self.host, self.report_process)
         SwitchOffset(self)
         self.warming = WaitForWarming(self)
+        NozzleGrowth(self)
         Setup(self)
 
     ##################################################################
@@ -206,6 +209,10 @@ class ZCalibration:
     def use_switch_offset(self, switch_offset: float) -> None:
         """Calculate with another switch_offset (mm) from now on."""
         self.settings = self.settings.replace(switch_offset=switch_offset)
+
+    def use_nozzle_growth(self, nozzle_growth: float) -> None:
+        """Calculate with another nozzle_growth (mm per 100 C) from now on."""
+        self.settings = self.settings.replace(nozzle_growth=nozzle_growth)
 
     ##################################################################
     # Around every command that touches
@@ -440,6 +447,7 @@ class ZCalibration:
         wanted = 2 * expected(settings.on_pin) + expected(settings.on_bed)
         with self.running(gcmd, "start_gcode", wanted, has_error_gcode=True):
             settings = with_switch_offset(settings, gcmd)
+            settings = with_extruder_temp(self.host, settings, gcmd)
             z_adjust: float = options.param_number(
                 gcmd,
                 "Z_ADJUST",
@@ -586,6 +594,7 @@ class ZCalibration:
             unknown_shift=run.unknown_over_pin or 0.0,
             print_began=self.host.print_began(),
             tool_shift=sum(shift for _, shift in self.host.tools.of_changer()),
+            growth=growth_of(run),
         )
         return last.replace(z_offset=Shifts(self.host, last).offset())
 
@@ -677,7 +686,13 @@ class ZCalibration:
         text += " mm"
         if last.z_adjust:
             text += f", with Z_ADJUST={last.z_adjust:.3f}"
-        taken = result.offset + last.z_adjust - last.z_offset
+        if last.growth:
+            text += (
+                f", with {last.grown:+.3f} mm as the nozzle prints at"
+                f" {last.growth.printing:.0f} C and was touched at"
+                f" {last.growth.touched:.0f} C"
+            )
+        taken = result.offset + last.z_adjust + last.grown - last.z_offset
         if abs(taken) >= NO_CHANGE:
             text += f", {taken:.3f} mm taken off"
         gcmd.respond_info(f"Z-CALIBRATION: {text}")

@@ -25,6 +25,7 @@ from .steps import SAME_OFFSET, Steps, is_same
 if TYPE_CHECKING:
     from ..datum import Datum, Mark
     from ..host.printer import Host
+    from .growth import Growth
     from .heights import Result
 
 # By less (mm) the bed mesh is as high as it was.
@@ -76,6 +77,8 @@ class LastRun:
     is_for_later: bool = False
     # The baby steps since
     steps: Steps = field(default_factory=lambda: Steps(0.0))
+    # A nozzle that prints hotter than it was touched, which is in the offset; None: it is not
+    growth: Optional[Growth] = None
     # When the print began that it was made in (eventtime), 0: in none
     print_began: float = 0.0
     # What a tool changer added to Z for that tool (mm), which was taken off
@@ -89,6 +92,17 @@ class LastRun:
     def replace(self, **changes: Any) -> LastRun:
         """Return the run with other values."""
         return dataclasses.replace(self, **changes)
+
+    @property
+    def grown(self) -> float:
+        """What the offset is larger by (mm) as the nozzle will print hotter."""
+        return self.growth.added if self.growth else 0.0
+
+    def applied_at(self, celsius: float) -> float:
+        """Return the offset (mm) that would be right for a nozzle as hot as that."""
+        if self.growth is None:
+            return self.applied
+        return self.applied - self.grown + self.growth.longer(celsius)
 
 
 def bed_seen(host: Host, last: LastRun) -> float:

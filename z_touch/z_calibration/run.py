@@ -104,6 +104,8 @@ class CalibrationRun:
         self.proved_at: Optional[Tuple[float, float]] = None
         # Whether the probe was seen attached
         self.was_attached = False
+        # How hot (degrees C) the nozzle was when it was touched, None: it was not yet
+        self.nozzle_celsius: Optional[float] = None
         # Why the nozzle was cleaned in this run; empty: it was not
         self.cleaned = ""
         # The height of the nozzle and switch - nozzle (mm), None: not measured; by how much the
@@ -201,6 +203,7 @@ class CalibrationRun:
             self.progress.say(f"nozzle: {why}; cleaning it, then once more")
             self.clean(cleaner, why)
             nozzle_z = self.sample_nozzle()
+        self.nozzle_celsius = self.host.nozzle_celsius()
         self._warn_of_nozzle(nozzle_z)
         self.rise_over(nozzle_z)
         return nozzle_z

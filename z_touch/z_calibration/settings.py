@@ -61,6 +61,9 @@ TARGET_UNCERTAINTY = 0.008
 # of a rough plate give
 ROUGH_TARGET = 0.013
 
+# No hotend grows by more (mm per 100 C): 100 mm of aluminium do so by 0.24
+LARGEST_GROWTH = 0.25
+
 # Beside printer.cfg
 FOLDER = "z_calibration"
 RUNS = 1000
@@ -179,6 +182,13 @@ class Settings:
         " triggers, in mm. Larger: nozzle closer to the bed.",
         unit="mm",
         minval=0.0,
+    )
+    nozzle_growth: Optional[float] = options.number(
+        None,
+        "How much longer the nozzle is for each 100 C, in mm, for CALIBRATE_Z with"
+        " EXTRUDER_TEMP. Z_CALIBRATION_NOZZLE_GROWTH finds it. There is no default.",
+        minval=0.0,
+        maxval=LARGEST_GROWTH,
     )
     save_button: bool = options.other(
         options.choice(SAVE_BUTTON),
@@ -350,6 +360,8 @@ class Settings:
     mesh_area: Optional[Tuple[pin.Point, pin.Point]] = None
     # The options that the user has given, or the command
     given: FrozenSet[str] = frozenset()
+    # Of a CALIBRATE_Z: how hot (degrees C) the nozzle will print; None: that does not count
+    extruder_temp: Optional[float] = None
     # Of a CALIBRATE_Z: how fast Z moves where nothing is touched; None: another command
     z_speed: Optional[float] = None
 

@@ -47,9 +47,13 @@ class Shifts:
         self.is_guessed = transforms.is_mesh_guessed(x, y)
 
     def offset(self) -> float:
-        """Return the G-code offset (mm) with which the gap is right, Z_ADJUST included."""
+        """Return the G-code offset (mm) with which the gap is right.
+
+        Z_ADJUST is in it, and what the nozzle grows until it prints.
+        """
         taken = sum(part.height for part in self.parts) + self.unknown
-        return self.last.result.offset + self.last.z_adjust - taken
+        last = self.last
+        return last.result.offset + last.z_adjust + last.grown - taken
 
     def lines(self) -> Iterator[Tuple[bool, Warned]]:
         """Yield what the user is told, and whether that is a warning."""

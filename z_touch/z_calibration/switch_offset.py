@@ -267,10 +267,12 @@ class SwitchOffset:
         self._check_mesh_here()
         old = param_switch_offset(gcmd, last.result.switch_offset)
         z = self.host.gcode_state.z()
-        new = corrected_switch_offset(old, z, last.applied)
+        # The nozzle may be colder now than it will print
+        z_offset = last.applied_at(self.host.nozzle_celsius())
+        new = corrected_switch_offset(old, z, z_offset)
         text = (
             f"switch_offset={old:.3f} - (current_z={z:.3f} -"
-            f" z_offset={last.applied:.3f}) --> new switch_offset={new:.3f}"
+            f" z_offset={z_offset:.3f}) --> new switch_offset={new:.3f}"
         )
         if new < 0.0:
             raise CalibrationError(

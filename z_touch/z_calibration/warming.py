@@ -44,7 +44,6 @@ class WaitForWarming:
         Where it does not within MAX, that is shown, and a print goes on.
         """
         calibration = self.calibration
-        calibration.check_idle(gcmd)
         calibration.refuse_during_a_print(gcmd, own=True)
         wanted = warming.wanted_of(gcmd)
         settings = settings_of(calibration.settings)
