@@ -18,7 +18,16 @@ from simprinter.world_file import SCHEMA, WorldFileError
 CFG = (SAMPLE / "printer.cfg").read_text(encoding="utf-8")
 WORLD = (SAMPLE / "world.toml").read_text(encoding="utf-8")
 # What a key of a number ends in: a unit, or that it has none
-UNITS = ("_mm", "_s", "_deg", "_share", "_mm_per_mm", "_mm_per_s", "_c")
+UNITS = (
+    "_mm",
+    "_s",
+    "_deg",
+    "_share",
+    "_mm_per_mm",
+    "_mm_per_mm2",
+    "_mm_per_s",
+    "_c",
+)
 NO_UNIT = {"seed", "direction"}
 
 

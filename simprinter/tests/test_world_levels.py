@@ -34,6 +34,9 @@ from simprinter.world import (
 EDGE = 1e-6
 SURFACE = Bed(BED).height
 TWISTED = replace(PIEZO, inductive=replace(PIEZO.inductive, twist=0.001))
+BENT = replace(
+    PIEZO, inductive=replace(PIEZO.inductive, bend=1e-5, twist_y=-0.002)
+)
 
 
 def bed_below_probe(x: float, y: float) -> float:
@@ -47,6 +50,7 @@ CASES = [
     (PIEZO, "bed_sensor", MIDDLE, SURFACE(*MIDDLE) - 0.04),
     (PIEZO, "probe", MIDDLE, SURFACE(167.6, 150.0) + 2.5),
     (TWISTED, "probe", MIDDLE, SURFACE(167.6, 150.0) + 2.5 + 0.15),
+    (BENT, "probe", MIDDLE, SURFACE(167.6, 150.0) + 2.5 + 0.225 - 0.3),
     (PIEZO, "z_endstop", MIDDLE, 0.0),
     (MEMBRANE, "membrane", (30.0, 20.0), SURFACE(30.0, 20.0) + 0.2),
 ]

@@ -224,8 +224,11 @@ class Builder:
         sensed = sensed_bed(bed, self._drift, spec)
         # Nothing is touched: no limits
         plate = self._spec.bed
-        reach = max(abs(plate.x_min), abs(plate.x_max)) + abs(spec.x_offset)
-        top = bed.highest + spec.sense_distance + abs(spec.twist) * reach
+        reach_x = max(abs(plate.x_min), abs(plate.x_max)) + abs(spec.x_offset)
+        reach_y = max(abs(plate.y_min), abs(plate.y_max)) + abs(spec.y_offset)
+        roll = (abs(spec.twist) + abs(spec.bend) * reach_x) * reach_x
+        roll += abs(spec.twist_y) * reach_y
+        top = bed.highest + spec.sense_distance + roll
         site = Site("inductive_bed", sensed, top)
         sensor = self._sensor("probe", spec.noise, site)
         level = self._contact(sensor)

@@ -394,10 +394,9 @@ def sensed_bed(bed: Bed, drift: Drift, probe: InductiveSpec) -> ContactZ:
     It sees more of the plate than a texture is wide.
     """
     offset_x, offset_y = probe.x_offset, probe.y_offset
-    sense_distance, twist = probe.sense_distance, probe.twist
 
     def contact_z(x: float, y: float, t: float) -> Optional[float]:
-        distance = sense_distance + twist * x
+        distance = probe.sense_distance + probe.roll(x, y)
         x, y = x + offset_x, y + offset_y
         if not bed.covers(x, y):
             return None

@@ -314,6 +314,8 @@ class InductiveSpec(Spec):
     sense_distance: height of the cold nozzle tip over the plate's surface
     below the probe, mm, at which it triggers, with the head at X=0.
     twist: mm that it hangs lower for each mm of X, on an axis that is twisted
+    bend: and mm for each mm of X squared, on one that is twisted more at its end
+    twist_y: mm that it hangs lower for each mm of Y
     """
 
     x_offset: float
@@ -321,8 +323,14 @@ class InductiveSpec(Spec):
     sense_distance: float
     noise: NoiseSpec = field(default_factory=NoiseSpec)
     twist: float = 0.0
+    bend: float = 0.0
+    twist_y: float = 0.0
 
     _POSITIVE = ("sense_distance",)
+
+    def roll(self, x: float, y: float) -> float:
+        """How much lower it hangs with the head there, mm."""
+        return (self.twist + self.bend * x) * x + self.twist_y * y
 
 
 @dataclass(frozen=True)
