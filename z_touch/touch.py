@@ -128,7 +128,13 @@ def check_reach(host: Host, site: Site, remedy: str, shift: str = "") -> None:
             )
 
 
-def check_spread(host: Host, site: Site, radius: float, section: str) -> None:
+def check_spread(
+    host: Host,
+    site: Site,
+    radius: float,
+    section: str,
+    remedy: str = "choose a smaller one, or another bed_xy_position",
+) -> None:
     """Raise CalibrationError where not all points of a bed_spread (mm) can be reached.
 
     'section' is the one whose option it is.
@@ -136,7 +142,6 @@ def check_spread(host: Host, site: Site, radius: float, section: str) -> None:
     if not radius:
         return
     origin = f"Option 'bed_spread: {radius:g}' in section '{section}'"
-    remedy = "choose a smaller one, or another bed_xy_position"
     for x, y in ((-1, 0), (1, 0), (0, -1), (0, 1)):
         edge = site._replace(
             x=site.x + x * radius, y=site.y + y * radius, origin=origin

@@ -121,6 +121,11 @@ AUTO_Z_OFFSET = Module(
         "respond": {},
         "probe": {"z_offset": "1.0"},
         "gcode_macro BED_MESH_PROFILE": _DWELL,
+        "axis_twist_compensation": {
+            "calibrate_start_x": "25",
+            "calibrate_end_x": "220",
+            "calibrate_y": "122",
+        },
     },
     steps={
         "CHECK_PROBE": "echo: not measured since klippy started, saved is 0.0",
@@ -129,6 +134,7 @@ AUTO_Z_OFFSET = Module(
         "AUTO_Z_LOAD_OFFSET": None,
         "AUTO_Z_SAVE_GCODE_OFFSET": None,
         "AUTO_Z_MEASURE_OFFSET": None,
+        "AUTO_Z_TWIST": None,
         "AUTO_Z_PROBE": None,
         "SET_GCODE_OFFSET Z=0\nAUTO_Z_HOME_Z": None,
     },

@@ -41,6 +41,11 @@ def test_host_has_what_is_touched(host, tmp_path):
         sections = {
             "klippy_objects": {"names": str(names)},
             "bed_screws": SCREWS,
+            "axis_twist_compensation": {
+                "calibrate_start_x": "20",
+                "calibrate_end_x": "200",
+                "calibrate_y": "100",
+            },
             "pause_resume": {},
             "print_stats": {},
             "z_thermal_adjust": {

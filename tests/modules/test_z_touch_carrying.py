@@ -31,9 +31,12 @@ TOUCHES = {
     "AUTO_Z_HOME_Z": "AUTO_Z_HOME_Z",
     "AUTO_Z_MEASURE_OFFSET": "AUTO_Z_MEASURE_OFFSET",
     "AUTO_Z_CALIBRATE": "AUTO_Z_CALIBRATE",
+    "AUTO_Z_TWIST": "AUTO_Z_TWIST SAMPLE_COUNT=2",
     "PROBE_Z_ACCURACY": "PROBE_Z_ACCURACY SAMPLES=2",
     "Z_CALIBRATION_WAIT": "Z_CALIBRATION_WAIT MAX=2",
 }
+# With the nozzle and with the probe
+BOTH = ["AUTO_Z_MEASURE_OFFSET", "AUTO_Z_CALIBRATE", "AUTO_Z_TWIST"]
 USUAL = ("EXTRA_PROBE", "AUTO_Z_CALIBRATE")
 # How the probe comes to be on the head, and options for it
 REASONS = {
@@ -81,7 +84,7 @@ def test_probe_that_queued_moves_fetch_is_seen(start):
 
 
 # A first layer may come next
-@pytest.mark.parametrize("touch", ["AUTO_Z_MEASURE_OFFSET", "AUTO_Z_CALIBRATE"])
+@pytest.mark.parametrize("touch", BOTH)
 def test_docking_is_not_delayed_where_the_nozzle_goes_down_next(start, touch):
     printer = ready(start, {"allow_delayed_detach": "True"})
     printer.run(TOUCHES[touch])
@@ -106,7 +109,7 @@ def test_touch_is_refused_where_no_trips_are_wanted(start, touch):
 
 # Nozzle and probe take turns there
 @pytest.mark.slow
-@pytest.mark.parametrize("touch", ["AUTO_Z_MEASURE_OFFSET", "AUTO_Z_CALIBRATE"])
+@pytest.mark.parametrize("touch", BOTH)
 @pytest.mark.parametrize("before", ["ATTACH_PROBE", "DETACH_PROBE"])
 def test_both_touch_only_with_trips(start, before, touch):
     printer = ready(start, {"auto_attach_detach": "False"}, GOES_DOWN)

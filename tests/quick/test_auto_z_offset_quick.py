@@ -9,10 +9,18 @@ from tools.kit.auto_z_offset import MICROSTEP, true_gap
 
 # Of the host: baby steps that it loses are told, and where homing leaves Z is noted
 GUARDED = {
+    "AXIS_TWIST_COMPENSATION_CALIBRATE",
     "BED_MESH_CALIBRATE",
     "G28",
     "RESTORE_GCODE_STATE",
     "Z_OFFSET_APPLY_PROBE",
+}
+TWISTED = {
+    "axis_twist_compensation": {
+        "calibrate_start_x": "20",
+        "calibrate_end_x": "225",
+        "calibrate_y": "120",
+    }
 }
 GOOD = [
     Run("AUTO_Z_PROBE", "the bed sensor triggered at z="),
@@ -20,6 +28,7 @@ GOOD = [
     Run("AUTO_Z_CALIBRATE", "probe_z_correction: -1.12"),
     Run("SET_GCODE_OFFSET Z=0\nAUTO_Z_LOAD_OFFSET", "G-code Z offset is -1.12"),
     Run("AUTO_Z_SAVE_GCODE_OFFSET", "probe_z_correction: -1.12"),
+    Run("AUTO_Z_TWIST SAMPLE_COUNT=2", "along X: z_compensations: "),
 ]
 LAST = [
     Run("SET_GCODE_OFFSET Z=0\nAUTO_Z_HOME_Z", "which is z=0.200000 now"),
@@ -41,6 +50,7 @@ BAD = [
     Run("AUTO_Z_HOME_Z", SENSOR),
     Run("AUTO_Z_MEASURE_OFFSET", SENSOR),
     Run("AUTO_Z_CALIBRATE", SENSOR),
+    Run("AUTO_Z_TWIST", SENSOR),
     # Z is no more what the probe says
     Run("AUTO_Z_LOAD_OFFSET", "G28", shifted),
     Run("AUTO_Z_SAVE_GCODE_OFFSET", "G28"),
@@ -51,7 +61,7 @@ BAD = [
     "the least that each host has to do: every command once"
 )
 def test_good_run_of_every_command(start):
-    printer = started(start, "qidi", {})
+    printer = started(start, "qidi", TWISTED)
     done = go_well(printer, GOOD)
     wanted = printer.scene.piezo_gap()
     assert true_gap(printer) == pytest.approx(wanted, abs=2 * MICROSTEP)
@@ -59,5 +69,5 @@ def test_good_run_of_every_command(start):
 
 
 def test_bad_run_of_every_command(start):
-    printer = started(start, "qidi", {})
+    printer = started(start, "qidi", TWISTED)
     assert go_wrong(printer, BAD) == ours(printer) - GUARDED

@@ -59,7 +59,7 @@ def counted(runs: Sequence[quick.Run]) -> list[quick.Run]:
 # Nowhere else that command goes well
 KEPT = z_calibration.section(offset_gcode="SHAPE RUN=Z_CALIBRATION_KEEP_OFFSET")
 # Others take no fewer samples
-THREE = {"auto_z_offset": {"samples": "3"}}
+THREE = {"auto_z_offset": {"samples": "3"}, **auto_z_offset.TWISTED}
 DOCKED = {
     **dockable_probe.section(**dockable_probe.QUICK),
     **dockable_probe.WITHOUT_TWIST,

@@ -5,6 +5,7 @@
   expected   the correction, and what is      motors    current and acceleration of a touch
              known before a touch             shifts    what mesh and heat add
   checks     what the printer has to have     sites     where nozzle and probe stand
+  twist      the probe's error along an axis
 
 Copyright (C) 2026  the Z calibration developers, under the GNU GPLv3
 """
@@ -23,7 +24,7 @@ from ..host.toolhead import check_z_axis
 from ..progress import Notes
 from ..sampling import Series, summarize
 from ..texture import spread_tolerance
-from . import checks, heights, shifts
+from . import checks, heights, shifts, twist
 from .expected import Correction, Expectations
 from .heights import Result
 from .run import DIFFER, Run
@@ -34,6 +35,7 @@ from .sites import bed_site, probe_site
 if TYPE_CHECKING:
     from ..host.klippy import Config, GCodeCommand, Handler
     from ..touch import Site
+    from .settings import Settings
 
 
 def formula(name: str, result: Result) -> str:
@@ -182,12 +184,16 @@ class AutoZOffset:
 
     @contextlib.contextmanager
     def measuring(
-        self, gcmd: GCodeCommand, touches: int, with_probe: bool = False
+        self,
+        gcmd: GCodeCommand,
+        touches: int,
+        with_probe: bool = False,
+        settings: Optional[Settings] = None,
     ) -> Iterator[Run]:
         """Begin a command of so many touches; yields what touches.
 
         On any failure the toolhead is lifted, and nothing has changed.  'with_probe': that
-        touches, too.
+        touches, too.  'settings' None: those of the section.
         """
         with self.runner.running(gcmd, "prepare_gcode", touches):
             accepts_change = options.param_flag(gcmd, "ACCEPT_CHANGE")
@@ -199,7 +205,7 @@ class AutoZOffset:
             expectations = None if accepts_change else self.expectations
             run = Run(
                 self.sensor,
-                self.settings,
+                settings or self.settings,
                 self.progress,
                 expectations,
                 self.turn,
@@ -444,6 +450,43 @@ class AutoZOffset:
         z = summarize(counted, settings.sampling.result)
         heights.check_correction(z)
         return z
+
+    ##################################################################
+    # AUTO_Z_TWIST
+    ##################################################################
+
+    cmd_AUTO_Z_TWIST_help = (
+        "Measure the probe's error along X (AXIS=Y: along Y)"
+    )
+
+    def cmd_AUTO_Z_TWIST(self, gcmd: GCodeCommand) -> None:
+        """Measure by how much the probe is wrong along an axis, and hand it to SAVE_CONFIG.
+
+        As options of the host's axis_twist_compensation; correction and offset stay.
+        """
+        host, settings = self.host, twist.settings_of(self.settings)
+        axis = twist.param_axis(gcmd)
+        count = twist.param_count(gcmd)
+        with host.as_command_error(gcmd):
+            twist.check_host(host, axis)
+            points = twist.points(host, settings, axis, count)
+        touches = 2 * settings.sampling.samples * count
+        with self.measuring(gcmd, touches, True, settings) as run:
+            run.prepare(points[0], settings.bed_spread)
+            corrections = []
+            for number, bed in enumerate(points, 1):
+                run.begin_at(bed)
+                result = run.cycle(probe_site(host, bed))
+                self.progress.say(formula(f"point {number} of {count}", result))
+                corrections.append(result.correction)
+            compensations = twist.compensations(corrections)
+        saved = twist.save(host, axis, points, compensations)
+        spread = max(corrections) - min(corrections)
+        gcmd.respond_info(
+            f"AUTO_Z_TWIST: the error of the probe differs by {spread:.3f} mm along"
+            f" {axis}: {saved}\n{options.SAVE_HINT}"
+        )
+        self._tell(twist.AFTERWARDS)
 
     ##################################################################
     # Commands about the correction

@@ -1,6 +1,7 @@
 """One command at the bed: prepare the sensor, touch with the nozzle and with the probe.
 
   prepare()      over the bed, prepare_gcode
+  begin_at()     at another point of the bed
   touch_bed()    the nozzle, until the sensor below the bed triggers
   touch_probe()  the inductive probe over the same point, by the host's own probing
   cycle()        both
@@ -151,6 +152,13 @@ class Run:
             self.expected = self.expectations.expected()
             self.probe_z = self.expectations.probe_z()
         self.go_to(self.next_point())
+
+    def begin_at(self, site: Site) -> None:
+        """Have the next touches be at another point, where the bed is about as high."""
+        self.site, self.touches, self.lowest_z = site, 0, None
+        if self.sensor_z is not None:
+            margin = heights.EXPECTED_MARGIN
+            self.expected = heights.expect_near(self.sensor_z, margin)
 
     ##################################################################
     # The nozzle on the bed

@@ -5,6 +5,7 @@ toolhead     Axes and Motion: limits, homed axes, motors of Z, moves, the probin
 endstops     Endstops: make, find and check the switch that stops a move
 probe        Probing: the printer's probe, its session, where its touches end
 transforms   Transforms: what mesh, tilt, heat and tools add to Z at a point
+twist        Twist: what axis_twist_compensation adds to heights of the probe
 gcode_state  GcodeState: the G-code offset, G92, G90 and G91
 own_probe    Installed: a probe of ours as the printer's
 gcode_moves  GcodeMoves: what moves of G-code pass

@@ -15,6 +15,7 @@ from .probe import Probing
 from .toolhead import Axes, Motion
 from .tools import Tools
 from .transforms import Transforms
+from .twist import Twist
 
 if TYPE_CHECKING:
     from .klippy import Config, GCode, GCodeCommand, Handler, Status, ToolHead
@@ -44,6 +45,7 @@ class Host:
         self.probing = Probing(config, self)
         self.transforms = Transforms(self)
         self.tools = Tools(self)
+        self.twist = Twist(self)
 
     def connect(self) -> None:
         """Look up what exists at klippy:connect."""

@@ -76,6 +76,7 @@ PROBING = {
         "AUTO_Z_HOME_Z",
         "AUTO_Z_MEASURE_OFFSET",
         "AUTO_Z_PROBE",
+        "AUTO_Z_TWIST",
     },
     "dockable_probe": {"PROBE"},
     "extra_probe": {
