@@ -30,7 +30,6 @@ from tools.kit.cases import all_slow_but, slow
 from tools.kit.docks import DOCK_SCENES, HANG
 from tools.kit.printer import Printer, module_files, saved_before
 from tools.kit.scenes import SCENES
-from tools.kit.z_calibration import refusal
 
 STEPS = 2 * MICROSTEP
 MEASURING = ("PROBE", "HOME_Z", "MEASURE_OFFSET", "CALIBRATE")
@@ -963,20 +962,6 @@ def test_height_that_a_switch_has_left_is_none(start):
     assert true_gap(printer) == pytest.approx(gap, abs=STEPS)
     printer.run("G28\nAUTO_Z_LOAD_OFFSET")
     assert true_gap(printer) == pytest.approx(gap, abs=STEPS)
-
-
-def test_same_pin_as_the_smart_effector_is_refused(host):
-    probe = dict(SCENES["qidi"].sections["probe"])
-    changes = {
-        "probe": None,
-        "smart_effector": {**probe, "recovery_time": "0"},
-        **section(pin="PF0"),
-    }
-    message = refusal(host, changes, "qidi")
-    assert (
-        "is the pin of section 'smart_effector'; remove that section" in message
-    )
-    assert "write [probe] with the pin of the inductive probe" in message
 
 
 OTHERS = '''
