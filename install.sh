@@ -39,7 +39,7 @@ branch=""           # what it follows there
 unregistrable=""    # why Moonraker cannot update it
 modules=""          # those to link or unlink
 folder=""           # where they belong: klippy/extras, or klippy/plugins
-git_prefix="-"      # of Klipper in its repository, - if it is in none
+has_git=""          # whether Klipper is a clone
 tracked=""          # files that are part of Klipper, each in a line
 confs=()            # the moonraker.conf files to change
 every_conf=()       # and all others, as their printers may be printing
@@ -158,10 +158,6 @@ parse() {
                 needs_value "$@" && given_confs+=("$2") && shift
                 ;;
             --modules) needs_value "$@" && given_modules=$2 && shift ;;
-            -n | -s)
-                needs_value "$@" && shift
-                note "-n and -s are ignored: every Klipper service is found"
-                ;;
             --no-moonraker) use_moonraker="" ;;
             --no-restart) use_restart="" ;;
             --dry-run) dry_run="DRY RUN" ;;
@@ -189,8 +185,6 @@ look_at_environment() {
     . "$here/installer/moonraker.sh"
     # shellcheck source=installer/services.sh
     . "$here/installer/services.sh"
-    [ -n "${HOME:-}" ] || fail "$ENVIRONMENT" "HOME is not set; run it as the" \
-        "user that Klipper runs as"
     [ "$(id -u)" -ne 0 ] || [ -n "$allow_root" ] ||
         fail "$ENVIRONMENT" "this runs as root or with sudo; run it as the" \
             "user that Klipper runs as, or, where that is root, with --allow-root"
@@ -240,7 +234,7 @@ locate_klipper() {
     [ ! -e "$klipper/klippy/plugins/__init__.py" ] || folder="klippy/plugins"
     if tracked=$(git -C "$klipper" ls-files -- klippy 2>"$scratch/git"); then
         tracked=$'\n'"$tracked"$'\n'
-        git_prefix=$(git -C "$klipper" rev-parse --show-prefix)
+        [ ! -e "$klipper/.git" ] || has_git=1
     elif [ -e "$klipper/.git" ]; then
         problem "$ENVIRONMENT" "git does not tell what is part of $klipper:" \
             "$(cat -- "$scratch/git")"

@@ -82,7 +82,7 @@ set_up_links() {
     else
         check_kalico
     fi
-    [ "$git_prefix" = - ] || set_up_exclude "$emptied"
+    [ -z "$has_git" ] || set_up_exclude "$emptied"
 }
 
 # Each Klipper in which links into this checkout stay when some are taken away
@@ -115,7 +115,7 @@ unlink_place() {
 # Two versions side by side fail in the middle of a command: all modules come
 # from the checkout that the folder comes from.
 check_one_checkout() {
-    local place other found="" unnamed="" name
+    local place other found="" unnamed=""
     for place in $(every_place); do
         other=$(other_checkout "$place")
         [ -n "$other" ] || continue
@@ -123,9 +123,6 @@ check_one_checkout() {
         ! is_chosen "$place" || [ -z "$force" ] || continue
         problem "$CONFLICT" "$klipper/$place is a link to another checkout of" \
             "this project, $other; its version and this one cannot be mixed"
-        name=${place##*/}
-        [ -e "$here/$name" ] || explain "This checkout has no $name. First:" \
-            "rm '$klipper/$place'"
         found=1
     done
     [ -z "$found" ] || explain "To change all of them to this checkout:" \
@@ -181,18 +178,14 @@ link() {
 }
 
 refuse_to_replace() {
-    local file="$klipper/$1" name=${1##*/} target="" updater=""
+    local file="$klipper/$1" name=${1##*/}
     if [ -L "$file" ]; then
-        target=$(readlink -f -- "$file")
-        updater=$(updater_of "$target")
         problem "$CONFLICT" "$file belongs to somebody else: it is a link to" \
-            "$target"
+            "$(readlink -f -- "$file")"
     else
         problem "$CONFLICT" "$file is no link, so this script has not made it"
     fi
     explain "$(difference "$name")"
-    [ -z "$updater" ] || explain "Its updates come by $updater, which is of no" \
-        "use any more once ours is there"
     explain "To change to ours: --force, which keeps a file or folder as" \
         "$name.bak- and the time; or rm -r '$file' and run this again"
     [ "$1" = "$SHARED" ] || explain "To leave it there: name the others with" \
@@ -211,18 +204,6 @@ difference() {
         *.py) say "What differs with ours is in $here/docs/migration.md" ;;
         *) say "Our modules need that of this checkout" ;;
     esac
-}
-
-# updater_of FILE: the section that updates it, and where that is
-updater_of() {
-    local conf file section option value
-    for conf in "${every_conf[@]}"; do
-        while IFS=$'\t' read -r file section option value; do
-            [ "${section%% *}/$option" = update_manager/path ] || continue
-            value=$(readlink -f -- "${value/#\~/$HOME}") || continue
-            [[ $1 != "$value"/?* ]] || say "[$section] in $file"
-        done < <(settings "$conf")
-    done
 }
 
 # Kalico does not start with two modules of one name, unless it is told to.
@@ -309,7 +290,7 @@ set_up_exclude() {
         ignored=$(git -C "$klipper" check-ignore -- "${wanted[@]}") || true
     for place in "${wanted[@]}"; do
         [[ $'\n'$ignored$'\n' = *$'\n'"$place"$'\n'* ]] ||
-            new+=$'\n'"/$git_prefix$place"
+            new+=$'\n'"/$place"
     done
     if [ -n "$new" ]; then
         if change append "$MARK$new" "$file" 2>/dev/null; then
@@ -325,13 +306,12 @@ set_up_exclude() {
 # empty line before it, where no line follows
 # shellcheck disable=SC2329 # called by change
 clean_exclude() {
-    awk -v gone="$2 " -v prefix="/$git_prefix" -v mark="$MARK" '
-        index($0, prefix) == 1 &&
-            index(gone, " " substr($0, length(prefix) + 1) " ") { next }
+    awk -v gone="$2 " -v mark="$MARK" '
+        /^\// && index(gone, " " substr($0, 2) " ") { next }
         { line[++n] = $0 }
         END {
             for (i = 1; i <= n; i++) {
-                if (index(line[i], mark) == 1 && index(line[i + 1], prefix) != 1) {
+                if (index(line[i], mark) == 1 && line[i + 1] !~ /^\//) {
                     if (kept && !length(shown[kept])) kept--
                     continue
                 }
