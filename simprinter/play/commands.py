@@ -109,15 +109,15 @@ def _press(watcher: Watcher, scene: Scene, words: list[str]) -> str:
 
 def _attach(watcher: Watcher, scene: Scene, words: list[str]) -> str:
     if scene.world.mag_probe is None:
-        raise CommandError("this printer has no probe to put on the head")
+        raise CommandError("this printer has no probe to put on the toolhead")
     watcher.machine.world.put_probe_on(watcher.seconds())
-    return "the probe is on the head"
+    return "the probe is on the toolhead"
 
 
 def _off(watcher: Watcher, scene: Scene, words: list[str]) -> str:
     _require_on_head(watcher, scene, "take off")
     watcher.machine.world.take_probe_off(watcher.seconds())
-    return "the probe is off the head; 'attach' puts it on again"
+    return "the probe is off the toolhead; 'attach' puts it on again"
 
 
 def _drop(watcher: Watcher, scene: Scene, words: list[str]) -> str:
@@ -130,7 +130,7 @@ def _require_on_head(watcher: Watcher, scene: Scene, what: str) -> None:
     if scene.world.mag_probe is None:
         raise CommandError(f"this printer has no probe to {what}")
     if watcher.machine.world.probe_state(watcher.seconds()) != "attached":
-        raise CommandError("the head does not carry the probe now")
+        raise CommandError("the toolhead does not carry the probe now")
 
 
 def _mm(text: str, low: float, high: float) -> float:
@@ -184,7 +184,7 @@ def _repair(watcher: Watcher, scene: Scene, words: list[str]) -> str:
 
 def _gap(watcher: Watcher, scene: Scene, words: list[str]) -> str:
     watcher.ask_gap()
-    return "the true gap, as soon as the head stands:"
+    return "the true gap, as soon as the toolhead stands:"
 
 
 def _speed(watcher: Watcher, scene: Scene, words: list[str]) -> str:
@@ -207,8 +207,8 @@ COMMANDS = {
     "short": Command("WIRE", "a wire touches ground", _short),
     "late": Command("WIRE MM", "a sensor gets slack", _late),
     "press": Command("WIRE", "press a switch by hand, let go", _press),
-    "attach": Command("", "put the probe on the head by hand", _attach),
-    "off": Command("", "take the probe off the head by hand", _off),
+    "attach": Command("", "put the probe on the toolhead by hand", _attach),
+    "off": Command("", "take the probe off the toolhead by hand", _off),
     "drop": Command("", "the probe falls off", _drop),
     "repair": Command("", "take all faults back", _repair),
     "lay": Command(

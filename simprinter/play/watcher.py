@@ -32,7 +32,7 @@ SITES = {
 _LOOK_EVERY = 5_000_000
 # Printer nanoseconds after which the machine is looked at, if nobody did
 _SETTLE_EVERY = 100_000_000
-# Printer nanoseconds for which the head has to stand before its Z counts, and
+# Printer nanoseconds for which the toolhead has to stand before its Z counts, and
 # real seconds between two questions for it
 _STANDS = 500_000_000
 _ASK_EVERY = 2.0
@@ -97,7 +97,7 @@ class Watcher:
         self._later.append((self.seconds() + seconds, action))
 
     def ask_gap(self) -> None:
-        """Tell the true gap as soon as the head stands."""
+        """Tell the true gap as soon as the toolhead stands."""
         self._gap.is_wanted = True
 
     def tell(self, text: str) -> None:
@@ -179,7 +179,7 @@ class _Contacts:
         self.done: deque[TouchDone] = deque(maxlen=MOST_TOUCHES)
         self._crashes: dict[tuple[str, str], float] = {}
         self._settled = machine.simulation.clock.now()
-        # What is pressed now: its touch, the lowest place of the head since
+        # What is pressed now: its touch, the lowest place of the toolhead since
         self._open: dict[str, tuple[Touch, float]] = {}
         self._looked = self._settled
 

@@ -33,6 +33,12 @@ _CORRECTION = "correction of the probe"
 _DEVIATION = "standard deviation"
 _CARDS = (
     (
+        r"^Z-CALIBRATION: probe=.*--> new offset=(-?[\d.]+)",
+        "new Z offset",
+        "",
+        3,
+    ),
+    (
         r"^Z-CALIBRATION: offset (-?[\d.]+)(?: \+-([\d.]+))? mm",
         *("new Z offset", "", 3),
     ),

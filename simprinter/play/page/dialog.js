@@ -2,13 +2,13 @@
 
 const LINE = /^\/\/ action:prompt_(\S+) *(.*)/;
 const END = 'RESPOND type="command" msg="action:prompt_end"';
-// Labels of buttons that move the head, and of the one that changes by how much
+// Labels of buttons that move the toolhead, and of the one that changes by how much
 const JOG = /^([XYZ])([+-])([\d.]+) mm$/;
 const STEPS = /^Steps of ([\d.]+) mm$/;
 const isOfPad = (text) => JOG.test(text.split("|")[0]) || STEPS.test(text.split("|")[0]);
 
 export class Dialog {
-  // `send` runs G-code. `turn` is told along which axis the head is to move: "x", "y",
+  // `send` runs G-code. `turn` is told along which axis the toolhead is to move: "x", "y",
   // or "" where none is asked for.
   constructor(card, send, turn) {
     Object.assign(this, { card, send, turn });
@@ -87,7 +87,7 @@ export class Dialog {
     return button;
   }
 
-  // The head is moved with a cross, Z beside it, and a chooser of the step.
+  // The toolhead is moved with a cross, Z beside it, and a chooser of the step.
   pad(jogs) {
     const pad = document.createElement("div");
     pad.className = "pad";

@@ -33,7 +33,8 @@ export class Hands {
   wire(wire, parts) {
     const isPin = parts.pin && parts.pin.signal === wire;
     const name = isPin ? "pin" : NAMES[wire] || wire;
-    const row = this.row(name, [["Press", `press ${wire}`], ["Break", `break ${wire}`], ["Short", `short ${wire}`], ["Slack 0.1 mm", `late ${wire} 0.1`]]);
+    const row = this.row(name, [["Press", `press ${wire}`], ["Break", `break ${wire}`], ["Short", `short ${wire}`], ["Late", `late ${wire} 0.1`]]);
+    row.lastChild.title = "triggers 0.1 mm too deep";
     row.firstChild.className = "lamp";
     row.dataset.wire = wire;
     this.lamps.set(wire, row.firstChild);

@@ -267,7 +267,7 @@ function showNext() {
     : !$("dialog").hidden ? "answer the question below."
     : terminal.failed ? "read the red line in the console. What you have broken, Repair everything mends."
     : work() ? "watch the pictures: the printer is at work."
-    : !isHomed() ? "press Home: the head looks for the ends of its axes."
+    : !isHomed() ? "press Home: the toolhead looks for the ends of its axes."
     : result.isShown ? "look at the true gap: it says how good the result is."
     : main ? `press ${main[0]}, and watch the true gap.`
     : "type G-code, and watch what really happens.";

@@ -1,10 +1,10 @@
 // The machine from the side: with the axis on which probe and nozzle lie apart, or the
-// one on which the head is to be moved.
+// one on which the toolhead is to be moved.
 
 import { clamp, clear, draw } from "./svg.js";
 
 const WIDTH = 640, HEIGHT = 470;
-// mm to either side of the head; mm below the bed and above the nozzle that are shown
+// mm to either side of the toolhead; mm below the bed and above the nozzle that are shown
 const AROUND = 62, BELOW = 13, ABOVE = 46;
 // What is further off than this (mm), seen in the other direction, is pale
 const NEAR = 14;
@@ -171,7 +171,7 @@ export class Side {
     }
   }
 
-  // One that the head does not carry, in a corner of the picture.
+  // One that the toolhead does not carry, in a corner of the picture.
   lying(words, isLost, bed) {
     const [x, y] = [WIDTH - 70, 60];
     const group = draw(this.svg, "g", { transform: `translate(${x} ${y}) rotate(${isLost ? 74 : 0})` });

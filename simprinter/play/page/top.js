@@ -1,4 +1,4 @@
-// The machine from above: the way of the head, and the last touches as dots.
+// The machine from above: the way of the toolhead, and the last touches as dots.
 
 import { SITES, clear, draw, set } from "./svg.js";
 

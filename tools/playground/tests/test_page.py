@@ -58,6 +58,9 @@ def calibrate(page):
         lambda: page.console().count("Z-CALIBRATION: offset ") > before,
         "a result",
     )
+    page.until(
+        lambda: "switch_offset=" in page.text("#result"), "how it was found"
+    )
     return float(
         re.match(r"new Z offset(-?[\d.]+) mm", page.text("#result"))[1]
     )
