@@ -76,6 +76,7 @@ def test_result_line_and_status_hold_the_heights(start):
             "spread": {"nozzle": None, "switch": None, "bed": None},
             "switch_nozzle": None,
         },
+        "movement": None,
         "phase": "idle",
         "progress": 0.0,
     }

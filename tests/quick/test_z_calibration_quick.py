@@ -4,9 +4,13 @@ from __future__ import annotations
 
 import pytest
 
+from simprinter import heated
 from tests.quick.runs import Run, go_well, go_wrong, ours, started
+from tools.kit.scenes import SCENES
 from tools.kit.z_calibration import MICROSTEP, section
 
+# It can heat its nozzle
+HEATED = heated(SCENES["voron"])
 # Of the host: what has moved the pin, and what end_gcode sets, is looked at
 GUARDED = {"G28", "RESTORE_GCODE_STATE", "SET_GCODE_OFFSET"}
 BESIDE = "G90\nG1 Z20 F900\nG1 X20 Y305 F6000\nG1 Z5 F900"
@@ -24,6 +28,8 @@ def has_report(printer):
 GOOD = [
     Run("CALIBRATE_Z_ACCURACY CYCLES=2", "one CALIBRATE_Z: +-"),
     Run("PROBE_Z_ACCURACY SAMPLES=2", "maximum 1.60"),
+    Run("Z_CALIBRATION_WAIT MAX=2", "it stands still after 2 minutes"),
+    Run("Z_CALIBRATION_NOZZLE_GROWTH", "0.0000 mm longer for each 100 C"),
     Run("CALIBRATE_Z", "--> new offset=0.16"),
     Run(
         "SET_GCODE_OFFSET Z_ADJUST=0.02\nZ_OFFSET_APPLY_PROBE",
@@ -58,6 +64,8 @@ BAD = [
     Run("CALIBRATE_Z", "nozzle: the Z endstop reads triggered", pressed),
     Run("CALIBRATE_Z_ACCURACY", "the Z endstop reads triggered"),
     Run("PROBE_Z_ACCURACY", "the Z endstop reads triggered"),
+    Run("Z_CALIBRATION_WAIT", "the Z endstop reads triggered"),
+    Run("Z_CALIBRATION_NOZZLE_GROWTH", "has no extruder"),
     Run("Z_OFFSET_APPLY_PROBE", "saves as ever", let_go, False),
     Run("Z_OFFSET_APPLY_ENDSTOP", "saves as ever", None, False),
 ]
@@ -67,7 +75,7 @@ BAD = [
     "the least that each host has to do: every command once"
 )
 def test_good_run_of_every_command(start):
-    printer = started(start, "voron", {})
+    printer = started(start, HEATED, {})
     # That one is for a macro in offset_gcode
     alone = {"Z_CALIBRATION_KEEP_OFFSET"}
     assert go_well(printer, GOOD) == ours(printer) - GUARDED - alone

@@ -66,7 +66,7 @@ DOCKED = {
 }
 CASES = {
     "z_calibration": (
-        Case("voron", {}, counted(z_calibration.GOOD)),
+        Case(z_calibration.HEATED, {}, counted(z_calibration.GOOD)),
         Case("voron", KEPT, [quick.Run("CALIBRATE_Z", "")]),
     ),
     "auto_z_offset": (

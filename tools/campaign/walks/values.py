@@ -74,6 +74,7 @@ OF_MACHINE = (
     "probe_z_min",
     "saved_homing_z",
     "max_temperature",
+    "nozzle_growth",
     "dock_fixed_z",
     "check_open_attach",
     "safe_dock_distance",

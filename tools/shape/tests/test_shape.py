@@ -70,6 +70,8 @@ PROBING = {
         "CALIBRATE_Z",
         "CALIBRATE_Z_ACCURACY",
         "PROBE_Z_ACCURACY",
+        "Z_CALIBRATION_NOZZLE_GROWTH",
+        "Z_CALIBRATION_WAIT",
     },
     "auto_z_offset": {
         "AUTO_Z_CALIBRATE",
