@@ -68,8 +68,10 @@ class Host:
         """
         wait_while = getattr(self.printer, "wait_while", None)
         if wait_while is not None:
-            # Kalico
-            wait_while(lambda eventtime: eventtime < time)
+            # Kalico, which would call a shutdown an interruption, too
+            wait_while(
+                lambda now: now < time and not self.printer.is_shutdown()
+            )
         reactor = self.printer.get_reactor()
         while self.eventtime() < time and not self.printer.is_shutdown():
             reactor.pause(min(time, self.eventtime() + WAIT_STEP))
