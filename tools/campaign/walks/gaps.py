@@ -41,6 +41,7 @@ CALIBRATED = re.compile(r"Z-CALIBRATION: probe=\S+ - ")
 CORRECTED = re.compile(r"AUTO_Z_CALIBRATE: .*probe_z_correction:")
 LOADED = re.compile(r"AUTO_Z_LOAD_OFFSET: probe_z_correction: .*is \S+ now")
 PUT_DOWN = re.compile(r"trigger=\S+ - z_offset=\S+ --> new offset=")
+PUT_DOWN_FIXED = re.compile(r"trigger=\S+ - switch_height=\S+ --> new offset=")
 # Of a gap that is not right, with or without its number
 TOLD = re.compile(r"WARNING|not taken off|is wrong by|holds no more")
 _POINT = re.compile(r"BED_POSITION=([-\d.]+),([-\d.]+)")
@@ -170,6 +171,27 @@ class Gaps:
             if not self._pending():
                 place = (membrane.x, membrane.y)
                 yield Promise("EXTRA_PROBE_CALIBRATE", place, gap, told)
+        elif shows(PUT_DOWN_FIXED) and "SAVE=1" not in script:
+            place = self._under_fixed()
+            if not self._pending():
+                gap = self._fixed_gap(place)
+                yield Promise("EXTRA_PROBE_CALIBRATE", place, gap, told)
+
+    def _under_fixed(self) -> Point:
+        """The point of the bed that a fixed switch's height is told of."""
+        own = self._configured("extra_probe membrane", "bed_xy_position")
+        x, y = (own or "").split(",")
+        return float(x), float(y)
+
+    def _fixed_gap(self, place: Point) -> float:
+        """What its owner's switch_height makes of Z=0, which a plate may belie."""
+        pin = self.printer.scene.world.pin
+        assert pin is not None
+        height = self.printer.scene.number(
+            "extra_probe membrane", "switch_height"
+        )
+        truth = self.printer.machine.truth
+        return truth.true_gap(*place, pin.z - height)
 
     def _of_calibration(self, script: str, told: float) -> Promise:
         status = self.printer.status("z_calibration")

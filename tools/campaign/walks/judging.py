@@ -199,6 +199,9 @@ class Judge:
         is_laid = self.printer.machine.world.membrane_is_laid
         if crash.site != "nozzle_bed" or is_laid or not is_looking:
             return False
+        if self.printer.scene.world.membrane is None:
+            # What is fixed is always there
+            return False
         return crash.depth <= self._deepest()
 
     def _deepest(self) -> float:
@@ -213,8 +216,9 @@ class Judge:
 
     @property
     def membrane(self) -> tuple[float, float]:
-        """The middle of what a membrane is laid on (mm)."""
-        spec = self.printer.scene.world.membrane
+        """The middle of what a membrane is laid on, or the fixed switch (mm)."""
+        world = self.printer.scene.world
+        spec = world.membrane or world.pin
         assert spec is not None
         return spec.x, spec.y
 

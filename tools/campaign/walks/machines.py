@@ -9,6 +9,7 @@ from typing import Any
 from simprinter.world import MeshSpec, TextureSpec
 from tools.kit.carrying import with_all
 from tools.kit.docks import DOCK_SCENES, on_generic
+from tools.kit.extra_probe import fixed_switch
 from tools.kit.scenes import SCENES, Options, Scene, on_gantry
 
 GENERIC = "generic_cartesian"
@@ -113,6 +114,7 @@ def _bases() -> dict[str, Scene]:
     for name in ("voron_two_boards", "qidi_two_boards", "piezo_cartesian"):
         found[name] = SCENES[name]
     found["membrane_and_probe"] = SCENES["membrane_and_probe"]
+    found["fixed_switch"] = fixed_switch()
     # Its Z switch lets the nozzle go below the bed: an owner homes beside it
     aside = {"home_xy_position": "-8, -2", "z_hop": "10"}
     for name in ("membrane", "membrane_two_boards"):

@@ -232,8 +232,12 @@ def gcode_of(printer: Owned) -> list[str]:
 
 
 def over_membrane(printer: Owned) -> str:
-    """The way to where it lies."""
-    spec = printer.scene.world.membrane
+    """The way to where it lies, or to the switch that is fixed."""
+    world = printer.scene.world
+    # Where there is no membrane, the pin is what [extra_probe] touches
+    spec = world.membrane or (
+        world.pin if printer.has("extra_probe membrane") else None
+    )
     return AWAY % (20, spec.x, spec.y) if spec else OVER_MEMBRANE
 
 

@@ -44,6 +44,17 @@ OWN: dict[str, dict[str, Sequence[Optional[str]]]] = {
         "clean_gcode": ("M117 x", "G91"),
         "error_gcode": ("M117 x", "G28 X"),
         "bed_spread": ("3",),
+        # As wide and as narrow as real ones are, tests/corpus; none that refuses
+        # what a healthy printer finds
+        "offset_margins": (
+            "-5, 5",
+            "-4, 4",
+            "-10, 10",
+            "-4, 6",
+            "-3, 1",
+            "-1.5, 1",
+            "-1, 1",
+        ),
     },
     "auto_z_offset": {
         # Down to where the nozzle is free, whatever hangs on the head
@@ -81,9 +92,9 @@ OF_MACHINE = (
     # Other names, and what follows from the machine
     "history",
     "history_runs",
-    "offset_margins",
     "max_deviation",
     "save_button",
+    "fixed",
     "z_current_factor",
 )
 # Numbers of which some are another way to go on, and words that only say how
