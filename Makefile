@@ -11,6 +11,7 @@
 #   make printer  a simulated printer to play with, in any web interface
 #   make faults   break something at every operation, draw printers at random
 #   make walks    any order of commands on any printer, the world as the judge
+#   make planted  single faults in the modules, and which tests find them
 #   make noop     which tests pass although no command of ours does anything
 #   make shape    how many functions and files each command runs through
 #   make test-firmware  the same commands on micro-controller programs of yours
@@ -40,6 +41,7 @@
 # SHAPE_ARGS           arguments for make shape, modules to set beside ours, such
 #                      as z_calibration=~/other/z_calibration.py
 # WALKS_ARGS           arguments for make walks, such as --count 1000 --seed 5
+# PLANTED_ARGS         arguments for make planted, such as --count 300 --seed 5
 # FAULTS_ARGS          arguments for make faults, such as --seed 7 or --pairs 2000
 
 PYTHON ?= python3
@@ -51,6 +53,7 @@ DEMO_ARGS ?=
 PRINTER_ARGS ?=
 FAULTS_ARGS ?=
 WALKS_ARGS ?=
+PLANTED_ARGS ?=
 SHAPE_ARGS ?=
 NOOP_ARGS ?= tests/modules
 export BUILD_DIR
@@ -65,7 +68,7 @@ COMPILE = import sys; [compile(open(f).read(), f, 'exec') for f in sys.argv[1:]]
 
 # Test files import each other as tests.*, from the root of the repository.
 .PHONY: test test-rest test-each test-all one test-firmware quick noop demo
-.PHONY: printer speed bench shape faults walks hosts prepared checked
+.PHONY: printer speed bench shape faults walks planted hosts prepared checked
 .PHONY: docs lint format tools update-pins clean
 
 test test-rest test-each test-all: checked
@@ -111,6 +114,9 @@ faults: prepared
 
 walks: prepared
 	$(TOOLS)/python -m tools.campaign.walks $(WALKS_ARGS)
+
+planted: prepared
+	ONE_HOST=1 $(TOOLS)/python -m tools.planted $(PLANTED_ARGS)
 
 hosts:
 	@$(PYTHON) -m simprinter.hosts.prepare

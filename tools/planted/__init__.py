@@ -1,0 +1,1 @@
+"""Single faults planted in the product: which tests find them? (make planted)"""
