@@ -12,7 +12,7 @@ import statistics
 from collections.abc import Iterable, Sequence
 
 import pytest
-from hypothesis import given
+from hypothesis import assume, given
 from hypothesis import strategies as st
 
 from tools.bench.coverage import (
@@ -203,6 +203,9 @@ def test_most_samples_count(samples, usual):
     """However they lie, and wherever."""
     kept = without_outliers(samples, usual)
     assert 2 * len(kept) > len(samples)
+    # One that is just as far as it may be is in or out by rounding
+    assume(kept == without_outliers(samples, usual * (1.0 + 1e-9)))
+    assume(kept == without_outliers(samples, usual * (1.0 - 1e-9)))
     moved = without_outliers([z + 1.0 for z in samples], usual)
     assert len(moved) == len(kept)
 
