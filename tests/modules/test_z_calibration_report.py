@@ -61,10 +61,12 @@ def test_it_is_another_process_that_gives_way(start, planted):
     )
     printer = start(modules=planted(program))
     printer.session.require_ready()
-    line = reported(printer, "19 [").partition("z_calibration: ")[2]
+    # From what klippy has itself, which is ours
+    nicest = str(min(os.nice(0) + 19, 19))
+    line = reported(printer, f"{nicest} [").partition("z_calibration: ")[2]
     nice, argument, facts = line.split()
     history = printer.session.data / "config" / "z_calibration/printer.jsonl"
-    assert (nice, argument) == ("19", f"['{history}']")
+    assert (nice, argument) == (nicest, f"['{history}']")
     # What klippy knows comes with it
     assert int(facts) > 1000
 

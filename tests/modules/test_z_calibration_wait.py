@@ -140,7 +140,7 @@ def test_growth_that_ends_is_seen_by_two_small_movements(start):
 
 
 def test_pin_that_is_met_lower_each_time_does_not_stand_still(start):
-    printer = homed(start, growing(nozzle=-0.02))
+    printer = homed(start, growing(nozzle=-0.025))
     lines = printer.run(f"{WAIT} MAX=2")
     assert "it still moves, by 0.02" in lines[-1]
     assert printer.status("z_calibration")["movement"] < -0.015
