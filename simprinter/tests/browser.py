@@ -5,11 +5,12 @@ from __future__ import annotations
 import shutil
 import time
 from collections.abc import Callable, Iterator
-from contextlib import contextmanager
+from contextlib import contextmanager, suppress
 from typing import Any, Optional
 
 import pytest
 from selenium import webdriver
+from selenium.common.exceptions import StaleElementReferenceException
 from selenium.webdriver.common.by import By
 from selenium.webdriver.common.keys import Keys
 from selenium.webdriver.remote.webdriver import WebDriver
@@ -53,10 +54,11 @@ class Page:
 
     def text(self, selector: str) -> str:
         """What stands in it, shown or not."""
-        # One script, as the page may draw it anew between finding and reading it
-        return self.value(
-            "document.querySelector(arguments[0]).textContent", selector
-        )
+        # No script: the browser keeps what it returns, and the console is long
+        while True:
+            # The page may draw it anew between finding and reading it
+            with suppress(StaleElementReferenceException):
+                return self.find(selector).get_property("textContent")
 
     def value(self, script: str, *arguments: Any) -> Any:
         """What a script in the page says."""

@@ -314,12 +314,12 @@ def test_hands_change_what_is_measured(port):
         page.do("plate 0")
         assert calibrate(page) == pytest.approx(first, abs=0.01)
         page.do("off")
-        page.until(lambda: "off the head" in page.text("#told"), "told")
+        page.until(lambda: "off the toolhead" in page.text("#told"), "told")
         page.run("CALIBRATE_Z", "!! z_calibration: ")
         page.do("drop")
-        page.until(lambda: "!! the head does not" in page.text("#told"), "told")
+        page.until(lambda: "!! the toolhead does not" in page.text("#told"), "told")
         page.do("attach")
-        page.until(lambda: "is on the head" in page.text("#told"), "told")
+        page.until(lambda: "is on the toolhead" in page.text("#told"), "told")
         page.do("dirt 0.05")
         page.until(lambda: "plastic" in page.text("#told"), "told")
         page.do("short x_endstop")
@@ -679,9 +679,9 @@ def test_set_up_from_nothing_by_buttons(port):
 # What hands do before a step's first button is pressed, and what is told then; what
 # they do after it
 BEFORE = {
-    "OFF": ("off", "off the head"),
-    "PROBE": ("attach", "on the head"),
-    "GAP": ("off", "off the head"),
+    "OFF": ("off", "off the toolhead"),
+    "PROBE": ("attach", "on the toolhead"),
+    "GAP": ("off", "off the toolhead"),
 }
 AFTER = {"PIN": "press z_endstop", "PROBE": "press probe"}
 
