@@ -326,19 +326,22 @@ def test_touches_of_a_failed_try_are_no_noise(start, tmp_path):
     assert uncertainty(fault) == pytest.approx(uncertainty(), abs=1e-6)
 
 
-@pytest.mark.parametrize("retries", ["0", "1"])
+@pytest.mark.parametrize("retries", ["0", "1", "2"])
 def test_pin_of_its_own_is_where_the_try_before_has_met_it(start, retries):
     """Otherwise nobody knows in the first run how high it stands."""
     faults = [
         Fault(
             "trigger_never", site="probe_bed", touch=2, command="CALIBRATE_Z"
         ),
-        Fault(
-            "trigger_never",
-            site="nozzle_pin",
-            touch=5,
-            command="CALIBRATE_Z",
-            strikes="may",
+        *(
+            Fault(
+                "trigger_never",
+                site="nozzle_pin",
+                touch=touch,
+                command="CALIBRATE_Z",
+                strikes="may",
+            )
+            for touch in (5, 6)
         ),
     ]
     own = changes(retries)

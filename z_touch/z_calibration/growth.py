@@ -196,6 +196,7 @@ class NozzleGrowth:
         extruder, target = self.host.extruder(), self.host.nozzle_target()
 
         def heat_back() -> None:
+            """Have the target of before."""
             self.host.heat(extruder, target)
 
         with command.always(self.host, heat_back, "the heater's target"):

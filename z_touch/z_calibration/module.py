@@ -551,7 +551,11 @@ class ZCalibration:
                     result = self.touch_all(run, self.user_gcode)
                 finally:
                     self.cleaned = run.cleaned
-                    self.tried = run.nozzle, run.body
+                    # A try that met nothing leaves what the one before it has met
+                    self.tried = (
+                        nozzle if run.nozzle is None else run.nozzle,
+                        body if run.body is None else run.body,
+                    )
                 if result is not None:
                     last = self._last_run(run, result, z_adjust)
                     self.results.note(last)
