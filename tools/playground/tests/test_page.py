@@ -317,7 +317,9 @@ def test_hands_change_what_is_measured(port):
         page.until(lambda: "off the toolhead" in page.text("#told"), "told")
         page.run("CALIBRATE_Z", "!! z_calibration: ")
         page.do("drop")
-        page.until(lambda: "!! the toolhead does not" in page.text("#told"), "told")
+        page.until(
+            lambda: "!! the toolhead does not" in page.text("#told"), "told"
+        )
         page.do("attach")
         page.until(lambda: "is on the toolhead" in page.text("#told"), "told")
         page.do("dirt 0.05")
