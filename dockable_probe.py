@@ -17,7 +17,7 @@
 #   fetch   approach_position --> D --> extract_position, with the probe
 #   dock    insert_position --> D --> detach_position, which strips it off
 #
-# On every other way the head goes around the circle of safe_dock_distance.
+# On every other way the toolhead goes around the circle of safe_dock_distance.
 #
 #           \_/ ........         nozzle
 #               [p]    :         body of the probe

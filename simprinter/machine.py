@@ -198,7 +198,7 @@ class Machine:
         return self.world.truth
 
     def near(self) -> list[Near]:
-        """What is below the parts of the head now, and whether it is pressed."""
+        """What is below the parts of the toolhead now, and whether it is pressed."""
         now = self.simulation.clock.now()
         self.rig.settle(now)
         return self.world.near(self.rig.seconds(now), self.rig.pose(now))
@@ -213,9 +213,9 @@ class Machine:
     ) -> float:
         """The true nozzle-to-bed gap that G-code Z=0 stands for, mm.
 
-        z: the G-code Z (mm) at which the head stands now, by order of the
+        z: the G-code Z (mm) at which the toolhead stands now, by order of the
         last finished move. xy: over which point of the bed, world frame
-        (default: where the head is). Known from the motors' steps alone.
+        (default: where the toolhead is). Known from the motors' steps alone.
         """
         tip = self.tip()
         x, y = (tip.x, tip.y) if xy is None else xy

@@ -130,7 +130,7 @@ class Attached:
         moved = max(abs(here[0] - x), abs(here[1] - y))
         if moved > touch.NO_TRAVEL and not goes_on:
             raise CalibrationError(
-                "the probe was docked, and the head did not come back from"
+                "the probe was docked, and the toolhead did not come back from"
                 f" X={here[0]:.3f} Y={here[1]:.3f} to X={x:.3f} Y={y:.3f}; move it to"
                 " where it is to touch, and begin again"
             )

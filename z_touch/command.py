@@ -89,7 +89,7 @@ def check_no_pause(host: Host) -> None:
     """Raise CalibrationError while a print is paused: it stands where we would go."""
     if host.print_state() == "paused":
         raise CalibrationError(
-            "a print is paused, and the head would go across it; end it first"
+            "a print is paused, and the toolhead would go across it; end it first"
             " (CANCEL_PRINT)"
         )
 

@@ -591,7 +591,7 @@ PROBE_OPTIONS = (
         NUMBER,
         2.0,
         "mm",
-        "How far the head is lifted between two touches, in mm.",
+        "How far the toolhead is lifted between two touches, in mm.",
         above=0.0,
     ),
     option(

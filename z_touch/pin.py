@@ -32,7 +32,7 @@ Point = Tuple[float, float]
 # Two options of [z_calibration], which other sections look at
 NOZZLE_POSITION = options.site_option(
     "nozzle_xy_position",
-    "X, Y of the head, in mm, when the nozzle is above the middle of the metal pin."
+    "X, Y of the toolhead, in mm, when the nozzle is above the middle of the metal pin."
     " The default is home_xy_position of [safe_z_home]; there is none with"
     " endstop_pin.",
 )

@@ -123,7 +123,7 @@ def check_reach(host: Host, site: Site, remedy: str, shift: str = "") -> None:
     for axis, xy, (low, high) in zip("XY", site[1:3], host.axes.limits()):
         if not low <= xy <= high:
             raise CalibrationError(
-                f"{site.origin} needs the head at {axis}={xy:.3f}{shift}, outside its"
+                f"{site.origin} needs the toolhead at {axis}={xy:.3f}{shift}, outside its"
                 f" {low:.3f} to {high:.3f}; {remedy}"
             )
 
@@ -312,14 +312,14 @@ class Head:
         z = self.host.motion.z()
         if z <= floor:
             raise CalibrationError(
-                f"the head is at z={z:.3f}, this touch ends at z={floor:.3f} already;"
+                f"the toolhead is at z={z:.3f}, this touch ends at z={floor:.3f} already;"
                 f" {self.remedy}"
             )
 
     def _pressed(self, start_z: float, end_z: float, trigger_z: float) -> float:
         if start_z - end_z <= NO_TRAVEL:
             raise CalibrationError(
-                f"triggered at z={start_z:.3f} before the head moved: the sensor was"
+                f"triggered at z={start_z:.3f} before the toolhead moved: the sensor was"
                 " pressed or is not attached"
             )
         self.pressed_z = trigger_z

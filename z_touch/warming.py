@@ -64,11 +64,11 @@ def wanted_of(gcmd: GCodeCommand) -> Wanted:
     )
 
 
-def sampling_of(sampling: Sampling) -> Sampling:
-    """Return how the place is touched each time: what varies must not end the wait."""
+def sampling_of(sampling: Sampling, tolerance: float) -> Sampling:
+    """Return how the place is touched each time; touches may differ by 'tolerance' (mm)."""
     return sampling._replace(
         samples=max(sampling.samples, LEAST_SAMPLES),
-        tolerance=float("inf"),
+        tolerance=tolerance,
         result="median",
     )
 

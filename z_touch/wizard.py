@@ -38,10 +38,8 @@ READ_INTERVAL = 0.1
 
 # Sentences of dialogs
 STOP = "Keep a hand on the emergency stop."
-JOGS = "The buttons move the head; you may move it as you like, too."
-PAD = (
-    "'Move' shows buttons that move the head; you may move it as you like, too."
-)
+JOGS = "The buttons move the toolhead; you may move it as you like, too."
+PAD = "'Move' shows buttons that move the toolhead; you may move it as you like, too."
 DONE = "'Done' shows the answers; nothing moves."
 SAVED = "'Save' has SAVE_CONFIG write these into printer.cfg; Klipper restarts."
 
@@ -299,7 +297,7 @@ class Wizard:
         texts = [line for text in filled for line in text.split("\n") if line]
         if late:
             texts = [
-                "The head is not there yet.",
+                "The toolhead is not there yet.",
                 f"'{step.go_on}': {late}, then this is asked again.",
             ]
         texts[-1:-1] = filter(None, notes)
@@ -375,7 +373,7 @@ class Wizard:
         told += [f"{button.label}: {button.gcode}" for button in buttons]
         if step.axes:
             moved = self.gcode(step.axes[0], f"+{step.widths[-2]:g}")
-            told.append(f"move the head: {moved}")
+            told.append(f"move the toolhead: {moved}")
         self.host.say("\n".join(told))
 
     def _button(self, answer: Answer) -> Button:
@@ -528,7 +526,7 @@ def judge(readings: Sequence[Tuple[bool, bool]]) -> str:
 def head_at(position: Sequence[float]) -> str:
     """Say where the toolhead is (mm), for a dialog."""
     x, y, z = position[:3]
-    return f"The head is at X={x:.1f} Y={y:.1f} Z={z:.2f}."
+    return f"The toolhead is at X={x:.1f} Y={y:.1f} Z={z:.2f}."
 
 
 def jogged(
@@ -547,7 +545,7 @@ def jogged(
     """
     if abs(distance) > LARGEST_JOG:
         raise CalibrationError(
-            f"{axis}={distance:g}: the head is moved by {LARGEST_JOG:g} mm at"
+            f"{axis}={distance:g}: the toolhead is moved by {LARGEST_JOG:g} mm at"
             " most; take smaller steps"
         )
     low, high = limits

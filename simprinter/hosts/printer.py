@@ -148,7 +148,7 @@ class RunningPrinter:
     def gap(self, xy: tuple[float, float]) -> float:
         """True nozzle-to-bed gap that G-code Z=0 stands for, mm.
 
-        Moves the head above it, so the answer comes from steps alone. xy:
+        Moves the toolhead above it, so the answer comes from steps alone. xy:
         over which point.
         """
         x, y = xy

@@ -69,7 +69,7 @@ def test_the_way_out_decides(initial, way, after):
     assert events(driver) == (kinds[after] if changed else [])
 
 
-# In a dock that goes up and down with the head, and is left along Y both times
+# In a dock that goes up and down with the toolhead, and is left along Y both times
 @pytest.mark.parametrize(
     ("stroke", "after"),
     [
@@ -202,7 +202,7 @@ def test_senses_follow_the_probe():
     driver.go(20.0, 280.0)
     driver.go(z=20.0)
     driver.go(*IN_DOCK)
-    # Joined: the head has contact to the probe, which still is in the dock
+    # Joined: the toolhead has contact to the probe, which still is in the dock
     assert senses() == (False, True, True)
     driver.go(**WAYS["approach"])
     assert senses() == (False, True, False)

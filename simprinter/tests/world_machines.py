@@ -72,7 +72,7 @@ def make(spec: WorldSpec, *faults: Fault, seed: int = 1) -> World:
 
 
 class Driver:
-    """Moves a head in straight lines, 5 ms per commit, like the board."""
+    """Moves a toolhead in straight lines, 5 ms per commit, like the board."""
 
     def __init__(self, world: World, speed: float = 100.0) -> None:
         self.world = world

@@ -47,7 +47,7 @@ class Holder:
         return self._state if t >= self._since else self._before
 
     def held(self, t: float) -> bool:
-        """Whether the probe is at the head at time t."""
+        """Whether the probe is at the toolhead at time t."""
         state = self._state if t >= self._since else self._before
         return state is ProbeState.ATTACHED
 
@@ -74,7 +74,7 @@ class Holder:
 
 
 class Dock:
-    """Watches the head pass through the dock's reach."""
+    """Watches the toolhead pass through the dock's reach."""
 
     __slots__ = (
         "_approach",
@@ -95,10 +95,10 @@ class Dock:
         self._approach = _unit(spec.approach)
         self._release = _unit(spec.release)
         self._cosine = math.cos(math.radians(spec.cone))
-        # Up (1) or down (-1) in it strips off where it goes with the head, else 0
+        # Up (1) or down (-1) in it strips off where it goes with the toolhead, else 0
         is_upright = spec.lifted and not any(self._release[:2])
         self._stroke = self._release[2] if is_upright else 0.0
-        # Whether that was done in this visit: the head is not joined any more
+        # Whether that was done in this visit: the toolhead is not joined any more
         self._is_stripped = False
         self._spec = spec
         # The output that swings it out, None where it stands still
@@ -116,7 +116,7 @@ class Dock:
         return self.swing is not None and self.swing.lasts(t) < self._spec.swing
 
     def reaches(self, t: float, pose: Sequence[float]) -> bool:
-        """Whether a head at `pose` is joined with a probe in the dock."""
+        """Whether a toolhead at `pose` is joined with a probe in the dock."""
         return self._is_out(t) and self._is_near(pose) and not self._is_stripped
 
     def _is_near(self, pose: Sequence[float]) -> bool:
@@ -132,7 +132,7 @@ class Dock:
         return math.dist(pose, self._middle)
 
     def depth(self, t: float, pose: Sequence[float]) -> float:
-        """How deep (mm) a head at `pose` is in what holds the probe."""
+        """How deep (mm) a toolhead at `pose` is in what holds the probe."""
         spec = self._spec
         dx, dy = pose[0] - spec.x, pose[1] - spec.y
         depth = spec.body - math.hypot(dx, dy)
@@ -158,7 +158,7 @@ class Dock:
         return depth
 
     def _strips(self, pose: Sequence[float]) -> bool:
-        """Whether a head went so far up or down in it that the probe came off."""
+        """Whether a toolhead went so far up or down in it that the probe came off."""
         if not self._stroke:
             return False
         if self._innermost is None or self._distance(pose) > self._reach / 2:
@@ -262,7 +262,7 @@ class Keeper:
         return self._holder.at(t)
 
     def held(self, t: float) -> bool:
-        """Whether the head carries the probe at time t."""
+        """Whether the toolhead carries the probe at time t."""
         return self._holder.held(t)
 
     def connected(self, t: float, pose: Sequence[float]) -> bool:
@@ -273,7 +273,7 @@ class Keeper:
         return state is ProbeState.ATTACHED
 
     def in_dock(self, t: float, pose: Sequence[float]) -> bool:
-        """Whether the probe sits in the dock, joined with the head or not."""
+        """Whether the probe sits in the dock, joined with the toolhead or not."""
         state = self._holder.at(t)
         if state is ProbeState.ATTACHED and self._dock is not None:
             return self._dock.reaches(t, pose)
@@ -294,7 +294,7 @@ class Keeper:
         return None if self._dock is None else self._dock.swing
 
     def dock_depth(self, t: float, pose: Sequence[float]) -> float:
-        """How deep (mm) a head at `pose` is in the dock's body."""
+        """How deep (mm) a toolhead at `pose` is in the dock's body."""
         return 0.0 if self._dock is None else self._dock.depth(t, pose)
 
     def ask(self, t: float, wanted: ProbeState, delay: float) -> None:
@@ -334,7 +334,7 @@ class Keeper:
             self._change(t, ProbeState.LOST, 0.0)
 
     def lose(self, t: float) -> None:
-        """It falls off at time t, not before now, if the head has it then."""
+        """It falls off at time t, not before now, if the toolhead has it then."""
         if self._holder.held(t):
             self._holder.change(t, ProbeState.LOST, 0.0)
 
@@ -344,12 +344,12 @@ class Keeper:
             self._holder.change(t, self._at_first, 0.0)
 
     def put_on(self, t: float) -> None:
-        """Somebody puts it on the head, wherever it was."""
+        """Somebody puts it on the toolhead, wherever it was."""
         if not self._holder.held(t):
             self._change(t, ProbeState.ATTACHED, 0.0)
 
     def take_off(self, t: float) -> None:
-        """Somebody takes it off the head and lays it where it is kept."""
+        """Somebody takes it off the toolhead and lays it where it is kept."""
         if self._holder.held(t):
             self._change(t, ProbeState.DOCKED, 0.0)
 

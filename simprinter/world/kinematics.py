@@ -10,7 +10,7 @@ those of klippy's chelper/kin_*.c:
     hybrid_corexy  x = x - y    y = y        z = z
     hybrid_corexz  x = x - z    y = y        z = z
 
-Several Z motors carry one stiff gantry: the head's z is the height, at the
+Several Z motors carry one stiff gantry: the toolhead's z is the height, at the
 head's XY, of the least squares plane through the motors' heights (exact for
 three).  Motors on one line, two being the usual case, fix the tilt along that
 line only; across it the gantry stays level.
@@ -23,7 +23,7 @@ from typing import Callable, Mapping, NamedTuple, Sequence, Tuple
 
 # (name, x, y) of the place where a Z motor holds the gantry
 ZMotor = Tuple[str, float, float]
-# A motor's share in the head's height, as constant, per-x and per-y terms
+# A motor's share in the toolhead's height, as constant, per-x and per-y terms
 Weight = Tuple[str, float, float, float]
 
 

@@ -50,7 +50,7 @@ class Line:
         sites: Sequence[Tracked] = (),
         held: Callable[[float], bool] = lambda t: False,
     ) -> None:
-        """held: whether the head carries the probe at a time."""
+        """held: whether the toolhead carries the probe at a time."""
         self.name = name
         self.latency = latency
         self.sites = tuple(sites)
@@ -82,7 +82,7 @@ class Line:
             site.mend()
 
     def level(self, t: float, pose: Sequence[float]) -> bool:
-        """Level at time t for a head at `pose`; changes nothing."""
+        """Level at time t for a toolhead at `pose`; changes nothing."""
         if t >= self._stuck[0]:
             return self._stuck[1]
         if self._awaited:
@@ -144,7 +144,7 @@ class Line:
                     faults.touched(site.name)
 
     def _sticks(self, t: float, pose: Sequence[float]) -> Optional[Fault]:
-        """The fault that a head at `pose` would have it stick by."""
+        """The fault that a toolhead at `pose` would have it stick by."""
         # Times of clocks are rounded
         if t < self._since - _ROUNDING:
             return None

@@ -41,7 +41,7 @@ class Ooze:
         self._set(t, height)
 
     def observe(self, t: float, pose: Sequence[float]) -> None:
-        """The head is at `pose`, perhaps at the brush."""
+        """The toolhead is at `pose`, perhaps at the brush."""
         spec = self._spec
         if spec is None or not spec.radius:
             return

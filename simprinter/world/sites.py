@@ -1,7 +1,7 @@
-"""Places where the head can meet something, each reduced to one height.
+"""Places where the toolhead can meet something, each reduced to one height.
 
 A contact height is the Pose.z (mm, world frame) at which a presser first meets
-its counterpart, for a head at (x, y) at time t; None where there is nothing to
+its counterpart, for a toolhead at (x, y) at time t; None where there is nothing to
 meet.  It includes thermal growth, so it compares with motor positions.
 
     nozzle tip     Pose.z - nozzle growth
@@ -86,7 +86,7 @@ class Tracked:
     def is_below(
         self, t: float, pose: Sequence[float], held: Callable[[float], bool]
     ) -> bool:
-        """Whether a head that goes on from `pose` may meet it."""
+        """Whether a toolhead that goes on from `pose` may meet it."""
         return True
 
     def reports(self, state: TouchState, beyond: float) -> bool:
@@ -122,11 +122,11 @@ class Tracked:
 
 
 class Site(Tracked):
-    """One presser of the head meeting one counterpart from above.
+    """One presser of the toolhead meeting one counterpart from above.
 
     contact_z: see the module; top: no contact above this Pose.z when cold
     press: mm from first contact to the trigger
-    carried: needs the probe at the head
+    carried: needs the probe at the toolhead
     """
 
     __slots__ = ("carried", "contact_z", "press", "top")
@@ -148,7 +148,7 @@ class Site(Tracked):
     def is_below(
         self, t: float, pose: Sequence[float], held: Callable[[float], bool]
     ) -> bool:
-        """Whether the head has this presser, above its counterpart."""
+        """Whether the toolhead has this presser, above its counterpart."""
         x, y, _ = pose
         is_there = not self.carried or held(t)
         return is_there and self.contact_z(x, y, t) is not None
@@ -173,7 +173,7 @@ class Finding(NamedTuple):
 
 
 class Near(NamedTuple):
-    """How far the head is from something below it.
+    """How far the toolhead is from something below it.
 
     distance: mm to the first contact; negative: so far into it
     pressed: the touch of now has triggered
@@ -235,7 +235,7 @@ class ContactSensor:
     def near(
         self, t: float, pose: Sequence[float], held: bool
     ) -> Iterator[Near]:
-        """What of it is below a head at `pose`; changes nothing."""
+        """What of it is below a toolhead at `pose`; changes nothing."""
         x, y, z = pose
         for site in self.sites:
             if held or not site.carried:
@@ -248,7 +248,7 @@ class ContactSensor:
     ) -> list[Finding]:
         """Take over the new pose; returns what happened at each site.
 
-        held: the probe is at the head; moved: XY mm since the last commit.
+        held: the probe is at the toolhead; moved: XY mm since the last commit.
         Contact is physical; what a fault reports only counts as met.
         """
         x, y, z = pose

@@ -261,12 +261,12 @@ class DockSpec(Spec):
 
     x, y, z: nozzle position at which head and docked probe meet, mm
     reach: radius around it within which they are joined, mm
-    approach: direction in which a head leaves to take the probe along
-    release: direction in which a head leaves to strip the probe off
+    approach: direction in which a toolhead leaves to take the probe along
+    release: direction in which a toolhead leaves to strip the probe off
     cone: degrees by which leaving may differ from those directions
-    lifted: it goes up and down with the head, so z does not matter; with a release of
-        straight up or down a head that moves so by `reach` in it strips the probe off
-    body: radius around it, mm, in which the head hits something, except in
+    lifted: it goes up and down with the toolhead, so z does not matter; with a release of
+        straight up or down a toolhead that moves so by `reach` in it strips the probe off
+    body: radius around it, mm, in which the toolhead hits something, except in
         lanes this wide to either side along approach, release and `lanes`
     top: mm over z to which that something reaches
     swing: seconds that a servo, on the output "dock_swing", needs to swing it
@@ -312,7 +312,7 @@ class InductiveSpec(Spec):
     """A probe that senses the plate from a distance.
 
     sense_distance: height of the cold nozzle tip over the plate's surface
-    below the probe, mm, at which it triggers, with the head at X=0.
+    below the probe, mm, at which it triggers, with the toolhead at X=0.
     twist: mm that it hangs lower for each mm of X, on an axis that is twisted
     bend: and mm for each mm of X squared, on one that is twisted more at its end
     twist_y: mm that it hangs lower for each mm of Y
@@ -329,7 +329,7 @@ class InductiveSpec(Spec):
     _POSITIVE = ("sense_distance",)
 
     def roll(self, x: float, y: float) -> float:
-        """How much lower it hangs with the head there, mm."""
+        """How much lower it hangs with the toolhead there, mm."""
         return (self.twist + self.bend * x) * x + self.twist_y * y
 
 
@@ -451,7 +451,7 @@ class WorldSpec(Spec):
     overtravel: mm a presser may go beyond the trigger of pin, bed sensor or
     membrane; allowed_drag: mm of XY travel allowed in one contact.
     probe_sense, dock_sense: whether the board can see those states.
-    z_play: mm by which the head may hang lower than the Z motors say, anywhere
+    z_play: mm by which the toolhead may hang lower than the Z motors say, anywhere
     within at each touch.
     """
 

@@ -7,7 +7,7 @@ height of that moment (noise and thermal growth included).  Sites:
     probe_bed    probe plunger on the plate     body_bed  its body on the plate
     nozzle_bed   nozzle tip on the plate        nozzle_membrane
     inductive_bed, and the axis switches by their signal names
-    dock         the head in what holds the probe
+    dock         the toolhead in what holds the probe
 """
 
 from __future__ import annotations

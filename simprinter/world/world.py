@@ -151,7 +151,7 @@ class World:
         return swing is None or swing.on(t)
 
     def lose_probe(self, t: float) -> None:
-        """The probe falls off the head at time t, where it is carried."""
+        """The probe falls off the toolhead at time t, where it is carried."""
         if self._keeper is not None:
             self._keeper.lose(t)
 
@@ -161,12 +161,12 @@ class World:
             self._keeper.bring_back(t)
 
     def put_probe_on(self, t: float) -> None:
-        """Somebody puts the probe on the head at time t."""
+        """Somebody puts the probe on the toolhead at time t."""
         if self._keeper is not None:
             self._keeper.put_on(t)
 
     def take_probe_off(self, t: float) -> None:
-        """Somebody takes the probe off the head at time t."""
+        """Somebody takes the probe off the toolhead at time t."""
         if self._keeper is not None:
             self._keeper.take_off(t)
 
@@ -197,7 +197,7 @@ class World:
         return self._ooze.height(t)
 
     def near(self, t: float, pose: Sequence[float]) -> list[Near]:
-        """What is below the parts of a head at `pose`; changes nothing."""
+        """What is below the parts of a toolhead at `pose`; changes nothing."""
         held = self._keeper is not None and self._keeper.held(t)
         return [
             near
@@ -223,7 +223,7 @@ class World:
         self.expect_faults()
 
     def observe(self, t: float, pose: Sequence[float]) -> None:
-        """Commit that the head is at `pose` at time t, in order of time."""
+        """Commit that the toolhead is at `pose` at time t, in order of time."""
         if t < self._last_t:
             raise ValueError(f"observe: t={t!r} is before {self._last_t!r}")
         x, y, z = pose

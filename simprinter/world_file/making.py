@@ -9,7 +9,7 @@ from typing import NamedTuple, Optional
 from ..printer_cfg import PrinterCfg
 from .wiring import kinematics_of
 
-# mm that the head stands off an endstop at first: the way there proves nothing
+# mm that the toolhead stands off an endstop at first: the way there proves nothing
 _AWAY = 20.0
 _AWAY_Z = 10.0
 # mm that the bed is below a switch that Z homes on
@@ -134,7 +134,7 @@ def _bed(cfg: PrinterCfg, axes: dict[str, _Axis]) -> str:
         )
     return f"""\
 # printer.cfg does not say how large the bed is, how it lies, or what shape it
-# has. A guess: it is as large as the head goes, level and flat.
+# has. A guess: it is as large as the toolhead goes, level and flat.
 {note}\
 [bed]
 x_min_world_mm = {max(0.0, x.low):g}

@@ -12,7 +12,7 @@ from ..world import make_kinematics
 from .reading import WorldFile
 
 _PLAIN = ("cartesian", "corexy", "corexz", "hybrid_corexy", "hybrid_corexz")
-# A slow axis or a limit changes nothing of how motors move the head
+# A slow axis or a limit changes nothing of how motors move the toolhead
 _LIMITED = re.compile(r"limited_(cartesian|corexy|corexz)")
 # The order in which klippy numbers the motors at the corners of a gantry, as
 # (index of the corner for x, for y): front left, back left, back right, front

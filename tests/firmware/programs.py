@@ -177,7 +177,7 @@ def record(printer: RunningPrinter, script: str) -> Record:
     except GcodeError as error:
         end = [f"!! {error}"]
     if session.state()[0] == "ready":
-        # A refused command may still lift the head
+        # A refused command may still lift the toolhead
         printer.run("M400")
     session.wait(0.5)
     return Record(

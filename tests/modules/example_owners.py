@@ -366,7 +366,7 @@ def euclid() -> Owner:
 
 
 def cartesian() -> Owner:
-    """The dock is at the left, and lifting the head leaves the probe in it."""
+    """The dock is at the left, and lifting the toolhead leaves the probe in it."""
     spot = dock(-6.0, 118.0, 20.0, take=RIGHT, leave=UP)
     scene = _machine(
         "cartesian",

@@ -140,7 +140,7 @@ def test_way_down_of_the_probe(start, before, params, options, above):
     # Kalico has a move of no length before a touch
     at_place = [z for x, y, z in ends if [x, y] == list(PROBE_PLACE)]
     there = [z for z, _ in groupby(at_place)]
-    # The head arrives, goes down quickly, and is lifted
+    # The toolhead arrives, goes down quickly, and is lifted
     quick = [] if above is None else [result.probe + above]
     assert there[1:-1] == pytest.approx(quick, abs=0.02)
 

@@ -209,7 +209,7 @@ def test_floor_leaves_room_to_brake(start, speed, accel, below):
     assert len(notes) == (1 if below == 1.000 else 0)
     for note in notes:
         assert f"speed {speed} is limited to 9.49 mm/s on the bed" in note
-        assert "with 50 mm/s^2 the head could not stop" in note
+        assert "with 50 mm/s^2 the toolhead could not stop" in note
 
 
 def test_speed_of_the_probe(start):
@@ -688,11 +688,11 @@ NO_Z_AXIS = {
         ),
         (
             section(bed_xy_position="10, 100"),
-            ["with the probe above it, needs the head at X=-7.600"],
+            ["with the probe above it, needs the toolhead at X=-7.600"],
         ),
         (
             section(bed_xy_position="100, -1"),
-            ["with the probe above it, needs the head at Y=-5.400"],
+            ["with the probe above it, needs the toolhead at Y=-5.400"],
         ),
     ],
 )
@@ -847,7 +847,7 @@ def test_touch_without_a_trigger_names_speed_first(start, options, names):
 
 @pytest.mark.parametrize("z_offset", ["4.5", slow("6")])
 def test_probe_that_is_longer_than_the_hop(start, z_offset):
-    """It was triggered where the head travels, and Klipper asked to check it."""
+    """It was triggered where the toolhead travels, and Klipper asked to check it."""
     probe = replace(
         SCENES["qidi"].world.inductive, sense_distance=float(z_offset)
     )

@@ -171,7 +171,7 @@ def test_probe_where_the_head_is(start):
     (line,) = told(lines, "AUTO_Z_PROBE: at X:60.000 Y:180.000")
     z = float(line.split("z=")[1])
     assert z == pytest.approx(there, abs=STEPS)
-    # The trigger, not the halt position below it; the head is up again
+    # The trigger, not the halt position below it; the toolhead is up again
     assert printer.status("auto_z_offset")["last_z"] == pytest.approx(z)
     position = printer.status("toolhead")["position"]
     assert position[2] == pytest.approx(z + 5.0, abs=1e-6)
@@ -331,11 +331,13 @@ def test_what_are_no_baby_steps_is_not_saved(start, script, words):
     assert saved == pytest.approx(printer.offset())
 
 
-# What is printed already stands where the head would go
+# What is printed already stands where the toolhead would go
 def test_nothing_goes_across_a_paused_print(start, tmp_path):
     printer = paused(start, tmp_path, "qidi")
     at = printer.session.position()
-    told = "a print is paused, and the head would go across it; end it first"
+    told = (
+        "a print is paused, and the toolhead would go across it; end it first"
+    )
     assert told in printer.fail("AUTO_Z_CALIBRATE")
     assert printer.session.position() == at
     printer.run("CANCEL_PRINT\nAUTO_Z_CALIBRATE")

@@ -54,7 +54,7 @@ def before_and_after(printer, script="AUTO_Z_CALIBRATE"):
 
 
 def assert_lifted(printer):
-    """The head is well above the bed."""
+    """The toolhead is well above the bed."""
     tip = printer.machine.tip()
     gap = printer.machine.truth.true_gap(tip.x, tip.y, tip.z)
     assert gap > 3.6

@@ -113,7 +113,7 @@ def test_point_of_a_command_stays_one(start):
     [
         (
             {"bed_spread": "3", "bed_xy_position": "243, 120"},
-            "Option 'bed_spread: 3' in section 'auto_z_offset' needs the head at",
+            "Option 'bed_spread: 3' in section 'auto_z_offset' needs the toolhead at",
         ),
         ({"bed_spread": "20.1"}, "must have maximum of 20"),
         ({"bed_spread": "-1"}, "must have minimum of 0"),

@@ -252,17 +252,17 @@ def test_section_is_missing(host):
     [
         (
             {"calibrate_end_x": "250"},
-            "Point 5 of 5 in section 'axis_twist_compensation' needs the head at"
+            "Point 5 of 5 in section 'axis_twist_compensation' needs the toolhead at"
             " X=250.000, outside its",
         ),
         (
             {"calibrate_start_x": "10"},
             "Point 1 of 5 in section 'axis_twist_compensation', with the probe above"
-            " it, needs the head at X=-7.600, outside its",
+            " it, needs the toolhead at X=-7.600, outside its",
         ),
         (
             {"calibrate_y": "-2"},
-            "with the probe above it, needs the head at Y=-6.400, outside its",
+            "with the probe above it, needs the toolhead at Y=-6.400, outside its",
         ),
         (
             {"calibrate_end_x": "20"},
@@ -285,7 +285,7 @@ def test_spread_around_a_point_that_is_out_of_reach(host):
     with Printer(host, "qidi", changes) as printer:
         text = refused(printer.homed())
     assert (
-        "'bed_spread: 5' in section 'auto_z_offset' needs the head at X=24"
+        "'bed_spread: 5' in section 'auto_z_offset' needs the toolhead at X=24"
         in text
     )
     assert "; change calibrate_start_x, calibrate_end_x, calibrate_y" in text

@@ -111,7 +111,7 @@ def test_corrected_probe_on_a_twisted_axis(host, home):
 )
 def test_new_twist_is_told(host):
     correction = {"probe_z_correction": "-1.12"}
-    # The head has to reach both ends with the probe
+    # The toolhead has to reach both ends with the probe
     heights = (20 * TWIST, 200 * TWIST)
     changes = compensation(host, "qidi", 20, 200, *heights)
     changes["safe_z_home"] = {"home_xy_position": "%g, %g" % FAR}

@@ -94,12 +94,12 @@ def test_bed_on_three_screws_is_levelled(start):
     before = len(printer.machine.truth.events)
     printer.run("Z_TILT_ADJUST\nG28 Z")
     assert trips(printer, before) == ["attach", "dock"] * 2
-    # Level; the simulated probe does not lean with the head
+    # Level; the simulated probe does not lean with the toolhead
     gaps = [printer.gap(point) for point in ((60.0, 40.0), (240.0, 240.0))]
     assert gaps[0] == pytest.approx(gaps[1], abs=0.005)
     printer.run("ATTACH_PROBE\nZ_TILT_ADJUST\nG28 Z\nDETACH_PROBE")
     assert trips(printer, before) == ["attach", "dock"] * 3
-    # Z of dock_position is what the head is higher there
+    # Z of dock_position is what the toolhead is higher there
     printer.run("G1 X150 Y150 Z5\nMOVE_TO_APPROACH_PROBE")
     assert printer.session.position() == pytest.approx((44, 200, WAY + 8))
     assert printer.machine.truth.min_gap > HANG - 2.5
@@ -152,7 +152,7 @@ def test_probe_that_is_pressed_until_the_head_has_gone_up_is_there(start):
     printer = start(SWITCH, changes).homed()
     printer.run("ATTACH_PROBE\nG90\nG1 X150 Y150 F6000")
     printer.run(down_by_force(HANG - 0.2))
-    # The pin is read while the head goes up, and again when it is there.
+    # The pin is read while the toolhead goes up, and again when it is there.
     printer.run("G1 Z20 F600\nPROBE")
     assert where(printer) == "attached"
 

@@ -1,4 +1,4 @@
-"""Where [dockable_probe] takes the head: to the very point, and on which way."""
+"""Where [dockable_probe] takes the toolhead: to the very point, and on which way."""
 
 from __future__ import annotations
 
@@ -61,7 +61,7 @@ def last_touch(printer, site):
     return touches[-1].x, touches[-1].y
 
 
-# Z goes down where the head was put
+# Z goes down where the toolhead was put
 
 
 @pytest.mark.parametrize("restore", ["True", "False"])
@@ -128,7 +128,7 @@ def test_no_way_down_into_the_dock_where_fetching_has_left_the_head(
     printer.machine.truth.require_no_crash()
 
 
-# Whatever the owner wants of the head: the host goes on from where it has probed
+# Whatever the owner wants of the toolhead: the host goes on from where it has probed
 @pytest.mark.parametrize("restore", ["True", "False"])
 def test_paper_is_put_where_the_probe_was(start, restore):
     printer = started(start, SWITCH, restore_toolhead=restore).homed()
@@ -172,7 +172,7 @@ def test_no_homing_across_the_dock_where_docking_has_left_the_head(start):
 
 
 # Straight before the dock homing goes into it; beside it, where docking has left
-# the head, it does not.  It went 0.0 mm deep, and 2.8 where the dock is swung away.
+# the toolhead, it does not.  It went 0.0 mm deep, and 2.8 where the dock is swung away.
 @pytest.mark.parametrize("scene", [SWITCH, SERVO], ids=lambda s: s.name)
 @pytest.mark.parametrize(
     ("script", "is_moved"),
@@ -214,7 +214,7 @@ def test_nothing_is_touched_where_docking_has_left_the_head(start):
     printer.run("G1 X150 Y150 Z20 F6000\nPROBE")
     touches = len(printer.machine.truth.touches)
     text = printer.fail("PROBE")
-    assert "the head stands beside the dock; move it to where" in text
+    assert "the toolhead stands beside the dock; move it to where" in text
     assert len(printer.machine.truth.touches) == touches
     printer.run("G1 X150 Y150 F6000\nPROBE")
     assert len(printer.machine.truth.touches) == touches + 1
@@ -231,7 +231,7 @@ def test_nothing_is_touched_in_the_dock(start):
     printer.run("G1 Z20\nMOVE_TO_DOCK_PROBE")
     touches = len(printer.machine.truth.touches)
     text = printer.fail("PROBE")
-    assert "the head stands in the dock (X=50.000 Y=308.000)" in text
+    assert "the toolhead stands in the dock (X=50.000 Y=308.000)" in text
     assert len(printer.machine.truth.touches) == touches
     # What only fetches it ends beside the dock
     printer.run("ATTACH_PROBE")
@@ -377,7 +377,7 @@ def test_into_the_dock_from_where_the_head_stands(start):
     printer.run("MOVE_TO_EXTRACT_PROBE\nMOVE_TO_INSERT_PROBE")
     assert moves(printer, "MOVE_TO_DOCK_PROBE") == [(50.0, 308.0, 20.0)]
     printer.run("MOVE_TO_EXTRACT_PROBE\nG1 X150 Y150\nM400")
-    # From elsewhere by what hangs on the head now
+    # From elsewhere by what hangs on the toolhead now
     ends = moves(printer, "MOVE_TO_DOCK_PROBE")
     assert (35.0, 273.0, 20.0) in ends
     printer.run("MOVE_TO_DETACH_PROBE\nM400")

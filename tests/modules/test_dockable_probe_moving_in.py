@@ -165,7 +165,7 @@ def test_part_by_part_the_dock_is_brought_out_and_put_away(start):
     assert_safe(printer)
 
 
-# What brings the dock out depends on what hangs on the head
+# What brings the dock out depends on what hangs on the toolhead
 def test_part_by_part_with_each_of_the_options(start):
     options = {
         f"{when}_{what}_gcode": f"\n  RESPOND MSG={when}_{what}"
@@ -215,7 +215,7 @@ def test_homing_from_in_the_dock(start, scene, command):
 
 
 def open_switch(start):
-    """A switch that is normally open, and a sensor on the head."""
+    """A switch that is normally open, and a sensor on the toolhead."""
     options = {"check_open_attach": "False", "dock_sense_pin": None}
     return started(
         start,
@@ -240,7 +240,7 @@ def closed_switch(start):
     [
         # In the dock when homing leaves it
         f"{steps('DOCK')}\nM400\nG28 Z",
-        # Still on the head when the last command is read
+        # Still on the toolhead when the last command is read
         f"{steps('DOCK', 'DETACH')}\n{AROUND}\nG28 Z",
     ],
 )
@@ -275,7 +275,7 @@ def test_docking_of_what_queued_moves_have_fetched(start):
 
 # What has changed on the way in and out is believed, as that of a trip is, and what
 # has not is as it was known: the way to this dock is not known, and nobody is asked
-# whether it hangs on the head.
+# whether it hangs on the toolhead.
 @pytest.mark.slow
 @pytest.mark.parametrize(
     "way", [steps("DOCK", "EXTRACT", "DOCK", "DETACH"), steps("DOCK", "DETACH")]
@@ -287,7 +287,7 @@ def test_parts_of_the_way_prove_what_a_trip_does(start, way):
     assert trips(printer) == (trip * 2 if "EXTRACT" in way else trip)
 
 
-# With a broken wire it reads docked on the head, and where it has got back, too
+# With a broken wire it reads docked on the toolhead, and where it has got back, too
 @pytest.mark.slow
 @pytest.mark.parametrize(
     "way",

@@ -112,7 +112,7 @@ def test_missing_option_is_told_or_has_a_default(host: Host, row):
         ({"detach_position": "50, 308"}, "'detach_position' in section"),
         (
             {"detach_position": "50, 250"},
-            "0 degrees apart: the probe would stay on the head",
+            "0 degrees apart: the probe would stay on the toolhead",
         ),
         ({"dock_fixed_z": "False"}, "dock_position needs the Z of the dock"),
         ({"dock_position": "50, 311"}, "'dock_position' in section"),
@@ -431,7 +431,7 @@ def test_detach_gcode_may_strip_it_off(start):
 def test_way_that_may_not_strip_it_off(start):
     printer = recording(start, detach_position="70, 270")
     lines = "\n".join(printer.session.console)
-    assert "28 degrees apart: the probe may stay on the head" in lines
+    assert "28 degrees apart: the probe may stay on the toolhead" in lines
 
 
 def test_no_word_about_a_way_that_does(start):
@@ -450,7 +450,7 @@ def test_dock_where_the_mesh_is(start):
     )
     printer.homed()
     lines = "\n".join(printer.session.console)
-    assert "dock_position (150, 150) lies where the head goes" in lines
+    assert "dock_position (150, 150) lies where the toolhead goes" in lines
 
 
 CROSSES = {"restore_toolhead": "False", "detach_position": "10, 308"}
@@ -458,11 +458,11 @@ CROSSES = {"restore_toolhead": "False", "detach_position": "10, 308"}
 
 @pytest.mark.parametrize("right", ["", *CROSSES])
 def test_left_where_homing_goes_across_the_dock(start, right):
-    # X is homed to the right, and nobody knows after a restart where the head is
+    # X is homed to the right, and nobody knows after a restart where the toolhead is
     own = {name: value for name, value in CROSSES.items() if name != right}
     lines = "\n".join(start(SWITCH, section(**own)).homed().session.console)
     note = (
-        "leaves the head at detach_position (10, 308), from where homing X and Y"
+        "leaves the toolhead at detach_position (10, 308), from where homing X and Y"
         " after a restart goes across the dock"
     )
     assert (note in lines) is not bool(right)
@@ -577,7 +577,7 @@ def test_sense_pins(start, options, words):
     assert printer.run("GET_PROBE_STATUS")[1].split(": ")[-1] == words
 
 
-# Each with the probe in the dock and on the head.  Open as if it were on the head,
+# Each with the probe in the dock and on the toolhead.  Open as if it were on the toolhead,
 # TRIGGERED as if it were not: 'pin' has a veto, beside others, if it is asked.
 @pytest.mark.parametrize(
     ("asked", "stuck", "docked", "attached"),
@@ -617,7 +617,7 @@ def test_pin_that_reads_open_in_the_dock_is_told(start):
 
 
 def test_gantry_homes_with_a_hop_of_its_own(start):
-    # Nobody else lifts the head: the probe has to clear the bed
+    # Nobody else lifts the toolhead: the probe has to clear the bed
     changes = {"safe_z_home": None}
     printer = start(GANTRY, changes)
     printer.session.require_ready()

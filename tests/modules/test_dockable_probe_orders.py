@@ -175,7 +175,7 @@ def test_first_layer_at_once(start, tmp_path, delayed):
     require_printed(printer)
 
 
-# What leaves the probe on the head, the file, and allow_delayed_detach
+# What leaves the probe on the toolhead, the file, and allow_delayed_detach
 LEFT_ON = {
     "forgotten": ("ATTACH_PROBE", FIRST_LAYER, "False"),
     "forgotten, motors off": (
@@ -188,7 +188,7 @@ LEFT_ON = {
 }
 
 
-TOLD = "the probe may be on the head (pin reads open), and may meet"
+TOLD = "the probe may be on the toolhead (pin reads open), and may meet"
 
 
 @pytest.mark.parametrize(
@@ -252,7 +252,7 @@ def test_print_does_not_go_on_with_the_probe(start, tmp_path, resume, z):
 
 # Sent line by line, or by a macro, there is no print that the host knows of
 def test_macro_goes_down_before_the_probe_is_docked(start):
-    # G-code of the dock's begins from where the head is
+    # G-code of the dock's begins from where the toolhead is
     own = {
         **QUICK,
         "allow_delayed_detach": "True",
@@ -293,7 +293,7 @@ def test_own_gcode_of_a_trip_meets_no_mode_and_leaves_none(start):
     assert not status["absolute_extrude"]
 
 
-# What takes the head down, with a probe that was fetched to stay
+# What takes the toolhead down, with a probe that was fetched to stay
 DOWN = {
     "G1": "G1 Z5",
     "G91": "G91\nG1 Z-15",
@@ -313,7 +313,7 @@ def test_probe_that_is_kept_is_not_taken_down(start, down):
     before = printer.session.position()
     text = printer.fail(DOWN[down])
     assert (
-        "dockable_probe: the probe may be on the head (pin reads open), and"
+        "dockable_probe: the probe may be on the toolhead (pin reads open), and"
         in text
     )
     assert text.endswith("run DETACH_PROBE first")
@@ -446,7 +446,7 @@ def test_way_down_with_a_frame_that_grows(start, tmp_path):
     printer.machine.truth.require_no_crash()
 
 
-# What has probed leaves the head as high as that; and a mesh lifts it
+# What has probed leaves the toolhead as high as that; and a mesh lifts it
 @pytest.mark.parametrize("retract", ["0.5", "1", "2"])
 def test_head_goes_on_from_where_it_has_probed(start, retract):
     own = {**QUICK, "sample_retract_dist": retract}
@@ -612,7 +612,7 @@ def test_print_leaves_the_probe_without_trips(start, tmp_path):
     assert where(printer) == "attached"
 
 
-# Afterwards nobody would find the dock, and homing goes on from where the head is
+# Afterwards nobody would find the dock, and homing goes on from where the toolhead is
 @pytest.mark.slow
 @pytest.mark.parametrize("end", ["M84", "SAVE_CONFIG"])
 @pytest.mark.parametrize(

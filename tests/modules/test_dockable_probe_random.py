@@ -70,7 +70,7 @@ def docks(draw):
         body=min(20.0, 0.6 * radius),
         lane=3.0,
     )
-    # The probe reaches the bed wherever the head gets
+    # The probe reaches the bed wherever the toolhead gets
     bed = replace(
         GANTRY.world.bed, x_min=-50.0, y_min=-50.0, x_max=400.0, y_max=400.0
     )
@@ -112,7 +112,7 @@ def fetch_touch_and_dock(host, scene, places):
             printer.homed()
             run(printer, places)
         except GcodeError as error:
-            # The head is in a corner behind the circle, or asked into the dock
+            # The toolhead is in a corner behind the circle, or asked into the dock
             words = ("no way from", "is in the dock; MOVE_TO_DOCK_PROBE")
             if not any(text in str(error) for text in words):
                 raise

@@ -25,7 +25,7 @@ from tools.kit.z_calibration import with_moves
 
 CENTRE = "G1 X150 Y150 Z20 F6000\n"
 SAME = {"detach_position": "50, 250"}
-TOLD = "0 degrees apart: the probe would stay on the head"
+TOLD = "0 degrees apart: the probe would stay on the toolhead"
 
 
 # Both ways the same in X and Y
@@ -212,7 +212,7 @@ def test_set_up_where_a_stroke_was_before(start):
 
 
 def test_homing_override_goes_where_it_likes(start):
-    # Z is made up: 0 where the head is, so the bed is lower than that
+    # Z is made up: 0 where the toolhead is, so the bed is lower than that
     gcode = (
         "\n  G90\n  G1 Z15 F900\n  G28 X Y\n  ATTACH_PROBE\n  G1 X150 Y130 F6000"
         "\n  G1 Z6 F600\n  G28 Z\n  DETACH_PROBE"

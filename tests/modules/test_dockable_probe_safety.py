@@ -35,7 +35,7 @@ DETACH = (90.0, 308.0)
 
 
 def at(printer):
-    """Where the head stands, X and Y."""
+    """Where the toolhead stands, X and Y."""
     printer.session.wait(1.0)
     return printer.session.position()[:2]
 
@@ -61,7 +61,7 @@ def with_probe(scene, **changes):
 
 @pytest.mark.parametrize("way", HOMING)
 def test_stuck_open_before_the_first_homing(start, way):
-    # As if the probe were on the head for ever: the classical crash
+    # As if the probe were on the toolhead for ever: the classical crash
     fault = Fault("stuck_open", signal="probe", t=0.0)
     printer = ready(start(GANTRY, HOMING[way][0], faults=[fault]))
     text = printer.fail("G28")
@@ -141,9 +141,10 @@ def test_fetching_that_fails(start, has_probed):
     assert "the probe was not fetched, it is DOCKED (pin reads TRIGGERED)" in (
         text
     )
-    assert "in the dock it has to meet the head at dock_position" in text
+    assert "in the dock it has to meet the toolhead at dock_position" in text
     assert (
-        "where it hangs on the head, a wire is broken, so take it off" in text
+        "where it hangs on the toolhead, a wire is broken, so take it off"
+        in text
     )
     assert trips(printer).count("attach_failed") == 3
     assert len(printer.machine.truth.touches) == before
@@ -171,7 +172,7 @@ def test_docking_that_fails(start):
 
 
 def test_pin_that_chatters_while_the_head_moves(start):
-    # It is read on the way back, and again when the head stands still
+    # It is read on the way back, and again when the toolhead stands still
     printer = start(SWITCH, section(**QUICK)).homed()
     printer.run("G1 X150 Y150 Z20 F6000\nM400")
     machine, session = printer.machine, printer.session
@@ -312,7 +313,7 @@ def test_switch_that_dies_at_a_touch(start, command, touch, level):
     assert printer.machine.truth.min_gap > lowest - 0.1
 
 
-# As QUAD_GANTRY_LEVEL between two G28 does: the head is where it was said to
+# As QUAD_GANTRY_LEVEL between two G28 does: the toolhead is where it was said to
 # be, or said to be somewhere else
 @pytest.mark.parametrize("script", ["G1 Z60", "SET_KINEMATIC_POSITION Z=2"])
 def test_switch_that_dies_before_z_is_homed_again(start, script):
@@ -362,7 +363,7 @@ def test_touch_elsewhere_is_no_height_of_the_bed_where_z_is_homed(start):
 def test_stuck_closed_at_the_first_homing(start):
     fault = Fault("stuck_closed", site="probe_bed", command="G28")
     printer = ready(start(GANTRY, faults=[fault]))
-    assert "triggered before the head moved" in printer.fail("G28")
+    assert "triggered before the toolhead moved" in printer.fail("G28")
     assert printer.status("toolhead")["homed_axes"] == ""
 
 
@@ -446,12 +447,12 @@ def test_template_that_raises(start, option, state, head):
     printer.run("SET_GCODE_VARIABLE MACRO=ON VARIABLE=on VALUE=1")
     assert "no" in printer.fail("PROBE")
     # The way out of the dock is only queued when the error comes: hosts differ
-    # in how far the head has got by then.
+    # in how far the toolhead has got by then.
     printer.run("M400")
     assert where(printer) == state
     if head is not None:
         assert at(printer) == pytest.approx(head)
-    # The last one runs where the head was before
+    # The last one runs where the toolhead was before
     lowest = CLEAR if option == "deactivate_gcode" else HANG - 0.2
     assert printer.session.position()[2] > lowest - 0.01
     assert_safe(printer)
@@ -476,7 +477,7 @@ def test_head_that_moves_where_it_must_not(start, name):
     changes = section(**{f"{name}_gcode": "\n  G91\n  G1 Z1\n  G90"}, **QUICK)
     printer = start(SWITCH, changes).homed()
     printer.run("G1 X150 Y150 Z20 F6000")
-    assert f"the head moved in {name}_gcode" in printer.fail("PROBE")
+    assert f"the toolhead moved in {name}_gcode" in printer.fail("PROBE")
     assert_safe(printer)
 
 
@@ -508,7 +509,7 @@ def test_not_homed(start, name):
         assert "Must home" in printer.fail("PROBE")
 
 
-# Where nobody knows Z the head was lifted for the dock, and went down since: the
+# Where nobody knows Z the toolhead was lifted for the dock, and went down since: the
 # probe was dragged along the bed
 
 
@@ -566,7 +567,7 @@ def test_emergency_stop_at_a_touch(start):
     printer.stopped("PROBE", "probe_bed", 0.3)
     printer.session.restart("FIRMWARE_RESTART")
     printer.run("G28\nG1 X150 Y150 Z20 F6000\nPROBE")
-    # It was on the head: docked and fetched to see that it changes
+    # It was on the toolhead: docked and fetched to see that it changes
     assert trips(printer) == ["attach", "dock", "attach", "dock"]
 
 

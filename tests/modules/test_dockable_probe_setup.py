@@ -107,7 +107,7 @@ def test_the_same_typed(start):
     lines = "\n".join(run(SETUP))
     # Whoever has no dialogs is told what to type, and how to see the rest
     assert f"; Next: {SETUP} STEP=ON; all that it asks: {SETUP}" in lines
-    assert "// Put the probe on the head by hand." not in lines
+    assert "// Put the probe on the toolhead by hand." not in lines
     run(f"{SETUP} STEP=ON")
     user.go("X50 Y270", "Y308")
     lines = "\n".join(run(f"{SETUP} STEP=DOCK"))
@@ -115,7 +115,7 @@ def test_the_same_typed(start):
     lines = "\n".join(run(SETUP))
     assert f"Here: {SETUP} STEP=OUT" in lines
     assert f"Back: {SETUP} STEP=OUT ANSWER=BACK" in lines
-    assert f"move the head: {SETUP} STEP=OUT X=+1" in lines
+    assert f"move the toolhead: {SETUP} STEP=OUT X=+1" in lines
     for _ in range(4):
         run(f"{SETUP} STEP=OUT X=10")
     run(f"{SETUP} STEP=OUT")
@@ -172,7 +172,7 @@ def test_what_does_not_fit_is_asked_again(start):
     # The same way
     user.go("X95")
     assert "this is the way out without the probe" in user.refused("Here")
-    assert "Y=30: the head is moved by 10 mm at most" in printer.fail(
+    assert "Y=30: the toolhead is moved by 10 mm at most" in printer.fail(
         f"{SETUP} STEP=APPROACH Y=30"
     )
     assert "Z stays as it is here" in printer.fail(f"{SETUP} STEP=APPROACH Z=1")
@@ -242,7 +242,7 @@ def test_place_is_not_taken_where_the_motors_are_off(start, step):
     assert user.step() == step
     user.printer.run("M84")
     text = user.refused("Here")
-    assert "not homed: X, Y; nobody knows where the head is" in text
+    assert "not homed: X, Y; nobody knows where the toolhead is" in text
     assert "by hand, and home (G28 X Y)" in text
     assert user.step() == step
 
@@ -315,7 +315,7 @@ def test_way_around_the_dock_fits_what_was_found(start, given, place, wanted):
     assert where(user.printer) == "docked"
 
 
-# It goes up and down with the head, which is so much higher there
+# It goes up and down with the toolhead, which is so much higher there
 def test_z_of_a_dock_at_the_height_of_the_head_is_kept(start):
     placed = {
         name: FRAME.sections["dockable_probe"][name]
@@ -342,7 +342,7 @@ def test_z_of_a_dock_at_the_height_of_the_head_is_kept(start):
     assert user.dialog().text.count("200.000, 8.000") == 1
 
 
-# In the dock one tells that it is on the head, the other that it is docked
+# In the dock one tells that it is on the toolhead, the other that it is docked
 @pytest.mark.parametrize(
     "options",
     [
@@ -381,7 +381,9 @@ def test_sensor_that_says_nothing_in_the_dock(start, signal, words):
     find(user, until="DOCK")
     user.printer.machine.break_down(Fault("stuck_open", signal=signal, t=0.0))
     text = user.refused("Here")
-    assert "the probe is not on the head and in the dock at once (pin " in text
+    assert (
+        "the probe is not on the toolhead and in the dock at once (pin " in text
+    )
     assert words in text
     wanted = (
         "probe_sense_pin TRIGGERED, dock_sense_pin TRIGGERED, pin open; the"

@@ -100,7 +100,7 @@ def front(scene=SCENE):
 
 
 # start_gcode, before_switch_gcode and end_gcode; the nozzle is touched with the
-# probe on the head only where start_gcode says so
+# probe on the toolhead only where start_gcode says so
 HOOKS = {
     "none": (None, None, None),
     "start": ("ATTACH_PROBE", None, None),
@@ -186,7 +186,7 @@ def test_probe_is_docked_after_an_error_in_end_gcode(start):
 def test_cycles_with_the_probe_on_need_it_on(start):
     command = "CALIBRATE_Z_ACCURACY CYCLES=2 ATTACH=0"
     printer = start(front()).homed()
-    assert "ATTACH=0 needs the probe on the head" in printer.fail(command)
+    assert "ATTACH=0 needs the probe on the toolhead" in printer.fail(command)
     assert where(printer) == "docked"
     printer = start(SCENE, hooks_of("start")).homed()
     printer.run(command)

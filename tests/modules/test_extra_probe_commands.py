@@ -357,7 +357,9 @@ def test_floor_is_not_below_the_axis(start):
 def test_head_that_is_below_the_floor_already(start):
     printer = start("membrane", changes=section(position_min="3")).homed()
     text = printer.fail("G1 Z2\nEXTRA_PROBE PROBE=membrane")
-    assert "the head is at z=2.000, this touch ends at z=3.000 already" in text
+    assert (
+        "the toolhead is at z=2.000, this touch ends at z=3.000 already" in text
+    )
 
 
 def test_no_twist_compensation(start):
@@ -369,7 +371,7 @@ def test_no_twist_compensation(start):
     }
     printer = laid(start, "membrane_and_probe", changes=changes)
     z = result(printer.run(PROBE))
-    # The head stands where it was when the membrane triggered
+    # The toolhead stands where it was when the membrane triggered
     assert z == pytest.approx(printer.session.position()[2], abs=0.1)
 
 
@@ -443,7 +445,7 @@ def test_deactivation_after_a_failed_touch(start, each):
 @pytest.mark.parametrize("each", ["true", slow("false")])
 def test_template_that_moves_or_fails(start, option, each):
     for code, words in (
-        ("G91\n  G1 Z0.5\n  G90", f"the head moved in {option}"),
+        ("G91\n  G1 Z0.5\n  G90", f"the toolhead moved in {option}"),
         ("NO_SUCH_COMMAND_OF_MINE\n  {action_raise_error('worn')}", "worn"),
     ):
         own = {option: f"\n  {code}", "deactivate_on_each_sample": each}
@@ -610,7 +612,7 @@ def test_generic_cartesian(start, host):
             "membrane",
             {"xy_position": "300, 20"},
             "Option 'xy_position: 300,20' in section 'extra_probe membrane'"
-            " needs the head at X=300.000, outside its -13.000 to 220.000",
+            " needs the toolhead at X=300.000, outside its -13.000 to 220.000",
         ),
         (
             "membrane",
@@ -679,5 +681,5 @@ def test_head_below_the_lowest_point_has_no_floor_to_give(start, command):
     printer = start("membrane", changes=section(position_min="5")).homed()
     printer.run("G90\nG1 Z4 F600")
     text = printer.fail(f"{command} PROBE=membrane")
-    assert "the head is at z=4.000, this touch ends at z=5.000" in text
+    assert "the toolhead is at z=4.000, this touch ends at z=5.000" in text
     assert "begin higher up" in text and "FLOOR" not in text

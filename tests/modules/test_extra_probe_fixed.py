@@ -414,7 +414,10 @@ def test_lowest_point_over_the_switch(start):
 @pytest.mark.parametrize(
     ("changes", "words"),
     [
-        (section(xy_position=None), "needs xy_position: X, Y of the head when"),
+        (
+            section(xy_position=None),
+            "needs xy_position: X, Y of the toolhead when",
+        ),
         (
             section(bed_xy_position=None),
             "needs bed_xy_position, the point of the bed that the probe is to",

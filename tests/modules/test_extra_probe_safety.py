@@ -62,7 +62,7 @@ def fails(printer, words, script=CONTINUE):
 
 
 def assert_as_before(printer, before):
-    """Offset, status and saved values; the head is up, the dialog closed."""
+    """Offset, status and saved values; the toolhead is up, the dialog closed."""
     after = state(printer)
     assert before["status"].pop("waits_for") != ""
     assert after["status"].pop("waits_for") == ""
@@ -171,7 +171,7 @@ def test_bed_that_is_far_below(start):
     changes = {
         "stepper_z": {"position_endstop": "-5.6", "position_min": "-9"},
     }
-    # The head is at 10 over the bed at -5.15
+    # The toolhead is at 10 over the bed at -5.15
     printer = start("membrane", changes=changes).homed()
     printer.machine.lay_membrane()
     printer.run(f"{CALIBRATE} FLOOR=-8")
@@ -210,7 +210,7 @@ RAISES = "\n  {action_raise_error('worn out')}"
     ("code", "words"),
     [
         slow(RAISES, "worn out"),
-        ("\n  G91\n  G1 Z-0.5\n  G90", "the head moved in "),
+        ("\n  G91\n  G1 Z-0.5\n  G90", "the toolhead moved in "),
         slow("\n  {1 / 0}", "division by zero"),
         ("\n  M84", "not homed|the motors were turned off"),
         ("\n  EXTRA_PROBE PROBE=membrane", "a measurement is under way"),
@@ -237,13 +237,13 @@ def test_template_that_homes(start):
     # Beside the bed Z is homed
     before = state(printer)
     text = printer.fail(CONTINUE)
-    assert "the head moved in deactivate_gcode" in text
+    assert "the toolhead moved in deactivate_gcode" in text
     assert state(printer)["offset"] == before["offset"]
     assert state(printer)["pending"] == {}
 
 
 def test_template_that_moves_the_frame(start):
-    # The head is where it was, by its own account
+    # The toolhead is where it was, by its own account
     code = "\n  {% set z = printer.toolhead.position.z %}"
     code += "\n  SET_KINEMATIC_POSITION Z={z - 0.5}\n  G90\n  G1 Z{z}"
     own = {"deactivate_gcode": code, "deactivate_on_each_sample": "false"}
@@ -345,7 +345,7 @@ def fails_so(printer, words):
 def test_head_that_was_moved_meanwhile(start, move):
     printer = asked(start)
     printer.run(f"G1 {move} F6000")
-    fails(printer, "the head was moved since the calibration began")
+    fails(printer, "the toolhead was moved since the calibration began")
     assert heights(printer) == []
 
 
@@ -398,7 +398,7 @@ def test_floor_above_the_head(start):
     printer = asked(start)
     printer.run(ABORT)
     printer.run(f"{CALIBRATE} FLOOR=12")
-    fails(printer, "the head is at z=10.000, this touch ends at z=12.000")
+    fails(printer, "the toolhead is at z=10.000, this touch ends at z=12.000")
 
 
 # Z=0 is not where G28 has put it

@@ -107,7 +107,7 @@ def test_whole_cycles_are_measured_and_nothing_is_applied(start):
 
 @pytest.mark.slow
 def test_cycles_as_they_are_asked_for(start):
-    """Probe on the head all the time or not, and homing between them."""
+    """Probe on the toolhead all the time or not, and homing between them."""
     adding = "\n  SET_GCODE_OFFSET Z_ADJUST=0.1"
     changes = section(samples="auto", end_gcode=adding)
     printer = start(changes=changes).homed()
@@ -148,7 +148,7 @@ def test_failure_leaves_everything_as_it_was(start):
     assert printer.machine.truth.events[-1].kind in ("dock", "attach_failed")
     printer.run("G28\nCALIBRATE_Z")
     error = printer.fail("CALIBRATE_Z_ACCURACY ATTACH=0")
-    assert "ATTACH=0 needs the probe on the head all the time" in error
+    assert "ATTACH=0 needs the probe on the toolhead all the time" in error
 
 
 # Macros bring this probe, and here nobody takes it off before Z is homed on the pin
@@ -179,7 +179,7 @@ def test_homing_that_puts_the_probe_away(start):
     printer.machine.truth.require_no_crash()
 
 
-# Z is homed with the probe here, which stays on the head until start_gcode docks it
+# Z is homed with the probe here, which stays on the toolhead until start_gcode docks it
 @pytest.mark.slow
 def test_homing_that_needs_the_probe_on_the_head(start):
     scene = SCENES["cartesian"]

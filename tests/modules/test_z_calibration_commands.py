@@ -92,15 +92,15 @@ WRONG = [
     ("CALIBRATE_Z SWITCH_OFFSET=nan", "SWITCH_OFFSET"),
     (
         "CALIBRATE_Z NOZZLE_POSITION=301,10",
-        "z_calibration: NOZZLE_POSITION=301,10 needs the head at X=301.000",
+        "z_calibration: NOZZLE_POSITION=301,10 needs the toolhead at X=301.000",
     ),
     (
         "CALIBRATE_Z SWITCH_POSITION=1,311",
-        "z_calibration: SWITCH_POSITION=1,311 needs the head at Y=311.000",
+        "z_calibration: SWITCH_POSITION=1,311 needs the toolhead at Y=311.000",
     ),
     (
         "CALIBRATE_Z BED_POSITION=1,20",
-        "z_calibration: BED_POSITION=1,20 needs the head at Y=-4.750",
+        "z_calibration: BED_POSITION=1,20 needs the toolhead at Y=-4.750",
     ),
     ("CALIBRATE_Z SAMPLES=0", "SAMPLES"),
     ("CALIBRATE_Z SAMPLES=some", "SAMPLES=some"),
@@ -130,7 +130,7 @@ WRONG = [
     ("PROBE_Z_ACCURACY NOZZLE_POSITION=1", f"NOZZLE_POSITION {NO_PAIR}"),
     (
         "PROBE_Z_ACCURACY NOZZLE_POSITION=1,311",
-        "NOZZLE_POSITION=1,311 needs the head",
+        "NOZZLE_POSITION=1,311 needs the toolhead",
     ),
     ("Z_CALIBRATION_WAIT LIMIT=0", "LIMIT"),
     ("Z_CALIBRATION_WAIT LIMIT=some", "LIMIT=some"),

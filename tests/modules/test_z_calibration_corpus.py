@@ -32,7 +32,7 @@ def check_touches(printer, machine, first):
     expected = {
         "nozzle_pin": machine.pin,
         "body_pin": machine.switch,
-        # The probe is over its point; the truth knows of the head
+        # The probe is over its point; the truth knows of the toolhead
         "probe_bed": (x - probe.x_offset, y - probe.y_offset),
     }
     touches = printer.machine.truth.touches[first:]
@@ -44,7 +44,7 @@ def check_touches(printer, machine, first):
 
 def true_gap(printer, machine):
     """The true gap at Z=0 over the point that was touched, mm."""
-    # Some leave the probe at the head
+    # Some leave the probe at the toolhead
     printer.run("SET_PIN PIN=probe_magnet VALUE=0\nG4 P500")
     printer.run("G90\nG1 Z20 F900\nM400")
     printer.session.wait(0.5)

@@ -435,7 +435,7 @@ def test_bed_is_measured_below_the_print(macros):
     macros.run("CALIBRATE_Z_AT_PRINT X_MIN=50 Y_MIN=60.5 X_MAX=110 Y_MAX=90")
     touches = macros.machine.truth.touches[before:]
     x, y = touches[-1].x, touches[-1].y
-    # The head, with the probe above the middle
+    # The toolhead, with the probe above the middle
     assert (x, y) == pytest.approx((80 + 2, 75.2 - 24.75), abs=0.06)
 
 

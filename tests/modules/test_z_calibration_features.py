@@ -33,7 +33,7 @@ LOAD = "BED_MESH_PROFILE LOAD=default"
 SAVE = "Z_CALIBRATION_SAVE_GCODE_OFFSET"
 
 
-# The probe hangs below the head, up to here a mesh of FADING does not fade.
+# The probe hangs below the toolhead, up to here a mesh of FADING does not fade.
 NEAR = 9.0
 FADING = {"fade_start": "9.5", "fade_end": "12", "fade_target": "0"}
 
@@ -90,7 +90,7 @@ TILT = {"x_adjust": "0.001", "y_adjust": "-0.0002", "z_adjust": "0.03"}
     [
         (mesh(), LOAD, POINT, "bed_mesh is 0.057 mm at 150.0, 150.0"),
         slow(mesh(), LOAD, (100, 100), "bed_mesh is -0.014 mm at 100.0, 100.0"),
-        # Nothing up where the head travels
+        # Nothing up where the toolhead travels
         (mesh(**FADING), LOAD, POINT, "bed_mesh is 0.057 mm at"),
         slow(
             mesh(),
@@ -215,7 +215,7 @@ def test_heat_that_is_turned_off_and_on_has_moved_nothing(
 def test_heat_that_counts_below_a_height_only_is_asked_for_there(
     start, tmp_path
 ):
-    """Where the head travels nothing has changed since homing."""
+    """Where the toolhead travels nothing has changed since homing."""
     frame = Frame(tmp_path)
     changes = frame.section()
     changes["z_thermal_adjust"]["z_adjust_off_above"] = "5"

@@ -117,7 +117,7 @@ def test_start_gcode_may_home(start, by_macro):
     calibration(printer)
 
 
-# before_switch_gcode of a probe that is on the head: its words say nothing
+# before_switch_gcode of a probe that is on the toolhead: its words say nothing
 
 
 @pytest.mark.slow

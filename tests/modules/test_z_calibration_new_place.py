@@ -31,7 +31,7 @@ BY_HOOKS = {
         "end_gcode": "DETACH_PROBE",
     }
 }
-MET = "the probe is on the head, and has met the bed at z="
+MET = "the probe is on the toolhead, and has met the bed at z="
 ON_PIN = "check that the pin is at"
 
 
@@ -181,7 +181,7 @@ def test_dock_that_the_host_has(start, host, auto):
     assert trips(printer) == ["attach", "dock"]
 
 
-# In the dock it reads as it does on the head
+# In the dock it reads as it does on the toolhead
 @pytest.mark.slow
 def test_switch_in_a_dock_that_is_normally_open(start):
     probe = replace(SENSED.world.mag_probe, normally_open=True)

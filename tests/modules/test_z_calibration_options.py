@@ -55,12 +55,12 @@ PLACES = ([211.5, 281.25], [212.0, 281.25], [152.0, 125.25])
 
 
 def travel_heights(printer):
-    """The heights (mm) at which the module moved the head in XY, homed."""
+    """The heights (mm) at which the module moved the toolhead in XY, homed."""
     ends = printer.status("moves")["ends"]
     travels = [
         there for here, there in zip(ends, ends[1:]) if here[:2] != there[:2]
     ]
-    # Homing moves the head to the pin, too
+    # Homing moves the toolhead to the pin, too
     return [end[2] for end in travels if end[:2] in PLACES]
 
 
@@ -148,7 +148,7 @@ def test_bed_position_falls_back_to_the_mesh(host, option, value, point):
             assert f"'{option}' is not valid in section 'bed_mesh'" in message
             pytest.skip(f"{host.name}: {message.splitlines()[0]}")
         calibration(printer.homed())
-        # The probe's place, not the head's
+        # The probe's place, not the toolhead's
         head = (point[0] + 2.0, point[1] - 24.75)
         assert place_of("probe_bed", printer) == head
         assert printer.gap(point) == pytest.approx(0.06, abs=0.005)
@@ -252,7 +252,7 @@ def test_no_wiggle_is_no_move(watched):
 
 
 IN = " in section 'z_calibration'"
-REACH = f"{IN} needs the head at"
+REACH = f"{IN} needs the toolhead at"
 BEYOND = "must lie within position_max (280.000) of section 'stepper_z';"
 # What klippy refuses, and with which words
 REFUSED = {
@@ -294,10 +294,12 @@ REFUSED = {
         section(wiggle_xy_offsets="0, 4.5"),
         [f"Option 'wiggle_xy_offsets'{REACH} Y=310.500"],
     ),
-    # The head is at 211.5, 281.25 for the switch
+    # The toolhead is at 211.5, 281.25 for the switch
     "bed on the endstop": (
         section(bed_xy_position="209.5, 306"),
-        [f"Option 'bed_xy_position: 209.5,306'{IN} puts the head 0.0 mm from"],
+        [
+            f"Option 'bed_xy_position: 209.5,306'{IN} puts the toolhead 0.0 mm from"
+        ],
     ),
     "bed near the endstop": (
         section(bed_xy_position="214.5, 301.5"),
@@ -1011,11 +1013,11 @@ def test_pin_of_its_own_is_known_after_a_good_run(start, tmp_path, between):
 
 
 def test_pin_of_its_own_that_stands_high_is_passed(start):
-    # 9 mm; the probe, which hangs 6.4 mm, is on the head all the time
+    # 9 mm; the probe, which hangs 6.4 mm, is on the toolhead all the time
     scene = SCENES["separate_pin"]
     high = replace(scene.world.pin, z=9.3012)
     printer = start(scene.with_world(pin=high)).homed()
-    told = "until endstop_pin is touched the head travels at z=21.0, enough for"
+    told = "until endstop_pin is touched the toolhead travels at z=21.0, enough for"
     assert told in "\n".join(printer.session.console)
     calibration(printer)
     assert printer.gap() == pytest.approx(0.06, abs=2 * MICROSTEP)
@@ -1023,7 +1025,7 @@ def test_pin_of_its_own_that_stands_high_is_passed(start):
 
 
 def test_pin_of_its_own_that_stands_high_is_met_ready_to_stop(start):
-    # Nobody knows its height, and the head comes from above
+    # Nobody knows its height, and the toolhead comes from above
     scene = SCENES["separate_pin"]
     high = replace(scene.world.pin, z=15.4)
     printer = start(scene.with_world(pin=high)).homed()

@@ -24,7 +24,7 @@ from tools.kit.z_calibration import (
     with_moves,
 )
 
-# Of the voron scene: where G28 leaves the head, and the travel height
+# Of the voron scene: where G28 leaves the toolhead, and the travel height
 HOMED_Z = 10.0
 TRAVEL_Z = 13.8
 
@@ -157,7 +157,7 @@ def test_pin_is_met_where_the_way_down_ends(start, below):
 @pytest.mark.slow
 @pytest.mark.parametrize("mm", [3.7, 2.998])
 def test_what_bounces_on_the_way_down_is_no_sample(start, mm):
-    """Nor where it ends, and the head stands before the touch begins."""
+    """Nor where it ends, and the toolhead stands before the touch begins."""
     early = Fault(
         "trigger_early", site="body_pin", command="CALIBRATE_Z", mm=mm
     )

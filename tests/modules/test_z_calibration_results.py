@@ -680,7 +680,9 @@ def test_axes_that_are_not_homed_are_named(start):
 def test_switch_offset_beyond_the_travel_height(start):
     printer = start(changes=section(switch_offset="300")).homed()
     text = printer.fail("CALIBRATE_Z")
-    assert "bed: the head is at z=280.000, this touch ends at z=305.4" in text
+    assert (
+        "bed: the toolhead is at z=280.000, this touch ends at z=305.4" in text
+    )
     assert "correct switch_offset (larger than any switch has it) or" in text
     assert "probe_bed" not in touched_sites(printer)
     assert_unharmed(printer)

@@ -332,7 +332,7 @@ def test_pin_that_is_much_lower_is_not_looked_for(start):
 def test_probe_that_is_left_on_meets_the_bed_without_harm(start, script):
     printer = start("cartesian").homed()
     text = printer.fail(script)
-    assert "the probe is on the head, and has met the bed at z=2.0" in text
+    assert "the probe is on the toolhead, and has met the bed at z=2.0" in text
     printer.machine.truth.require_no_crash()
     # Once it is off all goes on
     printer.run("DOCK_PROBE\nG28\nCALIBRATE_Z")
@@ -351,7 +351,7 @@ def test_probe_that_is_left_on_over_a_pin_of_its_own(start, y_max):
         assert printer.status("z_calibration")["valid"]
     else:
         text = printer.fail("CALIBRATE_Z")
-        assert "the probe is on the head, and has met the bed at z=" in text
+        assert "the probe is on the toolhead, and has met the bed at z=" in text
     printer.machine.truth.require_no_crash()
 
 
@@ -711,7 +711,7 @@ def test_emergency_stop_is_told_without_hints(start):
     assert text == "Probing failed due to printer shutdown"
 
 
-# The speed of before is not set again, from where the host takes the head to be
+# The speed of before is not set again, from where the host takes the toolhead to be
 def test_emergency_stop_is_told_whatever_a_template_has_left(start):
     gcode = "\n  G91\n  G1 X1 F1234"
     options = {"start_gcode": gcode, "probing_retract_dist": "3"}

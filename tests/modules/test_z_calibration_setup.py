@@ -243,7 +243,7 @@ def test_dialog_is_not_repeated_on_the_console(start):
     user.go_to("NOZZLE")
     lines = told(printer.run(SETUP))
     assert f"// Here: {SETUP} STEP=NOZZLE" in lines
-    assert f"// move the head: {SETUP} STEP=NOZZLE X=+1" in lines
+    assert f"// move the toolhead: {SETUP} STEP=NOZZLE X=+1" in lines
     # The place where it is now, and nothing else
     (line,) = told(user.press("X+1 mm"))
     assert line.startswith("// X=")
@@ -358,7 +358,7 @@ def advance(user, step):
 
 
 def assert_slow(printer):
-    """At most 2 mm/s over the 5 mm that the head is lifted in between."""
+    """At most 2 mm/s over the 5 mm that the toolhead is lifted in between."""
     for site in ("nozzle_pin", "body_pin"):
         times = [t.t for t in printer.machine.truth.touches if t.site == site]
         assert times[-1] - times[-2] > 2.5, site
@@ -561,9 +561,9 @@ def assert_heights_and_probe_are_watched(user):
 
 
 def assert_jogs_are_limited(printer):
-    """At the nozzle's place, 11.5 mm high; leaves the head low."""
+    """At the nozzle's place, 11.5 mm high; leaves the toolhead low."""
     for params, words in (
-        ("X=+10.1", "the head is moved by 10 mm at most"),
+        ("X=+10.1", "the toolhead is moved by 10 mm at most"),
         ("Y=-25", "by 10 mm at most"),
         ("Z=-10", "Z=-10 would lead to 1.500, outside 1.500 to 250.000"),
         ("Z=nan", "Z"),
@@ -586,7 +586,7 @@ def test_places_that_cannot_be_and_a_probe_that_is_lost(start):
     user = User(printer)
     advance(user, "HOME")
     printer.machine.hold("probe", False)
-    assert "the probe is on the head, and would hit" in user.refused("Home")
+    assert "the probe is on the toolhead, and would hit" in user.refused("Home")
     assert printer.status("toolhead")["homed_axes"] == ""
     printer.machine.hold("probe", None)
     user.press("Home")
@@ -625,7 +625,7 @@ def test_places_that_cannot_be_and_a_probe_that_is_lost(start):
     printer.run("DOCK_PROBE")
     assert "not homed: X" in user.refused("Back")
     printer.run("G28")
-    # Back from where the head has not got to
+    # Back from where the toolhead has not got to
     user.press("Back")
     assert user.step() == "NOZZLE"
     for label in ("Here", "Here"):
@@ -661,7 +661,7 @@ def test_owner_without_gcode_attaches_the_probe_by_hand(start):
     assert line.startswith(
         "// z_calibration: Step 5 of 12: fetch the probe; At"
     )
-    first = "Attach the probe by hand first, unless it is on the head."
+    first = "Attach the probe by hand first, unless it is on the toolhead."
     assert first in user.dialog().text
     printer.run("ATTACH_PROBE")
     user.press("Attach")
@@ -737,7 +737,7 @@ def test_pin_that_presses_the_plunger(start):
         text = user.refused("Touch")
         assert "the pin presses the plunger of the probe" in text
         assert user.step() == "TOUCH_SWITCH"
-    # What is on the head is not fetched again
+    # What is on the toolhead is not fetched again
     console = printer.session.console[seen:]
     assert sum("fetched" in line for line in console) == 1
     # To another place then
@@ -806,7 +806,7 @@ def test_probe_that_nobody_puts_away_is_not_on_for_the_nozzle(start):
     printer.run("ATTACH_PROBE")
     for label in ("Attach", "Here", "Here", "Yes"):
         user.press(label)
-    assert "the probe is on the head, and has met the bed" in user.refused(
+    assert "the probe is on the toolhead, and has met the bed" in user.refused(
         "Touch"
     )
     printer.machine.truth.require_no_crash()
@@ -871,7 +871,7 @@ def test_nothing_is_lowered_beside_the_sheet_or_with_the_probe(start):
         user.press(label)
     printer.run("G91\nG1 X1.5 F6000\nG90")
     user.press("Z-0.1 mm")
-    # The probe comes on the head meanwhile
+    # The probe comes on the toolhead meanwhile
     printer.run("G90\nG1 Z12 F600\nATTACH_PROBE")
     assert "the nozzle cannot reach the sheet" in user.refused("Z-1 mm")
     assert printer.session.position()[2] == pytest.approx(12.0)

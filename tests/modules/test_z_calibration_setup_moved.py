@@ -84,7 +84,7 @@ def lower(user):
     return ""
 
 
-# With the probe on the head only that would end the way down
+# With the probe on the toolhead only that would end the way down
 @pytest.mark.slow
 def test_levelled_before_home(start):
     changes = {**section(**EMPTY), **LEVEL}

@@ -36,7 +36,7 @@ CASES = [
     (disturbance, step)
     for disturbance, (first, last) in DISTURBANCES.items()
     for step in STEPS[STEPS.index(first) : STEPS.index(last) + 1]
-    # Nothing is on the head there
+    # Nothing is on the toolhead there
     if (disturbance, step) != ("probe lost", "TOUCH_SWITCH")
 ]
 
@@ -85,7 +85,7 @@ def hidden(text):
 
 
 def assert_aborted(user):
-    """Nothing is left of it, and the head is up."""
+    """Nothing is left of it, and the toolhead is up."""
     printer = user.printer
     said = "\n".join(user.press("Abort"))
     assert "the set-up has ended, nothing was saved" in said

@@ -337,14 +337,16 @@ def test_resume_takes_no_baby_step_back(start):
     assert pending(printer)["z_calibration"] == {"switch_offset": "0.470"}
 
 
-# What is printed already stands where the head would go
+# What is printed already stands where the toolhead would go
 @pytest.mark.parametrize(
     "command", ["CALIBRATE_Z", "PROBE_Z_ACCURACY", "Z_CALIBRATION_WAIT"]
 )
 def test_nothing_goes_across_a_paused_print(start, tmp_path, command):
     printer = paused(start, tmp_path)
     at = printer.session.position()
-    told = "a print is paused, and the head would go across it; end it first"
+    told = (
+        "a print is paused, and the toolhead would go across it; end it first"
+    )
     assert told in printer.fail(command)
     assert printer.session.position() == at
     printer.run(f"CANCEL_PRINT\n{command}")

@@ -220,7 +220,7 @@ IN = "in section 'z_calibration'"
 REFUSED = {
     "beyond the reach": (
         {"bed_spread": "3", "bed_xy_position": "150, 26"},
-        f"Option 'bed_spread: 3' {IN} needs the head at Y=-1.750, outside",
+        f"Option 'bed_spread: 3' {IN} needs the toolhead at Y=-1.750, outside",
     ),
     "no texture": (
         {"bed_spread": "20.1"},

@@ -211,7 +211,7 @@ def test_template_of_a_run_cannot_begin_it(start):
 def test_place_of_the_command(start):
     printer = homed(start)
     lines = printer.fail(f"{WAIT} NOZZLE_POSITION=1,311")
-    assert "NOZZLE_POSITION=1,311 needs the head" in lines
+    assert "NOZZLE_POSITION=1,311 needs the toolhead" in lines
     printer.run(f"{WAIT} MAX=2 NOZZLE_POSITION=205,307")
     touch = printer.machine.truth.touches[-1]
     assert (touch.x, touch.y) == pytest.approx((205.0, 307.0), abs=0.02)

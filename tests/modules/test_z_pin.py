@@ -63,7 +63,7 @@ def test_pin_is_pressed_one_millimetre(start, command, changes):
     pressed = printer.machine.truth.depth("nozzle_pin") - before
     assert pressed == pytest.approx(1.0, abs=0.02)
     told = text + "\n".join(printer.session.console)
-    assert "the head is over" in told and "pin of the Z endstop" in told
+    assert "the toolhead is over" in told and "pin of the Z endstop" in told
 
 
 def test_membrane_over_the_pin_in_a_dialog(start):
@@ -74,7 +74,7 @@ def test_membrane_over_the_pin_in_a_dialog(start):
     lay(printer)
     shown = "\n".join(printer.session.console)
     assert "it stops at Z=0.600" in shown
-    assert "The head is over the pin of the Z endstop; move it." in shown
+    assert "The toolhead is over the pin of the Z endstop; move it." in shown
 
 
 # Beside it, and half a pin's width nearer

@@ -1,4 +1,4 @@
-"""A dockable probe on the head, and whoever lowers the nozzle."""
+"""A dockable probe on the toolhead, and whoever lowers the nozzle."""
 
 from __future__ import annotations
 
@@ -32,13 +32,14 @@ TOUCHES = {
     "AUTO_Z_MEASURE_OFFSET": "AUTO_Z_MEASURE_OFFSET",
     "AUTO_Z_CALIBRATE": "AUTO_Z_CALIBRATE",
     "AUTO_Z_TWIST": "AUTO_Z_TWIST SAMPLE_COUNT=2",
+    "AUTO_Z_WAIT": "AUTO_Z_WAIT MAX=2",
     "PROBE_Z_ACCURACY": "PROBE_Z_ACCURACY SAMPLES=2",
     "Z_CALIBRATION_WAIT": "Z_CALIBRATION_WAIT MAX=2",
 }
 # With the nozzle and with the probe
 BOTH = ["AUTO_Z_MEASURE_OFFSET", "AUTO_Z_CALIBRATE", "AUTO_Z_TWIST"]
 USUAL = ("EXTRA_PROBE", "AUTO_Z_CALIBRATE")
-# How the probe comes to be on the head, and options for it
+# How the probe comes to be on the toolhead, and options for it
 REASONS = {
     "held": ({}, "ATTACH_PROBE"),
     "delayed": ({"allow_delayed_detach": "True"}, "PROBE"),
@@ -128,7 +129,9 @@ def test_head_that_does_not_come_back(start):
     printer = ready(start)
     printer.run(f"{OVER}ATTACH_PROBE\nMOVE_TO_DOCK_PROBE\nM400")
     text = printer.fail("AUTO_Z_PROBE")
-    assert "the probe was docked, and the head did not come back from" in text
+    assert (
+        "the probe was docked, and the toolhead did not come back from" in text
+    )
     assert pressed(printer) == 0.0
     assert printer.machine.truth.touch_count("nozzle_bed") == 0
 
@@ -267,7 +270,7 @@ def test_bed_screws(start):
     assert untouched(printer)
 
 
-# The head goes on to the next screw as low as it is, and down to Z=0
+# The toolhead goes on to the next screw as low as it is, and down to Z=0
 def test_probe_is_not_fetched_between_screws(start):
     screws = {"screw1": "60, 60", "screw2": "240, 60", "screw3": "150, 240"}
     options = {**screws, "probe_height": "2", "speed": "100"}
@@ -283,13 +286,13 @@ def test_probe_is_not_fetched_between_screws(start):
     assert trips(printer) == ["attach"]
 
 
-# What macros have put on the head hangs lower than the nozzle
+# What macros have put on the toolhead hangs lower than the nozzle
 @pytest.mark.parametrize("is_on", [True, False])
 def test_probe_of_macros_is_told_before_the_nozzle_goes_down(start, is_on):
     printer = start(with_membrane(SCENES["cartesian"])).homed()
     printer.run(OVER + ("ATTACH_PROBE" if is_on else "DOCK_PROBE"))
     (dialog,) = dialogs_of(printer.run(f"EXTRA_PROBE_CALIBRATE {MEMBRANE}"))
-    told = "The probe reads open, as on the head; put it away first."
+    told = "The probe reads open, as on the toolhead; put it away first."
     assert (told in dialog.text) is is_on
 
 
@@ -312,14 +315,14 @@ def test_screws_that_cannot_go_on_are_no_dialog(start):
 def test_probe_that_is_always_on_needs_no_word(start):
     printer = start("membrane_and_probe").homed()
     (dialog,) = dialogs_of(printer.run(f"EXTRA_PROBE_CALIBRATE {MEMBRANE}"))
-    assert "reads open, as on the head" not in dialog.text
+    assert "reads open, as on the toolhead" not in dialog.text
 
 
 def test_probe_that_docks_itself_needs_no_word(start):
     printer = ready(start)
     printer.run(f"{OVER}ATTACH_PROBE")
     (dialog,) = dialogs_of(printer.run(f"EXTRA_PROBE_CALIBRATE {MEMBRANE}"))
-    assert "reads open, as on the head" not in dialog.text
+    assert "reads open, as on the toolhead" not in dialog.text
     assert where(printer) == "docked"
 
 
@@ -409,7 +412,7 @@ def test_probe_stays_on_after_a_twist_where_no_trips_are_wanted(start):
     assert where(printer) == "attached"
 
 
-# The owner wants the head to stay there
+# The owner wants the toolhead to stay there
 @pytest.mark.parametrize("command", ["PROBE", "PROBE_ACCURACY SAMPLES=2"])
 def test_docking_as_the_owner_wants_it_after_a_twist(start, command):
     printer = ready(start, {"restore_toolhead": "False"})
@@ -535,7 +538,7 @@ def test_set_up_stops_what_is_no_part_of_it(start, command):
     printer.run(f"{QUESTIONS['z_calibration'][1]}\n{command}")
 
 
-# Nobody's end_gcode and error_gcode move a head that has not moved
+# Nobody's end_gcode and error_gcode move a toolhead that has not moved
 @pytest.mark.slow
 @pytest.mark.parametrize(
     "ask", [f"EXTRA_PROBE_CALIBRATE {MEMBRANE}", "MANUAL_PROBE"]
@@ -630,7 +633,7 @@ def test_z_alone_is_not_homed_with_the_probe_on(start):
 def test_probe_of_the_hosts_own_section(start, host, touch):
     if not host.layout.module_dir.endswith("plugins"):
         pytest.skip("only Kalico has a dockable_probe of its own")
-    # It goes to the dock as high as the head is
+    # It goes to the dock as high as the toolhead is
     options = {"z_hop": "12"}
     printer = ready(start, options, modules=without_our_dock())
     printer.run(f"{OVER}ATTACH_PROBE")

@@ -29,6 +29,7 @@ GOOD = [
     Run("SET_GCODE_OFFSET Z=0\nAUTO_Z_LOAD_OFFSET", "G-code Z offset is -1.12"),
     Run("AUTO_Z_SAVE_GCODE_OFFSET", "probe_z_correction: -1.12"),
     Run("AUTO_Z_TWIST SAMPLE_COUNT=2", "along X: z_compensations: "),
+    Run("AUTO_Z_WAIT MAX=2", "it stands still after 2 minutes"),
 ]
 LAST = [
     Run("SET_GCODE_OFFSET Z=0\nAUTO_Z_HOME_Z", "which is z=0.200000 now"),
@@ -51,6 +52,7 @@ BAD = [
     Run("AUTO_Z_MEASURE_OFFSET", SENSOR),
     Run("AUTO_Z_CALIBRATE", SENSOR),
     Run("AUTO_Z_TWIST", SENSOR),
+    Run("AUTO_Z_WAIT", SENSOR),
     # Z is no more what the probe says
     Run("AUTO_Z_LOAD_OFFSET", "G28", shifted),
     Run("AUTO_Z_SAVE_GCODE_OFFSET", "G28"),

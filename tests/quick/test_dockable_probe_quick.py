@@ -74,7 +74,7 @@ GOOD = [
     Run("DETACH_PROBE", "", check=is_there("docked")),
     Run("SET_DOCKABLE_PROBE AUTO_ATTACH_DETACH=0", "", check=is_not_automatic),
     # More in test_dockable_probe_setup.py
-    Run("DOCKABLE_PROBE_SETUP", "Put the probe on the head"),
+    Run("DOCKABLE_PROBE_SETUP", "Put the probe on the toolhead"),
 ]
 
 

@@ -13,7 +13,7 @@ settings_of = importlib.import_module("z_touch.dockable_probe.settings")
 detour = importlib.import_module("z_touch.dockable_probe.path")
 
 LIMITS = ((0.0, 300.0), (-5.0, 310.0))
-# The body that the head must not meet, as a part of the circle
+# The body that the toolhead must not meet, as a part of the circle
 BODY = 0.5
 LANE = detour.LANE
 
@@ -39,7 +39,7 @@ def zones(draw):
 
 
 def depth_in_body(xy, zone):
-    """How deep (mm) a head there is in a dock that is open along its lanes."""
+    """How deep (mm) a toolhead there is in a dock that is open along its lanes."""
     dx, dy = xy[0] - zone.x, xy[1] - zone.y
     depth = BODY * zone.radius - math.hypot(dx, dy)
     for ux, uy in zone.lanes:

@@ -1,4 +1,4 @@
-"""What the Z motors tell of how high the head is."""
+"""What the Z motors tell of how high the toolhead is."""
 
 from __future__ import annotations
 

@@ -233,7 +233,7 @@ def cycles_plan(scene: Scene, changes: Sections) -> Plan:
 
 # dockable_probe
 
-# Where Z is homed, and the head begins: 100 mm from the dock
+# Where Z is homed, and the toolhead begins: 100 mm from the dock
 BESIDE_DOCK = (50.0, 208.0)
 DOCKED: Sections = {
     "dockable_probe": {"samples": "1", "travel_speed": "100"},

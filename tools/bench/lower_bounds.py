@@ -3,7 +3,7 @@
 It consists of the moves that no module can do without at the configured
 speeds: at each place the way up to the travel height and across (not where the
 head is there already), down to where the samples begin, the samples with the
-lifts between them, a last lift, and the way to where the head has to stand at
+lifts between them, a last lift, and the way to where the toolhead has to stand at
 the end. It knows the true heights and accelerations, but nothing of what a host needs to stop, ask or plan.
 """
 
@@ -24,9 +24,9 @@ class Limits(NamedTuple):
 
 
 class Stop(NamedTuple):
-    """A place: where the head stands (mm), where it triggers, how often.
+    """A place: where the toolhead stands (mm), where it triggers, how often.
 
-    travel_z: height at which the head gets there; from it down to the samples
+    travel_z: height at which the toolhead gets there; from it down to the samples
     at approach_speed, which begin retract above the trigger. accel: in Z in
     the samples (mm/s^2).
     """
@@ -48,7 +48,7 @@ class Plan(NamedTuple):
     """What a command has to do, in the frame of the configuration.
 
     end_z: height at the end. prepare: seconds that the user's own G-code takes
-    above the first place, before the head goes down. end: where the head has
+    above the first place, before the toolhead goes down. end: where the toolhead has
     to stand at the end (mm), None: over the last place.
     """
 

@@ -17,7 +17,7 @@ time; those with both sensors dead are listed with the depth at which they
 ended. A pair is repeated by its text as --case.
 
 --docks: every command of a dockable probe, and those of the other modules with the
-probe on the head, on each kind of dock.
+probe on the toolhead, on each kind of dock.
 
 --module and --builtin: the same for a dockable_probe of others, as far as they
 have what is broken; only harm is judged: something was hit, the printer is shut

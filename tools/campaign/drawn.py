@@ -82,7 +82,7 @@ class Drawn(ABC):
     @property
     @abstractmethod
     def sites(self) -> dict[str, tuple[tuple[float, float], int]]:
-        """Where the head is to touch each, and how often at least."""
+        """Where the toolhead is to touch each, and how often at least."""
 
     @abstractmethod
     def place(self, touches: Sequence[Touch]) -> tuple[float, float]:
@@ -108,7 +108,7 @@ class Drawn(ABC):
 
     @abstractmethod
     def clear_z(self) -> float:
-        """Pose.z (mm) from which nothing of the head touches the bed."""
+        """Pose.z (mm) from which nothing of the toolhead touches the bed."""
 
     @property
     def board_signal(self) -> str:

@@ -46,13 +46,13 @@ from tools.kit.scenes import SCENES
 _PLATE = 245.0
 _DRIVER = {"run_current": "0.8", "sense_resistor": "0.110"}
 _MAX_Z_ACCEL = 500.0
-# Within so much (mm) of the trigger the head must be able to stop
+# Within so much (mm) of the trigger the toolhead must be able to stop
 _BRAKING = 0.9
 # From here on (mm) the probe may be said to see the bed elsewhere
 _STALE = 0.1
 # Of the Z axis, mm
 _POSITION_MIN = -4.0
-# The head clears the bed by so much (mm) at least: SMALLEST_HOP but for what
+# The toolhead clears the bed by so much (mm) at least: SMALLEST_HOP but for what
 # the probe's z_offset may be off
 _CLEAR = 1.0
 
@@ -167,7 +167,7 @@ class AutoZOffset(Drawn):
     def _possible(self) -> AutoZOffset:
         """The same without what contradicts itself.
 
-        The head stops 4 mm above Z=0 in prepare_gcode, so the bed has to be
+        The toolhead stops 4 mm above Z=0 in prepare_gcode, so the bed has to be
         lower; and within reach of position_min.
         """
         probe, mistake = self.probe, self.mistake
@@ -179,7 +179,7 @@ class AutoZOffset(Drawn):
 
     @property
     def probe_head(self) -> tuple[float, float]:
-        """Where the head stands for the probe to see the measured point."""
+        """Where the toolhead stands for the probe to see the measured point."""
         return self.bed[0] - self.probe.x, self.bed[1] - self.probe.y
 
     @property
@@ -331,7 +331,7 @@ class AutoZOffset(Drawn):
         )
 
     def _sensor_speed(self, speed: float) -> float:
-        """Not more than the head can brake from, mm/s."""
+        """Not more than the toolhead can brake from, mm/s."""
         return min(speed, math.sqrt(2.0 * self.sensor_accel * _BRAKING))
 
     def _probe_lateness(self) -> float:

@@ -46,7 +46,7 @@ GIVE = 0.05
 
 @dataclass(frozen=True)
 class Gantry:
-    """What moves the head.
+    """What moves the toolhead.
 
     z_motors: how many. screw: mm that a turn moves Z. skew: mm by which each
     Z motor stands higher than the first.

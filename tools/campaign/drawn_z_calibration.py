@@ -233,7 +233,7 @@ class ZCalibration(Drawn):
 
     @property
     def probe_head(self) -> tuple[float, float]:
-        """Where the head stands for the probe to touch the measured point."""
+        """Where the toolhead stands for the probe to touch the measured point."""
         return self.bed[0] - self.probe.x, self.bed[1] - self.probe.y
 
     @property

@@ -67,7 +67,7 @@ _CAUSES = {
     "stuck_open": _DEAD + r"|is attached already|" + _PROBE,
     # On the way down it is a trigger in mid air
     "stuck_closed": _TRIGGERED
-    + r"|before the head moved|check the probe with QUERY_PROBE|"
+    + r"|before the toolhead moved|check the probe with QUERY_PROBE|"
     + _PROBE,
     "trigger_never": _DEAD,
     "trigger_early": _HEIGHTS,
@@ -96,7 +96,7 @@ _SHUT_DOWN_CAUSES = {
 _BLINDING = ("stuck_open", "trigger_never", "probe_falls")
 # By which a dockable probe is told that a person has put it into its dock
 _BY_HAND = "SET_PROBE_STATUS STATE=DOCKED"
-# How far a head gets off its line as its board falls silent (mm)
+# How far a toolhead gets off its line as its board falls silent (mm)
 _OFF_LINE = 1.0
 # Between the two of a pair
 PLUS = " + "
@@ -315,7 +315,7 @@ def _all_cases(job: Job, good: GoodRun) -> Iterator[Case]:
         yield Case(job.name, number, "template leaves")
     for kind, fault in _TRIP_FAULTS.items():
         if kind == "dock" and "dockable_probe" not in job.scene.sections:
-            # What an owner's template left on the head only the owner takes off
+            # What an owner's template left on the toolhead only the owner takes off
             continue
         for number in range(1, good.trips[kind] + 1):
             yield Case(job.name, number, fault)
@@ -411,7 +411,7 @@ def attempt(
                     site, good.depths[site] + margin + _STEP
                 )
             if any(part.fault == "mcu_silent" for part in case.parts):
-                # Each axis goes on for the steps that its queue has, and the head
+                # Each axis goes on for the steps that its queue has, and the toolhead
                 # leaves its line beside the dock
                 printer.machine.tolerate("dock", _OFF_LINE)
             _prepare(printer, job)
@@ -550,7 +550,7 @@ class Trial:
         if len(self._parts) > 1 and "trigger_late" in self._faults:
             # The bed it is lifted from was met too low, and not again
             lift -= _OFF
-        self._require(z >= lift, f"the head is at z={z:.3f}")
+        self._require(z >= lift, f"the toolhead is at z={z:.3f}")
 
     def _judge_right(self, printer: Printer) -> None:
         gap, good = self._job.gap(printer), self._good.gap

@@ -41,7 +41,7 @@ class Job:
     G-code Z=0 afterwards, None: it does not change, ANY: that of a good run. only: these faults, if it
     is there for some. point: of the bed where the gap is looked at. lift:
     toolhead Z after a failure, at least. is_homing: after a failure nobody
-    knows where the head is. told: what it may leave behind: status fields that
+    knows where the toolhead is. told: what it may leave behind: status fields that
     tell what was seen last; "pending", where the host has a result already; "gap",
     where that is a mesh in force.
     is_long: of the operations of a kind only the first, the middle and the last.
@@ -112,7 +112,7 @@ class Job:
         return {k: v for k, v in found.items() if k not in self.told}
 
     def gap(self, printer: Printer) -> float:
-        """True gap (mm) that G-code Z=0 stands for; the head stands."""
+        """True gap (mm) that G-code Z=0 stands for; the toolhead stands."""
         z = printer.status("gcode_move")["gcode_position"][2]
         return printer.machine.gap_at_zero(z, self.point)
 
@@ -382,7 +382,7 @@ def _dockable_probe_jobs() -> list[Job]:
     plain = replace(probe, changes=dockable_probe.section(**quick))
     both = dockable_probe.section(dock_retries="1", **quick)
     sensed, frame = dockable_probe.SENSED, dockable_probe.FRAME
-    # The gap is looked at wherever the head stands then
+    # The gap is looked at wherever the toolhead stands then
     level = frame.with_world(
         bed=replace(frame.world.bed, slope_x=0.0, slope_y=0.0)
     )
@@ -420,7 +420,7 @@ DOCKS = {
     "bed": "dock_bed",
     "from above": "dock_above",
 }
-# What each command is sent as, the probe being on the head or in its dock
+# What each command is sent as, the probe being on the toolhead or in its dock
 _OF_DOCKS = {
     "dockable_probe": {
         "PROBE": "PROBE",
@@ -478,7 +478,7 @@ _BED = 0.0988
 _BODY = {
     site: dockable_probe.HANG + _BED - 1.0 for site in ("probe_bed", "body_bed")
 }
-# After a failure the head may stand over a dock that is entered from above, and after a
+# After a failure the toolhead may stand over a dock that is entered from above, and after a
 # good run on what it has touched
 _AROUND = "G91\nG1 Z10 F900\nG90\nMOVE_AVOIDING_DOCK X=150 Y=150"
 # A membrane that is dead, and the bed below it, are pressed down to 0.1 mm below Z=0 or,
@@ -507,7 +507,7 @@ def _of_dockable_probe(name: str, script: str, scene: Scene) -> Job:
         lift=dockable_probe.CLEAR - 0.01,
         changes=dockable_probe.section(**dockable_probe.QUICK),
         before=away,
-        # After a failure the head may stand in the dock, or is homed no more
+        # After a failure the toolhead may stand in the dock, or is homed no more
         again=f"G28\n{away}" if set(script.split()) & _HOMED_AGAIN else away,
         # A mesh is there, and in force, before the probe is docked
         told=(
@@ -522,7 +522,7 @@ def _of_dockable_probe(name: str, script: str, scene: Scene) -> Job:
 
 
 def _of_extra_probe(name: str, script: str, scene: Scene) -> Job:
-    """The probe hangs on the head, and has to be docked before."""
+    """The probe hangs on the toolhead, and has to be docked before."""
     job = _of_dockable_probe(name, script, scene)
     begin = f"{carrying.OVER}ATTACH_PROBE"
     is_first = "CALIBRATE" in script

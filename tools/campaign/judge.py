@@ -158,14 +158,14 @@ class Trial:
         self._require_ready(reason)
         after = self._state()
         require(after == before, f"left {after} of {before}, after {reason}")
-        # What lifts the head is queued still
+        # What lifts the toolhead is queued still
         self.printer.run("M400")
         self.printer.session.wait(0.5)
         end = self.printer.machine.tip().z
         clear = min(z, self.drawn.clear_z())
         require(
             end >= clear - self.drawn.gantry.step,
-            f"the head was left at {end:.4f}, not lifted, after {reason}",
+            f"the toolhead was left at {end:.4f}, not lifted, after {reason}",
         )
         excused = any(words in reason for words in self.drawn.excuses())
         require(

@@ -14,7 +14,7 @@ MICROSTEP = 0.0025
 # Of the qidi scene, mm: where both sensors touch, and in klippy's frame after
 # G28 the triggers of the sensor and of the probe
 POINT = (119.75, 126.75)
-# The head there, with the probe above the point
+# The toolhead there, with the probe above the point
 PROBE_PLACE = (POINT[0] - 17.6, POINT[1] - 4.4)
 DEPTH = SCENES["qidi"].piezo_depth()
 SENSOR = -1.2695 - DEPTH

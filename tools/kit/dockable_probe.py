@@ -23,7 +23,7 @@ SERVO = DOCK_SCENES["dock_servo"]
 FRAME = DOCK_SCENES["dock_frame"]
 BED = DOCK_SCENES["dock_bed"]
 ABOVE = DOCK_SCENES["dock_above"]
-# How Z comes to be homed with the probe, and where the head stands then
+# How Z comes to be homed with the probe, and where the toolhead stands then
 HOMING = {
     # Over the middle of the axes: of X 0 to 300, of Y 0 to 310
     "middle": ({"safe_z_home": None}, (152.0, 130.25)),

@@ -21,14 +21,14 @@ ENTRIES = json.loads(
 # What is wrong with the others, as klippy says it
 BROKEN = {
     16: "dock_position",
-    17: "set dock_fixed_z: True if the dock is at the head's height",
+    17: "set dock_fixed_z: True if the dock is at the toolhead's height",
     18: "'approach_position' in section 'dockable_probe' (47, 231) is at",
     22: "z_offset",
     24: "z_offset",
     25: "pin",
     26: "z_offset",
     27: "probe",
-    30: "set dock_fixed_z: True if the dock is at the head's height",
+    30: "set dock_fixed_z: True if the dock is at the toolhead's height",
     32: "approach_position",
 }
 # What the messages of some advise, which has to lead to a printer that works

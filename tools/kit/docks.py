@@ -127,7 +127,7 @@ def _gantry() -> Scene:
 
 
 def _sensed() -> Scene:
-    """The same, with sensors for the probe on the head and in the dock."""
+    """The same, with sensors for the probe on the toolhead and in the dock."""
     gantry = _gantry()
     senses = {"probe_sense": "^PC4", "dock_sense": "^PC5"}
     wiring = replace(gantry.wiring, inputs={**gantry.wiring.inputs, **senses})
@@ -244,7 +244,7 @@ def _bed() -> Scene:
 
 def _above() -> Scene:
     """The same, but the probe is taken up out of the dock, which is left that
-    way; the head has to be 24.3 mm high over the dock or beside it."""
+    way; the toolhead has to be 24.3 mm high over the dock or beside it."""
     bed = _bed()
     assert bed.world.dock is not None
     options = {
@@ -262,7 +262,7 @@ def _above() -> Scene:
 
 def _slinger() -> Scene:
     """A bed slinger: the dock at the right end of its gantry holds the probe back
-    when the head goes down in it; it comes in and goes out along X. Z is homed with
+    when the toolhead goes down in it; it comes in and goes out along X. Z is homed with
     the probe.
     """
     gantry = _gantry()

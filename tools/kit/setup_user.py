@@ -45,7 +45,7 @@ def open_dialog(console: Iterable[str]) -> Optional[Shown]:
 
 
 def is_jog(label: str) -> bool:
-    """Whether a button of that name moves the head."""
+    """Whether a button of that name moves the toolhead."""
     return label[1:2] in ("+", "-")
 
 
@@ -67,7 +67,7 @@ class User:
         self.printer = printer
         self.machine: Machine = printer.machine
         self.pin = pin
-        # Buttons that were pressed, but for those that move the head
+        # Buttons that were pressed, but for those that move the toolhead
         self.clicks = 0
 
     def dialog(self) -> Optional[Shown]:
@@ -111,7 +111,7 @@ class User:
         return re.search(r"STEP=(\w+)", gcode)[1]
 
     def position(self) -> list[float]:
-        """Where the head is, in klippy's frame, mm."""
+        """Where the toolhead is, in klippy's frame, mm."""
         return self.printer.session.position()
 
     def hold(self, signal: str, level: Optional[bool]) -> None:
@@ -149,7 +149,7 @@ class User:
         session = self.printer.session
         self.clicks += 1
         command = session.begin(self.dialog().gcode("Watch"))
-        # A head that is homed is lifted at first
+        # A toolhead that is homed is lifted at first
         session.run_until(command, lambda: "watching" in session.console[-1])
         assert self.dialog().headline.endswith(": press it now")
         session.wait(0.3)
@@ -165,18 +165,18 @@ class User:
             self.press(f"{axis}{step:+g} mm")
 
     def jog_to(self, x: float, y: float) -> None:
-        """The head there, as near as the buttons lead."""
+        """The toolhead there, as near as the buttons lead."""
         here = self.position()
         self.jog("X", round(x - here[0], 1))
         self.jog("Y", round(y - here[1], 1))
 
     def test_switches(self, is_fixed: bool = False) -> None:
-        """Both, and the probe off the head."""
+        """Both, and the probe off the toolhead."""
         self.by_hand(self.pin)
         self.test_probe(is_fixed)
 
     def test_probe(self, is_fixed: bool = False) -> None:
-        """Off the head, on it and pressed, and where it belongs again."""
+        """Off the toolhead, on it and pressed, and where it belongs again."""
         if is_fixed:
             self.press("Skip")
         else:
@@ -214,7 +214,7 @@ class User:
             self.press(self.first()[0])
 
     def look_and_jog(self, step: str) -> None:
-        """The head to where it has to be before the step is answered."""
+        """The toolhead to where it has to be before the step is answered."""
         if step in CARTESIAN:
             self.jog_to(*CARTESIAN[step])
         elif step == "PAPER":

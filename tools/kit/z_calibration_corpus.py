@@ -60,7 +60,7 @@ Z_OPTIONS = """position_min position_max position_endstop homing_positive_dir
 homing_speed homing_retract_dist homing_retract_speed second_homing_speed"""
 
 # What the macros of the field do.  Klicky's Dock_Probe_Unlock docks the probe
-# even if a macro has locked it to the head.
+# even if a macro has locked it to the toolhead.
 _SET_PIN = "\n  SET_PIN PIN=probe_magnet VALUE=%d\n  G4 P500"
 ATTACHING = """ATTACH_PROBE _ATTACH_PROBE _ATTACH_PROBE_ABL _PROBE_OUT
 M401"""
@@ -94,7 +94,7 @@ _HOMING = """
 class CorpusMachine:
     """An entry's machine with its configuration, and how to calibrate it.
 
-    Places in mm: the pin, the head's place with the switch over it, and the
+    Places in mm: the pin, the toolhead's place with the switch over it, and the
     point of the bed that is touched. params: of CALIBRATE_Z, what the file
     leaves open. gap: true gap (mm) at Z=0 over that point that a right
     calibration leaves.
@@ -283,7 +283,7 @@ class _Builder:
         return (pin[0], pin[1]), ((x_min, y_min), (x_max, y_max))
 
     def where_touched(self, bed: Point) -> Point:
-        """Where the probe really is if the head goes for a point."""
+        """Where the probe really is if the toolhead goes for a point."""
         return (
             bed[0] - self.offset[0] + self.true_offset[0],
             bed[1] - self.offset[1] + self.true_offset[1],

@@ -50,7 +50,7 @@ def _check_heights(host: Host, settings: Settings) -> None:
     top = travel_height(host.probing.homed_probe_z(), settings.probe_hop)
     if top > high:
         raise CalibrationError(
-            f"Option 'probe_hop' in section '{host.section}': the head would travel at"
+            f"Option 'probe_hop' in section '{host.section}': the toolhead would travel at"
             f" z={top:.3f}, above position_max ({high:.3f}) of section '{section}';"
             " write a smaller value, or correct z_offset of the probe"
         )
@@ -76,7 +76,7 @@ def printer_notes(host: Host, settings: Settings, motors: Motors) -> List[str]:
     if speed < wanted:
         notes.append(
             f"speed {wanted:g} is limited to {speed:.2f} mm/s on the bed sensor: with"
-            f" {accel:g} mm/s^2 the head could not stop soon enough below the bed"
+            f" {accel:g} mm/s^2 the toolhead could not stop soon enough below the bed"
         )
     if not host.axes.homes_with_probe():
         notes.append(

@@ -58,7 +58,7 @@ ABOVE_PROBE = 0.5
 # trigger, at most: then it is dead.
 DEAD_PROBE = 5.0
 
-# The head travels so far (mm) above where the probe triggers, at least: more than the
+# The toolhead travels so far (mm) above where the probe triggers, at least: more than the
 # hysteresis of an inductive one.
 ABOVE_TRIGGER = 1.0
 
@@ -237,7 +237,7 @@ def above_pin(floor: Floor, pin_z: Optional[float]) -> Floor:
         return floor
     return Floor(
         pin_z,
-        "as far as the pin of the Z endstop may be pressed, as the head is over it",
+        "as far as the pin of the Z endstop may be pressed, as the toolhead is over it",
         "choose a point of the bed",
     )
 

@@ -13,10 +13,20 @@ Copyright (C) 2026  the Z calibration developers, under the GNU GPLv3
 from __future__ import annotations
 
 import contextlib
+import dataclasses
 import logging
 from typing import TYPE_CHECKING, Any, Dict, Iterator, List, Optional, Tuple
 
-from .. import __version__, attached, command, errors, in_force, options, touch
+from .. import (
+    __version__,
+    attached,
+    command,
+    errors,
+    in_force,
+    options,
+    touch,
+    warming,
+)
 from ..errors import CalibrationError
 from ..host import unknown_commands
 from ..host.printer import Host
@@ -24,6 +34,7 @@ from ..host.toolhead import check_z_axis
 from ..progress import Notes
 from ..sampling import Series, summarize
 from ..texture import spread_tolerance
+from ..warming import Warming
 from . import checks, heights, shifts, twist
 from .expected import Correction, Expectations
 from .heights import Result
@@ -72,6 +83,9 @@ class AutoZOffset:
         self.applied_with = ""
         # Runs since klippy has started: the points of bed_spread are turned by it
         self.turn = 0
+        # By how much the bed has moved in the last minute of AUTO_Z_WAIT (mm, up is
+        # positive), None: not known
+        self.movement: Optional[float] = None
         # Result of each cycle of the last command that measured both heights
         self.results: Tuple[Result, ...] = ()
         register = self.host.printer.register_event_handler
@@ -116,6 +130,7 @@ class AutoZOffset:
             "last_result": dict(last),
             "corrections": corrections,
             "spread": spread,
+            "movement": self.movement,
             "notes": list(self.notes.texts),
         }
         status.update(self.progress.status())
@@ -265,7 +280,9 @@ class AutoZOffset:
     # AUTO_Z_PROBE
     ##################################################################
 
-    cmd_AUTO_Z_PROBE_help = "Touch the bed with the nozzle where the head is"
+    cmd_AUTO_Z_PROBE_help = (
+        "Touch the bed with the nozzle where the toolhead is"
+    )
 
     def cmd_AUTO_Z_PROBE(self, gcmd: GCodeCommand) -> None:
         """Touch the bed with the nozzle where the toolhead is."""
@@ -450,6 +467,36 @@ class AutoZOffset:
         z = summarize(counted, settings.sampling.result)
         heights.check_correction(z)
         return z
+
+    ##################################################################
+    # AUTO_Z_WAIT
+    ##################################################################
+
+    cmd_AUTO_Z_WAIT_help = "Touch the bed each minute until it stands still"
+
+    def cmd_AUTO_Z_WAIT(self, gcmd: GCodeCommand) -> None:
+        """Touch the bed with the nozzle each minute until both stand still.
+
+        Where they do not within MAX, that is shown, and a print goes on.
+        """
+        wanted = warming.wanted_of(gcmd)
+        sampling = warming.sampling_of(
+            self.settings.sampling, self.settings.sampling.tolerance
+        )
+        settings = dataclasses.replace(self.settings, sampling=sampling)
+        touches = wanted.touches(sampling)
+        with self.measuring(gcmd, touches, settings=settings) as run:
+            bed = bed_site(self.host, settings)
+            run.prepare(bed)
+            self.movement = None
+            seen = Warming(self.host, self.progress, wanted)
+            while not seen.is_over():
+                seen.wait()
+                run.begin_at(bed)
+                seen.add(run.touch_bed())
+                self.movement = seen.movement
+                run.check_left()
+        gcmd.respond_info(f"AUTO_Z_WAIT: {seen.result()}")
 
     ##################################################################
     # AUTO_Z_TWIST

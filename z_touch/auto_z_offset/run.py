@@ -48,9 +48,7 @@ DIFFER = (
 )
 
 # What to do about a toolhead that is below the floor of a touch
-TOO_LOW = (
-    "check probe_z_min, and that prepare_gcode leaves the head above the bed"
-)
+TOO_LOW = "check probe_z_min, and that prepare_gcode leaves the toolhead above the bed"
 
 
 class Run:

@@ -79,7 +79,7 @@ class Settings:
         options.GCODE,
         options.REQUIRED,
         "Your G-code that turns the sensor on. It runs once for each command"
-        " that measures, with the head over the bed. May be empty.",
+        " that measures, with the toolhead over the bed. May be empty.",
     )
     z_offset: float = options.number(
         0.2,
@@ -131,7 +131,7 @@ class Settings:
     )
     probe_hop: float = options.number(
         SMALLEST_HOP,
-        "How far the head is lifted to travel, in mm.",
+        "How far the toolhead is lifted to travel, in mm.",
         minval=SMALLEST_HOP,
     )
     probe_z_min: Optional[float] = options.number(

@@ -52,7 +52,7 @@ def check_kinematics(config: Config, z_axis: Optional[ZAxis]) -> None:
     why = (
         "nothing moves there"
         if kinematics == "none"
-        else "that has no Z axis of its own, and the head has to be lifted on the"
+        else "that has no Z axis of its own, and the toolhead has to be lifted on the"
         " way to the dock before all of it is homed"
     )
     raise config.error(
@@ -131,7 +131,7 @@ def _check_strips(
     same = (
         "and extract_position (approach_position unless given) are the same way"
         f" out of the dock, {angle:.0f} degrees apart: the probe {would} stay on"
-        " the head"
+        " the toolhead"
     )
     if settings.strippers:
         named = " or ".join(settings.strippers)
@@ -201,7 +201,7 @@ def check_homing(
             DOCK,
             "to get there Z has to be homed, and Z is homed with the probe;"
             " leave Z out of all positions, or set dock_fixed_z: True if the"
-            " dock is at the head's height",
+            " dock is at the toolhead's height",
         )
     wanted = settings.home_xy
     if wanted is None:
@@ -223,7 +223,7 @@ def check_homing(
             "safe_z_position",
             f"{xy[0]:g}, {xy[1]:g} is outside of {low_x:.3f} to {high_x:.3f} and"
             f" {low_y:.3f} to {high_y:.3f}, the reach of X and Y; choose a point of"
-            " the head where the probe is over the bed",
+            " the toolhead where the probe is over the bed",
         )
     apart = path.distance(xy, settings.dock_position)
     radius = settings.safe_dock_distance

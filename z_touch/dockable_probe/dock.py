@@ -65,8 +65,8 @@ FETCH = Trip(
     way_out=EXTRACT,
     gcode="attach_gcode",
     done="fetched",
-    remedy="in the dock it has to meet the head at dock_position; look where it"
-    " is, and check the pins with GET_PROBE_STATUS: where it hangs on the head, a"
+    remedy="in the dock it has to meet the toolhead at dock_position; look where it"
+    " is, and check the pins with GET_PROBE_STATUS: where it hangs on the toolhead, a"
     " wire is broken, so take it off before you home, and " + IF_DOCKED,
 )
 DOCK = Trip(
@@ -234,7 +234,7 @@ class Dock:
             if not is_done:
                 self.moves.lift_for_dock()
 
-        with always(self.host, lift, "lifting the head"):
+        with always(self.host, lift, "lifting the toolhead"):
             self.deactivate()
             is_done = True
 
@@ -243,7 +243,7 @@ class Dock:
         if not self.moves.is_way_known():
             raise self.host.error(
                 f"the probe reads DOCKED ({self.sensors.describe()}), and nobody has"
-                " seen it docked: it may hang on the head, its wire broken; if so,"
+                " seen it docked: it may hang on the toolhead, its wire broken; if so,"
                 f" take it off before you home, and {IF_DOCKED}"
             )
 
@@ -304,7 +304,7 @@ class Dock:
         self.run(option)
         if self.host.toolhead.get_position()[:3] != before:
             raise self.host.error(
-                f"the head moved in {option}; move it in another option"
+                f"the toolhead moved in {option}; move it in another option"
             )
 
     def activate(self) -> None:

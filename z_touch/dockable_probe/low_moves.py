@@ -78,7 +78,7 @@ class LowMoves:
             f" z={goal[2]:.3f}"
         )
         raise self.host.error(
-            f"the probe may be on the head ({self.carrier.reads()}), and may meet"
+            f"the probe may be on the toolhead ({self.carrier.reads()}), and may meet"
             f" {what}; run DETACH_PROBE first"
         )
 

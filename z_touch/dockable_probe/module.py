@@ -106,7 +106,7 @@ class DockableProbe:
         is_known = settings.mesh is not None and settings.is_placed
         if is_known and path.is_within(dock[:2], settings.mesh or ()):
             notes.append(
-                f"dock_position ({dock.x:g}, {dock.y:g}) lies where the head goes"
+                f"dock_position ({dock.x:g}, {dock.y:g}) lies where the toolhead goes"
                 " while the bed mesh is probed; make the mesh smaller, or move the"
                 " dock"
             )
@@ -123,7 +123,7 @@ class DockableProbe:
         if not is_left_there or path.is_clear_for_homing((x, y), ends, zone):
             return []
         return [
-            f"restore_toolhead: False leaves the head at detach_position ({x:g},"
+            f"restore_toolhead: False leaves the toolhead at detach_position ({x:g},"
             f" {y:g}), from where homing X and Y after a restart goes across the"
             " dock; set it to True, or choose a detach_position on the other side"
         ]
@@ -168,7 +168,7 @@ class DockableProbe:
         self.host.say(self.sensors.describe())
         if state == DOCKED and self.sensors.is_doubtful():
             self.host.say(
-                "nobody has seen it docked: it may hang on the head, its wire"
+                "nobody has seen it docked: it may hang on the toolhead, its wire"
                 f" broken; {IF_DOCKED}"
             )
 

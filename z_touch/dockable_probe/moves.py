@@ -160,7 +160,7 @@ class Moves:
             raise self.host.error(
                 f"no way from {start.x:.3f}, {start.y:.3f} to {goal[0]:.3f},"
                 f" {goal[1]:.3f} around the dock in the reach of X and Y; move the"
-                " head away from it, or lower safe_dock_distance"
+                " toolhead away from it, or lower safe_dock_distance"
                 f" ({self.zone.radius:.3f})"
             )
         for x, y in points + [goal] * into:

@@ -126,7 +126,7 @@ class DockedProbe:
         is_over_dock = moves.is_in_dock(goal)
         if is_over_dock and (is_homing or moves.stands_in_dock()):
             raise self.host.error(
-                f"the head stands in the dock (X={goal.x:.3f} Y={goal.y:.3f}),"
+                f"the toolhead stands in the dock (X={goal.x:.3f} Y={goal.y:.3f}),"
                 " where nothing can be touched; move it away first, as"
                 " MOVE_TO_APPROACH_PROBE does"
             )
@@ -161,7 +161,7 @@ class DockedProbe:
         """
         if self.stayed_at is not None and self.moves.is_at(self.stayed_at):
             raise self.host.error(
-                "the head stands beside the dock; move it to where it is to touch"
+                "the toolhead stands beside the dock; move it to where it is to touch"
             )
         if not self.sensors.is_sensed():
             raise self._lost("is not ready")
@@ -176,7 +176,7 @@ class DockedProbe:
         if not self.sensors.is_sensed():
             raise self._lost("was lost in a touch")
         if not moved:
-            raise self._lost("triggered before the head moved")
+            raise self._lost("triggered before the toolhead moved")
         if self.homing.way is not None:
             # Homing sets Z to anything meanwhile
             if triggered:
@@ -262,7 +262,7 @@ class DockedProbe:
         self.known.distrust()
         return self.host.error(
             f"the probe {what}, at z={self.host.motion.z():.3f}"
-            f" ({self.sensors.describe()}); raise the head and put the probe into its"
+            f" ({self.sensors.describe()}); raise the toolhead and put the probe into its"
             " dock, then check it with GET_PROBE_STATUS"
         )
 

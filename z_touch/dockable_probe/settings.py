@@ -119,7 +119,7 @@ class Settings:
 
     dock_position: Position = position(
         options.REQUIRED,
-        "X, Y of the head in the dock, in mm; a third number is Z.",
+        "X, Y of the toolhead in the dock, in mm; a third number is Z.",
     )
     approach_position: Position = position(
         options.REQUIRED, "Straight into the dock from here."
@@ -140,7 +140,7 @@ class Settings:
     # The default, which is the largest value, too, comes from the positions
     safe_dock_distance: float = options.number(
         None,
-        "On all other ways the head stays so far away from the dock, in mm. The"
+        "On all other ways the toolhead stays so far away from the dock, in mm. The"
         " default is the distance of the nearest position.",
         minval=0.0,
     )
@@ -172,18 +172,18 @@ class Settings:
     )
     z_hop: float = options.number(
         0.0,
-        "Lowest height of the head on the way to the dock, in mm.",
+        "Lowest height of the toolhead on the way to the dock, in mm.",
         minval=0.0,
     )
     safe_position: Optional[Position] = position(
         None,
-        "The head goes around the dock on the side of this point. There is no"
+        "The toolhead goes around the dock on the side of this point. There is no"
         " default.",
     )
     safe_z_position: Optional[Tuple[float, float]] = options.other(
         options.PAIR,
         None,
-        "Where the head stands while Z is homed with the probe. There is no"
+        "Where the toolhead stands while Z is homed with the probe. There is no"
         " default.",
         unit="mm",
     )
@@ -210,19 +210,19 @@ class Settings:
     )
     restore_toolhead: bool = flag(
         True,
-        "False: the head stays at detach_position afterwards.",
+        "False: the toolhead stays at detach_position afterwards.",
         old=("return_to_last_probe_position_after_detach",),
     )
 
     check_open_attach: bool = flag(
         False,
-        "True: pin reads open with the probe on the head and TRIGGERED without"
+        "True: pin reads open with the probe on the toolhead and TRIGGERED without"
         " it.",
     )
     probe_sense_pin: Optional[str] = options.other(
         options.PIN,
         None,
-        "An MCU pin that is triggered while the probe is on the head. There is"
+        "An MCU pin that is triggered while the probe is on the toolhead. There is"
         " no default.",
     )
     dock_sense_pin: Optional[str] = options.other(
@@ -250,7 +250,7 @@ class Settings:
     )
 
     pre_attach_gcode: Optional[Template] = gcode(
-        "Before the head goes to fetch the probe. There is no default."
+        "Before the toolhead goes to fetch the probe. There is no default."
     )
     attach_gcode: Optional[Template] = gcode(
         "In the dock, at each attempt to fetch it. There is no default."
@@ -259,7 +259,7 @@ class Settings:
         "When it was fetched, or could not be. There is no default."
     )
     pre_detach_gcode: Optional[Template] = gcode(
-        "Before the head goes to dock it. There is no default."
+        "Before the toolhead goes to dock it. There is no default."
     )
     detach_gcode: Optional[Template] = gcode(
         "In the dock, at each attempt to dock it. There is no default."
@@ -268,11 +268,11 @@ class Settings:
         "When it was docked, or could not be. There is no default."
     )
     activate_gcode: Optional[Template] = gcode(
-        "Before the probe is fetched; must not move the head. There is no"
+        "Before the probe is fetched; must not move the toolhead. There is no"
         " default."
     )
     deactivate_gcode: Optional[Template] = gcode(
-        "When it was docked, and the head is back; must not move the head. There"
+        "When it was docked, and the toolhead is back; must not move the toolhead. There"
         " is no default."
     )
     deactivate_on_each_sample: bool = flag(
@@ -546,7 +546,7 @@ def check_senses(config: Config, values: Mapping[str, Any]) -> None:
         raise config.error(
             f"Section '{config.get_name()}': nothing tells whether the probe is"
             " attached; set check_open_attach: True if 'pin' reads open with the"
-            " probe on the head and TRIGGERED without it, or give"
+            " probe on the toolhead and TRIGGERED without it, or give"
             " probe_sense_pin or dock_sense_pin"
         )
 

@@ -1,4 +1,4 @@
-"""DOCKABLE_PROBE_SETUP: where the dock is, found with the probe on the head.
+"""DOCKABLE_PROBE_SETUP: where the dock is, found with the probe on the toolhead.
 
 Each step does what the one before has announced, and asks for the next one; see
 setup_steps.py for what they ask:
@@ -142,8 +142,8 @@ class Setup:
     ##################################################################
 
     def do_on(self) -> None:
-        """Look whether the probe is on the head, and the axes are homed."""
-        self._require(ATTACHED, "put it on the head, or correct pin (!)")
+        """Look whether the probe is on the toolhead, and the axes are homed."""
+        self._require(ATTACHED, "put it on the toolhead, or correct pin (!)")
         missing = self._not_homed()
         if missing:
             raise CalibrationError(
@@ -162,13 +162,13 @@ class Setup:
                 for sense, is_triggered in sensors.when_joined()
             )
             raise CalibrationError(
-                "the probe is not on the head and in the dock at once"
+                "the probe is not on the toolhead and in the dock at once"
                 f" ({sensors.describe()}), expected {wanted}; the magnets of both"
                 " have to hold it"
             )
         settings, here = self.section.settings, self._here()
         if settings.dock_fixed_z:
-            # That is no place of the head's, but how much higher it has to be there.
+            # That is no place of the toolhead's, but how much higher it has to be there.
             here = here._replace(z=settings.dock_position.z)
         self.found = {"dock_position": here}
         self.wizard.enter("out")
@@ -206,7 +206,7 @@ class Setup:
         self.wizard.enter("fetch")
 
     def _take(self, option: str) -> None:
-        """Keep where the head is; raises CalibrationError too near to the dock."""
+        """Keep where the toolhead is; raises CalibrationError too near to the dock."""
         here, dock = self._here(), self.found["dock_position"]
         apart = path.distance(here, dock)
         is_above = (
@@ -222,14 +222,14 @@ class Setup:
         self.found[option] = here
 
     def _here(self) -> Position:
-        """Return where the head is.
+        """Return where the toolhead is.
 
         Raises CalibrationError where the motors are off: a hand may have moved it.
         """
         missing = self._not_homed()
         if missing:
             raise CalibrationError(
-                f"not homed: {', '.join(missing)}; nobody knows where the head is;"
+                f"not homed: {', '.join(missing)}; nobody knows where the toolhead is;"
                 " move it clear of the dock by hand, and home (G28"
                 f" {' '.join(missing)})"
             )
@@ -298,7 +298,7 @@ class Setup:
         )
 
     ##################################################################
-    # The head
+    # The toolhead
     ##################################################################
 
     def _jog(self, gcmd: GCodeCommand) -> None:

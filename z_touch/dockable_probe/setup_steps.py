@@ -16,7 +16,7 @@ STEPS = (
         1,
         "put the probe on",
         (
-            "Put the probe on the head by hand.",
+            "Put the probe on the toolhead by hand.",
             "Abort ends this at any step, nothing is saved then.",
             "'Next' looks whether the pins say so ({pins} now), and whether the"
             " axes are homed that lead to the dock: {axes}; nothing moves.",
@@ -28,7 +28,7 @@ STEPS = (
         2,
         "push it into its dock",
         (
-            "Push the probe on the head into its dock, until it sits there as it"
+            "Push the probe on the toolhead into its dock, until it sits there as it"
             " should, with the magnets of both in place.",
             KEEPS,
         ),
@@ -55,7 +55,7 @@ STEPS = (
         4,
         "go before the dock",
         (
-            "Go around the dock, to some 40 mm before it: where the head goes"
+            "Go around the dock, to some 40 mm before it: where the toolhead goes"
             " straight in to meet the probe, and comes out with it.",
             KEEPS,
         ),
@@ -68,7 +68,7 @@ STEPS = (
         5,
         "the way in with the probe",
         (
-            "For another way in move the head to where that begins, then 'Here'.",
+            "For another way in move the toolhead to where that begins, then 'Here'.",
             "'Same': to put the probe back the dock is entered the same way, as"
             " most docks are.",
         ),

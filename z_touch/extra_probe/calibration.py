@@ -208,7 +208,7 @@ class Calibration:
             return []
         if endstop.query_endstop(self.host.after_moves()):
             return []
-        return ["The probe reads open, as on the head; put it away first."]
+        return ["The probe reads open, as on the toolhead; put it away first."]
 
     def _travel(self) -> None:
         """Lift to safe_z_height, and go to xy_position, if there is one."""
@@ -260,7 +260,7 @@ class Calibration:
             )
         if pin.is_over_pin(self.host, self.z_pin):
             sentences.append(
-                "The head is over the pin of the Z endstop; move it."
+                "The toolhead is over the pin of the Z endstop; move it."
             )
         if question.is_bed_known:
             sentences.append(_lowers(question))
@@ -592,7 +592,7 @@ class Calibration:
         """Raise CalibrationError where the toolhead may have been moved off the switch."""
         here = zip(self.host.toolhead.get_position(), question.xy)
         if max(abs(a - b) for a, b in here) > SAME_POSITION:
-            raise _changed("the head was moved")
+            raise _changed("the toolhead was moved")
 
     def _stand_still(self) -> None:
         """Wait for the end of all moves, before a hand comes near."""

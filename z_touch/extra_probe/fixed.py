@@ -69,7 +69,7 @@ def check(
         )
     if switch is None:
         raise CalibrationError(
-            f"Option 'fixed: True' {section} needs xy_position: X, Y of the head when"
+            f"Option 'fixed: True' {section} needs xy_position: X, Y of the toolhead when"
             " the nozzle is above the switch"
         )
     if host.probing.endstop() is None:

@@ -262,7 +262,7 @@ class ExtraProbe:
         floor = heights.above_pin(floor, pin_z)
         if pin_z is not None:
             self.host.say(
-                "the head is over the pin of the Z endstop: without a trigger the touch"
+                "the toolhead is over the pin of the Z endstop: without a trigger the touch"
                 f" ends at z={floor:.3f}; move it over the bed"
             )
         return floor

@@ -37,13 +37,13 @@ class SwitchSettings:
     activate_gcode: Template = options.other(
         options.GCODE,
         "",
-        "Runs before each touch, and must not move the head. There is no"
+        "Runs before each touch, and must not move the toolhead. There is no"
         " default.",
     )
     deactivate_gcode: Template = options.other(
         options.GCODE,
         "",
-        "Runs after each touch, and must not move the head. There is no"
+        "Runs after each touch, and must not move the toolhead. There is no"
         " default.",
     )
     deactivate_on_each_sample: bool = options.other(
@@ -89,12 +89,12 @@ class Settings:
     xy_position: Optional[Site] = options.other(
         options.site_kind("switch"),
         None,
-        "Where the nozzle touches. By default it is where the head is.",
+        "Where the nozzle touches. By default it is where the toolhead is.",
         unit="mm",
     )
     safe_z_height: float = options.number(
         SAFE_Z,
-        "The head is lifted so high, at least, before it travels there, in mm.",
+        "The toolhead is lifted so high, at least, before it travels there, in mm.",
         above=0.0,
     )
     position_min: Optional[float] = options.number(

@@ -121,7 +121,7 @@ class PinSwitch:
         command.check_homed(self.host)
         if self.host.toolhead.get_position()[:3] != before:
             raise CalibrationError(
-                f"the head moved in {name}; move it before the command"
+                f"the toolhead moved in {name}; move it before the command"
             )
 
 

@@ -107,7 +107,7 @@ def notes(host: Host, settings: Settings) -> List[str]:
     if settings.unmeasured_pin:
         travel_z = heights.travel_height(settings, None, None)
         texts.append(
-            f"until endstop_pin is touched the head travels at z={travel_z:.1f}, enough"
+            f"until endstop_pin is touched the toolhead travels at z={travel_z:.1f}, enough"
             f" for a pin of {settings.unmeasured_pin:g} mm; where it is higher run"
             " Z_CALIBRATION_SETUP, or set safe_z_height"
         )

@@ -820,7 +820,7 @@ class ZCalibration:
             run.check_probe_attached()
         except CalibrationError:
             raise CalibrationError(
-                "ATTACH=0 needs the probe on the head all the time, and it is"
+                "ATTACH=0 needs the probe on the toolhead all the time, and it is"
                 " not attached; attach it in start_gcode, not in"
                 " before_switch_gcode"
             )

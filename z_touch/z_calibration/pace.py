@@ -1,10 +1,10 @@
-"""How fast and how far the head moves in CALIBRATE_Z where its section leaves that open.
+"""How fast and how far the toolhead moves in CALIBRATE_Z where its section leaves that open.
 
 Pure functions.  Speeds of touches are always the user's: what a switch says depends on
 them.  The rest follows from the machine, and Z is never moved faster than its user moves
 it elsewhere:
 
-  from place to place   TRAVEL_SPEED, as high as the head is
+  from place to place   TRAVEL_SPEED, as high as the toolhead is
   up                    the larger of lift_speed of [probe] and homing_speed of
                         [stepper_z], never above max_z_velocity
   down, armed           the same, or slower, so that half of travel_margin is enough to

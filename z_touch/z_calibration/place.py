@@ -320,7 +320,7 @@ class Place:
         if self.run.was_attached:
             raise CalibrationError(
                 "the probe reads triggered, and was attached before: it has come"
-                " off, or its wire is broken; look where it is before the head"
+                " off, or its wire is broken; look where it is before the toolhead"
                 " moves and check it with QUERY_PROBE"
             )
         # In the set-up there may be none of these yet
@@ -437,7 +437,7 @@ class NozzlePlace(Place):
                 " before_switch_gcode"
             )
         raise CalibrationError(
-            "the probe is on the head, and has met the bed at"
+            "the probe is on the toolhead, and has met the bed at"
             f" z={self.host.motion.z():.3f}, where nothing should be met before the pin;"
             f" {remedy}"
         )

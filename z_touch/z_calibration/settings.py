@@ -142,7 +142,7 @@ class Settings:
     switch_xy_position: Optional[Site] = options.declare(
         options.site_option(
             "switch_xy_position",
-            "X, Y of the head when the body of the probe's switch is above the same"
+            "X, Y of the toolhead when the body of the probe's switch is above the same"
             " pin, with its flat side beside the plunger.",
         )
     )
@@ -170,7 +170,7 @@ class Settings:
     wiggle_xy_offsets: Optional[Tuple[float, float]] = options.other(
         SHIFT,
         None,
-        "Moves the head by so much and back after each touch of the nozzle, for"
+        "Moves the toolhead by so much and back after each touch of the nozzle, for"
         " a pin that sticks to it. There is no default.",
         unit="mm",
     )
@@ -207,19 +207,19 @@ class Settings:
 
     safe_z_height: float = options.number(
         None,
-        "The head travels at least so high, in mm. The default is twice the"
+        "The toolhead travels at least so high, in mm. The default is twice the"
         " z_offset of [probe].",
         above=0.0,
     )
     clearance: float = options.number(
         0.0,
-        "The head is lifted by at least this after each touch, in mm.",
+        "The toolhead is lifted by at least this after each touch, in mm.",
         minval=0.0,
     )
     travel_margin: float = options.number(
         TRAVEL_MARGIN,
         "How much lower than expected a touch may go, and how much room is left"
-        " below the head on its way, in mm.",
+        " below the toolhead on its way, in mm.",
         above=0.0,
     )
     position_min: float = options.number(

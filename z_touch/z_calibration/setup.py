@@ -63,7 +63,7 @@ SITES = ("nozzle", "switch", "bed")
 TOUCHED = {f"touch_{name}": name for name in SITES}
 # Steps that use heights of before
 NEED_HEIGHTS = ("touch_switch", "touch_bed", "gap", "paper")
-# Where the head goes when the first button is pressed; 'Again' of the look leads there
+# Where the toolhead goes when the first button is pressed; 'Again' of the look leads there
 LEADS_TO = {
     "home": "nozzle",
     "nozzle": "switch",
@@ -83,7 +83,7 @@ VERDICTS = {
     "held": "was pressed and has not come back",
 }
 
-# So long (s) the head stays over each place for somebody to look
+# So long (s) the toolhead stays over each place for somebody to look
 LOOK_TIME = 4.0
 
 # The nozzle comes down to so high (mm) above the highest bed that there may be, to
@@ -108,13 +108,13 @@ class Touched(NamedTuple):
 class Found:
     """How far somebody has come, and what was found."""
 
-    # The head has got to where the step begins
+    # The toolhead has got to where the step begins
     arrived: bool = True
-    # The probe stays on the head
+    # The probe stays on the toolhead
     is_fixed: bool = False
     # A start_gcode has run since the last end_gcode
     is_fetched: bool = False
-    # The probe was on the head when that has got to a place, or was moved by hand
+    # The probe was on the toolhead when that has got to a place, or was moved by hand
     is_attached: bool = False
     # Of the frame of the heights; None: not homed yet
     mark: Any = None
@@ -122,7 +122,7 @@ class Found:
     is_pin_told: bool = False
     # Toolhead Z (mm) that the pin lies below; None: not known
     pin_below: Optional[float] = None
-    # By their names: where the head stands, and what was touched there
+    # By their names: where the toolhead stands, and what was touched there
     sites: Dict[str, Site] = field(default_factory=dict)
     touched: Dict[str, Touched] = field(default_factory=dict)
     # The extruder that was active then
@@ -229,7 +229,7 @@ class Setup:
         """Do what the step has announced for this answer.
 
         Every method do_<step> does what the first button of the step says, and brings
-        the head to where the next step begins.
+        the toolhead to where the next step begins.
         """
         if self._takes_switch_offset(gcmd):
             self.come_to("save")
@@ -254,7 +254,7 @@ class Setup:
             getattr(self, f"do_{step.name}")(gcmd)
 
     def come_to(self, name: str) -> None:
-        """Ask a step next, and bring the head to where it begins.  May pause."""
+        """Ask a step next, and bring the toolhead to where it begins.  May pause."""
         self.wizard.enter(name)
         self.found.arrived = False
         if name in SITES:
@@ -298,9 +298,9 @@ class Setup:
         self.wizard.tell_end()
 
     def _leave(self, gcmd: GCodeCommand, is_printing: bool) -> None:
-        """Lift the head, and put a probe away that was fetched.
+        """Lift the toolhead, and put a probe away that was fetched.
 
-        A print would go on where the head was lifted to; of a printer that is not
+        A print would go on where the toolhead was lifted to; of a printer that is not
         homed nothing can be moved.
         """
         if self.found.mark is None:
@@ -311,7 +311,7 @@ class Setup:
         elif self.found.is_fetched:
             gcmd.respond_info(
                 f"{self.host.section}: nothing was moved, as a print may be on, or"
-                " the printer is not homed; the probe has to be off the head; look,"
+                " the printer is not homed; the probe has to be off the toolhead; look,"
                 " and put it away by hand"
             )
 
@@ -405,7 +405,7 @@ class Setup:
     def do_home(self, gcmd: GCodeCommand) -> None:
         """Home what is not homed, and go over the pin.
 
-        Z again where the pin is elsewhere since: how low the head may be moved by hand
+        Z again where the pin is elsewhere since: how low the toolhead may be moved by hand
         counts from it.
         """
         moved = self._is_homed() and self._pin_moved()
@@ -413,7 +413,7 @@ class Setup:
             on_pin = self.calibration.settings.position_endstop is not None
             if on_pin and not self.found.is_fixed and self._is_attached():
                 raise CalibrationError(
-                    "the probe is on the head, and would hit the bed before the"
+                    "the probe is on the toolhead, and would hit the bed before the"
                     " nozzle meets the pin; put it away, or run G28 yourself"
                 )
             self.host.gcode.run_script_from_command("G28 Z" if moved else "G28")
@@ -428,7 +428,7 @@ class Setup:
         self.do_attach(gcmd)
 
     def do_attach(self, gcmd: GCodeCommand) -> None:
-        """Fetch the probe unless it is on the head, and bring its body to the pin."""
+        """Fetch the probe unless it is on the toolhead, and bring its body to the pin."""
         self._lift()
         if not self._is_attached():
             self._fetch()
@@ -457,7 +457,7 @@ class Setup:
         self.come_to("touch_nozzle")
 
     def _take_site(self, name: str) -> None:
-        """Keep where the head stands as a site, and lift it.
+        """Keep where the toolhead stands as a site, and lift it.
 
         Raises CalibrationError where that cannot be the site.
         """
@@ -480,7 +480,7 @@ class Setup:
         apart = math.hypot(site.x - nozzle.x, site.y - nozzle.y)
         if site.name == "switch" and not 0.0 < apart <= LARGEST_SWITCH_DISTANCE:
             raise CalibrationError(
-                f"the switch cannot be {apart:.1f} mm from the nozzle; move the head"
+                f"the switch cannot be {apart:.1f} mm from the nozzle; move the toolhead"
                 " until its body is over the pin"
             )
         if site.name == "bed":
@@ -535,7 +535,7 @@ class Setup:
     def _with_probe(
         self, name: str, xy: Tuple[float, float], origin: str
     ) -> Site:
-        """Where the head stands to have the probe at xy, as far as it reaches."""
+        """Where the toolhead stands to have the probe at xy, as far as it reaches."""
         limits, offsets = self.host.axes.limits(), self.host.probing.offsets()
         x, y = (
             min(max(a - offset, low), high)
@@ -552,12 +552,12 @@ class Setup:
         return all(axis in homed for axis in "xyz")
 
     def _lift(self) -> None:
-        """Lift the head to where it may travel, never down."""
+        """Lift the toolhead to where it may travel, never down."""
         command.check_homed(self.host)
         self._first_run().lift()
 
     def _go(self, site: Site) -> None:
-        """Lift the head and move it over a site, around a dock that is known.
+        """Lift the toolhead and move it over a site, around a dock that is known.
 
         Over the pin X first, as another pin is more often beside it than in front.
         """
@@ -590,7 +590,7 @@ class Setup:
         found = self.found
         if not found.arrived:
             raise CalibrationError(
-                "the head has not got to this place yet; answer the question"
+                "the toolhead has not got to this place yet; answer the question"
             )
         self._check_heights()
         found.is_attached = self._is_attached()
@@ -617,7 +617,7 @@ class Setup:
         self.wizard.move(gcmd, ends, settings.speed, settings.on_pin.lift_speed)
 
     def _jog_floor(self) -> float:
-        """Return how low (toolhead Z, mm) the head may be moved by hand."""
+        """Return how low (toolhead Z, mm) the toolhead may be moved by hand."""
         below = 0.0
         if self.found.is_attached or self._step() == "switch":
             # The plunger ends lower than where it triggers
@@ -687,7 +687,7 @@ class Setup:
         self.come_to("gap")
 
     def _touch(self, name: str) -> None:
-        """Touch a site, and lift the head.  Pauses."""
+        """Touch a site, and lift the toolhead.  Pauses."""
         found, run = self.found, self._first_run()
         before = found.heights_before(name)
         with command.always(self.host, run.lift, "lifting"):
@@ -731,7 +731,7 @@ class Setup:
         return run
 
     def _travel_z(self) -> float:
-        """Return the toolhead Z (mm) at which the head moves over pin and bed."""
+        """Return the toolhead Z (mm) at which the toolhead moves over pin and bed."""
         return self._first_run().travel_z
 
     def _fetch(self) -> None:
@@ -918,7 +918,7 @@ class Setup:
             if old is not None and judging.is_near(old, site):
                 continue
             if name == "bed":
-                # The option is a point of the bed, the site one of the head
+                # The option is a point of the bed, the site one of the toolhead
                 site = site._replace(x=site.x + x, y=site.y + y)
             values.append(
                 (f"{name}_xy_position", f"{site.x:.3f}, {site.y:.3f}")
@@ -1019,8 +1019,8 @@ class Setup:
         return judging.paper_room(self.found.contact(), self.host.motion.z())
 
     def _goal(self, name: str) -> str:
-        """Say what the head does to come to a step; empty: nothing."""
-        text = f"the head lifts to Z={self._travel_z():.1f}"
+        """Say what the toolhead does to come to a step; empty: nothing."""
+        text = f"the toolhead lifts to Z={self._travel_z():.1f}"
         if name == "paper":
             x, y, z = self._over_sheet()
             return f"{text}, moves to X={x:.1f} Y={y:.1f} and down to Z={z:.2f}"

@@ -85,7 +85,7 @@ def slow_settings(settings: Settings) -> Settings:
 
 
 def jog_floor(pin_z: Optional[float], below: float) -> float:
-    """Return how low (toolhead Z, mm) the head may be moved by hand.
+    """Return how low (toolhead Z, mm) the toolhead may be moved by hand.
 
     pin_z: the pin is not above it; None: its height is not known. below: how far
     (mm) the probe reaches below the nozzle.

@@ -22,7 +22,7 @@ LOWEST_OF_PROBE = (
     " Z={floor:.1f}, before the probe meets the pin."
 )
 LOWEST_OF_ANY = (
-    "The height of the pin is not known yet: lower the head with care, and stop 1 mm"
+    "The height of the pin is not known yet: lower the toolhead with care, and stop 1 mm"
     " above the pin; it stops by itself at Z={floor:.1f} only."
 )
 AT_PLUNGER = (
@@ -43,7 +43,7 @@ BY_GCODE = {
     "after_bed": "; then your own G-code puts it away",
 }
 BY_HAND = {
-    "attach_it": "Attach the probe by hand first, unless it is on the head.",
+    "attach_it": "Attach the probe by hand first, unless it is on the toolhead.",
     "after_here": "asks for the probe unless it is there",
     "attaching": "looks whether it is there",
     "around": "",
@@ -71,9 +71,9 @@ STEPS = (
         1,
         "press the pin",
         (
-            "Abort ends this at any step: the head is lifted, a probe that was"
+            "Abort ends this at any step: the toolhead is lifted, a probe that was"
             " fetched is put away, nothing is saved.",
-            "If the printer is homed, 'Watch' lifts the head to"
+            "If the printer is homed, 'Watch' lifts the toolhead to"
             " Z={travel_z:.1f} before; nothing else moves.",
             "'Watch', then press the metal pin down by hand and let go, within"
             " {patience:.0f} seconds.",
@@ -85,7 +85,7 @@ STEPS = (
         2,
         "take the probe off",
         (
-            "Take the probe off the head.",
+            "Take the probe off the toolhead.",
             "'Skip' where it cannot be taken off.",
             "'Next' looks whether it is off; nothing moves.",
         ),
@@ -125,7 +125,7 @@ STEPS = (
         (
             "Move the nozzle right over the middle of the pin.",
             "{lowest}",
-            "'Here' keeps the place, lifts the head to Z={travel_z:.1f},"
+            "'Here' keeps the place, lifts the toolhead to Z={travel_z:.1f},"
             " {after_here}, and then {goal}.",
         ),
         "Here",
@@ -150,7 +150,7 @@ STEPS = (
         6,
         "switch over the pin",
         (
-            "{plunger}Move the head until the flat BODY of the switch is over"
+            "{plunger}Move the toolhead until the flat BODY of the switch is over"
             " the pin, and its plunger beside it.",
             "{lowest}",
             "'Here' keeps the place; then {goal}, with the probe over the bed.",
@@ -165,7 +165,7 @@ STEPS = (
         7,
         "probe over the bed",
         (
-            "Move the head until the probe is over the point of the bed to"
+            "Move the toolhead until the probe is over the point of the bed to"
             " measure.",
             "'Here' keeps the place; then {goal}: watch there.",
         ),
@@ -181,7 +181,7 @@ STEPS = (
             "The nozzle was over the pin, then the body of the switch, then the"
             " probe over the bed?",
             "'Again': {goal}.",
-            "The buttons with a name lift the head to Z={travel_z:.1f} and go"
+            "The buttons with a name lift the toolhead to Z={travel_z:.1f} and go"
             " back to that place.",
             "'Yes' goes on; nothing moves.",
         ),
@@ -204,7 +204,7 @@ STEPS = (
             STOP,
             "Where no pin is met, the nozzle stops at Z={floor:.2f}; the console"
             " says that of the other places.",
-            "'Touch' lifts the head to Z={travel_z:.1f} and touches pin, switch"
+            "'Touch' lifts the toolhead to Z={travel_z:.1f} and touches pin, switch"
             " and bed slowly, {touches} times each{around}.",
         ),
         "Touch",
@@ -220,7 +220,7 @@ STEPS = (
             "{attach_it}",
             STOP,
             TOUCH_ENDS,
-            "'Touch' lifts the head to Z={travel_z:.1f},{before_switch} goes"
+            "'Touch' lifts the toolhead to Z={travel_z:.1f},{before_switch} goes"
             " over the pin (over the bed before if it is not known how long the"
             " probe is) and lowers it slowly, {touches} times; then the bed.",
         ),
@@ -235,7 +235,7 @@ STEPS = (
             "{repeats}",
             STOP,
             TOUCH_ENDS,
-            "'Touch' lifts the head to Z={travel_z:.1f}, goes over the bed and"
+            "'Touch' lifts the toolhead to Z={travel_z:.1f}, goes over the bed and"
             " lowers the probe slowly, {touches} times{after_bed}.",
         ),
         "Touch",
@@ -254,7 +254,7 @@ STEPS = (
             " {come_down}.",
             "Another value goes in on the console: Z_CALIBRATION_SETUP STEP=GAP"
             " VALUE=mm.",
-            "'Paper' lifts the head to Z={travel_z:.1f} and goes with the nozzle"
+            "'Paper' lifts the toolhead to Z={travel_z:.1f} and goes with the nozzle"
             " over the bed, down to Z={paper_z:.2f}, about 2 to 3 mm above it.",
         ),
         "Paper",
@@ -272,7 +272,7 @@ STEPS = (
             "Lay a sheet of paper on the bed.",
             "{sheet}",
             "'Here' when the nozzle just holds the sheet; 'Here' and 'Back' lift"
-            " the head to Z={travel_z:.1f}.",
+            " the toolhead to Z={travel_z:.1f}.",
         ),
         "Here",
         back="gap",

@@ -204,7 +204,7 @@ class SiteFinder:
         apart -= self.settings.bed_spread
         if apart < SWITCH_NEAR:
             raise CalibrationError(
-                f"{bed.origin} puts the head {apart:.1f} mm from where it touches the"
+                f"{bed.origin} puts the toolhead {apart:.1f} mm from where it touches the"
                 " switch, so that the probe's body would press the Z endstop again;"
                 f" choose a point of the bed at least {SWITCH_NEAR:g} mm away"
             )

@@ -279,7 +279,7 @@ class UserGcode:
             return
         if self.reads_attached():
             raise CalibrationError(
-                "the probe is on the head, and would meet the bed before the"
+                "the probe is on the toolhead, and would meet the bed before the"
                 " nozzle meets the pin; put it away before Z is homed: in"
                 " end_gcode, or by hand"
             )

@@ -18,8 +18,11 @@ if TYPE_CHECKING:
 
 
 def settings_of(settings: Settings) -> Settings:
-    """Return the settings of touches that show how the pin moves."""
-    sampling = warming.sampling_of(settings.on_pin)
+    """Return the settings of touches that show how the pin moves.
+
+    Touches that differ must not end the wait.
+    """
+    sampling = warming.sampling_of(settings.on_pin, float("inf"))
     return settings.replace(samples=None, on_pin=sampling)
 
 

@@ -29,7 +29,7 @@ def test_standard_machine_is_calibrated_in_time(host):
         assert run.samples == 9
         assert 9 <= sum(run.touches.values()) <= 10
         assert all(run.touches[site] >= 3 for site in CALIBRATE_Z.sites)
-    # In the same frame the head comes from the bed
+    # In the same frame the toolhead comes from the bed
     assert first.start[:2] == pytest.approx((206.0, 306.0))
     assert again.start[:2] == pytest.approx((152.0, 125.25))
 
@@ -48,7 +48,7 @@ def test_cycles_are_timed_with_the_gcode_of_the_user(host):
 
 
 # Seconds that other modules take on their hosts, at least: docs/performance.md.
-# Where the head stood still for each look at the probe a mesh took 73.8.
+# Where the toolhead stood still for each look at the probe a mesh took 73.8.
 @pytest.mark.parametrize(
     ("command", "others", "touches"),
     [(ATTACH_AND_DETACH, 7.0, 0), (HOME_AND_MESH, 73.0, 27)],

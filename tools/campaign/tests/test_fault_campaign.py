@@ -77,7 +77,7 @@ CASES = [
     (DOCKABLE, "template leaves", "", 2, "", REFUSED),
     (DOCKABLE, "dock_fails", "", 0, "", REFUSED),
     (DOCKABLE, "stuck_closed", "probe", 4, "query", REFUSED),
-    # It hangs on the head, and reads as if it were docked
+    # It hangs on the toolhead, and reads as if it were docked
     ("EXTRA_PROBE, gantry", "stuck_closed", "probe", 0, "", REFUSED),
     ("AUTO_Z_HOME_Z, servo", "stuck_closed", "probe", 0, "", REFUSED),
 ]
@@ -157,7 +157,7 @@ PLANTED = {
     "head stays down": (
         (Z, "trigger_never", "z_endstop", 1, "touch"),
         {"failed": 'run("G90\\nG1 Z8 F600")'},
-        "the head is at z=",
+        "the toolhead is at z=",
     ),
     "pin is pressed too deep": (
         (Z, "trigger_never", "z_endstop", 1, "touch"),

@@ -41,7 +41,7 @@ def product(tmp_path):
     )
 
 
-# Whatever hangs on the head: past all that looks at G-code's own moves
+# Whatever hangs on the toolhead: past all that looks at G-code's own moves
 DOWN = 'printer.lookup_object("toolhead").manual_move([None, None, 1.0], 10.0)'
 
 
@@ -189,7 +189,7 @@ def test_gap_is_looked_at_where_the_plate_was_touched(host):
         assert outcome.done["AUTO_Z_CALIBRATE"] == 1
 
 
-# The probe waits on the head a while, as it may be wanted again
+# The probe waits on the toolhead a while, as it may be wanted again
 WAITS = Owned(options=(("dockable_probe", "allow_delayed_detach", "True"),))
 LATER = (
     ("gcode", "G28"),

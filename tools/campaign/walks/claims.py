@@ -159,7 +159,7 @@ CLAIMS: tuple[tuple[re.Pattern, Callable[..., bool]], ...] = tuple(
         (r"probe is (ATTACHED|DOCKED|UNKNOWN)", _is_at),
         (r"not (?:attached|docked|fetched), it is (\w+)", _is_at),
         (r"probe reads triggered", _is_off_head),
-        (r"needs the probe on the head all the time", _is_off_head),
+        (r"needs the probe on the toolhead all the time", _is_off_head),
         (r"^extra_probe .*(?:No trigger on|did not answer)", _no_membrane),
         (r"^extra_probe .*(?:was not pressed|press it once)", _is_true),
         (r"no set-up is under way|did not change; check", _is_true),
@@ -168,7 +168,7 @@ CLAIMS: tuple[tuple[re.Pattern, Callable[..., bool]], ...] = tuple(
         # Only the motors know, and whoever has levelled or set them
         (r"since G28,|Z was not homed with G28", _is_true),
         (r"a print is paused \(PAUSE\)", _is_true),
-        (r"a print is paused, and the head", _is_paused),
+        (r"a print is paused, and the toolhead", _is_paused),
         (r"with the G-code Z offset of \S+ in force", _has_offset),
         (r"G-code (?:Z )?offset is 0, not th", _is_reset),
         (r"holds no correction, and none was saved", _has_no_correction),

@@ -19,7 +19,7 @@ def press(dialog: Shown, number: int, run: Run) -> None:
     """A button of a dialog."""
     buttons = [*dialog.footer_buttons, *sum(dialog.groups, [])]
     label, gcode, _ = buttons[number % len(buttons)]
-    # A person looks before the head goes down
+    # A person looks before the toolhead goes down
     if not label.startswith(("-", "Lower")):
         run(gcode)
 

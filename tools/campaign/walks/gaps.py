@@ -19,7 +19,7 @@ Point = tuple[float, float]
 
 # Beyond what a step of the motors and the noise explain (mm)
 GAP_ERROR = 0.02
-# Where the head stands while it is looked at (mm)
+# Where the toolhead stands while it is looked at (mm)
 LOOKING_Z = 10.0
 LOOK = f"""\
 G90
@@ -337,9 +337,9 @@ class Gaps:
         return not all(low <= at <= high for low, at, high in ends)
 
     def look(self, point: Point) -> Optional[float]:
-        """The gap over a point; None where the head cannot go there.
+        """The gap over a point; None where the toolhead cannot go there.
 
-        The head comes back. Nor where an adaptive mesh has ended: beyond its rim
+        The toolhead comes back. Nor where an adaptive mesh has ended: beyond its rim
         Klipper goes on as high as that, whatever the bed is there.
         """
         if self._is_beyond_mesh(point):

@@ -38,7 +38,7 @@ OF_Z_CALIBRATION, *_OTHERS = (
     )
 )
 OURS = OF_Z_CALIBRATION.union(*_OTHERS)
-# Touches where the head is, by what touches
+# Touches where the toolhead is, by what touches
 WHERE_IT_IS = {
     "PROBE": ("probe_bed", "inductive_bed"),
     "PROBE_ACCURACY": ("probe_bed", "inductive_bed"),
@@ -248,7 +248,7 @@ class Judge:
             here, status = self.printer.session.position()[:3], self._status()
             is_asked = self._is_asked(status)
             if self._is_refused_beside(gone) and is_asked:
-                # Before the head moves, and whatever templates run
+                # Before the toolhead moves, and whatever templates run
                 there = self.before.tip
                 here = self.printer.machine.tip()
             if self._trips() > trips and not _may_dock(status):
@@ -292,7 +292,7 @@ class Judge:
         return bool(gone.refusal and is_beside)
 
     def _is_elsewhere(self, gone: Gone) -> Iterator[str]:
-        """Where the head was sent, it is; and it touches what is there."""
+        """Where the toolhead was sent, it is; and it touches what is there."""
         sent = [m for m in map(_SENT.match, gone.script.splitlines()) if m]
         # A skew that is corrected is another place
         is_skew = "skew" in self.owned.names

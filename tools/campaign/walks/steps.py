@@ -79,6 +79,8 @@ OF_SECTION = {
         "CALIBRATE_Z_ACCURACY CYCLES=2 ATTACH=0",
         "CALIBRATE_Z_ACCURACY CYCLES=2 HOME=1",
         "PROBE_Z_ACCURACY SAMPLES=3",
+        "Z_CALIBRATION_WAIT MAX=2",
+        "Z_CALIBRATION_NOZZLE_GROWTH TEMPS=50,70,90",
         "CALCULATE_SWITCH_OFFSET",
         "Z_CALIBRATION_SAVE_GCODE_OFFSET",
         "Z_CALIBRATION_SAVE_GCODE_OFFSET SAVE=0 FORCE=1",
@@ -92,10 +94,12 @@ OF_SECTION = {
         "AUTO_Z_CALIBRATE",
         "AUTO_Z_CALIBRATE",
         "AUTO_Z_CALIBRATE ACCEPT_CHANGE=1",
-        # At the place where the head is, so not over the pin of Z
+        # At the place where the toolhead is, so not over the pin of Z
         f"{OVER_BED}\nAUTO_Z_PROBE",
         "AUTO_Z_HOME_Z",
         "AUTO_Z_MEASURE_OFFSET",
+        "AUTO_Z_TWIST SAMPLE_COUNT=2",
+        "AUTO_Z_WAIT MAX=2",
         "AUTO_Z_LOAD_OFFSET",
         "AUTO_Z_SAVE_GCODE_OFFSET",
     ),
@@ -200,7 +204,7 @@ WHILE_PRINTING = (
     "PAUSE",
     "CANCEL_PRINT",
 )
-# Ours that do not want the head, or have to say that somebody prints
+# Ours that do not want the toolhead, or have to say that somebody prints
 OURS_WHILE_PRINTING = {
     "z_calibration": ("Z_CALIBRATION_SETUP", "CALIBRATE_Z"),
     "auto_z_offset": ("AUTO_Z_CALIBRATE", "AUTO_Z_SAVE_GCODE_OFFSET"),
@@ -381,7 +385,7 @@ def _courses(printer: Owned) -> list[st.SearchStrategy]:
     )
     found = _uses_of_results(commands)
     if "ATTACH_PROBE" in commands:
-        # On the head, whatever comes next
+        # On the toolhead, whatever comes next
         own = [text for text in commands if text not in HOST]
         nexts = _one("gcode", "G28", "G28 Z", *own)
         found.append(_row(_one("gcode", "ATTACH_PROBE"), nexts))

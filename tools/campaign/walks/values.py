@@ -33,7 +33,7 @@ HOOKS = (
 # A macro asks whether all is ready, and says no
 NOT_READY = "the bed is cold"
 ASKS = "G91\n  G1 Z2 F600\n  READY\n  G90"
-# Some park the head when all is done
+# Some park the toolhead when all is done
 PARKS = ("DETACH_PROBE\n  G1 X150 Y150 F9000", "M117 x\n  G1 X150 Y150 F9000")
 # G-code that the tables know nothing of
 OWN: dict[str, dict[str, Sequence[Optional[str]]]] = {
@@ -57,7 +57,7 @@ OWN: dict[str, dict[str, Sequence[Optional[str]]]] = {
         ),
     },
     "auto_z_offset": {
-        # Down to where the nozzle is free, whatever hangs on the head
+        # Down to where the nozzle is free, whatever hangs on the toolhead
         "prepare_gcode": ("G90\n  G0 Z3\n  M400", "G91\n  G0 Z-1\n  G90"),
     },
     "dockable_probe": {
@@ -102,7 +102,7 @@ OF_MACHINE = (
 SWITCHES = ("z_hop", "bed_spread")
 OF_TOUCHES = ("sample", "result")
 BEFORE_Z = "detach_dockable_before_z_home"
-# False leaves the head beside the dock
+# False leaves the toolhead beside the dock
 STAYS = ("restore_toolhead", "return_to_last_probe_position_after_detach")
 # Sections of which there are real ones, see tests/corpus
 OF_CORPUS = ("z_calibration", "auto_z_offset", "dockable_probe")

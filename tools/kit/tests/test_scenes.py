@@ -100,7 +100,7 @@ def test_calibration_ends_at_the_gap_of_the_formula(start, host, name):
     assert abs(printer.gap() - wanted) > 10 * microstep(printer)
     printer.run("CALIBRATE_Z\nG1 X150 Y150 Z20 F3000\nM400")
     printer.session.wait(0.5)
-    # Half a belt that ran on would carry the head aside as well as down
+    # Half a belt that ran on would carry the toolhead aside as well as down
     assert printer.machine.tip().x == pytest.approx(150.0, abs=0.02)
     assert printer.gap() == pytest.approx(wanted, abs=2 * microstep(printer))
     samples = int(printer.scene.number("probe", "samples"))

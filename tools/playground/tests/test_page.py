@@ -778,7 +778,7 @@ def pin_in_lens(page):
 def jog(page, label):
     """By a button, until the dialog names the new height.
 
-    The head is seen to move before; the buttons may be others then.
+    The toolhead is seen to move before; the buttons may be others then.
     """
     before = page.text("#dialog")
     page.press("#dialog", label)

@@ -122,7 +122,7 @@ class Visitor:
         page.press("#dialog", label)
         page.until(lambda: page.text("#dialog") != before, f"after {label}")
         if label == "Watch":
-            # A head that is homed is lifted at first
+            # A toolhead that is homed is lifted at first
             page.until(
                 lambda: "press it now" in page.text("#dialog"), "it watches"
             )
@@ -162,7 +162,7 @@ class Visitor:
 
     def hand(self, line):
         if line == "take":
-            # Not while the head goes down on it
+            # Not while the toolhead goes down on it
             self.page.until(
                 lambda: "switch away" in self.page.text("#dialog"),
                 "it asks for it",

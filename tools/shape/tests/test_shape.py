@@ -79,6 +79,7 @@ PROBING = {
         "AUTO_Z_MEASURE_OFFSET",
         "AUTO_Z_PROBE",
         "AUTO_Z_TWIST",
+        "AUTO_Z_WAIT",
     },
     "dockable_probe": {"PROBE"},
     "extra_probe": {
