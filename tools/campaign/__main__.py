@@ -48,6 +48,7 @@ from tools.campaign.jobs import (
     COMPARED_ON_DOCKS,
     DOCK_JOBS,
     JOBS,
+    MORE_JOBS,
 )
 from tools.campaign.running import (
     Plan,
@@ -94,7 +95,8 @@ def say(text: str) -> None:
 
 def jobs_of(options: argparse.Namespace) -> list[str]:
     """The commands that the command line asks for."""
-    named = DOCK_JOBS if options.docks else JOBS
+    named = MORE_JOBS if options.more else JOBS
+    named = DOCK_JOBS if options.docks else named
     jobs = [job for job in named if options.job in job]
     if others(options) is None:
         return jobs
@@ -186,6 +188,11 @@ def parse(arguments: Optional[Sequence[str]]) -> argparse.Namespace:
     )
     parser.add_argument("--host", default="", help="part of the hosts' names")
     parser.add_argument("--job", default="", help="part of a command's name")
+    parser.add_argument(
+        "--more",
+        action="store_true",
+        help="the commands that wait or heat instead of the others",
+    )
     parser.add_argument("--case", default="", help="part of a case's text")
     parser.add_argument("--seed", type=int, default=0, help="of all noise")
     parser.add_argument(

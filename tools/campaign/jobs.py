@@ -6,7 +6,7 @@ from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field, replace
 from typing import Any, Optional
 
-from simprinter import Scene
+from simprinter import Scene, heated
 from tools.kit import auto_z_offset, carrying, dockable_probe, extra_probe
 from tools.kit.docks import DOCK_SCENES
 from tools.kit.printer import Printer
@@ -193,6 +193,14 @@ def _z_calibration_jobs() -> list[Job]:
     return [plain, attaching, accuracy, switch_offset]
 
 
+# Where AUTO_Z_TWIST measures
+TWISTED = {
+    "calibrate_start_x": "25",
+    "calibrate_end_x": "220",
+    "calibrate_y": f"{auto_z_offset.POINT[1]:g}",
+}
+
+
 def _auto_z_offset_jobs() -> list[Job]:
     scene = SCENES["qidi"]
     own = scene.sections["auto_z_offset"] or {}
@@ -257,6 +265,45 @@ def _auto_z_offset_jobs() -> list[Job]:
             # The offset is that of no baby steps
             script="AUTO_Z_SAVE_GCODE_OFFSET FORCE=1",
             before="AUTO_Z_CALIBRATE\nSET_GCODE_OFFSET Z_ADJUST=0.01",
+        ),
+    ]
+
+
+def _more_jobs() -> list[Job]:
+    """The commands that wait or heat, and so take long."""
+    found = {job.name: job for job in _z_calibration_jobs()}
+    plain = found["CALIBRATE_Z"]
+    found = {job.name: job for job in _auto_z_offset_jobs()}
+    probe = found["AUTO_Z_PROBE"]
+    waiting = replace(
+        plain,
+        name="Z_CALIBRATION_WAIT",
+        script="Z_CALIBRATION_WAIT MAX=2",
+        told=("history", "movement"),
+        ideal=None,
+    )
+    growth = replace(
+        waiting,
+        name="Z_CALIBRATION_NOZZLE_GROWTH",
+        script="Z_CALIBRATION_NOZZLE_GROWTH TEMPS=50,80,110",
+        scene=heated(plain.scene),
+    )
+    return [
+        waiting,
+        growth,
+        replace(
+            probe,
+            name="AUTO_Z_WAIT",
+            script="AUTO_Z_WAIT MAX=2",
+            told=("movement",),
+        ),
+        replace(
+            probe,
+            name="AUTO_Z_TWIST",
+            script="AUTO_Z_TWIST SAMPLE_COUNT=2",
+            changes={**probe.changes, "axis_twist_compensation": TWISTED},
+            # One point of the bed is lower than another
+            margins={"nozzle_bed": FLOOR_MARGIN + 0.05},
         ),
     ]
 
@@ -573,7 +620,8 @@ JOBS = {
     )
 }
 DOCK_JOBS = {job.name: job for job in _dock_jobs()}
-ALL_JOBS = {**JOBS, **DOCK_JOBS}
+MORE_JOBS = {job.name: job for job in _more_jobs()}
+ALL_JOBS = {**JOBS, **DOCK_JOBS, **MORE_JOBS}
 # Those of them that a dockable probe of others can do, too
 _OF_OTHERS = (
     "PROBE",
