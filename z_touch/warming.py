@@ -9,7 +9,7 @@ Copyright (C) 2026  the Z calibration developers, under the GNU GPLv3
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, Optional
+from typing import TYPE_CHECKING, List, Optional, Tuple
 
 from . import options
 
@@ -82,6 +82,8 @@ class Warming:
         self.wanted = wanted
         # When the first touch has begun, the last one, and has ended (eventtime)
         self.began = self.begun = self.touched_at = host.eventtime()
+        # Minutes since the beginning, and height (mm), of each touch
+        self.heights: List[Tuple[float, float]] = []
         # Height of the last touch (mm), None: there was none
         self.last: Optional[float] = None
         # The last movement (mm a minute, up is positive), None: not known yet
@@ -130,6 +132,7 @@ class Warming:
             self.quiet = self.quiet + 1 if is_small else 0
             text += f", moved by {self.movement:+.4f} mm a minute"
         self.last, self.touched_at = z, now
+        self.heights.append((self.minutes, z))
         self.progress.say(f"{self.minutes:.0f} min: {text}")
 
     def result(self) -> str:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import json
 import re
 from dataclasses import replace
 
@@ -15,6 +16,7 @@ from tools.kit.z_calibration import (
     PIN,
     assert_unharmed,
     calibration,
+    reported,
     section,
     touched_sites,
 )
@@ -193,6 +195,27 @@ def test_motors_stay_on_while_it_waits(start):
     printer.run(f"{WAIT} MAX=3\nCALIBRATE_Z")
 
 
+def test_report_shows_how_far_the_pin_has_moved(start):
+    printer = homed(start, growing(nozzle=0.02))
+    heights = [z for _, z, _ in seen(printer.run(f"{WAIT} MAX=2"))]
+    folder = printer.session.data / "config" / "z_calibration"
+    (line,) = (folder / "printer.jsonl").read_text().splitlines()
+    kept = json.loads(line)
+    assert [minute for minute, _ in kept["waited"]] == pytest.approx(
+        [0.0, 1.0, 2.0], abs=0.2
+    )
+    assert [z for _, z in kept["waited"]] == pytest.approx(heights, abs=1e-4)
+    assert kept["ok"] is False
+    reported(printer, "the report is ")
+    (picture,) = folder.glob("report-*.svg")
+    assert ": 2 minutes, then it still moved" in picture.read_text()
+    # It is no run that the next ones are compared with
+    assert printer.status("z_calibration")["history"]["runs"] == 0
+    calibration(printer)
+    printer.session.restart("RESTART")
+    assert printer.status("z_calibration")["history"]["runs"] == 1
+
+
 # What is asked before the nozzle goes down
 
 
@@ -224,16 +247,17 @@ def test_nozzle_that_is_too_hot_is_told(start):
     assert sum("at 240 C plastic oozes" in line for line in lines) == 1
 
 
-def test_dirty_nozzle_is_cleaned_once(start):
-    changes = {
-        "respond": {},
-        **section(samples="6", clean_gcode="\n  RESPOND MSG=CLEANED"),
-    }
+def test_dirty_nozzle_is_cleaned_once_without_the_offset_in_force(start):
+    # A height in it is what it is in CALIBRATE_Z
+    cleaned = "\n  RESPOND MSG=CLEANED_AT_{printer.gcode_move.homing_origin.z}"
+    changes = {"respond": {}, **section(samples="6", clean_gcode=cleaned)}
     ooze = OozeSpec(0.1, kept=0.7)
     scene = SCENES["voron"].with_world(ooze=ooze)
     printer = homed(start, scene, changes=changes)
+    printer.run("SET_GCODE_OFFSET Z=0.2 MOVE=0")
     lines = printer.run(f"{WAIT} MAX=4")
-    assert sum("CLEANED" in line for line in lines) == 1
+    assert sum("CLEANED_AT_0.0" in line for line in lines) == 1
+    assert printer.offset() == 0.2
 
 
 # What goes wrong meanwhile

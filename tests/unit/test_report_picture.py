@@ -32,6 +32,13 @@ def refused(reason, **changes):
     return {**run, "reason": reason}
 
 
+def waited(heights):
+    """The line of a wait that has met the pin there."""
+    return make_run(
+        random.Random(1), ok=False, sites={}, waited=[*map(list, heights)]
+    )
+
+
 def drawn(records):
     """The texts, the elements by tag, and the root."""
     root = ET.fromstring(picture.svg(read(records)))
@@ -338,10 +345,35 @@ def test_samples_of_the_last_accuracy_run():
     assert words in texts
 
 
+def test_how_far_the_pin_moved_in_the_last_wait():
+    older = waited([(0.0, 1.0), (1.0, 1.0)])
+    wait = waited([(0.0, 1.95), (1.0, 1.93), (2.0, 1.92), (2.9, 1.9)])
+    runs = make_runs(3)
+    texts, root = drawn([*runs, older, wait, *make_runs(2, 2)])
+    (title,) = [t for t in texts if t.startswith("Waiting of")]
+    assert title.endswith(": 3 minutes, then it still moved")
+    assert texts.index(title) > texts.index("Offset (mm)")
+    # 50, 30, 20 and 0 um above the last one, from left to right
+    (line,) = [p for p in root.iter(f"{SVG}polyline") if len(points(p)) == 4]
+    ys = [y for _, y in points(line)]
+    falls = [b - a for a, b in zip(ys, ys[1:])]
+    assert falls[1] > 5.0
+    assert falls == pytest.approx(
+        [2 * falls[1], falls[1], 2 * falls[1]], abs=0.3
+    )
+    assert texts.count("3 min") == 1
+    # Runs are what they are without it
+    assert any(t.startswith("5 runs") for t in texts)
+    texts, _ = drawn([{**wait, "ok": True}])
+    assert any(t.endswith("then it stood still") for t in texts)
+    assert_texts_apart(drawn([*runs, wait])[1])
+
+
 @pytest.mark.parametrize(
     "records",
     [
         [],
+        [waited([(0.0, 1.0)])],
         make_runs(1),
         [refused("")],
         [refused("x" * 400 + " <&> \x00\x1f\u00e9\ud800\U0001f600")],

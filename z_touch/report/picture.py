@@ -133,7 +133,7 @@ def svg(records: Sequence[Run], *, name: str = "") -> str:
     name: whose history it is.
     """
     page = Page()
-    runs = [record for record in records if not record.cycles]
+    runs = [record for record in records if record.is_calibration]
     # Nozzles of two lengths are no change from run to run
     if runs:
         runs = [run for run in runs if run.is_of(runs[-1].extruder)]
@@ -160,6 +160,9 @@ def svg(records: Sequence[Run], *, name: str = "") -> str:
     draw_reasons(page, runs)
     if accuracy and latest is None:
         draw_cycles(page, accuracy[-1])
+    waits = [record for record in records if record.waited]
+    if waits:
+        draw_wait(page, waits[-1])
     return page.done()
 
 
@@ -547,4 +550,28 @@ def draw_samples(
             for i, z in enumerate(samples)
         ]
         plot.dots(points, colour)
+    page.y = plot.bottom + BELOW + GAP
+
+
+######################################################################
+# A printer that warms up
+######################################################################
+
+
+def draw_wait(page: Page, wait: Run) -> None:
+    """Draw how far the pin has moved while a Z_CALIBRATION_WAIT watched it."""
+    last_minute, last_z = wait.waited[-1]
+    offs = [1000.0 * (z - last_z) for _, z in wait.waited]
+    ended = "it stood still" if wait.ok else "it still moved"
+    page.title(
+        f"Waiting of {minute(wait)}: {last_minute:.0f} minutes, then {ended}"
+    )
+    page.line(
+        "above 0: the nozzle has met the pin higher than in the end", "soft"
+    )
+    xs = [m / (last_minute or 1.0) for m, _ in wait.waited]
+    plot = Plot(page, xs, spanned(min(offs), max(offs), LEAST_OFF))
+    plot.frame(f"Where the nozzle meets the pin ({UM})", "about the last one")
+    plot.scale([(0.0, "0 min"), (1.0, f"{last_minute:.0f} min")])
+    plot.curve(Curve("pin", "a", offs))
     page.y = plot.bottom + BELOW + GAP

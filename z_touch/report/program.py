@@ -83,7 +83,7 @@ def report(
             f"{parsed.other} lines of {history} are of another version, and left out"
         )
     if known is not None:
-        runs = [run for run in parsed.runs if not run.cycles]
+        runs = [run for run in parsed.runs if run.is_calibration]
         text = os.path.splitext(path)[0] + ".txt"
         write(text, attachment.compose(known, runs))
         said.append(

@@ -48,7 +48,7 @@ RESULTS = 10
 class RunLog:
     """The runs of before, and the one file that the next ones are appended to.
 
-    runs: the oldest first, those of CALIBRATE_Z_ACCURACY left out. status: what
+    runs: the calibrations, the oldest first. status: what
     get_status() has of them. notes: what was wrong with the file when klippy connected,
     for the notes of the start.
     """
@@ -142,9 +142,23 @@ class RunLog:
             temperatures=temperatures(self.host, eventtime),
         )
 
+    def append_wait(self, waited: Sequence[runs.Point], is_still: bool) -> None:
+        """Keep what Z_CALIBRATION_WAIT has seen: minutes, and the height of the pin (mm)."""
+        self.append(
+            Run(
+                ok=is_still,
+                time=round(time.time(), 1),
+                sites={},
+                extruder=self.host.tools.active(),
+                revision=self.version,
+                temperatures=temperatures(self.host, self.host.eventtime()),
+                waited=tuple((round(m, 2), round(z, 6)) for m, z in waited),
+            )
+        )
+
     def append(self, run: Run) -> None:
         """Keep a run; what cannot be written is reported, and fails nothing."""
-        if not run.cycles:
+        if run.is_calibration:
             # Without a file the last ones, as long as klippy lives
             limit = runs.RECENT if self.path is None else self.limit
             self.runs = [*self.runs, run][-limit:]
@@ -179,7 +193,7 @@ class RunLog:
             self._reported.update(self.notes)
             return
         parsed = runs.parse_all(lines[-self.limit :])
-        self.runs = [run for run in parsed.runs if not run.cycles]
+        self.runs = [run for run in parsed.runs if run.is_calibration]
         for text, count in (
             ("%d damaged lines of %s are left out", parsed.damaged),
             (

@@ -144,6 +144,7 @@ class Run:
     offset, switch_offset, z_adjust: mm. uncertainty: mm at 95 %; None: unknown.
     nozzle_at: X and Y where the nozzle has met the pin while the probe was attached;
     None: it was elsewhere. cycles, step (of the Z motors, mm): of CALIBRATE_Z_ACCURACY.
+    waited: of Z_CALIBRATION_WAIT, the minutes since it began and where the nozzle met the pin then.
     """
 
     ok: bool
@@ -167,6 +168,12 @@ class Run:
     nozzle_at: Optional[Point] = None
     cycles: Tuple[Cycle, ...] = ()
     step: float = 0.0
+    waited: Tuple[Point, ...] = ()
+
+    @property
+    def is_calibration(self) -> bool:
+        """Tell whether it was a CALIBRATE_Z: other runs are kept for the report only."""
+        return not self.cycles and not self.waited
 
     def z(self, site: str) -> float:
         """Return the height of a site."""
@@ -243,6 +250,8 @@ def line_of(run: Run) -> bytes:
     fields["warnings"] = [warned._asdict() for warned in run.warnings]
     if not run.cycles:
         del fields["cycles"], fields["step"]
+    if not run.waited:
+        del fields["waited"]
     text = json.dumps(fields, sort_keys=True, allow_nan=False)
     return text.encode("ascii") + b"\n"
 
@@ -291,8 +300,9 @@ def parse(line: bytes) -> Run:
         nozzle_at=None if place is None else _point(place),
         cycles=tuple(map(_cycle, _list(record.get("cycles", [])))),
         step=_number(record.get("step", 0.0)),
+        waited=tuple(map(_point, _list(record.get("waited", [])))),
     )
-    if run.ok and not run.cycles and len(sites) < len(SITES):
+    if run.ok and run.is_calibration and len(sites) < len(SITES):
         raise ValueError(sites)
     return run
 

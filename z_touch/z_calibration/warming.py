@@ -56,6 +56,7 @@ class WaitForWarming:
         ), calibration.nozzle_run(gcmd, settings) as run:
             calibration.note_oozing(run)
             seen = self.until_still(run, wanted)
+        calibration.run_log.append_wait(seen.heights, seen.is_still)
         gcmd.respond_info(f"Z_CALIBRATION_WAIT: {seen.result()}")
 
     def until_still(
