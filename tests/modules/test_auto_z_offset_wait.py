@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-import re
-
 import pytest
 
 from simprinter import Fault
@@ -19,8 +17,8 @@ from tools.kit.auto_z_offset import (
 )
 from tools.kit.cases import slow
 from tools.kit.scenes import SCENES
+from tools.kit.waiting import STILL, seen
 
-SEEN = re.compile(r"(\d+) min: z=(\S+?)(?:, moved by (\S+) mm a minute)?$")
 WAIT = "AUTO_Z_WAIT"
 MINUTE = 60.0
 # mm by which the bed may be pressed that was met lower before
@@ -39,15 +37,6 @@ def homed(start, scene="qidi", **more):
     return printer.homed()
 
 
-def seen(lines):
-    """Minute, height and movement of each time that it was touched."""
-    found = [m for m in map(SEEN.search, lines) if m]
-    return [
-        (int(minute), float(z), speed and float(speed))
-        for minute, z, speed in (m.groups() for m in found)
-    ]
-
-
 def test_printer_that_is_warm_is_seen_in_two_minutes(start):
     printer = homed(start)
     printer.run("SET_GCODE_OFFSET Z=0.2 MOVE=0")
@@ -58,10 +47,7 @@ def test_printer_that_is_warm_is_seen_in_two_minutes(start):
         (1, 0.0),
         (2, 0.0),
     ]
-    assert lines[-1] == (
-        f"// {WAIT}: it stands still after 2 minutes: it moves by 0.0000 mm a"
-        " minute, less than 0.003 twice in a row"
-    )
+    assert lines[-1] == f"// {WAIT}: {STILL}"
     # Z was homed with the probe
     made = [t for t in touches(printer) if t.site == "nozzle_bed"]
     assert [(t.x, t.y) for t in made] == [pytest.approx(POINT, abs=0.02)] * 9
