@@ -16,7 +16,6 @@
 #   make shape    how many functions and files each command runs through
 #   make test-firmware  the same commands on micro-controller programs of yours
 #   make hosts    prepare and list the klippy hosts, and Moonraker
-#   make speed    how much faster than a printer the simulation runs
 #   make bench    time, error and cost of calibrations, as text and as a chart
 #   make docs     the documents as a site, build/site/index.html
 #   make lint     style and syntax only
@@ -68,7 +67,7 @@ COMPILE = import sys; [compile(open(f).read(), f, 'exec') for f in sys.argv[1:]]
 
 # Test files import each other as tests.*, from the root of the repository.
 .PHONY: test test-rest test-each test-all one test-firmware quick noop demo
-.PHONY: printer speed bench shape faults walks planted hosts prepared checked
+.PHONY: printer bench shape faults walks planted hosts prepared checked
 .PHONY: docs lint format tools update-pins clean
 
 test test-rest test-each test-all: checked
@@ -98,9 +97,6 @@ demo:
 
 printer: tools
 	$(TOOLS)/python -m tools.playground $(PRINTER_ARGS)
-
-speed: prepared
-	$(TOOLS)/python -m tools.bench.speed
 
 bench: prepared
 	$(TOOLS)/python -m tools.bench $(BENCH_ARGS)
