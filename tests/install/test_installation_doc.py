@@ -8,7 +8,6 @@ import re
 import pytest
 
 from tests.docs.documents import link_problems, part, spans
-from tests.docs.order import out_of_order
 from tests.install.box import MODULES, ORIGIN, OVERRIDE, REPO, Box, options_in
 
 pytestmark = pytest.mark.slow
@@ -93,17 +92,6 @@ def test_example_is_the_section_of_the_script(machine, klipper):
     assert "\n".join(kept) + "\n" == section
 
 
-def test_nobody_is_sent_to_releases_that_there_are_not():
-    """Without a tag, `channel: stable` says "up to date" for ever."""
-    for file in (README, *DOCUMENT.parent.glob("*.md")):
-        assert "channel:" not in file.read_text(encoding="utf-8"), file
-    assert "channel:" not in SCRIPT
-    # In a comment that says when
-    (line,) = re.findall(r".*channel:.*", EXAMPLE.read_text())
-    assert line.startswith("#")
-    assert "As long as there is no tag" in EXAMPLE.read_text()
-
-
 def test_kalico(home):
     kalico = home.kalico("kalico")
     lines = cloned(commands(TEXT, "On Kalico"))
@@ -134,61 +122,6 @@ def test_lines_for_owners_of_the_original_never_run_its_installer(home):
         assert "fatal:" in outcome.err
         assert [p.name for p in old.iterdir()] == ["install.sh"]
         assert not (home.home / "klipper_z_calibration.old").exists()
-
-
-ADDRESS = re.search(r"ADDRESS=(\S+)", README.read_text())[1]
-
-
-def published(home):
-    """What makes git find our clone at the address that README has."""
-    return {
-        "GIT_CONFIG_COUNT": "2",
-        "GIT_CONFIG_KEY_1": f"url.{home.directory / 'source'}.insteadOf",
-        "GIT_CONFIG_VALUE_1": ADDRESS,
-    }
-
-
-def original(home):
-    """The folder of the original plugin, whose install.sh leaves a mark."""
-    folder = home.home / "klipper_z_calibration"
-    folder.mkdir()
-    (folder / "z_calibration.py").write_text("theirs = 1\n")
-    script = folder / "install.sh"
-    script.write_text('#!/bin/sh\necho "$@" >"$HOME/the-original-ran"\n')
-    script.chmod(0o755)
-    return folder
-
-
-def test_lines_for_owners_of_the_original_word_for_word(home, klipper):
-    old = original(home)
-    klipper.place().symlink_to(old / "z_calibration.py")
-    there = commands(README.read_text(), CHANGING, "").partition("\n\n")[0]
-    outcome = home.command(["bash", "-c", cloned(there)], published(home))
-    assert (outcome.code, outcome.err) == (0, ""), outcome
-    assert not (home.home / "the-original-ran").exists()
-    assert klipper.links() == klipper.expected(*MODULES)
-    assert "Linking z_calibration.py into klippy/extras... [OK" in outcome.out
-    kept = home.home / "klipper_z_calibration.old"
-    assert (kept / "z_calibration.py").read_text() == "theirs = 1\n"
-
-
-def test_who_reads_from_the_top_is_asked_before_the_first_clone():
-    """The lines for a new printer end with git's error beside the original."""
-    text = part(README.read_text(), "Install")
-    asked, _, lines = text.partition("git clone")
-    assert "Do you have a folder `~/klipper_z_calibration` already?" in asked
-    assert "(#you-have-klipper_z_calibration-already)" in asked
-    assert lines
-    top = README.read_text().partition("\n## ")[0]
-    assert "~/klipper_z_calibration" not in top
-
-
-def test_after_the_lines_comes_the_first_run():
-    before, _, after = part(README.read_text(), CHANGING).partition(
-        "```\n\nThen"
-    )
-    assert "copy `printer.cfg`" in before
-    assert "(docs/setup.md#the-first-run)" in after.partition("\n\n")[0]
 
 
 def test_from_the_original_plugin_and_back(home, klipper):
@@ -274,15 +207,6 @@ def test_refusals_are_all_in_the_document():
     assert len(found) >= 14
     for text in found:
         assert any(piece in text for piece in documented_pieces()), text
-
-
-def test_advice_comes_last():
-    told = re.findall(
-        r'(?:fail "\$\w+"|problem "\$\w+"|note)\s*(?:\\\n\s*)?"([^"]*)"', JOINED
-    )
-    texts = [with_dots(text) for text in told]
-    assert len(texts) >= 30
-    assert [text for text in texts if out_of_order(text)] == []
 
 
 def test_links():
