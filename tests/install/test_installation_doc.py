@@ -171,6 +171,9 @@ def test_options_are_those_of_the_script(machine, klipper):
     documented = {span.split()[0] for row in table for span in spans(row[0])}
     shown = machine.installed("--help")
     assert documented == options_in(shown)
+    parser = SCRIPT.partition("parse() {")[2].partition("\n}\n")[0]
+    cases = re.findall(r"^ {12}(-.*?)\)", parser, re.M)
+    assert documented == {word for case in cases for word in case.split(" | ")}
     numbers = re.findall(r"[A-Z_]+=(\d)", SCRIPT.partition("# Options")[0])
     assert [row[0] for row in codes] == ["0", *numbers]
 

@@ -76,19 +76,6 @@ def test_every_configuration_is_found(box):
     assert [conf.read_text() for conf in confs] == ["[server]\n"] * 4
 
 
-def test_named_files_only(machine, conf):
-    names = ["a b", "-x", "a=b"]
-    named = [
-        machine.conf(name).rename(machine.home / name / name) for name in names
-    ]
-    words = [word for file in named[:2] for word in ("-m", str(file))]
-    last = f"home/{named[2].relative_to(machine.home)}"
-    machine.installed(*words, "--moonraker-conf", last)
-    assert conf.read_text() == "[server]\n"
-    for file in named:
-        assert file.read_text().count(HEADER) == 1
-
-
 def test_no_moonraker(machine, conf):
     assert "update_manager" not in machine.installed("--no-moonraker")
     assert conf.read_text() == "[server]\n"
@@ -132,7 +119,10 @@ def test_what_only_looks_like_it_does_not_count(machine, conf):
 
 
 def test_included_section_counts(machine, conf):
-    file = machine.write(f"{PLACE}/conf.d/a b.conf", SECTION)
+    file = machine.write(f"{PLACE}/conf.d/a b.conf", "")
+    real = machine.write("dotfiles/updates.conf", SECTION)
+    file.unlink()
+    file.symlink_to(real)
     pattern = f"{conf.parent}/conf.d/*.conf"
     machine.write(f"{PLACE}/a first.conf", f"[include {pattern}]\n")
     text = "[include a first.conf]\n"
@@ -140,9 +130,10 @@ def test_included_section_counts(machine, conf):
     assert THERE in machine.installed()
     file.write_text(OTHER_PATH)
     machine.installed("--force")
-    assert file.read_text() == f"\n{MARK}{SECTION}"
+    assert real.read_text() == f"\n{MARK}{SECTION}"
     machine.installed("-u")
-    assert (file.read_text(), conf.read_text()) == ("", text)
+    assert (real.read_text(), conf.read_text()) == ("", text)
+    assert file.is_symlink()
 
 
 def test_last_line_without_an_end_counts(machine, conf):
@@ -255,18 +246,6 @@ def test_uninstall_takes_our_lines_only(machine, conf, before, after):
     assert conf.read_bytes().decode() == after
     (kept,) = conf.parent.glob("moonraker.conf.bak-*")
     assert kept.read_bytes().decode() == before
-
-
-def test_section_in_two_files_is_one_to_moonraker(machine, conf):
-    """It joins them, and the last one counts."""
-    theirs = f"{HEADER}\npath: ~/theirs\n"
-    more = conf.with_name("more.conf")
-    more.write_text(theirs)
-    conf.write_text(f"{theirs}[include more.conf]\n")
-    (machine.home / "theirs").mkdir()
-    assert "updates ~/theirs from" in machine.installed()
-    machine.installed("--uninstall")
-    assert (more.read_text(), theirs in conf.read_text()) == (theirs, True)
 
 
 # Files that cannot be read or written
