@@ -140,7 +140,7 @@ ASK = "no Moonraker tells whether a print is running. When it is not: sudo"
         # One that does not answer: another one's answer says nothing of it
         ([], "", "klipper-2 moonraker-2 idle", "2", {"1": ASK}),
         # Nobody knows whose it is
-        ([], "idle", "klipper-2 moonraker-2 idle", "2", {"1": ASK}),
+        ([], "", "idle", "", {"1": ASK, "2": ASK}),
         # Two that speak of the same one
         (
             [],
