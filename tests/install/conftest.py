@@ -9,7 +9,6 @@ from pathlib import Path
 import pytest
 
 from tests.install.box import OVERRIDE, Box, Klipper
-from tools.kit.cases import slow
 
 
 @pytest.fixture
@@ -41,7 +40,7 @@ def klipper(machine: Box) -> Klipper:
     return machine.klipper()
 
 
-@pytest.fixture(params=["klipper", slow("kalico")])
+@pytest.fixture(params=["klipper", "kalico"])
 def either(request: pytest.FixtureRequest, machine: Box) -> Klipper:
     """The same, and a Kalico that is told to take our modules."""
     if request.param == "klipper":
