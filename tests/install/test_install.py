@@ -429,6 +429,17 @@ def test_uninstall_leaves_what_is_not_ours(machine, klipper):
     assert snapshot(machine.home) == before
 
 
+def test_uninstall_tells_how_to_restore_a_part_of_klipper(machine):
+    klipper = machine.klipper(z_calibration="vendor = 1\n")
+    file = klipper.place()
+    file.unlink()
+    file.symlink_to(machine.checkout / "z_calibration.py")
+    out = machine.installed("-u")
+    command = re.search(r"git -C .*", out).group(0)
+    machine.command(["bash", "-c", command])
+    assert file.read_text() == "vendor = 1\n"
+
+
 # Dry run
 
 

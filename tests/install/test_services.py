@@ -272,6 +272,8 @@ UNKNOWN = "no Moonraker tells"
         (200, *objects(None), UNKNOWN),
         # It may print for somebody else, or from another socket
         (200, {"klippy_state": "disconnected"}, None, UNKNOWN),
+        # As after an update that has removed the links
+        (200, {"klippy_state": "error"}, None, RESTARTED),
         (401, *objects("standby"), UNKNOWN),
     ],
 )
