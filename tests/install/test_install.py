@@ -209,6 +209,19 @@ def test_lines_of_others_in_the_exclude_file_stay(machine, klipper):
     assert klipper.exclude.read_text() == "# mine\n*.bak\n"
 
 
+def test_exclude_file_that_cannot_be_written(machine, klipper):
+    klipper.exclude.chmod(0o444)
+    klipper.exclude.parent.chmod(0o555)
+    out = machine.installed()
+    assert klipper.links() == klipper.expected(*MODULES)
+    shown = machine.short(klipper.exclude)
+    assert f"Note: cannot write to {shown}; git will list" in out
+    assert "Excluding" not in out
+    machine.installed("-u")
+    klipper.exclude.parent.chmod(0o755)
+    assert klipper.links() == {}
+
+
 # Kalico
 
 
