@@ -137,7 +137,7 @@ lint: tools
 		$(wildcard z_touch/*.py z_touch/*/*.py)
 	$(TOOLS)/vermin --no-tips --violations --target=2.7- --target=3.4- $(DOORS)
 	$(TOOLS)/vermin --no-tips --violations --target=3.9- --exclude file \
-		simprinter tools tests
+		simprinter simplay tools tests
 	@for python in ~/.pyenv/versions/2.7*/bin/python2.7 python2.7; do \
 		$$python -c "" 2>/dev/null && exec $$python -c "$(COMPILE)" $(DOORS); \
 	done; echo "NOT COMPILED by Python 2.7, which is not to be had: $(DOORS)"

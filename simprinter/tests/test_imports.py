@@ -18,11 +18,10 @@ OTHERS = {
     "tomli",
     # Of Python itself since 3.11, of which tomli is the copy for those before
     "tomllib",
-    "tornado",
     "websocket",
 }
 # What its tests need besides
-OF_TESTS = {"hypothesis", "psutil", "selenium"}
+OF_TESTS = {"hypothesis"}
 SOURCES = sorted(PACKAGE.rglob("*.py"))
 
 

@@ -4,18 +4,14 @@ from __future__ import annotations
 
 import os
 import re
-import signal
 import subprocess
 import sys
-from contextlib import closing
 
 import pytest
 
 from simprinter.hosts.environment import clean_environment
 from simprinter.hosts.hosts import named_checkouts
-from simprinter.hosts.moonraker import free_port
 from simprinter.places import PACKAGE, build_root
-from simprinter.tests.terminals import Terminal
 
 pytestmark = [pytest.mark.slow, pytest.mark.timeout(600)]
 
@@ -80,7 +76,7 @@ def test_it_brings_all_that_a_run_needs(installed, hosts_of_ours, tmp_path):
 
 
 # Of files that are needed where it is installed
-KINDS = {".py", ".c", ".css", ".html", ".js", ".json", ".svg", ".toml"}
+KINDS = {".py", ".c", ".json", ".toml"}
 
 
 def test_wheel_holds_what_git_knows(installed):
@@ -207,29 +203,6 @@ def test_plugin_starts_printers_in_pytest(installed, hosts_of_ours, tmp_path):
         **hosts_of_ours,
     )
     assert "1 passed" in one, one
-
-
-def test_play_needs_its_extra_and_serves_its_page(
-    installed, hosts_of_ours, tmp_path
-):
-    program = installed / "simprinter"
-    told = run(program, "play", status=1)
-    assert told.startswith("error: simprinter play needs ")
-    assert told.endswith(": pip install 'simprinter[play]'\n")
-    run(installed / "pip", "install", "--quiet", f"{PACKAGE}[play]")
-    ports = ("--port", str(free_port()), "--page", str(free_port()))
-    words = ["-m", "simprinter", "play", "--speed", "20", *ports]
-    env = clean_environment(hosts_of_ours)
-    python = str(installed / "python")
-    with closing(Terminal(words, python, cwd=tmp_path, env=env)) as shown:
-        shown.until_begun()
-        for path in (PACKAGE / "play" / "page").iterdir():
-            served = shown.get_page(f"/{path.name}")
-            assert served.content == path.read_bytes()
-        shown.until_ready()
-        assert shown.run("G28").ok
-        shown.until("true gap: Z=0 is")
-        shown.assert_ends(signal.SIGINT)
 
 
 BLOCK = re.compile(r"(?m)^```(\w*)\n((?:.*\n)*?)```$")

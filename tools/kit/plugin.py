@@ -186,7 +186,7 @@ def pytest_xdist_make_scheduler(
 # them, from the beginning, while the others compute: at the end nobody would.
 _REAL_TIME = re.compile(
     r"tools/playground/tests/|tools/kit/tests/test_live\.py"
-    r"|simprinter/tests/test_play\.py|tests/moonraker/"
+    r"|simplay/tests/test_play\.py|tests/moonraker/"
 )
 
 # Long, and each by itself

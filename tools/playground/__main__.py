@@ -19,11 +19,11 @@ import time
 from collections.abc import Sequence
 from typing import Optional
 
+from simplay import terminal
+from simplay.network import AddressError
+from simplay.options import add_options, door_of
 from simprinter.hosts.hosts import find_hosts
 from simprinter.hosts.moonraker_package import find_moonraker
-from simprinter.play import terminal
-from simprinter.play.network import AddressError
-from simprinter.play.options import add_options, door_of
 from simprinter.running import show
 from tools.kit.printer import NO_PRINTER, choose_host, firmware_of
 from tools.playground.playground import KNOWN, SHOWN, Choice, Playground

@@ -8,11 +8,11 @@ from dataclasses import replace
 from pathlib import Path
 from typing import Any, NamedTuple, Optional
 
+from simplay.network import Door
+from simplay.played import Played, middle_of_bed
+from simplay.watcher import Spot
 from simprinter import Scene, heated
 from simprinter.hosts.hosts import Host
-from simprinter.play.network import Door
-from simprinter.play.played import Played, middle_of_bed
-from simprinter.play.watcher import Spot
 from simprinter.real import as_real
 from tools.kit.docks import DOCK_SCENES, calibrating
 from tools.kit.lab import Lab

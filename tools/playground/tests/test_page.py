@@ -11,7 +11,7 @@ import pytest
 from selenium.webdriver.common.by import By
 from selenium.webdriver.common.keys import Keys
 
-from simprinter.tests.browser import LIMIT, browser, programs
+from simplay.tests.browser import LIMIT, browser, programs
 from tools.kit.setup_user import EMPTY
 from tools.playground import tour
 from tools.playground.tests.test_playground import port, terminal

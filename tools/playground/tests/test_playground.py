@@ -10,11 +10,11 @@ from contextlib import closing, contextmanager
 
 import pytest
 
+from simplay.tests.browser import browser, programs
+from simplay.tests.terminals import LIMIT, Terminal
 from simprinter.hosts.hosts import main_host, missing_hosts
 from simprinter.hosts.moonraker import free_port
 from simprinter.hosts.moonraker_package import find_moonraker
-from simprinter.tests.browser import browser, programs
-from simprinter.tests.terminals import LIMIT, Terminal
 from tools.playground.playground import SHOWN, point_of
 
 

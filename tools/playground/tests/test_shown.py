@@ -4,18 +4,16 @@ from __future__ import annotations
 
 import json
 import re
+from pathlib import Path
 
 import pytest
 
-from simprinter.places import PACKAGE
+import simplay
 from tools.kit.printer import MODULES
 from tools.playground.shown import ON_THE_PAGE
 
-FILES = sorted(
-    path
-    for path in (PACKAGE / "play").rglob("*")
-    if path.suffix in (".py", ".js", ".html", ".css")
-)
+FOLDER = Path(simplay.__file__).parent
+FILES = sorted([*FOLDER.glob("*.py"), *FOLDER.glob("page/*")])
 COMMANDS = {gcode.split()[0] for _, gcode, _ in ON_THE_PAGE["shortcuts"]}
 
 

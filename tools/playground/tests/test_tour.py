@@ -12,8 +12,8 @@ from typing import NamedTuple
 
 import pytest
 
-from simprinter.play.commands import COMMANDS
-from simprinter.tests.browser import LIMIT
+from simplay.commands import COMMANDS
+from simplay.tests.browser import LIMIT
 from tools.playground import tour
 from tools.playground.playground import SHOWN
 from tools.playground.tests.test_page import (

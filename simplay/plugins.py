@@ -1,4 +1,4 @@
-"""simprinter play: anybody's printer.cfg and plugins, to play with."""
+"""simplay: anybody's printer.cfg and plugins, to play with."""
 
 from __future__ import annotations
 
@@ -6,12 +6,12 @@ from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
 from typing import Any, NamedTuple, Optional
 
+from simplay.network import Door
+from simplay.played import Played
 from simprinter.hosts.environment import clean_environment
 from simprinter.hosts.hosts import Host, HostError, Installed, missing_hosts
 from simprinter.hosts.living import for_web_interfaces, make_data
 from simprinter.hosts.moonraker_package import find_moonraker
-from simprinter.play.network import Door
-from simprinter.play.played import Played
 from simprinter.plugin_printer import modules_of, read_scene
 
 
@@ -19,7 +19,7 @@ def moonraker() -> Path:
     """The Python that has it. Raises HostError with why there is none."""
     python = find_moonraker()
     if python is None:
-        raise HostError(f"simprinter play needs Moonraker: {_why_not()}")
+        raise HostError(f"simplay needs Moonraker: {_why_not()}")
     return python
 
 
@@ -43,7 +43,7 @@ class PluginPlay(Played):
     SAVE_CONFIG has added are in it, comments are not.
     """
 
-    program = "simprinter play"
+    program = "simplay"
 
     def __init__(
         self,

@@ -5,9 +5,9 @@ from __future__ import annotations
 from collections.abc import Callable, Mapping
 from typing import NamedTuple
 
+from simplay.options import speed_of
+from simplay.watcher import Watcher
 from simprinter import Fault, Scene
-from simprinter.play.options import speed_of
-from simprinter.play.watcher import Watcher
 from simprinter.simulation import Pace
 
 # What ends the printer, where it was started

@@ -22,7 +22,7 @@ from typing import Any, Optional, Protocol
 from tornado import httpserver, web, websocket
 from tornado.iostream import StreamClosedError
 
-from simprinter.play.network import LOOPBACK
+from simplay.network import LOOPBACK
 
 _FOLDER = Path(__file__).with_name("page")
 # Bytes of a printer.cfg; of an order

@@ -1,25 +1,24 @@
-"""simprinter play: a page and Moonraker before somebody's printer."""
+"""simplay: a page and Moonraker before somebody's printer."""
 
 from __future__ import annotations
 
 import json
 import re
 import signal
-import sys
 from contextlib import closing, contextmanager
 
 import psutil
 import pytest
 import websocket
 
-from simprinter.__main__ import main
+from simplay import plugins
+from simplay.__main__ import main
+from simplay.tests.browser import browser, programs
+from simplay.tests.terminals import LIMIT, Terminal
 from simprinter.hosts.hosts import missing_hosts
 from simprinter.hosts.moonraker import free_port
 from simprinter.hosts.moonraker_package import find_moonraker
-from simprinter.play import plugins
 from simprinter.running import SAMPLE
-from simprinter.tests.browser import browser, programs
-from simprinter.tests.terminals import LIMIT, Terminal
 
 pytestmark = pytest.mark.slow
 
@@ -67,7 +66,7 @@ def files(tmp_path):
 @contextmanager
 def played(*options):
     """One that has begun."""
-    words = ["-m", "simprinter", "play", *map(str, options), "--speed", "20"]
+    words = ["-m", "simplay", *map(str, options), "--speed", "20"]
     words += ["--port", str(free_port()), "--page", str(free_port())]
     with closing(Terminal(words)) as shown:
         shown.until_begun()
@@ -98,7 +97,7 @@ def test_page_plugin_truth_and_end(files):
         hello = hello_of(shown)
         assert hello["machine"].startswith("printer.cfg, seed 3, ")
         assert hello["moonraker"] == shown.url
-        assert hello["program"] == "simprinter play"
+        assert hello["program"] == "simplay"
         assert hello["parts"]["inductive"]["x_offset"] == -25.0
         assert hello["wires"] == ["x_endstop", "y_endstop", "probe"]
         assert "break" in hello["commands"] and "lay" not in hello["commands"]
@@ -238,12 +237,12 @@ def test_switch_of_any_name(files):
 @pytest.fixture
 def refused(capsys, monkeypatch):
     """refused(words): what stands on stderr where it does not begin."""
-    monkeypatch.setattr("simprinter.__main__.starting.close", lambda: None)
+    monkeypatch.setattr("simplay.__main__.starting.close", lambda: None)
 
     def refused(*words):
         handlers = {n: signal.getsignal(n) for n in (1, 2, 15)}
         try:
-            assert main(["play", *words]) == 1
+            assert main(words) == 1
         finally:
             for number, handler in handlers.items():
                 signal.signal(number, handler)
@@ -252,26 +251,12 @@ def refused(capsys, monkeypatch):
     return refused
 
 
-@pytest.mark.parametrize("missing", ["tornado", "requests", "websocket"])
-def test_missing_package_is_named(missing, refused, monkeypatch):
-    for name in list(sys.modules):
-        if name.startswith(("simprinter.play", "simprinter.hosts.living")):
-            monkeypatch.delitem(sys.modules, name)
-    for name in ("simprinter.hosts.moonraker", "simprinter.hosts.session"):
-        monkeypatch.delitem(sys.modules, name, raising=False)
-    monkeypatch.setitem(sys.modules, missing, None)
-    assert refused() == (
-        f"error: simprinter play needs {missing}: pip install"
-        " 'simprinter[play]'\n"
-    )
-
-
 def test_missing_moonraker_is_told(refused, monkeypatch):
     monkeypatch.setattr(plugins, "find_moonraker", lambda: None)
     monkeypatch.setattr(
         plugins, "missing_hosts", lambda: {"moonraker": "no way to it"}
     )
-    told = "error: simprinter play needs Moonraker: no way to it\n"
+    told = "error: simplay needs Moonraker: no way to it\n"
     assert refused() == told
 
 

@@ -95,7 +95,7 @@ def reserved_port(listen: str, wanted: int) -> tuple[int, Claim]:
         claim = socket.socket(socket.AF_UNIX)
         try:
             # A name without a file, which ends with its process
-            claim.bind(f"\0simprinter-play-{port}")
+            claim.bind(f"\0simplay-{port}")
             with socket.socket() as probe:
                 probe.setsockopt(socket.SOL_SOCKET, socket.SO_REUSEADDR, 1)
                 probe.bind((listen, port))

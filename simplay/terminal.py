@@ -12,9 +12,9 @@ from collections.abc import Callable
 from contextlib import suppress
 from pathlib import Path
 
+from simplay.commands import COMMANDS, ENDS
+from simplay.played import Played
 from simprinter.hosts.printer import firmware_of
-from simprinter.play.commands import COMMANDS, ENDS
-from simprinter.play.played import Played
 from simprinter.running import show
 
 # Real seconds between two looks at what systemd would have to do

@@ -7,14 +7,14 @@ from contextlib import suppress
 from pathlib import Path
 from typing import Any, Optional
 
+from simplay import commands, film, network
+from simplay.server import PageServer
+from simplay.watcher import Spot, Watcher
 from simprinter import Machine, Scene
 from simprinter.hosts.living import LivingPrinter
 from simprinter.hosts.moonraker import Moonraker, write_conf
 from simprinter.hosts.printer import firmware_of
 from simprinter.hosts.session import LiveSession, SessionError
-from simprinter.play import commands, film, network
-from simprinter.play.server import PageServer
-from simprinter.play.watcher import Spot, Watcher
 from simprinter.world import CrashError
 
 

@@ -8,8 +8,8 @@ from types import SimpleNamespace
 
 import pytest
 
-from simprinter.play import watcher
-from simprinter.play.watcher import SITES, WORTH_TELLING, Spot, crash_line
+from simplay import watcher
+from simplay.watcher import SITES, WORTH_TELLING, Spot, crash_line
 from simprinter.world import Crash, Pose
 
 

@@ -11,8 +11,8 @@ from collections.abc import Callable
 from dataclasses import asdict
 from typing import Any, Optional
 
+from simplay.watcher import Watcher
 from simprinter import Scene
-from simprinter.play.watcher import Watcher
 from simprinter.world import Pose
 
 # Real seconds between two frames

@@ -1,13 +1,10 @@
-"""Options of a command that starts a printer to play with.
-
-Needs the standard library only: where tornado is missing, --help works, too.
-"""
+"""Options of a command that starts a printer to play with."""
 
 from __future__ import annotations
 
 import argparse
 
-from simprinter.play import network
+from simplay import network
 
 SLOWEST, FASTEST = 1.0, 20.0
 

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import pytest
 
-from simprinter.play import network
+from simplay import network
 
 
 def test_listening_address_decides_who_needs_no_password(monkeypatch):

@@ -10,8 +10,8 @@ import pytest
 import requests
 import websocket
 
+from simplay.server import PageServer
 from simprinter.hosts.moonraker import free_port
-from simprinter.play.server import PageServer
 
 LIMIT = 10.0
 CONFIG = "[printer]\nkinematics: none\n"
