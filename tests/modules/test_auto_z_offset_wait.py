@@ -68,6 +68,11 @@ def test_others_live_while_it_waits_with_the_toolhead_lifted(start):
     assert printer.machine.tip().z > 2.0
     assert status["movement"] is None
     printer.session.finish(command)
+    # Not that of the last time
+    command = printer.session.begin(WAIT)
+    printer.session.wait(30.0)
+    assert printer.status("auto_z_offset")["movement"] is None
+    printer.session.finish(command)
 
 
 @pytest.mark.parametrize(
@@ -109,15 +114,16 @@ def test_touches_that_differ_more_than_the_section_allows_end_it(start):
 
 
 def test_dead_sensor_ends_it_near_where_the_bed_was(start):
-    # The first touch of the second minute, which knows the bed of the first
+    # The first touch of the second minute, which knows the bed as the next touch of the
+    # first minute does
     fault = Fault("trigger_never", site="nozzle_bed", touch=4, command=WAIT)
     printer = start("qidi", faults=[fault])
-    printer.machine.tolerate("nozzle_bed", 1.1)
+    printer.machine.tolerate("nozzle_bed", 0.5)
     printer.homed().run("SET_GCODE_OFFSET Z=0.2 MOVE=0")
     before = state(printer)
     text = printer.fail(WAIT)
     assert "the switch did not answer" in text
-    assert lowest(printer) <= DEPTH + 1.0 + 0.02
+    assert lowest(printer) <= DEPTH + 0.42
     assert state(printer) == before
     tip = printer.machine.tip()
     assert printer.machine.truth.true_gap(tip.x, tip.y, tip.z) > 3.6
@@ -125,9 +131,13 @@ def test_dead_sensor_ends_it_near_where_the_bed_was(start):
 
 
 def test_sensor_that_stays_triggered_ends_it(start):
-    fault = Fault("stuck_closed", site="nozzle_bed", touch=3, command=WAIT)
+    # Behind the last of all touches: no other one looks at it
+    good = homed(start)
+    good.run(f"{WAIT} MAX=2")
+    behind = touches(good)[-1].t + 0.1
+    fault = Fault("stuck_closed", signal="bed_sensor", t=behind)
     printer = homed(start, faults=[fault])
-    assert "reads triggered" in printer.fail(WAIT)
+    assert "reads triggered" in printer.fail(f"{WAIT} MAX=2")
 
 
 def test_what_triggers_far_above_is_no_touch_of_the_bed(start):

@@ -529,7 +529,8 @@ FACTS = {
 @pytest.mark.parametrize("is_file", [False, True])
 def test_text_to_attach_is_written_with_what_klippy_knows(tmp_path, is_file):
     path, facts = tmp_path / "printer.jsonl", tmp_path / "facts.json"
-    write_runs(path, make_runs(12))
+    # A wait is no run
+    write_runs(path, [*make_runs(12), waited([(0.0, 1.9)])])
     facts.write_text(json.dumps(FACTS))
     if is_file:
         done = run_program(path, "--facts", facts)
@@ -545,6 +546,7 @@ def test_text_to_attach_is_written_with_what_klippy_knows(tmp_path, is_file):
     ):
         assert words in text
     assert text.count('"offset"') == 10
+    assert "waited" not in text
 
 
 @pytest.mark.parametrize("facts", ["5", "{", "{}"])

@@ -488,11 +488,9 @@ class AutoZOffset:
         with self.measuring(gcmd, touches, settings=settings) as run:
             bed = bed_site(self.host, settings)
             run.prepare(bed)
-            self.movement = None
             seen = Warming(self.host, self.progress, wanted)
             while not seen.is_over():
                 seen.wait()
-                run.begin_at(bed)
                 seen.add(run.touch_bed())
                 self.movement = seen.movement
                 run.check_left()

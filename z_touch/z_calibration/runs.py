@@ -144,7 +144,8 @@ class Run:
     offset, switch_offset, z_adjust: mm. uncertainty: mm at 95 %; None: unknown.
     nozzle_at: X and Y where the nozzle has met the pin while the probe was attached;
     None: it was elsewhere. cycles, step (of the Z motors, mm): of CALIBRATE_Z_ACCURACY.
-    waited: of Z_CALIBRATION_WAIT, the minutes since it began and where the nozzle met the pin then.
+    waited: of Z_CALIBRATION_WAIT, pairs of the minutes since it began and the height (mm)
+    at which the nozzle met the pin then.
     """
 
     ok: bool
