@@ -337,20 +337,34 @@ class Wizard:
         abort = Button("Abort", self.abort, "error")
         self._draw(self.headline(title), texts, [abort], [])
 
-    def watch(self, endstop: Endstop, other: Optional[Endstop] = None) -> str:
+    def read_switches(
+        self, endstop: Endstop, other: Optional[Endstop] = None
+    ) -> Tuple[bool, bool]:
+        """Return whether a switch and the other one read triggered, after all moves.
+
+        False for no other.  Pauses.
+        """
+        print_time = self.host.after_moves()
+        this = bool(endstop.query_endstop(print_time))
+        return this, other is not None and bool(other.query_endstop(print_time))
+
+    def watch(
+        self,
+        before: Tuple[bool, bool],
+        endstop: Endstop,
+        other: Optional[Endstop] = None,
+    ) -> str:
         """Wait until a hand has pressed a switch and let go; return judge()'s word.
 
-        It waits HAND_PATIENCE at most. other: a switch that has to stay as it is.
-        Pauses.
+        before: what read_switches() said before the hand was asked for, as a hand can be
+        there at once.  It waits HAND_PATIENCE at most. other: a switch that has to stay
+        as it is.  Pauses.
         """
         host, reactor = self.host, self.host.printer.get_reactor()
         deadline = host.eventtime() + HAND_PATIENCE
-        readings = []
+        readings = [before]
         while True:
-            print_time = host.after_moves()
-            this = bool(endstop.query_endstop(print_time))
-            that = other is not None and bool(other.query_endstop(print_time))
-            readings.append((this, that))
+            readings.append(self.read_switches(endstop, other))
             verdict = judge(readings)
             if verdict in ("good", "early") or host.eventtime() >= deadline:
                 return verdict

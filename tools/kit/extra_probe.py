@@ -46,11 +46,11 @@ def lay(printer: RunningPrinter) -> None:
 
 
 def press(printer: RunningPrinter, after: Optional[bool] = None) -> list[str]:
-    """Continue, and a finger on the membrane meanwhile; after: as it is then."""
+    """Continue, and a finger on the membrane at once; after: as it is then."""
     session = printer.session
     (shown,) = dialogs_of(session.console)[-1:]
     command = session.begin(shown.gcode("Continue"))
-    session.wait(0.3)
+    session.run_until(command, lambda: "with a finger" in session.console[-1])
     for pressed in (True, after):
         printer.machine.hold("membrane", pressed)
         session.wait(0.3)

@@ -152,7 +152,7 @@ class User:
         # A toolhead that is homed is lifted at first
         session.run_until(command, lambda: "watching" in session.console[-1])
         assert self.dialog().headline.endswith(": press it now")
-        session.wait(0.3)
+        # At once, before anything else is read
         for pressed in (True, after):
             for name in (signal, *others):
                 self.hold(name, pressed)

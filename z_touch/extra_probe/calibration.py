@@ -393,19 +393,11 @@ class Calibration:
         self._check_unchanged(question)
         self.question = question
         self.wizard.enter(LAY.name)
-        self.wizard.show_while_waiting(
-            "press it now",
-            [
-                "Press the switch once with a finger now and let go, within"
-                f" {HAND_PATIENCE:.0f} seconds. Abort is done after that."
-            ],
-        )
-        self.host.say(
-            f"press the switch once with a finger now, within {HAND_PATIENCE:.0f}"
-            " seconds"
-        )
+        endstop = self.switch.endstop()
         try:
-            verdict = self.wizard.watch(self.switch.endstop())
+            before = self.wizard.read_switches(endstop)
+            self._ask_for_finger()
+            verdict = self.wizard.watch(before, endstop)
             self._stand_still()
         except Exception:
             self._close()
@@ -423,6 +415,20 @@ class Calibration:
             f"the switch {held} after {HAND_PATIENCE:.0f} seconds; Continue, then press"
             " it once with a finger and let go, or look with"
             f" {self.switch.query} if that changes nothing"
+        )
+
+    def _ask_for_finger(self) -> None:
+        """Ask the user to press the switch, in a dialog and on the console."""
+        self.wizard.show_while_waiting(
+            "press it now",
+            [
+                "Press the switch once with a finger now and let go, within"
+                f" {HAND_PATIENCE:.0f} seconds. Abort is done after that."
+            ],
+        )
+        self.host.say(
+            f"press the switch once with a finger now, within {HAND_PATIENCE:.0f}"
+            " seconds"
         )
 
     ##################################################################

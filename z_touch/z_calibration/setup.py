@@ -378,13 +378,14 @@ class Setup:
         """
         host = self.host
         host.toolhead.wait_moves()
+        before = self.wizard.read_switches(endstop, other)
         asked = [
             text.format(switch=name, patience=HAND_PATIENCE)
             for text in texts.PRESS
         ]
         self.wizard.show_while_waiting("press it now", asked)
         gcmd.respond_info(f"{host.section}: watching {name} ...")
-        verdict = self.wizard.watch(endstop, other)
+        verdict = self.wizard.watch(before, endstop, other)
         if verdict != "good":
             remedy = self._check_wiring(*option)
             if verdict == "early" and endstop is self.calibration.pin.endstop:

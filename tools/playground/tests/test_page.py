@@ -340,6 +340,8 @@ def test_membrane_by_dialogs(port):
         # It has one of its own
         assert blue(page) == []
         page.do("lay")
+        # Of the printer's time, of which a slow browser takes much
+        set_speed(page, 1)
         page.press("#dialog", "Continue")
         page.until(
             lambda: "within 20 seconds" in page.text("#dialog"), "it waits"
@@ -348,6 +350,7 @@ def test_membrane_by_dialogs(port):
         page.until(
             lambda: "hand away" in page.text("#dialog"), "the switch works"
         )
+        set_speed(page, 10)
         page.press("#dialog", "Continue")
         page.until(
             lambda: (
