@@ -202,6 +202,9 @@ class Printer(Protocol):
     def is_shutdown(self) -> bool:
         """Return whether the printer is shut down."""
 
+    def get_state_message(self) -> Tuple[str, str]:
+        """Return what the host says of its state, in lines, and the state in a word."""
+
     def invoke_shutdown(self, msg: str) -> None:
         """Shut the printer down, for a reason that the user reads."""
 

@@ -76,7 +76,10 @@ class Host:
         while self.eventtime() < time and not self.printer.is_shutdown():
             reactor.pause(min(time, self.eventtime() + WAIT_STEP))
         if self.printer.is_shutdown():
-            raise self.error("the printer is shut down")
+            cause, _ = self.printer.get_state_message()
+            raise self.error(
+                f"the printer is shut down: {cause.splitlines()[0]}"
+            )
 
     ##################################################################
     # State
