@@ -144,7 +144,10 @@ def test_membrane_that_always_reads_triggered(start, options):
 def test_membrane_that_begins_to_read_triggered(start, n):
     printer = asked(start, faults=[at_touch(n, "stuck_closed")])
     text = fails(printer, "triggered")
-    assert "press it by hand and look with QUERY_EXTRA_PROBE" in text
+    query = (
+        "look with QUERY_EXTRA_PROBE PROBE=membrane while nothing presses it"
+    )
+    assert query in text and "the bed may be lower" not in text
     # Never lower than it was
     assert printer.machine.truth.min_gap > THICKNESS - 0.06
 

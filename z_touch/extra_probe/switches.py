@@ -12,7 +12,7 @@ import contextlib
 from typing import TYPE_CHECKING, Any, Iterator, List, Optional, Union
 
 from .. import attached, command, templates, touch
-from ..errors import CalibrationError, SamplesDiffer
+from ..errors import CalibrationError, NoTrigger, SamplesDiffer
 from ..sampling import why_differ
 from .settings import read_switch_settings
 
@@ -97,11 +97,17 @@ class PinSwitch:
     def _touch_active(
         self, head: touch.Head, floor: float, find_bed: str
     ) -> float:
+        head.check_above(floor)
         try:
             return head.touch(self._endstop, floor, head.sampling.speed)
-        except CalibrationError as e:
+        except NoTrigger as e:
             raise e.advised(
                 f"press it by hand and look with {self.query}, or {find_bed}"
+            )
+        except CalibrationError as e:
+            raise e.advised(
+                f"look with {self.query} while nothing presses it: where it reads"
+                " triggered then, pin needs another '!', or its wire is broken"
             )
 
     @contextlib.contextmanager
