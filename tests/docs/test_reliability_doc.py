@@ -8,14 +8,11 @@ from pathlib import Path
 import pytest
 
 from tools.campaign import fault_cases, jobs, tables
-from tools.campaign.__main__ import parse
-from tools.campaign.drawn_printers import MODULES, MOST_REFUSED
+from tools.campaign.walks import gaps
+from tools.campaign.walks.machines import BASES
 
 DOCS = Path(__file__).resolve().parents[2] / "docs"
-# Of each module, in the figures and in a run of one's own
-LEAST_PRINTERS = 300
 LEAST_PAIRS, HOSTS = 2000, 5
-USUAL_PRINTERS = 300
 
 
 @pytest.fixture(scope="module")
@@ -58,27 +55,14 @@ def test_pairs_are_enough(figures):
         assert all(one["reason"] or one["ended"] for one in found["blind"])
 
 
-def test_random_printers_are_enough(figures):
-    assert set(figures["printers"]) == set(MODULES)
-    for found in figures["printers"].values():
-        assert found["runs"] >= LEAST_PRINTERS
-        assert len(found["hosts"]) > 1
-        assert found["failures"] == []
-        assert found["healthy_refused"] <= MOST_REFUSED * found["healthy"]
-
-
-def test_own_run_tries_as_many_as_it_says(document):
-    assert parse([]).printers == USUAL_PRINTERS
-    assert f"{USUAL_PRINTERS} random printers for each module" in document
-
-
 def test_document_says_what_is_judged(document):
     text = " ".join(document.split())
     for words in (
         f"{jobs.FLOOR_MARGIN:g} mm below where a trigger is expected",
         f"within {fault_cases.GAP_ERROR:.3f} mm of that of a run without",
         f"strikes {fault_cases.INTO_A_MOVE * 1e3:g} ms into it",
-        "at most half may be refused",
+        f"within {gaps.GAP_ERROR:g} mm, what is told and what has grown",
+        f"{len(BASES)} machines",
         f"pressed up to {fault_cases.BLIND_BODY:g} mm deeper",
     ):
         assert words in text, words

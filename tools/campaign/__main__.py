@@ -1,8 +1,7 @@
-"""Every fault at every operation, then printers at random: make faults.
+"""Every fault at every operation: make faults.
 
     python -m tools.campaign [--host NAME] [--job NAME] [--case TEXT]
-        [--seed N] [--only faults|printers] [--printers N] [--pairs N]
-        [--docks] [--each N]
+        [--seed N] [--pairs N] [--docks] [--each N]
         [--module FILE | --builtin]
         [--every-host] [--json FILE]
 
@@ -40,7 +39,6 @@ from typing import Any, Optional
 from simprinter.hosts.hosts import Host, find_hosts
 from simprinter.hosts.session import GcodeError, SessionError
 from simprinter.simulation import SimulationError
-from tools.campaign.drawn_printers import MODULES, Report
 from tools.campaign.fault_cases import REFUSED, RIGHT, SHUT_DOWN, Setting
 from tools.campaign.jobs import (
     ALL_JOBS,
@@ -53,7 +51,6 @@ from tools.campaign.jobs import (
 from tools.campaign.running import (
     Plan,
     attempt_all,
-    draw_all,
     draw_pairs,
     figures,
     plan,
@@ -160,31 +157,18 @@ def run_faults(
             say(f"    {one['reason'] or one['ended']}; {depths}")
         # A run that is broken off leaves what it has found
         about = {"seed": options.seed, "each": options.each}
-        write_json(options, about, table, {})
+        write_json(options, about, table)
         for one in done:
             if one.outcome.problems:
                 say(one.text())
     return table
 
 
-def run_printers(
-    pool: Executor, hosts: Sequence[Host], options: argparse.Namespace
-) -> dict[str, Report]:
-    """Random printers for all modules; prints as it goes."""
-    reports = {}
-    for module in MODULES:
-        # Hypothesis' seeds, none of them 0
-        first = options.seed * options.printers + 1
-        reports[module] = draw_all(pool, module, hosts, options.printers, first)
-        say(f"\n{module}\n{reports[module].text()}")
-    return reports
-
-
 def parse(arguments: Optional[Sequence[str]]) -> argparse.Namespace:
     """The command line."""
     parser = argparse.ArgumentParser(
         prog="python -m tools.campaign",
-        description="Faults and random printers, on real klippies.",
+        description="Faults at every operation, on real klippies.",
     )
     parser.add_argument("--host", default="", help="part of the hosts' names")
     parser.add_argument("--job", default="", help="part of a command's name")
@@ -215,10 +199,6 @@ def parse(arguments: Optional[Sequence[str]]) -> argparse.Namespace:
     parser.add_argument(
         "--each", type=int, default=1, metavar="N", help="one of N cases only"
     )
-    parser.add_argument("--only", choices=("faults", "printers"))
-    parser.add_argument(
-        "--printers", type=int, default=300, help="random ones for each module"
-    )
     parser.add_argument(
         "--pairs", type=int, default=0, help="two faults at a time, so often"
     )
@@ -233,48 +213,35 @@ def main(arguments: Optional[Sequence[str]] = None) -> int:
     hosts = [host for host in find_hosts() if options.host in host.name]
     say(f"hosts: {', '.join(host.name for host in hosts)}")
     began = time.monotonic()
-    table, reports = [], {}
     # What a worker has imported must not be forked
     context = get_context("spawn")
     with ProcessPoolExecutor(options.workers, context) as pool:
-        if options.only != "printers":
-            table = run_faults(pool, hosts, options)
-        is_whole = not (options.pairs or options.docks)
-        if options.only != "faults" and is_whole:
-            reports = run_printers(pool, hosts, options)
+        table = run_faults(pool, hosts, options)
     about = {
         "hosts": [host.name for host in hosts],
         "seed": options.seed,
         "each": options.each,
         "minutes": (time.monotonic() - began) / 60.0,
     }
-    write_json(options, about, table, reports)
-    return 0 if is_well(about, table, reports) else 1
+    write_json(options, about, table)
+    return 0 if is_well(about, table) else 1
 
 
-def is_well(
-    about: dict[str, Any],
-    table: Sequence[dict[str, Any]],
-    reports: Mapping[str, Report],
-) -> bool:
+def is_well(about: dict[str, Any], table: Sequence[dict[str, Any]]) -> bool:
     """Say and return whether everything is as it must be."""
     runs = sum(found["runs"] for found in table)
     survived = sum(found["survived"] for found in table)
-    problems = sum(len(report.problems()) for report in reports.values())
-    drawn = sum(report.runs for report in reports.values())
     say(
-        f"\n{survived} of {runs} faults survived; {drawn} random printers,"
-        f" {problems} problems; seed {about['seed']},"
+        f"\n{survived} of {runs} faults survived; seed {about['seed']},"
         f" {about['minutes']:.1f} min"
     )
-    return runs + drawn > 0 and survived == runs and not problems
+    return survived == runs > 0
 
 
 def write_json(
     options: argparse.Namespace,
     about: dict[str, Any],
     table: Sequence[dict[str, Any]],
-    reports: Mapping[str, Report],
 ) -> None:
     """All figures to a file, if wanted; what they do not replace in it stays."""
     if options.json is None:
@@ -289,10 +256,6 @@ def write_json(
     else:
         report["about"] = about
         report["faults"] = list(table)
-        report["printers"] = {
-            name: {"hosts": about["hosts"], **vars(r)}
-            for name, r in reports.items()
-        }
     options.json.write_text(json.dumps(report, indent=1) + "\n")
 
 

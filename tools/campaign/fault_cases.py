@@ -62,7 +62,7 @@ _HEIGHTS = (
 )
 # What a dockable probe says where its pins are not as they have to be
 _PROBE = r"the probe (was not fetched|was not docked|is not ready|was lost)"
-_CAUSES = {
+CAUSES = {
     # Before before_switch_gcode a probe has to read triggered
     "stuck_open": _DEAD + r"|is attached already|" + _PROBE,
     # On the way down it is a trigger in mid air
@@ -73,7 +73,7 @@ _CAUSES = {
     "trigger_early": _HEIGHTS,
     "trigger_late": _HEIGHTS,
     "probe_falls": r"has come off|not attached|No trigger|did not answer|before the"
-    r" head moved|" + _PROBE,
+    r" toolhead moved|" + _PROBE,
     "attach_fails": r"the probe was not fetched|it is not attached",
     "dock_fails": r"the probe was not docked",
     "template raises": r"template \d+ fails",
@@ -564,7 +564,7 @@ class Trial:
         )
 
     def _judge_words(self) -> None:
-        words = [_CAUSES[fault] for fault in self._faults]
+        words = [CAUSES[fault] for fault in self._faults]
         self._require_words(self.outcome.message, words)
 
     def _require_words(self, message: str, words: Sequence[str]) -> None:

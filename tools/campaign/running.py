@@ -10,8 +10,7 @@ from concurrent.futures import Executor
 from typing import Any, NamedTuple, Union
 
 from simprinter.hosts.hosts import Host
-from tools.campaign import drawn_printers, fault_cases
-from tools.campaign.drawn_printers import Report
+from tools.campaign import fault_cases
 from tools.campaign.fault_cases import PLUS, Case, Outcome, Pair, Setting
 from tools.campaign.jobs import ALL_JOBS
 
@@ -38,7 +37,7 @@ class Done(NamedTuple):
         outcome = self.outcome
         case, ended = outcome.case, outcome.ended
         repeat = (
-            f"python -m tools.campaign --only faults --host '{self.host}'"
+            f"python -m tools.campaign --host '{self.host}'"
             f" --every-host --seed {self.seed} --job '{case.job}'"
             f" --case '{case}'"
         )
@@ -139,32 +138,3 @@ def figures(job: str, done: Sequence[Done]) -> dict[str, Any]:
             for site in sites
         },
     }
-
-
-# As many printers are one task
-_PRINTERS = 10
-
-
-def draw(task: tuple[str, Host, int, int]) -> Report:
-    """Try random printers: module, host, how many and from which seed on."""
-    module, host, count, seed = task
-    return drawn_printers.run(module, host, count, seed)
-
-
-def draw_all(
-    pool: Executor, module: str, hosts: Sequence[Host], count: int, seed: int
-) -> Report:
-    """Try random printers of a module, the hosts in turn."""
-    tasks = [
-        (
-            module,
-            hosts[first // _PRINTERS % len(hosts)],
-            min(_PRINTERS, count - first),
-            seed + first,
-        )
-        for first in range(0, count, _PRINTERS)
-    ]
-    report = Report()
-    for part in pool.map(draw, tasks):
-        report.add(part)
-    return report

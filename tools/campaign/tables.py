@@ -85,25 +85,6 @@ def commands_of(figures: Figures) -> list[Figures]:
     return [together(name, jobs) for name, jobs in groups.items()]
 
 
-def printers_table(figures: Figures) -> str:
-    """A line for each module."""
-    heads = ["random printers", "deepest, mm", "tried", "right gap"]
-    heads += ["refused", "wrong gap", "healthy", "refused of them"]
-    rows = []
-    for name, found in figures["printers"].items():
-        numbers = (
-            found["runs"],
-            found["right"],
-            sum(found["refused"].values()),
-            len(found["failures"]),
-            found["healthy"],
-            found["healthy_refused"],
-        )
-        depth = f"{found['penetration']:.3f}"
-        rows.append([name, depth, *map(str, numbers)])
-    return markdown(heads, rows)
-
-
 # What a walk is harmed by, in columns
 _OF_KLIPPY = ("internal error", "shutdown", "hang")
 _OF_WORLD = ("harm", "wrong offset")
@@ -159,5 +140,4 @@ def render(file: str) -> str:
         together("all, each kind of dock", figures["docks"]["faults"]),
         together("all, pairs of faults", figures["pairs"]["faults"]),
     ]
-    parts = [faults_table(jobs), printers_table(figures)]
-    return "\n" + "\n\n".join(parts) + "\n"
+    return f"\n{faults_table(jobs)}\n"

@@ -4,17 +4,19 @@ from itertools import combinations
 
 import pytest
 
-from tools.campaign.drawing import check_drawn
 from tools.campaign.walks import (
     card,
     covering,
     doing,
     features,
     machines,
+    mechanics,
+    mistakes,
     steps,
     values,
     walker,
 )
+from tools.campaign.walks.drawing import check_drawn
 from tools.campaign.walks.machines import BASES, GENERIC
 from tools.campaign.walks.printers import Owned, printers
 from tools.kit.product import GCODE, options
@@ -247,3 +249,53 @@ def test_buttons(press, sent):
     found = []
     press(Console(*SHOWN, *NEXT), found.append, 0)
     assert found == sent
+
+
+@pytest.mark.parametrize("base", BASES)
+def test_each_mistake_changes_its_machine(base):
+    names = mistakes.possible(BASES[base])
+    assert names
+    right = Owned(base=base)
+    for name in names:
+        wrong = Owned(base=base, mistake=name)
+        assert wrong.scene != right.scene, name
+        assert Owned.from_data(wrong.as_data()) == wrong
+
+
+def test_each_mistake_is_possible_on_a_machine():
+    found = {name for base in BASES for name in mistakes.possible(BASES[base])}
+    assert found == set(mistakes.MISTAKES)
+
+
+@pytest.mark.parametrize("base", BASES)
+def test_each_machine_is_built_otherwise(base):
+    scene = BASES[base]
+    built = Owned(
+        base=base,
+        screw=0.0 if scene.kinematics == "corexz" else 4.0,
+        skew=(0.1, 0.1, 0.1),
+        drift=(1e-5,) * 4,
+        board=next(iter(mechanics.boards_of(scene)), ""),
+    ).scene
+    assert built.world.drift.nozzle == 1e-5
+    assert len(built.z_skew) == len(scene.z_motors) - 1
+    assert bool(built.wiring.boards)
+    section = built.sections["stepper_z"]
+    assert section["rotation_distance"] in ("4", "40")
+
+
+def test_fast_touches_are_given_room():
+    slow, fast = (
+        Owned(base="voron", board="z_endstop", options=rows).scene.world
+        for rows in ((), (("z", "homing_speed", "20"),))
+    )
+    assert fast.overtravel > slow.overtravel > BASES["voron"].world.overtravel
+
+
+def test_faults_are_in_commands_of_ours_that_do_not_home():
+    assert steps.is_breakable("CALIBRATE_Z", ())
+    assert not steps.is_breakable("CALIBRATE_Z_ACCURACY CYCLES=2 HOME=1", ())
+    assert not steps.is_breakable("G28", ())
+    grows = "Z_CALIBRATION_NOZZLE_GROWTH TEMPS=50,70,90"
+    assert not steps.is_breakable(grows, ())
+    assert steps.is_breakable(grows, ("hot",))

@@ -254,3 +254,89 @@ def test_figures_as_a_table():
     numbers = [cell.strip() for cell in lines[2].strip("|").split("|")]
     assert numbers == ["10", "90", "1", "0", "7", "2", "7", "2"]
     assert lines[3:] == ["", "- 2: `Tuesday`"]
+
+
+# A switch that breaks meanwhile
+
+BROKEN = (
+    ("gcode", "G28"),
+    ("break", ("stuck_open", "z_endstop", 0)),
+    ("gcode", "CALIBRATE_Z"),
+    ("mend", "stuck_open"),
+    ("gcode", "G28"),
+    ("gcode", "CALIBRATE_Z"),
+)
+
+
+@pytest.mark.one_host
+def test_fault_is_named_and_what_it_leads_to_is_bounded(host, product):
+    owned = Owned(base="voron")
+    outcome = walker.go(owned, BROKEN, host)
+    assert not outcome.harm
+    assert outcome.ends[:2] == ["", ""]
+    assert "the switch did not answer" in outcome.ends[2]
+    assert outcome.ends[3:] == ["", "", ""]
+    # Without the fault nothing may be pressed like that
+    deeper = product("z_calibration", "CALIBRATE_Z", failed=DEEPER)
+    outcome = walker.go(owned, BROKEN, host, deeper)
+    assert outcome.kind == "harm"
+    assert "nozzle_pin" in outcome.harm
+
+
+# On the pin, where it has ended 1 mm below the trigger
+DEEPER = """
+printer.lookup_object("toolhead").manual_move([None, None, 0.3], 10.0)
+printer.lookup_object("toolhead").wait_moves()
+printer.lookup_object("toolhead").manual_move([None, None, 20.0], 10.0)"""
+
+
+@pytest.mark.one_host
+@pytest.mark.slow
+def test_fault_that_is_not_named_is_found(host, product):
+    hides = 'raise printer.command_error("not today")'
+    modules = product("z_calibration", "CALIBRATE_Z", failed=hides)
+    outcome = walker.go(Owned(base="voron"), BROKEN, host, modules)
+    assert outcome.kind == "hidden"
+    assert "stuck_open: not today" in outcome.harm
+
+
+# What an owner has got wrong, or built otherwise
+
+
+@pytest.mark.one_host
+@pytest.mark.slow
+def test_mistake_is_a_reason_and_no_excuse_for_a_wrong_gap(host, product):
+    owned = Owned(base="voron", mistake="nozzle beside pin")
+    walk = (("gcode", "G28"), ("gcode", "CALIBRATE_Z"))
+    outcome = walker.go(owned, walk, host)
+    assert outcome.ends[1] and not outcome.harm and not outcome.healthy
+    # Z=0 is found whatever the owner believes of the endstop
+    wide = (("z_calibration", "offset_margins", "-5, 5"),)
+    owned = Owned(base="voron", mistake="endstop too high", options=wide)
+    assert walker.go(owned, walk, host).ends == ["", ""]
+    wrong = product(
+        "z_calibration",
+        "CALIBRATE_Z",
+        done='run("SET_GCODE_OFFSET Z_ADJUST=0.3 MOVE=0")',
+    )
+    for other in (owned, Owned(base="voron")):
+        outcome = walker.go(other, walk, host, wrong)
+        assert outcome.kind == "wrong offset", outcome
+
+
+@pytest.mark.one_host
+@pytest.mark.slow
+def test_printer_that_is_built_otherwise_is_right(host):
+    owned = Owned(
+        base="voron",
+        screw=7.77,
+        microsteps=8,
+        skew=(0.1, -0.1, 0.05),
+        drift=(1e-4, -1e-4, 5e-5, 0.0),
+        board="z_endstop",
+        latency=0.005,
+        options=(("z", "homing_speed", "20"), ("probe", "speed", "2.0")),
+    )
+    walk = (("gcode", "G28"), ("gcode", "CALIBRATE_Z"), ("wait", 200))
+    outcome = walker.go(owned, walk, host)
+    assert (outcome.harm, outcome.ends) == ("", ["", "", ""])

@@ -174,6 +174,11 @@ CLAIMS: tuple[tuple[re.Pattern, Callable[..., bool]], ...] = tuple(
         (r"holds no correction, and none was saved", _has_no_correction),
         (r"auto_attach_detach is off, and", _wants_no_trips),
         (r"G92 has moved Z=0 by", _has_g92),
+        # What only the owner's own file and the drawn printer know
+        (r"end_gcode has left a G-code Z offset", _is_true),
+        (r"section 'axis_twist_compensation' is missing", _is_true),
+        (r"the pin still moves|the nozzle would be \S+ mm longer", _is_true),
+        (r"no extruder, so it is not known how hot", _is_true),
         (r"is none of baby steps", _is_true),
         # A retraction of Klipper's that fails leaves G91 to its owner's templates
         (r"^z_calibration: \w+_gcode: .*Move out of range", _is_true),

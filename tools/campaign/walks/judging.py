@@ -9,10 +9,11 @@ from typing import Any, NamedTuple, Optional
 
 from simprinter.world import Bed, WorldSpec
 from simprinter.world.truth import Crash
+from tools.campaign.fault_cases import CAUSES
 from tools.campaign.walks import claims
 from tools.campaign.walks import steps as stepping
 from tools.campaign.walks.gaps import Gaps
-from tools.campaign.walks.printers import Owned
+from tools.campaign.walks.printers import POINT, Owned
 from tools.kit.dialogs import dialogs_of
 from tools.kit.printer import Printer
 
@@ -20,6 +21,8 @@ from tools.kit.printer import Printer
 DETACH_DELAY = 1.0
 # From where a trigger is expected to where a touch ends: docs/reliability.md (mm)
 MARGIN = 1.0
+# Beyond it: a step, and what a bed differs below two places (mm)
+SLACK = 0.1
 # How much deeper than Z=0 the bed of a new printer may be expected (mm)
 WRONG_ZERO = 1.5
 # Of places that are the same (mm): half a step of both belts, and more
@@ -79,12 +82,16 @@ class HarmError(AssertionError):
 
 
 class Gone(NamedTuple):
-    """A step that was gone: what ran, why it was refused, what was shown."""
+    """A step that was gone: what ran, why it was refused, what was shown.
+
+    fault: what may have broken meanwhile, see simprinter/faults.py; empty: nothing.
+    """
 
     kind: str
     script: str
     refusal: str
     lines: Sequence[str]
+    fault: str = ""
 
     @property
     def command(self) -> str:
@@ -101,7 +108,7 @@ class Before:
 
     state: what a refusal leaves as it was. pressed: sites that something
     touched. question: whether a person is asked something. events, touches:
-    how many the world had seen.
+    how many the world had seen. time: seconds of the world.
     """
 
     state: Mapping[str, Any]
@@ -112,6 +119,7 @@ class Before:
     events: int
     touches: int
     probe: str
+    time: float
 
 
 @dataclass
@@ -131,6 +139,8 @@ class Judge:
         self.gaps = Gaps(self.printer, self.owned, self.keep_clear)
         self.before = self._before()
         self.lowest = lowest(self.printer.scene.world)
+        # How many touches there were when klippy has started
+        self.begun = 0
         # What nobody answers any more: whoever prints has cleared the bed
         self.over = ""
 
@@ -145,11 +155,12 @@ class Judge:
 
     def end(self, gone: Gone) -> None:
         """It has ended. Raises HarmError."""
-        if gone.kind == "print":
+        if gone.kind == "print" or gone.fault:
             # Its last moves are queued still
             self._stand_still()
         if gone.kind in RESTARTS:
             self.gaps.restarted()
+            self.begun = len(self.printer.machine.truth.touches)
             self.over = ""
         if gone.kind == "card":
             after = self._status()["extra_probe membrane"]
@@ -165,6 +176,7 @@ class Judge:
             ("moved", self._is_among_hands),
             ("elsewhere", self._is_elsewhere),
             ("left behind", self._has_left),
+            ("hidden", self._hides),
             ("lie", self._lies),
             ("wrong offset", self._is_off),
         ):
@@ -188,6 +200,8 @@ class Judge:
 
     def _is_hurt(self, gone: Gone) -> Iterator[str]:
         truth = self.printer.machine.truth
+        if self._is_of_host(gone):
+            return
         crashes = [c for c in truth.crashes() if not self._may(gone, c)]
         if crashes:
             reason = f" (refused: {gone.refusal})" if gone.refusal else ""
@@ -195,6 +209,9 @@ class Judge:
 
     def _may(self, gone: Gone, crash: Crash) -> bool:
         """docs/reliability.md: where no membrane was laid, 1 mm below Z=0."""
+        is_wrong = bool(gone.fault or self.owned.mistake)
+        if is_wrong and crash.depth <= self._deepest_dead(gone, crash.site):
+            return True
         is_looking = "EXTRA_PROBE" in gone.script
         is_laid = self.printer.machine.world.membrane_is_laid
         if crash.site != "nozzle_bed" or is_laid or not is_looking:
@@ -214,6 +231,40 @@ class Judge:
         # A frame that is farther away is no owner's mistake
         return MARGIN + PLACE + min(max(0.0, below), WRONG_ZERO)
 
+    def _is_of_host(self, gone: Gone) -> bool:
+        """Its owner's mistake is in the way of a command that is none of ours."""
+        is_ours = gone.command in OURS or gone.kind in ("print", "card")
+        return bool(self.owned.mistake) and not is_ours
+
+    def _deepest_dead(self, gone: Gone, site: str) -> float:
+        """How far (mm) a dead switch may be pressed: docs/reliability.md."""
+        if not site.startswith("nozzle"):
+            # The nozzle stays above the bed
+            probe = self.printer.scene.world.mag_probe
+            hangs = probe.body_drop + probe.switch_offset if probe else 0.0
+            return hangs + MARGIN
+        is_first = "AUTO_Z" in gone.script and not self.gaps.is_corrected
+        pin = self.printer.scene.world.pin
+        if site == "nozzle_pin" and self._is_first_on_pin():
+            assert pin is not None
+            return self._to_position_min() + pin.z
+        return self._to_position_min() if is_first else MARGIN + SLACK
+
+    def _is_first_on_pin(self) -> bool:
+        """Whether klippy does not know yet how high a pin of its own is."""
+        own = self.printer.scene.sections.get("z_calibration") or {}
+        touches = self.printer.machine.truth.touches
+        touches = touches[self.begun : self.before.touches]
+        is_known = any(touch.site == "nozzle_pin" for touch in touches)
+        return "endstop_pin" in own and not is_known
+
+    def _to_position_min(self) -> float:
+        """From the bed to the end of the Z axis, which is the first floor of all (mm)."""
+        machine = self.printer.machine
+        zero = machine.tip().z - self.printer.session.position()[2]
+        low = self.printer.status("toolhead")["axis_minimum"][2]
+        return max(MARGIN, -machine.truth.true_gap(*POINT, zero + low)) + SLACK
+
     @property
     def membrane(self) -> tuple[float, float]:
         """The middle of what a membrane is laid on, or the fixed switch (mm)."""
@@ -228,7 +279,11 @@ class Judge:
         floor = self.lowest - MARGIN
         if "EXTRA_PROBE" in gone.script:
             floor -= self._deepest()
-        if truth.lowest < floor:
+        if gone.fault or self.owned.mistake:
+            sites = ("nozzle_bed", "nozzle_pin")
+            deepest = max(self._deepest_dead(gone, site) for site in sites)
+            floor -= deepest - MARGIN
+        if truth.lowest < floor and not self._is_of_host(gone):
             yield f"the nozzle was at {truth.lowest:.3f}, {floor:.3f} is low"
         truth.forget()
 
@@ -332,6 +387,7 @@ class Judge:
             events=len(truth.events),
             touches=len(truth.touches),
             probe=self._probe(),
+            time=self._now(),
         )
 
     def _status(self) -> Status:
@@ -394,10 +450,32 @@ class Judge:
                     if any(code in (value or "") for code in codes):
                         yield name
 
+    def _hides(self, gone: Gone) -> Iterator[str]:
+        """What was broken is not named, nor anything else that is so."""
+        has_struck = not self.printer.machine.faults.unfired()
+        is_refused = bool(gone.fault and gone.refusal)
+        if not is_refused or not has_struck or self.owned.mistake:
+            return
+        is_named = re.search(CAUSES[gone.fault], gone.refusal)
+        if not is_named and claims.verdict(gone.refusal, self._facts()) is None:
+            yield f"{gone.fault}: {gone.refusal}"
+
     def _lies(self, gone: Gone) -> Iterator[str]:
-        """What is said of the printer is not so."""
+        """What is said of the printer is not so, and nothing is broken or wrong."""
+        if gone.fault or self.owned.mistake:
+            return
+        facts = self._facts()
+        yield from claims.untrue(gone.command, gone.refusal, gone.lines, facts)
+        if gone.refusal and gone.kind in ("gcode", "print", "answer"):
+            found = claims.verdict(gone.refusal, facts)
+            if found is False:
+                yield f"it is not so: {gone.refusal}"
+            self.is_healthy = found is None
+
+    def _facts(self) -> claims.Facts:
+        """What was so before the step and is so now."""
         status = self._status()
-        facts = claims.Facts(
+        return claims.Facts(
             before=self.before.status,
             after=status,
             probes=self._probes(),
@@ -410,12 +488,6 @@ class Judge:
                 ]
             ),
         )
-        yield from claims.untrue(gone.command, gone.refusal, gone.lines, facts)
-        if gone.refusal and gone.kind in ("gcode", "print", "answer"):
-            found = claims.verdict(gone.refusal, facts)
-            if found is False:
-                yield f"it is not so: {gone.refusal}"
-            self.is_healthy = found is None
 
     def _probes(self) -> frozenset[str]:
         """Where the probe has been while the step went on."""
@@ -428,7 +500,11 @@ class Judge:
         # In a print, too, others come after it
         is_alone = gone.kind not in (*stepping.MANY, "card")
         yield from self.gaps.wrong(
-            gone.script, gone.lines, is_alone, bool(gone.refusal)
+            gone.script,
+            gone.lines,
+            is_alone,
+            bool(gone.refusal),
+            self.before.time,
         )
 
     # Looking

@@ -12,10 +12,18 @@ from hypothesis import strategies as st
 
 from simprinter.scene import heated
 from simprinter.world import NoiseSpec
-from tools.campaign.drawing import around, often
-from tools.campaign.walks import card, covering, features, machines, values
+from tools.campaign.walks import (
+    card,
+    covering,
+    features,
+    machines,
+    mechanics,
+    values,
+)
 from tools.campaign.walks.covering import Row
+from tools.campaign.walks.drawing import around, often, seldom
 from tools.campaign.walks.machines import BASES
+from tools.campaign.walks.mistakes import MISTAKES, possible
 from tools.kit.scenes import Scene
 
 # Over the bed wherever a dock is (mm)
@@ -23,8 +31,12 @@ POINT = (150.0, 150.0)
 # By how much the heights of a bed may differ at most (mm)
 MOST_BOW = 0.3
 # How many options of each kind an owner has chosen at most
-MOST = {"hook": 3, "switch": 3, "number": 2}
+MOST = {"hook": 3, "switch": 3, "number": 2, "speed": 2}
 SLOPE = 1e-3
+# By how much a Z motor stands higher than the first (mm)
+MOST_SKEW = 0.15
+# What grows as fast as that (mm/s) grows by a third of a millimetre in an hour
+MOST_DRIFT = 1e-4
 
 
 @dataclass(frozen=True)
@@ -34,7 +46,9 @@ class Owned:
     left_out: of our sections. kinematics, z_motors: the machine's own where they
     are empty. is_overridden: its owner's macro homes Z. options: section, option, value. too_high: mm by
     which the z_offset of the probe is too large. slope, bow, rough: of the plate,
-    see machines.on_plate(). sigma: of the noise of all switches, mm.
+    see machines.on_plate(). sigma: of the noise of all switches, mm. screw: mm a turn
+    of the Z motors, 0: the machine's own, and microsteps. skew, drift, board,
+    latency: see mechanics. mistake: the owner's, see mistakes.
     """
 
     base: str = "dock_gantry_switch"
@@ -49,12 +63,27 @@ class Owned:
     bow: float = 0.0
     rough: float = 0.0
     sigma: float = 0.0
+    screw: float = 0.0
+    microsteps: int = 16
+    skew: tuple[float, ...] = ()
+    drift: tuple[float, ...] = ()
+    board: str = ""
+    latency: float = 0.002
+    mistake: str = ""
     seed: int = 0
 
     @cached_property
     def scene(self) -> Scene:
         """The machine and its owner's sections, but for those of Klipper."""
+        scene = self._right
+        return MISTAKES[self.mistake](scene) or scene if self.mistake else scene
+
+    @cached_property
+    def _right(self) -> Scene:
+        """The same without a mistake."""
         scene = machines.without(BASES[self.base], *self.left_out)
+        if self.screw:
+            scene = mechanics.on_screws(scene, self.screw, self.microsteps)
         scene = machines.built(
             scene,
             self.z_motors or len(scene.z_motors),
@@ -72,7 +101,22 @@ class Owned:
             if part is not None and self.sigma:
                 noise = replace(part.noise, sigma=self.sigma)
                 world[name] = replace(part, noise=noise)
-        return scene.with_world(**world) if world else scene
+        scene = mechanics.skewed(scene.with_world(**world), self.skew)
+        if self.drift:
+            scene = mechanics.drifting(scene, self.drift)
+        if self.board:
+            scene = mechanics.boarded(scene, self.board, self.latency)
+        return mechanics.giving(scene, self.fastest)
+
+    @property
+    def fastest(self) -> float:
+        """Of all touches (mm/s), those of homing included."""
+        chosen = [
+            float(value or 0.0)
+            for _, option, value in self.options
+            if option in values.TOUCH_SPEEDS
+        ]
+        return max([values.USUAL_SPEED, *chosen])
 
     @property
     def uneven(self) -> float:
@@ -90,6 +134,8 @@ class Owned:
         for section, option, value in self.options:
             if section in self.left_out:
                 continue
+            if section == values.OF_Z:
+                section = mechanics.z_section(self.scene)
             text = None if value is None else value
             if value is not None and option.endswith("_gcode"):
                 text = "\n  " + value
@@ -126,8 +172,9 @@ class Owned:
         """See as_data()."""
         options = tuple(tuple(row) for row in data["options"])
         names = frozenset(data["names"])
-        slope = tuple(data["slope"])
-        own = {"names": names, "options": options, "slope": slope}
+        own = {"names": names, "options": options}
+        for name in ("slope", "skew", "drift"):
+            own[name] = tuple(data.get(name, ()))
         own["left_out"] = tuple(data.get("left_out", ()))
         return cls(**{**data, **own})
 
@@ -148,6 +195,30 @@ def _options(base: str) -> st.SearchStrategy:
         for kind, rows in sorted(kinds.items())
     ]
     return st.tuples(*chosen).map(lambda found: tuple(sum(found, [])))
+
+
+@lru_cache(maxsize=None)
+def _mechanics(base: str) -> st.SearchStrategy:
+    """What its owner has built otherwise, or got wrong: each of it now and then."""
+    scene = BASES[base]
+    skews = st.tuples(*[around(0.0, -MOST_SKEW, MOST_SKEW)] * 3)
+    rates = st.tuples(*[around(0.0, -MOST_DRIFT, MOST_DRIFT, 1e-5)] * 4)
+    mistakes = possible(scene)
+    parts: dict[str, st.SearchStrategy] = {
+        "microsteps": st.sampled_from(mechanics.MICROSTEPS),
+        "skew": seldom((), skews),
+        "drift": seldom((), rates),
+        "latency": st.sampled_from(mechanics.LATENCIES),
+        "mistake": seldom("", st.sampled_from(mistakes)),
+    }
+    if scene.kinematics != "corexz":
+        # Its Z is on the belt
+        screws = st.sampled_from(mechanics.SCREWS)
+        parts["screw"] = often(0.0, screws)
+    boards = mechanics.boards_of(scene)
+    if boards:
+        parts["board"] = seldom("", st.sampled_from(boards))
+    return st.fixed_dictionaries(parts)
 
 
 @lru_cache(maxsize=None)
@@ -183,6 +254,7 @@ def printers(draw: st.DrawFn, row: Row) -> Owned:
     if row.noise:
         sigma = draw(_beyond(0.0, 0.003, 0.001))
         drawn["sigma"] = draw(_mostly(sigma, 0.0))
+    drawn.update(draw(_mechanics(row.base)))
     return Owned(
         base=row.base,
         left_out=draw(_mostly((row.left_out,) if row.left_out else (), ())),

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Collection, Sequence
 from functools import lru_cache
 from typing import Any
 
@@ -194,6 +194,33 @@ USES = (
     "AUTO_Z_SAVE_GCODE_OFFSET",
     "Z_CALIBRATION_SAVE_GCODE_OFFSET",
 )
+# Commands of ours that touch, fetch or dock; none of these homes with a switch, where
+# no floor of ours is
+BREAKABLE = frozenset(
+    (
+        "CALIBRATE_Z",
+        "CALIBRATE_Z_ACCURACY",
+        "PROBE_Z_ACCURACY",
+        "Z_CALIBRATION_WAIT",
+        "Z_CALIBRATION_NOZZLE_GROWTH",
+        "AUTO_Z_CALIBRATE",
+        "AUTO_Z_PROBE",
+        "AUTO_Z_HOME_Z",
+        "AUTO_Z_MEASURE_OFFSET",
+        "AUTO_Z_TWIST",
+        "AUTO_Z_WAIT",
+        "EXTRA_PROBE",
+        "EXTRA_PROBE_ACCURACY",
+        "ATTACH_PROBE",
+        "DETACH_PROBE",
+    )
+)
+# Of these without a section of Klipper's nothing moves
+NEEDS = {"Z_CALIBRATION_NOZZLE_GROWTH": "hot", "AUTO_Z_TWIST": "twist"}
+# What breaks: a switch so many s after the command has begun, the next touch, the
+# probe at its nth contact, a trip to the dock
+SENSOR_FAULTS = ("stuck_open", "stuck_closed", "trigger_never")
+TRIP_FAULTS = ("attach_fails", "dock_fails")
 # What a finger presses, of what a machine has
 PRESSED = ("probe", "z_endstop", "nozzle_endstop", "bed_sensor")
 # What a print takes, whoever sends it
@@ -419,10 +446,48 @@ def _courses(printer: Owned) -> list[st.SearchStrategy]:
     return found
 
 
+def _breaks(printer: Owned) -> list[st.SearchStrategy]:
+    """A fault in a command, and the same command when it is mended."""
+    signals = {"membrane", *PRESSED} & set(printer.scene.wiring.inputs)
+    sensors = st.tuples(
+        st.sampled_from(SENSOR_FAULTS),
+        st.sampled_from(sorted(signals)),
+        st.sampled_from((0, 1, 3, 8, 20)),
+    )
+    faults = [sensors]
+    probe = printer.scene.world.mag_probe
+    if probe is not None and probe.mode != "fixed":
+        at = st.sampled_from((1, 2, 3, 4))
+        faults.append(st.tuples(st.just("probe_falls"), st.just(""), at))
+    if printer.has("dockable_probe"):
+        trips = st.sampled_from(TRIP_FAULTS)
+        faults.append(st.tuples(trips, st.just(""), st.just(1)))
+    names = printer.names
+    ours = [text for text in gcode_of(printer) if is_breakable(text, names)]
+    if not ours:
+        return []
+
+    def around(found: tuple[Any, str]) -> tuple[Step, ...]:
+        fault, text = found
+        broken = (("break", fault), ("gcode", text), ("mend", fault[0]))
+        return (*broken, ("gcode", "G28"), ("gcode", text))
+
+    both = st.tuples(st.one_of(faults), st.sampled_from(ours))
+    return [both.map(around)]
+
+
+def is_breakable(script: str, names: Collection[str]) -> bool:
+    """Whether a switch may be dead meanwhile; names: sections that it may need."""
+    words = script.splitlines()[-1].split()
+    needs = NEEDS.get(words[0], "")
+    is_there = not needs or needs in names
+    return words[0] in BREAKABLE and "HOME=1" not in words and is_there
+
+
 @lru_cache(maxsize=16)
 def steps(printer: Owned) -> st.SearchStrategy:
     """What may be done on a printer, in any order: rows of one step or more."""
-    courses = [*_courses(printer), *_prints(printer)]
+    courses = [*_courses(printer), *_prints(printer), *_breaks(printer) * 3]
     # One that is there more than once is more likely, other than with one_of()
     return st.sampled_from([*_singles(printer), *courses]).flatmap(
         lambda kind: kind

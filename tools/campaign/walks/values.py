@@ -108,13 +108,34 @@ STAYS = ("restore_toolhead", "return_to_last_probe_position_after_detach")
 OF_CORPUS = ("z_calibration", "auto_z_offset", "dockable_probe")
 
 
+# Of Klipper's own sections, by what real printers have in them; OF_Z is the one with
+# the endstop of Z, whatever its name is
+OF_Z = "z"
+OF_KLIPPER = {
+    "probe": (
+        "speed",
+        "lift_speed",
+        "samples",
+        "samples_result",
+        "sample_retract_dist",
+        "samples_tolerance",
+    ),
+    OF_Z: ("homing_speed", "second_homing_speed", "homing_retract_dist"),
+}
+# How fast something is touched, and what no owner who says nothing goes beyond (mm/s)
+TOUCH_SPEEDS = ("speed", "probing_speed", "homing_speed", "second_homing_speed")
+USUAL_SPEED = 10.0
+
+
 def kind_of(choice: Choice) -> str:
     """Hooks, switches and numbers: of each some are chosen.
 
     What a number is changes how long a way is; where the probe hangs, who moves
     and where to follows from the others.
     """
-    _, option, found = choice
+    section, option, found = choice
+    if section in OF_KLIPPER:
+        return "speed"
     if option.endswith("_gcode"):
         return "hook"
     if any(word in option for word in OF_TOUCHES):
@@ -142,6 +163,13 @@ def choices(scene: Scene) -> list[Choice]:
         for section in TABLES
         if section in scene.sections
         for option, values in _of_section(section).items()
+    ]
+    found += [
+        (section, option, real)
+        for section, names in OF_KLIPPER.items()
+        if section in ("probe", OF_Z) and _has(scene, section)
+        for option in names
+        for real in [_of_context(section, option)]
     ]
     pin, bed = scene.world.pin, scene.world.bed
     if pin is not None and pin.y < bed.y_min:
@@ -219,6 +247,27 @@ def _around(row: Any) -> Iterator[float]:
         return
     ends = [row.limits.get(name) for name in ("maxval", "below")]
     yield 0.1 * next((end for end in ends if end is not None), 10.0)
+
+
+def _has(scene: Scene, section: str) -> bool:
+    return section == OF_Z or section in scene.sections
+
+
+@lru_cache(maxsize=None)
+def _of_context(section: str, option: str) -> Sequence[Optional[str]]:
+    """What real printers have there beside one of our sections."""
+    name = "stepper_z" if section == OF_Z else section
+    found = {
+        entry.section(name).get(option, "").strip()
+        for module in OF_CORPUS
+        for entry in corpus.load(module)
+    }
+    return sorted(text for text in found if _is_value(text))
+
+
+def _is_value(text: str) -> bool:
+    """Whether it is a number or a word, and no mistake of its owner's."""
+    return bool(text) and not set(text) & set(", \n#{")
 
 
 @lru_cache(maxsize=None)

@@ -12,9 +12,9 @@ from functools import partial
 from pathlib import Path
 from typing import Any, Callable, Optional
 
+from simprinter import Fault
 from simprinter.hosts.hosts import Host
 from simprinter.hosts.session import GcodeError, SessionError
-from tools.campaign.judge import shape
 from tools.campaign.walks import card, doing
 from tools.campaign.walks import steps as stepping
 from tools.campaign.walks.judging import Gone, HarmError, Judge
@@ -26,9 +26,16 @@ from tools.kit.printer import Printer
 NEAR = 1.0
 # Of a hand, and what it holds (mm): a probe, or a switch that is flat
 HAND, FINGERS = 15.0, 5.0
-# Of one command, printer seconds: a mesh of nine points takes 100
-LIMIT = 900.0
+# Of one command, printer seconds: a nozzle that is measured at three temperatures
+# stands still for minutes at each
+LIMIT = 3600.0
+_NUMBER = re.compile(r"-?\d+(\.\d+)?")
 _ACROSS = re.compile(r"G1 X(\S+) Y(\S+) F9000")
+
+
+def shape(reason: str) -> str:
+    """A reason without its numbers, short."""
+    return _NUMBER.sub("#", reason.splitlines()[0])[:100]
 
 
 @dataclass
@@ -68,6 +75,8 @@ class Walker:
         # What z_thermal_adjust reads, see heat()
         self.temperature = temperature
         self.judge = Judge(printer, owned, partial(around, owned))
+        # The fault that a command is to meet, and nothing else
+        self.fault = ""
         # The step that is being done: for people, what ran, why it was refused
         self.step = self.script = self.refusal = ""
         self.does: Mapping[str, Callable[[Any], None]] = {
@@ -86,6 +95,8 @@ class Walker:
             "hand": self._hand,
             "print": self._print,
             "heat": self._heat,
+            "break": self._break,
+            "mend": self._mend,
         }
 
     def go(self, walk: Sequence[Step]) -> None:
@@ -99,7 +110,9 @@ class Walker:
             try:
                 if not self._do(kind, what):
                     return
-                gone = Gone(kind, self.script, self.refusal, console[shown:])
+                lines = console[shown:]
+                fault = self.fault if kind == "gcode" else ""
+                gone = Gone(kind, self.script, self.refusal, lines, fault)
                 self.judge.end(gone)
             except HarmError as error:
                 text = f"step {number}, {self.step}: {error}"
@@ -210,6 +223,29 @@ class Walker:
         heat(self.temperature, celsius)
         self.printer.session.wait(5.0)
 
+    def _break(self, what: Sequence) -> None:
+        """A fault, see simprinter/faults.py, that the next command may meet."""
+        self.fault, subject, at = what
+        about: dict[str, Any] = {"n": at}
+        if self.fault in ("stuck_open", "stuck_closed"):
+            about = {"signal": subject, "t": self._now() + at}
+        elif self.fault == "trigger_never":
+            about = {"signal": subject}
+        elif self.fault == "probe_falls":
+            about = {"touch": at}
+        self.printer.machine.break_down(
+            Fault(self.fault, strikes="may", **about)
+        )
+
+    def _mend(self, fault: str) -> None:
+        """All is as good as new, and a probe that has fallen is where it was."""
+        machine, self.fault = self.printer.machine, ""
+        machine.repair()
+        machine.rig.settle(machine.simulation.clock.now())
+        now = self._now()
+        if machine.world.probe_state(now) == "lost":
+            machine.world.bring_probe_back(now)
+
     def _press(self, signal: str) -> None:
         """A finger; where a dialog is open that wants one, after its first button."""
         session, machine = self.printer.session, self.printer.machine
@@ -285,7 +321,7 @@ def go(
         printer = Printer(host, owned.scene, changes, (), owned.seed, modules)
         try:
             # A printer that does not start may know nothing of its own yet
-            if _starts(printer, outcome):
+            if _starts(printer, owned, outcome):
                 _go(Walker(printer, owned, outcome, say, temperature), walk)
         finally:
             printer.session.close()
@@ -298,12 +334,14 @@ def heat(file: Path, celsius: float) -> None:
     file.write_text(f"{1000.0 * celsius:.0f}\n")
 
 
-def _starts(printer: Printer, outcome: Outcome) -> bool:
+def _starts(printer: Printer, owned: Owned, outcome: Outcome) -> bool:
     state, message = printer.session.start()
     if state == "ready":
         return True
     if "nternal error" in message:
         outcome.harm, outcome.kind = message, "internal error"
+    elif owned.mistake and "ection '" not in message:
+        outcome.harm, outcome.kind = f"names no section: {message}", "hidden"
     outcome.refused_at_start = message
     return False
 

@@ -21,14 +21,13 @@ from pathlib import Path
 from typing import Any, Callable, NamedTuple, Optional
 
 from simprinter.hosts.hosts import Host
-from tools.campaign.drawing import check_drawn
-from tools.campaign.judge import shape
 from tools.campaign.walks import covering, machines, walker
 from tools.campaign.walks import steps as stepping
 from tools.campaign.walks.covering import Row
+from tools.campaign.walks.drawing import check_drawn
 from tools.campaign.walks.printers import Owned
 from tools.campaign.walks.steps import Step
-from tools.campaign.walks.walker import Outcome
+from tools.campaign.walks.walker import Outcome, shape
 from tools.kit.printer import FOLDER, MODULES, knows_kinematics
 
 # So many walks are tried to find the simplest one that fails alike
