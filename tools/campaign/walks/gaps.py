@@ -387,6 +387,9 @@ class Gaps:
         grown = rates * (self._now() - promise.since)
         lean = LEAN * max(map(abs, self.owned.skew), default=0.0)
         most = GAP_ERROR + promise.told + grown + lean
+        if self.owned.mistake:
+            # Another point of the bed may have been touched than its owner thinks
+            most += self.owned.uneven
         return abs(gap - promise.gap) > most
 
     def _now(self) -> float:
