@@ -1,6 +1,7 @@
 """How exact and how quick CALIBRATE_Z is with samples: auto.
 
     python -m tools.bench.automatic [--seeds N] [--host NAME] [--case NAME]
+        [--json FILE]
 
 Each seed is another printer of the voron scene, as in tools/bench/errors.py,
 at the speeds of make bench, with a history of ten runs at the noise of its
@@ -88,7 +89,7 @@ CASES = (
         *("3 um, no history", 3.0),
         known=False,
         sigma=4.0,
-        seconds=19.0,
+        seconds=20.0,
         ratio=1.15,
     ),
     Case("3 um, target 0.005", 3.0, 5, target="0.005", sigma=2.6, seconds=44.0),
@@ -202,26 +203,58 @@ def bound_of(
     return moves + waits
 
 
-def rows(case: Case, trials: Sequence[Trial]) -> Iterator[str]:
-    """The figures, then each bound that is not kept."""
+class Figures(NamedTuple):
+    """What came of a case.
+
+    um: mean, sigma and worst of the error; inside: share of the gaps that were within
+    the uncertainty that was told. seconds, ratio, touches: on average.
+    """
+
+    name: str
+    printers: int
+    refused: int
+    mean: float
+    sigma: float
+    worst: float
+    inside: float
+    seconds: float
+    ratio: float
+    touches: float
+
+
+def figures(case: Case, trials: Sequence[Trial]) -> Figures:
+    """Of all printers that were not refused."""
     good = [trial for trial in trials if trial.error is not None]
     errors = [trial.error for trial in good]
-    seconds = statistics.mean(trial.seconds for trial in good)
-    ratio = statistics.mean(trial.seconds / trial.bound for trial in good)
-    sigma, worst = statistics.stdev(errors), max(errors, key=abs)
-    inside = sum(abs(t.error) <= t.worth + 0.5 for t in good) / len(good)
-    touches = statistics.mean(trial.touches for trial in good)
+    inside = sum(abs(t.error) <= t.worth + 0.5 for t in good)
+    return Figures(
+        name=case.name,
+        printers=len(trials),
+        refused=len(trials) - len(good),
+        mean=statistics.mean(errors),
+        sigma=statistics.stdev(errors),
+        worst=max(errors, key=abs),
+        inside=inside / len(good),
+        seconds=statistics.mean(trial.seconds for trial in good),
+        ratio=statistics.mean(trial.seconds / trial.bound for trial in good),
+        touches=statistics.mean(trial.touches for trial in good),
+    )
+
+
+def rows(case: Case, found: Figures) -> Iterator[str]:
+    """The figures, then each bound that is not kept."""
     yield (
-        f"{case.name:22} mean {statistics.mean(errors):+5.1f}  sd {sigma:5.2f}"
-        f"  worst {worst:+6.1f}  inside {inside:4.0%}  {seconds:5.1f} s"
-        f"  {ratio:4.2f} x  {touches:4.1f} touches  {len(trials) - len(good)} refused"
+        f"{case.name:22} mean {found.mean:+5.1f}  sd {found.sigma:5.2f}"
+        f"  worst {found.worst:+6.1f}  inside {found.inside:4.0%}"
+        f"  {found.seconds:5.1f} s  {found.ratio:4.2f} x"
+        f"  {found.touches:4.1f} touches  {found.refused} refused"
     )
     for name, value, bound in (
-        ("sd", sigma, case.sigma),
-        ("worst", abs(worst), case.worst),
-        ("seconds", seconds, case.seconds),
-        ("ratio", ratio, case.ratio),
-        ("refused", len(trials) - len(good), 0),
+        ("sd", found.sigma, case.sigma),
+        ("worst", abs(found.worst), case.worst),
+        ("seconds", found.seconds, case.seconds),
+        ("ratio", found.ratio, case.ratio),
+        ("refused", found.refused, 0),
     ):
         if bound is not None and value > bound:
             yield f"    NOT KEPT: {name} {value:.2f}, at most {bound:g}"
@@ -239,17 +272,24 @@ def main(words: Sequence[str]) -> int:
     parser.add_argument("--seeds", type=int, default=50)
     parser.add_argument("--host", default="", help="part of its name")
     parser.add_argument("--case", default="", help="part of its name")
+    parser.add_argument("--json", type=Path, help="write the figures there")
     given = parser.parse_args(words)
     (host, *_) = [h for h in reversed(find_hosts()) if given.host in h.name]
     cases = [case for case in CASES if given.case in case.name]
     tell(f"{host.name}, {given.seeds} printers, um and seconds")
-    is_kept = True
+    is_kept, done = True, []
     with ProcessPoolExecutor(2) as pool:
         for case in cases:
             work = partial(run_trial, host, case)
-            for row in rows(case, list(pool.map(work, range(given.seeds)))):
+            trials = list(pool.map(work, range(given.seeds)))
+            done.append(figures(case, trials))
+            for row in rows(case, done[-1]):
                 tell(row)
                 is_kept &= "NOT KEPT" not in row
+    if given.json:
+        cases = [one._asdict() for one in done]
+        about = {"host": host.name, "cases": cases}
+        given.json.write_text(json.dumps(about, indent=1) + "\n")
     return 0 if is_kept else 1
 
 

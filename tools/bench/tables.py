@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import csv
 import json
 import statistics
 from collections.abc import Iterator, Mapping, Sequence
@@ -195,3 +196,55 @@ Revision {about["revision"]}, Python {about["python"]}, {about["processor"]}.
 
 {loading(own)}
 """
+
+
+def automatic(file: str) -> str:
+    """The table of `samples: auto`, from the figures of tools/bench/automatic.py."""
+    figures = json.loads(Path(file).read_text(encoding="utf-8"))
+    heads = ["noise, and what is set", "error, um: mean (sigma) worst"]
+    heads += ["inside the +- told", "printer s", "touches"]
+    rows = [
+        [
+            one["name"],
+            f"{one['mean']:+.1f} ({one['sigma']:.1f}) {one['worst']:+.1f}",
+            f"{one['inside']:.0%}",
+            f"{one['seconds']:.1f}",
+            f"{one['touches']:.1f}",
+        ]
+        for one in figures["cases"]
+    ]
+    printers = figures["cases"][0]["printers"]
+    return f"""
+{figures["host"]}, {printers} printers each.
+
+{markdown(heads, rows)}
+"""
+
+
+# How docs/coverage.csv calls them
+FIRST_RUN, KNOWN = "first run of a printer", "with a history of ten runs"
+
+
+def coverage(file: str) -> str:
+    """How many gaps were inside what was told: least, mean and most of the cells."""
+    with Path(file).open(encoding="utf-8", newline="") as lines:
+        cells = list(csv.DictReader(lines))
+    shares: dict[tuple[str, str], list[float]] = {}
+    for cell in cells:
+        # "-": where nearly all of them are refused
+        if cell["inside, %"] != "-":
+            key = cell["runs"], cell["noise"]
+            shares.setdefault(key, []).append(float(cell["inside, %"]))
+    noises = dict.fromkeys(noise for _, noise in shares)
+    steady = [noise for noise in noises if (FIRST_RUN, noise) in shares]
+    rows = [
+        [noise, *(_span(shares[runs, noise]) for runs in (KNOWN, FIRST_RUN))]
+        for noise in steady
+    ]
+    heads = ["noise of 1 to 10 um", "with a history, %", "first run, %"]
+    return f"\n{markdown(heads, rows)}\n"
+
+
+def _span(values: Sequence[float]) -> str:
+    mean = statistics.mean(values)
+    return f"{min(values):.1f}, {mean:.1f}, {max(values):.1f}"

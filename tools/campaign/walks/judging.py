@@ -12,7 +12,7 @@ from simprinter.world.truth import Crash
 from tools.campaign.fault_cases import CAUSES
 from tools.campaign.walks import claims
 from tools.campaign.walks import steps as stepping
-from tools.campaign.walks.gaps import Gaps
+from tools.campaign.walks.gaps import CALIBRATED, Gaps
 from tools.campaign.walks.printers import POINT, Owned
 from tools.kit.dialogs import dialogs_of
 from tools.kit.printer import Printer
@@ -139,6 +139,8 @@ class Judge:
         self.gaps = Gaps(self.printer, self.owned, self.keep_clear)
         self.before = self._before()
         self.lowest = lowest(self.printer.scene.world)
+        # A calibration of [z_calibration] has ended well, which its history keeps
+        self.is_measured = False
         # How many touches there were when klippy has started
         self.begun = 0
         # What nobody answers any more: whoever prints has cleared the bed
@@ -237,18 +239,32 @@ class Judge:
         return bool(self.owned.mistake) and not is_ours
 
     def _deepest_dead(self, gone: Gone, site: str) -> float:
-        """How far (mm) a dead switch may be pressed: docs/reliability.md."""
+        """How far (mm) a dead switch may be pressed: docs/reliability.md.
+
+        As long as no run was good, offset_margins say how low the bed may be.
+        """
+        low = MARGIN
+        if gone.command in OF_Z_CALIBRATION and not self.is_measured:
+            low = max(MARGIN, self._lowest_margin())
         if not site.startswith("nozzle"):
-            # The nozzle stays above the bed
+            # The nozzle stays above that
             probe = self.printer.scene.world.mag_probe
             hangs = probe.body_drop + probe.switch_offset if probe else 0.0
-            return hangs + MARGIN
-        is_first = "AUTO_Z" in gone.script and not self.gaps.is_corrected
-        pin = self.printer.scene.world.pin
+            return hangs + low
         if site == "nozzle_pin" and self._is_first_on_pin():
+            pin = self.printer.scene.world.pin
             assert pin is not None
             return self._to_position_min() + pin.z
-        return self._to_position_min() if is_first else MARGIN + SLACK
+        is_known = self.gaps.is_corrected and "ACCEPT_CHANGE" not in gone.script
+        if "AUTO_Z" in gone.script and not is_known:
+            return self._to_position_min()
+        return (MARGIN if site == "nozzle_pin" else low) + SLACK
+
+    def _lowest_margin(self) -> float:
+        """How far (mm) below Z=0 the owner lets an offset be."""
+        config = self.printer.status("configfile")["config"]
+        text = config.get("z_calibration", {}).get("offset_margins", "-1, 1")
+        return -min(float(part) for part in text.split(","))
 
     def _is_first_on_pin(self) -> bool:
         """Whether klippy does not know yet how high a pin of its own is."""
@@ -497,6 +513,8 @@ class Judge:
         return frozenset({self.before.probe, self._probe(), *seen})
 
     def _is_off(self, gone: Gone) -> Iterator[str]:
+        shows = any(CALIBRATED.search(line) for line in gone.lines)
+        self.is_measured = self.is_measured or shows
         # In a print, too, others come after it
         is_alone = gone.kind not in (*stepping.MANY, "card")
         yield from self.gaps.wrong(
