@@ -35,6 +35,7 @@ NO_MESSAGES = {
     "'Save' has SAVE_CONFIG write these into printer.cfg; Klipper restarts.",
     "nozzle height",
     "the nozzle",
+    "another feature",
     "Unknown pin chip",
     "multiple times",
     "not supported",

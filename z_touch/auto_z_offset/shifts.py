@@ -11,9 +11,10 @@ from __future__ import annotations
 
 from typing import TYPE_CHECKING, List, Optional, Sequence
 
+from ..host.transforms import Part
+
 if TYPE_CHECKING:
     from ..host.printer import Host
-    from ..host.transforms import Part
     from ..touch import Site
     from .heights import Result
 
@@ -28,8 +29,12 @@ NO_SHIFT = 0.0005
 def parts_at(
     host: Host, site: Site, z: float, bed_z: Optional[float] = None
 ) -> List[Part]:
-    """Return what shifts Z at a site, by what is worth a word; see Transforms.parts()."""
+    """Return what shifts Z at a site, by what is worth a word; see Transforms.parts().
+
+    The toolhead stands over it, where what is not known by its name is seen as well.
+    """
     parts = host.transforms.parts(site.x, site.y, z, bed_z=bed_z)
+    parts.append(Part("another feature", host.transforms.unknown_here()))
     return [part for part in parts if abs(part.height) >= NO_SHIFT]
 
 
