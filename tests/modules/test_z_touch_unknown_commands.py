@@ -10,7 +10,7 @@ import pytest
 from simprinter.world import OozeSpec
 from tools.kit.auto_z_offset import section as auto_z_section
 from tools.kit.cases import slow
-from tools.kit.dockable_probe import SWITCH
+from tools.kit.dockable_probe import SWITCH, assert_safe
 from tools.kit.dockable_probe import section as dockable_section
 from tools.kit.docks import calibrating
 from tools.kit.extra_probe import NAME
@@ -165,3 +165,20 @@ def test_what_comes_after_a_template_within_another_is_heard(start):
     printer = start(calibrating(SWITCH), changes=changes).homed()
     text = printer.fail("CALIBRATE_Z")
     assert f"start_gcode: ATACH_PROBE {UNKNOWN}" in text
+
+
+@pytest.mark.parametrize(
+    ("part", "command"),
+    [("APPROACH", "ATTACH_PROBE"), slow("INSERT", "DETACH_PROBE")],
+)
+def test_macro_over_a_part_of_a_trip_is_heard(start, part, command):
+    """It is G-code of the user as well, and fetching goes on without its words."""
+    macro = {"rename_existing": "_THEIRS", "gcode": "\n  OPEN_DOKC\n  _THEIRS"}
+    changes = {f"gcode_macro MOVE_TO_{part}_PROBE": macro}
+    printer = start(SWITCH, changes).homed()
+    printer.run("G90\nG1 X100 Y100 Z30 F6000")
+    if command == "DETACH_PROBE":
+        printer.run("ATTACH_PROBE")
+    text = printer.fail(command)
+    assert f"MOVE_TO_{part}_PROBE: OPEN_DOKC {UNKNOWN}" in text
+    assert_safe(printer)

@@ -274,14 +274,21 @@ class Dock:
             return
         outer, self.underway.option = self.underway.option, option
         try:
-            with self._in_absolute(), templates.checking_commands(
-                self.host, option
-            ):
+            with self._checking_commands(option):
                 template.run_gcode_from_command()
-        except CalibrationError as e:
-            raise self.host.error(e)
         finally:
             self.underway.option = outer
+
+    @contextlib.contextmanager
+    def _checking_commands(self, name: str) -> Iterator[None]:
+        """Begin with absolute coordinates; raise the host's error for an unknown command."""
+        try:
+            with self._in_absolute(), templates.checking_commands(
+                self.host, name
+            ):
+                yield
+        except CalibrationError as e:
+            raise self.host.error(e)
 
     @contextlib.contextmanager
     def _in_absolute(self) -> Iterator[None]:
@@ -429,7 +436,7 @@ class Dock:
     def _part(self, name: str) -> None:
         """Go a part of a trip; a macro of that name stands in for it."""
         if name in self.settings.macros:
-            with self._in_absolute():
+            with self._checking_commands(name):
                 self.host.gcode.run_script_from_command(name)
         elif name == APPROACH:
             self.approach()
