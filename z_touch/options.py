@@ -714,6 +714,14 @@ def param_pair(gcmd: GCodeCommand, name: str) -> Optional[Tuple[float, float]]:
     return x, y
 
 
+def param_word(gcmd: GCodeCommand, name: str) -> str:
+    """Return a parameter that is one of some words, as far as an error quotes it.
+
+    Empty: it is not given.
+    """
+    return quoted(gcmd.get(name, "").strip())
+
+
 def param_error(gcmd: GCodeCommand, name: str, wanted: str) -> Exception:
     """Return the error of a parameter, in the words of the host."""
     line = quoted(gcmd.get_commandline())

@@ -185,7 +185,7 @@ class Wizard:
         step = self.asked()
         answers = [*step.answers(), *step.choices]
         words = [a.word for a in answers if a.parameter == "ANSWER"]
-        word: str = gcmd.get("ANSWER", "").strip().upper()
+        word = options.param_word(gcmd, "ANSWER").upper()
         if word not in words:
             named = ", ".join(word or "none" for word in words)
             raise CalibrationError(

@@ -8,6 +8,8 @@ from dataclasses import replace
 
 import pytest
 
+from tools.kit.cases import slow
+from tools.kit.dockable_probe import SWITCH
 from tools.kit.scenes import SCENES
 from tools.kit.z_calibration import (
     MICROSTEP,
@@ -144,6 +146,28 @@ WRONG = [
 def test_long_parameter_is_quoted_in_part(host, calibrated, name):
     text = calibrated(host).fail(f"CALIBRATE_Z {name}={'x' * 5000}")
     assert f"'CALIBRATE_Z {name}=xxx" in text
+    assert "..." in text and len(text.strip()) < 250
+
+
+@pytest.mark.parametrize(
+    ("scene", "begin", "answer"),
+    [
+        ("voron", "Z_CALIBRATION_SETUP", "STEP"),
+        slow("voron", "Z_CALIBRATION_SETUP STEP=PIN", "ANSWER"),
+        slow(SWITCH, "DOCKABLE_PROBE_SETUP", "STEP"),
+        (
+            "membrane",
+            "EXTRA_PROBE_CALIBRATE PROBE=membrane",
+            "EXTRA_PROBE_CONTINUE PROBE=membrane QUESTION",
+        ),
+    ],
+)
+def test_long_answer_to_a_dialog_is_quoted_in_part(start, scene, begin, answer):
+    printer = start(scene).homed()
+    printer.run(begin.split(" STEP")[0])
+    command = "" if answer.startswith("EXTRA") else f"{begin} "
+    text = printer.fail(f"{command}{answer}={'x' * 5000}")
+    assert f"{answer.split()[-1]}=xxx".upper() in text.upper()
     assert "..." in text and len(text.strip()) < 250
 
 

@@ -17,7 +17,7 @@ from __future__ import annotations
 from dataclasses import replace
 from typing import TYPE_CHECKING, Dict, List, Optional, Sequence, Tuple
 
-from .. import attached, command
+from .. import attached, command, options
 from ..attached import ATTACHED, DOCKED
 from ..errors import CalibrationError
 from ..host.klippy import GCodeCommand
@@ -59,7 +59,7 @@ class Setup:
 
     def cmd_DOCKABLE_PROBE_SETUP(self, gcmd: GCodeCommand) -> None:
         """Begin, show again what is asked, or do what the answer says."""
-        name = gcmd.get("STEP", "").strip().lower()
+        name = options.param_word(gcmd, "STEP").lower()
         if name:
             self.wizard.check_asked(gcmd, name)
         if name == "abort":

@@ -332,7 +332,7 @@ class Calibration:
 
         A button that is pressed twice must not answer the question that comes next.
         """
-        asked = gcmd.get("QUESTION", "").strip().lower()
+        asked = options.param_word(gcmd, "QUESTION").lower()
         waits_for = self.waits_for()
         if waits_for and asked not in ("", waits_for):
             raise gcmd.error(

@@ -170,7 +170,7 @@ class Setup:
         """Begin, show again what is asked, or do what the answer says."""
         self.calibration.check_idle(gcmd)
         self.calibration.refuse_during_a_print(gcmd)
-        name = gcmd.get("STEP", "").strip().lower()
+        name = options.param_word(gcmd, "STEP").lower()
         if name:
             self.wizard.check_asked(gcmd, name)
         if name == "abort":
@@ -812,7 +812,7 @@ class Setup:
 
     def _takes_switch_offset(self, gcmd: GCodeCommand) -> bool:
         """Take TYPE= or VALUE= of the command; return whether it has one of them."""
-        name = gcmd.get("TYPE", "").strip().upper()
+        name = options.param_word(gcmd, "TYPE").upper()
         value = options.param_number(
             gcmd, "VALUE", minval=0.0, maxval=judging.LARGEST_SWITCH_OFFSET
         )
