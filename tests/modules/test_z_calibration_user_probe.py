@@ -184,16 +184,38 @@ def test_setup_measures_it_right(start, each):
         "deactivate_on_each_sample": str(each),
         "z_offset": "0",
     }
-    changes = attaching(probe=probe)
+    printer, _ = set_up(start, attaching(probe=probe))
+    told = "\n".join(printer.session.console)
+    for name, z in (("nozzle", PIN), ("switch", PIN + BODY)):
+        assert f"{name} at z={z:.3f}"[:-1] in told
+    assert f"bed at z={BED + TRIGGER:.3f}"[:-1] in told
+
+
+def set_up(start, changes, by_hand=""):
+    """Set it up to the step after the touches; 'by_hand' attaches the probe before."""
     changes["z_calibration"].update(EMPTY)
     printer = start(servo(), changes=changes).homed()
     user = User(printer)
     user.begin()
     user.test_switches()
+    printer.run(by_hand)
     user.set_places(nozzle=(206.0, 306.0), switch=(211.5, 281.25))
     user.touch()
     assert user.step() == "GAP"
+    return printer, user
+
+
+@pytest.mark.parametrize("end_gcode", ["\n  G4 P300", slow(DETACH)])
+def test_setup_says_that_the_probe_is_still_attached(start, end_gcode):
+    changes = attaching(end_gcode=end_gcode)
+    printer, _ = set_up(start, changes)
     told = "\n".join(printer.session.console)
-    for name, z in (("nozzle", PIN), ("switch", PIN + BODY)):
-        assert f"{name} at z={z:.3f}"[:-1] in told
-    assert f"bed at z={BED + TRIGGER:.3f}"[:-1] in told
+    assert told.count(LEFT) == (end_gcode != DETACH)
+
+
+def test_setup_says_nothing_of_a_probe_put_on_by_hand(start):
+    """Nothing puts it away but the user, who is told to by the step with the sheet."""
+    changes = attaching(start_gcode="", end_gcode="")
+    printer, user = set_up(start, changes, by_hand=ATTACH)
+    assert LEFT not in "\n".join(printer.session.console)
+    assert "take it off" in user.refused("Paper")

@@ -656,8 +656,9 @@ class Setup:
         checks.check_carriages(self.host, self.calibration.settings)
         self._lift()
         found.touched = {}
-        # By the user, or by macros
-        if not found.is_fixed and self._is_attached():
+        if not (found.is_fixed or found.is_fetched) and self._is_attached():
+            # By the user
+            self.user_gcode.before_attaching()
             found.is_fetched = True
         self._put_away()
         self._fetch()
@@ -741,9 +742,14 @@ class Setup:
         self.found.mark = self.datum.mark()
 
     def _put_away(self) -> None:
-        if self.found.is_fetched:
-            self.user_gcode.end()
-            self.found.is_fetched = False
+        """Have the probe put away that was fetched; say where it was not."""
+        if not self.found.is_fetched:
+            return
+        self.user_gcode.end()
+        self.found.is_fetched = False
+        left = self.user_gcode.probe_left(was_seen=True)
+        if left:
+            self.host.say(left)
 
     ##################################################################
     # What has happened since
