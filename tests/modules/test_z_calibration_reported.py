@@ -81,9 +81,9 @@ def test_wide_margins_with_a_dead_endstop(start):
 @pytest.mark.parametrize(
     ("restarts", "parameter", "below"),
     [
-        # The bed was found: plates differ by less than 2 mm
-        (False, "", 2.0),
-        # As the history has it
+        # The bed was found, and nothing was homed since: by travel_margin
+        (False, "", 1.0),
+        # As the history has it: plates differ by less than 2 mm
         (True, "", 2.0),
         # Pin or bed was changed: as if there were no history
         (True, " ACCEPT_CHANGE=1", 5.0 + LOWEST),
@@ -101,18 +101,19 @@ def test_dead_probe_after_a_good_run(start, restarts, parameter, below):
     text = printer.fail("CALIBRATE_Z" + parameter)
     floor = BED + TRIGGER - below
     assert stopped_at(text) == pytest.approx(floor, abs=2 * MICROSTEP)
-    kept = "the last good run has found the bed 2 mm higher; check that the"
+    kept = (
+        f"the last good run has found the bed {below:g} mm higher; check that"
+    )
     first = "the bed is below the low end of offset_margins (-5.000), or the"
-    assert (kept in text, first in text) == (below == 2.0, below != 2.0)
+    assert (kept in text, first in text) == (not parameter, bool(parameter))
     assert (
         "if pin or bed is elsewhere now, run CALIBRATE_Z ACCEPT" in text
-    ) == (below == 2.0)
+    ) is not bool(parameter)
     assert_unharmed(printer, printer.offset())
     # ACCEPT_CHANGE counts for one run
     text = printer.fail("CALIBRATE_Z")
-    assert stopped_at(text) == pytest.approx(
-        BED + TRIGGER - 2.0, abs=2 * MICROSTEP
-    )
+    floor = BED + TRIGGER - (2.0 if restarts else 1.0)
+    assert stopped_at(text) == pytest.approx(floor, abs=2 * MICROSTEP)
     printer.machine.repair()
     calibration(printer)
 
@@ -159,11 +160,28 @@ def test_accept_change_is_for_its_run(start):
     printer = start(changes=section(**WIDE)).homed()
     calibration(printer)
     calibration(printer, "CALIBRATE_Z ACCEPT_CHANGE=1")
-    kill_probe(printer, 2.0 + MICROSTEP)
+    kill_probe(printer, 1.0 + MICROSTEP)
     text = printer.fail("CALIBRATE_Z_ACCURACY CYCLES=2")
     assert stopped_at(text) == pytest.approx(
-        BED + TRIGGER - 2.0, abs=2 * MICROSTEP
+        BED + TRIGGER - 1.0, abs=2 * MICROSTEP
     )
+
+
+def test_another_plate_is_found_after_homing(start):
+    """By 1.5 mm lower: plates differ by less than 2 mm, and come with a print."""
+    lower = Fault("trigger_late", site="probe_bed", touch=1, mm=1.5)
+    printer = start(changes=section(**WIDE)).homed()
+    calibration(printer)
+    # It is a probe that is late, so it is pressed
+    for site in ("probe_bed", "body_bed"):
+        printer.machine.tolerate(site, 1.5 + MICROSTEP)
+    printer.machine.break_down(lower)
+    assert "found the bed 1 mm higher" in printer.fail("CALIBRATE_Z SAMPLES=1")
+    printer.machine.repair()
+    printer.run("G28")
+    printer.machine.break_down(lower)
+    printer.run("CALIBRATE_Z SAMPLES=1")
+    assert printer.offset() == pytest.approx(LOWEST - 1.5, abs=2 * MICROSTEP)
 
 
 @pytest.mark.parametrize(

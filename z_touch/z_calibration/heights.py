@@ -87,12 +87,13 @@ class Result(NamedTuple):
 class Kept(NamedTuple):
     """The heights of a good run as they hold for later ones (mm).
 
-    switch - nozzle of its probe, and how high the bed is above where the nozzle meets the
-    pin.
+    switch - nozzle of its probe, how high the bed is above where the nozzle meets the pin,
+    and how much lower the bed may be now.
     """
 
     body: float
     bed: float
+    lower: float = BED_VARIES
 
 
 def offset(
@@ -248,13 +249,13 @@ def possible_offsets(
     """Return what the offset can be (low, high; mm).
 
     As offset_margins say, and, once a run was good ('kept'), so near to the bed of that run
-    as plates differ.
+    as plates differ, or as the same one may be lower.
     """
     low, high = settings.offset_margins
     if kept is None:
         return low, high
     before = nozzle_z + kept.bed
-    return max(low, before - BED_VARIES), min(high, before + BED_VARIES)
+    return max(low, before - kept.lower), min(high, before + BED_VARIES)
 
 
 def floor_over(
@@ -314,21 +315,25 @@ def bed_floor(
 
 
 def below_margins(
-    settings: Settings, lowest: float, zero: Optional[ZZero], site: Site
+    settings: Settings,
+    lowest: float,
+    kept: Optional[Kept],
+    zero: Optional[ZZero],
+    site: Site,
 ) -> str:
     """Return what to do where nothing triggered down to the floor of the bed.
 
-    'lowest' is the offset (mm) there, 'zero' as in check_offset().  Empty: with such margins
-    the bed is not known to be low.
+    'lowest' is the offset (mm) there, 'kept' as in possible_offsets(), 'zero' as in
+    check_offset().  Empty: with such margins the bed is not known to be low.
     """
     low = settings.offset_margins[0]
     check = (
         f"check that the plate is on, the probe (QUERY_PROBE) and {site.place()}, and"
         " that Z was homed (G28 Z) after any levelling"
     )
-    if lowest > low:
+    if kept is not None and lowest > low:
         return (
-            f"the last good run has found the bed {BED_VARIES:g} mm higher; {check}; if"
+            f"the last good run has found the bed {kept.lower:g} mm higher; {check}; if"
             " pin or bed is elsewhere now, run CALIBRATE_Z ACCEPT_CHANGE=1"
         )
     if low >= 0.0:

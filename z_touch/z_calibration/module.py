@@ -366,6 +366,10 @@ class ZCalibration:
         if good is not None:
             nozzle, switch, bed = [good.z(site) for site in SITES]
             kept = heights.kept_of(nozzle, switch, bed, good.switch_offset)
+        if kept is not None and holds:
+            # The same plate lies there: another one comes with a print, which homes
+            lower = min(kept.lower, self.settings.travel_margin)
+            kept = kept._replace(lower=lower)
         return Earlier(last, holds, kept)
 
     @contextlib.contextmanager

@@ -688,8 +688,9 @@ class BedPlace(Place):
         if is_below and touch.is_at(self.host, self.floor):
             zero = self.host.axes.z_zero()
             assert self.lowest is not None
+            kept = self.run.earlier.kept
             remedy = heights.below_margins(
-                self.settings, self.lowest, zero, self.site
+                self.settings, self.lowest, kept, zero, self.site
             )
             if remedy:
                 return remedy
