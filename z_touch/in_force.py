@@ -30,14 +30,15 @@ class InForce:
     """Shows once, on the console, when a result has ceased to hold.
 
     reason() says why, without pausing; empty: it holds; None: it cannot hold any more, which
-    is not worth a line.  settle() is called when the G-code has ended that applied it.
+    is not worth a line.  settle(), if given, is called when the G-code has ended that applied
+    it.
     """
 
     def __init__(
         self,
         host: Host,
         reason: Callable[[], Optional[str]],
-        settle: Callable[[], None],
+        settle: Optional[Callable[[], None]] = None,
     ):
         self.host = host
         self.reason = reason
@@ -71,7 +72,8 @@ class InForce:
         with self.host.gcode.get_mutex():
             if self.host.printer.is_shutdown():
                 return self.host.printer.get_reactor().NEVER
-            self.settle()
+            if self.settle is not None:
+                self.settle()
             reason = self.reason()
         if reason:
             self.host.say(reason)
@@ -80,30 +82,62 @@ class InForce:
         return self.host.eventtime() + LOOK_INTERVAL
 
 
-def watch(
-    host: Host, source: str, applied: Callable[[], Optional[float]]
-) -> None:
-    """Show when an offset that was applied has gone with a state.  While klippy starts.
+class AppliedOffset:
+    """The G-code Z offset that a command has set: shown where it has gone.
 
-    'source' is the command that applies one; applied() the offset (mm) that it has left,
-    None: there is none.  A baby step that is taken back so is none that has gone: Klipper's
-    RESUME does that.
+    'command' sets it again.  Baby steps are the user's, and a print that begins may set it
+    later.
     """
 
-    def around(command: Handler, gcmd: GCodeCommand) -> None:
-        """Run the command; say when our offset (mm) has gone with it."""
-        before, ours = host.gcode_state.z_offset(), applied()
+    def __init__(self, host: Host, command: str):
+        self.host = host
+        self.command = command
+        # As it was set (mm), None: not since klippy has started
+        self.z: Optional[float] = None
+        # That it has gone with a state
+        self.is_shown = False
+        self.in_force = InForce(host, self._why_gone)
+
+    def note(self) -> None:
+        """Note that it was set, and is in force now."""
+        self.z, self.is_shown = self.host.gcode_state.z_offset(), False
+        self.in_force.begin()
+
+    def _why_gone(self) -> Optional[str]:
+        offset, ours = self.host.gcode_state.z_offset(), self.z
+        if self.is_shown:
+            return None
+        if not ours or self.host.begins_print():
+            return ""
+        if offset and abs(offset - ours) <= LARGEST_STEP:
+            return ""
+        return (
+            f"the G-code Z offset is {offset:.3f}, and {self.command} has set"
+            f" {ours:.3f}: something has set another one since, such as a macro with"
+            f" SET_GCODE_OFFSET; {self.command} sets it again"
+        )
+
+    def watch_states(self) -> None:
+        """Show at once when it has gone with a state, also within baby steps of it.
+
+        While klippy starts.  A baby step that is taken back so is none that has gone:
+        Klipper's RESUME does that.
+        """
+        self.host.wrap_command(COMMAND, self._around_state)
+
+    def _around_state(self, command: Handler, gcmd: GCodeCommand) -> None:
+        """Run the command; say when our offset has gone with it."""
+        before, ours = self.host.gcode_state.z_offset(), self.z
         command(gcmd)
-        after = host.gcode_state.z_offset()
+        after = self.host.gcode_state.z_offset()
         if ours is None or abs(after - before) < NO_STEP:
             return
         is_gone = abs(after - ours) >= NO_STEP
         if is_gone and abs(before - ours) <= LARGEST_STEP:
+            self.is_shown = True
             name = gcmd.get("NAME", "default")
-            host.say(
+            self.host.say(
                 f"G-code state {name} has brought back the G-code Z offset {after:.3f};"
-                f" it was {before:.3f}, from {source}; set that again, and save such a"
-                " state after it"
+                f" it was {before:.3f}, from {self.command}; set that again, and save"
+                " such a state after it"
             )
-
-    host.wrap_command(COMMAND, around)

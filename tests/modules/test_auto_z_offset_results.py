@@ -25,6 +25,7 @@ from tools.kit.auto_z_offset import (
     true_gap,
     with_extras,
 )
+from tools.kit.cases import slow
 from tools.kit.klipper_sections import TOOL
 from tools.kit.printer import Printer, has_kinematics
 from tools.kit.prints import paused
@@ -329,6 +330,55 @@ def test_what_are_no_baby_steps_is_not_saved(start, script, words):
     printer.run("AUTO_Z_SAVE_GCODE_OFFSET FORCE=1")
     saved = printer.status("auto_z_offset")["probe_z_correction"]
     assert saved == pytest.approx(printer.offset())
+
+
+@pytest.mark.parametrize(
+    ("script", "words"),
+    [
+        ("SET_GCODE_OFFSET Z=0", "offset is 0.000, and AUTO_Z_LOAD_OFFSET has"),
+        slow("SET_GCODE_OFFSET Z_ADJUST=0.6", "is -0.520, and AUTO_Z_LOAD_OFF"),
+        # At once, and not again between two commands
+        ("RESTORE_GCODE_STATE", "has brought back the G-code Z offset 0.000"),
+        ("SET_GCODE_OFFSET Z_ADJUST=0.05", ""),
+        slow("G28", ""),
+        # A macro that is still at work is not interrupted
+        ("BUSY", ""),
+    ],
+)
+def test_offset_that_has_gone_is_told_once(start, script, words):
+    changes = section(probe_z_correction="-1.12")
+    busy = f"\n  SET_GCODE_OFFSET Z=0\n  G4 P5000\n  {LOAD}"
+    changes["gcode_macro BUSY"] = {"gcode": busy}
+    printer = start("qidi", changes=changes).homed()
+    printer.run(f"SAVE_GCODE_STATE\n{LOAD}")
+    before = len(printer.session.console)
+    for _ in range(2):
+        printer.run(script)
+        printer.session.wait(5.0)
+    lines = printer.session.console[before:]
+    loaded = f"// {LOAD}: "
+    found = [
+        line
+        for line in lines
+        if "the G-code Z offset" in line and not line.startswith(loaded)
+    ]
+    assert len(found) == bool(words)
+    assert not words or words in found[0]
+
+
+def test_offset_of_the_print_before_is_not_missed(start, tmp_path):
+    """The start of a file may set 0, and load the correction some lines later."""
+    changes = {
+        **section(probe_z_correction="-1.12"),
+        "virtual_sdcard": {"path": str(tmp_path)},
+    }
+    lines = ("SET_GCODE_OFFSET Z=0", "G4 P9000", LOAD, "G4 P9000", "")
+    (tmp_path / "a.gcode").write_text("\n".join(lines))
+    printer = start("qidi", changes=changes).homed()
+    printer.run(f"{LOAD}\nSDCARD_PRINT_FILE FILENAME=a.gcode")
+    printer.session.wait(30.0)
+    assert "offset is 0.000, and" not in "\n".join(printer.session.console)
+    assert printer.offset() == pytest.approx(-1.12)
 
 
 # What is printed already stands where the toolhead would go

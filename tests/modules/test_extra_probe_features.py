@@ -224,6 +224,32 @@ def test_what_nobody_knows_is_told_and_stays(start, tmp_path):
     assert true_gap(printer) == pytest.approx(0.12, abs=2 * MICROSTEP)
 
 
+@pytest.mark.parametrize(
+    ("save", "script", "is_told"),
+    [
+        ("", "SET_GCODE_OFFSET Z=0", True),
+        ("", "SET_GCODE_OFFSET Z_ADJUST=0.05", False),
+        slow("", "G28", False),
+        # It is 0 then, as it should be
+        ("SAVE=1", "SET_GCODE_OFFSET Z=0.6", False),
+    ],
+)
+def test_offset_that_has_gone_is_told_once(start, save, script, is_told):
+    """A macro of a tool, or at the end of a print, sets 0 without a word."""
+    printer = start("membrane").homed()
+    calibrate(printer)
+    before = len(printer.session.console)
+    if save:
+        calibrate(printer, f"{CALIBRATE} {save}")
+    for _ in range(2):
+        printer.run(script)
+        printer.session.wait(5.0)
+    lines = printer.session.console[before:]
+    words = f"G-code Z offset is 0.000, and {CALIBRATE} has set"
+    assert sum(words in line for line in lines) == is_told
+    assert not [n for n in lines if " has set " in n and words not in n]
+
+
 # A textured plate
 
 

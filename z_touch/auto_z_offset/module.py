@@ -22,7 +22,6 @@ from .. import (
     attached,
     command,
     errors,
-    in_force,
     options,
     touch,
     warming,
@@ -31,6 +30,7 @@ from ..errors import CalibrationError
 from ..host import unknown_commands
 from ..host.printer import Host
 from ..host.toolhead import check_z_axis
+from ..in_force import AppliedOffset
 from ..progress import Notes
 from ..sampling import Series, summarize
 from ..texture import spread_tolerance
@@ -77,9 +77,8 @@ class AutoZOffset:
         self.runner = command.Runner(self.host)
         self.progress = self.runner.watch
         attached.of(self.host.printer).watches.append(self.progress)
-        # The G-code offset (mm) that was set last, and with which extruder; None: not
-        # since klippy has started
-        self.applied: Optional[float] = None
+        # The G-code offset that was set last, and with which extruder
+        self.applied = AppliedOffset(self.host, "AUTO_Z_LOAD_OFFSET")
         self.applied_with = ""
         # Runs since klippy has started: the points of bed_spread are turned by it
         self.turn = 0
@@ -150,7 +149,7 @@ class AutoZOffset:
         wrap = self.host.wrap_command
         wrap("Z_OFFSET_APPLY_PROBE", self._after_probe_button)
         wrap("Z_OFFSET_APPLY_ENDSTOP", self._after_endstop_button)
-        in_force.watch(self.host, "AUTO_Z_LOAD_OFFSET", lambda: self.applied)
+        self.applied.watch_states()
 
     def _after_probe_button(self, button: Handler, gcmd: GCodeCommand) -> None:
         button(gcmd)
@@ -191,7 +190,7 @@ class AutoZOffset:
                 f" section '{self.host.section}' for it"
             )
             return None
-        return None if self.applied is None else z - self.applied
+        return None if self.applied.z is None else z - self.applied.z
 
     ##################################################################
     # Around every command that touches
@@ -543,7 +542,7 @@ class AutoZOffset:
         self._note_applied()
 
     def _note_applied(self) -> None:
-        self.applied = self.host.gcode_state.z_offset()
+        self.applied.note()
         self.applied_with = self.host.extruder()
 
     cmd_AUTO_Z_LOAD_OFFSET_help = "Apply the probe's correction"
@@ -629,7 +628,7 @@ class AutoZOffset:
         'loaded' is what AUTO_Z_LOAD_OFFSET would set (mm).
         """
         active = self.host.extruder()
-        if self.applied is not None and active != self.applied_with:
+        if self.applied.z is not None and active != self.applied_with:
             # Its macros add what one tool differs from another by.
             raise CalibrationError(
                 f"{active} is active, and the correction was applied with"
@@ -641,5 +640,5 @@ class AutoZOffset:
             # There is nothing that steps count from
             heights.check_first(offset - loaded)
             return
-        base = loaded if self.applied is None else self.applied
+        base = loaded if self.applied.z is None else self.applied.z
         heights.check_steps(offset, base)

@@ -23,6 +23,7 @@ from typing import TYPE_CHECKING, Any, List, Optional, Sequence, Tuple
 from .. import attached, command, dialog, options, pin, touch
 from ..datum import Datum, HomedDatum
 from ..errors import CalibrationError
+from ..in_force import AppliedOffset
 from ..sampling import summarize
 from ..wizard import HAND_PATIENCE, STOP, Step, Wizard
 from . import fixed, heights
@@ -110,6 +111,7 @@ class Calibration:
         self.question: Optional[Question] = None
         # Of the last one that was applied or saved (mm); None: there is none
         self.last_offset: Optional[float] = None
+        self.applied = AppliedOffset(host, self.begin)
         command.register_commands(host, self, name)
 
     def connect(self, settings: Settings) -> None:
@@ -511,6 +513,7 @@ class Calibration:
             self.host.say(undone)
         self.host.gcode_state.set_z_offset(0.0 if save else offset)
         self.last_offset = offset
+        self.applied.note()
 
     def _tell(self, bed_z: float, shifts: Shifts, offset: float) -> None:
         """Say where the bed is, and what has become of the offset (mm)."""
