@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from pathlib import Path
+
 import pytest
 
 from tools.kit.cases import slow
@@ -18,6 +20,7 @@ from tools.kit.klipper_sections import bed_mesh, profile
 from tools.kit.printer import module_files
 from tools.kit.z_calibration import refusal
 
+EXTRAS = Path(__file__).resolve().parents[2] / "tools" / "kit" / "extras"
 LOAD = "BED_MESH_PROFILE LOAD=default"
 TAKEN_OFF = "where the switch lay, taken off: the offset is"
 BEDS = {"membrane": BED, "membrane_and_probe": PROBE_BED}
@@ -185,6 +188,22 @@ def test_heat_is_nothing_to_save(start, tmp_path, is_saved):
     else:
         (text,) = words
         assert text.startswith("z_thermal_adjust -0.100 mm at 30.0, 20.0, ")
+    assert_right(printer)
+
+
+@pytest.mark.parametrize("is_saved", [True, slow(False)])
+def test_offset_of_the_active_tool_is_taken_off(start, is_saved):
+    """klipper-toolchanger adds it for good, below the G-code offset."""
+    changes = {"tool T0": {"gcode_z_offset": "-0.3", "active": "True"}}
+    modules = {**module_files(), "tool": EXTRAS / "tool.py"}
+    printer = start("membrane", changes=changes, modules=modules).homed()
+    lines = calibrate(printer, f"{CALIBRATE} SAVE={is_saved:d}")
+    assert "tool T0 -0.300 mm at 30.0, 20.0" in "\n".join(lines)
+    if is_saved:
+        printer.session.restart("SAVE_CONFIG")
+        printer.run("G28")
+    assert_right(printer)
+    calibrate(printer)
     assert_right(printer)
 
 

@@ -9,8 +9,6 @@ from __future__ import annotations
 
 from typing import TYPE_CHECKING, Iterator, Tuple
 
-from ..host.transforms import INNERMOST
-
 if TYPE_CHECKING:
     from ..host.printer import Host
 
@@ -42,7 +40,7 @@ class Shifts:
             part
             for part in self.transforms.parts(self.x, self.y, z)
             if abs(part.height) >= SMALLEST_PART
-            and (part.name in INNERMOST or not is_saved)
+            and not (is_saved and self.transforms.follows_heat(part))
         ]
         self.rest = self.transforms.unknown_here()
         is_beyond = self.transforms.is_beyond_mesh(self.x, self.y)

@@ -95,6 +95,10 @@ class Transforms:
             height = x * tilt.x_adjust + y * tilt.y_adjust + tilt.z_adjust
         return height
 
+    def follows_heat(self, part: Part) -> bool:
+        """Return whether a part is another one when it is not as hot any more."""
+        return any(part.name.split()[0] == section for section, *_ in HEAT)
+
     def unknown_here(self) -> float:
         """Return what is added where the toolhead stands by what is not known here (mm).
 
