@@ -382,6 +382,20 @@ def test_heights_are_those_of_a_nozzle(start, tmp_path):
     user.go_to("PAPER")
 
 
+@pytest.mark.parametrize("target", [240, slow(150)])
+def test_hot_nozzle_is_told_before_it_touches(start, target):
+    printer = start(heated(SCENES["cartesian"]), changes=empty())
+    printer.session.require_ready()
+    printer.run(f"M104 S{target}")
+    user = User(printer)
+    advance(user, "GAP")
+    lines = "\n".join(printer.session.console)
+    words = (
+        f"at {target} C plastic oozes out of the nozzle: heat it to about 150"
+    )
+    assert lines.count(words) == (target == 240)
+
+
 def test_with_the_sheet_only_small_steps_lead_down_to_it(start):
     printer = start("cartesian", changes=empty())
     printer.session.require_ready()

@@ -694,6 +694,7 @@ class Setup:
         before = found.heights_before(name)
         with command.always(self.host, run.lift, "lifting"):
             if name == "nozzle":
+                self.calibration.note_oozing(run)
                 z = run.touch_nozzle()
             elif name == "switch":
                 z = run.touch_switch(*before)
