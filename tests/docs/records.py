@@ -66,7 +66,6 @@ Z_CALIBRATION = Module(
         # The same frame
         "CALIBRATE_Z SWITCH_OFFSET=0.44": None,
         "CALIBRATE_Z SWITCH_OFFSET=much": None,
-        "CALIBRATE_Z_ACCURACY CYCLES=2": None,
         "PROBE_Z_ACCURACY SAMPLES=3": SHOWN,
         "Z_CALIBRATION_WAIT MAX=2": SHOWN,
         "Z_CALIBRATION_NOZZLE_GROWTH": None,
@@ -86,6 +85,8 @@ Z_CALIBRATION = Module(
         "Z_CALIBRATION_SETUP STEP=PIN Z=+1": None,
         "Z_CALIBRATION_SETUP STEP=PIN ANSWER=NO": None,
         "Z_CALIBRATION_SETUP STEP=ABORT": None,
+        # Its report ends when it does, and says so among whatever comes next
+        "CALIBRATE_Z_ACCURACY CYCLES=2": None,
     },
     old="Old names",
     given=("bed_xy_position", "switch_offset"),
