@@ -30,6 +30,16 @@ _OF_THE_LINE = (
 # Turns of a motor's shaft are counted in so many full steps, unless told
 _FULL_STEPS = 200
 _GEARS = re.compile(r"([\d.]+)\s*:\s*([\d.]+)")
+# Kinematics whose motors say themselves what they move
+GENERIC = "generic_cartesian"
+# What the motors x, y and z of a machine move, in klippy's words
+_MOVED = {
+    "cartesian": ("x", "y", "z"),
+    "corexy": ("x+y", "x-y", "z"),
+    "corexz": ("x+z", "y", "x-z"),
+    "hybrid_corexy": ("x-y", "y", "z"),
+    "hybrid_corexz": ("x-z", "y", "z"),
+}
 
 
 class PrinterCfgError(ValueError):
@@ -92,7 +102,7 @@ class PrinterCfg:
         if found is None or not found[3]:
             return None
         modifiers, board, name = found[1], found[2] or MAIN, found[3]
-        driver = _driver_of(text or "")
+        driver = self._driver_of(text or "")
         if driver:
             options = self.sections.get(driver, {})
             diag = next((o for o in options if re.match(r"diag\d?_pin", o)), "")
@@ -121,6 +131,8 @@ class PrinterCfg:
 
     def steppers(self) -> dict[str, str]:
         """The sections of the motors x, y, z, z1 ..., by these names."""
+        if self.kinematics == GENERIC:
+            return self._steppers_of_carriages()
         found = {
             section[len("stepper_") :]: section
             for section in self.sections
@@ -131,6 +143,58 @@ class PrinterCfg:
                 told = "the machine needs a motor for each axis"
                 raise self.error(f"stepper_{axis}", "step_pin", told)
         return found
+
+    def _steppers_of_carriages(self) -> dict[str, str]:
+        moved = _MOVED[self.moved_like()]
+        found: dict[str, str] = {}
+        for section, carriages in self._carried().items():
+            axis = "xyz"[moved.index(carriages)]
+            others = sum(name[0] == axis for name in found)
+            found[f"{axis}{others or ''}"] = section
+        return found
+
+    def moved_like(self) -> str:
+        """The kinematics whose motors move what those of a GENERIC one do.
+
+        Raises PrinterCfgError where no simulated machine has such motors.
+        """
+        carried = self._carried()
+        for name, moved in _MOVED.items():
+            if set(carried.values()) == set(moved):
+                return name
+        told = (
+            "of machines whose motors move that none is simulated; one that"
+            " is has motors for x, y and z, or for x+y, x-y and z"
+        )
+        section = next(iter(carried), "stepper")
+        raise self.error(section, "carriages", told)
+
+    def _carried(self) -> dict[str, str]:
+        """What each stepper of a GENERIC machine moves, such as x+y."""
+        axes = {self.axis_section(a).partition(" ")[2]: a for a in "xyz"}
+        return {
+            section: re.sub(
+                r"\w+",
+                lambda found: axes.get(found[0], found[0]),
+                re.sub(r"\s", "", options.get("carriages", "")),
+            )
+            for section, options in self.sections.items()
+            if section.startswith("stepper ")
+        }
+
+    def axis_section(self, axis: str) -> str:
+        """The section with the endstop and the ends of an axis.
+
+        Raises PrinterCfgError where a GENERIC machine has no such carriage.
+        """
+        if self.kinematics != GENERIC:
+            return f"stepper_{axis}"
+        for section, options in self.sections.items():
+            kind, _, name = section.partition(" ")
+            if kind == "carriage" and options.get("axis", name) == axis:
+                return section
+        told = "the machine needs a carriage for each axis"
+        raise self.error(f"carriage {axis}", "axis", told)
 
     def motors(self) -> dict[str, Motor]:
         """The pins and the step of each that moves something by itself.
@@ -203,17 +267,23 @@ class PrinterCfg:
                 for option, value in options.items()
                 if not (is_board and option in _OF_THE_LINE)
             }
-            driver = _driver_of(options.get("endstop_pin", ""))
+            driver = self._driver_of(options.get("endstop_pin", ""))
             if driver in left_out:
                 diag = self.pin(section, "endstop_pin")
                 kept[section] = {**kept[section], "endstop_pin": diag}
         return kept
 
-
-def _driver_of(pin: str) -> str:
-    """The section of the TMC driver whose endstop a pin is, or ""."""
-    found = re.search(r"(tmc\d+)_(\w+):virtual_endstop", pin)
-    return f"{found[1]} {found[2]}" if found else ""
+    def _driver_of(self, pin: str) -> str:
+        """The section of the TMC driver whose endstop a pin is, or ""."""
+        found = re.search(r"(tmc\d+)_(\w+):virtual_endstop", pin)
+        if found is None:
+            return ""
+        for section in self.sections:
+            words = section.split()
+            # [tmc2209 stepper my_x] is tmc2209_my_x, too
+            if (words[0], words[-1]) == found.groups():
+                return section
+        return f"{found[1]} {found[2]}"
 
 
 def read(path: Path) -> PrinterCfg:

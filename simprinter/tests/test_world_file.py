@@ -223,6 +223,121 @@ def test_heaters_boards_and_tilt_are_those_of_printer_cfg():
     assert made.z_motors == [("z", 0.0, 10.0), ("z1", 200.0, 20.0)]
 
 
+def test_heater_may_be_wired_that_printer_cfg_does_not_have():
+    pins = '[heaters.heater_bed]\nheater_pin = "PH1"\nsensor_pin = "PI1"\n'
+    bed = Heater("PH1", "PI1", power=1.0, loss=0.005)
+    assert scene(f"{WORLD}\n{pins}").wiring.heaters == {"heater_bed": bed}
+    sensor = '[heaters."temperature_sensor room"]\nsensor_pin = "PI2"\n'
+    room = {"temperature_sensor room": Heater("", "PI2")}
+    assert scene(f"{WORLD}\n{sensor}").wiring.heaters == room
+    # What printer.cfg has may be wired otherwise than it says
+    made = scene(
+        f"{WORLD}\n{pins}",
+        f"{CFG}[heater_bed]\nheater_pin: PH7\nsensor_pin: PI7\n",
+    )
+    assert made.wiring.heaters == {"heater_bed": bed}
+
+
+GENERIC = (
+    CFG.replace("kinematics: cartesian", "kinematics: generic_cartesian")
+    .replace("[stepper_x]", "[stepper my_x]\ncarriages: x")
+    .replace("[stepper_y]", "[stepper my_y]\ncarriages: y")
+    .replace("[stepper_z]", "[stepper left]\ncarriages: up")
+    .replace("endstop_pin: ^PC0\nposition_endstop: 0\nposition_max: 220", "")
+    .replace("endstop_pin: ^PC1\nposition_endstop: 0\nposition_max: 220", "")
+    .replace(
+        "endstop_pin: probe:z_virtual_endstop\nposition_min: -3\nposition_max: 250",
+        "",
+    )
+    + """
+[carriage x]
+endstop_pin: tmc2209_my_x:virtual_endstop
+position_endstop: 0
+position_max: 220
+[carriage y]
+endstop_pin: ^PC1
+position_endstop: 220
+position_max: 220
+[carriage up]
+axis: z
+endstop_pin: probe:z_virtual_endstop
+position_min: -3
+position_max: 250
+[stepper right]
+carriages: up
+step_pin: PB3
+dir_pin: !PB4
+microsteps: 16
+rotation_distance: 8
+[tmc2209 stepper my_x]
+uart_pin: PE0
+diag_pin: ^PC0
+run_current: 1
+"""
+)
+
+
+def test_generic_cartesian_is_what_its_motors_move():
+    text = f"""{WORLD}
+[motors."stepper right"]
+x_world_mm = 200
+higher_at_start_mm = 0.5
+"""
+    made = scene(text, GENERIC)
+    assert made.kinematics == "cartesian"
+    motors = made.wiring.motors
+    assert {name: m.step_pin for name, m in motors.items()} == {
+        "x": "PA0",
+        "y": "PA3",
+        "z": "PB0",
+        "z1": "PB3",
+    }
+    assert motors["x"].uart == "PE0"
+    assert made.z_motors == [("z", 0.0, 0.0), ("z1", 200, 0.0)]
+    assert made.z_skew == {"z1": 0.5}
+    with pytest.raises(WorldFileError, match="'stepper left'"):
+        scene(f"{WORLD}\n[motors.stepper_z]\nx_world_mm = 1\n", GENERIC)
+
+
+@pytest.mark.parametrize(
+    ("x", "y", "wanted"),
+    [
+        ("x + y", "x-y", "corexy"),
+        ("x-y", "y", "hybrid_corexy"),
+        ("x+y", "y", None),
+    ],
+)
+def test_generic_cartesian_with_crossed_belts(x, y, wanted):
+    cfg = GENERIC.replace("carriages: x", f"carriages: {x}")
+    cfg = cfg.replace("carriages: y", f"carriages: {y}")
+    if wanted:
+        assert scene(WORLD, cfg).kinematics == wanted
+        return
+    with pytest.raises(
+        printer_cfg.PrinterCfgError, match=r"\[stepper my_x\] car"
+    ):
+        scene(WORLD, cfg)
+
+
+def test_generic_cartesian_without_a_carriage_is_refused():
+    cfg = GENERIC.replace("[carriage up]\naxis: z", "[carriage up]\naxis: x")
+    with pytest.raises(
+        printer_cfg.PrinterCfgError, match=r"\[carriage z\] axis"
+    ):
+        scene(WORLD, cfg)
+
+
+def test_world_of_a_generic_cartesian_has_its_switches(tmp_path):
+    file = tmp_path / "printer.cfg"
+    file.write_text(GENERIC)
+    made = world_file.made_from(printer_cfg.read(file))
+    x, y = scene(made, GENERIC).world.switches
+    assert (x.position, x.direction, y.position, y.direction) == (0, -1, 220, 1)
+    # The driver's virtual endstop is on its diag pin
+    assert 'x_endstop = "^PC0"' in made
+    assert "# [carriage up] has no switch of its own" in made
+
+
 def test_thermometer_may_be_on_another_board_or_left_out():
     cfg = f"{CFG}{HOT}".replace("sensor_pin: PI2", "sensor_pin: tool:PI2")
     cfg = cfg.replace("0, 10", "0, 10\n  200, 20")
@@ -299,7 +414,11 @@ def test_nonsense_is_refused_with_key_value_and_remedy(old, new, told):
 @pytest.mark.parametrize(
     ("old", "new", "told"),
     [
-        ("kinematics: cartesian", "kinematics: delta", "only cartesian"),
+        (
+            "kinematics: cartesian",
+            "kinematics: delta",
+            "only cartesian.*generic_cartesian",
+        ),
         ("kinematics: cartesian", "kinematics: corexz", None),
         ("kinematics: cartesian", "kinematics: limited_corexy", None),
     ],
@@ -370,6 +489,8 @@ def test_examples_of_klipper_become_machines_or_are_refused(tmp_path):
         "step_pin is",
         "dir_pin is",
         "rotation_distance",
+        "carriages is",
+        "axis is",
     )
     assert [t for t in refused if not any(r in t for r in reasons)] == []
     assert len(refused) < 0.25 * len(files)

@@ -50,13 +50,13 @@ def made_from(cfg: PrinterCfg) -> str:
     cfg.motors()
     axes = {axis: _axis(cfg, axis) for axis in "xyz"}
     signals: dict[str, str] = {}
-    others = [name for name in cfg.steppers() if name not in axes]
+    others = {n: s for n, s in cfg.steppers().items() if n not in axes}
     parts = [
         _head(cfg),
         _left_out(cfg),
         _start(axes),
         _bed(cfg, axes),
-        *_switches(axes, signals),
+        *_switches(cfg, axes, signals),
         *_other_switches(cfg, others, axes, signals),
         *_probe(cfg, signals),
         _signals(signals),
@@ -65,7 +65,7 @@ def made_from(cfg: PrinterCfg) -> str:
 
 
 def _axis(cfg: PrinterCfg, axis: str) -> _Axis:
-    section = f"stepper_{axis}"
+    section = cfg.axis_section(axis)
     high = cfg.number(section, "position_max")
     low = cfg.number(section, "position_min", 0.0)
     pin = cfg.pin(section, "endstop_pin")
@@ -147,12 +147,14 @@ slope_y_mm_per_mm = 0.0
 """
 
 
-def _switches(axes: dict[str, _Axis], signals: dict[str, str]) -> Iterator[str]:
+def _switches(
+    cfg: PrinterCfg, axes: dict[str, _Axis], signals: dict[str, str]
+) -> Iterator[str]:
     for name, axis in axes.items():
         if axis.pin is None:
             yield (
-                f"# [stepper_{name}] has no switch of its own that is simulated."
-                "\n"
+                f"# [{cfg.axis_section(name)}] has no switch of its own that is"
+                " simulated.\n"
             )
             continue
         signals[f"{name}_endstop"] = axis.pin
@@ -167,13 +169,13 @@ def _switches(axes: dict[str, _Axis], signals: dict[str, str]) -> Iterator[str]:
 
 def _other_switches(
     cfg: PrinterCfg,
-    names: Iterable[str],
+    steppers: dict[str, str],
     axes: dict[str, _Axis],
     signals: dict[str, str],
 ) -> Iterator[str]:
     """Of a second motor of an axis, which may have a switch of its own."""
-    for name in names:
-        pin, axis = cfg.pin(f"stepper_{name}", "endstop_pin"), axes[name[0]]
+    for name, section in steppers.items():
+        pin, axis = cfg.pin(section, "endstop_pin"), axes[name[0]]
         if pin is not None and axis.at is not None:
             signals[f"{name}_endstop"] = pin
             yield (

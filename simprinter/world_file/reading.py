@@ -27,7 +27,7 @@ SCHEMA = json.loads(
 )
 Node = Mapping[str, Any]
 # What a world file says of one motor, heater or board beside printer.cfg
-Extra = Mapping[str, float]
+Extra = Mapping[str, Any]
 _KINDS = {
     "number": "a number",
     "integer": "a whole number",

@@ -5,11 +5,11 @@ from __future__ import annotations
 import re
 from dataclasses import replace
 
-from ..printer_cfg import PrinterCfg
+from ..printer_cfg import GENERIC, PrinterCfg
 from ..scene import Scene
 from ..wiring import BoardSpec, Heater, Motor, Wiring
 from ..world import make_kinematics
-from .reading import WorldFile
+from .reading import Extra, WorldFile
 
 _PLAIN = ("cartesian", "corexy", "corexz", "hybrid_corexy", "hybrid_corexz")
 # A slow axis or a limit changes nothing of how motors move the toolhead
@@ -46,9 +46,9 @@ def scene_of(cfg: PrinterCfg, world: WorldFile) -> Scene:
         sections=cfg.for_klippy(world.left_out),
         start=world.start,
         z_skew={
-            name[len("stepper_") :]: extra["higher_at_start_mm"]
-            for name, extra in world.motors.items()
-            if "higher_at_start_mm" in extra
+            name: world.motors[section]["higher_at_start_mm"]
+            for name, section in cfg.steppers().items()
+            if "higher_at_start_mm" in world.motors.get(section, {})
         },
     )
 
@@ -56,9 +56,12 @@ def scene_of(cfg: PrinterCfg, world: WorldFile) -> Scene:
 def kinematics_of(cfg: PrinterCfg) -> str:
     """What the world calls it. Raises PrinterCfgError for one it has not."""
     name = cfg.kinematics
+    if name == GENERIC:
+        return cfg.moved_like()
     limited = _LIMITED.fullmatch(name)
     if limited is None and name not in _PLAIN:
-        told = f"of machines only {', '.join(_PLAIN)} are simulated"
+        known = ", ".join((*_PLAIN, GENERIC))
+        told = f"of machines only {known} are simulated"
         raise cfg.error("printer", "kinematics", told)
     return limited[1] if limited else name
 
@@ -83,13 +86,13 @@ def _require_wired(world: WorldFile) -> None:
 
 def _motors(cfg: PrinterCfg, world: WorldFile) -> dict[str, Motor]:
     motors = cfg.motors()
+    names = {s: n for n, s in cfg.steppers().items() if n in motors}
     for section, extra in world.motors.items():
-        name = section[len("stepper_") :]
-        if not section.startswith("stepper_") or name not in motors:
-            known = [f"stepper_{name}" for name in motors]
+        if section not in names:
             raise world.refuse(
-                f"[motors.{section}]", dict(extra), f"have {known}"
+                f"[motors.{section}]", dict(extra), f"have {[*names]}"
             )
+        name = names[section]
         if "microstep_mm" in extra:
             step = extra["microstep_mm"]
             motors[name] = replace(motors[name], step_dist=step)
@@ -101,9 +104,10 @@ def _z_motors(
 ) -> list[tuple[str, float, float]]:
     """Each Z motor with the place where it holds the gantry or the bed."""
     names = sorted(name for name in motors if name[0] == "z")
+    sections = cfg.steppers()
     places = dict(zip(names, _places(cfg, len(names))))
     for name in names:
-        extra = world.motors.get(f"stepper_{name}", {})
+        extra = world.motors.get(sections[name], {})
         x, y = places[name]
         places[name] = (
             extra.get("x_world_mm", x),
@@ -149,14 +153,29 @@ def _heaters(cfg: PrinterCfg, world: WorldFile) -> dict[str, Heater]:
         pin = cfg.pin(section, "heater_pin") if is_heated else ""
         if sensor is None or pin is None:
             continue
-        usual = _BED if section == "heater_bed" else {}
-        extra = {**usual, **world.heaters.get(section, {})}
-        heaters[section] = Heater(pin, sensor, **extra)
+        heaters[section] = _heater(
+            section,
+            {
+                "pin": pin,
+                "sensor_pin": sensor,
+                **world.heaters.get(section, {}),
+            },
+        )
     for section, extra in world.heaters.items():
         if section not in heaters:
-            told = f"have {sorted(heaters)}"
-            raise world.refuse(f"[heaters.{section}]", dict(extra), told)
+            if "sensor_pin" not in extra:
+                told = (
+                    f"have {sorted(heaters)}; give one that printer.cfg does"
+                    " not have its sensor_pin"
+                )
+                raise world.refuse(f"[heaters.{section}]", dict(extra), told)
+            heaters[section] = _heater(section, {"pin": "", **extra})
     return heaters
+
+
+def _heater(section: str, extra: Extra) -> Heater:
+    usual = _BED if section == "heater_bed" else {}
+    return Heater(**{**usual, **extra})
 
 
 def _boards(cfg: PrinterCfg, world: WorldFile) -> dict[str, BoardSpec]:
