@@ -10,7 +10,7 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from typing import Optional, TypeVar, Union
 
-from .wiring import MAIN, Heater, Wiring
+from .wiring import MAIN, Wiring
 from .world import Pose, WorldSpec
 
 # Of one section; a value of None leaves the option out
@@ -83,17 +83,12 @@ class Scene:
 
 S = TypeVar("S", bound=Scene)
 
-HEATERS = {
-    "extruder": Heater("PH0", "PI0"),
-    "bed": Heater("PH1", "PI1", power=1.0, loss=0.005),
-}
-
 
 def heated(scene: S) -> S:
-    """The same with sections for its hotend and its bed.
+    """The same with sections for its hotend (PH0, PI0) and its bed (PH1, PI1).
 
-    The scenes are wired for them and do without: two thermometers make a fifth
-    of all that happens while a printer calibrates.
+    A machine may be wired for them and do without, see [heaters] of a world
+    file: two thermometers make a fifth of all that happens while it calibrates.
     """
     return replace(scene, sections={**scene.sections, **parse(_HOT)})
 

@@ -174,7 +174,7 @@ class _Reader:
                 self._value(items, part, [*path, number])
                 for number, part in enumerate(value)
             )
-        return value
+        return float(value) if node.get("type") == "number" else value
 
     def _record(
         self, node: Node, data: Node, path: Sequence[Union[str, int]]

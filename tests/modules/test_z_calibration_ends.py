@@ -10,7 +10,7 @@ from pathlib import Path
 import pytest
 
 from tools.kit.cases import slow
-from tools.kit.docks import LEVELS
+from tools.kit.docks import DOCK_SCENES
 from tools.kit.klipper_sections import TOOL, bed_mesh, profile
 from tools.kit.printer import module_files
 from tools.kit.scenes import SCENES, heated
@@ -103,8 +103,9 @@ def test_what_everybody_does_is_not_told(start, script):
 
 def test_levelling_is_told(start):
     """Before the levelling one motor was some steps off."""
+    levels = DOCK_SCENES["dock_gantry_switch"].sections["quad_gantry_level"]
     changes = {
-        "quad_gantry_level": LEVELS["quad_gantry_level"],
+        "quad_gantry_level": levels,
         "force_move": {"enable_force_move": "True"},
     }
     printer = start(changes=changes).homed()

@@ -1,112 +1,24 @@
-"""Machines with a dock: made of the other scenes, see scenes.py."""
+"""Machines with a dock: that of machines/dock_gantry_switch.cfg, and others made of it."""
 
 from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import replace
-from typing import Optional
 
-from simprinter.world import DockSpec, MagProbeSpec
+from simprinter.world import DockSpec
 
-from .scenes import SCENES, Scene, Sections, on_carriages, on_gantry
+from .scenes import SCENES, Scene, machine, on_carriages, on_gantry
 
 # Of the machines here (mm): the probe triggers at this toolhead Z on the bed
 HANG = 6.9
 
-
-def _docked(probe: Optional[MagProbeSpec]) -> MagProbeSpec:
-    assert probe is not None
-    return replace(probe, mode="dock", initial="docked", switch_offset=0.485)
-
-
-def _options(scene: Scene, **more: str) -> dict[str, Optional[str]]:
-    """Those of [probe], and where the dock is."""
-    probe = dict(scene.sections["probe"] or {})
-    return {
-        **probe,
-        "z_offset": f"{HANG}",
-        "check_open_attach": "True",
-        "travel_speed": "200",
-        "attach_speed": "50",
-        "detach_speed": "50",
-        "lift_speed": "10",
-        **more,
-    }
-
-
-def _others(scene: Scene, without: tuple[str, ...]) -> dict[str, Mapping]:
-    left = ("probe", "z_calibration", *without)
-    return {k: v for k, v in scene.sections.items() if k not in left}
-
-
-# What levels and meshes on these machines
-LEVELS: Sections = {
-    "bed_mesh": {
-        "speed": "200",
-        "horizontal_move_z": "10",
-        "mesh_min": "40, 40",
-        "mesh_max": "240, 240",
-        "probe_count": "5, 5",
-    },
-    "screws_tilt_adjust": {
-        "screw1": "60, 30",
-        "screw2": "240, 30",
-        "screw3": "150, 240",
-        "speed": "200",
-        "horizontal_move_z": "10",
-        "screw_thread": "CW-M4",
-    },
-    "axis_twist_compensation": {
-        "speed": "200",
-        "horizontal_move_z": "10",
-        "calibrate_start_x": "60",
-        "calibrate_end_x": "240",
-        "calibrate_y": "150",
-    },
-    "quad_gantry_level": {
-        "gantry_corners": "-60, -10\n  360, 370",
-        "points": "50, 25\n  50, 225\n  250, 225\n  250, 25",
-        "speed": "200",
-        "horizontal_move_z": "10",
-        "max_adjust": "10",
-    },
-}
-
-
-def _gantry_switch() -> Scene:
-    """The voron, its dock on the gantry's left; Z homes on the pin."""
-    voron = SCENES["voron"]
-    options = _options(
-        voron,
-        dock_position="50, 308",
-        approach_position="50, 270",
-        detach_position="90, 308",
-    )
-    return replace(
-        voron,
-        name="dock_gantry_switch",
-        sections={
-            **_others(voron, ()),
-            **LEVELS,
-            "dockable_probe": options,
-        },
-    ).with_world(
-        mag_probe=_docked(voron.world.mag_probe),
-        dock=DockSpec(
-            50.0,
-            308.0,
-            0.0,
-            approach=(0.0, -1.0, 0.0),
-            release=(1.0, 0.0, 0.0),
-            lifted=True,
-            body=20.0,
-        ),
-    )
+# The voron, its dock on the gantry's left; Z homes on the pin
+_SWITCH = machine("dock_gantry_switch")
 
 
 def _gantry() -> Scene:
     """The same, Z homed with the probe."""
-    switch = _gantry_switch()
+    switch = _SWITCH
     z = dict(switch.sections["stepper_z"] or {})
     z.update(endstop_pin="probe:z_virtual_endstop", position_endstop=None)
     sections = {**switch.sections, "stepper_z": z}
@@ -144,8 +56,8 @@ def _sensed() -> Scene:
 
 
 def _servo() -> Scene:
-    """The first one, but a servo swings the dock out, and in again."""
-    switch = _gantry_switch()
+    """The dock of the file, but a servo swings the dock out, and in again."""
+    switch = _SWITCH
     assert switch.world.dock is not None
     out = "\n  SET_SERVO SERVO=dock ANGLE=90\n  G4 P400"
     away = "\n  SET_SERVO SERVO=dock ANGLE=0\n  G4 P400"
@@ -216,7 +128,7 @@ def _frame() -> Scene:
 
 def _bed() -> Scene:
     """A cartesian printer, the dock on the bed: 12 mm high, Z has a switch."""
-    switch = _gantry_switch()
+    switch = _SWITCH
     assert switch.world.dock is not None
     options = {
         **(switch.sections["dockable_probe"] or {}),
@@ -321,7 +233,7 @@ def calibrating(scene: Scene) -> Scene:
 DOCK_SCENES = {
     scene.name: scene
     for scene in (
-        _gantry_switch(),
+        _SWITCH,
         _gantry(),
         _sensed(),
         _servo(),

@@ -1,31 +1,22 @@
-"""Named machines: what they are made of and the printer.cfg that fits them.
+"""Named machines: those that files in machines/ describe, and others made of them.
 
-A scene's world is the truth; its configuration is what the owner believes.
-Both meet in the wiring: the same pin texts serve both.
+A file is a printer.cfg, what the owner believes, or a world file of simprinter,
+which is the truth.
 """
 
 from __future__ import annotations
 
 from collections.abc import Iterable, Mapping
 from dataclasses import dataclass, replace
-from typing import NamedTuple, Optional
+from pathlib import Path
+from typing import Optional
 
 from simprinter import scene as machine_scene
 from simprinter.mcu.board import Crystal
-from simprinter.scene import HEATERS, Options, Sections, heated, parse
-from simprinter.wiring import BoardSpec, Motor, Wiring
-from simprinter.world import (
-    AxisSwitchSpec,
-    BedSensorSpec,
-    BedSpec,
-    InductiveSpec,
-    MagProbeSpec,
-    MembraneSpec,
-    NoiseSpec,
-    PinSpec,
-    Pose,
-    WorldSpec,
-)
+from simprinter.plugin_printer import read_scene
+from simprinter.scene import Options, Sections, heated
+from simprinter.wiring import BoardSpec, Motor
+from simprinter.world import InductiveSpec
 
 __all__ = ["SCENES", "Options", "Scene", "Sections", "heated"]
 
@@ -71,102 +62,20 @@ class Scene(machine_scene.Scene):
         return self.number("auto_z_offset", "z_offset") - self.piezo_depth()
 
 
-# What scenes are made of
+_FILES = Path(__file__).with_name("machines")
 
-_EVERY = """
-[mcu]
-[printer]
-max_velocity: 300; max_accel: 3000; max_z_velocity: 15; max_z_accel: 350
-"""
-_BELT = {"rotation_distance": "40"}
-_GEARED_BELT = {"rotation_distance": "40", "gear_ratio": "80:16"}
-_SCREW = {"rotation_distance": "8"}
-# Port and number of the first of a motor's pins: step, direction, enable
-_MOTOR_PINS = {
-    "x": ("PA", 0),
-    "y": ("PA", 3),
-    "z": ("PB", 0),
-    "z1": ("PB", 3),
-    "z2": ("PB", 6),
-    "z3": ("PB", 9),
-}
+
+def machine(name: str) -> Scene:
+    """The one that files of this name describe."""
+    made = read_scene(_FILES / f"{name}.cfg", _FILES / f"{name}.toml")
+    return Scene(**{**vars(made), "name": name})
+
+
 # Its clock is slow, and its line takes as long as a USB line does: what it
 # sees stops the motors of another one late
 OTHER_BOARD = BoardSpec(
     Crystal(tick_ns=25, ppm=60, first_wrap=37), latency=0.002
 )
-
-
-def _motors(names: str, uarts: int = 0) -> dict[str, Motor]:
-    """Motors by name; `!`: turns the other way. uarts: so many Z have one."""
-    motors = {}
-    for text in names.split():
-        name = text.lstrip("!")
-        port, first = _MOTOR_PINS[name]
-        is_z, number = name[0] == "z", int(name[1:] or 0)
-        motors[name] = Motor(
-            f"{port}{first}",
-            f"{'!' * (text != name)}{port}{first + 1}",
-            0.0025 if is_z else 0.0125,
-            uart=f"PE{number}" if is_z and number < uarts else "",
-            enable_pin=f"!{port}{first + 2}",
-        )
-    return motors
-
-
-class _End(NamedTuple):
-    """Of an axis: its endstop's pin and place, the other end, homing's mm/s."""
-
-    pin: str
-    at: float
-    other: float
-    speed: str
-
-    def options(self) -> Options:
-        """Of the stepper's section."""
-        ends = {"position_max": f"{max(self.at, self.other):g}"}
-        if self.other > self.at:
-            ends["position_min"] = f"{self.at:g}"
-        return {
-            "endstop_pin": self.pin,
-            "position_endstop": f"{self.at:g}",
-            "homing_speed": self.speed,
-            "homing_retract_dist": "0",
-            **ends,
-        }
-
-    def switch(self, axis: str) -> AxisSwitchSpec:
-        """3 um beyond where the motors stop."""
-        direction = -1 if self.other > self.at else 1
-        place = self.at + 0.003 * direction
-        return AxisSwitchSpec(f"{axis}_endstop", axis, place, direction)
-
-
-def _inputs(ends: Mapping[str, _End], **others: str) -> dict[str, str]:
-    """Signals and their pins."""
-    return {f"{axis}_endstop": end.pin for axis, end in ends.items()} | others
-
-
-def _sections(
-    kinematics: str,
-    motors: Mapping[str, Motor],
-    ends: Mapping[str, _End],
-    z_drive: Options,
-    own: str,
-) -> Sections:
-    """A printer.cfg: what its machine asks for, and sections of its own."""
-    made = parse(_EVERY)
-    for name, motor in motors.items():
-        made[f"stepper_{name}"] = {
-            "step_pin": motor.step_pin,
-            "dir_pin": motor.dir_pin,
-            "enable_pin": motor.enable_pin,
-            "microsteps": "16",
-            **(z_drive if name[0] == "z" else _BELT),
-            **(ends[name].options() if name in ends else {}),
-        }
-    made["printer"] = {"kinematics": kinematics, **made["printer"]}
-    return _with(made, parse(own))
 
 
 def _with(
@@ -277,62 +186,6 @@ def _generic(scene: Scene, name: str, **steppers: str) -> Scene:
     )
 
 
-# Scenes
-
-
-_VORON = """
-[stepper_z]
-endstop_pin: ^PC2; position_endstop: 1.6; position_max: 280; position_min: -5
-homing_speed: 8; second_homing_speed: 3; homing_retract_dist: 3
-[probe]
-pin: ^PC3; x_offset: -2.0; y_offset: 24.75; z_offset: 6.9; speed: 5
-samples: 3; samples_result: median; sample_retract_dist: 2; lift_speed: 10
-samples_tolerance: 0.01; samples_tolerance_retries: 3
-[safe_z_home]
-home_xy_position: 206, 306; speed: 100; z_hop: 10
-[z_calibration]
-nozzle_xy_position: 206, 306; switch_xy_position: 211.5, 281.25
-bed_xy_position: 150, 150; switch_offset: 0.44
-"""
-
-
-def _voron() -> Scene:
-    """CoreXY, four belted Z motors, Klicky-like probe, pin behind the bed."""
-    motors = _motors("!x !y z !z1 z2 !z3")
-    ends = {
-        "x": _End("^PC0", 300.0, 0.0, "60"),
-        "y": _End("^PC1", 310.0, 0.0, "60"),
-    }
-    return Scene(
-        name="voron",
-        kinematics="corexy",
-        z_motors=[
-            ("z", -60.0, -10.0),
-            ("z1", -60.0, 370.0),
-            ("z2", 360.0, 370.0),
-            ("z3", 360.0, -10.0),
-        ],
-        world=WorldSpec(
-            bed=BedSpec(x_max=300.0, y_max=300.0, z0=0.4),
-            pin=PinSpec(206.0, 306.0, 1.9012, radius=2.5),
-            switches=tuple(end.switch(axis) for axis, end in ends.items()),
-            mag_probe=MagProbeSpec(
-                x_offset=-2.0,
-                y_offset=24.75,
-                body_drop=6.415,
-                switch_offset=0.5,
-            ),
-        ),
-        wiring=Wiring(
-            motors,
-            _inputs(ends, z_endstop="^PC2", probe="^PC3"),
-            heaters=HEATERS,
-        ),
-        sections=_sections("corexy", motors, ends, _GEARED_BELT, _VORON),
-        start=Pose(285.0, 295.0, 12.0),
-    )
-
-
 def _voron_two_boards(voron: Scene) -> Scene:
     """The voron with its Z endstop on a board of its own, Z motors not."""
     scene = replace(voron, name="voron_two_boards")
@@ -387,166 +240,6 @@ def _separate_pin(voron: Scene) -> Scene:
     ).with_world(pin=replace(voron.world.pin, signal="nozzle_endstop"))
 
 
-_CARTESIAN = """
-[stepper_z]
-endstop_pin: ^!PC2; position_endstop: 0.5; position_max: 250; position_min: -3
-homing_speed: 5
-[tmc2209 stepper_z]
-uart_pin: PE0; run_current: 0.8; sense_resistor: 0.110
-[output_pin probe_magnet]
-pin: PD0; value: 0; shutdown_value: 0
-[probe]
-pin: ^PC3; x_offset: -28; y_offset: 5.5; z_offset: 2.0; speed: 5
-samples: 2; samples_tolerance: 0.02; lift_speed: 8
-[safe_z_home]
-home_xy_position: 226, 20; z_hop: 8
-[z_calibration]
-nozzle_xy_position: 226, 20; switch_xy_position: 254, 18
-bed_xy_position: 110, 110; switch_offset: 0.65
-before_switch_gcode: ATTACH_PROBE; end_gcode: DOCK_PROBE
-"""
-
-
-def _cartesian() -> Scene:
-    """Cartesian, one lead screw with a TMC2209, probe held by an output.
-
-    Its body would meet the bed while the nozzle is on the pin, so it is
-    attached after that.
-    """
-    motors = _motors("x y z", uarts=1)
-    ends = {
-        "x": _End("^!PC0", -8.0, 258.0, "50"),
-        "y": _End("^!PC1", -4.0, 225.0, "50"),
-    }
-    set_pin = "\n  SET_PIN PIN=probe_magnet VALUE=%d\n  G4 P500"
-    return Scene(
-        name="cartesian",
-        kinematics="cartesian",
-        z_motors=[("z", 110.0, 110.0)],
-        world=WorldSpec(
-            bed=BedSpec(
-                x_max=220.0, y_max=220.0, z0=-0.15, slope_x=4e-4, slope_y=-3e-4
-            ),
-            pin=PinSpec(226.0, 20.0, 0.3512, radius=2.5, pretravel=0.2),
-            switches=tuple(end.switch(axis) for axis, end in ends.items()),
-            mag_probe=MagProbeSpec(
-                x_offset=-28.0,
-                y_offset=5.5,
-                body_drop=1.28,
-                switch_offset=0.7,
-                mode="output",
-                initial="docked",
-                attach_time=0.2,
-            ),
-        ),
-        wiring=Wiring(
-            motors,
-            _inputs(ends, z_endstop="^!PC2", probe="^PC3"),
-            outputs={"probe_attach": "PD0"},
-            heaters=HEATERS,
-        ),
-        sections=_with(
-            _sections("cartesian", motors, ends, _SCREW, _CARTESIAN),
-            {
-                "gcode_macro ATTACH_PROBE": {"gcode": set_pin % 1},
-                "gcode_macro DOCK_PROBE": {"gcode": set_pin % 0},
-            },
-        ),
-        start=Pose(5.0, 8.0, 12.0),
-    )
-
-
-_PIEZO_PREPARE = """
-  G90
-  G0 Z3
-  G91
-  {off}M400
-  {{% set i = 4 %}}
-  {{% for iteration in range(i|int) %}}
-    G1 Z0.6 F7000
-    G1 Z-0.6 F7000
-  {{% endfor %}}
-  G1 Z3
-  M400
-  G90{on}"""
-_SWITCHED_PREPARE = _PIEZO_PREPARE.format(
-    off="SET_PIN PIN=bed_sensor VALUE=0\n  ",
-    on="\n  SET_PIN PIN=bed_sensor VALUE=1",
-)
-_UNSWITCHED_PREPARE = _PIEZO_PREPARE.format(off="", on="")
-
-
-# The probe homes over the middle of the axes
-_QIDI = """
-[printer]
-max_z_velocity: 20; max_z_accel: 500
-[stepper_z]
-endstop_pin: probe:z_virtual_endstop; position_max: 248; position_min: -4
-homing_speed: 8; second_homing_speed: 5; homing_retract_dist: 5
-[tmc2209 stepper_z]
-uart_pin: PE0; run_current: 0.8; sense_resistor: 0.110
-[tmc2209 stepper_z1]
-uart_pin: PE1; run_current: 1.07; sense_resistor: 0.110
-[output_pin bed_sensor]
-pin: !PA14; value: 0; shutdown_value: 0
-[probe]
-pin: ^!PF0; x_offset: 17.6; y_offset: 4.4; z_offset: 0.0; speed: 10
-samples: 3; sample_retract_dist: 4
-samples_tolerance: 0.05; samples_tolerance_retries: 5
-[safe_z_home]
-home_xy_position: 102.15, 122.35; speed: 100; z_hop: 10
-[auto_z_offset]
-pin: PC1; z_offset: 0.2; speed: 5; lift_speed: 20
-probe_accel: 50; probe_hop: 5; offset_samples: 3
-samples: 1; sample_retract_dist: 3
-samples_tolerance: 0.025; samples_tolerance_retries: 1
-"""
-
-
-def _qidi() -> Scene:
-    """CoreXY, two Z lead screws with TMC2209, inductive probe, piezo bed.
-
-    What a QIDI Q1 Pro is. Its owner has left the probe's z_offset at zero:
-    it really senses the plate 1.2713 mm below the nozzle. The piezo bed
-    triggers 0.04 mm below its surface and tells so 2 ms late, which at a
-    steady 5 mm/s is another 0.01 mm: a touch at that speed reads 0.05 mm
-    below the surface (see Scene.piezo_depth).
-    """
-    motors = _motors("!x !y z !z1", uarts=2)
-    ends = {
-        "x": _End("^PC2", -5.5, 245.0, "60"),
-        "y": _End("^PC3", -4.5, 258.0, "60"),
-    }
-    return Scene(
-        name="qidi",
-        kinematics="corexy",
-        z_motors=[("z", -30.0, 122.0), ("z1", 275.0, 122.0)],
-        world=WorldSpec(
-            bed=BedSpec(
-                x_max=245.0, y_max=245.0, z0=0.3137, slope_x=1e-4, slope_y=-1e-4
-            ),
-            switches=tuple(end.switch(axis) for axis, end in ends.items()),
-            inductive=InductiveSpec(17.6, 4.4, sense_distance=1.2713),
-            bed_sensor=BedSensorSpec(
-                press_depth=0.04,
-                enable_output=True,
-                noise=NoiseSpec(latency=0.002),
-            ),
-        ),
-        wiring=Wiring(
-            motors,
-            _inputs(ends, probe="^!PF0", bed_sensor="PC1"),
-            {"bed_sensor_enable": "!PA14"},
-            heaters=HEATERS,
-        ),
-        sections=_with(
-            _sections("corexy", motors, ends, _SCREW, _QIDI),
-            {"auto_z_offset": {"prepare_gcode": _SWITCHED_PREPARE}},
-        ),
-        start=Pose(5.0, 8.0, 12.0),
-    )
-
-
 def _qidi_two_boards(qidi: Scene) -> Scene:
     """The qidi as it is wired: all but tool head and heaters on "U_1".
 
@@ -572,9 +265,15 @@ def _piezo_cartesian(qidi: Scene) -> Scene:
         name: replace(motor, uart="")
         for name, motor in scene.wiring.motors.items()
     }
+    prepare = qidi.sections["auto_z_offset"]["prepare_gcode"]
+    prepare = "".join(
+        line
+        for line in prepare.splitlines(keepends=True)
+        if "SET_PIN" not in line
+    ).rstrip()
     changes = {
         "probe": {"z_offset": "1.0"},
-        "auto_z_offset": {"prepare_gcode": _UNSWITCHED_PREPARE},
+        "auto_z_offset": {"prepare_gcode": prepare},
     }
     sections = dict(_with(scene.sections, changes))
     del sections["tmc2209 stepper_z"], sections["output_pin bed_sensor"]
@@ -584,56 +283,6 @@ def _piezo_cartesian(qidi: Scene) -> Scene:
         wiring=replace(scene.wiring, motors=motors, outputs={}),
         sections=sections,
     ).with_world(bed_sensor=replace(qidi.world.bed_sensor, enable_output=False))
-
-
-_MEMBRANE = """
-[stepper_z]
-endstop_pin: ^PC2; position_endstop: 0; position_max: 250; position_min: -3
-homing_speed: 5
-[extra_probe membrane]
-pin: ^!PF5; z_offset: 0.25; xy_position: 30, 20; speed: 3; lift_speed: 10
-samples: 3; samples_result: median; sample_retract_dist: 2.0
-samples_tolerance: 0.025; samples_tolerance_retries: 3
-"""
-
-
-def _membrane() -> Scene:
-    """A cartesian with a membrane switch that somebody lays on the bed.
-
-    Z is homed beside the bed, on a switch that the axis runs into when the
-    nozzle is 0.45 mm below the bed; the owner has yet to find out and calls
-    it 0. The membrane, 0.3 mm thick, triggers 0.25 mm above the bed.
-    """
-    motors = _motors("x y z")
-    ends = {
-        "x": _End("^PC0", -13.0, 220.0, "50"),
-        "y": _End("^PC1", -7.0, 220.0, "50"),
-    }
-    z0 = 0.2137
-    return Scene(
-        name="membrane",
-        kinematics="cartesian",
-        z_motors=[("z", 110.0, 110.0)],
-        world=WorldSpec(
-            bed=BedSpec(
-                x_max=220.0, y_max=220.0, z0=z0, slope_x=1e-4, slope_y=-1e-4
-            ),
-            switches=(
-                *(end.switch(axis) for axis, end in ends.items()),
-                AxisSwitchSpec("z_endstop", "z", z0 - 0.45, -1),
-            ),
-            membrane=MembraneSpec(
-                30.0, 20.0, thickness=0.3, press=0.05, radius=9.0, laid=False
-            ),
-        ),
-        wiring=Wiring(
-            motors,
-            _inputs(ends, z_endstop="^PC2", membrane="^!PF5"),
-            heaters=HEATERS,
-        ),
-        sections=_sections("cartesian", motors, ends, _SCREW, _MEMBRANE),
-        start=Pose(-8.0, -2.0, 12.0),
-    )
 
 
 def _membrane_two_boards(membrane: Scene) -> Scene:
@@ -675,7 +324,7 @@ def _membrane_and_probe(membrane: Scene) -> Scene:
 
 
 def _scenes() -> tuple[Scene, ...]:
-    voron, qidi, membrane = _voron(), _qidi(), _membrane()
+    voron, qidi, membrane = map(machine, ("voron", "qidi", "membrane"))
     z_steppers = {name: f"my_{name}" for name in ("z", "z1", "z2", "z3")}
     return (
         voron,
@@ -684,7 +333,7 @@ def _scenes() -> tuple[Scene, ...]:
         _corexz(voron),
         _generic(voron, "generic", **z_steppers),
         _separate_pin(voron),
-        _cartesian(),
+        machine("cartesian"),
         qidi,
         _qidi_two_boards(qidi),
         _piezo_cartesian(qidi),

@@ -205,7 +205,7 @@ def test_heater_heats_in_printer_time(start):
     seconds = (printer.machine.simulation.virtual_ns - began) * 1e-9
     # 1 C/s less the losses
     assert 35.0 < seconds < 60.0
-    heater = printer.machine.rig.heaters["bed"]
+    heater = printer.machine.rig.heaters["heater_bed"]
     assert heater.celsius == pytest.approx(60.0, abs=3.0)
     assert printer.status("heater_bed")["temperature"] == pytest.approx(
         heater.celsius, abs=1.0
@@ -224,7 +224,7 @@ def test_heater_that_nobody_refreshes_goes_out(start):
     printer.session.wait(6.0)
     reason = "Missed scheduling of next digital out event"
     assert machine.board.journal.shutdowns == [reason]
-    hot = machine.rig.heaters["bed"]
+    hot = machine.rig.heaters["heater_bed"]
     celsius = []
     for _ in range(2):
         printer.session.wait(1.0)

@@ -12,7 +12,9 @@ from operator import attrgetter
 import pytest
 
 from simprinter import Fault, heated
-from tools.kit.docks import DOCK_SCENES, calibrating
+from simprinter.printer_cfg import PrinterCfg
+from simprinter.world_file.wiring import kinematics_of
+from tools.kit.docks import DOCK_SCENES, SLINGER, calibrating, on_generic
 from tools.kit.printer import Printer, has_kinematics
 from tools.kit.scenes import SCENES
 
@@ -65,6 +67,23 @@ def test_wiring_and_configuration_name_the_same_pins(name):
     ]
     assert set(wired) <= set(written)
     assert len(set(written)) == len(written)
+
+
+@pytest.mark.parametrize(
+    "scene",
+    [*SCENES.values(), *DOCK_SCENES.values(), on_generic(SLINGER)],
+    ids=attrgetter("name"),
+)
+def test_motors_are_those_that_the_configuration_describes(scene):
+    """Also of machines that are made of others, beside any file."""
+    written = {
+        section: {k: v for k, v in options.items() if v is not None}
+        for section, options in scene.sections.items()
+    }
+    boards = {f"mcu {name}": {} for name in scene.wiring.boards}
+    cfg = PrinterCfg(scene.name, {**written, **boards})
+    assert cfg.motors() == scene.wiring.motors
+    assert kinematics_of(cfg) == scene.kinematics
 
 
 def touches_beside(scene):
