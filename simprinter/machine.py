@@ -177,10 +177,12 @@ class Machine:
         self.faults.clear()
         self.world.mend()
 
-    def lay_membrane(self, is_laid: bool = True) -> None:
-        """Lay the membrane switch on the plate, or take it away, now."""
+    def lay_membrane(
+        self, is_laid: bool = True, signal: str = "membrane"
+    ) -> None:
+        """Lay a membrane switch on the plate, or take it away, now."""
         self.rig.settle(self.simulation.clock.now())
-        self.world.lay_membrane(is_laid)
+        self.world.lay_membrane(is_laid, signal)
 
     def hold(self, signal: str, level: Optional[bool]) -> None:
         """Keep a signal asserted or not by hand, from now on; None: let go."""

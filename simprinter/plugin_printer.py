@@ -72,9 +72,14 @@ class PluginPrinter(Printer):
             )
         self.machine.hold(signal, level)
 
-    def lay_membrane(self, is_laid: bool = True) -> None:
-        """A hand lays the membrane switch on the bed, or takes it away."""
-        self.machine.lay_membrane(is_laid)
+    def lay_membrane(
+        self, is_laid: bool = True, signal: str = "membrane"
+    ) -> None:
+        """A hand lays a membrane switch on the bed, or takes it away.
+
+        signal: its name in [signals] of the world.
+        """
+        self.machine.lay_membrane(is_laid, signal)
 
 
 def read_scene(printer_cfg: Text, world: Optional[Text] = None) -> Scene:

@@ -110,6 +110,14 @@ def as_real(scene: S, seed: int = 0) -> S:
         if part is not None:
             noise = noisy(part.noise, NOZZLE_SENSOR, False)
             changes[name] = replace(part, noise=noise)
+    changes["more_pins"] = tuple(
+        replace(pin, noise=noisy(pin.noise, SWITCH, True))
+        for pin in world.more_pins
+    )
+    changes["more_membranes"] = tuple(
+        replace(part, noise=noisy(part.noise, NOZZLE_SENSOR, False))
+        for part in world.more_membranes
+    )
     probe = world.mag_probe
     if probe is not None and probe.mode != "fixed":
         changed = changes["mag_probe"]

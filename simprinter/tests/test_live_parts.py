@@ -7,13 +7,15 @@ from dataclasses import replace
 
 import pytest
 
-from simprinter import Scene
+from simprinter import Fault, Scene
 from simprinter.wiring import Motor, Wiring
 from simprinter.world import (
     BedSpec,
     DockSpec,
+    InductiveSpec,
     MagProbeSpec,
     MembraneSpec,
+    PinSpec,
     Pose,
     WorldSpec,
 )
@@ -109,6 +111,76 @@ def test_membrane_switch(start):
     z = BED_Z + 1.2 - 0.2
     assert printer.machine.tip().z == pytest.approx(z, abs=2 * MICROSTEP)
     assert printer.machine.truth.touch_count("nozzle_membrane") == 1
+
+
+def test_two_membrane_switches(start):
+    """Each has a pin, a site and a hand that lays it."""
+    thin = MembraneSpec(100.0, 100.0, 0.3, radius=8.0)
+    thick = MembraneSpec(
+        130.0, 100.0, 1.2, radius=8.0, laid=False, signal="thick"
+    )
+    scene = bare(
+        inputs={"membrane": "^PC4", "thick": "^PC3"},
+        membrane=thin,
+        more_membranes=(thick,),
+    )
+    printer = placed(start(with_probe(scene)))
+    with pytest.raises(ValueError, match="'membrane', 'thick'"):
+        printer.machine.lay_membrane(signal="no")
+    printer.machine.lay_membrane(signal="thick")
+    printer.machine.break_down(
+        Fault("trigger_late", site="nozzle_thick", mm=0.04)
+    )
+    printer.run("G1 X130 F9000\nPROBE\nM400")
+    z = BED_Z + 1.2 - 0.04
+    assert printer.machine.tip().z == pytest.approx(z, abs=2 * MICROSTEP)
+    printer.run("G1 Z10\nM400")
+    truth = printer.machine.truth
+    assert truth.touch_count("nozzle_thick") == 1
+    assert truth.touch_count("nozzle_membrane") == 0
+    # The other one is pressed, which that probe does not hear
+    printer.run(f"G1 X100 F9000\nG1 Z{BED_Z + 0.28}\nM400")
+    assert printer.machine.truth.touch_count("nozzle_membrane") == 1
+    assert probe_is_open(printer)
+
+
+def test_coil_beside_a_probe_that_touches(start):
+    """Z homes on the coil; the [probe] is the one with a plunger."""
+    scene = bare(
+        inputs={"probe": "^PC3", "coil": "^PG2"},
+        mag_probe=MagProbeSpec(0.0, 20.0, 6.0, 0.5),
+        inductive=InductiveSpec(20.0, 0.0, 8.0, signal="coil"),
+    )
+    printer = placed(start(with_probe(scene)))
+    printer.run("G28 Z\nM400")
+    truth = printer.machine.truth
+    assert truth.touch_count("inductive_bed") == 2
+    assert truth.touch_count("probe_bed") == 0
+    tip = printer.machine.tip().z
+    assert tip == pytest.approx(BED_Z + 8.0, abs=2 * MICROSTEP)
+    printer.run("PROBE\nM400")
+    assert printer.machine.truth.touch_count("probe_bed") == 1
+    tip = printer.machine.tip().z
+    assert tip == pytest.approx(BED_Z + 6.5, abs=2 * MICROSTEP)
+
+
+def test_two_pins(start):
+    """The nozzle presses the one, the probe's body and plunger the other."""
+    pin = PinSpec(100.0, 100.0, 3.0, signal="nozzle_pin")
+    other = PinSpec(140.0, 100.0, 14.0, signal="other")
+    scene = bare(
+        inputs={"nozzle_pin": "^PC4", "other": "^PC3", "probe": "^PC5"},
+        mag_probe=MagProbeSpec(0.0, 20.0, 6.0, 0.5, plunger_on_pin=True),
+        pin=pin,
+        more_pins=(other,),
+    )
+    printer = placed(start(with_probe(scene)))
+    printer.run("G1 X140 Y100 F9000\nPROBE\nM400")
+    assert printer.machine.tip().z == pytest.approx(14.0, abs=2 * MICROSTEP)
+    printer.run("G1 Z30\nG1 Y80\nPROBE\nM400")
+    assert printer.machine.tip().z == pytest.approx(20.0, abs=2 * MICROSTEP)
+    sites = {touch.site for touch in printer.machine.truth.touches}
+    assert sites == {"nozzle_other", "body_other", "plunger_other"}
 
 
 def probe_is_open(printer):

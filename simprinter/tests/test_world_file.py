@@ -36,7 +36,8 @@ def nodes():
     for name, node in SCHEMA["$defs"].items():
         yield name, node
     for name, node in SCHEMA["properties"].items():
-        yield name, node.get("items", node)
+        if name not in SCHEMA["$defs"]:
+            yield name, node.get("items", node)
 
 
 def test_schema_is_one():
@@ -372,6 +373,63 @@ def test_gantry_of_four_motors_stands_on_its_corners():
         ("z2", 410.0, 420.0),
         ("z3", 410.0, -10.0),
     ]
+
+
+SEVERAL = """
+[switch_probe]
+x_from_nozzle_mm = 0
+y_from_nozzle_mm = 20
+body_below_nozzle_mm = 6
+trigger_below_body_mm = 0.5
+[[more_pins]]
+x_world_mm = 5
+y_world_mm = 6
+trigger_z_world_mm = 1.5
+signal = "other_pin"
+[membrane]
+x_world_mm = 30
+y_world_mm = 20
+thickness_mm = 0.3
+radius_mm = 9
+[[more_membranes]]
+x_world_mm = 60
+y_world_mm = 20
+thickness_mm = 0.4
+radius_mm = 9
+signal = "thick"
+noise.sigma_mm = 0.001
+[signals]
+membrane = "PC5"
+thick = "PC6"
+other_pin = "PC7"
+coil = "PC8"
+"""
+
+
+def several(coil='signal = "coil"\n'):
+    old = "[inductive_probe]\n"
+    text = WORLD.replace(old, old + coil)
+    return text.replace("[signals]\n", f"{SEVERAL}")
+
+
+def test_several_probes_pins_and_membranes_have_signals_of_their_own():
+    made = scene(several())
+    assert set(made.wiring.inputs) == {
+        "x_endstop",
+        "y_endstop",
+        "probe",
+        "coil",
+        "other_pin",
+        "membrane",
+        "thick",
+    }
+    spec = made.world
+    assert spec.inductive.signal == "coil"
+    assert [part.thickness for part in spec.membranes()] == [0.3, 0.4]
+    assert spec.more_membranes[0].noise.sigma == 0.001
+    assert [pin.x for pin in spec.pins()] == [5.0]
+    with pytest.raises(WorldFileError, match=r"\['probe'\] is that of more"):
+        scene(several(coil=""))
 
 
 def changed(old, new):

@@ -24,7 +24,7 @@ from .sites import (
     sensed_bed,
     with_ooze,
 )
-from .spec import MagProbeSpec, NoiseSpec, PinSpec, WorldSpec
+from .spec import MagProbeSpec, MembraneSpec, NoiseSpec, PinSpec, WorldSpec
 from .thermal import Drift
 
 
@@ -59,20 +59,21 @@ class Builder:
         self._outputs: dict[str, Output] = {}
         self._sensors: list[ContactSensor] = []
         self._switches: list[AxisSwitch] = []
-        membrane = spec.membrane
-        self.membrane_is_laid = membrane is not None and membrane.laid
+        # Whether each membrane switch lies there, by its signal
+        self.laid = {part.signal: part.laid for part in spec.membranes()}
 
     def build(self) -> Parts:
         """All parts."""
         spec = self._spec
         self._axis_switches()
         self._plate()
-        if spec.pin is not None:
-            self._pin(spec.pin)
+        for pin in spec.pins():
+            self._pin(pin)
         if spec.mag_probe is not None and self._keeper is not None:
             self._mag_probe(spec.mag_probe, self._keeper)
         self._inductive()
-        self._membrane()
+        for membrane in spec.membranes():
+            self._membrane(membrane)
         return Parts(
             self._lines,
             self._outputs,
@@ -98,6 +99,12 @@ class Builder:
         sensor = ContactSensor(sites, state, self._drift)
         self._sensors.append(sensor)
         return sensor
+
+    def _switch(self, signal: str, noise: NoiseSpec, *sites: Site) -> None:
+        """What these sites press, and the signal that it drives."""
+        sensor = self._sensor(signal, noise, *sites)
+        level = self._contact(sensor)
+        self._line(signal, level, sensor.state, noise, sensor.sites)
 
     def _line(
         self,
@@ -161,19 +168,22 @@ class Builder:
         top = pin.z + pin.pretravel
         tip = nozzle_on_pin(pin, self._drift, self._ooze)
         highest = top + self._ooze.highest
-        sites = [Site("nozzle_pin", tip, highest, pin.pretravel)]
+        name = self._name_of(pin)
+        sites = [Site(f"nozzle_{name}", tip, highest, pin.pretravel)]
         probe = self._spec.mag_probe
         if probe is not None and self._keeper is not None:
             body = body_on_pin(pin, probe, self._drift, self._keeper.seat)
             top += probe.body_drop + self._keeper.lowest
-            sites.append(Site("body_pin", body, top, pin.pretravel, True))
+            sites.append(Site(f"body_{name}", body, top, pin.pretravel, True))
         for site in sites:
             site.limit(
                 self._spec.overtravel, self._spec.allowed_drag, pin.pin_travel
             )
-        sensor = self._sensor(pin.signal, pin.noise, *sites)
-        level = self._contact(sensor)
-        self._line(pin.signal, level, sensor.state, pin.noise, sensor.sites)
+        self._switch(pin.signal, pin.noise, *sites)
+
+    def _name_of(self, pin: PinSpec) -> str:
+        """What its sites are called by: the first is the pin."""
+        return "pin" if pin is self._spec.pin else pin.signal
 
     def _mag_probe(self, probe: MagProbeSpec, keeper: Keeper) -> None:
         """Plunger and body on the plate, senses, attaching output."""
@@ -188,11 +198,11 @@ class Builder:
         # How deep the plunger may go is what the body on the bed is about
         tip.limit(math.inf, drag)
         sites = [tip]
-        if probe.plunger_on_pin and self._spec.pin is not None:
-            pin = self._spec.pin
+        for pin in self._spec.pins() if probe.plunger_on_pin else ():
             pressed = body_on_pin(pin, probe, self._drift, seat)
             top = pin.z + pin.pretravel + probe.body_drop + keeper.lowest
-            sites.append(Site("plunger_pin", pressed, top, 0.0, True))
+            name = f"plunger_{self._name_of(pin)}"
+            sites.append(Site(name, pressed, top, 0.0, True))
             sites[-1].limit(math.inf, drag)
         sensor = self._sensor("probe", probe.noise, *sites)
         contact = hanging_on_bed(bed, self._drift, probe, 0.0, seat)
@@ -230,24 +240,19 @@ class Builder:
         roll += abs(spec.twist_y) * reach_y
         top = bed.highest + spec.sense_distance + roll
         site = Site("inductive_bed", sensed, top)
-        sensor = self._sensor("probe", spec.noise, site)
-        level = self._contact(sensor)
-        self._line("probe", level, sensor.state, spec.noise, sensor.sites)
+        self._switch(spec.signal, spec.noise, site)
 
-    def _membrane(self) -> None:
-        spec, bed = self._spec.membrane, self._bed
-        if spec is None:
-            return
+    def _membrane(self, spec: MembraneSpec) -> None:
+        bed, signal = self._bed, spec.signal
         bare = nozzle_on_membrane(
-            bed, self._drift, spec, lambda: self.membrane_is_laid
+            bed, self._drift, spec, lambda: self.laid[signal]
         )
         contact = with_ooze(bare, self._ooze)
         top = bed.highest + spec.thickness + self._ooze.highest
-        site = Site("nozzle_membrane", contact, top, spec.press)
+        name = "membrane" if spec is self._spec.membrane else signal
+        site = Site(f"nozzle_{name}", contact, top, spec.press)
         site.limit(self._spec.overtravel, self._spec.allowed_drag)
-        sensor = self._sensor("membrane", spec.noise, site)
-        level = self._contact(sensor)
-        self._line("membrane", level, sensor.state, spec.noise, sensor.sites)
+        self._switch(signal, spec.noise, site)
 
 
 def _while_on(enable: Output, level: PoseLevel) -> PoseLevel:

@@ -316,6 +316,7 @@ class InductiveSpec(Spec):
     twist: mm that it hangs lower for each mm of X, on an axis that is twisted
     bend: and mm for each mm of X squared, on one that is twisted more at its end
     twist_y: mm that it hangs lower for each mm of Y
+    signal: another one than "probe" beside a probe that is detachable
     """
 
     x_offset: float
@@ -325,8 +326,12 @@ class InductiveSpec(Spec):
     twist: float = 0.0
     bend: float = 0.0
     twist_y: float = 0.0
+    signal: str = "probe"
 
     _POSITIVE = ("sense_distance",)
+
+    def _check(self) -> None:
+        self._require(bool(self.signal), "signal", "a name")
 
     def roll(self, x: float, y: float) -> float:
         """How much lower it hangs with the toolhead there, mm."""
@@ -355,6 +360,7 @@ class MembraneSpec(Spec):
     x, y: its middle; either radius or half_x with half_y, mm
     thickness: mm above the bed; press: mm below its top that trigger it
     laid: it lies there from the start
+    signal: another one than "membrane" where there are several
     """
 
     x: float
@@ -366,11 +372,13 @@ class MembraneSpec(Spec):
     half_y: Optional[float] = None
     laid: bool = True
     noise: NoiseSpec = field(default_factory=NoiseSpec)
+    signal: str = "membrane"
 
     _POSITIVE = ("thickness",)
     _NOT_NEGATIVE = ("press",)
 
     def _check(self) -> None:
+        self._require(bool(self.signal), "signal", "a name")
         good = self.press <= self.thickness
         self._require(good, "press", "at most the thickness")
         sides = [self.half_x, self.half_y]
@@ -448,6 +456,7 @@ class OozeSpec(Spec):
 class WorldSpec(Spec):
     """A machine.
 
+    more_pins, more_membranes: beside the first, each with a signal of its own
     overtravel: mm a presser may go beyond the trigger of pin, bed sensor or
     membrane; allowed_drag: mm of XY travel allowed in one contact.
     probe_sense, dock_sense: whether the board can see those states.
@@ -471,13 +480,13 @@ class WorldSpec(Spec):
     dock_sense: bool = False
     overtravel: float = 0.05
     allowed_drag: float = 0.05
+    more_pins: Tuple[PinSpec, ...] = ()
+    more_membranes: Tuple[MembraneSpec, ...] = ()
 
     _NOT_NEGATIVE = ("overtravel", "allowed_drag", "z_play")
 
     def _check(self) -> None:
         mag = self.mag_probe
-        good = mag is None or self.inductive is None
-        self._require(good, "inductive", "possible: both drive 'probe'")
         wants_dock = mag is not None and mag.mode == "dock"
         good = wants_dock == (self.dock is not None)
         self._require(good, "dock", "given exactly for a probe of mode 'dock'")
@@ -485,18 +494,33 @@ class WorldSpec(Spec):
             good = mag is not None or not getattr(self, name)
             self._require(good, name, "possible without a probe")
         signals = self.signals()
-        good = len(set(signals)) == len(signals)
-        self._require(good, "switches", f"made of unique signals: {signals}")
+        twice = sorted({name for name in signals if signals.count(name) > 1})
+        told = f"told a signal for each; {twice} is that of more than one"
+        self._require(not twice, "switches", told)
 
     def signals(self) -> tuple[str, ...]:
         """Names of all signals this machine drives."""
+        probe = self.inductive
+        named = (
+            *self.switches,
+            *self.pins(),
+            *([] if probe is None else [probe]),
+            *self.membranes(),
+        )
         parts = {
-            self.pin.signal if self.pin else "": self.pin,
-            "probe": self.mag_probe or self.inductive,
+            "probe": self.mag_probe,
             "bed_sensor": self.bed_sensor,
-            "membrane": self.membrane,
             "probe_sense": self.probe_sense,
             "dock_sense": self.dock_sense,
         }
-        names = [switch.signal for switch in self.switches]
+        names = [part.signal for part in named]
         return (*names, *(name for name, part in parts.items() if part))
+
+    def pins(self) -> tuple[PinSpec, ...]:
+        """All pins, the first one first."""
+        return (*([] if self.pin is None else [self.pin]), *self.more_pins)
+
+    def membranes(self) -> tuple[MembraneSpec, ...]:
+        """All membrane switches, the first one first."""
+        first = [] if self.membrane is None else [self.membrane]
+        return (*first, *self.more_membranes)

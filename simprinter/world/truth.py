@@ -7,6 +7,7 @@ height of that moment (noise and thermal growth included).  Sites:
     probe_bed    probe plunger on the plate     body_bed  its body on the plate
     nozzle_bed   nozzle tip on the plate        nozzle_membrane
     inductive_bed, and the axis switches by their signal names
+    nozzle_SIGNAL, body_SIGNAL: on another pin or membrane than the first
     dock         the toolhead in what holds the probe
 """
 

@@ -189,8 +189,8 @@ class World:
 
     @property
     def membrane_is_laid(self) -> bool:
-        """Whether the membrane switch lies on the plate."""
-        return self._builder.membrane_is_laid
+        """Whether the membrane switch, the first one, lies on the plate."""
+        return next(iter(self._builder.laid.values()), False)
 
     def dirt(self, t: float) -> float:
         """How far (mm) plastic hangs below the nozzle at time t."""
@@ -205,9 +205,15 @@ class World:
             for near in sensor.near(t, pose, held)
         ]
 
-    def lay_membrane(self, is_laid: bool) -> None:
-        """Somebody lays the membrane switch on the plate, or takes it away."""
-        self._builder.membrane_is_laid = is_laid
+    def lay_membrane(self, is_laid: bool, signal: str = "membrane") -> None:
+        """Somebody lays a membrane switch on the plate, or takes it away.
+
+        signal: of which; ValueError where there is none.
+        """
+        laid = self._builder.laid
+        if signal not in laid:
+            raise ValueError(f"no membrane {signal!r} here, have {[*laid]}")
+        laid[signal] = is_laid
 
     def expect_faults(self) -> None:
         """Look at the faults again, as there are others now."""

@@ -13,6 +13,7 @@ import pytest
 
 from simprinter import Fault, heated
 from simprinter.printer_cfg import PrinterCfg
+from simprinter.world import Bed
 from simprinter.world_file.wiring import kinematics_of
 from tools.kit.docks import DOCK_SCENES, SLINGER, calibrating, on_generic
 from tools.kit.printer import Printer, has_kinematics
@@ -125,6 +126,42 @@ def test_calibration_ends_at_the_gap_of_the_formula(start, host, name):
     samples = int(printer.scene.number("probe", "samples"))
     for site in ("nozzle_pin", "body_pin", "probe_bed"):
         assert printer.machine.truth.touch_count(site) >= samples
+
+
+def test_two_membranes_of_one_owner(start):
+    """Each has a section, a place, a height, and a hand that lays it."""
+    scene = SCENES["membrane"]
+    first, section = scene.world.membrane, "extra_probe membrane"
+    other = replace(first, x=100.0, thickness=0.5, signal="thick")
+    scene = replace(
+        scene,
+        sections={
+            **scene.sections,
+            "extra_probe thick": {
+                **scene.sections[section],
+                "pin": "^!PF6",
+                "xy_position": "100, 20",
+                "z_offset": "0.45",
+            },
+        },
+        wiring=replace(
+            scene.wiring, inputs={**scene.wiring.inputs, "thick": "^!PF6"}
+        ),
+    ).with_world(more_membranes=(other,))
+    printer = start(scene).homed()
+    for signal, x in (("membrane", 30), ("thick", 100)):
+        printer.machine.lay_membrane(signal=signal)
+        printer.run(f"G1 Z10\nG1 X{x} Y20\nEXTRA_PROBE PROBE={signal}")
+        printer.machine.lay_membrane(False, signal)
+    bed = Bed(scene.world.bed)
+    heights = {
+        touch.site: touch.trigger_z - bed.height(touch.x, touch.y)
+        for touch in printer.machine.truth.touches
+        if touch.site.startswith("nozzle_")
+    }
+    assert heights == pytest.approx(
+        {"nozzle_membrane": 0.25, "nozzle_thick": 0.45}, abs=1e-6
+    )
 
 
 # z_calibration is left out where it cannot know the machine yet
