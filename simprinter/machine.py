@@ -59,7 +59,9 @@ class Machine:
         self.simulation = Simulation(clock or VirtualClock(build_directory()))
         now_ns = self.simulation.clock.now
         self.world = World(scene.world, seed, self.faults)
-        kinematics = make_kinematics(scene.kinematics, scene.z_motors)
+        kinematics = make_kinematics(
+            scene.kinematics, scene.z_motors, scene.world.towers
+        )
         begin = kinematics.motors(scene.start, scene.z_skew)
         self.rig = Rig(self.world, kinematics, scene.wiring, begin, now_ns)
         self.drivers: dict[str, Tmc2209] = {}

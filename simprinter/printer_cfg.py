@@ -7,6 +7,7 @@ as there, but never by an alias of [board_pins].
 from __future__ import annotations
 
 import configparser
+import math
 import re
 from collections.abc import Iterator, Mapping
 from pathlib import Path
@@ -14,6 +15,7 @@ from typing import Optional
 
 from .mcu.pins import PINS, numbered
 from .wiring import MAIN, Motor
+from .world.spec import TOWERS, TowerSpec
 
 # Where SAVE_CONFIG begins, and what stands before each of its lines
 _SAVED = "#*# <---------------------- SAVE_CONFIG ---------------------->"
@@ -30,6 +32,10 @@ _OF_THE_LINE = (
 # Turns of a motor's shaft are counted in so many full steps, unless told
 _FULL_STEPS = 200
 _GEARS = re.compile(r"([\d.]+)\s*:\s*([\d.]+)")
+# Degrees of the towers a, b and c, unless told
+_ANGLES = (210.0, 330.0, 90.0)
+# Kinematics with three towers
+DELTA = "delta"
 # Kinematics whose motors say themselves what they move
 GENERIC = "generic_cartesian"
 # What the motors x, y and z of a machine move, in klippy's words
@@ -133,6 +139,8 @@ class PrinterCfg:
         """The sections of the motors x, y, z, z1 ..., by these names."""
         if self.kinematics == GENERIC:
             return self._steppers_of_carriages()
+        if self.kinematics == DELTA:
+            return {tower: f"stepper_{tower}" for tower in TOWERS}
         found = {
             section[len("stepper_") :]: section
             for section in self.sections
@@ -143,6 +151,24 @@ class PrinterCfg:
                 told = "the machine needs a motor for each axis"
                 raise self.error(f"stepper_{axis}", "step_pin", told)
         return found
+
+    def towers(self) -> tuple[TowerSpec, ...]:
+        """Those of a DELTA, in whose middle x and y are zero, none of another."""
+        if self.kinematics != DELTA:
+            return ()
+        radius = self.number("printer", "delta_radius")
+        arm = self.number("stepper_a", "arm_length")
+        made = []
+        for name, usual in zip(TOWERS, _ANGLES):
+            section = f"stepper_{name}"
+            angle = math.radians(self.number(section, "angle", usual))
+            x, y = radius * math.cos(angle), radius * math.sin(angle)
+            length = self.number(section, "arm_length", arm)
+            if length <= radius:
+                told = "klippy wants arms longer than delta_radius"
+                raise self.error(section, "arm_length", told)
+            made.append(TowerSpec(name, x, y, length))
+        return tuple(made)
 
     def _steppers_of_carriages(self) -> dict[str, str]:
         moved = _MOVED[self.moved_like()]
@@ -163,8 +189,8 @@ class PrinterCfg:
             if set(carried.values()) == set(moved):
                 return name
         told = (
-            "of machines whose motors move that none is simulated; one that"
-            " is has motors for x, y and z, or for x+y, x-y and z"
+            "no simulated machine has motors that move all of this; one has"
+            " them for x, y and z, another for x+y, x-y and z"
         )
         section = next(iter(carried), "stepper")
         raise self.error(section, "carriages", told)

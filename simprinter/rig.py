@@ -11,7 +11,7 @@ from collections.abc import Callable, Mapping
 from .mcu.board import Board
 from .mcu.steppers import StepTrack
 from .wiring import MAIN, HeaterState, Wiring, is_inverted, pin_number
-from .world import Kinematics, Pose, World
+from .world import Delta, Kinematics, Pose, World
 
 # The world is told of a moving head this often; see LIMITS.md
 COMMIT_NS = 10_000_000
@@ -48,7 +48,7 @@ class Rig:
     def __init__(
         self,
         world: World,
-        kinematics: Kinematics,
+        kinematics: Kinematics | Delta,
         wiring: Wiring,
         begin: Mapping[str, float],
         now_ns: Callable[[], int],

@@ -23,7 +23,7 @@ Sections = Mapping[str, Optional[Options]]
 class Scene:
     """A machine in its starting state.
 
-    z_motors: (name, x, y) of every Z motor. start: where the nozzle tip is,
+    z_motors: (name, x, y) of every Z motor, none of a delta. start: where the nozzle tip is,
     world frame; near the endstops, as the way there proves nothing and takes
     time. z_skew: mm by which Z motors stand higher. Frame of the
     configuration: x and y are the world's; its z comes from homing.

@@ -474,7 +474,7 @@ def test_nonsense_is_refused_with_key_value_and_remedy(old, new, told):
     [
         (
             "kinematics: cartesian",
-            "kinematics: delta",
+            "kinematics: polar",
             "only cartesian.*generic_cartesian",
         ),
         ("kinematics: cartesian", "kinematics: corexz", None),

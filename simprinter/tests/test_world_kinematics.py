@@ -60,7 +60,7 @@ def test_four_motors_off_one_plane_take_the_best_plane():
 @pytest.mark.parametrize(
     ("kind", "z_motors"),
     [
-        ("delta", ONE),
+        ("polar", ONE),
         ("corexz", TWO),
         ("hybrid_corexz", TWO),
         ("cartesian", []),

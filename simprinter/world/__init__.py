@@ -6,7 +6,7 @@ lost steps, a bed that moves in XY, what lies outside the plate.
 """
 
 from .bed import Bed
-from .kinematics import Kinematics, Pose, make_kinematics
+from .kinematics import Delta, Kinematics, Pose, make_kinematics
 from .spec import (
     AxisSwitchSpec,
     BedSensorSpec,
@@ -23,6 +23,7 @@ from .spec import (
     PinSpec,
     SpecError,
     TextureSpec,
+    TowerSpec,
     WorldSpec,
 )
 from .truth import Crash, CrashError, ProbeEvent, Touch, Truth
@@ -35,6 +36,7 @@ __all__ = [
     "BedSpec",
     "Crash",
     "CrashError",
+    "Delta",
     "DockSpec",
     "DriftSpec",
     "HotendSpec",
@@ -51,6 +53,7 @@ __all__ = [
     "SpecError",
     "TextureSpec",
     "Touch",
+    "TowerSpec",
     "Truth",
     "World",
     "WorldSpec",

@@ -9,6 +9,7 @@ those of klippy's chelper/kin_*.c:
     corexz         x = x + z    y = y        z = x - z
     hybrid_corexy  x = x - y    y = y        z = z
     hybrid_corexz  x = x - z    y = y        z = z
+    delta          a, b, c: the carriages on the towers, see TowerSpec.place
 
 Several Z motors carry one stiff gantry: the toolhead's z is the height, at the
 head's XY, of the least squares plane through the motors' heights (exact for
@@ -20,6 +21,8 @@ from __future__ import annotations
 
 import math
 from typing import Callable, Mapping, NamedTuple, Sequence, Tuple
+
+from .spec import TOWERS, TowerSpec
 
 # (name, x, y) of the place where a Z motor holds the gantry
 ZMotor = Tuple[str, float, float]
@@ -104,10 +107,74 @@ class Kinematics:
         return motors
 
 
+class Delta:
+    """Three towers, each with a carriage that carries the head by its arms."""
+
+    __slots__ = ("_towers",)
+
+    def __init__(self, towers: Sequence[TowerSpec]) -> None:
+        if len(towers) != len(TOWERS):
+            raise ValueError(f"towers: a delta has {TOWERS}")
+        self._towers = tuple(towers)
+
+    def pose(self, motors: Mapping[str, float]) -> Pose:
+        """Nozzle tip (mm) for the carriages' places (mm).
+
+        It is where three spheres around the upper joints meet, below them.
+        """
+        joints = [
+            (tower.x, tower.y, motors[tower.name] + tower.rise(0.0, 0.0))
+            for tower in self._towers
+        ]
+        # The differences of their equations are two planes
+        x0, y0, h0 = joints[0]
+        arm = self._towers[0].arm
+        planes = []
+        for tower, (x, y, h) in zip(self._towers[1:], joints[1:]):
+            far = x * x + y * y + h * h - tower.arm**2
+            near = x0 * x0 + y0 * y0 + h0 * h0 - arm * arm
+            planes.append((x - x0, y - y0, h - h0, 0.5 * (far - near)))
+        (ax, ay, ah, a), (bx, by, bh, b) = planes
+        # ... which meet in a line: x and y by z
+        area = ax * by - ay * bx
+        x_at, x_per = (a * by - b * ay) / area, (bh * ay - ah * by) / area
+        y_at, y_per = (ax * b - bx * a) / area, (bx * ah - ax * bh) / area
+        dx, dy = x_at - x0, y_at - y0
+        square = 1.0 + x_per * x_per + y_per * y_per
+        half = x_per * dx + y_per * dy - h0
+        root = half * half - square * (dx * dx + dy * dy + h0 * h0 - arm * arm)
+        if root < 0.0:
+            raise ValueError("the arms of the delta are torn apart")
+        z = (-half - math.sqrt(root)) / square
+        return Pose(x_at + x_per * z, y_at + y_per * z, z)
+
+    def motors(
+        self,
+        tip: Sequence[float],
+        z_offsets: Mapping[str, float] | None = None,
+    ) -> dict[str, float]:
+        """Places (mm) of the carriages that put the nozzle tip at `tip`.
+
+        z_offsets: mm by which the named ones stand higher.
+        """
+        offsets = z_offsets or {}
+        return {
+            tower.name: tower.place(tip) + offsets.get(tower.name, 0.0)
+            for tower in self._towers
+        }
+
+
 def make_kinematics(
-    kind: str, z_motors: Sequence[ZMotor] = (("z", 0.0, 0.0),)
-) -> Kinematics:
-    """The kinematics klippy calls `kind`, with its Z motors' (name, x, y)."""
+    kind: str,
+    z_motors: Sequence[ZMotor] = (("z", 0.0, 0.0),),
+    towers: Sequence[TowerSpec] = (),
+) -> Kinematics | Delta:
+    """The kinematics klippy calls `kind`, with its Z motors' (name, x, y).
+
+    towers: those of a delta, which has no Z motors.
+    """
+    if kind == "delta":
+        return Delta(towers)
     if kind not in _MIXES:
         raise ValueError(
             f"kinematics: unknown kind {kind!r}, know {sorted(_MIXES)}"

@@ -4,7 +4,8 @@ from __future__ import annotations
 
 import math
 import random
-from typing import NamedTuple, Optional, Sequence
+from operator import itemgetter
+from typing import Callable, NamedTuple, Optional, Sequence
 
 from .bed import Bed
 from .dock import Keeper
@@ -24,7 +25,14 @@ from .sites import (
     sensed_bed,
     with_ooze,
 )
-from .spec import MagProbeSpec, MembraneSpec, NoiseSpec, PinSpec, WorldSpec
+from .spec import (
+    TOWERS,
+    MagProbeSpec,
+    MembraneSpec,
+    NoiseSpec,
+    PinSpec,
+    WorldSpec,
+)
 from .thermal import Drift
 
 
@@ -130,7 +138,7 @@ class Builder:
         for spec in self._spec.switches:
             play = self._spec.z_play if spec.axis == "z" else 0.0
             state = self._state(spec.signal, spec.noise, play)
-            switch = AxisSwitch(spec, state)
+            switch = AxisSwitch(spec, state, self._place_on(spec.axis))
             self._switches.append(switch)
             self._line(
                 spec.signal,
@@ -139,6 +147,15 @@ class Builder:
                 spec.noise,
                 [switch.site],
             )
+
+    def _place_on(self, axis: str) -> Callable[[Sequence[float]], float]:
+        """From a pose to the place on an axis, or on a tower of a delta."""
+        if axis not in TOWERS:
+            return itemgetter("xyz".index(axis))
+        for tower in self._spec.towers:
+            if tower.name == axis:
+                return tower.place
+        raise ValueError(f"switches: no tower {axis} in this world")
 
     def _plate(self) -> None:
         """The nozzle on the plate, with or without a sensor below."""

@@ -285,10 +285,16 @@ class ContactSensor:
 class AxisSwitch:
     """A position switch that one axis runs into."""
 
-    __slots__ = ("_direction", "_index", "_position", "site", "state")
+    __slots__ = ("_direction", "_place", "_position", "site", "state")
 
-    def __init__(self, spec: AxisSwitchSpec, state: TouchState) -> None:
-        self._index = "xyz".index(spec.axis)
+    def __init__(
+        self,
+        spec: AxisSwitchSpec,
+        state: TouchState,
+        place: Callable[[Sequence[float]], float],
+    ) -> None:
+        """place: of what runs into it, by the pose."""
+        self._place = place
         self._direction = spec.direction
         self._position = spec.position
         self.state = state
@@ -298,12 +304,12 @@ class AxisSwitch:
 
     def level(self, pose: Sequence[float]) -> bool:
         """Whether the switch would be asserted; changes nothing."""
-        beyond = self._direction * (pose[self._index] - self._position)
+        beyond = self._direction * (self._place(pose) - self._position)
         return self.site.reports(self.state, beyond)
 
     def commit(self, pose: Sequence[float]) -> Optional[Finding]:
         """Take over the new pose; returns what happened, if anything."""
-        place = pose[self._index]
+        place = self._place(pose)
         beyond = self._direction * (place - self._position)
         state, site = self.state, self.site
         is_far = beyond < -state.rearm - site.early and not site.touched

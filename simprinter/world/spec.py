@@ -7,11 +7,13 @@ where the field says so.  A wrong value raises SpecError naming the field.
 from __future__ import annotations
 
 import math
-from collections.abc import Collection
+from collections.abc import Collection, Sequence
 from dataclasses import dataclass, field
 from typing import ClassVar, Optional, Tuple
 
 Vector = Tuple[float, float, float]
+# In the order in which klippy has them
+TOWERS = ("a", "b", "c")
 
 
 class SpecError(ValueError):
@@ -184,12 +186,49 @@ class PinSpec(Spec):
 
 
 @dataclass(frozen=True)
+class TowerSpec(Spec):
+    """A tower of a delta; a carriage on it carries the head by a pair of arms.
+
+    name: "a", "b" or "c"; x, y: where the arms' upper joints would be if the
+        lower ones were in the nozzle, mm; arm: length, mm
+    """
+
+    name: str
+    x: float
+    y: float
+    arm: float
+
+    def _check(self) -> None:
+        self._require_one_of("name", TOWERS)
+        good = self.arm > math.hypot(self.x, self.y)
+        self._require(good, "arm", "longer than the tower is away")
+
+    def rise(self, x: float, y: float) -> float:
+        """How far (mm) the carriage is above a nozzle at x, y.
+
+        ValueError where the arms do not reach.
+        """
+        rest = self.arm**2 - (x - self.x) ** 2 - (y - self.y) ** 2
+        if rest < 0.0:
+            raise ValueError(f"the arms of tower {self.name} are too short")
+        return math.sqrt(rest)
+
+    def place(self, tip: Sequence[float]) -> float:
+        """Where the carriage is with the nozzle there, mm.
+
+        Counted so that with the nozzle in the middle it is the nozzle's z.
+        """
+        return tip[2] + self.rise(tip[0], tip[1]) - self.rise(0.0, 0.0)
+
+
+@dataclass(frozen=True)
 class AxisSwitchSpec(Spec):
     """A switch that one axis runs into.
 
-    axis: "x", "y" or "z"; direction: +1 triggers at position and above, -1
-    at position and below (mm).  hard_stop: mm from the trigger to the end of
-    the axis, None if it never comes.
+    axis: "x", "y" or "z", or the tower "a", "b" or "c" of a delta; direction:
+    +1 triggers at position and above, -1 at position and below (mm; of a tower
+    see TowerSpec.place).  hard_stop: mm from the trigger to the end of the axis,
+    None if it never comes.
     """
 
     signal: str
@@ -201,7 +240,7 @@ class AxisSwitchSpec(Spec):
 
     def _check(self) -> None:
         self._require(bool(self.signal), "signal", "a name")
-        self._require_one_of("axis", ("x", "y", "z"))
+        self._require_one_of("axis", ("x", "y", "z", *TOWERS))
         self._require_one_of("direction", (1, -1))
         stop = self.hard_stop
         self._require(stop is None or stop >= 0.0, "hard_stop", "zero or more")
@@ -456,6 +495,7 @@ class OozeSpec(Spec):
 class WorldSpec(Spec):
     """A machine.
 
+    towers: the three of a delta, none of another machine
     more_pins, more_membranes: beside the first, each with a signal of its own
     overtravel: mm a presser may go beyond the trigger of pin, bed sensor or
     membrane; allowed_drag: mm of XY travel allowed in one contact.
@@ -482,10 +522,17 @@ class WorldSpec(Spec):
     allowed_drag: float = 0.05
     more_pins: Tuple[PinSpec, ...] = ()
     more_membranes: Tuple[MembraneSpec, ...] = ()
+    towers: Tuple[TowerSpec, ...] = ()
 
     _NOT_NEGATIVE = ("overtravel", "allowed_drag", "z_play")
 
     def _check(self) -> None:
+        names = tuple(tower.name for tower in self.towers)
+        self._require(names in ((), TOWERS), "towers", f"none, or {TOWERS}")
+        if self.towers:
+            a, b, c = self.towers
+            area = (b.x - a.x) * (c.y - a.y) - (b.y - a.y) * (c.x - a.x)
+            self._require(area != 0.0, "towers", "at the corners of a triangle")
         mag = self.mag_probe
         wants_dock = mag is not None and mag.mode == "dock"
         good = wants_dock == (self.dock is not None)

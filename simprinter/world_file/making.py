@@ -6,7 +6,8 @@ import re
 from collections.abc import Iterable, Iterator
 from typing import NamedTuple, Optional
 
-from ..printer_cfg import PrinterCfg
+from ..printer_cfg import DELTA, PrinterCfg
+from ..world.spec import TOWERS
 from .wiring import kinematics_of
 
 # mm that the toolhead stands off an endstop at first: the way there proves nothing
@@ -48,20 +49,47 @@ def made_from(cfg: PrinterCfg) -> str:
     """
     kinematics_of(cfg)
     cfg.motors()
-    axes = {axis: _axis(cfg, axis) for axis in "xyz"}
+    is_delta = cfg.kinematics == DELTA
+    axes = _axes_of_delta(cfg) if is_delta else _axes(cfg)
+    ends = {name: _tower(cfg, name) for name in TOWERS} if is_delta else axes
     signals: dict[str, str] = {}
-    others = {n: s for n, s in cfg.steppers().items() if n not in axes}
+    others = {n: s for n, s in cfg.steppers().items() if n not in ends}
     parts = [
         _head(cfg),
         _left_out(cfg),
         _start(axes),
-        _bed(cfg, axes),
-        *_switches(cfg, axes, signals),
+        _bed(axes),
+        *_switches(cfg, ends, signals),
         *_other_switches(cfg, others, axes, signals),
         *_probe(cfg, signals),
         _signals(signals),
     ]
     return "\n".join(part for part in parts if part)
+
+
+def _axes(cfg: PrinterCfg) -> dict[str, _Axis]:
+    return {axis: _axis(cfg, axis) for axis in "xyz"}
+
+
+def _axes_of_delta(cfg: PrinterCfg) -> dict[str, _Axis]:
+    """What the head of a delta does: no axis has a switch, Z is homed upwards."""
+    radius = cfg.number("printer", "delta_radius")
+    wide = cfg.number("printer", "print_radius", radius)
+    low = cfg.number("printer", "minimum_z_position", 0.0)
+    high = min(_tower(cfg, name).high for name in TOWERS)
+    across = _Axis(-wide, wide, None, None, False)
+    return {
+        "x": across,
+        "y": across,
+        "z": _Axis(low, high, high, None, True),
+    }
+
+
+def _tower(cfg: PrinterCfg, name: str) -> _Axis:
+    section = f"stepper_{name}"
+    usual = cfg.number("stepper_a", "position_endstop")
+    at = cfg.number(section, "position_endstop", usual)
+    return _Axis(0.0, at, at, cfg.pin(section, "endstop_pin"), True)
 
 
 def _axis(cfg: PrinterCfg, axis: str) -> _Axis:
@@ -123,7 +151,7 @@ def _start(axes: dict[str, _Axis]) -> str:
 """
 
 
-def _bed(cfg: PrinterCfg, axes: dict[str, _Axis]) -> str:
+def _bed(axes: dict[str, _Axis]) -> str:
     x, y, z = axes["x"], axes["y"], axes["z"]
     height, note = 0.0, ""
     if z.at is not None and not z.is_up and z.at < _CLEAR:
@@ -137,14 +165,19 @@ def _bed(cfg: PrinterCfg, axes: dict[str, _Axis]) -> str:
 # has. A guess: it is as large as the toolhead goes, level and flat.
 {note}\
 [bed]
-x_min_world_mm = {max(0.0, x.low):g}
+x_min_world_mm = {_edge(x):g}
 x_max_world_mm = {x.high:g}
-y_min_world_mm = {max(0.0, y.low):g}
+y_min_world_mm = {_edge(y):g}
 y_max_world_mm = {y.high:g}
 z_world_mm = {height:g}
 slope_x_mm_per_mm = 0.0
 slope_y_mm_per_mm = 0.0
 """
+
+
+def _edge(axis: _Axis) -> float:
+    """Beyond zero is no bed, but where zero is in the middle."""
+    return axis.low if axis.low == -axis.high else max(0.0, axis.low)
 
 
 def _switches(

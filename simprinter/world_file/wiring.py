@@ -5,13 +5,21 @@ from __future__ import annotations
 import re
 from dataclasses import replace
 
-from ..printer_cfg import GENERIC, PrinterCfg
+from ..printer_cfg import DELTA, GENERIC, PrinterCfg
 from ..scene import Scene
 from ..wiring import BoardSpec, Heater, Motor, Wiring
-from ..world import make_kinematics
+from ..world import WorldSpec, make_kinematics
+from ..world.spec import TOWERS
 from .reading import Extra, WorldFile
 
-_PLAIN = ("cartesian", "corexy", "corexz", "hybrid_corexy", "hybrid_corexz")
+_PLAIN = (
+    "cartesian",
+    "corexy",
+    "corexz",
+    "hybrid_corexy",
+    "hybrid_corexz",
+    DELTA,
+)
 # A slow axis or a limit changes nothing of how motors move the toolhead
 _LIMITED = re.compile(r"limited_(cartesian|corexy|corexz)")
 # The order in which klippy numbers the motors at the corners of a gantry, as
@@ -35,7 +43,7 @@ def scene_of(cfg: PrinterCfg, world: WorldFile) -> Scene:
         name=cfg.name,
         kinematics=kinematics_of(cfg),
         z_motors=_z_motors(cfg, world, motors),
-        world=world.spec,
+        world=_with_towers(cfg, world),
         wiring=Wiring(
             motors,
             dict(world.signals),
@@ -64,6 +72,23 @@ def kinematics_of(cfg: PrinterCfg) -> str:
         told = f"of machines only {known} are simulated"
         raise cfg.error("printer", "kinematics", told)
     return limited[1] if limited else name
+
+
+def _with_towers(cfg: PrinterCfg, world: WorldFile) -> WorldSpec:
+    """The world, with a delta's towers as printer.cfg has them unless told.
+
+    Raises WorldFileError where it has what is of no such machine.
+    """
+    spec, is_delta = world.spec, cfg.kinematics == DELTA
+    if spec.towers and not is_delta:
+        told = f"kinematics is {cfg.kinematics} in printer.cfg; leave them out"
+        raise world.refuse("[towers]", len(spec.towers), told)
+    axes = TOWERS if is_delta else ("x", "y", "z")
+    for switch in spec.switches:
+        if switch.axis not in axes:
+            told = f"this machine has the axes {', '.join(axes)}"
+            raise world.refuse("[switches] axis", switch.axis, told)
+    return replace(spec, towers=spec.towers or cfg.towers())
 
 
 def _require_wired(world: WorldFile) -> None:
@@ -103,6 +128,8 @@ def _z_motors(
     cfg: PrinterCfg, world: WorldFile, motors: dict[str, Motor]
 ) -> list[tuple[str, float, float]]:
     """Each Z motor with the place where it holds the gantry or the bed."""
+    if cfg.kinematics == DELTA:
+        return []
     names = sorted(name for name in motors if name[0] == "z")
     sections = cfg.steppers()
     places = dict(zip(names, _places(cfg, len(names))))
