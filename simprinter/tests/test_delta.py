@@ -130,6 +130,9 @@ arm_mm = 300
 def test_towers_may_stand_otherwise_than_printer_cfg_says(made):
     scene = plugin_printer.read_scene(CFG, made + TOWERS)
     assert scene.world.towers[0] == TowerSpec("a", -120, -70, 299)
+    turned = CFG.replace("[stepper_b]", "[stepper_b]\nangle: 0")
+    (_, tower, _) = plugin_printer.read_scene(turned, made).world.towers
+    assert (tower.x, tower.y) == pytest.approx((140, 0))
     short = CFG.replace("arm_length: 300", "arm_length: 140")
     with pytest.raises(PrinterCfgError, match="arm_length is '140'"):
         plugin_printer.read_scene(short, made)

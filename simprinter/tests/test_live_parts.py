@@ -127,11 +127,14 @@ def test_two_membrane_switches(start):
     printer = placed(start(with_probe(scene)))
     with pytest.raises(ValueError, match="'membrane', 'thick'"):
         printer.machine.lay_membrane(signal="no")
+    printer.run("G1 X130 F9000\nM400")
+    assert "nozzle_thick" not in {n.site for n in printer.machine.near()}
     printer.machine.lay_membrane(signal="thick")
+    assert "nozzle_thick" in {n.site for n in printer.machine.near()}
     printer.machine.break_down(
         Fault("trigger_late", site="nozzle_thick", mm=0.04)
     )
-    printer.run("G1 X130 F9000\nPROBE\nM400")
+    printer.run("PROBE\nM400")
     z = BED_Z + 1.2 - 0.04
     assert printer.machine.tip().z == pytest.approx(z, abs=2 * MICROSTEP)
     printer.run("G1 Z10\nM400")
