@@ -30,6 +30,7 @@ dir_pin: PA1
 microsteps: 16
 rotation_distance: 40
 endstop_pin: ^PC0
+homing_retract_dist: 0
 homing_speed: 50
 position_endstop: 250
 arm_length: 300
@@ -39,12 +40,14 @@ dir_pin: !PA4
 microsteps: 16
 rotation_distance: 40
 endstop_pin: ^PC1
+homing_retract_dist: 0
 [stepper_c]
 step_pin: PB0
 dir_pin: PB1
 microsteps: 16
 rotation_distance: 40
 endstop_pin: ^PC2
+homing_retract_dist: 0
 [probe]
 pin: ^PC3
 x_offset: 0
