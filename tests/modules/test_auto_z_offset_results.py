@@ -28,7 +28,6 @@ from tools.kit.auto_z_offset import (
 from tools.kit.cases import slow
 from tools.kit.klipper_sections import TOOL
 from tools.kit.printer import Printer, has_kinematics
-from tools.kit.prints import paused
 from tools.kit.scenes import SCENES
 
 MACHINES = ("qidi", "qidi_two_boards", "piezo_cartesian", "piezo_generic")
@@ -379,18 +378,6 @@ def test_offset_of_the_print_before_is_not_missed(start, tmp_path):
     printer.session.wait(30.0)
     assert "offset is 0.000, and" not in "\n".join(printer.session.console)
     assert printer.offset() == pytest.approx(-1.12)
-
-
-# What is printed already stands where the toolhead would go
-def test_nothing_goes_across_a_paused_print(start, tmp_path):
-    printer = paused(start, tmp_path, "qidi")
-    at = printer.session.position()
-    told = (
-        "a print is paused, and the toolhead would go across it; end it first"
-    )
-    assert told in printer.fail("AUTO_Z_CALIBRATE")
-    assert printer.session.position() == at
-    printer.run("CANCEL_PRINT\nAUTO_Z_CALIBRATE")
 
 
 @pytest.mark.parametrize("load", [LOAD, "SET_GCODE_OFFSET Z=-1.12"])

@@ -68,24 +68,6 @@ def probed_at(printer, seconds, command="AUTO_Z_PROBE"):
     return printer
 
 
-# Not homed
-
-
-@pytest.mark.parametrize("command", MEASURING)
-@pytest.mark.parametrize("script", [slow(""), "G28 X", slow("G28\nM84")])
-def test_axes_must_be_homed(host, command, script):
-    with Printer(host, "qidi") as printer:
-        printer.session.require_ready()
-        printer.run(script)
-        first = len(printer.machine.truth.touches)
-        text = printer.fail(f"AUTO_Z_{command}")
-        missing = "Y, Z" if script == "G28 X" else "X, Y, Z"
-        assert text == (
-            f"auto_z_offset: not homed: {missing}; home all axes (G28) first"
-        )
-        assert sites(printer, first) == []
-
-
 # One fault of a sensor, at every touch
 
 
@@ -603,14 +585,6 @@ def test_home_z_with_an_offset_that_does_no_harm(start):
     printer.run("SET_GCODE_OFFSET Z=-0.1\nAUTO_Z_HOME_Z")
     assert "nozzle_bed" in sites(printer)
     assert printer.offset() == pytest.approx(-0.1)
-
-
-def test_manual_probe_is_not_disturbed(start):
-    printer = start("qidi").homed()
-    printer.run("PROBE_CALIBRATE")
-    text = printer.fail("AUTO_Z_PROBE")
-    assert "a manual probe is under way; end it with ACCEPT or ABORT" in text
-    printer.run("ABORT\nAUTO_Z_PROBE")
 
 
 def test_absurd_correction_is_not_saved(start):

@@ -315,15 +315,6 @@ def test_wrong_parameters(host, params, words):
     assert words in text
 
 
-def test_axes_must_be_homed(host):
-    with Printer(host, "qidi", with_section()) as printer:
-        printer.session.require_ready()
-        text = refused(printer)
-    assert (
-        text == "auto_z_offset: not homed: X, Y, Z; home all axes (G28) first"
-    )
-
-
 def test_mesh_in_force(host):
     with Printer(host, "qidi", {**with_section(), **WITH_MESH}) as printer:
         printer.homed().run("BED_MESH_CALIBRATE")

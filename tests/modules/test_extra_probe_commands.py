@@ -256,53 +256,6 @@ def test_probe_has_to_be_named(start, command):
     assert "'much'" in printer.fail(f"{command} PROBE=much")
 
 
-@pytest.mark.parametrize("command", ["EXTRA_PROBE", "EXTRA_PROBE_ACCURACY"])
-def test_not_homed(start, command):
-    printer = start("membrane")
-    printer.session.require_ready()
-    text = printer.fail(f"{command} PROBE=membrane")
-    assert text == (
-        "extra_probe membrane: not homed: X, Y, Z; home all axes (G28) first"
-    )
-
-
-# A hand is below the nozzle, or somebody else's next step begins where it stands
-@pytest.mark.parametrize("command", ["EXTRA_PROBE", "EXTRA_PROBE_ACCURACY"])
-@pytest.mark.parametrize(
-    ("ask", "words", "end"),
-    [
-        (
-            CALIBRATE,
-            "EXTRA_PROBE_CALIBRATE waits for an answer, and somebody's hand may"
-            " be near; answer with EXTRA_PROBE_CONTINUE PROBE=membrane, or"
-            " EXTRA_PROBE_ABORT PROBE=membrane",
-            "EXTRA_PROBE_ABORT PROBE=membrane",
-        ),
-        (
-            "MANUAL_PROBE",
-            "a manual probe is under way; end it with ACCEPT or ABORT first",
-            "ABORT",
-        ),
-        (
-            "EXTRA_PROBE_CALIBRATE PROBE=other",
-            "section 'extra_probe other' waits for an answer",
-            "EXTRA_PROBE_ABORT PROBE=other",
-        ),
-    ],
-)
-def test_not_while_somebody_is_asked(start, ask, words, end, command):
-    options = {"pin": "^PG5", "z_offset": "0.3"}
-    printer = laid(start, changes={"extra_probe other": options})
-    printer.run(f"{ABOVE}\n{ask}")
-    at = printer.session.position()
-    text = printer.fail(f"{command} PROBE=membrane")
-    assert text.startswith(f"extra_probe membrane: {words}")
-    printer.session.wait(2.0)
-    assert printer.session.position() == at
-    assert heights(printer) == []
-    printer.run(f"{end}\n{PROBE}")
-
-
 # Whoever prints has cleared the bed
 def test_print_that_begins_ends_the_question(start, tmp_path):
     (tmp_path / "print.gcode").write_text(f"{PROBE}\nG4 P100\n")

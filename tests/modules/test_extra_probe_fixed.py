@@ -262,13 +262,6 @@ def test_in_a_print(start, tmp_path, saves):
     assert gap(printer) == pytest.approx(0.0, abs=NEAR)
 
 
-def test_not_while_a_print_is_paused(start):
-    printer = start(fixed_switch(), changes={"pause_resume": {}}).homed()
-    printer.run("PAUSE")
-    assert "a print is paused (PAUSE)" in printer.fail(CALIBRATE)
-    printer.run(f"CLEAR_PAUSE\n{CALIBRATE}")
-
-
 def test_hot_nozzle(start):
     printer = start(heated(fixed_switch())).homed()
     printer.run(f"M109 S160\n{CALIBRATE}")
@@ -357,18 +350,6 @@ def test_something_that_lies_on_the_bed(start):
     )
     text = fails(printer, "the probe triggers 3.77")
     assert "its z_offset is 2.000: over 1 mm apart; check that nothing" in text
-
-
-def test_not_homed(start):
-    printer = start(fixed_switch()).homed()
-    printer.run("M84")
-    assert "not homed" in printer.fail(CALIBRATE)
-
-
-def test_by_hand_at_the_same_time(start):
-    printer = start(fixed_switch()).homed()
-    printer.run("MANUAL_PROBE")
-    assert "a manual probe is under way" in printer.fail(CALIBRATE)
 
 
 # EXTRA_PROBE at such a switch

@@ -96,15 +96,6 @@ def test_error_in_offset_gcode_names_it(start):
 # Homing
 
 
-def test_homing_is_checked_before_start_gcode(start):
-    changes = macro("ATTACH", "RESPOND MSG=attaching")
-    printer = start(changes={**changes, **section(start_gcode="ATTACH")})
-    printer.session.require_ready()
-    printer.run("G28 X Y")
-    assert "not homed: Z" in printer.fail("CALIBRATE_Z")
-    assert "attaching" not in "\n".join(printer.session.console)
-
-
 @pytest.mark.slow
 @pytest.mark.parametrize("by_macro", [False, True])
 def test_start_gcode_may_home(start, by_macro):

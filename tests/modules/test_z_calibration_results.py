@@ -513,23 +513,6 @@ def test_template_that_stops_the_printer_is_the_last_thing_run(start):
 # What may go wrong on the way
 
 
-@pytest.mark.parametrize("homed", ["", "G28 X Y", "G28\nM84"])
-def test_unhomed_printer_does_not_move(start, homed):
-    printer = start(changes={"safe_z_home": None} if homed else None)
-    printer.session.require_ready()
-    if "M84" in homed:
-        homed = "G28 X Y\nM84"
-    printer.run(homed)
-    printer.session.wait(3.0)
-    before = printer.machine.tip()
-    text = printer.fail("CALIBRATE_Z")
-    assert re.search(r"not homed: .*Z; home all axes \(G28\) first", text)
-    printer.session.wait(3.0)
-    assert printer.machine.tip() == before
-    assert "failed, too" not in printer.session.log()
-    assert printer.session.state()[0] == "ready"
-
-
 def test_probe_that_is_not_attached_never_goes_down(start):
     changes = section(before_switch_gcode=None)
     printer = start("cartesian", changes=changes).homed()
@@ -662,19 +645,6 @@ def test_probe_is_usable_after_a_failure(start):
     printer.machine.tolerate("body_bed", 1.0)
     printer.homed().fail("CALIBRATE_Z")
     printer.run("G1 X150 Y120 Z15 F6000\nPROBE")
-
-
-def test_axes_that_are_not_homed_are_named(start):
-    # It stands over the pin already
-    scene = replace(SCENES["cartesian"], start=Pose(226.0, 20.0, 25.0))
-    printer = start(scene, changes={"safe_z_home": None})
-    printer.session.require_ready()
-    printer.run("G28 Z")
-    homing = len(printer.machine.truth.touches)
-    text = printer.fail("CALIBRATE_Z")
-    assert "z_calibration: not homed: X, Y; home all axes (G28)" in text
-    assert touched_sites(printer, homing) == []
-    assert printer.session.state()[0] == "ready"
 
 
 def test_switch_offset_beyond_the_travel_height(start):

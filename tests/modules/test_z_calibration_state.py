@@ -5,7 +5,6 @@ from __future__ import annotations
 import pytest
 
 from tools.kit.klipper_sections import TOOL
-from tools.kit.prints import paused
 from tools.kit.scenes import SCENES, heated
 from tools.kit.z_calibration import (
     SWITCH_OFFSET,
@@ -335,21 +334,6 @@ def test_resume_takes_no_baby_step_back(start):
     printer.run("SET_GCODE_OFFSET Z_ADJUST=-0.03")
     printer.run(SAVE)
     assert pending(printer)["z_calibration"] == {"switch_offset": "0.470"}
-
-
-# What is printed already stands where the toolhead would go
-@pytest.mark.parametrize(
-    "command", ["CALIBRATE_Z", "PROBE_Z_ACCURACY", "Z_CALIBRATION_WAIT"]
-)
-def test_nothing_goes_across_a_paused_print(start, tmp_path, command):
-    printer = paused(start, tmp_path)
-    at = printer.session.position()
-    told = (
-        "a print is paused, and the toolhead would go across it; end it first"
-    )
-    assert told in printer.fail(command)
-    assert printer.session.position() == at
-    printer.run(f"CANCEL_PRINT\n{command}")
 
 
 @pytest.mark.parametrize(

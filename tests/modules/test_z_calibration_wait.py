@@ -206,12 +206,6 @@ def test_report_shows_how_far_the_pin_has_moved(start):
 # What is asked before the nozzle goes down
 
 
-def test_printer_has_to_be_homed(start):
-    printer = start()
-    printer.session.require_ready()
-    assert "not homed: X, Y, Z" in printer.fail(WAIT)
-
-
 def test_template_of_a_run_cannot_begin_it(start):
     printer = homed(start, changes=section(start_gcode=f"\n  {WAIT}"))
     text = printer.fail("CALIBRATE_Z")

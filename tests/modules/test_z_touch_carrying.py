@@ -447,14 +447,10 @@ def test_nothing_is_pending_after(start, end):
     assert [line for line in printer.session.console if "!!" in line] == []
 
 
-@pytest.mark.parametrize(
-    "ask",
-    [
-        "EXTRA_PROBE_CALIBRATE PROBE=membrane",
-        "MANUAL_PROBE",
-        "Z_CALIBRATION_SETUP",
-    ],
-)
+ASKS = [f"EXTRA_PROBE_CALIBRATE {MEMBRANE}", "Z_CALIBRATION_SETUP"]
+
+
+@pytest.mark.parametrize("ask", [*ASKS, "MANUAL_PROBE"])
 def test_nothing_drives_off_while_a_person_is_asked(start, ask):
     printer = ready(start, {"allow_delayed_detach": "True"})
     printer.run(f"{OVER}PROBE\n{ask}\nM400")
@@ -480,110 +476,11 @@ def test_delayed_docking_waits_until_a_person_has_answered(start):
     assert trips(printer) == ["attach", "dock"]
 
 
-# By its section: what asks, and what ends that
-QUESTIONS = {
-    "extra_probe membrane": (
-        f"EXTRA_PROBE_CALIBRATE {MEMBRANE}",
-        f"EXTRA_PROBE_ABORT {MEMBRANE}",
-    ),
-    "z_calibration": ("Z_CALIBRATION_SETUP", "Z_CALIBRATION_SETUP STEP=ABORT"),
-    "dockable_probe": (
-        "DOCKABLE_PROBE_SETUP",
-        "DOCKABLE_PROBE_SETUP STEP=ABORT",
-    ),
-}
-
-
-@pytest.mark.parametrize("section", ["extra_probe membrane", "z_calibration"])
-def test_docking_is_not_delayed_while_a_question_is_open(start, section):
+@pytest.mark.parametrize("ask", ASKS)
+def test_docking_is_not_delayed_while_a_question_is_open(start, ask):
     printer = ready(start, {"allow_delayed_detach": "True"})
-    printer.run(f"{OVER}{QUESTIONS[section][0]}\nPROBE\nM400")
+    printer.run(f"{OVER}{ask}\nPROBE\nM400")
     assert trips(printer) == ["attach", "dock"]
-
-
-@pytest.mark.parametrize("section", QUESTIONS)
-def test_question_of_one_section_stops_the_others(start, section):
-    printer = ready(start)
-    ask, end = QUESTIONS[section]
-    printer.run(ask)
-    text = printer.fail("AUTO_Z_PROBE")
-    assert f"section '{section}' waits for an answer" in text
-    printer.run(f"{end}\n{OVER}AUTO_Z_PROBE")
-
-
-# Its set-up may have a sheet of paper on the bed, which the probe would measure
-@pytest.mark.slow
-@pytest.mark.parametrize(
-    "command",
-    [
-        "CALIBRATE_Z",
-        "CALIBRATE_Z_ACCURACY CYCLES=2",
-        "PROBE_Z_ACCURACY",
-        "Z_CALIBRATION_WAIT",
-    ],
-)
-def test_set_up_stops_what_is_no_part_of_it(start, command):
-    printer = ready(start)
-    printer.run(f"{OVER}CALIBRATE_Z")
-    printer.run(QUESTIONS["z_calibration"][0])
-    at = printer.session.position()
-    text = printer.fail(command)
-    assert text.startswith(
-        "z_calibration: section 'z_calibration' waits for an answer"
-    )
-    assert printer.session.position() == at
-    # As after each CALIBRATE_Z that has not ended well
-    is_good = printer.status("z_calibration")["last_query"]
-    assert is_good is (command != "CALIBRATE_Z")
-    printer.run(f"{QUESTIONS['z_calibration'][1]}\n{command}")
-
-
-# Nobody's end_gcode and error_gcode move a toolhead that has not moved
-@pytest.mark.slow
-@pytest.mark.parametrize(
-    "ask", [f"EXTRA_PROBE_CALIBRATE {MEMBRANE}", "MANUAL_PROBE"]
-)
-@pytest.mark.parametrize(
-    "command",
-    [
-        "CALIBRATE_Z",
-        slow("CALIBRATE_Z_ACCURACY CYCLES=2 HOME=1"),
-        "PROBE_Z_ACCURACY",
-        "Z_CALIBRATION_WAIT",
-        "Z_CALIBRATION_SETUP",
-    ],
-)
-def test_nothing_of_z_calibration_moves_while_another_one_asks(
-    start, command, ask
-):
-    moves = {
-        "start_gcode": "ATTACH_PROBE",
-        "end_gcode": "G1 X100 Y100 F6000",
-        "error_gcode": "G28 X",
-    }
-    printer = ready(start, changes={"z_calibration": moves})
-    printer.run(f"{OVER}{ask}\nM400")
-    before, tip = printer.session.position(), printer.machine.tip()
-    text = printer.fail(command)
-    assert "waits for an answer" in text or "manual probe is under way" in text
-    printer.session.wait(2.0)
-    assert printer.session.position() == before
-    assert printer.machine.tip() == tip
-
-
-@pytest.mark.parametrize(
-    "touch", [name for name in TOUCHES if name.startswith("AUTO_Z")]
-)
-def test_nothing_moves_where_a_question_is_open(start, touch):
-    gcode = "\n  RESPOND MSG=prepared\n  G0 Z3"
-    changes = {"auto_z_offset": {"prepare_gcode": gcode}, "respond": {}}
-    printer = ready(start, changes=changes)
-    printer.run(f"{OVER}EXTRA_PROBE_CALIBRATE {MEMBRANE}")
-    at = printer.session.position()
-    assert "waits for an answer" in printer.fail(TOUCHES[touch])
-    printer.session.wait(1.0)
-    assert printer.session.position() == at
-    assert not any("prepared" in line for line in printer.session.console)
 
 
 def test_print_that_begins_ends_the_question(start, tmp_path):
