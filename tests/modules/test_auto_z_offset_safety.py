@@ -251,22 +251,6 @@ def test_sensor_that_stays_triggered_is_seen_before_the_probe_comes(start):
     assert state(printer) == before
 
 
-@pytest.mark.every_host(
-    "since 2026 a host waits for the trigger even after a shutdown"
-)
-@pytest.mark.parametrize(
-    ("site", "after"), [("nozzle_bed", 1.4), ("inductive_bed", 1.6)]
-)
-def test_emergency_stop_before_a_touch_hangs_no_host(start, site, after):
-    # Klipper of 2026 waits there for a trigger that never comes, and
-    # FIRMWARE_RESTART with it, unless the module looks first
-    printer = start("qidi").homed()
-    printer.stopped("AUTO_Z_CALIBRATE", site, after)  # on the way
-    printer.session.wait(10.0)
-    printer.session.restart("FIRMWARE_RESTART")
-    printer.homed()
-
-
 # What is known of the bed
 
 
@@ -827,23 +811,6 @@ def test_driver_that_is_better_left_alone(start, tmp_path, own, command, calls):
         assert min(later) > changed + 0.13
     notes = told(printer.session.console, "z_current_factor has no effect")
     assert len(notes) == (0 if calls else 1)
-
-
-# The connection
-
-
-@pytest.mark.parametrize("board", ["U_1", "mcu"])
-def test_lost_connection_is_the_only_end_of_the_printer(start, board):
-    # Half a second before the nozzle is on the bed, or the probe sees it
-    clean = start("qidi_two_boards").homed()
-    first = clean.machine.rig.seconds(clean.machine.simulation.clock.now())
-    clean.run("AUTO_Z_MEASURE_OFFSET")
-    touch = touches(clean)[-1 if board == "mcu" else -2]
-    fault = Fault("mcu_silent", board=board, t=touch.t - 0.5)
-    printer = start("qidi_two_boards", faults=[fault]).homed()
-    assert touch.t - 0.5 > first
-    printer.fail("AUTO_Z_MEASURE_OFFSET")
-    assert lowest(printer) <= ONE_TOUCH + STEPS
 
 
 # Other probes

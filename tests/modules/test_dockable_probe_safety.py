@@ -561,16 +561,6 @@ def test_emergency_stop_while_fetching(start):
     assert where(printer) == "docked"
 
 
-def test_emergency_stop_at_a_touch(start):
-    printer = start(SWITCH).homed()
-    printer.run("G1 X150 Y150 Z20 F6000")
-    printer.stopped("PROBE", "probe_bed", 0.3)
-    printer.session.restart("FIRMWARE_RESTART")
-    printer.run("G28\nG1 X150 Y150 Z20 F6000\nPROBE")
-    # It was on the toolhead: docked and fetched to see that it changes
-    assert trips(printer) == ["attach", "dock", "attach", "dock"]
-
-
 # The dock in the way
 
 

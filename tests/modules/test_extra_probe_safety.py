@@ -35,7 +35,6 @@ from tools.kit.extra_probe import (
     touch,
     true_gap,
 )
-from tools.kit.printer import Printer
 from tools.kit.scenes import SCENES, on_gantry
 
 DEEP = 3.0
@@ -669,24 +668,6 @@ def test_something_high_on_the_bed(start):
 # The end of the printer
 
 
-@pytest.mark.parametrize("after", [slow(0.0), 0.2, slow(1.0), 3.0])
-def test_emergency_stop(start, after):
-    printer = asked(start)
-    text = printer.stopped(CONTINUE, "nozzle_membrane", after)
-    assert "Internal error" not in text
-    assert "shutdown" in text.lower()
-    assert printer.machine.truth.depth("nozzle_membrane") < 0.06
-    printer.session.restart("FIRMWARE_RESTART")
-    # Nothing is left of it
-    assert state(printer)["pending"] == {}
-    assert printer.status(NAME)["waits_for"] == ""
-    assert "nothing was asked" in printer.fail(CONTINUE)
-    printer.machine.lay_membrane(False)
-    printer.run("G28")
-    calibrate(printer)
-    assert true_gap(printer) == pytest.approx(0.0, abs=2 * MICROSTEP)
-
-
 def test_emergency_stop_while_somebody_is_asked(start):
     printer = asked(start)
     assert printer.status("extra_probe membrane")["waits_for"]
@@ -697,24 +678,6 @@ def test_emergency_stop_while_somebody_is_asked(start):
         printer.run(CONTINUE)
     printer.session.restart("FIRMWARE_RESTART")
     assert printer.offset() == 0.0
-
-
-def test_board_of_the_membrane_that_falls_silent(host):
-    with Printer(host, "membrane_two_boards") as printer:
-        printer.homed().run(CALIBRATE)
-        lay(printer)
-        now = printer.machine.rig.seconds(
-            printer.machine.simulation.clock.now()
-        )
-        fault = Fault("mcu_silent", board="loadcell", t=now + 4.0)
-        printer.machine.break_down(fault)
-        for site in ("nozzle_membrane", "nozzle_bed"):
-            printer.machine.tolerate(site, DEEP)
-        text = printer.fail(CONTINUE)
-        assert "Internal error" not in text
-        # Its switch need not be pressed by hand
-        assert "a board was not heard in time" in text
-        assert "by hand" not in text
 
 
 def test_scenes_have_something_to_lose():

@@ -686,54 +686,6 @@ def test_probe_that_falls_off(host, site, touch, when):
         assert_unharmed(printer)
 
 
-@pytest.mark.slow
-def test_lost_connection_is_the_only_end_of_the_printer(start):
-    # Measured once to know when
-    printer = start("voron_two_boards")
-    printer.homed()
-    calibration(printer)
-    times = [t.t for t in printer.machine.truth.touches if t.site == "body_pin"]
-    fault = Fault("mcu_silent", t=times[1], board="zboard")
-    silent = start("voron_two_boards", faults=[fault]).homed()
-    silent.machine.tolerate("body_pin", 1.0)
-    text = silent.fail("CALIBRATE_Z")
-    # In the words of the host
-    words = ("timeout", "lost", "unable to obtain")
-    assert any(word in text.lower() for word in words), text
-    assert silent.machine.truth.min_gap > 1.0
-
-
-def test_emergency_stop_is_told_without_hints(start):
-    # Whoever has pressed the button does not need them
-    # On its way to the second sample
-    printer = start(changes=section(probing_retract_dist="3")).homed()
-    text = printer.stopped("CALIBRATE_Z", "nozzle_pin", 1.6)
-    assert text == "Probing failed due to printer shutdown"
-
-
-# The speed of before is not set again, from where the host takes the toolhead to be
-def test_emergency_stop_is_told_whatever_a_template_has_left(start):
-    gcode = "\n  G91\n  G1 X1 F1234"
-    options = {"start_gcode": gcode, "probing_retract_dist": "3"}
-    printer = start(changes=section(**options)).homed()
-    text = printer.stopped("CALIBRATE_Z", "nozzle_pin", 1.6)
-    assert text == "Probing failed due to printer shutdown"
-
-
-@pytest.mark.every_host(
-    "since 2026 a host waits for the trigger even after a shutdown"
-)
-@pytest.mark.parametrize("site", ["nozzle_pin", "probe_bed"])
-def test_emergency_stop_before_a_touch_hangs_no_host(start, site):
-    # Klipper of 2026 waits there for a trigger that never comes, and
-    # FIRMWARE_RESTART with it, unless the module looks first
-    printer = start().homed()
-    printer.stopped("CALIBRATE_Z", site, 0.15)  # lifting
-    printer.session.wait(10.0)
-    printer.session.restart("FIRMWARE_RESTART")
-    printer.homed()
-
-
 def test_pin_of_its_own_has_no_place_to_fall_back_to(start):
     # [safe_z_home] is where the probe homes, over the bed
     printer = start("separate_pin", changes=section(nozzle_xy_position=None))

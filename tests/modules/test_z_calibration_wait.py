@@ -256,26 +256,6 @@ def test_dead_pin_ends_it_with_the_head_lifted(start):
     printer.run(f"{WAIT} MAX=2")
 
 
-def test_nothing_moves_after_an_emergency_stop(start):
-    changes = {"respond": {}, **section(error_gcode="\n  RESPOND MSG=ERROR")}
-    printer = homed(start, changes=changes)
-    command = printer.session.begin(WAIT)
-    printer.session.wait(30.0)
-    touches = len(printer.machine.truth.touches)
-    tip = printer.machine.tip()
-    printer.session.stop()
-    with pytest.raises(Exception, match="shut down|shutdown|stop"):
-        printer.session.finish(command)
-    printer.session.wait(3.0)
-    cause = "z_calibration: the printer is shut down: Shutdown due to webhooks"
-    assert cause in printer.session.log()
-    printer.session.wait(120.0)
-    assert len(printer.machine.truth.touches) == touches
-    assert printer.machine.tip() == tip
-    printer.session.restart("FIRMWARE_RESTART")
-    printer.run(f"G28\n{WAIT} MAX=2")
-
-
 @pytest.mark.every_host("only Kalico has a command that ends a wait")
 def test_interrupt_of_kalico(start, host):
     if host.name != "kalico":
