@@ -6,15 +6,12 @@ from dataclasses import replace
 
 import pytest
 
-from simprinter import Fault
 from simprinter.world import Bed
 from tools.kit.auto_z_offset import (
-    DEPTH,
     MICROSTEP,
     POINT,
     PROBE_PLACE,
     formulas,
-    lowest,
     pending,
     state,
     told,
@@ -345,22 +342,6 @@ def test_twist_in_force(host):
 
 
 # What goes wrong on the way
-
-
-def test_dead_sensor_at_a_later_point(host):
-    fault = Fault(
-        "trigger_never", site="nozzle_bed", touch=4, command="AUTO_Z_TWIST"
-    )
-    with Printer(host, "qidi", with_section(), faults=[fault]) as printer:
-        printer.machine.tolerate("nozzle_bed", 1.1)
-        before = state(printer.homed())
-        text = printer.fail("AUTO_Z_TWIST")
-        assert "the switch did not answer" in text
-        assert "1.000 mm below the expected trigger" in text
-        assert lowest(printer) <= DEPTH + 0.01 + 1.0 + STEPS
-        assert state(printer) == before
-        tip = printer.machine.tip()
-        assert printer.machine.truth.true_gap(tip.x, tip.y, tip.z) > 3.6
 
 
 def test_what_no_twist_is(host):

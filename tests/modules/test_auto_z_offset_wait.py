@@ -7,11 +7,8 @@ import pytest
 from simprinter import Fault
 from simprinter.world import DriftSpec
 from tools.kit.auto_z_offset import (
-    DEPTH,
     POINT,
-    lowest,
     section,
-    state,
     told,
     touches,
 )
@@ -111,23 +108,6 @@ def test_touches_that_differ_more_than_the_section_allows_end_it(start):
     changes = section(samples_tolerance="0.01", samples_tolerance_retries="0")
     printer = homed(start, faults=[fault], changes=changes)
     assert "samples_tolerance" in printer.fail(WAIT)
-
-
-def test_dead_sensor_ends_it_near_where_the_bed_was(start):
-    # The first touch of the second minute, which knows the bed as the next touch of the
-    # first minute does
-    fault = Fault("trigger_never", site="nozzle_bed", touch=4, command=WAIT)
-    printer = start("qidi", faults=[fault])
-    printer.machine.tolerate("nozzle_bed", 0.5)
-    printer.homed().run("SET_GCODE_OFFSET Z=0.2 MOVE=0")
-    before = state(printer)
-    text = printer.fail(WAIT)
-    assert "the switch did not answer" in text
-    assert lowest(printer) <= DEPTH + 0.42
-    assert state(printer) == before
-    tip = printer.machine.tip()
-    assert printer.machine.truth.true_gap(tip.x, tip.y, tip.z) > 3.6
-    printer.run(f"{WAIT} MAX=2")
 
 
 def test_sensor_that_stays_triggered_ends_it(start):

@@ -229,40 +229,7 @@ def test_sense_that_is_stuck_from_the_start(start, signal, level):
     assert printer.session.state()[0] == "ready"
 
 
-# Lost, or dead, at each touch
-
-
-def fails_somewhere(printer):
-    """In homing, in PROBE, or in the mesh; the error's text."""
-    with pytest.raises(GcodeError) as error:
-        for script in ("G28", "PROBE", MESH):
-            printer.run(script)
-    return str(error.value)
-
-
-@pytest.mark.parametrize("when", ["touch", slow("lift")])
-@pytest.mark.parametrize(
-    ("command", "touch"),
-    [
-        ("G28", 1),
-        slow("G28", 2),
-        ("PROBE", 1),
-        slow("PROBE", 2),
-        ("BED_MESH_CALIBRATE", 3),
-    ],
-)
-@pytest.mark.parametrize("scene", [GANTRY, slow(SENSED)], ids=lambda s: s.name)
-def test_probe_lost_at_a_touch(start, scene, command, touch, when):
-    about = {"site": "probe_bed", "touch": touch, "command": command}
-    fault = Fault("probe_falls", when=when, **about)
-    printer = ready(start(scene, section(samples="2"), faults=[fault]))
-    text = fails_somewhere(printer)
-    assert "the probe" in text
-    assert where(printer) == "lost"
-    assert "ready" in printer.session.state()[0]
-    assert printer.machine.truth.min_gap > 5.0
-    # Nothing goes on with what it measured
-    assert "Mesh Bed Leveling Complete" not in printer.session.console
+# Lost, or dead
 
 
 @pytest.mark.every_host(
@@ -291,26 +258,6 @@ def test_not_back_down_to_nothing(start):
     assert "No trigger" in printer.fail("PROBE")
     assert where(printer) == "docked"
     assert printer.session.position()[2] == pytest.approx(CLEAR)
-
-
-@pytest.mark.parametrize(
-    ("command", "touch"),
-    [
-        ("G28", 2),
-        slow("PROBE", 1),
-        ("BED_MESH_CALIBRATE", 1),
-        slow("BED_MESH_CALIBRATE", 3),
-    ],
-)
-@pytest.mark.parametrize("level", ["stuck_open", "stuck_closed"])
-def test_switch_that_dies_at_a_touch(start, command, touch, level):
-    fault = Fault(level, site="probe_bed", touch=touch, command=command)
-    printer = ready(tolerant(start(GANTRY, section(**QUICK), faults=[fault])))
-    fails_somewhere(printer)
-    assert printer.session.state()[0] == "ready"
-    # The second way down of homing hardly goes deeper than the first one
-    lowest = HANG - 1.0 if command == "G28" else FLOOR
-    assert printer.machine.truth.min_gap > lowest - 0.1
 
 
 # As QUAD_GANTRY_LEVEL between two G28 does: the toolhead is where it was said to

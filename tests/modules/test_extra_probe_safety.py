@@ -24,7 +24,6 @@ from tools.kit.extra_probe import (
     CONTINUE,
     MICROSTEP,
     NAME,
-    THICKNESS,
     calibrate,
     heights,
     lay,
@@ -111,13 +110,6 @@ def at_touch(number, name, **more):
     return Fault(name, touch=number, **about, **more)
 
 
-@pytest.mark.parametrize("n", [1, slow(2), 3])
-@pytest.mark.parametrize("name", [slow("stuck_open"), "trigger_never"])
-def test_membrane_that_is_dead(start, name, n):
-    printer = asked(start, faults=[at_touch(n, name)])
-    fails(printer, "the switch did not answer")
-
-
 @pytest.mark.parametrize(
     "options",
     [
@@ -137,18 +129,6 @@ def test_membrane_that_always_reads_triggered(start, options):
     # The question stays
     assert printer.status(NAME)["waits_for"] == "switch"
     assert printer.machine.truth.min_gap > 9.0
-
-
-@pytest.mark.parametrize("n", [1, 2, 3])
-def test_membrane_that_begins_to_read_triggered(start, n):
-    printer = asked(start, faults=[at_touch(n, "stuck_closed")])
-    text = fails(printer, "triggered")
-    query = (
-        "look with QUERY_EXTRA_PROBE PROBE=membrane while nothing presses it"
-    )
-    assert query in text and "the bed may be lower" not in text
-    # Never lower than it was
-    assert printer.machine.truth.min_gap > THICKNESS - 0.06
 
 
 @pytest.mark.parametrize("mm", [5.5, 7.0])

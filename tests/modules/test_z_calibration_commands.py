@@ -19,7 +19,6 @@ from tools.kit.z_calibration import (
     calibration,
     section,
     touched_sites,
-    with_dead_pin,
 )
 
 # Behind the bed, where the probe has nothing to stand on
@@ -360,14 +359,6 @@ def test_accuracy_needs_an_absent_probe(start):
     text = printer.fail("PROBE_Z_ACCURACY")
     assert "the probe is attached already" in text
     assert touched_sites(printer, before) == []
-
-
-def test_accuracy_has_a_floor_and_lifts(start):
-    printer = with_dead_pin(start, 3, "PROBE_Z_ACCURACY")
-    text = printer.fail("PROBE_Z_ACCURACY")
-    assert "nozzle: the switch did not answer" in text
-    assert "(stopped at z=0.600)" in text
-    assert_unharmed(printer)
 
 
 # CALCULATE_SWITCH_OFFSET

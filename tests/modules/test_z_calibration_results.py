@@ -578,26 +578,6 @@ def test_endstop_that_is_pressed_already_is_not_touched(start):
 
 
 @pytest.mark.parametrize(
-    ("where", "touch", "site"),
-    [
-        slow("nozzle_pin", 1, "nozzle"),
-        ("nozzle_pin", 2, "nozzle"),
-        ("body_pin", 1, "switch"),
-        slow("body_pin", 2, "switch"),
-    ],
-)
-def test_endstop_that_closes_while_a_touch_begins(start, where, touch, site):
-    fault = Fault(
-        "stuck_closed", site=where, touch=touch, command="CALIBRATE_Z"
-    )
-    printer = start(faults=[fault]).homed()
-    text = printer.fail("CALIBRATE_Z")
-    assert f"{site}: the Z endstop reads triggered" in text
-    assert "QUERY_ENDSTOPS" in text
-    assert_unharmed(printer)
-
-
-@pytest.mark.parametrize(
     ("site", "noticed"), [("nozzle", "switch"), ("switch", "bed")]
 )
 def test_endstop_that_stays_pressed_after_the_last_touch(host, site, noticed):
@@ -636,15 +616,6 @@ def test_failure_keeps_the_last_result_and_offset(start):
     expected = {**status, "last_query": False, "history": now["history"]}
     assert now == expected
     assert_unharmed(printer, good[-1])
-
-
-def test_probe_is_usable_after_a_failure(start):
-    # The session must have been closed
-    about = {"site": "probe_bed", "touch": 2, "command": "CALIBRATE_Z"}
-    printer = start(faults=[Fault("trigger_never", **about)])
-    printer.machine.tolerate("body_bed", 1.0)
-    printer.homed().fail("CALIBRATE_Z")
-    printer.run("G1 X150 Y120 Z15 F6000\nPROBE")
 
 
 def test_switch_offset_beyond_the_travel_height(start):

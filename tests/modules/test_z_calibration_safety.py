@@ -7,9 +7,8 @@ from dataclasses import replace
 import pytest
 
 from simprinter import Fault
-from simprinter.hosts.session import GcodeError
 from simprinter.world import DriftSpec
-from tools.kit.cases import all_slow_but, slow
+from tools.kit.cases import slow
 from tools.kit.printer import Printer, has_kinematics
 from tools.kit.scenes import SCENES
 from tools.kit.z_calibration import (
@@ -599,91 +598,6 @@ def test_host_probes_to_its_own_floor_again_afterwards(start):
     printer.fail("PROBE")
     # position_min of the axis, not the floor of the calibration
     assert printer.session.position()[2] == pytest.approx(-5.0, abs=0.01)
-
-
-# Every kind of fault, at every touch: make faults does each at each operation
-
-
-TOUCHES = [
-    (site, touch)
-    for site in ("nozzle_pin", "body_pin", "probe_bed")
-    for touch in (1, 2, 3)
-]
-CASES = [
-    (kind, *touch)
-    for kind in ("trigger_never", "trigger_early", "stuck_open", "stuck_closed")
-    for touch in TOUCHES
-]
-
-
-# Once at each site in each way, its first touch and another in turn
-@pytest.mark.parametrize(
-    ("kind", "site", "touch"),
-    all_slow_but(
-        [
-            ("trigger_never", "nozzle_pin", 2),
-            ("trigger_early", "body_pin", 2),
-            ("stuck_open", "body_pin", 1),
-            ("stuck_closed", "body_pin", 3),
-            ("trigger_early", "probe_bed", 2),
-            ("stuck_closed", "probe_bed", 1),
-        ],
-        CASES,
-    ),
-)
-def test_single_fault_of_a_sensor(host, kind, site, touch):
-    options = {"mm": 0.3} if kind == "trigger_early" else {}
-    fault = Fault(
-        kind, site=site, touch=touch, command="CALIBRATE_Z", **options
-    )
-    with Printer(host, faults=[fault]) as printer:
-        # A dead switch is pressed: 1 mm into the pin, and never the nozzle
-        # into the bed
-        for pressed in ("nozzle_pin", "body_pin", "body_bed"):
-            printer.machine.tolerate(pressed, 1.0 + MICROSTEP)
-        printer.homed()
-        printer.run("SET_GCODE_OFFSET Z=0.3")
-        homing = len(printer.machine.truth.touches)
-        try:
-            result = result_of(printer.run("CALIBRATE_Z"))
-        except GcodeError as error:
-            assert str(error).startswith(("z_calibration: ", "!!")), error
-            assert_unharmed(printer, 0.3)
-            assert printer.status("z_calibration")["last_query"] is False
-        else:
-            # Whatever is accepted is right
-            assert result[-1] == pytest.approx(0.16, abs=0.01)
-            assert printer.gap() == pytest.approx(0.06, abs=0.01)
-        assert len(printer.machine.truth.touches) >= homing
-        assert printer.machine.truth.deepest_in_bed() == 0.0
-
-
-@pytest.mark.parametrize(
-    ("site", "touch"),
-    all_slow_but(
-        [("body_pin", 2), ("body_pin", 3), ("probe_bed", 3)], TOUCHES[3:]
-    ),
-)
-@pytest.mark.parametrize("when", ["touch", slow("lift")])
-def test_probe_that_falls_off(host, site, touch, when):
-    fault = Fault(
-        "probe_falls", site=site, touch=touch, command="CALIBRATE_Z", when=when
-    )
-    with Printer(host, faults=[fault]) as printer:
-        for pressed in ("body_pin", "body_bed"):
-            printer.machine.tolerate(pressed, 1.0 + MICROSTEP)
-        text = printer.homed().fail("CALIBRATE_Z")
-        # The next look is before the next touch: of the third body touch at the
-        # bed.  It falls right behind a touch, where some hosts look at once.
-        is_body, is_last = site == "body_pin", touch == 3
-        looks = ["switch: "] if is_body and not is_last else ["bed: "]
-        if is_body and is_last and when == "touch":
-            looks.append("switch: ")
-        assert any(where in text for where in looks)
-        assert "and was attached before: it has come off" in text
-        assert printer.machine.truth.min_gap > 1.0
-        assert printer.status("z_calibration")["last_query"] is False
-        assert_unharmed(printer)
 
 
 def test_pin_of_its_own_has_no_place_to_fall_back_to(start):

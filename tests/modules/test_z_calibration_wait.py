@@ -244,18 +244,6 @@ def test_dirty_nozzle_is_cleaned_once_without_the_offset_in_force(start):
 # What goes wrong meanwhile
 
 
-def test_dead_pin_ends_it_with_the_head_lifted(start):
-    fault = Fault("trigger_never", site="nozzle_pin", touch=5, command=WAIT)
-    printer = start(faults=[fault])
-    printer.machine.tolerate("nozzle_pin", 1.01)
-    printer.homed().run("SET_GCODE_OFFSET Z=0.2 MOVE=0")
-    text = printer.fail(WAIT)
-    assert "nozzle: the switch did not answer" in text
-    assert printer.status("z_calibration")["phase"] == "idle"
-    assert_unharmed(printer, 0.2)
-    printer.run(f"{WAIT} MAX=2")
-
-
 @pytest.mark.every_host("only Kalico has a command that ends a wait")
 def test_interrupt_of_kalico(start, host):
     if host.name != "kalico":
