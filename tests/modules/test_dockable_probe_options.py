@@ -8,7 +8,6 @@ import pytest
 
 from simprinter import Fault
 from simprinter.hosts.hosts import Host
-from tools.kit import product
 from tools.kit.dockable_probe import (
     BED,
     CLEAR,
@@ -23,14 +22,7 @@ from tools.kit.dockable_probe import (
     trips,
     where,
 )
-from tools.kit.load_errors import load
 from tools.kit.z_calibration import with_moves
-
-ROWS = pytest.mark.parametrize(
-    "row",
-    [*product.OPTIONS["dockable_probe"], *product.OLD_POSITIONS],
-    ids=lambda row: row.name,
-)
 
 DOCK = (50.0, 308.0)
 APPROACH = (50.0, 270.0)
@@ -61,37 +53,6 @@ def seconds(printer, script):
 
 
 # Wrong ones
-
-
-# As a printer that uses each of them
-WITH_ALL = {
-    "approach_position": None,
-    "detach_position": None,
-    "dock_angle": "270",
-    "detach_angle": "0",
-    "dock_safe_distance": "38",
-}
-
-
-@ROWS
-def test_nonsense_is_refused_by_the_name_of_the_option(host: Host, row):
-    others = WITH_ALL if row in product.OLD_POSITIONS else {}
-    for value in product.options.nonsense(row):
-        message = refusal(host, section(**{**others, row.name: value}))
-        assert row.name in message, (value, message)
-        # The host says 'dockable_probe:option' of a template.
-        assert "'dockable_probe" in message, (value, message)
-
-
-@pytest.mark.slow
-@ROWS
-def test_missing_option_is_told_or_has_a_default(host: Host, row):
-    state, message = load(host, section(**{row.name: None}), SENSED)
-    if row.default is product.options.REQUIRED:
-        words = f"Option '{row.name}' in section 'dockable_probe' must be"
-        assert words in message
-    else:
-        assert state == "ready", message
 
 
 @pytest.mark.parametrize(

@@ -2,7 +2,7 @@
 
 What a limit excludes is taken from the tables of options; of z_calibration, whose
 old names have limits of their own, from the table of its document, which tests/docs
-holds against the module.
+holds against the module. One that is left out has its default, or is asked for.
 """
 
 from __future__ import annotations
@@ -20,10 +20,10 @@ from tests.docs.documents import (
     samples_of,
     text_of,
 )
-from tools.kit.cases import slow
+from tools.kit.dockable_probe import SENSED
 from tools.kit.extra_probe import NAME
 from tools.kit.load_errors import load
-from tools.kit.product import GCODE, HISTORY, options
+from tools.kit.product import GCODE, HISTORY, OLD_POSITIONS, options
 from tools.kit.product import OPTIONS as TABLES
 from tools.kit.z_calibration import refusal
 
@@ -32,6 +32,15 @@ SCENES = {
     "z_calibration": "voron",
     "auto_z_offset": "qidi",
     "extra_probe": "membrane",
+    "dockable_probe": SENSED,
+}
+# As a [dockable_probe] of other releases uses each of its positions
+OLD_DOCK = {
+    "approach_position": None,
+    "detach_position": None,
+    "dock_angle": "270",
+    "detach_angle": "0",
+    "dock_safe_distance": "38",
 }
 # Where it is not the module's name
 SECTIONS = {"extra_probe": NAME}
@@ -82,22 +91,30 @@ def refused_by(row: options.Option) -> list[str]:
     return [*TEXTS, *options.nonsense(row)]
 
 
-def declared(module: str) -> list[Case]:
-    """All that its table of options has."""
+def declared(module: str, rows: tuple[options.Option, ...]) -> list[Case]:
+    """All that a table of its options has."""
     return [
         Case(
             module,
             row.name,
-            list(dict.fromkeys(refused_by(row))),
+            [
+                text
+                for text in dict.fromkeys(refused_by(row))
+                # A blank pin or position of [dockable_probe] is none, or is told by
+                # the host alone
+                if text.strip(" ^")
+                or module != "dockable_probe"
+                or text in options.nonsense(row)
+            ],
             row.default is options.REQUIRED,
         )
-        for row in TABLES[module]
+        for row in rows
     ]
 
 
 def old_names(module: str) -> list[Case]:
     """What else the tables of its document have: names that old sections use."""
-    rows = {case.name for case in declared(module)}
+    rows = {row.name for row in TABLES[module]}
     return [
         Case(module, option.name, list(dict.fromkeys(excluded(option.range))))
         for option in options_of(part(text_of(module), OPTIONS))
@@ -106,10 +123,9 @@ def old_names(module: str) -> list[Case]:
 
 
 CASES = [
-    *declared("z_calibration"),
+    *(case for module in SCENES for case in declared(module, TABLES[module])),
     *old_names("z_calibration"),
-    *declared("auto_z_offset"),
-    *declared("extra_probe"),
+    *declared("dockable_probe", OLD_POSITIONS),
 ]
 
 
@@ -135,6 +151,8 @@ def is_number(text: str) -> bool:
 def message_of(host, case, value):
     """What klippy stops with for one value of an option."""
     own = {case.name: value}
+    if case.name in {row.name for row in OLD_POSITIONS}:
+        own = {**OLD_DOCK, **own}
     if case.name.startswith("probe_") and case.module[0] == "z":
         # Half of a position is another mistake
         other = {"x": "y", "y": "x"}.get(case.name[-1])
@@ -148,25 +166,26 @@ def message_of(host, case, value):
         raise AssertionError(f"{case.name}: {value!r}: {error}") from None
 
 
-@pytest.mark.parametrize("case", CASES, ids=str)
-@pytest.mark.parametrize("texts", [telling, slow(others)])
-def test_nonsense_is_a_configuration_error(host, case, texts):
-    name, module = case.name, case.module
-    for value in texts(case):
+def assert_refused(host, case, texts):
+    """Each of them, by the name of the option and of its section."""
+    for value in texts:
         message = message_of(host, case, value)
-        assert name in message, (value, message)
+        assert case.name in message, (value, message)
         # The host says 'module:option' of a template
-        assert f"'{module}" in message, (value, message)
+        assert f"'{case.module}" in message, (value, message)
+
+
+@pytest.mark.parametrize("case", CASES, ids=str)
+def test_nonsense_is_a_configuration_error(host, case):
+    assert_refused(host, case, telling(case))
 
 
 @pytest.mark.slow
 @pytest.mark.parametrize("case", CASES, ids=str)
-def test_what_is_missing_is_told_or_has_a_default(host, case):
-    state, message = load(
-        host,
-        {case.section: {case.name: None}},
-        SCENES[case.module],
-    )
+def test_other_nonsense_and_none(host, case):
+    assert_refused(host, case, others(case))
+    changes = {case.section: {case.name: None}}
+    state, message = load(host, changes, SCENES[case.module])
     if state != "ready":
         assert "Internal error" not in message
         assert case.name in message
@@ -180,6 +199,7 @@ def test_what_is_missing_is_told_or_has_a_default(host, case):
         ("z_calibration", "endstop_pin"),
         ("auto_z_offset", "pin"),
         (NAME, "pin"),
+        ("dockable_probe", "pin"),
     ],
 )
 def test_pin_that_no_board_has(host, module, option):
