@@ -370,7 +370,7 @@ class Run:
         try:
             return head.probe_bed(session, floor.z)
         except CalibrationError as e:
-            if not touch.is_at(self.host, floor.z):
+            if e.remedy or not touch.is_at(self.host, floor.z):
                 raise e.advised(touch.CHECK_PROBE)
             error = NoTrigger(
                 f"{e} {floor.why}: that was not the bed, or the probe does not see it"
