@@ -34,6 +34,7 @@ TRIPS = (
 ASK = ("EXTRA_PROBE_CALIBRATE PROBE=membrane",)
 Z_SETUP = ("Z_CALIBRATION_SETUP",)
 DOCK_SETUP = ("DOCKABLE_PROBE_SETUP",)
+SETUPS = Z_SETUP + DOCK_SETUP
 TOUCHES = Z + AUTO + EXTRA
 SECTION = {
     **dict.fromkeys(Z + HOMES + Z_SETUP, "z_calibration"),
@@ -99,22 +100,22 @@ REFUSED = [
     ("X homed", TOUCHES + ASK, f"not homed: Y, Z; {HOME}"),
     ("X homed", TRIPS, f"not homed: Y; {WAY} (G28 Y)"),
     ("X and Y homed", TOUCHES + ASK, f"not homed: Z; {HOME}"),
-    ("manual probe", TOUCHES + HOMES + ASK + Z_SETUP + ATTACH, MANUAL),
+    ("manual probe", TOUCHES + HOMES + ASK + SETUPS + ATTACH, MANUAL),
     (
         "membrane asks",
-        Z + HOMES + AUTO + Z_SETUP,
+        Z + HOMES + AUTO + SETUPS,
         f"section 'extra_probe membrane' {MEMBRANE_WAITS}",
     ),
     ("membrane asks", EXTRA, f"EXTRA_PROBE_CALIBRATE {MEMBRANE_WAITS}"),
-    ("other one asks", TOUCHES + ASK + Z_SETUP, OTHER_WAITS),
-    ("set-up", TOUCHES + ASK, SETUP_WAITS),
+    ("other one asks", TOUCHES + ASK + SETUPS, OTHER_WAITS),
+    ("set-up", TOUCHES + ASK + DOCK_SETUP, SETUP_WAITS),
     ("set-up of the dock", TOUCHES + ASK + Z_SETUP, DOCK_WAITS),
     ("printing", ASK, BUSY.format("printing")),
-    ("printing", Z_SETUP + DOCK_SETUP, DURING),
+    ("printing", SETUPS, DURING),
     ("paused", ASK, BUSY.format("paused")),
     ("paused", DOCK_SETUP, DURING),
     ("paused", Z + AUTO + Z_SETUP, ACROSS),
-    ("paused by OctoPrint", ASK + Z_SETUP + DOCK_SETUP, GOES_ON),
+    ("paused by OctoPrint", ASK + SETUPS, GOES_ON),
 ]
 
 # Where all axes are homed no G-code of the user's moves a toolhead that has not moved

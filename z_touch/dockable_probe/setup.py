@@ -72,12 +72,15 @@ class Setup:
             if name:
                 self._answer(gcmd)
             else:
-                self._begin()
+                self._begin(gcmd)
 
-    def _begin(self) -> None:
+    def _begin(self, gcmd: GCodeCommand) -> None:
         """Ask the first step, or again what a set-up that is under way asks."""
         is_new = self.wizard.step is None
         if is_new:
+            with self.host.as_command_error(gcmd):
+                command.check_no_manual_probe(self.host)
+                attached.of(self.host.printer).check_questions(self.host)
             axes = self._axes()
             self.wizard.begin(
                 [
