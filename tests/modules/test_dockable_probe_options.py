@@ -236,6 +236,9 @@ def test_height_of_the_way(start, options, first, height):
     away = [z for x, y, z in ends if (x, y) != (150.0, 150.0)]
     assert away == pytest.approx([height] * len(away))
     assert min(z for _, _, z in ends[:-1]) == pytest.approx(first)
+    # And goes with it
+    last = max(at for at, end in enumerate(ends) if end[:2] != (150.0, 150.0))
+    assert ends[last + 1] == pytest.approx((150.0, 150.0, first))
     # Back as low as the probe allows
     low = HANG + float(options.get("sample_retract_dist", "2"))
     assert ends[-1][2] == pytest.approx(low)

@@ -113,12 +113,16 @@ class Moves:
         """
         settings, clear_z = self.settings, self.height.clear_z
         z = max(settings.way_z, clear_z)
-        is_high = settings.dock_position.z or not settings.dock_fixed_z
-        if on_the_way and not is_high and self.host.is_homed("z"):
+        if on_the_way and not self._is_high() and self.host.is_homed("z"):
             self.lift(max(settings.clear_z, clear_z))
         else:
             self.lift(z)
         return z
+
+    def _is_high(self) -> bool:
+        """Return whether the dock has a height of its own."""
+        settings = self.settings
+        return bool(settings.dock_position.z or not settings.dock_fixed_z)
 
     def go_to_height(self, z: Optional[float]) -> None:
         """Move up or down to z (mm); None: stay."""
@@ -141,11 +145,13 @@ class Moves:
         speed: float,
         into: bool = False,
         rise: Optional[float] = None,
+        sink: Optional[float] = None,
     ) -> None:
         """Move to X and Y of a position around the dock.
 
         With 'into' also where that is in the circle, otherwise to its edge.  'rise' (toolhead
-        Z, mm): up to it on the first straight line, where the toolhead is lower.
+        Z, mm): up to it on the first straight line, where the toolhead is lower; 'sink': down
+        to it on the last one, where it is higher.
         """
         start, limits = self.position(), self.host.axes.limits()[:2]
         goal = self._within_reach(position, limits)
@@ -163,11 +169,17 @@ class Moves:
                 " toolhead away from it, or lower safe_dock_distance"
                 f" ({self.zone.radius:.3f})"
             )
-        for x, y in points + [goal] * into:
+        # Beside the circle the way ends there anyway
+        ends = points and path.distance(points[-1], goal) < path.ROUNDING
+        way = points + [goal] * (into and not ends)
+        for number, (x, y) in enumerate(way, 1):
             z = self.position().z
-            up = None if rise is None or z is None else max(rise, z)
+            if rise is not None and z is not None:
+                z = max(rise, z)
+            if sink is not None and z is not None and number == len(way):
+                z = min(sink, z)
             touch.move_xyz(
-                self.host, (x, y, up), speed, self.settings.lift_speed
+                self.host, (x, y, z), speed, self.settings.lift_speed
             )
 
     def travel_beside(self, position: Position, speed: float) -> None:
@@ -305,12 +317,16 @@ class Moves:
     ) -> None:
         """Move back over where the toolhead was, and down there, no lower than 'lowest' (mm).
 
-        'lowest' None: only over it.  Not back into the dock itself, but to the very place
-        beside it: something is to be touched there.
+        'lowest' None: only over it, clear of the bed with the probe on.  Not back into the
+        dock itself, but to the very place beside it: something is to be touched there.
         """
-        self.lift_for_dock()
-        into = not self.is_in_dock(position)
-        self.travel(position, self.settings.travel_speed, into)
-        is_known = position.z is not None and self.host.is_homed("z")
-        if lowest is not None and position.z is not None and is_known:
-            self.go_to_height(max(position.z, lowest))
+        z = position.z if self.host.is_homed("z") else None
+        if not self.is_at(position):
+            self.lift_for_dock()
+            into, sink = not self.is_in_dock(position), None
+            if z is not None and not self._is_high():
+                # As it came, see lift_for_dock()
+                sink = max(z, self.settings.clear_z, self.height.clear_z)
+            self.travel(position, self.settings.travel_speed, into, sink=sink)
+        if lowest is not None and z is not None:
+            self.go_to_height(max(z, lowest))
