@@ -26,6 +26,7 @@ HELD = (
 
 
 # About once on each printer of the covering array
+@pytest.mark.timeout(900)
 @pytest.mark.parametrize("first", all_slow_but(USUAL, range(1, 301, TOGETHER)))
 def test_no_order_of_commands_does_harm(host, first):
     for seed in range(first, first + TOGETHER):
