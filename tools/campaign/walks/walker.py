@@ -270,10 +270,10 @@ class Walker:
         room = FINGERS if name.endswith("_membrane") else HAND
         if machine.truth.true_gap(*machine.tip(), now) < room:
             return
-        if name == "lay_membrane":
-            machine.lay_membrane()
-        elif name == "take_membrane":
-            machine.lay_membrane(False)
+        if name in ("lay_membrane", "take_membrane"):
+            # Where the switch is fixed there is none
+            if self.printer.scene.world.membrane is not None:
+                machine.lay_membrane(name == "lay_membrane")
         elif name.startswith("press_"):
             signal = name.replace("press_", "", 1)
             self._press(signal)
