@@ -710,12 +710,16 @@ def guide(page):
         elif step == "PAPER":
             lower(page)
         label = page.until(lambda: first_button(page, "textContent"), "asked")
+        if step in AFTER:
+            # It waits for 20 s of the printer, of which a slow browser takes much
+            set_speed(page, 1)
         page.press("#dialog", label)
         if step in AFTER:
             page.until(
                 lambda: "press it now" in page.text("#dialog"), "it watches"
             )
             page.do(AFTER[step])
+            set_speed(page, 4)
         if label == "Save":
             return
         until_asked(page, gcode)
@@ -771,11 +775,13 @@ def check_pad(page):
 
 
 def pin_in_lens(page):
-    """Where its left edge is in the close-up, of 240."""
-    # One script, as it is drawn anew all the time
-    return page.value(
-        "Number(document.querySelector('#lens .pin').getAttribute('x'))"
+    """Where the pin is in the close-up, which may be drawn anew just now."""
+    script = (
+        "(pin => pin && [Number(pin.getAttribute('x'))])"
+        "(document.querySelector('#lens .pin'))"
     )
+    (x,) = page.until(lambda: page.value(script), "a pin in the close-up")
+    return x
 
 
 def jog(page, label):
