@@ -89,7 +89,7 @@ CASES = (
         *("3 um, no history", 3.0),
         known=False,
         sigma=4.0,
-        seconds=20.0,
+        seconds=19.0,
         ratio=1.15,
     ),
     Case("3 um, target 0.005", 3.0, 5, target="0.005", sigma=2.6, seconds=44.0),

@@ -26,9 +26,10 @@ from tools.kit.printer import Printer
 NEAR = 1.0
 # Of a hand, and what it holds (mm): a probe, or a switch that is flat
 HAND, FINGERS = 15.0, 5.0
-# Of one command, printer seconds: a nozzle that is measured at three temperatures
-# stands still for minutes at each
-LIMIT = 3600.0
+# Of one command, printer seconds: a mesh of nine points takes 100, a nozzle that is
+# measured at three temperatures stands still for minutes at each
+LIMIT, GROWS_LIMIT = 900.0, 3600.0
+_GROWS = "Z_CALIBRATION_NOZZLE_GROWTH"
 _NUMBER = re.compile(r"-?\d+(\.\d+)?")
 _ACROSS = re.compile(r"G1 X(\S+) Y(\S+) F9000")
 
@@ -150,7 +151,8 @@ class Walker:
     def _gcode(self, script: str) -> None:
         self.script += script + "\n"
         try:
-            self.printer.session.run(self._around(script), LIMIT)
+            limit = GROWS_LIMIT if _GROWS in script else LIMIT
+            self.printer.session.run(self._around(script), limit)
         except GcodeError as error:
             self.refusal = str(error)
 
