@@ -6,10 +6,16 @@ from dataclasses import replace
 
 import pytest
 
-from tools.kit.auto_z_offset import MICROSTEP, POINT, told, true_gap, world
+from tools.kit.auto_z_offset import (
+    MICROSTEP,
+    POINT,
+    told,
+    true_gap,
+    with_extras,
+    world,
+)
 from tools.kit.cases import slow
 from tools.kit.klipper_sections import bed_mesh, profile
-from tools.kit.printer import module_files
 from tools.kit.scenes import SCENES
 
 STEPS = 2 * MICROSTEP
@@ -60,42 +66,16 @@ def test_shift_that_makes_the_gap_wrong_is_told(
     assert bool(words) is bool(told(lines, "the gap is wrong by"))
 
 
-# A transform of another module, which nothing here knows by its name
-LIFT = """
-class Lift:
-    def __init__(self, config):
-        self.printer = config.get_printer()
-        self.height = config.getfloat("height")
-        self.printer.register_event_handler("klippy:connect", self.connect)
-
-    def connect(self):
-        gcode_move = self.printer.lookup_object("gcode_move")
-        self.next = gcode_move.set_move_transform(self, force=True)
-
-    def get_position(self):
-        x, y, z, *e = self.next.get_position()
-        return [x, y, z - self.height, *e]
-
-    def move(self, position, speed):
-        x, y, z, *e = position
-        self.next.move([x, y, z + self.height, *e], speed)
-
-
-def load_config(config):
-    return Lift(config)
-"""
-
-
-def lifting(start, tmp_path, height, sections=None):
-    (tmp_path / "lift.py").write_text(LIFT)
-    modules = {**module_files(), "lift": tmp_path / "lift.py"}
+def lifting(start, height, sections=None):
+    """With a transform of another module, which nothing here knows by its name."""
+    modules = with_extras("lift")
     changes = {"lift": {"height": f"{height}"}, **(sections or {})}
     return start("qidi", changes, modules=modules).homed()
 
 
 @pytest.mark.parametrize("height", [-0.12, slow(0.12), slow(0.01)])
-def test_shift_of_another_module_is_told(start, tmp_path, height):
-    printer = lifting(start, tmp_path, height)
+def test_shift_of_another_module_is_told(start, height):
+    printer = lifting(start, height)
     lines = printer.run("AUTO_Z_CALIBRATE")
     gap = printer.scene.piezo_gap() + height
     assert true_gap(printer) == pytest.approx(gap, abs=STEPS)
@@ -107,10 +87,8 @@ BELOW = {"auto_z_offset": {"z_offset": "-0.05"}, "probe": {"z_offset": "2"}}
 
 
 @pytest.mark.slow
-def test_zero_of_the_bed_sensor_below_a_shift_of_another_module(
-    start, tmp_path
-):
-    printer = lifting(start, tmp_path, -0.12, BELOW)
+def test_zero_of_the_bed_sensor_below_a_shift_of_another_module(start):
+    printer = lifting(start, -0.12, BELOW)
     lines = printer.run("AUTO_Z_HOME_Z")
     words = "another feature: Z is shifted by -0.120 mm here"
     assert len(told(lines, words)) == 1

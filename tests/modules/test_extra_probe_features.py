@@ -207,36 +207,10 @@ def test_offset_of_the_active_tool_is_taken_off(start, is_saved):
     assert_right(printer)
 
 
-LIFT = """
-class Lift:
-    def __init__(self, config):
-        self.printer = config.get_printer()
-        self.printer.register_event_handler("klippy:connect", self.connect)
-
-    def connect(self):
-        gcode_move = self.printer.lookup_object("gcode_move")
-        self.next = gcode_move.set_move_transform(self, force=True)
-
-    def get_position(self):
-        x, y, z, *e = self.next.get_position()
-        return [x, y, z - 0.12, *e]
-
-    def move(self, position, speed):
-        x, y, z, *e = position
-        self.next.move([x, y, z + 0.12, *e], speed)
-
-
-def load_config(config):
-    return Lift(config)
-"""
-
-
-def test_what_nobody_knows_is_told_and_stays(start, tmp_path):
-    source = tmp_path / "lift.py"
-    source.write_text(LIFT)
-    modules = {**module_files(), "lift": source}
+def test_what_nobody_knows_is_told_and_stays(start):
+    modules = {**module_files(), "lift": EXTRAS / "lift.py"}
     # The mesh is the transform that it is around
-    changes = {**mesh(0.0), "lift": {}}
+    changes = {**mesh(0.0), "lift": {"height": "0.12"}}
     printer = start("membrane", changes=changes, modules=modules).homed()
     (line,) = told(calibrate(printer))
     assert "another feature shifts Z by 0.120 mm there: not taken off" in line
