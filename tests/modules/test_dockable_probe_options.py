@@ -253,6 +253,15 @@ def test_probe_that_was_never_measured(start):
     assert moves(printer, "ATTACH_PROBE")[-1][2] == pytest.approx(12.0)
 
 
+def test_way_back_clears_what_was_touched(start):
+    """A z_offset that is too small is no height to sink to with the probe on."""
+    printer = recording(start, z_offset=f"{HANG - 3.0:g}")
+    printer.run("PROBE\nDETACH_PROBE\nG1 Z2\nM400")
+    ends = moves(printer, "ATTACH_PROBE")
+    last = max(at for at, end in enumerate(ends) if end[:2] != (150.0, 150.0))
+    assert min(z for *_, z in ends[last:]) > HANG + 1.5
+
+
 def test_z_of_the_places_of_a_dock_on_the_bed(start):
     printer = recording(
         start,
