@@ -150,8 +150,8 @@ class Moves:
         """Move to X and Y of a position around the dock.
 
         With 'into' also where that is in the circle, otherwise to its edge.  'rise' (toolhead
-        Z, mm): up to it on the first straight line, where the toolhead is lower; 'sink': down
-        to it on the last one, where it is higher.
+        Z, mm): up to it on the first straight line, where the toolhead is lower; 'sink': to it
+        on the last one.
         """
         start, limits = self.position(), self.host.axes.limits()[:2]
         goal = self._within_reach(position, limits)
@@ -176,8 +176,8 @@ class Moves:
             z = self.position().z
             if rise is not None and z is not None:
                 z = max(rise, z)
-            if sink is not None and z is not None and number == len(way):
-                z = min(sink, z)
+            if sink is not None and number == len(way):
+                z = sink
             touch.move_xyz(
                 self.host, (x, y, z), speed, self.settings.lift_speed
             )
