@@ -2,8 +2,7 @@
 
 A real klippy is asked which options, commands, parameters, fields and phases
 there are, loads every default and range, and runs every example; numbers with
-names are those of the sources, and messages.md has a test of its own. What is wrong in a document is
-found: see MISTAKES.
+names are those of the sources, and messages.md has a test of its own.
 """
 
 from __future__ import annotations
@@ -441,43 +440,9 @@ def problems(running: Running, text: str) -> Found:
         yield from check(running, text)
 
 
-# What is changed in a document: a pattern, and what takes its place
-MISTAKES = {
-    "option left out": (r"(?m)^\| `samples` .*\n", ""),
-    "name of an option": (r"\| `samples` ", "| `sample` "),
-    "default": (r"(\| `lift_speed` \| )[^|]*", r"\1`21.0` "),
-    "range": ("mm/s, > 0", "mm/s, ≥ 0"),
-    "old option left out": (r"(?m)^\| `(probe_bed_x|x_offset)`.*\n", ""),
-    "command": (r"(?m)^### (A?[A-Z]+_[A-Z_]+)$", r"### \1_NOW"),
-    "parameter left out": (r"(?m)^\| `(ACCEPT_CHANGE|SAVE)`.*\n", ""),
-    "field": (r"\| `progress` ", "| `share` "),
-    "phase": ("`idle`, ", ""),
-    "part of the result": (r"(last_result.*)`probe`, ", r"\1"),
-    "constant": (r"`NO_TRAVEL` \| 0.0001", "`NO_TRAVEL` | 0.001"),
-    "answer": (r"(at z=-?)\d(\.\d+)", r"\g<1>9\2"),
-    "term": (r"(?m)^\| probe \| \d", "| probe | 9"),
-    "formula": (r"(?m)^(-?\d.* = .*)\d(\)?)$", r"\g<1>9\2"),
-    "floor": (r"(?m)^(\|.*\| -?\d)\.\d+( to .*)? \|$", r"\1.999\2 |"),
-    "link": (r"\]\(#", "](#no-"),
-    "picture": (r"\(\w+\.svg\)", "(a.svg)"),
-}
-
-
 @pytest.mark.slow
 @pytest.mark.parametrize("module", MODULES, ids=lambda module: module.name)
 def test_document_is_right(host, module):
     text = text_of(module.name)
     with Running(host, module) as running:
         assert list(problems(running, text)) == []
-
-
-@pytest.mark.slow
-@pytest.mark.timeout(300)
-@pytest.mark.parametrize("module", MODULES, ids=lambda module: module.name)
-def test_mistakes_in_it_are_found(host, module):
-    text = text_of(module.name)
-    with Running(host, module) as running:
-        for what, (old, new) in MISTAKES.items():
-            changed, count = re.subn(old, new, text)
-            assert count, what
-            assert any(problems(running, changed)), what

@@ -101,24 +101,8 @@ def problems(text: str) -> Iterator[str]:
     yield from link_problems(text, DOCUMENT)
 
 
-MISTAKES = {
-    "left out": (r"(?m)^\| `Clean the nozzle before.*\n", ""),
-    "too many": (
-        r"\| `switch_offset was",
-        "| `it was so` `switch_offset was",
-    ),
-    "number": ("3 of the last", "4 of the last"),
-    "picture": (r"\(report_wear.svg\)", "(report_good.svg)"),
-    "link": (r"\.md#", ".md#no-"),
-}
-
-
-def test_all_that_it_tells_is_there_and_mistakes_are_found():
+def test_all_that_it_tells_is_there():
     assert not "\n".join(problems(TEXT))
-    for what, (old, new) in MISTAKES.items():
-        changed, count = re.subn(old, new, TEXT)
-        assert count, what
-        assert list(problems(changed)), what
 
 
 @pytest.fixture
