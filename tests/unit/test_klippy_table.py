@@ -5,12 +5,10 @@ from __future__ import annotations
 from tests.docs.klippy import (
     DOCUMENT,
     EVENT,
-    Row,
     asked,
     generated,
     heard,
     looked_up,
-    missing,
     rows,
     typed,
 )
@@ -52,16 +50,3 @@ def test_each_attribute_that_is_asked_for_is_there():
     assert len(set(asked())) > 20
     assert set(asked()) - OWN - known == set()
     assert set(typed()) - OWN - known == set()
-
-
-def test_what_a_host_lacks_is_found():
-    table = [
-        Row("probe", "get_offsets", "", "", ""),
-        Row("probe", "start", "a session", "", ""),
-        Row("probe", "begin", "a session", "", ""),
-        Row("probe", "twist", "if there", "", ""),
-    ]
-    offsets, begin = ("probe", "get_offsets"), ("probe", "begin")
-    assert missing(table, {offsets, begin}) == []
-    assert missing(table, {begin}) == ["probe: get_offsets"]
-    assert missing(table, {offsets}) == ["a session"]

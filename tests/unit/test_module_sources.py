@@ -246,16 +246,3 @@ def test_nothing_of_the_host_is_written_to():
         return set(written_to(path.read_text())) - allowed
 
     assert files_with(written, outside(ROOMS)) == {}
-
-
-@pytest.mark.parametrize(
-    "text",
-    [
-        "self.host.toolhead.get_position = look",
-        "setattr(toolhead, name, look)",
-        "del probe.z_position",
-        "gcmd.limits, x = 1, 2",
-    ],
-)
-def test_what_is_written_to_is_found(text):
-    assert set(written_to(text)) - OWN
