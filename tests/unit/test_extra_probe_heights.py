@@ -3,26 +3,29 @@
 from __future__ import annotations
 
 import math
+from types import SimpleNamespace
 
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from tests.unit.loading import load
-from tests.unit.room_settings import default_settings
-
-heights = load("z_touch.extra_probe.heights")
-rows = load("z_touch.extra_probe.settings")
-ZZero = load("z_touch.host.toolhead").ZZero
-CalibrationError = load("z_touch.errors").CalibrationError
+from z_touch.errors import CalibrationError
+from z_touch.extra_probe import heights
+from z_touch.host.toolhead import ZZero
 
 z_values = st.floats(-5.0, 5.0)
 thicknesses = st.floats(0.01, 2.0)
 
 
-def settings(**options):
-    """Settings with a membrane of 0.25 mm, and nothing else."""
-    return default_settings(rows, **{"z_offset": 0.25, **options})
+def settings(**changes):
+    """Those of a membrane of 0.25 mm, as far as heights depend on them."""
+    values = {
+        "z_offset": 0.25,
+        "saved_homing_z": None,
+        "position_min": None,
+        "switch_height": None,
+    }
+    return SimpleNamespace(**{**values, **changes})
 
 
 def z_zero(z):

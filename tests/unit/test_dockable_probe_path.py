@@ -1,16 +1,14 @@
-"""The detour of [dockable_probe]: around the dock, never through it."""
+"""z_touch/dockable_probe/path.py: around the dock, never through it."""
 
 from __future__ import annotations
 
-import importlib
 import math
 
 import pytest
 from hypothesis import assume, given, settings
 from hypothesis import strategies as st
 
-settings_of = importlib.import_module("z_touch.dockable_probe.settings")
-detour = importlib.import_module("z_touch.dockable_probe.path")
+from z_touch.dockable_probe import path as detour
 
 LIMITS = ((0.0, 300.0), (-5.0, 310.0))
 # The body that the toolhead must not meet, as a part of the circle
@@ -197,29 +195,6 @@ def test_angle_between_two_ways_out(extract, detach, degrees):
     dock = position(0, 0, 5)
     angle = detour.strip_angle(dock, 5, extract, detach)
     assert angle == pytest.approx(degrees, abs=0.01)
-
-
-@pytest.mark.parametrize(
-    ("z_offset", "with_probe", "pin_z", "lowest"),
-    [
-        # Clear of the bed, and never more than 5 mm below it
-        (2.0, True, None, 1.0),
-        (6.0, True, None, 1.0),
-        (20.0, True, None, 15.0),
-        # Clear of a pin that the nozzle is homed on, if it is near the bed
-        (20.0, False, 0.0, 1.0),
-        (6.9, False, 1.6, 2.6),
-        (6.9, False, -0.5, 1.0),
-        (6.9, False, 250.0, 1.0),
-        # Never measured
-        (0.0, True, None, -1.0),
-        (0.0, False, 1.6, 1.0),
-        (-0.9, True, None, -1.9),
-    ],
-)
-def test_lowest_touch(z_offset, with_probe, pin_z, lowest):
-    z = settings_of.lowest_touch(z_offset, with_probe, pin_z)
-    assert z == pytest.approx(lowest)
 
 
 # Homing
