@@ -2,9 +2,7 @@
 
 from __future__ import annotations
 
-import math
 import random
-import statistics
 from collections import Counter
 from dataclasses import replace
 from pathlib import Path
@@ -12,7 +10,6 @@ from pathlib import Path
 import pytest
 
 from z_touch.report import cycles
-from z_touch.z_calibration import accuracy
 from z_touch.z_calibration.runs import Cycle, offsets, uncertainty
 
 DOCUMENT = Path(__file__).resolve().parents[2] / "docs" / "accuracy.md"
@@ -278,51 +275,3 @@ def test_first_touches_that_are_all_higher_are_no_dirt():
     assert cycles.judge(found).cause == "none"
     found = [replace(c, nozzle=[1.61, 1.6, 1.6]) for c in only()]
     assert cycles.judge(found).cause == "nozzle"
-
-
-# Figures, as the console has them
-
-
-def figures(found):
-    """By name, the numbers of each line."""
-    lines = list(accuracy.figures(found, 0.44, STEP, 21.25))
-    *series, last = [line.split(": ") for line in lines]
-    numbers = {
-        name: [float(part.split()[-1]) for part in rest.split(", ")[:3]]
-        + [float(rest.split("drift ")[1].split()[0])]
-        for name, rest in series
-    }
-    return numbers, ": ".join(last)
-
-
-def test_figures_of_a_series():
-    z = [1.6, 1.604, 1.602, 1.61]
-    found = [
-        Cycle(30.0 * i, (v, v + 0.002), (8.0, 8.0), (7.0, 7.0))
-        for i, v in enumerate(z)
-    ]
-    numbers, last = figures(found)
-    assert list(numbers) == ["nozzle", "switch", "bed", "offset"]
-    mean, sd, span, drift = numbers["nozzle"]
-    assert mean == pytest.approx(statistics.mean(z) + 0.001)
-    assert sd == pytest.approx(statistics.stdev(z), abs=1e-6)
-    assert span == pytest.approx(0.01)
-    # Of the straight line through 0, 0.5, 1 and 1.5 minutes: 0.007 / 1.25
-    assert drift == pytest.approx(0.0056)
-    assert numbers["switch"][1:] == [0.0, 0.0, 0.0]
-    assert numbers["offset"][0] == pytest.approx(7.0 - (8.0 - mean + 0.44))
-    assert last.startswith("one CALIBRATE_Z: +-0.0")
-    assert last.endswith(" mm, 21.2 s")
-
-
-def test_drift_of_what_happens_at_once_is_none():
-    found = [Cycle(5.0, (v,), (8.0,), (7.0,)) for v in (1.6, 1.7)]
-    assert figures(found)[0]["nozzle"][-1] == 0.0
-
-
-def test_uncertainty_of_one_calibration():
-    values = offsets(only())
-    sd = statistics.stdev(values)
-    assert uncertainty(values, 0.0) == pytest.approx(2.262 * sd, rel=0.01)
-    wide = uncertainty(values, 0.02)
-    assert wide == pytest.approx(2.262 * math.hypot(sd, 0.01), rel=0.01)

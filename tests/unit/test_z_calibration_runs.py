@@ -1,109 +1,21 @@
-"""The file of runs, whatever happens to it, and what runs of before say."""
+"""z_touch/z_calibration/runs.py: lines of the history, and what they say of a new run."""
 
 from __future__ import annotations
 
 import json
 import math
-import os
 import random
-import resource
 
 import pytest
 
 from tools.kit.runs import as_kept, make_run, make_runs, read
-from z_touch.z_calibration import run_log, runs
+from z_touch.z_calibration import runs
 
+# Lines as a hand, a power loss or another program may leave them
 
-@pytest.fixture
-def path(tmp_path):
-    return str(tmp_path / "z_calibration" / "printer.jsonl")
-
-
-def add(path, count, **changes):
-    for run in read(make_runs(count, **changes)):
-        run_log.add_line(path, runs.line_of(run))
-
-
-def parsed(path):
-    lines, is_whole = run_log.last_lines(path)
-    assert is_whole
-    return runs.parse_all(lines)
-
-
-def content(path):
-    with open(path, "rb") as f:
-        return f.read()
-
-
-# The file
-
-
-def test_it_stands_beside_printer_cfg_and_has_its_name():
-    """Two of them in one folder have two."""
-    for config, folder, wanted in (
-        ("/a/b/printer.cfg", "z_calibration", "/a/b/z_calibration/printer"),
-        ("/a/b/voron.2.cfg", "z_calibration", "/a/b/z_calibration/voron.2"),
-        ("/a/b/printer.cfg", "/c/d", "/c/d/printer"),
-        ("/a/b/printer.cfg", "~/d", f"{os.path.expanduser('~')}/d/printer"),
-    ):
-        assert run_log.path_of(config, folder) == f"{wanted}.jsonl"
-    assert run_log.path_of("/a/printer.cfg", None) is None
-
-
-def test_runs_are_read_as_they_were_written(path):
-    add(path, 3)
-    assert parsed(path) == (read(make_runs(3)), 0, 0)
-
-
-def test_no_file_is_no_run(path):
-    assert parsed(path) == ([], 0, 0)
-
-
-def test_line_cut_by_a_power_loss_costs_itself_only(path):
-    add(path, 3)
-    with open(path, "r+b") as f:
-        f.truncate(len(f.read()) - 40)
-    add(path, 1)
-    found = parsed(path)
-    assert (len(found.runs), found.damaged) == (3, 1)
-
-
-def test_full_disk_leaves_every_line_whole(path):
-    add(path, 3)
-    before = content(path)
-    limits = resource.getrlimit(resource.RLIMIT_FSIZE)
-    resource.setrlimit(resource.RLIMIT_FSIZE, (len(before) + 50, limits[1]))
-    try:
-        with pytest.raises(OSError):
-            add(path, 1)
-        with pytest.raises(OSError):
-            run_log.write_anew(path, [before, before])
-    finally:
-        resource.setrlimit(resource.RLIMIT_FSIZE, limits)
-    assert content(path) == before
-    assert os.listdir(os.path.dirname(path)) == ["printer.jsonl"]
-    add(path, 1)
-    assert len(parsed(path).runs) == 4
-
-
-def test_it_is_written_anew_as_a_whole(path):
-    add(path, 5)
-    lines, _ = run_log.last_lines(path)
-    run_log.write_anew(path, lines[-2:])
-    assert parsed(path).runs == read(make_runs(5))[-2:]
-
-
-def test_only_its_end_is_read(path, monkeypatch):
-    """Of a line in the middle of which that begins nothing is."""
-    add(path, 9)
-    monkeypatch.setattr(run_log, "MOST_BYTES", len(content(path)) // 2)
-    lines, is_whole = run_log.last_lines(path)
-    assert not is_whole
-    found = runs.parse_all(lines)
-    assert (found.runs, found.damaged) == (read(make_runs(9))[-4:], 0)
-
-
-LINE = b'{"format": 4, "ok": false, "time": 1, "sites": {}'
+START = b'{"format": 4, "ok": false, "time": 1, "sites": {}'
+SITE = b'{"format": 4, "ok": false, "time": 1, "sites": {%s}}'
+CYCLE = START + b', "cycles": [{%s}]}'
 
 
 @pytest.mark.parametrize(
@@ -112,68 +24,36 @@ LINE = b'{"format": 4, "ok": false, "time": 1, "sites": {}'
         b"hello",
         b"[]",
         b"\xff\xfe\x00",
+        b"[" * 100_000,
         b'{"format": 4, "ok": 1, "time": 1, "sites": {}}',
+        # A good run has all its sites
         b'{"format": 4, "ok": true, "time": 1, "sites": {}}',
         b'{"format": 4, "ok": false, "sites": {}}',
         b'{"format": 4, "ok": false, "time": "now", "sites": {}}',
         b'{"format": 4, "ok": false, "time": NaN, "sites": {}}',
         b'{"format": 4, "ok": false, "time": 1e300, "sites": {}}',
         b'{"format": 4, "ok": false, "time": 1, "sites": []}',
-        *(
-            b'{"format": 4, "ok": false, "time": 1, "sites": {%s}}' % (sites,)
-            for sites in (
-                b'"nozzle": 1.6',
-                b'"pin": {}',
-                b'"bed": {"sd": 0, "n": 2, "samples": []}',
-                b'"nozzle": {"z": 1, "sd": 0, "n": 2, "samples": ["a"]}',
-                b'"bed": {"z": 1, "sd": 0, "n": 2, "samples": [1],'
-                b' "points": [[1]]}',
-                b'"bed": {"z": 1, "sd": 0, "n": 2, "samples": [1],'
-                b' "points": 1}',
-            )
-        ),
-        *(
-            LINE + b", " + field + b"}"
-            for field in (
-                b'"bed_spread": "wide"',
-                b'"temperatures": [1]',
-                b'"temperatures": {"a": "b"}',
-                b'"uncertainty": "much"',
-                b'"cycles": "none"',
-                b'"cycles": [{"time": 1, "nozzle": [1], "switch": [1],'
-                b' "bed": ["a"]}]',
-                b'"cycles": [{"time": 1, "nozzle": [1], "switch": [1],'
-                b' "bed": []}]',
-                b'"cycles": [{"nozzle": [1], "switch": [1], "bed": [1]}]',
-                b'"extruder": 5',
-                b'"dirty": 5',
-                b'"nozzle_at": [1]',
-                b'"warnings": 5',
-                b'"warnings": ["bed: a"]',
-                b'"warnings": [{"text": "bed: a"}]',
-                b'"warnings": [{"about": "bed"}]',
-                b'"reason": null',
-                b'"a": ' + b'{"a":' * 20_000 + b"1" + b"}" * 20_000,
-                b'"offset": ' + b"9" * 200_000,
-                b'"reason": "' + b"a" * runs.LONGEST + b'"',
-            )
-        ),
-        b"[" * 100_000,
-        b"\0" * 1_000_000,
+        SITE % (b'"pin": {}',),
+        SITE % (b'"bed": {"sd": 0, "n": 2, "samples": []}',),
+        SITE % (b'"bed": {"z": 1, "sd": 0, "n": 2, "samples": ["a"]}',),
+        CYCLE % (b'"nozzle": [1], "switch": [1], "bed": [1]',),
+        CYCLE % (b'"time": 1, "nozzle": [1], "switch": [1], "bed": []',),
+        START + b', "dirty": 5}',
+        START + b', "nozzle_at": [1]}',
+        START + b', "warnings": [{"about": "bed"}]}',
+        START + b', "reason": null}',
+        START + b', "offset": ' + b"9" * 200_000 + b"}",
+        START + b', "reason": "' + b"a" * runs.LONGEST + b'"}',
     ],
 )
-def test_line_edited_by_hand_is_left_out_and_stays(path, line):
-    add(path, 2)
-    with open(path, "ab") as f:
-        f.write(line + b"\r\n")
-    add(path, 1)
-    found = parsed(path)
-    assert (len(found.runs), found.damaged, found.other) == (3, 1, 0)
-    assert line in content(path)
+def test_damaged_line_is_counted_and_costs_no_other(line):
+    good = runs.line_of(read(make_runs(1))[0])
+    found = runs.parse_all([good, line + b"\r\n", good])
+    assert (len(found.runs), found.damaged, found.other) == (2, 1, 0)
 
 
 def test_refused_run_may_lack_sites():
-    (run,) = read([json.loads(LINE + b"}")])
+    (run,) = read([json.loads(START + b"}")])
     assert (run.ok, run.sites, run.uncertainty) == (False, {}, None)
 
 
@@ -194,13 +74,12 @@ def test_number_that_is_none_is_not_written():
         runs.line_of(runs.Run(True, math.nan, run.sites))
 
 
-def test_accuracy_run_is_read_as_it_was_written(path):
+def test_accuracy_run_is_read_as_it_was_written():
     cycle = {"time": 20.0, "nozzle": [1.6], "switch": [8.0], "bed": [7.0]}
     records = make_runs(1, cycles=[cycle] * 2, step=0.0025)
     (run,) = read(records)
     assert run.cycles[0] == runs.Cycle(20.0, (1.6,), (8.0,), (7.0,))
-    run_log.add_line(path, runs.line_of(run))
-    assert parsed(path).runs == [run]
+    assert runs.parse_all([runs.line_of(run)]).runs == [run]
 
 
 # What a site's record has
@@ -268,43 +147,6 @@ def test_bed_of_another_bed_spread_says_nothing():
     assert {counts["nozzle", 5.0], counts["switch", 0.0]} == {7}
 
 
-# The status
-
-
-def test_nothing_is_known_at_first():
-    assert run_log.status_of([]) == {
-        "runs": 0,
-        "results": [],
-        "spread": {"nozzle": None, "switch": None, "bed": None},
-        "switch_nozzle": None,
-    }
-
-
-def test_status_of_runs():
-    status = run_log.status_of(read(make_runs(12)))
-    assert (status["runs"], len(status["results"])) == (12, 10)
-    assert status["results"][-1] == {
-        "time": 1.7e9 + 9e4 * 11,
-        "ok": True,
-        "offset": 0.16,
-        "uncertainty": 0.006,
-        "reason": "",
-    }
-    assert status["switch_nozzle"] == pytest.approx(6.415, abs=0.01)
-    assert status["spread"]["bed"] == pytest.approx(0.003, rel=0.8)
-    assert run_log.status_of(read(make_runs(4)))["switch_nozzle"] is None
-
-
-def test_status_has_the_spread_of_the_bed_spread_of_now():
-    records = make_runs(5, touches=9)
-    records += make_runs(5, touches=9, bed_spread=3.0, worn={"bed": 0.02})
-    spread = run_log.status_of(read(records))["spread"]
-    assert spread["bed"] > 3 * spread["nozzle"]
-    records += make_runs(1, touches=9)
-    now = run_log.status_of(read(records))["spread"]
-    assert now["bed"] < 2 * spread["nozzle"]
-
-
 # switch - nozzle
 
 
@@ -346,16 +188,6 @@ def test_one_run_that_departs_is_forgotten_two_are_another_nozzle():
     refused = make_run(draw, ok=False, moved={"switch": 9.0})
     assert bodies([*before, refused, refused]) == bodies(before)
     assert bodies([], before[0]) == []
-
-
-def test_exchanged_nozzle_is_told_once():
-    before = make_runs(20)
-    other = make_runs(8, 2, moved={"switch": 0.2, "bed": 0.2})
-    told = [
-        bool(runs.departure(body(run), bodies([*before, *other[:n]], run)))
-        for n, run in enumerate(other)
-    ]
-    assert told == [True] + [False] * 7
 
 
 def test_residue_is_told_among_runs_that_were_as_hot():
