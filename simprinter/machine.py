@@ -60,7 +60,10 @@ class Machine:
         now_ns = self.simulation.clock.now
         self.world = World(scene.world, seed, self.faults)
         kinematics = make_kinematics(
-            scene.kinematics, scene.z_motors, scene.world.towers
+            scene.kinematics,
+            scene.z_motors,
+            scene.world.towers,
+            scene.world.second_carriage,
         )
         begin = kinematics.motors(scene.start, scene.z_skew)
         self.rig = Rig(self.world, kinematics, scene.wiring, begin, now_ns)
@@ -205,23 +208,27 @@ class Machine:
         """What is below the parts of the toolhead now, and whether it is pressed."""
         now = self.simulation.clock.now()
         self.rig.settle(now)
-        return self.world.near(self.rig.seconds(now), self.rig.pose(now))
+        return self.world.near(self.rig.seconds(now), *self.rig.poses(now))
 
-    def tip(self) -> Pose:
-        """Where the nozzle tip really is: world frame, mm."""
+    def tip(self, carriage: int = 0) -> Pose:
+        """Where the nozzle tip of a carriage really is: world frame, mm."""
         now = self.simulation.clock.now()
-        return self.rig.pose(now)
+        return self.rig.poses(now)[carriage]
 
     def gap_at_zero(
-        self, z: float, xy: Optional[tuple[float, float]] = None
+        self,
+        z: float,
+        xy: Optional[tuple[float, float]] = None,
+        carriage: int = 0,
     ) -> float:
         """The true nozzle-to-bed gap that G-code Z=0 stands for, mm.
 
         z: the G-code Z (mm) at which the toolhead stands now, by order of the
         last finished move. xy: over which point of the bed, world frame
-        (default: where the toolhead is). Known from the motors' steps alone.
+        (default: where the toolhead is). carriage: whose nozzle, 0 or 1. Known
+        from the motors' steps alone.
         """
-        tip = self.tip()
+        tip = self.tip(carriage)
         x, y = (tip.x, tip.y) if xy is None else xy
         now = self.rig.seconds(self.simulation.clock.now())
-        return self.truth.true_gap(x, y, tip.z - z, now)
+        return self.truth.true_gap(x, y, tip.z - z, now, carriage)

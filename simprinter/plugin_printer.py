@@ -48,9 +48,9 @@ class PluginPrinter(Printer):
         """Each contact so far: time, site, where."""
         return self.truth.touches
 
-    def tip(self) -> Pose:
-        """Where the nozzle tip really is."""
-        return self.machine.tip()
+    def tip(self, carriage: int = 0) -> Pose:
+        """Where the nozzle tip really is; carriage: 1 for that of the second."""
+        return self.machine.tip(carriage)
 
     def break_down(self, name: str, **about: object) -> None:
         """From now on something is broken: a Fault's name and arguments."""

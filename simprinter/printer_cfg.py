@@ -15,7 +15,7 @@ from typing import Optional
 
 from .mcu.pins import PINS, numbered
 from .wiring import MAIN, Motor
-from .world.spec import TOWERS, TowerSpec
+from .world.spec import SECOND, TOWERS, TowerSpec
 
 # Where SAVE_CONFIG begins, and what stands before each of its lines
 _SAVED = "#*# <---------------------- SAVE_CONFIG ---------------------->"
@@ -135,8 +135,32 @@ class PrinterCfg:
             raise self.error("printer", "kinematics", "klippy needs it")
         return name
 
+    @property
+    def second_carriage(self) -> Optional[str]:
+        """The section of a second carriage on X, None where there is none.
+
+        Raises PrinterCfgError for one that is on another axis.
+        """
+        for section in self.sections:
+            if section.split()[0] != "dual_carriage":
+                continue
+            option = "axis"
+            axis = self.get(section, option) or "x"
+            if self.kinematics == GENERIC:
+                option = "primary_carriage"
+                first = self.axis_section("x").partition(" ")[2]
+                axis = "x" if self.get(section, option) == first else ""
+            if axis != "x":
+                told = "only a second carriage on the axis x is simulated"
+                raise self.error(section, option, told)
+            return section
+        return None
+
     def steppers(self) -> dict[str, str]:
-        """The sections of the motors x, y, z, z1 ..., by these names."""
+        """The sections of the motors x, y, z, z1 ..., by these names.
+
+        That of a second carriage is SECOND.
+        """
         if self.kinematics == GENERIC:
             return self._steppers_of_carriages()
         if self.kinematics == DELTA:
@@ -150,7 +174,8 @@ class PrinterCfg:
             if axis not in found:
                 told = "the machine needs a motor for each axis"
                 raise self.error(f"stepper_{axis}", "step_pin", told)
-        return found
+        second = self.second_carriage
+        return found if second is None else {**found, SECOND: second}
 
     def towers(self) -> tuple[TowerSpec, ...]:
         """Those of a DELTA, in whose middle x and y are zero, none of another."""
@@ -174,6 +199,9 @@ class PrinterCfg:
         moved = _MOVED[self.moved_like()]
         found: dict[str, str] = {}
         for section, carriages in self._carried().items():
+            if carriages == SECOND:
+                found[SECOND] = section
+                continue
             axis = "xyz"[moved.index(carriages)]
             others = sum(name[0] == axis for name in found)
             found[f"{axis}{others or ''}"] = section
@@ -186,7 +214,7 @@ class PrinterCfg:
         """
         carried = self._carried()
         for name, moved in _MOVED.items():
-            if set(carried.values()) == set(moved):
+            if {*carried.values()} - {SECOND} == {*moved}:
                 return name
         told = (
             "no simulated machine has motors that move all of this; one has"
@@ -198,6 +226,9 @@ class PrinterCfg:
     def _carried(self) -> dict[str, str]:
         """What each stepper of a GENERIC machine moves, such as x+y."""
         axes = {self.axis_section(a).partition(" ")[2]: a for a in "xyz"}
+        second = self.second_carriage
+        if second is not None:
+            axes[second.partition(" ")[2]] = SECOND
         return {
             section: re.sub(
                 r"\w+",

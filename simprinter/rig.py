@@ -78,14 +78,18 @@ class Rig:
         # Told of what the host has a board do, just before: kind, what with
         # and when (ns). "touch" and "query" of a signal, "write" to a driver
         self.on_operation: list[Callable[[str, str, int], None]] = []
-        world.observe(0.0, self.pose(self._zero_ns))
+        world.observe(0.0, *self.poses(self._zero_ns))
 
     def seconds(self, ns: int) -> float:
         """The world's time at ns."""
         return (ns - self._zero_ns) * 1e-9
 
+    def poses(self, ns: int) -> tuple[Pose, ...]:
+        """Where the motors have put each carriage's nozzle tip, world frame, mm."""
+        return self._kinematics.poses(self.travel(ns))
+
     def pose(self, ns: int) -> Pose:
-        """Where the motors have put the nozzle tip, mm in the world frame."""
+        """Where the motors have put the nozzle tip of the first carriage."""
         return self._kinematics.pose(self.travel(ns))
 
     def steps_queued(self, start_ns: int) -> None:
@@ -123,7 +127,7 @@ class Rig:
             until = ns
             if self._committed < busy_until:
                 until = min(ns, self._committed + COMMIT_NS)
-            self.world.observe(self.seconds(until), self.pose(until))
+            self.world.observe(self.seconds(until), *self.poses(until))
             self._committed = until
         for board, motors in self._motors.items():
             if board is not None:
@@ -145,7 +149,8 @@ class Rig:
     def asserted(self, signal: str, ns: int) -> bool:
         """Whether the board sees a signal at ns (tracks must be known)."""
         seen = ns - round(self.world.latency(signal) * 1e9)
-        return self.world.level(signal, self.seconds(seen), self.pose(seen))
+        poses = self.poses(seen)
+        return self.world.level(signal, self.seconds(seen), *poses)
 
     def edge(self, signal: str, wanted: bool, first: int, last: int):
         """First ns in (first, last] at which a signal is as wanted, or None.

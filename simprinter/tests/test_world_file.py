@@ -95,7 +95,7 @@ def test_keys_of_numbers_name_their_units():
     places = {
         k for _, k in pairs if re.match(r"(brush_|trigger_)?[xyz]_(?!play)", k)
     }
-    framed = ("_world_mm", "_from_nozzle_mm")
+    framed = ("_world_mm", "_from_nozzle_mm", "_from_first_nozzle_mm")
     assert {key for key in places if not key.endswith(framed)} == set()
 
 

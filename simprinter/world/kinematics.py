@@ -11,6 +11,9 @@ those of klippy's chelper/kin_*.c:
     hybrid_corexz  x = x - z    y = y        z = z
     delta          a, b, c: the carriages on the towers, see TowerSpec.place
 
+A second carriage shares all motors but that of x; where this one mixes x with
+another axis, its own mixes both the other way round (hybrid_corexy: x + y).
+
 Several Z motors carry one stiff gantry: the toolhead's z is the height, at the
 head's XY, of the least squares plane through the motors' heights (exact for
 three).  Motors on one line, two being the usual case, fix the tilt along that
@@ -22,7 +25,7 @@ from __future__ import annotations
 import math
 from typing import Callable, Mapping, NamedTuple, Sequence, Tuple
 
-from .spec import TOWERS, TowerSpec
+from .spec import SECOND, TOWERS, CarriageSpec, TowerSpec
 
 # (name, x, y) of the place where a Z motor holds the gantry
 ZMotor = Tuple[str, float, float]
@@ -64,12 +67,32 @@ _MIXES: dict[str, tuple[Callable[..., Three], Callable[..., Three]]] = {
 }
 
 
+# Which motor that of x is mixed with, where a second carriage's is mixed otherwise
+_MIRRORED = {
+    "cartesian": None,
+    "hybrid_corexy": "y",
+    "hybrid_corexz": "z",
+}
+
+
 class Kinematics:
     """Motors x and y, and Z motors that hold a plane."""
 
-    __slots__ = ("_mix", "_unmix", "_weights", "z_names")
+    __slots__ = (
+        "_mirrored",
+        "_mix",
+        "_second",
+        "_unmix",
+        "_weights",
+        "z_names",
+    )
 
-    def __init__(self, kind: str, z_motors: Sequence[ZMotor]) -> None:
+    def __init__(
+        self,
+        kind: str,
+        z_motors: Sequence[ZMotor],
+        second: CarriageSpec | None = None,
+    ) -> None:
         self.z_names = tuple(name for name, _, _ in z_motors)
         if not z_motors or len(set(self.z_names)) != len(z_motors):
             raise ValueError("z_motors: need one or more, names not repeated")
@@ -78,6 +101,20 @@ class Kinematics:
             raise ValueError(f"z_motors: unknown names {sorted(unknown)}")
         self._mix, self._unmix = _MIXES[kind]
         self._weights = plane_weights(z_motors)
+        self._second = second
+        self._mirrored = _MIRRORED.get(kind)
+
+    def poses(self, motors: Mapping[str, float]) -> tuple[Pose, ...]:
+        """Nozzle tip (mm) of each carriage for the motors' positions (mm)."""
+        first, second = self.pose(motors), self._second
+        if second is None:
+            return (first,)
+        # Where the first would be with the second one's motor
+        motor = motors[SECOND]
+        if self._mirrored is not None:
+            motor -= 2.0 * motors[self._mirrored]
+        x, y, z = self.pose({**motors, "x": motor})
+        return first, Pose(x, y + second.y_offset, z + second.z_offset)
 
     def pose(self, motors: Mapping[str, float]) -> Pose:
         """Nozzle tip (mm) for the motors' positions (mm)."""
@@ -97,11 +134,17 @@ class Kinematics:
     ) -> dict[str, float]:
         """Motor positions (mm) that put the nozzle tip at `tip`.
 
+        A second carriage is where it is at first.
         All Z motors stand level; `z_offsets` (mm, added to the named motors)
         starts with a skewed gantry, which then moves the tip as well.
         """
         a, b, c = self._mix(*tip)
         motors = {"x": a, "y": b, **dict.fromkeys(self.z_names, c)}
+        if self._second is not None:
+            motor, _, _ = self._mix(self._second.x, *tip[1:])
+            if self._mirrored is not None:
+                motor += 2.0 * (b if self._mirrored == "y" else c)
+            motors[SECOND] = motor
         for name, offset in (z_offsets or {}).items():
             motors[name] += offset
         return motors
@@ -116,6 +159,10 @@ class Delta:
         if len(towers) != len(TOWERS):
             raise ValueError(f"towers: a delta has {TOWERS}")
         self._towers = tuple(towers)
+
+    def poses(self, motors: Mapping[str, float]) -> tuple[Pose, ...]:
+        """The nozzle tip (mm), as that of the only carriage."""
+        return (self.pose(motors),)
 
     def pose(self, motors: Mapping[str, float]) -> Pose:
         """Nozzle tip (mm) for the carriages' places (mm).
@@ -168,11 +215,17 @@ def make_kinematics(
     kind: str,
     z_motors: Sequence[ZMotor] = (("z", 0.0, 0.0),),
     towers: Sequence[TowerSpec] = (),
+    second: CarriageSpec | None = None,
 ) -> Kinematics | Delta:
     """The kinematics klippy calls `kind`, with its Z motors' (name, x, y).
 
-    towers: those of a delta, which has no Z motors.
+    towers: those of a delta, which has no Z motors. second: the second carriage
+    on X. ValueError where no such machine has that.
     """
+    if second is not None and kind not in _MIRRORED:
+        raise ValueError(
+            f"second carriage: of {sorted(_MIRRORED)} only, not of {kind}"
+        )
     if kind == "delta":
         return Delta(towers)
     if kind not in _MIXES:
@@ -183,7 +236,7 @@ def make_kinematics(
     if belt_z and [name for name, _, _ in z_motors] != ["z"]:
         # The x belt is coupled to one z, so a tilted gantry has no meaning
         raise ValueError(f"z_motors: {kind} takes a single motor named 'z'")
-    return Kinematics(kind, z_motors)
+    return Kinematics(kind, z_motors, second)
 
 
 def plane_weights(z_motors: Sequence[ZMotor]) -> tuple[Weight, ...]:

@@ -10,9 +10,9 @@ from typing import Callable, Optional, Sequence
 
 from ..faults import Fault, Faults
 from .sensors import TouchState
-from .sites import Tracked
+from .sites import Poses, Tracked
 
-PoseLevel = Callable[[float, Sequence[float]], bool]
+PoseLevel = Callable[[float, Poses], bool]
 
 # Two ways to compute one moment may differ by this (s)
 _ROUNDING = 1e-6
@@ -30,7 +30,6 @@ class Line:
 
     __slots__ = (
         "_awaited",
-        "_held",
         "_lasting",
         "_level",
         "_since",
@@ -48,15 +47,12 @@ class Line:
         state: Optional[TouchState] = None,
         latency: float = 0.0,
         sites: Sequence[Tracked] = (),
-        held: Callable[[float], bool] = lambda t: False,
     ) -> None:
-        """held: whether the toolhead carries the probe at a time."""
         self.name = name
         self.latency = latency
         self.sites = tuple(sites)
         self._level = level
         self._state = state
-        self._held = held
         # (from time t on, at this level), and what of it stays
         self._stuck = self._lasting = (math.inf, False)
         # A move looks for a touch since then; what sticks if it is there
@@ -81,15 +77,15 @@ class Line:
         for site in self.sites:
             site.mend()
 
-    def level(self, t: float, pose: Sequence[float]) -> bool:
-        """Level at time t for a toolhead at `pose`; changes nothing."""
+    def level(self, t: float, poses: Poses) -> bool:
+        """Level at time t for a toolhead that is there; changes nothing."""
         if t >= self._stuck[0]:
             return self._stuck[1]
         if self._awaited:
-            fault = self._sticks(t, pose)
+            fault = self._sticks(t, poses)
             if fault is not None:
                 return fault.name == "stuck_closed"
-        return self._level(t, pose)
+        return self._level(t, poses)
 
     def arm(self, t: float, faults: Faults) -> None:
         """A homing or probing operation starts on this signal."""
@@ -128,9 +124,9 @@ class Line:
         for site in self.sites:
             site.sought = False
 
-    def observe(self, t: float, pose: Sequence[float], faults: Faults) -> None:
-        """Commit a pose: it sticks if that is the touch which does it."""
-        fault = self._sticks(t, pose) if self._awaited else None
+    def observe(self, t: float, poses: Poses, faults: Faults) -> None:
+        """Commit poses: it sticks if that is the touch which does it."""
+        fault = self._sticks(t, poses) if self._awaited else None
         if fault is None:
             return
         self._awaited = []
@@ -143,13 +139,13 @@ class Line:
                     site.sought = False
                     faults.touched(site.name)
 
-    def _sticks(self, t: float, pose: Sequence[float]) -> Optional[Fault]:
-        """The fault that a toolhead at `pose` would have it stick by."""
+    def _sticks(self, t: float, poses: Poses) -> Optional[Fault]:
+        """The fault that a toolhead that is there would have it stick by."""
         # Times of clocks are rounded
         if t < self._since - _ROUNDING:
             return None
         for site, fault in self._awaited:
-            if site.is_below(t, pose, self._held):
+            if site.is_below(t, poses):
                 return fault
         return None
 

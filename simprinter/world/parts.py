@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import math
 import random
-from operator import itemgetter
 from typing import Callable, NamedTuple, Optional, Sequence
 
 from .bed import Bed
@@ -15,6 +14,8 @@ from .sensors import TouchState
 from .sites import (
     AxisSwitch,
     ContactSensor,
+    Growth,
+    Poses,
     Site,
     Tracked,
     body_on_pin,
@@ -26,6 +27,7 @@ from .sites import (
     with_ooze,
 )
 from .spec import (
+    SECOND,
     TOWERS,
     MagProbeSpec,
     MembraneSpec,
@@ -43,6 +45,15 @@ class Parts(NamedTuple):
     outputs: dict[str, Output]
     sensors: tuple[ContactSensor, ...]
     switches: tuple[AxisSwitch, ...]
+
+
+class _Nozzle(NamedTuple):
+    """name: what its sites begin with; growth: mm that it hangs lower."""
+
+    name: str
+    carriage: int
+    growth: Growth
+    ooze: Ooze
 
 
 class Builder:
@@ -67,6 +78,12 @@ class Builder:
         self._outputs: dict[str, Output] = {}
         self._sensors: list[ContactSensor] = []
         self._switches: list[AxisSwitch] = []
+        self._nozzles = [_Nozzle("nozzle", 0, drift.nozzle, ooze)]
+        if spec.second_carriage is not None:
+            # Always cold and clean
+            self._nozzles.append(
+                _Nozzle("second_nozzle", 1, lambda t: 0.0, Ooze(None))
+            )
         # Whether each membrane switch lies there, by its signal
         self.laid = {part.signal: part.laid for part in spec.membranes()}
 
@@ -111,8 +128,7 @@ class Builder:
     def _switch(self, signal: str, noise: NoiseSpec, *sites: Site) -> None:
         """What these sites press, and the signal that it drives."""
         sensor = self._sensor(signal, noise, *sites)
-        level = self._contact(sensor)
-        self._line(signal, level, sensor.state, noise, sensor.sites)
+        self._line(signal, sensor.level, sensor.state, noise, sensor.sites)
 
     def _line(
         self,
@@ -123,75 +139,89 @@ class Builder:
         sites: Sequence[Tracked] = (),
     ) -> None:
         latency = 0.0 if noise is None else noise.latency
-        self._lines[signal] = Line(
-            signal, level, state, latency, sites, self._held
-        )
-
-    def _held(self, t: float) -> bool:
-        return self._keeper is not None and self._keeper.held(t)
-
-    def _contact(self, sensor: ContactSensor) -> PoseLevel:
-        """A switch pressed from above."""
-        return lambda t, pose: sensor.level(t, pose, self._held)
+        self._lines[signal] = Line(signal, level, state, latency, sites)
 
     def _axis_switches(self) -> None:
         for spec in self._spec.switches:
             play = self._spec.z_play if spec.axis == "z" else 0.0
             state = self._state(spec.signal, spec.noise, play)
-            switch = AxisSwitch(spec, state, self._place_on(spec.axis))
+            carriage = int(spec.axis == SECOND)
+            switch = AxisSwitch(
+                spec, state, self._place_on(spec.axis), carriage
+            )
             self._switches.append(switch)
             self._line(
                 spec.signal,
-                lambda t, pose, switch=switch: switch.level(pose),
+                lambda t, poses, switch=switch: switch.level(poses),
                 switch.state,
                 spec.noise,
                 [switch.site],
             )
 
-    def _place_on(self, axis: str) -> Callable[[Sequence[float]], float]:
-        """From a pose to the place on an axis, or on a tower of a delta."""
+    def _place_on(self, axis: str) -> Callable[[Poses], float]:
+        """From poses to the place on an axis, or on a tower of a delta."""
+        if axis == SECOND:
+            return lambda poses: poses[1][0]
         if axis not in TOWERS:
-            return itemgetter("xyz".index(axis))
+            index = "xyz".index(axis)
+            return lambda poses: poses[0][index]
         for tower in self._spec.towers:
             if tower.name == axis:
-                return tower.place
+                return lambda poses: tower.place(poses[0])
         raise ValueError(f"switches: no tower {axis} in this world")
 
     def _plate(self) -> None:
-        """The nozzle on the plate, with or without a sensor below."""
+        """The nozzles on the plate, with or without a sensor below."""
         spec, bed = self._spec, self._bed
-        surface = nozzle_on_bed(bed, self._drift)
         sensor_spec = spec.bed_sensor
+        sites = []
+        for name, carriage, growth, ooze in self._nozzles:
+            met = nozzle_on_bed(bed, self._drift, growth)
+            top, depth, allowed = bed.highest, 0.0, spec.bed.allowed_press
+            if sensor_spec is not None:
+                met, top = with_ooze(met, ooze), top + ooze.highest
+                depth, allowed = sensor_spec.press_depth, spec.overtravel
+            sites.append(
+                Site(f"{name}_bed", met, top, depth, carriage=carriage)
+            )
+            sites[-1].limit(allowed, spec.allowed_drag)
         if sensor_spec is None:
-            site = Site("nozzle_bed", surface, bed.highest)
-            site.limit(spec.bed.allowed_press, spec.allowed_drag)
-            self._sensor("", NoiseSpec(), site)
+            self._sensor("", NoiseSpec(), *sites)
             return
-        depth = sensor_spec.press_depth
-        touched = with_ooze(surface, self._ooze)
-        highest = bed.highest + self._ooze.highest
-        site = Site("nozzle_bed", touched, highest, depth)
-        site.limit(spec.overtravel, spec.allowed_drag)
         noise = sensor_spec.noise
-        sensor = self._sensor("bed_sensor", noise, site)
-        level = self._contact(sensor)
+        sensor = self._sensor("bed_sensor", noise, *sites)
+        level: PoseLevel = sensor.level
         if sensor_spec.enable_output:
             enable = self._outputs["bed_sensor_enable"] = Output()
             level = _while_on(enable, level)
         self._line("bed_sensor", level, sensor.state, noise, sensor.sites)
 
     def _pin(self, pin: PinSpec) -> None:
-        """Pressed by the tip or by the probe's body."""
-        top = pin.z + pin.pretravel
-        tip = nozzle_on_pin(pin, self._drift, self._ooze)
-        highest = top + self._ooze.highest
-        name = self._name_of(pin)
-        sites = [Site(f"nozzle_{name}", tip, highest, pin.pretravel)]
+        """Pressed by a tip or by the probe's body."""
+        top, name = pin.z + pin.pretravel, self._name_of(pin)
+        sites = [
+            Site(
+                f"{nozzle.name}_{name}",
+                nozzle_on_pin(pin, self._drift, nozzle.growth, nozzle.ooze),
+                top + nozzle.ooze.highest,
+                pin.pretravel,
+                carriage=nozzle.carriage,
+            )
+            for nozzle in self._nozzles
+        ]
         probe = self._spec.mag_probe
         if probe is not None and self._keeper is not None:
             body = body_on_pin(pin, probe, self._drift, self._keeper.seat)
             top += probe.body_drop + self._keeper.lowest
-            sites.append(Site(f"body_{name}", body, top, pin.pretravel, True))
+            sites.append(
+                Site(
+                    f"body_{name}",
+                    body,
+                    top,
+                    pin.pretravel,
+                    self._keeper.held,
+                )
+            )
         for site in sites:
             site.limit(
                 self._spec.overtravel, self._spec.allowed_drag, pin.pin_travel
@@ -210,7 +240,11 @@ class Builder:
         seat = keeper.seat
         contact = hanging_on_bed(bed, self._drift, probe, plunger, seat)
         tip = Site(
-            "probe_bed", contact, body_top + plunger, probe.pretravel, True
+            "probe_bed",
+            contact,
+            body_top + plunger,
+            probe.pretravel,
+            keeper.held,
         )
         # How deep the plunger may go is what the body on the bed is about
         tip.limit(math.inf, drag)
@@ -219,20 +253,22 @@ class Builder:
             pressed = body_on_pin(pin, probe, self._drift, seat)
             top = pin.z + pin.pretravel + probe.body_drop + keeper.lowest
             name = f"plunger_{self._name_of(pin)}"
-            sites.append(Site(name, pressed, top, 0.0, True))
+            sites.append(Site(name, pressed, top, 0.0, keeper.held))
             sites[-1].limit(math.inf, drag)
         sensor = self._sensor("probe", probe.noise, *sites)
         contact = hanging_on_bed(bed, self._drift, probe, 0.0, seat)
-        body = Site("body_bed", contact, body_top, carried=True)
+        body = Site("body_bed", contact, body_top, held=keeper.held)
         body.limit(0.0, drag)
         self._sensor("", NoiseSpec(), body)
-        pressed = self._contact(sensor)
 
-        def level(t: float, pose: Sequence[float]) -> bool:
+        def is_there(t: float, poses: Poses) -> bool:
+            return keeper.connected(t, poses[0])
+
+        def level(t: float, poses: Poses) -> bool:
             if probe.normally_open:
-                return keeper.connected(t, pose) and pressed(t, pose)
+                return is_there(t, poses) and sensor.level(t, poses)
             # Normally closed: asserted as well when it is not there
-            return not keeper.connected(t, pose) or pressed(t, pose)
+            return not is_there(t, poses) or sensor.level(t, poses)
 
         self._line("probe", level, sensor.state, probe.noise, sensor.sites)
         if probe.mode == "output":
@@ -240,9 +276,11 @@ class Builder:
         if keeper.swing is not None:
             self._outputs["dock_swing"] = keeper.swing
         if self._spec.probe_sense:
-            self._line("probe_sense", keeper.connected)
+            self._line("probe_sense", is_there)
         if self._spec.dock_sense:
-            self._line("dock_sense", keeper.in_dock)
+            self._line(
+                "dock_sense", lambda t, poses: keeper.in_dock(t, poses[0])
+            )
 
     def _inductive(self) -> None:
         spec, bed = self._spec.inductive, self._bed
@@ -261,17 +299,26 @@ class Builder:
 
     def _membrane(self, spec: MembraneSpec) -> None:
         bed, signal = self._bed, spec.signal
-        bare = nozzle_on_membrane(
-            bed, self._drift, spec, lambda: self.laid[signal]
-        )
-        contact = with_ooze(bare, self._ooze)
-        top = bed.highest + spec.thickness + self._ooze.highest
-        name = "membrane" if spec is self._spec.membrane else signal
-        site = Site(f"nozzle_{name}", contact, top, spec.press)
-        site.limit(self._spec.overtravel, self._spec.allowed_drag)
-        self._switch(signal, spec.noise, site)
+        what = "membrane" if spec is self._spec.membrane else signal
+        sites = []
+        for name, carriage, growth, ooze in self._nozzles:
+            met = nozzle_on_membrane(
+                bed, self._drift, growth, spec, lambda: self.laid[signal]
+            )
+            top = bed.highest + spec.thickness + ooze.highest
+            sites.append(
+                Site(
+                    f"{name}_{what}",
+                    with_ooze(met, ooze),
+                    top,
+                    spec.press,
+                    carriage=carriage,
+                )
+            )
+            sites[-1].limit(self._spec.overtravel, self._spec.allowed_drag)
+        self._switch(signal, spec.noise, *sites)
 
 
 def _while_on(enable: Output, level: PoseLevel) -> PoseLevel:
     """A sensor that answers only while its output is on."""
-    return lambda t, pose: enable.on(t) and level(t, pose)
+    return lambda t, poses: enable.on(t) and level(t, poses)

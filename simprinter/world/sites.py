@@ -28,6 +28,11 @@ from .spec import (
 )
 from .thermal import Drift
 
+# Of each carriage, where its nozzle is
+Poses = Sequence[Sequence[float]]
+# Growth, mm, or whether something is carried, at a time
+Growth = Callable[[float], float]
+Held = Callable[[float], bool]
 ContactZ = Callable[[float, float, float], Optional[float]]
 # How far (mm) the probe hangs lower than it should, as it was attached last
 Seat = Callable[[], float]
@@ -38,6 +43,7 @@ _TRIGGERS = {"trigger_early": 1.0, "trigger_late": -1.0, "trigger_never": 0.0}
 class Tracked:
     """Something that can be pressed, its limits, and what it is doing now.
 
+    carriage: which one has what presses it, 0 or 1
     allowed: mm it may go beyond the trigger; allowed_drag: XY mm per contact
     hard_stop: mm beyond the trigger where nothing gives way, or infinity
     pressed, drag: committed state; drag is None while out of contact
@@ -49,6 +55,7 @@ class Tracked:
     __slots__ = (
         "allowed",
         "allowed_drag",
+        "carriage",
         "drag",
         "faults",
         "hard_stop",
@@ -58,8 +65,9 @@ class Tracked:
         "touched",
     )
 
-    def __init__(self, name: str) -> None:
+    def __init__(self, name: str, carriage: int = 0) -> None:
         self.name = name
+        self.carriage = carriage
         self.allowed = math.inf
         self.allowed_drag = math.inf
         self.hard_stop = math.inf
@@ -83,10 +91,8 @@ class Tracked:
         """How many mm too early it triggers; negative: late."""
         return sum(_TRIGGERS[fault.name] * fault.mm for fault in self.faults)
 
-    def is_below(
-        self, t: float, pose: Sequence[float], held: Callable[[float], bool]
-    ) -> bool:
-        """Whether a toolhead that goes on from `pose` may meet it."""
+    def is_below(self, t: float, poses: Poses) -> bool:
+        """Whether a toolhead that goes on from there may meet it."""
         return True
 
     def reports(self, state: TouchState, beyond: float) -> bool:
@@ -126,10 +132,10 @@ class Site(Tracked):
 
     contact_z: see the module; top: no contact above this Pose.z when cold
     press: mm from first contact to the trigger
-    carried: needs the probe at the toolhead
+    held: whether the toolhead carries what presses it; None: always
     """
 
-    __slots__ = ("carried", "contact_z", "press", "top")
+    __slots__ = ("contact_z", "held", "press", "top")
 
     def __init__(
         self,
@@ -137,21 +143,25 @@ class Site(Tracked):
         contact_z: ContactZ,
         top: float,
         press: float = 0.0,
-        carried: bool = False,
+        held: Optional[Held] = None,
+        carriage: int = 0,
     ) -> None:
-        super().__init__(name)
+        super().__init__(name, carriage)
         self.contact_z = contact_z
         self.top = top
         self.press = press
-        self.carried = carried
+        self.held = held
 
-    def is_below(
-        self, t: float, pose: Sequence[float], held: Callable[[float], bool]
-    ) -> bool:
+    def contact(self, t: float, x: float, y: float) -> Optional[float]:
+        """Its contact height, None as well where nobody carries its presser."""
+        if self.held is not None and not self.held(t):
+            return None
+        return self.contact_z(x, y, t)
+
+    def is_below(self, t: float, poses: Poses) -> bool:
         """Whether the toolhead has this presser, above its counterpart."""
-        x, y, _ = pose
-        is_there = not self.carried or held(t)
-        return is_there and self.contact_z(x, y, t) is not None
+        x, y, _ = poses[self.carriage]
+        return self.contact(t, x, y) is not None
 
 
 class Finding(NamedTuple):
@@ -213,62 +223,55 @@ class ContactSensor:
         early = self.state.early + max(site.early for site in self.sites)
         self.early = max(0.0, early)
 
-    def level(
-        self, t: float, pose: Sequence[float], held: Callable[[float], bool]
-    ) -> bool:
+    def level(self, t: float, poses: Poses) -> bool:
         """Whether the switch would be asserted; changes nothing."""
-        x, y, z = pose
         state = self.state
         ceiling = self._top + state.rearm + self.early
-        if z > ceiling + self._drift.bound(t):
+        if lowest(poses) > ceiling + self._drift.bound(t):
             return False
         for site in self.sites:
-            if site.carried and not held(t):
-                continue
-            contact = site.contact_z(x, y, t)
+            x, y, z = poses[site.carriage]
+            contact = site.contact(t, x, y)
             if contact is not None and site.reports(
                 state, contact - site.press - z
             ):
                 return True
         return False
 
-    def near(
-        self, t: float, pose: Sequence[float], held: bool
-    ) -> Iterator[Near]:
-        """What of it is below a toolhead at `pose`; changes nothing."""
-        x, y, z = pose
+    def near(self, t: float, poses: Poses) -> Iterator[Near]:
+        """What of it is below a toolhead that is there; changes nothing."""
         for site in self.sites:
-            if held or not site.carried:
-                contact = site.contact_z(x, y, t)
-                if contact is not None:
-                    yield Near(site.name, z - contact, site.pressed)
+            x, y, z = poses[site.carriage]
+            contact = site.contact(t, x, y)
+            if contact is not None:
+                yield Near(site.name, z - contact, site.pressed)
 
     def commit(
-        self, t: float, pose: Sequence[float], held: bool, moved: float
+        self, t: float, poses: Poses, moved: Sequence[float]
     ) -> list[Finding]:
-        """Take over the new pose; returns what happened at each site.
+        """Take over the new poses; returns what happened at each site.
 
-        held: the probe is at the toolhead; moved: XY mm since the last commit.
+        moved: XY mm of each carriage since the last commit.
         Contact is physical; what a fault reports only counts as met.
         """
-        x, y, z = pose
         state = self.state
         findings: list[Finding] = []
-        above = z > self.ceiling() + self.early + self._drift.bound(t)
+        ceiling = self.ceiling() + self.early + self._drift.bound(t)
+        above = lowest(poses) > ceiling
         if above and not state.spent and not self._busy:
             return findings
         deepest = -math.inf
         for site in self.sites:
-            contact = None
-            if held or not site.carried:
-                contact = site.contact_z(x, y, t)
+            x, y, z = poses[site.carriage]
+            contact = site.contact(t, x, y)
             beyond = -math.inf
             if contact is not None:
                 beyond = contact - site.press - z
                 deepest = max(deepest, beyond)
             slack = state.hysteresis if site.pressed else 0.0
             pressed = beyond + state.shift + slack >= 0.0
-            drag = site.follow(contact is not None and z <= contact, moved)
+            is_on = contact is not None and z <= contact
+            drag = site.follow(is_on, moved[site.carriage])
             was, site.pressed = site.pressed, pressed
             met = site.meets(pressed or site.reports(state, beyond))
             if pressed or was or drag or met:
@@ -291,25 +294,26 @@ class AxisSwitch:
         self,
         spec: AxisSwitchSpec,
         state: TouchState,
-        place: Callable[[Sequence[float]], float],
+        place: Callable[[Poses], float],
+        carriage: int = 0,
     ) -> None:
-        """place: of what runs into it, by the pose."""
+        """place: of what runs into it."""
         self._place = place
         self._direction = spec.direction
         self._position = spec.position
         self.state = state
-        self.site = Tracked(spec.signal)
+        self.site = Tracked(spec.signal, carriage)
         stop = math.inf if spec.hard_stop is None else spec.hard_stop
         self.site.limit(stop, math.inf, stop)
 
-    def level(self, pose: Sequence[float]) -> bool:
+    def level(self, poses: Poses) -> bool:
         """Whether the switch would be asserted; changes nothing."""
-        beyond = self._direction * (self._place(pose) - self._position)
+        beyond = self._direction * (self._place(poses) - self._position)
         return self.site.reports(self.state, beyond)
 
-    def commit(self, pose: Sequence[float]) -> Optional[Finding]:
-        """Take over the new pose; returns what happened, if anything."""
-        place = self._place(pose)
+    def commit(self, poses: Poses) -> Optional[Finding]:
+        """Take over the new poses; returns what happened, if anything."""
+        place = self._place(poses)
         beyond = self._direction * (place - self._position)
         state, site = self.state, self.site
         is_far = beyond < -state.rearm - site.early and not site.touched
@@ -326,13 +330,20 @@ class AxisSwitch:
         return Finding(site, was, site.pressed, depth, trigger, 0.0, met)
 
 
-def nozzle_on_bed(bed: Bed, drift: Drift) -> ContactZ:
+def lowest(poses: Poses) -> float:
+    """Height (mm) of the lowest nozzle, as the motors have put it."""
+    if len(poses) == 1:
+        return poses[0][2]
+    return min(pose[2] for pose in poses)
+
+
+def nozzle_on_bed(bed: Bed, drift: Drift, growth: Growth) -> ContactZ:
     """The tip meets the plate."""
 
     def contact_z(x: float, y: float, t: float) -> Optional[float]:
         if not bed.covers(x, y):
             return None
-        return bed.met(x, y) + drift.bed(t) + drift.nozzle(t)
+        return bed.met(x, y) + drift.bed(t) + growth(t)
 
     return contact_z
 
@@ -347,7 +358,9 @@ def with_ooze(contact_z: ContactZ, ooze: Ooze) -> ContactZ:
     return meets
 
 
-def nozzle_on_pin(pin: PinSpec, drift: Drift, ooze: Ooze) -> ContactZ:
+def nozzle_on_pin(
+    pin: PinSpec, drift: Drift, growth: Growth, ooze: Ooze
+) -> ContactZ:
     """The tip, or what hangs below it, meets the pin, within its radius."""
     pin_x, pin_y, radius = pin.x, pin.y, pin.radius
     top = pin.z + pin.pretravel
@@ -355,7 +368,7 @@ def nozzle_on_pin(pin: PinSpec, drift: Drift, ooze: Ooze) -> ContactZ:
     def contact_z(x: float, y: float, t: float) -> Optional[float]:
         if math.hypot(x - pin_x, y - pin_y) > radius:
             return None
-        return top + drift.pin(t) + drift.nozzle(t) + ooze.height(t)
+        return top + drift.pin(t) + growth(t) + ooze.height(t)
 
     return contact_z
 
@@ -412,7 +425,11 @@ def sensed_bed(bed: Bed, drift: Drift, probe: InductiveSpec) -> ContactZ:
 
 
 def nozzle_on_membrane(
-    bed: Bed, drift: Drift, spec: MembraneSpec, is_laid: Callable[[], bool]
+    bed: Bed,
+    drift: Drift,
+    growth: Growth,
+    spec: MembraneSpec,
+    is_laid: Callable[[], bool],
 ) -> ContactZ:
     """The tip meets the top of the membrane switch, while it lies there."""
 
@@ -428,7 +445,7 @@ def nozzle_on_membrane(
         if not bed.covers(x, y):
             return None
         # It bridges a texture
-        plate = bed.height(x, y) + drift.bed(t) + drift.nozzle(t)
+        plate = bed.height(x, y) + drift.bed(t) + growth(t)
         return plate + spec.thickness
 
     return contact_z

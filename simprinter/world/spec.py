@@ -14,6 +14,8 @@ from typing import ClassVar, Optional, Tuple
 Vector = Tuple[float, float, float]
 # In the order in which klippy has them
 TOWERS = ("a", "b", "c")
+# What the second carriage runs along, and its motor's name
+SECOND = "second"
 
 
 class SpecError(ValueError):
@@ -222,13 +224,31 @@ class TowerSpec(Spec):
 
 
 @dataclass(frozen=True)
+class CarriageSpec(Spec):
+    """A second carriage on the rail of X, with a nozzle of its own.
+
+    x: of its nozzle at first, mm. y_offset, z_offset: how far it is behind and
+    above the nozzle of the first, mm. clearance: nearest that the two nozzles come
+    to each other along X, mm: there, the carriages meet. On which side of the first
+    it is at first, it stays.
+    """
+
+    x: float
+    y_offset: float = 0.0
+    z_offset: float = 0.0
+    clearance: float = 0.0
+
+    _NOT_NEGATIVE = ("clearance",)
+
+
+@dataclass(frozen=True)
 class AxisSwitchSpec(Spec):
     """A switch that one axis runs into.
 
-    axis: "x", "y" or "z", or the tower "a", "b" or "c" of a delta; direction:
-    +1 triggers at position and above, -1 at position and below (mm; of a tower
-    see TowerSpec.place).  hard_stop: mm from the trigger to the end of the axis,
-    None if it never comes.
+    axis: "x", "y" or "z", "second" for the second carriage's X, or the tower "a",
+    "b" or "c" of a delta; direction: +1 triggers at position and above, -1 at
+    position and below (mm; of a tower see TowerSpec.place).  hard_stop: mm from the
+    trigger to the end of the axis, None if it never comes.
     """
 
     signal: str
@@ -240,7 +260,7 @@ class AxisSwitchSpec(Spec):
 
     def _check(self) -> None:
         self._require(bool(self.signal), "signal", "a name")
-        self._require_one_of("axis", ("x", "y", "z", *TOWERS))
+        self._require_one_of("axis", ("x", "y", "z", SECOND, *TOWERS))
         self._require_one_of("direction", (1, -1))
         stop = self.hard_stop
         self._require(stop is None or stop >= 0.0, "hard_stop", "zero or more")
@@ -496,6 +516,7 @@ class WorldSpec(Spec):
     """A machine.
 
     towers: the three of a delta, none of another machine
+    second_carriage: of a machine with two on one rail
     more_pins, more_membranes: beside the first, each with a signal of its own
     overtravel: mm a presser may go beyond the trigger of pin, bed sensor or
     membrane; allowed_drag: mm of XY travel allowed in one contact.
@@ -523,6 +544,7 @@ class WorldSpec(Spec):
     more_pins: Tuple[PinSpec, ...] = ()
     more_membranes: Tuple[MembraneSpec, ...] = ()
     towers: Tuple[TowerSpec, ...] = ()
+    second_carriage: Optional[CarriageSpec] = None
 
     _NOT_NEGATIVE = ("overtravel", "allowed_drag", "z_play")
 
@@ -533,6 +555,9 @@ class WorldSpec(Spec):
             a, b, c = self.towers
             area = (b.x - a.x) * (c.y - a.y) - (b.y - a.y) * (c.x - a.x)
             self._require(area != 0.0, "towers", "at the corners of a triangle")
+        for switch in self.switches:
+            good = switch.axis != SECOND or self.second_carriage is not None
+            self._require(good, "switches", "of carriages that are there")
         mag = self.mag_probe
         wants_dock = mag is not None and mag.mode == "dock"
         good = wants_dock == (self.dock is not None)

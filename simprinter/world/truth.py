@@ -9,6 +9,8 @@ height of that moment (noise and thermal growth included).  Sites:
     inductive_bed, and the axis switches by their signal names
     nozzle_SIGNAL, body_SIGNAL: on another pin or membrane than the first
     dock         the toolhead in what holds the probe
+    second_nozzle_bed and the like: the nozzle of the second carriage there
+    carriages    the second carriage against the first
 """
 
 from __future__ import annotations
@@ -25,7 +27,7 @@ ROUNDING = 1e-6
 class Touch(NamedTuple):
     """A switch or surface was pressed.
 
-    x, y, z: pose at the commit that found it
+    x, y, z: pose of that nozzle's carriage at the commit that found it
     trigger_z: Pose.z (axis switches: axis position) at which this touch
         triggers, exactly
     """
@@ -50,7 +52,7 @@ class Crash(NamedTuple):
 
     kind: "depth" (mm beyond the trigger) or "drag" (mm of XY travel)
     past_stop: mm of the depth that lie beyond a hard stop
-    t, pose: when and where it was worst
+    t, pose: when and where it was worst, of that nozzle's carriage
     """
 
     site: str
@@ -81,8 +83,8 @@ class CrashError(AssertionError):
 class Truth:
     """The record of one run.  Written by the world, read by tests.
 
-    min_gap: smallest nozzle-to-plate gap ever (mm), infinity if the nozzle
-    was never over the plate. lowest: the lowest Pose.z, wherever that was.
+    min_gap: smallest nozzle-to-plate gap ever (mm), infinity if no nozzle
+    was ever over the plate. lowest: the lowest Pose.z, wherever that was.
     """
 
     __slots__ = (
@@ -97,7 +99,7 @@ class Truth:
     )
 
     def __init__(
-        self, gap: Callable[[float, float, float, float], float]
+        self, gap: Callable[[float, float, float, float, int], float]
     ) -> None:
         self._gap = gap
         self._crashes: dict[tuple[str, str], Crash] = {}
@@ -110,12 +112,17 @@ class Truth:
 
     # Reading
 
-    def true_gap(self, x: float, y: float, z: float, t: float = 0.0) -> float:
-        """Tip to plate (mm) for a Pose at time t; negative is into it."""
-        return self._gap(x, y, z, t)
+    def true_gap(
+        self, x: float, y: float, z: float, t: float = 0.0, carriage: int = 0
+    ) -> float:
+        """Tip to plate (mm) for a Pose at time t; negative is into it.
+
+        carriage: whose tip, 0 or 1.
+        """
+        return self._gap(x, y, z, t, carriage)
 
     def deepest_in_bed(self) -> float:
-        """Deepest the nozzle tip went below the plate's surface, mm."""
+        """Deepest a nozzle tip went below the plate's surface, mm."""
         return max(0.0, -self.min_gap)
 
     def touch_count(self, site: Optional[str] = None) -> int:

@@ -1,8 +1,9 @@
 """The physical machine behind the board's pins.
 
 World frame: mm, x right, y back, z up, origin arbitrary; time is printer
-seconds.  A pose is the nozzle tip as the motors have put it.  Nothing here
-knows of steps, ticks, bytes or of what a host believes.
+seconds.  A pose is a nozzle tip as the motors have put it: one of each
+carriage, the first one's first.  Nothing here knows of steps, ticks, bytes or
+of what a host believes.
 
 level() answers "what if" and changes nothing; observe() commits.  Between two
 commits the committed state (noise of the next touch, hysteresis, the probe's
@@ -23,7 +24,7 @@ from .kinematics import Pose
 from .lines import Line
 from .ooze import Ooze
 from .parts import Builder, Parts
-from .sites import Finding, Near
+from .sites import Finding, Near, Poses, lowest
 from .spec import WorldSpec
 from .thermal import Drift
 from .truth import Crash, ProbeEvent, Touch, Truth
@@ -46,12 +47,13 @@ class World:
         "_held",
         "_keeper",
         "_last_t",
-        "_last_xy",
+        "_last_poses",
         "_looking",
         "_low",
         "_next_fault",
         "_ooze",
         "_parts",
+        "_side",
         "spec",
         "truth",
     )
@@ -84,10 +86,13 @@ class World:
         self._early = 0.0
         # Signals with which a move looks for a touch
         self._looking: dict[str, Line] = {}
-        self._last_xy: Optional[tuple[float, float]] = None
+        self._last_poses: Optional[Poses] = None
         self._last_t = -math.inf
         # Something near the plate has yet to be let go
         self._low = False
+        # On which side of the first the second carriage is, 1: in the
+        # direction of X; 0: not known yet
+        self._side = 0.0
         # Kept so by hand
         self._held: dict[str, bool] = {}
         self._next_fault = self._expect_faults()
@@ -102,11 +107,11 @@ class World:
         """Names of the outputs set_output() knows."""
         return tuple(self._parts.outputs)
 
-    def level(self, signal: str, t: float, pose: Sequence[float]) -> bool:
-        """Whether the signal would be asserted at time t and pose.  Pure."""
+    def level(self, signal: str, t: float, *poses: Sequence[float]) -> bool:
+        """Whether the signal would be asserted at time t and poses.  Pure."""
         if signal in self._held:
             return self._held[signal]
-        return self._parts.lines[signal].level(t, pose)
+        return self._parts.lines[signal].level(t, poses)
 
     def hold(self, signal: str, level: Optional[bool]) -> None:
         """A hand keeps the signal asserted or not; None: it lets go."""
@@ -196,13 +201,12 @@ class World:
         """How far (mm) plastic hangs below the nozzle at time t."""
         return self._ooze.height(t)
 
-    def near(self, t: float, pose: Sequence[float]) -> list[Near]:
-        """What is below the parts of a toolhead at `pose`; changes nothing."""
-        held = self._keeper is not None and self._keeper.held(t)
+    def near(self, t: float, *poses: Sequence[float]) -> list[Near]:
+        """What is below the parts of a toolhead that is there; changes nothing."""
         return [
             near
             for sensor in self._parts.sensors
-            for near in sensor.near(t, pose, held)
+            for near in sensor.near(t, poses)
         ]
 
     def lay_membrane(self, is_laid: bool, signal: str = "membrane") -> None:
@@ -228,52 +232,71 @@ class World:
             line.mend()
         self.expect_faults()
 
-    def observe(self, t: float, pose: Sequence[float]) -> None:
-        """Commit that the toolhead is at `pose` at time t, in order of time."""
+    def observe(self, t: float, *poses: Sequence[float]) -> None:
+        """Commit where the nozzles are at time t, in order of time."""
         if t < self._last_t:
             raise ValueError(f"observe: t={t!r} is before {self._last_t!r}")
-        x, y, z = pose
+        pose = poses[0]
         if t >= self._next_fault:
             self._next_fault = self._mark_due(t)
         for line in self._looking.values():
-            line.observe(t, pose, self._faults)
+            line.observe(t, poses, self._faults)
         if self._keeper is not None:
             self._keeper.observe(t, pose)
-            depth = self._keeper.dock_depth(t, pose)
-            if depth > 0.0:
-                here = Pose(x, y, z)
-                self.truth.judge(Crash("dock", "depth", depth, 0.0, t, here))
+            self._hit("dock", self._keeper.dock_depth(t, pose), t, pose)
+        if self.spec.second_carriage is not None:
+            self._keep_apart(t, poses, self.spec.second_carriage.clearance)
         self._ooze.observe(t, pose)
         for switch in self._parts.switches:
-            finding = switch.commit(pose)
+            finding = switch.commit(poses)
             if finding is not None:
-                self._take(t, pose, finding, 0.0)
+                self._take(t, poses, finding, 0.0)
+        z = lowest(poses)
         self.truth.lowest = min(self.truth.lowest, z)
         drift = self._drift
         bound = drift.bound(t) if drift.active else 0.0
         low = z <= self._ceiling + self._early + bound
         if low or self._low:
-            self._commit_contacts(t, pose)
+            self._commit_contacts(t, poses)
             self._low = low
         # Only a nozzle this low can come nearer to the plate than ever
-        nearest = z - self._bed.highest - bound
-        if nearest < self.truth.min_gap and self._bed.covers(x, y):
-            gap = self._gap(x, y, z, t)
-            self.truth.min_gap = min(self.truth.min_gap, gap)
-        self._last_xy = (x, y)
+        if z - self._bed.highest - bound < self.truth.min_gap:
+            self._commit_gaps(t, poses)
+        self._last_poses = poses
         self._last_t = t
 
-    def _commit_contacts(self, t: float, pose: Sequence[float]) -> None:
-        held = self._keeper is not None and self._keeper.held(t)
-        x, y, _ = pose
-        last_x, last_y = (x, y) if self._last_xy is None else self._last_xy
-        moved = math.hypot(x - last_x, y - last_y)
+    def _keep_apart(self, t: float, poses: Poses, clearance: float) -> None:
+        """Carriages on one rail do not pass each other."""
+        apart = poses[1][0] - poses[0][0]
+        self._side = self._side or math.copysign(1.0, apart)
+        self._hit("carriages", clearance - self._side * apart, t, poses[1])
+
+    def _hit(
+        self, site: str, depth: float, t: float, pose: Sequence[float]
+    ) -> None:
+        """So many mm in what may not be touched; none: it was not."""
+        if depth > 0.0:
+            here = Pose(*pose)
+            self.truth.judge(Crash(site, "depth", depth, 0.0, t, here))
+
+    def _commit_gaps(self, t: float, poses: Poses) -> None:
+        for carriage, (x, y, z) in enumerate(poses):
+            if self._bed.covers(x, y):
+                gap = self._gap(x, y, z, t, carriage)
+                self.truth.min_gap = min(self.truth.min_gap, gap)
+
+    def _commit_contacts(self, t: float, poses: Poses) -> None:
+        last = self._last_poses or poses
+        moved = [
+            math.hypot(now[0] - before[0], now[1] - before[1])
+            for now, before in zip(poses, last)
+        ]
         for sensor in self._parts.sensors:
-            for finding in sensor.commit(t, pose, held, moved):
-                self._take(t, pose, finding, moved)
+            for finding in sensor.commit(t, poses, moved):
+                self._take(t, poses, finding, moved[finding.site.carriage])
 
     def _take(
-        self, t: float, pose: Sequence[float], finding: Finding, moved: float
+        self, t: float, poses: Poses, finding: Finding, moved: float
     ) -> None:
         """Write down what was found, and let the probe fall if it must."""
         site, truth = finding.site, self.truth
@@ -281,7 +304,7 @@ class World:
             for fault in site.faults:
                 self._faults.strikes(fault)
             self._faults.touched(site.name)
-        x, y, z = pose
+        x, y, z = poses[site.carriage]
         keeper = self._keeper
         if finding.pressed and not finding.was_pressed:
             truth.touches.append(Touch(t, site.name, x, y, z, finding.trigger))
@@ -305,11 +328,15 @@ class World:
             drag, allowed = finding.drag, site.allowed_drag
             truth.judge(Crash(site.name, "drag", drag, allowed, t, here))
 
-    def _gap(self, x: float, y: float, z: float, t: float) -> float:
-        """Tip to plate, mm; positive above it."""
+    def _gap(
+        self, x: float, y: float, z: float, t: float, carriage: int
+    ) -> float:
+        """Tip of that carriage to plate, mm; positive above it."""
         # Filament fills a texture, so its mean surface counts
         surface = self._bed.height(x, y) + self._drift.bed(t)
-        return z - self._drift.nozzle(t) - surface
+        # The second nozzle stays cold
+        growth = 0.0 if carriage else self._drift.nozzle(t)
+        return z - growth - surface
 
     def _tell(self, t: float, kind: str) -> None:
         self.truth.events.append(ProbeEvent(t, kind))

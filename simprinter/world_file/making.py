@@ -7,7 +7,7 @@ from collections.abc import Iterable, Iterator
 from typing import NamedTuple, Optional
 
 from ..printer_cfg import DELTA, PrinterCfg
-from ..world.spec import TOWERS
+from ..world.spec import SECOND, TOWERS
 from .wiring import kinematics_of
 
 # mm that the toolhead stands off an endstop at first: the way there proves nothing
@@ -53,12 +53,15 @@ def made_from(cfg: PrinterCfg) -> str:
     axes = _axes_of_delta(cfg) if is_delta else _axes(cfg)
     ends = {name: _tower(cfg, name) for name in TOWERS} if is_delta else axes
     signals: dict[str, str] = {}
-    others = {n: s for n, s in cfg.steppers().items() if n not in ends}
+    others = {
+        n: s for n, s in cfg.steppers().items() if n not in (*ends, SECOND)
+    }
     parts = [
         _head(cfg),
         _left_out(cfg),
         _start(axes),
         _bed(axes),
+        *_second_carriage(cfg, signals),
         *_switches(cfg, ends, signals),
         *_other_switches(cfg, others, axes, signals),
         *_probe(cfg, signals),
@@ -92,8 +95,38 @@ def _tower(cfg: PrinterCfg, name: str) -> _Axis:
     return _Axis(0.0, at, at, cfg.pin(section, "endstop_pin"), True)
 
 
+def _second_carriage(cfg: PrinterCfg, signals: dict[str, str]) -> Iterator[str]:
+    section = cfg.second_carriage
+    if section is None:
+        return
+    axis = _axis_of(cfg, section)
+    if axis.at is None or axis.pin is None:
+        told = "give it a pin of a board: without, it cannot be homed"
+        raise cfg.error(section, "endstop_pin", told)
+    signals[f"{SECOND}_endstop"] = axis.pin
+    x = axis.at - _AWAY if axis.is_up else axis.at + _AWAY
+    yield f"""\
+# The second carriage, with a nozzle of its own. How that hangs beside the first,
+# and how near the two come to each other, is not known: a guess.
+[second_carriage]
+x_world_mm = {x:g}
+y_from_first_nozzle_mm = 0
+z_from_first_nozzle_mm = 0
+nearest_to_first_nozzle_mm = 0
+
+[[switches]]
+signal = "{SECOND}_endstop"
+axis = "{SECOND}"
+trigger_world_mm = {axis.at:g}
+direction = {1 if axis.is_up else -1}
+"""
+
+
 def _axis(cfg: PrinterCfg, axis: str) -> _Axis:
-    section = cfg.axis_section(axis)
+    return _axis_of(cfg, cfg.axis_section(axis))
+
+
+def _axis_of(cfg: PrinterCfg, section: str) -> _Axis:
     high = cfg.number(section, "position_max")
     low = cfg.number(section, "position_min", 0.0)
     pin = cfg.pin(section, "endstop_pin")

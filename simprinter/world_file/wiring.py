@@ -9,7 +9,7 @@ from ..printer_cfg import DELTA, GENERIC, PrinterCfg
 from ..scene import Scene
 from ..wiring import BoardSpec, Heater, Motor, Wiring
 from ..world import WorldSpec, make_kinematics
-from ..world.spec import TOWERS
+from ..world.spec import SECOND, TOWERS
 from .reading import Extra, WorldFile
 
 _PLAIN = (
@@ -38,6 +38,7 @@ def scene_of(cfg: PrinterCfg, world: WorldFile) -> Scene:
     Raises WorldFileError or PrinterCfgError where they do not fit together.
     """
     _require_wired(world)
+    _require_carriages(cfg, world)
     motors = _motors(cfg, world)
     return Scene(
         name=cfg.name,
@@ -83,12 +84,25 @@ def _with_towers(cfg: PrinterCfg, world: WorldFile) -> WorldSpec:
     if spec.towers and not is_delta:
         told = f"kinematics is {cfg.kinematics} in printer.cfg; leave them out"
         raise world.refuse("[towers]", len(spec.towers), told)
-    axes = TOWERS if is_delta else ("x", "y", "z")
+    axes = TOWERS if is_delta else ("x", "y", "z", SECOND)
     for switch in spec.switches:
         if switch.axis not in axes:
             told = f"this machine has the axes {', '.join(axes)}"
             raise world.refuse("[switches] axis", switch.axis, told)
     return replace(spec, towers=spec.towers or cfg.towers())
+
+
+def _require_carriages(cfg: PrinterCfg, world: WorldFile) -> None:
+    """Both files have a second carriage, or neither."""
+    section, second = cfg.second_carriage, world.spec.second_carriage
+    if section in world.left_out:
+        section = None
+    if section is not None and second is None:
+        told = f"is missing; printer.cfg has [{section}], so say where it is"
+        raise world.refuse("[second_carriage] x_world_mm", "", told)
+    if second is not None and section is None:
+        told = "printer.cfg has no [dual_carriage]; leave it out"
+        raise world.refuse("[second_carriage] x_world_mm", second.x, told)
 
 
 def _require_wired(world: WorldFile) -> None:
@@ -111,6 +125,8 @@ def _require_wired(world: WorldFile) -> None:
 
 def _motors(cfg: PrinterCfg, world: WorldFile) -> dict[str, Motor]:
     motors = cfg.motors()
+    if world.spec.second_carriage is None:
+        motors.pop(SECOND, None)
     names = {s: n for n, s in cfg.steppers().items() if n in motors}
     for section, extra in world.motors.items():
         if section not in names:
@@ -142,9 +158,10 @@ def _z_motors(
         )
     made = [(name, *places[name]) for name in names]
     try:
-        make_kinematics(kinematics_of(cfg), made)
+        second = world.spec.second_carriage
+        make_kinematics(kinematics_of(cfg), made, second=second)
     except ValueError as error:
-        told = f"of the Z motors of this machine: {error}"
+        told = f"of the motors of this machine: {error}"
         raise cfg.error("printer", "kinematics", told) from None
     return made
 
