@@ -183,6 +183,20 @@ def test_both_move_at_once(start, machine):
     assert tips == pytest.approx([50, 170], abs=2 * X_STEP)
 
 
+@pytest.mark.every_host("Klipper lost the second carriage before 2024-02-07")
+def test_what_klippy_does_wrong_is_seen(start, host, machine):
+    """It takes the second carriage to be where the first is, after a touch."""
+    idex = host.directory / "base/klippy/kinematics/idex_modes.py"
+    is_lost = "def get_primary_rail" not in idex.read_text()
+    printer = start(machine).homed()
+    printer.run(
+        "G1 X-40 Z5 F6000\nSET_DUAL_CARRIAGE CARRIAGE=1\nG1 X60\nPROBE\n"
+        "G1 Z5\nG1 X70\nM400"
+    )
+    wanted = 60 + 70 + 40 if is_lost else 70
+    assert printer.machine.tip(1).x == pytest.approx(wanted, abs=2 * X_STEP)
+
+
 def test_second_nozzle_in_the_bed_is_named(start, machine):
     printer = start(machine).homed()
     printer.run("G1 X-40 Z5 F6000\nSET_DUAL_CARRIAGE CARRIAGE=1")

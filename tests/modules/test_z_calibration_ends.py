@@ -5,10 +5,12 @@ Whoever moves on: a macro, a tool changer, the other carriage, G28, a mesh.
 
 from __future__ import annotations
 
+import re
 from pathlib import Path
 
 import pytest
 
+from tools.kit import scenes
 from tools.kit.cases import slow
 from tools.kit.docks import DOCK_SCENES
 from tools.kit.klipper_sections import TOOL, bed_mesh, profile
@@ -658,34 +660,13 @@ def test_tool_of_another_plugin_is_none_of_a_changer(start):
 ######################################################################
 
 
-def idex(start, park="5", **more):
-    """A cartesian whose second carriage has a motor, and whose first is at X=park."""
-    scene = SCENES["cartesian"]
-    changes = {
-        "dual_carriage": {
-            "axis": "x",
-            "step_pin": "PF0",
-            "dir_pin": "PF1",
-            "enable_pin": "!PF2",
-            "endstop_pin": "^PF3",
-            "microsteps": "16",
-            "rotation_distance": "40",
-            "position_min": "0",
-            "position_max": "230",
-            "position_endstop": "230",
-            "homing_speed": "50",
-            "safe_distance": "0",
-        },
-        "force_move": {"enable_force_move": "True"},
-        **more,
-    }
-    printer = start(scene, changes=changes)
+def idex(start, park=None, scene="cartesian", **more):
+    """A printer with two carriages, both homed, whose first is at X=park, or parked."""
+    machine = scenes.idex(SCENES[scene])
+    park = park or machine.number("stepper_x", "position_endstop")
+    printer = start(machine, changes=more)
     printer.session.require_ready()
-    pose = scene.start
-    printer.run(
-        f"SET_KINEMATIC_POSITION X={pose.x} Y={pose.y} Z={pose.z + 3:.3f}"
-    )
-    printer.run(f"G90\nG1 X{park} F6000")
+    printer.run(f"G28\nG90\nG1 Z10\nG1 X{park} F6000")
     return printer
 
 
@@ -758,3 +739,85 @@ def test_second_carriage_is_another_nozzle(start):
     assert len(lines) == 1 and reason in lines[0]
     printer.run("SET_DUAL_CARRIAGE CARRIAGE=0")
     assert validity(printer) == (True, "")
+
+
+def test_first_nozzle_is_measured_after_the_second_was_used(start):
+    printer = idex(start)
+    before = len(printer.machine.truth.touches)
+    printer.run(f"{OTHER}\nG1 X120 Y80 Z3 F6000\nG1 X290")
+    printer.run("SET_DUAL_CARRIAGE CARRIAGE=0")
+    calibration(printer)
+    sites = touched_sites(printer, before)
+    assert set(sites) == {"nozzle_pin", "body_pin", "probe_bed"}
+    assert printer.gap() == pytest.approx(
+        printer.scene.formula_gap(), abs=2 * MICROSTEP
+    )
+
+
+def loses_second(host):
+    """Whether it takes the second carriage to be elsewhere after a probing move."""
+    file = host.directory / "base/klippy/kinematics/idex_modes.py"
+    return "def get_primary_rail" not in file.read_text()
+
+
+@pytest.mark.every_host("Klipper before 2024-02-07 loses the second carriage")
+@pytest.mark.parametrize(
+    ("scene", "commands"),
+    [
+        ("cartesian", ("CALIBRATE_Z", "PROBE_Z_ACCURACY")),
+        ("piezo_cartesian", ("AUTO_Z_CALIBRATE",)),
+        (
+            "membrane",
+            (
+                "EXTRA_PROBE PROBE=membrane",
+                "EXTRA_PROBE_CALIBRATE PROBE=membrane",
+            ),
+        ),
+    ],
+)
+def test_second_nozzle_is_not_touched_with_where_it_is_lost(
+    start, host, scene, commands
+):
+    """The next move would drive it 60 mm into its end."""
+    if not loses_second(host):
+        pytest.skip("the host does not lose it")
+    printer = idex(start, scene=scene)
+    printer.run(f"{OTHER}\nM400")
+    words = "carriage_1 is active, and this Klipper loses its place at each"
+    before = printer.machine.tip(1)
+    for command in commands:
+        assert words in printer.fail(command)
+    assert printer.machine.tip(1) == before
+
+
+def average(printer):
+    """What PROBE_Z_ACCURACY has found with the active nozzle, mm."""
+    lines = " ".join(printer.run("PROBE_Z_ACCURACY"))
+    return float(re.search(r"average (-?[\d.]+)", lines)[1])
+
+
+def test_second_nozzle_without_a_probe(start, host):
+    """The probe is on the first carriage: nothing of the second meets the switch."""
+    if loses_second(host):
+        pytest.skip("the host loses the second carriage at each touch")
+    printer = idex(start)
+    printer.run(OTHER)
+    truth, before = printer.machine.truth, len(printer.machine.truth.touches)
+    text = printer.fail("CALIBRATE_Z")
+    assert "the switch did not answer" in text
+    assert set(touched_sites(printer, before)) == {"second_nozzle_pin"}
+    assert truth.min_gap > 1.0
+    # How far the nozzles are apart can be measured
+    second = average(printer)
+    printer.run("G1 X290 F6000\nSET_DUAL_CARRIAGE CARRIAGE=0")
+    assert average(printer) - second == pytest.approx(
+        scenes.SECOND_NOZZLE, abs=2 * MICROSTEP
+    )
+    # ... and be put into its macro
+    printer.run(
+        f"CALIBRATE_Z\nG1 X-8 F6000\n{OTHER}\nG1 X110 Y110\n"
+        f"SET_GCODE_OFFSET Z_ADJUST={-scenes.SECOND_NOZZLE}\nG1 Z5\nM400"
+    )
+    assert printer.machine.gap_at_zero(5.0, carriage=1) == pytest.approx(
+        printer.scene.formula_gap(), abs=3 * MICROSTEP
+    )

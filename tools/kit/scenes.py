@@ -16,7 +16,8 @@ from simprinter.mcu.board import Crystal
 from simprinter.plugin_printer import read_scene
 from simprinter.scene import Options, Sections, heated
 from simprinter.wiring import BoardSpec, Motor
-from simprinter.world import InductiveSpec
+from simprinter.world import AxisSwitchSpec, CarriageSpec, InductiveSpec
+from simprinter.world.spec import SECOND
 
 __all__ = ["SCENES", "Options", "Scene", "Sections", "heated"]
 
@@ -320,6 +321,47 @@ def _membrane_and_probe(membrane: Scene) -> Scene:
     ).with_world(
         switches=membrane.world.switches[:2],
         inductive=InductiveSpec(17.6, 4.4, sense_distance=2.2713),
+    )
+
+
+# How far the second nozzle of an IDEX hangs above the first, mm
+SECOND_NOZZLE = -0.3
+
+
+def idex(scene: Scene) -> Scene:
+    """A cartesian scene with a second carriage, whose nozzle hangs lower.
+
+    The probe stays on the first. Parked at X=290, nothing is below it.
+    """
+    end, motor = 290.0, Motor("PL0", "PL1", 0.0125, enable_pin="!PL2")
+    switch = AxisSwitchSpec(f"{SECOND}_endstop", SECOND, end + 0.003)
+    inputs = {**scene.wiring.inputs, switch.signal: "^PL3"}
+    motors = {**scene.wiring.motors, SECOND: motor}
+    section = {
+        "axis": "x",
+        "step_pin": motor.step_pin,
+        "dir_pin": motor.dir_pin,
+        "enable_pin": motor.enable_pin,
+        "endstop_pin": inputs[switch.signal],
+        "microsteps": "16",
+        "rotation_distance": "40",
+        "position_min": "0",
+        "position_max": f"{end:g}",
+        "position_endstop": f"{end:g}",
+        "homing_speed": "50",
+        "homing_retract_dist": "0",
+        "safe_distance": "30",
+    }
+    return replace(
+        scene,
+        name=f"{scene.name}_idex",
+        wiring=replace(scene.wiring, motors=motors, inputs=inputs),
+        sections={**scene.sections, "dual_carriage": section},
+    ).with_world(
+        switches=(*scene.world.switches, switch),
+        second_carriage=CarriageSpec(
+            end - 10.0, z_offset=SECOND_NOZZLE, clearance=30.0
+        ),
     )
 
 
