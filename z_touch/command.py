@@ -85,6 +85,16 @@ def check_homed(host: Host) -> None:
         )
 
 
+def check_carriage(host: Host) -> None:
+    """Raise CalibrationError for a carriage of an IDEX whose place is lost at each touch."""
+    lost = host.tools.lost_by_probing()
+    if lost is not None:
+        raise CalibrationError(
+            f"{lost} is active, and this Klipper loses its place at each touch;"
+            " update Klipper (2024-02-07 or newer), or use the first carriage"
+        )
+
+
 def check_no_pause(host: Host) -> None:
     """Raise CalibrationError while a print is paused: it stands where we would go."""
     if host.print_state() == "paused":

@@ -231,6 +231,7 @@ class ExtraProbe:
         Z=0 is elsewhere by now, it is not known how low that is.
         """
         command.check_no_manual_probe(self.host)
+        command.check_carriage(self.host)
         self.calibration.check_answered()
         settings, homed = self.settings, self.calibration.homed
         z_zero = self.host.axes.z_zero()

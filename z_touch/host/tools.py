@@ -5,7 +5,16 @@ Copyright (C) 2026  the Z calibration developers, under the GNU GPLv3
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING, Any, Dict, Iterator, List, NamedTuple, Tuple
+from typing import (
+    TYPE_CHECKING,
+    Any,
+    Dict,
+    Iterator,
+    List,
+    NamedTuple,
+    Optional,
+    Tuple,
+)
 
 if TYPE_CHECKING:
     from .printer import Host
@@ -91,6 +100,17 @@ class Tools:
         """Return the first carriage of each axis by name, which homing leaves active."""
         names = list(self._modes())
         return names[: (len(names) + 1) // 2]
+
+    def lost_by_probing(self) -> Optional[str]:
+        """Return the active carriage whose place the host loses at each touch, None: of none.
+
+        Before 2024-02-07 (b7f7b8a34) Klipper takes it to be where the first one is, and
+        drives it into its end with the next move.
+        """
+        dual = self.printer.lookup_object("dual_carriage", None)
+        if dual is None or hasattr(dual, "get_primary_rail"):
+            return None
+        return next(iter(self._other_carriages()), None)
 
     def carriages(self) -> List[Carriage]:
         """Return the carriages of an IDEX, none: the printer is not one."""

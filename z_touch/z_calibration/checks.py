@@ -7,6 +7,7 @@ from __future__ import annotations
 
 from typing import TYPE_CHECKING, List
 
+from .. import command
 from ..errors import CalibrationError
 from ..host.tools import INACTIVE, PRIMARY, Carriage
 from . import heights
@@ -40,7 +41,10 @@ def check_probe(host: Host) -> None:
 
 
 def check_carriages(host: Host, settings: Settings) -> None:
-    """Raise CalibrationError where another carriage of an IDEX would touch the bed, too."""
+    """Raise CalibrationError where another carriage of an IDEX would touch the bed, too.
+
+    Or where the active one would be lost.
+    """
     carriages = host.tools.carriages()
     active = [c for c in carriages if c.mode != INACTIVE]
     for carriage in active:
@@ -58,6 +62,7 @@ def check_carriages(host: Host, settings: Settings) -> None:
                 f" {axis.upper()}={carriage.position:.1f} over the bed, where its nozzle"
                 f" may be the lower one; park it at its end ({carriage.end:.1f})"
             )
+    command.check_carriage(host)
 
 
 def _is_over_bed(carriage: Carriage, settings: Settings) -> bool:
