@@ -27,7 +27,7 @@ from simprinter.tests.world_machines import (
     Driver,
     make,
 )
-from simprinter.world import Bed, Pose, World
+from simprinter.world import Bed, CarriageSpec, Pose, World
 
 FAR = Pose(*MIDDLE, HIGH)
 BED_AT_MIDDLE = Bed(PIEZO.bed).height(*MIDDLE)
@@ -122,7 +122,9 @@ def test_readme_lists_all_faults_and_sites():
     # Each site that some machine has, but for switches of axes
     probe = replace(MAG.mag_probe, plunger_on_pin=True)
     known = set()
+    second = CarriageSpec(280.0)
     for spec in (replace(MEMBRANE, mag_probe=probe), PIEZO):
+        spec = replace(spec, second_carriage=second)
         with pytest.raises(ValueError, match="no such site") as error:
             make(spec, Fault("stuck_open", site="none"))
         have = str(error.value).split("have")[1]

@@ -221,14 +221,14 @@ def test_output_attaches_after_its_time():
     assert world.level("probe_sense", 1.25, FAR)
     assert world.truth.events == []
     world.observe(1.3, FAR)
-    assert world.truth.events == [(1.25, "attach")]
+    assert world.truth.events == [(1.25, "attach", "probe")]
     # Asked for a moment before the change, with latency say
     assert world.level("probe", 1.249, FAR)
     world.set_output("probe_attach", 2.0, 0.0)
     assert world.level("probe_sense", 2.249, FAR)
     assert world.level("dock_sense", 2.25, FAR)
     world.observe(3.0, FAR)
-    assert world.truth.events[1:] == [(2.25, "dock")]
+    assert world.truth.events[1:] == [(2.25, "dock", "probe")]
 
 
 @pytest.mark.parametrize(
@@ -245,6 +245,6 @@ def test_output_that_changes_before_it_is_done(outputs, events):
     for t, value in outputs:
         world.set_output("probe_attach", t, value)
     world.observe(2.0, FAR)
-    found = [(pytest.approx(t), kind) for t, kind in world.truth.events]
+    found = [(pytest.approx(t), kind) for t, kind, _ in world.truth.events]
     assert found == events
     assert world.probe_state(2.0) == ("attached" if events else "docked")

@@ -10,7 +10,7 @@ import math
 import random
 from typing import Callable, Optional, Sequence
 
-from ..faults import PROBE_SITES, Faults
+from ..faults import Faults
 from .lines import Output
 from .spec import DockSpec, MagProbeSpec, Vector
 
@@ -209,9 +209,11 @@ class Dock:
 
 
 class Keeper:
-    """The probe's fate: attaching, docking, falling, and their faults.
+    """A probe's fate: attaching, docking, falling, and their faults.
 
-    tell(t, kind) is called with each event (kinds: truth.ProbeEvent).
+    tell(t, kind) is called with each event (kinds: truth.ProbeEvent). falls_at:
+    sites at whose contacts it may fall. others: those of the same carriage, of
+    which that carries one at a time.
     """
 
     __slots__ = (
@@ -224,7 +226,10 @@ class Keeper:
         "_reseat",
         "_seat",
         "_tell",
+        "falls_at",
         "lowest",
+        "others",
+        "spec",
     )
 
     def __init__(
@@ -235,6 +240,9 @@ class Keeper:
         tell: Callable[[float, str], None],
         generator: random.Random,
     ) -> None:
+        self.spec = spec
+        self.falls_at: Sequence[str] = ()
+        self.others: Sequence[Keeper] = ()
         self._at_first = ProbeState(spec.initial)
         self._holder = Holder(self._at_first)
         self._dock = None if dock is None else Dock(dock)
@@ -310,14 +318,17 @@ class Keeper:
             origin, fault = ProbeState.ATTACHED, "dock_fails"
         if state is not origin:
             return
-        if self._faults.fires(fault):
+        is_taken = any(other.held(t) for other in self.others)
+        if self._faults.fires(fault) or (
+            wanted is ProbeState.ATTACHED and is_taken
+        ):
             self._tell(t, fault.replace("fails", "failed"))
             return
         self._change(t, wanted, delay)
 
     def touched(self, t: float, site: str) -> None:
         """Something touched something; only the probe's touches count."""
-        if site not in PROBE_SITES:
+        if site not in self.falls_at:
             return
         fault = self._faults.fires("probe_falls", site)
         if fault is None:

@@ -66,14 +66,15 @@ class Builder:
         bed: Bed,
         drift: Drift,
         ooze: Ooze,
-        keeper: Optional[Keeper],
+        keepers: Sequence[Keeper],
     ) -> None:
+        """keepers: of the detachable probes."""
         self._spec = spec
         self._seed = seed
         self._bed = bed
         self._drift = drift
         self._ooze = ooze
-        self._keeper = keeper
+        self._keepers = keepers
         self._lines: dict[str, Line] = {}
         self._outputs: dict[str, Output] = {}
         self._sensors: list[ContactSensor] = []
@@ -94,8 +95,8 @@ class Builder:
         self._plate()
         for pin in spec.pins():
             self._pin(pin)
-        if spec.mag_probe is not None and self._keeper is not None:
-            self._mag_probe(spec.mag_probe, self._keeper)
+        for keeper in self._keepers:
+            self._mag_probe(keeper.spec, keeper)
         self._inductive()
         for membrane in spec.membranes():
             self._membrane(membrane)
@@ -209,17 +210,16 @@ class Builder:
             )
             for nozzle in self._nozzles
         ]
-        probe = self._spec.mag_probe
-        if probe is not None and self._keeper is not None:
-            body = body_on_pin(pin, probe, self._drift, self._keeper.seat)
-            top += probe.body_drop + self._keeper.lowest
+        for keeper in self._keepers:
+            probe = keeper.spec
             sites.append(
                 Site(
-                    f"body_{name}",
-                    body,
-                    top,
+                    f"{self._prefix(probe)}body_{name}",
+                    body_on_pin(pin, probe, self._drift, keeper.seat),
+                    top + probe.body_drop + keeper.lowest,
                     pin.pretravel,
-                    self._keeper.held,
+                    keeper.held,
+                    int(probe.on_second),
                 )
             )
         for site in sites:
@@ -232,19 +232,26 @@ class Builder:
         """What its sites are called by: the first is the pin."""
         return "pin" if pin is self._spec.pin else pin.signal
 
+    def _prefix(self, probe: MagProbeSpec) -> str:
+        """What sites of its body are called by: those of the first have none."""
+        return "" if probe is self._spec.mag_probe else f"{probe.signal}_"
+
     def _mag_probe(self, probe: MagProbeSpec, keeper: Keeper) -> None:
         """Plunger and body on the plate, senses, attaching output."""
         bed, drag = self._bed, self._spec.allowed_drag
+        carriage, prefix = int(probe.on_second), self._prefix(probe)
+        is_first = not prefix
         plunger = probe.switch_offset + probe.pretravel
         body_top = bed.highest + probe.body_drop + keeper.lowest
         seat = keeper.seat
         contact = hanging_on_bed(bed, self._drift, probe, plunger, seat)
         tip = Site(
-            "probe_bed",
+            "probe_bed" if is_first else f"{probe.signal}_bed",
             contact,
             body_top + plunger,
             probe.pretravel,
             keeper.held,
+            carriage,
         )
         # How deep the plunger may go is what the body on the bed is about
         tip.limit(math.inf, drag)
@@ -252,17 +259,23 @@ class Builder:
         for pin in self._spec.pins() if probe.plunger_on_pin else ():
             pressed = body_on_pin(pin, probe, self._drift, seat)
             top = pin.z + pin.pretravel + probe.body_drop + keeper.lowest
-            name = f"plunger_{self._name_of(pin)}"
-            sites.append(Site(name, pressed, top, 0.0, keeper.held))
+            name = f"{prefix}plunger_{self._name_of(pin)}"
+            sites.append(Site(name, pressed, top, 0.0, keeper.held, carriage))
             sites[-1].limit(math.inf, drag)
-        sensor = self._sensor("probe", probe.noise, *sites)
+        sensor = self._sensor(probe.signal, probe.noise, *sites)
         contact = hanging_on_bed(bed, self._drift, probe, 0.0, seat)
-        body = Site("body_bed", contact, body_top, held=keeper.held)
+        body = Site(
+            f"{prefix}body_bed",
+            contact,
+            body_top,
+            held=keeper.held,
+            carriage=carriage,
+        )
         body.limit(0.0, drag)
         self._sensor("", NoiseSpec(), body)
 
         def is_there(t: float, poses: Poses) -> bool:
-            return keeper.connected(t, poses[0])
+            return keeper.connected(t, poses[carriage])
 
         def level(t: float, poses: Poses) -> bool:
             if probe.normally_open:
@@ -270,16 +283,20 @@ class Builder:
             # Normally closed: asserted as well when it is not there
             return not is_there(t, poses) or sensor.level(t, poses)
 
-        self._line("probe", level, sensor.state, probe.noise, sensor.sites)
+        self._line(probe.signal, level, sensor.state, probe.noise, sensor.sites)
         if probe.mode == "output":
-            self._outputs["probe_attach"] = Output()
+            self._outputs[attach_output(probe)] = Output()
         if keeper.swing is not None:
-            self._outputs["dock_swing"] = keeper.swing
+            name = "dock_swing" if is_first else f"{probe.signal}_dock_swing"
+            self._outputs[name] = keeper.swing
+        if not is_first:
+            return
         if self._spec.probe_sense:
             self._line("probe_sense", is_there)
         if self._spec.dock_sense:
             self._line(
-                "dock_sense", lambda t, poses: keeper.in_dock(t, poses[0])
+                "dock_sense",
+                lambda t, poses: keeper.in_dock(t, poses[carriage]),
             )
 
     def _inductive(self) -> None:
@@ -317,6 +334,11 @@ class Builder:
             )
             sites[-1].limit(self._spec.overtravel, self._spec.allowed_drag)
         self._switch(signal, spec.noise, *sites)
+
+
+def attach_output(probe: MagProbeSpec) -> str:
+    """The output that attaches it, of mode "output"."""
+    return f"{probe.signal}_attach"
 
 
 def _while_on(enable: Output, level: PoseLevel) -> PoseLevel:

@@ -267,54 +267,6 @@ class AxisSwitchSpec(Spec):
 
 
 @dataclass(frozen=True)
-class MagProbeSpec(Spec):
-    """A switch hanging beside the nozzle that can be taken off.
-
-    x_offset, y_offset: its place relative to the nozzle, mm
-    body_drop: mm its body's bottom hangs below the cold nozzle tip
-    switch_offset: mm from the body's bottom down to the plunger's trigger
-        point, so that it triggers on the bed at a nozzle height of
-        body_drop + switch_offset
-    pretravel: mm the plunger moves from first contact to the trigger
-    half_width: half the side of the body's square bottom around the plunger,
-        mm; the body of a D2F is 12.8 mm long
-    reseat: spread (sigma, mm) of how low it hangs from one attaching to the
-        next, body and plunger alike; cut off at 3 sigma
-    mode: "output" (a board output attaches), "dock" (moves do), "fixed"
-    initial: "attached", "docked" or "lost"
-    attach_time: seconds from the output's edge to the change, mode "output"
-    plunger_on_pin: whether the pin that the body is put on presses the plunger
-    normally_open: whether the switch closes when it is pressed; it reads open
-        without the probe, too
-    """
-
-    x_offset: float
-    y_offset: float
-    body_drop: float
-    switch_offset: float
-    pretravel: float = 0.3
-    half_width: float = 6.4
-    reseat: float = 0.0
-    mode: str = "fixed"
-    initial: str = "attached"
-    attach_time: float = 0.0
-    plunger_on_pin: bool = False
-    normally_open: bool = False
-    noise: NoiseSpec = field(default_factory=NoiseSpec)
-
-    _POSITIVE = ("body_drop", "half_width")
-    _NOT_NEGATIVE = ("switch_offset", "pretravel", "attach_time", "reseat")
-
-    def _check(self) -> None:
-        self._require_one_of("mode", ("output", "dock", "fixed"))
-        states = ("attached", "docked", "lost")
-        fixed = self.mode == "fixed"
-        self._require_one_of("initial", ("attached",) if fixed else states)
-        good = self.mode == "output" or self.attach_time == 0.0
-        self._require(good, "attach_time", "zero, as there is no output")
-
-
-@dataclass(frozen=True)
 class DockSpec(Spec):
     """Where a probe of mode "dock" is kept.
 
@@ -364,6 +316,63 @@ class DockSpec(Spec):
         apart = math.degrees(math.acos(max(-1.0, min(1.0, dot / lengths))))
         wanted = f"more than twice the cone ({self.cone} degrees) off approach"
         self._require(apart > 2.0 * self.cone, "release", wanted)
+
+
+@dataclass(frozen=True)
+class MagProbeSpec(Spec):
+    """A switch hanging beside the nozzle that can be taken off.
+
+    x_offset, y_offset: its place relative to the nozzle, mm
+    body_drop: mm its body's bottom hangs below the cold nozzle tip
+    switch_offset: mm from the body's bottom down to the plunger's trigger
+        point, so that it triggers on the bed at a nozzle height of
+        body_drop + switch_offset
+    pretravel: mm the plunger moves from first contact to the trigger
+    half_width: half the side of the body's square bottom around the plunger,
+        mm; the body of a D2F is 12.8 mm long
+    reseat: spread (sigma, mm) of how low it hangs from one attaching to the
+        next, body and plunger alike; cut off at 3 sigma
+    mode: "output" (a board output attaches), "dock" (moves do), "fixed"
+    initial: "attached", "docked" or "lost"
+    attach_time: seconds from the output's edge to the change, mode "output"
+    plunger_on_pin: whether the pin that the body is put on presses the plunger
+    normally_open: whether the switch closes when it is pressed; it reads open
+        without the probe, too
+    signal: another one than "probe" where there are several
+    dock: where it is kept, mode "dock"; of the first WorldSpec.dock does
+    on_second: whether it hangs on the second carriage
+    """
+
+    x_offset: float
+    y_offset: float
+    body_drop: float
+    switch_offset: float
+    pretravel: float = 0.3
+    half_width: float = 6.4
+    reseat: float = 0.0
+    mode: str = "fixed"
+    initial: str = "attached"
+    attach_time: float = 0.0
+    plunger_on_pin: bool = False
+    normally_open: bool = False
+    noise: NoiseSpec = field(default_factory=NoiseSpec)
+    signal: str = "probe"
+    dock: Optional[DockSpec] = None
+    on_second: bool = False
+
+    _POSITIVE = ("body_drop", "half_width")
+    _NOT_NEGATIVE = ("switch_offset", "pretravel", "attach_time", "reseat")
+
+    def _check(self) -> None:
+        self._require(bool(self.signal), "signal", "a name")
+        good = self.dock is None or self.mode == "dock"
+        self._require(good, "dock", "given for mode 'dock' only")
+        self._require_one_of("mode", ("output", "dock", "fixed"))
+        states = ("attached", "docked", "lost")
+        fixed = self.mode == "fixed"
+        self._require_one_of("initial", ("attached",) if fixed else states)
+        good = self.mode == "output" or self.attach_time == 0.0
+        self._require(good, "attach_time", "zero, as there is no output")
 
 
 @dataclass(frozen=True)
@@ -517,7 +526,8 @@ class WorldSpec(Spec):
 
     towers: the three of a delta, none of another machine
     second_carriage: of a machine with two on one rail
-    more_pins, more_membranes: beside the first, each with a signal of its own
+    more_pins, more_membranes, more_probes: beside the first, each with a signal of
+        its own
     overtravel: mm a presser may go beyond the trigger of pin, bed sensor or
     membrane; allowed_drag: mm of XY travel allowed in one contact.
     probe_sense, dock_sense: whether the board can see those states.
@@ -543,6 +553,7 @@ class WorldSpec(Spec):
     allowed_drag: float = 0.05
     more_pins: Tuple[PinSpec, ...] = ()
     more_membranes: Tuple[MembraneSpec, ...] = ()
+    more_probes: Tuple[MagProbeSpec, ...] = ()
     towers: Tuple[TowerSpec, ...] = ()
     second_carriage: Optional[CarriageSpec] = None
 
@@ -558,10 +569,8 @@ class WorldSpec(Spec):
         for switch in self.switches:
             good = switch.axis != SECOND or self.second_carriage is not None
             self._require(good, "switches", "of carriages that are there")
+        self._check_docks()
         mag = self.mag_probe
-        wants_dock = mag is not None and mag.mode == "dock"
-        good = wants_dock == (self.dock is not None)
-        self._require(good, "dock", "given exactly for a probe of mode 'dock'")
         for name in ("probe_sense", "dock_sense"):
             good = mag is not None or not getattr(self, name)
             self._require(good, name, "possible without a probe")
@@ -570,6 +579,17 @@ class WorldSpec(Spec):
         told = f"told a signal for each; {twice} is that of more than one"
         self._require(not twice, "switches", told)
 
+    def _check_docks(self) -> None:
+        mag = self.mag_probe
+        wants = mag is not None and mag.mode == "dock" and mag.dock is None
+        good = wants == (self.dock is not None)
+        self._require(good, "dock", "given exactly for a probe of mode 'dock'")
+        good = all(p.dock or p.mode != "dock" for p in self.more_probes)
+        self._require(good, "more_probes", "told a dock each, for mode 'dock'")
+        if self.second_carriage is None:
+            good = not any(probe.on_second for probe in self.probes())
+            self._require(good, "second_carriage", "given for what is on it")
+
     def signals(self) -> tuple[str, ...]:
         """Names of all signals this machine drives."""
         probe = self.inductive
@@ -577,16 +597,27 @@ class WorldSpec(Spec):
             *self.switches,
             *self.pins(),
             *([] if probe is None else [probe]),
+            *self.probes(),
             *self.membranes(),
         )
         parts = {
-            "probe": self.mag_probe,
             "bed_sensor": self.bed_sensor,
             "probe_sense": self.probe_sense,
             "dock_sense": self.dock_sense,
         }
         names = [part.signal for part in named]
         return (*names, *(name for name, part in parts.items() if part))
+
+    def probes(self) -> tuple[MagProbeSpec, ...]:
+        """All detachable probes, the first one first."""
+        first = [] if self.mag_probe is None else [self.mag_probe]
+        return (*first, *self.more_probes)
+
+    def dock_of(self, probe: MagProbeSpec) -> Optional[DockSpec]:
+        """Where one of them is kept, None: in no dock."""
+        return (
+            self.dock if probe is self.mag_probe and self.dock else probe.dock
+        )
 
     def pins(self) -> tuple[PinSpec, ...]:
         """All pins, the first one first."""

@@ -9,6 +9,8 @@ height of that moment (noise and thermal growth included).  Sites:
     inductive_bed, and the axis switches by their signal names
     nozzle_SIGNAL, body_SIGNAL: on another pin or membrane than the first
     dock         the toolhead in what holds the probe
+    SIGNAL_bed, SIGNAL_body_bed, SIGNAL_body_pin and so on, SIGNAL_dock: of another
+                 detachable probe than the first, by its signal
     second_nozzle_bed and the like: the nozzle of the second carriage there
     carriages    the second carriage against the first
 """
@@ -41,10 +43,11 @@ class Touch(NamedTuple):
 
 
 class ProbeEvent(NamedTuple):
-    """kind: attach, dock, lost, attach_failed or dock_failed."""
+    """kind: attach, dock, lost, attach_failed or dock_failed; signal: which probe's."""
 
     t: float
     kind: str
+    signal: str = "probe"
 
 
 class Crash(NamedTuple):

@@ -17,15 +17,15 @@ import math
 import random
 from typing import Optional, Sequence
 
-from ..faults import Faults
+from ..faults import PROBE_SITES, Faults
 from .bed import Bed
 from .dock import Keeper, ProbeState
 from .kinematics import Pose
 from .lines import Line
 from .ooze import Ooze
-from .parts import Builder, Parts
+from .parts import Builder, Parts, attach_output
 from .sites import Finding, Near, Poses, lowest
-from .spec import WorldSpec
+from .spec import MagProbeSpec, WorldSpec
 from .thermal import Drift
 from .truth import Crash, ProbeEvent, Touch, Truth
 
@@ -45,7 +45,7 @@ class World:
         "_early",
         "_faults",
         "_held",
-        "_keeper",
+        "_keepers",
         "_last_t",
         "_last_poses",
         "_looking",
@@ -66,18 +66,26 @@ class World:
         self._bed = Bed(spec.bed)
         self._drift = Drift(spec.drift, spec.hotend)
         self._faults = Faults() if faults is None else faults
-        self._keeper: Optional[Keeper] = None
-        if spec.mag_probe is not None:
-            self._keeper = Keeper(
-                spec.mag_probe,
-                spec.dock,
-                self._faults,
-                self._tell,
-                random.Random(f"{seed}/seat"),
-            )
+        # Of the detachable probes, by their signals
+        self._keepers = {
+            probe.signal: self._keeper_of(probe, seed)
+            for probe in spec.probes()
+        }
+        for keeper in self._keepers.values():
+            keeper.others = [
+                other
+                for other in self._keepers.values()
+                if other is not keeper
+                and other.spec.on_second == keeper.spec.on_second
+            ]
         self._ooze = Ooze(spec.ooze)
         self._builder = Builder(
-            spec, seed, self._bed, self._drift, self._ooze, self._keeper
+            spec,
+            seed,
+            self._bed,
+            self._drift,
+            self._ooze,
+            tuple(self._keepers.values()),
         )
         self._parts: Parts = self._builder.build()
         sensors = self._parts.sensors
@@ -96,6 +104,22 @@ class World:
         # Kept so by hand
         self._held: dict[str, bool] = {}
         self._next_fault = self._expect_faults()
+
+    def _keeper_of(self, probe: MagProbeSpec, seed: int) -> Keeper:
+        """Who attaches and docks this probe."""
+        is_first = probe is self.spec.mag_probe
+        name, signal = "" if is_first else f"/{probe.signal}", probe.signal
+        keeper = Keeper(
+            probe,
+            self.spec.dock_of(probe),
+            self._faults,
+            lambda t, kind: self.truth.events.append(
+                ProbeEvent(t, kind, signal)
+            ),
+            random.Random(f"{seed}/seat{name}"),
+        )
+        keeper.falls_at = PROBE_SITES if is_first else ()
+        return keeper
 
     @property
     def signals(self) -> tuple[str, ...]:
@@ -138,42 +162,48 @@ class World:
     def set_output(self, signal: str, t: float, value: float) -> None:
         """The board sets an output to value (0..1) at time t."""
         edge = self._parts.outputs[signal].set(t, value)
-        if not edge or signal != "probe_attach":
+        if not edge:
             return
-        probe = self.spec.mag_probe
-        if self._keeper is not None and probe is not None:
-            on = self._parts.outputs[signal].on(t)
-            wanted = ProbeState.ATTACHED if on else ProbeState.DOCKED
-            self._keeper.ask(t, wanted, probe.attach_time)
+        for keeper in self._keepers.values():
+            probe = keeper.spec
+            if probe.mode == "output" and signal == attach_output(probe):
+                on = self._parts.outputs[signal].on(t)
+                wanted = ProbeState.ATTACHED if on else ProbeState.DOCKED
+                keeper.ask(t, wanted, probe.attach_time)
 
-    def probe_state(self, t: float) -> str:
-        """Where the detachable probe is: attached, docked, lost or none."""
-        return "none" if self._keeper is None else self._keeper.at(t).value
+    def probe_state(self, t: float, signal: str = "probe") -> str:
+        """Where a detachable probe is: attached, docked, lost or none.
 
-    def dock_is_out(self, t: float) -> bool:
+        signal: of which one, as in what follows.
+        """
+        keeper = self._keepers.get(signal)
+        return "none" if keeper is None else keeper.at(t).value
+
+    def dock_is_out(self, t: float, signal: str = "probe") -> bool:
         """Whether the dock stands where its probe is met, or is to."""
-        swing = None if self._keeper is None else self._keeper.swing
+        keeper = self._keepers.get(signal)
+        swing = None if keeper is None else keeper.swing
         return swing is None or swing.on(t)
 
-    def lose_probe(self, t: float) -> None:
+    def lose_probe(self, t: float, signal: str = "probe") -> None:
         """The probe falls off the toolhead at time t, where it is carried."""
-        if self._keeper is not None:
-            self._keeper.lose(t)
+        if signal in self._keepers:
+            self._keepers[signal].lose(t)
 
-    def bring_probe_back(self, t: float) -> None:
+    def bring_probe_back(self, t: float, signal: str = "probe") -> None:
         """A lost probe is put where it was at first, at time t."""
-        if self._keeper is not None:
-            self._keeper.bring_back(t)
+        if signal in self._keepers:
+            self._keepers[signal].bring_back(t)
 
-    def put_probe_on(self, t: float) -> None:
+    def put_probe_on(self, t: float, signal: str = "probe") -> None:
         """Somebody puts the probe on the toolhead at time t."""
-        if self._keeper is not None:
-            self._keeper.put_on(t)
+        if signal in self._keepers:
+            self._keepers[signal].put_on(t)
 
-    def take_probe_off(self, t: float) -> None:
+    def take_probe_off(self, t: float, signal: str = "probe") -> None:
         """Somebody takes the probe off the toolhead at time t."""
-        if self._keeper is not None:
-            self._keeper.take_off(t)
+        if signal in self._keepers:
+            self._keepers[signal].take_off(t)
 
     def heat_hotend(self, t: float, celsius: float) -> None:
         """The hotend has that temperature at time t."""
@@ -241,9 +271,8 @@ class World:
             self._next_fault = self._mark_due(t)
         for line in self._looking.values():
             line.observe(t, poses, self._faults)
-        if self._keeper is not None:
-            self._keeper.observe(t, pose)
-            self._hit("dock", self._keeper.dock_depth(t, pose), t, pose)
+        for keeper in self._keepers.values():
+            self._pass_dock(keeper, t, poses)
         if self.spec.second_carriage is not None:
             self._keep_apart(t, poses, self.spec.second_carriage.clearance)
         self._ooze.observe(t, pose)
@@ -264,6 +293,16 @@ class World:
             self._commit_gaps(t, poses)
         self._last_poses = poses
         self._last_t = t
+
+    def _pass_dock(self, keeper: Keeper, t: float, poses: Poses) -> None:
+        """A toolhead takes a probe along, strips it off, or hits its dock."""
+        probe = keeper.spec
+        keeper.observe(t, poses[probe.on_second])
+        name = "dock"
+        if probe is not self.spec.mag_probe:
+            name = f"{probe.signal}_dock"
+        for pose in poses:
+            self._hit(name, keeper.dock_depth(t, pose), t, pose)
 
     def _keep_apart(self, t: float, poses: Poses, clearance: float) -> None:
         """Carriages on one rail do not pass each other."""
@@ -305,13 +344,12 @@ class World:
                 self._faults.strikes(fault)
             self._faults.touched(site.name)
         x, y, z = poses[site.carriage]
-        keeper = self._keeper
         if finding.pressed and not finding.was_pressed:
             truth.touches.append(Touch(t, site.name, x, y, z, finding.trigger))
-            if keeper is not None:
+            for keeper in self._keepers.values():
                 keeper.touched(t, site.name)
         lifted = finding.was_pressed and not finding.pressed
-        if lifted and keeper is not None:
+        for keeper in self._keepers.values() if lifted else ():
             keeper.lifted(t, site.name)
         if lifted and site.name.startswith("nozzle_"):
             self._ooze.flatten(t)
@@ -337,9 +375,6 @@ class World:
         # The second nozzle stays cold
         growth = 0.0 if carriage else self._drift.nozzle(t)
         return z - growth - surface
-
-    def _tell(self, t: float, kind: str) -> None:
-        self.truth.events.append(ProbeEvent(t, kind))
 
     def _expect_faults(self) -> float:
         lines = self._parts.lines
