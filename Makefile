@@ -9,7 +9,7 @@
 #   make quick    lint, what needs no host, each command on one: a minute
 #   make demo     watch a calibration on a simulated printer
 #   make printer  a simulated printer to play with, in any web interface
-#   make faults   break something at every operation, draw printers at random
+#   make faults   break something at every operation of every command
 #   make walks    any order of commands on any printer, the world as the judge
 #   make planted  single faults in the modules, and which tests find them
 #   make noop     which tests pass although no command of ours does anything
@@ -106,10 +106,10 @@ shape: prepared
 	$(TOOLS)/python -m tools.shape $(SHAPE_ARGS)
 
 faults: prepared
-	$(TOOLS)/python -m tools.campaign $(FAULTS_ARGS)
+	$(TOOLS)/python -m tools.campaign faults $(FAULTS_ARGS)
 
 walks: prepared
-	$(TOOLS)/python -m tools.campaign.walks $(WALKS_ARGS)
+	$(TOOLS)/python -m tools.campaign walks $(WALKS_ARGS)
 
 planted: prepared
 	ONE_HOST=1 $(TOOLS)/python -m tools.planted $(PLANTED_ARGS)

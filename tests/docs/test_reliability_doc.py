@@ -6,9 +6,8 @@ from pathlib import Path
 
 import pytest
 
-from tools.campaign import fault_cases, jobs
-from tools.campaign.walks import gaps
-from tools.campaign.walks.machines import BASES
+from tools.campaign import breaking, gaps, jobs, judging
+from tools.campaign.drawn.machines import BASES
 
 DOCS = Path(__file__).resolve().parents[2] / "docs"
 
@@ -22,10 +21,10 @@ def test_document_says_what_is_judged(document):
     text = " ".join(document.split())
     for words in (
         f"{jobs.FLOOR_MARGIN:g} mm below where a trigger is expected",
-        f"within {fault_cases.GAP_ERROR:.3f} mm of that of a run without",
-        f"strikes {fault_cases.INTO_A_MOVE * 1e3:g} ms into it",
+        f"within {judging.GAP_ERROR:.3f} mm of that of a run without",
+        f"strikes {breaking.INTO_A_MOVE * 1e3:g} ms into it",
         f"within {gaps.GAP_ERROR:g} mm, what is told and what has grown",
         f"{len(BASES)} machines",
-        f"pressed up to {fault_cases.BLIND_BODY:g} mm deeper",
+        f"pressed up to {judging.BLIND_BODY:g} mm deeper",
     ):
         assert words in text, words

@@ -9,7 +9,7 @@ import pytest
 from simprinter import Fault
 from simprinter.hosts.session import GcodeError
 from simprinter.mcu.tmc import IFCNT
-from tools.campaign.walks.machines import on_plate
+from tools.campaign.drawn.machines import on_plate
 from tools.kit.auto_z_offset import (
     DEPTH,
     MICROSTEP,

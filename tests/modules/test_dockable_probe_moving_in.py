@@ -9,7 +9,7 @@ import pytest
 
 from simprinter import Fault
 from simprinter.hosts.session import GcodeError
-from tools.campaign.walks.machines import on_plate
+from tools.campaign.drawn.machines import on_plate
 from tools.kit.cases import slow
 from tools.kit.dockable_probe import (
     ABOVE,

@@ -9,7 +9,7 @@ import pytest
 
 from simprinter.hosts.session import GcodeError
 from tests.modules.test_z_calibration_features import Frame
-from tools.campaign.walks.machines import BASES, overridden
+from tools.campaign.drawn.machines import BASES, overridden
 from tools.kit.carrying import QUICK, pressed, with_all
 from tools.kit.carrying import SWITCH as WITH_ALL
 from tools.kit.cases import all_slow_but, slow

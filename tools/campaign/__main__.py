@@ -1,26 +1,30 @@
-"""Every fault at every operation: make faults.
+"""Walks on simulated printers, the world as the judge: make faults, make walks.
 
-    python -m tools.campaign [--host NAME] [--job NAME] [--case TEXT]
-        [--seed N] [--pairs N] [--docks] [--each N]
-        [--module FILE | --builtin]
-        [--every-host] [--json FILE]
+    python -m tools.campaign faults [--job NAME] [--case TEXT] [--each N]
+        [--pairs N [--after]] [--docks | --more] [--every-host] [--seed N]
+    python -m tools.campaign walks [--count N] [--seed N] [--base NAME]
+        [--against DIR] [--simpler N]
+    both: [--host NAME] [--workers N] [--product DIR] [--json FILE]
+        [--folder FOLDER] [--replay FILE]
 
-Each case runs on one of the hosts, another for another case; with --every-host
-on all of them. For each command it prints how many faults it was given, how the
-command ended, and the worst penetration: how much deeper (mm) than in a good
-run each site was pressed. What was not survived is printed with the command
-that repeats it.
+faults: every fault at every operation of every command. A new printer is homed,
+something breaks once in a command, is mended, and the command runs again. Each
+case is on one of the hosts, another for another case. For each command it prints
+how many faults it was given, how the command ended, and the worst penetration:
+how much deeper (mm) than in a good run each site was pressed. --pairs: as many
+pairs of these faults, drawn by the seed, instead of one at a time; those with both
+sensors dead are listed with the depth at which they ended. --after: the second of
+two strikes in the next run, when the first is mended. --docks: every command
+of a dockable probe, and those of the other modules with the probe on the toolhead,
+on each kind of dock.
 
---pairs: as many pairs of these faults, drawn by the seed, instead of one at a
-time; those with both sensors dead are listed with the depth at which they
-ended. A pair is repeated by its text as --case.
+walks: a drawn printer, and 5 to 30 steps of what owners, Klipper and another
+client do, and hands. One that fails is made as short as it gets. --against: a walk
+with refusals is gone on that checkout's modules, too; what they do not refuse is
+told.
 
---docks: every command of a dockable probe, and those of the other modules with the
-probe on the toolhead, on each kind of dock.
-
---module and --builtin: the same for a dockable_probe of others, as far as they
-have what is broken; only harm is judged: something was hit, the printer is shut
-down, the result is wrong.
+What has failed is written to the folder with its printer.cfg; --replay goes it
+again, and shows the console. --product: with the modules of another checkout.
 """
 
 from __future__ import annotations
@@ -29,6 +33,7 @@ import argparse
 import json
 import sys
 import time
+import zlib
 from collections.abc import Mapping, Sequence
 from concurrent.futures import Executor, ProcessPoolExecutor
 from functools import partial
@@ -37,34 +42,33 @@ from pathlib import Path
 from typing import Any, Optional
 
 from simprinter.hosts.hosts import Host, find_hosts
-from simprinter.hosts.session import GcodeError, SessionError
-from simprinter.simulation import SimulationError
-from tools.campaign.fault_cases import REFUSED, RIGHT, SHUT_DOWN, Setting
-from tools.campaign.jobs import (
-    ALL_JOBS,
-    COMPARED,
-    COMPARED_ON_DOCKS,
-    DOCK_JOBS,
-    JOBS,
-    MORE_JOBS,
-)
-from tools.campaign.running import (
-    Plan,
-    attempt_all,
-    draw_pairs,
-    figures,
-    plan,
-)
-from tools.kit.printer import given_module
+from tools.campaign import faults, running
+from tools.campaign.drawn.machines import BASES
+from tools.campaign.drawn.walking import SIMPLER
+from tools.campaign.faults import Case
+from tools.campaign.jobs import ALL_JOBS, DOCK_JOBS, JOBS, MORE_JOBS
+from tools.campaign.running import Done, Plan, Report
+from tools.campaign.walker import REFUSED, RIGHT, SHUT_DOWN
 
 _ENDS = (RIGHT, REFUSED, SHUT_DOWN)
 
 
-def others(options: argparse.Namespace) -> Optional[dict[str, Path]]:
-    """The modules of others that the command line asks for."""
-    if options.module is not None:
-        return given_module("dockable_probe", options.module)
-    return {} if options.builtin else None
+def say(text: str) -> None:
+    """A line for people, at once."""
+    print(text, flush=True)
+
+
+def tell(done: Done, folder: Path) -> None:
+    """What was wrong, if anything, and what shows it again."""
+    told = done.outcome.harm
+    if done.alone:
+        told = told or f"only this product: {done.alone}"
+    if told:
+        file = running.write(done, folder)
+        say(f"{done.name}: {told}\n    --replay {file} --host {done.host}")
+
+
+# Every fault at every operation
 
 
 def row(found: dict[str, Any]) -> str:
@@ -85,160 +89,89 @@ def depths_text(job: str, depths: Mapping[str, float]) -> str:
     )
 
 
-def say(text: str) -> None:
-    """A line for people, at once."""
-    print(text, flush=True)
-
-
-def jobs_of(options: argparse.Namespace) -> list[str]:
-    """The commands that the command line asks for."""
-    named = MORE_JOBS if options.more else JOBS
-    named = DOCK_JOBS if options.docks else named
-    jobs = [job for job in named if options.job in job]
-    if others(options) is None:
-        return jobs
-    compared = (*COMPARED, *COMPARED_ON_DOCKS)
-    return [job for job in jobs if job in compared]
-
-
 def planned(
     pool: Executor,
     hosts: Sequence[Host],
     options: argparse.Namespace,
     job: str,
 ) -> list[Plan]:
-    """What each host is given of a command; nothing: it fails as it is."""
-    modules = others(options)
-    setting = Setting(options.seed, modules, modules is not None)
-    parts = 1 if options.every_host or options.pairs else len(hosts)
+    """What each host is given of a command."""
+    is_each = options.every_host or options.pairs
+    parts = options.each * (1 if is_each else len(hosts))
+    modules = running.modules_of(options.product)
     shares = [
-        (part % parts, parts * options.each) for part in range(len(hosts))
+        partial(is_of_share, 0 if is_each else number, parts, options.case)
+        for number in range(len(hosts))
     ]
-    make = partial(plan, setting, options.case, job)
-    try:
-        return list(pool.map(make, hosts, shares))
-    except (AssertionError, GcodeError, SessionError, SimulationError) as error:
-        if not setting.of_others:
-            raise
-        text = str(error).partition(", at t=")[0]
-        say(f"{job:30}fails with nothing broken: {text}")
-        return []
+    make = partial(running.plan, job, seed=options.seed, modules=modules)
+    return list(pool.map(make, hosts, shares))
+
+
+def is_of_share(number: int, parts: int, text: str, case: Case) -> bool:
+    """Whether a case is in that part of all, and its text has that in it."""
+    name = str(case)
+    return text in name and zlib.crc32(name.encode()) % parts == number
 
 
 def run_faults(
     pool: Executor, hosts: Sequence[Host], options: argparse.Namespace
-) -> list[dict[str, Any]]:
-    """All commands; prints as it goes."""
+) -> bool:
+    """All commands; prints as it goes. Whether all was survived."""
+    began = time.monotonic()
     heads = "".join(f"{end:>11}" for end in _ENDS)
     say("Faults: ended as; worst penetration beyond a good run's / margin, mm")
     say(f"{'':30}{'runs':>6}{'survived':>10}{heads}")
-    table = []
-    jobs = jobs_of(options)
+    named = MORE_JOBS if options.more else JOBS
+    named = DOCK_JOBS if options.docks else named
+    jobs = [job for job in named if options.job in job]
     plans: dict[str, list[Plan]] = {}
     if options.pairs:
         every_one = [
             one for job in jobs for one in planned(pool, hosts, options, job)
         ]
-        for one in draw_pairs(every_one, options.pairs, options.seed):
-            plans.setdefault(one.job, []).append(one)
-    for job in jobs:
-        done = attempt_all(
-            pool, plans[job] if plans else planned(pool, hosts, options, job)
+        singles = [one.cases for one in every_one]
+        drawn = faults.pairs(
+            singles, options.pairs, options.seed, options.after
         )
-        if not done:
-            continue
-        table.append(figures(job, done))
-        say(row(table[-1]))
-        for text in table[-1]["agreed"]:
-            say(f"  both touches wrong alike: {text}")
-        for one in table[-1]["blind"]:
-            depths = depths_text(job, one["depths"])
-            say(f"  both sensors dead: {one['case']} on {one['host']}:")
-            say(f"    {one['reason'] or one['ended']}; {depths}")
-        # A run that is broken off leaves what it has found
-        about = {"seed": options.seed, "each": options.each}
-        write_json(options, about, table)
-        for one in done:
-            if one.outcome.problems:
-                say(one.text())
-    return table
-
-
-def parse(arguments: Optional[Sequence[str]]) -> argparse.Namespace:
-    """The command line."""
-    parser = argparse.ArgumentParser(
-        prog="python -m tools.campaign",
-        description="Faults at every operation, on real klippies.",
-    )
-    parser.add_argument("--host", default="", help="part of the hosts' names")
-    parser.add_argument("--job", default="", help="part of a command's name")
-    parser.add_argument(
-        "--more",
-        action="store_true",
-        help="the commands that wait or heat instead of the others",
-    )
-    parser.add_argument("--case", default="", help="part of a case's text")
-    parser.add_argument("--seed", type=int, default=0, help="of all noise")
-    parser.add_argument(
-        "--module",
-        type=Path,
-        metavar="FILE",
-        help="faults of this dockable_probe.py instead of ours",
-    )
-    parser.add_argument(
-        "--builtin",
-        action="store_true",
-        help="faults of the host's own dockable_probe instead of ours",
-    )
-    parser.add_argument(
-        "--every-host", action="store_true", help="each case on all of them"
-    )
-    parser.add_argument(
-        "--docks", action="store_true", help="faults on each kind of dock"
-    )
-    parser.add_argument(
-        "--each", type=int, default=1, metavar="N", help="one of N cases only"
-    )
-    parser.add_argument(
-        "--pairs", type=int, default=0, help="two faults at a time, so often"
-    )
-    parser.add_argument("--workers", type=int, default=3)
-    parser.add_argument("--json", type=Path, help="write the figures there")
-    return parser.parse_args(arguments)
-
-
-def main(arguments: Optional[Sequence[str]] = None) -> int:
-    """Run it all; the exit code is 0 if everything was survived."""
-    options = parse(arguments)
-    hosts = [host for host in find_hosts() if options.host in host.name]
-    say(f"hosts: {', '.join(host.name for host in hosts)}")
-    began = time.monotonic()
-    # What a worker has imported must not be forked
-    context = get_context("spawn")
-    with ProcessPoolExecutor(options.workers, context) as pool:
-        table = run_faults(pool, hosts, options)
+        for one, cases in zip(every_one, drawn):
+            job = one.good.expected.job.name
+            plans.setdefault(job, []).append(one._replace(cases=cases))
     about = {
         "hosts": [host.name for host in hosts],
         "seed": options.seed,
         "each": options.each,
-        "minutes": (time.monotonic() - began) / 60.0,
     }
-    write_json(options, about, table)
-    return 0 if is_well(about, table) else 1
-
-
-def is_well(about: dict[str, Any], table: Sequence[dict[str, Any]]) -> bool:
-    """Say and return whether everything is as it must be."""
+    table = []
+    for job in jobs:
+        done = running.go_faults(
+            pool, plans[job] if plans else planned(pool, hosts, options, job)
+        )
+        if not done:
+            continue
+        table.append(running.figures(job, done))
+        say(row(table[-1]))
+        for text in table[-1]["agreed"]:
+            say(f"  both touches wrong alike: {text}")
+        for one in table[-1]["blind"]:
+            say(f"  both sensors dead: {one['case']} on {one['host']}:")
+            depths = depths_text(job, one["depths"])
+            say(f"    {one['reason'] or one['ended']}; {depths}")
+        for one in done:
+            tell(one, options.folder)
+        # A run that is broken off leaves what it has found
+        about["minutes"] = (time.monotonic() - began) / 60.0
+        write_faults(options, about, table)
     runs = sum(found["runs"] for found in table)
     survived = sum(found["survived"] for found in table)
+    minutes = (time.monotonic() - began) / 60.0
     say(
-        f"\n{survived} of {runs} faults survived; seed {about['seed']},"
-        f" {about['minutes']:.1f} min"
+        f"\n{survived} of {runs} faults survived; seed {options.seed},"
+        f" {minutes:.1f} min"
     )
     return survived == runs > 0
 
 
-def write_json(
+def write_faults(
     options: argparse.Namespace,
     about: dict[str, Any],
     table: Sequence[dict[str, Any]],
@@ -249,14 +182,125 @@ def write_json(
     report = {}
     if options.json.exists():
         report = json.loads(options.json.read_text())
+    found = {"about": about, "faults": list(table)}
     if options.docks:
-        report["docks"] = {"about": about, "faults": list(table)}
+        report["docks"] = found
     elif options.pairs:
-        report["pairs"] = {"about": about, "faults": list(table)}
+        report["after" if options.after else "pairs"] = found
     else:
-        report["about"] = about
-        report["faults"] = list(table)
+        report.update(found)
     options.json.write_text(json.dumps(report, indent=1) + "\n")
+
+
+# Any order of commands
+
+
+def run_walks(
+    pool: Executor, hosts: Sequence[Host], options: argparse.Namespace
+) -> bool:
+    """All seeds; prints what does harm as it goes. Whether nothing did."""
+    began = time.monotonic()
+    seeds = range(options.seed, options.seed + options.count)
+    hosts_in_turn = [hosts[seed % len(hosts)] for seed in seeds]
+    go = partial(
+        running.go_drawn,
+        bases=(options.base,) if options.base else (),
+        modules=running.modules_of(options.product),
+        simpler=options.simpler,
+        against=running.modules_of(options.against),
+    )
+    report = Report()
+    for done in pool.map(go, seeds, hosts_in_turn):
+        report.add(done)
+        tell(done, options.folder)
+    minutes = (time.monotonic() - began) / 60.0
+    say(report.text())
+    say(f"seeds {seeds.start} to {seeds.stop - 1}, {minutes:.1f} min")
+    if options.json:
+        ends = [seeds.start, seeds.stop - 1]
+        figures = {"hosts": [host.name for host in hosts], "seeds": ends}
+        figures.update(report.figures())
+        options.json.write_text(json.dumps(figures, indent=1) + "\n")
+    return not report.harmed
+
+
+# The command line
+
+
+def parse(arguments: Optional[Sequence[str]]) -> argparse.Namespace:
+    """The command line."""
+    both = argparse.ArgumentParser(add_help=False)
+    both.add_argument("--host", default="", help="part of the hosts' names")
+    both.add_argument("--workers", type=int, default=2)
+    both.add_argument("--product", type=Path, help="another checkout's modules")
+    both.add_argument("--json", type=Path, help="write the figures there")
+    both.add_argument("--folder", type=Path, default=Path("build/walks"))
+    both.add_argument("--replay", type=Path, metavar="FILE")
+    parser = argparse.ArgumentParser(
+        prog="python -m tools.campaign",
+        description="Walks on simulated printers, the world as the judge.",
+    )
+    commands = parser.add_subparsers(dest="command", required=True)
+    one = commands.add_parser(
+        "faults", parents=[both], help="every fault at every operation"
+    )
+    one.set_defaults(run=run_faults)
+    one.add_argument("--job", default="", help="part of a command's name")
+    one.add_argument("--case", default="", help="part of a case's text")
+    one.add_argument("--seed", type=int, default=0, help="of all noise")
+    one.add_argument(
+        "--each", type=int, default=1, metavar="N", help="one of N cases only"
+    )
+    one.add_argument(
+        "--pairs", type=int, default=0, help="two faults at a time, so often"
+    )
+    one.add_argument(
+        "--after",
+        action="store_true",
+        help="of two the second in the next run, when the first is mended",
+    )
+    one.add_argument(
+        "--docks", action="store_true", help="faults on each kind of dock"
+    )
+    one.add_argument(
+        "--more",
+        action="store_true",
+        help="the commands that wait or heat instead of the others",
+    )
+    one.add_argument(
+        "--every-host", action="store_true", help="each case on all of them"
+    )
+    one = commands.add_parser(
+        "walks", parents=[both], help="any order of commands on any printer"
+    )
+    one.set_defaults(run=run_walks)
+    one.add_argument("--count", type=int, default=200, help="of walks")
+    one.add_argument("--seed", type=int, default=1, help="of the first one")
+    one.add_argument("--base", choices=sorted(BASES), help="of the machines")
+    one.add_argument(
+        "--against",
+        type=Path,
+        help="tell what another checkout does not refuse",
+    )
+    one.add_argument("--simpler", type=int, default=SIMPLER)
+    return parser.parse_args(arguments)
+
+
+def main(arguments: Optional[Sequence[str]] = None) -> int:
+    """Run it all; the exit code is 0 if nothing was harmed."""
+    options = parse(arguments)
+    hosts = [host for host in find_hosts() if options.host in host.name]
+    if not hosts:
+        sys.exit(f"no host is named like {options.host!r}")
+    say(f"hosts: {', '.join(host.name for host in hosts)}")
+    if options.replay:
+        modules = running.modules_of(options.product)
+        outcome = running.replay(options.replay, hosts[0], modules, say)
+        say(outcome.harm or "nothing was harmed")
+        return 1 if outcome.harm else 0
+    # What a worker has imported must not be forked
+    with ProcessPoolExecutor(options.workers, get_context("spawn")) as pool:
+        return 0 if options.run(pool, hosts, options) else 1
 
 
 if __name__ == "__main__":

@@ -4,25 +4,16 @@ from __future__ import annotations
 
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field, replace
+from functools import cached_property
 from typing import Any, Optional
 
 from simprinter import Scene, heated
+from tools.campaign.breaking import TEMPLATE, TEMPLATE_MACRO
+from tools.campaign.drawn.printers import Owned
 from tools.kit import auto_z_offset, carrying, dockable_probe, extra_probe
 from tools.kit.docks import DOCK_SCENES
 from tools.kit.printer import Printer
 from tools.kit.scenes import SCENES, Sections
-
-# Runs wherever the modules run G-code of their owner's; how it fails, by number
-TEMPLATE = "_OPERATION"
-RAISES, LEAVES = 1, 2
-_TEMPLATE_MACRO = """
-  SET_GCODE_VARIABLE MACRO=_OPERATION VARIABLE=n VALUE={n + 1}
-  {% if fail_at.get(n + 1) == 1 %}
-    {action_raise_error("template %d fails" % (n + 1))}
-  {% elif fail_at.get(n + 1) == 2 %}
-    G90
-    G1 X9999
-  {% endif %}"""
 
 # The floor of a touch is so far (mm) below where a trigger is expected
 FLOOR_MARGIN = 1.0
@@ -66,34 +57,6 @@ class Job:
     is_long: bool = False
     samples: int = 3
 
-    def of_others(self, is_builtin: bool) -> Job:
-        """The same with a host's own module, or with the plugin for v0.12.
-
-        They need a few options that ours does not.
-        """
-        name, changes = self.module, dict(self.changes)
-        own = {**(self.scene.sections[name] or {}), **changes.get(name, {})}
-        for other in _OF_OURS:
-            if other in self.scene.sections:
-                changes[other] = None
-        # A dock with a Z of its own
-        is_high = own.get("dock_fixed_z") == "False"
-        own["safe_dock_distance"] = None
-        if is_builtin:
-            own["z_hop"] = f"{dockable_probe.CLEAR:g}"
-            own["dock_fixed_z"] = None
-        else:
-            own["dock_fixed_z"] = str(not is_high)
-            if not is_high:
-                own["dock_position"] = f"{own['dock_position']}, 0"
-            # It goes to the pin by [safe_z_home], to the bed by itself
-            home = self.scene.sections.get("safe_z_home")
-            if home and self.scene.world.pin is None:
-                own["safe_z_position"] = home["home_xy_position"]
-                changes["safe_z_home"] = None
-        again = self.again.replace(f"{_AROUND}\n", "")
-        return replace(self, changes={**changes, name: own}, again=again)
-
     def state(self, printer: Printer) -> dict[str, Any]:
         """All that a failure must leave as it was."""
         session = printer.session
@@ -127,7 +90,7 @@ def _with_templates(module: str, **templates: str) -> dict[str, Any]:
         f"gcode_macro {TEMPLATE}": {
             "variable_n": "0",
             "variable_fail_at": "{}",
-            "gcode": _TEMPLATE_MACRO,
+            "gcode": TEMPLATE_MACRO,
         },
         module: {
             option: "".join(
@@ -308,16 +271,6 @@ def _more_jobs() -> list[Job]:
     ]
 
 
-# What a dockable probe of others can do, too, with the options that all have
-COMPARED = (
-    "PROBE, dockable, tried again",
-    "BED_MESH_CALIBRATE, dockable",
-    "QUAD_GANTRY_LEVEL, dockable",
-    "SCREWS_TILT_CALCULATE, dockable",
-    "G28, dockable",
-)
-
-
 def _extra_probe_jobs() -> list[Job]:
     # It lies there all the time; what a hand does is not broken here
     scene = extra_probe.membrane(laid=True)
@@ -389,8 +342,6 @@ def _extra_probe_jobs() -> list[Job]:
     return [probe, calibrate, first, beside]
 
 
-# What only ours have, and no dock needs
-_OF_OURS = ("z_calibration", "auto_z_offset", "extra_probe membrane")
 # All of a dockable probe that are no touch's: those of a touch are the host's
 _LOST = (
     *("stuck_open", "stuck_closed", "probe_falls", "mcu_silent", "cancel"),
@@ -622,14 +573,23 @@ JOBS = {
 DOCK_JOBS = {job.name: job for job in _dock_jobs()}
 MORE_JOBS = {job.name: job for job in _more_jobs()}
 ALL_JOBS = {**JOBS, **DOCK_JOBS, **MORE_JOBS}
-# Those of them that a dockable probe of others can do, too
-_OF_OTHERS = (
-    "PROBE",
-    "BED_MESH_CALIBRATE",
-    "SCREWS_TILT_CALCULATE",
-    "ATTACH_PROBE",
-    "G28",
-)
-COMPARED_ON_DOCKS = tuple(
-    name for name in DOCK_JOBS if name.partition(",")[0] in _OF_OTHERS
-)
+
+
+@dataclass(frozen=True)
+class OfJob(Owned):
+    """The printer on which a command is broken; job: its name."""
+
+    job: str = ""
+
+    @cached_property
+    def scene(self) -> Scene:
+        """That of the job."""
+        return ALL_JOBS[self.job].scene
+
+    def changes(self, **paths: str) -> dict[str, dict[str, Optional[str]]]:
+        """Those of the job."""
+        return dict(ALL_JOBS[self.job].changes)
+
+    def has(self, section: str) -> bool:
+        """Whether its scene has that section."""
+        return section in self.scene.sections

@@ -1,140 +1,288 @@
-"""Running many cases, on all cores."""
+"""Walks in numbers: on all cores, counted, written down and gone again."""
 
 from __future__ import annotations
 
-import random
-import zlib
+import json
+import re
 from collections import Counter
-from collections.abc import Iterable, Sequence
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from concurrent.futures import Executor
-from typing import Any, NamedTuple, Union
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Any, NamedTuple, Optional
 
 from simprinter.hosts.hosts import Host
-from tools.campaign import fault_cases
-from tools.campaign.fault_cases import PLUS, Case, Outcome, Pair, Setting
-from tools.campaign.jobs import ALL_JOBS
-
-
-class Plan(NamedTuple):
-    """What a command is given on a host."""
-
-    host: Host
-    job: str
-    setting: Setting
-    good: fault_cases.GoodRun
-    cases: tuple[Union[Case, Pair], ...]
+from tools.campaign import faults, walker
+from tools.campaign.breaking import Break
+from tools.campaign.drawn import walking
+from tools.campaign.drawn.printers import Owned
+from tools.campaign.drawn.walking import SIMPLER, Walk
+from tools.campaign.faults import Case, GoodRun, Modules
+from tools.campaign.jobs import ALL_JOBS, OfJob
+from tools.campaign.judging import GAP_ERROR, is_blind
+from tools.campaign.walker import Broken, Outcome, shape
+from tools.kit.printer import FOLDER, MODULES
 
 
 class Done(NamedTuple):
-    """A case that was run."""
+    """A walk that was gone; where a drawn one failed, the simplest that does.
 
+    name: its seed, or the case's. alone: the step that only this product refuses,
+    see compared().
+    """
+
+    name: str
     host: str
-    seed: int
+    walk: Walk
     outcome: Outcome
+    alone: str = ""
 
-    def text(self) -> str:
-        """What was wrong, and the command that shows it again."""
-        outcome = self.outcome
-        case, ended = outcome.case, outcome.ended
-        repeat = (
-            f"python -m tools.campaign --host '{self.host}'"
-            f" --every-host --seed {self.seed} --job '{case.job}'"
-            f" --case '{case}'"
-        )
-        lines = [
-            f"{case} on {self.host}: {ended}",
-            outcome.message,
-            *outcome.problems,
-        ]
-        return "\n    ".join([*lines, repeat])
+    @property
+    def breaks(self) -> list[Break]:
+        """What was to break."""
+        return [Break(*what) for kind, what in self.walk[1] if kind == "break"]
+
+    @property
+    def together(self) -> list[Break]:
+        """What was to break in the first command in which anything was."""
+        kinds = [kind for kind, _ in self.walk[1]]
+        end = kinds.index("mend") if "mend" in kinds else len(kinds)
+        return self.breaks[: kinds[:end].count("break")]
+
+    @property
+    def broken(self) -> Broken:
+        """How the command went in which it was to break."""
+        return self.outcome.broken or Broken()
+
+
+def go_drawn(
+    seed: int,
+    host: Host,
+    bases: Sequence[str] = (),
+    modules: Modules = None,
+    simpler: int = SIMPLER,
+    against: Modules = None,
+) -> Done:
+    """Draw the walk of a seed and go it on a host.
+
+    against: another product's modules; a walk with refusals is gone on them, too.
+    """
+    row = walking.row_of(seed, host, bases)
+    found = walking.worst_of(
+        seed, row, lambda walk: walker.go(*walk, host, modules), simpler
+    )
+    done = Done(str(seed), host.name, *found)
+    return done if against is None else compared(done, host, against)
+
+
+def compared(done: Done, host: Host, against: Mapping[str, Path]) -> Done:
+    """With what another product's modules do not refuse.
+
+    From the first step that ends otherwise on the two printers are not in the
+    same state.
+    """
+    if not done.outcome.refusals:
+        return done
+    there = walker.go(*done.walk, host, against)
+    ends = zip(done.walk[1], done.outcome.ends, there.ends)
+    for (kind, what), own, other in ends:
+        if bool(own) != bool(other):
+            alone = f"{kind} {what!r}: {own}" if own else ""
+            return done._replace(alone=alone)
+    return done
+
+
+class Plan(NamedTuple):
+    """What of a command is broken on a host."""
+
+    host: Host
+    good: GoodRun
+    cases: Sequence[Case]
+    seed: int = 0
+    modules: Modules = None
 
 
 def plan(
-    setting: Setting, text: str, name: str, host: Host, share: tuple[int, int]
+    job: str,
+    host: Host,
+    share: Callable[[Case], bool],
+    seed: int,
+    modules: Modules,
 ) -> Plan:
-    """The cases of a command with the text that are a host's turn.
-
-    share: which of how many parts of all.
-    """
-    job = setting.job(name)
-    good = fault_cases.good_run(host, job, setting)
-    part, parts = share
-    if PLUS in text:
-        found = {str(case): case for case in fault_cases.cases(job, good)}
-        both = [found[one] for one in text.split(PLUS) if one in found]
-        return Plan(
-            host, name, setting, good, (Pair(*both),) if both[1:] else ()
-        )
-    chosen = [
-        case
-        for case in fault_cases.cases(job, good)
-        if text in str(case) and zlib.crc32(str(case).encode()) % parts == part
-    ]
-    return Plan(host, name, setting, good, tuple(chosen))
+    """The cases of a command that are a host's share."""
+    good = faults.good_run(host, ALL_JOBS[job], seed, modules)
+    chosen = [case for case in faults.cases(good) if share(case)]
+    return Plan(host, good, chosen, seed, modules)
 
 
-def draw_pairs(plans: Sequence[Plan], count: int, seed: int) -> list[Plan]:
-    """Any two of a plan's cases, count pairs in all, each another one."""
-    generator = random.Random(seed)
-    weights = [len(one.cases) for one in plans]
-    count = min(count, sum(n * (n - 1) // 2 for n in weights))
-    pairs: list[dict[Pair, None]] = [{} for _ in plans]
-    while sum(map(len, pairs)) < count:
-        (at,) = generator.choices(range(len(plans)), weights)
-        chosen = generator.sample(range(weights[at]), 2)
-        first, second = (plans[at].cases[one] for one in sorted(chosen))
-        pairs[at][Pair(first, second)] = None
-    return [one._replace(cases=tuple(p)) for one, p in zip(plans, pairs)]
-
-
-def attempt(task: tuple[Plan, Union[Case, Pair]]) -> Done:
-    """Run one case."""
-    whole, case = task
-    setting = whole.setting
-    outcome = fault_cases.attempt(whole.host, case, whole.good, setting)
-    return Done(whole.host.name, setting.seed, outcome)
-
-
-def attempt_all(pool: Executor, plans: Iterable[Plan]) -> list[Done]:
-    """Run all cases of some plans."""
+def go_faults(pool: Executor, plans: Iterable[Plan]) -> list[Done]:
+    """Go all cases of some plans."""
     # The cases travel with what they need, not with each other
     tasks = [
         (one._replace(cases=()), case) for one in plans for case in one.cases
     ]
-    return list(pool.map(attempt, tasks, chunksize=4))
+    return list(pool.map(_go_fault, tasks, chunksize=4))
+
+
+def _go_fault(task: tuple[Plan, Case]) -> Done:
+    return go_case(task[1], *task[0][:2], *task[0][3:])
+
+
+def go_case(
+    case: Case,
+    host: Host,
+    good: GoodRun,
+    seed: int = 0,
+    modules: Modules = None,
+) -> Done:
+    """Break that in its command on a host."""
+    walk = OfJob(job=case.job, seed=seed), faults.walk(case)
+    outcome = walker.go(*walk, host, modules, expected=good.expected)
+    return Done(str(case), host.name, walk, outcome)
+
+
+def modules_of(product: Optional[Path]) -> Optional[dict[str, Path]]:
+    """What another checkout puts beside klippy's own; None: this one's."""
+    if product is None:
+        return None
+    files = {name: product / f"{name}.py" for name in MODULES}
+    files[FOLDER] = product / FOLDER
+    return {name: file for name, file in files.items() if file.exists()}
+
+
+# Kept and gone again
+
+
+def write(done: Done, folder: Path) -> Path:
+    """Its file: what --replay reads, and for people its printer.cfg."""
+    folder.mkdir(parents=True, exist_ok=True)
+    owned, walk = done.walk
+    file = folder / f"{re.sub(r'[^a-zA-Z0-9_]+', '-', done.name)}.json"
+    data = {
+        "harm": done.outcome.harm,
+        "printer": owned.as_data(),
+        "steps": walk,
+        "printer.cfg": owned.scene.config(
+            "SERIAL", owned.changes()
+        ).splitlines(),
+    }
+    file.write_text(json.dumps(data, indent=1) + "\n")
+    return file
+
+
+def read(file: Path) -> Walk:
+    """What write() has written."""
+    data = json.loads(file.read_text())
+    steps = tuple((kind, what) for kind, what in data["steps"])
+    kind = OfJob if "job" in data["printer"] else Owned
+    return kind.from_data(data["printer"]), steps
+
+
+def replay(
+    file: Path, host: Host, modules: Modules, say: Callable[[str], None]
+) -> Outcome:
+    """Go a walk again, and say each step and what the console shows."""
+    owned, steps = read(file)
+    expected = None
+    if isinstance(owned, OfJob):
+        job = ALL_JOBS[owned.job]
+        expected = faults.good_run(host, job, owned.seed, modules).expected
+    return walker.go(owned, steps, host, modules, say, expected)
+
+
+# Counted
+
+
+@dataclass
+class Report:
+    """Of many walks.
+
+    harmed: by kind. refused: by the shape of the reason; healthy: those for
+    which the world knows no reason; alone: those of this product only.
+    """
+
+    walks: int = 0
+    steps: int = 0
+    harmed: Counter[str] = field(default_factory=Counter)
+    refused: Counter[str] = field(default_factory=Counter)
+    healthy: Counter[str] = field(default_factory=Counter)
+    refused_at_start: Counter[str] = field(default_factory=Counter)
+    alone: Counter[str] = field(default_factory=Counter)
+    done: Counter[str] = field(default_factory=Counter)
+
+    def add(self, done: Done) -> None:
+        """One more."""
+        outcome = done.outcome
+        self.walks += 1
+        self.steps += len(done.walk[1])
+        if outcome.harm:
+            self.harmed[outcome.kind] += 1
+        if outcome.refused_at_start:
+            self.refused_at_start[outcome.refused_at_start.splitlines()[0]] += 1
+        self.refused.update(outcome.refusals)
+        self.healthy.update(outcome.healthy)
+        if done.alone:
+            self.alone[shape(done.alone)] += 1
+        self.done.update(outcome.done)
+
+    def figures(self) -> dict[str, Any]:
+        """For JSON."""
+        return vars(self)
+
+    def text(self) -> str:
+        """For people."""
+        lines = [
+            f"{self.walks} walks, {self.steps} steps:"
+            f" {sum(self.harmed.values())} harmed {dict(self.harmed)}",
+        ]
+        groups = (
+            ("not started", self.refused_at_start),
+            ("refused", self.refused),
+            ("refused without a reason", self.healthy),
+            ("refused by this product only", self.alone),
+            ("done", self.done),
+        )
+        for what, counts in groups:
+            lines += [
+                f"  {n:5} {what}: {name}" for name, n in counts.most_common()
+            ]
+        return "\n".join(lines)
 
 
 def figures(job: str, done: Sequence[Done]) -> dict[str, Any]:
     """What came of a command's cases."""
-    outcomes = [one.outcome for one in done]
-    sites = ALL_JOBS[job].margins
+    broken = [one.broken for one in done]
     return {
         "job": job,
         "hosts": sorted({one.host for one in done}),
-        "runs": len(outcomes),
-        "survived": sum(not o.problems for o in outcomes),
-        "missed": sum(not o.struck for o in outcomes),
-        "faults": Counter(p.fault for o in outcomes for p in o.case.parts),
-        "ended": Counter(o.ended for o in outcomes),
+        "runs": len(done),
+        "survived": sum(not one.outcome.harm for one in done),
+        "missed": sum(not one.struck for one in broken),
+        "faults": Counter(what.fault for one in done for what in one.breaks),
+        "ended": Counter(one.ended for one in broken),
         "blind": [
             {
-                "case": str(one.outcome.case),
+                "case": one.name,
                 "host": one.host,
-                "ended": one.outcome.ended,
-                "reason": one.outcome.message,
-                "depths": one.outcome.depths,
+                "ended": one.broken.ended,
+                "reason": one.broken.message,
+                "depths": one.broken.depths,
             }
             for one in done
-            if one.outcome.is_blind()
+            if one.broken.struck and is_blind(one.together)
         ],
         # Wrong by what no touch can tell
         "agreed": [
-            str(o.case)
-            for o in outcomes
-            if o.error >= fault_cases.GAP_ERROR and not o.problems
+            one.name
+            for one in done
+            if one.broken.ended == walker.RIGHT
+            and one.broken.error >= GAP_ERROR
+            and not one.outcome.harm
         ],
         "worst": {
-            site: max((o.depths.get(site, 0.0) for o in outcomes), default=0.0)
-            for site in sites
+            site: max(
+                (one.depths.get(site, 0.0) for one in broken), default=0.0
+            )
+            for site in ALL_JOBS[job].margins
         },
     }

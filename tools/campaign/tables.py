@@ -7,7 +7,7 @@ from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
-from tools.campaign.fault_cases import REFUSED, RIGHT, SHUT_DOWN
+from tools.campaign.walker import REFUSED, RIGHT, SHUT_DOWN
 from tools.kit.tables import markdown
 
 # Sites (as the truth calls them) whose depth is how far the nozzle, or what

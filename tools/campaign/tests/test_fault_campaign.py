@@ -6,16 +6,12 @@ from functools import lru_cache
 
 import pytest
 
-from tools.campaign import fault_cases
-from tools.campaign.fault_cases import (
-    REFUSED,
-    RIGHT,
-    SHUT_DOWN,
-    Pair,
-    Setting,
-)
+from tools.campaign import faults, running
+from tools.campaign.faults import Case
 from tools.campaign.jobs import ALL_JOBS
+from tools.campaign.judging import is_blind
 from tools.campaign.tests.planting import planted
+from tools.campaign.walker import REFUSED, RIGHT, SHUT_DOWN
 from tools.kit.cases import slow
 from tools.kit.printer import module_files
 
@@ -26,25 +22,26 @@ DOCKABLE = "PROBE, dockable"
 
 @lru_cache(maxsize=None)
 def good_run(host, job):
-    return fault_cases.good_run(host, ALL_JOBS[job])
+    return faults.good_run(host, ALL_JOBS[job])
 
 
 def case_of(host, job, fault, subject="", nth=0, kind=""):
     """The nth case of a fault, at operations of a kind only."""
-    good = good_run(host, job)
     found = [
         case
-        for case in fault_cases.cases(ALL_JOBS[job], good)
-        if case.fault == fault
-        and case.subject in (subject, case.subject if not subject else "")
-        and (not kind or good.operations[case.at - 1].kind == kind)
+        for case in faults.cases(good_run(host, job))
+        if case.breaks[0].fault == fault
+        and subject in ("", case.breaks[0].subject)
+        and kind in ("", case.breaks[0].kind)
     ]
-    return found[nth], good
+    return found[nth]
 
 
-def attempt(host, *which):
-    case, good = case_of(host, *which)
-    return fault_cases.attempt(host, case, good)
+def go(host, case, modules=None):
+    """That case, judged."""
+    return running.go_case(
+        case, host, good_run(host, case.job), modules=modules
+    )
 
 
 # (job, fault, subject, which of its cases, at what, how it ends)
@@ -86,20 +83,20 @@ CASES = [
 @pytest.mark.slow
 @pytest.mark.parametrize("which", CASES, ids=lambda w: "-".join(map(str, w)))
 def test_fault_is_survived(host, which):
-    outcome = attempt(host, *which[:5])
-    assert outcome.problems == []
-    assert outcome.struck
-    assert outcome.ended == which[5]
-    if outcome.ended == REFUSED:
-        assert outcome.message
+    done = go(host, case_of(host, *which[:5]))
+    assert done.outcome.harm == ""
+    assert done.broken.struck
+    assert done.broken.ended == which[5]
+    if done.broken.ended == REFUSED:
+        assert done.broken.message
 
 
 @pytest.mark.parametrize("nth", [1, slow(2)])
 def test_lost_board_is_told_first(host, nth):
     # Moving after it may be an error of the host's own
-    outcome = attempt(host, ATTACHING, "mcu_silent", "", nth, "query")
-    assert outcome.ended == SHUT_DOWN
-    assert outcome.problems == []
+    done = go(host, case_of(host, ATTACHING, "mcu_silent", "", nth, "query"))
+    assert done.broken.ended == SHUT_DOWN
+    assert done.outcome.harm == ""
 
 
 # Two cases of a job (fault, subject, which, at what), how it ends, whether both
@@ -135,20 +132,15 @@ PAIRS = [
 ]
 
 
-def pair_of(host, first, second):
-    (one, good), (other, _) = case_of(host, *first), case_of(host, *second)
-    return Pair(one, other), good
-
-
 @pytest.mark.slow
 @pytest.mark.parametrize("which", PAIRS, ids=lambda w: "-".join(map(str, w)))
 def test_pair_is_survived(host, which):
     job, first, second, ended, both = which
-    pair, good = pair_of(host, (job, *first), (job, *second))
-    outcome = fault_cases.attempt(host, pair, good)
-    assert outcome.problems == []
-    assert (outcome.ended, outcome.struck) == (ended, both)
-    assert outcome.is_blind() == (which in PAIRS[:2])
+    one, other = case_of(host, job, *first), case_of(host, job, *second)
+    done = go(host, Case(job, (*one.breaks, *other.breaks)))
+    assert done.outcome.harm == ""
+    assert (done.broken.ended, done.broken.struck) == (ended, both)
+    assert is_blind(done.breaks) == (which in PAIRS[:2])
 
 
 # A module that does something wrong, each to be found by one case: the case,
@@ -162,7 +154,7 @@ PLANTED = {
     "pin is pressed too deep": (
         (Z, "trigger_never", "z_endstop", 1, "touch"),
         {"failed": 'run("G90\\nG1 Z-1 F600\\nG1 Z20 F600")'},
-        "the machine was hurt",
+        "harm: step 4, gcode 'CALIBRATE_Z\\nM400': nozzle_pin: ",
     ),
     "cause is not named": (
         (Z, "stuck_open", "z_endstop", 0, "touch"),
@@ -172,12 +164,12 @@ PLANTED = {
     "error of its own": (
         (AUTO, "trigger_never", "bed_sensor", 1, "touch"),
         {"failed": "None.is_there()"},
-        "the printer is shut down",
+        "shutdown: step 4, gcode 'AUTO_Z_CALIBRATE\\nM400': Internal error",
     ),
     "offset is lost": (
         (AUTO, "trigger_never", "bed_sensor", 1, "touch"),
         {"failed": 'run("SET_GCODE_OFFSET Z=0.5")'},
-        "offset was 0.123 and is 0.5",
+        "'the G-code offset': (0.123, 0.5)",
     ),
     "result is wrong": (
         (AUTO, "trigger_late", "bed_sensor", 0, "touch"),
@@ -191,10 +183,10 @@ PLANTED = {
 @pytest.mark.parametrize("name", PLANTED)
 def test_module_that_does_it_wrong_is_found(host, tmp_path, name):
     which, around, problem = PLANTED[name]
-    case, good = case_of(host, *which)
+    case = case_of(host, *which)
     job = ALL_JOBS[case.job]
     modules = module_files() | planted(
         tmp_path, job.module, job.script, **around
     )
-    outcome = fault_cases.attempt(host, case, good, Setting(modules=modules))
-    assert problem in "\n".join(outcome.problems), outcome
+    done = go(host, case, modules)
+    assert problem in done.outcome.harm, done.outcome

@@ -2,12 +2,13 @@
 
 import pytest
 
-from tools.campaign.walks import claims, values, walker
-from tools.campaign.walks.claims import HOMED_OR_SET, MOTORS_OFF, Facts
-from tools.campaign.walks.judging import Gone, HarmError
-from tools.campaign.walks.printers import Owned
-from tools.campaign.walks.steps import OVER_MEMBRANE
-from tools.campaign.walks.walker import Walker
+from tools.campaign import claims, walker
+from tools.campaign.claims import HOMED_OR_SET, MOTORS_OFF, Facts
+from tools.campaign.drawn import values
+from tools.campaign.drawn.printers import Owned
+from tools.campaign.drawn.steps import OVER_MEMBRANE
+from tools.campaign.judging import Gone, HarmError
+from tools.campaign.walker import Walker
 from tools.kit.printer import Printer
 
 # It judges walks, which make test has some of
@@ -263,7 +264,7 @@ def test_correction_that_is_loaded_again(judged):
     ("owned", "script", "lines"),
     [
         # Nothing has run, as last_query knows
-        (SWITCH, "CALIBRATE_Z\nM400", CALIBRATED),
+        (SWITCH, "CALIBRATE_Z\nG90", CALIBRATED),
         (PROBED, "AUTO_Z_CALIBRATE", CORRECTED),
         (MEMBRANE, "EXTRA_PROBE_CONTINUE", PUT_DOWN),
     ],

@@ -4,21 +4,20 @@ from itertools import combinations
 
 import pytest
 
-from tools.campaign.walks import (
+from tools.campaign import doing, walker
+from tools.campaign.drawn import (
     card,
     covering,
-    doing,
     features,
     machines,
     mechanics,
     mistakes,
     steps,
     values,
-    walker,
 )
-from tools.campaign.walks.drawing import check_drawn
-from tools.campaign.walks.machines import BASES, GENERIC
-from tools.campaign.walks.printers import Owned, printers
+from tools.campaign.drawn.machines import BASES, GENERIC
+from tools.campaign.drawn.printers import Owned, printers
+from tools.campaign.drawn.walking import check_drawn
 from tools.kit.product import GCODE, options
 
 

@@ -2,13 +2,13 @@
 
 import pytest
 
-from tools.campaign import tables
+from tools.campaign import running, tables, walker
+from tools.campaign.drawn import values
+from tools.campaign.drawn.printers import Owned
+from tools.campaign.drawn.steps import OVER_MEMBRANE, PROBE
+from tools.campaign.running import Done
 from tools.campaign.tests.planting import planted
-from tools.campaign.walks import values, walker, walking
-from tools.campaign.walks.printers import Owned
-from tools.campaign.walks.steps import OVER_MEMBRANE, PROBE
-from tools.campaign.walks.walker import Outcome
-from tools.campaign.walks.walking import Done
+from tools.campaign.walker import Outcome
 from tools.kit.cases import all_slow_but
 from tools.kit.printer import ROOT, module_files
 
@@ -30,7 +30,7 @@ HELD = (
 @pytest.mark.parametrize("first", all_slow_but(USUAL, range(1, 301, TOGETHER)))
 def test_no_order_of_commands_does_harm(host, first):
     for seed in range(first, first + TOGETHER):
-        done = walking.walk_of(seed, host, simpler=0)
+        done = running.go_drawn(seed, host, simpler=0)
         assert not done.outcome.harm, f"seed {seed}: {done.walk}"
 
 
@@ -222,23 +222,23 @@ def test_walk_is_gone_on_both_products(host, product):
     walk = Owned("voron"), (("gcode", "G28"), ("gcode", "CALIBRATE_Z"))
     raises = f"raise gcmd.error({NEVER!r})"
     strict = product("z_calibration", AGAIN, first=raises)
-    ours = walking.modules_of(ROOT)
-    done = Done(1, host.name, walk, walker.go(*walk, host, strict))
-    told = walking.compared(done, host, ours).alone
+    ours = running.modules_of(ROOT)
+    done = Done("1", host.name, walk, walker.go(*walk, host, strict))
+    told = running.compared(done, host, ours).alone
     assert told == f"gcode 'CALIBRATE_Z': {NEVER}"
-    assert not walking.compared(done, host, strict).alone
-    done = Done(1, host.name, walk, walker.go(*walk, host, ours))
-    assert not walking.compared(done, host, strict).alone
+    assert not running.compared(done, host, strict).alone
+    done = Done("1", host.name, walk, walker.go(*walk, host, ours))
+    assert not running.compared(done, host, strict).alone
 
 
 def test_walk_is_kept(tmp_path):
     outcome = Outcome(harm="harm: x", kind="harm")
-    done = Done(7, "klipper", (DOCK, HELD), outcome)
-    assert walking.read(walking.write(done, tmp_path)) == (DOCK, HELD)
+    done = Done("7", "klipper", (DOCK, HELD), outcome)
+    assert running.read(running.write(done, tmp_path)) == (DOCK, HELD)
 
 
 def test_seed_draws_the_same_again(host):
-    first, again = (walking.walk_of(3, host, simpler=0) for _ in range(2))
+    first, again = (running.go_drawn(3, host, simpler=0) for _ in range(2))
     assert first.walk == again.walk
     assert first.outcome == again.outcome
 
@@ -261,7 +261,7 @@ def test_figures_as_a_table():
 
 BROKEN = (
     ("gcode", "G28"),
-    ("break", ("stuck_open", "z_endstop", 0)),
+    ("break", ("stuck_open", "z_endstop", "begin")),
     ("gcode", "CALIBRATE_Z"),
     ("mend", "stuck_open"),
     ("gcode", "G28"),
@@ -298,7 +298,7 @@ def test_fault_that_is_not_named_is_found(host, product):
     modules = product("z_calibration", "CALIBRATE_Z", failed=hides)
     outcome = walker.go(Owned(base="voron"), BROKEN, host, modules)
     assert outcome.kind == "hidden"
-    assert "stuck_open: not today" in outcome.harm
+    assert "stuck_open: 'not today'" in outcome.harm
 
 
 # What an owner has got wrong, or built otherwise

@@ -11,8 +11,51 @@ from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any, Optional
 
-from tools.campaign.walks import values
+from tools.campaign.drawn import values
 
+# What the message of a command has to say, by fault (and subject); a switch
+# that is dead or triggers in the wrong place looks like one that is not met
+_DEAD = r"No trigger|did not answer|did not trigger"
+_TRIGGERED = r"reads triggered|prior to movement|still triggered"
+_HEIGHTS = (
+    r"above the expected|differ|No trigger|did not answer|is above z=|sees the bed"
+    r" at"
+)
+# What a dockable probe says where its pins are not as they have to be
+_PROBE = r"the probe (was not fetched|was not docked|is not ready|was lost)"
+CAUSES = {
+    # Before before_switch_gcode a probe has to read triggered
+    "stuck_open": _DEAD + r"|is attached already|" + _PROBE,
+    # On the way down it is a trigger in mid air
+    "stuck_closed": _TRIGGERED
+    + r"|before the toolhead moved|check the probe with QUERY_PROBE|"
+    + _PROBE,
+    "trigger_never": _DEAD,
+    "trigger_early": _HEIGHTS,
+    "trigger_late": _HEIGHTS,
+    "probe_falls": r"has come off|not attached|No trigger|did not answer|before the"
+    r" toolhead moved|" + _PROBE,
+    "attach_fails": r"the probe was not fetched|it is not attached",
+    "dock_fails": r"the probe was not docked",
+    "template raises": r"template \d+ fails",
+    "template leaves": r"Move out of range|out of range",
+    "tmc_change_lost": r"Unable to write tmc uart '\w+' register",
+    "tmc_write_error": r"Unable to write tmc uart '\w+' register",
+    "tmc_read_error": r"Unable to read tmc uart '\w+' register",
+    "mcu_silent": r"shutdown|Unable to obtain|Timeout on wait|Lost communic",
+    # A host may be about to plan one more move, and says that it cannot
+    "cancel": r"shutdown|webhooks request|Unable to obtain|Timeout on wait"
+    r"|Internal error in (MCU '\w+' )?stepcompress",
+}
+SHUT_DOWN_CAUSES = {
+    # A host may stumble over its own moves before it misses the board, or miss an
+    # answer of its motor drivers
+    "mcu_silent": r"Lost communication with MCU|Internal error on command"
+    r"|Exception in flush_handler|Timeout on wait for 'tmcuart_response'",
+    "cancel": r"webhooks request",
+}
+# After these a sensor tells of nothing any more
+BLINDING = ("stuck_open", "trigger_never", "probe_falls")
 # Reasons that status and console give
 HOMED_OR_SET = "Z was homed again or set"
 MOTORS_OFF = "the motors were turned off"

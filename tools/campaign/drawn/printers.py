@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import dataclasses
+import math
 from collections.abc import Mapping
 from dataclasses import dataclass, replace
 from functools import cached_property, lru_cache
@@ -12,7 +13,7 @@ from hypothesis import strategies as st
 
 from simprinter.scene import heated
 from simprinter.world import NoiseSpec
-from tools.campaign.walks import (
+from tools.campaign.drawn import (
     card,
     covering,
     features,
@@ -20,10 +21,9 @@ from tools.campaign.walks import (
     mechanics,
     values,
 )
-from tools.campaign.walks.covering import Row
-from tools.campaign.walks.drawing import around, often, seldom
-from tools.campaign.walks.machines import BASES
-from tools.campaign.walks.mistakes import MISTAKES, possible
+from tools.campaign.drawn.covering import Row
+from tools.campaign.drawn.machines import BASES
+from tools.campaign.drawn.mistakes import MISTAKES, possible
 from tools.kit.scenes import Scene
 
 # Over the bed wherever a dock is (mm)
@@ -177,6 +177,30 @@ class Owned:
             own[name] = tuple(data.get(name, ()))
         own["left_out"] = tuple(data.get("left_out", ()))
         return cls(**{**data, **own})
+
+
+# Printers deviate from what works, so what hypothesis makes simpler leads back there
+
+
+def around(standard: float, low: float, high: float, digit: float = 0.01):
+    """Numbers from low to high in whole digits away from the standard."""
+    first = math.ceil((low - standard) / digit)
+    last = math.floor((high - standard) / digit)
+    return st.integers(first, last).map(
+        lambda count: round(standard + count * digit, 6)
+    )
+
+
+def often(standard: Any, others: st.SearchStrategy) -> st.SearchStrategy:
+    """The standard in about half of all draws."""
+    return st.one_of(st.just(standard), others)
+
+
+def seldom(usual: Any, others: st.SearchStrategy) -> st.SearchStrategy:
+    """The others in about a sixth of all draws."""
+    return st.integers(0, 5).flatmap(
+        lambda n: others if n == 5 else st.just(usual)
+    )
 
 
 @lru_cache(maxsize=None)

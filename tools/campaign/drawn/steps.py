@@ -8,9 +8,10 @@ from typing import Any
 
 from hypothesis import strategies as st
 
-from tools.campaign.walks import card
-from tools.campaign.walks.covering import Row
-from tools.campaign.walks.printers import POINT, Owned, printers
+from tools.campaign.breaking import BEGIN, SENSOR_FAULTS, TRIP_FAULTS, Break
+from tools.campaign.drawn import card
+from tools.campaign.drawn.covering import Row
+from tools.campaign.drawn.printers import POINT, Owned, printers
 from tools.kit.carrying import POINT as MEMBRANE
 
 # A step is its kind and what with: JSON, and readable
@@ -217,10 +218,6 @@ BREAKABLE = frozenset(
 )
 # Of these without a section of Klipper's nothing moves
 NEEDS = {"Z_CALIBRATION_NOZZLE_GROWTH": "hot", "AUTO_Z_TWIST": "twist"}
-# What breaks: a switch so many s after the command has begun, the next touch, the
-# probe at its nth contact, a trip to the dock
-SENSOR_FAULTS = ("stuck_open", "stuck_closed", "trigger_never")
-TRIP_FAULTS = ("attach_fails", "dock_fails")
 # What a finger presses, of what a machine has
 PRESSED = ("probe", "z_endstop", "nozzle_endstop", "bed_sensor")
 # What a print takes, whoever sends it
@@ -448,28 +445,33 @@ def _courses(printer: Owned) -> list[st.SearchStrategy]:
 
 def _breaks(printer: Owned) -> list[st.SearchStrategy]:
     """A fault in a command, and the same command when it is mended."""
-    signals = {"membrane", *PRESSED} & set(printer.scene.wiring.inputs)
+    signals = sorted({"membrane", *PRESSED} & set(printer.scene.wiring.inputs))
+    touches = [(kind, of) for kind in ("touch", "query") for of in signals]
+    places = st.tuples(
+        st.sampled_from([(BEGIN, ""), ("move", "xy"), ("move", "z"), *touches]),
+        st.sampled_from((1, 2, 3, 5, 8)),
+    ).map(lambda found: (*found[0], found[1]))
     sensors = st.tuples(
-        st.sampled_from(SENSOR_FAULTS),
-        st.sampled_from(sorted(signals)),
-        st.sampled_from((0, 1, 3, 8, 20)),
+        st.sampled_from((*SENSOR_FAULTS, "trigger_never")),
+        st.sampled_from(signals),
+        places,
     )
     faults = [sensors]
     probe = printer.scene.world.mag_probe
     if probe is not None and probe.mode != "fixed":
-        at = st.sampled_from((1, 2, 3, 4))
-        faults.append(st.tuples(st.just("probe_falls"), st.just(""), at))
+        faults.append(st.tuples(st.just("probe_falls"), st.just(""), places))
     if printer.has("dockable_probe"):
-        trips = st.sampled_from(TRIP_FAULTS)
-        faults.append(st.tuples(trips, st.just(""), st.just(1)))
+        trips = st.sampled_from(sorted(TRIP_FAULTS.values()))
+        faults.append(st.tuples(trips, st.just(""), st.just(("", "", 1))))
     names = printer.names
     ours = [text for text in gcode_of(printer) if is_breakable(text, names)]
     if not ours:
         return []
 
     def around(found: tuple[Any, str]) -> tuple[Step, ...]:
-        fault, text = found
-        broken = (("break", fault), ("gcode", text), ("mend", fault[0]))
+        (fault, subject, place), text = found
+        what = Break(fault, subject, *place)
+        broken = (("break", what), ("gcode", text), ("mend", fault))
         return (*broken, ("gcode", "G28"), ("gcode", text))
 
     both = st.tuples(st.one_of(faults), st.sampled_from(ours))

@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING, Optional
 from tools.kit.printer import ROOT
 
 if TYPE_CHECKING:
-    from tools.campaign.walks.printers import Owned
+    from tools.campaign.drawn.printers import Owned
 
 FILE = "layer.gcode"
 # The document of each section that makes Z=0 right, the first that a printer has

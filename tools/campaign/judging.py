@@ -9,11 +9,13 @@ from typing import Any, NamedTuple, Optional
 
 from simprinter.world import Bed, WorldSpec
 from simprinter.world.truth import Crash
-from tools.campaign.fault_cases import CAUSES
-from tools.campaign.walks import claims
-from tools.campaign.walks import steps as stepping
-from tools.campaign.walks.gaps import CALIBRATED, Gaps
-from tools.campaign.walks.printers import POINT, Owned
+from tools.campaign import claims
+from tools.campaign.breaking import OFF, Break
+from tools.campaign.claims import CAUSES, SHUT_DOWN_CAUSES
+from tools.campaign.drawn import steps as stepping
+from tools.campaign.drawn.printers import POINT, Owned
+from tools.campaign.gaps import CALIBRATED, Gaps
+from tools.campaign.jobs import Job
 from tools.kit.dialogs import dialogs_of
 from tools.kit.printer import Printer
 
@@ -25,6 +27,13 @@ MARGIN = 1.0
 SLACK = 0.1
 # How much deeper than Z=0 the bed of a new printer may be expected (mm)
 WRONG_ZERO = 1.5
+# Of a gap that is right: two microsteps, and one (mm)
+GAP_ERROR, STEP = 0.0051, 0.0026
+# With both sensors dead the probe's body is pressed so deep (mm) at most, and
+# the nozzle no deeper than ever
+BLIND_BODY = 5.2
+# How far a toolhead gets off its line as its board falls silent (mm)
+OFF_LINE = 1.0
 # Of places that are the same (mm): half a step of both belts, and more
 PLACE = 0.1
 # Ours, which leave all as it was when they refuse
@@ -84,22 +93,65 @@ class HarmError(AssertionError):
 class Gone(NamedTuple):
     """A step that was gone: what ran, why it was refused, what was shown.
 
-    fault: what may have broken meanwhile, see simprinter/faults.py; empty: nothing.
+    breaks: what has broken meanwhile.
     """
 
     kind: str
     script: str
     refusal: str
     lines: Sequence[str]
-    fault: str = ""
+    breaks: tuple[Break, ...] = ()
 
     @property
     def command(self) -> str:
         """The last one, without parameters; of two nobody knows which it was."""
         if self.kind in stepping.MANY:
             return ""
-        last = self.script.splitlines()[-1:] or [""]
-        return (last[0].split() or [""])[0]
+        lines = [line for line in self.script.splitlines() if line != "M400"]
+        return ((lines or [""])[-1].split() or [""])[0]
+
+    @property
+    def faults(self) -> list[str]:
+        """The names of what has broken, see simprinter/faults.py."""
+        return [what.fault for what in self.breaks]
+
+
+class Expected(NamedTuple):
+    """What is known of a command, so that the judge is strict.
+
+    depths: mm beyond the trigger by site, in a good run of it, homing included.
+    gap: true one at G-code Z=0 afterwards, mm.
+    """
+
+    job: Job
+    depths: Mapping[str, float]
+    gap: float
+
+    def allowed(self, breaks: Sequence[Break]) -> dict[str, float]:
+        """How deep (mm) each site may be pressed when that breaks."""
+        found = {}
+        for site, margin in self.job.margins.items():
+            if is_blind(breaks) and not site.startswith("nozzle"):
+                margin = max(margin, BLIND_BODY)
+            found[site] = self.depths[site] + margin + STEP
+        if any(what.fault == "mcu_silent" for what in breaks):
+            # Each axis goes on for the steps that its queue has, and the toolhead
+            # leaves its line beside the dock
+            found["dock"] = OFF_LINE
+        return found
+
+
+def is_blind(breaks: Sequence[Break]) -> bool:
+    """Whether two sensors are dead at once."""
+    dead = [what for what in breaks if what.fault in claims.BLINDING]
+    return len({what.subject or "probe" for what in dead}) > 1
+
+
+def _agree(breaks: Sequence[Break]) -> bool:
+    """Whether two touches are wrong by the same amount."""
+    alike = {what[:2] for what in breaks}
+    lies = ("trigger_early", "trigger_late")
+    return len(breaks) > 1 == len(alike) and breaks[0].fault in lies
 
 
 @dataclass
@@ -108,7 +160,8 @@ class Before:
 
     state: what a refusal leaves as it was. pressed: sites that something
     touched. question: whether a person is asked something. events, touches:
-    how many the world had seen. time: seconds of the world.
+    how many the world had seen. time: seconds of the world. of_job, gap: what a
+    command that is known leaves when it is refused.
     """
 
     state: Mapping[str, Any]
@@ -120,20 +173,26 @@ class Before:
     touches: int
     probe: str
     time: float
+    of_job: Mapping[str, Any]
+    gap: float
 
 
 @dataclass
 class Judge:
     """Of one walk. Raises HarmError with what is wrong.
 
-    keep_clear: puts the ways of a script around what is in the way.
+    keep_clear: puts the ways of a script around what is in the way. expected: of
+    the command that is broken, where it is known: no step may be refused then in
+    which nothing was to break.
     is_healthy: the step was refused, and the world knows no reason for it.
     """
 
     printer: Printer
     owned: Owned
     keep_clear: Callable[[str], str]
+    expected: Optional[Expected] = None
     is_healthy: bool = False
+    is_shut_down: bool = False
 
     def __post_init__(self) -> None:
         self.gaps = Gaps(self.printer, self.owned, self.keep_clear)
@@ -157,7 +216,7 @@ class Judge:
 
     def end(self, gone: Gone) -> None:
         """It has ended. Raises HarmError."""
-        if gone.kind == "print" or gone.fault:
+        if gone.kind == "print" or (gone.breaks and not self.expected):
             # Its last moves are queued still
             self._stand_still()
         if gone.kind in RESTARTS:
@@ -171,27 +230,64 @@ class Judge:
             self.over = ""
         for sort, rule in (
             ("shutdown", self._is_shut_down),
-            ("internal error", self._is_internal),
             ("harm", self._is_hurt),
+            ("internal error", self._is_internal),
             ("too low", self._is_too_low),
             ("moved", self._has_moved),
             ("moved", self._is_among_hands),
             ("elsewhere", self._is_elsewhere),
+            ("refused", self._is_refused),
             ("left behind", self._has_left),
+            ("left behind", self._has_left_of_job),
             ("hidden", self._hides),
             ("lie", self._lies),
             ("wrong offset", self._is_off),
+            ("wrong offset", self._is_off_of_job),
         ):
+            if self.is_shut_down and sort not in ("shutdown", "harm"):
+                # Klippy knows nothing any more
+                return
             for text in rule(gone):
                 raise HarmError(sort, text)
+
+    def measured(self) -> tuple[dict[str, float], float]:
+        """Of a command that is known, when it has ended.
+
+        mm by which each site was pressed deeper than in a good run, and by which
+        the gap is another one.
+        """
+        if self.expected is None:
+            return {}, 0.0
+        job, good, gap = self.expected
+        truth = self.printer.machine.truth
+        deeper = {
+            site: max(0.0, truth.depth(site) - good[site])
+            for site in job.margins
+        }
+        return deeper, abs(job.gap(self.printer) - gap)
 
     # What klippy is
 
     def _is_shut_down(self, gone: Gone) -> Iterator[str]:
+        """But where its board is silent, or somebody stops it, and that is said."""
         state, message = self.printer.session.state()
-        if state != "ready":
+        self.is_shut_down = state != "ready"
+        if not self.is_shut_down:
+            self.printer.session.wait(0.3)
+            return
+        causes = [SHUT_DOWN_CAUSES.get(fault) for fault in gone.faults]
+        words = "|".join(cause for cause in causes if cause)
+        if not words:
             yield message.splitlines()[0]
-        self.printer.session.wait(0.3)
+        elif not re.search(words, message):
+            yield f"{message!r} does not name the cause ({words})"
+        if "Internal error on" in gone.refusal:
+            yield f"is hidden by {gone.refusal!r}"
+        if gone.refusal:
+            yield from _does_not_name(gone)
+        before = self.before.of_job.get("printer.cfg")
+        if before not in (None, self.printer.session.config_text()):
+            yield "printer.cfg has changed"
 
     def _is_internal(self, gone: Gone) -> Iterator[str]:
         for line in (gone.refusal, *gone.lines):
@@ -211,7 +307,11 @@ class Judge:
 
     def _may(self, gone: Gone, crash: Crash) -> bool:
         """docs/reliability.md: where no membrane was laid, 1 mm below Z=0."""
-        is_wrong = bool(gone.fault or self.owned.mistake)
+        if self.expected:
+            found = self.expected.allowed(gone.breaks) if gone.breaks else {}
+            is_depth = crash.kind == "depth"
+            return is_depth and crash.depth <= found.get(crash.site, 0.0)
+        is_wrong = bool(gone.breaks or self.owned.mistake)
         if is_wrong and crash.depth <= self._deepest_dead(gone, crash.site):
             return True
         is_looking = "EXTRA_PROBE" in gone.script
@@ -266,6 +366,19 @@ class Judge:
         text = config.get("z_calibration", {}).get("offset_margins", "-1, 1")
         return -min(float(part) for part in text.split(","))
 
+    def _deepest_of_job(self) -> float:
+        """How far (mm) the nozzle may press anything."""
+        assert self.expected is not None
+        job, depths, _ = self.expected
+        return max(
+            [
+                depths[site] + margin
+                for site, margin in job.margins.items()
+                if site.startswith("nozzle")
+            ],
+            default=0.0,
+        )
+
     def _is_first_on_pin(self) -> bool:
         """Whether klippy does not know yet how high a pin of its own is."""
         own = self.printer.scene.sections.get("z_calibration") or {}
@@ -295,7 +408,9 @@ class Judge:
         floor = self.lowest - MARGIN
         if "EXTRA_PROBE" in gone.script:
             floor -= self._deepest()
-        if gone.fault or self.owned.mistake:
+        if self.expected:
+            floor -= max(self._deepest_of_job(), MARGIN)
+        elif gone.breaks or self.owned.mistake:
             sites = ("nozzle_bed", "nozzle_pin")
             deepest = max(self._deepest_dead(gone, site) for site in sites)
             floor -= deepest - MARGIN
@@ -392,6 +507,10 @@ class Judge:
 
     def _before(self) -> Before:
         machine = self.printer.machine
+        of_job, gap = {}, 0.0
+        if self.expected:
+            of_job = self.expected.job.state(self.printer)
+            gap = self.expected.job.gap(self.printer)
         truth = machine.truth
         status = self._status()
         return Before(
@@ -404,6 +523,8 @@ class Judge:
             touches=len(truth.touches),
             probe=self._probe(),
             time=self._now(),
+            of_job=of_job,
+            gap=gap,
         )
 
     def _status(self) -> Status:
@@ -454,6 +575,35 @@ class Judge:
         if sites:
             yield f"{sites} are pressed after {gone.refusal}"
 
+    def _is_refused(self, gone: Gone) -> Iterator[str]:
+        """A command that is known, and nothing has broken."""
+        if self.expected and gone.refusal and not gone.breaks:
+            yield gone.refusal
+
+    def _has_left_of_job(self, gone: Gone) -> Iterator[str]:
+        """Beyond what any command of ours leaves, where it is known."""
+        if gone.kind == "restart" and self.printer.offset():
+            yield "an offset is in force"
+        if not self.expected or not gone.refusal:
+            return
+        job = self.expected.job
+        if job.is_homing:
+            # The host has turned the motors off
+            return
+        after = job.state(self.printer)
+        for name, value in self.before.of_job.items():
+            if after[name] != value:
+                yield f"{name} was {value} and is {after[name]}"
+        now = job.gap(self.printer)
+        if "gap" not in job.told and abs(now - self.before.gap) >= STEP:
+            yield f"gap was {self.before.gap:.4f} and is {now:.4f}"
+        z, lift = self.printer.session.position()[2], job.lift
+        if len(gone.breaks) > 1 and "trigger_late" in gone.faults:
+            # The bed it is lifted from was met too low, and not again
+            lift -= OFF
+        if z < lift:
+            yield f"the toolhead is at z={z:.3f}"
+
     def _of_owner(self) -> Iterator[str]:
         """What G-code in options sets: modes, which only z_calibration undoes,
         and the offset, where homing does."""
@@ -468,17 +618,20 @@ class Judge:
 
     def _hides(self, gone: Gone) -> Iterator[str]:
         """What was broken is not named, nor anything else that is so."""
-        has_struck = not self.printer.machine.faults.unfired()
-        is_refused = bool(gone.fault and gone.refusal)
-        if not is_refused or not has_struck or self.owned.mistake:
+        if not gone.breaks or not gone.refusal or self.owned.mistake:
             return
-        is_named = re.search(CAUSES[gone.fault], gone.refusal)
-        if not is_named and claims.verdict(gone.refusal, self._facts()) is None:
-            yield f"{gone.fault}: {gone.refusal}"
+        found = next(_does_not_name(gone), "")
+        if found and not self.expected:
+            has_struck = not self.printer.machine.faults.unfired()
+            is_so = claims.verdict(gone.refusal, self._facts()) is not None
+            # A touch that is to be broken may not come any more
+            found = "" if is_so or not has_struck else found
+        if found:
+            yield found
 
     def _lies(self, gone: Gone) -> Iterator[str]:
         """What is said of the printer is not so, and nothing is broken or wrong."""
-        if gone.fault or self.owned.mistake:
+        if gone.breaks or self.owned.mistake:
             return
         facts = self._facts()
         yield from claims.untrue(gone.command, gone.refusal, gone.lines, facts)
@@ -513,6 +666,8 @@ class Judge:
         return frozenset({self.before.probe, self._probe(), *seen})
 
     def _is_off(self, gone: Gone) -> Iterator[str]:
+        if self.expected:
+            return
         shows = any(CALIBRATED.search(line) for line in gone.lines)
         self.is_measured = self.is_measured or shows
         # In a print, too, others come after it
@@ -524,6 +679,21 @@ class Judge:
             bool(gone.refusal),
             self.before.time,
         )
+
+    def _is_off_of_job(self, gone: Gone) -> Iterator[str]:
+        """The gap is not that of a good run."""
+        if not self.expected or gone.refusal:
+            return
+        job, _, good = self.expected
+        if not gone.script.endswith(f"{job.script}\nM400\n"):
+            return
+        gap = job.gap(self.printer)
+        error = abs(gap - good)
+        if job.samples == 2 and _agree(gone.breaks):
+            # The only two that are compared: nothing can tell
+            error = min(error, abs(error - OFF))
+        if error >= GAP_ERROR:
+            yield f"the gap is {gap:.4f}, which should be {good:.4f}"
 
     # Looking
 
@@ -560,6 +730,14 @@ class Judge:
         while last != machine.tip():
             last = machine.tip()
             self.printer.session.wait(1.0)
+
+
+def _does_not_name(gone: Gone) -> Iterator[str]:
+    """A refusal does not name the cause."""
+    words = "|".join(CAUSES[fault] for fault in gone.faults)
+    if not re.search(words, gone.refusal):
+        names = ", ".join(gone.faults)
+        yield f"{names}: {gone.refusal!r} does not name the cause ({words})"
 
 
 def _may_dock(status: Status) -> bool:

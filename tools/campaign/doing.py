@@ -6,7 +6,7 @@ from collections.abc import Callable, Sequence
 
 from simprinter.hosts.session import LiveSession, SessionError
 from simprinter.machine import Machine
-from tools.campaign.walks import card
+from tools.campaign.drawn import card
 from tools.kit.dialogs import Shown, dialogs_of
 
 # Of a print, printer seconds: it heats, levels, meshes and prints a line

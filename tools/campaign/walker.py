@@ -12,14 +12,22 @@ from functools import partial
 from pathlib import Path
 from typing import Any, Callable, Optional
 
-from simprinter import Fault
 from simprinter.hosts.hosts import Host
 from simprinter.hosts.session import GcodeError, SessionError
-from tools.campaign.walks import card, doing
-from tools.campaign.walks import steps as stepping
-from tools.campaign.walks.judging import Gone, HarmError, Judge
-from tools.campaign.walks.printers import Owned
-from tools.campaign.walks.steps import Step
+from simprinter.simulation import SimulationError
+from tools.campaign import doing
+from tools.campaign.breaking import (
+    MISSED,
+    TEMPLATE_FAULTS,
+    Break,
+    Breaking,
+    fail_templates,
+)
+from tools.campaign.drawn import card
+from tools.campaign.drawn import steps as stepping
+from tools.campaign.drawn.printers import Owned
+from tools.campaign.drawn.steps import Step
+from tools.campaign.judging import Expected, Gone, HarmError, Judge
 from tools.kit.printer import Printer
 
 # Whose nozzle comes so near to the bed (mm) puts paper below it and goes on by hand
@@ -30,6 +38,10 @@ HAND, FINGERS = 15.0, 5.0
 # measured at three temperatures stands still for minutes at each
 LIMIT, GROWS_LIMIT = 900.0, 3600.0
 _GROWS = "Z_CALIBRATION_NOZZLE_GROWTH"
+# By which a dockable probe is told that a person has put it into its dock
+BY_HAND = "SET_PROBE_STATUS STATE=DOCKED"
+# How a command may end in which something breaks
+RIGHT, REFUSED, SHUT_DOWN = "right", "refused", "shut down"
 _NUMBER = re.compile(r"-?\d+(\.\d+)?")
 _ACROSS = re.compile(r"G1 X(\S+) Y(\S+) F9000")
 
@@ -40,13 +52,30 @@ def shape(reason: str) -> str:
 
 
 @dataclass
+class Broken:
+    """How the command went in which something broke.
+
+    struck: whether all of it has. message: why it was refused. depths: mm by
+    which each site was pressed deeper than in a good run. error: of the gap that
+    it ended with, mm.
+    """
+
+    ended: str = ""
+    struck: bool = False
+    message: str = ""
+    depths: Mapping[str, float] = field(default_factory=dict)
+    error: float = 0.0
+
+
+@dataclass
 class Outcome:
     """What came of a walk.
 
     harm: what was wrong with which step; empty if nothing. refusals: by their
     shape; healthy: those for which the world knows no reason. done: of each
     kind of step, how many without an error. ends: why each step was refused, in
-    their order; empty if it was not.
+    their order; empty if it was not. broken: the last command that has met a
+    fault.
     """
 
     harm: str = ""
@@ -56,6 +85,7 @@ class Outcome:
     done: Counter[str] = field(default_factory=Counter)
     ends: list[str] = field(default_factory=list)
     refused_at_start: str = ""
+    broken: Optional[Broken] = None
 
 
 class Walker:
@@ -68,6 +98,7 @@ class Walker:
         outcome: Outcome,
         say: Callable[[str], None],
         temperature: Path = Path(os.devnull),
+        expected: Optional[Expected] = None,
     ) -> None:
         self.say = say
         self.printer = printer
@@ -75,13 +106,15 @@ class Walker:
         self.outcome = outcome
         # What z_thermal_adjust reads, see heat()
         self.temperature = temperature
-        self.judge = Judge(printer, owned, partial(around, owned))
-        # The fault that a command is to meet, and nothing else
-        self.fault = ""
+        self.judge = Judge(printer, owned, partial(around, owned), expected)
+        # What the next command is to meet, and whether it has
+        self.breaks: list[Break] = []
+        self.struck: tuple[Break, ...] = ()
         # The step that is being done: for people, what ran, why it was refused
         self.step = self.script = self.refusal = ""
         self.does: Mapping[str, Callable[[Any], None]] = {
             "gcode": self._gcode,
+            "heed": self._heed,
             "wait": lambda seconds: printer.session.wait(float(seconds)),
             "away": lambda to: self._gcode(stepping.AWAY % tuple(to)),
             "lower": self._lower,
@@ -96,7 +129,6 @@ class Walker:
             "hand": self._hand,
             "print": self._print,
             "heat": self._heat,
-            "break": self._break,
             "mend": self._mend,
         }
 
@@ -104,6 +136,11 @@ class Walker:
         """All steps. Raises HarmError at the first that does harm."""
         console = self.printer.session.console
         for number, (kind, what) in enumerate(walk, 1):
+            if kind == "break":
+                # In the next command, not yet
+                self.breaks.append(Break(*what))
+                self.outcome.ends.append("")
+                continue
             self.judge.begin(kind)
             shown = len(console)
             self.step, self.script, self.refusal = f"{kind} {what!r}", "", ""
@@ -111,10 +148,11 @@ class Walker:
             try:
                 if not self._do(kind, what):
                     return
-                lines = console[shown:]
-                fault = self.fault if kind == "gcode" else ""
-                gone = Gone(kind, self.script, self.refusal, lines, fault)
+                gone = self._gone(kind, console[shown:])
                 self.judge.end(gone)
+                if self.judge.is_shut_down:
+                    self._start_again(gone)
+                    return
             except HarmError as error:
                 text = f"step {number}, {self.step}: {error}"
                 raise HarmError(error.sort, text) from error
@@ -123,11 +161,45 @@ class Walker:
                     self.say(line)
             self._count(kind, what)
 
+    def _gone(self, kind: str, lines: Sequence[str]) -> Gone:
+        """What the judge is to know of the step."""
+        struck = self.struck if kind == "gcode" else ()
+        gone = Gone(kind, self.script, self.refusal, lines, struck)
+        if kind != "gcode" or not self.breaks:
+            return gone
+        # Until all that it leads to has happened
+        is_silent = "mcu_silent" in gone.faults
+        self.printer.session.wait(MISSED if is_silent else 1.0)
+        ended = REFUSED if gone.refusal else RIGHT
+        broken = Broken(ended, len(struck) == len(self.breaks))
+        if self.printer.session.state()[0] != "ready":
+            broken.ended = SHUT_DOWN
+        broken.message = gone.refusal
+        broken.depths, broken.error = self.judge.measured()
+        self.outcome.broken = broken
+        return gone
+
+    def _start_again(self, gone: Gone) -> None:
+        """Whoever has stopped it starts it again."""
+        expected = self.judge.expected
+        assert expected is not None
+        if "mcu_silent" in gone.faults:
+            return
+        self.printer.machine.repair()
+        try:
+            self._restart("FIRMWARE_RESTART")
+        except SessionError as error:
+            # Klipper of 2026 waits for a trigger for ever, in its own G28, too
+            if not expected.job.is_homing:
+                raise HarmError("hang", str(error).splitlines()[0]) from error
+        else:
+            self.judge.end(Gone("restart", "", "", ()))
+
     def _do(self, kind: str, what: Any) -> bool:
         """Whether klippy goes on."""
         try:
             self.does[kind](what)
-        except SessionError as error:
+        except (SessionError, SimulationError) as error:
             text = str(error).splitlines()[0]
             # Whoever accepts what he has not measured may save what Klipper refuses
             if kind == "save" and text.startswith("error: "):
@@ -152,9 +224,32 @@ class Walker:
         self.script += script + "\n"
         try:
             limit = GROWS_LIMIT if _GROWS in script else LIMIT
-            self.printer.session.run(self._around(script), limit)
+            if self.breaks:
+                self._meet(self._around(script), limit)
+            else:
+                self.printer.session.run(self._around(script), limit)
         except GcodeError as error:
             self.refusal = str(error)
+
+    def _meet(self, script: str, limit: float) -> None:
+        """It meets what is to break. Raises GcodeError."""
+        breaking = Breaking(self.printer, self.breaks)
+        try:
+            breaking.run(script, limit)
+        finally:
+            self.struck = breaking.struck
+
+    def _heed(self, script: str) -> None:
+        """As one who reads: where a message asks for a hand, that and once more."""
+        self._gcode(script)
+        if BY_HAND in self.refusal:
+            world, now = self.printer.machine.world, self._now()
+            world.lose_probe(now)
+            world.bring_probe_back(now)
+            self.printer.session.wait(0.5)
+            self.refusal = ""
+            self._gcode(BY_HAND)
+            self._gcode(script)
 
     def _around(self, script: str) -> str:
         return around(self.owned, script)
@@ -225,24 +320,13 @@ class Walker:
         heat(self.temperature, celsius)
         self.printer.session.wait(5.0)
 
-    def _break(self, what: Sequence) -> None:
-        """A fault, see simprinter/faults.py, that the next command may meet."""
-        self.fault, subject, at = what
-        about: dict[str, Any] = {"n": at}
-        if self.fault in ("stuck_open", "stuck_closed"):
-            about = {"signal": subject, "t": self._now() + at}
-        elif self.fault == "trigger_never":
-            about = {"signal": subject}
-        elif self.fault == "probe_falls":
-            about = {"touch": at}
-        self.printer.machine.break_down(
-            Fault(self.fault, strikes="may", **about)
-        )
-
     def _mend(self, fault: str) -> None:
         """All is as good as new, and a probe that has fallen is where it was."""
-        machine, self.fault = self.printer.machine, ""
+        machine = self.printer.machine
         machine.repair()
+        if any(what.fault in TEMPLATE_FAULTS for what in self.breaks):
+            fail_templates(self.printer, ())
+        self.breaks, self.struck = [], ()
         machine.rig.settle(machine.simulation.clock.now())
         now = self._now()
         if machine.world.probe_state(now) == "lost":
@@ -304,11 +388,13 @@ def go(
     host: Host,
     modules: Optional[Mapping[str, Path]] = None,
     say: Callable[[str], None] = lambda text: None,
+    expected: Optional[Expected] = None,
 ) -> Outcome:
     """Walk on a host.
 
     modules: by their name (default: the repository's). say: takes each step
-    and what the console has shown.
+    and what the console has shown. expected: of a command that is known, so
+    that the judge is strict.
     """
     outcome = Outcome()
     with tempfile.TemporaryDirectory() as folder:
@@ -324,7 +410,12 @@ def go(
         try:
             # A printer that does not start may know nothing of its own yet
             if _starts(printer, owned, outcome):
-                _go(Walker(printer, owned, outcome, say, temperature), walk)
+                _go(
+                    Walker(printer, owned, outcome, say, temperature, expected),
+                    walk,
+                )
+            elif expected:
+                outcome.harm, outcome.kind = outcome.refused_at_start, "start"
         finally:
             printer.session.close()
             printer.machine.close()

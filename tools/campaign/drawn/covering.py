@@ -9,8 +9,8 @@ from typing import Any, NamedTuple
 
 from allpairspy import AllPairs
 
-from tools.campaign.walks import features, machines
-from tools.campaign.walks.machines import BASES, GENERIC
+from tools.campaign.drawn import features, machines
+from tools.campaign.drawn.machines import BASES, GENERIC
 
 # Of a printer: what is chosen, and as what
 Item = tuple[str, Any]

@@ -12,7 +12,7 @@ from dataclasses import dataclass
 from typing import Any, NamedTuple, Optional
 
 from simprinter.hosts.session import GcodeError
-from tools.campaign.walks.printers import Owned
+from tools.campaign.drawn.printers import Owned
 from tools.kit.printer import Printer
 
 Point = tuple[float, float]

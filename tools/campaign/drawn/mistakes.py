@@ -10,7 +10,7 @@ from dataclasses import replace
 from typing import Optional
 
 from simprinter import Scene
-from tools.campaign.walks.mechanics import with_options, z_section
+from tools.campaign.drawn.mechanics import with_options, z_section
 
 Mistake = Callable[[Scene], Optional[Scene]]
 
