@@ -112,26 +112,6 @@ def render_walks(file: str) -> str:
     return "\n" + walks_table(figures) + "\n"
 
 
-# The page says what each of them does
-KINDS = (
-    "stuck_open",
-    "stuck_closed",
-    "trigger_early",
-    "trigger_late",
-    "trigger_never",
-    "probe_falls",
-    "attach_fails",
-    "dock_fails",
-    "template raises",
-    "template leaves",
-    "tmc_change_lost",
-    "tmc_write_error",
-    "tmc_read_error",
-    "mcu_silent",
-    "cancel",
-)
-
-
 def render(file: str) -> str:
     """The tables of a document, from the figures in a file."""
     figures = json.loads(Path(file).read_text(encoding="utf-8"))
