@@ -75,92 +75,6 @@ def broken(kind, site, touch, **more):
     )
 
 
-def test_trigger_a_little_above_the_bed_is_not_the_bed(start):
-    # 1.6 mm early: lower than the probe's z_offset, but the probe sees nothing
-    fault = broken("trigger_early", "nozzle_bed", 1, mm=1.6)
-    printer = start("qidi", faults=[fault]).homed()
-    text, before, after = before_and_after(printer)
-    assert "probe: No trigger" in text
-    assert ") where the bed sensor triggered: that was not the bed" in text
-    assert after == before
-
-
-@pytest.mark.parametrize("n", [1, slow(2), slow(3)])
-@pytest.mark.parametrize("retries", [0, 1])
-def test_trigger_in_mid_air(host, n, retries):
-    # Shaken: 1.5 mm above the bed
-    fault = broken("trigger_early", "nozzle_bed", n, mm=1.5)
-    changes = section(
-        probe_z_correction="-1.12", samples_tolerance_retries=str(retries)
-    )
-    with Printer(host, "qidi", changes=changes, faults=[fault]) as printer:
-        printer.homed()
-        if not retries:
-            text, before, after = before_and_after(printer)
-            assert "mm above the expected z=-1.3" in text
-            assert after == before
-            return
-        lines = printer.run("AUTO_Z_CALIBRATE")
-        assert len(told(lines, "trying again")) == 1
-        gap = printer.scene.piezo_gap()
-        assert true_gap(printer) == pytest.approx(gap, abs=STEPS)
-
-
-def test_first_touch_in_mid_air_on_a_machine_nobody_knows(start):
-    # Higher than the probe can see the bed
-    fault = broken("trigger_early", "nozzle_bed", 1, mm=2.0)
-    changes = section(samples_tolerance_retries="0")
-    printer = start("qidi", changes=changes, faults=[fault]).homed()
-    text, before, after = before_and_after(printer)
-    assert "bed sensor: triggered at z=0.680, which is above z=0.500," in text
-    assert after == before
-    assert lowest(printer) == 0.0
-    printer.run("AUTO_Z_CALIBRATE")
-    gap = printer.scene.piezo_gap()
-    assert true_gap(printer) == pytest.approx(gap, abs=STEPS)
-
-
-@pytest.mark.parametrize("n", [1, 2, slow(3)])
-@pytest.mark.parametrize(
-    ("late", "retries"), [slow(0.1, 0), slow(0.1, 1), (0.5, 1)]
-)
-def test_trigger_that_is_late(host, n, late, retries):
-    fault = broken("trigger_late", "nozzle_bed", n, mm=late)
-    changes = section(
-        samples_tolerance_retries=str(retries), cycles_tolerance="0.05"
-    )
-    with Printer(host, "qidi", changes=changes, faults=[fault]) as printer:
-        printer.machine.tolerate("nozzle_bed", late + 0.02)
-        printer.homed()
-        # Far too late is dead; at the first touch of all it makes those that
-        # follow look wrong
-        if retries and late < 0.3:
-            printer.run("AUTO_Z_CALIBRATE")
-            gap = printer.scene.piezo_gap()
-            assert true_gap(printer) == pytest.approx(gap, abs=STEPS)
-        else:
-            text, before, after = before_and_after(printer)
-            words = (
-                "did not answer" if n > 1 else "mm above the expected z=-1.82"
-            )
-            assert ("samples differ" if late < 0.3 else words) in text
-            assert after == before
-        deeper = late if n == 1 else min(late, AGAIN)
-        assert lowest(printer) <= ONE_TOUCH + deeper + STEPS
-
-
-def test_sensor_that_is_triggered_from_the_start(start):
-    printer = start(
-        "qidi", faults=[Fault("stuck_closed", signal="bed_sensor", t=0.0)]
-    ).homed()
-    first = len(printer.machine.truth.touches)
-    text, before, after = before_and_after(printer, "AUTO_Z_PROBE")
-    assert "bed sensor: reads triggered at z=" in text
-    assert "a '!' in front of it turns the meaning" in text
-    assert sites(printer, first) == []
-    assert after == before
-
-
 def test_sensor_that_stays_triggered_after_the_touch(start):
     # One touch only: nobody would look at it again
     touch = touches(probed_at(start("qidi").homed(), 60.0))[-1]
@@ -521,40 +435,6 @@ def test_absurd_correction_is_not_saved(start):
 # prepare_gcode
 
 
-@pytest.mark.parametrize("command", all_slow_but(["CALIBRATE"], MEASURING))
-def test_prepare_gcode_that_fails(start, command):
-    code = f"{PREPARE}\n  G91\n  SET_GCODE_OFFSET Z=1\n  NO_SUCH {{x.y.z}}"
-    printer = start("qidi", changes=section(prepare_gcode=code)).homed()
-    printer.run("SET_GCODE_OFFSET Z=0.123")
-    before = state(printer)
-    printer.fail(f"AUTO_Z_{command}")
-    assert state(printer) == before
-    printer.session.wait(1.0)
-    assert_lifted(printer)
-
-
-@pytest.mark.parametrize("mode", ["G90", "G91"])
-def test_relative_moves_do_not_outlive_prepare_gcode(start, mode):
-    changes = {
-        "gcode_macro COLD": {"gcode": "\n  {action_raise_error('too cold')}"},
-        **section(prepare_gcode=f"{PREPARE}\n  G91\n  COLD"),
-    }
-    printer = start("qidi", changes=changes).homed()
-    printer.run(mode)
-    text, before, after = before_and_after(printer, "AUTO_Z_PROBE")
-    assert "too cold" in text
-    assert after == before
-    assert after["absolute"] is (mode == "G90")
-
-
-def test_forgotten_g90_is_put_right(start):
-    changes = section(prepare_gcode=f"{PREPARE}\n  G91")
-    printer = start("qidi", changes=changes).homed()
-    printer.run("G90\nAUTO_Z_PROBE")
-    assert "nozzle_bed" in sites(printer)
-    assert state(printer)["absolute"] is True
-
-
 def test_prepare_gcode_that_turns_the_motors_off(start):
     changes = section(prepare_gcode=f"{PREPARE}\n  M84")
     printer = start("qidi", changes=changes).homed()
@@ -583,16 +463,6 @@ def test_prepare_gcode_that_leaves_the_head_below(start):
     # It is lifted before it travels, and so before it touches
     text = printer.fail("AUTO_Z_PROBE")
     assert "(stopped at z=-1.100)" in text
-
-
-@pytest.mark.parametrize("command", all_slow_but(["PROBE"], MEASURING))
-def test_measurement_inside_a_measurement(host, command):
-    changes = section(prepare_gcode=f"{PREPARE}\n  AUTO_Z_{command}")
-    with Printer(host, "qidi", changes=changes) as printer:
-        printer.homed()
-        text, before, after = before_and_after(printer)
-        assert "a measurement is under way (prepare_gcode)" in text
-        assert after == before
 
 
 # The offset and what is saved
@@ -909,20 +779,3 @@ def test_host_probes_to_its_own_floor_again_afterwards(start):
     assert "nozzle_bed" in sites(printer)
     assert "No trigger on probe" in printer.fail("PROBE")
     assert lowest(printer) == pytest.approx(4.0 - 1.2695, abs=0.02)
-
-
-def test_head_is_up_when_the_session_ends(start):
-    # deactivate_gcode may stow
-    where = "{printer.toolhead.position.z|round(2)}"
-    changes = {
-        "respond": {},
-        "gcode_macro STOW": {"gcode": f"\n  RESPOND MSG='stow {where}'"},
-        "probe": {
-            "deactivate_gcode": "STOW",
-            "deactivate_on_each_sample": "False",
-        },
-    }
-    printer = start("qidi", changes=changes).homed()
-    lines = told(printer.run("AUTO_Z_MEASURE_OFFSET"), "echo: stow")
-    top = SENSOR + 5.0
-    assert float(lines[-1].split()[-1]) == pytest.approx(top, abs=0.02)

@@ -11,6 +11,7 @@ import re
 import pytest
 
 from simprinter import Fault
+from tools.kit.auto_z_offset import true_gap
 from tools.kit.dockable_probe import QUICK, section, where
 from tools.kit.docks import DOCK_SCENES
 from tools.kit.extra_probe import lay
@@ -39,6 +40,26 @@ PRINTERS = {
         *("qidi", {"auto_z_offset": {"probe_z_correction": "-1.12"}}),
         *("", 3.67),
     ),
+    # With retries or without, cycles as far apart as the fault makes them
+    **{
+        f"{name}{retries}": (
+            "qidi",
+            {
+                "auto_z_offset": {
+                    "samples_tolerance_retries": f"{retries}",
+                    "cycles_tolerance": "0.05",
+                    **known,
+                }
+            },
+            # Less high above what is no bed
+            *("", 3.1),
+        )
+        for name, known in (
+            ("new", {}),
+            ("known", {"probe_z_correction": "-1.12"}),
+        )
+        for retries in (0, 1)
+    },
     "membrane": (
         *("membrane", {}, "G90\nG1 Z5 F900\nG1 X30 Y20 F6000\nM400", 5.1),
     ),
@@ -92,9 +113,18 @@ WORDS = {
         "0.350 mm below the expected trigger at z=-1.3..."
     ),
     "reads": f"{AUTO} bed sensor: reads triggered at z=..., where nothing should press"
-    " it; check that prepare_gcode turns it on ... QUERY_ENDSTOPS ...",
+    " it; check that prepare_gcode turns it on ... QUERY_ENDSTOPS (a '!' in front"
+    " of it turns the meaning)",
     "unseen": f"{AUTO} probe: No trigger on probe after full movement (stopped at ...",
     "probe": f"{AUTO} probe: ...; check the probe with QUERY_PROBE and PROBE",
+    "not-bed": f"{AUTO} probe: No trigger on probe after full movement (stopped at z=...)"
+    " where the bed sensor triggered: that was not the bed, or ...; check the probe ...",
+    "above": f"{AUTO} bed sensor: triggered at z=..., ... mm above the expected z=-1...;"
+    " clean the nozzle and the bed, ...",
+    "over-0.5": f"{AUTO} bed sensor: triggered at z=0.680, which is above z=0.500, the"
+    " highest that the probe leaves for it; clean the nozzle and the bed, ...",
+    "cycles": f"{AUTO} cycles: samples differ by 0.1000 mm, cycles_tolerance is 0.0500"
+    " mm; clean the nozzle and check that nothing shakes the bed ...",
     "too-high": f"{AUTO} the probe sees the bed at z=0.300 instead of 0.000; check ...",
     "too-low": f"{AUTO} the probe sees the bed at z=-0.300 instead of 0.000; check ...",
     "to-0.1": MEMBRANE.format("-0.100"),
@@ -129,21 +159,21 @@ FAULTS = """
 voron CALIBRATE_Z          nozzle_pin stuck_open      1,3 nozzle         1.0
 voron CALIBRATE_Z          nozzle_pin trigger_never   2   nozzle         1.0
 voron CALIBRATE_Z          nozzle_pin stuck_closed    1,2 nozzle-pressed 0
-voron CALIBRATE_Z          nozzle_pin trigger_early   1,3 right          0
-voron CALIBRATE_Z          nozzle_pin trigger_late    2   right          0.3
+voron CALIBRATE_Z          nozzle_pin trigger_early+0.3 1,3 right          0
+voron CALIBRATE_Z          nozzle_pin trigger_late+0.3 2   right          0.3
 voron CALIBRATE_Z          body_pin   stuck_open      1,3 switch         0.955
 voron CALIBRATE_Z          body_pin   trigger_never   2   switch         0.955
 voron CALIBRATE_Z          body_pin   stuck_closed    1,3 switch-pressed 0
-voron CALIBRATE_Z          body_pin   trigger_early   1,2 right          0
-voron CALIBRATE_Z          body_pin   trigger_late    3   right          0.3
+voron CALIBRATE_Z          body_pin   trigger_early+0.3 1,2 right          0
+voron CALIBRATE_Z          body_pin   trigger_late+0.3 3   right          0.3
 voron CALIBRATE_Z          body_pin   falls_at_touch  2   switch-off     0
 voron CALIBRATE_Z          body_pin   falls_at_lift   1   switch-off     0
 voron CALIBRATE_Z          body_pin   falls_at_lift   3   bed-off        0
 voron CALIBRATE_Z          probe_bed  stuck_open      1,3 bed            1.16
 voron CALIBRATE_Z          probe_bed  trigger_never   2   bed            1.16
 voron CALIBRATE_Z          probe_bed  stuck_closed    1,3 bed-off        0
-voron CALIBRATE_Z          probe_bed  trigger_early   2   right          0
-voron CALIBRATE_Z          probe_bed  trigger_late    1   right          0.3
+voron CALIBRATE_Z          probe_bed  trigger_early+0.3 2   right          0
+voron CALIBRATE_Z          probe_bed  trigger_late+0.3 1   right          0.3
 voron CALIBRATE_Z          probe_bed  falls_at_touch  3   bed-off        0
 voron CALIBRATE_Z          probe_bed  falls_at_lift   1   bed-off        0
 voron CALIBRATE_Z_ACCURACY probe_bed  trigger_never   4   bed            1.16
@@ -154,8 +184,16 @@ qidi  AUTO_Z_CALIBRATE     nozzle_bed stuck_open      2,3 0.350-below    0.36
 qidi  AUTO_Z_CALIBRATE     nozzle_bed stuck_closed    1,3 reads          0
 qidi  AUTO_Z_CALIBRATE     inductive_bed stuck_open   1,3 unseen         0.01
 qidi  AUTO_Z_CALIBRATE     inductive_bed stuck_closed 1,2 probe          0.01
-qidi  AUTO_Z_CALIBRATE     inductive_bed trigger_early 2  too-high       0.01
-qidi  AUTO_Z_CALIBRATE     inductive_bed trigger_late 3   too-low        0.01
+qidi  AUTO_Z_CALIBRATE     inductive_bed trigger_early+0.3 2  too-high       0.01
+qidi  AUTO_Z_CALIBRATE     inductive_bed trigger_late+0.3 3   too-low        0.01
+new0  AUTO_Z_CALIBRATE     nozzle_bed trigger_late+0.1 1,2,3 cycles 0.11
+new1  AUTO_Z_CALIBRATE     nozzle_bed trigger_late+0.1 1,2,3 right  0.11
+new1  AUTO_Z_CALIBRATE     nozzle_bed trigger_late+0.5 1 above      0.51
+new1  AUTO_Z_CALIBRATE     nozzle_bed trigger_late+0.5 2,3 0.350-below 0.36
+new0  AUTO_Z_CALIBRATE     nozzle_bed trigger_early+1.6 1 not-bed   0
+new0  AUTO_Z_CALIBRATE     nozzle_bed trigger_early+2.0 1 over-0.5  0
+known0 AUTO_Z_CALIBRATE    nozzle_bed trigger_early+1.5 1,2,3 above 0.01
+known1 AUTO_Z_CALIBRATE    nozzle_bed trigger_early+1.5 1,2,3 right 0.01
 saved AUTO_Z_CALIBRATE     nozzle_bed stuck_open      1   1.000-below    1.01
 saved AUTO_Z_CALIBRATE     nozzle_bed trigger_never   2   0.350-below    0.36
 qidi  AUTO_Z_HOME_Z        nozzle_bed stuck_open      1   position_min   2.69
@@ -198,8 +236,8 @@ def fault(kind, **about):
     """The fault of a row."""
     if kind.startswith("falls_at_"):
         return Fault("probe_falls", when=kind[len("falls_at_") :], **about)
-    is_moved = kind in ("trigger_early", "trigger_late")
-    return Fault(kind, **about, **({"mm": 0.3} if is_moved else {}))
+    kind, _, mm = kind.partition("+")
+    return Fault(kind, **about, **({"mm": float(mm)} if mm else {}))
 
 
 def state(printer):
@@ -248,8 +286,11 @@ def test_fault(start, on, command, site, kind, touch, words, depth):
     script = command + PARAMS.get(command, "")
     if words == "right":
         printer.run(script)
-        assert printer.offset() == pytest.approx(0.16, abs=0.01)
-        assert printer.gap() == pytest.approx(0.06, abs=0.01)
+        if scene == "qidi":
+            gap, wanted = true_gap(printer), printer.scene.piezo_gap()
+        else:
+            gap, wanted = printer.gap(), printer.scene.formula_gap()
+        assert gap == pytest.approx(wanted, abs=0.01)
         assert_pressed(printer, depth)
         return
     assert_told(words, printer.fail(script))
