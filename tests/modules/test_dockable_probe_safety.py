@@ -408,17 +408,6 @@ def test_template_that_raises(start, option, state, head):
     assert where(printer) == "docked"
 
 
-# What comes next would drive anywhere
-def test_modes_are_as_before_when_a_template_fails(start):
-    gcode = "\n  G91\n  M83\n  G1 X900\n  G90"
-    printer = start(SWITCH, section(attach_gcode=gcode, **QUICK)).homed()
-    printer.run("G90\nM82\nG1 X150 Y150 Z20 F6000")
-    printer.fail("PROBE")
-    status = printer.status("gcode_move")
-    assert status["absolute_coordinates"]
-    assert status["absolute_extrude"]
-
-
 @pytest.mark.parametrize("name", ["activate", "deactivate"])
 def test_head_that_moves_where_it_must_not(start, name):
     changes = section(**{f"{name}_gcode": "\n  G91\n  G1 Z1\n  G90"}, **QUICK)

@@ -20,6 +20,7 @@ from tools.kit.extra_probe import (
     POINT,
     PROBE_BED,
     THICKNESS,
+    as_probe,
     calibrate,
     heights,
     lay,
@@ -653,17 +654,6 @@ def test_nozzle_that_is_heated_while_somebody_is_asked(start, celsius):
 
 
 # [probe] is the membrane
-
-
-def as_probe(**own):
-    """Scenario 1 of many: the membrane is the printer's [probe]."""
-    options = dict(SCENES["membrane"].sections[NAME])
-    place = options.pop("xy_position")
-    return {
-        NAME: None,
-        "probe": {**options, "x_offset": "0", "y_offset": "0"},
-        "extra_probe probe": {"xy_position": place, **own},
-    }
 
 
 @pytest.mark.every_host("the touches are those of the host's own probe then")

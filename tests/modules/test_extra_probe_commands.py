@@ -398,20 +398,20 @@ def test_deactivation_after_a_failed_touch(start, each):
 
 @pytest.mark.parametrize("option", ["activate_gcode", "deactivate_gcode"])
 @pytest.mark.parametrize("each", ["true", slow("false")])
-def test_template_that_moves_or_fails(start, option, each):
-    for code, words in (
-        ("G91\n  G1 Z0.5\n  G90", f"the toolhead moved in {option}"),
-        ("NO_SUCH_COMMAND_OF_MINE\n  {action_raise_error('worn')}", "worn"),
-    ):
-        own = {option: f"\n  {code}", "deactivate_on_each_sample": each}
-        printer = laid(start, changes=section(**own))
-        printer.run(ABOVE)
-        before = state(printer)
-        assert words in printer.fail("EXTRA_PROBE PROBE=membrane")
-        assert state(printer) == before
-        printer.session.wait(2.0)
-        assert printer.session.position()[2] >= 5.0
-        assert printer.session.state()[0] == "ready"
+def test_template_that_moves(start, option, each):
+    own = {
+        option: "\n  G91\n  G1 Z0.5\n  G90",
+        "deactivate_on_each_sample": each,
+    }
+    printer = laid(start, changes=section(**own))
+    printer.run(ABOVE)
+    before = state(printer)
+    text = printer.fail("EXTRA_PROBE PROBE=membrane")
+    assert f"the toolhead moved in {option}" in text
+    assert state(printer) == before
+    printer.session.wait(2.0)
+    assert printer.session.position()[2] >= 5.0
+    assert printer.session.state()[0] == "ready"
 
 
 # EXTRA_PROBE_ACCURACY

@@ -894,17 +894,6 @@ def test_error_gcode_runs_after_every_kind_of_failure(start):
     assert "echo: panic" not in printer.session.console[before:]
 
 
-def test_offset_is_put_back_when_user_gcode_has_changed_it(start):
-    changes = section(
-        start_gcode="SET_GCODE_OFFSET Z=0",
-        end_gcode="SET_GCODE_OFFSET Z=0.9",
-    )
-    printer = with_dead_pin(start, changes=changes)
-    printer.run("SET_GCODE_OFFSET Z=0.25")
-    printer.fail("CALIBRATE_Z")
-    assert_unharmed(printer, 0.25)
-
-
 # before_switch_gcode that attaches nothing
 
 

@@ -399,29 +399,6 @@ def test_templates_run_in_order_and_once(start):
     assert where(printer) == "docked"
 
 
-@pytest.mark.parametrize("broken", ["FIRST", "SECOND", "LAST"])
-def test_template_that_fails_ends_the_run(start, broken):
-    bodies = {broken: "{ action_raise_error('no luck') }"}
-    changes = marked("FIRST", "SECOND", "LAST", **bodies)
-    changes.update(
-        section(
-            start_gcode="FIRST",
-            before_switch_gcode="ATTACH_PROBE\n  SECOND",
-            end_gcode="LAST\n  DOCK_PROBE",
-        )
-    )
-    printer = start("cartesian", changes=changes).homed()
-    printer.run("SET_GCODE_OFFSET Z=0.2")
-    before = len(printer.session.console)
-    assert "no luck" in printer.fail("CALIBRATE_Z")
-    lines = printer.session.console[before:]
-    # A macro that raises has no time to leave its mark
-    assert lines.count("echo: LAST") == (0 if broken == "LAST" else 1)
-    assert printer.status("z_calibration")["last_query"] is False
-    assert printer.session.state()[0] == "ready"
-    assert printer.offset() == pytest.approx(0.2)
-
-
 @pytest.mark.parametrize(
     ("code", "words"),
     [
@@ -459,33 +436,6 @@ def test_failing_end_gcode_does_not_hide_the_first_error(start):
     assert "second error" not in text
     assert "second error" in printer.session.log()
     assert_unharmed(printer)
-
-
-@pytest.mark.parametrize(
-    "faults",
-    [[], [Fault("probe_falls", site="body_pin", command="CALIBRATE_Z")]],
-)
-def test_head_is_safe_when_user_gcode_runs(start, faults):
-    where = "{printer.toolhead.position.z|round(2)}"
-    changes = {
-        "respond": {},
-        "gcode_macro TELL": {"gcode": f"\n  RESPOND MSG='at {where}'"},
-        # Lower than the safe height after each touch
-        "stepper_z": {"homing_retract_dist": "1"},
-        **section(
-            before_switch_gcode="TELL\n  ATTACH_PROBE",
-            end_gcode="TELL\n  DOCK_PROBE",
-        ),
-    }
-    printer = start("cartesian", changes=changes, faults=faults).homed()
-    printer.run("G1 Z2 F600")
-    before = len(printer.session.console)
-    (printer.fail if faults else printer.run)("CALIBRATE_Z")
-    told = re.findall(r"at (\S+)", "\n".join(printer.session.console[before:]))
-    heights = [float(z) for z in told if re.fullmatch(r"[\d.]+", z)]
-    # Twice the probe's z_offset of 2.0
-    assert len(heights) == 2
-    assert min(heights) >= 4.0
 
 
 def test_end_gcode_that_turns_the_motors_off_voids_the_result(start):

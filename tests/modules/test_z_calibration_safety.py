@@ -545,48 +545,6 @@ def test_probe_that_takes_no_floor_is_touched_by_us(start, tmp_path, touch):
     assert_unharmed(printer)
 
 
-def test_head_is_up_when_the_session_ends(start):
-    # deactivate_gcode may dock or stow
-    where = "{printer.toolhead.position.z|round(2)}"
-    changes = {
-        "respond": {},
-        "gcode_macro STOW": {"gcode": f"\n  RESPOND MSG='stow {where}'"},
-        "probe": {
-            "deactivate_gcode": "STOW",
-            "deactivate_on_each_sample": "False",
-        },
-    }
-    printer = start(changes=changes).homed()
-    lines = printer.run("CALIBRATE_Z")
-    stowed = [line for line in lines if line.startswith("echo: stow")]
-    assert float(stowed[-1].split()[-1]) == pytest.approx(13.8, abs=0.01)
-
-
-@pytest.mark.parametrize(
-    ("template", "command"),
-    [
-        slow("start_gcode", "CALIBRATE_Z"),
-        ("end_gcode", "PROBE_Z_ACCURACY"),
-        ("error_gcode", "CALIBRATE_Z"),
-        ("offset_gcode", "PROBE_Z_ACCURACY"),
-    ],
-)
-def test_measurement_inside_a_measurement(host, template, command):
-    changes = section(**{template: command})
-    with Printer(host, changes=changes) as printer:
-        printer.homed()
-        if template == "error_gcode":
-            printer.fail("CALIBRATE_Z SWITCH_OFFSET=x")
-            text = "\n".join(printer.session.console)
-            assert "after the error: error_gcode: " in text
-        else:
-            text = printer.fail("CALIBRATE_Z")
-        assert "a measurement is under way" in text
-        assert "start another one when it has ended" in text
-        assert printer.session.state()[0] == "ready"
-        assert printer.status("z_calibration")["phase"] == "idle"
-
-
 def test_host_probes_to_its_own_floor_again_afterwards(start):
     fault = Fault("trigger_never", site="probe_bed", command="PROBE")
     printer = start(faults=[fault])

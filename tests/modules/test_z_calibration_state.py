@@ -1,4 +1,4 @@
-"""G-code's own state around CALIBRATE_Z: offsets, saved states, modes, tools."""
+"""G-code's own state around CALIBRATE_Z: offsets, saved states, tools."""
 
 from __future__ import annotations
 
@@ -12,7 +12,6 @@ from tools.kit.z_calibration import (
     calibration,
     marker,
     section,
-    with_dead_pin,
 )
 
 OFFSET = 0.16
@@ -89,39 +88,6 @@ def test_offset_that_another_template_leaves_does_not_count(start, template):
         calibration(printer)
         assert printer.offset() == pytest.approx(OFFSET, abs=0.001)
         assert validity(printer) == (True, True, "")
-
-
-SEEN = "\n  RESPOND MSG='seen {printer.gcode_move.homing_origin.z}'"
-
-
-def test_offset_is_zero_while_a_command_runs(start):
-    changes = {"respond": {}, "gcode_macro LOOK": {"gcode": SEEN}}
-    changes.update(section(start_gcode="LOOK", end_gcode="LOOK"))
-    printer = start(changes=changes).homed()
-    for command in ("CALIBRATE_Z", "CALIBRATE_Z_ACCURACY CYCLES=2 ATTACH=0"):
-        printer.run("SET_GCODE_OFFSET Z=0.25")
-        lines = printer.run(command)
-        seen = {line.split()[-1] for line in lines if "seen" in line}
-        assert seen == {"0.0"}
-    assert printer.offset() == pytest.approx(0.25)
-    printer.run("PROBE_Z_ACCURACY SAMPLES=2")
-    assert printer.offset() == pytest.approx(0.25)
-
-
-@pytest.mark.slow
-@pytest.mark.parametrize("command", ["CALIBRATE_Z", "CALIBRATE_Z_ACCURACY"])
-def test_offset_and_states_are_as_before_after_a_failure(start, command):
-    changes = section(start_gcode="SET_GCODE_OFFSET Z=0.3")
-    printer = with_dead_pin(start, command=command, changes=changes)
-    printer.run("SET_GCODE_OFFSET Z=0.1\nSAVE_GCODE_STATE NAME=old")
-    printer.run("SET_GCODE_OFFSET Z=0.02")
-    assert "the switch did not answer" in printer.fail(command)
-    assert_unharmed(printer, 0.02)
-    printer.run(RESTORE)
-    assert printer.offset() == pytest.approx(0.1)
-    # Where G1 goes, too
-    printer.run("G90\nG1 Z25 F900")
-    assert printer.session.position()[2] == pytest.approx(25.1)
 
 
 @pytest.mark.parametrize("is_own", [False, True])
@@ -402,61 +368,3 @@ def test_offset_of_another_tool_is_no_baby_step(start, tmp_path, keeps):
     printer.run(f"SET_GCODE_OFFSET Z_ADJUST=0.02\n{SAVE}")
     saved = pending(printer)["z_calibration"]
     assert saved == {"switch_offset": "0.420"}
-
-
-# Modes
-
-
-def test_templates_begin_with_the_modes_of_before(start):
-    """One that fails between its G91 and G90 sends no other one astray."""
-    changes = {
-        "gcode_macro BROKEN": {"gcode": "\n  G91\n  M83\n  G1 Z1\n  FAIL"},
-        "gcode_macro FAIL": {"gcode": "{ action_raise_error('jammed') }"},
-        "gcode_macro DOCK": {"gcode": "\n  G1 X100 Y100 F6000\n  M400\n  G91"},
-        "gcode_macro REST": {"gcode": "\n  G1 X110 F6000\n  M400"},
-        **section(start_gcode="BROKEN", end_gcode="DOCK", error_gcode="REST"),
-    }
-    printer = start(changes=changes).homed()
-    printer.run("G1 X200 Y200 Z20 F6000")
-    text = printer.fail("CALIBRATE_Z")
-    assert "start_gcode: " in text and "jammed" in text
-    printer.session.wait(2.0)
-    assert printer.session.position()[:2] == pytest.approx([110, 100])
-    status = printer.status("gcode_move")
-    assert status["absolute_coordinates"] and status["absolute_extrude"]
-
-
-def test_error_gcode_leaves_the_modes_of_before(start):
-    changes = section(start_gcode="G28 X", error_gcode="\n  G91\n  M83")
-    printer = with_dead_pin(start, changes=changes)
-    printer.run("G90\nM82")
-    assert "the switch did not answer" in printer.fail("CALIBRATE_Z")
-    status = printer.status("gcode_move")
-    assert status["absolute_coordinates"] and status["absolute_extrude"]
-
-
-@pytest.mark.parametrize("mode", ["G90\nM82", "G91\nM83"])
-def test_modes_are_as_before_in_every_template(start, mode):
-    look = (
-        "\n  RESPOND MSG='seen {printer.gcode_move.absolute_coordinates}"
-        " {printer.gcode_move.absolute_extrude}'"
-    )
-    other = "\n  G91\n  M82" if "G90" in mode else "\n  G90\n  M83"
-    changes = {
-        "respond": {},
-        "gcode_macro LOOK": {"gcode": look},
-        "gcode_macro CHANGE": {"gcode": other},
-        **section(
-            start_gcode="\n  LOOK\n  CHANGE",
-            end_gcode="\n  LOOK\n  CHANGE",
-            offset_gcode="\n  LOOK\n  CHANGE\n  Z_CALIBRATION_KEEP_OFFSET",
-        ),
-    }
-    printer = start(changes=changes).homed()
-    printer.run(mode)
-    lines = printer.run("CALIBRATE_Z\nLOOK")
-    seen = [line.partition("seen ")[2] for line in lines if "seen" in line]
-    assert len(seen) == 4
-    wanted = "True" if "G90" in mode else "False"
-    assert {text.split()[0] for text in seen} == {wanted}
-    assert {text.split()[1] for text in seen} == {wanted}

@@ -206,12 +206,6 @@ def test_report_shows_how_far_the_pin_has_moved(start):
 # What is asked before the nozzle goes down
 
 
-def test_template_of_a_run_cannot_begin_it(start):
-    printer = homed(start, changes=section(start_gcode=f"\n  {WAIT}"))
-    text = printer.fail("CALIBRATE_Z")
-    assert "a measurement is under way (start_gcode)" in text
-
-
 def test_place_of_the_command(start):
     printer = homed(start)
     lines = printer.fail(f"{WAIT} NOZZLE_POSITION=1,311")

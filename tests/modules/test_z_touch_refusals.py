@@ -4,44 +4,23 @@ from __future__ import annotations
 
 import pytest
 
-from tools.kit.carrying import OVER, SWITCH
+from tools.kit.carrying import (
+    ASK,
+    ATTACH,
+    AUTO,
+    DOCK_SETUP,
+    EXTRA,
+    HOMES,
+    OVER,
+    SECTION,
+    SETUPS,
+    SWITCH,
+    TOUCHES,
+    TRIPS,
+    Z_SETUP,
+    Z,
+)
 from tools.kit.dockable_probe import QUICK
-
-Z = (
-    "CALIBRATE_Z",
-    "CALIBRATE_Z_ACCURACY CYCLES=2",
-    "PROBE_Z_ACCURACY SAMPLES=2",
-    "Z_CALIBRATION_WAIT MAX=2",
-)
-AUTO = (
-    "AUTO_Z_PROBE",
-    "AUTO_Z_HOME_Z",
-    "AUTO_Z_MEASURE_OFFSET",
-    "AUTO_Z_CALIBRATE",
-    "AUTO_Z_TWIST SAMPLE_COUNT=2",
-    "AUTO_Z_WAIT MAX=2",
-)
-HOMES = ("CALIBRATE_Z_ACCURACY CYCLES=2 HOME=1",)
-EXTRA = ("EXTRA_PROBE PROBE=membrane", "EXTRA_PROBE_ACCURACY PROBE=membrane")
-ATTACH = ("ATTACH_PROBE",)
-TRIPS = (
-    *ATTACH,
-    "PROBE",
-    "MOVE_TO_APPROACH_PROBE",
-    "MOVE_AVOIDING_DOCK X=100",
-)
-# What asks a person
-ASK = ("EXTRA_PROBE_CALIBRATE PROBE=membrane",)
-Z_SETUP = ("Z_CALIBRATION_SETUP",)
-DOCK_SETUP = ("DOCKABLE_PROBE_SETUP",)
-SETUPS = Z_SETUP + DOCK_SETUP
-TOUCHES = Z + AUTO + EXTRA
-SECTION = {
-    **dict.fromkeys(Z + HOMES + Z_SETUP, "z_calibration"),
-    **dict.fromkeys(AUTO, "auto_z_offset"),
-    **dict.fromkeys(EXTRA + ASK, "extra_probe membrane"),
-    **dict.fromkeys(TRIPS + DOCK_SETUP, "dockable_probe"),
-}
 
 # How the printer comes there, and out of it again
 PRINT = "SDCARD_PRINT_FILE FILENAME=a.gcode"

@@ -51,23 +51,36 @@ STOPPED = [
     (CONTINUE, "nozzle_membrane", 2.5, "lifting"),
     ("PROBE", "probe_bed", 0.3, "before"),
 ]
+# Neither the speed of before is set again, from where the host takes the toolhead to be,
+# nor the G-code offset
+OFFSET = 0.3
+OTHER = "\n  SET_GCODE_OFFSET Z=1 MOVE=0"
+TOLD = "\n  RESPOND MSG='cleaning up'"
 CHANGES = {
+    "respond": {},
     "dockable_probe": QUICK,
-    # The speed of before is not set again, from where the host takes the toolhead to be
     "z_calibration": {
-        "start_gcode": "\n  G91\n  G1 X1 F1234",
+        "start_gcode": f"{OTHER}\n  G91\n  G1 X1 F1234",
         "before_switch_gcode": "ATTACH_PROBE",
+        "end_gcode": TOLD,
+        "error_gcode": TOLD,
         "probing_retract_dist": "3",
         "samples": "3",
     },
-    "auto_z_offset": {"samples": "2"},
-    "extra_probe membrane": {"samples": "3", "position_min": "-1"},
+    "auto_z_offset": {"samples": "2", "prepare_gcode": OTHER},
+    "extra_probe membrane": {
+        "samples": "3",
+        "position_min": "-1",
+        "activate_gcode": OTHER,
+        "deactivate_gcode": TOLD,
+        "deactivate_on_each_sample": "False",
+    },
 }
 
 
 def begin(printer, command):
     """The toolhead is where the command touches, and a hand has done its part."""
-    printer.run(f"{OVER}M400")
+    printer.run(f"{OVER}M400\nSET_GCODE_OFFSET Z={OFFSET} MOVE=0")
     if command == CONTINUE:
         printer.run(f"{BEGIN} SAVE=1")
     printer.machine.lay_membrane("EXTRA" in command)
@@ -77,11 +90,18 @@ def begin(printer, command):
 def test_emergency_stop(start, command, site, after, words):
     printer = start(SWITCH, CHANGES).homed()
     begin(printer, command)
+    lines = len(printer.session.console)
     text = printer.stopped(command, site, after)
     assert re.fullmatch(WORDS[words], text)
     assert "failed, too" not in printer.session.log()
     before, touches = printer.machine.tip(), len(printer.machine.truth.touches)
     printer.session.wait(100.0)
+    # No G-code runs to clean up: neither the user's nor what puts the offset back
+    if words != "lifting":
+        told = printer.session.console[lines:]
+        assert not any("cleaning up" in line for line in told)
+    if command != "PROBE":
+        assert printer.offset() != pytest.approx(OFFSET)
     assert printer.machine.tip() == before
     assert len(printer.machine.truth.touches) == touches
     printer.session.restart("FIRMWARE_RESTART")

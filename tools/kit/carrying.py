@@ -15,6 +15,43 @@ POINT = (60.0, 60.0)
 THICKNESS = 0.25
 OVER = f"G90\nG1 Z20 F900\nG1 X{POINT[0]} Y{POINT[1]} F6000\n"
 
+# Every command that moves, by what it does and the section that it is of
+Z = (
+    "CALIBRATE_Z",
+    "CALIBRATE_Z_ACCURACY CYCLES=2",
+    "PROBE_Z_ACCURACY SAMPLES=2",
+    "Z_CALIBRATION_WAIT MAX=2",
+)
+AUTO = (
+    "AUTO_Z_PROBE",
+    "AUTO_Z_HOME_Z",
+    "AUTO_Z_MEASURE_OFFSET",
+    "AUTO_Z_CALIBRATE",
+    "AUTO_Z_TWIST SAMPLE_COUNT=2",
+    "AUTO_Z_WAIT MAX=2",
+)
+HOMES = ("CALIBRATE_Z_ACCURACY CYCLES=2 HOME=1",)
+EXTRA = ("EXTRA_PROBE PROBE=membrane", "EXTRA_PROBE_ACCURACY PROBE=membrane")
+ATTACH = ("ATTACH_PROBE",)
+TRIPS = (
+    *ATTACH,
+    "PROBE",
+    "MOVE_TO_APPROACH_PROBE",
+    "MOVE_AVOIDING_DOCK X=100",
+)
+# What asks a person
+ASK = ("EXTRA_PROBE_CALIBRATE PROBE=membrane",)
+Z_SETUP = ("Z_CALIBRATION_SETUP",)
+DOCK_SETUP = ("DOCKABLE_PROBE_SETUP",)
+SETUPS = Z_SETUP + DOCK_SETUP
+TOUCHES = Z + AUTO + EXTRA
+SECTION = {
+    **dict.fromkeys(Z + HOMES + Z_SETUP, "z_calibration"),
+    **dict.fromkeys(AUTO, "auto_z_offset"),
+    **dict.fromkeys(EXTRA + ASK, "extra_probe membrane"),
+    **dict.fromkeys(TRIPS + DOCK_SETUP, "dockable_probe"),
+}
+
 _SECTIONS: dict[str, dict[str, str]] = {
     "extra_probe membrane": {
         "pin": "^!PF5",

@@ -30,6 +30,17 @@ def section(**options: Optional[str]) -> dict[str, Any]:
     return {NAME: options}
 
 
+def as_probe(**own: Optional[str]) -> dict[str, Any]:
+    """Changes where the membrane is the printer's [probe]."""
+    options = dict(SCENES["membrane"].sections[NAME])
+    place = options.pop("xy_position")
+    return {
+        NAME: None,
+        "probe": {**options, "x_offset": "0", "y_offset": "0"},
+        "extra_probe probe": {"xy_position": place, **own},
+    }
+
+
 def membrane(scene: str = "membrane", **changes: Any) -> Scene:
     """A scene with another membrane."""
     spec = SCENES[scene].world.membrane
