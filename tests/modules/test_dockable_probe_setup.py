@@ -8,6 +8,8 @@ from dataclasses import replace
 import pytest
 
 from simprinter import Fault
+from tools.kit.dock_owner import SETUP, UNKNOWN, Owner
+from tools.kit.dock_owner import dock_owner as owner
 from tools.kit.dockable_probe import (
     ABOVE,
     FRAME,
@@ -19,15 +21,7 @@ from tools.kit.dockable_probe import (
     trips,
     where,
 )
-from tools.kit.scenes import heated
-from tools.kit.setup_user import User
 
-SETUP = "DOCKABLE_PROBE_SETUP"
-UNKNOWN = {
-    "dock_position": None,
-    "approach_position": None,
-    "detach_position": None,
-}
 OPTIONS = ("dock_position", "approach_position", "detach_position")
 
 
@@ -36,54 +30,10 @@ def now_of(printer):
     return machine.rig.seconds(machine.simulation.clock.now())
 
 
-class Owner(User):
-    """Of a printer whose dock is nowhere yet, the probe in it."""
-
-    def begin(self) -> None:
-        self.printer.run(SETUP)
-
-    def put_on(self) -> None:
-        machine = self.printer.machine
-        machine.world.put_probe_on(now_of(self.printer))
-
-    def go(self, *places: str) -> None:
-        """As the owner likes, without the buttons."""
-        script = "\n".join(f"G1 {place} F3000" for place in places)
-        self.printer.run(f"G90\n{script}\nM400")
-
-
-def owner(start, scene=SWITCH, faults=(), **options):
-    changes = section(**{**UNKNOWN, **QUICK, **options})
-    changes["respond"] = {}
-    user = Owner(start(scene, changes, faults=list(faults)).homed())
-    user.go("X150 Y150 Z20")
-    user.put_on()
-    return user
-
-
-def find(user: Owner, until: str = "FETCH") -> None:
-    """The places, up to the trial or to a step before."""
-    user.begin()
-    user.press("Next")
-    user.go("X50 Y270", "Y306")
-    user.jog("Y", 2.0)
-    for label, places in (
-        ("Here", ["X90"]),
-        ("Here", ["Y270", "X50"]),
-        ("Here", []),
-    ):
-        if user.step() == until:
-            return
-        user.press(label)
-        user.go(*places)
-    if until == "FETCH":
-        user.press("Same")
-
-
 def test_from_no_position_to_the_first_probe(start):
     user = owner(start)
     printer = user.printer
-    find(user)
+    user.find()
     assert user.step() == "FETCH"
     user.press("Fetch")
     assert where(printer) == "attached"
@@ -191,7 +141,7 @@ def test_what_does_not_fit_is_asked_again(start):
 
 def test_trial_that_fails(start):
     user = owner(start, faults=[Fault("attach_fails")])
-    find(user)
+    user.find()
     assert "the probe was not fetched" in user.refused("Fetch")
     assert user.step() == "FETCH"
     user.press("Fetch")
@@ -201,7 +151,7 @@ def test_trial_that_fails(start):
 
 def test_slow_and_around_what_was_found(start):
     user = owner(start)
-    find(user)
+    user.find()
     before = now_of(user.printer)
     user.press("Fetch")
     user.printer.run("M400")
@@ -238,7 +188,7 @@ def test_not_homed(start):
 @pytest.mark.parametrize("step", ["DOCK", "OUT", "APPROACH", "INSERT"])
 def test_place_is_not_taken_where_the_motors_are_off(start, step):
     user = owner(start)
-    find(user, until=step)
+    user.find(until=step)
     assert user.step() == step
     user.printer.run("M84")
     text = user.refused("Here")
@@ -253,7 +203,7 @@ def test_place_is_not_taken_where_the_motors_are_off(start, step):
 def test_two_set_ups_in_a_row(start, is_refused):
     user = owner(start, scene=refusing(SWITCH) if is_refused else SWITCH)
     printer = user.printer
-    find(user, until="INSERT")
+    user.find(until="INSERT")
     user.go("Y262")
     for label in ("Here", "Fetch", "Dock"):
         user.press(label)
@@ -266,7 +216,7 @@ def test_two_set_ups_in_a_row(start, is_refused):
         printer.run("G28")
     user.go("X150 Y150 Z20")
     user.put_on()
-    find(user)
+    user.find()
     for label in ("Fetch", "Dock"):
         user.press(label)
     assert "insert_position: 50.000, 270.000" in user.dialog().text
@@ -300,7 +250,7 @@ def refusing(scene):
 )
 def test_way_around_the_dock_fits_what_was_found(start, given, place, wanted):
     user = owner(start, safe_dock_distance=given)
-    find(user, until="APPROACH")
+    user.find(until="APPROACH")
     user.go(f"Y280 {place}")
     for label in ("Here", "Same", "Fetch", "Dock"):
         user.press(label)
@@ -357,7 +307,7 @@ def test_z_of_a_dock_at_the_height_of_the_head_is_kept(start):
 )
 def test_with_sensors(start, options):
     user = sensed(start, **options)
-    find(user)
+    user.find()
     for label in ("Fetch", "Dock"):
         user.press(label)
     assert where(user.printer) == "docked"
@@ -378,7 +328,7 @@ def test_with_sensors(start, options):
 )
 def test_sensor_that_says_nothing_in_the_dock(start, signal, words):
     user = sensed(start)
-    find(user, until="DOCK")
+    user.find(until="DOCK")
     user.printer.machine.break_down(Fault("stuck_open", signal=signal, t=0.0))
     text = user.refused("Here")
     assert (
@@ -412,7 +362,7 @@ def test_section_in_an_included_file(start, tmp_path):
         ),
         **given,
     )
-    find(user)
+    user.find()
     for label in ("Fetch", "Dock"):
         user.press(label)
     text = user.dialog().text
@@ -440,20 +390,10 @@ def test_section_in_an_included_file(start, tmp_path):
     assert [tuple(settings[name]) for name in OPTIONS] == wanted
 
 
-# A nozzle that is hot is no print
-def test_heated_printer_is_set_up_without_a_question(start):
-    user = owner(start, heated(SWITCH))
-    user.printer.run("M140 S60\nM104 S150")
-    user.begin()
-    user.press("Next")
-    assert user.step() == "DOCK"
-    user.press("X+1 mm")
-
-
 # Of eight
 def test_each_step_but_the_first_leads_back(start):
     user = owner(start)
-    find(user)
+    user.find()
     user.press("Fetch")
     for step, before in (
         ("STORE", "INSERT"),
@@ -481,65 +421,3 @@ def test_each_step_but_the_first_leads_back(start):
     for label in ("Fetch", "Dock"):
         user.press(label)
     user.printer.session.restart(user.dialog().gcode("Save"))
-
-
-def test_jog_buttons_of_one_width(start):
-    user = owner(start)
-    user.begin()
-    user.press("Next")
-    # Z stays: all on one page
-    axes = ["X-{0} mm", "X+{0} mm", "Y-{0} mm", "Y+{0} mm", "Steps of {1} mm"]
-    answers = ["Here", "Back", "Abort"]
-    for width, other in (("10", "1"), ("1", "0.1"), ("0.1", "10")):
-        assert user.labels() == [a.format(width, other) for a in axes] + answers
-        user.press(f"Steps of {other} mm")
-    assert "WIDTH=5 is none of 10, 1, 0.1" in user.printer.fail(
-        f"{SETUP} STEP=DOCK WIDTH=5"
-    )
-    user.printer.run(f"{SETUP} STEP=DOCK ANSWER=BACK")
-    user.press("Next")
-    assert user.has("X-10 mm")
-
-
-def test_not_while_a_print_is_paused(start):
-    changes = {**section(**{**UNKNOWN, **QUICK}), "pause_resume": {}}
-    printer = start(SWITCH, changes).homed()
-    user = Owner(printer)
-    printer.run("G90\nG1 X150 Y150 Z20 F3000")
-    user.put_on()
-    user.begin()
-    user.press("Next")
-    at = printer.session.position()
-    printer.run("PAUSE")
-    for script in (SETUP, f"{SETUP} STEP=DOCK", f"{SETUP} STEP=DOCK X=1"):
-        assert "a print is paused (PAUSE)" in printer.fail(script)
-    assert printer.session.position() == at
-    # What moves nothing may be done
-    printer.run(f"{SETUP} STEP=DOCK WIDTH=1")
-    assert user.has("X-1 mm")
-    user.press("Abort")
-    assert user.dialog() is None
-
-
-@pytest.mark.parametrize("step", ["DOCK", "INSERT", "FETCH", "STORE", "SAVE"])
-def test_aborted_or_restarted_at_a_step(start, step):
-    user = owner(start)
-    printer = user.printer
-    for end in ("Abort", "RESTART"):
-        is_trial = step in ("FETCH", "STORE", "SAVE")
-        find(user, until="FETCH" if is_trial else step)
-        for label in {"STORE": ["Fetch"], "SAVE": ["Fetch", "Dock"]}.get(
-            step, []
-        ):
-            user.press(label)
-        assert user.step() == step
-        if end == "Abort":
-            user.press(end)
-        else:
-            printer.session.restart(end)
-        assert "no set-up is under way" in printer.fail(f"{SETUP} STEP={step}")
-        assert user.dialog() is None
-        assert printer.status("configfile")["save_config_pending_items"] == {}
-        if end == "Abort":
-            user.go("Y262", "X150 Y150 Z20")
-            user.put_on()

@@ -717,26 +717,6 @@ def test_owner_with_gcode_is_told_what_it_does(start, hooks):
     assert "by hand first" not in user.dialog().text
 
 
-def test_not_during_a_print(start, tmp_path):
-    (tmp_path / "long.gcode").write_text("G4 P500\n" * 40)
-    changes = {**empty(), "virtual_sdcard": {"path": str(tmp_path)}}
-    printer = start("cartesian", changes=changes)
-    printer.session.require_ready()
-    user = User(printer)
-    advance(user, "SWITCH")
-    printer.run("G91\nG1 Z-5 F600\nG90")
-    at = printer.session.position()
-    printer.run("SDCARD_PRINT_FILE FILENAME=long.gcode")
-    for script in (SETUP, f"{SETUP} STEP=SWITCH"):
-        assert printer.fail(script) == "z_calibration: not during a print"
-    # The print would go on at another height
-    lines = "\n".join(user.press("Abort"))
-    assert "nothing was moved, as a print may be on, or the printer is" in lines
-    assert printer.session.position() == at
-    assert where(printer) == "attached"
-    assert user.dialog() is None
-
-
 def test_pin_that_presses_the_plunger(start):
     scene = SCENES["cartesian"]
     probe = replace(scene.world.mag_probe, plunger_on_pin=True)
@@ -1022,39 +1002,6 @@ def test_option_in_an_include_that_the_host_writes(start, host, tmp_path):
     printer.session.restart(user.dialog().gcode("Save"))
     own = printer.status("configfile")["settings"]["z_calibration"]
     assert own["switch_offset"] == 0.2
-
-
-# OctoPrint says nothing of its prints, and a nozzle that is hot is no print
-def test_heated_printer_is_set_up_without_a_question(start):
-    printer = start(heated(SCENES["cartesian"]), changes=empty())
-    printer.session.require_ready()
-    user = User(printer)
-    printer.run("M140 S60\nM104 S150")
-    advance(user, "NOZZLE")
-    printer.run("G91\nG1 X10 F120")
-    at = printer.session.position()
-    user.press("X+1 mm")
-    assert printer.session.position()[0] == at[0] + 1.0
-    assert not any("is a print paused" in li for li in printer.session.console)
-
-
-def test_print_that_is_paused(start):
-    changes = {**empty(), "pause_resume": {}}
-    printer = start("cartesian", changes=changes)
-    printer.session.require_ready()
-    user = User(printer)
-    advance(user, "SWITCH")
-    at = printer.session.position()
-    printer.run("PAUSE")
-    for script in (SETUP, f"{SETUP} STEP=SWITCH"):
-        text = printer.fail(script)
-        assert "a print is paused (PAUSE), and goes on from here" in text
-    printer.run("CLEAR_PAUSE")
-    user.jog("Z", 1.0)
-    printer.run("PAUSE")
-    user.press("Abort")
-    assert printer.session.position()[2] == at[2] + 1.0
-    assert where(printer) == "attached"
 
 
 # The end of the printer

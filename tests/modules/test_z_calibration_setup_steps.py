@@ -8,7 +8,6 @@ import pytest
 
 from simprinter.hosts.session import GcodeError
 from tools.kit.cases import all_slow_but
-from tools.kit.dockable_probe import where
 from tools.kit.product import CHAINED, ORDER
 from tools.kit.product import OPTIONS as TABLES
 from tools.kit.scenes import SCENES
@@ -131,16 +130,6 @@ def test_probe_that_dies_on_the_bed(at_step):
     text = user.dialog().text
     assert "check the place of the bed and the probe (QUERY_PROBE" in text
     assert hidden(text) == []
-
-
-@pytest.mark.parametrize(
-    "step", all_slow_but(["OFF", "ATTACH", "TOUCH_SWITCH", "SAVE"], STEPS)
-)
-def test_aborted_at_a_step(at_step, step):
-    user = at_step(step)
-    assert_aborted(user)
-    user.printer.run("M400")
-    assert where(user.printer) == "docked"
 
 
 def test_button_pressed_twice(at_step):
