@@ -10,7 +10,6 @@ from tools.kit.printer import Printer
 from tools.kit.scenes import SCENES
 from tools.kit.z_calibration import (
     PIN,
-    assert_unharmed,
     calibration,
     result_of,
     section,
@@ -50,47 +49,7 @@ def test_end_gcode_reads_the_result_of_its_own_run(start):
     assert printer.status("z_calibration")["last_query"] is True
 
 
-@pytest.mark.slow
-def test_an_offset_that_end_gcode_resets_is_not_taken_away(start):
-    # Such as that of the print before
-    changes = section(end_gcode="SET_GCODE_OFFSET Z=0")
-    printer = start(changes=changes).homed()
-    printer.run("SET_GCODE_OFFSET Z=0.5")
-    result, _ = calibration(printer)
-    assert printer.offset() == pytest.approx(result[-1], abs=1e-6)
-
-
-def test_an_offset_that_end_gcode_restores_is_not_added(start):
-    changes = section(
-        start_gcode="\n  SAVE_GCODE_STATE NAME=mine\n  SET_GCODE_OFFSET Z=0",
-        end_gcode="RESTORE_GCODE_STATE NAME=mine",
-    )
-    printer = start(changes=changes).homed()
-    printer.run("SET_GCODE_OFFSET Z=0.5")
-    result, _ = calibration(printer)
-    assert printer.offset() == pytest.approx(result[-1], abs=1e-6)
-
-
 # Errors of templates
-
-
-@pytest.mark.slow
-@pytest.mark.parametrize("template", ["start_gcode", "end_gcode"])
-def test_error_in_a_template_names_it(start, template):
-    changes = macro("BROKEN", "{ action_raise_error('Probe attach failed!') }")
-    changes.update(section(**{template: "BROKEN"}))
-    printer = start(changes=changes).homed()
-    text = printer.fail("CALIBRATE_Z")
-    assert text.startswith(f"z_calibration: {template}: ")
-    assert "Probe attach failed!" in text
-    assert_unharmed(printer)
-
-
-def test_error_in_offset_gcode_names_it(start):
-    changes = macro("BROKEN", "{ action_raise_error('no offset') }")
-    changes.update(section(offset_gcode="BROKEN"))
-    text = start(changes=changes).homed().fail("CALIBRATE_Z")
-    assert text.startswith("z_calibration: offset_gcode: ")
 
 
 # Homing

@@ -471,25 +471,19 @@ def test_wrong_z_offset_drags_nothing(start, z_offset):
 
 
 @pytest.mark.parametrize(
-    ("touch", "options", "floor"),
+    ("options", "floor"),
     [
-        slow(1, {}, PIN - 1.0),
-        (3, {}, PIN - 1.0),
-        slow(1, {"travel_margin": "0.5"}, PIN - 0.5),
-        (1, {"travel_margin": "0.5", "offset_margins": "-0.3,0.3"}, PIN - 0.5),
-        slow(1, {"offset_margins": "-0.3,0.3"}, PIN - 1.0),
-        (1, {"travel_margin": "1.5"}, PIN - 1.5),
+        ({"travel_margin": "0.5", "offset_margins": "-0.3,0.3"}, PIN - 0.5),
+        ({"travel_margin": "1.5"}, PIN - 1.5),
         # What the result may be is another question
-        (1, {"offset_margins": "-2,2"}, PIN - 1.0),
-        (1, {"position_min": "1.2"}, 1.2),
+        ({"offset_margins": "-2,2"}, PIN - 1.0),
+        ({"position_min": "1.2"}, 1.2),
         # What the axis allows stays the last word
-        (1, {"position_min": "-8", "travel_margin": "9"}, -5.0),
+        ({"position_min": "-8", "travel_margin": "9"}, -5.0),
     ],
 )
-def test_floor_of_the_nozzle(start, touch, options, floor):
-    fault = Fault(
-        "trigger_never", site="nozzle_pin", touch=touch, command="CALIBRATE_Z"
-    )
+def test_floor_of_the_nozzle(start, options, floor):
+    fault = Fault("trigger_never", site="nozzle_pin", command="CALIBRATE_Z")
     printer = start(changes=section(**options), faults=[fault])
     printer.machine.tolerate("nozzle_pin", PIN - floor + MICROSTEP)
     text = printer.homed().fail("CALIBRATE_Z")
@@ -515,7 +509,6 @@ def test_floor_without_position_min_is_zero(start):
     ("options", "floor"),
     [
         # From a z_offset of 6.9
-        ({}, PIN + 6.9 - SWITCH_OFFSET - 1.0),
         ({"travel_margin": "0.6"}, PIN + 6.9 - SWITCH_OFFSET - 0.6),
         ({"switch_offset": "0.9"}, PIN + 6.9 - 0.9 - 1.0),
     ],

@@ -171,22 +171,6 @@ def test_offset_that_is_gone_is_noticed(start, before, after):
     assert validity(printer) == (True, True, "")
 
 
-def test_offset_of_a_saved_state_is_noticed(start):
-    """As with PRINT_START, which saves a state, and sets 0 before it calibrates."""
-    printer = start().homed()
-    printer.run("SET_GCODE_OFFSET Z=0.15\nSAVE_GCODE_STATE NAME=old")
-    printer.run(f"SET_GCODE_OFFSET Z=0\nCALIBRATE_Z\n{RESTORE}")
-    printer.session.wait(3.0)
-    (told,) = shown(printer, "the G-code Z offset is 0.150")
-    assert "that of CALIBRATE_Z is 0.160" in told
-    text = printer.fail(SAVE)
-    assert (
-        "the G-code offset 0.150 is none of baby steps since CALIBRATE_Z"
-        in text
-    )
-    assert pending(printer) == {}
-
-
 def test_offset_of_before_several_runs_is_noticed(start):
     printer = start().homed()
     printer.run("SET_GCODE_OFFSET Z=0.1\nSAVE_GCODE_STATE NAME=old")
@@ -226,34 +210,6 @@ def told_later(printer):
     before = len(printer.session.console)
     printer.session.wait(6.0)
     return printer.session.console[before:]
-
-
-@pytest.mark.parametrize(
-    ("script", "words"),
-    [
-        # What the user does, or what comes with each print
-        ("SET_GCODE_OFFSET Z_ADJUST=-0.05", None),
-        ("G28", None),
-        ("M84", None),
-        # What nobody sees
-        ("SET_GCODE_OFFSET Z=0", "the G-code Z offset is 0.000"),
-        ("SET_GCODE_OFFSET Z_ADJUST=0.6", "the G-code Z offset is 0.760"),
-        ("G1 Z20 F900\nG92 Z19.7", "G92 has moved Z=0 by 0.300 mm"),
-    ],
-)
-def test_what_ends_a_result_by_itself_is_told_once(start, script, words):
-    printer = start().homed()
-    printer.run("CALIBRATE_Z")
-    assert told_later(printer) == []
-    printer.run(script)
-    assert not validity(printer)[1]
-    told = told_later(printer)
-    assert [words in line for line in told] == ([True] if words else [])
-    assert told_later(printer) == []
-    # And once more after the next run
-    printer.run("G28\nCALIBRATE_Z")
-    printer.run(script)
-    assert len(told_later(printer)) == len(told)
 
 
 # A state that nobody has restored since says nothing of baby steps
