@@ -130,7 +130,6 @@ def test_point_of_the_measurement(start, changes, place):
     ("axis", "own", "z", "why"),
     [
         ("-4", "-1.1", -1.1, "probe_z_min"),
-        ("-4", None, -4.0, "position_min of section 'stepper_z'"),
         ("-4", "-7", -4.0, "position_min of section 'stepper_z'"),
         ("-60", "-50", -10.0, "the limit of auto_z_offset"),
         ("-60", None, -10.0, "the limit of auto_z_offset"),
@@ -327,8 +326,7 @@ def test_tolerance_and_retries(start, signal, retries, good):
     assert parts.probe == pytest.approx(0.0, abs=STEPS)
 
 
-@pytest.mark.parametrize(("retries", "good"), [("0", False), ("1", True)])
-def test_cycles_that_differ(start, retries, good):
+def test_cycles_that_differ_are_taken_again(start):
     # One touch each: only the cycles can disagree
     about = {"site": "nozzle_bed", "touch": 2, "command": "AUTO_Z_CALIBRATE"}
     fault = Fault("trigger_late", mm=0.03, **about)
@@ -336,16 +334,11 @@ def test_cycles_that_differ(start, retries, good):
         start,
         [fault],
         cycles_tolerance="0.02",
-        samples_tolerance_retries=retries,
+        samples_tolerance_retries="1",
     )
     printer.machine.tolerate("nozzle_bed", 0.06)
     words = "auto_z_offset: cycles: samples differ by 0.0300 mm,"
     words += " cycles_tolerance is 0.0200 mm"
-    if not good:
-        before = state(printer)
-        assert words in printer.fail("AUTO_Z_CALIBRATE")
-        assert state(printer) == before
-        return
     lines = printer.run("AUTO_Z_CALIBRATE")
     assert told(lines, words)
     assert len(formulas(lines)) == 2 + 3
@@ -376,23 +369,6 @@ def test_median_of_the_cycles(start):
 
 
 # What was saved
-
-
-def test_saved_correction_is_the_floor(start):
-    # 1 mm below the trigger that it stands for
-    about = {"site": "nozzle_bed", "command": "AUTO_Z_CALIBRATE"}
-    fault = Fault("stuck_open", **about)
-    changes = section(probe_z_correction="-1.12")
-    printer = start("qidi", changes=changes, faults=[fault])
-    printer.machine.tolerate("nozzle_bed", 1.02)
-    text = printer.homed().fail("AUTO_Z_CALIBRATE")
-    assert "(stopped at z=-2.320)" in text
-    assert (
-        "1.000 mm below the expected trigger at z=-1.320; raise speed (" in text
-    )
-    assert (
-        ", or add ACCEPT_CHANGE=1 if nozzle, probe or bed was changed" in text
-    )
 
 
 @pytest.mark.parametrize("command", ["PROBE", "HOME_Z", "MEASURE_OFFSET"])
@@ -614,13 +590,6 @@ def test_saved_correction_says_nothing_where_a_switch_homes_z(start):
 
 
 # prepare_gcode
-
-
-def test_sensor_that_is_not_prepared(start):
-    printer = start("qidi", changes=section(prepare_gcode=""))
-    printer.machine.tolerate("nozzle_bed", 4.0)
-    text = printer.homed().fail("AUTO_Z_PROBE")
-    assert "check that prepare_gcode turns the sensor on, that 'pin: " in text
 
 
 # Wrong set-ups
