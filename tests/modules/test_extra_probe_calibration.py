@@ -132,13 +132,6 @@ def test_calibrating_again_finds_the_same(start):
     assert gap_is_right(printer)
 
 
-def test_offset_of_before_is_replaced(start):
-    printer = start("membrane").homed()
-    printer.run("SET_GCODE_OFFSET Z=0.7")
-    calibrate(printer)
-    assert gap_is_right(printer)
-
-
 @pytest.mark.parametrize("own", [{}, {"samples_result": "average"}])
 def test_sampling_is_that_of_the_section(start, own):
     noise = NoiseSpec(sigma=0.01)
@@ -447,12 +440,6 @@ def test_way_to_the_membrane(start):
     assert printer.session.position()[2] == pytest.approx(12.0)
 
 
-def test_default_height(start):
-    printer = start("membrane").homed()
-    touch(printer)
-    assert printer.session.position()[2] == pytest.approx(10.0)
-
-
 def test_head_that_is_higher(start):
     # Not slowly all the way
     printer = start("membrane").homed()
@@ -675,21 +662,6 @@ def test_membrane_that_is_the_probe(start, save):
     assert gap_is_right(printer)
 
 
-def test_speed_of_a_membrane_that_is_the_probe(start):
-    # 9 mm down from safe_z_height, at 3 mm/s as [probe], or as the section says
-    took = []
-    for speed in (None, "0.5"):
-        changes = as_probe(speed=speed, samples="1")
-        printer = start("membrane", changes=changes).homed()
-        printer.run("EXTRA_PROBE_CALIBRATE PROBE=probe")
-        lay(printer)
-        clock = printer.machine.simulation.clock
-        before = clock.now()
-        printer.run("EXTRA_PROBE_CONTINUE PROBE=probe\nM400")
-        took.append((clock.now() - before) * 1e-9)
-    assert took[1] - took[0] == pytest.approx(9.3 / 0.5 - 9.3 / 3.0, abs=1.0)
-
-
 def test_floor_of_a_membrane_that_is_the_probe(start):
     printer = start("membrane", changes=as_probe(position_min="0.2")).homed()
     printer.run("EXTRA_PROBE_CALIBRATE PROBE=probe")
@@ -719,17 +691,6 @@ def test_own_options_of_a_membrane_that_is_the_probe(start):
     printer.run("EXTRA_PROBE_CONTINUE PROBE=probe")
     printer.machine.lay_membrane(False)
     assert true_gap(printer) == pytest.approx(-0.1, abs=2 * MICROSTEP)
-
-
-def test_activation_of_a_membrane_that_is_the_probe(start):
-    changes = as_probe()
-    changes["respond"] = {}
-    changes["probe"]["activate_gcode"] = "\n  RESPOND MSG=active"
-    printer = start("membrane", changes=changes).homed()
-    printer.run("EXTRA_PROBE_CALIBRATE PROBE=probe")
-    lay(printer)
-    lines = printer.run("EXTRA_PROBE_CONTINUE PROBE=probe")
-    assert "echo: active" in lines
 
 
 def test_probe_has_commands_of_its_own(start):

@@ -11,7 +11,7 @@ import pytest
 
 from simprinter import Fault
 from simprinter.hosts.session import GcodeError
-from simprinter.world import AxisSwitchSpec, NoiseSpec
+from simprinter.world import AxisSwitchSpec
 from tools.kit.carrying import OVER, SWITCH, with_all
 from tools.kit.cases import slow
 from tools.kit.dialogs import dialogs_of
@@ -76,20 +76,6 @@ def assert_as_before(printer, before):
 
 
 # The membrane
-
-
-def test_membrane_that_is_not_there(start):
-    printer = asked(start)
-    printer.machine.lay_membrane(False)
-    text = fails(printer, "the switch did not answer")
-    # It was pressed, and taken away
-    assert "(stopped at z=-1.000); press it by hand and look with" in text
-    assert text.endswith(
-        "QUERY_EXTRA_PROBE PROBE=membrane, or where the bed may be lower begin"
-        " again with a lower FLOOR, ready to stop"
-    )
-    lowest = printer.machine.truth.min_gap
-    assert lowest == pytest.approx(-1.0 - BED, abs=0.01)
 
 
 def test_membrane_that_is_not_there_once_the_bed_is_known(start):
@@ -159,16 +145,6 @@ def test_bed_that_is_far_below(start):
     printer.run(f"{CALIBRATE} FLOOR=-8")
     text = printer.fail(CONTINUE)
     assert "the bed would be over 5 mm from Z=0" in text
-
-
-def test_noise_beyond_the_tolerance(start):
-    changes = section(samples_tolerance="0.001", samples_tolerance_retries="2")
-    spec = membrane(noise=NoiseSpec(sigma=0.02))
-    printer = asked(start, spec, changes=changes, seed=3)
-    text = fails(printer, "samples differ by 0.0")
-    assert "clean the nozzle, and check what it touches for play" in text
-    retry = "// Probe samples exceed tolerance. Retrying..."
-    assert printer.session.console.count(retry) == 2
 
 
 def test_outlier_starts_the_series_again(start):

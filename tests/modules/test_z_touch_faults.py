@@ -92,8 +92,10 @@ SENSOR = (
 )
 MEMBRANE = (
     f"{EXTRA} the switch did not answer (stopped at z={{}}); press it by hand and look"
-    " with QUERY_EXTRA_PROBE PROBE=membrane, ..."
+    " with QUERY_EXTRA_PROBE PROBE=membrane, or where the bed may be lower "
 )
+FIND_BED = "find it with EXTRA_PROBE_CALIBRATE, or set position_min"
+LOWER_FLOOR = "begin again with a lower FLOOR, ready to stop"
 WORDS = {
     "nozzle": f"{Z} nozzle: the switch did not answer (stopped at z=0.600), expected a"
     " trigger at z=1.600; home Z again (G28 Z) after any levelling, then check ...",
@@ -127,8 +129,8 @@ WORDS = {
     " mm; clean the nozzle and check that nothing shakes the bed ...",
     "too-high": f"{AUTO} the probe sees the bed at z=0.300 instead of 0.000; check ...",
     "too-low": f"{AUTO} the probe sees the bed at z=-0.300 instead of 0.000; check ...",
-    "to-0.1": MEMBRANE.format("-0.100"),
-    "to-1.0": MEMBRANE.format("-1.000"),
+    "to-0.1": MEMBRANE.format("-0.100") + FIND_BED,
+    "to-1.0": MEMBRANE.format("-1.000") + LOWER_FLOOR,
     "early": f"{EXTRA} ...triggered...; look with QUERY_EXTRA_PROBE PROBE=membrane while"
     " nothing presses it: where it reads triggered then, pin needs another '!', or its"
     " wire is broken",
