@@ -14,7 +14,6 @@ Copyright (C) 2026  the Z calibration developers, under the GNU GPLv3
 
 from __future__ import annotations
 
-import collections
 import contextlib
 import dataclasses
 import math
@@ -537,13 +536,6 @@ def settled(default: Any, values: Mapping[str, Any]) -> Any:
     if isinstance(default, Given):
         return default.given if values[default.name] else default.else_
     return default
-
-
-def record(name: str, rows: Iterable[Option], also: str = "") -> Any:
-    """Return a named tuple of all options of a table, and of 'also', what follows."""
-    return collections.namedtuple(
-        name, [row.name for row in rows] + also.split()
-    )
 
 
 ######################################################################
