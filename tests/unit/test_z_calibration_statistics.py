@@ -1,7 +1,8 @@
 """z_touch/z_calibration/statistics.py: formulas, decisions, and printers at random.
 
-The tables of docs/performance.md have more printers; here are the corners that fail
-first.
+Formulas are held against their own definition. Whether 95 of 100 runs are inside of
+what they say of themselves is drawn for the corners that fail first; the tables of
+docs/performance.md have more printers, and those with tails and outliers.
 """
 
 from __future__ import annotations
@@ -22,9 +23,7 @@ from tools.bench.coverage import (
     Setting,
     coverage,
     grown,
-    student,
 )
-from tools.kit.cases import slow
 from z_touch.errors import SamplesDiffer
 from z_touch.sampling import AUTO, Sampling
 from z_touch.texture import ROUGH
@@ -237,29 +236,6 @@ def test_series_begins_again_where_it_does_not_agree():
     assert run.estimates["bed"].spread.dof == 3
 
 
-@pytest.mark.parametrize(("result", "z"), [("median", 1.0), ("average", 1.002)])
-def test_result_is_as_the_user_has_it(result, z):
-    run = run_of()
-    touched(run, "bed", [1.0, 1.006, 1.0], result=result)
-    assert run.estimates["bed"].z == pytest.approx(z)
-
-
-def test_no_retry_is_left():
-    with pytest.raises(
-        SamplesDiffer, match=r"0\.0200 mm, samples_tolerance is 0\.0100 mm$"
-    ):
-        touched(run_of(), "bed", [1.0, 1.02])
-
-
-def test_a_place_is_touched_anew():
-    run = run_of()
-    touched(run, "nozzle", [1.0, 1.0, 1.0])
-    series = run.begin("nozzle", sampling())
-    assert not series.is_complete() and run.uncertainty() is None
-    touched(run, "nozzle", [2.0, 2.0, 2.0])
-    assert run.estimates["nozzle"].z == 2.0
-
-
 # As many as are needed
 
 
@@ -345,14 +321,6 @@ def test_texture_moves_nothing():
         touched(run_of(target=0.008, rough=("bed",)), "bed", wild)
 
 
-def test_nothing_is_known_before_all_is_measured():
-    run = run_of(QUIET, target=0.008)
-    for site in SITES:
-        assert run.uncertainty() is None
-        touched(run, site, [1.0] * 9)
-    assert run.uncertainty() == pytest.approx(0.006, abs=0.002)
-
-
 @pytest.mark.parametrize(
     ("earlier", "target", "count"),
     [(QUIET, 0.008, 2), (UNKNOWN, 0.008, 5), (QUIET, None, 3)],
@@ -412,27 +380,15 @@ def test_nozzle_that_may_be_dirty(values, earlier, options, text):
     assert text in found and bool(found) == bool(text)
 
 
-def test_touches_that_have_not_ended_are_no_dirt():
-    run = run_of(target=0.008)
-    assert run.doubt("nozzle") == ""
-    run.begin("nozzle", sampling()).add(1.0)
-    assert run.doubt("nozzle") == ""
-
-
 # Printers at random
 
 
 @pytest.mark.parametrize(
     ("sigma", "setting", "first"),
     [
-        (0.003, Setting(0.020, 3), False),
         (0.003, Setting(samples=AUTO), False),
         (0.010, Setting(0.005, 10), False),
-        slow(0.005, Setting(0.005, 3, method="average"), False),
-        slow(0.001, Setting(0.005, 0), False),
-        (0.008, Setting(0.008, 10), True),
         (0.008, Setting(samples=AUTO), True),
-        slow(0.001, Setting(samples=AUTO, target=0.005), True),
     ],
 )
 def test_95_of_100_are_inside_whatever_was_rejected(sigma, setting, first):
@@ -440,18 +396,9 @@ def test_95_of_100_are_inside_whatever_was_rejected(sigma, setting, first):
     assert 0.90 <= coverage(noise, setting, 600, first=first) <= 0.98
 
 
-@pytest.mark.parametrize(
-    "noise",
-    [Noise("t", 0.005, student), Noise("outliers", 0.003, outliers=0.02)],
-)
-def test_tails_and_outliers(noise):
-    assert 0.92 <= coverage(noise, Setting(0.01, 3), 300) <= 0.99
-
-
-@pytest.mark.parametrize("after", [0.006, 0.010])
-def test_noise_that_has_grown_counts_at_once(after):
+def test_noise_that_has_grown_counts_at_once():
     """By the history alone it would be 70 % for ten runs."""
-    parts = grown(0.003, after, Setting(0.02, 3), 150, runs=4)
+    parts = grown(0.003, 0.010, Setting(0.02, 3), 150, runs=4)
     assert min(parts) >= 0.8
 
 
