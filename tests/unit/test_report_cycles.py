@@ -139,22 +139,6 @@ def test_homing_hides_no_shift(cause, named, count):
     assert set(told) <= named | {"several", "most", "homing"}
 
 
-def test_homing_is_not_told_where_each_site_shifts_as_well():
-    """It leaves the gap as it is; they do not."""
-    draw, told = random.Random(2), Counter()
-    for _ in range(60):
-        found = []
-        for i in range(10):
-            home, samples = draw.gauss(0.0, 0.03), []
-            for height in HEIGHTS.values():
-                z = height + home + draw.gauss(0.0, 0.015)
-                samples.append([z + draw.gauss(0.0, 0.002) for _ in range(3)])
-            found.append(Cycle(20.0 * i, *map(tuple, samples)))
-        told[cycles.judge(found, STEP).cause] += 1
-    # By chance ten cycles look like it now and then
-    assert told["homing"] <= 6
-
-
 @pytest.mark.parametrize("noise", [0.002, 0.004, 0.006])
 @pytest.mark.parametrize("shift", [0.0, 0.004, 0.008])
 def test_nothing_to_do_is_said_up_to_ten_um_only(noise, shift):
@@ -250,21 +234,6 @@ def test_sites_that_shift_from_cycle_to_cycle(sites, cause):
     verdict = cycles.judge(found)
     assert verdict.cause == cause
     assert cause != "alone" or f"only the {sites[0]} shifts" in verdict.text
-
-
-def test_nozzle_that_shifts_while_z_is_homed_is_told():
-    draw = random.Random(3)
-    found = []
-    for cycle in only():
-        home, tip = draw.gauss(0.0, 0.02), draw.gauss(0.0, 0.04)
-        moved = {"nozzle": home + tip, "switch": home, "bed": home}
-        shifted = {
-            s: [z + shift for z in cycle.touches(s)]
-            for s, shift in moved.items()
-        }
-        found.append(replace(cycle, **shifted))
-    verdict = cycles.judge(found, STEP)
-    assert verdict.cause == "either" and "clean the nozzle" in verdict.text
 
 
 def test_first_touches_that_are_all_higher_are_no_dirt():

@@ -279,14 +279,6 @@ def test_without_a_clock_runs_are_counted():
     assert text.endswith("0.030 mm higher than 30 runs ago.")
 
 
-def test_a_height_is_told_in_both_directions():
-    runs = exchanged(9)
-    for run in runs[20:]:
-        run["sites"]["bed"]["z"] -= 0.24
-    (text,) = verdict.judge(read(runs)).texts
-    assert text.endswith("the probe finds the bed 0.120 mm lower.")
-
-
 @pytest.mark.parametrize(("worth", "count"), [(0.012, 1), (0.021, 2)])
 def test_what_wear_explains_is_not_told_twice(worth, count):
     """But for an offset that a first layer shows."""
