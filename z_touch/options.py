@@ -56,7 +56,7 @@ LARGEST_LENGTH = 10000.0
 SLOWEST = 0.01
 LARGEST_OTHER = 1000000.0
 
-# Nobody waits for more touches of one place
+# More touches of one place take longer than a user waits
 MOST_TOUCHES = 1000
 
 # Who needs more tries has something to repair

@@ -9,7 +9,7 @@ point of a spiral around the one that was chosen:
       o   o  o
         o    o
 
-Each run turns the spiral further, so that no dent or old plastic is met each time.
+Each run turns the spiral further, so that no dent or old plastic is touched each time.
 
 Copyright (C) 2026  the Z calibration developers, under the GNU GPLv3
 """

@@ -298,7 +298,7 @@ def test_way_out_with_the_probe_proves_nothing(start, way):
     printer.run(f"{CENTRE}ATTACH_PROBE\nDETACH_PROBE")
     printer.machine.hold("probe", True)
     text = printer.fail(f"{way}\nM84\nG28")
-    assert "nobody has seen it docked" in text
+    assert "it was not seen docked" in text
 
 
 # A command in the middle of fetching
@@ -407,7 +407,7 @@ def test_broken_wire_where_z_is_not_homed(start):
         assert "take it off before you home" in text
         assert "run SET_PROBE_STATUS STATE=DOCKED where you see it" in text
     assert printer.machine.truth.touch_count("nozzle_pin") == begun
-    words = "nobody has seen it docked"
+    words = "it was not seen docked"
     assert words in "\n".join(printer.run("GET_PROBE_STATUS"))
     printer.run("SET_PROBE_STATUS STATE=DOCKED")
     assert words not in "\n".join(printer.run("GET_PROBE_STATUS"))
@@ -440,7 +440,7 @@ def test_broken_wire_where_nothing_is_homed(start):
     printer.machine.break_down(Fault("stuck_closed", signal="probe", t=0.0))
     text = printer.fail("M84\nG28 Z")
     assert "the probe reads DOCKED" in text
-    assert "nobody has seen it docked" in text
+    assert "it was not seen docked" in text
     assert printer.machine.truth.touch_count("nozzle_pin") == begun
 
 

@@ -192,7 +192,7 @@ def test_place_is_not_taken_where_the_motors_are_off(start, step):
     assert user.step() == step
     user.printer.run("M84")
     text = user.refused("Here")
-    assert "not homed: X, Y; nobody knows where the toolhead is" in text
+    assert "not homed: X, Y, and it is not known where the toolhead is" in text
     assert "by hand, and home (G28 X Y)" in text
     assert user.step() == step
 

@@ -312,7 +312,7 @@ def test_saving_where_nobody_knows_the_zero(start, tmp_path):
     printer.run("SET_KINEMATIC_POSITION X=0 Y=0 Z=10")
     text = printer.fail(f"{CALIBRATE} SAVE=1")
     assert text == (
-        "extra_probe membrane: SAVE=1: nobody knows where Z gets its zero with"
+        "extra_probe membrane: SAVE=1: it is not known where Z gets its zero with"
         " 'scanner:z_virtual_endstop'; leave SAVE out"
     )
     # Without it is all the same

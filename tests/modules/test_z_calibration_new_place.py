@@ -31,7 +31,7 @@ BY_HOOKS = {
         "end_gcode": "DETACH_PROBE",
     }
 }
-MET = "the probe is on the toolhead, and has met the bed at z="
+MET = "the probe is on the toolhead, and has touched the bed at z="
 ON_PIN = "check that the pin is at"
 
 

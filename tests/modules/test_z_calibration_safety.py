@@ -331,7 +331,9 @@ def test_pin_that_is_much_lower_is_not_looked_for(start):
 def test_probe_that_is_left_on_meets_the_bed_without_harm(start, script):
     printer = start("cartesian").homed()
     text = printer.fail(script)
-    assert "the probe is on the toolhead, and has met the bed at z=2.0" in text
+    assert (
+        "the probe is on the toolhead, and has touched the bed at z=2.0" in text
+    )
     printer.machine.truth.require_no_crash()
     # Once it is off all goes on
     printer.run("DOCK_PROBE\nG28\nCALIBRATE_Z")
@@ -350,7 +352,10 @@ def test_probe_that_is_left_on_over_a_pin_of_its_own(start, y_max):
         assert printer.status("z_calibration")["valid"]
     else:
         text = printer.fail("CALIBRATE_Z")
-        assert "the probe is on the toolhead, and has met the bed at z=" in text
+        assert (
+            "the probe is on the toolhead, and has touched the bed at z="
+            in text
+        )
     printer.machine.truth.require_no_crash()
 
 

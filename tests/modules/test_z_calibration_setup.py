@@ -800,8 +800,9 @@ def test_probe_that_nobody_puts_away_is_not_on_for_the_nozzle(start):
     printer.run("ATTACH_PROBE")
     for label in ("Attach", "Here", "Here", "Yes"):
         user.press(label)
-    assert "the probe is on the toolhead, and has met the bed" in user.refused(
-        "Touch"
+    assert (
+        "the probe is on the toolhead, and has touched the bed"
+        in user.refused("Touch")
     )
     printer.machine.truth.require_no_crash()
 

@@ -32,7 +32,7 @@ LOWEST_FLOOR = -10.0
 
 # Where Z is homed on a switch near the bed, the first touch looks so far (mm) below
 # where that triggers, and below Z=0, unless probe_z_min says otherwise: a pin is
-# rarely higher above the bed than 2 mm, and nobody prints on a Z=0 that is 1 mm off.
+# rarely higher above the bed than 2 mm, and no print succeeds on a Z=0 that is 1 mm off.
 BELOW_SWITCH = 2.0
 
 # How far (mm) below the expected height a touch may still look, and how far

@@ -308,8 +308,8 @@ class AutoZOffset:
         with self.measuring(gcmd, self.settings.sampling.samples) as run:
             if not self.host.axes.z_datum():
                 raise CalibrationError(
-                    "the motors of Z move X or Y, too: on such a machine nobody"
-                    " would know later what Z was set to; home it with G28"
+                    "the motors of Z move X or Y, too: on such a machine it is"
+                    " not known later what Z was set to; home it with G28"
                 )
             bed = bed_site(self.host, self.settings)
             run.prepare(bed, self.settings.bed_spread)

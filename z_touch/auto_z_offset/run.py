@@ -302,7 +302,7 @@ class Run:
             raise
 
     def _no_trigger_remedy(self, speed: float, floor: Floor) -> str:
-        """Return what to do about a bed that was not met down to a floor."""
+        """Return what to do about a bed that has not triggered down to a floor."""
         slow = ""
         if speed < SOMETIMES_MISSED:
             slow = f"raise speed (piezo sensors may miss a touch at {speed:g} mm/s), "
@@ -349,7 +349,7 @@ class Run:
     def _come_down_with_probe(self, head: Head, floor_z: float) -> None:
         """Come down quickly to where a touch begins.
 
-        Through air: the nozzle has just met the bed lower down.
+        Through air: the nozzle has just touched the bed lower down.
         """
         if self.probe_z is not None:
             sampling = self.settings.sampling
@@ -393,7 +393,7 @@ class Run:
         self.check_left()
         probe_z = self.touch_probe(sensor_z)
         self.lift()
-        # It is the nozzle that goes down next, whoever sends it
+        # It is the nozzle that goes down next, whatever command does it
         attached.of(self.host.printer).settle(self.host)
         self.agreed_z = sensor_z
         probe_z_offset = self.host.probing.offsets()[2]

@@ -85,7 +85,7 @@ def wrong_gap(host: Host, site: Site, results: Sequence[Result]) -> str:
     if host.transforms.is_mesh_guessed(site.x, site.y):
         return (
             f"bed_mesh ends before {site.x:.1f}, {site.y:.1f}, and its zero is"
-            " elsewhere: nobody knows by how much the gap is wrong; a bed mesh has to be"
+            " elsewhere: it is not known by how much the gap is wrong; a bed mesh has to be"
             " zero where Z is homed, or nowhere"
         )
     seen = sum(r.probe - r.probe_z_offset for r in results) / len(results)

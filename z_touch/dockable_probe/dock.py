@@ -242,8 +242,8 @@ class Dock:
         """Raise the host's error where it cannot be fetched to see that it is there."""
         if not self.moves.is_way_known():
             raise self.host.error(
-                f"the probe reads DOCKED ({self.sensors.describe()}), and nobody has"
-                " seen it docked: it may hang on the toolhead, its wire broken; if so,"
+                f"the probe reads DOCKED ({self.sensors.describe()}), and it was"
+                " not seen docked: it may be on the toolhead, its wire broken; if so,"
                 f" take it off before you home, and {IF_DOCKED}"
             )
 

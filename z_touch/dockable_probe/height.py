@@ -23,7 +23,7 @@ class Height:
         # where the Z motors were then, see motors_z()
         self.lifted = 0.0
         self.lifted_to: Optional[float] = None
-        # Where the Z motors were when the probe met the bed in homing; None: unknown
+        # Where the Z motors were when the probe touched the bed in homing; None: unknown
         self.homed_z: Optional[float] = None
         # Toolhead Z (mm) clear of what the probe has touched since Z was homed: a z_offset
         # that is too small is no height to travel at
@@ -67,7 +67,7 @@ class Height:
         return self.motors_z()
 
     def note_bed(self) -> None:
-        """Note that the probe has met the bed in homing, where the Z motors are now."""
+        """Note that the probe has touched the bed in homing, where the Z motors are now."""
         self.homed_z = self.motors_z()
 
     def note_clear(self, z: float) -> None:

@@ -146,7 +146,7 @@ class HostCommands:
         command(gcmd)
 
     def _calibrate(self, command: Handler, gcmd: GCodeCommand) -> None:
-        """Run PROBE_CALIBRATE: the probe is docked when it has touched, whoever held it."""
+        """Run PROBE_CALIBRATE: the probe is docked when it has touched, whatever holds it."""
         self.end_asking_again()
         keeping = self.probe.keeping
         # What is refused changes nothing: another one may be asking

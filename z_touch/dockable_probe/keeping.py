@@ -51,7 +51,7 @@ class Keeping:
         self.times_held += is_held
 
     def lose(self) -> None:
-        """Note that it was found in its dock, whoever has put it there."""
+        """Note that it was found in its dock, however it came there."""
         self.is_held = False
 
     def set_auto(self, auto: bool) -> None:

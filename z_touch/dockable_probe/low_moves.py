@@ -65,7 +65,7 @@ class LowMoves:
         if is_high or self._is_known_to(goal):
             return True
         if self.carrier.state() == DOCKED:
-            # Two pins of their own say so: nobody need look again
+            # Two pins of their own say so: no further look is needed
             self.probe.known.be_told(DOCKED)
             return True
         is_asking = self.attached.is_asking(self.host)
@@ -104,7 +104,7 @@ class LowMoves:
     def _is_by_hand(self) -> bool:
         """Return whether a person moves the toolhead, with paper or by our set-up."""
         if self.host.print_state():
-            # Whoever prints has cleared the bed
+            # A printer that prints has a clear bed
             return False
         is_led = self.is_led and self.host.section in self.attached.questions
         return is_led or self.host.probing.is_manual_probing()

@@ -168,7 +168,7 @@ class DockableProbe:
         self.host.say(self.sensors.describe())
         if state == DOCKED and self.sensors.is_doubtful():
             self.host.say(
-                "nobody has seen it docked: it may hang on the toolhead, its wire"
+                "it was not seen docked: it may be on the toolhead, its wire"
                 f" broken; {IF_DOCKED}"
             )
 

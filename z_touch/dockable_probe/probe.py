@@ -207,7 +207,7 @@ class DockedProbe:
         if self.sensors.look() != ATTACHED:
             raise self._lost("was lost, what was measured is wrong")
         if self.keeping.at_once:
-            # Whoever holds it, and wherever the toolhead is wanted: the paper is put where
+            # Whatever holds it, and wherever the toolhead is wanted: the paper is put where
             # the probe was
             self.keeping.hold(False)
             self.dock.dock(goal)

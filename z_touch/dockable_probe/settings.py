@@ -286,10 +286,10 @@ class Settings:
     # How far (mm) the probe triggers below the nozzle, as far as that is known
     length: float = 0.0
     # Lowest useful toolhead Z (mm) of a probing move; the second over the pin that Z is
-    # homed on, and everywhere where nobody knows where that is
+    # homed on, and everywhere where it is not known where that is
     lowest: float = 0.0
     over_pin: float = 0.0
-    # The pin that Z is homed on; None: there is none, or nobody knows where
+    # The pin that Z is homed on; None: there is none, or it is not known where
     z_pin: Optional[Pin] = None
     # Where the toolhead stands while Z is homed with the probe: (x, y), MIDDLE, or None for
     # "where it is then"

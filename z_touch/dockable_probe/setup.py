@@ -232,8 +232,8 @@ class Setup:
         missing = self._not_homed()
         if missing:
             raise CalibrationError(
-                f"not homed: {', '.join(missing)}; nobody knows where the toolhead is;"
-                " move it clear of the dock by hand, and home (G28"
+                f"not homed: {', '.join(missing)}, and it is not known where the toolhead"
+                " is; move it clear of the dock by hand, and home (G28"
                 f" {' '.join(missing)})"
             )
         place = self.section.moves.position()

@@ -183,7 +183,7 @@ class Calibration:
         z_zero = self.host.axes.z_zero()
         if z_zero is None:
             raise CalibrationError(
-                "SAVE=1: nobody knows where Z gets its zero with"
+                "SAVE=1: it is not known where Z gets its zero with"
                 f" '{self.z_axis.endstop_pin}'; leave SAVE out"
             )
         if settings.fixed and z_zero.option == "z_offset":

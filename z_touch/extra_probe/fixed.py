@@ -154,7 +154,7 @@ def touch_bed(host: Host, settings: Settings, bed_z: float) -> float:
             why_again = series.add(z)
             if why_again:
                 host.say(f"probe: {why_again}")
-    # It is the nozzle that goes down next, whoever sends it
+    # It is the nozzle that goes down next, whatever command does it
     everything.settle(host)
     return series.result()
 

@@ -275,7 +275,7 @@ class OwnProbe:
         self.end_session()
 
     def end_session(self) -> None:
-        """End it, whoever has begun it.  May pause."""
+        """End it, whatever has begun it.  May pause."""
         self.is_under_way = False
         self.device.end()
 
@@ -349,7 +349,7 @@ class OwnProbe:
         """
         head = list(trigger[:3])
         if self.result_class is None:
-            # Whoever hears of it may change it
+            # What receives the event may change it
             self.host.printer.send_event("probe:update_results", head)
             return head
         x, y, z = self.get_offsets()

@@ -78,7 +78,7 @@ class UnknownCommands:
         # What was heard by each template that is under way, the innermost last
         self.heard: List[List[str]] = []
         # A handler of output cannot be taken away again, and an error in it would
-        # reach whoever writes: it only records
+        # reach the command that writes: it only records
         gcode.register_output_handler(self._hear)
 
     def _hear(self, text: str) -> None:

@@ -567,7 +567,7 @@ def draw_wait(page: Page, wait: Run) -> None:
         f"Waiting of {minute(wait)}: {last_minute:.0f} minutes, then {ended}"
     )
     page.line(
-        "above 0: the nozzle has met the pin higher than in the end", "soft"
+        "above 0: the nozzle has touched the pin higher than in the end", "soft"
     )
     xs = [m / (last_minute or 1.0) for m, _ in wait.waited]
     plot = Plot(page, xs, spanned(min(offs), max(offs), LEAST_OFF))

@@ -143,7 +143,7 @@ TOUCHING = {
     "bed": "the probe on the bed",
 }
 
-# A ratio between these is said as "twice"; from MANY on nobody counts tenths
+# A ratio between these is said as "twice"; from MANY on tenths do not count
 TWICE = (1.75, 2.25)
 MANY = 3.0
 

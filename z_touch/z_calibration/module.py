@@ -133,7 +133,7 @@ class ZCalibration:
         # The height of the nozzle and switch - nozzle (mm) of the try before; None: there was
         # none, or it was not measured
         self.tried: Tuple[Optional[float], Optional[float]] = (None, None)
-        # Where (X and Y, mm) the pin was met with the probe attached, also by homing Z
+        # Where (X and Y, mm) the pin was touched with the probe attached, also by homing Z
         self.proved: List[Tuple[float, float]] = []
         register = self.host.printer.register_event_handler
         register("klippy:connect", self.connect)
@@ -168,9 +168,9 @@ class ZCalibration:
             raise host.printer.config_error(str(e))
 
     def _z_homed(self, homing_state: Any, _rails: Any) -> None:
-        """Note where homing Z has met the pin with the probe attached.
+        """Note where homing Z has touched the pin with the probe attached.
 
-        Without the probe it is not known where that would be, and one that is pressed meets
+        Without the probe it is not known where that would be, and one that is pressed touches
         the bed there; both read triggered.  May pause: it is called within G28, and after
         that a macro may have docked the probe.
         """
@@ -555,7 +555,7 @@ class ZCalibration:
                     result = self.touch_all(run, self.user_gcode)
                 finally:
                     self.cleaned = run.cleaned
-                    # A try that met nothing leaves what the one before it has met
+                    # A try without a trigger leaves the heights of the one before it
                     self.tried = (
                         nozzle if run.nozzle is None else run.nozzle,
                         body if run.body is None else run.body,

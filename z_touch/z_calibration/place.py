@@ -370,7 +370,7 @@ class NozzlePlace(Place):
             self.retract()
 
     def is_proved(self) -> bool:
-        """Return whether the pin was met here with the probe attached."""
+        """Return whether the pin was touched here with the probe attached."""
         here = self.site.x, self.site.y
         return any(
             math.dist(here, place) <= SAME_PLACE for place in self.run.proved
@@ -406,10 +406,10 @@ class NozzlePlace(Place):
         )
         while True:
             with self.explaining():
-                met_z = self.head.come_down(
+                trigger_z = self.head.come_down(
                     self.endstop(), z, settings.probing_speed
                 )
-            if met_z is not None:
+            if trigger_z is not None:
                 break
             if self.host.probing.reads_triggered(self.host.after_moves()):
                 self.refuse_attached()
@@ -421,11 +421,11 @@ class NozzlePlace(Place):
         # A switch may open late
         self.retract()
         self.lift_clear()
-        self.expected_z = met_z
-        self.floor = max(floor, heights.nozzle_floor(settings, met_z))
+        self.expected_z = trigger_z
+        self.floor = max(floor, heights.nozzle_floor(settings, trigger_z))
 
     def refuse_attached(self) -> None:
-        """Raise as the probe has met the bed."""
+        """Raise as the probe has touched the bed."""
         carrier = attached.of(self.host.printer).carrier(self.host)
         remedy = (
             f"check that the pin is at {self.site.place()}, or attach the probe later, in"
@@ -437,8 +437,8 @@ class NozzlePlace(Place):
                 " before_switch_gcode"
             )
         raise CalibrationError(
-            "the probe is on the toolhead, and has met the bed at"
-            f" z={self.host.motion.z():.3f}, where nothing should be met before the pin;"
+            "the probe is on the toolhead, and has touched the bed at"
+            f" z={self.host.motion.z():.3f}, where nothing should be touched before the pin;"
             f" {remedy}"
         )
 
@@ -450,13 +450,13 @@ class NozzlePlace(Place):
         )
 
     def check_height(self) -> None:
-        """Raise where the pin is met far above where Z was homed on it."""
+        """Raise where the pin triggers far above where Z was homed on it."""
         homed_z, z = self.settings.position_endstop, self.head.pressed_z
         if homed_z is None or z is None or z <= homed_z + HIGHER_THAN_HOMED:
             return
         if self.host.is_file_output():
             return
-        # A switch that is stuck has met nothing
+        # A switch that is stuck has touched nothing
         self.lift_clear()
         self.check_pin_open(self.host.after_moves())
         text = (

@@ -64,7 +64,7 @@ class LastRun:
     twist: float
     # Whose nozzle it was
     extruder: str
-    # Where (X and Y, mm) the nozzle has met the pin with the probe attached, None: it was not
+    # Where (X and Y, mm) the nozzle has touched the pin with the probe attached, None: it was not
     proved_at: Optional[Tuple[float, float]] = None
     # What something that is not known adds to Z over pin and bed
     unknown_shift: float = 0.0

@@ -91,7 +91,7 @@ class CalibrationRun:
         self.statistics = statistics
         self.progress = progress
         self.homed = homed
-        # Where (X and Y, mm) the pin was met with the probe attached; this run adds its own
+        # Where (X and Y, mm) the pin was touched with the probe attached; this run adds its own
         self.proved = proved
         # Whether each place is shown on the console when it is done
         self.reports_places = reports_places
@@ -100,7 +100,7 @@ class CalibrationRun:
         self.twist = 0.0
         # What something that is not known adds to Z over the pin; None: it was not there
         self.unknown_over_pin: Optional[float] = None
-        # Where (X and Y, mm) the nozzle has met the pin with the probe attached
+        # Where (X and Y, mm) the nozzle has touched the pin with the probe attached
         self.proved_at: Optional[Tuple[float, float]] = None
         # Whether the probe was seen attached
         self.was_attached = False
@@ -301,7 +301,7 @@ class CalibrationRun:
     def _lower_floor(
         self, nozzle_z: float, floor: float, error: NoTrigger
     ) -> float:
-        """Return a lower floor where nothing was met down to one.
+        """Return a lower floor where nothing has triggered down to one.
 
         That came from z_offset, or from a probe that may have been exchanged: the bed tells
         whether it was wrong, or the switch is dead.  Raises 'error' again where the floor

@@ -99,7 +99,7 @@ class RunLog:
         return runs.departure(body, runs.bodies_as_hot(own, temperatures))
 
     def nozzle_at(self) -> Optional[runs.Point]:
-        """Return where a nozzle has last met the pin with the probe attached."""
+        """Return where a nozzle has last touched the pin with the probe attached."""
         for run in reversed(self.runs):
             if run.ok and run.nozzle_at:
                 return run.nozzle_at

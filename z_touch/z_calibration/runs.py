@@ -142,10 +142,10 @@ class Run:
     the nozzle was cleaned in it; empty: it was not. dirty: its first touches pressed
     something flat. temperatures: C, by "extruder" (the active one) and "heater_bed".
     offset, switch_offset, z_adjust: mm. uncertainty: mm at 95 %; None: unknown.
-    nozzle_at: X and Y where the nozzle has met the pin while the probe was attached;
+    nozzle_at: X and Y where the nozzle has touched the pin while the probe was attached;
     None: it was elsewhere. cycles, step (of the Z motors, mm): of CALIBRATE_Z_ACCURACY.
     waited: of Z_CALIBRATION_WAIT, pairs of the minutes since it began and the height (mm)
-    at which the nozzle met the pin then.
+    at which the nozzle touched the pin then.
     """
 
     ok: bool

@@ -709,7 +709,7 @@ class Setup:
 
     def _tell_floor(self, name: str) -> None:
         self.host.say(
-            f"touching the {name}; where nothing is met, a touch ends at"
+            f"touching the {name}; without a trigger the touch ends at"
             f" z={self._floor(name):.2f}"
         )
 

@@ -9,7 +9,7 @@ from __future__ import annotations
 from ..wizard import STOP, Answer, Step
 from .switches import SWITCHES
 
-TOUCH_ENDS = "Where nothing is met, a touch ends at Z={floor:.2f}."
+TOUCH_ENDS = "Without a trigger a touch ends at Z={floor:.2f}."
 
 # How low the buttons lead: over a pin that is known, with a probe that reaches below
 # the nozzle, or over one whose height is not known
@@ -202,8 +202,8 @@ STEPS = (
             "Clean the nozzle.",
             "{attach_it}",
             STOP,
-            "Where no pin is met, the nozzle stops at Z={floor:.2f}; the console"
-            " says that of the other places.",
+            "Without a trigger the nozzle stops at Z={floor:.2f}; the console says"
+            " where it stops at the other places.",
             "'Touch' lifts the toolhead to Z={travel_z:.1f} and touches pin, switch"
             " and bed slowly, {touches} times each{around}.",
         ),
