@@ -8,8 +8,8 @@ import pytest
 
 from simprinter import Fault
 from simprinter.hosts.hosts import Host
-from tests.modules.test_dockable_probe_setup import UNKNOWN, Owner, find
 from tools.kit.cases import slow
+from tools.kit.dock_owner import UNKNOWN, Owner
 from tools.kit.dockable_probe import (
     GANTRY,
     QUICK,
@@ -174,7 +174,7 @@ def test_macros_are_no_part_of_a_trial(start):
     user = Owner(start(SWITCH, changes).homed())
     user.go("X150 Y150 Z20")
     user.put_on()
-    find(user)
+    user.find()
     begun = len(trips(user.printer))
     user.press("Fetch")
     user.press("Dock")
@@ -194,7 +194,7 @@ def test_set_up_where_a_stroke_was_before(start):
     user = Owner(start(SWITCH, changes, modules=with_moves()).homed())
     user.go("X150 Y150 Z20")
     user.put_on()
-    find(user, until="APPROACH")
+    user.find(until="APPROACH")
     user.go("X90 Y308")
     assert "this is the way out without the probe" in user.refused("Here")
     user.go("Y270", "X50")
