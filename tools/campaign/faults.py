@@ -76,12 +76,12 @@ def walk(case: Case) -> tuple[Step, ...]:
     again = _PREPARED % job.again
     steps: list[Step] = [("gcode", "G28"), ("gcode", _PREPARED % job.before)]
     for breaks in filter(None, (case.breaks, case.later)):
-        if breaks is case.later:
-            steps.append(("heed", again))
         steps += [("break", what) for what in breaks]
         steps.append(("gcode", command))
         steps.append(("mend", ", ".join(what.fault for what in breaks)))
-    return (*steps, ("heed", f"{again}\n{command}"))
+        steps.append(("heed", again))
+    steps[-1] = ("heed", f"{again}\n{command}")
+    return tuple(steps)
 
 
 def good_run(

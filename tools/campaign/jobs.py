@@ -33,8 +33,8 @@ class Job:
     is there for some. point: of the bed where the gap is looked at. lift:
     toolhead Z after a failure, at least. is_homing: after a failure nobody
     knows where the toolhead is. told: what it may leave behind: status fields that
-    tell what was seen last; "pending", where the host has a result already; "gap",
-    where that is a mesh in force.
+    tell what was seen last; "what is saved", where the host has a result already;
+    "gap", where that is a mesh in force.
     is_long: of the operations of a kind only the first, the middle and the last.
     samples: as many touches, or rounds of them, are compared with each other.
     """
@@ -58,21 +58,13 @@ class Job:
     samples: int = 3
 
     def state(self, printer: Printer) -> dict[str, Any]:
-        """All that a failure must leave as it was."""
-        session = printer.session
-        drivers = printer.machine.drivers
+        """What a failure must leave as it was, beside what any command of ours does."""
         status = printer.status(self.module)
-        found = {
-            "offset": printer.offset(),
-            "max_accel": printer.status("toolhead")["max_accel"],
-            "homed": printer.status("toolhead")["homed_axes"],
-            "currents": {n: d.current()[1:] for n, d in drivers.items()},
-            "absolute": printer.status("gcode_move")["absolute_coordinates"],
+        return {
+            "homed axes": printer.status("toolhead")["homed_axes"],
             "status": {k: v for k, v in status.items() if k not in self.told},
-            "pending": auto_z_offset.pending(printer),
-            "printer.cfg": session.config_text(),
+            "printer.cfg": printer.session.config_text(),
         }
-        return {k: v for k, v in found.items() if k not in self.told}
 
     def gap(self, printer: Printer) -> float:
         """True gap (mm) that G-code Z=0 stands for; the toolhead stands."""
@@ -402,7 +394,7 @@ def _dockable_probe_jobs() -> list[Job]:
         ),
         other("PROBE", name="PROBE, dockable, tried again", changes=both),
         # A mesh is there before the probe is docked
-        other(mesh, told=(*probe.told, "pending"), is_long=True),
+        other(mesh, told=(*probe.told, "what is saved"), is_long=True),
         other("QUAD_GANTRY_LEVEL", is_long=True),
         other("Z_TILT_ADJUST", scene=level, is_long=True),
         other("SCREWS_TILT_CALCULATE", is_long=True),
@@ -511,7 +503,7 @@ def _of_dockable_probe(name: str, script: str, scene: Scene) -> Job:
         told=(
             *_DOCKED_STATUS,
             "last_probe_position",
-            *(("pending", "gap") if "MESH" in script else ()),
+            *(("what is saved", "gap") if "MESH" in script else ()),
         ),
         only=_LOST,
         is_homing="G28" in script,

@@ -59,7 +59,13 @@ WHERE_IT_IS = {
     "EXTRA_PROBE_ACCURACY": ("nozzle_bed", "nozzle_membrane"),
 }
 # What they may change for ever when they end well
-LASTING = ("the G-code offset", "what is saved")
+LASTING = (
+    "the G-code offset",
+    "what is saved",
+    "homed axes",
+    "status",
+    "printer.cfg",
+)
 # All that is looked at before and after each step, at one moment
 PENDING = "save_config_pending_items"
 Status = Mapping[str, Mapping[str, Any]]
@@ -160,8 +166,8 @@ class Before:
 
     state: what a refusal leaves as it was. pressed: sites that something
     touched. question: whether a person is asked something. events, touches:
-    how many the world had seen. time: seconds of the world. of_job, gap: what a
-    command that is known leaves when it is refused.
+    how many the world had seen. time: seconds of the world. gap: true one at
+    G-code Z=0 before a command that is known, mm.
     """
 
     state: Mapping[str, Any]
@@ -173,7 +179,6 @@ class Before:
     touches: int
     probe: str
     time: float
-    of_job: Mapping[str, Any]
     gap: float
 
 
@@ -285,7 +290,7 @@ class Judge:
             yield f"is hidden by {gone.refusal!r}"
         if gone.refusal:
             yield from _does_not_name(gone)
-        before = self.before.of_job.get("printer.cfg")
+        before = self.before.state.get("printer.cfg")
         if before not in (None, self.printer.session.config_text()):
             yield "printer.cfg has changed"
 
@@ -507,10 +512,7 @@ class Judge:
 
     def _before(self) -> Before:
         machine = self.printer.machine
-        of_job, gap = {}, 0.0
-        if self.expected:
-            of_job = self.expected.job.state(self.printer)
-            gap = self.expected.job.gap(self.printer)
+        job = self.expected.job if self.expected else None
         truth = machine.truth
         status = self._status()
         return Before(
@@ -523,8 +525,7 @@ class Judge:
             touches=len(truth.touches),
             probe=self._probe(),
             time=self._now(),
-            of_job=of_job,
-            gap=gap,
+            gap=job.gap(self.printer) if job else 0.0,
         )
 
     def _status(self) -> Status:
@@ -545,6 +546,7 @@ class Judge:
                 name: driver.current()[1:]
                 for name, driver in self.printer.machine.drivers.items()
             },
+            **(self.expected.job.state(self.printer) if self.expected else {}),
         }
 
     def _pressed(self) -> frozenset[str]:
@@ -553,10 +555,16 @@ class Judge:
 
     def _has_left(self, gone: Gone) -> Iterator[str]:
         """All that is temporary is as before; after a refusal the rest, too."""
-        if gone.kind != "gcode" or gone.command not in OURS:
+        is_known = self.expected is not None and bool(gone.breaks)
+        if gone.kind != "gcode" or not (is_known or gone.command in OURS):
             return
-        before, after = self.before.state, self._state(self._status())
         lasting = {*self._of_owner(), *(() if gone.refusal else LASTING)}
+        if self.expected:
+            if self.expected.job.is_homing:
+                # The host has turned the motors off
+                return
+            lasting.update(self.expected.job.told)
+        before, after = self.before.state, self._state(self._status())
         if gone.refusal and gone.script.startswith(stepping.AWAY[:20]):
             # Before the command the way there may have failed, between its modes
             lasting.add("G90")
@@ -588,12 +596,7 @@ class Judge:
             return
         job = self.expected.job
         if job.is_homing:
-            # The host has turned the motors off
             return
-        after = job.state(self.printer)
-        for name, value in self.before.of_job.items():
-            if after[name] != value:
-                yield f"{name} was {value} and is {after[name]}"
         now = job.gap(self.printer)
         if "gap" not in job.told and abs(now - self.before.gap) >= STEP:
             yield f"gap was {self.before.gap:.4f} and is {now:.4f}"

@@ -7,11 +7,13 @@ from functools import lru_cache
 import pytest
 
 from tools.campaign import faults, running
+from tools.campaign.breaking import SENSOR_FAULTS, Break
 from tools.campaign.faults import Case
-from tools.campaign.jobs import ALL_JOBS
+from tools.campaign.jobs import ALL_JOBS, OfJob
 from tools.campaign.judging import is_blind
+from tools.campaign.running import Done
 from tools.campaign.tests.planting import planted
-from tools.campaign.walker import REFUSED, RIGHT, SHUT_DOWN
+from tools.campaign.walker import REFUSED, RIGHT, SHUT_DOWN, Outcome
 from tools.kit.cases import slow
 from tools.kit.printer import module_files
 
@@ -190,3 +192,48 @@ def test_module_that_does_it_wrong_is_found(host, tmp_path, name):
     )
     done = go(host, case, modules)
     assert problem in done.outcome.harm, done.outcome
+
+
+# Each of its failures lets the next one be deeper on the pin
+DEEPER = r"""
+depth = getattr(printer, "depth", 0.0)
+printer.depth = depth + 1.5
+if depth:
+    run("G90\nG1 X206 Y306 F9000\nG1 Z%.3f F600\nG1 Z20 F600" % -depth)
+"""
+
+
+@pytest.mark.slow
+def test_what_only_the_second_fault_shows_is_found(host, tmp_path):
+    deeper = module_files() | planted(
+        tmp_path, "z_calibration", Z, failed=DEEPER
+    )
+    case = case_of(host, Z, "stuck_open", "z_endstop", 0, "touch")
+    assert go(host, case, deeper).outcome.harm == ""
+    again = case._replace(later=case.breaks)
+    done = go(host, again, deeper)
+    assert "step 8, gcode 'CALIBRATE_Z\\nM400': nozzle_pin" in done.outcome.harm
+    assert go(host, again).outcome.harm == ""
+
+
+def test_pairs_are_drawn():
+    singles = [
+        [Case(Z, (Break(fault),)) for fault in ("cancel", *SENSOR_FAULTS)],
+        [Case(AUTO, (Break("cancel"),))],
+    ]
+    both, none = faults.pairs(singles, 9, 0)
+    assert {len(pair.breaks) for pair in both} == {2}
+    assert (len(both), none) == (3, [])
+    after, none = faults.pairs(singles, 1, 0, is_after=True)
+    assert {what.fault for what in (*after[0].breaks, *after[0].later)} == {
+        *SENSOR_FAULTS
+    }
+
+
+def test_case_is_kept(tmp_path):
+    case = Case(Z, (Break("stuck_open", "z_endstop", "touch", "z_endstop"),))
+    walk = OfJob(job=Z, seed=3), faults.walk(case)
+    done = Done(str(case), "klipper", walk, Outcome(harm="harm: x"))
+    kept = running.read(running.write(done, tmp_path))
+    assert kept[0] == walk[0]
+    assert Done("", "", kept, Outcome()).breaks == list(case.breaks)
