@@ -33,7 +33,6 @@ import argparse
 import json
 import sys
 import time
-import zlib
 from collections.abc import Mapping, Sequence
 from concurrent.futures import Executor, ProcessPoolExecutor
 from functools import partial
@@ -45,9 +44,8 @@ from simprinter.hosts.hosts import Host, find_hosts
 from tools.campaign import faults, running
 from tools.campaign.drawn.machines import BASES
 from tools.campaign.drawn.walking import SIMPLER
-from tools.campaign.faults import Case
 from tools.campaign.jobs import ALL_JOBS, DOCK_JOBS, JOBS, MORE_JOBS
-from tools.campaign.running import Done, Plan, Report
+from tools.campaign.running import Done, Plan, Report, Share
 from tools.campaign.walker import REFUSED, RIGHT, SHUT_DOWN
 
 _ENDS = (RIGHT, REFUSED, SHUT_DOWN)
@@ -100,17 +98,11 @@ def planned(
     parts = options.each * (1 if is_each else len(hosts))
     modules = running.modules_of(options.product)
     shares = [
-        partial(is_of_share, 0 if is_each else number, parts, options.case)
+        Share(0 if is_each else number, parts, options.case)
         for number in range(len(hosts))
     ]
     make = partial(running.plan, job, seed=options.seed, modules=modules)
     return list(pool.map(make, hosts, shares))
-
-
-def is_of_share(number: int, parts: int, text: str, case: Case) -> bool:
-    """Whether a case is in that part of all, and its text has that in it."""
-    name = str(case)
-    return text in name and zlib.crc32(name.encode()) % parts == number
 
 
 def run_faults(

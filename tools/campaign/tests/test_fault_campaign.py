@@ -2,6 +2,9 @@
 
 from __future__ import annotations
 
+import json
+import subprocess
+import sys
 from functools import lru_cache
 
 import pytest
@@ -15,7 +18,7 @@ from tools.campaign.running import Done
 from tools.campaign.tests.planting import planted
 from tools.campaign.walker import REFUSED, RIGHT, SHUT_DOWN, Outcome
 from tools.kit.cases import slow
-from tools.kit.printer import module_files
+from tools.kit.printer import ROOT, module_files
 
 Z, ATTACHING = "CALIBRATE_Z", "CALIBRATE_Z, attaching"
 AUTO = "AUTO_Z_CALIBRATE"
@@ -237,3 +240,22 @@ def test_case_is_kept(tmp_path):
     kept = running.read(running.write(done, tmp_path))
     assert kept[0] == walk[0]
     assert Done("", "", kept, Outcome()).breaks == list(case.breaks)
+
+
+COMMANDS = {
+    "faults": ("--job", "AUTO_Z_LOAD", "--case", "cancel of begin"),
+    "walks": ("--count", "1", "--simpler", "0"),
+}
+
+
+@pytest.mark.one_host
+@pytest.mark.slow
+@pytest.mark.parametrize("name", COMMANDS)
+def test_command_line(host, tmp_path, name):
+    file = tmp_path / "figures.json"
+    command = (sys.executable, "-m", "tools.campaign", name, *COMMANDS[name])
+    more = ("--host", host.name, "--folder", tmp_path, "--json", file)
+    subprocess.run([*command, *more], cwd=ROOT, check=True)
+    found = json.loads(file.read_text())
+    runs = sum(one["survived"] for one in found.get("faults", ()))
+    assert runs + found.get("walks", 0) == 1
