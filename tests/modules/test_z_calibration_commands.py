@@ -67,18 +67,6 @@ def test_macro_around_the_command(start, call, expected):
     assert printer.offset() == pytest.approx(result[-1], abs=1e-6)
 
 
-def test_offset_survives_a_save_and_is_lost_by_a_restore(start):
-    printer = start().homed()
-    result, _ = calibration(
-        printer, "SAVE_GCODE_STATE NAME=s\nCALIBRATE_Z\nSAVE_GCODE_STATE NAME=t"
-    )
-    assert printer.offset() == pytest.approx(result[-1], abs=1e-6)
-    printer.run("RESTORE_GCODE_STATE NAME=t")
-    assert printer.offset() == pytest.approx(result[-1], abs=1e-6)
-    printer.run("RESTORE_GCODE_STATE NAME=s")
-    assert printer.offset() == 0.0
-
-
 NO_PAIR = "has to be X and Y in mm, such as 100,100"
 WRONG = [
     *((f"CALIBRATE_Z NOZZLE_POSITION={xy}", NO_PAIR) for xy in ("1", "1,2,3")),

@@ -151,21 +151,6 @@ def test_batch_run_gives_the_same_result(host):
     assert gap == pytest.approx(scene.formula_gap(), abs=2 * MICROSTEP)
 
 
-def test_switch_offset_moves_the_nozzle_closer(start):
-    printer = start(changes=section(switch_offset="0.54")).homed()
-    printer.run("CALIBRATE_Z")
-    assert printer.gap() == pytest.approx(-0.04, abs=2 * MICROSTEP)
-
-
-def test_offset_replaces_an_earlier_one_and_a_second_run_agrees(start):
-    printer = start().homed()
-    first, _ = calibration(printer)
-    printer.run("SET_GCODE_OFFSET Z=0.7 MOVE=1")
-    second, _ = calibration(printer)
-    assert second == pytest.approx(first, abs=MICROSTEP)
-    assert printer.offset() == pytest.approx(second[-1], abs=1e-6)
-
-
 @pytest.mark.every_host("the host's own probe takes the samples of the bed")
 def test_samples_come_from_the_probe(start):
     printer = start(changes={"probe": {"samples": "4"}}).homed()
@@ -512,19 +497,6 @@ def test_probe_that_is_known_to_come_late_is_refused_before(start):
     assert "is attached already, and before_switch_gcode has" in text
     assert touched_sites(printer, before) == []
     printer.run("DOCK_PROBE\nCALIBRATE_Z")
-
-
-def test_endstop_that_is_pressed_already_is_not_touched(start):
-    printer = start(faults=[Fault("stuck_closed", signal="z_endstop", t=60.0)])
-    printer.homed()
-    printer.session.wait(60.0)
-    before = len(printer.machine.truth.touches)
-    text = printer.fail("CALIBRATE_Z")
-    assert "nozzle: " in text
-    assert "endstop reads triggered" in text
-    assert "QUERY_ENDSTOPS" in text
-    assert touched_sites(printer, before) == []
-    assert printer.session.state()[0] == "ready"
 
 
 @pytest.mark.parametrize(

@@ -23,7 +23,6 @@ from tools.kit.z_calibration import (
     result_of,
     section,
     touched_sites,
-    with_dead_pin,
     with_extra,
 )
 
@@ -505,14 +504,6 @@ def test_phase_and_progress(host, tmp_path):
         ]
         status = printer.status("z_calibration")
         assert (status["phase"], status["progress"]) == ("idle", 0.0)
-
-
-def test_status_is_idle_after_a_failure(start):
-    printer = with_dead_pin(start)
-    before = printer.status("z_calibration")
-    printer.fail("CALIBRATE_Z")
-    now = printer.status("z_calibration")
-    assert now == {**before, "history": now["history"]}
 
 
 # A probe that is not the host's own
