@@ -8,12 +8,19 @@ from collections.abc import Sequence
 from pathlib import Path
 from typing import Optional
 
-from simplay import plugins, terminal
-from simplay.network import AddressError
-from simplay.options import add_options, door_of
-from simprinter.hosts import starting
-from simprinter.options import EXPECTED, add_printer, files_of, host_of
-from simprinter.running import show
+try:
+    from simplay import plugins, terminal
+    from simplay.network import AddressError
+    from simplay.options import add_options, door_of
+    from simprinter.hosts import starting
+    from simprinter.options import EXPECTED, add_printer, files_of, host_of
+    from simprinter.running import show
+except ModuleNotFoundError as missing:
+    # Of a checkout that was never installed
+    sys.exit(
+        f"error: simplay needs {missing.name}, which is not installed;"
+        " run `pip install ./simplay` in the checkout"
+    )
 
 
 def main(words: Optional[Sequence[str]] = None) -> int:

@@ -39,7 +39,8 @@ def run(line: str, watcher: Watcher, scene: Scene) -> str:
         raise CommandError(f"{name}: unknown, 'help' lists the commands")
     command = COMMANDS[name]
     needed = command.words.split()
-    if len(words) != len(needed):
+    least = sum(not word.startswith("[") for word in needed)
+    if not least <= len(words) <= len(needed):
         raise CommandError(f"usage: {name} {command.words}".rstrip())
     try:
         return command.run(watcher, scene, words)
@@ -50,10 +51,9 @@ def run(line: str, watcher: Watcher, scene: Scene) -> str:
 def possible(scene: Scene) -> list[str]:
     """The commands for what this printer has."""
     world = scene.world
-    has = {"attach": world.mag_probe, "lay": world.membrane}
-    has["drop"] = has["off"] = has["attach"]
-    has["take"] = has["lay"]
-    return [name for name in COMMANDS if has.get(name, scene) is not None]
+    has = {name: bool(world.probes()) for name in ("attach", "drop", "off")}
+    has.update(lay=bool(world.membranes()), take=bool(world.membranes()))
+    return [name for name in COMMANDS if has.get(name, True)]
 
 
 def wires(scene: Scene) -> Mapping[str, str]:
@@ -107,30 +107,52 @@ def _press(watcher: Watcher, scene: Scene, words: list[str]) -> str:
     return f"a hand presses {name} for {_PRESSED:g} s"
 
 
+def _which(signals: list[str], words: list[str], missing: str) -> str:
+    """The one of them that was typed, else the first."""
+    if not signals:
+        raise CommandError(f"this printer has no {missing}")
+    if words and words[0] not in signals:
+        raise CommandError(f"no {words[0]}, only {', '.join(signals)}")
+    return words[0] if words else signals[0]
+
+
+def _probe(scene: Scene, words: list[str], what: str) -> str:
+    signals = [probe.signal for probe in scene.world.probes()]
+    return _which(signals, words, f"probe to {what}")
+
+
 def _attach(watcher: Watcher, scene: Scene, words: list[str]) -> str:
-    if scene.world.mag_probe is None:
-        raise CommandError("this printer has no probe to put on the toolhead")
-    watcher.machine.world.put_probe_on(watcher.seconds())
-    return "the probe is on the toolhead"
+    probe = _probe(scene, words, "put on the toolhead")
+    watcher.machine.world.put_probe_on(watcher.seconds(), probe)
+    return f"{_the(probe)} is on the toolhead"
 
 
 def _off(watcher: Watcher, scene: Scene, words: list[str]) -> str:
-    _require_on_head(watcher, scene, "take off")
-    watcher.machine.world.take_probe_off(watcher.seconds())
-    return "the probe is off the toolhead; 'attach' puts it on again"
+    probe = _on_head(watcher, scene, words, "take off")
+    watcher.machine.world.take_probe_off(watcher.seconds(), probe)
+    return f"{_the(probe)} is off the toolhead; 'attach' puts it on again"
 
 
 def _drop(watcher: Watcher, scene: Scene, words: list[str]) -> str:
-    _require_on_head(watcher, scene, "drop")
-    watcher.machine.world.lose_probe(watcher.seconds())
-    return "the probe has fallen off; 'repair' puts it back"
+    probe = _on_head(watcher, scene, words, "drop")
+    watcher.machine.world.lose_probe(watcher.seconds(), probe)
+    return f"{_the(probe)} has fallen off; 'repair' puts it back"
 
 
-def _require_on_head(watcher: Watcher, scene: Scene, what: str) -> None:
-    if scene.world.mag_probe is None:
-        raise CommandError(f"this printer has no probe to {what}")
-    if watcher.machine.world.probe_state(watcher.seconds()) != "attached":
-        raise CommandError("the toolhead does not carry the probe now")
+def _the(probe: str) -> str:
+    return "the probe" if probe == "probe" else f"the probe {probe}"
+
+
+def _on_head(
+    watcher: Watcher, scene: Scene, words: list[str], what: str
+) -> str:
+    probe = _probe(scene, words, what)
+    if (
+        watcher.machine.world.probe_state(watcher.seconds(), probe)
+        != "attached"
+    ):
+        raise CommandError(f"the toolhead does not carry {_the(probe)} now")
+    return probe
 
 
 def _mm(text: str, low: float, high: float) -> float:
@@ -168,16 +190,24 @@ def _compared(what: str, mm: float, more: str, less: str) -> str:
     return f"another {name}:{rest} {abs(mm):g} mm {word} than that of the first"
 
 
-def _membrane(watcher: Watcher, scene: Scene, is_laid: bool) -> str:
-    if scene.world.membrane is None:
-        raise CommandError("this printer has no membrane switch")
-    watcher.machine.lay_membrane(is_laid)
-    return "the membrane lies on the bed" if is_laid else "the bed is free"
+def _membrane(
+    watcher: Watcher, scene: Scene, words: list[str], is_laid: bool
+) -> str:
+    signals = [part.signal for part in scene.world.membranes()]
+    signal = _which(signals, words, "membrane switch")
+    watcher.machine.lay_membrane(is_laid, signal)
+    if any(watcher.machine.world.laid.values()) and not is_laid:
+        return f"{signal} is taken away"
+    name = "" if signal == "membrane" else f" {signal}"
+    return (
+        f"the membrane{name} lies on the bed" if is_laid else "the bed is free"
+    )
 
 
 def _repair(watcher: Watcher, scene: Scene, words: list[str]) -> str:
     watcher.machine.repair()
-    watcher.machine.world.bring_probe_back(watcher.seconds())
+    for probe in scene.world.probes():
+        watcher.machine.world.bring_probe_back(watcher.seconds(), probe.signal)
     watcher.machine.world.smear_nozzle(watcher.seconds(), 0.0)
     return "all is as good as new"
 
@@ -207,15 +237,21 @@ COMMANDS = {
     "short": Command("WIRE", "a wire touches ground", _short),
     "late": Command("WIRE MM", "a sensor gets slack", _late),
     "press": Command("WIRE", "press a switch by hand, let go", _press),
-    "attach": Command("", "put the probe on the toolhead by hand", _attach),
-    "off": Command("", "take the probe off the toolhead by hand", _off),
-    "drop": Command("", "the probe falls off", _drop),
+    "attach": Command(
+        "[PROBE]", "put the probe on the toolhead by hand", _attach
+    ),
+    "off": Command("[PROBE]", "take the probe off the toolhead by hand", _off),
+    "drop": Command("[PROBE]", "the probe falls off", _drop),
     "repair": Command("", "take all faults back", _repair),
     "lay": Command(
-        "", "lay the membrane on the bed", lambda w, s, _: _membrane(w, s, True)
+        "[MEMBRANE]",
+        "lay the membrane on the bed",
+        lambda watcher, scene, words: _membrane(watcher, scene, words, True),
     ),
     "take": Command(
-        "", "take the membrane away", lambda w, s, _: _membrane(w, s, False)
+        "[MEMBRANE]",
+        "take the membrane away",
+        lambda watcher, scene, words: _membrane(watcher, scene, words, False),
     ),
     "dirt": Command("MM", "plastic below the nozzle; 0: clean", _dirt),
     "nozzle": Command("MM", "another nozzle, so much longer", _nozzle),

@@ -11,9 +11,11 @@ from collections.abc import Callable
 from dataclasses import asdict
 from typing import Any, Optional
 
+from simplay.sites import sites_of
 from simplay.watcher import Watcher
 from simprinter import Scene
 from simprinter.world import Pose
+from simprinter.world.spec import Spec
 
 # Real seconds between two frames
 EVERY = 1 / 20
@@ -27,20 +29,26 @@ _UM, _TENTH_UM = 3, 4
 def parts_of(scene: Scene) -> dict[str, Any]:
     """The machine as it is built, without its noise."""
     world = scene.world
-    found: dict[str, Any] = {}
-    for name in ("pin", "mag_probe", "dock", "inductive", "membrane"):
-        part = getattr(world, name)
-        if part is not None:
-            found[name] = {
-                option: value
-                for option, value in asdict(part).items()
-                if option != "noise"
-            }
-    bed = asdict(world.bed)
+    bed = _shown(world.bed)
     del bed["mesh"]
-    found["bed"] = bed
-    found["bed_sensor"] = world.bed_sensor is not None
-    return found
+    coil = world.inductive
+    return {
+        "bed": bed,
+        "bed_sensor": world.bed_sensor is not None,
+        "pins": [_shown(pin) for pin in world.pins()],
+        "membranes": [_shown(part) for part in world.membranes()],
+        "probes": [
+            {**_shown(probe), "dock": dock and _shown(dock)}
+            for probe in world.probes()
+            for dock in (world.dock_of(probe),)
+        ],
+        "inductive": coil and _shown(coil),
+        "sites": {n: met._asdict() for n, met in sites_of(world).items()},
+    }
+
+
+def _shown(part: Spec) -> dict[str, Any]:
+    return {k: value for k, value in asdict(part).items() if k != "noise"}
 
 
 class Film:
@@ -61,6 +69,9 @@ class Film:
         self._show = show
         self._shown = 0.0
         self._last_ns: Optional[int] = None
+        # The carriage that has moved last
+        self._active = 0
+        self._tips: tuple[Pose, ...] = ()
 
     def look(self) -> None:
         """Show a frame if it is time for one."""
@@ -75,26 +86,40 @@ class Film:
         machine, watcher = self._machine, self._watcher
         simulation = machine.simulation
         now = simulation.clock.now()
-        seconds, tip = machine.rig.seconds(now), machine.rig.pose(now)
+        seconds, tips = machine.rig.seconds(now), machine.rig.poses(now)
         world = machine.world
+        self._find_active(tips)
         return {
             "t": round(seconds, 2),
             "way": self._way(now),
+            "active": self._active,
+            "tips": [_rounded(tip, _UM) for tip in tips],
             "near": [
                 (near.site, round(near.distance, _TENTH_UM), near.pressed)
-                for near in world.near(seconds, tip)
+                for near in world.near(seconds, *tips)
             ],
             "on": [s for s in world.signals if machine.rig.asserted(s, now)],
             "touches": [
                 (t.site, *_rounded(t[1:], _UM)) for t in watcher.touches()
             ],
-            "probe": world.probe_state(seconds),
-            "laid": world.membrane_is_laid,
+            "probes": [
+                world.probe_state(seconds, probe.signal)
+                for probe in world.spec.probes()
+            ],
+            "laid": list(world.laid.values()),
             "dirt": round(world.dirt(seconds), _UM),
             "gap": None if watcher.gap is None else round(watcher.gap, _UM),
             "spot": watcher.spot,
             "speed": simulation.pace.speed if simulation.pace else 0.0,
         }
+
+    def _find_active(self, tips: tuple[Pose, ...]) -> None:
+        """Which carriage moves along X, the first one where both do."""
+        for carriage, (tip, last) in enumerate(zip(tips, self._tips)):
+            if abs(tip.x - last.x) > 10.0**-_UM:
+                self._active = carriage
+                break
+        self._tips = tips
 
     def _way(self, now: int) -> list[tuple[float, ...]]:
         """Where the tip was since the last frame; where it is last of all."""
@@ -102,10 +127,10 @@ class Film:
         self._last_ns = now
         count = min(_MOST_STEPS, (now - begin) // _STEP_NS)
         times = [now - i * _STEP_NS for i in range(count - 1, 0, -1)]
-        pose = self._machine.rig.pose
+        poses = self._machine.rig.poses
         places: list[tuple[float, ...]] = []
         for ns in (*times, now):
-            place = _rounded(pose(ns), _UM)
+            place = _rounded(poses(ns)[self._active], _UM)
             if not places or places[-1] != place:
                 places.append(place)
         return places

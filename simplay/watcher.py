@@ -5,29 +5,16 @@ from __future__ import annotations
 import queue
 import time
 from collections import deque
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
 from pathlib import Path
 from typing import Any, NamedTuple, Optional
 
+from simplay.sites import sites_of, told
 from simprinter import Machine
 from simprinter.hosts.api import ApiClient, ApiError
-from simprinter.world import Crash, Pose, Touch
+from simprinter.world import Crash, Pose, Touch, WorldSpec
+from simprinter.world.spec import SECOND
 
-SITES = {
-    "nozzle_pin": "nozzle on the pin",
-    "body_pin": "probe body on the pin",
-    "plunger_pin": "plunger on the pin's housing",
-    "probe_bed": "probe on the bed",
-    "body_bed": "probe BODY on the bed",
-    "nozzle_bed": "nozzle on the bed",
-    "nozzle_membrane": "nozzle on the membrane",
-    "inductive_bed": "probe senses the bed",
-    # Where it is driven into something only
-    "dock": "head in the dock",
-    "x_endstop": "X endstop",
-    "y_endstop": "Y endstop",
-    "z_endstop": "Z endstop",
-}
 # Printer nanoseconds between two looks at what presses something
 _LOOK_EVERY = 5_000_000
 # Printer nanoseconds after which the machine is looked at, if nobody did
@@ -175,6 +162,8 @@ class _Contacts:
         # Of switches that an axis runs into, by their signals
         switches = machine.scene.world.switches
         self._axes = {switch.signal: switch.axis for switch in switches}
+        # Of each site, which carriage has what comes to it
+        self._carriages = dict(_carriages(machine.scene.world))
         # Touches that have ended since somebody took them
         self.done: deque[TouchDone] = deque(maxlen=MOST_TOUCHES)
         self._crashes: dict[tuple[str, str], float] = {}
@@ -194,7 +183,7 @@ class _Contacts:
             self._begin(touch)
         self._touches = len(truth.touches)
         for event in truth.events[self._events :]:
-            self._tell(f"probe: {event.kind.replace('_', ' ')}")
+            self._tell(f"{event.signal}: {event.kind.replace('_', ' ')}")
         self._events = len(truth.events)
         self._follow(now)
         for crash in truth.crashes():
@@ -202,14 +191,15 @@ class _Contacts:
             # Told again when it gets much worse only
             if crash.depth > 1.5 * self._crashes.get(key, 0.0):
                 self._crashes[key] = crash.depth
-                self._tell(crash_line(crash))
+                self._tell(crash_line(crash, machine.scene.world))
 
     def _begin(self, touch: Touch) -> None:
         axis = self._axes.get(touch.site)
         if axis is not None:
             # Where Z is, is another thing for everybody
-            at = f", at {axis.upper()}{touch.trigger_z:.2f}"
-            name = SITES.get(touch.site, touch.site)
+            shown = "X" if axis == SECOND else axis.upper()
+            at = f", at {shown}{touch.trigger_z:.2f}"
+            name = told(touch.site, self._machine.scene.world)
             self._tell(name if axis == "z" else f"{name}{at}")
             return
         self._open[touch.site] = (touch, touch.z)
@@ -228,10 +218,11 @@ class _Contacts:
         machine = self._machine
         while self._open and self._looked < now:
             self._looked = min(now, self._looked + _LOOK_EVERY)
-            pose = machine.rig.pose(self._looked)
+            poses = machine.rig.poses(self._looked)
             for site, (touch, lowest) in tuple(self._open.items()):
                 if machine.rig.seconds(self._looked) < touch.t:
                     continue
+                pose = poses[self._carriages[site]]
                 self._open[site] = (touch, min(lowest, pose.z))
                 if pose.z > touch.trigger_z:
                     del self._open[site]
@@ -241,20 +232,29 @@ class _Contacts:
     def _tell_touch(self, touch: Touch, lowest: float) -> None:
         truth = self._machine.world.truth
         x, y, z = touch.x, touch.y, touch.trigger_z
-        above = truth.true_gap(x, y, z, touch.t)
+        carriage = self._carriages[touch.site]
+        above = truth.true_gap(x, y, z, touch.t, carriage)
         deep = max(0.0, z - lowest)
         self.done.append(TouchDone(touch.site, x, y, deep))
         self._tell(
-            f"{SITES[touch.site]:24} X{x:.1f} Y{y:.1f}, tip {above:+.3f} mm"
+            f"{told(touch.site, self._machine.scene.world):24} X{x:.1f} Y{y:.1f}, tip {above:+.3f} mm"
             f" above the bed, {deep:.3f} mm deep"
         )
 
 
-def crash_line(crash: Crash) -> str:
+def _carriages(world: WorldSpec) -> Iterator[tuple[str, int]]:
+    """Each site, and the carriage whose nozzle or probe meets something there."""
+    probes = [int(probe.on_second) for probe in world.probes()]
+    for site, met in sites_of(world).items():
+        is_hung = met.presser in ("body", "plunger")
+        yield site, probes[met.whose] if is_hung else met.whose
+
+
+def crash_line(crash: Crash, world: WorldSpec) -> str:
     """Of what would have hurt a real machine, as touches are told."""
     x, y, _ = crash.pose
     what = "deep" if crash.kind == "depth" else "dragged"
-    place = f"CRASH: {SITES.get(crash.site, crash.site)}"
+    place = f"CRASH: {told(crash.site, world)}"
     line = (
         f"{place:24} X{x:.1f} Y{y:.1f}, {crash.depth:.3f} mm {what},"
         f" {crash.allowed:.3f} mm allowed"

@@ -1,5 +1,7 @@
 // What hands do to the machine: buttons for the commands of the terminal.
 
+import { named } from "./svg.js";
+
 const NAMES = {
   z_endstop: "Z endstop", y_endstop: "Y endstop", x_endstop: "X endstop", probe: "probe",
   bed_sensor: "bed sensor", membrane: "membrane",
@@ -18,8 +20,14 @@ export class Hands {
     this.lamps.clear();
     const rows = [...wires].reverse().map((wire) => this.wire(wire, parts));
     const has = (name) => commands.includes(name);
-    if (has("attach")) rows.push(this.row("Probe", [["Put on", "attach"], ["Take off", "off"], ["Let it drop", "drop"]]));
-    if (has("lay")) rows.push(this.row("Membrane", [["Lay on the bed", "lay"], ["Take away", "take"]]));
+    // Of several, all but the first are named
+    const these = (things, name) => things.map(({ signal }, number) => [named(name, signal, number), number ? ` ${signal}` : ""]);
+    for (const [name, which] of has("attach") ? these(parts.probes, "Probe") : []) {
+      rows.push(this.row(name, [["Put on", `attach${which}`], ["Take off", `off${which}`], ["Let it drop", `drop${which}`]]));
+    }
+    for (const [name, which] of has("lay") ? these(parts.membranes, "Membrane") : []) {
+      rows.push(this.row(name, [["Lay on the bed", `lay${which}`], ["Take away", `take${which}`]]));
+    }
     rows.push(
       this.amount("Plastic below the nozzle, mm", "dirt", 0.05, 0, 0.3, "Add", [["Wipe off", "dirt 0"]]),
       this.amount("Longer nozzle, by mm", "nozzle", 0.15, -0.5, 0.5, "Put in", [["First nozzle", "nozzle 0"]]),
@@ -31,8 +39,8 @@ export class Hands {
   }
 
   wire(wire, parts) {
-    const isPin = parts.pin && parts.pin.signal === wire;
-    const name = isPin ? "pin" : NAMES[wire] || wire;
+    const pin = parts.pins.findIndex(({ signal }) => signal === wire);
+    const name = pin < 0 ? NAMES[wire] || wire : named("pin", wire, pin);
     const row = this.row(name, [["Press", `press ${wire}`], ["Break", `break ${wire}`], ["Short", `short ${wire}`], ["Late", `late ${wire} 0.1`]]);
     row.lastChild.title = "triggers 0.1 mm too deep";
     row.firstChild.className = "lamp";

@@ -1,6 +1,6 @@
 // A close-up of the two things that are nearest to each other.
 
-import { SITES, clamp, clear, draw } from "./svg.js";
+import { clamp, clear, draw } from "./svg.js";
 
 const SIZE = 240;
 // Height of the lower one's surface in the picture; the gap is drawn this high
@@ -22,8 +22,8 @@ export class Lens {
     this.parts = parts;
   }
 
-  // `tip`: where the nozzle's is; `axis`: the one that is shown.
-  show(frame, tip, axis) {
+  // `axis`: the one that is shown.
+  show(frame, axis) {
     clear(this.svg);
     const near = frame.near.filter(([, distance]) => distance < FAR);
     // What is below something else's surface by more is no contact of today
@@ -40,22 +40,28 @@ export class Lens {
     const isNearer = site === this.site && wanted > this.scale;
     this.scale = isNearer ? this.scale * Math.pow(wanted / this.scale, 0.4) : wanted;
     this.site = site;
-    this.beside = this.besides(site, tip, axis);
-    this.lower(site, touched);
-    this.upper(site, distance, touched, frame);
+    const met = this.parts.sites[site];
+    const { upper, lower } = met;
+    this.beside = this.besides(met, frame, axis);
+    this.lower(met, touched);
+    this.upper(met, distance, touched, frame);
     this.measure(distance);
-    const [upper, lower] = SITES[site] || [site, "it"];
     const how = distance < 0 ? "pressed" : "apart";
     this.words.textContent = `${upper} and ${lower}: ${Math.abs(distance).toFixed(3)} mm ${how}`;
   }
 
   // How far the lower one's middle is from that of the upper one, mm.
-  besides(site, tip, axis) {
-    const { pin, membrane, mag_probe: probe } = this.parts;
-    const lower = site.endsWith("_pin") ? pin : site.endsWith("_membrane") ? membrane : null;
+  besides(met, frame, axis) {
+    const lower = this.met(met);
     if (!lower) return 0;
-    const offset = site.startsWith("nozzle_") ? 0 : probe[`${axis}_offset`];
-    return lower[axis] - tip[axis] - offset;
+    const probe = met.presser === "nozzle" ? null : this.parts.probes[met.whose];
+    const tip = frame.tips[probe ? Number(probe.on_second) : met.whose];
+    return lower[axis] - tip[axis === "x" ? 0 : 1] - (probe ? probe[`${axis}_offset`] : 0);
+  }
+
+  // The pin or the membrane of a site, null: the bed.
+  met({ on, which }) {
+    return { pin: this.parts.pins, membrane: this.parts.membranes }[on]?.[which] || null;
   }
 
   x(mm) { return SIZE / 2 + mm * this.scale; }
@@ -65,30 +71,30 @@ export class Lens {
     draw(this.svg, "rect", { x, y: top, width: Math.max(0, width - x), height: Math.max(0, bottom - top), rx: 2, class: kind });
   }
 
-  lower(site, touched) {
-    const { pin, membrane } = this.parts;
+  lower(met, touched) {
+    const part = this.met(met);
     const kind = touched ? " touching" : "";
-    if (site.endsWith("_pin")) this.rect(`pin${kind}`, this.beside - pin.radius, this.beside + pin.radius, GROUND, SIZE + 5);
-    else if (site === "nozzle_membrane") {
-      const half = membrane.radius || membrane.half_x;
-      const bottom = Math.min(SIZE + 5, GROUND + membrane.thickness * this.scale);
+    if (met.on === "pin") this.rect(`pin${kind}`, this.beside - part.radius, this.beside + part.radius, GROUND, SIZE + 5);
+    else if (met.on === "membrane") {
+      const half = part.radius || part.half_x;
+      const bottom = Math.min(SIZE + 5, GROUND + part.thickness * this.scale);
       this.rect("bed", -400, 400, bottom, SIZE + 5);
       this.rect(`membrane${kind}`, this.beside - half, this.beside + half, GROUND, bottom);
     } else this.rect(`bed${kind}`, -400, 400, GROUND, SIZE + 5);
   }
 
-  upper(site, distance, touched, frame) {
+  upper({ presser, whose }, distance, touched, frame) {
     const bottom = clamp(-10, GROUND - distance * this.scale, SIZE);
     const kind = touched ? " touching" : "";
-    if (site.startsWith("nozzle_")) this.nozzle(bottom, kind, frame.dirt);
-    else if (site.startsWith("body_")) {
-      const { half_width: half, switch_offset, pretravel } = this.parts.mag_probe;
+    if (presser === "nozzle") this.nozzle(bottom, kind, whose ? 0 : frame.dirt);
+    else if (presser === "body") {
+      const { half_width: half, switch_offset, pretravel } = this.parts.probes[whose];
       this.rect("plunger", -0.9, 0.9, -10, bottom + (switch_offset + pretravel) * this.scale);
       this.rect(`probe${kind}`, -half, half, -10, bottom);
-    } else if (site === "inductive_bed") {
+    } else if (presser === "coil") {
       this.rect(`probe${kind}`, -4, 4, -10, bottom);
     } else {
-      const probe = this.parts.mag_probe;
+      const probe = this.parts.probes[whose];
       const body = bottom - (probe.switch_offset + probe.pretravel) * this.scale;
       this.rect(`plunger${kind}`, -0.9, 0.9, -10, bottom);
       if (body > -10) this.rect("probe", -probe.half_width, probe.half_width, -10, body);

@@ -110,7 +110,7 @@ function drawFrame() {
   const seen = { ...shown, near: shown.near.map(([site, distance, pressed]) => [site, distance, pressed || flashes.has(site)]) };
   above.show(shown, { x, y, z });
   side.show(seen, { x, y, z });
-  lens.show(seen, { x, y, z }, side.axes[0]);
+  lens.show(seen, side.axes[0]);
   hands.show(shown);
   showSignals(shown);
   showGap(shown.gap, shown.spot);
@@ -119,8 +119,7 @@ function drawFrame() {
 }
 
 function showSignals({ on, touches }) {
-  const signal = (site) => (site.endsWith("_pin") ? machine.parts.pin.signal
-    : site === "nozzle_bed" ? "bed_sensor" : site === "nozzle_membrane" ? "membrane" : "probe");
+  const signal = (site) => machine.parts.sites[site]?.signal;
   const touched = new Set([...touches.map(([site]) => site), ...flashes.keys()].map(signal));
   for (const chip of $("signals").children) {
     chip.classList.toggle("on", on.includes(chip.dataset.signal));

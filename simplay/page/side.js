@@ -1,7 +1,7 @@
 // The machine from the side: with the axis on which probe and nozzle lie apart, or the
 // one on which the toolhead is to be moved.
 
-import { clamp, clear, draw } from "./svg.js";
+import { clamp, clear, draw, named } from "./svg.js";
 
 const WIDTH = 640, HEIGHT = 470;
 // mm to either side of the toolhead; mm below the bed and above the nozzle that are shown
@@ -20,7 +20,7 @@ export class Side {
 
   // The machine's parts; `u` is the axis that is shown, `v` the other one.
   build(parts) {
-    const probe = parts.mag_probe || parts.inductive;
+    const probe = parts.probes[0] || parts.inductive;
     const isY = probe ? Math.abs(probe.y_offset) > Math.abs(probe.x_offset) : false;
     this.parts = parts;
     this.usual = isY ? "y" : "x";
@@ -45,22 +45,25 @@ export class Side {
     return [probe[`${this.axes[0]}_offset`], probe[`${this.axes[1]}_offset`]];
   }
 
+  // `tip`: of the carriage that has moved last.
   show(frame, tip) {
     if (!this.parts) return;
     const [u, v, z] = [...this.at(tip), tip.z];
+    const heads = frame.tips.map(([x, y, z]) => ({ u: this.at({ x, y })[0], z }));
     this.middle = this.middle === null ? u : this.middle + (u - this.middle) * 0.25;
     const scale = Math.min(WIDTH / (2 * AROUND), HEIGHT / (z + BELOW + ABOVE));
     this.scale += (scale - this.scale) * 0.2;
     const pressed = new Set(frame.near.filter((near) => near[2]).map((near) => near[0]));
     for (const [site] of frame.touches) pressed.add(site);
-    this.scene = { u, v, z, frame, pressed };
+    this.scene = { u, v, z, frame, pressed, heads };
     clear(this.svg);
     this.drawBed();
-    this.drawPin();
-    this.drawMembrane();
-    this.drawDock();
-    this.drawHead();
-    this.drawProbe();
+    this.parts.pins.forEach((pin, number) => this.drawPin(pin, number));
+    this.parts.membranes.forEach((membrane, number) => this.drawMembrane(membrane, number));
+    this.parts.probes.forEach((probe, number) => this.drawDock(probe, number));
+    heads.forEach((head, number) => this.drawHead(head, number));
+    if (this.parts.inductive) this.drawInductive(this.parts.inductive);
+    this.parts.probes.forEach((probe, number) => this.drawProbe(probe, number));
     const words = `${this.axes[0].toUpperCase()} ${u.toFixed(1)}  ${this.axes[1].toUpperCase()} ${v.toFixed(1)}`;
     draw(this.svg, "text", { x: 10, y: 20, class: "strong" }, `nozzle truly at ${words}  Z ${z.toFixed(2)}`);
     draw(this.svg, "text", { x: WIDTH - 10, y: 20, "text-anchor": "end" }, `seen along ${this.axes[1].toUpperCase()}`);
@@ -81,11 +84,18 @@ export class Side {
     return Math.abs(v - this.scene.v) > reach ? " far" : "";
   }
 
+  // Whether something is pressed: of what comes from above, or of what is met.
+  isPressed(wanted) {
+    return [...this.scene.pressed].some((name) => {
+      const site = this.parts.sites[name];
+      return site && Object.entries(wanted).every(([key, value]) => site[key] === value);
+    });
+  }
+
   drawBed() {
     const { bed, bed_sensor } = this.parts;
     const [low, high] = [bed[`${this.axes[0]}_min`], bed[`${this.axes[0]}_max`]];
-    const { pressed } = this.scene;
-    const touching = [...pressed].some((site) => site.endsWith("_bed")) ? " touching" : "";
+    const touching = this.isPressed({ on: "bed" }) ? " touching" : "";
     this.box("bed", low, high, bed.z0 - 3, bed.z0);
     if (touching) this.box("touching", low, high, bed.z0 - 0.5, bed.z0);
     for (let u = Math.ceil(low / 10) * 10; u <= high; u += 10) {
@@ -100,96 +110,94 @@ export class Side {
     }
   }
 
-  drawPin() {
-    const { pin } = this.parts;
-    if (!pin) return;
+  drawPin(pin, number) {
     const [u, v] = this.at(pin);
-    const { pressed, z } = this.scene;
-    const isPressed = ["nozzle_pin", "body_pin", "plunger_pin"].some((site) => pressed.has(site));
+    const isPressed = this.isPressed({ on: "pin", which: number });
     const sunk = isPressed ? 0.4 : 0;
     const far = this.depth(v, 35);
     this.box(`metal${far}`, u - 7, u + 7, pin.z - 9, pin.z - 3);
     this.box(`pin${far}${isPressed ? " touching" : ""}`, u - pin.radius, u + pin.radius, pin.z - 3, pin.z - sunk);
   }
 
-  drawMembrane() {
-    const { membrane, bed } = this.parts;
-    if (!membrane || !this.scene.frame.laid) return;
+  drawMembrane(membrane, number) {
+    const { bed } = this.parts;
+    if (!this.scene.frame.laid[number]) return;
     const [u, v] = this.at(membrane);
     const half = membrane.radius || membrane[`half_${this.axes[0]}`];
-    const touching = this.scene.pressed.has("nozzle_membrane") ? " touching" : "";
+    const touching = this.isPressed({ on: "membrane", which: number }) ? " touching" : "";
     this.box(`membrane${touching}${this.depth(v, half + 6)}`, u - half, u + half, bed.z0, bed.z0 + Math.max(membrane.thickness, 0.9));
   }
 
-  drawDock() {
-    const { dock, mag_probe: probe } = this.parts;
+  drawDock(probe, number) {
+    const { dock } = probe;
     if (!dock) return;
     const [u, v] = this.at(dock);
-    const [du, dv] = this.offset(probe);
+    const [du] = this.offset(probe);
     const z = dock.lifted ? this.scene.z : dock.z;
     const far = this.depth(v, 25);
     const bottom = z - probe.body_drop;
     this.box(`dock${far}`, u + du - 9, u + du + 9, bottom - 1, bottom + 1.5);
     this.box(`dock${far}`, u + du + 7, u + du + 9, bottom, bottom + 14);
-    draw(this.svg, "text", { x: this.x(u + du), y: this.y(bottom - 1) + 12, "text-anchor": "middle" }, "dock");
-    if (this.scene.frame.probe === "docked") this.probeAt(u + du, bottom + 1.5, far);
-    return dv;
+    draw(this.svg, "text", { x: this.x(u + du), y: this.y(bottom - 1) + 12, "text-anchor": "middle" }, named("dock", probe.signal, number));
+    if (this.scene.frame.probes[number] === "docked") this.probeAt(probe, number, u + du, bottom + 1.5, far);
   }
 
-  drawHead() {
-    const { u, z, pressed, frame } = this.scene;
-    const touching = ["nozzle_bed", "nozzle_pin", "nozzle_membrane"].some((site) => pressed.has(site));
+  drawHead({ u, z }, number) {
+    const { frame } = this.scene;
+    const touching = this.isPressed({ presser: "nozzle", whose: number });
     this.box("metal", u - 11, u + 11, z + 6.5, z + 14);
     this.box("head", u - 14, u + 14, z + 16, z + 40, { rx: 6 });
     for (const dz of [22, 28, 34]) this.box("metal", u - 9, u + 9, z + dz, z + dz + 2);
     const points = NOZZLE.map(([du, dz]) => `${this.x(u + du).toFixed(2)},${this.y(z + dz).toFixed(2)}`);
     draw(this.svg, "polygon", { points: points.join(" "), class: `nozzle${touching ? " touching" : ""}` });
-    if (frame.dirt) this.box("dirt", u - 0.7, u + 0.7, z - Math.max(frame.dirt, 0.25), z + 0.6);
+    // The second nozzle stays clean
+    if (frame.dirt && !number) this.box("dirt", u - 0.7, u + 0.7, z - Math.max(frame.dirt, 0.25), z + 0.6);
   }
 
-  drawProbe() {
-    const { inductive, mag_probe: probe, bed } = this.parts;
-    const { u, z, pressed, frame } = this.scene;
-    if (inductive) {
-      const [du] = this.offset(inductive);
-      const on = pressed.has("inductive_bed") || frame.on.includes("probe") ? " touching" : "";
-      const bottom = z + Math.max(0.5, 2.5 - inductive.sense_distance);
-      this.box("metal", u + du - 5, u + du + 5, bottom + 2, bottom + 26);
-      this.box(`probe${on}`, u + du - 5, u + du + 5, bottom, bottom + 2);
-    }
-    if (!probe) return;
+  drawInductive(inductive) {
+    const { pressed, frame, heads: [{ u, z }] } = this.scene;
+    const [du] = this.offset(inductive);
+    const on = pressed.has("inductive_bed") || frame.on.includes(inductive.signal) ? " touching" : "";
+    const bottom = z + Math.max(0.5, 2.5 - inductive.sense_distance);
+    this.box("metal", u + du - 5, u + du + 5, bottom + 2, bottom + 26);
+    this.box(`probe${on}`, u + du - 5, u + du + 5, bottom, bottom + 2);
+  }
+
+  drawProbe(probe, number) {
+    const { frame, heads } = this.scene;
+    const { u, z } = heads[probe.on_second ? 1 : 0];
     const [du] = this.offset(probe);
-    if (frame.probe === "attached") {
+    const state = frame.probes[number];
+    if (state === "attached") {
       this.box("head", u + Math.min(0, du), u + Math.max(0, du) + 2, z + 16, z + 22);
       this.box("head", u + du - 5, u + du + 5, z + 4, z + 20);
-      this.probeAt(u + du, z - probe.body_drop, "");
+      this.probeAt(probe, number, u + du, z - probe.body_drop, "");
     } else {
       this.box("head far", u + du - 5, u + du + 5, z + 10, z + 20);
-      const words = { lost: "the probe lies somewhere", docked: "probe put away" }[frame.probe];
-      const away = !this.parts.dock || frame.probe === "lost";
-      if (away) this.lying(words, frame.probe === "lost", bed);
+      const name = named("probe", probe.signal, number);
+      const words = { lost: `the ${name} lies somewhere`, docked: `${name} put away` }[state];
+      if (!probe.dock || state === "lost") this.lying(words, state === "lost", number);
     }
   }
 
   // One that the toolhead does not carry, in a corner of the picture.
-  lying(words, isLost, bed) {
-    const [x, y] = [WIDTH - 70, 60];
+  lying(words, isLost, number) {
+    const [x, y] = [WIDTH - 70, 60 + 70 * number];
     const group = draw(this.svg, "g", { transform: `translate(${x} ${y}) rotate(${isLost ? 74 : 0})` });
     draw(group, "rect", { x: -14, y: -14, width: 28, height: 26, rx: 3, class: "probe" });
     draw(group, "rect", { x: -3, y: 12, width: 6, height: 5, class: "plunger" });
     draw(this.svg, "text", { x, y: y + 34, "text-anchor": "middle" }, words);
-    return bed;
   }
 
   // Body and plunger; `z` is the body's bottom.
-  probeAt(u, z, far) {
-    const { mag_probe: probe } = this.parts;
-    const { pressed, frame } = this.scene;
-    const body = ["body_pin", "body_bed"].some((site) => pressed.has(site));
-    const plunger = ["probe_bed", "plunger_pin"].some((site) => pressed.has(site));
+  probeAt(probe, number, u, z, far) {
+    const { frame } = this.scene;
+    const body = this.isPressed({ presser: "body", whose: number });
+    const plunger = this.isPressed({ presser: "plunger", whose: number });
     const near = new Map(frame.near.map(([site, distance]) => [site, distance]));
     const travel = probe.switch_offset + probe.pretravel;
-    const pushed = far || frame.probe !== "attached" ? 0 : clamp(0, -(near.get("probe_bed") ?? 1), travel);
+    const isOn = !far && frame.probes[number] === "attached";
+    const pushed = isOn ? clamp(0, -(near.get(`${probe.signal}_bed`) ?? 1), travel) : 0;
     this.box(`plunger${plunger ? " touching" : ""}${far}`, u - 0.9, u + 0.9, z - travel + pushed, z + 1);
     this.box(`probe${body ? " touching" : ""}${far}`, u - probe.half_width, u + probe.half_width, z, z + 11);
   }

@@ -23,14 +23,5 @@ export function clear(element) {
 
 export const clamp = (low, value, high) => Math.max(low, Math.min(high, value));
 
-// What meets what, in words; the site's name is that of simprinter/world/truth.py.
-export const SITES = {
-  nozzle_pin: ["nozzle", "pin"],
-  body_pin: ["probe's body", "pin"],
-  plunger_pin: ["plunger", "pin's housing"],
-  probe_bed: ["plunger", "bed"],
-  body_bed: ["probe's body", "bed"],
-  nozzle_bed: ["nozzle", "bed"],
-  nozzle_membrane: ["nozzle", "membrane"],
-  inductive_bed: ["sensing range", "bed"],
-};
+// Of what is shown beside a thing, where there are several: its signal.
+export const named = (what, signal, number) => (number ? `${what} ${signal}` : what);

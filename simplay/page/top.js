@@ -1,6 +1,6 @@
 // The machine from above: the way of the toolhead, and the last touches as dots.
 
-import { SITES, clear, draw, set } from "./svg.js";
+import { clear, draw, named, set } from "./svg.js";
 
 const SIZE = 340, EDGE = 22;
 // Places of the way, and touches, that are shown
@@ -16,15 +16,17 @@ export class Top {
   forget() {
     this.way = [];
     this.dots = [];
+    this.active = 0;
   }
 
   build(parts) {
     this.forget();
     this.parts = parts;
     clear(this.svg);
-    const { bed, pin, dock, membrane } = parts;
+    const { bed, pins, probes, membranes } = parts;
+    const docks = probes.filter((probe) => probe.dock);
     const xs = [bed.x_min, bed.x_max], ys = [bed.y_min, bed.y_max];
-    for (const thing of [pin, dock]) if (thing) { xs.push(thing.x - 8, thing.x + 8); ys.push(thing.y - 8, thing.y + 8); }
+    for (const thing of [...pins, ...docks.map(({ dock }) => dock)]) { xs.push(thing.x - 8, thing.x + 8); ys.push(thing.y - 8, thing.y + 8); }
     const [left, right, low, high] = [Math.min(...xs), Math.max(...xs), Math.min(...ys), Math.max(...ys)];
     this.scale = (SIZE - 2 * EDGE) / Math.max(right - left, high - low);
     this.origin = [left, high];
@@ -35,20 +37,23 @@ export class Top {
     });
     for (let x = bed.x_min; x <= bed.x_max; x += 50) draw(this.svg, "text", { x: this.x(x), y: SIZE - 6, "text-anchor": "middle" }, `${Math.round(x)}`);
     for (let y = bed.y_min; y <= bed.y_max; y += 50) draw(this.svg, "text", { x: 3, y: this.y(y) + 4 }, `${Math.round(y)}`);
-    if (pin) {
+    pins.forEach((pin, number) => {
       draw(this.svg, "circle", { cx: this.x(pin.x), cy: this.y(pin.y), r: 5, class: "pin" });
-      draw(this.svg, "text", { x: this.x(pin.x) + 8, y: this.y(pin.y) + 4 }, "pin");
-    }
-    if (dock) {
-      draw(this.svg, "rect", { x: this.x(dock.x) - 8, y: this.y(dock.y) - 5, width: 16, height: 10, class: "dock" });
-      draw(this.svg, "text", { x: this.x(dock.x) + 11, y: this.y(dock.y) + 4 }, "dock");
-    }
-    this.membrane = membrane && draw(this.svg, "circle", {
-      cx: this.x(membrane.x), cy: this.y(membrane.y), r: (membrane.radius || membrane.half_x) * this.scale, class: "membrane",
+      draw(this.svg, "text", { x: this.x(pin.x) + 8, y: this.y(pin.y) + 4 }, named("pin", pin.signal, number));
     });
+    docks.forEach(({ dock, signal }) => {
+      draw(this.svg, "rect", { x: this.x(dock.x) - 8, y: this.y(dock.y) - 5, width: 16, height: 10, class: "dock" });
+      draw(this.svg, "text", { x: this.x(dock.x) + 11, y: this.y(dock.y) + 4 }, named("dock", signal, probes.length - 1));
+    });
+    this.membranes = membranes.map((membrane) => draw(this.svg, "circle", {
+      cx: this.x(membrane.x), cy: this.y(membrane.y), r: (membrane.radius || membrane.half_x) * this.scale, class: "membrane",
+    }));
     this.line = draw(this.svg, "polyline", { class: "way" });
     this.marks = draw(this.svg, "g");
-    this.probe = draw(this.svg, "rect", { width: 8, height: 8, class: "probe" });
+    // Each with its probe beside the nozzle
+    this.probes = [...probes, ...(parts.inductive ? [parts.inductive] : [])].map(() => (
+      draw(this.svg, "rect", { width: 8, height: 8, class: "probe" })));
+    this.others = draw(this.svg, "g");
     this.head = draw(this.svg, "path", { class: "cross", d: "M-9 0H9M0 -9V9M-5 0A5 5 0 1 0 5 0A5 5 0 1 0 -5 0" });
   }
 
@@ -57,14 +62,22 @@ export class Top {
 
   show(frame, tip) {
     if (!this.parts) return;
+    // The other carriage goes its own way
+    if (frame.active !== this.active) [this.way, this.active] = [[], frame.active];
     for (const [x, y] of frame.way) this.step(x, y);
     set(this.line, { points: this.way.map(([x, y]) => `${this.x(x).toFixed(1)},${this.y(y).toFixed(1)}`).join(" ") });
     set(this.head, { transform: `translate(${this.x(tip.x).toFixed(1)} ${this.y(tip.y).toFixed(1)})` });
-    const probe = this.parts.mag_probe || this.parts.inductive;
-    const shown = probe && (this.parts.inductive || frame.probe === "attached");
-    set(this.probe, { visibility: shown ? "visible" : "hidden" });
-    if (shown) set(this.probe, { x: this.x(tip.x + probe.x_offset) - 4, y: this.y(tip.y + probe.y_offset) - 4 });
-    if (this.membrane) set(this.membrane, { visibility: frame.laid ? "visible" : "hidden" });
+    clear(this.others);
+    frame.tips.forEach(([x, y], number) => {
+      if (number !== frame.active) draw(this.others, "path", { class: "cross", opacity: 0.4, d: `M${this.x(x) - 6} ${this.y(y)}h12m-6 -6v12` });
+    });
+    this.probes.forEach((mark, number) => {
+      const probe = this.parts.probes[number] || this.parts.inductive;
+      const isShown = number === this.parts.probes.length || frame.probes[number] === "attached";
+      const [x, y] = frame.tips[Number(probe.on_second || false)];
+      set(mark, { visibility: isShown ? "visible" : "hidden", x: this.x(x + probe.x_offset) - 4, y: this.y(y + probe.y_offset) - 4 });
+    });
+    this.membranes.forEach((mark, number) => set(mark, { visibility: frame.laid[number] ? "visible" : "hidden" }));
     for (const touch of frame.touches) this.dot(touch);
   }
 
@@ -76,11 +89,10 @@ export class Top {
   }
 
   dot([site, x, y, deep]) {
-    const probe = this.parts.mag_probe || this.parts.inductive;
-    const isProbe = !site.startsWith("nozzle_");
-    const place = isProbe ? [x + probe.x_offset, y + probe.y_offset] : [x, y];
-    const kind = site.split("_")[0].replace("plunger", "probe").replace("inductive", "probe");
-    const [upper, lower] = SITES[site] || [site, "it"];
+    const { presser, whose, upper, lower } = this.parts.sites[site];
+    const probe = { nozzle: null, coil: this.parts.inductive, body: this.parts.probes[whose], plunger: this.parts.probes[whose] }[presser];
+    const place = probe ? [x + probe.x_offset, y + probe.y_offset] : [x, y];
+    const kind = { nozzle: "nozzle", body: "body" }[presser] || "probe";
     const words = `${upper} on ${lower} at X${x.toFixed(1)} Y${y.toFixed(1)}, ${deep.toFixed(3)} mm deep`;
     // Touches of one place do not hide each other
     const spread = (this.dots.length % 5) * 1.6 - 3.2;

@@ -5,6 +5,8 @@ from __future__ import annotations
 import json
 import re
 import signal
+import subprocess
+import sys
 from contextlib import closing, contextmanager
 
 import psutil
@@ -258,6 +260,20 @@ def test_missing_moonraker_is_told(refused, monkeypatch):
     )
     told = "error: simplay needs Moonraker: no way to it\n"
     assert refused() == told
+
+
+@pytest.mark.parametrize("name", ["tornado", "jsonschema"])
+def test_missing_package_is_told(name):
+    """As where a checkout is run that was never installed."""
+    code = "import runpy, sys; sys.modules[sys.argv.pop()] = None;"
+    code += "runpy.run_module('simplay', run_name='__main__')"
+    words = [sys.executable, "-c", code, name]
+    done = subprocess.run(words, capture_output=True, text=True, check=False)
+    assert done.returncode == 1
+    assert done.stderr == (
+        f"error: simplay needs {name}, which is not installed; run"
+        " `pip install ./simplay` in the checkout\n"
+    )
 
 
 @pytest.mark.parametrize(

@@ -2,41 +2,66 @@
 
 from __future__ import annotations
 
-import re
-import sys
 from types import SimpleNamespace
 
 import pytest
 
 from simplay import watcher
-from simplay.watcher import SITES, WORTH_TELLING, Spot, crash_line
-from simprinter.world import Crash, Pose
+from simplay.sites import sites_of, told
+from simplay.tests.everything import EVERYTHING
+from simplay.watcher import WORTH_TELLING, Spot, crash_line
+from simprinter.world import Crash, Pose, World
 
 
 def test_crashes_read_like_touches():
     where = Pose(150.0, 149.96, -0.5)
     deep = Crash("nozzle_bed", "depth", 0.5, 0.1, 12.5, where)
-    assert crash_line(deep) == (
+    assert crash_line(deep, EVERYTHING) == (
         "CRASH: nozzle on the bed X150.0 Y150.0, 0.500 mm deep,"
         " 0.100 mm allowed"
     )
     dragged = Crash("dock", "drag", 3.0, 0.25, 12.5, where)
-    assert crash_line(dragged) == (
+    assert crash_line(dragged, EVERYTHING) == (
         "CRASH: head in the dock  X150.0 Y150.0, 3.000 mm dragged,"
         " 0.250 mm allowed"
     )
     stopped = deep._replace(past_stop=0.3)
-    assert crash_line(stopped) == (
-        f"{crash_line(deep)}, 0.300 mm past its hard stop"
+    assert crash_line(stopped, EVERYTHING) == (
+        f"{crash_line(deep, EVERYTHING)}, 0.300 mm past its hard stop"
     )
 
 
-def test_every_site_has_words():
-    document = sys.modules[Crash.__module__].__doc__
-    sites = re.findall(r"\b[a-z]+_(?:pin|bed|membrane)\b", document)
-    assert len(sites) == 7
-    for site in (*sites, "dock", "x_endstop", "y_endstop", "z_endstop"):
-        assert SITES[site] != site
+def test_every_site_of_a_world_is_known():
+    made = World(EVERYTHING, 0)
+    made.observe(0.0, Pose(0, 0, 50), Pose(200, 0, 50))
+    names = set()
+    # Nothing is known but what a nozzle or a probe is above
+    for x, y in ((5, 6), (5, 26), (30, 20), (60, 20), (100, 100)):
+        here = made.near(0.1, Pose(x, y, 20), Pose(x, y, 20))
+        there = made.near(0.1, Pose(x, y - 20, 20), Pose(x, y - 20, 20))
+        names.update(near.site for near in (*here, *there))
+    assert names == set(sites_of(EVERYTHING))
+
+
+@pytest.mark.parametrize(
+    ("site", "words"),
+    [
+        ("nozzle_pin", "nozzle on the pin"),
+        ("second_nozzle_other", "second nozzle on the pin other"),
+        ("nozzle_thick", "nozzle on the membrane thick"),
+        ("plunger_pin", "plunger on the pin's housing"),
+        ("probe_bed", "probe on the bed"),
+        ("body_bed", "probe BODY on the bed"),
+        ("long_body_pin", "probe body of long on the pin"),
+        ("inductive_bed", "probe senses the bed"),
+        ("dock", "head in the dock"),
+        ("carriages", "carriage in the other"),
+        ("x_endstop", "X endstop"),
+        ("my_switch", "my_switch"),
+    ],
+)
+def test_sites_are_told_in_words(site, words):
+    assert told(site, EVERYTHING) == words
 
 
 class Klippy:

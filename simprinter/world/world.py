@@ -223,6 +223,11 @@ class World:
         self._drift.exchange_plate(higher)
 
     @property
+    def laid(self) -> dict[str, bool]:
+        """Whether each membrane switch lies on the plate, the first one first."""
+        return dict(self._builder.laid)
+
+    @property
     def membrane_is_laid(self) -> bool:
         """Whether the membrane switch, the first one, lies on the plate."""
         return next(iter(self._builder.laid.values()), False)
