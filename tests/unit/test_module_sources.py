@@ -46,9 +46,6 @@ CHANGE = re.compile(r"# .*\b20\d\d-\d\d(-\d\d)? \([0-9a-f]{9}\)")
 # switches the host's check for pins used twice off; the third marked copies.
 FORBIDDEN = ("register_components", "allow_multi_use_pin", "# --- shared")
 
-# Letters of what is a sentence, no name
-A_SENTENCE = 30
-
 
 def files_with(find, paths=SOURCES):
     """What is found in each file, by its name, without those that have nothing."""
@@ -172,20 +169,6 @@ def test_only_some_files_know_how_hosts_differ():
 
     others = [path for path in ROOMS if in_z_touch(path) not in OF_HOSTS]
     assert files_with(known, outside(others)) == {}
-
-
-def test_each_sentence_stands_in_one_place():
-    """Not in the doors: each says by itself that z_touch is not there."""
-    places: dict[str, list[str]] = {}
-    for path in ROOMS:
-        docstrings = {id(node.value) for node in nodes(path, ast.Expr)}
-        for node in nodes(path, ast.Constant):
-            is_text = isinstance(node.value, str) and id(node) not in docstrings
-            if is_text and len(node.value) >= A_SENTENCE:
-                where = f"{in_z_touch(path)}:{node.lineno}"
-                places.setdefault(node.value, []).append(where)
-    assert len(places) > 500
-    assert {s: where for s, where in places.items() if where[1:]} == {}
 
 
 def test_version_is_that_of_the_changelog():
