@@ -245,6 +245,26 @@ def test_a_probe_of_unknown_length_stops_above_the_highest_bed(
     assert floor == max(own.position_min, margins[1] + 1.0 + risen)
 
 
+@given(machines, shifts)
+def test_after_a_good_run_all_is_looked_for_within_2_mm(machine, shift):
+    """So much plates differ in thickness; Z may have been homed elsewhere since."""
+    pin, switch, bed = (
+        machine.pin,
+        machine.switch_trigger,
+        machine.bed_trigger,
+    )
+    kept = zc.kept_of(pin, switch, bed, machine.travel)
+    own, now = settings(offset_margins=(-20.0, 20.0)), pin + shift
+    at = machine.bed + shift
+    assert zc.possible_offsets(own, now, kept) == (at - 2.0, at + 2.0)
+    body = zc.switch_floor(own, now, None, kept)
+    assert body == now + max(1.0, machine.body - 2.0)
+    # The margins stay the last word
+    own = settings(offset_margins=(-1.0, 1.0))
+    low, high = zc.possible_offsets(own, pin, kept)
+    assert -1.0 <= low <= high <= 1.0
+
+
 @given(heights, heights, heights, st.none() | heights, st.none() | heights)
 def test_no_floor_is_below_position_min(
     position_min, nozzle, switch, expected, endstop
