@@ -228,3 +228,18 @@ def test_largest_correction(sign):
     az.check_correction(sign * 10.0)
     with pytest.raises(CalibrationError, match="10 mm is the limit"):
         az.check_correction(sign * 10.001)
+
+
+@pytest.mark.parametrize(
+    ("probe_z", "height"), [(0.0, 5.0), (2.25, 7.25), (-1.27, 5.0)]
+)
+def test_travel_height(probe_z, height):
+    assert az.travel_height(probe_z, 5.0) == height
+
+
+def test_nozzle_inside_the_bed_is_told():
+    for z_offset in (0.0, 0.2):
+        assert az.inside_bed(z_offset) == ""
+        assert az.inside_bed_after_homing(-z_offset) == ""
+    assert "0.070 mm inside the bed" in az.inside_bed(-0.07)
+    assert "0.200 mm inside the bed" in az.inside_bed_after_homing(0.2)
