@@ -36,12 +36,8 @@ def firmware_of(host: Host) -> str:
 @lru_cache(maxsize=None)
 def dialect_of(host: Host) -> Dialect:
     """How that firmware speaks: as this version of the host expects."""
-    klippy = host.directory / "base" / "klippy"
-    sources = [
-        (klippy / name).read_text(encoding="utf-8")
-        for name in ("mcu.py", "stepper.py")
-    ]
-    return Dialect.of(firmware_of(host), "\n".join(sources))
+    source = host.directory / "base" / "klippy" / "mcu.py"
+    return Dialect.of(firmware_of(host), source.read_text(encoding="utf-8"))
 
 
 def choose_host(name: Optional[str]) -> Host:

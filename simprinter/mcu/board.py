@@ -145,12 +145,12 @@ class Board(Peripheral):
         commands, responses = [], []
         for part in self._parts:
             part.board = self
-            responses += map(dialect.spelled, part.RESPONSES)
+            responses += part.RESPONSES
             for handler in part.handlers():
                 text = handler.command_text
                 self._handlers[text.split()[0]] = handler
                 if not text.startswith("identify "):
-                    commands.append(dialect.spelled(text))
+                    commands.append(text)
         constants = {
             "CLOCK_FREQ": clock_freq,
             "STATS_SUMSQ_BASE": 256,

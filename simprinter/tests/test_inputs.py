@@ -11,7 +11,6 @@ from simprinter.mcu.dialect import Dialect
 from simprinter.mcu.inputs import Buttons, Counters
 from simprinter.mcu.outputs import Neopixels, Outputs
 from simprinter.mcu.pins import PINS, enumeration, numbered
-from simprinter.mcu.steppers import Steppers
 from simprinter.tests.workbench import Bench
 
 SECOND = CLOCK_FREQ
@@ -128,36 +127,9 @@ def test_analog_readings_come_in_batches(size):
     assert clocks == [1000 * n for n in range(count, 8, count)]
 
 
-NEW = "config is_config=%c crc=%u is_shutdown=%c move_count=%hu"
-OLD = "config is_config=%c crc=%u move_count=%hu is_shutdown=%c"
-
-
-PULSES = "step_pulse_ticks"
-
-
-@pytest.mark.parametrize(
-    ("source", "dialect"),
-    [
-        (OLD, Dialect("Kalico", True, True, False)),
-        (f"{OLD} {PULSES}", Dialect("Kalico", True, False, False)),
-        (f"{NEW} {PULSES}", Dialect("Kalico", False, False, False)),
-        (
-            f"{NEW} {PULSES} bytes_per_report=%d",
-            Dialect("Kalico", False, False, True),
-        ),
-    ],
-)
-def test_dialect_is_that_of_the_host(source, dialect):
-    assert Dialect.of("Kalico", source) == dialect
-    board = Board(lambda: 0, [Steppers(None)], dialect)
-    assert board.dictionary.responses["config"].text in source
+def test_board_says_whose_firmware_it_has():
+    board = Board(lambda: 0, [], Dialect("Kalico"))
     assert b'"app": "Kalico"' in board.dictionary.json
-    (told,) = (
-        message.text
-        for message in board.dictionary.commands.values()
-        if message.name == "config_stepper"
-    )
-    assert (PULSES in told) is (PULSES in source)
 
 
 @pytest.mark.every_host("a board speaks as the sources of its own host ask")
@@ -168,7 +140,6 @@ def test_board_of_a_host_understands_what_its_sources_name(host):
     assert dialect.analog_batches is (
         "values=%*s" in (klippy / "mcu.py").read_text()
     )
-    assert not dialect.shutdown_last and not dialect.bare_steppers
 
 
 def test_pins_have_numbers_of_their_own():
