@@ -768,14 +768,3 @@ def test_probe_that_cannot_be_told_where_to_end_is_refused(start, tmp_path):
     assert kind == "error"
     assert "Internal error" not in message
     assert "Section 'probe' (Hidden): this probe cannot be told" in message
-
-
-def test_host_probes_to_its_own_floor_again_afterwards(start):
-    # The plate ends before the axis does
-    fault = Fault("stuck_open", site="inductive_bed", command="PROBE")
-    printer = start("qidi", faults=[fault])
-    printer.machine.tolerate("nozzle_bed", 10.0)
-    printer.homed().run("AUTO_Z_MEASURE_OFFSET")
-    assert "nozzle_bed" in sites(printer)
-    assert "No trigger on probe" in printer.fail("PROBE")
-    assert lowest(printer) == pytest.approx(4.0 - 1.2695, abs=0.02)

@@ -541,19 +541,6 @@ def test_probe_that_takes_no_floor_is_touched_by_us(start, tmp_path, touch):
     assert_unharmed(printer)
 
 
-def test_host_probes_to_its_own_floor_again_afterwards(start):
-    fault = Fault("trigger_never", site="probe_bed", command="PROBE")
-    printer = start(faults=[fault])
-    printer.machine.tolerate("body_bed", 12.0)
-    printer.machine.tolerate("nozzle_bed", 6.0)
-    printer.homed()
-    calibration(printer)
-    printer.run("G1 X150 Y120 Z15 F6000")
-    printer.fail("PROBE")
-    # position_min of the axis, not the floor of the calibration
-    assert printer.session.position()[2] == pytest.approx(-5.0, abs=0.01)
-
-
 def test_pin_of_its_own_has_no_place_to_fall_back_to(start):
     # [safe_z_home] is where the probe homes, over the bed
     printer = start("separate_pin", changes=section(nozzle_xy_position=None))

@@ -14,7 +14,7 @@ from simprinter import Fault
 from tools.kit.auto_z_offset import true_gap
 from tools.kit.dockable_probe import QUICK, section, where
 from tools.kit.docks import DOCK_SCENES
-from tools.kit.extra_probe import lay
+from tools.kit.extra_probe import as_probe, lay
 
 TWIST = {
     "calibrate_start_x": "20",
@@ -65,6 +65,7 @@ PRINTERS = {
     ),
     "asked": ("membrane", {}, "EXTRA_PROBE_CALIBRATE PROBE=membrane", 10.0),
 }
+CONTINUE = "EXTRA_PROBE_CONTINUE PROBE=probe"
 PARAMS = {
     "CALIBRATE_Z_ACCURACY": " CYCLES=2",
     "PROBE_Z_ACCURACY": " SAMPLES=3",
@@ -323,3 +324,35 @@ def test_fault_of_a_docked_probe(
     assert_pressed(printer, depth)
     # Nothing goes on with what it measured
     assert "Mesh Bed Leveling Complete" not in printer.session.console
+
+
+# By scene: a command, where its probe touches, and the lowest Z of the axis (mm)
+FLOORS = [
+    ("voron", {}, "CALIBRATE_Z", "probe_bed", -5.0),
+    ("qidi", {}, "AUTO_Z_MEASURE_OFFSET", "inductive_bed", -4.0),
+    ("membrane", as_probe(), CONTINUE, "nozzle_membrane", -3.0),
+]
+
+
+@pytest.mark.every_host("a host's floor is kept in other places by each")
+@pytest.mark.parametrize("fails", [False, True])
+@pytest.mark.parametrize(("scene", "changes", "command", "site", "low"), FLOORS)
+def test_host_probes_to_its_own_floor_again(
+    start, scene, changes, command, site, low, fails
+):
+    printer = start(scene, changes).homed()
+    if command == CONTINUE:
+        printer.run("EXTRA_PROBE_CALIBRATE PROBE=probe")
+        lay(printer)
+    for touched in (site, "body_bed", "nozzle_bed"):
+        printer.machine.tolerate(touched, 12.0)
+    if fails:
+        name = command.split()[0]
+        dead = Fault("trigger_never", site=site, command=name)
+        printer.machine.break_down(dead)
+    (printer.fail if fails else printer.run)(command)
+    printer.machine.break_down(Fault("stuck_open", site=site, command="PROBE"))
+    assert "No trigger" in printer.fail("PROBE")
+    # The lowest of the axis, not of the command
+    lowest = printer.status("toolhead")["position"][2]
+    assert lowest == pytest.approx(low, abs=0.01)
