@@ -40,7 +40,12 @@ def test_every_site_of_a_world_is_known():
         here = made.near(0.1, Pose(x, y, 20), Pose(x, y, 20))
         there = made.near(0.1, Pose(x, y - 20, 20), Pose(x, y - 20, 20))
         names.update(near.site for near in (*here, *there))
-    assert names == set(sites_of(EVERYTHING))
+    known = sites_of(EVERYTHING)
+    assert names == set(known)
+    # What the pictures go by
+    assert known["long_plunger_pin"][2:] == ("plunger", 1, "pin", 0, "long")
+    assert known["body_other"][2:] == ("body", 0, "pin", 1, "other")
+    assert known["second_nozzle_thick"][2:5] == ("nozzle", 1, "membrane")
 
 
 @pytest.mark.parametrize(

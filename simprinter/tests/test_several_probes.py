@@ -10,6 +10,14 @@ from simprinter import plugin_printer
 from simprinter.running import SAMPLE
 from simprinter.tests.test_second_carriage import CFG as TWO_CARRIAGES
 from simprinter.tests.test_second_carriage import DY, world_of
+from simprinter.world import (
+    CarriageSpec,
+    DockSpec,
+    MagProbeSpec,
+    Pose,
+    World,
+    WorldSpec,
+)
 from simprinter.world_file import WorldFileError
 
 CFG = (SAMPLE / "printer.cfg").read_text(encoding="utf-8")
@@ -153,6 +161,26 @@ def test_each_carriage_has_its_own(start, tmp_path):
     assert not printer.machine.world.level(
         "probe", 1e6, *(printer.machine.tip(i) for i in (0, 1))
     )
+
+
+def test_only_its_own_carriage_takes_it():
+    dock = DockSpec(150.0, 215.0, 20.0, approach=(0.0, -1.0, 0.0))
+    probe = MagProbeSpec(
+        0.0, 20.0, 5.0, 0.5, mode="dock", initial="docked", signal="right",
+        on_second=True, dock=dock,
+    )  # fmt: skip
+    carriage = CarriageSpec(250.0)
+    spec = WorldSpec(more_probes=(probe,), second_carriage=carriage)
+    for who, state in ((0, "docked"), (1, "attached")):
+        world = World(spec, 0)
+        for t, y in enumerate((190.0, 215.0, 190.0)):
+            poses = [Pose(0.0, y, 20.0), Pose(250.0, y, 20.0)]
+            poses[who] = Pose(150.0, y, 20.0)
+            world.observe(float(t), *poses)
+            # Normally closed: it reads open where it is met
+            is_met = who == 1 and t > 0
+            assert world.level("right", float(t), *poses) is not is_met
+        assert world.probe_state(9.0, "right") == state
 
 
 def test_each_needs_a_dock_and_a_signal_of_its_own():
