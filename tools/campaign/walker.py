@@ -182,7 +182,6 @@ class Walker:
     def _start_again(self, gone: Gone) -> None:
         """Whoever has stopped it starts it again."""
         expected = self.judge.expected
-        assert expected is not None
         if "mcu_silent" in gone.faults:
             return
         self.printer.machine.repair()
@@ -190,7 +189,7 @@ class Walker:
             self._restart("FIRMWARE_RESTART")
         except SessionError as error:
             # Klipper of 2026 waits for a trigger for ever, in its own G28, too
-            if not expected.job.is_homing:
+            if not expected or not expected.job.is_homing:
                 raise HarmError("hang", str(error).splitlines()[0]) from error
         else:
             self.judge.end(Gone("restart", "", "", ()))
