@@ -261,6 +261,11 @@ def untrue(
     if is_told and not _is_at(facts, state):
         yield f"last_status is {state}, the probe {sorted(facts.probes)}"
     yield from _reasons(facts)
+    yield from untrue_query(command, refusal, facts)
+
+
+def untrue_query(command: str, refusal: str, facts: Facts) -> Iterator[str]:
+    """Whether the last run was good is not what the status says."""
     good = (facts.after.get("z_calibration") or {}).get("last_query")
     if command == "CALIBRATE_Z" and good is bool(refusal):
         yield f"last_query is {good} after {refusal or 'a good run'}"

@@ -102,8 +102,8 @@ def _z_calibration_jobs() -> list[Job]:
         scene=scene,
         signals=("z_endstop", "probe"),
         point=(150.0, 150.0),
-        # A refusal is a line of it
-        told=("history",),
+        # A refusal is a line of it, and the last run
+        told=("history", "last_query"),
         margins={
             "nozzle_pin": FLOOR_MARGIN,
             "body_pin": FLOOR_MARGIN,
@@ -234,7 +234,7 @@ def _more_jobs() -> list[Job]:
         plain,
         name="Z_CALIBRATION_WAIT",
         script="Z_CALIBRATION_WAIT MAX=2",
-        told=("history", "movement"),
+        told=(*plain.told, "movement"),
         ideal=None,
     )
     growth = replace(

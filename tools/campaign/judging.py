@@ -634,9 +634,12 @@ class Judge:
 
     def _lies(self, gone: Gone) -> Iterator[str]:
         """What is said of the printer is not so, and nothing is broken or wrong."""
-        if gone.breaks or self.owned.mistake:
+        if self.owned.mistake:
             return
         facts = self._facts()
+        if gone.breaks:
+            yield from claims.untrue_query(gone.command, gone.refusal, facts)
+            return
         yield from claims.untrue(gone.command, gone.refusal, gone.lines, facts)
         if gone.refusal and gone.kind in ("gcode", "print", "answer"):
             found = claims.verdict(gone.refusal, facts)

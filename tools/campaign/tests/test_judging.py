@@ -3,6 +3,7 @@
 import pytest
 
 from tools.campaign import claims, walker
+from tools.campaign.breaking import Break
 from tools.campaign.claims import HOMED_OR_SET, MOTORS_OFF, Facts
 from tools.campaign.drawn import values
 from tools.campaign.drawn.printers import Owned
@@ -484,6 +485,13 @@ def test_dock_has_not_done_what_it_says():
 def test_status_of_a_run_that_was_refused():
     assert list(claims.untrue("CALIBRATE_Z", "no trigger", [], facts()))
     assert not list(claims.untrue("CALIBRATE_Z", "", [], facts()))
+
+
+def test_status_of_a_run_in_which_something_broke(judged):
+    _, judge = judged(SWITCH)
+    broken = Gone("gcode", "CALIBRATE_Z", "", (), (Break("stuck_open"),))
+    with pytest.raises(HarmError, match="last_query is False"):
+        judge.end(broken)
 
 
 @pytest.mark.parametrize(
