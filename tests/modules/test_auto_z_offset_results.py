@@ -459,9 +459,11 @@ def test_current_stays_with_a_factor_of_one(start):
     printer = start("qidi", changes=section(z_current_factor="1.0")).homed()
     drivers = printer.machine.drivers
     before = {name: list(d.currents) for name, d in drivers.items()}
-    printer.run("AUTO_Z_MEASURE_OFFSET")
+    lines = printer.run("AUTO_Z_MEASURE_OFFSET")
     assert "nozzle_bed" in sites(printer)
     assert {n: d.currents for n, d in drivers.items()} == before
+    # Nor is the same one set again
+    assert not any("Current" in line for line in lines)
     assert not told(printer.session.console, "z_current_factor")
 
 

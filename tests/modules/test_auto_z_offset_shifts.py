@@ -9,6 +9,7 @@ import pytest
 from tools.kit.auto_z_offset import (
     MICROSTEP,
     POINT,
+    section,
     told,
     true_gap,
     with_extras,
@@ -49,6 +50,17 @@ HIGHER = 0.1
             "bed_tilt: Z is shifted by 0.017 mm here",
         ),
         ({"bed_tilt": {"z_adjust": "0.01"}}, "", 0.01, None),
+        # Homed where the bed is lower by what the tilt makes good, in each cycle
+        (
+            {
+                "safe_z_home": {"home_xy_position": "100, 60"},
+                "bed_tilt": {"z_adjust": "0.08"},
+                **section(offset_samples="2"),
+            },
+            "",
+            -0.017,
+            None,
+        ),
     ],
 )
 def test_shift_that_makes_the_gap_wrong_is_told(

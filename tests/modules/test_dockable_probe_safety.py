@@ -442,7 +442,7 @@ def test_not_homed(start, name):
         printer.run("DETACH_PROBE")
         assert printer.machine.tip().z == pytest.approx(z, abs=0.01)
         assert "z" not in printer.status("toolhead")["homed_axes"]
-        assert "Must home" in printer.fail("PROBE")
+        assert "Must home before probe" in printer.fail("PROBE")
 
 
 # Where nobody knows Z the toolhead was lifted for the dock, and went down since: the

@@ -95,7 +95,7 @@ def spread_out(points, offs, spread=3.0):
 
 def test_points_of_the_bed():
     points = [(150.0, 125.0), (152.0, 125.0), (150.0, 128.0), (153.0, 129.0)]
-    run = spread_out(points, [8.0, -8.0, 2.0, 0.0])
+    run = spread_out(points, [8.0, -8.0, 0.5, 0.0])
     texts, root = drawn([*make_runs(5), run])
     assert "the largest circle: by 8.0 \u00b5m" in texts
     ends = ["X 149.0", "X 154.0", "Y 124.5", "Y 129.5"]
@@ -105,7 +105,7 @@ def test_points_of_the_bed():
         for name in ("f-c", "s-c")
     )
     radii = [float(c.get("r")) for c in high], [float(c.get("r")) for c in low]
-    assert radii == ([8.0, 4.0], [8.0, 0.0])
+    assert radii == ([8.0, 2.0], [8.0, 0.0])
     (x, y), (_, above), (right, same) = (
         (float(c.get("cx")), float(c.get("cy"))) for c in (*high, low[0])
     )

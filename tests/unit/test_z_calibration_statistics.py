@@ -217,6 +217,9 @@ def test_a_single_accident_is_no_noise():
     # Runs in which all touches end on one step, and one on the next
     next_step = Spread(STEP**2 / 2, 1)
     assert module.pool_usual([SAME] * 5 + [next_step], STEP).dof == 101
+    # and far more than half a step
+    far = Spread((0.75 * module.ACCIDENT * STEP) ** 2, 1)
+    assert module.pool_usual([SAME] * 5 + [far], STEP).dof == 100
 
 
 # A fixed number of touches
