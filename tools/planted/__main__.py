@@ -1,13 +1,14 @@
 """Which tests find which single fault of the product: make planted.
 
     python -m tools.planted [--count N] [--seed N] [--folder z_touch/...]
-        [--stages unit,quick,near] [--minutes N] [--json FILE]
+        [--tests N] [--workers N] [--minutes N] [--json FILE]
 
-Draws faults over all files (a condition turned, a guard removed, a sign, a unit,
-an option ignored, a limit shifted), plants one at a time in a copy of the tree,
-and runs tests on it until one fails: first what needs no host, then what is quick,
-then all of the module. The seed says which faults these are. What nothing has found is either no
-fault (what it does is the same) or wants a test.
+First every test is run once on a copy of the tree that records which test runs which
+block of the product. Then faults are drawn over all files (a condition turned, a guard
+removed, a sign, a unit, an option ignored, a limit shifted), and one at a time is
+planted in a copy. The tests that run its block are tried until one fails: those of
+tests/unit first, then of each file one, and so on. The seed says which faults these
+are. What nothing has found is either no fault (what it does is the same) or wants a test.
 """
 
 from __future__ import annotations
@@ -22,54 +23,41 @@ import sys
 import time
 from collections import Counter
 from collections.abc import Iterator, Sequence
+from concurrent.futures import ThreadPoolExecutor, as_completed
 from pathlib import Path
+from queue import SimpleQueue
 from typing import NamedTuple, Optional
 
-from tools.kit.printer import MODULES, ROOT
+from tools.kit.printer import ROOT
 from tools.kit.tables import plain
+from tools.planted.covering import TESTS, Covering, measured
 from tools.planted.planting import Fault, drawn
 
 SEED = 59
-STAGES = ("unit", "quick", "near")
-# Real seconds that a stage may take: what hangs has been found, too
-_LIMIT = 1800.0
-_FAILED = re.compile(r"^(?:FAILED|ERROR) (\S+)", re.MULTILINE)
+# So many tests at once: what one finds is found by the first few
+_BATCHES = (8, 24, 60)
+# Of so many the whole tables
+_TABLES = 20
+# Real seconds that a batch may take: what hangs has been found, too
+_LIMIT = 900.0
+_FAILED = re.compile(r"^(?:FAILED|ERROR) (\S.*?)(?: - .*)?$", re.MULTILINE)
 _TIMED_OUT = "(nothing ends)"
 
 
 class Found(NamedTuple):
-    """What became of a fault: the test that fails, and of which stage; or none."""
+    """What became of a fault: the test that fails, "" for none, of how many."""
 
     fault: Fault
-    stage: str
     test: str
+    is_slow: bool
+    tried: int
+    there: int
 
 
 def say(text: str) -> None:
     """A line for people, at once."""
     sys.stdout.write(f"{text}\n")
     sys.stdout.flush()
-
-
-def files_for(file: str, stage: str) -> list[str]:
-    """The tests that look at a file of the product, below the root."""
-    folder = file.split("/")[1]
-    names = [name for name in MODULES if name == folder] or list(MODULES)
-    if stage == "unit":
-        own = (ROOT / "tests/unit").glob(f"test_{folder}_*.py")
-        found = sorted(path.relative_to(ROOT).as_posix() for path in own)
-        return found or ["tests/unit"]
-    if stage == "quick":
-        return [f"tests/quick/test_{name}_quick.py" for name in names]
-    if folder == "report":
-        return ["tests/modules/test_z_calibration_report.py", "tests/field"]
-    found = [
-        path.relative_to(ROOT).as_posix()
-        for name in names
-        for path in sorted((ROOT / "tests/modules").glob(f"test_{name}_*.py"))
-    ]
-    shared = sorted((ROOT / "tests/modules").glob("test_z_touch_*.py"))
-    return ["tests/field", *found, *(str(p.relative_to(ROOT)) for p in shared)]
 
 
 class Copy:
@@ -90,12 +78,8 @@ class Copy:
             if (ROOT / name).is_file():
                 shutil.copy2(ROOT / name, folder / name)
 
-    def first_failure(
-        self, fault: Optional[Fault], tests: Sequence[str]
-    ) -> str:
+    def first_failure(self, fault: Fault, tests: Sequence[str]) -> str:
         """The first test that fails with the fault in the tree; "": none does."""
-        if fault is None:
-            return self._run(tests)
         file = self.folder / fault.changed
         source = file.read_text(encoding="utf-8")
         file.write_text(fault.planted(source), encoding="utf-8")
@@ -107,7 +91,9 @@ class Copy:
     def _run(self, tests: Sequence[str]) -> str:
         build = os.environ.get("BUILD_DIR", "build")
         command = [sys.executable, "-m", "pytest", "-x", "-q", "--tb=no"]
-        command += ["--cases", "one", *tests]
+        names = self.folder / "tests-to-run"
+        names.write_text("\n".join(tests), encoding="utf-8")
+        command += ["--cases", "one", f"@{names}"]
         try:
             done = subprocess.run(
                 command,
@@ -126,17 +112,67 @@ class Copy:
 
 
 def looked_for(
-    copy: Copy, faults: Sequence[Fault], stages: Sequence[str], until: float
+    copy: Copy, fault: Fault, covering: Covering, most: int
+) -> Found:
+    """Try the tests that run what a fault changes, most of them at most."""
+    source = (copy.folder / fault.file).read_text(encoding="utf-8")
+    cases = covering.of(fault, source)
+    names = [case.name for case in cases[:most]]
+    # In the end whole tables, of which three cases were recorded
+    tables = dict.fromkeys(name.partition("[")[0] for name in names[:_TABLES])
+    batches, tried = [], 0
+    for size in (*_BATCHES, most):
+        batches.append(names[tried : tried + size])
+        tried += size
+    slow = {case.name.partition("[")[0] for case in cases if case.is_slow}
+    tried = 0
+    for batch in filter(None, [*batches, [*tables]]):
+        test = copy.first_failure(fault, batch)
+        tried = min(tried + len(batch), len(names))
+        if test:
+            is_slow = test.partition("[")[0] in slow
+            return Found(fault, test, is_slow, tried, len(cases))
+    return Found(fault, "", False, tried, len(cases))
+
+
+def all_found(
+    copies: Sequence[Copy],
+    faults: Sequence[Fault],
+    covering: Covering,
+    options: argparse.Namespace,
 ) -> Iterator[Found]:
-    """What finds each fault, as long as there is time."""
-    for fault in faults:
+    """What finds each fault, as long as there is time; one after the other in a copy."""
+    until = time.monotonic() + 60.0 * options.minutes
+    free = SimpleQueue[Copy]()
+    for copy in copies:
+        free.put(copy)
+
+    def one(fault: Fault) -> Optional[Found]:
         if time.monotonic() > until:
-            return
-        for stage in stages:
-            test = copy.first_failure(fault, files_for(fault.file, stage))
-            if test:
-                break
-        yield Found(fault, stage if test else "", test)
+            return None
+        copy = free.get()
+        try:
+            return looked_for(copy, fault, covering, options.tests)
+        finally:
+            free.put(copy)
+
+    with ThreadPoolExecutor(len(copies)) as pool:
+        for done in as_completed([pool.submit(one, fault) for fault in faults]):
+            found = done.result()
+            if found is not None:
+                yield found
+
+
+def kept(file: Optional[Path], faults: Sequence[Fault]) -> list[Found]:
+    """What an earlier run has found of these faults, which need not be tried again."""
+    if file is None or not file.exists():
+        return []
+    by_name = {str(fault): fault for fault in faults}
+    return [
+        Found(**{**row, "fault": by_name[row["fault"]]})
+        for row in json.loads(file.read_text(encoding="utf-8"))
+        if row["test"] and row["fault"] in by_name
+    ]
 
 
 def table(found: Sequence[Found]) -> str:
@@ -152,12 +188,17 @@ def table(found: Sequence[Found]) -> str:
     ]
     counts = Counter(row.fault.kind for row in found)
     rows.append(["all", *(str(counts[kind]) for kind in kinds)])
-    missed = [row.fault for row in found if not row.test]
-    share = 100.0 * (len(found) - len(missed)) / max(len(found), 1)
+    missed = [row for row in found if not row.test]
+    hits = len(found) - len(missed)
+    slow = sum(row.is_slow for row in found)
     lines = [
         plain(["found by", *kinds], rows),
-        f"{len(found) - len(missed)} of {len(found)} found ({share:.0f} %)",
-        *(f"not found: {fault}" for fault in missed),
+        f"{hits} of {len(found)} found ({100.0 * hits / max(len(found), 1):.0f} %),"
+        f" {hits - slow} of them by make test",
+        *(
+            f"not found by {row.tried} of {row.there} tests: {row.fault}"
+            for row in missed
+        ),
     ]
     return "\n".join(lines)
 
@@ -172,8 +213,9 @@ def parse(arguments: Optional[Sequence[str]]) -> argparse.Namespace:
     parser.add_argument("--seed", type=int, default=SEED, help="of the draw")
     parser.add_argument("--folder", default="z_touch", help="of the product")
     parser.add_argument(
-        "--stages", default=",".join(STAGES), help="some of them"
+        "--tests", type=int, default=120, help="tried on a fault, at most"
     )
+    parser.add_argument("--workers", type=int, default=2, help="at a time")
     parser.add_argument("--minutes", type=float, default=1e9, help="at most")
     parser.add_argument("--json", type=Path, help="write what was found there")
     return parser.parse_args(arguments)
@@ -182,32 +224,27 @@ def parse(arguments: Optional[Sequence[str]]) -> argparse.Namespace:
 def main(arguments: Optional[Sequence[str]] = None) -> int:
     """The exit code is 0 if each fault was found."""
     options = parse(arguments)
-    until = time.monotonic() + 60.0 * options.minutes
-    stages = options.stages.split(",")
-    build = Path(os.environ.get("BUILD_DIR", "build"))
-    copy = Copy((ROOT / build).resolve() / f"planted-{os.getpid()}")
-    found: list[Found] = []
+    build = (ROOT / os.environ.get("BUILD_DIR", "build")).resolve()
+    folder = build / f"planted-{os.getpid()}"
+    copies = [Copy(folder / str(n)) for n in range(options.workers)]
+    faults = drawn(ROOT, options.folder, options.count, options.seed)
+    found = kept(options.json, faults)
+    tried = {row.fault for row in found}
     try:
-        faults = drawn(ROOT, options.folder, options.count, options.seed)
-        files = sorted({fault.file for fault in faults})
-        # A test that fails by itself would find everything
-        tests = {t for f in files for s in stages for t in files_for(f, s)}
-        failed = copy.first_failure(None, sorted(tests))
-        if failed:
-            sys.exit(f"{failed} fails without any fault: mend it first")
-        for row in looked_for(copy, faults, stages, until):
+        faults_left = [fault for fault in faults if fault not in tried]
+        covering = measured(copies[0].folder, build / "planted", TESTS)
+        for row in all_found(copies, faults_left, covering, options):
             found.append(row)
-            say(f"{row.fault}\n    {row.test or 'no test of these stages'}")
+            say(f"{row.fault}\n    {row.test or 'found by none'}")
+            if options.json:
+                lines = [
+                    row._asdict() | {"fault": str(row.fault)} for row in found
+                ]
+                options.json.write_text(json.dumps(lines, indent=1) + "\n")
     finally:
-        shutil.rmtree(copy.folder, ignore_errors=True)
+        shutil.rmtree(folder, ignore_errors=True)
     say(table(found))
     say(f"seed {options.seed}, {len(found)} of {len(faults)} tried")
-    if options.json:
-        lines = [
-            {"fault": str(row.fault), "stage": row.stage, "test": row.test}
-            for row in found
-        ]
-        options.json.write_text(json.dumps(lines, indent=1) + "\n")
     return 0 if all(row.test for row in found) else 1
 
 

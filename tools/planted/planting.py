@@ -24,7 +24,7 @@ class Fault:
     """One fault: in which file, on which line, what was there and what is now.
 
     start, end: of `before` in the file, in bytes as the parser counts them. An
-    option is ignored where all options are read, whatever its file is.
+    option is ignored where all options are read, in the section that its room has.
     """
 
     file: str
@@ -44,7 +44,9 @@ class Fault:
         """The source of the file that has it, with it."""
         if self.kind == "option":
             assert source.count(READ) == 1, f"{READER} reads options otherwise"
-            ignored = f'row.default if row.name == "{self.before}" else {READ}'
+            section = self.file.split("/")[1]
+            its = f'(row.name, config.get_name().split()[0]) == ("{self.before}", "{section}")'
+            ignored = f"row.default if {its} else {READ}"
             return source.replace(READ, ignored)
         text = source.encode("utf-8")
         changed = text[: self.start] + self.after.encode() + text[self.end :]

@@ -7,8 +7,9 @@ import ast
 import pytest
 
 from tools.kit.printer import ROOT
-from tools.planted.__main__ import STAGES, Copy, Found, files_for, table
-from tools.planted.planting import READER, drawn, faults_of
+from tools.planted.__main__ import Copy, Found, looked_for, table
+from tools.planted.covering import Case, block_of, in_turn, measured
+from tools.planted.planting import READER, Fault, drawn, faults_of
 
 SOURCE = """\
 def f(a, b):
@@ -66,35 +67,63 @@ def test_an_option_is_ignored_where_all_are_read():
     ]
     assert fault.changed == READER
     source = (ROOT / READER).read_text("utf-8")
-    assert 'row.default if row.name == "clearance" else' in (
-        fault.planted(source)
-    )
+    assert '== ("clearance", "z_calibration") else' in fault.planted(source)
 
 
-@pytest.mark.parametrize("stage", STAGES)
-def test_there_are_tests_for_every_file(stage):
-    for path in (ROOT / "z_touch").rglob("*.py"):
-        for name in files_for(path.relative_to(ROOT).as_posix(), stage):
-            assert (ROOT / name).exists()
+@pytest.mark.parametrize(
+    "line, block", [(1, None), (2, 2), (3, 3), (4, 2), (5, 5), (6, 2)]
+)
+def test_a_line_is_of_the_innermost_block(line, block):
+    assert block_of(SOURCE, line) == block
 
 
-def test_a_fault_is_found_and_gone_after_it(tmp_path):
-    """By the tests of a formula, without a host."""
-    tests = ["tests/unit/test_extra_probe_heights.py"]
-    copy = Copy(tmp_path / "copy")
-    assert copy.first_failure(None, tests) == ""
+def test_each_file_has_its_turn():
+    def case(name, blocks, is_slow=False):
+        return Case(name, 1.0, is_slow, blocks)
+
+    cases = [
+        case("tests/modules/b.py::1", 9),
+        case("tests/modules/b.py::2", 3),
+        case("tests/modules/b.py::3", 1, is_slow=True),
+        case("tests/modules/c.py::4", 7),
+        case("tests/unit/d.py::5", 8),
+        case("tests/modules/b.py::6", 5),
+    ]
+    names = [case.name[-1] for case in in_turn(cases)]
+    assert names == ["5", "2", "4", "6", "1", "3"]
+
+
+def test_faults_are_found_by_the_tests_that_run_them(tmp_path):
+    """A formula without a host, an option that klippy reads; then all is as it was."""
     name = "z_touch/extra_probe/heights.py"
     source = (ROOT / name).read_text("utf-8")
+    copy = Copy(tmp_path / "copy")
+    tests = [
+        "tests/unit/test_extra_probe_heights.py",
+        "tests/quick/test_extra_probe_quick.py",
+    ]
+    covering = measured(copy.folder, tmp_path, tests)
     signs = [f for f in faults_of(name, source) if f.kind == "sign"]
-    found = [copy.first_failure(fault, tests) for fault in signs[:2]]
-    assert any(test.startswith(tests[0]) for test in found)
+    found = [looked_for(copy, fault, covering, 30) for fault in signs[:2]]
+    assert any(row.test.startswith(tests[0]) for row in found)
+    assert all(bool(row.there) is bool(row.tried) for row in found)
     assert (copy.folder / name).read_text("utf-8") == source
+    for option, is_given in (("z_offset", True), ("clearance", False)):
+        fault = Fault(name, 1, "option", 0, 0, option, "")
+        cases = covering.of(fault, source)
+        assert bool(cases) is is_given
+        assert all(case.name.startswith(tests[1]) for case in cases)
+    # What was recorded stays for the same state of the product
+    assert measured(copy.folder, tmp_path, tests) == covering
 
 
 def test_what_nothing_finds_is_told():
     faults = faults_of("f.py", SOURCE)
-    rows = [Found(fault, "quick", "tests/a.py::test_b") for fault in faults]
+    rows = [
+        Found(f, "tests/a.py::test_b", n > 2, 8, 9)
+        for n, f in enumerate(faults)
+    ]
     rows[0] = rows[0]._replace(test="")
     text = table(rows)
-    assert f"not found: {faults[0]}" in text
-    assert "4 of 5 found (80 %)" in text
+    assert f"not found by 8 of 9 tests: {faults[0]}" in text
+    assert "4 of 5 found (80 %), 2 of them by make test" in text
