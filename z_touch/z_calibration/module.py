@@ -463,7 +463,6 @@ class ZCalibration:
             settings = with_pace(settings, *self.host.axes.z_pace(lift_speed))
             sites = SiteFinder(self.host, settings).of_command(gcmd)
             before = self.host.gcode_state.z_offset()
-            self.host.gcode_state.set_z_offset(0.0)
             last = self._measure_in_tries(
                 settings, sites, z_adjust, accepts_change
             )
