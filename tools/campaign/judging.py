@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 import re
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
@@ -335,8 +336,9 @@ class Judge:
         zero = tip.z - self.printer.session.position()[2]
         x, y = self.membrane
         below = -machine.truth.true_gap(x, y, zero)
-        # A frame that is farther away is no owner's mistake
-        return MARGIN + PLACE + min(max(0.0, below), WRONG_ZERO)
+        # A frame that is farther away is no mistake of its owner, unless one was drawn
+        wrong = math.inf if self.owned.mistake else WRONG_ZERO
+        return MARGIN + PLACE + min(max(0.0, below), wrong)
 
     def _is_of_host(self, gone: Gone) -> bool:
         """Its owner's mistake is in the way of a command that is none of ours."""
