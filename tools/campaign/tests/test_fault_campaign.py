@@ -153,12 +153,12 @@ def test_pair_is_survived(host, which):
 PLANTED = {
     "head stays down": (
         (Z, "trigger_never", "z_endstop", 1, "touch"),
-        {"failed": 'run("G90\\nG1 Z8 F600")'},
+        {"failed": 'run("G90\\nG1 Z8 F600\\nM400")'},
         "the toolhead is at z=",
     ),
     "pin is pressed too deep": (
         (Z, "trigger_never", "z_endstop", 1, "touch"),
-        {"failed": 'run("G90\\nG1 Z-1 F600\\nG1 Z20 F600")'},
+        {"failed": 'run("G90\\nG1 Z-1 F600\\nG1 Z20 F600\\nM400")'},
         "harm: step 4, gcode 'CALIBRATE_Z\\nM400': nozzle_pin: ",
     ),
     "cause is not named": (
@@ -202,7 +202,7 @@ DEEPER = r"""
 depth = getattr(printer, "depth", 0.0)
 printer.depth = depth + 1.5
 if depth:
-    run("G90\nG1 X206 Y306 F9000\nG1 Z%.3f F600\nG1 Z20 F600" % -depth)
+    run("G90\nG1 X206 Y306 F9000\nG1 Z%.3f F600\nG1 Z20 F600\nM400" % -depth)
 """
 
 
