@@ -26,6 +26,7 @@ from tools.kit.extra_probe import (
     state,
 )
 from tools.kit.klipper_sections import bed_mesh, profile
+from tools.kit.load_errors import load
 from tools.kit.z_calibration import refusal
 
 OVER = "G90\nG1 Z10 F900\nG1 X{} Y{} F6000".format(*BESIDE)
@@ -446,6 +447,14 @@ def test_set_up_that_cannot_work(host, changes, words):
     message = refusal(host, changes, fixed_switch())
     assert words in message
     assert "extra_probe membrane" in message
+
+
+def test_switch_that_stands_above_the_bed_is_no_mistake(host):
+    changes = {
+        **section(switch_height="0.5", xy_position="50, 60"),
+        "bed_mesh": bed_mesh("20, 15", "180, 180"),
+    }
+    assert load(host, changes, fixed_switch())[0] == "ready"
 
 
 def test_probe_cannot_be_the_switch(host):
