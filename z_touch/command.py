@@ -85,7 +85,7 @@ def check_homed(host: Host) -> None:
         )
 
 
-def check_carriage(host: Host) -> None:
+def check_carriage_is_kept(host: Host) -> None:
     """Raise CalibrationError for a carriage of an IDEX whose place is lost at each touch."""
     lost = host.tools.lost_by_probing()
     if lost is not None:

@@ -247,7 +247,7 @@ class AutoZOffset:
         # Before the toolhead moves: a hand may be near
         attached.of(self.host.printer).check_questions(self.host)
         command.check_homed(self.host)
-        command.check_carriage(self.host)
+        command.check_carriage_is_kept(self.host)
 
     def _check_section(self) -> None:
         """Raise CalibrationError for the section of the original module.

@@ -570,7 +570,7 @@ class Calibration:
             raise CalibrationError(dialog.PAUSED)
         command.check_no_manual_probe(self.host)
         command.check_homed(self.host)
-        command.check_carriage(self.host)
+        command.check_carriage_is_kept(self.host)
 
     def _check_temperature(self) -> List[str]:
         """Return the warning that the nozzle is hot; raise CalibrationError if too hot."""

@@ -231,7 +231,7 @@ class ExtraProbe:
         Z=0 is elsewhere by now, it is not known how low that is.
         """
         command.check_no_manual_probe(self.host)
-        command.check_carriage(self.host)
+        command.check_carriage_is_kept(self.host)
         self.calibration.check_answered()
         settings, homed = self.settings, self.calibration.homed
         z_zero = self.host.axes.z_zero()

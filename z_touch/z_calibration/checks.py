@@ -62,7 +62,7 @@ def check_carriages(host: Host, settings: Settings) -> None:
                 f" {axis.upper()}={carriage.position:.1f} over the bed, where its nozzle"
                 f" may be the lower one; park it at its end ({carriage.end:.1f})"
             )
-    command.check_carriage(host)
+    command.check_carriage_is_kept(host)
 
 
 def _is_over_bed(carriage: Carriage, settings: Settings) -> bool:
