@@ -281,7 +281,10 @@ class Dock:
 
     @contextlib.contextmanager
     def _checking_commands(self, name: str) -> Iterator[None]:
-        """Begin with absolute coordinates; raise the host's error for an unknown command."""
+        """Begin with absolute coordinates; raise the host's error, which says where it was.
+
+        An unknown command is an error, too.
+        """
         try:
             with self._in_absolute(), templates.checking_commands(
                 self.host, name
@@ -289,6 +292,10 @@ class Dock:
                 yield
         except CalibrationError as e:
             raise self.host.error(e)
+        except self.host.printer.command_error as e:
+            if self.host.printer.is_shutdown():
+                raise
+            raise self.host.error(f"{name}: {e}")
 
     @contextlib.contextmanager
     def _in_absolute(self) -> Iterator[None]:
