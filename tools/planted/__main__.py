@@ -14,23 +14,21 @@ are. What nothing has found is either no fault (what it does is the same) or wan
 from __future__ import annotations
 
 import argparse
-import json
 import os
 import re
 import shutil
 import subprocess
 import sys
 import time
-from collections import Counter
 from collections.abc import Iterator, Sequence
 from concurrent.futures import ThreadPoolExecutor, as_completed
 from pathlib import Path
 from queue import SimpleQueue
-from typing import NamedTuple, Optional
+from typing import Optional
 
 from tools.kit.printer import ROOT
-from tools.kit.tables import plain
 from tools.planted.covering import TESTS, Covering, measured
+from tools.planted.found import Found, kept, table, write
 from tools.planted.planting import Fault, drawn
 
 SEED = 59
@@ -42,16 +40,6 @@ _TABLES = 20
 _LIMIT = 900.0
 _FAILED = re.compile(r"^(?:FAILED|ERROR) (\S.*?)(?: - .*)?$", re.MULTILINE)
 _TIMED_OUT = "(nothing ends)"
-
-
-class Found(NamedTuple):
-    """What became of a fault: the test that fails, "" for none, of how many."""
-
-    fault: Fault
-    test: str
-    is_slow: bool
-    tried: int
-    there: int
 
 
 def say(text: str) -> None:
@@ -163,46 +151,6 @@ def all_found(
                 yield found
 
 
-def kept(file: Optional[Path], faults: Sequence[Fault]) -> list[Found]:
-    """What an earlier run has found of these faults, which need not be tried again."""
-    if file is None or not file.exists():
-        return []
-    by_name = {str(fault): fault for fault in faults}
-    return [
-        Found(**{**row, "fault": by_name[row["fault"]]})
-        for row in json.loads(file.read_text(encoding="utf-8"))
-        if row["test"] and row["fault"] in by_name
-    ]
-
-
-def table(found: Sequence[Found]) -> str:
-    """By test file and kind; then what nothing has found."""
-    kinds = sorted({row.fault.kind for row in found})
-    files = Counter(
-        (row.test.split("::")[0], row.fault.kind) for row in found if row.test
-    )
-    names = sorted({name for name, _ in files})
-    rows = [
-        [name, *(str(files[name, kind] or "") for kind in kinds)]
-        for name in names
-    ]
-    counts = Counter(row.fault.kind for row in found)
-    rows.append(["all", *(str(counts[kind]) for kind in kinds)])
-    missed = [row for row in found if not row.test]
-    hits = len(found) - len(missed)
-    slow = sum(row.is_slow for row in found)
-    lines = [
-        plain(["found by", *kinds], rows),
-        f"{hits} of {len(found)} found ({100.0 * hits / max(len(found), 1):.0f} %),"
-        f" {hits - slow} of them by make test",
-        *(
-            f"not found by {row.tried} of {row.there} tests: {row.fault}"
-            for row in missed
-        ),
-    ]
-    return "\n".join(lines)
-
-
 def parse(arguments: Optional[Sequence[str]]) -> argparse.Namespace:
     """The command line."""
     parser = argparse.ArgumentParser(
@@ -237,10 +185,7 @@ def main(arguments: Optional[Sequence[str]] = None) -> int:
             found.append(row)
             say(f"{row.fault}\n    {row.test or 'found by none'}")
             if options.json:
-                lines = [
-                    row._asdict() | {"fault": str(row.fault)} for row in found
-                ]
-                options.json.write_text(json.dumps(lines, indent=1) + "\n")
+                write(options.json, options.seed, found)
     finally:
         shutil.rmtree(folder, ignore_errors=True)
     say(table(found))

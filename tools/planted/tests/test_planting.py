@@ -7,8 +7,9 @@ import ast
 import pytest
 
 from tools.kit.printer import ROOT
-from tools.planted.__main__ import Copy, Found, looked_for, table
+from tools.planted.__main__ import Copy, looked_for
 from tools.planted.covering import Case, block_of, in_turn, measured
+from tools.planted.found import Found, kept, render, table, write
 from tools.planted.planting import READER, Fault, drawn, faults_of
 
 SOURCE = """\
@@ -117,7 +118,7 @@ def test_faults_are_found_by_the_tests_that_run_them(tmp_path):
     assert measured(copy.folder, tmp_path, tests) == covering
 
 
-def test_what_nothing_finds_is_told():
+def test_what_nothing_finds_is_told(tmp_path):
     faults = faults_of("f.py", SOURCE)
     rows = [
         Found(f, "tests/a.py::test_b", n > 2, 8, 9)
@@ -127,3 +128,13 @@ def test_what_nothing_finds_is_told():
     text = table(rows)
     assert f"not found by 8 of 9 tests: {faults[0]}" in text
     assert "4 of 5 found (80 %), 2 of them by make test" in text
+    # A run that goes on tries what nothing has found, and what is new
+    file = tmp_path / "found.json"
+    assert kept(file, faults) == []
+    write(file, 7, rows)
+    assert kept(file, faults[:3]) == rows[1:3]
+    _, seed, _, _, _, *cells, _ = render(str(file)).split("\n")
+    assert seed.startswith("Seed 7, on ")
+    assert [*map(str.strip, cells[-1].split("|")[1:-1])] == [
+        *("all", "5", "0", "2", "2", "1")
+    ]
