@@ -1,15 +1,18 @@
 """What of a module each of its commands runs through: make shape.
 
-    python -m tools.shape [NAME=FILE ...]
+    python -m tools.shape [--json FILE] [NAME=FILE ...]
 
 runs each command once, as tests/quick does, on real klippy, and prints how many
 functions of ours it runs through, in how many files and calls, and how many of
 their frames are at most above a probing move ("-": it makes none). NAME=FILE:
 the same four of another module, such as z_calibration=~/other/z_calibration.py.
+--json: the rows are written there, too, for docs/developing.md.
 """
 
 from __future__ import annotations
 
+import argparse
+import json
 import re
 import sys
 from collections.abc import Mapping, Sequence
@@ -165,23 +168,50 @@ def cells(shape: Mapping[str, int]) -> list[str]:
     return [str(shape.get(head) or "-") for head in HEADS]
 
 
+def parse(arguments: Sequence[str]) -> argparse.Namespace:
+    """The command line."""
+    parser = argparse.ArgumentParser(prog="python -m tools.shape")
+    parser.add_argument("--json", type=Path, help="write the rows there")
+    parser.add_argument(
+        "others", nargs="*", metavar="NAME=FILE", help="other modules"
+    )
+    options = parser.parse_args(arguments)
+    options.others = dict(one.partition("=")[::2] for one in options.others)
+    if {*options.others} - {*MODULES}:
+        parser.error(f"NAME=FILE, where NAME is one of {', '.join(MODULES)}")
+    return options
+
+
 def main(arguments: Sequence[str]) -> None:
     """Print a table of all commands, and what of other modules does not run."""
-    given = dict(argument.split("=", 1) for argument in arguments)
-    if {*given} - {*MODULES}:
-        sys.exit(f"NAME=FILE, where NAME is one of {', '.join(MODULES)}")
+    options = parse(arguments)
     host, rows, told = main_host(), [], []
     for module in MODULES:
         theirs: Shapes = {}
-        if module in given:
-            file = Path(given[module]).expanduser()
+        if module in options.others:
+            file = Path(options.others[module]).expanduser()
             theirs, reasons = others(host, module, file)
             told += [f"{file}: {reason}" for reason in reasons]
         for name, shape in sorted(ours(host, module).items()):
             other = " ".join(cells(theirs.get(name, {})))
             rows.append([module, name, *cells(shape), other])
-    heads = ["module", "command", *HEADS, "the other's"]
-    print(host.name, markdown(heads, rows), *told, sep="\n")  # noqa: T201
+    if options.json:
+        options.json.write_text(
+            json.dumps({"host": host.name, "rows": rows}, indent=1) + "\n"
+        )
+    print(host.name, table(rows), *told, sep="\n")  # noqa: T201
+
+
+def table(rows: Sequence[Sequence[str]]) -> str:
+    """As Markdown."""
+    return markdown(["module", "command", *HEADS, "the other's"], rows)
+
+
+def render(file: str) -> str:
+    """For a document: the commands of a file of --json that others have, too."""
+    shapes = json.loads(Path(file).read_text(encoding="utf-8"))
+    rows = [row for row in shapes["rows"] if row[-1].strip(" -")]
+    return f"\nOn {shapes['host']}.\n\n{table(rows)}\n"
 
 
 if __name__ == "__main__":

@@ -91,11 +91,16 @@ PROBING = {
 
 
 @pytest.mark.slow
-def test_every_command_has_a_row(capsys):
+def test_every_command_has_a_row(capsys, tmp_path):
+    file = tmp_path / "shape.json"
     # Beside ours, as another module, the same
-    shape.main([f"{name}={module_files()[name]}" for name in MODULES])
-    name, _, _, *lines = capsys.readouterr().out.splitlines()
+    same = [f"{name}={module_files()[name]}" for name in MODULES]
+    shape.main(["--json", str(file), *same])
+    name, table = capsys.readouterr().out.split("\n", 1)
     assert name == main_host().name
+    # All of it, as another module has each command
+    assert shape.render(str(file)) == f"\nOn {name}.\n\n{table}"
+    _, _, *lines = table.splitlines()
     probing = {module: set() for module in MODULES}
     for line in lines:
         module, command, *counts, other = map(str.strip, line.split("|")[1:-1])
