@@ -10,6 +10,7 @@ attached     which probe is on the toolhead               pin         the Z pin
 command      around every command                         templates   the user's G-code
 options      options as fields, parameters of commands    progress    phase, notes
 dialog       questions to a person                        wizard      set-ups by dialogs
+setup_command   what the commands of both set-ups do
 errors       what ends a measurement                      texture     points of a rough plate
 report       a program of its own: picture, trend, verdict, text to attach
 

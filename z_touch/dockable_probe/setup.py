@@ -17,11 +17,12 @@ from __future__ import annotations
 from dataclasses import replace
 from typing import TYPE_CHECKING, Dict, List, Optional, Sequence, Tuple
 
-from .. import attached, command, options
+from .. import attached, command
 from ..attached import ATTACHED, DOCKED
 from ..errors import CalibrationError
 from ..host.klippy import GCodeCommand
-from ..wizard import SAVED, Wizard, given, head_at, jogged
+from ..setup_command import SetupCommand
+from ..wizard import SAVED, given, head_at, jogged
 from . import path
 from .path import Position
 from .sensors import level
@@ -32,8 +33,6 @@ if TYPE_CHECKING:
     from .dock import Dock
     from .module import DockableProbe
 
-COMMAND = "DOCKABLE_PROBE_SETUP"
-
 # mm/s by the buttons and between the places, and into the dock and out of it
 JOG_SPEED = 20.0
 SLOW_SPEED = 10.0
@@ -43,14 +42,13 @@ LEAST_WAY = 15.0
 
 
 # The command, and the set-up that is under way
-class Setup:
+class Setup(SetupCommand):
     """Finds where the dock is, step by step."""
 
     def __init__(self, section: DockableProbe) -> None:
         """Register the command."""
+        super().__init__(section.host, "DOCKABLE_PROBE_SETUP")
         self.section = section
-        self.host = section.host
-        self.wizard = Wizard(section.host, COMMAND)
         # The places that were found, by their options
         self.found: Dict[str, Position] = {}
         command.register_commands(section.host, self)
@@ -59,74 +57,20 @@ class Setup:
 
     def cmd_DOCKABLE_PROBE_SETUP(self, gcmd: GCodeCommand) -> None:
         """Begin, show again what is asked, or do what the answer says."""
-        name = options.param_word(gcmd, "STEP").lower()
-        if name:
-            self.wizard.check_asked(gcmd, name)
-        if name == "abort":
-            self.wizard.close()
-            self.wizard.tell_end()
-        elif name and self.wizard.turns_page(gcmd):
-            self._ask()
-        else:
-            self.wizard.check_no_print(gcmd)
-            if name:
-                self._answer(gcmd)
-            else:
-                self._begin(gcmd)
+        self.run(gcmd)
 
-    def _begin(self, gcmd: GCodeCommand) -> None:
-        """Ask the first step, or again what a set-up that is under way asks."""
-        is_new = self.wizard.step is None
-        if is_new:
-            with self.host.as_command_error(gcmd):
-                command.check_no_manual_probe(self.host)
-                attached.of(self.host.printer).check_questions(self.host)
-            axes = self._axes()
-            self.wizard.begin(
-                [
-                    replace(step, axes=axes if step.axes else "")
-                    for step in STEPS
-                ]
-            )
-            self.found = {}
-        # Later a hand is near
-        attached.of(self.host.printer).settle(self.host)
-        self._ask()
-        if is_new:
-            self.wizard.tell()
-        else:
-            self.wizard.tell_all(self._sentences())
+    def begin(self, gcmd: GCodeCommand) -> None:
+        """Ask the first step, unless a person is asked something else."""
+        with self.host.as_command_error(gcmd):
+            command.check_no_manual_probe(self.host)
+            attached.of(self.host.printer).check_questions(self.host)
+        axes = self._axes()
+        self.wizard.begin(
+            [replace(step, axes=axes if step.axes else "") for step in STEPS]
+        )
+        self.found = {}
 
-    def _answer(self, gcmd: GCodeCommand) -> None:
-        """Jog, or do what the answer says; ask what comes next, or again.
-
-        For longer work the dialog closes: it would cover the emergency stop of a web
-        interface. After an error it says why.
-        """
-        is_jog = self.wizard.is_jog(gcmd)
-        if not (is_jog or self.wizard.asked().name == "save"):
-            self.wizard.hide()
-        try:
-            try:
-                if is_jog:
-                    self._jog(gcmd)
-                else:
-                    self._go_on(gcmd)
-            except CalibrationError as e:
-                raise self.host.error(str(e))
-        except self.host.printer.command_error as e:
-            if not self.host.printer.is_shutdown() and self.wizard.step:
-                self._ask(str(e))
-                if not is_jog:
-                    # It may be another step than before
-                    self.wizard.tell()
-            raise
-        if self.wizard.step:
-            self._ask()
-            if not is_jog:
-                self.wizard.tell()
-
-    def _go_on(self, gcmd: GCodeCommand) -> None:
+    def go_on(self, gcmd: GCodeCommand) -> None:
         """Do what the step has announced for this answer, and ask the next one.
 
         Every method do_<step> does what the first button of the step says.
@@ -304,7 +248,7 @@ class Setup:
     # The toolhead
     ##################################################################
 
-    def _jog(self, gcmd: GCodeCommand) -> None:
+    def jog(self, gcmd: GCodeCommand) -> None:
         """Move by the X, Y and Z of the command (mm).  Pauses."""
         distances = self.wizard.distances(gcmd)
         start = self.host.toolhead.get_position()
@@ -325,12 +269,13 @@ class Setup:
     # What is shown, and the end
     ##################################################################
 
-    def _ask(self, problem: str = "") -> None:
+    def ask(self, problem: str = "") -> None:
         """Show the dialog of the step; problem: why the last answer was not done."""
         self.section.low_moves.is_led = True
-        self.wizard.show(self._sentences(problem))
+        self.wizard.show(self.sentences(problem))
 
-    def _sentences(self, problem: str = "") -> List[str]:
+    def sentences(self, problem: str = "") -> List[str]:
+        """Return what the dialog says; problem: why the last answer was not done."""
         notes = []
         if self.wizard.asked().axes:
             notes.append(head_at(self.host.toolhead.get_position()))

@@ -34,12 +34,12 @@ from typing import (
 from .. import attached, command, dialog, options, touch
 from ..errors import CalibrationError
 from ..host.klippy import GCodeCommand
+from ..setup_command import SetupCommand
 from ..touch import Site
 from ..wizard import (
     HAND_PATIENCE,
     LARGEST_JOG,
     SAVED,
-    Wizard,
     configured,
     head_at,
     jogged,
@@ -55,7 +55,6 @@ if TYPE_CHECKING:
     from .module import ZCalibration
     from .run import CalibrationRun
 
-COMMAND = "Z_CALIBRATION_SETUP"
 
 # What is touched, in this order
 SITES = ("nozzle", "switch", "bed")
@@ -151,16 +150,15 @@ class Found:
 
 
 # The command, and the set-up that is under way
-class Setup:
+class Setup(SetupCommand):
     """Sets up the section, step by step."""
 
     def __init__(self, calibration: ZCalibration) -> None:
         """Register the command."""
+        super().__init__(calibration.host, "Z_CALIBRATION_SETUP")
         self.calibration = calibration
-        self.host = calibration.host
         self.user_gcode = calibration.user_gcode
         self.datum = calibration.datum
-        self.wizard = Wizard(self.host, COMMAND)
         self.found = Found()
         command.register_commands(self.host, self)
 
@@ -170,62 +168,14 @@ class Setup:
         """Begin, show again what is asked, or do what the answer says."""
         self.calibration.check_idle(gcmd)
         self.calibration.refuse_during_a_print(gcmd)
-        name = options.param_word(gcmd, "STEP").lower()
-        if name:
-            self.wizard.check_asked(gcmd, name)
-        if name == "abort":
-            self._abort(gcmd)
-        elif name and self.wizard.turns_page(gcmd):
-            self._ask()
-        else:
-            self.wizard.check_no_print(gcmd)
-            if name:
-                self._answer(gcmd)
-            else:
-                self._begin()
+        self.run(gcmd)
 
-    def _begin(self) -> None:
-        """Ask the first step, or again what a set-up that is under way asks."""
-        is_new = self.wizard.step is None
-        if is_new:
-            self.wizard.begin(STEPS)
-            self.found = Found()
-        # Later a hand is near
-        attached.of(self.host.printer).settle(self.host)
-        self._ask()
-        if is_new:
-            self.wizard.tell()
-        else:
-            self.wizard.tell_all(self._sentences())
+    def begin(self, gcmd: GCodeCommand) -> None:
+        """Ask the first step."""
+        self.wizard.begin(STEPS)
+        self.found = Found()
 
-    def _answer(self, gcmd: GCodeCommand) -> None:
-        """Jog, or do what the answer says; ask what comes next, or again.
-
-        For longer work the dialog closes: it would cover the emergency stop of a web
-        interface. After an error it says why.
-        """
-        is_jog = self.wizard.is_jog(gcmd)
-        if not (is_jog or self._step() == "save"):
-            self.wizard.hide()
-        try:
-            with self._running(gcmd):
-                if is_jog:
-                    self._jog(gcmd)
-                else:
-                    self._go_on(gcmd)
-        except self.host.printer.command_error as e:
-            if not self.host.printer.is_shutdown() and self.wizard.step:
-                self._ask(str(e))
-                if not is_jog:
-                    # It may be another step than before
-                    self.wizard.tell()
-            raise
-        if self.wizard.step:
-            self._ask()
-            if not is_jog:
-                self.wizard.tell()
-
-    def _go_on(self, gcmd: GCodeCommand) -> None:
+    def go_on(self, gcmd: GCodeCommand) -> None:
         """Do what the step has announced for this answer.
 
         Every method do_<step> does what the first button of the step says, and brings
@@ -266,7 +216,7 @@ class Setup:
         self.found.arrived = True
 
     @contextlib.contextmanager
-    def _running(self, gcmd: GCodeCommand) -> Iterator[None]:
+    def running(self, gcmd: GCodeCommand) -> Iterator[None]:
         """Run a step, which meets no G-code offset and leaves none."""
         running = self.calibration.running(
             gcmd, "setup", 0, has_error_gcode=False
@@ -289,11 +239,11 @@ class Setup:
     def _step(self) -> str:
         return self.wizard.asked().name
 
-    def _abort(self, gcmd: GCodeCommand) -> None:
+    def abort(self, gcmd: GCodeCommand) -> None:
         """Leave the printer as it was before, as far as that is possible."""
         is_printing = self.host.print_state() or dialog.is_paused(self.host)
         self.wizard.close()
-        with self._running(gcmd):
+        with self.running(gcmd):
             self._leave(gcmd, bool(is_printing))
         self.wizard.tell_end()
 
@@ -586,7 +536,7 @@ class Setup:
             self.host.toolhead.dwell(LOOK_TIME)
         self.host.toolhead.wait_moves()
 
-    def _jog(self, gcmd: GCodeCommand) -> None:
+    def jog(self, gcmd: GCodeCommand) -> None:
         """Move by the X, Y and Z of the command (mm).  Pauses."""
         found = self.found
         if not found.arrived:
@@ -942,16 +892,17 @@ class Setup:
     # What is shown
     ##################################################################
 
-    def _ask(self, problem: str = "") -> None:
+    def ask(self, problem: str = "") -> None:
         """Show the dialog of the step; problem: why the last answer was not done."""
         late = self._late()
         widest = max(self._paper_room(), judging.SMALL_STEP)
-        self.wizard.show(self._sentences(problem), widest, late)
+        self.wizard.show(self.sentences(problem), widest, late)
 
     def _late(self) -> str:
         return "" if self.found.arrived else self._goal(self._step())
 
-    def _sentences(self, problem: str = "") -> List[str]:
+    def sentences(self, problem: str = "") -> List[str]:
+        """Return what the dialog says; problem: why the last answer was not done."""
         back = self.wizard.asked().back
         notes = [f"'Back': {self._goal(back)}."] if back in SITES else []
         if self._is_homed():
