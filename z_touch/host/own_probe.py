@@ -269,20 +269,10 @@ class OwnProbe:
         self.is_under_way, self.results = True, []
 
     def end_probe_session(self) -> None:
-        """End it.  May pause."""
-        if not self.is_under_way:
-            raise self.host.error("the probe session has ended already")
-        self.end_session()
-
-    def end_session(self) -> None:
-        """End it, whatever has begun it.  May pause."""
-        self.is_under_way = False
-        self.device.end()
-
-    def command_error(self) -> None:
-        """End what any command has left open that has failed.  May pause."""
+        """End it, unless it has ended already.  May pause."""
         if self.is_under_way:
-            self.end_session()
+            self.is_under_way = False
+            self.device.end()
 
     def pull_probed_results(self) -> List[Any]:
         """Return the results since the last call."""
@@ -498,7 +488,7 @@ class Installed:
 
     def _rails_end(self, _homing_state: Any, rails: Sequence[Any]) -> None:
         if self.own is not None and self._is_among(rails):
-            self.own.command_error()
+            self.own.end_probe_session()
 
     def _move_begins(self, hmove: Any) -> None:
         if self.facade in hmove.get_mcu_endstops():
@@ -512,6 +502,6 @@ class Installed:
         """End the session of a command that has failed, whose error is not to be hidden."""
         assert self.own is not None
         try:
-            self.own.command_error()
+            self.own.end_probe_session()
         except self.printer.command_error:
             logging.exception("%s: ending the session", self.host.section)
