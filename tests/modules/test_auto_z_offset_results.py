@@ -546,7 +546,12 @@ def test_acceleration_is_low_while_the_nozzle_goes_down(
 # Status while it runs
 
 
-def test_phase_and_progress(start):
+# Before the probe's first touch: one of its two places, or of three times two
+@pytest.mark.parametrize(
+    ("command", "part"),
+    [("AUTO_Z_MEASURE_OFFSET", 1 / 2), ("AUTO_Z_CALIBRATE", 1 / 6)],
+)
+def test_phase_and_progress(start, command, part):
     where = "{printer.auto_z_offset.phase}:{printer.auto_z_offset.progress}"
     code = SCENES["qidi"].sections["auto_z_offset"]["prepare_gcode"]
     changes = {
@@ -556,9 +561,9 @@ def test_phase_and_progress(start):
         **section(prepare_gcode=f"{code}\n  WHERE", samples="2"),
     }
     printer = start("qidi", changes=changes).homed()
-    lines = told(printer.run("AUTO_Z_MEASURE_OFFSET"), "echo: at")
+    lines = told(printer.run(command), "echo: at")
     assert lines[0] == "echo: at prepare_gcode:0.0"
-    assert "echo: at probe:0.5" in lines
+    assert f"echo: at probe:{part}" in lines
     status = printer.status("auto_z_offset")
     assert (status["phase"], status["progress"]) == ("idle", 0.0)
 
