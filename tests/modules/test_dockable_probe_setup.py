@@ -2,9 +2,6 @@
 
 from __future__ import annotations
 
-import re
-from dataclasses import replace
-
 import pytest
 
 from simprinter import Fault
@@ -21,6 +18,7 @@ from tools.kit.dockable_probe import (
     trips,
     where,
 )
+from tools.kit.setup_user import SAVE_THAT_FAILS
 
 OPTIONS = ("dock_position", "approach_position", "detach_position")
 
@@ -33,7 +31,7 @@ def now_of(printer):
 def test_from_no_position_to_the_first_probe(start):
     user = owner(start)
     printer = user.printer
-    user.find()
+    user.come_to("FETCH")
     assert user.step() == "FETCH"
     user.press("Fetch")
     assert where(printer) == "attached"
@@ -49,33 +47,6 @@ def test_from_no_position_to_the_first_probe(start):
     assert [tuple(settings[name]) for name in OPTIONS] == wanted
     printer.run("G28\nG90\nG1 X150 Y150 Z20 F6000\nPROBE")
     assert trips(printer)[-2:] == ["attach", "dock"]
-
-
-def test_the_same_typed(start):
-    user = owner(start)
-    run = user.printer.run
-    lines = "\n".join(run(SETUP))
-    # Whoever has no dialogs is told what to type, and how to see the rest
-    assert f"; Next: {SETUP} STEP=ON; all that it asks: {SETUP}" in lines
-    assert "// Put the probe on the toolhead by hand." not in lines
-    run(f"{SETUP} STEP=ON")
-    user.go("X50 Y270", "Y308")
-    lines = "\n".join(run(f"{SETUP} STEP=DOCK"))
-    assert f"Here: {SETUP} STEP=OUT" in lines
-    lines = "\n".join(run(SETUP))
-    assert f"Here: {SETUP} STEP=OUT" in lines
-    assert f"Back: {SETUP} STEP=OUT ANSWER=BACK" in lines
-    assert f"move the toolhead: {SETUP} STEP=OUT X=+1" in lines
-    for _ in range(4):
-        run(f"{SETUP} STEP=OUT X=10")
-    run(f"{SETUP} STEP=OUT")
-    user.go("Y270", "X50")
-    for step in ("APPROACH", "INSERT", "FETCH", "STORE"):
-        run(f"{SETUP} STEP={step}")
-    assert trips(user.printer) == ["attach", "dock", "attach", "dock"]
-    user.printer.session.restart(f"{SETUP} STEP=SAVE")
-    settings = user.printer.status("configfile")["settings"]["dockable_probe"]
-    assert tuple(settings["detach_position"]) == (90.0, 308.0)
 
 
 def test_dock_with_a_height_of_its_own_entered_from_above(start):
@@ -122,26 +93,12 @@ def test_what_does_not_fit_is_asked_again(start):
     # The same way
     user.go("X95")
     assert "this is the way out without the probe" in user.refused("Here")
-    assert "Y=30: the toolhead is moved by 10 mm at most" in printer.fail(
-        f"{SETUP} STEP=APPROACH Y=30"
-    )
     assert "Z stays as it is here" in printer.fail(f"{SETUP} STEP=APPROACH Z=1")
-    user.press("Back")
-    assert user.step() == "OUT"
-    assert "STEP=dock is not what is asked now" in printer.fail(
-        f"{SETUP} STEP=DOCK"
-    )
-    assert "ANSWER=NO is none of STEP=out: none, BACK" in printer.fail(
-        f"{SETUP} STEP=OUT ANSWER=NO"
-    )
-    user.press("Abort")
-    assert user.dialog() is None
-    assert "no set-up is under way" in printer.fail(f"{SETUP} STEP=OUT")
 
 
 def test_trial_that_fails(start):
     user = owner(start, faults=[Fault("attach_fails")])
-    user.find()
+    user.come_to("FETCH")
     assert "the probe was not fetched" in user.refused("Fetch")
     assert user.step() == "FETCH"
     user.press("Fetch")
@@ -151,7 +108,7 @@ def test_trial_that_fails(start):
 
 def test_slow_and_around_what_was_found(start):
     user = owner(start)
-    user.find()
+    user.come_to("FETCH")
     before = now_of(user.printer)
     user.press("Fetch")
     user.printer.run("M400")
@@ -188,8 +145,8 @@ def test_not_homed(start):
 @pytest.mark.parametrize("step", ["DOCK", "OUT", "APPROACH", "INSERT"])
 def test_place_is_not_taken_where_the_motors_are_off(start, step):
     user = owner(start)
-    user.find(until=step)
-    assert user.step() == step
+    user.come_to(step)
+    user.look_and_jog(step)
     user.printer.run("M84")
     text = user.refused("Here")
     assert "not homed: X, Y, and it is not known where the toolhead is" in text
@@ -201,41 +158,31 @@ def test_place_is_not_taken_where_the_motors_are_off(start, step):
 # time does not stay in force, nor what SAVE_CONFIG has refused then.
 @pytest.mark.parametrize("is_refused", [False, True])
 def test_two_set_ups_in_a_row(start, is_refused):
-    user = owner(start, scene=refusing(SWITCH) if is_refused else SWITCH)
+    user = owner(start, more=SAVE_THAT_FAILS if is_refused else None)
     printer = user.printer
-    user.find(until="INSERT")
+    user.come_to("INSERT")
     user.go("Y262")
     for label in ("Here", "Fetch", "Dock"):
         user.press(label)
     assert "insert_position: 50.000, 262.000" in user.dialog().text
     if is_refused:
-        assert "no" in user.refused("Save")
+        user.refused("Save")
         user.press("Abort")
     else:
         printer.session.restart(user.dialog().gcode("Save"))
         printer.run("G28")
     user.go("X150 Y150 Z20")
     user.put_on()
-    user.find()
+    user.come_to("FETCH")
     for label in ("Fetch", "Dock"):
         user.press(label)
     assert "insert_position: 50.000, 270.000" in user.dialog().text
     if is_refused:
         user.refused("Save")
-    script = "REALLY_SAVE" if is_refused else user.dialog().gcode("Save")
+    script = "SAVE_CONFIG_BASE" if is_refused else user.dialog().gcode("Save")
     printer.session.restart(script)
     settings = printer.status("configfile")["settings"]["dockable_probe"]
     assert tuple(settings["insert_position"]) == (50.0, 270.0)
-
-
-def refusing(scene):
-    """The same, but for SAVE_CONFIG."""
-    macro = {
-        "rename_existing": "REALLY_SAVE",
-        "gcode": "\n  {action_raise_error('no')}",
-    }
-    sections = {**scene.sections, "gcode_macro SAVE_CONFIG": macro}
-    return replace(scene, sections=sections)
 
 
 # 28 mm before the dock, where klippy refuses 38; 28.0179 is not rounded up
@@ -250,7 +197,8 @@ def refusing(scene):
 )
 def test_way_around_the_dock_fits_what_was_found(start, given, place, wanted):
     user = owner(start, safe_dock_distance=given)
-    user.find(until="APPROACH")
+    user.come_to("APPROACH")
+    user.look_and_jog("APPROACH")
     user.go(f"Y280 {place}")
     for label in ("Here", "Same", "Fetch", "Dock"):
         user.press(label)
@@ -307,7 +255,7 @@ def test_z_of_a_dock_at_the_height_of_the_head_is_kept(start):
 )
 def test_with_sensors(start, options):
     user = sensed(start, **options)
-    user.find()
+    user.come_to("FETCH")
     for label in ("Fetch", "Dock"):
         user.press(label)
     assert where(user.printer) == "docked"
@@ -328,7 +276,8 @@ def test_with_sensors(start, options):
 )
 def test_sensor_that_says_nothing_in_the_dock(start, signal, words):
     user = sensed(start)
-    user.find(until="DOCK")
+    user.come_to("DOCK")
+    user.look_and_jog("DOCK")
     user.printer.machine.break_down(Fault("stuck_open", signal=signal, t=0.0))
     text = user.refused("Here")
     assert (
@@ -350,74 +299,3 @@ def sensed(start, **options):
     user = Owner(printer)
     user.put_on()
     return user
-
-
-def test_section_in_an_included_file(start, tmp_path):
-    path = tmp_path / "dock.cfg"
-    path.write_text("[dockable_probe]\ndock_position: 50, 300\n")
-    given = {"approach_position": "50, 262", "detach_position": "90, 300"}
-    user = owner(
-        lambda scene, changes, faults: start(
-            scene, {f"include {path}": {}, **changes}, faults=faults
-        ),
-        **given,
-    )
-    user.find()
-    for label in ("Fetch", "Dock"):
-        user.press(label)
-    text = user.dialog().text
-    assert "\ndock_position: 50.000, 308.000\n" in text
-    # Kalico's own words have both values
-    assert re.match(
-        "SAVE_CONFIG section 'dockable_probe' option 'dock_position'.* conflicts"
-        " with included value",
-        user.refused("Save"),
-    )
-    assert user.step() == "SAVE"
-    wrote = "SAVE_CONFIG has written nothing; write the lines into section"
-    console = "\n".join(user.printer.session.console)
-    assert wrote in user.dialog().text
-    told = console.partition(wrote)[2].partition("\n// action")[0]
-    path.write_text("\n".join(told.replace("// ", "").splitlines()[1:]))
-    config = user.printer.session.data / "config" / "printer.cfg"
-    text = config.read_text()
-    for option in given:
-        text = re.sub(rf"(?m)^{option}: .*\n", "", text)
-    config.write_text(text)
-    user.printer.session.restart("RESTART")
-    settings = user.printer.status("configfile")["settings"]["dockable_probe"]
-    wanted = [(50.0, 308.0), (50.0, 270.0), (90.0, 308.0)]
-    assert [tuple(settings[name]) for name in OPTIONS] == wanted
-
-
-# Of eight
-def test_each_step_but_the_first_leads_back(start):
-    user = owner(start)
-    user.find()
-    user.press("Fetch")
-    for step, before in (
-        ("STORE", "INSERT"),
-        ("INSERT", "APPROACH"),
-        ("APPROACH", "OUT"),
-        ("OUT", "DOCK"),
-        ("DOCK", "ON"),
-    ):
-        assert user.step() == step
-        user.press("Back")
-        assert user.step() == before
-    user.turn_to("Next")
-    assert not user.has("Back")
-    user.press("Next")
-    user.go("Y270", "X50", "Y308")
-    user.press("Here")
-    user.go("X90")
-    user.press("Here")
-    user.go("Y270", "X50")
-    for label in ("Here", "Same", "Fetch", "Dock"):
-        user.press(label)
-    # The trial once more
-    user.press("Back")
-    assert user.step() == "FETCH"
-    for label in ("Fetch", "Dock"):
-        user.press(label)
-    user.printer.session.restart(user.dialog().gcode("Save"))

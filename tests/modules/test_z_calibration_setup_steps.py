@@ -8,9 +8,8 @@ import pytest
 
 from simprinter.hosts.session import GcodeError
 from tools.kit.cases import all_slow_but
-from tools.kit.product import CHAINED, ORDER
 from tools.kit.product import OPTIONS as TABLES
-from tools.kit.scenes import SCENES
+from tools.kit.product import ORDER
 from tools.kit.setup_user import EMPTY, SETUP, User
 from tools.kit.z_calibration import section
 
@@ -130,22 +129,3 @@ def test_probe_that_dies_on_the_bed(at_step):
     text = user.dialog().text
     assert "check the place of the bed and the probe (QUERY_PROBE" in text
     assert hidden(text) == []
-
-
-def test_button_pressed_twice(at_step):
-    user = at_step("PIN")
-    for step in STEPS[:-1]:
-        if step.lower() in CHAINED:
-            continue
-        asked = f"STEP={step} is not what is asked now"
-        again = user.first()[1]
-        assert user.step() == step
-        user.go_on()
-        touches = len(user.machine.truth.touches)
-        assert asked.lower() in user.printer.fail(again).lower()
-        assert len(user.machine.truth.touches) == touches
-    user.printer.session.restart(user.dialog().gcode("Save"))
-    own = user.printer.status("configfile")["settings"]["z_calibration"]
-    real = SCENES["cartesian"].world.mag_probe.switch_offset
-    # Paper is as exact as its steps
-    assert own["switch_offset"] == pytest.approx(real, abs=0.015)

@@ -10,9 +10,7 @@ import pytest
 
 from simprinter.hosts.moonraker import MoonrakerError
 from tests.moonraker.updates import restarted
-from tools.kit.dockable_probe import where
 from tools.kit.lab import Lab
-from tools.kit.product import CHAINED, ORDER
 from tools.kit.scenes import SCENES
 from tools.kit.setup_user import EMPTY, SETUP, User, open_dialog
 from tools.kit.z_calibration import MICROSTEP
@@ -106,25 +104,6 @@ def lines_since(lab, began, words):
         if e["type"] == "response" and e["time"] >= began
         if words in e["message"]
     ]
-
-
-@pytest.mark.slow
-@pytest.mark.timeout(600)
-def test_abort_at_each_step(lab):
-    user = WebUser(lab)
-    for step in (name.upper() for name in ORDER if name not in CHAINED):
-        user.begin()
-        user.go_to(step)
-        user.press("Abort")
-        assert user.dialog() is None
-        with pytest.raises(MoonrakerError) as caught:
-            lab.moonraker.run(f"{SETUP} STEP={step}")
-        assert "no set-up is under way" in caught.value.text
-        configfile = lab.moonraker.status("configfile")
-        assert configfile["save_config_pending_items"] == {}
-        lab.moonraker.run("M400")
-        with lab.standing() as printer:
-            assert where(printer) == "docked", step
 
 
 @pytest.mark.slow

@@ -6,7 +6,7 @@ from collections.abc import Callable, Iterable
 from typing import Any, Optional
 
 from simprinter import Fault, Scene
-from tools.kit.dockable_probe import QUICK, SWITCH, section
+from tools.kit.dockable_probe import QUICK, SWITCH, section, where
 from tools.kit.printer import Printer
 from tools.kit.setup_user import User
 
@@ -17,16 +17,12 @@ UNKNOWN = {
     "approach_position": None,
     "detach_position": None,
 }
-# The buttons that lead there, for whoever has found the places of SWITCH
-TRIAL = {"FETCH": 0, "STORE": 1, "SAVE": 2}
 
 
 class Owner(User):
     """Of a printer whose dock is nowhere yet, the probe in it."""
 
-    def begin(self) -> None:
-        """The command that all begins with."""
-        self.printer.run(SETUP)
+    SETUP = SETUP
 
     def put_on(self) -> None:
         """By hand."""
@@ -39,32 +35,18 @@ class Owner(User):
         script = "\n".join(f"G1 {place} F3000" for place in places)
         self.printer.run(f"G90\n{script}\nM400")
 
-    def find(self, until: str = "FETCH") -> None:
-        """Begin, and the places of SWITCH, up to the trial or to a step before."""
-        self.begin()
-        if until == "ON":
-            return
-        self.press("Next")
-        self.go("X50 Y270", "Y306")
-        self.jog("Y", 2.0)
-        for label, places in (
-            ("Here", ["X90"]),
-            ("Here", ["Y270", "X50"]),
-            ("Here", []),
-        ):
-            if self.step() == until:
-                return
-            self.press(label)
-            self.go(*places)
-        if until != "INSERT":
-            self.press("Same")
-
-    def go_to(self, step: str) -> None:
-        """From the beginning to a step, the last one included."""
-        self.find("FETCH" if step in TRIAL else step)
-        for label in ("Fetch", "Dock")[: TRIAL.get(step, 0)]:
-            self.press(label)
-        assert self.step() == step
+    def look_and_jog(self, step: str) -> None:
+        """The toolhead to where it has to be for the places of SWITCH."""
+        if step == "DOCK":
+            self.go("X50 Y270", "Y306")
+            self.jog("Y", 2.0)
+        elif step == "OUT":
+            self.go("X90")
+        elif step == "APPROACH":
+            self.go("Y270", "X50")
+        elif step == "FETCH" and where(self.printer) == "attached":
+            # Put back by hand, as it was fetched before
+            self.go("X50 Y270", "Y308", "X90", "Y270")
 
 
 def dock_owner(

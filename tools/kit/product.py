@@ -22,7 +22,6 @@ from z_touch.z_calibration.setup_steps import STEPS as _STEPS
 
 __all__ = [
     "AUTO",
-    "CHAINED",
     "GCODE",
     "HISTORY",
     "OLD_POSITIONS",
@@ -52,10 +51,5 @@ OPTIONS: dict[str, tuple[Any, ...]] = {
 OLD_POSITIONS: tuple[Any, ...] = _dockable_probe.OLD_POSITIONS
 # What a row of z_calibration's history is
 HISTORY = _z_calibration.HISTORY
-# The steps of Z_CALIBRATION_SETUP, and those of them that follow by themselves
+# The steps of Z_CALIBRATION_SETUP
 ORDER = [step.name for step in _STEPS]
-CHAINED = [
-    step.name
-    for before, step in zip(_STEPS, _STEPS[1:])
-    if step.number == before.number
-]

@@ -21,6 +21,15 @@ EMPTY = {
     "bed_xy_position": None,
     "switch_offset": None,
 }
+# Refuses until its variable says otherwise
+SAVE_THAT_FAILS = {
+    "gcode_macro SAVE_CONFIG": {
+        "rename_existing": "SAVE_CONFIG_BASE",
+        "variable_fails": "True",
+        "gcode": "\n  {% if fails %}{action_raise_error('disk full')}{% endif %}"
+        "\n  SAVE_CONFIG_BASE",
+    }
+}
 JOGS = (10.0, 1.0, 0.1)
 # Changes by how much the jog buttons move
 WIDTHS = "Steps of "
@@ -61,6 +70,8 @@ def presses(distance: float, jogs: Iterable[float] = JOGS) -> list[float]:
 
 class User:
     """Reads dialogs, presses buttons and switches, looks at the nozzle."""
+
+    SETUP = SETUP
 
     def __init__(self, printer: RunningPrinter, pin: str = "z_endstop"):
         """pin: the signal of what the nozzle presses."""
@@ -103,7 +114,12 @@ class User:
 
     def begin(self) -> None:
         """The command that all begins with."""
-        self.printer.run(SETUP)
+        self.printer.run(self.SETUP)
+
+    def come_to(self, step: str) -> None:
+        """From the beginning, as far as that."""
+        self.begin()
+        self.go_to(step)
 
     def step(self) -> str:
         """The step that is asked, in the word of the console."""
