@@ -28,6 +28,7 @@ from tools.kit.cases import all_slow_but, slow
 from tools.kit.docks import DOCK_SCENES, HANG
 from tools.kit.printer import Printer, module_files, saved_before
 from tools.kit.scenes import SCENES
+from tools.kit.z_calibration import with_extra
 
 STEPS = 2 * MICROSTEP
 MEASURING = ("PROBE", "HOME_Z", "MEASURE_OFFSET", "CALIBRATE")
@@ -714,56 +715,21 @@ def test_height_that_a_switch_has_left_is_none(start):
     assert true_gap(printer) == pytest.approx(gap, abs=STEPS)
 
 
-OTHERS = '''
-class Hidden:
-    """An object without some of its attributes."""
-
-    def __init__(self, inner, hidden):
-        self.__dict__.update(inner=inner, hidden=hidden)
-
+HIDDEN = """
+class Hidden:  # Whose switch nobody sees
+    def __init__(self, inner):
+        self.__dict__.update(inner=inner)
     def __getattr__(self, name):
-        if name in self.hidden:
+        if name in ("z_position", "probe_session", "mcu_probe"):
             raise AttributeError(name)
-        found = getattr(self.inner, name)
-        if name == "mcu_probe":
-            # The same one each time, as of a host
-            found = self.__dict__[name] = Hidden(found, ("homing_helper",))
-        return found
-
-
-def load_config(config):
-    printer = config.get_printer()
-    hidden = ("z_position", "probe_session")
-    if config.getboolean("whole"):
-        hidden += ("mcu_probe",)
-
-    def change():
-        probe = printer.lookup_object("probe")
-        printer.objects["probe"] = Hidden(probe, hidden)
-
-    printer.register_event_handler("klippy:mcu_identify", change)
-'''
-
-
-def hidden_floor(tmp_path, whole):
-    """Changes and modules for a probe whose floor nobody can set."""
-    source = tmp_path / "others.py"
-    source.write_text(OTHERS)
-    return {
-        "changes": {"others": {"whole": whole}},
-        "modules": {**module_files(), "others": source},
-    }
-
-
-@pytest.mark.parametrize("n", [None, 1, 3])
-def test_probe_that_takes_no_floor_is_touched_by_us(start, tmp_path, n):
-    faults = dead_probe(n)
-    printer = start("qidi", faults=faults, **hidden_floor(tmp_path, "false"))
-    check_calibration(printer.homed(), n)
+        return getattr(self.inner, name)
+printer.objects["probe"] = Hidden(probe)
+"""
 
 
 def test_probe_that_cannot_be_told_where_to_end_is_refused(start, tmp_path):
-    printer = start("qidi", **hidden_floor(tmp_path, "true"))
+    modules = with_extra(tmp_path, HIDDEN)
+    printer = start("qidi", {"extra": {}}, modules=modules)
     kind, message = printer.session.start()
     assert kind == "error"
     assert "Internal error" not in message

@@ -23,7 +23,6 @@ from tools.kit.z_calibration import (
     result_of,
     section,
     touched_sites,
-    with_extra,
 )
 
 
@@ -504,41 +503,6 @@ def test_phase_and_progress(host, tmp_path):
         ]
         status = printer.status("z_calibration")
         assert (status["phase"], status["progress"]) == ("idle", 0.0)
-
-
-# A probe that is not the host's own
-
-OTHERS = """
-class Hidden:  # Without some of its attributes
-    def __init__(self, inner):
-        self.__dict__.update(inner=inner)
-    def __getattr__(self, name):
-        if name in ("z_position", "probe_session", "homing_helper"):
-            raise AttributeError(name)
-        found = getattr(self.inner, name)
-        return Hidden(found) if name == "mcu_probe" else found
-printer.objects["probe"] = Hidden(probe)
-"""
-
-
-@pytest.mark.parametrize("touch", [None, 1, 3])
-def test_probe_that_takes_no_floor_is_touched_by_us(start, tmp_path, touch):
-    modules = with_extra(tmp_path, OTHERS)
-    faults = []
-    if touch is not None:
-        about = {"site": "probe_bed", "command": "CALIBRATE_Z"}
-        faults = [Fault("trigger_never", touch=touch, **about)]
-    printer = start(changes={"extra": {}}, modules=modules, faults=faults)
-    printer.machine.tolerate("body_bed", 1.0)
-    printer.homed()
-    if touch is None:
-        _, sites = calibration(printer)
-        assert sites.count("probe_bed") == 3
-        assert printer.gap() == pytest.approx(0.06, abs=2 * MICROSTEP)
-        return
-    text = printer.fail("CALIBRATE_Z")
-    assert f"(stopped at z={BODY + SWITCH_OFFSET - 1.0:.3f})" in text
-    assert_unharmed(printer)
 
 
 def test_pin_of_its_own_has_no_place_to_fall_back_to(start):
