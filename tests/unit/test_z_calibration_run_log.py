@@ -84,14 +84,16 @@ def test_it_is_written_anew_as_a_whole(path):
     assert parsed(path).runs == read(make_runs(5))[-2:]
 
 
-def test_only_its_end_is_read(path, monkeypatch):
-    """Of a line in the middle of which that begins nothing is."""
+@pytest.mark.parametrize(("part", "left"), [(0.5, 4), (1.0, 8)])
+def test_only_its_end_is_read(path, monkeypatch, part, left):
+    """Of a line that begins before it nothing is, were it by a byte."""
     add(path, 9)
-    monkeypatch.setattr(run_log, "MOST_BYTES", len(content(path)) // 2)
+    most = int(part * len(content(path))) - 1
+    monkeypatch.setattr(run_log, "MOST_BYTES", most)
     lines, is_whole = run_log.last_lines(path)
     assert not is_whole
     found = runs.parse_all(lines)
-    assert (found.runs, found.damaged) == (read(make_runs(9))[-4:], 0)
+    assert (found.runs, found.damaged) == (read(make_runs(9))[-left:], 0)
 
 
 def test_nothing_is_known_at_first():
