@@ -215,6 +215,8 @@ def assert_texts_apart(root):
     _, _, width, height = map(float, root.get("viewBox").split())
     for dot in root.iter(f"{SVG}circle"):
         assert plots.LEFT <= float(dot.get("cx")) <= width - plots.RIGHT
+    for box in root.iter(f"{SVG}rect"):
+        assert float(box.get("width")) + float(box.get("x", "0")) <= width
     boxes = []
     for element in root.iter(f"{SVG}text"):
         x, y = float(element.get("x")), float(element.get("y"))
