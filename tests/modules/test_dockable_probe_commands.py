@@ -287,7 +287,8 @@ def test_probe_put_on_by_hand(start):
     assert "STATE=ATTACHED, but the probe is DOCKED (pin reads TRIGGERED)" in (
         text
     )
-    assert "STATE" in printer.fail("SET_PROBE_STATUS STATE=NOWHERE")
+    text = printer.fail("SET_PROBE_STATUS STATE=NOWHERE")
+    assert "STATE has to be ATTACHED, DOCKED, UNKNOWN" in text
     printer.run("ATTACH_PROBE\nSET_PROBE_STATUS STATE=ATTACHED")
     before = len(printer.machine.truth.events)
     # Nobody has seen it change, and it stays then

@@ -111,6 +111,15 @@ def test_few_cycles_tell_no_cause():
     assert verdicts("heat", 6, 20) == {"heat": 20}
 
 
+def test_drift_is_told_by_the_minute():
+    """Of 0.02 mm in two minutes, by which bed and offset drift alike."""
+    found = [
+        Cycle(12.0 * i, (1.6,), (8.0,), (7.0 - 0.002 * i,)) for i in range(11)
+    ]
+    verdict = cycles.judge(found, STEP)
+    assert verdict.text.startswith("the offset drifts by -0.0100 mm per minute")
+
+
 @pytest.mark.parametrize("touches", [2, 5])
 @pytest.mark.parametrize("cause", ["none", "seat", "heat", "probe"])
 def test_other_numbers_of_touches(cause, touches):

@@ -258,6 +258,13 @@ def test_ticks_are_round(low, high, wanted):
     assert [f"{value:.{digits}f}" for value, digits in ticks] == wanted
 
 
+def test_ends_of_a_plot_are_as_far_apart_as_they_have_to_be():
+    for low, high, ends in ((1.0, 3.0, (0.0, 4.0)), (0.0, 5.0, (0.0, 5.0))):
+        room = 0.08 * (ends[1] - ends[0])
+        wanted = (ends[0] - room, ends[1] + room)
+        assert plots.spanned(low, high, 4.0) == pytest.approx(wanted)
+
+
 def test_colours_need_no_style_sheet():
     """What has none of its own is black on transparent in some viewers."""
     text = picture.svg(read(make_runs(20)))
