@@ -135,6 +135,19 @@ class Attached:
                 " where it is to touch, and begin again"
             )
 
+    def check_docked(self, host: Host, option: str) -> None:
+        """Raise CalibrationError where the G-code of an option has attached a probe.
+
+        May pause.
+        """
+        carrier = self.carrier(host)
+        if carrier is not None and carrier.state() != DOCKED:
+            raise CalibrationError(
+                f"after {option} the probe is {carrier.state()} ({carrier.reads()}),"
+                " and would meet the bed before the nozzle does; take what fetches it"
+                f" out of {option}"
+            )
+
     def check_questions(self, host: Host, own: bool = False) -> None:
         """Raise CalibrationError while a section waits for an answer of a person.
 

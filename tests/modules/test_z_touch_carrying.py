@@ -59,6 +59,22 @@ def untouched(printer):
     return pressed(printer) < 0.2 and printer.machine.truth.crashes() == []
 
 
+@pytest.mark.parametrize("each", ["True", "False"])
+def test_probe_that_activate_gcode_fetches_is_refused(start, each):
+    """The toolhead is back, so that it has not moved; the probe is on it by then."""
+    own = {
+        "activate_gcode": "\n  ATTACH_PROBE",
+        "deactivate_on_each_sample": each,
+    }
+    printer = ready(start, changes={"extra_probe membrane": own})
+    printer.machine.lay_membrane()
+    printer.run("G1 Z20 F900\nG1 X60 Y60 F6000")
+    text = printer.fail(f"EXTRA_PROBE {MEMBRANE}")
+    assert "after activate_gcode the probe is ATTACHED" in text
+    assert text.endswith("take what fetches it out of activate_gcode")
+    assert untouched(printer)
+
+
 @pytest.mark.parametrize("touch", all_slow_but(USUAL, TOUCHES))
 @pytest.mark.parametrize("reason", ["held", slow("delayed")])
 def test_probe_is_docked_before_the_nozzle_goes_down(start, reason, touch):

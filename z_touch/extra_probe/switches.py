@@ -115,6 +115,9 @@ class PinSwitch:
         """Run activate_gcode, and deactivate_gcode on every path."""
         with command.always(self.host, self._deactivate, "deactivate_gcode"):
             self._run("activate_gcode", self.settings.activate_gcode)
+            attached.of(self.host.printer).check_docked(
+                self.host, "activate_gcode"
+            )
             yield
 
     def _deactivate(self) -> None:
