@@ -14,7 +14,6 @@ from tools.kit.auto_z_offset import (
     POINT,
     PROBE_PLACE,
     SENSOR,
-    SITES,
     formulas,
     seconds,
     section,
@@ -244,21 +243,6 @@ def test_lift_speed(start, samples):
 # Samples
 
 
-def test_samples_are_taken_of_both_sensors(start):
-    printer = moving(start, samples="4")
-    first = len(printer.machine.truth.touches)
-    lines = printer.run("AUTO_Z_MEASURE_OFFSET")
-    assert len(told(lines, "bed sensor: triggered at z=")) == 4
-    assert len(told(lines, "auto_z_offset: probe: triggered at z=")) == 4
-    at_probe = [
-        touch
-        for touch in touches(printer, first)
-        if (touch.x, touch.y) == pytest.approx(PROBE_PLACE, abs=0.02)
-    ]
-    assert len(at_probe) == 4
-    assert sites(printer, first).count("nozzle_bed") == 4
-
-
 @pytest.mark.parametrize("retract", ["2.5", "6"])
 def test_sample_retract_dist(start, retract):
     printer = moving(start, samples="2", sample_retract_dist=retract)
@@ -268,62 +252,6 @@ def test_sample_retract_dist(start, retract):
     for z in (parts.sensor, parts.probe):
         top = z + float(retract)
         assert min(abs(top - each) for each in tops) < 0.01
-
-
-@pytest.mark.slow
-@pytest.mark.parametrize(
-    ("result", "share"),
-    [
-        ("average", 1 / 3),
-        slow("AVERAGE", 1 / 3),
-        slow("median", 0.0),
-        ("Median", 0.0),
-    ],
-)
-@pytest.mark.parametrize("signal", ["bed_sensor", "probe"])
-def test_samples_result(start, result, share, signal):
-    # The second of three is 0.06 mm early
-    about = {"touch": 2, "command": "AUTO_Z_MEASURE_OFFSET"}
-    fault = Fault("trigger_early", site=SITES[signal], mm=0.06, **about)
-    printer = moving(
-        start,
-        [fault],
-        samples="3",
-        samples_result=result,
-        samples_tolerance="0.1",
-    )
-    parts = measured(printer)
-    found = {"bed_sensor": parts.sensor - SENSOR, "probe": parts.probe}[signal]
-    assert found == pytest.approx(0.06 * share, abs=STEPS)
-
-
-@pytest.mark.parametrize(("retries", "good"), [("0", False), ("1", True)])
-@pytest.mark.parametrize("signal", ["bed_sensor", "probe"])
-def test_tolerance_and_retries(start, signal, retries, good):
-    command = "AUTO_Z_MEASURE_OFFSET" if good else "AUTO_Z_CALIBRATE"
-    about = {"site": SITES[signal], "touch": 2, "command": command}
-    fault = Fault("trigger_early", mm=0.06, **about)
-    printer = moving(
-        start,
-        [fault],
-        samples="2",
-        samples_tolerance="0.05",
-        samples_tolerance_retries=retries,
-    )
-    name = "bed sensor" if signal == "bed_sensor" else "probe"
-    if not good:
-        text = printer.fail(command)
-        assert f"auto_z_offset: {name}: samples differ by 0.0" in text
-        assert "samples_tolerance is 0.0500 mm; clean the nozzle" in text
-        return
-    lines = printer.run(command)
-    again = told(lines, "trying again")
-    assert len(again) == 1
-    assert f"{name}: samples differ by" in again[0]
-    parts = formulas(lines)[0]
-    # The odd pair is not in the result
-    assert parts.sensor == pytest.approx(SENSOR, abs=STEPS)
-    assert parts.probe == pytest.approx(0.0, abs=STEPS)
 
 
 def test_cycles_that_differ_are_taken_again(start):

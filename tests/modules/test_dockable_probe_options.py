@@ -460,58 +460,13 @@ def test_docked_before_z_is_homed(start):
         assert trips(printer) == ["attach", *docked]
 
 
-def test_samples(start):
-    printer = start(SWITCH, section(samples="1", samples_tolerance_retries="0"))
-    printer.homed()
-    place = "G1 X150 Y150 Z20 F6000\n"
-    count = printer.machine.truth.touch_count
-    printer.run(place + "PROBE SAMPLES=4 SAMPLE_RETRACT_DIST=1")
-    assert count("probe_bed") == 4
-    printer.machine.break_down(
-        Fault("trigger_early", site="probe_bed", touch=2, mm=0.3)
-    )
-    text = printer.fail(place + "PROBE SAMPLES=2")
-    assert "samples" in text
-    printer.machine.break_down(
-        Fault("trigger_early", site="probe_bed", touch=2, mm=0.3)
-    )
-    before = count("probe_bed")
-    printer.run(place + "PROBE SAMPLES=3 SAMPLES_TOLERANCE_RETRIES=1")
-    # Two, and three again; the early one does not get to the bed
-    assert count("probe_bed") == before + 4
-    for method, z in (("median", 7.0), ("average", 7.0 + 0.06 / 3)):
-        printer.machine.break_down(
-            Fault("trigger_early", site="probe_bed", touch=2, mm=0.06)
-        )
-        wanted = f"SAMPLES=3 SAMPLES_RESULT={method} SAMPLES_TOLERANCE=0.1"
-        printer.run(f"{place}PROBE {wanted}")
-        assert printer.status("probe")["last_z_result"] == pytest.approx(
-            z, abs=0.006
-        )
+def test_parameters_of_a_probing_command_that_are_none(start):
+    printer = start(SWITCH, section(**QUICK)).homed()
+    printer.run("G1 X150 Y150 Z20 F6000")
     for wrong in ("SAMPLES=0", "PROBE_SPEED=0"):
         assert wrong.split("=")[0] in printer.fail(f"PROBE {wrong}")
     # Kalico's PROBE does not look at it for one sample
     assert "LIFT_SPEED" in printer.fail("PROBE_ACCURACY LIFT_SPEED=0")
-
-
-def test_samples_by_options(start):
-    for options, z in (
-        ({"samples_result": "median", "samples_tolerance": "0.07"}, 7.0),
-        ({"samples_result": "average", "samples_tolerance": "0.07"}, 7.02),
-        ({"samples_tolerance": "0.05"}, None),
-    ):
-        series = {"samples": "3", "samples_tolerance_retries": "0"}
-        printer = start(SWITCH, section(**series, **options)).homed()
-        printer.run("G1 X150 Y150 Z20 F6000\nM400")
-        printer.machine.break_down(
-            Fault("trigger_early", site="probe_bed", touch=2, mm=0.06)
-        )
-        if z is None:
-            assert "samples_tolerance" in printer.fail("PROBE")
-            continue
-        printer.run("PROBE")
-        last = printer.status("probe")["last_z_result"]
-        assert last == pytest.approx(z, abs=0.006)
 
 
 def test_probing_speeds_of_a_command(start):

@@ -552,54 +552,6 @@ def test_floor_of_the_bed(start, touch):
 # Sampling
 
 
-@pytest.mark.parametrize(
-    ("options", "site", "fails"),
-    [
-        ({"samples_tolerance": "0.06"}, "nozzle_pin", False),
-        ({"samples_tolerance_retries": "0"}, "nozzle_pin", True),
-        ({"samples_tolerance": "0.06"}, "body_pin", False),
-        ({"samples_tolerance_retries": "0"}, "body_pin", True),
-    ],
-)
-def test_tolerance_and_retries(start, options, site, fails):
-    # The probe has 0.01 mm and 3 retries
-    about = {"site": site, "touch": 2, "command": "CALIBRATE_Z"}
-    faults = [Fault("trigger_early", mm=0.05, **about)]
-    printer = start(changes=section(**options), faults=faults).homed()
-    if fails:
-        assert "samples differ by 0.05" in printer.fail("CALIBRATE_Z")
-        assert_unharmed(printer)
-        return
-    lines = printer.run("CALIBRATE_Z")
-    assert not any("trying again" in line for line in lines)
-
-
-@pytest.mark.slow
-@pytest.mark.parametrize(
-    ("site", "of_probe", "own", "share"),
-    [
-        ("nozzle_pin", "average", None, 1),
-        ("nozzle_pin", "median", "average", 1),
-        ("probe_bed", "average", None, 1),
-        ("probe_bed", "average", "none", 1),
-        ("probe_bed", "average", "median", 0),
-        ("probe_bed", "median", "average", 1),
-    ],
-)
-def test_samples_result(start, site, of_probe, own, share):
-    # One of three samples triggers 0.09 mm early, within the tolerance
-    changes = {
-        "probe": {"samples_result": of_probe, "samples_tolerance": "0.2"},
-        **section(samples_result=own),
-    }
-    about = {"site": site, "touch": 2, "command": "CALIBRATE_Z"}
-    faults = [Fault("trigger_early", mm=0.09, **about)]
-    printer = start(changes=changes, faults=faults).homed()
-    (probe, _, nozzle, _, _), _ = calibration(printer)
-    off = nozzle - PIN if site == "nozzle_pin" else probe - BED - TRIGGER
-    assert off == pytest.approx(share * 0.03, abs=2 * MICROSTEP)
-
-
 def spans(host, changes, command="CALIBRATE_Z"):
     """Seconds between the touches of a calibration, from its start on."""
     with Printer(host, changes=changes) as printer:
@@ -726,8 +678,6 @@ AT_FIRST = 5
 @pytest.mark.parametrize(
     ("samples", "params", "count"),
     [
-        slow(None, "SAMPLES=2", 2),
-        ("6", "SAMPLES=1", 1),
         ("6", "SAMPLES=", 6),
         ("6", "SAMPLES=auto", AT_FIRST),
         slow("auto", "SAMPLES=2", 2),
@@ -745,23 +695,6 @@ def test_samples_of_one_command(start, samples, params, count):
         "probe_bed": count,
     }
     assert (IDLE in lines) is (count == AT_FIRST)
-
-
-@pytest.mark.slow
-def test_tolerance_and_result_of_one_command(start):
-    # One of three samples is 0.05 mm off
-    about = {"site": "probe_bed", "touch": 2, "command": "CALIBRATE_Z"}
-    faults = [Fault("trigger_early", mm=0.05, **about)]
-    changes = {"probe": {"samples_tolerance": "0.1"}}
-    printer = start(changes=changes, faults=faults).homed()
-    params = "SAMPLES_TOLERANCE=0.02 SAMPLES_TOLERANCE_RETRIES=0"
-    message = printer.fail(f"CALIBRATE_Z {params}")
-    assert "bed: samples differ by" in message
-    assert "samples_tolerance is 0.0200 mm" in message
-    printer = start(changes=changes, faults=faults).homed()
-    lines = printer.run("CALIBRATE_Z SAMPLES_RESULT=average")
-    probe = result_of(lines)[0]
-    assert probe - BED - TRIGGER == pytest.approx(0.05 / 3, abs=MICROSTEP)
 
 
 def test_first_fast_touch_is_no_sample(start):

@@ -151,50 +151,6 @@ def test_batch_run_gives_the_same_result(host):
     assert gap == pytest.approx(scene.formula_gap(), abs=2 * MICROSTEP)
 
 
-@pytest.mark.every_host("the host's own probe takes the samples of the bed")
-def test_samples_come_from_the_probe(start):
-    printer = start(changes={"probe": {"samples": "4"}}).homed()
-    _, sites = calibration(printer)
-    expected = ["nozzle_pin"] * 4 + ["body_pin"] * 4 + ["probe_bed"] * 4
-    assert sites == expected
-
-
-def early(site, touch):
-    """By 0.05 mm."""
-    about = {"site": site, "touch": touch, "command": "CALIBRATE_Z"}
-    return Fault("trigger_early", mm=0.05, **about)
-
-
-def test_a_sample_that_disagrees_starts_the_site_again(start):
-    faults = [early("nozzle_pin", 3)]
-    printer = start(faults=faults).homed()
-    lines = printer.run("CALIBRATE_Z")
-    assert result_of(lines)[2] == pytest.approx(PIN, abs=MICROSTEP)
-    retries = [line for line in lines if "samples_tolerance" in line]
-    assert len(retries) == 1
-    assert "nozzle" in retries[0]
-    assert "0.0500 mm" in retries[0]
-
-
-def test_retries_end(start):
-    changes = {"probe": {"samples_tolerance_retries": "1"}}
-    faults = [early("nozzle_pin", 3), early("nozzle_pin", 5)]
-    printer = start(changes=changes, faults=faults).homed()
-    text = printer.fail("CALIBRATE_Z")
-    assert "nozzle: samples differ by 0.05" in text
-    assert_unharmed(printer)
-
-
-def test_bed_is_sampled_with_the_probes_own_settings(start):
-    changes = {"probe": {"samples_tolerance_retries": "0"}}
-    faults = [early("probe_bed", 2)]
-    printer = start(changes=changes, faults=faults).homed()
-    text = printer.fail("CALIBRATE_Z")
-    assert "bed: samples differ by 0.0" in text
-    assert "samples_tolerance is 0.0100 mm" in text
-    assert_unharmed(printer)
-
-
 @pytest.mark.parametrize("deactivate", ["activate", "deactivate"])
 def test_probe_that_cannot_be_made_ready_ends_the_run(start, deactivate):
     # With its own pin to be told apart: fails once, when told to
