@@ -130,8 +130,6 @@ def test_point_of_the_measurement(start, changes, place):
     [
         ("-4", "-1.1", -1.1, "probe_z_min"),
         ("-4", "-7", -4.0, "position_min of section 'stepper_z'"),
-        ("-60", "-50", -10.0, "the limit of auto_z_offset"),
-        ("-60", None, -10.0, "the limit of auto_z_offset"),
     ],
 )
 def test_floor(start, axis, own, z, why):
@@ -252,27 +250,6 @@ def test_sample_retract_dist(start, retract):
     for z in (parts.sensor, parts.probe):
         top = z + float(retract)
         assert min(abs(top - each) for each in tops) < 0.01
-
-
-def test_cycles_that_differ_are_taken_again(start):
-    # One touch each: only the cycles can disagree
-    about = {"site": "nozzle_bed", "touch": 2, "command": "AUTO_Z_CALIBRATE"}
-    fault = Fault("trigger_late", mm=0.03, **about)
-    printer = moving(
-        start,
-        [fault],
-        cycles_tolerance="0.02",
-        samples_tolerance_retries="1",
-    )
-    printer.machine.tolerate("nozzle_bed", 0.06)
-    words = "auto_z_offset: cycles: samples differ by 0.0300 mm,"
-    words += " cycles_tolerance is 0.0200 mm"
-    lines = printer.run("AUTO_Z_CALIBRATE")
-    assert told(lines, words)
-    assert len(formulas(lines)) == 2 + 3
-    assert len(printer.status("auto_z_offset")["corrections"]) == 3
-    gap = printer.scene.piezo_gap()
-    assert true_gap(printer) == pytest.approx(gap, abs=STEPS)
 
 
 @pytest.mark.parametrize("count", [1, 5])
@@ -540,15 +517,7 @@ NO_Z_AXIS = {
 @pytest.mark.parametrize(
     ("changes", "words"),
     [
-        (
-            section(pin=None),
-            ["Option 'pin' in section 'auto_z_offset' must be"],
-        ),
         (section(pin=""), ["Option 'pin: '", "is no pin", "U_1:PC1"]),
-        (
-            section(pin="probe:z_virtual_endstop"),
-            ["Option 'pin: probe:z_virtual_endstop'", "is no pin"],
-        ),
         (
             section(pin="much:PC1"),
             [
@@ -564,10 +533,6 @@ NO_Z_AXIS = {
                 "remove it where it is not needed",
             ],
         ),
-        (section(prepare_gcode=None), ["Option 'prepare_gcode'", "must be"]),
-        (section(prepare_gcode="{% if %}"), ["prepare_gcode"]),
-        (section(samples_result="submaxmin"), ["must be average or median"]),
-        (section(colour="red"), ["'colour'", "'auto_z_offset'"]),
         (
             {
                 "probe": None,

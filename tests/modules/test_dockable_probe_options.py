@@ -58,16 +58,9 @@ def seconds(printer, script):
 @pytest.mark.parametrize(
     ("changes", "words"),
     [
-        ({"pin": "no:PA1"}, "Option 'pin' in section 'dockable_probe'"),
         ({"pin": "no:PA1"}, "give the pin that the switch is wired to"),
-        ({"probe_sense_pin": "PZ9:1"}, "'probe_sense_pin'"),
-        ({"dock_sense_pin": "foo:1"}, "Option 'dock_sense_pin'"),
-        ({"z_offset": "nan"}, "'z_offset' in section 'dockable_probe' is not"),
         ({"check_open_attach": None}, "nothing tells whether the probe is"),
         ({"check_open_attach": "False"}, "set check_open_attach: True"),
-        ({"dock_position": "50, 60, 70, 80"}, "has to be 'X, Y' or 'X, Y, Z'"),
-        # Kalico itself takes no infinite number
-        ({"dock_position": "50, inf"}, "'dock_position' in section 'dockable_"),
         ({"approach_position": "50, 308"}, "is at dock_position"),
         ({"extract_position": "50.1, 308"}, "'extract_position' in section"),
         ({"detach_position": "50, 308"}, "'detach_position' in section"),
@@ -96,7 +89,6 @@ def seconds(printer, script):
         ),
         ({"safe_dock_distance": "41"}, "safe_dock_distance"),
         ({"dock_angle": "0"}, "needs dock_safe_distance"),
-        ({"no_such_option": "1"}, "no_such_option"),
     ],
 )
 def test_wrong_option(host: Host, changes, words):

@@ -503,7 +503,6 @@ def test_generic_cartesian(start, host):
             "Option 'safe_z_height: 251' in section 'extra_probe membrane' is"
             " above the 250.000 of Z; lower it",
         ),
-        ("membrane", {"much": "1"}, "Option 'much' is not valid in section"),
     ],
 )
 def test_option_that_cannot_be_used(host, scene, own, words):

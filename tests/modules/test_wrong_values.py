@@ -193,6 +193,13 @@ def test_other_nonsense_and_none(host, case):
     assert (state == "ready") is not case.required
 
 
+@pytest.mark.parametrize("module", SCENES)
+def test_option_that_is_none(host, module):
+    section = SECTIONS.get(module, module)
+    message = refusal(host, {section: {"much": "1"}}, SCENES[module])
+    assert f"Option 'much' is not valid in section '{section}'" in message
+
+
 @pytest.mark.parametrize(
     ("module", "option"),
     [

@@ -306,12 +306,8 @@ REFUSED = {
         ["6.7 mm from where it touches the switch", "at least 7 mm away"],
     ),
     "position as offsets": (
-        section(switch_xy_position=None, switch_xy_offsets="211.5, 281.25"),
-        [f"'switch_xy_offsets'{IN}: 211.5 mm in X is no distance from the"],
-    ),
-    "offset too large": (
         section(switch_xy_position=None, switch_xy_offsets="5.5, -101"),
-        [f"Option 'switch_xy_offsets'{IN}: -101 mm in Y is no distance"],
+        [f"'switch_xy_offsets'{IN}: -101 mm in Y is no distance from the"],
     ),
     "offset out of reach": (
         section(switch_xy_position=None, switch_xy_offsets="95, -24.75"),
@@ -352,10 +348,6 @@ REFUSED = {
             "only one of 'probe_nozzle_x' and 'probe_nozzle_y'",
         ],
     ),
-    "no option": (
-        section(swich_offset="0.4"),
-        [f"Option 'swich_offset' is not valid{IN}"],
-    ),
 }
 
 
@@ -376,28 +368,12 @@ def test_point_on_the_edge_of_the_axes(host, edge):
 # Margins, heights, floors
 
 
-@pytest.mark.slow
-@pytest.mark.parametrize(
-    ("margins", "limits"),
-    [
-        ("0.2", None),
-        # Which direction is meant is plain
-        ("-0.2", None),
-        # 0 need not be one of them
-        ("0.1, 0.3", None),
-        ("-0.5,0.1", "-0.500 to 0.100"),
-        ("-2.75, -2.35", "-2.750 to -2.350"),
-    ],
-)
-def test_offset_margins(start, margins, limits):
+def test_offset_margins(start):
     # The offset is 0.16
-    printer = start(changes=section(offset_margins=margins)).homed()
-    if limits is None:
-        calibration(printer)
-        return
+    printer = start(changes=section(offset_margins="-0.5,0.1")).homed()
     printer.run("SET_GCODE_OFFSET Z=0.1")
     text = printer.fail("CALIBRATE_Z")
-    assert f"offset 0.160 is outside offset_margins {limits}" in text
+    assert "offset 0.160 is outside offset_margins -0.500 to 0.100" in text
     assert "(probe=7.015 switch=8.015 nozzle=1.600); home Z again" in text
     assert_unharmed(printer, 0.1)
 
@@ -714,12 +690,6 @@ def test_first_fast_touch_is_no_sample(start):
     assert printer.gap() == pytest.approx(0.06, abs=2 * MICROSTEP)
 
 
-def test_first_fast_touch_is_one_more(start):
-    printer = start(changes=section(probing_first_fast="true")).homed()
-    _, sites = calibration(printer)
-    assert sites == ["nozzle_pin"] * 4 + ["body_pin"] * 4 + ["probe_bed"] * 4
-
-
 def test_first_fast_touch_is_fast(host):
     # From the travel height down to the pin at 8 mm/s
     slow = spans(host, section(probing_first_fast="true", probing_speed="2"))
@@ -865,7 +835,6 @@ def test_pin_of_its_own_beside_a_z_endstop(start):
 @pytest.mark.parametrize(
     ("pin", "words"),
     [
-        ("probe:z_virtual_endstop", "is no pin"),
         ("^!probe:z_virtual_endstop", "is no pin"),
         (" ", "is no pin"),
         ("^PC3", "is the pin of section 'probe'"),
@@ -989,21 +958,6 @@ def test_old_names_work_and_are_told_once(watched):
     assert place_of("probe_bed", printer) == (112.0, 65.25)
     accuracy = "\n".join(printer.run("PROBE_Z_ACCURACY"))
     assert "retract=2.500 speed=2.0" in accuracy
-
-
-def test_calibration_endstop_pin_is_endstop_pin(start):
-    # Of others
-    changes = section(endstop_pin=None, calibration_endstop_pin="^PC2")
-    printer = start("separate_pin", changes=changes).homed()
-    told = "'calibration_endstop_pin' is now called 'endstop_pin'"
-    assert told in "\n".join(printer.session.console)
-    calibration(printer)
-
-
-def test_max_deviation_is_the_margin(start):
-    changes = section(max_deviation="0.1")
-    text = start(changes=changes).homed().fail("CALIBRATE_Z")
-    assert "outside offset_margins -0.100 to 0.100" in text
 
 
 def test_new_names_come_before_old_ones(watched):
