@@ -29,8 +29,12 @@ WRITE_FAULTS = ("tmc_change_lost", "tmc_write_error", "tmc_read_error")
 SENSOR_FAULTS = ("stuck_open", "stuck_closed")
 # Of the nth time that a probe is fetched or docked: the event, and the fault
 TRIP_FAULTS = {"attach": "attach_fails", "dock": "dock_fails"}
+# Of a touch, see Watch, and a switch that is stuck closed from its middle on
+WAY, STICKS = "way", "sticks"
 # Before the first operation
 BEGIN = "begin"
+# Its owner has left it on the toolhead, where macros attach it later
+PUT_ON = "probe_put_on"
 # Runs wherever the modules run G-code of their owner's; how it fails, by number
 TEMPLATE = "_OPERATION"
 TEMPLATE_FAULTS = {"template raises": 1, "template leaves": 2}
@@ -45,7 +49,7 @@ TEMPLATE_MACRO = """
 
 
 class Operation(NamedTuple):
-    """A touch or query (of a signal), a write (to a driver) or a move.
+    """A touch, its way or a query (of a signal), a write (to a driver) or a move.
 
     subject of a move: "xy" or "z". ns: when it begins, on the machine's clock.
     """
@@ -59,13 +63,13 @@ class Watch:
     """Tells of every operation of a machine, before it happens.
 
     The host queues moves ahead, so one is told of some time before it begins.
-    The move of a touch is no operation of its own.
+    The move of a touch is its way.
     """
 
     def __init__(self, machine: Machine, listener: Callable[[Operation], None]):
         self._machine = machine
         self._listener = listener
-        self._touched_ns = -_TOUCH_NS
+        self._touched, self._touched_ns = "", -_TOUCH_NS
         self._ends_ns = {"xy": 0, "z": 0}
         self._known = {
             name: axis.track.last_clock
@@ -76,7 +80,7 @@ class Watch:
 
     def _operation(self, kind: str, subject: str, ns: int) -> None:
         if kind == "touch":
-            self._touched_ns = ns
+            self._touched, self._touched_ns = subject, ns
         self._listener(Operation(kind, subject, ns))
 
     def _steps_queued(self, _start_ns: int) -> None:
@@ -91,6 +95,9 @@ class Watch:
             self._ends_ns[group] = max(self._ends_ns[group], end)
             if paused and begin > self._touched_ns + _TOUCH_NS:
                 self._listener(Operation("move", group, begin))
+            elif self._touched and begin >= self._touched_ns:
+                self._listener(Operation(WAY, self._touched, begin))
+                self._touched = ""
 
 
 class Break(NamedTuple):
@@ -149,7 +156,7 @@ class _Saboteur:
         machine, fault = self._machine, self.what.fault
         self.has_struck = True
         moment = max(operation.ns, machine.simulation.clock.now())
-        if operation.kind == "move":
+        if operation.kind in ("move", WAY):
             moment += round(INTO_A_MOVE * 1e9)
         t = machine.rig.seconds(moment)
         if fault == "mcu_silent":
@@ -159,12 +166,16 @@ class _Saboteur:
             self.stop_ns = moment
         elif fault == "probe_falls":
             machine.world.lose_probe(t)
+        elif fault == PUT_ON:
+            machine.world.put_probe_on(t)
         else:
             machine.break_down(self._fault(t))
 
     def _fault(self, t: float) -> Fault:
         fault, subject = self.what[:2]
         about: dict[str, Any] = {"signal": subject}
+        if fault == STICKS:
+            fault = "stuck_closed"
         if fault in SENSOR_FAULTS:
             about["t"] = t
         elif fault == "mcu_silent":

@@ -26,15 +26,17 @@ _PROBE = r"the probe (was not fetched|was not docked|is not ready|was lost)"
 CAUSES = {
     # Before before_switch_gcode a probe has to read triggered
     "stuck_open": _DEAD + r"|is attached already|" + _PROBE,
-    # On the way down it is a trigger in mid air
-    "stuck_closed": _TRIGGERED
-    + r"|before the toolhead moved|check the probe with QUERY_PROBE|"
-    + _PROBE,
+    "stuck_closed": _TRIGGERED + r"|before the toolhead moved|" + _PROBE,
+    # In mid air; at the last touch it is a height like others
+    "sticks": _TRIGGERED
+    + r"|before the toolhead moved|check the probe with QUERY_PROBE|samples differ"
+    + r"|if a hand has pressed it",
     "trigger_never": _DEAD,
     "trigger_early": _HEIGHTS,
     "trigger_late": _HEIGHTS,
     "probe_falls": r"has come off|not attached|No trigger|did not answer|before the"
     r" toolhead moved|" + _PROBE,
+    "probe_put_on": r"the probe is on the toolhead",
     "attach_fails": r"the probe was not fetched|it is not attached",
     "dock_fails": r"the probe was not docked",
     "template raises": r"template \d+ fails",

@@ -19,10 +19,13 @@ from typing import NamedTuple, Optional
 from simprinter.hosts.hosts import Host
 from tools.campaign.breaking import (
     BEGIN,
+    PUT_ON,
     SENSOR_FAULTS,
+    STICKS,
     TEMPLATE_FAULTS,
     TOUCH_FAULTS,
     TRIP_FAULTS,
+    WAY,
     WRITE_FAULTS,
     Break,
     Operation,
@@ -155,6 +158,26 @@ def pairs(
 
 
 def _breaks(job: Job, good: GoodRun) -> Iterator[Break]:
+    yield from _counted(job, good)
+    if job.is_left_on:
+        yield Break(PUT_ON, kind=BEGIN)
+    anywhere = [(f, s) for f in SENSOR_FAULTS for s in job.signals]
+    anywhere += [("mcu_silent", b) for b in job.scene.wiring.all_boards()]
+    anywhere.append(("cancel", ""))
+    if job.scene.world.mag_probe is not None:
+        anywhere.append(("probe_falls", ""))
+    own = {"touch": TOUCH_FAULTS, "write": WRITE_FAULTS, WAY: (STICKS,)}
+    for kind, of, nth in _places(job, good):
+        # All else that breaks in a touch is so when it begins
+        for fault, subject in anywhere if kind != WAY else ():
+            yield Break(fault, subject, kind, of, nth)
+        for fault in own.get(kind, ()):
+            if fault != STICKS or of in job.signals:
+                yield Break(fault, of, kind, of, nth)
+
+
+def _counted(job: Job, good: GoodRun) -> Iterator[Break]:
+    """Of templates, and of trips to the dock."""
     for number in range(1, good.templates + 1):
         for fault in TEMPLATE_FAULTS:
             yield Break(fault, nth=number)
@@ -164,17 +187,6 @@ def _breaks(job: Job, good: GoodRun) -> Iterator[Break]:
             continue
         for number in range(1, good.trips[kind] + 1):
             yield Break(fault, nth=number)
-    anywhere = [(f, s) for f in SENSOR_FAULTS for s in job.signals]
-    anywhere += [("mcu_silent", b) for b in job.scene.wiring.all_boards()]
-    anywhere.append(("cancel", ""))
-    if job.scene.world.mag_probe is not None:
-        anywhere.append(("probe_falls", ""))
-    own = {"touch": TOUCH_FAULTS, "write": WRITE_FAULTS}
-    for kind, of, nth in _places(job, good):
-        for fault, subject in anywhere:
-            yield Break(fault, subject, kind, of, nth)
-        for fault in own.get(kind, ()):
-            yield Break(fault, of, kind, of, nth)
 
 
 def _places(job: Job, good: GoodRun) -> Iterator[tuple[str, str, int]]:

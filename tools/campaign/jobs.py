@@ -8,7 +8,7 @@ from functools import cached_property
 from typing import Any, Optional
 
 from simprinter import Scene, heated
-from tools.campaign.breaking import TEMPLATE, TEMPLATE_MACRO
+from tools.campaign.breaking import PUT_ON, TEMPLATE, TEMPLATE_MACRO
 from tools.campaign.drawn.printers import Owned
 from tools.kit import auto_z_offset, carrying, dockable_probe, extra_probe
 from tools.kit.docks import DOCK_SCENES
@@ -36,6 +36,7 @@ class Job:
     tell what was seen last; "what is saved", where the host has a result already;
     "gap", where that is a mesh in force.
     is_long: of the operations of a kind only the first, the middle and the last.
+    is_left_on: macros bring the probe, which its owner may have left on the toolhead.
     samples: as many touches, or rounds of them, are compared with each other.
     """
 
@@ -55,6 +56,7 @@ class Job:
     is_homing: bool = False
     told: tuple[str, ...] = ()
     is_long: bool = False
+    is_left_on: bool = False
     samples: int = 3
 
     def state(self, printer: Printer) -> dict[str, Any]:
@@ -145,7 +147,31 @@ def _z_calibration_jobs() -> list[Job]:
         lift=0.2,
         ideal=None,
     )
-    return [plain, attaching, accuracy, switch_offset]
+    # It would meet the bed long before the nozzle meets the pin, and only a switch that
+    # is normally open reads attached while Z is homed without it
+    probe = replace(cartesian.world.mag_probe, body_drop=6.0)
+    left_on = replace(
+        attaching,
+        name="CALIBRATE_Z, the probe left on",
+        scene=cartesian.with_world(mag_probe=probe),
+        changes={**attaching.changes, "probe": {"z_offset": "6.7"}},
+        is_left_on=True,
+        only=(PUT_ON,),
+    )
+    inputs = {**cartesian.wiring.inputs, "probe": "^!PC3"}
+    wired = replace(
+        cartesian, wiring=replace(cartesian.wiring, inputs=inputs)
+    ).with_world(mag_probe=replace(probe, normally_open=True))
+    normally_open = replace(
+        left_on,
+        name="CALIBRATE_Z, the probe left on, normally open",
+        scene=wired,
+        changes={
+            **attaching.changes,
+            "probe": {"z_offset": "6.7", "pin": "^!PC3"},
+        },
+    )
+    return [plain, attaching, left_on, normally_open, accuracy, switch_offset]
 
 
 # Where AUTO_Z_TWIST measures

@@ -18,6 +18,7 @@ from simprinter.simulation import SimulationError
 from tools.campaign import doing
 from tools.campaign.breaking import (
     MISSED,
+    PUT_ON,
     TEMPLATE_FAULTS,
     Break,
     Breaking,
@@ -325,8 +326,10 @@ class Walker:
         machine.repair()
         if any(what.fault in TEMPLATE_FAULTS for what in self.breaks):
             fail_templates(self.printer, ())
-        self.breaks, self.struck = [], ()
         machine.rig.settle(machine.simulation.clock.now())
+        if any(what.fault == PUT_ON for what in self.breaks):
+            machine.world.take_probe_off(self._now())
+        self.breaks, self.struck = [], ()
         now = self._now()
         if machine.world.probe_state(now) == "lost":
             machine.world.bring_probe_back(now)

@@ -10,7 +10,7 @@ from functools import lru_cache
 import pytest
 
 from tools.campaign import faults, running
-from tools.campaign.breaking import SENSOR_FAULTS, Break
+from tools.campaign.breaking import PUT_ON, SENSOR_FAULTS, STICKS, Break
 from tools.campaign.faults import Case
 from tools.campaign.jobs import ALL_JOBS, OfJob
 from tools.campaign.judging import is_blind
@@ -21,6 +21,7 @@ from tools.kit.cases import slow
 from tools.kit.printer import ROOT, module_files
 
 Z, ATTACHING = "CALIBRATE_Z", "CALIBRATE_Z, attaching"
+LEFT_ON = "CALIBRATE_Z, the probe left on"
 AUTO = "AUTO_Z_CALIBRATE"
 DOCKABLE = "PROBE, dockable"
 
@@ -59,6 +60,9 @@ CASES = [
     (Z, "probe_falls", "", 2, "move", REFUSED),
     (Z, "cancel", "", 4, "touch", SHUT_DOWN),
     (Z, "mcu_silent", "", 3, "move", SHUT_DOWN),
+    # Met in small steps, and by a way that is armed on it
+    (LEFT_ON, PUT_ON, "", 0, "", REFUSED),
+    (f"{LEFT_ON}, normally open", PUT_ON, "", 0, "", REFUSED),
     (ATTACHING, "template raises", "", 0, "", REFUSED),
     (ATTACHING, "template leaves", "", 1, "", REFUSED),
     (ATTACHING, "template raises", "", 2, "", REFUSED),
@@ -68,6 +72,7 @@ CASES = [
     ("CALCULATE_SWITCH_OFFSET", "cancel", "", 0, "", SHUT_DOWN),
     (AUTO, "trigger_never", "bed_sensor", 1, "touch", REFUSED),
     (AUTO, "stuck_closed", "probe", 1, "touch", REFUSED),
+    (AUTO, STICKS, "probe", 1, "", REFUSED),
     (AUTO, "trigger_late", "bed_sensor", 0, "touch", RIGHT),
     (AUTO, "tmc_change_lost", "z", 0, "write", REFUSED),
     (AUTO, "template raises", "", 0, "", REFUSED),
@@ -160,6 +165,16 @@ PLANTED = {
         (Z, "trigger_never", "z_endstop", 1, "touch"),
         {"failed": 'run("G90\\nG1 Z-1 F600\\nG1 Z20 F600\\nM400")'},
         "harm: step 4, gcode 'CALIBRATE_Z\\nM400': nozzle_pin: ",
+    ),
+    "probe is pressed into the bed": (
+        (f"{LEFT_ON}, normally open", PUT_ON),
+        {"first": 'run("G90\\nG1 X226 Y20 F6000\\nG1 Z0.4 F600\\nM400")'},
+        "body_bed: ",
+    ),
+    "a trigger in mid air is not named": (
+        (AUTO, STICKS, "probe", 1),
+        {"failed": 'raise gcmd.error("the probe sees the bed at z=1.762")'},
+        "does not name the cause",
     ),
     "cause is not named": (
         (Z, "stuck_open", "z_endstop", 0, "touch"),
