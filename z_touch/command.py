@@ -75,10 +75,18 @@ def register_commands(
         register(name, "PROBE", probe, handler, desc=text)
 
 
-def check_homed(host: Host) -> None:
-    """Raise CalibrationError unless all axes are homed."""
+def check_homed(host: Host, after: str = "") -> None:
+    """Raise CalibrationError unless all axes are homed.
+
+    'after': the option whose G-code has just run, when they were homed before it.
+    """
     homed = host.toolhead_status()["homed_axes"]
     missing = [axis.upper() for axis in "xyz" if axis not in homed]
+    if missing and after:
+        raise CalibrationError(
+            f"not homed any more after {after}: {', '.join(missing)}; take M84, or"
+            f" what else ends homing, out of {after}"
+        )
     if missing:
         raise CalibrationError(
             f"not homed: {', '.join(missing)}; home all axes (G28) first"

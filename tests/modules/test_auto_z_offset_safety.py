@@ -440,7 +440,7 @@ def test_prepare_gcode_that_turns_the_motors_off(start):
     changes = section(prepare_gcode=f"{PREPARE}\n  M84")
     printer = start("qidi", changes=changes).homed()
     text = printer.fail("AUTO_Z_CALIBRATE")
-    assert "not homed: X, Y, Z" in text
+    assert "not homed any more after prepare_gcode: X, Y, Z; take M84" in text
     assert printer.session.state()[0] == "ready"
 
 

@@ -429,6 +429,16 @@ LEVEL = {
 }
 
 
+@pytest.mark.parametrize("option", ["start_gcode", "end_gcode"])
+def test_motors_off_in_gcode_is_said_of_it(start, option):
+    """The owner has homed, so that G28 is no advice."""
+    code = SCENES["voron"].sections["z_calibration"].get(option, "")
+    printer = start(changes=section(**{option: f"{code}\n  M84"})).homed()
+    text = printer.fail("CALIBRATE_Z")
+    assert f"not homed any more after {option}: X, Y, Z; take M84" in text
+    assert "G28" not in text
+
+
 def test_levelling_in_end_gcode_is_an_error(start):
     bed = replace(SCENES["voron"].world.bed, slope_x=0.001, slope_y=-0.0008)
     changes = {**LEVEL, **section(end_gcode="QUAD_GANTRY_LEVEL")}

@@ -144,7 +144,7 @@ class Run:
         with self.host.gcode_state.keeping_modes():
             template = self.settings.prepare_gcode
             templates.run_template(self.host, "prepare_gcode", template)
-        command.check_homed(self.host)
+        command.check_homed(self.host, "prepare_gcode")
         # It may have homed, too
         if self.expectations is not None:
             self.expected = self.expectations.expected()

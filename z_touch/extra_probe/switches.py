@@ -129,7 +129,7 @@ class PinSwitch:
         # A G91 does not outlive the template, also when it fails before its G90
         with self.host.gcode_state.keeping_modes():
             templates.run_template(self.host, name, template)
-        command.check_homed(self.host)
+        command.check_homed(self.host, name)
         if self.host.toolhead.get_position()[:3] != before:
             raise CalibrationError(
                 f"the toolhead moved in {name}; move it before the command"

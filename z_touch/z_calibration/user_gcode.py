@@ -103,14 +103,15 @@ class UserGcode:
         """
         self.before_attaching()
         self.run("start_gcode")
-        command.check_homed(self.host)
+        is_homed = not self.settings.start_homes
+        command.check_homed(self.host, "start_gcode" if is_homed else "")
         self.free_nozzle()
 
     def attach_again(self) -> None:
         """Run start_gcode once more where Klipper may have put the probe away after the bed."""
         if self.host.probing.has_deactivate_gcode():
             self.run("start_gcode")
-            command.check_homed(self.host)
+            command.check_homed(self.host, "start_gcode")
 
     def before_attaching(self) -> None:
         """Note where the probe is, for free_nozzle()."""
@@ -170,7 +171,7 @@ class UserGcode:
                 mark,
                 "before_switch_gcode: nozzle and switch cannot be compared then",
             )
-        command.check_homed(self.host)
+        command.check_homed(self.host, "before_switch_gcode")
 
     @property
     def can_clean(self) -> bool:
