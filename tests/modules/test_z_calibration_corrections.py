@@ -92,6 +92,19 @@ def test_what_offset_gcode_adds_is_no_correction(start):
     assert printer.status("z_calibration")["valid"]
 
 
+def test_offset_set_again_with_three_digits_is_the_same(start):
+    printer = start(changes=section(switch_offset="0.4404")).homed()
+    calibration(printer)
+    offset = printer.offset()
+    printer.run(f"SET_GCODE_OFFSET Z={offset:.3f}")
+    assert 0.0 < abs(printer.offset() - offset) < 0.0005
+    assert printer.status("z_calibration")["valid"]
+    printer.run(f"{RAISE}\n{SAVE}")
+    assert pending(printer)["z_calibration"] == {"switch_offset": "0.420"}
+    printer.run(f"SET_GCODE_OFFSET Z={offset + 0.001}")
+    assert not printer.status("z_calibration")["valid"]
+
+
 def test_two_corrections_of_one_run_add_up(start):
     printer = start().homed()
     # Of the run itself, not of the section

@@ -61,7 +61,7 @@ from .setup import Setup
 from .shifts import Shifts
 from .sites import SiteFinder, Sites
 from .statistics import RunStatistics, impossible
-from .steps import Steps
+from .steps import SAME_OFFSET, Steps
 from .switch_offset import SwitchOffset
 from .user_gcode import UserGcode
 from .warming import WaitForWarming
@@ -72,9 +72,6 @@ if TYPE_CHECKING:
 
 # Less (mm) is rounding.
 NO_CHANGE = 0.0000001
-
-# How far (mm) an offset may be rounded by G-code that sets it
-OWN_DIGITS = 0.0006
 
 # The G-code offset (mm) that offset_gcode begins with: 0, but for its digits
 UNSET = 0.000000001
@@ -572,7 +569,7 @@ class ZCalibration:
                     f"{dirt}: cleaning the nozzle, then everything once more"
                 )
                 self.statistics = self.new_statistics(settings)
-        command.check_homed(self.host)
+        command.check_homed(self.host, "end_gcode")
         if self.datum.moved_since(last.mark) == LEVELLED:
             raise CalibrationError(
                 f"{LEVELLED} in end_gcode: the offset does not hold then; do it before"
@@ -611,7 +608,7 @@ class ZCalibration:
         It may have restored a state, with the offset of before the run.
         """
         left = self.host.gcode_state.z_offset()
-        if min(abs(left), abs(left - before)) <= OWN_DIGITS:
+        if min(abs(left), abs(left - before)) <= SAME_OFFSET:
             return
         raise CalibrationError(
             f"end_gcode has left a G-code Z offset of {left:.6f}, and CALIBRATE_Z sets"
@@ -647,7 +644,7 @@ class ZCalibration:
             return last.replace(
                 applied=z_offset, is_for_later=True, steps=Steps(z_offset)
             )
-        if not is_kept and abs(after - z_offset) > OWN_DIGITS:
+        if not is_kept and abs(after - z_offset) > SAME_OFFSET:
             raise CalibrationError(
                 f"offset_gcode has left a G-code Z offset of {after:.6f} instead of"
                 f" {z_offset:.6f}; check its macros for a misspelt name, or write"

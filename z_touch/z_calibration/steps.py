@@ -16,8 +16,9 @@ from __future__ import annotations
 
 from typing import List, Optional
 
-# Offsets that differ by less (mm) are the same, but for their digits in G-code.
-SAME_OFFSET = 0.000002
+# Offsets that differ by less (mm) are the same, but for their digits: a macro that sets one
+# again writes three of them
+SAME_OFFSET = 0.0006
 
 
 def is_same(one: float, other: float) -> bool:
