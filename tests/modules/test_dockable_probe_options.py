@@ -461,18 +461,6 @@ def test_parameters_of_a_probing_command_that_are_none(start):
     assert "LIFT_SPEED" in printer.fail("PROBE_ACCURACY LIFT_SPEED=0")
 
 
-def test_probing_speeds_of_a_command(start):
-    printer = recording(start)
-    printer.run("ATTACH_PROBE")
-    assert where(printer) == "attached"
-    place = "G1 X150 Y150 Z20 F6000\n"
-    usual = seconds(printer, place + "PROBE SAMPLES=2")
-    slow = seconds(printer, place + "PROBE SAMPLES=2 PROBE_SPEED=3")
-    lifting = seconds(printer, place + "PROBE SAMPLES=2 LIFT_SPEED=1")
-    assert slow > usual + 1.0
-    assert lifting > usual + 1.0
-
-
 # What tells where it is
 
 

@@ -77,47 +77,12 @@ def test_lines_and_result_of_a_touch(start):
     assert printer.offset() == 0.0
 
 
-@pytest.mark.parametrize(
-    ("own", "call"),
-    [
-        ({"sample_retract_dist": "1.5"}, ""),
-        ({}, " SAMPLE_RETRACT_DIST=1.5"),
-    ],
-)
-def test_lift_between_the_touches(start, own, call):
-    changes = {"moves": {}, **section(**own)}
-    printer = laid(start, changes=changes, modules=with_moves())
-    printer.run(PROBE + call)
-    ends = [end[2] for end in printer.status("moves")["ends"]]
-    z = BED + THICKNESS + 1.5
-    assert ends[-2:] == pytest.approx([z, z], abs=MICROSTEP)
-
-
 def duration(printer, script):
     """Printer seconds that a script takes, with all its moves."""
     clock = printer.machine.simulation.clock
     before = clock.now()
     printer.run(script + "\nM400")
     return (clock.now() - before) * 1e-9
-
-
-@pytest.mark.parametrize(
-    ("own", "call"),
-    [
-        ({"speed": "1.0"}, ""),
-        ({"speed": "2.0"}, " PROBE_SPEED=1"),
-        ({"lift_speed": "0.7"}, " SAMPLES=2"),
-        ({}, " SAMPLES=2 LIFT_SPEED=0.7"),
-    ],
-)
-def test_speeds(start, own, call):
-    printer = laid(start, changes=section(samples="1", **own))
-    printer.run(ABOVE)
-    fast = duration(printer, "EXTRA_PROBE PROBE=membrane PROBE_SPEED=5")
-    printer.run("G1 Z5")
-    slow = duration(printer, "EXTRA_PROBE PROBE=membrane" + call)
-    # 4.3 mm of the way down, or 2 mm up
-    assert slow - fast > 2.0
 
 
 def test_lift_speed_is_the_speed_by_default(start):

@@ -565,16 +565,6 @@ def longer(pin, bed=0.0):
 @pytest.mark.parametrize(
     ("changes", "more"),
     [
-        # 0.5 mm up at 10, on the pin down at 3 mm/s, on the bed at 5 mm/s
-        (
-            section(probing_second_speed="0.5"),
-            longer(0.5 / 0.5 - 0.5 / 3, 0.5 / 0.5 - 0.5 / 5),
-        ),
-        (
-            section(probing_retract_dist="5"),
-            longer(4.5 / 10 + 4.5 / 3, 4.5 / 10 + 4.5 / 5),
-        ),
-        (section(lift_speed="0.5"), longer(*[0.5 / 0.5 - 0.5 / 10] * 2)),
         # What the axis has is for the pin only
         (
             {"stepper_z": {"second_homing_speed": "0.5"}},
@@ -618,28 +608,6 @@ def longer(pin, bed=0.0):
 def test_speeds(host, changes, more):
     usual = usual_spans(host)
     changed = spans(host, changes)
-    found = {part: changed[part] - usual[part] for part in more}
-    assert found == pytest.approx(more, abs=0.25)
-
-
-@pytest.mark.slow
-@pytest.mark.parametrize(
-    ("params", "more"),
-    [
-        (
-            "PROBE_SPEED=0.5",
-            longer(0.5 / 0.5 - 0.5 / 3, 0.5 / 0.5 - 0.5 / 5),
-        ),
-        ("LIFT_SPEED=0.5", longer(*[0.5 / 0.5 - 0.5 / 10] * 2)),
-        (
-            "SAMPLE_RETRACT_DIST=5",
-            longer(4.5 / 10 + 4.5 / 3, 4.5 / 10 + 4.5 / 5),
-        ),
-    ],
-)
-def test_speeds_of_one_command(host, params, more):
-    usual = usual_spans(host)
-    changed = spans(host, None, f"CALIBRATE_Z {params}")
     found = {part: changed[part] - usual[part] for part in more}
     assert found == pytest.approx(more, abs=0.25)
 

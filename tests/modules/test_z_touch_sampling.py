@@ -1,4 +1,4 @@
-"""How each touch is sampled: count, result, tolerance and retries, of all modules."""
+"""How each touch is sampled: count, result, tolerance, speeds, of all modules."""
 
 from __future__ import annotations
 
@@ -152,19 +152,26 @@ def break_down(printer, name):
     )
 
 
-def count(printer, name, run):
-    """How often the site is touched for its height."""
-    site, first = ROWS[name].site, len(printer.machine.truth.touches)
-    run()
-    return sum(
-        touch.site == site
+def counted(printer, name, first):
+    """The touches of the site for its height, but for those before."""
+    site = ROWS[name].site
+    return [
+        touch
+        for touch in printer.machine.truth.touches[first:]
+        if touch.site == site
         # It is met below the nozzle, too, where nobody looks
         and (
             site != "inductive_bed"
             or (touch.x, touch.y) == pytest.approx(PROBE_PLACE, abs=0.02)
         )
-        for touch in printer.machine.truth.touches[first:]
-    )
+    ]
+
+
+def count(printer, name, run):
+    """How often the site is touched for its height."""
+    first = len(printer.machine.truth.touches)
+    run()
+    return len(counted(printer, name, first))
 
 
 @each_case
@@ -213,3 +220,49 @@ def test_tolerance_and_retries(start, name, by):
         r"samples differ by 0\.0[56]\d\d mm, samples_tolerance is 0\.0500 mm; "
     )
     assert re.match(row.name + words, text)
+
+
+# Options, in z_calibration under names of its own, parameters, usual values, others,
+# and how much more time (s) is between two touches then
+SPEEDS = [
+    ("speed", "PROBE_SPEED", 2.0, 1.0, 3.0 / 1.0 - 3.0 / 2.0),
+    ("lift_speed", "LIFT_SPEED", 10.0, 1.0, 3.0 / 1.0 - 3.0 / 10.0),
+    (
+        "sample_retract_dist",
+        "SAMPLE_RETRACT_DIST",
+        3.0,
+        5.0,
+        2 / 2.0 + 2 / 10.0,
+    ),
+]
+OF_Z = {
+    "speed": "probing_second_speed",
+    "sample_retract_dist": "probing_retract_dist",
+}
+# What z_calibration has of [probe] depends on the axis, too
+OWN = [case for case in CASES if ROWS[case[0]].section != "probe"]
+
+
+@pytest.mark.parametrize(("name", "by"), [marked(*case) for case in OWN])
+def test_speeds_and_the_lift_between(start, name, by):
+    row = ROWS[name]
+    own = OF_Z if row.section == Z else {}
+    usual = {own.get(option, option): str(at) for option, _, at, *_ in SPEEDS}
+    usual["samples"] = "2"
+
+    def span(run, *params):
+        first = len(printer.machine.truth.touches)
+        run(*params)
+        one, two = counted(printer, name, first)
+        return two.t - one.t
+
+    printer, run = sampled(start, name, "options", usual)
+    before = span(run)
+    for option, param, _, value, more in SPEEDS:
+        if by == "options":
+            changed = {**usual, own.get(option, option): str(value)}
+            printer, run = sampled(start, name, by, changed)
+            found = span(run)
+        else:
+            found = span(run, f" {param}={value}")
+        assert found - before == pytest.approx(more, abs=0.25), option
