@@ -215,6 +215,9 @@ def test_tolerance_and_retries(start, name, by):
     printer, run = sampled(start, name, by, fixed, **limits)
     break_down(printer, name)
     text = run(go=printer.fail)
+    # Older hosts sample a dock's probe themselves, and say so in their own words
+    if row.section == DOCK and text == "Probe samples exceed samples_tolerance":
+        return
     # A plunger does not come to rest to the micrometre
     words = (
         r"samples differ by 0\.0[56]\d\d mm, samples_tolerance is 0\.0500 mm; "
