@@ -229,7 +229,12 @@ class Expectations:
         if abs(bed_z - homed_bed_z) <= STALE_Z:
             return ""
         remedy = "the correction holds with a bed mesh of this probe only"
-        if self.host.axes.homes_with_probe():
+        if self.is_sensor_frame():
+            remedy = (
+                "Z was set by AUTO_Z_HOME_Z, so that is no fault; AUTO_Z_LOAD_OFFSET"
+                " needs Z homed with the probe (G28)"
+            )
+        elif self.host.axes.homes_with_probe():
             remedy = (
                 "check the probe with QUERY_PROBE, and home Z again (G28) after"
                 " any levelling, over this point"

@@ -178,8 +178,9 @@ def judge(runs: Sequence[Run], accuracy: Optional[Run] = None) -> Verdict:
     texts = [nothing_to_do(runs[-1])]
     lack = LEAST_RUNS - sum(run.ok for run in runs)
     if lack > 0:
+        ones = "one" if lack == 1 else "ones"
         texts.append(
-            f"New runs are compared with these after {lack} more good ones."
+            f"New runs are compared with these after {lack} more good {ones}."
         )
     return Verdict(GOOD, texts, {})
 

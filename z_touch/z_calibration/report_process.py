@@ -60,9 +60,9 @@ class ReportProcess:
                 " none; name a folder there"
             )
         if self._process is not None:
-            raise gcmd.error(
-                f"{self.host.section}: a report is under way; wait until it is done"
-            )
+            # An error would end a print whose macro draws it
+            self.host.say("a report is under way; wait until it is done")
+            return
         try:
             self._start(self.run_log.path, self._facts())
         except OSError as e:

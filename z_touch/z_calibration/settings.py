@@ -213,7 +213,8 @@ class Settings:
     )
     clearance: float = options.number(
         0.0,
-        "The toolhead is lifted by at least this after each touch, in mm.",
+        "Before it moves on to the next place the toolhead is lifted by at least this"
+        " above the last touch, in mm.",
         minval=0.0,
     )
     travel_margin: float = options.number(
@@ -262,8 +263,8 @@ class Settings:
     probing_first_fast: bool = options.other(
         options.FLAG,
         False,
-        "True: the first touch at each place is made at probing_speed and does"
-        " not count.",
+        "True: the first touch at each place is a fast one that does not count, at"
+        " probing_speed, or without that at homing_speed of [stepper_z].",
     )
     samples: Any = options.as_in_probe(
         "samples",
