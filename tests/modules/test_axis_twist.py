@@ -6,7 +6,7 @@ from dataclasses import replace
 
 import pytest
 
-from tests.modules.test_z_calibration_safety import OTHERS
+from tests.modules.test_z_touch_faults import OTHERS
 from tools.kit.auto_z_offset import PROBE_PLACE, true_gap, world
 from tools.kit.cases import slow
 from tools.kit.docks import DOCK_SCENES, calibrating
