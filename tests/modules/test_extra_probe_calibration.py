@@ -235,6 +235,38 @@ def test_saving_where_z_is_a_carriage(start, host):
     assert gap_is_right(printer)
 
 
+@pytest.mark.every_host("what the buttons save is theirs")
+@pytest.mark.parametrize(
+    ("scene", "button"),
+    [
+        ("membrane", "Z_OFFSET_APPLY_ENDSTOP"),
+        ("membrane_and_probe", "Z_OFFSET_APPLY_PROBE"),
+    ],
+)
+def test_button_does_not_overwrite_what_waits(start, scene, button):
+    """It counts from the value of before: the nozzle would be in the bed after SAVE_CONFIG."""
+    name, option, _ = HOMED_AT[scene]
+    printer = start(scene).homed()
+    calibrate(printer, f"{CALIBRATE} SAVE=1")
+    before = state(printer)["pending"]
+    assert "Z Offset is 0" in "\n".join(printer.run(button))
+    step = "SET_GCODE_OFFSET Z_ADJUST=-0.05 MOVE=1"
+    printer.run(step)
+    text = printer.fail(button)
+    waits = f"{option}: {before[name][option]} of section '{name}' waits for"
+    assert f"{NAME}: {waits} SAVE_CONFIG, and {button}" in text
+    assert state(printer)["pending"] == before
+    printer.session.restart("SAVE_CONFIG")
+    printer.run("G28")
+    assert gap_is_right(printer)
+    # And then it may
+    printer.run(step)
+    printer.run(button)
+    printer.session.restart("SAVE_CONFIG")
+    printer.run("G28")
+    assert true_gap(printer) == pytest.approx(-0.05, abs=2 * MICROSTEP)
+
+
 def test_unsaved_is_not_saved(start):
     printer = start("membrane").homed()
     calibrate(printer, f"{CALIBRATE} SAVE=0")

@@ -102,6 +102,25 @@ def test_save(start):
     assert gap(printer) == pytest.approx(0.0, abs=NEAR)
 
 
+def test_what_the_button_saves_is_not_measured_next_time(start):
+    printer = start(fixed_switch()).homed()
+    printer.run(f"{CALIBRATE}\nSET_GCODE_OFFSET Z_ADJUST=-0.05 MOVE=1")
+    lines = printer.run("Z_OFFSET_APPLY_PROBE")
+    words = f"{CALIBRATE} measures without the -0.050 mm of baby steps that"
+    (told,) = [line for line in lines if words in line]
+    assert f"write switch_height: 1.550 into section '{NAME}'" in told
+    printer.session.restart("SAVE_CONFIG")
+    printer.run(f"G28\n{CALIBRATE}")
+    assert gap(printer) == pytest.approx(0.0, abs=NEAR)
+    assert words not in "\n".join(printer.run("Z_OFFSET_APPLY_PROBE"))
+
+
+def test_height_that_the_button_names_is_right(start):
+    printer = start(fixed_switch(), section(switch_height="1.55")).homed()
+    printer.run(CALIBRATE)
+    assert gap(printer) == pytest.approx(-0.05, abs=NEAR)
+
+
 def test_saved_height_does_not_depend_on_where_z_is(start):
     # The point of the bed is 0.1 mm lower for Klipper than G28 has found it
     printer = start(fixed_switch(), changes={"force_move": {}}).homed()

@@ -17,23 +17,25 @@ Copyright (C) 2026  the Z calibration developers, under the GNU GPLv3
 from __future__ import annotations
 
 import dataclasses
+import functools
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any, List, Optional, Sequence, Tuple
 
 from .. import attached, command, dialog, options, pin, touch
 from ..datum import Datum, HomedDatum
 from ..errors import CalibrationError
+from ..host.toolhead import ENDSTOP_OPTION
 from ..in_force import AppliedOffset
 from ..sampling import summarize
 from ..wizard import HAND_PATIENCE, STOP, Step, Wizard
 from . import fixed, heights
 from .settings import MAX_TEMPERATURE, TRAVEL_SPEED
-from .shifts import Shifts
+from .shifts import SMALLEST_PART, Shifts
 from .switches import FIND_SWITCH, LOWER_FLOOR, TOO_LOW, Series
 
 if TYPE_CHECKING:
     from ..datum import Mark
-    from ..host.klippy import GCodeCommand
+    from ..host.klippy import GCodeCommand, Handler
     from ..host.printer import Host
     from ..host.toolhead import ZAxis, ZZero
     from .settings import Settings
@@ -46,6 +48,12 @@ TAKE_AWAY = Step("removal", 3, "Take the switch away", (), "Continue")
 # Where the bed is known, no finger has to press the switch
 STEPS = (LAY, HAND, TAKE_AWAY)
 STEPS_ON_KNOWN_BED = (LAY, dataclasses.replace(TAKE_AWAY, number=2))
+
+# What saves baby steps into an option counts from the value with which klippy has started
+BUTTONS = {
+    ENDSTOP_OPTION: "Z_OFFSET_APPLY_ENDSTOP",
+    "z_offset": "Z_OFFSET_APPLY_PROBE",
+}
 
 SAME_POSITION = 0.1  # mm; a toolhead further from where it was has been moved
 SOFT_TEMPERATURE = 60.0  # C; here the plastic of a membrane begins to melt
@@ -112,6 +120,11 @@ class Calibration:
         # Of the last one that was applied or saved (mm); None: there is none
         self.last_offset: Optional[float] = None
         self.applied = AppliedOffset(host, self.begin)
+        # What waits for SAVE_CONFIG; None: nothing
+        self.unsaved: Optional[ZZero] = None
+        # All sections have registered their commands then
+        register = host.printer.register_event_handler
+        register("klippy:mcu_identify", self._watch_buttons)
         command.register_commands(host, self, name)
 
     def connect(self, settings: Settings) -> None:
@@ -542,7 +555,8 @@ class Calibration:
 
     def _save(self, offset: float) -> float:
         """Hand over what Z is homed at, for Z to be lower by 'offset' (mm); return it."""
-        section, option, z = self._corrected_zero(offset)
+        self.unsaved = self._corrected_zero(offset)
+        section, option, z = self.unsaved
         text = f"{z:.3f}"
         options.save(self.host.printer, section, option, text)
         self.host.gcode.respond_info(
@@ -550,6 +564,40 @@ class Calibration:
             "Until then the G-code offset is 0."
         )
         return z
+
+    ##################################################################
+    # The buttons of the host, which know nothing of a calibration
+    ##################################################################
+
+    def _watch_buttons(self) -> None:
+        """Wrap them: nothing else tells that they put another value over what waits."""
+        for option, name in BUTTONS.items():
+            around = functools.partial(self._around_button, option)
+            self.host.wrap_command(name, around)
+
+    def _around_button(
+        self, option: str, button: Handler, gcmd: GCodeCommand
+    ) -> None:
+        """Refuse what would lose our value, which SAVE_CONFIG is to write; tell what is lost."""
+        name, offset = BUTTONS[option], self.host.gcode_state.z_offset()
+        waits = self.unsaved
+        if offset and waits is not None and waits.option == option:
+            raise self.host.error(
+                f"{waits.option}: {waits.z:.3f} of section '{waits.section}' waits for"
+                f" SAVE_CONFIG, and {name} would put another one in its place that counts"
+                " from the old one; run SAVE_CONFIG and G28 first, then adjust and save"
+                " again"
+            )
+        button(gcmd)
+        ours, height = self.applied.z, self.settings.switch_height
+        if not ours or height is None or abs(offset - ours) < SMALLEST_PART:
+            return
+        step = offset - ours
+        self.host.say(
+            f"{self.begin} measures without the {step:.3f} mm of baby steps that {name}"
+            f" saves; for them write switch_height: {height - step:.3f} into section"
+            f" '{self.host.section}'"
+        )
 
     ##################################################################
     # What has to be so, before and after
