@@ -1,9 +1,8 @@
 """Walks on simulated printers, the world as the judge: make faults, make walks.
 
     python -m tools.campaign faults [--job NAME] [--case TEXT] [--each N]
-        [--pairs N [--after]] [--docks | --more] [--every-host] [--seed N]
-    python -m tools.campaign walks [--count N] [--seed N] [--base NAME]
-        [--against DIR] [--simpler N]
+        [--pairs N [--after]] [--docks | --more] [--seed N]
+    python -m tools.campaign walks [--count N] [--seed N]
     both: [--host NAME] [--workers N] [--product DIR] [--json FILE]
         [--folder FOLDER] [--replay FILE]
 
@@ -19,9 +18,7 @@ of a dockable probe, and those of the other modules with the probe on the toolhe
 on each kind of dock.
 
 walks: a drawn printer, and 5 to 30 steps of what owners, Klipper and another
-client do, and hands. One that fails is made as short as it gets. --against: a walk
-with refusals is gone on that checkout's modules, too; what they do not refuse is
-told.
+client do, and hands. One that fails is made as short as it gets.
 
 What has failed is written to the folder with its printer.cfg; --replay goes it
 again, and shows the console. --product: with the modules of another checkout.
@@ -42,8 +39,6 @@ from typing import Any, Optional
 
 from simprinter.hosts.hosts import Host, find_hosts
 from tools.campaign import faults, running
-from tools.campaign.drawn.machines import BASES
-from tools.campaign.drawn.walking import SIMPLER
 from tools.campaign.jobs import ALL_JOBS, DOCK_JOBS, JOBS, MORE_JOBS
 from tools.campaign.running import Done, Plan, Report, Share
 from tools.campaign.walker import REFUSED, RIGHT, SHUT_DOWN
@@ -58,12 +53,11 @@ def say(text: str) -> None:
 
 def tell(done: Done, folder: Path) -> None:
     """What was wrong, if anything, and what shows it again."""
-    told = done.outcome.harm
-    if done.alone:
-        told = told or f"only this product: {done.alone}"
-    if told:
+    if done.outcome.harm:
         file = running.write(done, folder)
-        say(f"{done.name}: {told}\n    --replay {file} --host {done.host}")
+        say(
+            f"{done.name}: {done.outcome.harm}\n    --replay {file} --host {done.host}"
+        )
 
 
 # Every fault at every operation
@@ -94,11 +88,11 @@ def planned(
     job: str,
 ) -> list[Plan]:
     """What each host is given of a command."""
-    is_each = options.every_host or options.pairs
-    parts = options.each * (1 if is_each else len(hosts))
     modules = running.modules_of(options.product)
+    # A pair is drawn from all cases of a host
+    turns = 1 if options.pairs else len(hosts)
     shares = [
-        Share(0 if is_each else number, parts, options.case)
+        Share(number % turns, options.each * turns, options.case)
         for number in range(len(hosts))
     ]
     make = partial(running.plan, job, seed=options.seed, modules=modules)
@@ -194,13 +188,7 @@ def run_walks(
     began = time.monotonic()
     seeds = range(options.seed, options.seed + options.count)
     hosts_in_turn = [hosts[seed % len(hosts)] for seed in seeds]
-    go = partial(
-        running.go_drawn,
-        bases=(options.base,) if options.base else (),
-        modules=running.modules_of(options.product),
-        simpler=options.simpler,
-        against=running.modules_of(options.against),
-    )
+    go = partial(running.go_drawn, modules=running.modules_of(options.product))
     report = Report()
     for done in pool.map(go, seeds, hosts_in_turn):
         report.add(done)
@@ -259,22 +247,12 @@ def parse(arguments: Optional[Sequence[str]]) -> argparse.Namespace:
         action="store_true",
         help="the commands that wait or heat instead of the others",
     )
-    one.add_argument(
-        "--every-host", action="store_true", help="each case on all of them"
-    )
     one = commands.add_parser(
         "walks", parents=[both], help="any order of commands on any printer"
     )
     one.set_defaults(run=run_walks)
     one.add_argument("--count", type=int, default=200, help="of walks")
     one.add_argument("--seed", type=int, default=1, help="of the first one")
-    one.add_argument("--base", choices=sorted(BASES), help="of the machines")
-    one.add_argument(
-        "--against",
-        type=Path,
-        help="tell what another checkout does not refuse",
-    )
-    one.add_argument("--simpler", type=int, default=SIMPLER)
     return parser.parse_args(arguments)
 
 

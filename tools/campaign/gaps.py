@@ -384,14 +384,10 @@ class Gaps:
     def _is_broken(self, promise: Promise, gap: float) -> bool:
         """Whether it is off by more than steps, noise, growth and lean explain."""
         rates = sum(map(abs, self.owned.drift))
-        grown = rates * (self._now() - promise.since)
+        grown = rates * (self.printer.now() - promise.since)
         lean = LEAN * max(map(abs, self.owned.skew), default=0.0)
         most = GAP_ERROR + promise.told + grown + lean
         if self.owned.mistake:
             # Another point of the bed may have been touched than its owner thinks
             most += self.owned.uneven
         return abs(gap - promise.gap) > most
-
-    def _now(self) -> float:
-        machine = self.printer.machine
-        return machine.rig.seconds(machine.simulation.clock.now())

@@ -248,7 +248,6 @@ class Judge:
             ("hidden", self._hides),
             ("lie", self._lies),
             ("wrong offset", self._is_off),
-            ("wrong offset", self._is_off_of_job),
         ):
             if self.is_shut_down and sort not in ("shutdown", "harm"):
                 # Klippy knows nothing any more
@@ -526,7 +525,7 @@ class Judge:
             events=len(truth.events),
             touches=len(truth.touches),
             probe=self._probe(),
-            time=self._now(),
+            time=self.printer.now(),
             gap=job.gap(self.printer) if job else 0.0,
         )
 
@@ -675,6 +674,7 @@ class Judge:
 
     def _is_off(self, gone: Gone) -> Iterator[str]:
         if self.expected:
+            yield from self._is_off_of_job(gone, self.expected)
             return
         shows = any(CALIBRATED.search(line) for line in gone.lines)
         self.is_measured = self.is_measured or shows
@@ -688,12 +688,10 @@ class Judge:
             self.before.time,
         )
 
-    def _is_off_of_job(self, gone: Gone) -> Iterator[str]:
+    def _is_off_of_job(self, gone: Gone, expected: Expected) -> Iterator[str]:
         """The gap is not that of a good run."""
-        if not self.expected or gone.refusal:
-            return
-        job, _, good = self.expected
-        if not gone.script.endswith(f"{job.script}\nM400\n"):
+        job, _, good = expected
+        if gone.refusal or not gone.script.endswith(f"{job.script}\nM400\n"):
             return
         gap = job.gap(self.printer)
         error = abs(gap - good)
@@ -705,12 +703,8 @@ class Judge:
 
     # Looking
 
-    def _now(self) -> float:
-        machine = self.printer.machine
-        return machine.rig.seconds(machine.simulation.clock.now())
-
     def _probe(self) -> str:
-        return self.printer.machine.world.probe_state(self._now())
+        return self.printer.machine.world.probe_state(self.printer.now())
 
     def _is_asked(self, status: Status) -> bool:
         """Whether a dialog, or a manual probe, has a person look or reach in."""

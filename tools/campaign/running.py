@@ -6,7 +6,7 @@ import json
 import re
 import zlib
 from collections import Counter
-from collections.abc import Callable, Iterable, Mapping, Sequence
+from collections.abc import Callable, Iterable, Sequence
 from concurrent.futures import Executor
 from dataclasses import dataclass, field
 from pathlib import Path
@@ -21,22 +21,20 @@ from tools.campaign.drawn.walking import SIMPLER, Walk
 from tools.campaign.faults import Case, GoodRun, Modules
 from tools.campaign.jobs import ALL_JOBS, OfJob
 from tools.campaign.judging import GAP_ERROR, is_blind
-from tools.campaign.walker import Broken, Outcome, shape
+from tools.campaign.walker import Broken, Outcome
 from tools.kit.printer import FOLDER, MODULES
 
 
 class Done(NamedTuple):
     """A walk that was gone; where a drawn one failed, the simplest that does.
 
-    name: its seed, or the case's. alone: the step that only this product refuses,
-    see compared().
+    name: its seed, or the case's.
     """
 
     name: str
     host: str
     walk: Walk
     outcome: Outcome
-    alone: str = ""
 
     @property
     def breaks(self) -> list[Break]:
@@ -57,40 +55,16 @@ class Done(NamedTuple):
 
 
 def go_drawn(
-    seed: int,
-    host: Host,
-    bases: Sequence[str] = (),
-    modules: Modules = None,
-    simpler: int = SIMPLER,
-    against: Modules = None,
+    seed: int, host: Host, modules: Modules = None, simpler: int = SIMPLER
 ) -> Done:
-    """Draw the walk of a seed and go it on a host.
-
-    against: another product's modules; a walk with refusals is gone on them, too.
-    """
-    row = walking.row_of(seed, host, bases)
+    """Draw the walk of a seed and go it on a host."""
     found = walking.worst_of(
-        seed, row, lambda walk: walker.go(*walk, host, modules), simpler
+        seed,
+        walking.row_of(seed, host),
+        lambda walk: walker.go(*walk, host, modules),
+        simpler,
     )
-    done = Done(str(seed), host.name, *found)
-    return done if against is None else compared(done, host, against)
-
-
-def compared(done: Done, host: Host, against: Mapping[str, Path]) -> Done:
-    """With what another product's modules do not refuse.
-
-    From the first step that ends otherwise on the two printers are not in the
-    same state.
-    """
-    if not done.outcome.refusals:
-        return done
-    there = walker.go(*done.walk, host, against)
-    ends = zip(done.walk[1], done.outcome.ends, there.ends)
-    for (kind, what), own, other in ends:
-        if bool(own) != bool(other):
-            alone = f"{kind} {what!r}: {own}" if own else ""
-            return done._replace(alone=alone)
-    return done
+    return Done(str(seed), host.name, *found)
 
 
 class Share(NamedTuple):
@@ -132,15 +106,12 @@ def plan(
 
 def go_faults(pool: Executor, plans: Iterable[Plan]) -> list[Done]:
     """Go all cases of some plans."""
-    # The cases travel with what they need, not with each other
     tasks = [
-        (one._replace(cases=()), case) for one in plans for case in one.cases
+        (case, one.host, one.good, one.seed, one.modules)
+        for one in plans
+        for case in one.cases
     ]
-    return list(pool.map(_go_fault, tasks, chunksize=4))
-
-
-def _go_fault(task: tuple[Plan, Case]) -> Done:
-    return go_case(task[1], *task[0][:2], *task[0][3:])
+    return list(pool.map(go_case, *zip(*tasks), chunksize=4)) if tasks else []
 
 
 def go_case(
@@ -213,7 +184,7 @@ class Report:
     """Of many walks.
 
     harmed: by kind. refused: by the shape of the reason; healthy: those for
-    which the world knows no reason; alone: those of this product only.
+    which the world knows no reason.
     """
 
     walks: int = 0
@@ -222,7 +193,6 @@ class Report:
     refused: Counter[str] = field(default_factory=Counter)
     healthy: Counter[str] = field(default_factory=Counter)
     refused_at_start: Counter[str] = field(default_factory=Counter)
-    alone: Counter[str] = field(default_factory=Counter)
     done: Counter[str] = field(default_factory=Counter)
 
     def add(self, done: Done) -> None:
@@ -236,8 +206,6 @@ class Report:
             self.refused_at_start[outcome.refused_at_start.splitlines()[0]] += 1
         self.refused.update(outcome.refusals)
         self.healthy.update(outcome.healthy)
-        if done.alone:
-            self.alone[shape(done.alone)] += 1
         self.done.update(outcome.done)
 
     def figures(self) -> dict[str, Any]:
@@ -254,7 +222,6 @@ class Report:
             ("not started", self.refused_at_start),
             ("refused", self.refused),
             ("refused without a reason", self.healthy),
-            ("refused by this product only", self.alone),
             ("done", self.done),
         )
         for what, counts in groups:

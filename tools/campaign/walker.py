@@ -243,7 +243,7 @@ class Walker:
         """As one who reads: where a message asks for a hand, that and once more."""
         self._gcode(script)
         if BY_HAND in self.refusal:
-            world, now = self.printer.machine.world, self._now()
+            world, now = self.printer.machine.world, self.printer.now()
             world.lose_probe(now)
             world.bring_probe_back(now)
             self.printer.session.wait(0.5)
@@ -302,18 +302,14 @@ class Walker:
         session = self.printer.session
         self.script = "\n".join(commands)
         first = session.begin(self._around(commands[0]))
-        begun = self._now() + 2.0
-        session.run_until(first, lambda: self._now() >= begun)
+        begun = self.printer.now() + 2.0
+        session.run_until(first, lambda: self.printer.now() >= begun)
         second = session.begin(self._around(commands[1]))
         for command in first, second:
             try:
                 session.finish(command, LIMIT)
             except GcodeError as error:
                 self.refusal = self.refusal or str(error)
-
-    def _now(self) -> float:
-        machine = self.printer.machine
-        return machine.rig.seconds(machine.simulation.clock.now())
 
     def _heat(self, celsius: float) -> None:
         """The frame is so warm now, as far as Klipper can see."""
@@ -328,9 +324,9 @@ class Walker:
             fail_templates(self.printer, ())
         machine.rig.settle(machine.simulation.clock.now())
         if any(what.fault == PUT_ON for what in self.breaks):
-            machine.world.take_probe_off(self._now())
+            machine.world.take_probe_off(self.printer.now())
         self.breaks, self.struck = [], ()
-        now = self._now()
+        now = self.printer.now()
         if machine.world.probe_state(now) == "lost":
             machine.world.bring_probe_back(now)
 
@@ -353,7 +349,7 @@ class Walker:
         machine = self.printer.machine
         world = machine.world
         machine.rig.settle(machine.simulation.clock.now())
-        now = self._now()
+        now = self.printer.now()
         # No hand fits below a nozzle that is down
         room = FINGERS if name.endswith("_membrane") else HAND
         if machine.truth.true_gap(*machine.tip(), now) < room:

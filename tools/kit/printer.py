@@ -55,7 +55,7 @@ def given_module(name: str, file: Path) -> dict[str, Path]:
 
 
 class _OverBed:
-    """Where on the bed the calibration of a scene measures."""
+    """What is asked of a printer of ours: where it is calibrated, and the time."""
 
     def bed_point(self) -> tuple[float, float]:
         """That point, mm."""
@@ -63,6 +63,10 @@ class _OverBed:
             ","
         )
         return float(x), float(y)
+
+    def now(self) -> float:
+        """Seconds of the simulated world."""
+        return self.machine.rig.seconds(self.machine.simulation.clock.now())
 
     def gap(self, xy: Optional[tuple[float, float]] = None) -> float:
         """As of any printer; default: where the calibration measures."""

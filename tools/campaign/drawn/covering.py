@@ -46,12 +46,12 @@ def of_machine(base: str) -> Row:
 
 
 @lru_cache(maxsize=None)
-def rows(bases: tuple[str, ...], is_generic: bool) -> Sequence[Row]:
+def rows(is_generic: bool) -> Sequence[Row]:
     """Printers on which each pair is that can be together.
 
-    bases: of these machines only. is_generic: the host has generic_cartesian.
+    is_generic: the host has generic_cartesian.
     """
-    choices = _choices(bases or tuple(sorted(BASES)), is_generic)
+    choices = _choices(is_generic)
     found = [*_all_pairs(choices), *_all_pairs(choices, is_turned=True)]
     return [*found, *_missing(choices, found)]
 
@@ -68,13 +68,13 @@ def _all_pairs(
         yield _built(dict(zip(choices, chosen)))
 
 
-def _choices(bases: Sequence[str], is_generic: bool) -> dict[str, Sequence]:
-    gantries = {k for base in bases for k in machines.kinematics_of(base)}
+def _choices(is_generic: bool) -> dict[str, Sequence]:
+    gantries = {k for base in BASES for k in machines.kinematics_of(base)}
     if not is_generic:
         gantries.discard(GENERIC)
-    counts = {n for base in bases for n in machines.counts_of(base)}
+    counts = {n for base in BASES for n in machines.counts_of(base)}
     return {
-        "base": sorted(bases),
+        "base": sorted(BASES),
         "kinematics": sorted(gantries),
         "z_motors": sorted(counts),
         "homing": ("", "override"),

@@ -13,7 +13,6 @@ the time of its walk.
 
 from __future__ import annotations
 
-from collections.abc import Sequence
 from dataclasses import dataclass, field
 from typing import Callable, Optional, TypeVar
 
@@ -94,9 +93,9 @@ def worst_of(
     return found
 
 
-def row_of(seed: int, host: Host, bases: Sequence[str] = ()) -> Row:
+def row_of(seed: int, host: Host) -> Row:
     """The seed's printer: each round through all is on the hosts in other turns."""
-    rows = covering.rows(tuple(bases), knows_kinematics(host, machines.GENERIC))
+    rows = covering.rows(knows_kinematics(host, machines.GENERIC))
     return rows[(seed + seed // len(rows)) % len(rows)]
 
 

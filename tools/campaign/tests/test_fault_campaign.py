@@ -259,7 +259,7 @@ def test_case_is_kept(tmp_path):
 
 COMMANDS = {
     "faults": ("--job", "AUTO_Z_LOAD", "--case", "cancel of begin"),
-    "walks": ("--count", "1", "--simpler", "0"),
+    "walks": ("--count", "1"),
 }
 
 

@@ -23,7 +23,7 @@ from tools.kit.product import GCODE, options
 
 @pytest.fixture(scope="module")
 def rows():
-    return covering.rows((), True)
+    return covering.rows(True)
 
 
 @pytest.mark.parametrize("base", BASES)
@@ -62,8 +62,8 @@ def test_each_pair_of_sections_is_on_a_printer(rows):
 
 
 def test_a_host_without_such_kinematics_gets_no_printer_with_them():
-    assert GENERIC in {row.kinematics for row in covering.rows((), True)}
-    assert GENERIC not in {row.kinematics for row in covering.rows((), False)}
+    assert GENERIC in {row.kinematics for row in covering.rows(True)}
+    assert GENERIC not in {row.kinematics for row in covering.rows(False)}
 
 
 def test_no_heat_is_measured_where_klipper_cannot_start_with_it(rows):

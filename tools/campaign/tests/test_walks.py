@@ -10,7 +10,7 @@ from tools.campaign.running import Done
 from tools.campaign.tests.planting import planted
 from tools.campaign.walker import Outcome
 from tools.kit.cases import all_slow_but
-from tools.kit.printer import ROOT, module_files
+from tools.kit.printer import module_files
 
 TOGETHER = 10
 USUAL = range(1, 11, TOGETHER)
@@ -211,24 +211,6 @@ def test_what_a_macro_leaves_pending_is_found(host, product):
     assert outcome.kind == "moved"
     assert "while nobody asks for it" in outcome.harm
     assert not walker.go(WAITS, LATER, host).harm
-
-
-NEVER = "z_calibration: Tuesday; wait"
-
-
-@pytest.mark.one_host
-@pytest.mark.slow
-def test_walk_is_gone_on_both_products(host, product):
-    walk = Owned("voron"), (("gcode", "G28"), ("gcode", "CALIBRATE_Z"))
-    raises = f"raise gcmd.error({NEVER!r})"
-    strict = product("z_calibration", AGAIN, first=raises)
-    ours = running.modules_of(ROOT)
-    done = Done("1", host.name, walk, walker.go(*walk, host, strict))
-    told = running.compared(done, host, ours).alone
-    assert told == f"gcode 'CALIBRATE_Z': {NEVER}"
-    assert not running.compared(done, host, strict).alone
-    done = Done("1", host.name, walk, walker.go(*walk, host, ours))
-    assert not running.compared(done, host, strict).alone
 
 
 def test_walk_is_kept(tmp_path):
