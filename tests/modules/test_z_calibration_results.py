@@ -379,15 +379,6 @@ def test_failing_end_gcode_does_not_hide_the_first_error(start):
     assert_unharmed(printer)
 
 
-def test_end_gcode_that_turns_the_motors_off_voids_the_result(start):
-    printer = start(changes=section(end_gcode="M84")).homed()
-    printer.run("SET_GCODE_OFFSET Z=0.2")
-    text = printer.fail("CALIBRATE_Z")
-    assert "z_calibration: not homed: X, Y, Z" in text
-    assert printer.status("z_calibration")["last_query"] is False
-    assert printer.offset() == pytest.approx(0.2)
-
-
 def test_template_that_stops_the_printer_is_the_last_thing_run(start):
     changes = marked("LAST")
     stop = "ATTACH_PROBE\n  { action_emergency_stop('enough') }"

@@ -434,9 +434,12 @@ def test_motors_off_in_gcode_is_said_of_it(start, option):
     """The owner has homed, so that G28 is no advice."""
     code = SCENES["voron"].sections["z_calibration"].get(option, "")
     printer = start(changes=section(**{option: f"{code}\n  M84"})).homed()
+    printer.run("SET_GCODE_OFFSET Z=0.2")
     text = printer.fail("CALIBRATE_Z")
     assert f"not homed any more after {option}: X, Y, Z; take M84" in text
     assert "G28" not in text
+    assert printer.status("z_calibration")["last_query"] is False
+    assert printer.offset() == pytest.approx(0.2)
 
 
 def test_levelling_in_end_gcode_is_an_error(start):
