@@ -104,6 +104,11 @@ def test_separate_pin_in_no_section_and_a_switch_from_the_list(start):
     user.press("Here")
     # Along the body, as it says
     assert user.position()[:2] == pytest.approx((208.0, 281.25))
+    # The probe's body is on the same toolhead
+    printer.run("G1 X100 F12000")
+    text = user.refused("Here")
+    assert "the switch cannot be 108.9 mm from the nozzle" in text
+    printer.run("G1 X208 F12000")
     user.jog("X", 4.0)
     for label in ("Here", "Here", "Yes"):
         user.press(label)

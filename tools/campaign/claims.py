@@ -189,7 +189,7 @@ CLAIMS: tuple[tuple[re.Pattern, Callable[..., bool]], ...] = tuple(
     (re.compile(pattern), test)
     for pattern, test in (
         (r"Must home", _not_homed),
-        (r"not homed: ([XYZ, ]+)", _not_homed),
+        (r"not homed(?: any more after \w+)?: ([XYZ, ]+)", _not_homed),
         (r"manual probe is under way|end the manual probe", _is_manual),
         (r"lready in a manual Z probe", _is_manual),
         (r"waits for an answer", _waits),
