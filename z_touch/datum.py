@@ -5,7 +5,15 @@ Copyright (C) 2026  the Z calibration developers, under the GNU GPLv3
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING, Any, List, NamedTuple, Optional, Sequence
+from typing import (
+    TYPE_CHECKING,
+    Any,
+    List,
+    NamedTuple,
+    Optional,
+    Sequence,
+    Tuple,
+)
 
 if TYPE_CHECKING:
     from .host.klippy import GCodeCommand, Handler
@@ -44,6 +52,8 @@ class Datum:
         # The motors (mm) when Z was set last, and when it was set last for all of them
         self.motors: List[float] = []
         self.even_motors: List[float] = []
+        # Where the toolhead was then (X and Y, mm); None: it was not set
+        self.set_at: Optional[Tuple[float, float]] = None
         # Some of them have moved without the others
         self.is_levelling = False
         register = host.printer.register_event_handler
@@ -116,6 +126,8 @@ class Datum:
         shifts, self.even_motors = self._shifts(self.even_motors), self.motors
         if shifts and abs(sum(shifts)) > DATUM_NOISE * len(shifts):
             self.noted.append(HOMED_OR_SET)
+            x, y = self.host.toolhead.get_position()[:2]
+            self.set_at = x, y
 
     def _homed(self, homing_state: Any, _rails: Any) -> None:
         # Not sent where Z is homed with the probe since 2026-05-25 (5cbebdc3c)
@@ -147,6 +159,8 @@ class HomedDatum:
         self.datum = datum
         # None: Z was not homed with G28
         self.mark: Optional[Mark] = None
+        # Where the toolhead was then (X and Y, mm); None: that is not known
+        self.at: Optional[Tuple[float, float]] = None
         # How many of these commands have begun: one may have others in it
         self.begun = 0
         # All sections have registered their commands then, and no macro has taken the
@@ -164,6 +178,7 @@ class HomedDatum:
         command(gcmd)
         if self.begun == own and len(self.datum.noted) > noted:
             self.mark = self.datum.mark()
+            self.at = self.datum.set_at
 
     def moved(self) -> str:
         """Return what has moved Z=0 since G28, in words.

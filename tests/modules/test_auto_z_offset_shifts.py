@@ -78,6 +78,40 @@ def test_shift_that_makes_the_gap_wrong_is_told(
     assert bool(words) is bool(told(lines, "the gap is wrong by"))
 
 
+# Z is homed with the probe over the point; the mesh is higher there by so much
+@pytest.mark.every_host("one sends no event where the probe homes Z")
+@pytest.mark.parametrize(
+    ("zero", "slope", "is_told"),
+    [
+        ("190, 190", 0.0013, True),
+        # As much as noise
+        ("190, 190", 0.00005, False),
+        (f"{POINT[0]}, {POINT[1]}", 0.0013, False),
+        (None, 0.0013, False),
+    ],
+)
+def test_mesh_that_is_not_zero_where_z_was_homed_is_told(
+    start, zero, slope, is_told
+):
+    bed = replace(SCENES["qidi"].world.bed, slope_x=slope, slope_y=slope)
+    mesh = bed_mesh("40, 40", "200, 200")
+    if zero is not None:
+        mesh["zero_reference_position"] = zero
+    printer = start(world(bed=bed), {"bed_mesh": mesh}).homed()
+    printer.run("AUTO_Z_CALIBRATE\nG28")
+    assert not told(printer.run("AUTO_Z_LOAD_OFFSET"), "the gap is wrong by")
+    right = true_gap(printer)
+    printer.run("G28\nBED_MESH_CALIBRATE")
+    lines = printer.run("AUTO_Z_LOAD_OFFSET")
+    wrong = true_gap(printer) - right
+    found = told(lines, "where Z was homed with the probe: the gap is wrong")
+    assert len(found) == is_told
+    assert (abs(wrong) > 0.015) is is_told
+    if is_told:
+        assert f"bed_mesh: Z is shifted by {wrong:.2f}"[:-1] in found[0]
+        assert f"at {POINT[0]:.1f}, {POINT[1]:.1f}, where" in found[0]
+
+
 def lifting(start, height, sections=None):
     """With a transform of another module, which nothing here knows by its name."""
     modules = with_extras("lift")

@@ -573,11 +573,20 @@ class AutoZOffset:
         self._tell(self.correction.other_heat())
         if self.host.transforms.mesh_heights() is not None:
             self._tell(shifts.wrong_mesh(self.host))
+            self._tell(self._wrong_where_homed())
         if self.correction.z is None:
             self._tell(
                 "there is no probe_z_correction yet; run AUTO_Z_CALIBRATE, then"
                 " SAVE_CONFIG"
             )
+
+    def _wrong_where_homed(self) -> str:
+        """Return what the user is told of a mesh that is not zero where Z was homed."""
+        homed = self.expectations.homed
+        is_known = self.host.axes.homes_with_probe() and not homed.moved()
+        if homed.at is None or not is_known:
+            return ""
+        return shifts.wrong_where_homed(self.host, homed.at)
 
     cmd_AUTO_Z_SAVE_GCODE_OFFSET_help = "Save the G-code Z offset in force"
 

@@ -9,7 +9,7 @@ Copyright (C) 2026  the Z calibration developers, under the GNU GPLv3
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING, List, Optional, Sequence
+from typing import TYPE_CHECKING, List, Optional, Sequence, Tuple
 
 from ..host.transforms import Part
 
@@ -101,4 +101,23 @@ def wrong_gap(host: Host, site: Site, results: Sequence[Result]) -> str:
         f" {seen:.3f}: the gap is wrong by {wrong:.3f} mm; a bed mesh has to be zero"
         " where Z is homed, or nowhere; correct that, or the first layer where something"
         " else shifts Z"
+    )
+
+
+def wrong_where_homed(host: Host, toolhead: Tuple[float, float]) -> str:
+    """Return what the user is told of a mesh that is not zero where Z was homed.
+
+    'toolhead' is where that stood (X and Y, mm).  There the offset alone makes the gap
+    right.  Empty: the mesh in force is zero there, or there is none.
+    """
+    transforms = host.transforms
+    x_offset, y_offset = host.probing.offsets()[:2]
+    x, y = toolhead[0] + x_offset, toolhead[1] + y_offset
+    wrong = transforms.height(x, y, bed_z=host.probing.homed_bed_z())
+    if transforms.mesh_heights() is None or abs(wrong) < WORTH_TELLING:
+        return ""
+    return (
+        f"bed_mesh: Z is shifted by {wrong:.3f} mm at {x:.1f}, {y:.1f}, where Z was homed"
+        " with the probe: the gap is wrong by that; a bed mesh has to be zero where Z is"
+        " homed, or nowhere"
     )
