@@ -136,6 +136,7 @@ def test_nothing_is_hit(start, order):
     assert pressed(printer) < 0.1
 
 
+TRIPS = "SET_DOCKABLE_PROBE AUTO_ATTACH_DETACH={}"
 FIRST_LAYER = "G90\nG1 Z0.3 F600\nG1 X200 Y150 F3000\nG1 X100\n"
 PRINT = "SDCARD_PRINT_FILE FILENAME=a.gcode"
 
@@ -577,10 +578,11 @@ def test_print_goes_no_lower_without_trips(start, tmp_path):
 
 
 # The circle around the dock reaches over the bed
-def test_print_below_the_dock(start, tmp_path):
+@pytest.mark.parametrize("auto", [1, 0])
+def test_print_below_the_dock(start, tmp_path, auto):
     lines = "G90\nG1 X50 Y272 F6000\nG1 Z0.3 F600\nG1 X80\n"
     printer = with_card(start, tmp_path, lines).homed()
-    printer.run(f"{OVER}\nATTACH_PROBE")
+    printer.run(f"{OVER}\nATTACH_PROBE\n{TRIPS.format(auto)}")
     printer.run(PRINT)
     printer.session.wait(20)
     assert printer.status("print_stats")["state"] == "error"
@@ -601,6 +603,63 @@ def test_circle_around_the_dock_is_no_place_to_go_down(start, auto):
     else:
         printer.run("G1 Z7\nM400")
     printer.machine.truth.require_no_crash()
+
+
+# Down, in, and out: to the positions, and nowhere else
+DOCKS_ITSELF = "G1 X50 Y270 F6000\nG1 Z7.8\nG1 Y308\nG1 X90\nG1 Z20\n"
+
+
+@pytest.mark.parametrize("auto", [0, slow(1)])
+def test_macros_of_a_print_dock_without_trips(start, tmp_path, auto):
+    told = "SET_PROBE_STATUS STATE=DOCKED\n"
+    lines = f"G90\nG1 Z20 F900\n{DOCKS_ITSELF}{told}G1 X150 Y150\n{FIRST_LAYER}"
+    printer = with_card(start, tmp_path, lines).homed()
+    printer.run(f"{OVER}\nATTACH_PROBE\n{TRIPS.format(auto)}\n{PRINT}")
+    if not auto:
+        require_printed(printer)
+        return
+    printer.session.wait(20)
+    assert printer.status("print_stats")["state"] == "error"
+    assert where(printer) == "attached"
+
+
+# What has gone down at the dock would be dragged over the bed from there
+@pytest.mark.parametrize(
+    ("auto", "place"),
+    [(1, "X50 Y270"), (0, "X60 Y275"), slow(0, "X50 Y270")],
+)
+def test_probe_that_was_let_down_does_not_leave_as_low(start, auto, place):
+    printer = start(
+        DOCK_SCENES["dock_gantry"], {"dockable_probe": QUICK}
+    ).homed()
+    printer.run(f"{OVER}\nATTACH_PROBE\n{TRIPS.format(auto)}")
+    printer.run(f"G1 {place}\nG1 Z7.5\nG1 Z7.6\nM400")
+    before = printer.session.position()
+    for lines in ("G1 X150 Y150", "G1 X150 Y150 Z7.8"):
+        assert f"{TOLD} the bed" in printer.fail(lines)
+        assert printer.session.position() == pytest.approx(before)
+    printer.run("G1 Z20\nG1 X150 Y150\nM400")
+    assert where(printer) == "attached"
+    printer.machine.truth.require_no_crash()
+
+
+def test_probe_that_was_let_down_is_docked_where_that_is_to_come(start):
+    own = {**QUICK, "allow_delayed_detach": "True"}
+    printer = start(DOCK_SCENES["dock_gantry"], {"dockable_probe": own}).homed()
+    printer.run(f"{OVER}\nPROBE\nG1 X50 Y270\nG1 Z7.5\nG1 X150 Y150\nM400")
+    assert printer.session.position() == pytest.approx((150, 150, 7.5))
+    assert trips(printer) == ["attach", "dock"]
+    printer.machine.truth.require_no_crash()
+
+
+# Two pins say that it is in the dock
+def test_toolhead_that_was_let_down_leaves_as_low_without_the_probe(start):
+    changes = {"dockable_probe": QUICK}
+    printer = start(DOCK_SCENES["dock_sensed"], changes).homed()
+    printer.run(f"{OVER}\nATTACH_PROBE\nG1 X50 Y270\nG1 Z7.5\nM400")
+    printer.machine.world.take_probe_off(seconds(printer))
+    printer.run("G1 X150 Y150\nM400")
+    assert printer.session.position() == pytest.approx((150, 150, 7.5))
 
 
 # Without trips its owner's macros know when it is on

@@ -102,6 +102,7 @@ class HostCommands:
         self.probe.dock.leave(axes)
         if 2 in axes:
             self.low_moves.is_led = False
+            self.low_moves.let_down_at = None
             self._dock_where_height_counts()
         outer, self.low_moves.is_homing = self.low_moves.is_homing, True
         try:

@@ -25,13 +25,22 @@ NO_WAY_DOWN = 1e-3
 
 
 class Watch(Protocol):
-    """What looks at moves of G-code that go down."""
+    """What looks at moves of G-code that go down, and at some others."""
 
     def is_on(self) -> bool:
         """Return whether there is anything to look at; asked at each move."""
 
+    def leaves_low(
+        self, start: Sequence[float], goal: Sequence[float], z: float
+    ) -> bool:
+        """Return whether may_go() is asked of a move that does not go down, too.
+
+        'start' and 'goal' are X, Y and Z (mm) as G-code has them, 'z' the toolhead Z that it
+        leads to.
+        """
+
     def may_go(self, goal: Sequence[float], z: float) -> bool:
-        """Return whether a move down may be made now; raise the host's error: never.
+        """Return whether a move may be made now; raise the host's error: never.
 
         'goal' is X, Y and Z (mm) as G-code has it, 'z' the toolhead Z that it leads to.  May
         pause.
@@ -75,8 +84,9 @@ class GcodeMoves:
         gcode_move.reset_last_position()
 
     def _may_go(self, newpos: Sequence[float]) -> bool:
-        down = self.next.get_position()[2] - newpos[2]
-        if down < NO_WAY_DOWN:
-            return True
+        start = self.next.get_position()
+        down = start[2] - newpos[2]
         z = self.host.toolhead.get_position()[2] - down
+        if down < NO_WAY_DOWN and not self.watch.leaves_low(start, newpos, z):
+            return True
         return self.watch.may_go(newpos, z)
