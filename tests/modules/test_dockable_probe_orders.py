@@ -533,6 +533,36 @@ def test_nobody_knows_of_a_dock(start):
     assert printer.session.position()[2] == pytest.approx(5.0)
 
 
+# What looks at a probe that no trip has attached, as after a restart
+LOOKS = {
+    "G28": "",
+    "GET_PROBE_STATUS": "GET_PROBE_STATUS",
+    "set-up": "DOCKABLE_PROBE_SETUP\nDOCKABLE_PROBE_SETUP STEP=ABORT",
+}
+
+
+@pytest.mark.parametrize("looks", LOOKS)
+def test_probe_that_is_on_by_hand_is_not_taken_down(start, looks):
+    own = {**QUICK, "detach_dockable_before_z_home": "False"}
+    changes = {"dockable_probe": own}
+    printer = start(DOCK_SCENES["dock_gantry_switch"], changes)
+    world = printer.machine.world
+    printer.session.require_ready()
+    if looks == "G28":
+        world.put_probe_on(seconds(printer))
+    printer.run(f"G28\n{OVER}\nM400")
+    if looks != "G28":
+        world.put_probe_on(seconds(printer))
+    printer.run(LOOKS[looks])
+    assert f"{TOLD} the bed" in printer.fail(FIRST_LAYER)
+    printer.machine.truth.require_no_crash()
+    assert where(printer) == "attached"
+    # In its dock by hand, too, it is as it was before
+    world.take_probe_off(seconds(printer))
+    printer.run(f"GET_PROBE_STATUS\n{FIRST_LAYER}M400")
+    assert printer.session.position()[2] == pytest.approx(0.3)
+
+
 # Nobody can dock it without trips, and the dock has its own height
 def test_where_the_probe_may_be_low(start):
     printer = start(

@@ -43,7 +43,8 @@ class HostCommands:
     """Wraps commands of the host.
 
     G28: a toolhead in the dock leaves it first, and so does the probe where its dock has a
-    height that homing_override may set to anything.  Those with a paper stage (MANUAL_PROBE
+    height that homing_override may set to anything; afterwards it is looked for, as G-code
+    may go down from then on.  Those with a paper stage (MANUAL_PROBE
     ... and METHOD=MANUAL): the nozzle is lowered next, and TESTZ is no move of G-code.  M18,
     M84 and SAVE_CONFIG: a docking that is to come in a second would never come, and klippy
     would start with the probe attached.  PROBE and PROBE_ACCURACY: no host tells when a
@@ -109,6 +110,9 @@ class HostCommands:
             command(gcmd)
         finally:
             self.low_moves.is_homing = outer
+        if not self.probe.known.is_guarded():
+            # It may have been on the toolhead when klippy started
+            self.probe.sensors.look()
 
     def _dock_where_height_counts(self) -> None:
         """Dock the probe where the way to the dock goes by Z.

@@ -13,7 +13,8 @@ class Known:
 
     proven is where the last trip has put the probe, if the pins were seen to change on it;
     UNKNOWN: what they read proves nothing.  may_be_on says whether it may be attached where
-    they read as if it were docked.
+    they read as if it were docked.  seen_on says whether the last look has found it attached:
+    where it reads docked after that, somebody has put it there, which is believed.
 
         what happens                                    proven     may_be_on
         klippy starts                                   UNKNOWN    no
@@ -30,6 +31,16 @@ class Known:
     def __init__(self) -> None:
         self.proven = UNKNOWN
         self.may_be_on = False
+        self.seen_on = False
+
+    def is_guarded(self) -> bool:
+        """Return whether what goes down has to look where the probe is."""
+        return self.may_be_on or self.seen_on
+
+    def look_has(self, state: str) -> None:
+        """Note what the pins read; what contradicts itself says nothing new."""
+        if state != UNKNOWN:
+            self.seen_on = state == ATTACHED
 
     def trip_begins(self) -> None:
         """Note that the probe is about to be attached or docked."""

@@ -50,7 +50,7 @@ class LowMoves:
 
     def is_on(self) -> bool:
         """Return whether there is anything to look at: the probe may be attached."""
-        return self.probe.known.may_be_on
+        return self.probe.known.is_guarded()
 
     def _meets_bed(self) -> float:
         """Return from which toolhead Z (mm) on the probe may meet the bed."""

@@ -67,6 +67,7 @@ class Sensors:
         if has_veto and self._is_triggered(self.pin, print_time):
             state = UNKNOWN
         self.last_state = state
+        self.known.look_has(state)
         return state
 
     def _agreed(self, print_time: float, senses: Sequence[Sense]) -> str:

@@ -64,6 +64,8 @@ class Setup(SetupCommand):
         with self.host.as_command_error(gcmd):
             command.check_no_manual_probe(self.host)
             attached.of(self.host.printer).check_questions(self.host)
+        # A probe that was put on by hand: the set-up may be aborted
+        self.section.sensors.look()
         axes = self._axes()
         self.wizard.begin(
             [replace(step, axes=axes if step.axes else "") for step in STEPS]
