@@ -239,7 +239,8 @@ def test_print_does_not_go_on_with_the_probe(start, tmp_path, resume, z):
     printer.homed().run(f"{OVER}\n{PRINT}")
     printer.session.wait(30)
     assert printer.status("print_stats")["state"] == "paused"
-    printer.run("G90\nG1 Z60 F900\nG1 X150 Y150 F6000\nATTACH_PROBE")
+    printer.run("G90\nG1 Z60 F900\nG1 X150 Y150 F6000\nM400")
+    put_on(printer)
     for _ in range(2):
         text = printer.fail("RESUME")
         assert f"{TOLD} what is printed on the way down to z={z:.3f}" in text
@@ -249,6 +250,35 @@ def test_print_does_not_go_on_with_the_probe(start, tmp_path, resume, z):
     printer.run("DETACH_PROBE\nRESUME")
     require_printed(printer)
     assert printer.session.position()[2] == pytest.approx(z)
+
+
+def put_on(printer):
+    """By hand, and say so."""
+    printer.machine.world.put_probe_on(seconds(printer))
+    printer.run("SET_PROBE_STATUS STATE=ATTACHED")
+
+
+# It would be on the toolhead when the print goes on; a trip goes down at a low dock
+@pytest.mark.parametrize("command", ["ATTACH_PROBE", "PROBE", "G28 Z"])
+def test_probe_is_not_fetched_while_a_print_is_paused(start, tmp_path, command):
+    lines = "G90\nG1 Z40 F900\nG4 P2000\nPAUSE\nG1 X120\n"
+    printer = with_card(start, tmp_path, lines).homed()
+    printer.run(f"{OVER}\n{PRINT}")
+    printer.session.wait(30)
+    before, begun = printer.session.position(), len(trips(printer))
+    assert printer.fail(command) == (
+        "dockable_probe: a print is paused, and the toolhead would go across it;"
+        " end it first (CANCEL_PRINT)"
+    )
+    assert printer.session.position() == pytest.approx(before)
+    assert trips(printer, begun) == []
+    # What somebody has put on, and perhaps taken off again, may be docked
+    put_on(printer)
+    printer.machine.world.take_probe_off(seconds(printer))
+    printer.run("DETACH_PROBE")
+    assert trips(printer)[-2:] == ["attach", "dock"]
+    printer.run("RESUME")
+    require_printed(printer)
 
 
 # Sent line by line, or by a macro, there is no print that the host knows of
@@ -589,7 +619,8 @@ def test_print_that_goes_on_with_the_motors_off(start, tmp_path):
     printer = with_card(start, tmp_path, lines).homed()
     printer.run(f"{OVER}\n{PRINT}")
     printer.session.wait(30)
-    printer.run("ATTACH_PROBE\nM84")
+    put_on(printer)
+    printer.run("M84")
     assert where(printer) == "attached"
     (line,) = printer.run("RESUME")
     assert "Must home axis first: 120.000" in line

@@ -93,7 +93,7 @@ REFUSED = [
     ("printing", SETUPS, DURING),
     ("paused", ASK, BUSY.format("paused")),
     ("paused", DOCK_SETUP, DURING),
-    ("paused", Z + AUTO + Z_SETUP, ACROSS),
+    ("paused", Z + AUTO + Z_SETUP + ATTACH + ("PROBE",), ACROSS),
     ("paused by OctoPrint", ASK + SETUPS, GOES_ON),
 ]
 

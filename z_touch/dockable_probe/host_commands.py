@@ -100,6 +100,9 @@ class HostCommands:
             for number, axis in enumerate("XYZ")
             if gcmd.get(axis, None) is not None
         ] or [0, 1, 2]
+        if 2 in axes and self.installed.is_z_endstop():
+            # Others go to where Z is homed, before the probe is asked for
+            self.probe.check_may_fetch()
         self.probe.dock.leave(axes)
         if 2 in axes:
             self.low_moves.is_led = False

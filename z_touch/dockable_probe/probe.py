@@ -94,6 +94,7 @@ class DockedProbe:
     def begin(self, is_homing: bool) -> None:
         """Attach the probe, the toolhead then where the command goes on."""
         self.dock.check_idle()
+        self.check_may_fetch()
         self.keeping.cancel()
         self.homing.begin(is_homing)
         self.clear_z = 0.0
@@ -114,6 +115,11 @@ class DockedProbe:
             self._stay_beside()
         elif not self.moves.is_at(goal):
             self.moves.go_back(goal, self.height.lowest(self.settings))
+
+    def check_may_fetch(self) -> None:
+        """Raise the host's error where commands fetch the probe, and must not now."""
+        if self.keeping.auto:
+            self.dock.check_no_pause()
 
     def _goal(self, is_homing: bool) -> Optional[Position]:
         """Return where the command goes on; None: beside the dock.
