@@ -85,8 +85,8 @@ class InForce:
 class AppliedOffset:
     """The G-code Z offset that a command has set: shown where it has gone.
 
-    'command' sets it again.  Baby steps are the user's, and a print that begins may set it
-    later.
+    'command' sets it again.  Baby steps are the user's, a print that begins may set it
+    later, and where Z is not homed there is nothing that it holds for.
     """
 
     def __init__(self, host: Host, command: str):
@@ -107,6 +107,9 @@ class AppliedOffset:
         offset, ours = self.host.gcode_state.z_offset(), self.z
         if self.is_shown:
             return None
+        if not self.host.is_homed("z"):
+            # As at the end of a print, where macros set 0 and turn the motors off
+            return ""
         if not ours or self.host.begins_print():
             return ""
         if offset and abs(offset - ours) <= LARGEST_STEP:

@@ -340,6 +340,8 @@ def test_what_are_no_baby_steps_is_not_saved(start, script, words):
         ("RESTORE_GCODE_STATE", "has brought back the G-code Z offset 0.000"),
         ("SET_GCODE_OFFSET Z_ADJUST=0.05", ""),
         slow("G28", ""),
+        # At the end of a print
+        ("PRINT_END", ""),
         # A macro that is still at work is not interrupted
         ("BUSY", ""),
     ],
@@ -348,6 +350,8 @@ def test_offset_that_has_gone_is_told_once(start, script, words):
     changes = section(probe_z_correction="-1.12")
     busy = f"\n  SET_GCODE_OFFSET Z=0\n  G4 P5000\n  {LOAD}"
     changes["gcode_macro BUSY"] = {"gcode": busy}
+    end = "\n  SET_GCODE_OFFSET Z=0\n  M84"
+    changes["gcode_macro PRINT_END"] = {"gcode": end}
     printer = start("qidi", changes=changes).homed()
     printer.run(f"SAVE_GCODE_STATE\n{LOAD}")
     before = len(printer.session.console)
