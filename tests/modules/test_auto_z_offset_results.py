@@ -331,6 +331,15 @@ def test_what_are_no_baby_steps_is_not_saved(start, script, words):
     assert saved == pytest.approx(printer.offset())
 
 
+@pytest.mark.parametrize("z", ["nan", slow("inf")])
+def test_what_is_no_offset_is_never_saved(start, z):
+    printer = start("qidi", section(probe_z_correction="-1.12")).homed()
+    printer.run(f"{LOAD}\nSET_GCODE_OFFSET Z={z}")
+    text = printer.fail("AUTO_Z_SAVE_GCODE_OFFSET FORCE=1")
+    assert f"Z offset of {float(z):.3f} is no correction of a probe" in text
+    assert state(printer)["pending"] == {}
+
+
 @pytest.mark.parametrize(
     ("script", "words"),
     [

@@ -625,7 +625,8 @@ class AutoZOffset:
                 " offset; run AUTO_Z_LOAD_OFFSET, which undoes it, then move the"
                 " nozzle in small steps"
             )
-        if abs(z) > heights.LARGEST_OFFSET:
+        # That is so of nan, too
+        if not abs(z) <= heights.LARGEST_OFFSET:
             raise CalibrationError(
                 f"a G-code Z offset of {z:.3f} is no correction of a probe; up to"
                 f" {heights.LARGEST_OFFSET:g} mm can be saved; run AUTO_Z_LOAD_OFFSET,"
