@@ -180,6 +180,15 @@ class HomedDatum:
             self.mark = self.datum.mark()
             self.at = self.datum.set_at
 
+    def moved_since(self, mark: Mark) -> str:
+        """Return what has moved Z=0 since a mark, or since a G28 that came after it.
+
+        For what any G28 makes right again.  In words; empty: nothing.
+        """
+        if self.mark is not None and self.mark.events > mark.events:
+            mark = self.mark
+        return self.datum.moved_since(mark)
+
     def moved(self) -> str:
         """Return what has moved Z=0 since G28, in words.
 

@@ -7,7 +7,10 @@ from __future__ import annotations
 
 from typing import TYPE_CHECKING, Callable, Optional
 
+from .datum import MOTORS_OFF
+
 if TYPE_CHECKING:
+    from .datum import Datum, Mark
     from .host.klippy import GCodeCommand, Handler
     from .host.printer import Host
 
@@ -83,17 +86,27 @@ class InForce:
 
 
 class AppliedOffset:
-    """The G-code Z offset that a command has set: shown where it has gone.
+    """The G-code Z offset that a command has set: shown where it has gone, or Z=0 from it.
 
     'command' sets it again.  Baby steps are the user's, a print that begins may set it
     later, and where Z is not homed there is nothing that it holds for.
     """
 
-    def __init__(self, host: Host, command: str):
+    def __init__(
+        self,
+        host: Host,
+        command: str,
+        datum: Datum,
+        moved: Callable[[Mark], str],
+    ):
+        """Take moved(mark), which says what has moved Z=0 so that the offset does not hold."""
         self.host = host
         self.command = command
-        # As it was set (mm), None: not since klippy has started
+        self.datum = datum
+        self.moved = moved
+        # As it was set (mm), and where Z=0 was; None: not since klippy has started
         self.z: Optional[float] = None
+        self.mark: Optional[Mark] = None
         # That it has gone with a state
         self.is_shown = False
         self.in_force = InForce(host, self._why_gone)
@@ -101,6 +114,7 @@ class AppliedOffset:
     def note(self) -> None:
         """Note that it was set, and is in force now."""
         self.z, self.is_shown = self.host.gcode_state.z_offset(), False
+        self.mark = self.datum.mark()
         self.in_force.begin()
 
     def _why_gone(self) -> Optional[str]:
@@ -110,14 +124,25 @@ class AppliedOffset:
         if not self.host.is_homed("z"):
             # As at the end of a print, where macros set 0 and turn the motors off
             return ""
-        if not ours or self.host.begins_print():
+        if not ours or self.mark is None or self.host.begins_print():
             return ""
         if offset and abs(offset - ours) <= LARGEST_STEP:
-            return ""
+            return self._why_moved(ours, self.mark)
         return (
             f"the G-code Z offset is {offset:.3f}, and {self.command} has set"
             f" {ours:.3f}: something has set another one since, such as a macro with"
             f" SET_GCODE_OFFSET; {self.command} sets it again"
+        )
+
+    def _why_moved(self, ours: float, mark: Mark) -> str:
+        """Return why an offset (mm) does not hold that was set at a mark; empty: it does."""
+        moved = self.moved(mark)
+        # Before homing nothing is printed
+        if moved in ("", MOTORS_OFF):
+            return ""
+        return (
+            f"{moved}; the offset of {self.command} was {ours:.3f}; run G28, then"
+            f" {self.command} again"
         )
 
     def watch_states(self) -> None:

@@ -351,6 +351,46 @@ def test_correction_of_a_z_that_levelling_has_moved(start, script, is_told):
         assert not told(lines, "as levelling does")
 
 
+# The lines of a macro are one command: between them nothing is told
+@pytest.mark.every_host("what they send when Z is homed, set and levelled")
+@pytest.mark.parametrize(
+    ("script", "words"),
+    [
+        ("Z_TILT_ADJUST", "the Z motors were levelled"),
+        slow("SET_KINEMATIC_POSITION Z=10.5", "Z was homed again or set"),
+        ("Z_TILT_ADJUST\nG28 Z", ""),
+        slow("G28\nG28 Z", ""),
+        slow(f"Z_TILT_ADJUST\n{MESH}", ""),
+        slow("Z_TILT_ADJUST\nM84", ""),
+        slow("AUTO_Z_HOME_Z", ""),
+    ],
+)
+def test_what_moves_z_from_the_offset_is_told_once(start, script, words):
+    changes = {
+        "z_calibration": None,
+        "force_move": {"enable_force_move": "True"},
+        "gcode_macro MOVES": {"gcode": "\n  " + script.replace("\n", "\n  ")},
+        **section(probe_z_correction="0.16"),
+    }
+    scene = with_all(DOCK_SCENES["dock_frame"])
+    printer = start(scene, changes).homed()
+    printer.run("AUTO_Z_LOAD_OFFSET\nG91\nG1 Z1 F600\nG90")
+    printer.session.wait(3.0)
+    before = len(printer.session.console)
+    for _ in range(2):
+        if "M84" in script:
+            printer.homed()
+        printer.run("MOVES")
+        printer.session.wait(5.0)
+    found = [
+        line
+        for line in printer.session.console[before:]
+        if "the offset of AUTO_Z_LOAD_OFFSET was 0.160" in line
+    ]
+    assert len(found) == bool(words)
+    assert not words or words in found[0]
+
+
 @pytest.mark.parametrize("is_levelled", [False, True])
 def test_steps_that_make_good_for_levelling_are_told(start, is_levelled):
     scene = on_plate(with_all(DOCK_SCENES["dock_frame"]), (0.0, 0.0), 0.2, 0.0)

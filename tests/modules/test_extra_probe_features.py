@@ -243,6 +243,35 @@ def test_offset_that_has_gone_is_told_once(start, save, script, is_told):
     assert not [n for n in lines if " has set " in n and words not in n]
 
 
+@pytest.mark.parametrize(
+    ("is_moved", "script", "words"),
+    [
+        (False, "SET_KINEMATIC_POSITION Z=10.5", "Z was homed again or set"),
+        (False, "G28", ""),
+        slow(False, "M84", ""),
+        # It was not right after G28 when it was set, and is not now
+        (True, "G28", "Z was homed again"),
+    ],
+)
+def test_what_moves_z_from_the_offset_is_told_once(
+    start, is_moved, script, words
+):
+    changes = {"force_move": {"enable_force_move": "True"}}
+    printer = start("membrane", changes=changes).homed()
+    if is_moved:
+        z = printer.session.position()[2] - 0.1
+        printer.run(f"SET_KINEMATIC_POSITION Z={z:.3f}")
+    calibrate(printer)
+    seen = len(printer.session.console)
+    for _ in range(2):
+        printer.run(script)
+        printer.session.wait(5.0)
+    told_of = f"; the offset of {CALIBRATE} was "
+    lines = [n for n in printer.session.console[seen:] if told_of in n]
+    assert len(lines) == bool(words)
+    assert not words or words in lines[0]
+
+
 # A textured plate
 
 

@@ -266,6 +266,16 @@ class Expectations:
             " if you use one, then AUTO_Z_LOAD_OFFSET again"
         )
 
+    def moved_since(self, mark: Mark) -> str:
+        """Return what has moved Z=0 since a correction was applied, in words; empty: nothing.
+
+        It holds after any G28, and with a mesh that goes with Z=0; what AUTO_Z_HOME_Z does to
+        it that command tells.
+        """
+        if self.was_sensor_frame() or self._is_in_mesh():
+            return ""
+        return self.homed.moved_since(mark)
+
     def levelled_steps(self) -> str:
         """Return what the user is told then of steps that are saved; empty: nothing."""
         if not self._is_levelled():

@@ -78,7 +78,12 @@ class AutoZOffset:
         self.progress = self.runner.watch
         attached.of(self.host.printer).watches.append(self.progress)
         # The G-code offset that was set last, and with which extruder
-        self.applied = AppliedOffset(self.host, "AUTO_Z_LOAD_OFFSET")
+        self.applied = AppliedOffset(
+            self.host,
+            "AUTO_Z_LOAD_OFFSET",
+            self.expectations.datum,
+            self.expectations.moved_since,
+        )
         self.applied_with = ""
         # Runs since klippy has started: the points of bed_spread are turned by it
         self.turn = 0

@@ -119,7 +119,11 @@ class Calibration:
         self.question: Optional[Question] = None
         # Of the last one that was applied or saved (mm); None: there is none
         self.last_offset: Optional[float] = None
-        self.applied = AppliedOffset(host, self.begin)
+        # The offset in force is right with any G28, not only with the Z=0 that it was made for
+        self.is_for_g28 = True
+        self.applied = AppliedOffset(
+            host, self.begin, self.datum, self._moved_since
+        )
         # What waits for SAVE_CONFIG; None: nothing
         self.unsaved: Optional[ZZero] = None
         # All sections have registered their commands then
@@ -526,7 +530,14 @@ class Calibration:
             self.host.say(undone)
         self.host.gcode_state.set_z_offset(0.0 if save else offset)
         self.last_offset = offset
+        self.is_for_g28 = not self.homed.moved()
         self.applied.note()
+
+    def _moved_since(self, mark: Mark) -> str:
+        """Return what has moved Z=0 since an offset was set, in words; empty: nothing."""
+        if self.is_for_g28:
+            return self.homed.moved_since(mark)
+        return self.datum.moved_since(mark)
 
     def _tell(self, bed_z: float, shifts: Shifts, offset: float) -> None:
         """Say where the bed is, and what has become of the offset (mm)."""
