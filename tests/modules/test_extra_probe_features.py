@@ -244,6 +244,37 @@ def test_offset_that_has_gone_is_told_once(start, save, script, is_told):
 
 
 @pytest.mark.parametrize(
+    ("saved", "script", "is_told"),
+    [
+        (0.1, "RESTORE_GCODE_STATE", True),
+        # A baby step of it
+        slow(None, "RESTORE_GCODE_STATE", False),
+        (0.1, "SET_GCODE_OFFSET Z=0.2", False),
+    ],
+)
+def test_state_that_brings_another_offset_back_is_told(
+    start, saved, script, is_told
+):
+    printer = start("membrane").homed()
+    if saved is not None:
+        printer.run(f"SET_GCODE_OFFSET Z={saved}\nSAVE_GCODE_STATE")
+    calibrate(printer)
+    offset = printer.offset()
+    if saved is None:
+        printer.run("SAVE_GCODE_STATE\nSET_GCODE_OFFSET Z_ADJUST=0.05")
+    seen = len(printer.session.console)
+    printer.run(script)
+    printer.session.wait(5.0)
+    lines = [n for n in printer.session.console[seen:] if NAME in n]
+    words = (
+        "G-code state default has brought back the G-code Z offset 0.100; it was"
+        f" {offset:.3f}, from {CALIBRATE}"
+    )
+    assert len(lines) == is_told
+    assert not is_told or words in lines[0]
+
+
+@pytest.mark.parametrize(
     ("is_moved", "script", "words"),
     [
         (False, "SET_KINEMATIC_POSITION Z=10.5", "Z was homed again or set"),

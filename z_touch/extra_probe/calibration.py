@@ -585,6 +585,7 @@ class Calibration:
         for option, name in BUTTONS.items():
             around = functools.partial(self._around_button, option)
             self.host.wrap_command(name, around)
+        self.applied.watch_states()
 
     def _around_button(
         self, option: str, button: Handler, gcmd: GCodeCommand
