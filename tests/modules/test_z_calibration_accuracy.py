@@ -66,6 +66,22 @@ def test_each_cause_is_told(start, name):
     assert cause.words in line
 
 
+def test_progress_is_that_of_all_cycles(start):
+    """Two touches of nozzle, switch and bed each; told before the switch."""
+    own = SCENES["cartesian"].sections["z_calibration"]
+    code = f"{own['before_switch_gcode']}\n  WHERE"
+    where = "{printer.z_calibration.progress}"
+    changes = {
+        "respond": {},
+        "gcode_macro WHERE": {"gcode": f"\n  RESPOND MSG='done {where}'"},
+        **section(before_switch_gcode=code),
+    }
+    printer = start(cartesian(), changes=changes).homed()
+    told = "\n".join(printer.run("CALIBRATE_Z_ACCURACY CYCLES=2"))
+    parts = [float(part) for part in re.findall(r"done (\S+)", told)]
+    assert parts == pytest.approx([2 / 12, 8 / 12])
+
+
 def test_whole_cycles_are_measured_and_nothing_is_applied(start):
     printer = start(cartesian()).homed()
     printer.run("SET_GCODE_OFFSET Z=0.123 MOVE=0")
