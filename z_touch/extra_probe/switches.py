@@ -126,10 +126,11 @@ class PinSwitch:
     def _run(self, name: str, template: Template) -> None:
         """Run the user's G-code around a touch, which must leave the toolhead where it is."""
         before = self.host.toolhead.get_position()[:3]
+        was_homed = self.host.is_homed("xyz")
         # A G91 does not outlive the template, also when it fails before its G90
         with self.host.gcode_state.keeping_modes():
             templates.run_template(self.host, name, template)
-        command.check_homed(self.host, name)
+        command.check_homed(self.host, name if was_homed else "")
         if self.host.toolhead.get_position()[:3] != before:
             raise CalibrationError(
                 f"the toolhead moved in {name}; move it before the command"
