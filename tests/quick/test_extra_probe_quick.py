@@ -54,8 +54,9 @@ BAD = [
 ]
 
 
-# Of the host: where it has left the frame is looked at
-GUARDED = {"G28"}
+# Of the host: where it has left the frame is looked at, what would lose a saved value is
+# refused, and an offset that is brought back is told
+GUARDED = {"G28", "RESTORE_GCODE_STATE", "Z_OFFSET_APPLY_ENDSTOP"}
 
 
 @pytest.mark.every_host(
