@@ -496,6 +496,9 @@ def test_machine_without_drivers_says_so_once(start):
     lines = told(printer.session.console, "z_current_factor has no effect")
     assert len(lines) == 1
     assert "no effect on stepper_z: no TMC driver of its own" in lines[0]
+    # What is 1 needs no driver
+    other = start("piezo_cartesian", section(z_current_factor="1.0")).homed()
+    assert not told(other.session.console, "z_current_factor")
 
 
 def test_motors_that_move_x_too_keep_their_current(start):

@@ -145,6 +145,8 @@ def test_missing_place_is_told_when_klippy_starts(start, changes, words):
     printer = start(changes={**section(**changes), "safe_z_home": None})
     printer.session.require_ready()
     assert words in "\n".join(printer.session.console)
+    printer.run("G28 X Y\nG90\nG1 X206 Y306 F6000\nG28 Z")
+    assert words in printer.fail("CALIBRATE_Z")
 
 
 @pytest.mark.slow
