@@ -17,7 +17,6 @@ Copyright (C) 2026  the Z calibration developers, under the GNU GPLv3
 from __future__ import annotations
 
 import dataclasses
-import functools
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any, List, Optional, Sequence, Tuple
 
@@ -582,10 +581,16 @@ class Calibration:
 
     def _watch_buttons(self) -> None:
         """Wrap them: nothing else tells that they put another value over what waits."""
-        for option, name in BUTTONS.items():
-            around = functools.partial(self._around_button, option)
-            self.host.wrap_command(name, around)
+        wrap = self.host.wrap_command
+        wrap(BUTTONS[ENDSTOP_OPTION], self._apply_endstop)
+        wrap(BUTTONS["z_offset"], self._apply_probe)
         self.applied.watch_states()
+
+    def _apply_endstop(self, button: Handler, gcmd: GCodeCommand) -> None:
+        self._around_button(ENDSTOP_OPTION, button, gcmd)
+
+    def _apply_probe(self, button: Handler, gcmd: GCodeCommand) -> None:
+        self._around_button("z_offset", button, gcmd)
 
     def _around_button(
         self, option: str, button: Handler, gcmd: GCodeCommand
