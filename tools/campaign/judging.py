@@ -38,19 +38,19 @@ OFF_LINE = 1.0
 # Of places that are the same (mm): half a step of both belts, and more
 PLACE = 0.1
 # Ours, which leave all as it was when they refuse
-OF_Z_CALIBRATION, *_OTHERS = (
+OF_Z_CALIBRATION, OF_DOCKABLE_PROBE, *_OTHERS = (
     frozenset(
         text.splitlines()[-1].split()[0]
         for text in stepping.OF_SECTION[section]
     )
     for section in (
         "z_calibration",
-        "auto_z_offset",
         "dockable_probe",
+        "auto_z_offset",
         "extra_probe membrane",
     )
 )
-OURS = OF_Z_CALIBRATION.union(*_OTHERS)
+OURS = OF_Z_CALIBRATION.union(OF_DOCKABLE_PROBE, *_OTHERS)
 # Touches where the toolhead is, by what touches
 WHERE_IT_IS = {
     "PROBE": ("probe_bed", "inductive_bed"),
@@ -472,8 +472,8 @@ class Judge:
     def _is_refused_beside(self, gone: Gone) -> bool:
         """Something of ours was refused that is no answer to what is asked."""
         is_answer = re.search("_CONTINUE|_ABORT|_SETUP", gone.script)
-        if gone.command in OF_Z_CALIBRATION:
-            # Its own set-up asks its owner, who has sent the command
+        if gone.command in OF_Z_CALIBRATION | OF_DOCKABLE_PROBE:
+            # Their own set-ups ask their owner, who has sent the command
             status = self.before.status
             waits_for = status["extra_probe membrane"].get("waits_for")
             is_answer = not (
