@@ -71,7 +71,10 @@ WORLD = (
 
 def fetch(printer, x):
     """Into the dock there and out of it, towards the front."""
-    printer.run(f"G90\nG1 Z20 F900\nG1 X{x} Y200 F6000\nG1 Y215\nG1 Y190\nM400")
+    printer.run(f"G90\nG1 Z20 F900\nG1 X{x} Y200 F6000\nG1 Y215\nM400")
+    # Klipper of 2023 misses a button that changes twice while G-code runs
+    printer.session.wait(0.5)
+    printer.run("G1 Y190\nM400")
 
 
 def strip(printer, x):
