@@ -472,8 +472,12 @@ class Judge:
     def _is_refused_beside(self, gone: Gone) -> bool:
         """Something of ours was refused that is no answer to what is asked."""
         is_answer = re.search("_CONTINUE|_ABORT|_SETUP", gone.script)
-        if gone.command in OF_Z_CALIBRATION | OF_DOCKABLE_PROBE:
-            # Their own set-ups ask their owner, who has sent the command
+        is_own = gone.command in OF_DOCKABLE_PROBE and any(
+            shown.is_open and "DOCKABLE_PROBE_SETUP" in str(shown)
+            for shown in dialogs_of(self._console_of_now())
+        )
+        if gone.command in OF_Z_CALIBRATION or is_own:
+            # Its own set-up asks its owner, who has sent the command
             status = self.before.status
             waits_for = status["extra_probe membrane"].get("waits_for")
             is_answer = not (
