@@ -33,7 +33,7 @@
 # T                    the test of make one, a file or with ::, also with [ ]
 # PYTEST_WORKERS       tests run at the same time (default 3)
 # PYTEST_ARGS          further arguments for pytest, such as -k or a file
-# BENCH_ARGS           arguments for make bench, such as --seeds 10 or --builtin
+# BENCH_ARGS           arguments for make bench, such as --seeds 10
 # DEMO_ARGS            arguments for make demo, such as --scene cartesian
 # PRINTER_ARGS         arguments for make printer, such as --scene extra_probe
 # NOOP_ARGS            arguments for make noop, tests (default tests/modules)

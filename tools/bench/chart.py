@@ -6,7 +6,6 @@ from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
 
-from tools.bench.timing import OURS
 from tools.kit import charts
 
 
@@ -15,7 +14,6 @@ def draw(figures: Mapping[str, Any], file: Path) -> None:
     done = [
         (f"{t['command']}, {t['host']}", t["runs"][0])
         for t in figures["timings"]
-        if t["module"] == OURS and not t["failure"]
     ]
     series = {
         "printer seconds": [run["seconds"] for _, run in done],

@@ -10,7 +10,7 @@ from typing import Any, NamedTuple
 from simprinter.hosts.environment import run
 from simprinter.hosts.hosts import Host, Installed
 from simprinter.simulation import Simulation
-from tools.kit.printer import MODULES, given_module, module_files
+from tools.kit.printer import MODULES, module_files
 
 LOADINGS = 11
 # Of the host, loaded the same way for scale
@@ -86,10 +86,3 @@ def loadings(host: Host) -> list[dict[str, Any]]:
     wanted = {name: f"{found.own}.{name}" for name in MODULES}
     wanted[f"{STOCK} of the host"] = f"{found.extras}.{STOCK}"
     return [loading(installed, *item) for item in wanted.items()]
-
-
-def other_loading(host: Host, name: str, file: Path) -> dict[str, Any]:
-    """Another z_calibration.py. Raises HostError if it cannot be loaded."""
-    installed = host.install(given_module("z_calibration", file))
-    module = f"{names(installed).own}.z_calibration"
-    return loading(installed, name, module)

@@ -17,7 +17,7 @@ from typing import Any, NamedTuple, Union
 
 from simprinter import Scene
 from simprinter.hosts.hosts import Host
-from simprinter.hosts.session import GcodeError
+from simprinter.hosts.session import GcodeError, SessionError
 from simprinter.world import NoiseSpec
 from simprinter.world.bed import Bed
 from tools.bench.commands import (
@@ -26,7 +26,7 @@ from tools.bench.commands import (
     PROBE_Z_ACCURACY,
     Command,
 )
-from tools.bench.timing import FAILURES, OURS, Subject, reason
+from tools.bench.timing import ours
 from tools.kit.auto_z_offset import POINT
 from tools.kit.printer import Printer
 from tools.kit.scenes import Sections
@@ -58,15 +58,8 @@ CONDITIONS = (Condition(0.0), Condition(3.0), Condition(10.0))
 TOLERANT = Condition(10.0, "0.05")
 
 
-class NoError(NamedTuple):
-    """Why a trial has none: the command has refused, or worse."""
-
-    text: str
-    refused: bool
-
-
-# In um, by what was measured
-Errors = dict[str, Union[float, NoError]]
+# In um, by what was measured; or why the command has refused
+Errors = dict[str, Union[float, str]]
 
 
 class Measurement(NamedTuple):
@@ -82,8 +75,7 @@ class Measurement(NamedTuple):
 class Procedure(NamedTuple):
     """All that is done on a printer, and under which conditions.
 
-    The first measurement is the one that other modules are asked for, too, and
-    the only one that has a tolerance.
+    Only the first measurement has a tolerance.
     """
 
     command: Command
@@ -95,7 +87,6 @@ class Trial(NamedTuple):
     """One printer: can be sent to another process."""
 
     host: Host
-    subject: Subject
     procedure: str
     condition: Condition
     seed: int
@@ -218,52 +209,45 @@ def run_trial(trial: Trial) -> Errors:
     procedure = PROCEDURES[trial.procedure]
     command = procedure.command
     measurements = procedure.measurements
-    if trial.subject.name != OURS or trial.condition.tolerance:
+    if trial.condition.tolerance:
         measurements = measurements[:1]
     errors: Errors = {}
-    try:
-        with Printer(
-            trial.host,
-            make_scene(command.scene, trial.condition, trial.seed),
-            make_changes(command, trial.condition),
-            seed=trial.seed,
-            modules=trial.subject.modules,
-        ) as printer:
-            printer.homed()
-            for measurement in measurements:
-                errors.update(outcome(measurement, printer))
-    except FAILURES as error:
-        # Hurt, perhaps, or not even homed: then it has no errors at all
-        names = [name for m in measurements for name in m.names]
-        return dict.fromkeys(names, NoError(in_general(error), False))
+    with Printer(
+        trial.host,
+        make_scene(command.scene, trial.condition, trial.seed),
+        make_changes(command, trial.condition),
+        seed=trial.seed,
+        modules=ours(command.module),
+    ) as printer:
+        printer.homed()
+        for measurement in measurements:
+            errors.update(outcome(measurement, printer))
     return errors
 
 
 def outcome(measurement: Measurement, printer: Printer) -> Errors:
-    """Its errors; or why the command has refused."""
+    """Its errors; or why the command has refused.
+
+    Raises SessionError where klippy is not ready any more.
+    """
     try:
         found = measurement.measure(printer)
     except GcodeError as error:
-        is_ready = printer.session.state()[0] == "ready"
-        why = NoError(in_general(error), is_ready)
+        if printer.session.state()[0] != "ready":
+            raise SessionError(str(error)) from error
+        # Without numbers, to count those that are alike
+        why = _NUMBER.sub("#", str(error).splitlines()[0])
         return dict.fromkeys(measurement.names, why)
     return {name: error * UM for name, error in found.items()}
 
 
-def in_general(error: Exception) -> str:
-    """Its reason without numbers, to count those that are alike."""
-    return _NUMBER.sub("#", reason(error))
-
-
-def summarize(outcomes: Sequence[Union[float, NoError]]) -> dict[str, Any]:
+def summarize(outcomes: Sequence[Union[float, str]]) -> dict[str, Any]:
     """Outcomes of many seeds, um; None where there are too few.
 
     sigma: sample standard deviation. worst: farthest from zero, with its sign.
-    refused: no offset, and klippy ready. failed: anything worse.
     """
-    errors = [o for o in outcomes if not isinstance(o, NoError)]
-    others = [o for o in outcomes if isinstance(o, NoError)]
-    refused = sum(other.refused for other in others)
+    errors = [o for o in outcomes if not isinstance(o, str)]
+    reasons = Counter(o for o in outcomes if isinstance(o, str))
 
     def rounded(least: int, of: Callable[[list[float]], float]) -> Any:
         return round(of(errors), 2) if len(errors) >= least else None
@@ -273,19 +257,17 @@ def summarize(outcomes: Sequence[Union[float, NoError]]) -> dict[str, Any]:
         "mean": rounded(1, statistics.mean),
         "sigma": rounded(2, statistics.stdev),
         "worst": rounded(1, lambda errors: max(errors, key=abs)),
-        "refused": refused,
-        "failed": len(others) - refused,
-        "reasons": dict(Counter(o.text for o in others).most_common()),
+        "refused": sum(reasons.values()),
+        "reasons": dict(reasons.most_common()),
     }
 
 
-def plan_trials(
-    host: Host, subject: Subject, procedure: str, seeds: int
-) -> list[Trial]:
-    """All conditions, all seeds."""
+def plan_trials(host: Host, seeds: int) -> list[Trial]:
+    """All procedures, all conditions, all seeds."""
     return [
-        Trial(host, subject, procedure, condition, seed)
-        for condition in PROCEDURES[procedure].conditions
+        Trial(host, name, condition, seed)
+        for name, procedure in PROCEDURES.items()
+        for condition in procedure.conditions
         for seed in range(seeds)
     ]
 
@@ -296,11 +278,10 @@ def summaries(
     """The trials in groups, in the order in which they come."""
     groups: dict[tuple[str, ...], list[Any]] = {}
     for trial, errors in zip(trials, found):
-        where = trial.host.name, trial.subject.name
         for what, error in errors.items():
-            key = (*where, what, str(trial.condition))
+            key = (trial.host.name, what, str(trial.condition))
             groups.setdefault(key, []).append(error)
-    heads = ("host", "module", "command", "noise")
+    heads = ("host", "command", "noise")
     return [
         {**dict(zip(heads, key)), **summarize(group)}
         for key, group in groups.items()

@@ -19,14 +19,16 @@ from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any, NamedTuple
 
-from simprinter.hosts.hosts import Host, main_host
-from simprinter.hosts.session import GcodeError
+from simprinter.hosts.api import ApiError
+from simprinter.hosts.hosts import Host, HostError, main_host
+from simprinter.hosts.session import GcodeError, SessionError
+from simprinter.simulation import SimulationError
+from simprinter.world import CrashError
 from tests.quick import runs as quick
 from tests.quick import test_auto_z_offset_quick as auto_z_offset
 from tests.quick import test_dockable_probe_quick as dockable_probe
 from tests.quick import test_extra_probe_quick as extra_probe
 from tests.quick import test_z_calibration_quick as z_calibration
-from tools.bench.timing import FAILURES, reason
 from tools.kit.printer import (
     FOLDER,
     MODULES,
@@ -122,6 +124,16 @@ def ours(host: Host, module: str) -> Shapes:
     return found
 
 
+# What another module may lead to
+FAILURES = (
+    ApiError,
+    CrashError,
+    GcodeError,
+    HostError,
+    OSError,
+    SessionError,
+    SimulationError,
+)
 # Of a module that has fewer options than ours
 UNKNOWN = re.compile(r"Option '(\w+)' is not valid in section '([\w ]+)'")
 
@@ -148,6 +160,14 @@ def others(host: Host, module: str, file: Path) -> tuple[Shapes, list[str]]:
             changes = {**case.changes, section: less}
             cases.append(case._replace(changes=changes))
     return found, reasons
+
+
+def reason(error: Exception) -> str:
+    """What an error says, without what klippy's log has to add."""
+    lines = str(error).strip().splitlines() or [repr(error)]
+    if lines[0].endswith(":"):
+        return " ".join(line.strip() for line in lines[:2])
+    return lines[0]
 
 
 def refused(printer: Printer, runs: Sequence[quick.Run]) -> list[str]:

@@ -6,7 +6,6 @@ import pytest
 
 from tools.bench import errors
 from tools.bench.errors import PROCEDURES, Condition, Trial, run_trial
-from tools.bench.timing import ours
 
 MICROSTEP_UM = 2.5
 
@@ -15,8 +14,7 @@ MICROSTEP_UM = 2.5
 def test_error_without_noise_is_below_two_microsteps(host, name, monkeypatch):
     monkeypatch.setattr(errors, "OUTLIER_CHANCE", 0.0)
     procedure = PROCEDURES[name]
-    module = ours(procedure.command.module)
-    found = run_trial(Trial(host, module, name, Condition(0.0), 3))
+    found = run_trial(Trial(host, name, Condition(0.0), 3))
     assert list(found) == [n for m in procedure.measurements for n in m.names]
     for error in found.values():
         assert abs(error) < 2.0 * MICROSTEP_UM

