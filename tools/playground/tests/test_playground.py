@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import re
 import signal
-import time
 from collections.abc import Iterator
 from contextlib import closing, contextmanager
 
@@ -55,17 +54,6 @@ def heights_on_pin(shown):
     """At which the nozzle has triggered, as they are shown (mm)."""
     shown.read()
     return set(re.findall(r"nozzle on the pin .* tip (\S+) mm", shown.output))
-
-
-@pytest.mark.slow
-@pytest.mark.timeout(4 * LIMIT)
-def test_perfect_printer(port):
-    with terminal("--port", port, "--perfect") as shown:
-        assert re.search(r"^Printer .* perfect,", shown.output, re.M)
-        assert shown.run("G28").ok
-        assert shown.run("CALIBRATE_Z").ok
-        assert len(heights_on_pin(shown)) == 1
-        shown.assert_ends(signal.SIGINT)
 
 
 @pytest.mark.slow
@@ -128,27 +116,3 @@ MESH = {"zero_reference_position": [120.0, 130.0]}
 )
 def test_point_of_the_gap(settings, point):
     assert point_of(SHOWN["z_calibration"], settings) == point
-
-
-@pytest.mark.slow
-@pytest.mark.timeout(4 * LIMIT)
-def test_gap_is_told_where_printer_cfg_has_it_now(port):
-    with terminal("--port", port, "--perfect") as shown:
-        assert shown.run("G28").ok
-        shown.until(r"true gap: .* at X150 Y150$")
-        file = shown.config / "printer.cfg"
-        text, count = re.subn(
-            r"(?m)^bed_xy_position: .*$",
-            "bed_xy_position: 140, 155",
-            file.read_text(),
-        )
-        assert count == 1
-        file.write_text(text)
-        before = len(shown.output)
-        shown.run("RESTART")
-        # Moonraker may take klippy for ready until it has noticed
-        end = time.monotonic() + LIMIT
-        while not shown.run("G28").ok:
-            assert time.monotonic() < end
-            time.sleep(0.5)
-        shown.until(r"true gap: .* at X140 Y155$", before)

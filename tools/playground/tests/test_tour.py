@@ -17,12 +17,11 @@ from simplay.tests.browser import LIMIT
 from tools.playground import tour
 from tools.playground.playground import SHOWN
 from tools.playground.tests.test_page import (
-    AFTER,
-    BEFORE,
     gap,
-    guide,
+    has_card,
     looking,
     port,
+    set_speed,
 )
 
 __all__ = ["port"]
@@ -41,6 +40,136 @@ WHILE = "while it touches with the body"
 SHORTCUTS = ("Home", "Calibrate", "Set up", "Report", "Save config")
 # What a command says last
 ENDS = r"!! |\+-\d"
+
+
+# What hands do before a step's first button is pressed, and what is told then; what
+# they do after it
+BEFORE = {
+    "OFF": ("off", "off the toolhead"),
+    "PROBE": ("attach", "on the toolhead"),
+    "GAP": ("off", "off the toolhead"),
+}
+AFTER = {"PIN": "press z_endstop", "PROBE": "press probe"}
+
+
+def guide(page):
+    """The buttons of its dialogs, and hands, until it saves."""
+    for _ in range(60):
+        gcode = page.until(lambda: first_button(page), "a dialog")
+        step = re.search(r"STEP=(\w+)", gcode)[1]
+        if step in BEFORE:
+            hand, words = BEFORE[step]
+            page.do(hand)
+            page.until(lambda w=words: w in page.text("#told"), hand)
+        if step == "SWITCH" and has_button(page, "X+1 mm"):
+            check_pad(page)
+            # The plunger is over the pin: along the body
+            before = pin_in_lens(page)
+            for _ in range(4):
+                jog(page, "X+1 mm")
+            page.until(lambda b=before: pin_in_lens(page) < b - 5, "it moves")
+        elif step == "PAPER":
+            lower(page)
+        label = page.until(lambda: first_button(page, "textContent"), "asked")
+        if step in AFTER:
+            # It waits for 20 s of the printer, of which a slow browser takes much
+            set_speed(page, 1)
+        page.press("#dialog", label)
+        if step in AFTER:
+            page.until(
+                lambda: "press it now" in page.text("#dialog"), "it watches"
+            )
+            page.do(AFTER[step])
+            set_speed(page, 4)
+        if label == "Save":
+            return
+        until_asked(page, gcode)
+    raise AssertionError("the guide does not end")
+
+
+def until_asked(page, before):
+    """What follows; while a switch is watched, there is nothing but Abort."""
+
+    def is_asked():
+        gcode = first_button(page) or ""
+        return gcode not in ("", before) and "STEP=ABORT" not in gcode
+
+    page.until(is_asked, f"what follows {before}")
+
+
+def first_button(page, what="dataset.runs"):
+    """Its G-code, or what it says; None while there is no dialog."""
+    button = "document.querySelector('#dialog .footer button')"
+    return page.value(f"{button}?.{what}")
+
+
+def lower(page):
+    """By the buttons, until a sheet of paper would be held."""
+    for step in (1.0, 0.1, 0.01):
+        if has_button(page, f"{step:g} mm") and not is_step(page, step):
+            jog(page, f"{step:g} mm")
+        while height(page) > 0.1 + step and has_button(page, f"Z-{step:g} mm"):
+            jog(page, f"Z-{step:g} mm")
+
+
+def is_step(page, mm):
+    """Whether a button moves by so much already."""
+    pressed = "#dialog .steps [aria-pressed=true]"
+    return page.text(pressed) == f"{mm:g} mm"
+
+
+def check_pad(page):
+    """A cross with a chooser of the step; the view is turned to X."""
+    boxes = page.value(
+        "Object.fromEntries([...document.querySelectorAll('#dialog .jog')]"
+        ".map(b => [b.textContent, b.getBoundingClientRect()])"
+        ".map(([name, { x, y }]) => [name.slice(0, 2), [x, y]]))"
+    )
+    left, right = boxes["X-"], boxes["X+"]
+    far, near = boxes["Y+"], boxes["Y-"]
+    assert left[0] < far[0] == near[0] < right[0]
+    assert far[1] < left[1] == right[1] < near[1]
+    assert boxes["Z+"][0] == boxes["Z-"][0] > right[0]
+    assert boxes["Z+"][1] < boxes["Z-"][1]
+    assert is_step(page, 1)
+    page.until(lambda: "seen along Y" in page.text("#side"), "the view turns")
+
+
+def pin_in_lens(page):
+    """Where the pin is in the close-up, which may be drawn anew just now."""
+    script = (
+        "(pin => pin && [Number(pin.getAttribute('x'))])"
+        "(document.querySelector('#lens .pin'))"
+    )
+    (x,) = page.until(lambda: page.value(script), "a pin in the close-up")
+    return x
+
+
+def jog(page, label):
+    """By a button, until the dialog names the new height.
+
+    The toolhead is seen to move before; the buttons may be others then.
+    """
+    before = page.text("#dialog")
+    page.press("#dialog", label)
+    page.until(lambda: page.text("#dialog") not in ("", before), "asked again")
+
+
+def has_button(page, label):
+    return page.value(
+        "[...document.querySelectorAll('#dialog button')]"
+        ".some(b => b.textContent === arguments[0])",
+        label,
+    )
+
+
+def height(page):
+    """Of the nozzle above the bed, as the close-up tells it, mm."""
+    pattern = r"nozzle and bed: ([\d.]+) mm apart"
+    found = page.until(
+        lambda: re.match(pattern, page.text("#lens-words")), "it is near"
+    )
+    return float(found[1])
 
 
 class Step(NamedTuple):
@@ -159,6 +288,13 @@ class Visitor:
                 )
             )
             self.shown.until(rf"^Printer +{name}, as at home", output)
+        # Nothing of the one before is left, and its own file is there
+        assert not has_card(self.page)
+        assert not self.page.find("#report-picture").is_displayed()
+        assert "CALIBRATE_Z" not in self.page.console()
+        self.page.until(
+            lambda: f"[{name}" in self.text(), "its own printer.cfg"
+        )
 
     def hand(self, line):
         if line == "take":
@@ -227,6 +363,10 @@ def after_wires(page):
     assert "the probe reads triggered" in page.console()
     assert re.search(r"expected a trigger at z=1\.(59|60)", page.console())
     assert page.console().count("!! ") == 2
+    bad = page.value(
+        "[...document.querySelectorAll('#lines .bad')].map(e => e.textContent)"
+    )
+    assert any("CRASH: nozzle on the pin" in line for line in bad)
 
 
 def after_loss(page):
@@ -235,6 +375,25 @@ def after_loss(page):
 
 def after_nozzle(page):
     assert "something that sticks to it is pressed flat" in page.console()
+
+
+def after_set_up(page):
+    is_about(page, 0.0, 0.03)
+    # Told where it is measured, which the set-up has proposed
+    x, y = page.until(
+        lambda: re.search(
+            r"bed_xy_position = ([\d.]+), ([\d.]+)",
+            page.value("document.getElementById('config-text').value"),
+        ),
+        "the place that was saved",
+    ).groups()
+    assert page.text("#point") == f"at X{float(x):g} Y{float(y):g}"
+
+
+def after_dialogs(page):
+    is_about(page, 0.0, 0.03)
+    # Where the membrane was laid
+    assert page.text("#point") == "at X30 Y20"
 
 
 def after_report(page):
@@ -253,9 +412,9 @@ RESULTS = {
     "Lose the probe": after_loss,
     "Another nozzle": after_nozzle,
     "Edit the configuration": lambda page: is_about(page, 0.0, 0.02),
-    "Set up from nothing": lambda page: is_about(page, 0.0, 0.03),
+    "Set up from nothing": after_set_up,
     "Look at the report": after_report,
-    "Answer dialogs": lambda page: is_about(page, 0.0, 0.03),
+    "Answer dialogs": after_dialogs,
 }
 
 
