@@ -1,29 +1,25 @@
 """A calibration to watch: real klippy on a simulated printer.
 
-    python -m tools.demo [--host NAME] [--scene NAME] [--svg PATH] [--list]
+    python -m tools.demo [--host NAME] [--scene NAME]
 
 Shows the console as klippy prints it, then what Z=0 was really worth before
-and after, and draws what was measured. Every number comes from the run.
+and after. Every number comes from the run.
 """
 
 from __future__ import annotations
 
 import argparse
-import os
 import sys
 from collections import Counter
 from collections.abc import Sequence
-from pathlib import Path
 from typing import NamedTuple, Optional
 
 from simprinter import Scene
-from simprinter.hosts.environment import build_dir
-from simprinter.hosts.hosts import Host, find_hosts
+from simprinter.hosts.hosts import Host
 from simprinter.hosts.session import GcodeError
 from simprinter.shown import Shown
 from simprinter.simulation import Stopwatch
 from simprinter.world import CrashError
-from tools.kit import charts
 from tools.kit.printer import (
     NO_PRINTER,
     Printer,
@@ -151,7 +147,6 @@ def report(printer: ShownPrinter, outcome: Outcome) -> Optional[str]:
 def demonstrate(
     host: Host,
     scene: Scene,
-    svg: Path,
     changes: Optional[Sections] = None,
 ) -> int:
     """Run the demo on a host; the exit code.
@@ -173,27 +168,10 @@ def demonstrate(
         f" {virtual:.1f} in {real:.1f} real seconds,"
         f" {virtual / real:.0f} times as fast"
     )
-    heading = f"CALIBRATE_Z of {klippy} on a simulated printer: {scene.name}"
-    draw(heading, scene, outcome, svg)
     if problem is not None:
         print(f"\nFAILED: {problem}")
         return 1
     return 0
-
-
-def draw(heading: str, scene: Scene, outcome: Outcome, svg: Path) -> None:
-    """Draw what was measured, and what it is worth; say where it is."""
-    svg.parent.mkdir(parents=True, exist_ok=True)
-    bars = {
-        **outcome.result,
-        "true gap before": outcome.before,
-        "true gap after": outcome.after,
-        "predicted gap": scene.formula_gap(),
-    }
-    charts.draw_bars(heading, list(bars), {"mm": list(bars.values())}, svg)
-    here = Path.cwd()
-    shown = svg.relative_to(here) if svg.is_relative_to(here) else svg
-    print(f"Picture  {shown}")
 
 
 def _arguments(words: Optional[Sequence[str]]) -> argparse.Namespace:
@@ -209,25 +187,7 @@ def _arguments(words: Optional[Sequence[str]]) -> argparse.Namespace:
         default="voron",
         help=f"simulated machine: {', '.join(sorted(SHOWN))}",
     )
-    parser.add_argument(
-        "--svg",
-        metavar="PATH",
-        type=Path,
-        help="where the picture goes (demo/calibration.svg in BUILD_DIR)",
-    )
-    parser.add_argument(
-        "--list", action="store_true", help="show hosts and scenes only"
-    )
     return parser.parse_args(words)
-
-
-def _list() -> int:
-    os.environ.setdefault("ALLOW_MISSING_HOSTS", "1")
-    for host in find_hosts():
-        print(f"host   {host.name}: {firmware_of(host)} {host.version}")
-    for scene in SHOWN.values():
-        print(f"scene  {scene.name}: {scene.kinematics}")
-    return 0
 
 
 def main(words: Optional[Sequence[str]] = None) -> int:
@@ -235,12 +195,8 @@ def main(words: Optional[Sequence[str]] = None) -> int:
     arguments = _arguments(words)
     try:
         print("Preparing (the first time takes a minute) ...", flush=True)
-        if arguments.list:
-            return _list()
-        svg = arguments.svg or build_dir() / "demo" / "calibration.svg"
         host = choose_host(arguments.host)
-        scene = SHOWN[arguments.scene]
-        return demonstrate(host, scene, svg)
+        return demonstrate(host, SHOWN[arguments.scene])
     except GcodeError as error:
         print(f"!! {error}")
     except CrashError as error:

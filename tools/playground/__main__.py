@@ -13,7 +13,6 @@ meanwhile: help.
 from __future__ import annotations
 
 import argparse
-import os
 import sys
 import time
 from collections.abc import Sequence
@@ -22,10 +21,9 @@ from typing import Optional
 from simplay import terminal
 from simplay.network import AddressError
 from simplay.options import add_options, door_of
-from simprinter.hosts.hosts import find_hosts
 from simprinter.hosts.moonraker_package import find_moonraker
 from simprinter.running import show
-from tools.kit.printer import NO_PRINTER, choose_host, firmware_of
+from tools.kit.printer import NO_PRINTER, choose_host
 from tools.playground.playground import KNOWN, SHOWN, Choice, Playground
 
 
@@ -56,18 +54,12 @@ def _arguments(words: Optional[Sequence[str]]) -> argparse.Namespace:
     )
     parser.add_argument("--host", metavar="NAME", help="klippy to run")
     add_options(parser)
-    parser.add_argument("--list", action="store_true", help="show hosts only")
     return parser.parse_args(words)
 
 
 def run(options: argparse.Namespace) -> int:
     """Build it, play, take it down; the exit code."""
     show("Preparing (the first time takes a minute) ...")
-    if options.list:
-        os.environ.setdefault("ALLOW_MISSING_HOSTS", "1")
-        for host in find_hosts():
-            show(f"host   {host.name}: {firmware_of(host)} {host.version}")
-        return 0
     host = choose_host(options.host)
     python = find_moonraker()
     if python is None:

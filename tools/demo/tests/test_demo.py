@@ -47,14 +47,12 @@ def gap(output: str, name: str) -> float:
 
 # Others differ in what the demo does not show, and not all run on every host
 @pytest.mark.parametrize("name", ["cartesian", "voron"])
-def test_demo_shows_the_run_and_draws_it(host, name, tmp_path):
-    picture = tmp_path / "new" / "picture.svg"
-    run = demo("--host", host.name, "--scene", name, "--svg", str(picture))
+def test_demo_shows_the_run(host, name):
+    run = demo("--host", host.name, "--scene", name)
     assert run.returncode == 0, run.stdout + run.stderr
     output = run.stdout
     assert f"{host.name}: " in output
     assert host.version in output
-    assert str(picture) in output
     lines = output.splitlines()
     result = RESULT.search(output)
     assert result, output
@@ -73,8 +71,6 @@ def test_demo_shows_the_run_and_draws_it(host, name, tmp_path):
     assert after - gap(output, "before") == pytest.approx(moved, abs=MICROSTEP)
 
     shown = [*map(float, result.groups()), after, predicted]
-    words = set(ET.parse(picture).getroot().itertext())
-    assert {f"{value:.3f}" for value in shown} <= words
     if name == "voron":
         # What README shows is the same run
         drawn = "".join(ET.parse(PICTURE).getroot().itertext())
@@ -82,14 +78,12 @@ def test_demo_shows_the_run_and_draws_it(host, name, tmp_path):
         assert f"±{UNCERTAINTY.search(output)[1]}" in drawn
 
 
-def test_wrong_gap_is_told_and_ends_in_1(host, tmp_path, capsys):
+def test_wrong_gap_is_told_and_ends_in_1(host, capsys):
     # The owner is 40 mm wrong about the probe, on a bed that is not level: it
     # measures where the bed is lower
     changes = {"probe": {"x_offset": "12"}}
-    picture = tmp_path / "picture.svg"
     scene = SCENES["cartesian"]
-    assert demonstrate(host, scene, picture, changes) == 1
+    assert demonstrate(host, scene, changes) == 1
     last = capsys.readouterr().out.splitlines()[-1]
     assert last.startswith("FAILED: the true gap is ")
     assert "too small, 0.0050 mm are allowed" in last
-    assert ET.parse(picture)
