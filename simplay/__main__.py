@@ -13,8 +13,8 @@ try:
     from simplay.network import AddressError
     from simplay.options import add_options, door_of
     from simprinter.hosts import starting
-    from simprinter.options import EXPECTED, add_printer, files_of, host_of
-    from simprinter.running import show
+    from simprinter.options import EXPECTED, add_printer, host_of
+    from simprinter.running import SAMPLE, show
 except ModuleNotFoundError as missing:
     # Of a checkout that was never installed
     sys.exit(
@@ -56,7 +56,9 @@ def _parser() -> argparse.ArgumentParser:
 def _play(options: argparse.Namespace) -> int:
     show("Preparing (the first time takes a minute) ...")
     host = host_of(options)
-    cfg, world = files_of(options)
+    cfg, world = options.printer_cfg, options.world
+    if cfg is None:
+        cfg, world = SAMPLE / "printer.cfg", world or SAMPLE / "world.toml"
     files = plugins.Files(cfg, world, options.extras, options.seed)
     python = plugins.moonraker()
     speed, door = options.speed, door_of(options)

@@ -11,7 +11,7 @@ from typing import Optional
 
 from . import __version__, printer_cfg, running, world_file
 from .hosts import starting
-from .options import EXPECTED, add_printer, files_of, host_of
+from .options import EXPECTED, add_printer, host_of
 from .plugin_printer import start
 from .printer_cfg import PrinterCfgError
 
@@ -41,18 +41,6 @@ def _parser() -> argparse.ArgumentParser:
     command.set_defaults(do=_run)
     command.add_argument("printer_cfg", type=Path, metavar="printer.cfg")
     command.add_argument("gcode", type=Path, metavar="commands.gcode")
-    add_printer(command)
-
-    command = commands.add_parser(
-        "bench", help="print how fast a printer runs and what it takes"
-    )
-    command.set_defaults(do=_bench)
-    command.add_argument(
-        "printer_cfg", type=Path, nargs="?", metavar="printer.cfg"
-    )
-    command.add_argument(
-        "--command", action="append", default=[], help="time it, too, after G28"
-    )
     add_printer(command)
 
     command = commands.add_parser(
@@ -86,15 +74,6 @@ def _run(options: argparse.Namespace) -> None:
         seed=options.seed,
     ) as printer:
         running.run(printer, lines)
-
-
-def _bench(options: argparse.Namespace) -> None:
-    host = host_of(options)
-    cfg, world = files_of(options)
-    files = (cfg, world, options.extras)
-    running.show(f"{host.name} ({host.version})")
-    for line in running.told(running.measure(host, files, options.command)):
-        running.show(line)
 
 
 def _world(options: argparse.Namespace) -> None:

@@ -4,9 +4,7 @@ from __future__ import annotations
 
 import argparse
 from pathlib import Path
-from typing import Optional
 
-from . import running
 from .hosts.hosts import Host, named_host
 from .hosts.printer import NO_PRINTER, choose_host
 from .hosts.session import GcodeError
@@ -54,12 +52,3 @@ def host_of(options: argparse.Namespace) -> Host:
     if options.host is None:
         return choose_host(None)
     return named_host(options.host)
-
-
-def files_of(options: argparse.Namespace) -> tuple[Path, Optional[Path]]:
-    """printer.cfg and the world; without the first, those of the sample."""
-    cfg, world = options.printer_cfg, options.world
-    if cfg is None:
-        cfg = running.SAMPLE / "printer.cfg"
-        world = world or running.SAMPLE / "world.toml"
-    return cfg, world

@@ -93,12 +93,6 @@ class _Process:
             self._klippy = fork(self._installed, command, clock, output, config)
         self._simulation.process_fd = os.dup(self._klippy.pidfd)
 
-    @property
-    def pid(self) -> int:
-        """Its number."""
-        assert self._klippy is not None
-        return self._klippy.pid
-
     def log_text(self) -> str:
         """The log and whatever else klippy has printed."""
         texts = []
@@ -205,11 +199,6 @@ class LiveSession:
         if self._is_living:
             raise SessionError("the printer lives by itself: end that first")
         return self.machine.simulation
-
-    @property
-    def pid(self) -> int:
-        """The number of klippy's process."""
-        return self._process.pid
 
     @property
     def socket(self) -> Path:

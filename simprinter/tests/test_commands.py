@@ -1,11 +1,8 @@
-"""simprinter run, bench, world and sample."""
+"""simprinter run, world and sample."""
 
 from __future__ import annotations
 
 import re
-import subprocess
-import sys
-from pathlib import Path
 
 import pytest
 
@@ -13,7 +10,6 @@ from simprinter.__main__ import main
 from simprinter.hosts import hosts
 from simprinter.running import SAMPLE
 
-ROOT = Path(__file__).resolve().parents[2]
 CFG = str(SAMPLE / "printer.cfg")
 WORLD = str(SAMPLE / "world.toml")
 PLUGIN = """
@@ -133,23 +129,3 @@ def test_world_prints_a_world_or_the_schema(capsys):
     assert "[signals]" in capsys.readouterr().out
     assert main(["world", "--schema"]) == 0
     assert '"$schema"' in capsys.readouterr().out
-
-
-def test_bench_prints_speed_start_and_memory():
-    """Speeds depend on the machine and on who else is on it; memory does not.
-
-    A process of its own: this one has run other tests before.
-    """
-    words = [sys.executable, "-m", "simprinter", "bench", "--command", "PROBE"]
-    ended = subprocess.run(words, capture_output=True, text=True, cwd=ROOT)
-    assert ended.returncode == 0, ended.stderr
-    out = ended.stdout
-    for what in ("G28", "PROBE", "together"):
-        speed = re.search(rf"(?m)^{what}: (\d+) times real time", out)
-        assert int(speed[1]) >= 1
-    first, later = re.search(
-        r"start: ([\d.]+) s the first time, ([\d.]+) s", out
-    ).groups()
-    assert 0.0 < float(later) <= float(first)
-    memory = re.search(r"klippy (\d+) MB, simulator (\d+) MB", out).groups()
-    assert 10 < sum(map(int, memory)) < 150

@@ -40,19 +40,6 @@ def run(*words, cwd="/", status=0, **environment):
     return done.stdout
 
 
-def test_library_and_command_are_there(installed):
-    told = run(
-        installed / "python",
-        "-c",
-        "import simprinter, simprinter.real, simprinter.plugin_printer\n"
-        "import sys; print(*sys.modules, simprinter.__file__)",
-    )
-    assert str(PACKAGE) not in told
-    assert "tools.kit" not in told
-    help_text = run(installed / "simprinter", "--help")
-    assert "run" in help_text and "bench" in help_text
-
-
 @pytest.fixture
 def hosts_of_ours():
     """Environment with the hosts that are prepared already."""
@@ -60,19 +47,6 @@ def hosts_of_ours():
         "SIMPRINTER_CACHE": str(build_root()),
         "KLIPPER_PATH": os.environ.get("KLIPPER_PATH", ""),
     }
-
-
-def test_it_brings_all_that_a_run_needs(installed, hosts_of_ours, tmp_path):
-    run(installed / "simprinter", "sample", tmp_path)
-    (tmp_path / "commands.gcode").write_text("G28\nPROBE\n")
-    told = run(
-        installed / "simprinter",
-        *("run", "printer.cfg", "commands.gcode", "--world", "world.toml"),
-        cwd=tmp_path,
-        **hosts_of_ours,
-    )
-    assert "// Result" in told or "// probe at" in told
-    assert "contact inductive_bed" in told
 
 
 # Of files that are needed where it is installed

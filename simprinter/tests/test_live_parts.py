@@ -100,19 +100,6 @@ def with_probe(scene, **more):
     return replace(scene, sections=sections)
 
 
-def test_membrane_switch(start):
-    scene = bare(
-        inputs={"membrane": "^PC3"},
-        membrane=MembraneSpec(100.0, 100.0, 1.2, press=0.2, radius=8.0),
-    )
-    printer = placed(start(with_probe(scene)))
-    printer.run("PROBE\nM400")
-    # It stands where it was stopped
-    z = BED_Z + 1.2 - 0.2
-    assert printer.machine.tip().z == pytest.approx(z, abs=2 * MICROSTEP)
-    assert printer.machine.truth.touch_count("nozzle_membrane") == 1
-
-
 def test_two_membrane_switches(start):
     """Each has a pin, a site and a hand that lays it."""
     thin = MembraneSpec(100.0, 100.0, 0.3, radius=8.0)
