@@ -487,7 +487,11 @@ def test_links_of_a_clone_that_was_moved(machine, klipper, options):
     machine.installed()
     machine.checkout = machine.checkout.rename(machine.home / "moved")
     out = machine.installed(*options)
+    conf = machine.home / "printer_data/config/moonraker.conf"
+    assert ("path: ~/moved\n" in conf.read_text()) is not bool(options)
+    assert "klipper_z_calibration\n" not in conf.read_text()
     if options:
+        assert conf.read_text() == "[server]\n"
         assert klipper.links() == {}
         assert "Removing z_touch from klippy/extras... [OK, which led to" in out
         assert klipper.status() == ""

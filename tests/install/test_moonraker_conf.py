@@ -149,16 +149,6 @@ def test_last_line_without_an_end_counts(machine, conf):
     assert (more.read_text(), conf.read_text()) == ("", line)
 
 
-@pytest.mark.parametrize("options", [[], ["--uninstall"]])
-def test_section_of_a_clone_that_was_moved(machine, conf, options):
-    machine.installed()
-    machine.checkout = machine.checkout.rename(machine.home / "moved")
-    machine.installed(*options)
-    moved = SECTION.replace("~/klipper_z_calibration", "~/moved")
-    wanted = "[server]\n" if options else f"[server]\n\n{MARK}{moved}"
-    assert conf.read_text() == wanted
-
-
 @pytest.mark.parametrize("section", [OTHER_PATH, OTHER_ORIGIN])
 def test_section_of_somebody_else(machine, conf, section):
     text = f"{section}[server]\n"

@@ -121,21 +121,6 @@ def test_driver_that_does_not_answer_is_an_error(start):
     assert "Unable to read tmc uart 'stepper_z'" in text
 
 
-@pytest.mark.parametrize(
-    ("scene", "board", "name"),
-    [("voron", None, ""), ("voron_two_boards", "zboard", " 'zboard'")],
-)
-def test_silent_board_shuts_the_printer_down(start, scene, board, name):
-    about = {} if board is None else {"board": board}
-    printer = start(scene, faults=[Fault("mcu_silent", t=8.0, **about)])
-    printer.session.require_ready()
-    printer.fail("G28\nG28")
-    printer.session.wait(10.0)
-    state, message = printer.session.state()
-    assert state == "shutdown"
-    assert "Lost communication with MCU" + name in message
-
-
 # Several boards
 
 

@@ -12,12 +12,14 @@ from operator import attrgetter
 import pytest
 
 from simprinter import Fault, heated
+from simprinter.plugin_printer import read_scene
 from simprinter.printer_cfg import PrinterCfg
+from simprinter.tests.test_delta import CFG as DELTA
 from simprinter.world import Bed
 from simprinter.world_file.wiring import kinematics_of
 from tools.kit.docks import DOCK_SCENES, SLINGER, calibrating, on_generic
 from tools.kit.printer import Printer, has_kinematics
-from tools.kit.scenes import SCENES, machine
+from tools.kit.scenes import SCENES
 
 CALIBRATING = [n for n in SCENES if "z_calibration" in SCENES[n].sections]
 MICROSTEP = 0.0025
@@ -164,15 +166,6 @@ def test_two_membranes_of_one_owner(start):
     )
 
 
-def test_delta_homes_and_probes(start):
-    """What klippy sees stops after a whole microstep of a carriage."""
-    printer = start(machine("delta")).homed()
-    printer.run("G1 Z20 F3000\nG1 X30 Y20 F6000\nPROBE")
-    z = printer.status("toolhead")["position"][2]
-    assert z == pytest.approx(6.9 - 0.3, abs=0.025)
-    assert printer.gap((30.0, 20.0)) == pytest.approx(0.3, abs=0.025)
-
-
 ON_A_DELTA = [
     {"z_calibration": {"nozzle_xy_position": "0, 0", "switch_offset": "0.5"}},
     {"auto_z_offset": {"pin": "PC7", "z_offset": "0.2"}},
@@ -192,7 +185,7 @@ ON_A_DELTA = [
 
 @pytest.mark.parametrize("sections", ON_A_DELTA, ids=lambda s: [*s][-1])
 def test_delta_is_refused_by_each_module(start, sections):
-    state, told = start(machine("delta"), sections).session.start()
+    state, told = start(read_scene(DELTA), sections).session.start()
     assert state == "error"
     name = [*sections][-1]
     assert "'kinematics: delta'" in told
