@@ -138,14 +138,14 @@ class Attached:
     def check_docked(self, host: Host, option: str) -> None:
         """Raise CalibrationError where the G-code of an option has attached a probe.
 
-        May pause.
+        So it looks as well where a switch breaks meanwhile.  May pause.
         """
         carrier = self.carrier(host)
         if carrier is not None and carrier.state() != DOCKED:
             raise CalibrationError(
                 f"after {option} the probe is {carrier.state()} ({carrier.reads()}),"
                 " and would meet the bed before the nozzle does; take what fetches it"
-                f" out of {option}"
+                f" out of {option}, or look at its switch and wire where nothing does"
             )
 
     def check_questions(self, host: Host, own: bool = False) -> None:

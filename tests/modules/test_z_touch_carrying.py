@@ -71,7 +71,23 @@ def test_probe_that_activate_gcode_fetches_is_refused(start, each):
     printer.run("G1 Z20 F900\nG1 X60 Y60 F6000")
     text = printer.fail(f"EXTRA_PROBE {MEMBRANE}")
     assert "after activate_gcode the probe is ATTACHED" in text
-    assert text.endswith("take what fetches it out of activate_gcode")
+    assert "take what fetches it out of activate_gcode" in text
+    assert untouched(printer)
+
+
+def test_switch_of_the_dock_that_breaks_between_two_touches(start):
+    """It looks as if activate_gcode had fetched the probe, which it has not."""
+    printer = ready(start)
+    printer.machine.lay_membrane()
+    command = f"{OVER}EXTRA_PROBE {MEMBRANE} SAMPLES=3\nM400"
+    printer.run(command)
+    began = now_of(printer)
+    printer.run(command)
+    at = began + 1.7 * (now_of(printer) - began)
+    printer.machine.break_down(Fault("stuck_open", signal="probe", t=at))
+    text = printer.fail(command)
+    assert "the probe is ATTACHED (pin reads open)" in text
+    assert text.endswith("or look at its switch and wire where nothing does")
     assert untouched(printer)
 
 

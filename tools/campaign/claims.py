@@ -25,7 +25,9 @@ _HEIGHTS = (
 _PROBE = r"the probe (was not fetched|was not docked|is not ready|was lost)"
 CAUSES = {
     # Before before_switch_gcode a probe has to read triggered
-    "stuck_open": _DEAD + r"|is attached already|" + _PROBE,
+    "stuck_open": _DEAD
+    + r"|is attached already|look at its switch and wire where nothing does|"
+    + _PROBE,
     "stuck_closed": _TRIGGERED + r"|before the toolhead moved|" + _PROBE,
     # In mid air; at the last touch it is a height like others
     "sticks": _TRIGGERED
