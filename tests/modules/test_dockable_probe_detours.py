@@ -15,7 +15,6 @@ from tools.kit.dockable_probe import (
     SERVO,
     SWITCH,
     WAY,
-    refusal,
     section,
     trips,
     where,
@@ -220,12 +219,6 @@ def test_nothing_is_touched_where_docking_has_left_the_head(start):
     assert len(printer.machine.truth.touches) == touches + 1
 
 
-def test_homed_with_the_probe_where_the_head_was(start):
-    home = {"safe_z_home": {"home_xy_position": "62, 274", "z_hop": "10"}}
-    printer = started(start, GANTRY, home).homed()
-    assert last_touch(printer, "probe_bed") == pytest.approx(PROBED, abs=0.02)
-
-
 def test_nothing_is_touched_in_the_dock(start):
     printer = started(start, SWITCH).homed()
     printer.run("G1 Z20\nMOVE_TO_DOCK_PROBE")
@@ -241,20 +234,12 @@ def test_nothing_is_touched_in_the_dock(start):
 # Out of reach
 
 
-@pytest.mark.parametrize("point", ["150, 350", "-1, 100"])
-def test_homing_point_out_of_reach(host, point):
-    text = refusal(host, section(safe_z_position=point))
-    assert "'safe_z_position' in section 'dockable_probe'" in text
-    assert (
-        f"{point} is outside of 0.000 to 300.000 and 0.000 to 310.000" in text
-    )
-
-
 @pytest.mark.parametrize(
     ("place", "words"),
     [
         ("X=999", "X=999.000 is outside of 0.000 to 300.000"),
         ("Y=-0.1", "Y=-0.100 is outside of 0.000 to 310.000"),
+        ("X=50.2 Y=308", "50.200, 308.000 is in the dock; MOVE_TO_DOCK_PROBE"),
     ],
 )
 def test_move_out_of_reach(start, place, words):
@@ -265,14 +250,6 @@ def test_move_out_of_reach(start, place, words):
     # Rounded by less than a step
     printer.run("MOVE_AVOIDING_DOCK X=300.01")
     assert printer.session.position()[0] == pytest.approx(300.0)
-
-
-def test_move_into_the_dock_itself(start):
-    printer = started(start, SWITCH).homed()
-    before = printer.session.position()
-    words = "50.200, 308.000 is in the dock; MOVE_TO_DOCK_PROBE"
-    assert words in printer.fail("MOVE_AVOIDING_DOCK X=50.2 Y=308")
-    assert printer.session.position() == before
 
 
 # Up and down
@@ -350,20 +327,6 @@ def test_way_out_of_a_dock_that_is_entered_from_above(start):
     assert printer.machine.truth.crashes() == []
 
 
-def test_positions_without_a_way_out(host):
-    # The third number counts for nothing there
-    changes = section(
-        dock_position="50, 308, 5",
-        approach_position="50, 308, 30",
-        dock_fixed_z="True",
-    )
-    text = refusal(host, changes, SWITCH)
-    assert (
-        "'approach_position' in section 'dockable_probe' (50, 308) is at"
-        in (text)
-    )
-
-
 # Step by step
 
 
@@ -387,29 +350,25 @@ def test_into_the_dock_from_where_the_head_stands(start):
 # Homing ends beside the dock
 
 
-def in_the_corner(start, x, y, begin, scene=GANTRY):
-    """X and Y were homed beside this dock; they began there."""
+# The corner is in the circle, and it is behind it: the document says so
+@pytest.mark.parametrize("begin", [(200.0, 120.0), (299.0, 300.0)])
+def test_no_way_out_of_the_corner_behind_the_dock(start, begin):
     dock = replace(
-        GANTRY.world.dock, x=x, y=y, release=(-1.0, 0.0, 0.0), body=15.0
+        GANTRY.world.dock, x=280.0, y=288.0, release=(-1.0, 0.0, 0.0), body=15.0
     )
     printer = started(
         start,
-        replace(scene.with_world(dock=dock), start=Pose(*begin, 12.0)),
-        dock_position=f"{x}, {y}",
-        approach_position=f"{x}, {y - 38}",
-        detach_position=f"{x - 40}, {y}",
+        replace(GANTRY.with_world(dock=dock), start=Pose(*begin, 12.0)),
+        dock_position="280, 288",
+        approach_position="280, 250",
+        detach_position="240, 288",
         safe_z_position="150, 130",
     )
     printer.run("G28 X Y")
     assert at(printer) == pytest.approx((300.0, 310.0), abs=0.02)
-    return printer
-
-
-# The corner is in the circle, and it is behind it: the document says so
-@pytest.mark.parametrize("begin", [(200.0, 120.0), (299.0, 300.0)])
-def test_no_way_out_of_the_corner_behind_the_dock(start, begin):
-    printer = in_the_corner(start, 280.0, 288.0, begin=begin)
     z = printer.machine.tip().z
-    assert "no way from 300." in printer.fail("ATTACH_PROBE")
+    text = printer.fail("ATTACH_PROBE")
+    assert "no way from 300." in text
+    assert "lower safe_dock_distance (38.000)" in text
     assert at(printer) == pytest.approx((300.0, 310.0), abs=0.02)
     assert printer.machine.tip().z == pytest.approx(z + WAY, abs=0.01)

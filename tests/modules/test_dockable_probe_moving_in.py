@@ -26,7 +26,6 @@ from tools.kit.dockable_probe import (
     WAY,
     assert_safe,
     down_by_force,
-    refusal,
     section,
     trips,
     where,
@@ -113,14 +112,6 @@ def test_dock_is_put_away_after_a_failure(start, fault, state, retries):
     printer.machine.repair()
     printer.run(CENTRE + "PROBE\nG4 P500\nM400")
     assert where(printer) == "docked"
-    assert not printer.machine.world.dock_is_out(now_of(printer))
-
-
-def test_dock_is_put_away_after_an_error_of_the_owner(start):
-    raising = "\n  {action_raise_error('no')}"
-    printer = started(start, SERVO, attach_gcode=raising).homed()
-    assert "no" in printer.fail(CENTRE + "PROBE")
-    printer.run("G4 P500\nM400")
     assert not printer.machine.world.dock_is_out(now_of(printer))
 
 
@@ -299,24 +290,6 @@ def test_way_out_with_the_probe_proves_nothing(start, way):
     printer.machine.hold("probe", True)
     text = printer.fail(f"{way}\nM84\nG28")
     assert "it was not seen docked" in text
-
-
-# A command in the middle of fetching
-
-
-@pytest.mark.slow
-@pytest.mark.parametrize("command", ["PROBE", "ATTACH_PROBE", "DETACH_PROBE"])
-@pytest.mark.parametrize(
-    "option",
-    ["post_attach_gcode", "pre_detach_gcode", "attach_gcode", "activate_gcode"],
-)
-def test_command_that_needs_what_it_is_a_part_of(start, option, command):
-    printer = started(start, SWITCH, **{option: "\n  " + command}).homed()
-    before = now_of(printer)
-    text = printer.fail(CENTRE + "PROBE")
-    assert f"a command in {option} needs the probe fetched or docked" in text
-    assert now_of(printer) - before < 30.0
-    assert printer.session.state()[0] == "ready"
 
 
 # Sense pins, and a switch that is normally open
@@ -505,14 +478,6 @@ def test_hop_before_x_and_y_are_homed_again(start):
     printer = started(start, GANTRY, changes).homed()
     printer.run(f"{CENTRE}ATTACH_PROBE\n{down_by_force(HANG + 0.5)}\nG28 X Y")
     assert printer.session.position()[2] == pytest.approx(CLEAR, abs=0.02)
-
-
-# Another probe
-
-
-def test_old_probe_behind_other_sections(host):
-    message = refusal(host, {"bltouch": {"sensor_pin": "^PC4"}})
-    assert "there is a [bltouch], too, and a printer has one probe" in message
 
 
 # In the dock by hand, or by a macro, and not to a thousandth

@@ -166,16 +166,6 @@ def require_printed(printer):
     assert where(printer) == "docked"
 
 
-# Whatever a macro does at once after its last touch
-@pytest.mark.parametrize("delayed", ["True", "False"])
-def test_first_layer_at_once(start, tmp_path, delayed):
-    lines = f"G28\n{FIRST_LAYER}"
-    printer = with_card(start, tmp_path, lines, allow_delayed_detach=delayed)
-    printer.session.require_ready()
-    printer.run(PRINT)
-    require_printed(printer)
-
-
 # What leaves the probe on the toolhead, the file, and allow_delayed_detach
 LEFT_ON = {
     "forgotten": ("ATTACH_PROBE", FIRST_LAYER, "False"),
@@ -626,18 +616,6 @@ def test_print_that_goes_on_with_the_motors_off(start, tmp_path):
     assert "Must home axis first: 120.000" in line
 
 
-# Nobody docks it without trips
-def test_print_goes_no_lower_without_trips(start, tmp_path):
-    lines = f"G90\nG1 X140\n{FIRST_LAYER}"
-    printer = with_card(start, tmp_path, lines).homed()
-    off = "SET_DOCKABLE_PROBE AUTO_ATTACH_DETACH=0"
-    printer.run(f"{OVER}\n{off}\nATTACH_PROBE\n{PRINT}")
-    printer.session.wait(20)
-    assert printer.status("print_stats")["state"] == "error"
-    printer.machine.truth.require_no_crash()
-    assert where(printer) == "attached"
-
-
 # The circle around the dock reaches over the bed
 @pytest.mark.parametrize("auto", [1, 0])
 def test_print_below_the_dock(start, tmp_path, auto):
@@ -721,15 +699,6 @@ def test_toolhead_that_was_let_down_leaves_as_low_without_the_probe(start):
     printer.machine.world.take_probe_off(seconds(printer))
     printer.run("G1 X150 Y150\nM400")
     assert printer.session.position() == pytest.approx((150, 150, 7.5))
-
-
-# Without trips its owner's macros know when it is on
-def test_print_leaves_the_probe_without_trips(start, tmp_path):
-    printer = with_card(start, tmp_path, "G90\nG1 Z20 F900\n").homed()
-    off = "SET_DOCKABLE_PROBE AUTO_ATTACH_DETACH=0"
-    printer.run(f"{OVER}\n{off}\nATTACH_PROBE\n{PRINT}")
-    printer.session.wait(20)
-    assert where(printer) == "attached"
 
 
 # Afterwards nobody would find the dock, and homing goes on from where the toolhead is

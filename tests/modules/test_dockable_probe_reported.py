@@ -31,14 +31,6 @@ TOLD = "0 degrees apart: the probe would stay on the toolhead"
 # Both ways the same in X and Y
 
 
-def test_same_way_where_nothing_strips_it_off_names_the_option_that_can(
-    host: Host,
-):
-    text = refusal(host, section(**SAME))
-    assert TOLD in text
-    assert "or give detach_gcode with the moves that do" in text
-
-
 @pytest.mark.parametrize(
     ("options", "macro", "by"),
     [
@@ -106,14 +98,6 @@ def test_probe_that_stays_on_is_not_dragged_out_low(start, retries):
     assert where(printer) == ("docked" if retries else "attached")
     assert printer.machine.truth.touches[touches:] == []
     assert_safe(printer)
-
-
-def test_stroke_needs_z(start):
-    printer = start(SLINGER, section(**QUICK)).homed()
-    printer.run(CENTRE + "ATTACH_PROBE\nM84\nG28 X Y")
-    text = printer.fail("DETACH_PROBE")
-    assert "to find the dock Z has to be homed" in text
-    assert where(printer) == "attached"
 
 
 # Macros over the parts of a trip, as Kalico's documents had them for an Euclid

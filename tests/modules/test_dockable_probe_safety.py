@@ -72,17 +72,6 @@ def test_stuck_open_before_the_first_homing(start, way):
     assert at(printer) == pytest.approx(DETACH)
 
 
-@pytest.mark.parametrize("command", ["PROBE", MESH, "ATTACH_PROBE"])
-def test_stuck_open_before_the_first_touch(start, command):
-    fault = Fault("stuck_open", signal="probe", t=0.0)
-    changes = section(detach_dockable_before_z_home="False")
-    printer = start(SWITCH, changes, faults=[fault]).homed()
-    printer.run("G1 X150 Y150 Z20 F6000")
-    assert "the probe was not docked" in printer.fail(command)
-    assert_safe(printer)
-    assert printer.machine.truth.min_gap > 10.0
-
-
 def test_attached_at_the_start_is_docked_and_fetched_again(start):
     printer = start(with_probe(GANTRY, initial="attached"), section(**QUICK))
     printer.homed()
@@ -307,44 +296,10 @@ def test_touch_elsewhere_is_no_height_of_the_bed_where_z_is_homed(start):
     assert printer.gap((150.0, 150.0)) == pytest.approx(0.0, abs=0.02)
 
 
-def test_stuck_closed_at_the_first_homing(start):
-    fault = Fault("stuck_closed", site="probe_bed", command="G28")
-    printer = ready(start(GANTRY, faults=[fault]))
-    assert "triggered before the toolhead moved" in printer.fail("G28")
-    assert printer.status("toolhead")["homed_axes"] == ""
-
-
-def test_probe_lost_on_the_way(start):
-    printer = start(SENSED, section(**QUICK)).homed()
-    printer.run("ATTACH_PROBE")
-    machine = printer.machine
-    machine.world.lose_probe(
-        machine.rig.seconds(machine.simulation.clock.now())
-    )
-    text = printer.fail("PROBE")
-    assert "UNKNOWN" in text
-    assert_safe(printer)
-
-
 def now_of(printer):
     """Printer time, s."""
     machine = printer.machine
     return machine.rig.seconds(machine.simulation.clock.now())
-
-
-def test_sense_pin_tells_that_it_was_lost_in_a_touch(start):
-    printer = start(SENSED, section(samples="3")).homed()
-    printer.run("ATTACH_PROBE\nG1 X150 Y150 Z20 F6000\nM400")
-    touches = len(printer.machine.truth.touches)
-    # On the way down
-    printer.machine.break_down(
-        Fault("stuck_open", signal="probe_sense", t=now_of(printer) + 1.5)
-    )
-    text = printer.fail("PROBE")
-    assert "was lost in a touch" in text
-    assert "probe_sense_pin reads open" in text
-    assert len(printer.machine.truth.touches) == touches + 1
-    assert_safe(printer)
 
 
 def test_sense_pin_tells_before_a_touch(start):
@@ -484,19 +439,6 @@ def test_lift_of_before_the_motors_were_forced(start):
     assert printer.machine.tip().z == pytest.approx(z + 4.0, abs=0.01)
 
 
-def test_emergency_stop_while_fetching(start):
-    printer = start(SWITCH).homed()
-    command = printer.session.begin("ATTACH_PROBE")
-    printer.session.wait(0.8)
-    printer.session.stop()
-    with pytest.raises(Exception, match="shutdown|Shutdown|stop"):
-        printer.session.finish(command)
-    printer.session.restart("FIRMWARE_RESTART")
-    printer.run("G28")
-    printer.run("G1 X150 Y150 Z20 F6000\nPROBE")
-    assert where(printer) == "docked"
-
-
 # The dock in the way
 
 
@@ -520,16 +462,3 @@ def test_from_beside_the_dock(start, scene, right, back):
     printer.run("ATTACH_PROBE\nDETACH_PROBE")
     assert where(printer) == "docked"
     assert trips(printer)[-2:] == ["attach", "dock"]
-
-
-def test_no_way_around_the_dock(start):
-    changes = section(
-        dock_position="150, 155",
-        approach_position="150, 1",
-        detach_position="150, 309",
-    )
-    printer = start(SWITCH, changes).homed()
-    printer.run("G1 X2 Y2 Z20 F6000")
-    text = printer.fail("MOVE_AVOIDING_DOCK X=298 Y=308")
-    assert "no way from 2.000, 2.000 to 298.000, 308.000" in text
-    assert "safe_dock_distance (154.000)" in text

@@ -437,25 +437,12 @@ def test_probe_that_is_held_stays_on_after_a_twist(start, end):
     assert where(printer) == "attached"
 
 
-def test_probe_stays_on_after_a_twist_where_no_trips_are_wanted(start):
-    printer = ready(start)
-    printer.run(f"{TWIST}\nABORT\nSET_DOCKABLE_PROBE AUTO_ATTACH_DETACH=0")
-    printer.run(f"ATTACH_PROBE\n{OVER}PROBE\nPROBE")
-    assert where(printer) == "attached"
-
-
 # The owner wants the toolhead to stay there
 @pytest.mark.parametrize("command", ["PROBE", "PROBE_ACCURACY SAMPLES=2"])
 def test_docking_as_the_owner_wants_it_after_a_twist(start, command):
     printer = ready(start, {"restore_toolhead": "False"})
     printer.run(f"{TWIST}\nABORT\n{OVER}{command}\nM400")
     assert printer.session.position()[:2] == pytest.approx((90.0, 308.0))
-
-
-def test_another_method_probes_as_before(start):
-    printer = ready(start)
-    printer.run("ATTACH_PROBE\nBED_MESH_CALIBRATE PROBE_COUNT=3,3")
-    assert trips(printer) == ["attach"]
 
 
 # Delayed docking
@@ -536,22 +523,6 @@ def test_probe_that_was_fetched_while_the_dialog_was_open(start):
 
 
 # G28 Z on a switch
-
-
-def test_probe_is_docked_before_z_is_homed_on_its_switch(start):
-    printer = ready(start)
-    printer.run("ATTACH_PROBE\nG28")
-    assert trips(printer) == ["attach", "dock"]
-    assert untouched(printer)
-
-
-def test_z_alone_is_not_homed_with_the_probe_on(start):
-    printer = start(SWITCH, {"safe_z_home": None, **section(**QUICK)})
-    printer.session.require_ready()
-    printer.run("G28 X Y\nG1 X206 Y306 F6000\nG28 Z\nATTACH_PROBE\nM84")
-    text = printer.fail("G28 Z")
-    assert "not homed: X, Y; the way to the dock is not known before" in text
-    assert untouched(printer)
 
 
 # Kalico's own dockable_probe, which only Kalico has

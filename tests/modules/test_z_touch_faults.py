@@ -231,7 +231,7 @@ asked EXTRA_PROBE_CONTINUE nozzle_membrane stuck_closed 1,3 early        0
 # The second way down of homing hardly goes deeper than the first one
 DOCKED = """
 dock_gantry G28                probe_bed stuck_open     2 nothing 1.0
-dock_gantry G28                probe_bed stuck_closed   2 unmoved 0
+dock_gantry G28                probe_bed stuck_closed   1,2 unmoved 0
 dock_gantry G28                probe_bed falls_at_touch 1 unmoved 0
 dock_gantry G28                probe_bed falls_at_lift  2 wrong   0
 dock_gantry PROBE              probe_bed stuck_open     1 nothing 5.0
