@@ -20,6 +20,7 @@ from tools.kit.dockable_probe import (
     SERVO,
     SWITCH,
     down_by_force,
+    moves,
     section,
     trips,
     where,
@@ -32,13 +33,6 @@ SCENES = pytest.mark.parametrize(
     ids=lambda scene: scene.name,
 )
 MESH = "BED_MESH_CALIBRATE PROBE_COUNT=3,3"
-
-
-def moves(printer, script):
-    """Where each move of a script has ended."""
-    before = len(printer.status("moves")["ends"])
-    printer.run(script)
-    return [tuple(end) for end in printer.status("moves")["ends"][before:]]
 
 
 @pytest.mark.every_host(

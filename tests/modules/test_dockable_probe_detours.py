@@ -15,6 +15,8 @@ from tools.kit.dockable_probe import (
     SERVO,
     SWITCH,
     WAY,
+    at,
+    moves,
     section,
     trips,
     where,
@@ -41,18 +43,6 @@ def started(start, scene, changes=None, **options):
     printer = start(scene, changes, modules=with_moves())
     printer.session.require_ready()
     return printer
-
-
-def moves(printer, script):
-    """Where each move of a script has ended."""
-    before = len(printer.status("moves")["ends"])
-    printer.run(script)
-    return [tuple(end) for end in printer.status("moves")["ends"][before:]]
-
-
-def at(printer):
-    printer.session.wait(1.0)
-    return printer.session.position()[:2]
 
 
 def last_touch(printer, site):

@@ -26,9 +26,11 @@ from tools.kit.dockable_probe import (
     WAY,
     assert_safe,
     down_by_force,
+    moves,
     section,
     trips,
     where,
+    with_probe,
 )
 from tools.kit.docks import on_generic
 from tools.kit.printer import has_kinematics
@@ -39,21 +41,12 @@ AROUND = "MOVE_AVOIDING_DOCK X=150 Y=150 SPEED=100"
 MESH = "BED_MESH_CALIBRATE PROBE_COUNT=3,3"
 
 
-def with_probe(scene, **changes):
-    return scene.with_world(mag_probe=replace(scene.world.mag_probe, **changes))
-
-
 def started(start, scene, changes=None, faults=(), **options):
     """A printer whose owner takes one sample, not homed."""
     changes = {**section(**{**QUICK, **options}), **(changes or {})}
     printer = start(scene, changes, faults=list(faults))
     printer.session.require_ready()
     return printer
-
-
-def now_of(printer):
-    machine = printer.machine
-    return machine.rig.seconds(machine.simulation.clock.now())
 
 
 # activate_gcode and deactivate_gcode
@@ -105,14 +98,14 @@ def test_dock_is_put_away_after_a_failure(start, fault, state, retries):
     ).homed()
     assert "the probe was not" in printer.fail(CENTRE + "PROBE")
     printer.run("G4 P500\nM400")
-    assert not printer.machine.world.dock_is_out(now_of(printer))
+    assert not printer.machine.world.dock_is_out(printer.now())
     assert where(printer) == state
     assert_safe(printer)
     # It comes out again when it is needed
     printer.machine.repair()
     printer.run(CENTRE + "PROBE\nG4 P500\nM400")
     assert where(printer) == "docked"
-    assert not printer.machine.world.dock_is_out(now_of(printer))
+    assert not printer.machine.world.dock_is_out(printer.now())
 
 
 def test_first_error_counts_where_the_dock_is_not_put_away(start):
@@ -132,7 +125,7 @@ def steps(*names):
 
 def is_out(printer):
     printer.run("G4 P500\nM400")
-    return printer.machine.world.dock_is_out(now_of(printer))
+    return printer.machine.world.dock_is_out(printer.now())
 
 
 def test_part_by_part_the_dock_is_brought_out_and_put_away(start):
@@ -341,9 +334,9 @@ def test_hold_ends_where_somebody_has_put_it_into_the_dock(start, command):
     printer = started(start, SWITCH).homed()
     printer.run(CENTRE + "ATTACH_PROBE")
     machine = printer.machine
-    machine.world.lose_probe(now_of(printer))
+    machine.world.lose_probe(printer.now())
     assert "the probe" in printer.fail("PROBE")
-    machine.world.bring_probe_back(now_of(printer))
+    machine.world.bring_probe_back(printer.now())
     printer.run(CENTRE + command)
     assert where(printer) == "docked"
 
@@ -395,9 +388,9 @@ def test_pins_that_agree_are_believed(start, scene, is_trip):
     printer.run(f"{CENTRE}ATTACH_PROBE")
     assert where(printer) == "attached"
     machine, begun = printer.machine, len(trips(printer))
-    machine.world.lose_probe(now_of(printer))
+    machine.world.lose_probe(printer.now())
     printer.session.wait(0.5)
-    machine.world.bring_probe_back(now_of(printer))
+    machine.world.bring_probe_back(printer.now())
     printer.session.wait(0.5)
     printer.run("DETACH_PROBE")
     assert ("dock" in trips(printer, begun + 1)) is is_trip
@@ -422,9 +415,9 @@ def test_pin_that_chatters_is_no_reason_for_more_trips(start):
     printer = started(start, GANTRY).homed()
     printer.run(f"{CENTRE}ATTACH_PROBE")
     machine, session = printer.machine, printer.session
-    machine.world.lose_probe(now_of(printer))
+    machine.world.lose_probe(printer.now())
     session.wait(0.5)
-    machine.world.bring_probe_back(now_of(printer))
+    machine.world.bring_probe_back(printer.now())
     session.wait(0.5)
     printer.run("SET_PROBE_STATUS STATE=UNKNOWN")
     begun = len(trips(printer))
@@ -526,11 +519,9 @@ def test_from_above_a_dock_that_is_entered_from_the_side(start, command):
     changes = {"moves": {}, **section(**QUICK)}
     printer = start(BED, changes, modules=with_moves()).homed()
     printer.run("G90\nG1 Z60 F900\nG1 X50 Y308 F6000\nM400")
-    before = len(printer.status("moves")["ends"])
-    printer.run(command)
-    first = printer.status("moves")["ends"][before]
+    first, *_ = moves(printer, command)
     # Aside, as high as it is
-    assert tuple(first[:2]) != (50.0, 308.0)
+    assert first[:2] != (50.0, 308.0)
     assert first[2] == pytest.approx(60.0)
 
 
@@ -548,9 +539,7 @@ def test_dock_that_all_positions_are_above(start, xy, goes):
     printer.run("MOVE_TO_APPROACH_PROBE")
     x, y = (float(part) for part in xy.split(","))
     assert printer.session.position()[:2] == pytest.approx([x, y])
-    before = len(printer.status("moves")["ends"])
-    printer.run("G28 X Y")
-    ends = printer.status("moves")["ends"][before:]
+    ends = moves(printer, "G28 X Y")
     gone = [math.hypot(end[0] - x, end[1] - y) for end in ends]
     assert max(gone, default=0.0) == pytest.approx(goes, abs=0.1)
     assert printer.session.state()[0] == "ready"

@@ -16,6 +16,7 @@ from tools.kit.dockable_probe import (
     SENSED,
     SWITCH,
     WAY,
+    moves,
     refusal,
     section,
     trips,
@@ -34,13 +35,6 @@ def recording(start, scene=SWITCH, **options):
     printer = start(scene, changes, modules=with_moves()).homed()
     printer.run("G1 X150 Y150 Z20 F6000\nM400")
     return printer
-
-
-def moves(printer, script):
-    """Where each move of a script has ended."""
-    before = len(printer.status("moves")["ends"])
-    printer.run(script)
-    return [tuple(end) for end in printer.status("moves")["ends"][before:]]
 
 
 def seconds(printer, script):

@@ -141,12 +141,6 @@ FIRST_LAYER = "G90\nG1 Z0.3 F600\nG1 X200 Y150 F3000\nG1 X100\n"
 PRINT = "SDCARD_PRINT_FILE FILENAME=a.gcode"
 
 
-def seconds(printer):
-    """Of the printer."""
-    machine = printer.machine
-    return machine.rig.seconds(machine.simulation.clock.now())
-
-
 def with_card(start, folder, lines, changes=None, **options):
     """A printer with a dock, and a card with one file."""
     (folder / "a.gcode").write_text(lines)
@@ -244,7 +238,7 @@ def test_print_does_not_go_on_with_the_probe(start, tmp_path, resume, z):
 
 def put_on(printer):
     """By hand, and say so."""
-    printer.machine.world.put_probe_on(seconds(printer))
+    printer.machine.world.put_probe_on(printer.now())
     printer.run("SET_PROBE_STATUS STATE=ATTACHED")
 
 
@@ -264,7 +258,7 @@ def test_probe_is_not_fetched_while_a_print_is_paused(start, tmp_path, command):
     assert trips(printer, begun) == []
     # What somebody has put on, and perhaps taken off again, may be docked
     put_on(printer)
-    printer.machine.world.take_probe_off(seconds(printer))
+    printer.machine.world.take_probe_off(printer.now())
     printer.run("DETACH_PROBE")
     assert trips(printer)[-2:] == ["attach", "dock"]
     printer.run("RESUME")
@@ -364,15 +358,15 @@ def test_probe_that_somebody_has_taken_off(start):
     printer = start(DOCK_SCENES["dock_sensed"], changes).homed()
     printer.run(f"{OVER}\nATTACH_PROBE")
     assert where(printer) == "attached"
-    printer.machine.world.take_probe_off(seconds(printer))
+    printer.machine.world.take_probe_off(printer.now())
     before = trips(printer)
-    begun = seconds(printer)
+    begun = printer.now()
     lines = "".join(f"G1 X{100 + i} Z{5 - i / 100} F6000\n" for i in range(100))
     printer.run(f"G1 Z5\n{lines}M400")
     assert printer.session.position()[2] == pytest.approx(4.01)
     assert trips(printer) == before
     # Nobody waits for the pins at each move
-    assert seconds(printer) - begun < 10.0
+    assert printer.now() - begun < 10.0
 
 
 # A dock that is put away, by the owner's G-code
@@ -569,16 +563,16 @@ def test_probe_that_is_on_by_hand_is_not_taken_down(start, looks):
     world = printer.machine.world
     printer.session.require_ready()
     if looks == "G28":
-        world.put_probe_on(seconds(printer))
+        world.put_probe_on(printer.now())
     printer.run(f"G28\n{OVER}\nM400")
     if looks != "G28":
-        world.put_probe_on(seconds(printer))
+        world.put_probe_on(printer.now())
     printer.run(LOOKS[looks])
     assert f"{TOLD} the bed" in printer.fail(FIRST_LAYER)
     printer.machine.truth.require_no_crash()
     assert where(printer) == "attached"
     # In its dock by hand, too, it is as it was before
-    world.take_probe_off(seconds(printer))
+    world.take_probe_off(printer.now())
     printer.run(f"GET_PROBE_STATUS\n{FIRST_LAYER}M400")
     assert printer.session.position()[2] == pytest.approx(0.3)
 
@@ -696,7 +690,7 @@ def test_toolhead_that_was_let_down_leaves_as_low_without_the_probe(start):
     changes = {"dockable_probe": QUICK}
     printer = start(DOCK_SCENES["dock_sensed"], changes).homed()
     printer.run(f"{OVER}\nATTACH_PROBE\nG1 X50 Y270\nG1 Z7.5\nM400")
-    printer.machine.world.take_probe_off(seconds(printer))
+    printer.machine.world.take_probe_off(printer.now())
     printer.run("G1 X150 Y150\nM400")
     assert printer.session.position() == pytest.approx((150, 150, 7.5))
 

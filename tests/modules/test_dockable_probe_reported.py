@@ -15,6 +15,7 @@ from tools.kit.dockable_probe import (
     QUICK,
     SWITCH,
     assert_safe,
+    moves,
     refusal,
     section,
     trips,
@@ -127,11 +128,9 @@ def test_macros_instead_of_positions(start, scene, mode):
     printer = start(euclid(scene), changes, modules=with_moves()).homed()
     before = len(trips(printer))
     printer.run(f"{CENTRE}{mode}\nATTACH_PROBE\nPROBE")
-    begun = len(printer.status("moves")["ends"])
-    printer.run("DETACH_PROBE")
+    ends = [end[:2] for end in moves(printer, "DETACH_PROBE")]
     assert trips(printer, before) == ["attach", "dock"]
     # Straight in from where the macro ends, whose own moves are not told
-    ends = [tuple(end)[:2] for end in printer.status("moves")["ends"][begun:]]
     assert [end for end in ends if end != (150, 150)][0] == (50, 308)
     assert where(printer) == "docked"
     assert_safe(printer)
@@ -247,17 +246,12 @@ def test_machine_that_it_cannot_be_used_on(host: Host, kinematics, why):
 # Nothing says yet where the dock is
 
 
-NOWHERE = dict.fromkeys(
-    ("dock_position", "approach_position", "detach_position")
-)
-
-
 @pytest.mark.parametrize("scene", [GANTRY, SWITCH])
 def test_home_x_and_y_with_the_probe_on_and_no_positions(start, scene):
     scene = scene.with_world(
         mag_probe=replace(scene.world.mag_probe, initial="attached")
     )
-    printer = start(scene, section(**NOWHERE))
+    printer = start(scene, section(**UNKNOWN))
     printer.session.require_ready()
     text = printer.fail("G28")
     assert "nothing says where the dock is" in text

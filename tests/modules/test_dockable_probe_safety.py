@@ -22,9 +22,11 @@ from tools.kit.dockable_probe import (
     SWITCH,
     WAY,
     assert_safe,
+    at,
     section,
     trips,
     where,
+    with_probe,
 )
 from tools.kit.docks import DOCK_SCENES
 from tools.kit.scenes import on_gantry
@@ -32,12 +34,6 @@ from tools.kit.scenes import on_gantry
 MESH = "BED_MESH_CALIBRATE PROBE_COUNT=3,3"
 EXTRACT = (50.0, 270.0)
 DETACH = (90.0, 308.0)
-
-
-def at(printer):
-    """Where the toolhead stands, X and Y."""
-    printer.session.wait(1.0)
-    return printer.session.position()[:2]
 
 
 def ready(printer):
@@ -50,10 +46,6 @@ def tolerant(printer):
     """Of a dead switch's body on the bed, as deep as the floor lets it."""
     printer.machine.tolerate("body_bed", HANG - 0.4 - 1.0)
     return printer
-
-
-def with_probe(scene, **changes):
-    return scene.with_world(mag_probe=replace(scene.world.mag_probe, **changes))
 
 
 # Before the first touch: what reads "attached" has to change
@@ -167,7 +159,7 @@ def test_pin_that_chatters_while_the_head_moves(start):
     machine, session = printer.machine, printer.session
     command = session.begin("ATTACH_PROBE")
     session.run_until(command, lambda: trips(printer) == ["attach"])
-    machine.break_down(Fault("stuck_closed", signal="probe", t=now_of(printer)))
+    machine.break_down(Fault("stuck_closed", signal="probe", t=printer.now()))
     session.run_until(command, lambda: machine.tip().y < EXTRACT[1] - 20.0)
     machine.repair()
     session.finish(command)
@@ -288,18 +280,12 @@ def test_touch_elsewhere_is_no_height_of_the_bed_where_z_is_homed(start):
     printer = start(GANTRY, section(**QUICK)).homed()
     printer.run("ATTACH_PROBE\nG1 X150 Y150 Z60 F6000\nM400")
     printer.machine.break_down(
-        Fault("stuck_closed", signal="probe", t=now_of(printer) + 2.0)
+        Fault("stuck_closed", signal="probe", t=printer.now() + 2.0)
     )
     assert "was lost, what was measured is wrong" in printer.fail("PROBE")
     printer.machine.repair()
     printer.run("G28")
     assert printer.gap((150.0, 150.0)) == pytest.approx(0.0, abs=0.02)
-
-
-def now_of(printer):
-    """Printer time, s."""
-    machine = printer.machine
-    return machine.rig.seconds(machine.simulation.clock.now())
 
 
 def test_sense_pin_tells_before_a_touch(start):
@@ -312,7 +298,7 @@ def test_sense_pin_tells_before_a_touch(start):
     printer.session.run_until(command, lambda: len(touches) > before)
     # While it is lifted, at 10 mm/s
     printer.machine.break_down(
-        Fault("stuck_open", signal="probe_sense", t=now_of(printer) + 0.1)
+        Fault("stuck_open", signal="probe_sense", t=printer.now() + 0.1)
     )
     with pytest.raises(GcodeError, match="probe_sense_pin reads open"):
         printer.session.finish(command)

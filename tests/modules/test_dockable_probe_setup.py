@@ -23,11 +23,6 @@ from tools.kit.setup_user import SAVE_THAT_FAILS
 OPTIONS = ("dock_position", "approach_position", "detach_position")
 
 
-def now_of(printer):
-    machine = printer.machine
-    return machine.rig.seconds(machine.simulation.clock.now())
-
-
 def test_from_no_position_to_the_first_probe(start):
     user = owner(start)
     printer = user.printer
@@ -75,7 +70,7 @@ def test_dock_with_a_height_of_its_own_entered_from_above(start):
 def test_what_does_not_fit_is_asked_again(start):
     user = owner(start)
     printer = user.printer
-    printer.machine.world.lose_probe(now_of(printer))
+    printer.machine.world.lose_probe(printer.now())
     user.begin()
     assert "the probe is DOCKED" in user.refused("Next")
     assert user.dialog().text.startswith("Not done: dockable_probe: the pr")
@@ -109,11 +104,11 @@ def test_trial_that_fails(start):
 def test_slow_and_around_what_was_found(start):
     user = owner(start)
     user.come_to("FETCH")
-    before = now_of(user.printer)
+    before = user.printer.now()
     user.press("Fetch")
     user.printer.run("M400")
     # Twice 38 mm at 10 mm/s
-    assert now_of(user.printer) - before > 7.5
+    assert user.printer.now() - before > 7.5
     user.go("X150 Y270")
     # Not before it is saved
     assert "nothing says where the dock is" in user.printer.fail(

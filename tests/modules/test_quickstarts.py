@@ -13,7 +13,6 @@ from simprinter.world import AxisSwitchSpec
 from tests.docs.documents import blocks, ini_blocks, part
 from tests.modules.example_owners import OWNERS
 from tests.modules.test_auto_z_offset_examples import machine_of, sections_of
-from tests.modules.test_dockable_probe_setup import now_of
 from tests.modules.test_z_calibration_examples import (
     BED,
     EXTRUDER,
@@ -237,7 +236,7 @@ def test_dock_is_ready_to_be_shown(start):
     printer.session.require_ready()
     assert "DOCKED" in " ".join(printer.run("GET_PROBE_STATUS"))
     printer.run("G28 X Y")
-    printer.machine.world.put_probe_on(now_of(printer))
+    printer.machine.world.put_probe_on(printer.now())
     assert "ATTACHED" in " ".join(printer.run("GET_PROBE_STATUS"))
     lines = printer.run("DOCKABLE_PROBE_SETUP")
     assert "// action:prompt_show" in lines

@@ -217,15 +217,10 @@ def test_probe_that_was_put_into_the_dock_by_hand(start):
 def take_off(printer):
     """By hand, and into its dock."""
     machine = printer.machine
-    machine.world.lose_probe(now_of(printer))
+    machine.world.lose_probe(printer.now())
     printer.session.wait(0.5)
-    machine.world.bring_probe_back(now_of(printer))
+    machine.world.bring_probe_back(printer.now())
     printer.session.wait(0.5)
-
-
-def now_of(printer):
-    machine = printer.machine
-    return machine.rig.seconds(machine.simulation.clock.now())
 
 
 def test_dead_probe_where_the_nozzle_has_met_the_bed(start):
@@ -290,11 +285,20 @@ def test_paper_where_no_trips_are_wanted(start):
     assert where(printer) == "attached"
 
 
+SCREWS = {
+    "bed_screws": {
+        "screw1": "60, 60",
+        "screw2": "240, 60",
+        "screw3": "150, 240",
+        "probe_height": "2",
+        "speed": "100",
+    }
+}
+
+
 # It lowers the nozzle at once, and its section comes after ours
 def test_bed_screws(start):
-    screws = {"screw1": "60, 60", "screw2": "240, 60", "screw3": "150, 240"}
-    changes = {"bed_screws": {**screws, "probe_height": "2", "speed": "100"}}
-    printer = ready(start, changes=changes)
+    printer = ready(start, changes=SCREWS)
     printer.run(f"{OVER}ATTACH_PROBE\nBED_SCREWS_ADJUST\nM400")
     assert trips(printer) == ["attach", "dock"]
     printer.run("ABORT")
@@ -304,9 +308,7 @@ def test_bed_screws(start):
 
 # The toolhead goes on to the next screw as low as it is, and down to Z=0
 def test_probe_is_not_fetched_between_screws(start):
-    screws = {"screw1": "60, 60", "screw2": "240, 60", "screw3": "150, 240"}
-    options = {**screws, "probe_height": "2", "speed": "100"}
-    printer = ready(start, changes={"bed_screws": options})
+    printer = ready(start, changes=SCREWS)
     printer.run(f"{OVER}BED_SCREWS_ADJUST")
     text = printer.fail("ATTACH_PROBE")
     told = "dockable_probe: BED_SCREWS_ADJUST is under way; end it with ACCEPT"
@@ -334,9 +336,7 @@ def test_probe_of_macros_is_told_before_the_nozzle_goes_down(start, is_on):
     "older hosts stay active when the way to the next screw has failed"
 )
 def test_screws_that_cannot_go_on_are_no_dialog(start):
-    screws = {"screw1": "60, 60", "screw2": "240, 60", "screw3": "150, 240"}
-    options = {**screws, "probe_height": "2", "speed": "100"}
-    printer = ready(start, changes={"bed_screws": options})
+    printer = ready(start, changes=SCREWS)
     printer.run(f"{OVER}BED_SCREWS_ADJUST\nM84")
     printer.fail("ACCEPT")
     printer.run(f"G28\n{OVER}ATTACH_PROBE")

@@ -26,9 +26,8 @@ class Owner(User):
 
     def put_on(self) -> None:
         """By hand."""
-        machine = self.printer.machine
-        now = machine.rig.seconds(machine.simulation.clock.now())
-        machine.world.put_probe_on(now)
+        printer = self.printer
+        printer.machine.world.put_probe_on(printer.now())
 
     def go(self, *places: str) -> None:
         """As the owner likes, without the buttons."""

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from typing import Any, Optional, Union
 
 from simprinter.hosts.hosts import Host
@@ -58,11 +59,9 @@ def section(**options: Optional[str]) -> dict[str, Any]:
 def where(printer: Printer) -> str:
     """Where the probe really is."""
     printer.session.wait(0.3)
-    machine = printer.machine
     # What it has done up to now is settled
-    assert machine.truth is not None
-    now = machine.rig.seconds(machine.simulation.clock.now())
-    return machine.world.probe_state(now)
+    assert printer.machine.truth is not None
+    return printer.machine.world.probe_state(printer.now())
 
 
 # What G-code does not do with the probe on: straight down from Z=20 to a Z
@@ -75,6 +74,25 @@ def down_by_force(z: float) -> str:
         f"G90\nG1 Z20 F900\nSET_KINEMATIC_POSITION Z={40 - z}\nG1 Z20 F300"
         f"\nSET_KINEMATIC_POSITION Z={z}\nM400"
     )
+
+
+def at(printer: Printer) -> tuple[float, float]:
+    """Where the toolhead comes to stand, X and Y (mm)."""
+    printer.session.wait(1.0)
+    x, y, *_ = printer.session.position()
+    return x, y
+
+
+def moves(printer: Printer, script: str) -> list[tuple[float, float, float]]:
+    """Where each move of a script has ended, by the extra [moves]."""
+    before = len(printer.status("moves")["ends"])
+    printer.run(script)
+    return [tuple(end) for end in printer.status("moves")["ends"][before:]]
+
+
+def with_probe(scene: Scene, **changes: Any) -> Scene:
+    """The same with another probe."""
+    return scene.with_world(mag_probe=replace(scene.world.mag_probe, **changes))
 
 
 def trips(printer: Printer, start: int = 0) -> list[str]:
