@@ -13,6 +13,7 @@ from tools.campaign.drawn.machines import BASES, overridden
 from tools.kit.carrying import QUICK, pressed, with_all
 from tools.kit.carrying import SWITCH as WITH_ALL
 from tools.kit.cases import all_slow_but, slow
+from tools.kit.dock_owner import UNKNOWN
 from tools.kit.dockable_probe import FORCE, down_by_force, trips, where
 from tools.kit.docks import DOCK_SCENES
 from tools.kit.klipper_sections import bed_mesh, profile
@@ -29,7 +30,6 @@ SCREWS = {
     }
 }
 MESH = bed_mesh("40, 40", "250, 250")
-PLACES = ("dock_position", "approach_position", "detach_position")
 INTO = "MOVE_TO_DOCK_PROBE"
 TWIST = "AXIS_TWIST_COMPENSATION_CALIBRATE"
 BY_HAND = "BED_MESH_CALIBRATE METHOD=manual"
@@ -134,6 +134,14 @@ def test_nothing_is_hit(start, order):
     printer.session.wait(2.0)
     printer.machine.truth.require_no_crash()
     assert pressed(printer) < 0.1
+
+
+def over_bed(start, changes=None, scene="dock_gantry", **options):
+    """A homed printer with a dock, its toolhead over the middle of the bed."""
+    own = {"dockable_probe": {**QUICK, **options}, **(changes or {})}
+    printer = start(DOCK_SCENES[scene], own).homed()
+    printer.run(OVER)
+    return printer
 
 
 TRIPS = "SET_DOCKABLE_PROBE AUTO_ATTACH_DETACH={}"
@@ -268,18 +276,14 @@ def test_probe_is_not_fetched_while_a_print_is_paused(start, tmp_path, command):
 # Sent line by line, or by a macro, there is no print that the host knows of
 def test_macro_goes_down_before_the_probe_is_docked(start):
     # G-code of the dock's begins from where the toolhead is
-    own = {
-        **QUICK,
-        "allow_delayed_detach": "True",
-        "pre_detach_gcode": "G1 X160",
-    }
     macro = "".join(f"\n  {line}" for line in FIRST_LAYER.splitlines())
-    changes = {
-        "dockable_probe": own,
-        "gcode_macro LINES": {"gcode": f"\n  PROBE{macro}"},
-    }
-    printer = start(DOCK_SCENES["dock_gantry"], changes).homed()
-    printer.run(f"{OVER}\nLINES\nM400")
+    printer = over_bed(
+        start,
+        {"gcode_macro LINES": {"gcode": f"\n  PROBE{macro}"}},
+        allow_delayed_detach="True",
+        pre_detach_gcode="G1 X160",
+    )
+    printer.run("LINES\nM400")
     printer.machine.truth.require_no_crash()
     assert where(printer) == "docked"
     assert printer.session.position()[:3] == pytest.approx([100, 150, 0.3])
@@ -290,16 +294,15 @@ def test_macro_goes_down_before_the_probe_is_docked(start):
 
 # What goes down with it may be in the middle of anything, and goes on so
 def test_own_gcode_of_a_trip_meets_no_mode_and_leaves_none(start):
-    own = {
-        **QUICK,
-        "allow_delayed_detach": "True",
-        "pre_detach_gcode": "\n  M82\n  G1 X160 F1200",
-    }
     lines = ("PROBE", "M220 S50", "G91", "M83", "G1 Z-5 F6000", "G1 X-40")
     macro = "".join(f"\n  {line}" for line in lines)
-    changes = {"dockable_probe": own, "gcode_macro LINES": {"gcode": macro}}
-    printer = start(DOCK_SCENES["dock_gantry"], changes).homed()
-    printer.run(f"{OVER}\nLINES\nM400")
+    printer = over_bed(
+        start,
+        {"gcode_macro LINES": {"gcode": macro}},
+        allow_delayed_detach="True",
+        pre_detach_gcode="\n  M82\n  G1 X160 F1200",
+    )
+    printer.run("LINES\nM400")
     assert where(printer) == "docked"
     assert printer.session.position()[0] == pytest.approx(110)
     status = printer.status("gcode_move")
@@ -320,11 +323,8 @@ DOWN = {
 
 @pytest.mark.parametrize("down", all_slow_but(["G1", "state"], DOWN))
 def test_probe_that_is_kept_is_not_taken_down(start, down):
-    changes = {"dockable_probe": QUICK, "gcode_arcs": {}}
-    printer = start(DOCK_SCENES["dock_gantry"], changes).homed()
-    printer.run(
-        f"{OVER}\nG1 Z5\nSAVE_GCODE_STATE NAME=low\nG1 Z20\nATTACH_PROBE"
-    )
+    printer = over_bed(start, {"gcode_arcs": {}})
+    printer.run("G1 Z5\nSAVE_GCODE_STATE NAME=low\nG1 Z20\nATTACH_PROBE")
     before = printer.session.position()
     text = printer.fail(DOWN[down])
     assert (
@@ -343,10 +343,8 @@ def test_probe_that_is_kept_is_not_taken_down(start, down):
     "forgets", ["ATTACH_PROBE", slow("ATTACH_PROBE\nG28 Z")]
 )
 def test_no_lower_while_somebody_is_asked(start, forgets):
-    scene = DOCK_SCENES["dock_gantry"]
-    printer = start(scene, {"dockable_probe": QUICK}).homed()
-    printer.run("DOCKABLE_PROBE_SETUP")
-    printer.run(f"{OVER}\n{forgets}")
+    printer = over_bed(start)
+    printer.run(f"DOCKABLE_PROBE_SETUP\n{forgets}")
     printer.fail(FIRST_LAYER)
     assert where(printer) == "attached"
     printer.machine.truth.require_no_crash()
@@ -354,9 +352,8 @@ def test_no_lower_while_somebody_is_asked(start, forgets):
 
 # Two pins say that it is in the dock
 def test_probe_that_somebody_has_taken_off(start):
-    changes = {"dockable_probe": QUICK}
-    printer = start(DOCK_SCENES["dock_sensed"], changes).homed()
-    printer.run(f"{OVER}\nATTACH_PROBE")
+    printer = over_bed(start, scene="dock_sensed")
+    printer.run("ATTACH_PROBE")
     assert where(printer) == "attached"
     printer.machine.world.take_probe_off(printer.now())
     before = trips(printer)
@@ -379,9 +376,8 @@ def test_own_gcode_of_a_trip_goes_where_it_likes(start):
         G1 Z20
       {% endif %}
     """
-    changes = {"dockable_probe": {**QUICK, "post_attach_gcode": lines}}
-    printer = start(DOCK_SCENES["dock_gantry"], changes).homed()
-    printer.run(f"{OVER}\nATTACH_PROBE")
+    printer = over_bed(start, post_attach_gcode=lines)
+    printer.run("ATTACH_PROBE")
     assert where(printer) == "attached"
     printer.machine.truth.require_no_crash()
 
@@ -389,9 +385,8 @@ def test_own_gcode_of_a_trip_goes_where_it_likes(start):
 # What goes up, or stays as high, is no way down, whatever lies between G-code and head
 @pytest.mark.parametrize("skew", ["", "SET_SKEW XY=100.4,99.6,70.71"])
 def test_probe_that_is_low_may_go_up(start, skew):
-    changes = {"dockable_probe": QUICK, "skew_correction": {}, **FORCE}
-    printer = start(DOCK_SCENES["dock_gantry"], changes).homed()
-    printer.run(f"{OVER}\nATTACH_PROBE\n{down_by_force(7.6)}\n{skew}")
+    printer = over_bed(start, {"skew_correction": {}, **FORCE})
+    printer.run(f"ATTACH_PROBE\n{down_by_force(7.6)}\n{skew}")
     printer.run("G1 Z7.7\nG1 X151\nG1 X152 Z7.8\nM400")
     assert printer.session.position()[2] == pytest.approx(7.8)
     printer.fail("G1 Z7.7")
@@ -420,9 +415,8 @@ OTHERS = {
 @pytest.mark.parametrize("other", all_slow_but(["exclude_object"], OTHERS))
 def test_way_down_is_looked_at_behind_others(start, other):
     sections, begin, end = OTHERS[other]
-    changes = {"dockable_probe": QUICK, **sections}
-    printer = start(DOCK_SCENES["dock_gantry"], changes).homed()
-    printer.run(f"{OVER}\n{begin}\nATTACH_PROBE")
+    printer = over_bed(start, sections)
+    printer.run(f"{begin}\nATTACH_PROBE")
     for script in ("G1 X160", end, "G1 X170"):
         printer.run(script)
         assert TOLD in printer.fail("G1 Z5")
@@ -464,10 +458,8 @@ def test_way_down_with_a_frame_that_grows(start, tmp_path):
 # What has probed leaves the toolhead as high as that; and a mesh lifts it
 @pytest.mark.parametrize("retract", ["0.5", "1", "2"])
 def test_head_goes_on_from_where_it_has_probed(start, retract):
-    own = {**QUICK, "sample_retract_dist": retract}
-    own_mesh = {"bed_mesh": MESH, "bed_mesh default": profile((0.3,) * 3, MESH)}
-    changes = {"dockable_probe": own, **own_mesh}
-    printer = start(DOCK_SCENES["dock_gantry"], changes).homed()
+    mesh = {"bed_mesh": MESH, "bed_mesh default": profile((0.3,) * 3, MESH)}
+    printer = over_bed(start, mesh, sample_retract_dist=retract)
     printer.run(f"BED_MESH_PROFILE LOAD=default\n{OVER}\nATTACH_PROBE\nPROBE")
     printer.run("G1 X100 Y100\nG1 Z20\nG1 Z7.7\nM400")
     assert printer.session.position()[2] == pytest.approx(8.0, abs=0.01)
@@ -505,10 +497,8 @@ HOMES = {
 @pytest.mark.parametrize("homes", all_slow_but(["homing_override"], HOMES))
 @pytest.mark.parametrize("auto", [1, slow(0)])
 def test_owners_home_in_their_own_way(start, homes, auto):
-    changes = {"dockable_probe": QUICK, **HOMES[homes]}
-    printer = start(DOCK_SCENES["dock_gantry"], changes).homed()
-    printer.run(f"SET_DOCKABLE_PROBE AUTO_ATTACH_DETACH={auto}\n{OVER}")
-    printer.run("ATTACH_PROBE\nG28\nG1 Z20")
+    printer = over_bed(start, HOMES[homes])
+    printer.run(f"{TRIPS.format(auto)}\nATTACH_PROBE\nG28\nG1 Z20")
     assert where(printer) == "attached"
     printer.fail("G1 Z5")
 
@@ -525,20 +515,16 @@ def test_own_gcode_of_a_calibration_goes_where_it_likes(start):
 
 # While somebody brings it to its dock, and where no dock is known
 def test_probe_is_taken_down_by_hand(start):
-    printer = start(
-        DOCK_SCENES["dock_gantry"], {"dockable_probe": QUICK}
-    ).homed()
-    printer.run(f"{OVER}\nATTACH_PROBE\nG1 X250 Y305\nDOCKABLE_PROBE_SETUP")
+    printer = over_bed(start)
+    printer.run("ATTACH_PROBE\nG1 X250 Y305\nDOCKABLE_PROBE_SETUP")
     printer.run("G1 Z5\nG1 Z20\nDOCKABLE_PROBE_SETUP STEP=ABORT\nM400")
     printer.fail("G1 Z5")
     assert where(printer) == "attached"
 
 
 def test_nobody_knows_of_a_dock(start):
-    places = dict.fromkeys(PLACES)
-    changes = {"dockable_probe": {**QUICK, **places}}
-    printer = start(DOCK_SCENES["dock_gantry_switch"], changes).homed()
-    printer.run(f"{OVER}\nG1 X20 Y305")
+    printer = over_bed(start, scene="dock_gantry_switch", **UNKNOWN)
+    printer.run("G1 X20 Y305")
     printer.machine.hold("probe", False)
     printer.run("SET_PROBE_STATUS STATE=ATTACHED")
     status = printer.status("dockable_probe")
@@ -579,11 +565,8 @@ def test_probe_that_is_on_by_hand_is_not_taken_down(start, looks):
 
 # Nobody can dock it without trips, and the dock has its own height
 def test_where_the_probe_may_be_low(start):
-    printer = start(
-        DOCK_SCENES["dock_gantry"], {"dockable_probe": QUICK}
-    ).homed()
-    printer.run("SET_DOCKABLE_PROBE AUTO_ATTACH_DETACH=0")
-    printer.run(f"{OVER}\nATTACH_PROBE")
+    printer = over_bed(start)
+    printer.run(f"{TRIPS.format(0)}\nATTACH_PROBE")
     printer.fail("G1 Z5")
     printer.run("G1 X155\nMOVE_TO_DOCK_PROBE")
     # Out of it and down at once
@@ -626,11 +609,8 @@ def test_print_below_the_dock(start, tmp_path, auto):
 # So it is without a print that the host knows of; the owner's macros may go there
 @pytest.mark.parametrize("auto", [1, slow(0)])
 def test_circle_around_the_dock_is_no_place_to_go_down(start, auto):
-    printer = start(
-        DOCK_SCENES["dock_gantry"], {"dockable_probe": QUICK}
-    ).homed()
-    printer.run(f"{OVER}\nATTACH_PROBE\nG1 X50 Y275")
-    printer.run(f"SET_DOCKABLE_PROBE AUTO_ATTACH_DETACH={auto}")
+    printer = over_bed(start)
+    printer.run(f"ATTACH_PROBE\nG1 X50 Y275\n{TRIPS.format(auto)}")
     if auto:
         assert f"{TOLD} the bed" in printer.fail("G1 Z7")
     else:
@@ -662,11 +642,10 @@ def test_macros_of_a_print_dock_without_trips(start, tmp_path, auto):
     [(1, "X50 Y270"), (0, "X60 Y275"), slow(0, "X50 Y270")],
 )
 def test_probe_that_was_let_down_does_not_leave_as_low(start, auto, place):
-    printer = start(
-        DOCK_SCENES["dock_gantry"], {"dockable_probe": QUICK}
-    ).homed()
-    printer.run(f"{OVER}\nATTACH_PROBE\n{TRIPS.format(auto)}")
-    printer.run(f"G1 {place}\nG1 Z7.5\nG1 Z7.6\nM400")
+    printer = over_bed(start)
+    printer.run(
+        f"ATTACH_PROBE\n{TRIPS.format(auto)}\nG1 {place}\nG1 Z7.5\nG1 Z7.6\nM400"
+    )
     before = printer.session.position()
     for lines in ("G1 X150 Y150", "G1 X150 Y150 Z7.8"):
         assert f"{TOLD} the bed" in printer.fail(lines)
@@ -677,9 +656,8 @@ def test_probe_that_was_let_down_does_not_leave_as_low(start, auto, place):
 
 
 def test_probe_that_was_let_down_is_docked_where_that_is_to_come(start):
-    own = {**QUICK, "allow_delayed_detach": "True"}
-    printer = start(DOCK_SCENES["dock_gantry"], {"dockable_probe": own}).homed()
-    printer.run(f"{OVER}\nPROBE\nG1 X50 Y270\nG1 Z7.5\nG1 X150 Y150\nM400")
+    printer = over_bed(start, allow_delayed_detach="True")
+    printer.run("PROBE\nG1 X50 Y270\nG1 Z7.5\nG1 X150 Y150\nM400")
     assert printer.session.position() == pytest.approx((150, 150, 7.5))
     assert trips(printer) == ["attach", "dock"]
     printer.machine.truth.require_no_crash()
@@ -687,9 +665,8 @@ def test_probe_that_was_let_down_is_docked_where_that_is_to_come(start):
 
 # Two pins say that it is in the dock
 def test_toolhead_that_was_let_down_leaves_as_low_without_the_probe(start):
-    changes = {"dockable_probe": QUICK}
-    printer = start(DOCK_SCENES["dock_sensed"], changes).homed()
-    printer.run(f"{OVER}\nATTACH_PROBE\nG1 X50 Y270\nG1 Z7.5\nM400")
+    printer = over_bed(start, scene="dock_sensed")
+    printer.run("ATTACH_PROBE\nG1 X50 Y270\nG1 Z7.5\nM400")
     printer.machine.world.take_probe_off(printer.now())
     printer.run("G1 X150 Y150\nM400")
     assert printer.session.position() == pytest.approx((150, 150, 7.5))
@@ -784,9 +761,8 @@ def test_levelling_by_another_method_never_lowers_the_probe(start):
     "then", ["PROBE", slow("ATTACH_PROBE"), slow("BED_MESH_CALIBRATE")]
 )
 def test_z_offset_that_is_too_small(start, z_offset, then):
-    own = {**QUICK, "z_offset": z_offset}
-    printer = start(DOCK_SCENES["dock_gantry_switch"], {"dockable_probe": own})
-    printer.homed().run(f"{OVER}\nPROBE\n{then}\nM400")
+    printer = over_bed(start, scene="dock_gantry_switch", z_offset=z_offset)
+    printer.run(f"PROBE\n{then}\nM400")
     assert printer.machine.truth.drag("probe_bed") < 0.5
     assert pressed(printer) < 0.2
     # Z is another one once it was homed again
