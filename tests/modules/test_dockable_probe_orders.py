@@ -168,6 +168,18 @@ def require_printed(printer):
     assert where(printer) == "docked"
 
 
+# A first layer may come at once
+def test_docking_is_not_delayed_in_a_print(start, tmp_path):
+    options = {"allow_delayed_detach": "True"}
+    printer = with_card(start, tmp_path, "PROBE\nPROBE\n", **options).homed()
+    printer.run(OVER)
+    printer.session.wait(5.0)
+    assert trips(printer) == ["attach", "dock"]
+    printer.run(PRINT)
+    require_printed(printer)
+    assert trips(printer) == ["attach", "dock"] * 3
+
+
 # What leaves the probe on the toolhead, the file, and allow_delayed_detach
 LEFT_ON = {
     "forgotten": ("ATTACH_PROBE", FIRST_LAYER, "False"),
