@@ -12,7 +12,7 @@ import pytest
 
 from simprinter.hosts.environment import build_dir
 from simprinter.hosts.hosts import all_hosts, missing_hosts
-from tests.docs.documents import link_problems, nodes, part
+from tests.docs.documents import blocks, link_problems, nodes, part
 from tests.docs.pictures import numbers
 from tests.modules.example_owners import OWNERS
 from tests.modules.test_z_calibration_examples import (
@@ -33,16 +33,6 @@ SETUP = [
     ROOT / "docs" / "quickstart_voron_klicky.md",
     ROOT / "docs" / "setup.md",
 ]
-
-
-def blocks(text: str, language: str = "") -> list[str]:
-    """The code blocks of a text in a language, "" for none."""
-    found = re.findall(r"^( *)```(\w*)\n(.*?)^ *```", text, re.S | re.M)
-    return [
-        re.sub(rf"(?m)^{indent}", "", code)
-        for indent, name, code in found
-        if name == language
-    ]
 
 
 def settings(document: Path) -> str:
@@ -93,8 +83,7 @@ def test_section_of_the_quick_start_is_enough_to_begin(start, tmp_path):
 def typed(title: str) -> list[str]:
     """What docs/setup.md has typed below a heading, a list each."""
     text = SETUP[1].read_text(encoding="utf-8")
-    found = re.findall(r"^   ```\n(.*?)^   ```", part(text, title), re.S | re.M)
-    return [re.sub(r"(?m)^   ", "", lines).strip() for lines in found]
+    return [code.strip() for code in blocks(part(text, title), "")]
 
 
 @pytest.mark.slow
@@ -176,7 +165,7 @@ def commands() -> list[str]:
     shown = "".join(
         code
         for body in (first, part(text, titles[0]), TRYING)
-        for code in blocks(body)
+        for code in blocks(body, "")
     )
     lines = [line.partition("#")[0].strip() for line in shown.splitlines()]
     inline = re.findall(r"`((?:make |build/venv)[^`]*)`", TRYING)
@@ -269,7 +258,7 @@ def test_the_way_to_the_demo(home):
         " -c user.email=e@example.com commit -q -m all"
     )
     subprocess.run(begin, shell=True, cwd=origin, check=True)
-    lines = blocks(TRYING)[0]
+    lines = blocks(TRYING, "")[0]
     lines = lines.replace("ADDRESS", str(origin)).replace("make test", "true")
     env = {**os.environ, "HOME": str(home), "KLIPPER_PATH": ""}
     env["BUILD_DIR"] = str(build_dir())
