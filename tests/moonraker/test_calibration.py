@@ -28,17 +28,6 @@ def last_time(lab):
     return store[-1]["time"] if store else 0.0
 
 
-def test_calibration_leaves_the_right_gap(lab):
-    offset = calibrated(lab)["last_z_offset"]
-    move = lab.moonraker.status("gcode_move")
-    assert move["homing_origin"][2] == pytest.approx(offset)
-    with lab.standing() as printer:
-        assert printer.gap() == pytest.approx(
-            printer.scene.formula_gap(), abs=MICROSTEP
-        )
-        assert printer.machine.board.journal.shutdowns == []
-
-
 def test_console_shows_the_calibration(lab):
     before = last_time(lab)
     offset = calibrated(lab)["last_z_offset"]
@@ -52,6 +41,12 @@ def test_console_shows_the_calibration(lab):
     assert result.startswith("// Z-CALIBRATION: probe=")
     assert result.endswith(f"new offset={offset:.6f}")
     assert worth.startswith(f"// Z-CALIBRATION: offset {offset:.3f} +-")
+    move = lab.moonraker.status("gcode_move")
+    assert move["homing_origin"][2] == pytest.approx(offset)
+    with lab.standing() as printer:
+        gap = printer.scene.formula_gap()
+        assert printer.gap() == pytest.approx(gap, abs=MICROSTEP)
+        assert printer.machine.board.journal.shutdowns == []
 
 
 def test_status_changes_while_a_calibration_runs(lab):

@@ -58,17 +58,6 @@ def test_bytecode_in_the_checkout_is_nothing_new(lab):
     assert refreshed(lab)["pristine"]
 
 
-def test_change_in_the_checkout_is_noticed(lab):
-    script = lab.checkout / "install.sh"
-    script.chmod(0o644)
-    try:
-        status = refreshed(lab)
-        assert status["is_dirty"] and not status["is_valid"]
-    finally:
-        script.chmod(0o755)
-    assert refreshed(lab)["is_valid"]
-
-
 @pytest.mark.slow
 def test_copy_of_one_module_and_the_folder_works(copied_lab):
     lab = copied_lab
