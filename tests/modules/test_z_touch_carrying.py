@@ -81,9 +81,9 @@ def test_switch_of_the_dock_that_breaks_between_two_touches(start):
     printer.machine.lay_membrane()
     command = f"{OVER}EXTRA_PROBE {MEMBRANE} SAMPLES=3\nM400"
     printer.run(command)
-    began = now_of(printer)
+    began = printer.now()
     printer.run(command)
-    at = began + 1.7 * (now_of(printer) - began)
+    at = began + 1.7 * (printer.now() - began)
     printer.machine.break_down(Fault("stuck_open", signal="probe", t=at))
     text = printer.fail(command)
     assert "the probe is ATTACHED (pin reads open)" in text
