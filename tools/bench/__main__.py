@@ -29,6 +29,7 @@ from typing import Any, Optional
 
 from simprinter.hosts.environment import REPO_ROOT, build_dir
 from simprinter.hosts.hosts import Host, find_hosts, main_host
+from simprinter.running import show
 from tools.bench import chart, tables
 from tools.bench.commands import COMMANDS
 from tools.bench.cost import loadings
@@ -38,12 +39,6 @@ from tools.kit.printer import module_files
 
 WORKERS = 2
 SEEDS = 50
-
-
-def say(line: str) -> None:
-    """A line for people, at once."""
-    sys.stdout.write(f"{line}\n")
-    sys.stdout.flush()
 
 
 def parse(arguments: Optional[Sequence[str]]) -> argparse.Namespace:
@@ -70,7 +65,7 @@ def timings(hosts: Sequence[Host]) -> Iterator[dict[str, Any]]:
                 f"{run.name} {run.seconds:.2f}/{run.bound:.2f} s"
                 for run in runs
             )
-            say(f"{command.name}, {host.name}: {shown}")
+            show(f"{command.name}, {host.name}: {shown}")
             yield {
                 "host": host.name,
                 "command": command.name,
@@ -84,7 +79,7 @@ def run_all(trials: Sequence[Trial]) -> Iterator[Errors]:
         for done, errors in enumerate(pool.map(run_trial, trials), 1):
             yield errors
             if done % 50 == 0 or done == len(trials):
-                say(f"errors: {done} of {len(trials)} printers")
+                show(f"errors: {done} of {len(trials)} printers")
 
 
 def about(hosts: Sequence[Host]) -> dict[str, Any]:
@@ -120,7 +115,7 @@ def main(arguments: Optional[Sequence[str]] = None) -> int:
     options = parse(arguments)
     hosts = [host for host in find_hosts() if options.host in host.name]
     if not hosts:
-        say(f"no host has {options.host!r} in its name")
+        show(f"no host has {options.host!r} in its name")
         return 1
     # What needs the machine for itself comes first
     figures: dict[str, Any] = {"about": about(hosts)}
@@ -136,8 +131,8 @@ def main(arguments: Optional[Sequence[str]] = None) -> int:
         file.write_text(text + "\n", encoding="utf-8")
     for file in filter(None, (folder / "performance.svg", options.chart)):
         chart.draw(figures, file)
-    say(tables.render(str(folder / "performance.json")))
-    say(f"also in {folder}: performance.json, performance.svg")
+    show(tables.render(str(folder / "performance.json")))
+    show(f"also in {folder}: performance.json, performance.svg")
     return 0
 
 

@@ -34,13 +34,14 @@ from tempfile import TemporaryDirectory
 from typing import NamedTuple, Optional
 
 from simprinter import Scene
-from simprinter.hosts.hosts import Host, find_hosts
+from simprinter.hosts.hosts import Host
 from simprinter.hosts.session import GcodeError
+from simprinter.running import show
 from simprinter.world import NoiseSpec, TextureSpec
 from tools.bench.commands import STANDARD, calibrate_plan
 from tools.bench.errors import UM, Condition, make_scene
 from tools.bench.lower_bounds import lower_bound
-from tools.kit.printer import Printer
+from tools.kit.printer import Printer, choose_host
 from tools.kit.product import statistics as module_statistics
 from tools.kit.runs import make_run
 from tools.kit.scenes import SCENES
@@ -260,23 +261,17 @@ def rows(case: Case, found: Figures) -> Iterator[str]:
             yield f"    NOT KEPT: {name} {value:.2f}, at most {bound:g}"
 
 
-def tell(line: str) -> None:
-    """A line of the table, at once."""
-    sys.stdout.write(line + "\n")
-    sys.stdout.flush()
-
-
 def main(words: Sequence[str]) -> int:
     """Print the table; return the exit code."""
     parser = argparse.ArgumentParser(prog="python -m tools.bench.automatic")
     parser.add_argument("--seeds", type=int, default=50)
-    parser.add_argument("--host", default="", help="part of its name")
+    parser.add_argument("--host", metavar="NAME", help="klippy to run")
     parser.add_argument("--case", default="", help="part of its name")
     parser.add_argument("--json", type=Path, help="write the figures there")
     given = parser.parse_args(words)
-    (host, *_) = [h for h in reversed(find_hosts()) if given.host in h.name]
+    host = choose_host(given.host)
     cases = [case for case in CASES if given.case in case.name]
-    tell(f"{host.name}, {given.seeds} printers, um and seconds")
+    show(f"{host.name}, {given.seeds} printers, um and seconds")
     is_kept, done = True, []
     with ProcessPoolExecutor(2) as pool:
         for case in cases:
@@ -284,7 +279,7 @@ def main(words: Sequence[str]) -> int:
             trials = list(pool.map(work, range(given.seeds)))
             done.append(figures(case, trials))
             for row in rows(case, done[-1]):
-                tell(row)
+                show(row)
                 is_kept &= "NOT KEPT" not in row
     if given.json:
         cases = [one._asdict() for one in done]

@@ -24,6 +24,7 @@ from functools import partial
 from pathlib import Path
 from typing import NamedTuple, Optional, Union
 
+from simprinter.running import show
 from tools.kit.product import (
     AUTO,
     SamplesDiffer,
@@ -201,11 +202,6 @@ def percent(part: Optional[float]) -> str:
     return "-" if part is None else f"{100.0 * part:.1f}"
 
 
-def tell(text: str) -> None:
-    sys.stdout.write(text + "\n")
-    sys.stdout.flush()
-
-
 def tables(
     pool: ProcessPoolExecutor, given: argparse.Namespace
 ) -> Iterator[tuple]:
@@ -215,7 +211,7 @@ def tables(
         if given.first
         else "with a history of ten runs"
     )
-    tell(" " * 22 + "".join(f"{setting!s:>7}" for setting in SETTINGS))
+    show(" " * 22 + "".join(f"{setting!s:>7}" for setting in SETTINGS))
     for kind, shape, outliers in KINDS:
         for sigma in SIGMAS:
             um = f"{1000 * sigma:.0f}"
@@ -224,7 +220,7 @@ def tables(
                 coverage, noise, count=given.runs, first=given.first
             )
             parts = [percent(part) for part in pool.map(inside, SETTINGS)]
-            tell(f"{noise.name:22}" + "".join(f"{part:>7}" for part in parts))
+            show(f"{noise.name:22}" + "".join(f"{part:>7}" for part in parts))
             for setting, part in zip(SETTINGS, parts):
                 yield runs, kind, um, setting, part
 
@@ -244,7 +240,7 @@ def main(words: Sequence[str]) -> int:
     for before, after in () if given.first else GROWTH:
         parts = grown(before, after, Setting(0.020, 3), given.runs)
         name = f"{1000 * before:.0f} um, then {1000 * after:.0f}"
-        tell(f"{name:22}" + "".join(f"{percent(p):>7}" for p in parts))
+        show(f"{name:22}" + "".join(f"{percent(p):>7}" for p in parts))
     return 0
 
 

@@ -16,10 +16,10 @@ import statistics
 import sys
 from collections.abc import Iterable, Sequence
 
-from simprinter.hosts.hosts import Host, find_hosts
+from simprinter.hosts.hosts import Host
 from simprinter.real import as_real
 from tools.bench.errors import UM
-from tools.kit.printer import Printer
+from tools.kit.printer import Printer, choose_host
 from tools.kit.scenes import SCENES
 
 WARM = 1200.0
@@ -76,9 +76,9 @@ def main(words: Sequence[str]) -> int:
     """Print the table."""
     parser = argparse.ArgumentParser(prog="python -m tools.bench.first")
     parser.add_argument("--printers", type=int, default=20)
-    parser.add_argument("--host", default="", help="part of its name")
+    parser.add_argument("--host", metavar="NAME", help="klippy to run")
     given = parser.parse_args(words)
-    (host, *_) = [h for h in reversed(find_hosts()) if given.host in h.name]
+    host = choose_host(given.host)
     rows = [figures(host, seed) for seed in range(1, given.printers + 1)]
     for name in rows[0]:
         values = sorted(row[name] for row in rows)

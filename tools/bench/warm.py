@@ -25,11 +25,12 @@ from dataclasses import replace
 from typing import NamedTuple, Optional
 
 from simprinter import Scene
-from simprinter.hosts.hosts import Host, find_hosts
+from simprinter.hosts.hosts import Host
 from simprinter.real import SWITCH, warming_up
+from simprinter.running import show
 from simprinter.world import DriftSpec, NoiseSpec
 from tools.bench.errors import UM
-from tools.kit.printer import Printer
+from tools.kit.printer import Printer, choose_host
 from tools.kit.scenes import SCENES
 
 RUNS = 20
@@ -153,28 +154,22 @@ def _options() -> dict:
     return {"z_calibration": {"samples": "auto"}, "idle_timeout": idle}
 
 
-def tell(line: str) -> None:
-    """A line of the table, at once."""
-    sys.stdout.write(line + "\n")
-    sys.stdout.flush()
-
-
 def main(words: Sequence[str]) -> int:
     """Print both tables."""
     parser = argparse.ArgumentParser(prog="python -m tools.bench.warm")
-    parser.add_argument("--host", default="", help="part of its name")
+    parser.add_argument("--host", metavar="NAME", help="klippy to run")
     given = parser.parse_args(words)
-    (host, *_) = [h for h in reversed(find_hosts()) if given.host in h.name]
-    tell(f"{host.name}, um")
+    host = choose_host(given.host)
+    show(f"{host.name}, um")
     for name, before in (("CALIBRATE_Z", ""), ("G28 Z before it", "G28 Z")):
         found = row(host, before)
         sigma = statistics.pstdev(found.offsets)
-        tell(
+        show(
             f"{RUNS} in a row, {name}: range {found.range:.1f}, sigma {sigma:.1f},"
             f" gap off by {max(found.errors, key=abs):+.1f} at most"
         )
         for line in found.told:
-            tell(f"    {line}")
+            show(f"    {line}")
     once = ("CALIBRATE_Z", "G28 Z\nCALIBRATE_Z")
     for minutes in WAITS:
         for name, script, early in (
@@ -184,14 +179,14 @@ def main(words: Sequence[str]) -> int:
             ("G28 Z, CALIBRATE_Z before the print", once[1], ""),
         ):
             found = printed(host, minutes, script, early)
-            tell(
+            show(
                 f"{minutes:3d} min: {name:36} first layer {found.first_layer:+6.1f}"
                 f"  later {found.later:+6.1f}"
             )
     for name, drift in (("plot", warming_up()), ("slow", SLOW)):
         for script in ("G4 P600000", *SCRIPTS):
             found = waited(host, drift, script)
-            tell(
+            show(
                 f"{name}: {script:34} {found.minutes:4.1f} min  first layer"
                 f" {found.then.first_layer:+6.1f}  later {found.then.later:+6.1f}"
             )

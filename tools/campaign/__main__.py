@@ -38,6 +38,7 @@ from pathlib import Path
 from typing import Any, Optional
 
 from simprinter.hosts.hosts import Host, find_hosts
+from simprinter.running import show
 from tools.campaign import faults, running
 from tools.campaign.jobs import ALL_JOBS, DOCK_JOBS, JOBS, MORE_JOBS
 from tools.campaign.running import Done, Plan, Report, Share
@@ -46,16 +47,11 @@ from tools.campaign.walker import REFUSED, RIGHT, SHUT_DOWN
 _ENDS = (RIGHT, REFUSED, SHUT_DOWN)
 
 
-def say(text: str) -> None:
-    """A line for people, at once."""
-    print(text, flush=True)
-
-
 def tell(done: Done, folder: Path) -> None:
     """What was wrong, if anything, and what shows it again."""
     if done.outcome.harm:
         file = running.write(done, folder)
-        say(
+        show(
             f"{done.name}: {done.outcome.harm}\n    --replay {file} --host {done.host}"
         )
 
@@ -105,8 +101,8 @@ def run_faults(
     """All commands; prints as it goes. Whether all was survived."""
     began = time.monotonic()
     heads = "".join(f"{end:>11}" for end in _ENDS)
-    say("Faults: ended as; worst penetration beyond a good run's / margin, mm")
-    say(f"{'':30}{'runs':>6}{'survived':>10}{heads}")
+    show("Faults: ended as; worst penetration beyond a good run's / margin, mm")
+    show(f"{'':30}{'runs':>6}{'survived':>10}{heads}")
     named = MORE_JOBS if options.more else JOBS
     named = DOCK_JOBS if options.docks else named
     jobs = [job for job in named if options.job in job]
@@ -135,13 +131,13 @@ def run_faults(
         if not done:
             continue
         table.append(running.figures(job, done))
-        say(row(table[-1]))
+        show(row(table[-1]))
         for text in table[-1]["agreed"]:
-            say(f"  both touches wrong alike: {text}")
+            show(f"  both touches wrong alike: {text}")
         for one in table[-1]["blind"]:
-            say(f"  both sensors dead: {one['case']} on {one['host']}:")
+            show(f"  both sensors dead: {one['case']} on {one['host']}:")
             depths = depths_text(job, one["depths"])
-            say(f"    {one['reason'] or one['ended']}; {depths}")
+            show(f"    {one['reason'] or one['ended']}; {depths}")
         for one in done:
             tell(one, options.folder)
         # A run that is broken off leaves what it has found
@@ -150,7 +146,7 @@ def run_faults(
     runs = sum(found["runs"] for found in table)
     survived = sum(found["survived"] for found in table)
     minutes = (time.monotonic() - began) / 60.0
-    say(
+    show(
         f"\n{survived} of {runs} faults survived; seed {options.seed},"
         f" {minutes:.1f} min"
     )
@@ -194,8 +190,8 @@ def run_walks(
         report.add(done)
         tell(done, options.folder)
     minutes = (time.monotonic() - began) / 60.0
-    say(report.text())
-    say(f"seeds {seeds.start} to {seeds.stop - 1}, {minutes:.1f} min")
+    show(report.text())
+    show(f"seeds {seeds.start} to {seeds.stop - 1}, {minutes:.1f} min")
     if options.json:
         ends = [seeds.start, seeds.stop - 1]
         figures = {"hosts": [host.name for host in hosts], "seeds": ends}
@@ -262,11 +258,11 @@ def main(arguments: Optional[Sequence[str]] = None) -> int:
     hosts = [host for host in find_hosts() if options.host in host.name]
     if not hosts:
         sys.exit(f"no host is named like {options.host!r}")
-    say(f"hosts: {', '.join(host.name for host in hosts)}")
+    show(f"hosts: {', '.join(host.name for host in hosts)}")
     if options.replay:
         modules = running.modules_of(options.product)
-        outcome = running.replay(options.replay, hosts[0], modules, say)
-        say(outcome.harm or "nothing was harmed")
+        outcome = running.replay(options.replay, hosts[0], modules, show)
+        show(outcome.harm or "nothing was harmed")
         return 1 if outcome.harm else 0
     # What a worker has imported must not be forked
     with ProcessPoolExecutor(options.workers, get_context("spawn")) as pool:

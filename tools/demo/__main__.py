@@ -17,6 +17,7 @@ from typing import NamedTuple, Optional
 from simprinter import Scene
 from simprinter.hosts.hosts import Host
 from simprinter.hosts.session import GcodeError
+from simprinter.running import show
 from simprinter.shown import Shown
 from simprinter.simulation import Stopwatch
 from simprinter.world import CrashError
@@ -45,24 +46,19 @@ TOUCHES = {
 }
 
 
-def print_now(line: str) -> None:
-    """At the moment it is said."""
-    print(line, flush=True)
-
-
 class ShownPrinter(Printer):
     """A printer whose console is shown."""
 
     def show(self) -> None:
         """Show the console from now on."""
-        console = Shown(self.session.console, print_now)
+        console = Shown(self.session.console, show)
         self.machine.simulation.peers.append(console)
 
     def run(self, script: str) -> list[str]:
         """Run G-code line by line, as typed."""
         answers = []
         for line in script.splitlines():
-            print(f"> {line}", flush=True)
+            show(f"> {line}")
             answers += super().run(line)
         return answers
 
@@ -84,16 +80,16 @@ def rehearse(printer: ShownPrinter) -> Outcome:
     """Home, measure the gap, calibrate, measure again."""
     printer.show()
     printer.run("G28")
-    print("--- how far from the bed is the nozzle at Z=0, really?", flush=True)
+    show("--- how far from the bed is the nozzle at Z=0, really?")
     before = printer.gap()
-    print("--- calibrate", flush=True)
+    show("--- calibrate")
     truth = printer.machine.truth
     count = len(truth.touches)
     watch = Stopwatch(printer.machine.simulation)
     printer.run("CALIBRATE_Z")
     _, calibrating = watch.seconds()
     touches = Counter(touch.site for touch in truth.touches[count:])
-    print("--- and how far is it now?", flush=True)
+    show("--- and how far is it now?")
     after = printer.gap()
     result = printer.status("z_calibration")["last_result"]
     return Outcome(result, before, after, touches, calibrating)
@@ -156,7 +152,7 @@ def demonstrate(
     klippy = f"{firmware_of(host)} {host.version}"
     print(f"Host     {host.name}: {klippy}")
     print(f"Printer  {scene.name}: {scene.kinematics}, simulated\n")
-    print("Console (> is typed, // and !! is what klippy answers)", flush=True)
+    show("Console (> is typed, // and !! is what klippy answers)")
     with ShownPrinter(host, scene, changes) as printer:
         watch = Stopwatch(printer.machine.simulation)
         printer.session.require_ready()
@@ -194,7 +190,7 @@ def main(words: Optional[Sequence[str]] = None) -> int:
     """Run the demo; the exit code."""
     arguments = _arguments(words)
     try:
-        print("Preparing (the first time takes a minute) ...", flush=True)
+        show("Preparing (the first time takes a minute) ...")
         host = choose_host(arguments.host)
         return demonstrate(host, SHOWN[arguments.scene])
     except GcodeError as error:

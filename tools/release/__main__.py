@@ -1,21 +1,20 @@
 """Look whether this commit may become a release, and print the commands that tag it.
 
-    python3 -m tools.release [--suite]
+    python3 -m tools.release
 
 It needs a clean tree on main, one version everywhere, an entry for it in CHANGELOG.md
 with the date of today, no tag of that name, and the whole suite: .ci/run notes the
-commit that has passed it; with --suite it is run now.  Nothing is tagged or pushed.
+commit that has passed it.  Nothing is tagged or pushed.
 """
 
 from __future__ import annotations
 
-import argparse
 import datetime
 import os
 import re
 import subprocess
 import sys
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator
 from pathlib import Path
 
 ROOT = Path(__file__).resolve().parents[2]
@@ -74,17 +73,12 @@ def reasons(root: Path, build: Path, today: datetime.date) -> Iterator[str]:
     passed = build / PASSED
     commit = git(root, "rev-parse", "HEAD")
     if not passed.exists() or passed.read_text().strip() != commit:
-        yield "The suite has not passed for this commit: .ci/run, or --suite."
+        yield "The suite has not passed for this commit: run .ci/run."
 
 
-def main(words: Sequence[str], root: Path = ROOT) -> int:
+def main(root: Path = ROOT) -> int:
     """Print the reasons, or the commands; 1 if there are reasons."""
-    parser = argparse.ArgumentParser(prog="python3 -m tools.release")
-    parser.add_argument("--suite", action="store_true", help="run .ci/run now")
-    options = parser.parse_args(words)
     build = root / os.environ.get("BUILD_DIR", "build")
-    if options.suite:
-        subprocess.run([str(root / ".ci" / "run")], cwd=root, check=True)
     found = list(reasons(root, build, datetime.date.today()))
     if found:
         sys.stderr.write("Not yet:\n" + "".join(f"  {r}\n" for r in found))
@@ -98,4 +92,4 @@ def main(words: Sequence[str], root: Path = ROOT) -> int:
 
 
 if __name__ == "__main__":
-    sys.exit(main(sys.argv[1:]))
+    sys.exit(main())

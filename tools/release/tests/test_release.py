@@ -48,7 +48,7 @@ def commit(root: Path) -> None:
 
 
 def test_commands_are_printed(root, capsys):
-    assert main([], root) == 0
+    assert main(root) == 0
     assert capsys.readouterr().out == (
         "git tag -a v1.2.3 -m 'Version 1.2.3'\ngit push origin main v1.2.3\n"
     )
@@ -94,22 +94,11 @@ def broken(root: Path, what: str) -> None:
 )
 def test_what_is_missing_is_told(root, capsys, what, words):
     broken(root, what)
-    assert main([], root) == 1
+    assert main(root) == 1
     said = capsys.readouterr()
     assert words in said.err
     assert said.err.count("\n") == 2, "one reason"
     assert said.out == ""
-
-
-def test_suite_may_be_run_now(root, capsys):
-    broken(root, "suite")
-    run = root / ".ci" / "run"
-    run.parent.mkdir()
-    run.write_text(f"#!/bin/sh\ngit rev-parse HEAD >build/{PASSED}\n")
-    run.chmod(0o755)
-    (root / ".git" / "info" / "exclude").write_text(".ci\n")
-    assert main(["--suite"], root) == 0
-    assert "git tag -a v1.2.3" in capsys.readouterr().out
 
 
 def test_the_suite_leaves_what_is_looked_for():
