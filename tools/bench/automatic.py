@@ -197,7 +197,7 @@ def bound_of(
     stops = [stop._replace(samples=counts[stop.name]) for stop in plan.stops]
     plan = plan._replace(stops=tuple(stops))
     x, y, z = (round(value, 3) for value in start)
-    moves = math.fsum(part.seconds for part in lower_bound(plan, (x, y, z)))
+    moves = lower_bound(plan, (x, y, z))
     # The way down of each site is armed, too, to the pin in one move with a touch
     waits = AFTER_WAY + WITHIN_WAY * (len(stops) - 1)
     waits += AFTER_TOUCH * sum(counts.values())

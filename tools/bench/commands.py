@@ -11,7 +11,6 @@ from simprinter import Scene, heated
 from simprinter.world.bed import Bed
 from tools.bench.lower_bounds import (
     Limits,
-    Part,
     Plan,
     Route,
     Stop,
@@ -246,8 +245,11 @@ DOCKED: Sections = {
 
 def _trip(
     config: configparser.ConfigParser, ends: tuple[tuple[float, float], ...]
-) -> list[Part]:
-    """To the dock and away from it, from `ends`[0] to `ends`[1] (mm)."""
+) -> list[float]:
+    """Seconds to the dock and away from it, and there again to dock.
+
+    ends: where it begins, and where the probe is used (mm).
+    """
     own, limits = config["dockable_probe"], _limits(config)
     dock, approach, detach = (
         _pair(own[f"{name}_position"])
@@ -265,14 +267,14 @@ def _trip(
             move_seconds(math.dist(a, b), speed, limits.accel)
             for a, b, speed in way
         )
-        found.append(Part("dock", "travel", seconds))
+        found.append(seconds)
     return found
 
 
 def trip_plan(scene: Scene, changes: Sections) -> Route:
     """What ATTACH_PROBE and DETACH_PROBE have to do, and the way back."""
     config = _read(scene, changes)
-    return Route(_trip(config, (BESIDE_DOCK, BESIDE_DOCK)))
+    return Route(sum(_trip(config, (BESIDE_DOCK, BESIDE_DOCK))))
 
 
 def mesh_plan(scene: Scene, changes: Sections) -> Route:
@@ -306,25 +308,14 @@ def mesh_plan(scene: Scene, changes: Sections) -> Route:
     def up(distance: float, speed: float) -> float:
         return z_seconds(limits, distance, speed, limits.z_accel)
 
-    homing = down(retract, back("second_homing_speed"))
     touches = columns * rows
     return Route(
-        [
-            *trips,
-            Part("home", "samples", homing),
-            Part("home", "retracts", up(retract, back("homing_speed"))),
-            Part(
-                "mesh",
-                "travel",
-                math.fsum(
-                    move_seconds(mm, speed, limits.accel) for mm in moves
-                ),
-            ),
-            Part(
-                "mesh", "samples", touches * down(drop, own.getfloat("speed"))
-            ),
-            Part("mesh", "retracts", (touches - 1) * up(drop, lift)),
-        ]
+        sum(trips)
+        + down(retract, back("second_homing_speed"))
+        + up(retract, back("homing_speed"))
+        + sum(move_seconds(mm, speed, limits.accel) for mm in moves)
+        + touches * down(drop, own.getfloat("speed"))
+        + (touches - 1) * up(drop, lift)
     )
 
 

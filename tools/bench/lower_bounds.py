@@ -60,21 +60,10 @@ class Plan(NamedTuple):
     end: Optional[tuple[float, float]] = None
 
 
-class Part(NamedTuple):
-    """Seconds of the lower bound: at a place, for one purpose."""
-
-    site: str
-    what: str
-    seconds: float
-
-
 class Route(NamedTuple):
-    """What a command has to do, wherever it begins: parts of known seconds."""
+    """What a command has to do, wherever it begins: known seconds."""
 
-    parts: Sequence[Part]
-
-
-PURPOSES = ("lift", "travel", "prepare", "approach", "samples", "retracts")
+    seconds: float
 
 
 def move_seconds(
@@ -93,32 +82,27 @@ def move_seconds(
 
 def lower_bound(
     plan: Union[Plan, Route], start: tuple[float, float, float]
-) -> tuple[Part, ...]:
-    """The moves that no measurement from `start` (mm) can do without."""
+) -> float:
+    """Seconds of the moves that no measurement from `start` (mm) can do without."""
     if isinstance(plan, Route):
-        return tuple(plan.parts)
-    parts: list[Part] = []
-    prepare = plan.prepare
+        return plan.seconds
+    seconds = plan.prepare
     for stop in plan.stops:
-        seconds = _stop_seconds(plan, stop, start, prepare)
-        parts += [Part(stop.name, *part) for part in zip(PURPOSES, seconds)]
-        start, prepare = (stop.x, stop.y, stop.trigger_z), 0.0
+        seconds += _stop_seconds(plan, stop, start)
+        start = (stop.x, stop.y, stop.trigger_z)
     up = max(0.0, plan.end_z - start[2])
     limits, last = plan.limits, plan.stops[-1]
-    seconds = z_seconds(limits, up, last.lift_speed, limits.z_accel)
-    parts.append(Part("end", "lift", seconds))
+    seconds += z_seconds(limits, up, last.lift_speed, limits.z_accel)
     if plan.end is not None:
         away = math.dist(plan.end, (last.x, last.y))
         speed = min(plan.travel_speed, limits.velocity)
-        back = move_seconds(away, speed, limits.accel)
-        parts.append(Part("end", "travel", back))
-    return tuple(parts)
+        seconds += move_seconds(away, speed, limits.accel)
+    return seconds
 
 
 def _stop_seconds(
-    plan: Plan, stop: Stop, start: tuple[float, float, float], prepare: float
-) -> tuple[float, ...]:
-    """Seconds for each of PURPOSES."""
+    plan: Plan, stop: Stop, start: tuple[float, float, float]
+) -> float:
     limits, (x, y, z) = plan.limits, start
     away = math.hypot(stop.x - x, stop.y - y)
     up = max(0.0, stop.travel_z - z) if away else 0.0
@@ -128,12 +112,11 @@ def _stop_seconds(
     touch = z_seconds(limits, stop.retract, stop.speed, stop.accel, False)
     retract = z_seconds(limits, stop.retract, stop.lift_speed, limits.z_accel)
     return (
-        z_seconds(limits, up, stop.lift_speed, limits.z_accel),
-        move_seconds(away, travel_speed, limits.accel),
-        prepare,
-        z_seconds(limits, down, stop.approach_speed, limits.z_accel),
-        stop.samples * touch,
-        (stop.samples - 1) * retract,
+        z_seconds(limits, up, stop.lift_speed, limits.z_accel)
+        + move_seconds(away, travel_speed, limits.accel)
+        + z_seconds(limits, down, stop.approach_speed, limits.z_accel)
+        + stop.samples * touch
+        + (stop.samples - 1) * retract
     )
 
 

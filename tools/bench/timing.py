@@ -6,7 +6,6 @@ this machine.
 
 from __future__ import annotations
 
-import math
 from collections import Counter
 from collections.abc import Mapping
 from pathlib import Path
@@ -15,7 +14,7 @@ from typing import Any, NamedTuple
 from simprinter.hosts.hosts import Host
 from tools.bench.commands import Command
 from tools.bench.cost import cpu_seconds
-from tools.bench.lower_bounds import Part, Plan, lower_bound
+from tools.bench.lower_bounds import Plan, lower_bound
 from tools.kit.printer import FOLDER, Printer, module_files
 
 # Name of a run, and what is done before it
@@ -25,20 +24,16 @@ RUNS = (("after G28", "G28"), ("again", ""), ("after G28 again", "G28"))
 class Run(NamedTuple):
     """One command: where it began (mm), what it took and what it did.
 
-    touches: all of them, by site. cpu: seconds of klippy's process.
+    bound: the lower bound, s. touches: all of them, by site. cpu: seconds of
+    klippy's process.
     """
 
     name: str
     start: tuple[float, float, float]
     seconds: float
-    parts: tuple[Part, ...]
+    bound: float
     touches: Mapping[str, int]
     cpu: float
-
-    @property
-    def bound(self) -> float:
-        """The lower bound, s."""
-        return math.fsum(part.seconds for part in self.parts)
 
     @property
     def ratio(self) -> float:
