@@ -14,7 +14,6 @@ from tools.kit.auto_z_offset import (
     DEPTH,
     MICROSTEP,
     POINT,
-    SENSOR,
     lowest,
     section,
     sites,
@@ -31,15 +30,9 @@ from tools.kit.scenes import SCENES
 from tools.kit.z_calibration import with_extra
 
 STEPS = 2 * MICROSTEP
-MEASURING = ("PROBE", "HOME_Z", "MEASURE_OFFSET", "CALIBRATE")
 PREPARE = SCENES["qidi"].sections["auto_z_offset"]["prepare_gcode"]
 # Depth of the nozzle (mm) that one touch at 5 mm/s takes, with its overshoot
 ONE_TOUCH = DEPTH + 0.01
-# and how much deeper a dead sensor lets it go: after a touch of the same run,
-# where the bed is known
-# (0.25 mm to stop from 5 mm/s, and a reserve: more than 0.3 and the tolerance)
-AGAIN = 0.25 + 0.1
-KNOWN = 1.0
 
 
 def before_and_after(printer, script="AUTO_Z_CALIBRATE"):
@@ -58,95 +51,59 @@ def assert_lifted(printer):
     assert gap > 3.6
 
 
-def probed_at(printer, seconds, command="AUTO_Z_PROBE"):
-    """The printer after a command at this time, homed before."""
-    rig, clock = printer.machine.rig, printer.machine.simulation.clock
-    printer.session.wait(seconds - rig.seconds(clock.now()))
-    printer.run(command)
-    return printer
+# A sensor that does not fall back
 
 
-# A trigger where nothing is, and one that is late
+@pytest.mark.parametrize(
+    "command", ["AUTO_Z_PROBE", "AUTO_Z_HOME_Z", "AUTO_Z_MEASURE_OFFSET"]
+)
+def test_sensor_that_stays_triggered_after_the_touch(start, command):
+    """No other touch looks at it; the probe would be compared with that one."""
 
+    def at_60(*faults):
+        """A printer at the same time each time, and its state before."""
+        printer = start("qidi", faults=faults).homed()
+        before, clock = state(printer), printer.machine.simulation.clock
+        printer.session.wait(60.0 - printer.machine.rig.seconds(clock.now()))
+        return printer, before
 
-def broken(kind, site, touch, **more):
-    """A fault at that touch of AUTO_Z_CALIBRATE."""
-    return Fault(
-        kind, site=site, touch=touch, command="AUTO_Z_CALIBRATE", **more
-    )
-
-
-def test_sensor_that_stays_triggered_after_the_touch(start):
-    # One touch only: nobody would look at it again
-    touch = touches(probed_at(start("qidi").homed(), 60.0))[-1]
-    fault = Fault("stuck_closed", signal="bed_sensor", t=touch.t + 0.1)
-    printer = start("qidi", faults=[fault]).homed()
-    before = state(printer)
-    with pytest.raises(GcodeError) as error:
-        probed_at(printer, 60.0)
-    assert "bed sensor: reads triggered at z=3.6" in str(error.value)
-    assert state(printer) == before
-
-
-def test_sensor_that_stays_triggered_is_seen_before_the_probe_comes(start):
-    # It would be what the probe is compared with
-    command = "AUTO_Z_MEASURE_OFFSET"
-    printer = probed_at(start("qidi").homed(), 60.0, command)
-    (touch,) = [t for t in touches(printer) if t.site == "nozzle_bed"]
-    fault = Fault("stuck_closed", signal="bed_sensor", t=touch.t + 0.1)
-    printer = start("qidi", faults=[fault]).homed()
-    first = len(printer.machine.truth.touches)
-    before = state(printer)
-    with pytest.raises(GcodeError) as error:
-        probed_at(printer, 60.0, command)
-    assert "bed sensor: reads triggered at z=3.6" in str(error.value)
-    # The probe, beside the nozzle, comes down with it, and not again
-    assert sites(printer, first) == ["inductive_bed", "nozzle_bed"]
+    good, _ = at_60()
+    good.run(command)
+    nozzle = sites(good).index("nozzle_bed")
+    then = touches(good)[nozzle].t + 0.1
+    fault = Fault("stuck_closed", signal="bed_sensor", t=then)
+    printer, before = at_60(fault)
+    text = printer.fail(command)
+    assert "bed sensor: reads triggered at z=3.6" in text
+    assert sites(printer) == sites(good)[: nozzle + 1]
     assert state(printer) == before
 
 
 # What is known of the bed
 
 
-def test_touch_in_this_frame_is_the_floor_of_the_next_one(start):
-    printer = start("qidi")
-    printer.machine.tolerate("nozzle_bed", KNOWN + 0.02)
-    printer.homed().run("AUTO_Z_PROBE")
-    about = {"site": "nozzle_bed", "command": "AUTO_Z_PROBE"}
-    printer.machine.break_down(Fault("trigger_never", **about))
-    text = printer.fail("AUTO_Z_PROBE")
-    assert "1.000 mm below the expected trigger at z=-1.3" in text
-    assert lowest(printer) <= ONE_TOUCH + KNOWN + STEPS
-
-
-@pytest.mark.parametrize("script", ["G28 Z", "SET_KINEMATIC_POSITION Z=10"])
-def test_touch_in_another_frame_says_nothing(start, script):
+@pytest.mark.parametrize(
+    ("script", "floor"),
+    [
+        ("M400", "1.000 mm below the expected trigger at z=-1.3"),
+        ("G28 Z", "position_min of section 'stepper_z'; "),
+        ("SET_KINEMATIC_POSITION Z=10", "position_min of section 'stepper_z'"),
+    ],
+)
+def test_touch_says_where_the_next_one_ends_in_its_frame(start, script, floor):
     changes = {"force_move": {"enable_force_move": "true"}}
     printer = start("qidi", changes=changes)
     printer.machine.tolerate("nozzle_bed", 10.0)
     printer.homed().run(f"AUTO_Z_PROBE\n{script}")
     about = {"site": "nozzle_bed", "command": "AUTO_Z_PROBE"}
     printer.machine.break_down(Fault("trigger_never", **about))
-    text = printer.fail("AUTO_Z_PROBE")
-    assert "of this touch: position_min of section 'stepper_z'; " in text
+    assert f"of this touch: {floor}" in printer.fail("AUTO_Z_PROBE")
+    assert (lowest(printer) <= ONE_TOUCH + 1.0) is (script == "M400")
 
 
-def test_failed_command_teaches_nothing(start):
-    # Early by 1 mm, so the second touch of it finds no bed
-    about = {"site": "nozzle_bed", "command": "AUTO_Z_PROBE"}
-    fault = Fault("trigger_early", mm=1.0, **about)
-    changes = section(samples="2")
-    printer = start("qidi", faults=[fault], changes=changes).homed()
-    printer.fail("AUTO_Z_PROBE")
-    assert printer.status("auto_z_offset")["last_z"] is None
-    printer.run("AUTO_Z_PROBE")
-    last = printer.status("auto_z_offset")["last_z"]
-    assert last == pytest.approx(SENSOR, abs=STEPS)
-
-
-@pytest.mark.parametrize("shift", [0.12, -0.12])
-def test_probe_that_sees_the_bed_elsewhere(start, shift):
+def test_probe_that_sees_the_bed_elsewhere(start):
     # Z was set by somebody else
+    shift = 0.12
     changes = {"force_move": {"enable_force_move": "true"}}
     printer = start("qidi", changes=changes).homed()
     z = printer.status("toolhead")["position"][2]
@@ -181,19 +138,6 @@ def test_correction_means_nothing_after_home_z(start, command):
     # What is saved is counted from what was loaded
     loads = "AUTO_Z_PROBE\nG28 Z\nAUTO_Z_LOAD_OFFSET"
     printer.run(f"{loads}\nAUTO_Z_{command}")
-
-
-def test_levelling_does_not_end_what_home_z_has_set(start):
-    changes = {
-        "force_move": {"enable_force_move": "true"},
-        **section(probe_z_correction="-1.12"),
-    }
-    printer = start("qidi", changes=changes).homed()
-    printer.run("AUTO_Z_HOME_Z")
-    printer.run("FORCE_MOVE STEPPER=stepper_z1 DISTANCE=0.1 VELOCITY=5")
-    assert "Z was set by AUTO_Z_HOME_Z" in printer.fail("AUTO_Z_LOAD_OFFSET")
-    # Nor is the bed where the correction says
-    printer.run("AUTO_Z_PROBE\nG28 Z\nAUTO_Z_LOAD_OFFSET")
 
 
 def test_motor_that_was_off_does_not_end_it(start):
@@ -316,29 +260,40 @@ MESH = "BED_MESH_CALIBRATE PROBE_COUNT=3,3"
 
 # The points of levelling lie lower than the middle, where Z was homed
 @pytest.mark.parametrize(
-    ("script", "is_told"),
+    ("script", "is_told", "zero"),
     [
-        ("Z_TILT_ADJUST", True),
-        ("Z_TILT_ADJUST\nG28 Z", False),
+        ("Z_TILT_ADJUST", True, None),
+        ("Z_TILT_ADJUST\nG28 Z", False, None),
         # Probed since, it goes with where Z is now
-        (f"Z_TILT_ADJUST\n{MESH}", False),
-        (f"Z_TILT_ADJUST\n{MESH}\nBED_MESH_PROFILE LOAD=default", False),
+        (f"Z_TILT_ADJUST\n{MESH}", False, None),
+        (
+            f"Z_TILT_ADJUST\n{MESH}\nBED_MESH_PROFILE LOAD=default",
+            False,
+            None,
+        ),
+        # Whatever Z=0 has moved by, such a mesh is 0 at its point
+        (f"Z_TILT_ADJUST\n{MESH}", True, "150, 150"),
+        (f"G28 Z\n{MESH}", False, "150, 150"),
         # One of before does not
-        (f"{MESH}\nZ_TILT_ADJUST", True),
+        (f"{MESH}\nZ_TILT_ADJUST", True, None),
         (
             f"{MESH} PROFILE=old\nZ_TILT_ADJUST\n{MESH} PROFILE=new"
             "\nBED_MESH_PROFILE LOAD=old",
             True,
+            None,
         ),
-        ("", False),
+        ("", False, None),
         # What holds the axis nobody sees, and nobody has homed
-        ("Z_TILT_ADJUST\nM84", False),
+        ("Z_TILT_ADJUST\nM84", False, None),
     ],
 )
-def test_correction_of_a_z_that_levelling_has_moved(start, script, is_told):
+def test_correction_of_a_z_that_levelling_has_moved(
+    start, script, is_told, zero
+):
     scene = on_plate(with_all(DOCK_SCENES["dock_frame"]), (0.0, 0.0), 0.2, 0.0)
-    correction = section(probe_z_correction="0.16")
-    printer = start(scene, {"z_calibration": None, **correction}).homed()
+    changes = {"z_calibration": None, **section(probe_z_correction="0.16")}
+    changes["bed_mesh"] = {"zero_reference_position": zero}
+    printer = start(scene, changes).homed()
     printer.run(script)
     lines = printer.run("AUTO_Z_LOAD_OFFSET")
     assert told(lines, "the G-code Z offset is 0.16")
@@ -413,18 +368,6 @@ def test_steps_that_make_good_for_levelling_are_told(start, is_levelled):
     assert wrong < right - 0.05
 
 
-# Whatever Z=0 has moved by, it is 0 at its point
-def test_mesh_with_a_zero_does_not_go_with_a_z_that_has_moved(start):
-    scene = on_plate(with_all(DOCK_SCENES["dock_frame"]), (0.0, 0.0), 0.2, 0.0)
-    changes = {"z_calibration": None, **section(probe_z_correction="0.16")}
-    changes["bed_mesh"] = {"zero_reference_position": "150, 150"}
-    printer = start(scene, changes).homed()
-    printer.run(f"Z_TILT_ADJUST\n{MESH}")
-    assert told(printer.run("AUTO_Z_LOAD_OFFSET"), "as levelling does")
-    printer.run(f"G28 Z\n{MESH}")
-    assert not told(printer.run("AUTO_Z_LOAD_OFFSET"), "as levelling does")
-
-
 # The nozzle was 0.1 mm inside the bed in a print of walk 8573
 @pytest.mark.parametrize("zero", ["150, 150", None])
 def test_mesh_with_a_zero_where_a_switch_homes_z(start, zero):
@@ -484,13 +427,12 @@ def test_prepare_gcode_that_turns_the_motors_off(start):
     assert printer.session.state()[0] == "ready"
 
 
-@pytest.mark.parametrize("command", all_slow_but(["PROBE"], MEASURING))
-def test_prepare_gcode_that_moves_the_head_away(start, command):
+def test_prepare_gcode_that_moves_the_head_away(start):
     code = f"{PREPARE}\n  G90\n  G1 X30 Y40 Z8 F6000"
     printer = start("qidi", changes=section(prepare_gcode=code)).homed()
     printer.run(f"G90\nG1 X{POINT[0]} Y{POINT[1]} F6000")
     first = len(printer.machine.truth.touches)
-    printer.run(f"AUTO_Z_{command}")
+    printer.run("AUTO_Z_PROBE")
     nozzle = [t for t in touches(printer, first) if t.site == "nozzle_bed"]
     assert nozzle
     for touch in nozzle:
@@ -666,25 +608,8 @@ def test_driver_that_is_better_left_alone(start, tmp_path, own, command, calls):
 # Other probes
 
 
-def dead_probe(n):
-    """A fault at the n-th touch of the probe in the calibration, if any."""
-    return [broken("trigger_never", "inductive_bed", n)] if n else []
-
-
-def check_calibration(printer, n):
-    """It is right, or ends before the nozzle is pressed further."""
-    if n is not None:
-        text = printer.fail("AUTO_Z_CALIBRATE")
-        assert "auto_z_offset: probe: No trigger" in text
-        assert lowest(printer) <= ONE_TOUCH + STEPS
-        return
-    printer.run("AUTO_Z_CALIBRATE")
-    gap = printer.scene.piezo_gap()
-    assert true_gap(printer) == pytest.approx(gap, abs=STEPS)
-
-
-@pytest.mark.parametrize("n", [None, 1, 2])
-def test_smart_effector(start, n):
+def test_smart_effector(start):
+    """It is right, and ends where a dead one would press the nozzle further."""
     # Told where Z is, as Kalico cannot home with it
     probe = dict(SCENES["qidi"].sections["probe"])
     changes = {
@@ -694,12 +619,18 @@ def test_smart_effector(start, n):
         "safe_z_home": None,
         "stepper_z": {"endstop_pin": "^PC8", "position_endstop": "0"},
     }
-    printer = start("qidi", changes=changes, faults=dead_probe(n))
+    printer = start("qidi", changes=changes)
     printer.session.require_ready()
     x, y, z = SCENES["qidi"].start
     z -= 0.3130 + 1.2713
     printer.run(f"SET_KINEMATIC_POSITION X={x} Y={y} Z={z}\nG90\nG1 Z10 F900")
-    check_calibration(printer, n)
+    printer.run("AUTO_Z_CALIBRATE")
+    gap = printer.scene.piezo_gap()
+    assert true_gap(printer) == pytest.approx(gap, abs=STEPS)
+    printer.machine.break_down(Fault("trigger_never", site="inductive_bed"))
+    text = printer.fail("AUTO_Z_CALIBRATE")
+    assert "auto_z_offset: probe: No trigger" in text
+    assert lowest(printer) <= ONE_TOUCH + STEPS
 
 
 @pytest.mark.slow

@@ -21,35 +21,19 @@ from tools.kit.scenes import SCENES
 
 STEPS = 2 * MICROSTEP
 MESH = bed_mesh("50, 50", "200, 200")
-PROBED = "BED_MESH_CALIBRATE"
 # So much higher is the bed at the point than at 60, 60
 HIGHER = 0.1
 
 
 @pytest.mark.parametrize(
-    ("sections", "script", "wrong", "words"),
+    ("sections", "wrong", "words"),
     [
-        # What this probe has seen everywhere belongs there
-        ({"bed_mesh": MESH}, PROBED, 0.0, None),
-        (
-            {"bed_mesh": {**MESH, "zero_reference_position": "60, 60"}},
-            PROBED,
-            HIGHER,
-            "bed_mesh: Z is shifted by 0.",
-        ),
-        slow(
-            {"bed_tilt": {"z_adjust": "0.08"}},
-            "",
-            0.08,
-            "bed_tilt: Z is shifted by 0.080 mm here",
-        ),
         (
             {"bed_tilt": {"z_adjust": "0.017"}},
-            "",
             0.017,
             "bed_tilt: Z is shifted by 0.017 mm here",
         ),
-        ({"bed_tilt": {"z_adjust": "0.01"}}, "", 0.01, None),
+        ({"bed_tilt": {"z_adjust": "0.01"}}, 0.01, None),
         # Homed where the bed is lower by what the tilt makes good, in each cycle
         (
             {
@@ -57,19 +41,16 @@ HIGHER = 0.1
                 "bed_tilt": {"z_adjust": "0.08"},
                 **section(offset_samples="2"),
             },
-            "",
             -0.017,
             None,
         ),
     ],
 )
-def test_shift_that_makes_the_gap_wrong_is_told(
-    start, sections, script, wrong, words
-):
+def test_shift_that_makes_the_gap_wrong_is_told(start, sections, wrong, words):
+    """What is as large as noise is not; more is in docs/features.csv."""
     slope = HIGHER / (POINT[1] - 60.0)
     bed = replace(SCENES["qidi"].world.bed, slope_y=slope, z0=-slope * POINT[1])
     printer = start(world(bed=bed), sections).homed()
-    printer.run(script)
     lines = printer.run("AUTO_Z_CALIBRATE")
     gap = printer.scene.piezo_gap() + wrong
     assert true_gap(printer) == pytest.approx(gap, abs=2 * STEPS)
@@ -112,33 +93,19 @@ def test_mesh_that_is_not_zero_where_z_was_homed_is_told(
         assert f"at {POINT[0]:.1f}, {POINT[1]:.1f}, where" in found[0]
 
 
-def lifting(start, height, sections=None):
-    """With a transform of another module, which nothing here knows by its name."""
-    modules = with_extras("lift")
-    changes = {"lift": {"height": f"{height}"}, **(sections or {})}
-    return start("qidi", changes, modules=modules).homed()
-
-
-@pytest.mark.parametrize("height", [-0.12, slow(0.12), slow(0.01)])
-def test_shift_of_another_module_is_told(start, height):
-    printer = lifting(start, height)
+def test_shift_of_another_module_is_told(start):
+    """By a transform that nothing here knows by its name."""
+    height = -0.12
+    changes = {"lift": {"height": f"{height}"}}
+    printer = start("qidi", changes, modules=with_extras("lift")).homed()
     lines = printer.run("AUTO_Z_CALIBRATE")
     gap = printer.scene.piezo_gap() + height
     assert true_gap(printer) == pytest.approx(gap, abs=STEPS)
     words = f"another feature: Z is shifted by {height:.3f} mm here"
-    assert len(told(lines, words)) == (abs(height) > 0.015)
+    assert len(told(lines, words)) == 1
 
 
 BELOW = {"auto_z_offset": {"z_offset": "-0.05"}, "probe": {"z_offset": "2"}}
-
-
-@pytest.mark.slow
-def test_zero_of_the_bed_sensor_below_a_shift_of_another_module(start):
-    printer = lifting(start, -0.12, BELOW)
-    lines = printer.run("AUTO_Z_HOME_Z")
-    words = "another feature: Z is shifted by -0.120 mm here"
-    assert len(told(lines, words)) == 1
-    assert true_gap(printer) == pytest.approx(-0.12, abs=STEPS)
 
 
 ZERO = "%g, %g" % POINT
@@ -177,12 +144,10 @@ def test_zero_of_the_bed_sensor_below_a_shift(
 
 
 # Some hosts keep it when Z is homed with the probe; QIDI's goes to Z=3
-@pytest.mark.slow
-@pytest.mark.parametrize("command", ["AUTO_Z_PROBE", "AUTO_Z_CALIBRATE"])
-def test_g92_does_not_lower_what_prepare_gcode_does(start, command):
+def test_g92_does_not_lower_what_prepare_gcode_does(start):
     printer = start("qidi").homed()
     over = "G90\nG1 Z20 F900\nG1 X%g Y%g F6000\nG92 Z26" % POINT
-    lines = printer.run(f"{over}\n{command}")
+    lines = printer.run(f"{over}\nAUTO_Z_PROBE")
     assert told(lines, "G92 had moved Z=0 by -6.000 mm: undone, as G28 does")
     printer.machine.truth.require_no_crash()
 
@@ -191,15 +156,6 @@ def test_g92_of_prepare_gcode_is_undone(start):
     own = {"prepare_gcode": "\n  SET_PIN PIN=bed_sensor VALUE=1\n  G92 Z26"}
     printer = start("qidi", {"auto_z_offset": own}).homed()
     assert told(printer.run("AUTO_Z_CALIBRATE"), "G92 had moved Z=0 by")
-    gap = printer.scene.piezo_gap()
-    assert true_gap(printer) == pytest.approx(gap, abs=STEPS)
-
-
-@pytest.mark.slow
-def test_g92_is_undone(start):
-    printer = start("qidi").homed()
-    lines = printer.run("G1 Z30 F900\nG92 Z29.7\nAUTO_Z_CALIBRATE")
-    assert told(lines, "G92 had moved Z=0 by 0.300 mm: undone, as G28 does")
     gap = printer.scene.piezo_gap()
     assert true_gap(printer) == pytest.approx(gap, abs=STEPS)
 

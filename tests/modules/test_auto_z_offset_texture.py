@@ -4,16 +4,14 @@ from __future__ import annotations
 
 import math
 import re
-import statistics
 from dataclasses import replace
 from itertools import combinations
 
 import pytest
 
 from simprinter.world import TextureSpec
-from tools.kit.auto_z_offset import CORRECTION, POINT, section, touches
+from tools.kit.auto_z_offset import POINT, section, touches
 from tools.kit.scenes import SCENES
-from tools.kit.z_calibration import refusal
 
 AT = re.compile(r"bed sensor: triggered at z=\S+ at (\S+), (\S+)$")
 
@@ -66,24 +64,6 @@ def test_each_run_has_other_points(start):
     assert min(apart) > 0.3
 
 
-@pytest.mark.slow
-def test_texture_is_averaged(start):
-    """On plates where that one point is 10 to 20 um off."""
-    errors = {"0": [], "3": []}
-    for seed in (3, 4, 9, 11):
-        for spread, found in errors.items():
-            changes = section(bed_spread=spread, offset_samples="6")
-            printer = start(rough(seed), changes=changes).homed()
-            points_of(printer)
-            result = printer.status("auto_z_offset")["probe_z_correction"]
-            found.append(result - CORRECTION)
-    single, spread = (
-        math.sqrt(statistics.mean(e * e for e in found))
-        for found in errors.values()
-    )
-    assert spread < 0.008 < 0.011 < single
-
-
 def test_texture_is_no_reason_to_begin_again(start):
     """samples_tolerance is for one point, and cycles_tolerance, too."""
     options = {"samples_tolerance": "0.01", "cycles_tolerance": "0.01"}
@@ -105,19 +85,3 @@ def test_point_of_a_command_stays_one(start):
     printer.run("G1 X100 Y100 F6000\nM400")
     points, _ = points_of(printer, "AUTO_Z_PROBE")
     assert points == [pytest.approx((100.0, 100.0), abs=0.02)] * 3
-
-
-@pytest.mark.slow
-@pytest.mark.parametrize(
-    ("options", "words"),
-    [
-        (
-            {"bed_spread": "3", "bed_xy_position": "243, 120"},
-            "Option 'bed_spread: 3' in section 'auto_z_offset' needs the toolhead at",
-        ),
-        ({"bed_spread": "20.1"}, "must have maximum of 20"),
-        ({"bed_spread": "-1"}, "must have minimum of 0"),
-    ],
-)
-def test_what_no_touch_may_do_is_refused(host, options, words):
-    assert words in refusal(host, section(**options), "qidi")

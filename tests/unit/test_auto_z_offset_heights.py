@@ -24,7 +24,6 @@ def exact(low, high):
 
 
 heights = exact(-10, 10)
-gaps = exact(-2, 2)
 
 
 # The formula
@@ -41,15 +40,6 @@ gaps = exact(-2, 2)
 )
 def test_correction(parts, expected):
     assert az.correction(*parts) == pytest.approx(expected)
-
-
-@given(heights, heights, heights, gaps, heights)
-def test_correction_does_not_depend_on_the_frame(
-    sensor, probe, z_offset, gap, shift
-):
-    here = az.correction(sensor, probe, z_offset, gap)
-    there = az.correction(sensor + shift, probe + shift, z_offset, gap)
-    assert there == here
 
 
 # Expected heights
@@ -117,11 +107,6 @@ def test_trigger_above_the_expected_one():
     with pytest.raises(CalibrationError, match="0.310 mm above the exp"):
         az.check_expected(-0.69, expected)
     az.check_expected(1e6, az.NOTHING_EXPECTED)
-
-
-def test_default_speed_needs_no_limit_on_usual_machines():
-    # That of the specification; the Q1 Pro brakes with 500 mm/s^2
-    assert az.fastest_touch(5.0, 500.0) == 5.0
 
 
 @pytest.mark.parametrize(

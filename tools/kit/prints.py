@@ -1,20 +1,13 @@
-"""A print of the card that stands still."""
+"""Prints of the virtual card."""
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Iterable
 from pathlib import Path
 from typing import Any
 
-from tools.kit.printer import Printer
 
-
-def paused(start: Callable[..., Printer], folder: Path, *scene: Any) -> Printer:
-    """A homed printer, and a print on it that PAUSE has stopped."""
-    (folder / "a.gcode").write_text("G4 P1000\n" * 9)
-    card = {"virtual_sdcard": {"path": str(folder)}}
-    printer = start(*scene, changes={**card, "pause_resume": {}}).homed()
-    for command in ("SDCARD_PRINT_FILE FILENAME=a.gcode", "PAUSE"):
-        printer.run(command)
-        printer.session.wait(2.0)
-    return printer
+def of_card(folder: Path, lines: Iterable[str]) -> dict[str, Any]:
+    """What printer.cfg needs for a print of these lines, which is print.gcode."""
+    (folder / "print.gcode").write_text("\n".join([*lines, ""]))
+    return {"virtual_sdcard": {"path": str(folder)}}
