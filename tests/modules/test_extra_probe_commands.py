@@ -9,7 +9,7 @@ import pytest
 
 from simprinter import Fault
 from simprinter.world import NoiseSpec
-from tools.kit.cases import slow
+from tests.modules.test_axis_twist import compensation
 from tools.kit.extra_probe import (
     BED,
     CALIBRATE,
@@ -22,8 +22,8 @@ from tools.kit.extra_probe import (
     section,
     state,
 )
-from tools.kit.load_errors import load
-from tools.kit.printer import Printer, has_kinematics, module_files
+from tools.kit.printer import Printer
+from tools.kit.prints import of_card
 from tools.kit.scenes import SCENES
 from tools.kit.z_calibration import refusal, with_moves
 
@@ -77,26 +77,6 @@ def test_lines_and_result_of_a_touch(start):
     assert printer.offset() == 0.0
 
 
-def duration(printer, script):
-    """Printer seconds that a script takes, with all its moves."""
-    clock = printer.machine.simulation.clock
-    before = clock.now()
-    printer.run(script + "\nM400")
-    return (clock.now() - before) * 1e-9
-
-
-def test_lift_speed_is_the_speed_by_default(start):
-    changes = section(lift_speed=None, speed="1", samples="2")
-    printer = laid(start, changes=changes)
-    printer.run(f"{ABOVE}\nM400")
-    slow = duration(printer, "EXTRA_PROBE PROBE=membrane PROBE_SPEED=5")
-    printer.run("G1 Z5\nM400")
-    fast = duration(
-        printer, "EXTRA_PROBE PROBE=membrane PROBE_SPEED=5 LIFT_SPEED=10"
-    )
-    assert slow - fast > 1.0
-
-
 def test_options_that_are_left_out(start):
     changes = section(
         **dict.fromkeys(
@@ -118,6 +98,14 @@ def test_options_that_are_left_out(start):
     assert len(touches(printer.run("EXTRA_PROBE PROBE=membrane"))) == 1
 
 
+def test_lift_speed_is_the_speed_by_default(start):
+    printer = laid(start, changes=section(lift_speed=None, speed="4"))
+    lines = printer.run(
+        f"{ABOVE}\nEXTRA_PROBE_ACCURACY PROBE=membrane SAMPLES=1"
+    )
+    assert lines[0].endswith("speed=4.0 lift_speed=4.0)")
+
+
 NONSENSE = {
     "SAMPLES=0": "SAMPLES",
     "SAMPLES=x": "SAMPLES",
@@ -132,111 +120,64 @@ NONSENSE = {
 }
 
 
-@pytest.mark.parametrize("command", ["EXTRA_PROBE", "EXTRA_PROBE_ACCURACY"])
-def test_parameter_that_makes_no_sense(start, command):
+def test_parameter_that_makes_no_sense(start):
     printer = laid(start)
     printer.run(ABOVE)
     for params, words in NONSENSE.items():
-        assert words in printer.fail(f"{command} PROBE=membrane {params}")
+        assert words in printer.fail(f"EXTRA_PROBE PROBE=membrane {params}")
     assert heights(printer) == []
     assert printer.session.state()[0] == "ready"
 
 
-@pytest.mark.parametrize("command", ["EXTRA_PROBE", "QUERY_EXTRA_PROBE"])
-def test_probe_has_to_be_named(start, command):
-    printer = start("membrane").homed()
-    assert "PROBE" in printer.fail(command)
-    assert "'much'" in printer.fail(f"{command} PROBE=much")
-
-
 # Whoever prints has cleared the bed
 def test_print_that_begins_ends_the_question(start, tmp_path):
-    (tmp_path / "print.gcode").write_text(f"{PROBE}\nG4 P100\n")
-    changes = {"virtual_sdcard": {"path": str(tmp_path)}}
-    printer = laid(start, changes=changes)
+    printer = laid(start, changes=of_card(tmp_path, [PROBE, "G4 P100"]))
     printer.run(CALIBRATE)
     printer.run("SDCARD_PRINT_FILE FILENAME=print.gcode")
     printer.session.wait(60.0)
     assert len(heights(printer)) == 3
 
 
-# Homed on a switch no lower than that triggers, and a tenth of a millimetre
+# Homed on a switch no lower than that triggers, and a tenth of a millimetre: see
+# test_touch_without_a_question; never below the axis
 @pytest.mark.parametrize(
-    ("scene", "low", "lowest_z"),
+    ("scene", "changes", "low", "floor"),
     [
-        ("membrane", BED, "-0.1"),
-        ("membrane_and_probe", PROBE_BED, "-1.0"),
+        ("membrane", section(position_min="0.15"), BED, 0.15),
+        ("membrane_and_probe", {}, PROBE_BED, -1.0),
+        (
+            "membrane",
+            {
+                "stepper_z": {"position_min": "-0.5"},
+                **section(position_min="-2"),
+            },
+            *(BED, -0.5),
+        ),
     ],
 )
-@pytest.mark.parametrize("own", [{}, {"position_min": "0.15"}])
-def test_floor_of_a_touch(start, scene, low, lowest_z, own):
+def test_floor_of_a_touch(start, scene, changes, low, floor):
     # A dead membrane is pressed, and the bed below it
     fault = Fault("stuck_open", site="nozzle_membrane")
-    printer = laid(start, scene, faults=[fault], changes=section(**own))
+    printer = laid(start, scene, faults=[fault], changes=changes)
     printer.machine.tolerate("nozzle_membrane", 2.0)
     printer.machine.tolerate("nozzle_bed", 2.0)
     text = printer.fail(PROBE)
-    floor = own.get("position_min", lowest_z)
-    assert f"(stopped at z={float(floor):.3f})" in text
+    assert f"(stopped at z={floor:.3f})" in text
     assert "press it by hand and look with QUERY_EXTRA_PROBE" in text
-    assert "PROBE=membrane" in text
-    bed_z = SCENES[scene].world.bed.z0
     lowest = printer.machine.truth.min_gap
-    assert lowest == pytest.approx(float(floor) - low, abs=0.01), bed_z
+    assert lowest == pytest.approx(floor - low, abs=0.01)
     printer.session.wait(2.0)
     assert printer.session.position()[2] == pytest.approx(5.0)
-    assert printer.session.state()[0] == "ready"
 
 
-def test_floor_is_not_below_the_axis(start):
-    fault = Fault("stuck_open", site="nozzle_membrane")
-    changes = {
-        "stepper_z": {"position_min": "-0.5"},
-        **section(position_min="-2"),
-    }
-    printer = laid(start, faults=[fault], changes=changes)
-    printer.machine.tolerate("nozzle_membrane", 2.0)
-    printer.machine.tolerate("nozzle_bed", 2.0)
-    assert "(stopped at z=-0.500)" in printer.fail(PROBE)
-
-
-def test_head_that_is_below_the_floor_already(start):
-    printer = start("membrane", changes=section(position_min="3")).homed()
-    text = printer.fail("G1 Z2\nEXTRA_PROBE PROBE=membrane")
-    assert (
-        "the toolhead is at z=2.000, this touch ends at z=3.000 already" in text
-        # The switch is not what is wrong
-        and "QUERY_EXTRA_PROBE" not in text
-    )
-
-
-def test_no_twist_compensation(start):
-    if not has_twist(start):
-        pytest.skip("the host has no axis_twist_compensation")
-    changes = {
-        "axis_twist_compensation": TWIST,
-        "probe": {"x_offset": "17.6"},
-    }
-    printer = laid(start, "membrane_and_probe", changes=changes)
+def test_no_twist_compensation(host, start):
+    scene = SCENES["membrane_and_probe"]
+    changes = compensation(host, scene, 20, 200, 0.4, 0.4, 0.4)
+    changes["probe"] = {"x_offset": "17.6"}
+    printer = laid(start, scene, changes=changes)
     z = result(printer.run(PROBE))
     # The toolhead stands where it was when the membrane triggered
     assert z == pytest.approx(printer.session.position()[2], abs=0.1)
-
-
-TWIST = {
-    "calibrate_start_x": "20",
-    "calibrate_end_x": "200",
-    "calibrate_y": "100",
-    "z_compensations": "0.4, 0.4, 0.4",
-    "compensation_start_x": "20",
-    "compensation_end_x": "200",
-}
-
-
-def has_twist(start):
-    changes = {"axis_twist_compensation": TWIST}
-    printer = start("membrane_and_probe", changes=changes)
-    return printer.session.start()[0] == "ready"
 
 
 # The G-code around a touch
@@ -287,24 +228,6 @@ def test_deactivation_after_a_failed_touch(start, each):
     printer = start("membrane", changes=changes).homed()
     printer.fail(PROBE)
     assert noted(printer.session.console) == ["on", "off"]
-
-
-@pytest.mark.parametrize("option", ["activate_gcode", "deactivate_gcode"])
-@pytest.mark.parametrize("each", ["true", slow("false")])
-def test_template_that_moves(start, option, each):
-    own = {
-        option: "\n  G91\n  G1 Z0.5\n  G90",
-        "deactivate_on_each_sample": each,
-    }
-    printer = laid(start, changes=section(**own))
-    printer.run(ABOVE)
-    before = state(printer)
-    text = printer.fail("EXTRA_PROBE PROBE=membrane")
-    assert f"the toolhead moved in {option}" in text
-    assert state(printer) == before
-    printer.session.wait(2.0)
-    assert printer.session.position()[2] >= 5.0
-    assert printer.session.state()[0] == "ready"
 
 
 # EXTRA_PROBE_ACCURACY
@@ -427,29 +350,12 @@ def test_several_sections(start):
     assert "extra_probe pin:open" in line
 
 
-def test_pin_of_another_board(start):
-    printer = laid(start, "membrane_two_boards")
-    lines = printer.run(PROBE)
-    assert result(lines) == pytest.approx(BED + THICKNESS, abs=MICROSTEP)
-
-
-@pytest.mark.every_host("only hosts since 2025-05 have generic_cartesian")
-def test_generic_cartesian(start, host):
-    # Z is a carriage there
-    if not has_kinematics(host, SCENES["membrane_generic"]):
-        pytest.skip("the host has no generic_cartesian")
-    printer = laid(start, "membrane_generic")
-    z = result(printer.run(PROBE))
-    assert z == pytest.approx(BED + THICKNESS, abs=MICROSTEP)
-
-
 # Configurations that cannot work
 
 
 @pytest.mark.parametrize(
     ("scene", "own", "words"),
     [
-        ("membrane", {"pin": "^PC2"}, "stepper_z"),
         (
             "membrane_and_probe",
             {"pin": "^!PF0"},
@@ -471,12 +377,6 @@ def test_generic_cartesian(start, host):
     ],
 )
 def test_option_that_cannot_be_used(host, scene, own, words):
-    if own.get("pin") == "^PC2":
-        # Which of the two sections is blamed is the host's affair
-        kind, message = load(host, section(**own), scene)
-        assert kind == "error"
-        assert "PC2" in message
-        return
     message = refusal(host, section(**own), scene)
     assert words in message
     assert "extra_probe membrane" in message
@@ -504,29 +404,13 @@ def test_machine_without_a_z_axis(host):
     assert "extra_probe membrane cannot be used on this machine" in message
 
 
-def test_folder_that_is_missing(host):
-    # The module that stands alone
-    modules = {"extra_probe": module_files()["extra_probe"]}
-    with Printer(host, "membrane", modules=modules) as printer:
-        kind, message = printer.session.start()
-    assert kind == "error"
-    assert message.startswith(
-        "Section 'extra_probe membrane': the folder z_touch that belongs to"
-        " this module is not in klippy/extras"
-    )
-
-
-def test_calibration_needs_nothing_of_this(start):
-    # Only that it is there
-    printer = start("membrane").homed()
-    assert "// action:prompt_show" in printer.run(CALIBRATE)
-
-
 @pytest.mark.parametrize("command", ["EXTRA_PROBE", "EXTRA_PROBE_ACCURACY"])
 def test_head_below_the_lowest_point_has_no_floor_to_give(start, command):
     """FLOOR is a parameter of EXTRA_PROBE_CALIBRATE only."""
     printer = start("membrane", changes=section(position_min="5")).homed()
     printer.run("G90\nG1 Z4 F600")
     text = printer.fail(f"{command} PROBE=membrane")
-    assert "the toolhead is at z=4.000, this touch ends at z=5.000" in text
+    assert "is at z=4.000, this touch ends at z=5.000 already" in text
     assert "begin higher up" in text and "FLOOR" not in text
+    # The switch is not what is wrong
+    assert "QUERY_EXTRA_PROBE" not in text
