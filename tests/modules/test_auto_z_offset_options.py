@@ -420,14 +420,6 @@ NO_Z_AXIS = {
                 "no section [mcu ...] of; the boards are mcu, and a pin",
             ],
         ),
-        (section(pin="^!PF0"), ["is the pin of section 'probe'"]),
-        (
-            section(pin="PC2"),
-            [
-                "is the pin of option 'endstop_pin' in section 'stepper_x', too,",
-                "remove it where it is not needed",
-            ],
-        ),
         (
             {
                 "probe": None,
@@ -513,15 +505,6 @@ def test_gcode_that_would_be_missed_is_asked_for(start):
     assert "move it into prepare_gcode" in text
     assert sites(printer, first) == []
     printer.run("AUTO_Z_LOAD_OFFSET\nAUTO_Z_SAVE_GCODE_OFFSET FORCE=1")
-
-
-def test_numbers_are_numbers_to_macros(start):
-    changes = section(probe_z_correction="-1.25")
-    printer = start("qidi", changes=changes)
-    printer.session.require_ready()
-    settings = printer.status("configfile")["settings"]["auto_z_offset"]
-    assert settings["z_offset"] == 0.2
-    assert settings["probe_z_correction"] == -1.25
 
 
 # How far the first touch of all may go

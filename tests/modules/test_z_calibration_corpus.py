@@ -7,12 +7,7 @@ import pytest
 from tools.kit.corpus import each, load
 from tools.kit.printer import Printer
 from tools.kit.z_calibration import MICROSTEP, refusal
-from tools.kit.z_calibration_corpus import (
-    VIRTUAL_ENDSTOP,
-    build,
-    homes_with_probe,
-    probe_of,
-)
+from tools.kit.z_calibration_corpus import build, probe_of
 
 ENTRIES = load("z_calibration")
 
@@ -77,16 +72,6 @@ def test_z_offset_need_not_be_right(entry, host):
     z_offset = float(probe_of(entry)["z_offset"])
     body = max(OTHER_BODIES, key=lambda body: abs(body - z_offset))
     check_calibration(host, build(entry, host, body))
-
-
-@each([entry for entry in WORKING if homes_with_probe(entry)], (15, 83))
-def test_probe_as_z_endstop_is_refused(entry, host):
-    machine = build(entry, host).with_virtual_endstop()
-    message = refusal(host, {}, machine.scene)
-    assert f"Option 'endstop_pin: {VIRTUAL_ENDSTOP}'" in message
-    assert "in section 'stepper_z' is the probe" in message
-    assert "set it to the pin of that switch, or give the pin as" in message
-    assert "endstop_pin in section 'z_calibration'" in message
 
 
 @each([entry for entry in ENTRIES if entry.index in BROKEN], BROKEN)

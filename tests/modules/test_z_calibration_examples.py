@@ -310,10 +310,6 @@ def told(printer: Printer) -> str:
             "it is not attached, or not wired as normally closed; attach it in"
             " start_gcode or before_switch_gcode and check it with QUERY_PROBE",
         ),
-        (
-            *("separate_pin", "^PG10", "probe:z_virtual_endstop"),
-            "is no pin; give the pin of the switch that the nozzle presses",
-        ),
     ],
 )
 def test_mistake_of_an_owner_is_told(host, tmp_path, name, old, new, message):

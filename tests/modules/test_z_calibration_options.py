@@ -804,7 +804,6 @@ def test_pin_of_its_own_beside_a_z_endstop(start):
     ("pin", "words"),
     [
         ("^!probe:z_virtual_endstop", "is no pin"),
-        (" ", "is no pin"),
         ("^PC3", "is the pin of section 'probe'"),
         ("!mcu:PC3", "is the pin of section 'probe'"),
     ],
@@ -819,7 +818,11 @@ def test_pin_that_no_nozzle_can_press(host, pin, words):
 def test_position_min_is_not_the_matter_where_the_probe_homes(host):
     changes = section(position_min="0.5", endstop_pin=None)
     message = refusal(host, changes, "separate_pin")
-    assert "is the probe: z_calibration needs a Z endstop" in message
+    assert message.startswith(
+        "Option 'endstop_pin: probe:z_virtual_endstop' in section 'stepper_z'"
+        " is the probe: z_calibration needs a Z endstop that the nozzle can press;"
+        " set it to the pin of that switch, or give the pin as endstop_pin"
+    )
 
 
 def proven(folder):

@@ -44,14 +44,6 @@ def test_pin_that_something_else_uses(host, user, pin, order):
     assert words in message
 
 
-@pytest.mark.parametrize(("user", "pin"), USERS)
-def test_pin_that_is_shared_on_purpose(host, user, pin):
-    override = {"duplicate_pin_override": {"pins": pin}}
-    scene = sharing(user, pin, list, **override)
-    with Printer(host, scene) as printer:
-        printer.session.require_ready()
-
-
 def fall_silent(machine, begin, board="zboard"):
     """Nobody hears from a board for a moment."""
 

@@ -49,7 +49,6 @@ MARGIN_RESERVE = 0.05
 # SWITCH_OFFSET as a parameter, mm
 PARAM_SWITCH_OFFSET = 0.44
 
-VIRTUAL_ENDSTOP = "probe:z_virtual_endstop"
 # Names a switch of its own, which is the Z endstop's here
 OTHER_PIN, PIN_INPUT = "calibration_endstop_pin", "PC2"
 
@@ -123,25 +122,10 @@ class CorpusMachine:
             return ""
         return "G90\nG1 Z30 F900\nSET_PIN PIN=probe_magnet VALUE=1\nG4 P500"
 
-    def with_virtual_endstop(self) -> CorpusMachine:
-        """The same with the Z endstop that the file has: the probe."""
-        z = {
-            **(self.scene.sections["stepper_z"] or {}),
-            "endstop_pin": VIRTUAL_ENDSTOP,
-            "position_endstop": None,
-        }
-        sections = {**self.scene.sections, "stepper_z": z}
-        return replace(self, scene=replace(self.scene, sections=sections))
-
 
 def probe_of(entry: Entry) -> Mapping[str, str]:
     """What the file says of the probe."""
     return entry.section("probe") or entry.section("dockable_probe")
-
-
-def homes_with_probe(entry: Entry) -> bool:
-    """Whether its Z endstop is the probe."""
-    return entry.section("stepper_z").get("endstop_pin") == VIRTUAL_ENDSTOP
 
 
 def commands_of(entry: Entry, *templates: str) -> set[str]:
