@@ -10,7 +10,7 @@ import pytest
 
 from simprinter.hosts.hosts import Host
 from tools.kit.printer import Printer
-from tools.kit.z_calibration import calibration
+from tools.kit.z_calibration import calibration, section, with_moves
 
 
 @pytest.fixture(scope="module")
@@ -25,3 +25,14 @@ def calibrated() -> Iterator[Callable[[Host], Printer]]:
             return printer
 
         yield on
+
+
+@pytest.fixture
+def watched(start: Callable[..., Printer]) -> Callable[..., Printer]:
+    """A homed printer with these options of [z_calibration], whose moves are recorded."""
+
+    def begin(**options: str) -> Printer:
+        changes = {"moves": {}, **section(**options)}
+        return start(changes=changes, modules=with_moves()).homed()
+
+    return begin

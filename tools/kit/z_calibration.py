@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import json
 import re
 from collections.abc import Callable
 from pathlib import Path
@@ -25,6 +26,7 @@ BED = PIN - (1.9012 - 0.4)
 BODY = 6.415
 TRIGGER = BODY + 0.5
 SWITCH_OFFSET = 0.44
+SAVE = "Z_CALIBRATION_SAVE_GCODE_OFFSET"
 
 
 def section(**options: Optional[str]) -> dict[str, Any]:
@@ -55,6 +57,29 @@ def calibration(
     before = len(printer.machine.truth.touches)
     lines = printer.run(script)
     return result_of(lines), touched_sites(printer, before)
+
+
+def validity(printer: Printer) -> tuple[bool, bool, str]:
+    """Whether the heights hold, whether the offset does, and why not."""
+    status = printer.status("z_calibration")
+    return status["measured"], status["valid"], status["reason"]
+
+
+def pending(printer: Printer) -> dict[str, dict[str, str]]:
+    """What waits for SAVE_CONFIG, by section."""
+    config = printer.status("configfile")
+    waiting: dict[str, dict[str, str]] = config["save_config_pending_items"]
+    return waiting
+
+
+def kept_runs(
+    printer: Printer, folder: Optional[Path] = None
+) -> list[dict[str, Any]]:
+    """The lines of the history, once what is under way has ended."""
+    printer.session.wait(1.0)
+    folder = folder or printer.session.data / "config" / "z_calibration"
+    lines = (folder / "printer.jsonl").read_text().splitlines()
+    return [json.loads(line) for line in lines]
 
 
 def reported(
@@ -136,6 +161,27 @@ def with_extra(folder: Path, code: str) -> dict[str, Path]:
         "    printer.register_event_handler('klippy:mcu_identify', change)\n"
     )
     return {**module_files(), "extra": source}
+
+
+# For [extra]: a feature that lifts Z where that is so, such as position[1] > 200
+LIFT = """
+class Lift(object):
+    def __init__(self):
+        self.next = printer.lookup_object("gcode_move").set_move_transform(
+            self, force=True
+        )
+    def height(self, position):
+        return 0.12 if %s else 0.0
+    def get_position(self):
+        position = self.next.get_position()
+        position[2] -= self.height(position)
+        return position
+    def move(self, newpos, speed):
+        lifted = list(newpos)
+        lifted[2] += self.height(newpos)
+        self.next.move(lifted, speed)
+printer.register_event_handler("klippy:connect", Lift)
+"""
 
 
 def with_moves() -> dict[str, Path]:
