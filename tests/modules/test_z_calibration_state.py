@@ -7,26 +7,16 @@ import pytest
 from tools.kit.klipper_sections import TOOL
 from tools.kit.scenes import SCENES, heated
 from tools.kit.z_calibration import (
-    SWITCH_OFFSET,
+    SAVE,
     assert_unharmed,
     calibration,
     marker,
+    pending,
     section,
+    validity,
 )
 
 OFFSET = 0.16
-SAVE = "Z_CALIBRATION_SAVE_GCODE_OFFSET"
-
-
-def validity(printer):
-    status = printer.status("z_calibration")
-    return status["measured"], status["valid"], status["reason"]
-
-
-def pending(printer):
-    return printer.status("configfile")["save_config_pending_items"]
-
-
 # The result does not depend on what was there before
 
 
@@ -137,7 +127,6 @@ def test_zero_that_g92_has_moved_is_noticed(start):
     ("before", "after"),
     [
         ("PAUSE", "RESUME"),
-        ("SAVE_GCODE_STATE NAME=old", RESTORE),
         ("", "SET_GCODE_OFFSET Z=0.1"),
     ],
 )
@@ -171,35 +160,6 @@ def test_offset_that_is_gone_is_noticed(start, before, after):
     assert validity(printer) == (True, True, "")
 
 
-def test_offset_of_before_several_runs_is_noticed(start):
-    printer = start().homed()
-    printer.run("SET_GCODE_OFFSET Z=0.1\nSAVE_GCODE_STATE NAME=old")
-    printer.run("CALIBRATE_Z\nSET_GCODE_OFFSET Z=0.05\nCALIBRATE_Z")
-    printer.run(RESTORE)
-    text = printer.fail(SAVE)
-    assert (
-        "the G-code offset 0.100 is none of baby steps since CALIBRATE_Z"
-        in text
-    )
-    assert pending(printer) == {}
-
-
-def test_offset_that_is_kept_for_later_leaves_that_of_before(start):
-    changes = section(offset_gcode="Z_CALIBRATION_KEEP_OFFSET")
-    printer = start(changes=changes).homed()
-    printer.run(
-        "SET_GCODE_OFFSET Z=0.3\nSAVE_GCODE_STATE NAME=old\nCALIBRATE_Z"
-    )
-    assert printer.offset() == pytest.approx(0.3)
-    assert validity(printer)[:2] == (True, False)
-    # It is the user who sets it, when it is wanted
-    assert told_later(printer) == []
-    z_offset = printer.status("z_calibration")["last_z_offset"]
-    assert z_offset == pytest.approx(OFFSET, abs=0.001)
-    printer.run(f"SET_GCODE_OFFSET Z={z_offset}")
-    assert validity(printer) == (True, True, "")
-
-
 def shown(printer, words):
     """The lines of the console with these words."""
     return [line for line in printer.session.console if words in line]
@@ -210,16 +170,6 @@ def told_later(printer):
     before = len(printer.session.console)
     printer.session.wait(6.0)
     return printer.session.console[before:]
-
-
-# A state that nobody has restored since says nothing of baby steps
-def test_second_print_may_have_the_same_baby_steps(start):
-    printer = start(changes={"pause_resume": {}}).homed()
-    printer.run("CALIBRATE_Z\nSET_GCODE_OFFSET Z_ADJUST=-0.02\nPAUSE")
-    assert "brought back" not in "".join(printer.run("RESUME"))
-    printer.run("SET_GCODE_OFFSET Z=0\nG28\nCALIBRATE_Z")
-    printer.run(f"SET_GCODE_OFFSET Z_ADJUST=-0.02\n{SAVE}")
-    assert pending(printer)["z_calibration"] == {"switch_offset": "0.460"}
 
 
 # What a baby step of then is taken back to is no offset that is gone; and what was
@@ -264,31 +214,23 @@ def test_resume_takes_no_baby_step_back(start):
         # Of a tool, on top
         ("\n  SET_GCODE_OFFSET Z={params.Z|float + 0.1}", OFFSET + 0.1),
         # Kept for later
-        ("\n  RESPOND MSG='keep {params.Z}'", 0.0),
+        ("\n  RESPOND MSG='keep {params.Z}, {rawparams}'", 0.0),
     ],
 )
 def test_offset_gcode_may_make_another_one_of_it(start, offset_gcode, offset):
     code = f"{offset_gcode}\n  Z_CALIBRATION_KEEP_OFFSET"
     changes = {"respond": {}, **section(offset_gcode=code)}
     printer = start(changes=changes).homed()
-    printer.run("CALIBRATE_Z")
+    lines = printer.run("CALIBRATE_Z")
+    said = "echo: keep 0.160000, Z=0.160000"
+    assert (said in lines) == (not offset)
     assert printer.offset() == pytest.approx(offset, abs=0.001)
     assert validity(printer)[:2] == (True, bool(offset))
     printer.run(f"SET_GCODE_OFFSET Z={OFFSET}")
     assert validity(printer) == (True, True, "")
 
 
-# What counts from it
-
-
-def test_switch_offset_counts_from_what_was_applied(start):
-    printer = start().homed()
-    calibration(printer, "CALIBRATE_Z Z_ADJUST=0.07")
-    # Beside the bed, where the nozzle may go down: it is right as it is
-    printer.run("G1 X20 Y305 F6000\nG1 Z0 F900\nM400")
-    (answer,) = printer.run("CALCULATE_SWITCH_OFFSET")
-    assert "(current_z=0.230 - z_offset=0.230)" in answer
-    assert answer.endswith(f"new switch_offset={SWITCH_OFFSET:.3f}")
+# Another tool
 
 
 @pytest.mark.parametrize("keeps", [True, False])
