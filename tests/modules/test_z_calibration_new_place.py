@@ -105,16 +105,6 @@ def test_pin_of_its_own_where_z_is_homed_on_another_switch(start):
     assert_unharmed(printer)
 
 
-@pytest.mark.slow
-def test_pin_as_high_as_the_probe_is_long(start):
-    scene = SCENES["voron"]
-    high = replace(scene.world.pin, z=7.2012)
-    changes = {"stepper_z": {"position_endstop": "6.9"}}
-    printer = start(scene.with_world(pin=high), changes).homed()
-    assert MET in printer.fail(OVER_BED)
-    assert_unharmed(printer)
-
-
 # Where the body is over the pin, and not the nozzle
 @pytest.mark.parametrize(
     "place", ["208, 281.25", slow("211.5, 281.25"), slow("206, 281")]
@@ -222,14 +212,6 @@ def test_switch_that_opens_late(start):
     pin = replace(scene.world.pin, noise=NoiseSpec(hysteresis=0.7))
     printer = start(scene.with_world(pin=pin), section(samples="auto")).homed()
     calibration(printer)
-
-
-def test_pin_that_is_not_where_it_is_looked_for(start):
-    """The last touch begins at the top again, and says what was expected."""
-    printer = start("separate_pin").homed()
-    text = printer.fail("CALIBRATE_Z NOZZLE_POSITION=150,306")
-    assert "nozzle: the switch did not answer (stopped at z=" in text
-    assert_unharmed(printer)
 
 
 def test_longer_nozzle_below_a_probe_that_is_always_attached(start):

@@ -29,17 +29,6 @@ HOMED_Z = 10.0
 TRAVEL_Z = 13.8
 
 
-@pytest.fixture
-def watched(start):
-    """A homed printer with these options, whose moves are recorded."""
-
-    def begin(**options):
-        changes = {"moves": {}, **section(**options)}
-        return start(changes=changes, modules=with_moves()).homed()
-
-    return begin
-
-
 def ends(printer, script="CALIBRATE_Z"):
     """Where each move of a command ended (mm)."""
     before = len(printer.status("moves")["ends"])
@@ -116,7 +105,8 @@ def armings(printer, script="CALIBRATE_Z"):
 def test_bed_is_looked_for_only_where_nobody_has_met_the_pin(start):
     """Neither where Z is homed, nor in a second run."""
     printer = start().homed()
-    assert armings(printer)["z_endstop"] == 8
+    # Each way down is a move of its own
+    assert armings(printer) == {"z_endstop": 8, "probe": 4}
     printer.run("G28")
     beside = "CALIBRATE_Z NOZZLE_POSITION=207.2,306"
     first, second = [armings(printer, beside)["z_endstop"] for _ in range(2)]
@@ -133,10 +123,6 @@ def test_place_of_the_pin_is_known_from_the_history(start):
     printer.homed().session.wait(1.0)
     assert began > 20
     assert armings(printer)["nozzle_endstop"] < 10
-
-
-def test_way_down_is_a_move_of_its_own(start):
-    assert armings(start().homed()) == {"z_endstop": 8, "probe": 4}
 
 
 # The body meets the pin where the way down ends, or so much (mm) above or below
@@ -211,33 +197,48 @@ def usual_spans(host):
     return measured_spans(host)
 
 
-def measured_spans(host, **options):
-    with Printer(host, changes=auto(**options)) as printer:
+def measured_spans(host, **sections):
+    own = auto(**sections.pop("z_calibration", {}))
+    with Printer(host, changes={**own, **sections}) as printer:
         return spans(printer.homed())
+
+
+def longer(pin, bed):
+    """So much more (s) between two samples."""
+    return {"nozzle": pin, "switch": pin, "bed": bed}
 
 
 # The voron's probe is lifted at 10 mm/s.  Its pin is touched at 3, its bed at 5 mm/s,
 # with a lift of 0.5 mm where the section leaves it open.
 @pytest.mark.slow
 @pytest.mark.parametrize(
-    ("options", "more"),
+    ("changes", "more"),
     [
-        (
-            {"probing_retract_dist": "2"},
-            {"nozzle": 1.5 / 3, "switch": 1.5 / 3, "bed": 1.5 / 5},
-        ),
-        ({"lift_speed": "1"}, {"nozzle": 0.5, "switch": 0.5, "bed": 0.5}),
+        (section(probing_retract_dist="2"), longer(1.5 / 3, 1.5 / 5)),
+        (section(lift_speed="1"), longer(0.5, 0.5)),
         # Down, too
-        ({"lift_speed": "5"}, {"to the switch": 17 / 5 - 17 / 10}),
-        ({"probing_speed": "3"}, {"to the bed": 6.3 / 3 - 6.3 / 10}),
-        ({"speed": "40"}, {"to the bed": 165.7 / 40 - 165.7 / 100}),
+        (section(lift_speed="5"), {"to the switch": 17 / 5 - 17 / 10}),
+        (section(probing_speed="3"), {"to the bed": 6.3 / 3 - 6.3 / 10}),
+        (section(speed="40"), {"to the bed": 165.7 / 40 - 165.7 / 100}),
         # Half of it is enough to stop from 4 mm/s, with two boards, too
-        ({"travel_margin": "0.2"}, {"to the bed": 6.3 / 4 - 6.3 / 10}),
+        (section(travel_margin="0.2"), {"to the bed": 6.3 / 4 - 6.3 / 10}),
+        # What the axis has is for the pin only
+        (
+            {"stepper_z": {"second_homing_speed": "0.5"}},
+            longer(0.5 / 0.5 - 0.5 / 3, 0.0),
+        ),
+        # Half the homing speed of 8 where there is no second one
+        (
+            {"stepper_z": {"second_homing_speed": None, "homing_speed": "1"}},
+            longer(0.5 / 0.5 - 0.5 / 3, 0.0),
+        ),
+        # Of homing, where the user says nothing of these touches
+        ({"stepper_z": {"homing_retract_dist": "6"}}, longer(0.0, 0.0)),
     ],
     ids=lambda value: "-".join(value),
 )
-def test_owner_has_the_last_word(host, options, more):
-    usual, found = usual_spans(host), measured_spans(host, **options)
+def test_owner_has_the_last_word(host, changes, more):
+    usual, found = usual_spans(host), measured_spans(host, **changes)
     left = {part: found[part] - usual[part] for part in more}
     # Hosts need other times to stop and begin again
     assert left == pytest.approx(more, abs=0.3)
@@ -277,22 +278,26 @@ def test_z_is_moved_as_fast_as_elsewhere(
     assert found["to the switch"] > 12 / fastest
 
 
+PLAIN, LATE = SCENES["voron"], noisy(pin={"hysteresis": 0.7})
+
+
 @pytest.mark.parametrize(
-    ("param", "lift"), [("SAMPLE_RETRACT_DIST=2", 2.0), ("", 0.5)]
+    ("scene", "options", "params", "lifts"),
+    [
+        (PLAIN, {}, "SAMPLE_RETRACT_DIST=2", [2.0, 2.0]),
+        (PLAIN, {}, "", [0.5, 0.5]),
+        # A longer one that is needed is found once
+        (LATE, {}, "", [0.5, 1.0, 1.0, 1.0]),
+        # A nozzle that is wiggled is lifted as its owner has it
+        (PLAIN, {"wiggle_xy_offsets": "1, 1"}, "", [3.0]),
+        (PLAIN, {"wiggle_xy_offsets": "0, 0"}, "", [0.5, 0.5]),
+    ],
 )
-def test_lift_between_two_touches(start, param, lift):
-    changes = {"moves": {}, **auto()}
-    printer = start(changes=changes, modules=with_moves()).homed()
-    first, second = ends(printer, f"CALIBRATE_Z {param}")[:2]
-    pin = SCENES["voron"].number("stepper_z", "position_endstop")
-    assert [first[2], second[2]] == pytest.approx([pin + lift] * 2, abs=0.01)
-
-
-def test_nozzle_that_is_wiggled_is_lifted_as_its_owner_has_it(start):
-    changes = {"moves": {}, **auto(wiggle_xy_offsets="1, 1")}
-    printer = start(changes=changes, modules=with_moves()).homed()
-    pin = SCENES["voron"].number("stepper_z", "position_endstop")
-    assert ends(printer)[0][2] == pytest.approx(pin + 3.0, abs=0.01)
+def test_lift_between_two_touches(start, scene, options, params, lifts):
+    changes = {"moves": {}, **auto(**options)}
+    printer = start(scene, changes, modules=with_moves()).homed()
+    found = ends(printer, f"CALIBRATE_Z {params}")[: len(lifts)]
+    assert [z - PIN for _, _, z in found] == pytest.approx(lifts, abs=0.01)
 
 
 @pytest.mark.parametrize(
@@ -308,15 +313,6 @@ def test_lift_is_as_long_as_the_switch_needs(start, scene):
     calibration(printer)
     gap = printer.gap() - printer.scene.formula_gap()
     assert abs(gap) <= 0.02 + 2 * MICROSTEP
-
-
-def test_longer_lift_is_found_once(start):
-    changes = {"moves": {}, **auto()}
-    scene = noisy(pin={"hysteresis": 0.7})
-    printer = start(scene, changes, modules=with_moves()).homed()
-    pin = SCENES["voron"].number("stepper_z", "position_endstop")
-    lifts = [z - pin for _, _, z in ends(printer)[:4]]
-    assert lifts == pytest.approx([0.5, 1.0, 1.0, 1.0], abs=0.01)
 
 
 @pytest.mark.parametrize("touch", [1, 2], ids=["first", "second"])
@@ -343,8 +339,12 @@ def test_plunger_that_the_pin_presses_is_lifted_clear(start):
     world = SCENES["voron"].world
     probe = replace(world.mag_probe, plunger_on_pin=True, switch_offset=0.9)
     scene = SCENES["voron"].with_world(mag_probe=probe)
-    lines = start(scene, auto()).homed().run("CALIBRATE_Z")
-    assert any("presses the plunger" in line for line in lines)
+    printer = start(scene, auto()).homed()
+    lines = printer.run("CALIBRATE_Z")
+    (told,) = [line for line in lines if "presses the plunger" in line]
+    assert "correct switch_xy_position" in told
+    (warning,) = printer.status("z_calibration")["warnings"]
+    assert told.endswith(warning)
 
 
 @pytest.mark.parametrize("samples", ["3", "auto"])
@@ -371,3 +371,12 @@ def test_what_stands_in_the_way_is_pressed_by_half_the_margin(start, margin):
     (after, *_), _ = calibration(printer)
     assert after - before == pytest.approx(2.0, abs=2 * MICROSTEP)
     assert printer.machine.truth.depth("probe_bed") <= margin / 2.0
+
+
+@pytest.mark.slow
+def test_first_way_goes_along_x_then_along_y(watched):
+    printer = watched()
+    printer.run("G1 X50 Y60 Z20 F6000\nM400")
+    places = [(x, y) for x, y, _ in ends(printer)]
+    first = places.index((206.0, 306.0))
+    assert places[first - 1] == (206.0, 60.0)
