@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import json
 import re
 from dataclasses import replace
 from typing import NamedTuple
@@ -14,6 +13,7 @@ from simprinter.world import DriftSpec, NoiseSpec, OozeSpec
 from tools.kit.cases import all_slow_but
 from tools.kit.scenes import SCENES
 from tools.kit.z_calibration import (
+    kept_runs,
     reported,
     section,
     touched_sites,
@@ -110,13 +110,12 @@ def test_whole_cycles_are_measured_and_nothing_is_applied(start):
     ]
     events = [e.kind for e in printer.machine.truth.events]
     assert events == ["attach", "dock"] * 2
-    folder = printer.session.data / "config" / "z_calibration"
-    (line,) = (folder / "printer.jsonl").read_text().splitlines()
-    record = json.loads(line)
+    (record,) = kept_runs(printer)
     assert (record["ok"], record["step"] > 0.0) == (True, True)
     assert [set(cycle) for cycle in record["cycles"]] == [
         {"time", "nozzle", "switch", "bed"}
     ] * 2
+    folder = printer.session.data / "config" / "z_calibration"
     (report,) = folder.glob("report-*.svg")
     assert "2 cycles" in report.read_text()
 
@@ -141,9 +140,6 @@ def test_cycles_as_they_are_asked_for(start):
     assert sites("CYCLES=2 HOME=1").count("nozzle_pin") == 2 * (3 + 2)
     error = printer.fail("CALIBRATE_Z_ACCURACY HOME=1 ATTACH=0")
     assert "HOME=1 with ATTACH=0" in error
-    for wrong in ("CYCLES=1", "CYCLES=many", "CYCLES=201"):
-        printer.fail(f"CALIBRATE_Z_ACCURACY {wrong}")
-        assert printer.session.state()[0] == "ready"
 
 
 @pytest.mark.slow

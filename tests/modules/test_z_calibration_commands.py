@@ -14,9 +14,10 @@ from tools.kit.scenes import SCENES
 from tools.kit.z_calibration import (
     MICROSTEP,
     PIN,
-    SWITCH_OFFSET,
+    SAVE,
     assert_unharmed,
     calibration,
+    pending,
     section,
     touched_sites,
 )
@@ -24,36 +25,23 @@ from tools.kit.z_calibration import (
 # Behind the bed, where the probe has nothing to stand on
 BESIDE = "G1 Z20 F900\nG1 X20 Y305 F6000\nG1 Z5 F900"
 
+CALCULATE = "CALCULATE_SWITCH_OFFSET"
+
 # CALIBRATE_Z
 
 
-def test_switch_offset_of_the_command(start):
-    printer = start().homed()
-    result, _ = calibration(printer, "CALIBRATE_Z SWITCH_OFFSET=0.54")
-    assert result[3] == 0.54
-    assert printer.gap() == pytest.approx(-0.04, abs=2 * MICROSTEP)
+@pytest.mark.parametrize(("own", "given"), [(0.44, 0.0), (0.0, 0.54)])
+def test_switch_offset_of_the_command(start, own, given):
+    printer = start(changes=section(switch_offset=str(own))).homed()
+    result, _ = calibration(printer, f"CALIBRATE_Z SWITCH_OFFSET={given}")
+    assert result[3] == given
+    assert printer.gap() == pytest.approx(0.5 - given, abs=2 * MICROSTEP)
     # For that run only
     result, _ = calibration(printer)
-    assert result[3] == SWITCH_OFFSET
+    assert result[3] == own
 
 
-def test_switch_offset_may_be_zero(start):
-    printer = start(changes=section(switch_offset="0")).homed()
-    result, _ = calibration(printer)
-    assert result[3] == 0.0
-    result, _ = calibration(printer, "CALIBRATE_Z SWITCH_OFFSET=0")
-    assert printer.gap() == pytest.approx(0.5, abs=2 * MICROSTEP)
-
-
-@pytest.mark.parametrize(
-    ("call", "expected"),
-    [
-        ("CALIBRATE_Z", SWITCH_OFFSET),
-        # As every host takes parameters
-        ("calibrate_z switch_offset=0.5", 0.5),
-    ],
-)
-def test_macro_around_the_command(start, call, expected):
+def test_macro_around_the_command(start):
     changes = {
         "gcode_macro CALIBRATE_Z": {
             "rename_existing": "BASE_CALIBRATE_Z",
@@ -62,11 +50,13 @@ def test_macro_around_the_command(start, call, expected):
     }
     printer = start(changes=changes)
     printer.session.require_ready()
-    result, _ = calibration(printer, call)
-    assert result[3] == expected
+    # As every host takes parameters
+    result, _ = calibration(printer, "calibrate_z switch_offset=0.5")
+    assert result[3] == 0.5
     assert printer.offset() == pytest.approx(result[-1], abs=1e-6)
 
 
+GROWTH = "Z_CALIBRATION_NOZZLE_GROWTH"
 NO_PAIR = "has to be X and Y in mm, such as 100,100"
 WRONG = [
     *((f"CALIBRATE_Z NOZZLE_POSITION={xy}", NO_PAIR) for xy in ("1", "1,2,3")),
@@ -126,6 +116,40 @@ WRONG = [
     ("Z_CALIBRATION_WAIT MAX=1.9", "MAX must have minimum of 2.0"),
     ("Z_CALIBRATION_WAIT MAX=121", "MAX must have maximum of 120.0"),
     ("CALCULATE_SWITCH_OFFSET SWITCH_OFFSET=-1", "SWITCH_OFFSET"),
+    (f"{SAVE} SAVE=often", "SAVE=often"),
+    (f"{SAVE} FORCE=x", "FORCE=x"),
+    *((f"CALIBRATE_Z Z_ADJUST={mm}", "Z_ADJUST") for mm in (0.51, -0.51)),
+    ("CALIBRATE_Z Z_ADJUST=nan", "Z_ADJUST"),
+    # The body of the probe would press the pin again
+    *(
+        (f"CALIBRATE_Z {place}", "mm from where it touches the switch")
+        for place in ("BED_POSITION=209.5,306", "SWITCH_POSITION=152,125.25")
+    ),
+    ("CALIBRATE_Z EXTRUDER_TEMP=99", "EXTRUDER_TEMP must have minimum of 100"),
+    ("CALIBRATE_Z EXTRUDER_TEMP=501", "EXTRUDER_TEMP must have maximum of 500"),
+    ("CALIBRATE_Z EXTRUDER_TEMP=hot", "EXTRUDER_TEMP=hot"),
+    ("CALIBRATE_Z EXTRUDER_TEMP=250", "EXTRUDER_TEMP needs nozzle_growth"),
+    *(
+        (f"{GROWTH} TEMPS={temps}", words)
+        for temps, words in (
+            ("60,110,181", "from hotter nozzles plastic oozes"),
+            ("49,110,160", "50 to 180 C"),
+            ("60,nan,160", "50 to 180 C"),
+            ("60,160", "three temperatures or more: two make no line"),
+            ("60,160,60", "three temperatures or more: two make no line"),
+            ("60,79,160", "20 C apart, each from the one before"),
+            ("60,warm,160", "temperatures in C, such as 60,110,160"),
+        )
+    ),
+    (GROWTH, "this printer has no extruder"),
+    *(
+        (f"CALIBRATE_Z_ACCURACY {parameters}", words)
+        for parameters, words in (
+            ("CYCLES=1", "CYCLES must have minimum of 2"),
+            ("CYCLES=many", "CYCLES=many"),
+            ("CYCLES=201", "CYCLES must have maximum of 200"),
+        )
+    ),
 ]
 
 
@@ -167,6 +191,7 @@ def test_parameter_that_makes_no_sense(host, calibrated, script, words):
     assert words in text
     assert text.startswith(("z_calibration: ", f"Error on '{script}': "))
     assert touched_sites(printer, before) == []
+    assert pending(printer) == {}
     assert printer.session.state()[0] == "ready"
 
 
@@ -180,29 +205,6 @@ def test_blank_parameter_counts_as_not_given(start):
     plain = printer.run("PROBE_Z_ACCURACY")
     blank = "SAMPLES= PROBE_SPEED= LIFT_SPEED= SAMPLE_RETRACT_DIST="
     assert printer.run(f"PROBE_Z_ACCURACY {blank}") == plain
-
-
-def test_hint_about_a_large_offset(start):
-    # 0.16 is none
-    printer = start().homed()
-    calibration(printer)
-    assert "HINT" not in "\n".join(printer.session.console)
-    lines = printer.run("CALIBRATE_Z SWITCH_OFFSET=0.14")
-    hints = [line for line in lines if "HINT" in line]
-    assert hints == [
-        "// HINT: z position_endstop=1.600 - offset=0.460000"
-        " --> possible z position_endstop=1.140"
-    ]
-
-
-def test_hint_leads_to_an_offset_of_zero(start):
-    changes = {
-        "stepper_z": {"position_endstop": "1.14"},
-        **section(switch_offset="0.14"),
-    }
-    printer = start(changes=changes).homed()
-    result, _ = calibration(printer)
-    assert result[-1] == pytest.approx(0.0, abs=2 * MICROSTEP)
 
 
 # PROBE_Z_ACCURACY
@@ -299,12 +301,19 @@ def test_accuracy_figures_are_those_of_the_touches(start):
 def test_accuracy_uses_the_settings_of_the_module(start):
     changes = section(samples="5", probing_retract_dist="2.5", lift_speed="7")
     printer = start(changes=changes).homed()
-    lines = printer.run("PROBE_Z_ACCURACY VERBOSE=1")
-    assert (
-        "// PROBE_Z_ACCURACY at X:206.000 Y:306.000 (samples=5 retract=2.500"
-        " speed=3.0 lift_speed=7.0)"
-    ) in lines
-    assert len(heights(lines)) == 5
+    for params, place in (
+        ("", (206.0, 306.0)),
+        ("NOZZLE_POSITION=205,307", (205.0, 307.0)),
+    ):
+        lines = printer.run(f"PROBE_Z_ACCURACY VERBOSE=1 {params}")
+        assert (
+            "// PROBE_Z_ACCURACY at X:%.3f Y:%.3f (samples=5 retract=2.500"
+            " speed=3.0 lift_speed=7.0)" % place
+        ) in lines
+        assert len(heights(lines)) == 5
+        touch = printer.machine.truth.touches[-1]
+        assert touch.site == "nozzle_pin"
+        assert (touch.x, touch.y) == pytest.approx(place, abs=0.02)
 
 
 def spacing(printer, params):
@@ -327,26 +336,6 @@ def test_accuracy_parameters(start):
     ):
         changed = spacing(printer, params)
         assert changed - usual == pytest.approx(more, abs=0.2), params
-
-
-def test_accuracy_elsewhere(start):
-    printer = start().homed()
-    before = len(printer.machine.truth.touches)
-    printer.run("PROBE_Z_ACCURACY NOZZLE_POSITION=205,307")
-    touches = printer.machine.truth.touches[before:]
-    assert {t.site for t in touches} == {"nozzle_pin"}
-    for touch in touches:
-        assert (touch.x, touch.y) == pytest.approx((205, 307), abs=0.02)
-
-
-def test_accuracy_needs_an_absent_probe(start):
-    printer = start("cartesian").homed()
-    # Which shows that before_switch_gcode attaches it
-    printer.run("CALIBRATE_Z\nATTACH_PROBE")
-    before = len(printer.machine.truth.touches)
-    text = printer.fail("PROBE_Z_ACCURACY")
-    assert "the probe is attached already" in text
-    assert touched_sites(printer, before) == []
 
 
 # CALCULATE_SWITCH_OFFSET
@@ -376,8 +365,7 @@ def test_new_switch_offset_starts_from_the_one_that_was_used(start):
     (line,) = printer.run("CALCULATE_SWITCH_OFFSET SWITCH_OFFSET=0.6")
     assert line.endswith("--> new switch_offset=0.600")
     # Nothing is changed by it
-    settings = printer.status("configfile")
-    assert settings["save_config_pending"] is False
+    assert pending(printer) == {}
 
 
 def test_save_writes_the_option(start):
@@ -385,32 +373,43 @@ def test_save_writes_the_option(start):
     calibration(printer)
     printer.run(f"{BESIDE}\nG1 Z0.04 F300\nM400")
     assert "SAVE=often" in printer.fail("CALCULATE_SWITCH_OFFSET SAVE=often")
-    assert printer.status("configfile")["save_config_pending"] is False
+    assert pending(printer) == {}
     lines = printer.run("CALCULATE_SWITCH_OFFSET SAVE=1")
     assert "SAVE_CONFIG" in "\n".join(lines)
-    pending = printer.status("configfile")
-    assert pending["save_config_pending"] is True
-    assert pending["save_config_pending_items"] == {
-        "z_calibration": {"switch_offset": "0.400"}
-    }
+    assert printer.status("configfile")["save_config_pending"] is True
+    assert pending(printer) == {"z_calibration": {"switch_offset": "0.400"}}
+
+
+FIRST = "run CALIBRATE_Z first, then move the nozzle to where Z=0 should be"
+STEPS = "baby steps count from the last CALIBRATE_Z; run it, then correct the"
 
 
 @pytest.mark.parametrize(
-    ("script", "reason"),
+    ("script", "reason", "after"),
     [
-        ("", "not calibrated yet"),
-        ("CALIBRATE_Z\nG28 Z", "Z was homed again"),
-        ("CALIBRATE_Z\nM84", "the motors were turned off"),
+        ("", "not calibrated yet", {CALCULATE: FIRST, SAVE: STEPS}),
+        (
+            "CALIBRATE_Z\nG28 Z",
+            *("Z was homed again", {CALCULATE: FIRST, SAVE: STEPS}),
+        ),
+        # Baby steps may still be saved after a print
+        (
+            "CALIBRATE_Z\nM84",
+            *("the motors were turned off", {CALCULATE: FIRST}),
+        ),
+        ("CALIBRATE_Z\nG28 Z\nM84", "Z was homed again", {SAVE: STEPS}),
     ],
 )
-def test_new_switch_offset_needs_a_calibration_that_holds(
-    start, script, reason
+def test_new_switch_offset_needs_a_result_that_holds(
+    start, script, reason, after
 ):
     printer = start().homed()
     printer.run(script)
-    text = printer.fail("CALCULATE_SWITCH_OFFSET SAVE=1")
-    assert text.startswith(f"z_calibration: {reason}; run CALIBRATE_Z first")
-    assert printer.status("configfile")["save_config_pending"] is False
+    printer.run("SET_GCODE_OFFSET Z_ADJUST=0.02")
+    for command, words in after.items():
+        text = printer.fail(f"{command} SAVE=1")
+        assert text.startswith(f"z_calibration: {reason}; {words}")
+    assert pending(printer) == {}
 
 
 def test_switch_offset_cannot_become_negative(start):

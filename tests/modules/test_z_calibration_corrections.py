@@ -2,29 +2,23 @@
 
 from __future__ import annotations
 
-import json
-
 import pytest
 
 from tools.kit.z_calibration import (
     MICROSTEP,
-    SWITCH_OFFSET,
+    SAVE,
     calibration,
+    kept_runs,
+    pending,
     section,
-    touched_sites,
 )
 
-SAVE = "Z_CALIBRATION_SAVE_GCODE_OFFSET"
 ENDSTOP, PROBE = "Z_OFFSET_APPLY_ENDSTOP", "Z_OFFSET_APPLY_PROBE"
 # What an offset_gcode has to say that makes another offset of it
 OWN = "Z_CALIBRATION_KEEP_OFFSET"
 RAISE = "SET_GCODE_OFFSET Z_ADJUST=0.02 MOVE=1"
 # 0.06 mm are between nozzle and bed at Z=0
 USUAL_GAP = 0.06
-
-
-def pending(printer):
-    return printer.status("configfile")["save_config_pending_items"]
 
 
 def test_baby_steps_are_there_again_in_the_next_run(start):
@@ -63,7 +57,6 @@ def test_baby_steps_are_there_again_in_the_next_run(start):
     assert pending(printer)["z_calibration"] == {"switch_offset": "0.470"}
 
 
-# Macros pass last_z_offset on to it
 # The second time it sets just what was in force
 @pytest.mark.slow
 def test_offset_gcode_that_sets_the_same_again(start):
@@ -156,77 +149,6 @@ def test_button_that_saves_in_vain_is_told_of_once(start, button):
     assert hint not in "\n".join(printer.run(button))
 
 
-@pytest.mark.parametrize(
-    ("offset", "script", "words"),
-    [
-        ("0.61", f"{SAVE} FORCE=1", "which cannot be negative"),
-        ("-0.35", SAVE, "a change of more than 0.5 mm is none of baby steps"),
-        ("0", SAVE, "the G-code offset is 0, not that of CALIBRATE_Z"),
-        ("0.2", f"{SAVE} SAVE=often", "SAVE=often"),
-        ("0.2", f"{SAVE} FORCE=x", "FORCE=x"),
-        ("0.2", "CALIBRATE_Z Z_ADJUST=0.51", "Z_ADJUST"),
-        ("0.2", "CALIBRATE_Z Z_ADJUST=-0.51", "Z_ADJUST"),
-        ("0.2", "CALIBRATE_Z Z_ADJUST=nan", "Z_ADJUST"),
-    ],
-)
-def test_refused(host, calibrated, offset, script, words):
-    printer = calibrated(host)
-    step = float(offset) - printer.offset()
-    printer.run(f"SET_GCODE_OFFSET Z_ADJUST={step:.6f}")
-    before = len(printer.machine.truth.touches)
-    assert words in printer.fail(script)
-    assert pending(printer) == {}
-    assert printer.offset() == pytest.approx(float(offset))
-    assert touched_sites(printer, before) == []
-
-
-@pytest.mark.slow
-@pytest.mark.parametrize(
-    ("script", "reason"),
-    [
-        ("", "not calibrated yet"),
-        ("CALIBRATE_Z\nG28 Z\nM84", "Z was homed again"),
-    ],
-)
-def test_baby_steps_count_from_a_result(start, script, reason):
-    printer = start().homed()
-    printer.run(script)
-    printer.run("SET_GCODE_OFFSET Z_ADJUST=0.02")
-    text = printer.fail(SAVE)
-    assert text.startswith(f"z_calibration: {reason}; baby steps count from")
-    assert pending(printer) == {}
-
-
-@pytest.mark.slow
-def test_force_takes_a_large_one(start):
-    printer = start().homed()
-    calibration(printer)
-    printer.run(f"SET_GCODE_OFFSET Z=-0.4\n{SAVE} FORCE=1")
-    assert pending(printer)["z_calibration"] == {"switch_offset": "1.000"}
-
-
-@pytest.mark.slow
-@pytest.mark.every_host("SAVE_CONFIG is each host's own")
-def test_option_in_an_included_file_is_refused_by_save_config(start, tmp_path):
-    path = tmp_path / "mine.cfg"
-    path.write_text(f"[z_calibration]\nswitch_offset: {SWITCH_OFFSET}\n")
-    changes = {f"include {path}": {}, **section(switch_offset=None)}
-    printer = start(changes=changes).homed()
-    calibration(printer)
-    text = "\n".join(printer.run(f"{RAISE}\n{SAVE}"))
-    assert "switch_offset: 0.420\n// The SAVE_CONFIG command will" in text
-    # Kalico's own words have both values
-    text = printer.fail("SAVE_CONFIG")
-    assert "SAVE_CONFIG section 'z_calibration' option 'switch_offset'" in text
-    assert "conflicts with included value" in text
-    assert calibration(printer)[0][3] == 0.42
-    # As Klipper has said
-    path.write_text("[z_calibration]\nswitch_offset: 0.42\n")
-    printer.session.restart("RESTART")
-    printer.run("G28")
-    assert calibration(printer)[0][3] == 0.42
-
-
 def test_adjustment_of_a_plate(start):
     changes = section(offset_margins="-0.2, 0.2")
     printer = start(changes=changes).homed()
@@ -251,11 +173,7 @@ def test_adjustment_of_a_plate(start):
     result, _ = calibration(printer)
     assert result[-1] == pytest.approx(0.16, abs=0.001)
     assert printer.status("z_calibration")["z_adjust"] == 0.0
-    printer.session.wait(1.0)
-    folder = printer.session.data / "config" / "z_calibration"
-    path = folder / "printer.jsonl"
-    runs = [json.loads(line) for line in path.read_text().splitlines()]
-    assert [run["z_adjust"] for run in runs] == [0.1, 0.0]
+    assert [run["z_adjust"] for run in kept_runs(printer)] == [0.1, 0.0]
 
 
 def test_what_counted_before_the_paper_is_not_saved_after_it(start):

@@ -2,16 +2,17 @@
 
 from __future__ import annotations
 
-import json
-
 import pytest
 
 from tools.kit.cases import slow
 from tools.kit.klipper_sections import bed_mesh, profile
 from tools.kit.z_calibration import (
+    LIFT,
     MICROSTEP,
-    calibration,
+    SAVE,
+    kept_runs,
     result_of,
+    validity,
     with_extra,
 )
 
@@ -30,9 +31,6 @@ def mesh(heights=SLOPE, **options):
 
 
 LOAD = "BED_MESH_PROFILE LOAD=default"
-SAVE = "Z_CALIBRATION_SAVE_GCODE_OFFSET"
-
-
 # The probe hangs below the toolhead, up to here a mesh of FADING does not fade.
 NEAR = 9.0
 FADING = {"fade_start": "9.5", "fade_end": "12", "fade_target": "0"}
@@ -51,11 +49,6 @@ def gap_near(printer, xy=POINT, z=NEAR):
 def assert_right(printer, gap=GAP, xy=POINT):
     """The true gap at Z=0 over that point."""
     assert gap_near(printer, xy) == pytest.approx(gap, abs=2 * MICROSTEP)
-
-
-def validity(printer):
-    status = printer.status("z_calibration")
-    return status["measured"], status["valid"], status["reason"]
 
 
 # Taken off
@@ -234,26 +227,6 @@ def test_heat_that_counts_below_a_height_only_is_asked_for_there(
 # Left alone, and told
 
 
-LIFT = """
-class Lift(object):
-    def __init__(self):
-        self.next = printer.lookup_object("gcode_move").set_move_transform(
-            self, force=True
-        )
-    def height(self, position):
-        return 0.12 if %s else 0.0
-    def get_position(self):
-        position = self.next.get_position()
-        position[2] -= self.height(position)
-        return position
-    def move(self, newpos, speed):
-        lifted = list(newpos)
-        lifted[2] += self.height(newpos)
-        self.next.move(lifted, speed)
-printer.register_event_handler("klippy:connect", Lift)
-"""
-
-
 @pytest.mark.slow
 def test_what_is_the_same_over_pin_and_bed_is_taken_off(start, tmp_path):
     modules = with_extra(tmp_path, LIFT % ("True",))
@@ -265,10 +238,8 @@ def test_what_is_the_same_over_pin_and_bed_is_taken_off(start, tmp_path):
     warnings = printer.status("z_calibration")["warnings"]
     assert sum(text in warning for warning in warnings) == 1
     # None of them is about the touches
-    printer.session.wait(1.0)
-    folder = printer.session.data / "config" / "z_calibration"
-    (line,) = (folder / "printer.jsonl").read_text().splitlines()
-    told = [(w["about"], w["text"]) for w in json.loads(line)["warnings"]]
+    (run,) = kept_runs(printer)
+    told = [(w["about"], w["text"]) for w in run["warnings"]]
     assert told == list(zip(("bed_mesh", "another"), warnings))
 
 
@@ -279,19 +250,6 @@ def test_what_differs_over_pin_and_bed_is_refused(start, tmp_path):
     assert "0.120 mm over the pin and by 0.000 mm over the bed" in text
     assert text.endswith("turn it off before CALIBRATE_Z")
     assert printer.offset() == 0.0
-
-
-@pytest.mark.slow
-def test_zero_of_the_mesh_at_the_point_is_no_warning(start):
-    changes = {"bed_mesh": {**MESH, "zero_reference_position": "150, 150"}}
-    printer = start(changes=changes).homed()
-    printer.run("BED_MESH_CALIBRATE")
-    calibration(printer)
-    assert printer.status("z_calibration")["warnings"] == []
-    assert_right(printer)
-    # Nor does it matter whether it is loaded
-    printer.run("BED_MESH_CLEAR")
-    assert validity(printer) == (True, True, "")
 
 
 # Until it changes

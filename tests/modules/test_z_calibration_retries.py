@@ -7,7 +7,6 @@ import json
 import pytest
 
 from simprinter import Fault
-from tests.modules.test_z_calibration_history import history
 from tools.kit.cases import slow
 from tools.kit.dockable_probe import SWITCH, trips, where
 from tools.kit.docks import calibrating
@@ -16,6 +15,7 @@ from tools.kit.scenes import SCENES
 from tools.kit.z_calibration import (
     MICROSTEP,
     assert_unharmed,
+    kept_runs,
     marked,
     result_of,
     section,
@@ -93,7 +93,7 @@ def test_touch_that_goes_wrong_once(start, fault):
     # The probe is put away first, the nozzle cleaned before it touches again
     assert told(printer, before) == [*FIRST, "LAST"]
     assert printer.gap() == pytest.approx(GAP, abs=2 * MICROSTEP)
-    assert [run["ok"] for run in history(printer)] == [False, True]
+    assert [run["ok"] for run in kept_runs(printer)] == [False, True]
     # Of the try that failed: what has failed
     (line,) = [line for line in lines if "try 2 of 3" in line]
     assert fault.subject.split("_")[0].replace("body", "switch") in line or (
@@ -141,7 +141,7 @@ def test_touch_that_never_gets_right(start, retries):
     assert touched_sites(printer, touches) == ["nozzle_pin"] * tries
     assert printer.machine.truth.depth("nozzle_pin") <= 1.01
     assert_unharmed(printer, 0.123)
-    assert len(history(printer)) == tries
+    assert len(kept_runs(printer)) == tries
     assert not printer.status("z_calibration")["last_query"]
 
 

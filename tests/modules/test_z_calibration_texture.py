@@ -18,7 +18,7 @@ from tools.kit.runs import make_runs
 from tools.kit.scenes import SCENES
 from tools.kit.z_calibration import (
     calibration,
-    refusal,
+    kept_runs,
     reported,
     section,
     with_moves,
@@ -144,16 +144,14 @@ def test_accuracy_asks_for_one_point(start):
 def test_history_keeps_where_it_was(start):
     printer = start(changes=section(bed_spread="3", samples="4")).homed()
     printer.run("CALIBRATE_Z")
-    printer.session.wait(1.0)
-    folder = printer.session.data / "config" / "z_calibration"
-    (line,) = (folder / "printer.jsonl").read_text().splitlines()
-    run = json.loads(line)
+    (run,) = kept_runs(printer)
     assert run["bed_spread"] == 3.0
     assert "points" not in run["sites"]["switch"]
     # Of the bed, where the plunger is: it hangs beside the nozzle
     points = [(x + 2.0, y - 24.75) for x, y in run["sites"]["bed"]["points"]]
     assert [pytest.approx(p, abs=0.06) for p in points] == points_of(printer)
     reported(printer, "the report is ")
+    folder = printer.session.data / "config" / "z_calibration"
     (report,) = folder.glob("report-*.svg")
     assert "Where the bed was touched" in report.read_text()
 
@@ -214,34 +212,6 @@ def test_dock_beside_the_points_is_gone_around(start):
     ]
     assert len(places) > 300
     assert min(math.dist(place, dock) for place in places) > away - 0.1
-
-
-IN = "in section 'z_calibration'"
-REFUSED = {
-    "beyond the reach": (
-        {"bed_spread": "3", "bed_xy_position": "150, 26"},
-        f"Option 'bed_spread: 3' {IN} needs the toolhead at Y=-1.750, outside",
-    ),
-    "no texture": (
-        {"bed_spread": "20.1"},
-        f"Option 'bed_spread' {IN} must have maximum of 20",
-    ),
-    "below nothing": (
-        {"bed_spread": "-1"},
-        f"Option 'bed_spread' {IN} must have minimum of 0",
-    ),
-    "on the pin": (
-        {"bed_spread": "6", "bed_xy_position": "199.5, 306"},
-        "choose a point of the bed at least 7 mm away",
-    ),
-}
-
-
-@pytest.mark.slow
-@pytest.mark.parametrize("name", REFUSED)
-def test_what_no_touch_may_do_is_refused(host, name):
-    options, words = REFUSED[name]
-    assert words in refusal(host, section(**options))
 
 
 @pytest.mark.slow

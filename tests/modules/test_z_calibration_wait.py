@@ -2,12 +2,11 @@
 
 from __future__ import annotations
 
-import json
 from dataclasses import replace
 
 import pytest
 
-from simprinter import Fault, heated
+from simprinter import Fault
 from simprinter.world import DriftSpec, NoiseSpec, OozeSpec
 from tools.kit.cases import slow
 from tools.kit.scenes import SCENES
@@ -16,6 +15,7 @@ from tools.kit.z_calibration import (
     PIN,
     assert_unharmed,
     calibration,
+    kept_runs,
     reported,
     section,
     touched_sites,
@@ -186,8 +186,7 @@ def test_report_shows_how_far_the_pin_has_moved(start):
     printer = homed(start, growing(nozzle=0.02))
     heights = [z for _, z, _ in seen(printer.run(f"{WAIT} MAX=2"))]
     folder = printer.session.data / "config" / "z_calibration"
-    (line,) = (folder / "printer.jsonl").read_text().splitlines()
-    kept = json.loads(line)
+    (kept,) = kept_runs(printer)
     assert [minute for minute, _ in kept["waited"]] == pytest.approx(
         [0.0, 1.0, 2.0], abs=0.2
     )
@@ -201,25 +200,6 @@ def test_report_shows_how_far_the_pin_has_moved(start):
     calibration(printer)
     printer.session.restart("RESTART")
     assert printer.status("z_calibration")["history"]["runs"] == 1
-
-
-# What is asked before the nozzle goes down
-
-
-def test_place_of_the_command(start):
-    printer = homed(start)
-    lines = printer.fail(f"{WAIT} NOZZLE_POSITION=1,311")
-    assert "NOZZLE_POSITION=1,311 needs the toolhead" in lines
-    printer.run(f"{WAIT} MAX=2 NOZZLE_POSITION=205,307")
-    touch = printer.machine.truth.touches[-1]
-    assert (touch.x, touch.y) == pytest.approx((205.0, 307.0), abs=0.02)
-
-
-def test_nozzle_that_is_too_hot_is_told(start):
-    printer = homed(start, heated(SCENES["voron"]))
-    printer.run("SET_HEATER_TEMPERATURE HEATER=extruder TARGET=240")
-    lines = printer.run(f"{WAIT} MAX=2")
-    assert sum("at 240 C plastic oozes" in line for line in lines) == 1
 
 
 def test_dirty_nozzle_is_cleaned_once_without_the_offset_in_force(start):
