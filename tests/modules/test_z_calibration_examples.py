@@ -20,7 +20,6 @@ from simprinter.hosts.session import GcodeError
 from tests.docs.documents import (
     COMMANDS,
     OPTIONS,
-    STATUS,
     options_of,
     part,
     rows,
@@ -58,8 +57,6 @@ STARTS = sorted(
     if "# Lines for your own PRINT_START" in path.read_text(encoding="utf-8")
 )
 LIMIT = 1800.0  # printer seconds
-# What moves or sets the Z axis anew
-UNSETTLING = r"G28|G92|QUAD_GANTRY_LEVEL|Z_TILT_ADJUST|M84|SET_GCODE_OFFSET"
 
 
 def text_of(name: str) -> str:
@@ -237,41 +234,6 @@ def test_parameters_are_documented(name):
         assert given <= known
 
 
-@pytest.mark.slow
-def test_fields_are_documented():
-    known = {spans(row[0])[0] for row in rows(part(DOCUMENT, STATUS))}
-    used = set(re.findall(r"\bz\.(\w+)", text_of(MACROS)))
-    assert used
-    assert used <= known
-
-
-@pytest.mark.slow
-@pytest.mark.parametrize("name", sorted(OWNERS))
-def test_nothing_moves_z_after_calibrating(name):
-    code = lines_of(EXAMPLES / f"{name}.cfg")
-    _, calibrate, after = code.partition("CALIBRATE_Z  ")
-    assert calibrate
-    assert not re.search(UNSETTLING, after)
-
-
-LEVELLING = ("QUAD_GANTRY_LEVEL", "Z_TILT_ADJUST")
-
-
-@pytest.mark.slow
-@pytest.mark.parametrize("name", sorted(OWNERS))
-def test_z_is_homed_after_levelling(name):
-    code = lines_of(EXAMPLES / f"{name}.cfg")
-    lines = [line.partition("#")[0].strip() for line in code.splitlines()]
-    levelled = [n for n, line in enumerate(lines) if line in LEVELLING]
-    sections = OWNERS[name].scene.sections
-    assert bool(levelled) == (
-        "quad_gantry_level" in sections or "z_tilt" in sections
-    )
-    if levelled:
-        after = lines[levelled[-1] :]
-        assert after.index("G28 Z") < after.index("BED_MESH_CALIBRATE")
-
-
 # With mistakes
 
 
@@ -433,24 +395,6 @@ def test_bed_is_measured_below_the_print(macros):
     x, y = touches[-1].x, touches[-1].y
     # The toolhead, with the probe above the middle
     assert (x, y) == pytest.approx((80 + 2, 75.2 - 24.75), abs=0.06)
-
-
-@pytest.mark.slow
-def test_bed_is_measured_below_the_print_with_a_mesh(start):
-    mesh = {
-        "mesh_min": "30,30",
-        "mesh_max": "60,60",
-        "probe_count": "3,3",
-        "horizontal_move_z": "15",
-    }
-    # The mesh holds what the probe's z_offset is wrong by
-    changes = with_macros(bed_mesh=mesh, probe={"z_offset": "7.1"})
-    printer = start(changes=changes).homed()
-    script = "CALIBRATE_Z_AT_PRINT X_MIN=50 Y_MIN=60 X_MAX=110 Y_MAX=90"
-    assert measured(printer, f"BED_MESH_CALIBRATE\n{script}")
-    assert printer.gap((80.0, 75.0)) == pytest.approx(
-        printer.scene.formula_gap(), abs=2 * MICROSTEP
-    )
 
 
 def with_plates(start, tmp_path, more=()):

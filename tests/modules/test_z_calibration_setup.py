@@ -14,8 +14,10 @@ from tools.kit.klipper_sections import TOOL
 from tools.kit.scenes import SCENES, heated
 from tools.kit.setup_user import EMPTY, SETUP, User, open_dialog
 from tools.kit.z_calibration import (
+    LIFT,
     MICROSTEP,
     calibration,
+    pending,
     section,
     touched_sites,
     with_extra,
@@ -30,8 +32,13 @@ def empty(**changes):
     return {**section(**{**EMPTY, **changes.pop("options", {})}), **changes}
 
 
-def pending(printer):
-    return printer.status("configfile")["save_config_pending_items"]
+def user_at(start, step, scene="cartesian", changes=None):
+    """A printer, and somebody who has come so far from an empty section."""
+    printer = start(scene, changes=changes or empty())
+    printer.session.require_ready()
+    user = User(printer)
+    user.come_to(step)
+    return printer, user
 
 
 def test_from_an_empty_section_to_the_true_gap(start):
@@ -194,10 +201,7 @@ PAD = ["X-{0} mm", "X+{0} mm", "Y-{0} mm", "Y+{0} mm", "Z-{0} mm", "Z+{0} mm"]
 
 
 def test_jog_buttons_of_one_width(start):
-    printer = start("cartesian", changes=empty())
-    printer.session.require_ready()
-    user = User(printer)
-    user.come_to("NOZZLE")
+    printer, user = user_at(start, "NOZZLE")
     # On a page of their own, as all would be ten
     for width, other in (("10", "1"), ("1", "0.1"), ("0.1", "10")):
         pad = [label.format(width) for label in PAD]
@@ -258,10 +262,9 @@ def test_heights_are_those_of_a_nozzle(start, tmp_path):
     heat = tmp_path / "temp"
     heat.write_text("25000")
     changes = {**empty(), "extruder1": {**TOOL, "sensor_path": str(heat)}}
-    printer = start(heated(SCENES["cartesian"]), changes=changes)
-    printer.session.require_ready()
-    user = User(printer)
-    user.come_to("PAPER")
+    printer, user = user_at(
+        start, "PAPER", heated(SCENES["cartesian"]), changes=changes
+    )
     z = printer.session.position()[2]
     printer.run("ACTIVATE_EXTRUDER EXTRUDER=extruder1")
     text = user.refused("Z-0.1 mm")
@@ -271,25 +274,18 @@ def test_heights_are_those_of_a_nozzle(start, tmp_path):
     user.go_to("PAPER")
 
 
-@pytest.mark.parametrize("target", [240, slow(150)])
-def test_hot_nozzle_is_told_before_it_touches(start, target):
-    printer = start(heated(SCENES["cartesian"]), changes=empty())
-    printer.session.require_ready()
-    printer.run(f"M104 S{target}")
-    user = User(printer)
+def test_hot_nozzle_is_told_before_it_touches(start):
+    scene = heated(SCENES["cartesian"])
+    printer, user = user_at(start, "TOUCH_NOZZLE", scene)
+    printer.run("M104 S240")
     user.come_to("GAP")
     lines = "\n".join(printer.session.console)
-    words = (
-        f"at {target} C plastic oozes out of the nozzle: heat it to about 150"
-    )
-    assert lines.count(words) == (target == 240)
+    words = "at 240 C plastic oozes out of the nozzle: heat it to about 150"
+    assert lines.count(words) == 1
 
 
 def test_with_the_sheet_only_small_steps_lead_down_to_it(start):
-    printer = start("cartesian", changes=empty())
-    printer.session.require_ready()
-    user = User(printer)
-    user.come_to("PAPER")
+    printer, user = user_at(start, "PAPER")
     at = user.position()
     for typed in ("Z=-10", "Z=-3"):
         text = printer.fail(f"{SETUP} STEP=PAPER {typed}")
@@ -301,38 +297,21 @@ def test_with_the_sheet_only_small_steps_lead_down_to_it(start):
     assert printer.machine.truth.min_gap > 0.0
 
 
-LIFT = """
-class Lift(object):
-    def __init__(self):
-        self.next = printer.lookup_object("gcode_move").set_move_transform(
-            self, force=True
-        )
-    def get_position(self):
-        position = self.next.get_position()
-        position[2] -= 0.12
-        return position
-    def move(self, newpos, speed):
-        lifted = list(newpos)
-        lifted[2] += 0.12
-        self.next.move(lifted, speed)
-printer.register_event_handler("klippy:connect", Lift)
-"""
-
-
 def test_bed_is_touched_below_a_feature_that_shifts_all(start, tmp_path):
     """Each touch is a step of its own: pin and bed are not compared."""
     changes = {**empty(), "extra": {}}
     printer = start(
-        "cartesian", changes=changes, modules=with_extra(tmp_path, LIFT)
+        "cartesian",
+        changes=changes,
+        modules=with_extra(tmp_path, LIFT % ("True",)),
     )
     printer.session.require_ready()
     User(printer).come_to("PAPER")
 
 
 def test_touches_are_slow(start):
-    printer = start("cartesian", empty(options={"probing_second_speed": "9"}))
-    printer.session.require_ready()
-    User(printer).come_to("GAP")
+    own = empty(options={"probing_second_speed": "9"})
+    printer, _ = user_at(start, "GAP", changes=own)
     # At most 2 mm/s over the 5 mm that the toolhead is lifted in between
     for site in ("nozzle_pin", "body_pin"):
         times = [t.t for t in printer.machine.truth.touches if t.site == site]
@@ -429,10 +408,7 @@ def assert_jogs_are_limited(printer):
 def test_places_that_cannot_be_and_a_probe_that_is_lost(start):
     changes = empty()
     changes["stepper_x"] = {"position_max": "254.5"}
-    printer = start("cartesian", changes=changes)
-    printer.session.require_ready()
-    user = User(printer)
-    user.come_to("HOME")
+    printer, user = user_at(start, "HOME", changes=changes)
     printer.machine.hold("probe", False)
     assert "the probe is on the toolhead, and would hit" in user.refused("Home")
     assert printer.status("toolhead")["homed_axes"] == ""
@@ -495,10 +471,9 @@ def test_owner_without_gcode_attaches_the_probe_by_hand(start):
     # It hangs beside the bed while the nozzle is on the pin
     bed = replace(SCENES["cartesian"].world.bed, x_max=180.0)
     scene = SCENES["cartesian"].with_world(bed=bed)
-    printer = start(scene, changes=empty(options=hooks))
-    printer.session.require_ready()
-    user = User(printer)
-    user.come_to("NOZZLE")
+    printer, user = user_at(
+        start, "NOZZLE", scene, changes=empty(options=hooks)
+    )
     user.turn_to("Here")
     assert ", asks for the probe unless it is there, and" in user.dialog().text
     user.jog_to(*CARTESIAN["nozzle"])
@@ -538,10 +513,7 @@ def test_owner_without_gcode_attaches_the_probe_by_hand(start):
     ids=["late", "early"],
 )
 def test_owner_with_gcode_is_told_what_it_does(start, hooks):
-    printer = start("cartesian", changes=empty(options=hooks))
-    printer.session.require_ready()
-    user = User(printer)
-    user.come_to("NOZZLE")
+    printer, user = user_at(start, "NOZZLE", changes=empty(options=hooks))
     words = "fetches the probe by your own G-code unless it is there"
     user.turn_to("Here")
     assert words in user.dialog().text
@@ -556,10 +528,12 @@ def test_pin_that_presses_the_plunger(start):
     probe = replace(scene.world.mag_probe, plunger_on_pin=True)
     fetch = {"before_switch_gcode": "\n  ATTACH_PROBE\n  RESPOND MSG=fetched"}
     changes = {"respond": {}, **empty(options=fetch)}
-    printer = start(scene.with_world(mag_probe=probe), changes=changes)
-    printer.session.require_ready()
-    user = User(printer)
-    user.come_to("TOUCH_NOZZLE")
+    printer, user = user_at(
+        start,
+        "TOUCH_NOZZLE",
+        scene.with_world(mag_probe=probe),
+        changes=changes,
+    )
     seen = len(printer.session.console)
     for _ in range(2):
         text = user.refused("Touch")
@@ -604,10 +578,7 @@ def test_probe_that_fetches_itself(start):
 
 @pytest.mark.parametrize("step", ["NOZZLE", "GAP"])
 def test_probe_that_somebody_has_put_on_is_put_away_for_the_nozzle(start, step):
-    printer = start("cartesian", changes=empty())
-    printer.session.require_ready()
-    user = User(printer)
-    user.come_to(step)
+    printer, user = user_at(start, step)
     if step == "GAP":
         # All touches are to be made again
         printer.run("G28 Z")
@@ -626,10 +597,9 @@ def test_probe_that_somebody_has_put_on_is_put_away_for_the_nozzle(start, step):
 def test_probe_that_nobody_puts_away_is_not_on_for_the_nozzle(start):
     hooks = {"before_switch_gcode": None, "end_gcode": None}
     section = {**empty()["z_calibration"], **hooks}
-    printer = start("cartesian", changes={**empty(), "z_calibration": section})
-    printer.session.require_ready()
-    user = User(printer)
-    user.come_to("NOZZLE")
+    printer, user = user_at(
+        start, "NOZZLE", changes={**empty(), "z_calibration": section}
+    )
     assert "nothing has attached it; attach it by hand" in user.refused("Here")
     printer.run("ATTACH_PROBE")
     for label in ("Attach", "Here", "Here", "Yes"):
@@ -686,10 +656,7 @@ def test_dockable_probe_that_is_docked_by_itself_alone(start):
 
 
 def test_nothing_is_lowered_beside_the_sheet_or_with_the_probe(start):
-    printer = start("cartesian", changes=empty())
-    printer.session.require_ready()
-    user = User(printer)
-    user.come_to("PAPER")
+    printer, user = user_at(start, "PAPER")
     # By another client, over the pin and up again
     printer.run("G90\nG1 Z12 F600\nG1 X226 Y20 F6000")
     for label in ("Z-1 mm", "Z-0.1 mm", "Here"):
@@ -713,10 +680,7 @@ def test_nothing_is_lowered_beside_the_sheet_or_with_the_probe(start):
 
 
 def test_one_look_at_all_places(start):
-    printer = start("cartesian", changes=empty())
-    printer.session.require_ready()
-    user = User(printer)
-    user.come_to("SWITCH")
+    printer, user = user_at(start, "SWITCH")
     # Nobody has looked for it yet
     assert "Now the plunger is about over the pin: move some 4 mm" in (
         user.dialog().text
@@ -761,10 +725,7 @@ def test_option_in_an_include_that_the_host_writes(start, host, tmp_path):
     changes = empty()
     changes[f"include {tmp_path}/own.cfg"] = {}
     changes["danger_options"] = {"autosave_includes": "True"}
-    printer = start("cartesian", changes=changes)
-    printer.session.require_ready()
-    user = User(printer)
-    user.come_to("GAP")
+    printer, user = user_at(start, "GAP", changes=changes)
     user.press("D2F 0.2 mm")
     printer.session.restart(user.dialog().gcode("Save"))
     own = printer.status("configfile")["settings"]["z_calibration"]
