@@ -193,35 +193,6 @@ def test_delta_is_refused_by_each_module(start, sections):
     assert f"remove section '{name}'" in told
 
 
-# z_calibration is left out where it cannot know the machine yet
-def test_separate_pin_has_an_input_of_its_own(start):
-    """Another section takes z_calibration's place."""
-    scene = SCENES["separate_pin"]
-    reader = {
-        "step_pin": "PD0",
-        "dir_pin": "PD1",
-        "rotation_distance": "40",
-        "microsteps": "16",
-        "endstop_pin": scene.sections["z_calibration"]["endstop_pin"],
-    }
-    changes = {"z_calibration": None, "manual_stepper reader": reader}
-    printer = start(scene, changes, modules={}).homed()
-    # Z is homed with the probe, about whose length its owner is wrong
-    probe = scene.world.mag_probe
-    wanted = probe.body_drop + probe.switch_offset
-    wanted -= scene.number("probe", "z_offset")
-    gap = printer.gap((150.0, 150.0))
-    assert gap == pytest.approx(wanted, abs=MICROSTEP)
-    assert printer.machine.truth.touch_count("nozzle_pin") == 0
-    pin = scene.world.pin
-    trigger = pin.z - scene.world.bed.z0 - gap
-    seen = []
-    for height in (trigger + 0.02, trigger - 0.02, trigger + 0.02):
-        printer.run(f"G1 X{pin.x} Y{pin.y} F6000\nG1 Z{height} F300\nM400")
-        seen.append("reader:TRIGGERED" in printer.run("QUERY_ENDSTOPS")[-1])
-    assert seen == [False, True, False]
-
-
 @pytest.mark.every_host("hosts have other kinematics")
 def test_kinematics_that_a_host_does_not_have(start, host):
     assert has_kinematics(host, SCENES["voron"])
