@@ -228,8 +228,11 @@ class Simulation:
         else:
             limit = _STALL_LIMIT
             reason = f"klippy waits for a child for {limit:.0f} s of real time"
+        assert isinstance(self.clock, VirtualClock)
         assert self._children is not None
-        if not self._wait_for_doorbell(limit, self._children.filenos()):
+        rang = self._wait_for_doorbell(limit, self._children.filenos())
+        # Whoever was woken meanwhile, and computes, rings when he sleeps again
+        if not rang and self.clock.everybody_sleeps():
             raise SimulationError(f"{what}: {reason}")
 
     def _programs_rest(self, wakes: int) -> bool:

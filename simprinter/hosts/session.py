@@ -435,21 +435,16 @@ def run_file_output(
     dictionary: bytes,
     config: str,
     gcode: str,
-) -> tuple[BatchResult, bytes]:
-    """Run a G-code file in klippy's own file-output mode, without a machine.
-
-    Returns the result and the messages klippy would have sent. On a virtual
-    clock, so that all of them have been written.
-    """
+) -> BatchResult:
+    """Run a G-code file in klippy's own file-output mode, without a machine."""
     installed = host.install({**modules, "rest": _REST})
     simulation = Simulation(VirtualClock(build_directory()))
     process = _Process(installed, simulation, "[rest]\n" + config)
-    sent, known = process.directory / "sent.bin", process.directory / "mcu.dict"
+    known = process.directory / "mcu.dict"
     known.write_bytes(dictionary)
-    options = ["-o", str(sent), "-d", str(known)]
+    options = ["-o", str(known.with_name("sent.bin")), "-d", str(known)]
     try:
-        result = _run_to_end(process, simulation, gcode + "\nREST\n", options)
-        return result, sent.read_bytes() if sent.exists() else b""
+        return _run_to_end(process, simulation, gcode + "\nREST\n", options)
     finally:
         simulation.close()
         process.remove()

@@ -79,6 +79,25 @@ def test_process_on_its_way_out_is_given_time():
         kill.join()
 
 
+def test_process_that_is_woken_and_computes_is_no_dead_end(monkeypatch):
+    """As klippy does while it starts, on a machine with much to do."""
+    monkeypatch.setattr(simulation_module, "_DEAD_END", 0.5)
+    source = """
+os.read(0, 1)
+while time.process_time() < 1.5: # the processor's time is real
+    pass
+print(now())
+"""
+    with Program(python(source), reads=True) as program:
+        program.simulation.run_until(
+            program.simulation.clock.everybody_sleeps, 5.0, "falling asleep"
+        )
+        wake = Timer(0.2, program.write, (b"x",))
+        wake.start()
+        assert program.finish() == ["0"]
+        wake.join()
+
+
 @pytest.mark.parametrize("latency_ns", [0, 3_000_000])
 def test_boards_and_lines_live_though_the_process_sleeps(latency_ns):
     made = []

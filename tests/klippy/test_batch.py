@@ -73,7 +73,7 @@ def test_batch(host, test, config):
         SCENES["voron"], clock=RealClock(), dialect=dialect_of(host)
     ) as machine:
         dictionary = machine.board.dictionary.json
-    result, _ = run_file_output(
+    result = run_file_output(
         host,
         module_files(),
         dictionary,

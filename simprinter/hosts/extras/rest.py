@@ -1,7 +1,7 @@
 # For tests in file-output mode: REST lets klippy sleep for a second.
 #
 # In that mode klippy never sleeps by itself and ends without waiting for the
-# thread that writes its messages, so that a file may lack the last of them.
+# threads that write, so that its log may lack the last lines.
 
 
 class Rest:
