@@ -19,7 +19,8 @@ def test_picture_is_for_light_and_dark_pages_and_harmless(path):
     for element in ET.fromstring(text).iter():
         assert element.tag != f"{SVG}script"
         assert not any(name.startswith("on") for name in element.keys())  # noqa: SIM118
-    assert "@import" not in text
+    assert re.findall("@import|href|url|src", text) == []
+    assert set(re.findall(r"https?:[^\s\"']+", text)) == {SVG[1:-1]}
 
 
 @pytest.mark.parametrize("name", ["z_calibration", "auto_z_offset"])

@@ -1,7 +1,7 @@
 """z_touch/report/picture.py, svg.py: what the picture shows, from any history.
 
 That the pictures of the documents are drawn of their records to the letter is in
-tests/docs/test_report_doc.py.
+tests/docs/test_report_doc.py, that they need nothing but themselves in test_pictures.py.
 """
 
 from __future__ import annotations
@@ -235,14 +235,6 @@ def assert_texts_apart(root):
 
 def test_a_thousand_runs_are_no_large_picture():
     assert len(picture.svg(read(make_runs(1000)))) < 300_000
-
-
-def test_nothing_but_itself_is_needed():
-    text = picture.svg(read(make_runs(20)))
-    assert "script" not in text and "@import" not in text
-    assert re.findall(r"(?:href|url|src)", text) == []
-    assert re.findall(r"https?://\S+", text) == ['http://www.w3.org/2000/svg"']
-    assert "prefers-color-scheme:dark" in text
 
 
 @pytest.mark.parametrize(

@@ -97,6 +97,11 @@ CASES = {
         " meets the pin 0.030 mm higher than in November 2023.",
     ),
     "worn, but hardly known": (drifting(19), "good", ""),
+    "worn, without a clock": (
+        [{**run, "time": 0.0} for run in drifting(30)],
+        "watch",
+        "0.030 mm higher than 30 runs ago.",
+    ),
     "grown": (
         make_runs(20, touches=4)
         + make_runs(20, 3, touches=4, worn={"bed": 0.009}),
@@ -270,14 +275,6 @@ def test_what_touches_have_in_common_is_worn(worn, words):
 )
 def test_ratios_are_said_as_one_does(ratio, words):
     assert verdict.times(ratio) == words
-
-
-def test_without_a_clock_runs_are_counted():
-    runs = drifting(30)
-    for run in runs:
-        run["time"] = 0.0
-    (text,) = verdict.judge(read(runs)).texts
-    assert text.endswith("0.030 mm higher than 30 runs ago.")
 
 
 @pytest.mark.parametrize(("worth", "count"), [(0.012, 1), (0.021, 2)])

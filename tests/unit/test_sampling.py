@@ -47,16 +47,6 @@ def taken(values, retries=0, samples=3, tolerance=0.01):
     return result, notes, list(touches)
 
 
-@pytest.mark.parametrize("samples", [1, 2, 3, 5])
-def test_exactly_the_samples_wanted_are_taken(samples):
-    values = [1.0, 1.003, 1.001, 1.004, 1.002, 9.0]
-    assert taken(values, samples=samples) == (
-        values[:samples],
-        [],
-        values[samples:],
-    )
-
-
 # 0.25 and 0.5 are exact in binary: equality really is equality
 @pytest.mark.parametrize(
     ("values", "tolerance"),
