@@ -309,14 +309,6 @@ def test_way_around_a_dock_that_is_entered_from_above(start):
     assert at(printer) == pytest.approx((120.0, 300.0))
 
 
-def test_way_out_of_a_dock_that_is_entered_from_above(start):
-    printer = started(start, ABOVE).homed()
-    printer.run("G1 X150 Y150 Z20 F6000\nMOVE_TO_DOCK_PROBE")
-    ends = moves(printer, "MOVE_AVOIDING_DOCK X=150 Y=150")
-    assert ends[0] == (50.0, 308.0, 30.0)
-    assert printer.machine.truth.crashes() == []
-
-
 # Step by step
 
 

@@ -10,13 +10,11 @@ import pytest
 from simprinter import Fault
 from simprinter.hosts.session import GcodeError
 from tools.campaign.drawn.machines import on_plate
-from tools.kit.cases import slow
 from tools.kit.dockable_probe import (
     ABOVE,
     BED,
     CLEAR,
     FORCE,
-    FRAME,
     GANTRY,
     HANG,
     QUICK,
@@ -162,39 +160,6 @@ def test_part_by_part_with_each_of_the_options(start):
     assert said == ["pre_attach", "post_attach", "pre_detach", "post_detach"]
 
 
-@pytest.mark.slow
-def test_dock_is_put_away_where_the_head_does_not_get_there(start):
-    printer = started(
-        start,
-        SERVO,
-        dock_position="150, 155",
-        approach_position="150, 1",
-        detach_position="150, 309",
-    ).homed()
-    text = printer.fail("G1 X298 Y308 Z20 F6000\nMOVE_TO_DOCK_PROBE")
-    assert "no way from 298.000, 308.000" in text
-    assert not is_out(printer)
-
-
-@pytest.mark.slow
-@pytest.mark.parametrize("command", ["G28", "G28 X", "G28 Z"])
-@pytest.mark.parametrize("scene", [SERVO, SWITCH, slow(GANTRY), slow(FRAME)])
-def test_homing_from_in_the_dock(start, scene, command):
-    printer = started(start, scene).homed()
-    before = len(trips(printer))
-    printer.run(f"{CENTRE}{steps('DOCK')}\nM400")
-    place = scene.sections["dockable_probe"]["dock_position"].split(",")
-    assert printer.session.position()[:2] == pytest.approx(
-        [float(part) for part in place[:2]]
-    )
-    printer.run(f"{command}\nM400")
-    assert where(printer) == "docked"
-    assert not trips(printer, before)[2:]
-    if scene is SERVO:
-        assert not is_out(printer)
-    assert_safe(printer)
-
-
 # Part by part: what the pins read before the way into the dock is over
 
 
@@ -236,17 +201,6 @@ def test_homing_with_what_was_left_in_the_dock(start, ready, script):
     assert printer.machine.truth.min_gap > HANG - 0.1
 
 
-@pytest.mark.slow
-@pytest.mark.parametrize("ready", [open_switch, closed_switch])
-def test_touch_with_what_was_left_in_the_dock(start, ready):
-    printer = ready(start).homed()
-    printer.run(f"{CENTRE}ATTACH_PROBE")
-    begun = len(trips(printer))
-    printer.run(f"{steps('DOCK', 'DETACH')}\n{AROUND}\nPROBE")
-    assert trips(printer, begun)[:2] == ["dock", "attach"]
-    assert printer.machine.truth.min_gap > HANG - 0.1
-
-
 # It was seen docked, and is until those moves are gone
 def test_docking_of_what_queued_moves_have_fetched(start):
     printer = started(start, SWITCH).homed()
@@ -275,7 +229,10 @@ def test_parts_of_the_way_prove_what_a_trip_does(start, way):
 @pytest.mark.slow
 @pytest.mark.parametrize(
     "way",
-    [steps("DOCK", "EXTRACT"), steps("DOCK", "EXTRACT", "DOCK", "DETACH")],
+    [
+        steps("DOCK", "EXTRACT"),
+        steps("DOCK", "EXTRACT", "DOCK", "DETACH"),
+    ],
 )
 def test_way_out_with_the_probe_proves_nothing(start, way):
     printer = started(start, BED).homed()

@@ -262,15 +262,15 @@ def put_on(printer):
     printer.run("SET_PROBE_STATUS STATE=ATTACHED")
 
 
-# It would be on the toolhead when the print goes on; a trip goes down at a low dock
-@pytest.mark.parametrize("command", ["ATTACH_PROBE", "PROBE", "G28 Z"])
-def test_probe_is_not_fetched_while_a_print_is_paused(start, tmp_path, command):
+# It would be on the toolhead when the print goes on; a trip goes down at a low dock.
+# ATTACH_PROBE and PROBE are in test_z_touch_refusals.py.
+def test_probe_is_not_fetched_while_a_print_is_paused(start, tmp_path):
     lines = "G90\nG1 Z40 F900\nG4 P2000\nPAUSE\nG1 X120\n"
     printer = with_card(start, tmp_path, lines).homed()
     printer.run(f"{OVER}\n{PRINT}")
     printer.session.wait(30)
     before, begun = printer.session.position(), len(trips(printer))
-    assert printer.fail(command) == (
+    assert printer.fail("G28 Z") == (
         "dockable_probe: a print is paused, and the toolhead would go across it;"
         " end it first (CANCEL_PRINT)"
     )

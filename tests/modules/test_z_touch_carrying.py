@@ -379,20 +379,6 @@ def test_probe_is_docked_before_each_paper_of_a_twist(start):
     printer.run("ABORT")
 
 
-# The probe would be below the nozzle that a person lowers next
-@pytest.mark.parametrize("command", ["MANUAL_PROBE", "PROBE_CALIBRATE"])
-def test_probe_is_not_fetched_while_the_paper_is_asked_for(start, command):
-    printer = ready(start)
-    printer.run(f"{OVER}{command}")
-    begun = len(trips(printer))
-    text = printer.fail("ATTACH_PROBE")
-    assert "dockable_probe: a manual probe is under way; end it with" in text
-    printer.run(f"TESTZ Z={1.0 - printer.session.position()[2]}\nM400")
-    assert untouched(printer)
-    printer.run("ABORT\nATTACH_PROBE")
-    assert trips(printer, begun) == ["attach"]
-
-
 # It took the docking before each paper with it: the probe was 2.5 mm in the bed
 def test_refused_command_in_the_middle_of_a_twist(start):
     printer = ready(start, {"allow_delayed_detach": "True"})
