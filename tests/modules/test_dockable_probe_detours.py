@@ -144,7 +144,8 @@ def test_no_paper_across_the_dock(start, script):
 
 
 # The end of X is on the dock's other side
-def test_no_homing_across_the_dock_where_docking_has_left_the_head(start):
+@pytest.mark.parametrize("then", ["M400", "MOVE_AVOIDING_DOCK X=135 Y=300"])
+def test_no_homing_across_the_dock_where_docking_has_left_the_head(start, then):
     dock = replace(SWITCH.world.dock, x=170.0, release=(-1.0, 0.0, 0.0))
     printer = started(
         start,
@@ -156,7 +157,7 @@ def test_no_homing_across_the_dock_where_docking_has_left_the_head(start):
     ).homed()
     printer.run("G1 X150 Y150 Z20 F6000\nPROBE")
     assert at(printer) == pytest.approx((130.0, 308.0))
-    printer.run("G28 X")
+    printer.run(f"{then}\nG28 X")
     printer.machine.truth.require_no_crash()
 
 

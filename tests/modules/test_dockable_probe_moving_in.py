@@ -232,6 +232,8 @@ def test_parts_of_the_way_prove_what_a_trip_does(start, way):
     [
         steps("DOCK", "EXTRACT"),
         steps("DOCK", "EXTRACT", "DOCK", "DETACH"),
+        # By a macro of the owner's
+        steps("DOCK") + "\nG1 Y270 F3000",
     ],
 )
 def test_way_out_with_the_probe_proves_nothing(start, way):
