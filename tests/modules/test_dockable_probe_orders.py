@@ -592,19 +592,6 @@ def test_where_the_probe_may_be_low(start):
     assert where(printer) == "attached"
 
 
-# What nobody knows the way of is left to the host
-def test_print_that_goes_on_with_the_motors_off(start, tmp_path):
-    lines = "G90\nG1 Z40 F900\nG4 P2000\nPAUSE\nG1 X120\n"
-    printer = with_card(start, tmp_path, lines).homed()
-    printer.run(f"{OVER}\n{PRINT}")
-    printer.session.wait(30)
-    put_on(printer)
-    printer.run("M84")
-    assert where(printer) == "attached"
-    (line,) = printer.run("RESUME")
-    assert "Must home axis first: 120.000" in line
-
-
 # The circle around the dock reaches over the bed
 @pytest.mark.parametrize("auto", [1, 0])
 def test_print_below_the_dock(start, tmp_path, auto):

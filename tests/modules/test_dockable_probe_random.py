@@ -1,7 +1,7 @@
 """[dockable_probe] with a dock anywhere: never a hit, the probe where it is due.
 
 The ways themselves are drawn without a host in
-unit/test_dockable_probe_geometry.py.
+tests/unit/test_dockable_probe_path.py.
 """
 
 from __future__ import annotations
