@@ -1,7 +1,7 @@
 """Which tests find which single fault of the product: make planted.
 
     python -m tools.planted [--count N] [--seed N] [--folder z_touch/...]
-        [--tests N] [--workers N] [--minutes N] [--json FILE]
+        [--tests N] [--workers N] [--minutes N] [--json FILE [--second]]
 
 First every test is run once on a copy of the tree that records which test runs which
 block of the product. Then faults are drawn over all files (a condition turned, a guard
@@ -20,7 +20,7 @@ import shutil
 import subprocess
 import sys
 import time
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from concurrent.futures import ThreadPoolExecutor, as_completed
 from pathlib import Path
 from queue import SimpleQueue
@@ -100,11 +100,19 @@ class Copy:
 
 
 def looked_for(
-    copy: Copy, fault: Fault, covering: Covering, most: int
+    copy: Copy, fault: Fault, covering: Covering, most: int, but: str = ""
 ) -> Found:
-    """Try the tests that run what a fault changes, most of them at most."""
+    """Try the tests that run what a fault changes, most of them at most.
+
+    but: the name of a test that is not tried, in none of its cases.
+    """
     source = (copy.folder / fault.file).read_text(encoding="utf-8")
-    cases = covering.of(fault, source)
+    left_out = but.partition("[")[0]
+    cases = [
+        case
+        for case in covering.of(fault, source)
+        if case.name.partition("[")[0] != left_out
+    ]
     names = [case.name for case in cases[:most]]
     # In the end whole tables, of which three cases were recorded
     tables = dict.fromkeys(
@@ -132,8 +140,12 @@ def all_found(
     faults: Sequence[Fault],
     covering: Covering,
     options: argparse.Namespace,
+    known: Mapping[Fault, Found],
 ) -> Iterator[Found]:
-    """What finds each fault, as long as there is time; one after the other in a copy."""
+    """What finds each fault, as long as there is time; one after the other in a copy.
+
+    known: where a test has found it, another one is looked for.
+    """
     until = time.monotonic() + 60.0 * options.minutes
     free = SimpleQueue[Copy]()
     for copy in copies:
@@ -143,16 +155,26 @@ def all_found(
         if time.monotonic() > until:
             return None
         copy = free.get()
+        first = known.get(fault)
+        but = first.test if first else ""
         try:
-            return looked_for(copy, fault, covering, options.tests)
+            found = looked_for(copy, fault, covering, options.tests, but)
         finally:
             free.put(copy)
+        return first._replace(second=found.test) if but else found
 
     with ThreadPoolExecutor(len(copies)) as pool:
         for done in as_completed([pool.submit(one, fault) for fault in faults]):
             found = done.result()
             if found is not None:
                 yield found
+
+
+def is_wanted(row: Optional[Found], options: argparse.Namespace) -> bool:
+    """Whether a fault is to be tried now: what is known of it, from an earlier run."""
+    if options.second:
+        return row is not None and bool(row.test) and row.second is None
+    return row is None or not row.test
 
 
 def parse(arguments: Optional[Sequence[str]]) -> argparse.Namespace:
@@ -169,6 +191,11 @@ def parse(arguments: Optional[Sequence[str]]) -> argparse.Namespace:
     )
     parser.add_argument("--workers", type=int, default=2, help="at a time")
     parser.add_argument("--minutes", type=float, default=1e9, help="at most")
+    parser.add_argument(
+        "--second",
+        action="store_true",
+        help="look for another test of what one has found, as --json says",
+    )
     parser.add_argument("--json", type=Path, help="write what was found there")
     return parser.parse_args(arguments)
 
@@ -180,21 +207,20 @@ def main(arguments: Optional[Sequence[str]] = None) -> int:
     folder = build / f"planted-{os.getpid()}"
     copies = [Copy(folder / str(n)) for n in range(options.workers)]
     faults = drawn(ROOT, options.folder, options.count, options.seed)
-    found = kept(options.json, faults)
-    tried = {row.fault for row in found}
+    found = {row.fault: row for row in kept(options.json, faults)}
+    wanted = [fault for fault in faults if is_wanted(found.get(fault), options)]
     try:
-        faults_left = [fault for fault in faults if fault not in tried]
         covering = measured(copies[0].folder, build / "planted", TESTS)
-        for row in all_found(copies, faults_left, covering, options):
-            found.append(row)
-            say(f"{row.fault}\n    {row.test or 'found by none'}")
+        for row in all_found(copies, wanted, covering, options, found):
+            found[row.fault] = row
+            say(f"{row.fault}\n    {row.second or row.test or 'found by none'}")
             if options.json:
-                write(options.json, options.seed, found)
+                write(options.json, options.seed, [*found.values()])
     finally:
         shutil.rmtree(folder, ignore_errors=True)
-    say(table(found))
+    say(table([*found.values()]))
     say(f"seed {options.seed}, {len(found)} of {len(faults)} tried")
-    return 0 if all(row.test for row in found) else 1
+    return 0 if all(row.test for row in found.values()) else 1
 
 
 if __name__ == "__main__":

@@ -14,24 +14,28 @@ from tools.planted.planting import Fault
 
 
 class Found(NamedTuple):
-    """What became of a fault: the test that fails, "" for none, of how many."""
+    """What became of a fault: the test that fails, "" for none, of how many.
+
+    second: another test that fails, "" when all that are left pass; None: not asked.
+    """
 
     fault: Fault
     test: str
     is_slow: bool
     tried: int
     there: int
+    second: Optional[str] = None
 
 
 def kept(file: Optional[Path], faults: Sequence[Fault]) -> list[Found]:
-    """What an earlier run has found of these faults, which need not be tried again."""
+    """What an earlier run has made of these faults."""
     if file is None or not file.exists():
         return []
     by_name = {str(fault): fault for fault in faults}
     return [
         Found(**{**row, "fault": by_name[row["fault"]]})
         for row in json.loads(file.read_text(encoding="utf-8"))["rows"]
-        if row["test"] and row["fault"] in by_name
+        if row["fault"] in by_name
     ]
 
 
@@ -83,7 +87,15 @@ def render(file: str) -> str:
         [kind, *(str(counts[head]) for head in heads[1:])]
         for kind, counts in kinds.items()
     ]
-    return f"\nSeed {about['seed']}, on {about['host']}.\n\n{markdown(heads, rows)}\n"
+    text = f"\nSeed {about['seed']}, on {about['host']}.\n\n{markdown(heads, rows)}\n"
+    seconds = [row.get("second") for row in about["rows"]]
+    asked = [second for second in seconds if second is not None]
+    if not asked:
+        return text
+    return (
+        f"{text}\nOf {len(asked)} that are found another test was looked for, among all"
+        f" that run the block:\n{asked.count('')} are found by one test alone.\n"
+    )
 
 
 _FINDERS = ("tests/unit", "make test", "make test-rest", "none tried")

@@ -7,7 +7,7 @@ import ast
 import pytest
 
 from tools.kit.printer import ROOT
-from tools.planted.__main__ import Copy, looked_for
+from tools.planted.__main__ import Copy, is_wanted, looked_for, parse
 from tools.planted.covering import Case, block_of, in_turn, measured
 from tools.planted.found import Found, kept, render, table, write
 from tools.planted.planting import READER, Fault, drawn, faults_of
@@ -108,6 +108,11 @@ def test_faults_are_found_by_the_tests_that_run_them(tmp_path):
     found = [looked_for(copy, fault, covering, 30) for fault in signs[:2]]
     assert any(row.test.startswith(tests[0]) for row in found)
     assert all(bool(row.there) is bool(row.tried) for row in found)
+    # Another one: the first is not tried again, in none of its cases
+    row = next(row for row in found if row.test)
+    other = looked_for(copy, row.fault, covering, 30, row.test)
+    assert other.test.partition("[")[0] != row.test.partition("[")[0]
+    assert other.there < row.there
     assert (copy.folder / name).read_text("utf-8") == source
     for option, is_given in (("z_offset", True), ("clearance", False)):
         fault = Fault(name, 1, "option", 0, 0, option, "")
@@ -132,9 +137,17 @@ def test_what_nothing_finds_is_told(tmp_path):
     file = tmp_path / "found.json"
     assert kept(file, faults) == []
     write(file, 7, rows)
-    assert kept(file, faults[:3]) == rows[1:3]
+    assert kept(file, faults[:3]) == rows[:3]
     _, seed, _, _, _, *cells, _ = render(str(file)).split("\n")
     assert seed.startswith("Seed 7, on ")
     assert [*map(str.strip, cells[-1].split("|")[1:-1])] == [
         *("all", "5", "0", "2", "2", "1")
     ]
+    # Another test is looked for where one is known, and was not looked for before
+    rows[1] = rows[1]._replace(second="")
+    rows[2] = rows[2]._replace(second="tests/c.py::test_d")
+    for given, wanted in ((["--second"], rows[3:]), ([], rows[:1])):
+        assert [row for row in rows if is_wanted(row, parse(given))] == wanted
+    write(file, 7, rows)
+    assert "Of 2 that are found" in render(str(file))
+    assert "1 are found by one test alone" in render(str(file))
