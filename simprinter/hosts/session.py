@@ -27,7 +27,6 @@ _LIFETIME = 1e6
 # Real seconds in which a printer that lives by itself comes to rest; klippy
 # alone may compute for a minute
 _REST_LIMIT = 90.0
-_REST = Path(__file__).with_name("extras") / "rest.py"
 
 
 class GcodeError(Exception):
@@ -437,14 +436,13 @@ def run_file_output(
     gcode: str,
 ) -> BatchResult:
     """Run a G-code file in klippy's own file-output mode, without a machine."""
-    installed = host.install({**modules, "rest": _REST})
     simulation = Simulation(VirtualClock(build_directory()))
-    process = _Process(installed, simulation, "[rest]\n" + config)
+    process = _Process(host.install(modules), simulation, config)
     known = process.directory / "mcu.dict"
     known.write_bytes(dictionary)
     options = ["-o", str(known.with_name("sent.bin")), "-d", str(known)]
     try:
-        return _run_to_end(process, simulation, gcode + "\nREST\n", options)
+        return _run_to_end(process, simulation, gcode, options)
     finally:
         simulation.close()
         process.remove()
