@@ -18,7 +18,8 @@ class CalibrationError(Exception):
 
     def __init__(self, what: object):
         super().__init__(what)
-        self.what = str(what)
+        # What a macro raises ends with an empty line
+        self.what = str(what).rstrip()
         # The place or the series in which it happened
         self.subject = ""
         # Toolhead Z (mm) at which a trigger was expected; None: that was not known

@@ -68,12 +68,19 @@ def test_probe_that_stays_attached_is_a_warning(start, end_gcode):
     assert warnings(printer) == []
 
 
-@pytest.mark.parametrize("end_gcode", ["DETACH_PROBE", slow("G1 Z1 F-1")])
+# As Klicky's macros do; what a macro raises ends with an empty line
+RAISE = "\n  {action_raise_error('Probe dock failed!')}"
+
+
+@pytest.mark.parametrize(
+    "end_gcode", [RAISE, slow("DETACH_PROBE"), slow("G1 Z1 F-1")]
+)
 def test_failed_run_says_that_the_probe_is_still_attached(start, end_gcode):
     printer = start(servo(), changes=attaching(end_gcode=end_gcode)).homed()
     text = printer.fail("CALIBRATE_Z")
     assert "z_calibration: end_gcode: " in text
     assert LEFT in text
+    assert "\n" not in text
     assert_unharmed(printer)
 
 
