@@ -124,7 +124,10 @@ def test_button_that_saves_baby_steps(start, button):
     printer.run("SET_GCODE_OFFSET Z_ADJUST=1")
     assert "or the G-code offset is none of CALIBRATE_Z" in printer.fail(button)
     printer.run("SET_GCODE_OFFSET Z=0.3")
-    assert "which is no baby step" in printer.fail(button)
+    text = printer.fail(button)
+    assert "which is no baby step" in text
+    # It takes no parameter
+    assert f"or run {SAVE} FORCE=1 if what is set is right" in text
     # Homed again: the host's
     lines = printer.run(f"G28\nM84\nSET_GCODE_OFFSET Z=0.3\n{button}")
     assert pending(printer) != saved

@@ -69,12 +69,12 @@ def check_steps(
         raise CalibrationError(
             "the G-code offset is 0, not that of CALIBRATE_Z with baby steps:"
             " something has reset it; set it again with SET_GCODE_OFFSET, or"
-            " add FORCE=1 if 0 is right"
+            " run Z_CALIBRATION_SAVE_GCODE_OFFSET FORCE=1 if 0 is right"
         )
     if abs(z_offset - offset) > LARGEST_STEP:
         raise CalibrationError(
             f"{text}: a change of more than {LARGEST_STEP:g} mm is none of baby steps;"
-            " check the probe, or add FORCE=1"
+            " check the probe, or run Z_CALIBRATION_SAVE_GCODE_OFFSET FORCE=1"
         )
     return new, text
 
@@ -223,13 +223,15 @@ class SwitchOffset:
             raise CalibrationError(
                 f"the G-code offset {z_offset:.3f} was set by SET_GCODE_OFFSET Z=... in"
                 " place of that of CALIBRATE_Z, which is no baby step; run CALIBRATE_Z"
-                " again and use Z_ADJUST, or add FORCE=1 if what is set is right"
+                " again and use Z_ADJUST, or run Z_CALIBRATION_SAVE_GCODE_OFFSET FORCE=1 if"
+                " what is set is right"
             )
         if not last.steps.has(z_offset):
             raise CalibrationError(
                 f"the G-code offset {z_offset:.3f} is none of baby steps since"
                 " CALIBRATE_Z: a saved state has brought it back, such as with RESUME;"
-                " run CALIBRATE_Z again, or add FORCE=1 if it is right"
+                " run CALIBRATE_Z again, or Z_CALIBRATION_SAVE_GCODE_OFFSET FORCE=1 if it is"
+                " right"
             )
 
     def _keep(self, is_saved: bool) -> None:
