@@ -696,6 +696,8 @@ class ZCalibration:
                 f" {last.growth.printing:.0f} C and was touched at"
                 f" {last.growth.touched:.0f} C"
             )
+        elif self.settings.nozzle_growth:
+            text += ", without nozzle_growth, as EXTRUDER_TEMP was not given"
         taken = result.offset + last.z_adjust + last.grown - last.z_offset
         if abs(taken) >= NO_CHANGE:
             text += f", {taken:.3f} mm taken off"
