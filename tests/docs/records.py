@@ -65,12 +65,12 @@ Z_CALIBRATION = Module(
         "CALIBRATE_Z": SHOWN,
         # The same frame
         "CALIBRATE_Z SWITCH_OFFSET=0.44": None,
-        "CALIBRATE_Z SWITCH_OFFSET=much": None,
         "PROBE_Z_ACCURACY SAMPLES=3": SHOWN,
         "Z_CALIBRATION_WAIT MAX=2": SHOWN,
         "Z_CALIBRATION_NOZZLE_GROWTH": None,
         "CALIBRATE_Z_IF_NEEDED": "echo: offset 0.46 holds, measured with"
         " switch_offset 0.44",
+        "CALIBRATE_Z SWITCH_OFFSET=much": None,
         # Beside the bed, as this printer keeps its probe attached
         "G1 Z20 F900\nG1 X20 Y305 F6000\nG1 Z0.05 F600\nM400": None,
         "CALCULATE_SWITCH_OFFSET SAVE=1": SHOWN,

@@ -341,6 +341,23 @@ def test_calibration_is_made_only_if_needed(macros):
     )
 
 
+def test_run_that_has_failed_says_that_a_calibration_is_needed(macros):
+    """A longer nozzle was screwed in without homing: 1.5 mm into the bed."""
+    macros.run("CALIBRATE_Z\nG1 Z60 F900\nM400")
+    macros.machine.world.exchange_nozzle(1.5)
+    macros.fail("CALIBRATE_Z")
+    assert macros.status("z_calibration")["measured"]
+    assert "the switch did not answer" in macros.fail("CALIBRATE_Z_IF_NEEDED")
+    assert "echo: calibrating: the last run has failed" in (
+        macros.session.console
+    )
+    macros.run("G28\nCALIBRATE_Z_IF_NEEDED")
+    assert macros.gap() == pytest.approx(
+        macros.scene.formula_gap(), abs=2 * MICROSTEP
+    )
+    assert not measured(macros, "CALIBRATE_Z_IF_NEEDED")
+
+
 # What offset_gcode adds belongs to it, and Z_ADJUST is for one print
 @pytest.mark.slow
 def test_what_holds_is_what_was_applied(start):
