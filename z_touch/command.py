@@ -103,12 +103,19 @@ def check_carriage_is_kept(host: Host) -> None:
         )
 
 
-def check_no_pause(host: Host) -> None:
-    """Raise CalibrationError while a print is paused: it stands where we would go."""
-    if host.print_state() == "paused":
+def check_no_print(host: Host) -> None:
+    """Raise CalibrationError while a print stands where we would go.
+
+    A print that is paused, or one that has extruded while the command under way is none of
+    its file: it would go on from where that leaves the toolhead.
+    """
+    state = host.print_state()
+    if state == "printing" and (host.runs_file() or host.begins_print()):
+        return
+    if state:
         raise CalibrationError(
-            "a print is paused, and the toolhead would go across it; end it first"
-            " (CANCEL_PRINT)"
+            f"a print is {'paused' if state == 'paused' else 'under way'}, and the"
+            " toolhead would go across it; end it first (CANCEL_PRINT)"
         )
 
 

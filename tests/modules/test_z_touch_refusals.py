@@ -21,6 +21,7 @@ from tools.kit.carrying import (
     Z,
 )
 from tools.kit.dockable_probe import QUICK
+from tools.kit.scenes import heated
 
 # How the printer comes there, and out of it again
 PRINT = "SDCARD_PRINT_FILE FILENAME=a.gcode"
@@ -37,6 +38,7 @@ STATES = {
     "set-up": (Z_SETUP[0], "Z_CALIBRATION_SETUP STEP=ABORT"),
     "set-up of the dock": (DOCK_SETUP[0], "DOCKABLE_PROBE_SETUP STEP=ABORT"),
     "printing": (PRINT, "CANCEL_PRINT"),
+    "has extruded": ("SDCARD_PRINT_FILE FILENAME=b.gcode", "CANCEL_PRINT"),
     "paused": (f"{PRINT}\nG4 P100\nPAUSE", "CANCEL_PRINT"),
     # OctoPrint sends the lines itself: nothing but PAUSE tells of its print
     "paused by OctoPrint": ("PAUSE", "CLEAR_PAUSE"),
@@ -63,10 +65,7 @@ DOCK_WAITS = (
     " or DOCKABLE_PROBE_SETUP STEP=ABORT"
 )
 BUSY = "a print is under way ({}); end it first"
-ACROSS = (
-    "a print is paused, and the toolhead would go across it; end it first"
-    " (CANCEL_PRINT)"
-)
+ACROSS = "a print is {}, and the toolhead would go across it; end it first (CANCEL_PRINT)"
 GOES_ON = (
     "a print is paused (PAUSE), and goes on from here; end it (CANCEL_PRINT), or"
     " CLEAR_PAUSE where there is none"
@@ -91,9 +90,18 @@ REFUSED = [
     ("set-up of the dock", TOUCHES + ASK + Z_SETUP, DOCK_WAITS),
     ("printing", ASK, BUSY.format("printing")),
     ("printing", SETUPS, DURING),
+    (
+        "has extruded",
+        Z + AUTO + ATTACH + ("PROBE",),
+        ACROSS.format("under way"),
+    ),
     ("paused", ASK, BUSY.format("paused")),
     ("paused", DOCK_SETUP, DURING),
-    ("paused", Z + AUTO + Z_SETUP + ATTACH + ("PROBE",), ACROSS),
+    (
+        "paused",
+        Z + AUTO + Z_SETUP + ATTACH + ("PROBE",),
+        ACROSS.format("paused"),
+    ),
     ("paused by OctoPrint", ASK + SETUPS, GOES_ON),
 ]
 
@@ -103,6 +111,7 @@ MOVES = "\n  {% if printer.toolhead.homed_axes == 'xyz' %}G28 X{% endif %}"
 
 OPTIONS = {
     "pause_resume": {},
+    "extruder": {"min_extrude_temp": "0"},
     "dockable_probe": QUICK,
     "extra_probe other": {"pin": "^PG5", "z_offset": "0.3"},
     "auto_z_offset": {"prepare_gcode": "\n  G90\n  G0 Z3"},
@@ -117,8 +126,9 @@ OPTIONS = {
 @pytest.mark.parametrize("state", STATES)
 def test_refused(start, tmp_path, state):
     (tmp_path / "a.gcode").write_text("G4 P500\n" * 99)
+    (tmp_path / "b.gcode").write_text("G1 E5 F300\n" + "G4 P500\n" * 99)
     card = {"virtual_sdcard": {"path": str(tmp_path)}}
-    printer = start(SWITCH, {**OPTIONS, **card}).homed()
+    printer = start(heated(SWITCH), {**OPTIONS, **card}).homed()
     into, out = STATES[state]
     for script in (f"{OVER}M400", *into.splitlines()):
         printer.run(script)

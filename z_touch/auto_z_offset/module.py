@@ -247,7 +247,7 @@ class AutoZOffset:
                 "activate_gcode is not run, the bed sensor may be off; move it"
                 " into prepare_gcode"
             )
-        command.check_no_pause(self.host)
+        command.check_no_print(self.host)
         command.check_no_manual_probe(self.host)
         # Before the toolhead moves: a hand may be near
         attached.of(self.host.printer).check_questions(self.host)

@@ -21,7 +21,7 @@ from typing import TYPE_CHECKING, Iterator, NamedTuple, Optional, Sequence
 
 from .. import templates
 from ..attached import ATTACHED, DOCKED, UNKNOWN
-from ..command import always, check_no_pause
+from ..command import always, check_no_print
 from ..errors import CalibrationError
 from . import path
 from .moves import Moves
@@ -181,14 +181,14 @@ class Dock:
         self.activate()
         self._make(FETCH, state, goal)
 
-    def check_no_pause(self) -> None:
-        """Raise the host's error where the probe must not be fetched: a print is paused.
+    def check_no_print(self) -> None:
+        """Raise the host's error where a print goes on from here: the probe must not be fetched.
 
         It would be on the toolhead when the print goes on.  A macro that has to dock it may
         do so, also where it is fetched to see that it is there.
         """
         try:
-            check_no_pause(self.host)
+            check_no_print(self.host)
         except CalibrationError as e:
             raise self.host.error(e)
 

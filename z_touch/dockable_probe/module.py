@@ -212,7 +212,7 @@ class DockableProbe:
         with self.host.as_command_error(gcmd):
             # The nozzle is lowered onto the paper next
             command.check_no_manual_probe(self.host)
-        self.dock.check_no_pause()
+        self.dock.check_no_print()
         self.low_moves.is_led = False
         # Until it was fetched it is not to stay
         self.probe.keeping.hold(False)

@@ -119,7 +119,7 @@ class DockedProbe:
     def check_may_fetch(self) -> None:
         """Raise the host's error where commands fetch the probe, and must not now."""
         if self.keeping.auto:
-            self.dock.check_no_pause()
+            self.dock.check_no_print()
 
     def _goal(self, is_homing: bool) -> Optional[Position]:
         """Return where the command goes on; None: beside the dock.

@@ -222,14 +222,14 @@ class ZCalibration:
     def refuse_during_a_print(
         self, gcmd: GCodeCommand, own: bool = False
     ) -> None:
-        """Raise the command's error while a person is asked, or a print is paused.
+        """Raise the command's error while a person is asked, or a print goes on from here.
 
         Before anything moves, templates included: of a run that has not begun neither
         end_gcode nor error_gcode has to undo anything.  'own': what begins is no part of
         the set-up, which may have its sheet of paper on the bed.
         """
         with self.host.as_command_error(gcmd):
-            command.check_no_pause(self.host)
+            command.check_no_print(self.host)
             command.check_no_manual_probe(self.host)
             attached.of(self.host.printer).check_questions(self.host, own)
 
