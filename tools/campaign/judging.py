@@ -210,6 +210,8 @@ class Judge:
         self.begun = 0
         # What nobody answers any more: whoever prints has cleared the bed
         self.over = ""
+        # What had broken when klippy was shut down
+        self.pressed_by: tuple[Break, ...] = ()
 
     def begin(self, kind: str = "") -> None:
         """A step begins."""
@@ -250,7 +252,8 @@ class Judge:
             ("wrong offset", self._is_off),
         ):
             if self.is_shut_down and sort not in ("shutdown", "harm"):
-                # Klippy knows nothing any more
+                # Klippy knows nothing any more; what is pressed stays so until the restart
+                self.pressed_by = gone.breaks
                 return
             for text in rule(gone):
                 raise HarmError(sort, text)
@@ -313,7 +316,9 @@ class Judge:
     def _may(self, gone: Gone, crash: Crash) -> bool:
         """docs/reliability.md: where no membrane was laid, 1 mm below Z=0."""
         if self.expected:
-            found = self.expected.allowed(gone.breaks) if gone.breaks else {}
+            is_restart = gone.kind in RESTARTS
+            breaks = self.pressed_by if is_restart else gone.breaks
+            found = self.expected.allowed(breaks) if breaks else {}
             is_depth = crash.kind == "depth"
             return is_depth and crash.depth <= found.get(crash.site, 0.0)
         is_wrong = bool(gone.breaks or self.owned.mistake)

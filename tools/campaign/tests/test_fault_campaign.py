@@ -131,6 +131,14 @@ PAIRS = [
     ),
     (Z, ("mcu_silent", "", 3, "move"), ("cancel", "", -1), SHUT_DOWN, False),
     (Z, ("stuck_closed", "probe"), ("cancel", "", 1), SHUT_DOWN, True),
+    # The nozzle stands on the bed, as deep as the first allows, until klippy restarts
+    (
+        "AUTO_Z_HOME_Z",
+        ("stuck_open", "bed_sensor", 4, "move"),
+        ("cancel", "", -1, "write"),
+        SHUT_DOWN,
+        True,
+    ),
     # The second fails in the clean-up after the first
     (
         ATTACHING,
